@@ -6,11 +6,9 @@ their node's area leaves them.
 
 from __future__ import annotations
 
-import base64
 import json
 import os
 import struct
-import urllib.parse
 import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.archive.layout import (
-    GLB_MAGIC,
     KEPT_NAME,
     SPLIT_NAMES,
     TREE_NAMES,
@@ -29,7 +26,9 @@ from octex.archive.layout import (
 from octex.archive.read import Contents, naming
 from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts
 from octex.channels import decode
-from octex.files import OCTREE_EXTENSION, open_file, read_bytes, referred
+from octex.errors import ModelError
+from octex.files import OCTREE_EXTENSION, open_file
+from octex.gltf import Document
 from octex.tree.areas import AREAS, area_codes, shared_codes
 from octex.tree.children import groups_of
 from octex.tree.layout import FACING_FLAGS, KEPT, MAX_CELLS, MAX_DEPTH, SPLIT
@@ -55,30 +54,16 @@ def read(path: str | os.PathLike[str]) -> Contents:
 def _carried(path: Path, content: bytes) -> bytes:
     """Return the web file that a glTF model carries."""
     try:
-        text, binary = content, b""
-        if content.startswith(GLB_MAGIC):
-            length = struct.unpack_from("<I", content, 12)[0]
-            text, binary = content[20 : 20 + length], content[28 + length :]
-        document = json.loads(text)
-        entry = document.get("extensions", {}).get(OCTREE_EXTENSION)
+        document = Document(path, content)
+        entry = document.json.get("extensions", {}).get(OCTREE_EXTENSION)
         if entry is None:
             raise DamagedError(f"is a model without {OCTREE_EXTENSION}; octex convert makes a texture of it")
         octree = entry["octrees"][0]
         if "uri" in octree:
-            return _resource(path, octree["uri"])
-        view = document["bufferViews"][octree["bufferView"]]
-        buffer = document["buffers"][view["buffer"]]
-        held = _resource(path, buffer["uri"]) if "uri" in buffer else binary
-        begin = view.get("byteOffset", 0)
-        return held[begin : begin + view["byteLength"]]
-    except (*_FAULTS, struct.error):
-        raise DamagedError(f"its {OCTREE_EXTENSION} is damaged; {_AGAIN}") from None
-
-
-def _resource(path: Path, uri: str) -> bytes:
-    if uri.startswith("data:"):
-        return base64.b64decode(uri.partition(",")[2], validate=True)
-    return read_bytes(referred(path.parent, os.fsdecode(urllib.parse.unquote_to_bytes(uri))))
+            return document.resource(octree["uri"], OCTREE_EXTENSION)
+        return bytes(document.view(octree["bufferView"])[0])
+    except (*_FAULTS, ModelError) as error:
+        raise DamagedError(f"its {OCTREE_EXTENSION} is damaged ({error}); {_AGAIN}") from None
 
 
 class _Levels(NamedTuple):

@@ -12,6 +12,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.blocks import Blocks
+from octex.baking.coordinates import cell_of
 from octex.baking.directions import in_tangent_space, turned
 from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbors, steps_between
@@ -266,7 +267,7 @@ class _Job:
             flat[sheet.triangles] *= supersample * sheet.layout.width, supersample * sheet.layout.height
         #: (m, 3)   how rest positions change from a lookup to the next at the right, and below
         self.dPdx, self.dPdy = steps_between(rest, flat)
-        leaf = texture.placement.size / 2**texture.tree.max_depth
+        leaf = cell_of(texture)
         #: (m,)   whether a lookup averages over no more than a leaf
         self.is_fine = (self.dPdx**2).sum(axis=1) + (self.dPdy**2).sum(axis=1) <= leaf**2
         self.sizes = supersample * np.linalg.norm(np.cross(self.dPdx, self.dPdy), axis=1) ** 0.5  # of texels
@@ -318,7 +319,7 @@ def _blur(job: _Job, shown: Layout) -> float:
     """Return how much of a mean's variance lookups show: those no wider than a leaf show the field itself."""
     corners = shown.corners
     areas = np.abs(doubled_areas(corners))
-    leaf = job.supersample * job.texture.placement.size / 2**job.texture.tree.max_depth
+    leaf = job.supersample * cell_of(job.texture)
     blur = 1.0 - np.minimum(leaf / np.maximum(job.sizes[shown.faces], leaf), 1.0) ** 2
     return float((areas * blur).sum() / max(float(areas.sum()), 1e-300))
 

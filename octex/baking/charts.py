@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s
-from octex.baking.layout import neighbors_of
+from octex.baking.layout import neighbors_of, numbered
 from octex.baking.unfold import (
     LEAST,
     SIDE,
@@ -23,7 +23,6 @@ from octex.baking.unfold import (
     axes_of,
     connected,
     grow,
-    numbered,
     sums_of,
     unfolded,
     without_overlaps,
@@ -91,7 +90,8 @@ def _clustered(pieces: Pieces) -> Int64s:
         centers = sums_of(charts, middles * areas[:, None]) / weights[:, None]
         apart = ((middles - centers[charts]) ** 2).sum(axis=1)
         apart += np.where(areas > 0.0, 1e-3 * (1.0 - (facings * axes[charts]).sum(axis=1)), np.inf)
-        seeds = _least(charts, apart, count)
+        order = np.lexsort((apart, charts))
+        seeds = order[np.flatnonzero(np.diff(charts[order], prepend=-1))]  # nearest the middle of each
         _grow_at_once(others, facings, areas, middles, axes, seeds, charts)
         is_taken = charts >= 0
         charts[is_taken] = numbered(charts[is_taken])
@@ -177,17 +177,6 @@ def _widest(axes: Float64s, shares: Bools, one: Int64s, two: Int64s, directions:
         some = slice(first, first + _PAIRS)
         dots = np.where(shares[one[some]] | shares[two[some]], axes[some] @ directions.T, 1.0)
         found[some] = np.arccos(np.clip(dots.min(axis=1), -1.0, 1.0))
-    return found
-
-
-@kernel
-def _least(charts: Int64s, values: Float64s, count: int) -> Int64s:
-    """Return the triangle of the least value in each chart."""
-    found = np.full(count, -1, np.int64)
-    for triangle in range(charts.size):
-        best = found[charts[triangle]]
-        if best < 0 or values[triangle] < values[best]:
-            found[charts[triangle]] = triangle
     return found
 
 

@@ -13,7 +13,7 @@ from octex.baking.texels import Drawing, Texels, barycentric_at
 from octex.channels import CHANNELS, linear_to_srgb
 from octex.errors import ModelError
 from octex.parallel import ordered_map
-from octex.source.corners import area_vectors, at_corners
+from octex.source.corners import area_vectors, at_corners, scattered
 from octex.source.mesh import Mesh
 from octex.texture import OctreeTexture
 
@@ -64,7 +64,7 @@ def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: 
     if not is_squeezed.any():
         return
     stretch, along = stretches_of(mesh, size)
-    own, weights = _scattered(areas_of(mesh))
+    own, weights = scattered(areas_of(mesh), _TRIED, 0)
     own, weights = own[is_squeezed[own]], weights[is_squeezed[own]]
     # As far as the triangle goes each way, and at most as the texel does.
     steps = along[own]
@@ -85,7 +85,7 @@ def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Lay
     """Return the part of a map's triangles at which its texels show other places that look otherwise."""
     corners = layout.corners
     areas = np.abs(doubled_areas(corners))
-    own, weights = _scattered(areas)
+    own, weights = scattered(areas, _TRIED, 0)
     places = np.einsum("nk,nkx->nx", weights, corners[own])
     columns, rows = np.clip(places.astype(np.int64), 0, (layout.width - 1, layout.height - 1)).T
     shown = drawn.triangles[rows, columns]
@@ -134,14 +134,6 @@ def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
     return least, np.concatenate([-steps.sum(axis=1, keepdims=True), steps], axis=1)
 
 
-def _scattered(areas: Float64s, count: int = _TRIED) -> tuple[Int64s, Float64s]:
-    """Return the triangles, and the barycentric coordinates, of random places on triangles of some areas."""
-    random = np.random.default_rng(0).random((count, 3))
-    own = np.minimum(np.searchsorted(np.cumsum(areas), random[:, 0] * areas.sum()), len(areas) - 1)
-    root = np.sqrt(random[:, 1:2])
-    return own, np.concatenate([1 - root, root * (1 - random[:, 2:]), root * random[:, 2:]], axis=1)
-
-
 def _look_otherwise(
     texture: OctreeTexture, mesh: Mesh, names: list[str], *ends: tuple[Int64s, Float64s], width: float
 ) -> Bools:
@@ -162,7 +154,7 @@ def fineness(
 
     Triangles weigh their ``areas`` (m,); ``steps`` (m, 3) go from a texel to the next, right and down.
     """
-    own, weights = _scattered(areas, _COMPARED)
+    own, weights = scattered(areas, _COMPARED, 0)
     rows = mesh.triangles[own]
     places, normals = at_corners(mesh.rest, rows, weights), area_vectors(mesh.rest[rows])
 
@@ -230,7 +222,7 @@ def cell_of(texture: OctreeTexture) -> float:
 
 def leaf_of(texture: OctreeTexture, mesh: Mesh) -> float:
     """Return the width of the finest leaves that hold 1 % of a mesh; of finest cells if none hold it."""
-    own, weights = _scattered(areas_of(mesh))
+    own, weights = scattered(areas_of(mesh), _TRIED, 0)
     places = at_corners(mesh.rest, mesh.triangles[own], weights)
     places = places[texture.contains(places, threads=1)]
     if not len(places):

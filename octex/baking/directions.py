@@ -7,7 +7,8 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.jit import kernel
 from octex.source.corners import Frames
-from octex.source.vectors import between, cross_product, dot_product, minus, row_of, times, unit
+from octex.source.tangents import axes_at
+from octex.source.vectors import dot_product, row_of, times, unit
 
 #: Directions shorter than this point nowhere; squared.
 NOWHERE = 1e-12
@@ -27,24 +28,19 @@ def in_tangent_space(
 ) -> Float32s:
     """Return unit directions at rest (n, 3) in triangles' frames (MikkTSpace)."""
     found = np.empty((triangles.size, 3), np.float32)
-    _turn_in(directions, *frames.normals, *frames.tangents, triangles, barycentric, found)
+    _turn_in(directions, frames, triangles, barycentric, found)
     return found
 
 
 @kernel
 def _turn_in(
-    directions: Float32s, normals: Float32s, normal_rows: Int32s, tangents: Float32s, tangent_rows: Int32s,
-    triangles: Int32s, barycentric: Float64s, found: Float32s,
-) -> None:  # fmt: skip
+    directions: Float32s, frames: Frames, triangles: Int32s, barycentric: Float64s, found: Float32s
+) -> None:
     for n in range(triangles.size):
-        triangle, shares = int(triangles[n]), row_of(barycentric, n)
-        normal = unit(between(normals, normal_rows, triangle, shares))
-        tangent = between(tangents, tangent_rows, triangle, shares)
-        tangent = unit(minus(tangent, times(normal, dot_product(normal, tangent))))
-        hand = 1.0 if tangents[tangent_rows[triangle, 0], 3] >= 0.0 else -1.0
+        tangent, other, normal, hand = axes_at(frames, int(triangles[n]), row_of(barycentric, n))
         direction = row_of(directions, n)
         x = dot_product(direction, tangent)
-        y = dot_product(direction, times(cross_product(normal, tangent), hand))
+        y = dot_product(direction, times(other, hand))
         z = dot_product(direction, normal)
         if x * x + y * y + z * z < NOWHERE:
             x, y, z = 0.0, 0.0, 1.0

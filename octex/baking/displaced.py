@@ -7,6 +7,7 @@ import json
 import numpy as np
 
 from octex.arrays import Float64s, Int32s, Int64s
+from octex.baking.coordinates import cell_of
 from octex.baking.tessellation import Tessellation, edges_of, tessellated
 from octex.channels import LUMINANCE, ChannelFormat
 from octex.checks import as_choice, as_number, as_positive, as_whole
@@ -67,7 +68,7 @@ def displace(
         raise ArgumentError(f"{channel} holds directions; displace by numbers or colours")
     scale = as_number(scale, "scale", -FARTHEST, FARTHEST)
     middle = as_number(middle, "middle", -FARTHEST, FARTHEST)
-    finest = texture.placement.size / 2**texture.tree.max_depth
+    finest = cell_of(texture)
     cell = finest if cell is None else as_positive(cell, "cell")
     most = as_whole(most_triangles, "most_triangles", 1, 2**31 - 1)
     resting = surface.placed_in(texture).rest

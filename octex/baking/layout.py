@@ -92,12 +92,23 @@ def kept_layout(mesh: Mesh, size: int, padding: int = PADDING) -> Layout:
 
 def charts_of(mesh: Mesh, corners: Float64s) -> tuple[Int32s, Bools]:
     """Return charts (m,), connected on the surface and in the map, and which sides (m, 3) are their edges."""
-    parents = np.arange(len(corners))
     beside = neighbors(mesh)
     are_joined = _joined(corners, *beside)
+    return pieces_of(beside[0], are_joined).astype(np.int32), ~are_joined
+
+
+def pieces_of(others: Int32s, are_joined: Bools) -> Int64s:
+    """Return the piece, counting from 0, that each triangle (m,) is in with those joined to it (m, 3)."""
+    parents = np.arange(len(others))
     triangles, sides = np.nonzero(are_joined)
-    join(parents, triangles, beside[0][triangles, sides].astype(np.int64))
-    return np.unique(parents, return_inverse=True)[1].astype(np.int32), ~are_joined
+    join(parents, triangles, others[triangles, sides].astype(np.int64))
+    return numbered(parents)
+
+
+def numbered(groups: Int64s) -> Int64s:
+    """Return numbers for groups (m,) from 0 up, in their order."""
+    numbers: Int64s = (np.cumsum(np.bincount(groups) > 0) - 1)[groups]
+    return numbers
 
 
 def neighbors(mesh: Mesh) -> tuple[Int32s, Int32s]:

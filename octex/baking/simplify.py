@@ -7,10 +7,10 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Int32s
+from octex.arrays import Float64s, Int32s
 from octex.checks import as_whole
 from octex.errors import MissingExtraError, ModelError, ModelWarning
-from octex.source.corners import area_vectors, unit_normals
+from octex.source.corners import has_area, unit_normals
 from octex.source.parts import parts_of
 from octex.source.surface import Surface, as_surface
 from octex.source.welding import welded
@@ -23,8 +23,6 @@ _ROUNDS = (3.0, True), (7.0, True), (3.0, False), (5.0, False), (7.0, False), (9
 _ENOUGH = 1.02
 #: Triangles that each loose part keeps at least.
 _LEAST = 12
-#: A triangle has an area if its double is more than this part of the square of its longest edge.
-_THINNEST = 1e-12
 #: Degrees between triangles up to which an edge is smooth: normal maps hold what is sharp.
 _SMOOTH = 180.0
 
@@ -73,18 +71,10 @@ def _welded(surface: Surface) -> tuple[Float64s, Int32s]:
     vertices = np.empty((int(numbers.max()) + 1, 3))
     vertices[numbers] = surface.rest
     faces = numbers[surface.triangles]
-    faces = faces[_has_area(vertices, faces)]
+    faces = faces[has_area(vertices[faces])]
     if not len(faces):
         raise ModelError(f"{surface.name}: no triangle has an area")
     return vertices, faces.astype(np.int32)
-
-
-def _has_area(vertices: Float64s, faces: Int32s) -> Bools:
-    """Say which triangles (m,) have an area."""
-    corners = vertices[faces]
-    longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1)
-    has_area: Bools = np.linalg.norm(area_vectors(corners), axis=1) > _THINNEST * longest
-    return has_area
 
 
 def _parts_collapsed(points: Float64s, faces: Int32s, count: int) -> tuple[Float64s, Int32s]:
@@ -115,7 +105,7 @@ def _collapsed(points: Float64s, faces: Int32s, count: int) -> tuple[Float64s, I
         found, left = collapsed(
             points, faces, target_count=count, agg=boldness, preserve_border=keeps_borders
         )
-        left = left[_has_area(found, left)]
+        left = left[has_area(found[left])]
         if len(left) >= min(count, _LEAST) // 2:  # else a part would vanish
             points, faces = _used(found, left)
     return points, faces

@@ -25,20 +25,9 @@ class Tessellation(NamedTuple):
     def spread(self, corners: Float64s) -> Float64s:
         """Return values (vertices, k) of those at the corners of parents (t, 3, k), in the middle between."""
         made = np.empty((self.vertices, corners.shape[2]))
-        _spread(self.points, self.owners, self.places, corners, made)
+        a, b, c = (self.places[:, n, None] * corners[self.owners, n] for n in range(3))
+        made[self.points] = a + b + c
         return made
-
-
-@kernel
-def _spread(points: Int64s, owners: Int64s, places: Float64s, corners: Float64s, made: Float64s) -> None:
-    for p in range(len(points)):
-        v, t = points[p], owners[p]
-        for k in range(corners.shape[2]):
-            made[v, k] = (
-                places[p, 0] * corners[t, 0, k]
-                + places[p, 1] * corners[t, 1, k]
-                + places[p, 2] * corners[t, 2, k]
-            )
 
 
 def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s]) -> Tessellation:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s
-from octex.baking.layout import doubled_areas, steps_between
+from octex.baking.layout import doubled_areas, pieces_of, steps_between
 from octex.jit import kernel, part
 from octex.source.corners import area_vectors, unit
 
@@ -54,12 +54,6 @@ def axes_of(pieces: Pieces, charts: Int64s) -> Float64s:
 def sums_of(charts: Int64s, values: Float64s) -> Float64s:
     """Return the sums (n, k) of values (m, k) of charts (m,)."""
     return np.stack([np.bincount(charts, column) for column in values.T], axis=1)
-
-
-def numbered(charts: Int64s) -> Int64s:
-    """Return numbers for charts (m,) from 0 up, in their order."""
-    numbers: Int64s = (np.cumsum(np.bincount(charts) > 0) - 1)[charts]
-    return numbers
 
 
 def _projected(corners: Float64s, directions: Float64s) -> Float64s:
@@ -292,28 +286,9 @@ def _smooth(rows: Int64s, others: Int32s, near: Bools, rounds: int, positions: F
                 counts[n] = sums[n, 0] = sums[n, 1] = sums[n, -1] = 0.0
 
 
-@kernel
 def connected(others: Int32s, charts: Int64s) -> Int64s:
     """Return the connected piece of a chart that each triangle (m,) is in, counting from 0."""
-    numbers, queue = np.full(charts.size, -1, np.int64), np.empty(charts.size, np.int64)
-    count = 0
-    for start in range(charts.size):
-        if numbers[start] >= 0:
-            continue
-        queue[0] = start
-        numbers[start] = count
-        first, end = 0, 1
-        while first < end:
-            triangle = queue[first]
-            first += 1
-            for side in range(3):
-                other = others[triangle, side]
-                if other >= 0 and numbers[other] < 0 and charts[other] == charts[start]:
-                    numbers[other] = count
-                    queue[end] = other
-                    end += 1
-        count += 1
-    return numbers
+    return pieces_of(others, (others >= 0) & (charts[others] == charts[:, None]))
 
 
 @kernel

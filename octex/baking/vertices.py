@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Float64s, Floats, Int32s, Int64s
+from octex.baking.coordinates import cell_of
 from octex.baking.directions import NOWHERE
 from octex.baking.tessellation import edges_of, in_order
 from octex.channels import ALPHA, BASE_COLOR, encode
@@ -87,7 +88,7 @@ def bake_vertices(
     most = as_whole(most_triangles, "most_triangles", 1, 2**31 - 1)
     surface = surface.placed_on(texture)
     points, triangles = _undivided(texture, surface)
-    cell = texture.placement.size / 2**texture.tree.max_depth
+    cell = cell_of(texture)
     shortest = _FINEST * cell
     first = 0  # the first place that was made last: edges without one there are divided no more of themselves
     settled = np.empty((0, 3), np.int64)

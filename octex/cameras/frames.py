@@ -16,7 +16,7 @@ from octex.cameras.fields import BrokenError, Record, within
 from octex.cameras.lens import COUNTS, DISTORTION_MODELS, DistortionModel
 from octex.errors import ArgumentError, CameraError
 from octex.files import referred
-from octex.source.models.gltf_file import rotation_matrix
+from octex.gltf import rotation_matrix
 
 #: The numbers of a distortion in the order of `Camera`'s; of fisheyes also all that COLMAP's have.
 _ORDERS = {"opencv": "k1 k2 p1 p2 k3 k4 k5 k6", "fisheye": "k1 k2 k3 k4", "fov": "omega"}

@@ -11,7 +11,7 @@ from octex.arrays import Float64s
 from octex.cameras.fields import BrokenError, Record, within
 from octex.cameras.frames import Frame, Optics, centred, view_of
 from octex.cameras.transforms import focal_of_angle
-from octex.source.models.gltf_file import Document, scene_nodes
+from octex.gltf import Document, scene_nodes
 
 
 def read(path: Path, content: bytes) -> list[Frame]:

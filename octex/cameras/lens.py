@@ -70,24 +70,13 @@ def lens_numbers(model: DistortionModel, distortion: Sequence[float]) -> Float64
 
 def _rising_until(k: Float64s, d: Float64s) -> float:
     """Return the s = r² up to which r · radial(s) rises and is finite."""
-    if not (k[2:].any() or d.any()):
-        return _rising_until_quartic(float(k[0]), float(k[1]))
     over, under = np.poly1d([*k[::-1], 1.0]), np.poly1d([*d[::-1], 1.0])
     s = np.poly1d([2.0, 0.0])
     slope = (over + s * over.deriv()) * under - s * over * under.deriv()
-    roots = np.concatenate([slope.roots, under.roots])
+    # In 1/s, where both begin with 1: the least numbers overflow nothing.
+    roots = np.concatenate([np.roots(each.coeffs[::-1]) for each in (slope, under)])
     real = roots.real[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
-    return float(real.min(initial=math.inf))
-
-
-def _rising_until_quartic(k1: float, k2: float) -> float:
-    # The derivative 1 + 3 k1 r² + 5 k2 r⁴ is zero at u² + 3 k1 u + 5 k2 = 0, u = 1/r²; the largest u counts.
-    half, inside = -1.5 * k1, 2.25 * k1 * k1 - 5.0 * k2
-    if inside < 0.0:
-        return math.inf
-    root = math.sqrt(inside)
-    largest = half + root if half >= 0.0 else -5.0 * k2 / (root - half)
-    return 1.0 / largest if largest > 0.0 else math.inf
+    return 1.0 / float(real.max()) if real.size else math.inf
 
 
 def is_bent(lens: Float64s) -> bool:

@@ -11,15 +11,13 @@ from octex.arrays import Bools, Float64s, Int32s
 from octex.checks import as_flag, as_positive
 from octex.cleaning.cracks import closed_cracks
 from octex.cleaning.inner import seen_triangles
-from octex.source.corners import area_vectors
+from octex.source.corners import has_area
 from octex.source.surface import NOT_FINITE, Surface, as_surface
 from octex.source.welding import welded
 from octex.tree.placement import Placement
 
 #: The entry of provenance that counts what a repair changed.
 REPAIR = "repair"
-#: Triangles whose doubled area is less than this part of the square of their longest edge have none.
-_THINNEST = 1e-12
 #: Cracks are narrower than a cell of this depth, if no cell is given.
 _DEPTH = 10
 
@@ -91,9 +89,7 @@ def repair(surface: Surface, *, cell: float | None = None, inner: bool = True) -
 
 def _useless(rest: Float64s, triangles: Int32s) -> tuple[Bools, Bools]:
     """Say which triangles (m,) have no area, and which of the others have the corners of an earlier one."""
-    corners = rest[triangles]
-    longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1)
-    degenerate = ~(np.linalg.norm(area_vectors(corners), axis=1) > _THINNEST * longest)
+    degenerate = ~has_area(rest[triangles])
     names = welded(rest)[triangles]
     least = names.argmin(axis=1)[:, None]
     turned = np.take_along_axis(names, (least + np.arange(3)) % 3, axis=1)

@@ -14,12 +14,12 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s
+from octex.baking.coordinates import areas_of, cell_of
 from octex.channels import ChannelFormat, ColorSpace, linear_to_srgb
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError
 from octex.parallel import Progress, as_progress
 from octex.source.base import by_channel
-from octex.source.corners import area_vectors
 from octex.source.parts import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import FILTERS, OctreeTexture
@@ -137,7 +137,7 @@ def difference(
     models = [number for number, side in enumerate(sides) if isinstance(side, Surface)]
     if not textures:
         raise ArgumentError("two models cannot be compared with each other; convert one of them first")
-    width = finest_edge(textures[0]) if width is None else as_number(width, "width", 0.0, _WIDEST)
+    width = cell_of(textures[0]) if width is None else as_number(width, "width", 0.0, _WIDEST)
     width = width if models else 0.0
     readers = readers_of(sides, channels, width, filter)
     spaces = readers[0].spaces
@@ -197,11 +197,6 @@ def formats_of(side: Side) -> dict[str, ChannelFormat]:
     return {name: channel.format for name, channel in side.channels.items()}
 
 
-def finest_edge(texture: OctreeTexture) -> float:
-    """Return the edge of a texture's finest cells, in rest units."""
-    return texture.placement.size / float(2**texture.tree.max_depth)
-
-
 class Reader:
     """Reads channels of one side in their measures."""
 
@@ -219,7 +214,7 @@ class Reader:
         """Return values (n, components) by channel."""
         values: Mapping[str, Float32s]
         if isinstance(self._side, OctreeTexture):
-            width = self._width if self._width > finest_edge(self._side) else None  # no lookup is sharper
+            width = self._width if self._width > cell_of(self._side) else None  # no lookup is sharper
             values = self._side.sample(points.rest, self._names, self._filter, width=width, normalize=False)
         else:
             assert points.triangles is not None and points.barycentric is not None
@@ -256,8 +251,7 @@ def in_common(a: Side, b: Side) -> tuple[Side, Side]:
     def restricted(side: Side) -> Side:
         if isinstance(side, Surface):
             return side.with_channels(names)
-        channels = {name: side.channels[name] for name in names}
-        return OctreeTexture(side.tree, channels, side.placement, side.bounds, side.metadata)
+        return side.with_cells(side.tree, {name: side.channels[name] for name in names})
 
     return restricted(a), restricted(b)
 
@@ -321,7 +315,7 @@ def _leaves(texture: OctreeTexture) -> Iterator[tuple[Float64s, Float64s, Float6
 def _area(side: Side) -> float:
     """Return the area of a surface at rest."""
     if isinstance(side, Surface):
-        return float(np.linalg.norm(area_vectors(side.rest[side.triangles]), axis=1).sum() / 2)
+        return float(areas_of(side).sum())
     return sum(float(areas.sum()) for _, _, areas in _leaves(side))
 
 
@@ -333,7 +327,7 @@ def inside_cells(texture: OctreeTexture) -> Callable[..., Bools]:
 
     def lies_on(centres: Floats, edges: Floats | None = None) -> Bools:
         found = np.zeros(len(centres), np.bool_)
-        edges = np.full(len(centres), finest_edge(texture)) if edges is None else edges
+        edges = np.full(len(centres), cell_of(texture)) if edges is None else edges
         for edge in np.unique(edges):
             # A cell no smaller than a cube that it meets holds one of its corners.
             level = int(np.clip(np.floor(np.log2(texture.placement.size / edge) + 1e-9), 0, 21))

@@ -20,7 +20,7 @@ from octex.checks import as_number, as_path, as_reals
 from octex.errors import ArgumentError, ImageError
 from octex.jit import inlined, kernel
 from octex.source.images.decode import as_texels, read_image_file
-from octex.source.images.pyramid import Texels
+from octex.source.images.pyramid import Texels, resized
 
 #: The widest picture that is kept: 0.35° a texel.
 _WIDEST = 1024
@@ -73,8 +73,7 @@ class Environment:
         doubles the light for each; what is below 0, as of lossy files, is black. Raises ImageError for a
         picture that cannot be used, ArgumentError for an exposure beyond 64 stops and an ``up`` of no length.
         """
-        texels = as_texels(picture)
-        return cls._of(_as_light(texels), as_number(exposure, "exposure", -64.0, 64.0), up)
+        return cls._of(as_texels(picture), exposure, up)
 
     @classmethod
     def load(
@@ -82,20 +81,22 @@ class Environment:
     ) -> Environment:
         """Make one of an image file, ``.hdr``, ``.exr`` or another; else as ``of``."""
         file = as_path(path)
-        texels, _ = read_image_file(file)
-        return cls._of(_as_light(texels), as_number(exposure, "exposure", -64.0, 64.0), up, file.name)
+        return cls._of(read_image_file(file)[0], exposure, up, file.name)
 
     @classmethod
     def _of(
-        cls, light: Float64s, exposure: float, up: npt.ArrayLike, name: str = "the picture"
+        cls, texels: Texels, exposure: float, up: npt.ArrayLike, name: str = "the picture"
     ) -> Environment:
-        height, width = light.shape[:2]
+        exposure = as_number(exposure, "exposure", -64.0, 64.0)
+        height, width = texels.shape[:2]
         if height > width:  # the faces of a cube, one below another
             raise ImageError(
                 f"{name} is not an environment map: its {width} × {height} texels are taller than wide; "
                 "give a latitude-longitude map, twice as wide as high"
             )
-        tables = _tables(_resampled(np.maximum(light, 0.0)) * 2.0**exposure)
+        light = decode(texels[..., :3], "linear" if texels.dtype == np.float32 else "srgb")
+        light = light * decode(texels[..., 3:], "data")  # black where it is transparent
+        tables = _tables(_resampled(np.maximum(light, np.float32(0.0))) * 2.0**exposure)
         return cls(Tables(*tables, _axes_of(up)))
 
     @classmethod
@@ -141,13 +142,6 @@ class Environment:
         return found
 
 
-def _as_light(texels: Texels) -> Float64s:
-    """Return linear light (height, width, 3) of texels, black where they are transparent."""
-    is_coded = texels.dtype != np.float32
-    colors = decode(texels[..., :3], "srgb" if is_coded else "linear").astype(np.float64)
-    return colors * decode(texels[..., 3:], "data")
-
-
 def _axes_of(up: npt.ArrayLike) -> Float64s:
     """Return the rotation that takes ``up`` to +y, the shortest way."""
     x, y, z = as_vector(up, "up")
@@ -159,24 +153,13 @@ def _axes_of(up: npt.ArrayLike) -> Float64s:
     )
 
 
-def _resampled(light: Float64s) -> Float64s:
+def _resampled(light: Float32s) -> Float64s:
     """Return a picture of powers of two, no less than 4 × 8, by the means over texels' areas."""
     height, width = light.shape[:2]
     wide = 2 ** int(np.clip(np.floor(np.log2(width)), np.log2(2 * _ROWS), np.log2(_WIDEST)))
     high = 2 ** int(np.clip(np.floor(np.log2(height)), np.log2(_ROWS), np.log2(wide)))
-    rows, columns = _means(height, high), _means(width, wide)
-    return np.asarray(
-        np.einsum("rh,hwc->rwc", rows, np.einsum("cw,hwk->hck", columns, light, optimize=True), optimize=True)
-    )
-
-
-def _means(many: int, few: int) -> Float64s:
-    """Return the matrix (few, many) of means over equal parts of a row of values."""
-    ends = np.linspace(0.0, many, few + 1)
-    first, last = ends[:-1, None], ends[1:, None]
-    at = np.arange(many)
-    shares = np.clip(np.minimum(last, at + 1) - np.maximum(first, at), 0.0, None)
-    return np.asarray(shares / shares.sum(axis=1, keepdims=True))
+    four = np.append(light, np.ones_like(light[..., :1]), axis=2)
+    return resized(four, high, wide)[..., :3].astype(np.float64)
 
 
 @cache

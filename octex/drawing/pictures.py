@@ -10,7 +10,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int64s
 from octex.cameras.camera import Camera
 from octex.drawing.hits import Hits, Seen
-from octex.drawing.reflection import Material, reflected, tone_mapped
+from octex.drawing.reflection import reflected, tone_mapped
 from octex.drawing.shaders import Appearance, Bump, Shader, Shown, field_slopes
 from octex.drawing.soft_light import background
 from octex.drawing.soft_light import light as soft_light
@@ -114,11 +114,7 @@ def lit(
     if light is None:
         shade = soft_light(camera, points, faces, normals)
         return appearance._replace(reflected=appearance.reflected * shade[:, None])
-    material = Material(
-        appearance.reflected, appearance.metallic, appearance.roughness, appearance.occlusion,
-        appearance.specular,
-    )  # fmt: skip
-    found = reflected(light, camera, points, faces, normals, material)
+    found = reflected(light, camera, points, faces, normals, appearance)
     if not light.tone_mapped:
         return appearance._replace(reflected=found)
     seen: Floats = found if appearance.emitted is None else found + appearance.emitted

@@ -9,13 +9,13 @@ Image-Based Lighting", JCGT 2019): what is white reflects all.
 from __future__ import annotations
 
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats
 from octex.cameras.camera import Camera
 from octex.drawing.environment import Environment, Tables, glossy_light, matte_light
+from octex.drawing.shaders import Appearance
 from octex.jit import inlined, kernel
 from octex.source.vectors import unit
 
@@ -32,28 +32,19 @@ _GRAZING = 1e-3
 _COMPRESSED, _DESATURATION = 0.76, 0.15
 
 
-class Material(NamedTuple):
-    """What surfaces are made of; None is glTF's own for a surface that is no metal."""
-
-    base_color: Floats  # (n, 3)   linear
-    metallic: Floats | None = None  # (n,)   None: 0
-    roughness: Floats | None = None  # (n,)   None: 1
-    occlusion: Floats | None = None  # (n,)   how much of the light reaches it; None: 1
-    specular: Floats | None = None  # (n, 3)   of what is no metal, reflected along the normal; None: 0.04
-
-
 def reflected(
     environment: Environment,
     camera: Camera,
     points: Floats,
     faces: Floats,
     normals: Floats,
-    material: Material,
+    material: Appearance,
 ) -> Float32s:
     """Return the light (n, 3) reflected toward a camera; arguments as for ``soft_light.light``."""
+    assert material.reflected is not None
     lit = np.empty((len(points), 3), np.float32)
     columns = np.ones((len(points), 9))
-    columns[:, :3] = material.base_color
+    columns[:, :3] = material.reflected
     columns[:, 3] = 0.0
     columns[:, 6:] = _DIELECTRIC if material.specular is None else material.specular
     for number, part in enumerate((material.metallic, material.roughness, material.occlusion), 3):

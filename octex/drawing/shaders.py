@@ -28,10 +28,11 @@ class Appearance(NamedTuple):
     emitted: Floats | None = None  # (n, 3)   whatever the light
     coverage: Floats | None = None  # (n,)   the rest is what lies behind; None: all covered
     normals: Floats | None = None  # (n, 3)   at rest, to light them by; None: those of the surface
-    metallic: Floats | None = None  # (n,)   as the fields of `octex.drawing.reflection.Material`
-    roughness: Floats | None = None  # (n,)
-    occlusion: Floats | None = None  # (n,)
-    specular: Floats | None = None  # (n, 3)
+    # How light is reflected that comes from all around; None is glTF's own for a surface that is no metal.
+    metallic: Floats | None = None  # (n,)   None: 0
+    roughness: Floats | None = None  # (n,)   None: 1
+    occlusion: Floats | None = None  # (n,)   how much of the light reaches it; None: 1
+    specular: Floats | None = None  # (n, 3)   of what is no metal, reflected along the normal; None: 0.04
 
     def bent(self, normals: Floats, slopes: Float64s) -> Appearance:
         """Return it with its own normals, or else ``normals`` (n, 3), bent against ``slopes`` (n, 3)."""

@@ -13,27 +13,17 @@ from typing import Any
 import numpy as np
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdUtils, Vt
 
+from octex.channels import CHANNELS
 from octex.errors import ModelError
 from octex.files import replacing, scratch_folder
 from octex.formats.images import encoded_images, image_names
 from octex.formats.models import METERS, Target, Written, materials_of, origin_of
-from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
+from octex.source.images.pyramid import WRAPS
 from octex.source.materials import Input, MaterialSource
+from octex.source.models.usd import INPUTS
 from octex.source.surface import Surface
 
 _TYPES = Sdf.ValueTypeNames
-_WRAPS = {REPEAT: "repeat", MIRROR: "mirror", CLAMP: "clamp"}
-#: What UsdPreviewSurface calls channels; and in what space their images are.
-_INPUTS = {
-    "base_color": ("diffuseColor", "Color3f", "sRGB"),
-    "emissive": ("emissiveColor", "Color3f", "sRGB"),
-    "specular": ("specularColor", "Color3f", "sRGB"),
-    "alpha": ("opacity", "Float", "sRGB"),  # of the base colour's image; alpha itself is never encoded
-    "normal": ("normal", "Normal3f", "raw"),
-    "roughness": ("roughness", "Float", "raw"),
-    "metallic": ("metallic", "Float", "raw"),
-    "occlusion": ("occlusion", "Float", "raw"),
-}
 #: The primvars of vertex colours, and the shaders that read them.
 _OF_VERTICES = {"base_color": ("displayColor", "float3"), "alpha": ("displayOpacity", "float")}
 
@@ -192,9 +182,9 @@ class _Materials:
 
     def _feed(self, at: str, surface: Any, name: str, inputs: Mapping[str, Input]) -> None:
         """Give a material's surface what one channel is made of."""
-        word, kind, _ = _INPUTS[name]
-        given, is_scalar = inputs[name], kind == "Float"
-        entry = surface.CreateInput(word, getattr(_TYPES, kind))
+        given, is_scalar = inputs[name], CHANNELS[name].components == 1
+        kind = "Float" if is_scalar else "Normal3f" if name == "normal" else "Color3f"
+        entry = surface.CreateInput(INPUTS[name], getattr(_TYPES, kind))
         shader, output = None, "result"
         if name in _OF_VERTICES and self._source.colors is not None:
             if given.texture is not None or set(given.factor) != {1.0}:
@@ -227,14 +217,16 @@ class _Materials:
         assert texture is not None
         scale, bias = _affine(name, inputs)
         number = self._numbers[id(texture.texels)]
-        space = "raw" if texture.texels.dtype == np.float32 else _INPUTS[name][2]  # floats are linear
+        # Floats are linear. Alpha is in the base colour's image, and itself never encoded.
+        is_coded = texture.texels.dtype != np.float32 and (CHANNELS[name].space == "srgb" or name == "alpha")
+        space = "sRGB" if is_coded else "raw"
         key = (at, number, space, *texture[1:], scale, bias)
         if key not in self._shaders:
             shader = self._shader(f"{at}/{name}", "UsdUVTexture")
             shader.CreateInput("file", _TYPES.Asset).Set(Sdf.AssetPath(self._places[number]))
             shader.CreateInput("sourceColorSpace", _TYPES.Token).Set(space)
-            shader.CreateInput("wrapS", _TYPES.Token).Set(_WRAPS[texture.wrap_u])
-            shader.CreateInput("wrapT", _TYPES.Token).Set(_WRAPS[texture.wrap_v])
+            shader.CreateInput("wrapS", _TYPES.Token).Set(WRAPS[texture.wrap_u])
+            shader.CreateInput("wrapT", _TYPES.Token).Set(WRAPS[texture.wrap_v])
             if scale != (1.0,) * 4:
                 shader.CreateInput("scale", _TYPES.Float4).Set(Gf.Vec4f(*scale))
             if any(bias):

@@ -108,8 +108,7 @@ def _with_bytes(texture: OctreeTexture) -> tuple[OctreeTexture, dict[str, list[f
         low, high = ranges.get(name, (-1 if channel.format.space == "direction" else 0, 1))
         notes.append(f"{name.replace('_', ' ')}: shown with 8 bits, {low:.4g} to {high:.4g}")
     if notes:
-        texture = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata)
-        texture = cast(texture, "uint8")
+        texture = cast(texture.with_cells(texture.tree, channels), "uint8")
     depth = texture.tree.max_depth
     cells = texture.tree.arrays.level_cells
     while depth and int(cells[depth + 1]) > MOST_CELLS:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Float32s, Float64s, Floats
+from octex.arrays import Array, Float32s, Float64s
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat
 from octex.checks import as_number, as_path, as_reals, as_text, locked
 from octex.errors import ArgumentError, ModelError
@@ -211,13 +211,10 @@ def is_cloud(path: Path) -> bool:
 def _rows(array: npt.ArrayLike, what: str) -> Float64s:
     """Return a copy of finite rows of three, or raise ArgumentError or ModelError."""
     rows = as_reals(array, what, (-1, 3))
-    if not (np.abs(rows) <= _FARTHEST).all():
-        raise ModelError(f"{what} are not all finite: number {_first_bad(rows)} is not")
+    is_usable = (np.abs(rows) <= _FARTHEST).all(axis=1)
+    if not is_usable.all():
+        raise ModelError(f"{what} are not all finite: number {int(np.argmin(is_usable))} is not")
     return rows
-
-
-def _first_bad(rows: Floats) -> int:
-    return int(np.argmin((np.abs(rows.astype(np.float64)) <= _FARTHEST).all(axis=1)))
 
 
 #: Points, colours, and normals if there are any.

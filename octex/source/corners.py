@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Integers
+from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s, Integers
 
 
 class Corners(NamedTuple):
@@ -51,6 +51,16 @@ def area_vectors(corners: Float64s) -> Float64s:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
+#: Triangles whose doubled area is less than this part of the square of their longest edge have none.
+_THINNEST = 1e-12
+
+
+def has_area(corners: Float64s) -> Bools:
+    """Say which triangles with corners (m, 3, 3) have an area."""
+    longest = ((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1)
+    return np.asarray(np.linalg.norm(area_vectors(corners), axis=1) > _THINNEST * longest)
+
+
 def unit_normals(corners: Float64s) -> Float64s:
     """Return the unit normals of triangles (m, 3); zeros without area."""
     return unit(area_vectors(corners))
@@ -66,6 +76,16 @@ def at_corners(values: Array, rows: Integers, barycentric: Float64s) -> Float64s
     """Interpolate (n, components) between the values in the rows (n, 3) of three corners."""
     between: Float64s = np.einsum("nc,ncx->nx", barycentric, values[rows])
     return between
+
+
+def scattered(areas: Float64s, count: int, seed: int) -> tuple[Int64s, Float64s]:
+    """Draw points, uniform by the areas of triangles (m,): their triangles (n,), and barycentric (n, 3)."""
+    random = np.random.default_rng(seed).random((count, 3))
+    cumulative = np.cumsum(areas)
+    chosen = np.searchsorted(cumulative, random[:, 0] * cumulative[-1], side="right")
+    root = np.sqrt(random[:, 1])
+    barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
+    return np.minimum(chosen, len(areas) - 1), barycentric
 
 
 class Polygons(NamedTuple):

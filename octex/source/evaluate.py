@@ -12,17 +12,8 @@ from octex.source.corners import Corners, Frames
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint
 from octex.source.images.pyramid import Images
 from octex.source.images.taps import TAP_ROOM, Footprint, gather
-from octex.source.vectors import (
-    Vector,
-    between,
-    cross_product,
-    dot_product,
-    edges_from,
-    length_of,
-    minus,
-    times,
-    unit,
-)  # fmt: skip
+from octex.source.tangents import axes_at
+from octex.source.vectors import Vector, between, cross_product, dot_product, edges_from, length_of, unit
 
 OPAQUE, MASK, BLEND = 0, 1, 2
 
@@ -214,12 +205,7 @@ def _turn(
     tables: Tables, triangle: int, shares: Vector, is_point: bool, values: Float32s, i: int, column: int
 ) -> None:
     """Transform a direction from tangent space to rest space; at a point, normalize it."""
-    normals, tangents = tables.frames
-    normal = unit(between(normals.values, normals.rows, triangle, shares))
-    tangent = between(tangents.values, tangents.rows, triangle, shares)
-    tangent = unit(minus(tangent, times(normal, dot_product(normal, tangent))))
-    other = cross_product(normal, tangent)
-    hand = 1.0 if tangents.values[tangents.rows[triangle, 0], 3] >= 0.0 else -1.0
+    tangent, other, normal, hand = axes_at(tables.frames, triangle, shares)
     x, y, z = values[i, column], values[i, column + 1], values[i, column + 2]
     direction: Vector = np.float64(x), np.float64(y), np.float64(z)
     if is_point:

@@ -12,7 +12,16 @@ import numpy.typing as npt
 from octex.arrays import Array, Bools, Float64s, Int32s, Integers
 from octex.checks import as_array, as_reals, as_whole, locked
 from octex.errors import ArgumentError, ModelError, damaged
-from octex.source.corners import Corners, Creases, Frames, Polygons, area_vectors, at_corners, unit_normals
+from octex.source.corners import (
+    Corners,
+    Creases,
+    Frames,
+    Polygons,
+    area_vectors,
+    at_corners,
+    scattered,
+    unit_normals,
+)  # fmt: skip
 from octex.source.parts import Overlaps, overlapping_parts, parts_of
 from octex.source.tangents import carried
 from octex.source.welding import first_equal
@@ -110,10 +119,7 @@ class Mesh:
             raise ModelError(
                 f"{self.name}: {len(posed)} posed positions for {len(self.vertices)} vertices; give one each"
             )
-        return Mesh(
-            posed, self.triangles, rest=self.rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
-            creases=self.creases, name=self.name,
-        )  # fmt: skip
+        return self._at(posed, self.rest)
 
     def posed_frames(self, chosen: Int32s | None = None) -> Frames | None:
         """Return the frames where the mesh is posed, each moved with its triangle; None if there are none.
@@ -129,8 +135,11 @@ class Mesh:
 
     def moved(self, rest: Float64s) -> Mesh:
         """Return the same mesh with its parts translated at rest; frames do not change."""
+        return self._at(self.vertices, rest)
+
+    def _at(self, vertices: Float64s, rest: Float64s) -> Mesh:
         return Mesh(
-            self.vertices, self.triangles, rest=rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
+            vertices, self.triangles, rest=rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
             creases=self.creases, name=self.name,
         )  # fmt: skip
 
@@ -223,16 +232,12 @@ class Mesh:
         """
         n = as_whole(n, "n, the number of points,", 0, 2**32)
         seed = as_whole(seed, "seed", 0, 2**128)
-        crosses = area_vectors(self.vertices[self.triangles])
-        cumulative = np.cumsum(np.linalg.norm(crosses, axis=1))
-        if not cumulative[-1] > 0:
+        areas = self.areas()
+        if not areas.any():
             raise ModelError(
                 f"{self.name}: all triangles are degenerate, there is no area to scatter points on"
             )
-        random = np.random.default_rng(seed).random((n, 3))
-        chosen = np.searchsorted(cumulative, random[:, 0] * cumulative[-1], side="right")
-        root = np.sqrt(random[:, 1])
-        barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
+        chosen, barycentric = scattered(areas, n, seed)
         normals = rest_normals = unit_normals(self.vertices[self.triangles[chosen]])
         if self.rest is not self.vertices:
             rest_normals = unit_normals(self.rest[self.triangles[chosen]])
@@ -273,11 +278,15 @@ def as_triangles(array_like: npt.ArrayLike, vertices: int, name: str) -> Int32s:
         raise ModelError(f"{name}: triangles must be whole numbers of shape (m, 3), not {kind}")
     if len(triangles) == 0:
         raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
-    low, high = int(triangles.min()), int(triangles.max())
-    if low < 0 or high >= vertices:
-        worst = low if low < 0 else high
-        raise damaged(f"{name}: a triangle uses vertex {worst}, but there are {vertices}")
+    check_below(triangles, vertices, f"{name}: a triangle uses vertex")
     return _owned(triangles, np.int32)
+
+
+def check_below(numbers: Integers, count: int, what: str) -> None:
+    """Raise ModelError that begins with ``what`` unless numbers are from 0 on and below a count."""
+    low, high = int(numbers.min(initial=0)), int(numbers.max(initial=0))
+    if numbers.size and not 0 <= low <= high < count:
+        raise damaged(f"{what} {low if low < 0 else high}, but there are {count}")
 
 
 def _owned(array_like: npt.ArrayLike, dtype: type) -> Array:

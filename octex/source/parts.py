@@ -18,7 +18,7 @@ from octex.checks import as_number, as_positive
 from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.nearest import distances
-from octex.source.welding import first_equal
+from octex.source.welding import first_equal, paired_sides
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -145,12 +145,9 @@ def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:
     """
     parents = np.arange(len(welded))
     join(parents, np.repeat(triangles[:, 0], 2).astype(np.int64), triangles[:, 1:].ravel().astype(np.int64))
-    keys, _ = edges_of(triangles, welded)
-    order = np.argsort(keys, kind="stable")
-    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    pairs = starts[np.diff(starts, append=len(keys)) == 2]
-    owners = np.tile(triangles[:, 0], 3).astype(np.int64)
-    join(parents, owners[order[pairs]], owners[order[pairs + 1]])
+    corners = welded[triangles]
+    pairs = paired_sides(corners.ravel(), np.roll(corners, -1, axis=1).ravel())
+    join(parents, *(triangles[sides // 3, 0].astype(np.int64) for sides in pairs))
     # A part is not closed if an edge has unequal numbers of triangles in both directions.
     roots = parents[triangles[:, 0]]
     keys, ways = edges_of(triangles, welded)

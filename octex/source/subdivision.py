@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Float64s, Int64s
+from octex.source.parts import join
 
 Scheme = Literal["catmull-clark", "loop"]
 SCHEMES: tuple[Scheme, ...] = ("catmull-clark", "loop")
@@ -132,16 +133,9 @@ def _fans(level: Level, uses: Int64s) -> Int64s:
     every = np.tile(np.arange(len(level.corners)), 2)[joining]
     order = np.argsort(sides[joining] * count + level.corners[every], kind="stable")
     pairs = every[order].reshape(-1, 2)
-    labels = np.arange(len(level.corners))
-    while True:
-        least = labels[pairs].min(axis=1)
-        lower = labels.copy()
-        np.minimum.at(lower, pairs[:, 0], least)
-        np.minimum.at(lower, pairs[:, 1], least)
-        lower = lower[lower]
-        if np.array_equal(lower, labels):
-            return np.bincount(level.corners[labels == np.arange(len(labels))], minlength=count)
-        labels = lower
+    parents = np.arange(len(level.corners))
+    join(parents, pairs[:, 0].copy(), pairs[:, 1].copy())
+    return np.bincount(level.corners[parents == np.arange(len(parents))], minlength=count)
 
 
 def divided(level: Level, scheme: Scheme) -> Level:

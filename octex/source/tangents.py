@@ -15,6 +15,7 @@ from octex.jit import inlined, kernel
 from octex.source.corners import Corners, Frames, area_vectors
 from octex.source.vectors import (
     Vector,
+    between,
     cross_product,
     dot_product,
     edges_from,
@@ -22,6 +23,7 @@ from octex.source.vectors import (
     minus,
     row_of,
     times,
+    unit,
 )  # fmt: skip
 from octex.source.welding import welded
 
@@ -132,6 +134,17 @@ def _mended(corners: Corners, fallback: Floats) -> Corners:
     values[:, :3] = unit
     values[:, 3:][corners.values[:, 3:] < 0] = -1.0
     return Corners(values, corners.rows)
+
+
+@inlined
+def axes_at(frames: Frames, triangle: int, shares: Vector) -> tuple[Vector, Vector, Vector, float]:
+    """Return tangent, normal × tangent and normal at a point of a triangle, and the handedness."""
+    normals, tangents = frames
+    normal = unit(between(normals.values, normals.rows, triangle, shares))
+    tangent = between(tangents.values, tangents.rows, triangle, shares)
+    tangent = unit(minus(tangent, times(normal, dot_product(normal, tangent))))
+    hand = 1.0 if tangents.values[tangents.rows[triangle, 0], 3] >= 0.0 else -1.0
+    return tangent, cross_product(normal, tangent), normal, hand
 
 
 @inlined

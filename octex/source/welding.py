@@ -64,15 +64,20 @@ def _weld(words: Uint32s, places: Int64s, table: Int32s, numbers: Int32s) -> Non
             place = (place + 1) & (len(table) - 1)
 
 
-def sides_across(starts: Int64s, ends: Int64s) -> Int64s:
-    """Return for each side, from a vertex to another (n,), the one side that runs back there; −1 for none."""
+def paired_sides(starts: Int64s, ends: Int64s) -> tuple[Int64s, Int64s]:
+    """Return the pairs of sides, from vertices to others (n,), that share an edge with no third side."""
     low, high = np.minimum(starts, ends), np.maximum(starts, ends)
     keys = low * (int(high.max(initial=0)) + 1) + high
     order = np.argsort(keys, kind="stable")
     firsts = np.flatnonzero(np.diff(keys[order], prepend=-1))
     pairs = firsts[np.diff(firsts, append=keys.size) == 2]
-    a, b = order[pairs], order[pairs + 1]
-    is_sound = (starts[a] == ends[b]) & (low[a] < high[a])
-    across = np.full(keys.size, -1, np.int64)
+    return order[pairs], order[pairs + 1]
+
+
+def sides_across(starts: Int64s, ends: Int64s) -> Int64s:
+    """Return for each side, from a vertex to another (n,), the one side that runs back there; −1 for none."""
+    a, b = paired_sides(starts, ends)
+    is_sound = (starts[a] == ends[b]) & (starts[a] != ends[a])
+    across = np.full(starts.size, -1, np.int64)
     across[a[is_sound]], across[b[is_sound]] = b[is_sound], a[is_sound]
     return across

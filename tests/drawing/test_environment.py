@@ -9,7 +9,7 @@ from octex.channels import encode
 from octex.drawing import draw_preview, render_leaves, render_surface, source_shader, texture_shader
 from octex.drawing.environment import Environment
 from octex.drawing.pictures import lit
-from octex.drawing.reflection import Material, reflectances, reflected, tone_mapped
+from octex.drawing.reflection import reflectances, reflected, tone_mapped
 from octex.drawing.shaders import Appearance
 from octex.errors import ArgumentError, ImageError
 from tests.oracles import naive_light
@@ -41,7 +41,8 @@ def _reflected(environment, normals, **material):
         name: np.broadcast_to(value, (count, 3) if name in ("base_color", "specular") else count)
         for name, value in material.items()
     }
-    return reflected(environment, AHEAD, np.zeros((count, 3)), normals, normals, Material(**given))
+    given["reflected"] = given.pop("base_color")
+    return reflected(environment, AHEAD, np.zeros((count, 3)), normals, normals, Appearance(**given))
 
 
 @pytest.mark.parametrize("specular", [0.0, 0.04, 1.0])
@@ -155,7 +156,7 @@ def test_the_studio_turns_with_the_camera():
     pose[:3, :3] = [[0, 0, 1], [1, 0, 0], [0, 1, 0]]
     turned = Camera.orthographic((4, 4), pose=pose, convention="opengl", pixels_per_unit=2.0)
     normals = naive_light.directions(20)
-    material = Material(np.full((20, 3), 0.5), np.full(20, 0.5), np.full(20, 0.3))
+    material = Appearance(np.full((20, 3), 0.5), metallic=np.full(20, 0.5), roughness=np.full(20, 0.3))
     here = reflected(studio, AHEAD, np.zeros((20, 3)), normals, normals, material)
     there = reflected(
         studio, turned, np.zeros((20, 3)), normals @ pose[:3, :3].T, normals @ pose[:3, :3].T, material
@@ -221,7 +222,7 @@ def test_what_glows_in_the_studio_is_compressed_with_what_it_reflects():
 def test_both_sides_reflect_alike_and_normals_that_lean_away_stay_finite():
     normals = np.random.default_rng(0).normal(size=(50, 3))
     environment, zeros = Environment.of(_picture(16)), np.zeros((50, 3))
-    material = Material(np.full((50, 3), 0.5))
+    material = Appearance(np.full((50, 3), 0.5))
     assert np.array_equal(
         reflected(environment, AHEAD, zeros, normals, normals, material),
         reflected(environment, AHEAD, zeros, -normals, -normals, material),

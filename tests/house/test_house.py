@@ -26,6 +26,7 @@ ROWS = [
         "arrays",
         "errors",
         "files",
+        "gltf",
         "checks",
         "functions",
         "ahead",

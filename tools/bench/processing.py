@@ -7,7 +7,6 @@ from measuring import Report, Setup, clocked
 
 import octex
 from octex.channels import BASE_COLOR
-from octex.processing.mapping import look_up_codes
 from octex.texture import Channel, OctreeTexture
 from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree
@@ -15,19 +14,12 @@ from octex.tree.placement import Placement
 
 
 def processing(setup: Setup, report: Report) -> None:
-    """Levels beside numpy's look-up of the same bytes, and two large textures in one."""
+    """Values changed, and two large textures in one."""
     depth = 5 if setup.quick else 10
     first, second = (_band(depth, middle) for middle in (0.5, 0.55))
     leaves = first.tree.n_leaves
     report.title(f"processing: bands of cells around spheres, {leaves:,} leaves each, two threads")
-    codes = first.channels["base_color"].values.reshape(-1)
-    table = np.arange(256, dtype=np.uint8)[::-1].copy()
-    found = np.empty_like(codes)
-    columns = codes.reshape(-1, 1), table[None], found.reshape(-1, 1)
-    own, numpys = f"a table on {codes.size:,} bytes", "numpy's table[codes]"
     works = {
-        own: lambda: look_up_codes(*columns),
-        numpys: lambda: table[codes],
         "levels, averages and all": lambda: octex.levels(first, gamma=1.5),
         "map of a function": lambda: octex.map(first, lambda light: 0.5 * light),
         "combined": lambda: octex.combine(first, second),
@@ -36,8 +28,6 @@ def processing(setup: Setup, report: Report) -> None:
     spent = clocked(setup, works)
     for what, each in spent.items():
         report.line(what, each)
-    part = spent[own].cpu / max(spent[numpys].cpu, 1e-9)
-    report.at_most("processing: a table's time, of numpy's", part, 1.0, "")
     report.at_most("processing: two textures combined, wall time", spent["combined"].wall, 1.0, "s")
 
 

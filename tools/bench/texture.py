@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.source.models.gltf_file import Document
+from octex.gltf import Document
 from octex.tree.layout import SPLIT
 from octex.tree.search import Positions, nearest_cells
 

@@ -19,7 +19,7 @@ import numpy as np
 from calling import blender
 
 import octex
-from octex.source.models.gltf_file import Document
+from octex.gltf import Document
 from octex.source.models.gltf_motion import Moves
 
 LIMIT = 1e-4

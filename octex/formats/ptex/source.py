@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import os
 from collections.abc import Sequence
@@ -133,6 +132,4 @@ class _PtexSource(Source):
 
     def with_rest(self, rest: Float64s) -> _PtexSource:
         """Return the same texels with widths measured on other rest positions (n, 3)."""
-        other = copy.copy(self)
-        other._field = self._field.measured_on(rest)
-        return other
+        return self._changed(_field=self._field.measured_on(rest))

@@ -1,7 +1,7 @@
 """glTF 2.0 and GLB models: meshes, the scene's transforms and instances, materials and their images.
 
 A channel is stated by a factor or a map that stands in the file. trimesh is not asked: it skips triangle fans
-and drops samplers, texture transforms and all texture coordinates but the first (see also ``gltf_file``).
+and drops samplers, texture transforms and all texture coordinates but the first (see also `octex.gltf`).
 """
 
 from __future__ import annotations
@@ -17,12 +17,7 @@ import numpy as np
 from octex.arrays import Array, Float64s, Floats, Int64s
 from octex.errors import ImageError, ModelError, damaged
 from octex.files import OCTREE_EXTENSION
-from octex.parallel import cpu_count, pool_of
-from octex.source.corners import Corners
-from octex.source.images.decode import decode_image
-from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
-from octex.source.materials import AlphaMode, Input, Material, Texture
-from octex.source.models.gltf_file import (
+from octex.gltf import (
     DRACO,
     MESHOPT,
     Document,
@@ -33,6 +28,12 @@ from octex.source.models.gltf_file import (
     local_matrix,
     scene_nodes,
 )
+from octex.parallel import cpu_count, pool_of
+from octex.source.corners import Corners
+from octex.source.images.decode import decode_image
+from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
+from octex.source.materials import AlphaMode, Input, Material, Texture
+from octex.source.mesh import check_below
 from octex.source.models.gltf_motion import Placed, Primitive, motion_of, pose_of
 from octex.source.models.reading import Description, Options, Part, Slot, assembled, warn
 from octex.source.motion import Motion
@@ -183,11 +184,8 @@ def _primitives(document: Document, number: int, options: Options) -> list[Primi
 def _check_indices(indices: Array, count: int, name: str) -> None:
     if indices.dtype.kind == "f":
         raise damaged(f"{name.replace(': ', ': the indices of ', 1)} are not integers")
-    low, high = indices.min(initial=0), indices.max(initial=0)
-    if len(indices) and not 0 <= low <= high < count:
-        raise ModelError(
-            f"{name} uses vertex {low if low < 0 else high}, but there are {count}; export the model again"
-        )
+    check_below(indices, count, f"{name} uses vertex")
+    high = indices.max(initial=0)
     if high == np.iinfo(indices.dtype).max:
         raise ModelError(
             f"{name} uses vertex {high}, but {indices.dtype.name} indices keep this number for the end of a "

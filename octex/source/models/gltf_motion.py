@@ -10,7 +10,7 @@ import numpy as np
 
 from octex.arrays import Array, Bools, Float64s, Int32s, Int64s
 from octex.errors import ArgumentError, ModelError, damaged
-from octex.source.models.gltf_file import Document, Json, as_object, scene_nodes
+from octex.gltf import Document, Json, as_object, scene_nodes
 from octex.source.models.reading import warn
 from octex.source.motion import Animation, Links, Motion
 

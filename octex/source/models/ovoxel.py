@@ -22,6 +22,7 @@ from octex.source.mesh import as_positions, as_triangles
 from octex.source.models.reading import Options
 from octex.source.surface import Surface
 from octex.source.voxels import Voxels, voxel_arrays, voxels_of
+from octex.source.welding import paired_sides
 
 #: The four voxels around the edge of a voxel along x, y and z, in order around it.
 _AROUND = np.array(
@@ -135,7 +136,10 @@ def _dual_mesh(coords: Int64s, vertices: Float64s, arrays: dict[str, Array], nam
             raise ModelError(f"{name}: split_weight must be numbers of shape ({len(coords)}, 1)")
         of_corners = weights.reshape(-1).astype(np.float64)[quads]
         is_cut = of_corners[:, 0] * of_corners[:, 2] > of_corners[:, 1] * of_corners[:, 3]
-    _turn(*_across(quads), vertices, quads)
+    others = np.full(quads.size, -1, np.int64)
+    a, b = paired_sides(quads.reshape(-1), np.roll(quads, -1, axis=1).reshape(-1))
+    others[a], others[b] = b, a
+    _turn(others, vertices, quads)
     cuts = np.where(is_cut[:, None], [0, 1, 2, 0, 2, 3], [0, 1, 3, 3, 1, 2])
     return np.take_along_axis(quads, cuts, axis=1).reshape(-1, 3).astype(np.int32)
 
@@ -159,27 +163,12 @@ def _keys(coords: Int64s) -> Int64s:
     return np.where((coords >> _BITS != 0).any(axis=1), -1, keys)
 
 
-def _across(quads: Int64s) -> tuple[Int64s, Bools]:
-    """Return for each side of quads (n · 4,) the one other along the same edge, −1 for none or several.
-
-    And whether that runs the same way.
-    """
-    starts, ends = quads.reshape(-1), np.roll(quads, -1, axis=1).reshape(-1)
-    keys = np.minimum(starts, ends) << 32 | np.maximum(starts, ends)
-    order = np.argsort(keys, kind="stable")
-    firsts = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    pairs = firsts[np.diff(firsts, append=keys.size) == 2]
-    a, b = order[pairs], order[pairs + 1]
-    others = np.full(keys.size, -1, np.int64)
-    others[a], others[b] = b, a
-    same = np.zeros(keys.size, np.bool_)
-    same[a] = same[b] = starts[a] == starts[b]
-    return others, same
-
-
 @kernel
-def _turn(others: Int64s, same: Bools, vertices: Float64s, quads: Int64s) -> None:
-    """Turn quads so that those beside each other wind the same way, and each part has its volume inside."""
+def _turn(others: Int64s, vertices: Float64s, quads: Int64s) -> None:
+    """Turn quads so that those beside each other wind the same way, and each part has its volume inside.
+
+    ``others`` (n · 4,) is for each side the one other along the same edge, −1 for none or several.
+    """
     part = np.full(len(quads), -1, np.int64)
     is_turned = np.zeros(len(quads), np.bool_)
     members = np.empty(len(quads), np.int64)
@@ -207,7 +196,8 @@ def _turn(others: Int64s, same: Bools, vertices: Float64s, quads: Int64s) -> Non
                 other = others[side] // 4
                 if others[side] >= 0 and part[other] < 0:
                     part[other] = seed
-                    is_turned[other] = is_turned[quad] != same[side]
+                    is_same = quads[quad, side & 3] == quads[other, others[side] & 3]
+                    is_turned[other] = is_turned[quad] != is_same
                     members[count] = other
                     count += 1
         for row in range(count):

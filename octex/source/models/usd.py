@@ -26,6 +26,7 @@ from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.materials import AlphaMode, Input, Material, Texture
+from octex.source.mesh import check_below
 from octex.source.models.reading import (
     Description,
     Options,
@@ -44,7 +45,7 @@ from octex.source.surface import Surface, flip_v
 _WRAPS = {"repeat": REPEAT, "mirror": MIRROR}
 _LANES = {"r": (0,), "g": (1,), "b": (2,), "a": (3,), "rgb": (0, 1, 2)}
 #: What UsdPreviewSurface calls channels.
-_CHANNELS = {
+INPUTS = {
     "base_color": "diffuseColor", "emissive": "emissiveColor", "specular": "specularColor",
     "metallic": "metallic", "roughness": "roughness", "occlusion": "occlusion", "normal": "normal",
     "alpha": "opacity",
@@ -174,7 +175,7 @@ class _Scene:
         instancer = api(prim)
         roots = [self._stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
         chosen = _rows(instancer.GetProtoIndicesAttr().Get(now)).astype(np.int64)
-        _check_below(chosen, len(roots), f"{self._name}: {prim.GetPath()} uses a prototype")
+        check_below(chosen, len(roots), f"{self._name}: {prim.GetPath()} uses a prototype")
         places = instancer.ComputeInstanceTransformsAtTime(now, now, api.IncludeProtoXform, api.IgnoreMask)
         if len(places) != len(chosen):
             raise damaged(f"{self._name}: {prim.GetPath()} has {len(chosen)} instances, places {len(places)}")
@@ -218,7 +219,7 @@ class _Scene:
             raise ModelError(f"{what} has points that are not finite; repair the model")
         if sizes.min(initial=0) < 0 or sizes.sum() != len(corners):
             raise damaged(f"{what}: its faces have {sizes.sum()} corners, its list {len(corners)}")
-        _check_below(corners, len(positions), f"{what} uses a point")
+        check_below(corners, len(positions), f"{what} uses a point")
         cut, owners = triangulate(positions, corners, sizes)
         is_shown = ~np.isin(owners, holes)
         cut, owners = cut[is_shown], owners[is_shown]
@@ -230,7 +231,7 @@ class _Scene:
         triangles = corners[cut].astype(np.int32)
         numbers = np.full(len(sizes), next(iter(known)), np.int32)
         for number, chosen in faces.items():
-            _check_below(chosen, len(sizes), f"{what} binds a material to a face")
+            check_below(chosen, len(sizes), f"{what} binds a material to a face")
             numbers[chosen] = number
         part = Part(positions, triangles, numbers[owners], polygons=polygons)
         if not self._options.materials:
@@ -315,9 +316,9 @@ class _Primvars:
         rows = self._rows[spread]
         if indices is not None:
             listed = np.asarray(indices, np.int64)
-            _check_below(rows, len(listed), f"{self.what}: its primvar {name} lacks an index; it uses")
+            check_below(rows, len(listed), f"{self.what}: its primvar {name} lacks an index; it uses")
             rows = listed[rows]
-        _check_below(rows, len(array), f"{self.what}: its primvar {name} uses a value")
+        check_below(rows, len(array), f"{self.what}: its primvar {name} uses a value")
         return Corners(array.astype(np.float32), rows.astype(np.int32))
 
 
@@ -325,12 +326,6 @@ def _rows(values: Any, width: int | None = None) -> Array:
     if values is None:
         return np.empty((0,) if width is None else (0, width), np.float32)
     return np.asarray(values)
-
-
-def _check_below(numbers: Int64s, count: int, what: str) -> None:
-    if numbers.size and not 0 <= numbers.min() <= numbers.max() < count:
-        worst = numbers.min() if numbers.min() < 0 else numbers.max()
-        raise ModelError(f"{what} {worst}, but there are {count}; export the model again")
 
 
 class _Materials:
@@ -366,7 +361,7 @@ class _Materials:
         vertex: set[str] = set()
         has_specular = bool(_value(shader, "useSpecularWorkflow", 0))
         left_out = "metallic" if has_specular else "specular"
-        for channel, word in _CHANNELS.items():
+        for channel, word in INPUTS.items():
             producer = None if channel == left_out else _producer(shader, word)
             if producer is None:
                 continue

@@ -87,7 +87,7 @@ def _chunk(
         raise ValueError(f"a chunk size of {edge}")
     masks = part("svo", edge**3 // 7)
     coords = np.empty((int(bit_counts(masks).sum()), 3), np.int64)
-    leaves = _walk(masks, depth, coords)
+    leaves = _walk(masks, depth, np.empty((0, 0), np.uint8), coords, np.empty((0, 0), np.uint8))
     if leaves < 0:
         raise ValueError("its octree ends early, or has more than it says")
     coords = coords[:leaves]
@@ -104,7 +104,8 @@ def _chunk(
         names = [f"{each}_{i}" for each, width in widths.items() for i in range(width)]
         rows = np.stack([part(each, leaves).reshape(leaves) for each in names], axis=1)
     if header["filter"] == "parent":
-        rows = _sums_of_children(masks, depth, rows)
+        steps, rows = rows, np.empty_like(rows)
+        _walk(masks, depth, steps, coords, rows)
     elif header["filter"] == "neighbor":
         codes = (coords[:, 2] * edge + coords[:, 1]) * edge + coords[:, 0]
         order = np.argsort(codes)
@@ -130,70 +131,50 @@ def _unpacker(compression: str, name: str) -> Callable[[memoryview, int], bytes]
 
 
 @kernel
-def _walk(masks: Uint8s, depth: int, coords: Int64s) -> int:
-    """Write the leaves' coords (n, 3), depth first; return how many there are, −1 for a damaged octree."""
-    stack = np.zeros((7 * depth + 1, 4), np.int64)  # the levels and places of cells to come
+def _walk(masks: Uint8s, depth: int, steps: Uint8s, coords: Int64s, values: Uint8s) -> int:
+    """Write the leaves' coords (n, 3), depth first; return how many there are, −1 for a damaged octree.
+
+    With columns of steps, write values too: the first row is the root's, a first child has its parent's, and
+    each other child that of the one before plus the next row.
+    """
+    # Cells to come, the first on top: level, x, y and z; and their values.
+    stack = np.zeros((7 * depth + 1, 4), np.int64)
+    known = np.zeros((7 * depth + 1, steps.shape[1]), np.uint8)
+    if len(steps) > 0:
+        known[0] = steps[0]
     above = min(masks.size, 1)
     at = count = 0
+    row = 1
     while above > 0:
         above -= 1
         level, x, y, z = stack[above, 0], stack[above, 1], stack[above, 2], stack[above, 3]
         if level == depth:
             coords[count, 0], coords[count, 1], coords[count, 2] = x, y, z
+            for k in range(known.shape[1]):
+                values[count, k] = known[above, k]
             count += 1
             continue
         if at == masks.size:
             return -1
         mask = np.int64(masks[at])
         at += 1
-        for octant in range(7, -1, -1):
-            if mask >> octant & 1:
-                stack[above, 0], stack[above, 1] = level + 1, 2 * x + (octant >> 2)
-                stack[above, 2], stack[above, 3] = 2 * y + (octant >> 1 & 1), 2 * z + (octant & 1)
-                above += 1
-    return count if at == masks.size else -1
-
-
-@kernel
-def _sums_of_children(masks: Uint8s, depth: int, steps: Uint8s) -> Uint8s:
-    """Return the leaves' values (n, columns), depth first, of an octree that is known to be whole.
-
-    The first row of steps is the root's value; a first child has its parent's, and each other child the value
-    of the one before plus the next row. A node's rows follow those of the nodes before it.
-    """
-    values = np.zeros_like(steps)
-    columns = steps.shape[1]
-    stack = np.zeros((7 * depth + 1, columns), np.uint8)
-    levels = np.zeros(7 * depth + 1, np.int64)
-    children = np.zeros((8, columns), np.uint8)
-    above = min(masks.size, len(steps), 1)
-    if above > 0:
-        stack[0] = steps[0]
-    at = count = 0
-    row = 1
-    while above > 0:
-        above -= 1
-        level = levels[above]
-        if level == depth:
-            values[count] = stack[above]
-            count += 1
-            continue
-        mask = np.int64(masks[at])
-        at += 1
-        born = 0
+        end = above
         for octant in range(8):
-            if mask >> octant & 1:
-                for k in range(columns):
-                    step = np.uint8(0) if born == 0 else steps[row, k]
-                    before = stack[above, k] if born == 0 else children[born - 1, k]
-                    children[born, k] = before + step
-                row += 1 if born > 0 else 0
-                born += 1
-        for child in range(born - 1, -1, -1):
-            stack[above] = children[child]
-            levels[above] = level + 1
-            above += 1
-    return values
+            end += int(mask >> octant & 1)
+        place = end
+        for octant in range(8):
+            if mask >> octant & 1 == 0:
+                continue
+            place -= 1
+            stack[place, 0], stack[place, 1] = level + 1, 2 * x + (octant >> 2)
+            stack[place, 2], stack[place, 3] = 2 * y + (octant >> 1 & 1), 2 * z + (octant & 1)
+            is_first = place == end - 1
+            for k in range(known.shape[1]):
+                step = np.uint8(0) if is_first else steps[row, k]
+                known[place, k] = known[above if is_first else place + 1, k] + step
+            row += 0 if is_first else 1
+        above = end
+    return count if at == masks.size else -1
 
 
 @kernel
