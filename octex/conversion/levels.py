@@ -10,19 +10,17 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int32s, Int64s, Uint8s, Uint64s, bit_counts, in_runs
+from octex.arrays import Array, Bools, Int32s, Int64s, Uint8s, bit_counts, in_runs
 from octex.channels import ALPHA, ChannelFormat, check_range, encode
 from octex.conversion import large
 from octex.conversion.detail import Wanted, deepest_wanted
 from octex.conversion.samples import Samples, Taken, join, take_samples
 from octex.editing.split import differ
 from octex.errors import ArgumentError, ModelError
-from octex.jit import kernel
 from octex.parallel import Progress, memory_size, ordered_map
 from octex.source.surface import Surface
 from octex.texture.channel import Channel
-from octex.tree.children import rank
-from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
+from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_CELLS, SPLIT, SplitTable
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement, on_grid
 from octex.voxelize.fragments import (
@@ -379,12 +377,15 @@ def _stored_levels(
 
 
 def assemble(channels: Sequence[ChannelFormat], filled: CellLevels) -> tuple[Octree, dict[str, Channel]]:
-    """Build the tree, and lay the parts of each level end to end."""
+    """Build the tree, and lay the parts of each level end to end.
+
+    Raises ArgumentError for more cells than can be numbered.
+    """
     cells: LevelCells = _end_to_end([part for level in filled.levels for part in level], large.joined)
     split_cells = np.flatnonzero(cells.flags & SPLIT).astype(np.uint32)
     facings = cells.flags[split_cells] & np.uint8(FACING_FLAGS)
     split = SplitTable(split_cells, facings, cells.split_areas)
-    tree = Octree(TreeArrays(*_structure(filled), cells.flags, cells.areas), split)
+    tree = Octree.from_leaves(filled.codes, filled.depth).with_cell_data(cells.flags, cells.areas, split)
     values = {
         channel.name: Channel(
             channel,
@@ -395,43 +396,6 @@ def assemble(channels: Sequence[ChannelFormat], filled: CellLevels) -> tuple[Oct
         for i, channel in enumerate(channels)
     }
     return tree, values
-
-
-def _structure(filled: CellLevels) -> tuple[Uint64s, Int64s, Int64s]:
-    """Return the groups, and the first cell and node of each level, of a tree all of whose leaves are finest.
-
-    Raises ArgumentError for more cells than can be numbered.
-    """
-    counts = [sum(len(part.flags) for part in level) for level in filled.levels]
-    level_cells = np.cumsum([0, *counts])
-    if level_cells[-1] > MAX_CELLS:
-        raise ArgumentError(f"{level_cells[-1]} cells are more than a tree can hold; use a smaller depth")
-    level_nodes = np.append(level_cells[:-1], level_cells[-2])
-    groups = large.zeros((-(-int(level_nodes[-1]) // 8), 3), np.uint64)
-    masks = np.zeros((2, 8 * len(groups)), np.uint8)
-    codes = filled.codes
-    for level in range(filled.depth, 0, -1):
-        first, end = level_nodes[level - 1 : level + 1]
-        parents = large.empty(int(end - first), np.int64)
-        _join_octants(codes, parents, masks[int(level == filled.depth), first:end])
-        codes = parents
-    for word in range(2):
-        groups[:, word] = masks[word].view("<u8")
-    rank(groups)
-    return groups, level_cells, level_nodes
-
-
-@kernel
-def _join_octants(codes: Int64s, parents: Int64s, masks: Uint8s) -> None:
-    """Write the parents of cells, whose Morton codes ascend, and the octants that each parent has."""
-    n = -1
-    for cell in range(codes.size):
-        parent = codes[cell] >> 3
-        if n < 0 or parents[n] != parent:
-            n += 1
-            parents[n] = parent
-            masks[n] = 0
-        masks[n] |= np.uint8(1 << (codes[cell] & 7))
 
 
 def is_degenerate(surface: Surface, placement: Placement) -> bool:
