@@ -14,6 +14,8 @@ from octex.arrays import Array, Bools, Int32s, Int64s, Uint8s, bit_counts, in_ru
 from octex.channels import ALPHA, ChannelFormat, check_range, encode
 from octex.conversion import large
 from octex.conversion.detail import Wanted, deepest_wanted
+from octex.conversion.gaps import average_transparent, with_bare_as_means
+from octex.conversion.prune import Channels
 from octex.conversion.samples import Samples, Taken, join, take_samples
 from octex.editing.split import differ
 from octex.errors import ArgumentError, ModelError
@@ -86,17 +88,25 @@ class Part(NamedTuple):
 class CellLevels(NamedTuple):
     """A surface, converted level by level."""
 
+    channels: tuple[ChannelFormat, ...]  # as they are stored
     depth: int
     codes: Int64s  # of the finest cells
     levels: list[list[LevelCells]]  # from the root down, each in parts
     taken: list[Taken] | None  # samples in the finest cells, in parts
     wanted: Uint8s | None  # (finest cells,)   the levels wanted there
     degenerate: int  # triangles without area
+    has_gaps: bool
     gaps: Int64s  # finest cells in what was left out
 
-    def take_samples(self, channels: Sequence[ChannelFormat]) -> Samples | None:
-        """Return the samples of ``channels``, as they were converted, end to end; it empties ``taken``."""
-        return None if self.taken is None else join(self.depth, tuple(channels), self.codes, self.taken)
+
+class Filled(NamedTuple):
+    """A tree all of whose leaves are of one level, filled."""
+
+    tree: Octree
+    channels: Channels  # means
+    samples: Samples | None
+    wanted: Uint8s | None  # (leaves,)   the levels wanted there
+    has_gaps: bool  # whether cells of the surface may be missing
 
 
 class Job(NamedTuple):
@@ -112,6 +122,7 @@ class Job(NamedTuple):
     cell: float  # edge of a leaf in rest units
     has_samples: bool
     has_gaps: bool
+    coverage: Surface | None  # says where gaps are; None: alpha does
     wanted: Wanted | None
 
 
@@ -124,7 +135,6 @@ def cell_levels(
     report: Progress,
     *,
     has_samples: bool,
-    has_gaps: bool = False,
     wanted: Wanted | None = None,
     reached: Reached | None = None,
 ) -> CellLevels:
@@ -132,8 +142,7 @@ def cell_levels(
 
     ``channels`` are the surface's, as they are stored; or none, for cells, facings and areas alone.
     What lies in blocks that are not ``reached`` is left out, and does not count for cells above these; but
-    one block there always is. If it ``has_gaps``, cells that are gaps alone, for their ``alpha`` is 0, are
-    left out, and count for cells above these.
+    one block there always is. Cells that are gaps of the source alone are left out too, and do count.
 
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
     """
@@ -154,6 +163,8 @@ def cell_levels(
     blocks = bin_triangles(grid, surface.triangles, depth)
     report("sort", 1, 1)
     block_level, columns, outside = max(depth - BLOCK_BITS, 0), SumColumns.of(channels), None
+    has_gaps = bool(channels) and surface.source.has_gaps
+    coverage = surface.coverage if has_gaps and not surface.source.alpha_is_coverage else None
     if reached is not None:
         blocks = some_blocks(blocks, reached(blocks, block_level))
         if block_level and blocks.codes.size <= _FEW_BLOCKS:
@@ -163,11 +174,13 @@ def cell_levels(
             blocks = some_blocks(blocks, is_reached)
             outside = _outside(pieces, ~is_reached, columns) if has_gaps else None
     cell = placement.size / 2**depth
-    if channels:
-        surface.source.prepare()
+    for each in (surface, coverage):
+        if channels and each is not None:
+            each.source.prepare()
     job = Job(
-        surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, has_gaps, wanted
-    )
+        surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, has_gaps, coverage,
+        wanted,
+    )  # fmt: skip
     runs = even_runs(most_fragments(grid, surface.triangles, blocks, depth))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = _gathered(converted)
@@ -184,7 +197,7 @@ def cell_levels(
     taken = [part.taken for part in parts if part.taken is not None] if has_samples else None
     levels_wanted = [part.wanted for part in parts if part.wanted is not None]
     deepest = np.concatenate(levels_wanted) if wanted is not None else None
-    return CellLevels(depth, codes, levels, taken, deepest, degenerate, gaps)
+    return CellLevels(channels, depth, codes, levels, taken, deepest, degenerate, has_gaps, gaps)
 
 
 def _outside(pieces: Fragments, chosen: Bools, columns: SumColumns) -> Sums:
@@ -273,8 +286,14 @@ def _convert_run(job: Job, run: BlockRange) -> Part:
     leaves = Sums(fragments.codes, fragments.flags, sums)
     codes, left, gaps = fragments.codes, None, fragments.codes[:0]
     if job.has_gaps:
-        form = next(channel for channel in job.channels if channel.name == ALPHA.name)
-        is_left = encode(coverages(leaves, job.columns.alpha), form.dtype, form.space) > 0
+        form = next((channel for channel in job.channels if channel.name == ALPHA.name), ALPHA)
+        covered, alpha = leaves, job.columns.alpha
+        if job.coverage is not None:
+            form, alpha = ALPHA, 0
+            known = job.coverage.evaluate_all(fragments.triangles, fragments.barycentric, widths)
+            sums = sum_fragments(fragments.entries, fragments.areas, known, alpha, n_entries)
+            covered = leaves._replace(sums=sums)
+        is_left = encode(coverages(covered, alpha), form.dtype, form.space) > 0
         if not is_left.all():
             codes, gaps = codes[is_left], codes[~is_left]
             left = codes
@@ -376,26 +395,27 @@ def _stored_levels(
         )  # fmt: skip
 
 
-def assemble(channels: Sequence[ChannelFormat], filled: CellLevels) -> tuple[Octree, dict[str, Channel]]:
-    """Build the tree, and lay the parts of each level end to end.
+def assemble(filled: CellLevels) -> Filled:
+    """Build the tree, and lay the parts of each level, and of the samples, end to end; they are given up.
 
     Raises ArgumentError for more cells than can be numbered.
     """
+    channels = filled.channels
     cells: LevelCells = _end_to_end([part for level in filled.levels for part in level], large.joined)
     split_cells = np.flatnonzero(cells.flags & SPLIT).astype(np.uint32)
     facings = cells.flags[split_cells] & np.uint8(FACING_FLAGS)
     split = SplitTable(split_cells, facings, cells.split_areas)
     tree = Octree.from_leaves(filled.codes, filled.depth).with_cell_data(cells.flags, cells.areas, split)
     values = {
-        channel.name: Channel(
-            channel,
-            cells.values[i],
-            cells.split_values[i],
-            np.empty((0, channel.components), channel.dtype),
-        )
-        for i, channel in enumerate(channels)
+        form.name: Channel(form, own, rows, np.empty((0, form.components), form.dtype))
+        for form, own, rows in zip(channels, cells.values, cells.split_values, strict=True)
     }
-    return tree, values
+    samples = None if filled.taken is None else join(filled.depth, channels, filled.codes, filled.taken)
+    if filled.gaps.size:
+        average_transparent(tree, values, filled.gaps)
+    if filled.has_gaps and samples is not None:
+        samples = with_bare_as_means(samples, values)
+    return Filled(tree, values, samples, filled.wanted, filled.has_gaps)
 
 
 def is_degenerate(surface: Surface, placement: Placement) -> bool:

@@ -107,7 +107,7 @@ def begun(
         part, (form,), layer.placement, level, executor, progress,
         has_samples=False, reached=region.reaches if is_hidden else None,
     )  # fmt: skip
-    tree, channels = assemble((form,), made)
+    tree, channels, *_ = assemble(made)
     progress("fill", 1, 1)
     return OctreeTexture(tree, channels, layer.placement, layer.bounds, nothing.metadata)
 

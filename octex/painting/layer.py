@@ -50,6 +50,16 @@ class PaintSource(Source):
         self._channels = (form, COVERAGE)
 
     @property
+    def has_gaps(self) -> bool:
+        """Where there is no paint."""
+        return True
+
+    @property
+    def alpha_is_coverage(self) -> bool:
+        """Where ``alpha`` is 0 there is no paint."""
+        return True
+
+    @property
     def color(self) -> Float32s | None:
         """The value (components,) that all of the paint has, decoded; None if it may have several."""
         return None

@@ -17,10 +17,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, alpha_of, decode, encode
 from octex.conversion.adapt import adapted
-from octex.conversion.fit import Fitter
-from octex.conversion.gaps import without_gaps
 from octex.conversion.levels import CellLevels, assemble, cell_levels
-from octex.conversion.sides import with_sides
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
 from octex.editing.draft import coarsest_of
@@ -133,7 +130,7 @@ def rasterize_surface(
     here = source.on(chosen)
     filled = cell_levels(
         surface.part(chosen, here), here.channels, placement, depth, executor, progress,
-        has_samples=fit and not is_plain(source), has_gaps=True,
+        has_samples=fit and not is_plain(source),
         wanted=None if depths.is_even else partial(_wanted, here, placement.size, cells, depths),
         reached=partial(_reached, here, surface.rest, placement),
     )  # fmt: skip
@@ -149,20 +146,9 @@ def layer_from(raster: Raster, executor: Executor, progress: Progress) -> Octree
     nothing = empty_texture(channels, placement, bounds)
     if filled is None:
         return nothing
-    covered = without_gaps(*assemble(channels, filled), filled, placement)
+    covered = assemble(filled)
     del raster, filled  # as large as what follows
-    if not covered.tree.n_leaves:
-        return nothing
-    fitting = splitting = None
-    if covered.samples is not None:
-        # Opaque paint stays opaque.
-        fitter = Fitter(covered.samples, executor, progress, (ALPHA.name,))
-        fitting, splitting = fitter.fit, partial(with_sides, fitter)
-    tree, values = adapted(
-        covered.tree, covered.channels, None,
-        max_error=None, wanted=covered.wanted, fit=fitting, split=splitting, executor=executor,
-        progress=progress,
-    )  # fmt: skip
+    tree, values = adapted(covered, fit=True, max_error=None, executor=executor, progress=progress)
     return with_bare_facings(refaced(OctreeTexture(tree, values, placement, bounds)))
 
 
@@ -244,7 +230,7 @@ def cull_cells(task: Merge, within: Sequence[tuple[int, Int64s]], depth: int) ->
         )  # fmt: skip
     except ModelError:  # no triangle there has an area
         return none
-    tree, _ = assemble((), filled)
+    tree = assemble(filled).tree
     return SurfaceCells(tree, [codes for codes, _ in tree.walk()])
 
 

@@ -51,7 +51,7 @@ def tree(around: int, across: int, depth: int) -> Callable[[], Answer]:
         surface = octex.Surface(vertices.astype(np.float64), triangles, NoChannels(), name="torus")
         with ThreadPoolExecutor(1) as pool:
             filled = cell_levels(surface, (), UNIT_CUBE, depth, pool, silent, has_samples=False)
-        return assemble((), filled)[0]
+        return assemble(filled).tree
 
     def task() -> Answer:
         spent, built = timed(build)
