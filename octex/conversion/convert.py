@@ -100,8 +100,7 @@ def convert(
     encoded range stores a value for each facing.
 
     PointCloud accepts only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``; Voxels neither
-    ``depth`` nor ``cell``. Sources with gaps (such as a cloud with a ``distance``) must fit into memory,
-    and do not accept ``path`` with an executor.
+    ``depth`` nor ``cell``.
 
     Raises ModelError and ImageError for a model that cannot be used, OutputError if ``path`` cannot be
     written, and ArgumentError for any other argument out of range.
@@ -209,25 +208,19 @@ def _converted(plan: Plan, pool: Executor, report: Progress) -> OctreeTexture:
 
 def _is_mapped(plan: Plan, run: Run) -> bool:
     """Say whether large arrays go to files; raises ArgumentError where they cannot."""
-    source, name = plan.surface.source, plan.surface.name
-    must_stay = source.has_gaps or source.alpha_is_coverage
     if run.executor is None:
         if run.memory is None:
             return False
         needed = memory_needed(
             plan.surface, plan.stored, plan.placement, plan.depth, has_samples=plan.has_samples
         )
-        if needed * (1 if must_stay else _MOST_TAKEN) <= as_memory(run.memory):
+        if needed * _MOST_TAKEN <= as_memory(run.memory):
             return False
-    if must_stay:
-        raise ArgumentError(
-            f"{name}: sources with gaps must fit into memory; leave out memory, and path if there is an "
-            "executor"
-        )
     is_here = run.executor is None or shares_memory(run.executor)
     if not is_here and (plan.max_error is not None or plan.wanted is not None):
         raise ArgumentError(
-            f"{name}: max_error and detail run on one machine only; leave out path or the executor"
+            f"{plan.surface.name}: max_error and detail run on one machine only; leave out path or the "
+            "executor"
         )
     return True
 
