@@ -185,7 +185,7 @@ def _converted(plan: Plan, pool: Executor, report: Progress) -> OctreeTexture:
     """Voxelize a surface, build the tree, fit its leaves, give them sides, merge them."""
     surface, placement = plan.surface, plan.placement
     cells = cell_levels(
-        surface, plan.stored, placement, plan.depth, pool, report,
+        surface, surface.source, plan.stored, placement, plan.depth, pool, report,
         has_samples=plan.has_samples, wanted=plan.wanted,
     )  # fmt: skip
     if not cells.codes.size:

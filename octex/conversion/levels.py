@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int32s, Int64s, Uint8s, bit_counts, in_runs
+from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts, in_runs
 from octex.channels import ALPHA, ChannelFormat, check_range, encode
 from octex.conversion import large
 from octex.conversion.detail import Wanted, deepest_wanted
@@ -20,6 +20,7 @@ from octex.conversion.samples import Samples, Taken, join, take_samples
 from octex.editing.split import differ
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, memory_size, ordered_map
+from octex.source.base import Source
 from octex.source.surface import Surface
 from octex.texture.channel import Channel
 from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_CELLS, SPLIT, SplitTable
@@ -29,14 +30,15 @@ from octex.voxelize.fragments import (
     BlockRange,
     Blocks,
     Fragments,
-    bin_triangles,
+    Reached,
     cut,
+    divided,
     even_runs,
     most_fragments,
     smaller_blocks,
-    some_blocks,
+    whole,
 )
-from octex.voxelize.grid import BLOCK_BITS, count_degenerate
+from octex.voxelize.grid import count_degenerate
 from octex.voxelize.sums import (
     SumColumns,
     Sums,
@@ -59,9 +61,6 @@ _FEW_BLOCKS, _SMALL_BITS = 1024, 3
 
 #: Files of parts that are joined to one.
 _JOINED = 16
-
-#: Says which blocks of a level are to be converted.
-Reached: TypeAlias = Callable[[Blocks, int], Bools]
 
 
 class LevelCells(NamedTuple):
@@ -112,22 +111,26 @@ class Filled(NamedTuple):
 class Job(NamedTuple):
     """All that a task needs."""
 
-    surface: Surface
+    name: str  # of the surface
+    source: Source | None
     channels: tuple[ChannelFormat, ...]  # as they are stored
     columns: SumColumns
-    grid: Int32s
     blocks: Blocks
-    depth: int
-    block_level: int
     cell: float  # edge of a leaf in rest units
     has_samples: bool
     has_gaps: bool
-    coverage: Surface | None  # says where gaps are; None: alpha does
+    coverage: Source | None  # says where gaps are; None: alpha does
     wanted: Wanted | None
+
+    @property
+    def depth(self) -> int:
+        """The level of the leaves."""
+        return self.blocks.level + self.blocks.bits
 
 
 def cell_levels(
     surface: Surface,
+    source: Source | None,
     channels: tuple[ChannelFormat, ...],
     placement: Placement,
     depth: int,
@@ -136,62 +139,64 @@ def cell_levels(
     *,
     has_samples: bool,
     wanted: Wanted | None = None,
+    root: Blocks | None = None,
     reached: Reached | None = None,
 ) -> CellLevels:
     """Convert a surface into the means of all cells down to ``depth``, and samples if it ``has_samples``.
 
-    ``channels`` are the surface's, as they are stored; or none, for cells, facings and areas alone.
-    What lies in blocks that are not ``reached`` is left out, and does not count for cells above these; but
-    one block there always is. Cells that are gaps of the source alone are left out too, and do count.
+    ``channels`` are the source's, as they are stored. Without a source there are cells, facings and areas.
+    ``root`` has the triangles that count; by default all of the surface. What lies in blocks that are not
+    ``reached`` is left out, and does not count for cells above these; but one block there always is. Cells
+    that are gaps of the source alone are left out too, and do count.
 
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
     """
-    grid = on_grid(surface.rest, placement)
-    degenerate, faces = count_degenerate(grid, surface.triangles)
-    if degenerate == len(surface.triangles):
+    faces = surface.triangles
+    if root is None:
+        root = whole(on_grid(surface.rest, placement), faces, depth)
+    else:
+        faces = faces[root.members]
+    degenerate, area = count_degenerate(root.grid, faces)
+    if degenerate == len(faces):
         raise ModelError(
             f"{surface.name}: all {degenerate} triangles are degenerate (without area in steps of "
             f"{placement.size / 2**GRID_BITS:.3g}); there is nothing to convert"
         )
-    least, per_cell = _least_cells(faces, depth), _cell_memory(channels, has_samples)
+    least, per_cell = _least_cells(area, depth), _cell_memory(channels, has_samples)
     if least > min(MAX_CELLS, math.inf if large.is_mapped() else memory_size() / per_cell):
         raise ArgumentError(
             f"depth {depth} needs about {least:.2g} cells for {surface.name}, more than fit into memory "
             "or can be numbered; use a smaller depth or a larger cell"
         )
     report("sort", 0, 1)
-    blocks = bin_triangles(grid, surface.triangles, depth)
+    blocks = divided(root, reached=reached)
     report("sort", 1, 1)
-    block_level, columns, outside = max(depth - BLOCK_BITS, 0), SumColumns.of(channels), None
-    has_gaps = bool(channels) and surface.source.has_gaps
-    coverage = surface.coverage if has_gaps and not surface.source.alpha_is_coverage else None
-    if reached is not None:
-        blocks = some_blocks(blocks, reached(blocks, block_level))
-        if block_level and blocks.codes.size <= _FEW_BLOCKS:
-            block_level = depth - _SMALL_BITS
-            blocks, pieces = smaller_blocks(grid, surface.triangles, blocks, block_level, depth)
-            is_reached = reached(blocks, block_level)
-            blocks = some_blocks(blocks, is_reached)
-            outside = _outside(pieces, ~is_reached, columns) if has_gaps else None
+    columns, outside = SumColumns.of(channels), None
+    has_gaps = source is not None and source.has_gaps
+    coverage = source.only([]) if source is not None and has_gaps and not source.alpha_is_coverage else None
+    if reached is not None and blocks.level and blocks.codes.size <= _FEW_BLOCKS:
+        blocks, pieces = smaller_blocks(blocks, _SMALL_BITS)
+        is_reached = reached(blocks)
+        blocks = blocks.some(is_reached)
+        outside = _outside(pieces, ~is_reached, columns) if has_gaps else None
+    for each in (source, coverage):
+        if each is not None:
+            each.prepare()
     cell = placement.size / 2**depth
-    for each in (surface, coverage):
-        if channels and each is not None:
-            each.source.prepare()
     job = Job(
-        surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, has_gaps, coverage,
-        wanted,
+        surface.name, source, channels, columns, blocks, cell, has_samples, has_gaps, coverage, wanted
     )  # fmt: skip
-    runs = even_runs(most_fragments(grid, surface.triangles, blocks, depth))
+    runs = even_runs(most_fragments(blocks))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = _gathered(converted)
     codes = large.joined([part.codes for part in parts])
     gaps = np.concatenate([part.gaps for part in parts])
     tops = _end_to_end([part.top for part in parts], np.concatenate)
     if outside is not None:
-        gaps = np.concatenate([gaps, outside.codes << 3 * (depth - block_level)])
+        gaps = np.concatenate([gaps, outside.codes << 3 * blocks.bits])
         tops = _interleaved(tops, outside)
-    left = distinct(codes >> 3 * (depth - block_level)) if gaps.size else None
-    upper, _ = climb(tops, block_level, channels, columns, left)
+    left = distinct(codes >> 3 * blocks.bits) if gaps.size else None
+    upper, _ = climb(tops, blocks.level, channels, columns, left)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
     taken = [part.taken for part in parts if part.taken is not None] if has_samples else None
@@ -270,17 +275,17 @@ def _end_to_end(parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) 
 
 def _convert_run(job: Job, run: BlockRange) -> Part:
     """Convert a run of blocks."""
-    surface = job.surface
-    fragments = cut(job.grid, surface.triangles, job.blocks, run, job.depth)
+    source = job.source
+    fragments = cut(job.blocks, run)
     # A fragment is read with a footprint of its own size: a cell's mean is then that of all that lies in it.
     widths = (np.sqrt(fragments.areas) * job.cell).astype(np.float32)
     values = np.empty((widths.size, 0), np.float32)
-    if job.channels:
-        values = surface.evaluate_all(fragments.triangles, fragments.barycentric, widths)
+    if source is not None:
+        values = source.evaluate(fragments.triangles, fragments.barycentric, widths)
     end = 0
-    for given, stored in zip(surface.channels, job.channels, strict=bool(job.channels)):
+    for given, stored in zip(() if source is None else source.channels, job.channels, strict=True):
         start, end = end, end + given.components
-        check_range(values[:, start:end], given, stored.dtype, surface.name)
+        check_range(values[:, start:end], given, stored.dtype, job.name)
     n_entries = int(bit_counts(fragments.flags).sum())
     sums = sum_fragments(fragments.entries, fragments.areas, values, job.columns.alpha, n_entries)
     leaves = Sums(fragments.codes, fragments.flags, sums)
@@ -290,7 +295,7 @@ def _convert_run(job: Job, run: BlockRange) -> Part:
         covered, alpha = leaves, job.columns.alpha
         if job.coverage is not None:
             form, alpha = ALPHA, 0
-            known = job.coverage.evaluate_all(fragments.triangles, fragments.barycentric, widths)
+            known = job.coverage.evaluate(fragments.triangles, fragments.barycentric, widths)
             sums = sum_fragments(fragments.entries, fragments.areas, known, alpha, n_entries)
             covered = leaves._replace(sums=sums)
         is_left = encode(coverages(covered, alpha), form.dtype, form.space) > 0
@@ -300,13 +305,13 @@ def _convert_run(job: Job, run: BlockRange) -> Part:
             if job.has_samples or job.wanted is not None:
                 fragments, chosen = _some_fragments(fragments, is_left)
                 widths, values = widths[chosen], values[chosen]
-    levels, top = climb(leaves, job.depth - job.block_level, job.channels, job.columns, left)
+    levels, top = climb(leaves, job.blocks.bits, job.channels, job.columns, left)
     levels.pop()  # the blocks themselves: in top
     wanted = None if job.wanted is None else deepest_wanted(job.wanted, fragments, widths)
     taken = None
-    if job.has_samples:
+    if job.has_samples and source is not None:
         taken = take_samples(
-            surface, job.grid, fragments, widths, values, job.depth, job.cell, job.channels, job.columns.alpha
+            source, job.blocks, fragments, widths, values, job.cell, job.channels, job.columns.alpha
         )
     return Part(codes, gaps, levels, top, taken, wanted)
 

@@ -68,18 +68,12 @@ class PaintSource(Source):
     def touched(self) -> Int32s:
         """Return triangles, ascending, in whose neighbourhood all paint lies."""
 
-    @abstractmethod
-    def on(self, chosen: Int32s) -> PaintSource:
-        """Return the same paint for a surface of some of the triangles, in that order."""
+    def near(self, triangles: Int32s) -> PaintSource:  # noqa: ARG002
+        """Return the same paint, made ready for what is near some triangles."""
+        return self
 
-    def reaches(
-        self,
-        blocks: Blocks,
-        corners: Float64s,  # noqa: ARG002
-        edge: float,  # noqa: ARG002
-        rest: Float64s,  # noqa: ARG002
-    ) -> Bools:
-        """Say in which of blocks paint may lie, given their lowest corners (n, 3) and their edge at rest."""
+    def reaches(self, blocks: Blocks, placement: Placement, rest: Float64s) -> Bools:  # noqa: ARG002
+        """Say in which of blocks in a root cell paint may lie, for a surface at ``rest`` (n, 3)."""
         return np.ones(blocks.codes.size, np.bool_)
 
     def widths(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -215,10 +215,6 @@ class RegionSource(PaintSource):
     def touched(self) -> Int32s:
         """Return the triangles that may be covered."""
         return np.flatnonzero(self.chosen).astype(np.int32)
-
-    def on(self, chosen: Int32s) -> RegionSource:
-        """Return the same for some of the triangles."""
-        return replace(self, triangles=self.triangles[chosen], chosen=self.chosen[chosen])
 
     def evaluate(
         self,

@@ -24,7 +24,7 @@ from octex.editing.draft import coarsest_of
 from octex.editing.nodes import nodes_at
 from octex.editing.refined import Below, refined_below, refined_values, with_rows
 from octex.editing.split import refaced
-from octex.errors import ModelError, own_making
+from octex.errors import own_making
 from octex.painting.blend import (
     Blended,
     Merge,
@@ -126,13 +126,13 @@ def rasterize_surface(
     touched = source.touched()
     if not touched.size:
         return Raster(channels, placement, surface.bounds, None)
-    chosen = painted.grid(placement).around(touched, depth)
-    here = source.on(chosen)
+    root = painted.blocks(placement).around(touched, depth).merged(depth)
+    source = source.near(root.members)
     filled = cell_levels(
-        surface.part(chosen, here), here.channels, placement, depth, executor, progress,
+        surface, source, channels, placement, depth, executor, progress,
         has_samples=fit and not is_plain(source),
-        wanted=None if depths.is_even else partial(_wanted, here, placement.size, cells, depths),
-        reached=partial(_reached, here, surface.rest, placement),
+        wanted=None if depths.is_even else partial(_wanted, source, placement.size, cells, depths),
+        root=root, reached=partial(source.reaches, placement=placement, rest=surface.rest),
     )  # fmt: skip
     return Raster(channels, placement, surface.bounds, filled if filled.codes.size else None)
 
@@ -150,12 +150,6 @@ def layer_from(raster: Raster, executor: Executor, progress: Progress) -> Octree
     del raster, filled  # as large as what follows
     tree, values = adapted(covered, fit=True, max_error=None, executor=executor, progress=progress)
     return with_bare_facings(refaced(OctreeTexture(tree, values, placement, bounds)))
-
-
-def _reached(source: PaintSource, rest: Float64s, placement: Placement, blocks: Blocks, level: int) -> Bools:
-    """Say which blocks of a level paint may lie in."""
-    corners = placement.to_rest(decode_cells(blocks.codes) / 2**level)
-    return source.reaches(blocks, corners, placement.size / 2**level, rest)
 
 
 def _wanted(
@@ -217,28 +211,25 @@ def _deepest(paint: Sequence[Paint]) -> int:
 
 def cull_cells(task: Merge, within: Sequence[tuple[int, Int64s]], depth: int) -> SurfaceCells:
     """7. Cull: return the cells down to ``depth`` that the surface meets in some cells, given by level."""
-    placement = task.texture.placement
-    none = SurfaceCells(Octree.from_leaves(_NONE, 0), [_NONE] * (depth + 1))
-    chosen = task.surface.grid(placement).touching(within) if within else np.empty(0, np.int32)
-    if not chosen.size:
-        return none
-    part = task.surface.surface.part(chosen)
-    try:
-        filled = cell_levels(
-            part, (), placement, depth, task.executor, task.progress,
-            has_samples=False, reached=partial(_are_near, within),
-        )  # fmt: skip
-    except ModelError:  # no triangle there has an area
-        return none
+    placement, surface = task.texture.placement, task.surface.surface
+    root = task.surface.blocks(placement)
+    if not within or not root.codes.size:
+        return SurfaceCells(Octree.from_leaves(_NONE, 0), [_NONE] * (depth + 1))
+    root = root.some(_are_among(within, root)).merged(depth)
+    around = [(level, with_boundary(codes, level)) for level, codes in within]
+    filled = cell_levels(
+        surface, None, (), placement, depth, task.executor, task.progress,
+        has_samples=False, root=root, reached=partial(_are_among, around),
+    )  # fmt: skip
     tree = assemble(filled).tree
     return SurfaceCells(tree, [codes for codes, _ in tree.walk()])
 
 
-def _are_near(cells: Sequence[tuple[int, Int64s]], blocks: Blocks, level: int) -> Bools:
-    """Say which blocks of a level meet cells, given by level, or cells beside these."""
+def _are_among(cells: Sequence[tuple[int, Int64s]], blocks: Blocks) -> Bools:
+    """Say which blocks meet cells, given by level."""
     found = np.zeros(blocks.codes.size, np.bool_)
-    for at, codes in cells:
-        found |= among_at(blocks.codes, level, with_boundary(codes, at), at)
+    for level, codes in cells:
+        found |= among_at(blocks.codes, blocks.level, codes, level)
     return found
 
 

@@ -73,7 +73,7 @@ def pair(surface: Surface, depth: int, **options: object) -> tuple[OctreeTexture
 def filled(surface: Surface, depth: int, executor: Executor) -> tuple[CellLevels, Placement]:
     placement = Placement.around(surface.bounds, depth)
     return cell_levels(
-        surface, surface.channels, placement, depth, executor, silent, has_samples=True
+        surface, surface.source, surface.channels, placement, depth, executor, silent, has_samples=True
     ), placement
 
 
