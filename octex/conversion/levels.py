@@ -35,7 +35,6 @@ from octex.voxelize.fragments import (
     divided,
     even_runs,
     most_fragments,
-    smaller_blocks,
     whole,
 )
 from octex.voxelize.grid import count_degenerate
@@ -175,10 +174,10 @@ def cell_levels(
     has_gaps = source is not None and source.has_gaps
     coverage = source.only([]) if source is not None and has_gaps and not source.alpha_is_coverage else None
     if reached is not None and blocks.level and blocks.codes.size <= _FEW_BLOCKS:
-        blocks, pieces = smaller_blocks(blocks, _SMALL_BITS)
-        is_reached = reached(blocks)
-        blocks = blocks.some(is_reached)
-        outside = _outside(pieces, ~is_reached, columns) if has_gaps else None
+        coarse, smaller = blocks, divided(blocks, _SMALL_BITS)
+        is_reached = reached(smaller)
+        blocks = smaller.some(is_reached)
+        outside = _outside(coarse.of_cells(blocks.level), ~is_reached, columns) if has_gaps else None
     for each in (source, coverage):
         if each is not None:
             each.prepare()
@@ -205,9 +204,10 @@ def cell_levels(
     return CellLevels(channels, depth, codes, levels, taken, deepest, degenerate, has_gaps, gaps)
 
 
-def _outside(pieces: Fragments, chosen: Bools, columns: SumColumns) -> Sums:
-    """Return the sums of some cells that nothing is known of."""
-    pieces, _ = _some_fragments(pieces, chosen)
+def _outside(blocks: Blocks, chosen: Bools, columns: SumColumns) -> Sums:
+    """Return the sums of some cells in blocks, of all that the surface meets; nothing is known of them."""
+    run = BlockRange(0, blocks.codes.size, int(most_fragments(blocks).sum()))
+    pieces, _ = _some_fragments(cut(blocks, run), chosen)
     values = np.zeros((pieces.entries.size, columns.first.size), np.float32)
     n_entries = int(bit_counts(pieces.flags).sum())
     sums = sum_fragments(pieces.entries, pieces.areas, values, columns.alpha, n_entries)

@@ -24,7 +24,7 @@ from octex.editing.draft import coarsest_of
 from octex.editing.nodes import nodes_at
 from octex.editing.refined import Below, refined_below, refined_values, with_rows
 from octex.editing.split import refaced
-from octex.errors import own_making
+from octex.errors import ModelError, own_making
 from octex.painting.blend import (
     Blended,
     Merge,
@@ -126,7 +126,7 @@ def rasterize_surface(
     touched = source.touched()
     if not touched.size:
         return Raster(channels, placement, surface.bounds, None)
-    root = painted.blocks(placement).around(touched, depth).merged(depth)
+    root = painted.grid(placement).around(touched, depth)
     source = source.near(root.members)
     filled = cell_levels(
         surface, source, channels, placement, depth, executor, progress,
@@ -212,15 +212,18 @@ def _deepest(paint: Sequence[Paint]) -> int:
 def cull_cells(task: Merge, within: Sequence[tuple[int, Int64s]], depth: int) -> SurfaceCells:
     """7. Cull: return the cells down to ``depth`` that the surface meets in some cells, given by level."""
     placement, surface = task.texture.placement, task.surface.surface
-    root = task.surface.blocks(placement)
-    if not within or not root.codes.size:
-        return SurfaceCells(Octree.from_leaves(_NONE, 0), [_NONE] * (depth + 1))
-    root = root.some(_are_among(within, root)).merged(depth)
+    none = SurfaceCells(Octree.from_leaves(_NONE, 0), [_NONE] * (depth + 1))
+    root = task.surface.grid(placement).touching(within, depth) if within else None
+    if root is None or not root.members.size:
+        return none
     around = [(level, with_boundary(codes, level)) for level, codes in within]
-    filled = cell_levels(
-        surface, None, (), placement, depth, task.executor, task.progress,
-        has_samples=False, root=root, reached=partial(_are_among, around),
-    )  # fmt: skip
+    try:
+        filled = cell_levels(
+            surface, None, (), placement, depth, task.executor, task.progress,
+            has_samples=False, root=root, reached=partial(_are_among, around),
+        )  # fmt: skip
+    except ModelError:  # no triangle there has an area
+        return none
     tree = assemble(filled).tree
     return SurfaceCells(tree, [codes for codes, _ in tree.walk()])
 

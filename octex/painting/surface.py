@@ -1,4 +1,4 @@
-"""The surface that is painted."""
+"""The surface that is painted, and which of its triangles lie near paint."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from functools import cached_property, partial
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Float32s, Int32s
+from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError
+from octex.jit import inlined, kernel
 from octex.painting.options import triangles_of
 from octex.painting.picture import Projection
 from octex.painting.project import Projected, Shading
@@ -23,11 +24,13 @@ from octex.painting.sight import Shot, Sight, sight_of
 from octex.painting.unwrap import Patch
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
+from octex.tree.layout import GRID_BITS
+from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement, on_grid
 from octex.view.shading import corner_normals, corner_normals_of, face_normals
-from octex.voxelize.fragments import Blocks, divided, whole
+from octex.voxelize.fragments import Blocks, whole
 
-#: The level of the coarse cells.
+#: The level of the coarse cells: 128³, whose coordinates fit a byte.
 _COARSE = 7
 
 
@@ -40,7 +43,7 @@ class PaintedSurface:
         self.surface = surface
         self._in_session = in_session
         self._other = other  # the same surface in another pose
-        self._blocks: tuple[Placement, Blocks] | None = None
+        self._grid: tuple[Placement, TriangleGrid] | None = None
         self._sights: dict[bytes, Sight] = {}
         self._flat: tuple[Surface, PaintedSurface] | None = None  # the last one
 
@@ -62,14 +65,13 @@ class PaintedSurface:
             self._flat = patch.surface, PaintedSurface(flat, in_session=self._in_session, other=self)
         return self._flat[1]
 
-    def blocks(self, placement: Placement) -> Blocks:
-        """Return the cells of a coarse level in a root cell, with the triangles in them."""
+    def grid(self, placement: Placement) -> TriangleGrid:
+        """Return where the triangles lie in a root cell."""
         if self._other is not None:
-            return self._other.blocks(placement)
-        if self._blocks is None or self._blocks[0] != placement:
-            root = whole(on_grid(self.surface.rest, placement), self.surface.triangles, _COARSE)
-            self._blocks = placement, divided(root, 0)
-        return self._blocks[1]
+            return self._other.grid(placement)
+        if self._grid is None or self._grid[0] != placement:
+            self._grid = placement, TriangleGrid(self.surface, placement)
+        return self._grid[1]
 
     @cached_property
     def stretches(self) -> Float32s:
@@ -161,3 +163,109 @@ def _normals_of_frames(surface: Surface, chosen: Int32s) -> Float32s:
     frames = surface.posed_frames(chosen)
     assert frames is not None
     return frames.normals.values[frames.normals.rows]
+
+
+class TriangleGrid:
+    """Where the triangles of a surface lie in a root cell: the coarse cells that their boxes reach."""
+
+    def __init__(self, surface: Surface, placement: Placement) -> None:
+        self._grid, self._faces = on_grid(surface.rest, placement), surface.triangles
+        self._boxes = _boxes(self._grid, self._faces, GRID_BITS - _COARSE)
+
+    def around(self, chosen: Int32s, depth: int) -> Blocks:
+        """Return the triangles in or beside coarse cells, no finer than ``depth``, of ``chosen`` ones."""
+        shift = max(_COARSE - depth, 0)
+        found = self._sharing(self._boxes[chosen] >> np.uint8(shift), shift, 1)
+        return whole(self._grid, self._faces, depth, found)
+
+    def touching(self, cells: Sequence[tuple[int, Int64s]], depth: int) -> Blocks:
+        """Return the triangles that may meet cells, given as levels and Morton codes."""
+        boxes = []
+        for level, codes in cells:
+            first = last = decode_cells(codes) >> max(level - _COARSE, 0)
+            if level < _COARSE:
+                first, last = first << (_COARSE - level), ((first + 1) << (_COARSE - level)) - 1
+            boxes.append(np.concatenate([first, last], axis=1).astype(np.uint8))
+        some = any(map(len, boxes))
+        found = self._sharing(np.concatenate(boxes), 0, 0) if some else np.empty(0, np.int32)
+        return whole(self._grid, self._faces, depth, found)
+
+    def _sharing(self, boxes: Uint8s, shift: int, beside: int) -> Int32s:
+        """Return the triangles that share coarse cells with boxes (n, 6), or cells so far ``beside`` them."""
+        first, last = boxes[:, :3].min(axis=0).astype(np.int64), boxes[:, 3:].max(axis=0).astype(np.int64)
+        first = np.maximum(first - beside, 0)
+        last = np.minimum(last + beside, (1 << (_COARSE - shift)) - 1)
+        marked = np.zeros(last - first + 1, np.bool_)
+        _mark(boxes, first, marked)
+        for axis in range(3 * beside):
+            wide = marked.copy()
+            before, after = (np.s_[:],) * axis + (np.s_[:-1],), (np.s_[:],) * axis + (np.s_[1:],)
+            wide[after] |= marked[before]
+            wide[before] |= marked[after]
+            marked = wide
+        # Of marked cells before each along all axes a box has a sum of eight.
+        counts = np.zeros(np.add(marked.shape, 1), np.int32)
+        inner = marked.cumsum(0, np.int32)
+        np.cumsum(inner, 1, out=inner)
+        np.cumsum(inner, 2, out=counts[1:, 1:, 1:])
+        return _reaching(self._boxes, shift, first, counts)
+
+
+@kernel
+def _boxes(grid: Int32s, triangles: Int32s, shift: int) -> Uint8s:
+    """Return the first and the last coarse cell that triangles reach along each axis (m, 6)."""
+    boxes = np.empty((triangles.shape[0], 6), np.uint8)
+    for triangle in range(triangles.shape[0]):
+        for axis in range(3):
+            a = grid[triangles[triangle, 0], axis]
+            b = grid[triangles[triangle, 1], axis]
+            c = grid[triangles[triangle, 2], axis]
+            boxes[triangle, axis] = min(a, min(b, c)) >> shift
+            boxes[triangle, 3 + axis] = max(a, max(b, c)) >> shift
+    return boxes
+
+
+@kernel
+def _mark(boxes: Uint8s, first: Int64s, marked: Bools) -> None:
+    """Mark the coarse cells, from ``first`` on, that boxes reach."""
+    for n in range(boxes.shape[0]):
+        for x in range(np.int64(boxes[n, 0]) - first[0], np.int64(boxes[n, 3]) - first[0] + 1):
+            for y in range(np.int64(boxes[n, 1]) - first[1], np.int64(boxes[n, 4]) - first[1] + 1):
+                for z in range(np.int64(boxes[n, 2]) - first[2], np.int64(boxes[n, 5]) - first[2] + 1):
+                    marked[x, y, z] = True
+
+
+@kernel
+def _reaching(boxes: Uint8s, shift: int, first: Int64s, counts: Int32s) -> Int32s:
+    """Return the triangles whose boxes reach a coarse cell that is marked, of those from ``first`` on."""
+    found = np.empty(boxes.shape[0], np.int32)
+    count = 0
+    for triangle in range(boxes.shape[0]):
+        x0, x1 = _within(boxes, triangle, 0, shift, first, counts.shape)
+        if x0 == x1:
+            continue
+        y0, y1 = _within(boxes, triangle, 1, shift, first, counts.shape)
+        z0, z1 = _within(boxes, triangle, 2, shift, first, counts.shape)
+        inside = (
+            counts[x1, y1, z1]
+            - counts[x0, y1, z1]
+            - counts[x1, y0, z1]
+            - counts[x1, y1, z0]
+            + counts[x0, y0, z1]
+            + counts[x0, y1, z0]
+            + counts[x1, y0, z0]
+            - counts[x0, y0, z0]
+        )
+        found[count] = triangle
+        count += inside > 0
+    return found[:count].copy()
+
+
+@inlined
+def _within(
+    boxes: Uint8s, triangle: int, axis: int, shift: int, first: Int64s, shape: tuple[int, int, int]
+) -> tuple[int, int]:
+    """Return the rows of counts between which a triangle lies; the same one twice outside."""
+    low, high = np.int64(boxes[triangle, axis]) >> shift, np.int64(boxes[triangle, 3 + axis]) >> shift
+    end = shape[axis] - 1
+    return min(max(low - first[axis], 0), end), min(max(high - first[axis] + 1, 0), end)

@@ -11,12 +11,10 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s, bit_counts
+from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s
 from octex.jit import inlined, kernel, popcount, trailing_zeros
-from octex.tree.beside import near
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
-from octex.tree.octree import distinct
 from octex.voxelize.clip import MAX_VERTICES, POLYGONS, clip_to_columns
 from octex.voxelize.grid import (
     BLOCK_BITS,
@@ -61,21 +59,6 @@ class Blocks(NamedTuple):
             starts=np.concatenate([[0], np.cumsum(counts[chosen])]),
             members=self.members[np.repeat(chosen, counts)],
         )
-
-    def around(self, triangles: Int32s, level: int) -> Blocks:
-        """Return those in or beside cells of ``level``, or of theirs, that some triangles are in."""
-        if not self.codes.size:
-            return self
-        is_chosen = np.zeros(len(self.faces), np.bool_)
-        is_chosen[triangles] = True
-        has_some = np.logical_or.reduceat(is_chosen[self.members], self.starts[:-1])
-        level = min(level, self.level)
-        cells = self.codes >> 3 * (self.level - level)
-        return self.some(near(cells, distinct(cells[has_some]), level))
-
-    def merged(self, depth: int) -> Blocks:
-        """Return their triangles in one block, the root, for cells of ``depth``."""
-        return whole(self.grid, self.faces, depth, distinct(self.members).astype(np.int32))
 
 
 #: Says which blocks are to be cut.
@@ -331,20 +314,6 @@ def cut(blocks: Blocks, run: BlockRange) -> Fragments:
         barycentric[:n_fragments],
         areas[:n_fragments],
     )
-
-
-def smaller_blocks(blocks: Blocks, bits: int) -> tuple[Blocks, Fragments]:
-    """Cut blocks into those whose edge is 2 to the power of ``bits`` cells; return their fragments, too."""
-    depth = blocks.level + blocks.bits
-    coarse = blocks.of_cells(depth - bits)
-    most = int(most_fragments(coarse).sum())
-    fragments = cut(coarse, BlockRange(0, blocks.codes.size, most))
-    counts = bit_counts(fragments.flags)
-    owners = np.repeat(np.arange(counts.size), counts)[fragments.entries]
-    starts = np.concatenate([[0], np.cumsum(np.bincount(owners, minlength=counts.size))])
-    members = fragments.triangles[np.argsort(owners, kind="stable")]
-    smaller = Blocks(blocks.grid, blocks.faces, depth - bits, bits, fragments.codes, starts, members)
-    return smaller, fragments
 
 
 def even_runs(bounds: Int64s) -> list[BlockRange]:

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.tree.beside import near
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
 from octex.voxelize.fragments import (
@@ -136,19 +135,6 @@ def test_blocks_are_of_32_cells_and_hold_the_triangles_that_meet_them(depth: int
     assert (corners.max(axis=1) >= owners).all()
     if depth < 8:
         assert set(cut_blocks(blocks, 0, len(blocks.codes)).codes >> 3 * blocks.bits) == set(blocks.codes)
-
-
-@needs_jit
-def test_blocks_around_triangles_are_theirs_and_those_beside() -> None:
-    grid, triangles = bumpy_sphere(60, 40)
-    blocks = divided(whole(grid, triangles, 5), 0)
-    around = blocks.around(np.array([7, 8], np.int32), 9)
-    own = blocks.codes[
-        np.repeat(np.arange(len(blocks.codes)), np.diff(blocks.starts))[np.isin(blocks.members, [7, 8])]
-    ]
-    assert np.array_equal(around.codes, blocks.codes[near(blocks.codes, np.unique(own), blocks.level)])
-    assert 0 < len(around.codes) < len(blocks.codes)
-    assert np.array_equal(around.merged(5).members, np.unique(around.members))
 
 
 @needs_jit

@@ -18,7 +18,7 @@ from octex.painting import history
 from octex.painting.merge import merged
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.sight import sight_of
-from octex.voxelize.fragments import whole
+from octex.painting.surface import TriangleGrid
 from tests.editing.test_draft import case
 from tests.make.painted import ball
 from tests.make.same import assert_same
@@ -260,9 +260,10 @@ def test_what_is_no_pose_of_the_surface_is_refused() -> None:
 def test_poses_share_what_is_known_of_the_surface_at_rest() -> None:
     surface = ball(8)
     painter = octex.Painter(octex.convert(surface, depth=4), surface)
-    random = np.random.default_rng(0)
-    with mock.patch("octex.painting.surface.whole", side_effect=whole) as made:
+    random, grids = np.random.default_rng(0), []
+    init = TriangleGrid.__init__
+    with mock.patch.object(TriangleGrid, "__init__", lambda *given: grids.append(given) or init(*given)):
         for scale in (1.0, 0.9, 1.1):
             assert painter.paint(shots(surface, random), pose=surface.with_pose(surface.vertices * scale))
         assert painter.paint(shots(surface, random))
-    assert made.call_count == 1
+    assert len(grids) == 1
