@@ -46,8 +46,12 @@ COVERAGE = ALPHA._replace(dtype="uint16")
 class PaintSource(Source):
     """Gives a channel's components, and their coverage as ``alpha``, to points of a surface."""
 
-    def __init__(self, form: ChannelFormat) -> None:
-        self._channels = (form, COVERAGE)
+    form: ChannelFormat  # of what is painted
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """What is painted, and its coverage."""
+        return self.form, COVERAGE
 
     @property
     def has_gaps(self) -> bool:

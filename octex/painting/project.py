@@ -45,10 +45,6 @@ class Projected(PaintSource):
     chosen: Bools | None = None  # (m,)   the triangles that are painted; None for all
     normals: Float32s | None = None  # (m, 3, 3)   what `shading` gives; None: not asked for yet
 
-    def __post_init__(self) -> None:
-        """Take the channel that is painted."""
-        super().__init__(self.form)
-
     @property
     def color(self) -> Float32s | None:
         """The value that all pixels with paint have, before and after gains; None for several."""

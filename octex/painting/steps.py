@@ -110,11 +110,11 @@ def rasterize_surface(
     source: PaintSource,
     placement: Placement,
     depths: Depths,
+    executor: Executor,
+    progress: Progress,
     *,
     fit: bool,
     cells: float = CELLS,
-    executor: Executor,
-    progress: Progress,
 ) -> Raster:
     """1. Rasterize the surface: read paint in all cells; `layer_from` needs the source no more.
 

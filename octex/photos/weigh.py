@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.channels import ChannelFormat
 from octex.painting.layer import PaintSource
 from octex.painting.multigrid import graph_of
 from octex.painting.options import PaintOptions
@@ -37,9 +38,10 @@ class BestPaint(PaintSource):
     shares: Float32s  # (sheets, shots)   of 1
     exposures: Float32s  # (sheets, shots, 3)   see `exposed`
 
-    def __post_init__(self) -> None:
-        """Take the channel that is painted."""
-        super().__init__(self.source.form)
+    @property
+    def form(self) -> ChannelFormat:  # type: ignore[override]
+        """The channel that is painted."""
+        return self.source.form
 
     def touched(self) -> Int32s:
         """Return the triangles that own a pixel of a shot."""
