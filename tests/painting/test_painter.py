@@ -168,7 +168,7 @@ def test_a_call_that_fails_in_its_second_layer_leaves_all_as_it_was() -> None:
 
     layers = [brush(surface, 200), replace(brush(surface, 90), blend="multiply")]
     with (
-        mock.patch("octex.painting.paint.merged", second_fails),
+        mock.patch.object(painter, "_merging", second_fails),
         pytest.raises(KeyboardInterrupt),
     ):
         painter.paint(layers, max_depth=7)
