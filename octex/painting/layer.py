@@ -163,8 +163,6 @@ def empty_texture(
     """Return a texture without leaves, which remembers how far a surface's parts were moved apart."""
     provenance = {} if surface is None else surface.provenance
     metadata = {name: text for name, text in provenance.items() if name == SEPARATION}
-    channels = {}
-    for form in forms:
-        none = np.empty((0, form.components), form.dtype)
-        channels[form.name] = Channel(form, np.zeros((1, form.components), form.dtype), none, none)
-    return OctreeTexture(Octree.from_leaves(np.empty(0, np.int64), 0), channels, placement, bounds, metadata)
+    tree = Octree.from_leaves(np.empty(0, np.int64), 0)
+    channels = {form.name: Channel.full(form, tree) for form in forms}
+    return OctreeTexture(tree, channels, placement, bounds, metadata)

@@ -124,6 +124,13 @@ class Window(NamedTuple):
         return array[self.top : self.bottom, self.left : self.right]
 
 
+def mips_of(
+    projection: Projection, form: ChannelFormat, scale: float = 1.0, stages: Stages = NOT_STORED
+) -> Mips:
+    """Decode all of a projection; see `window_of`."""
+    return window_of(projection, form, scale, None, stages)[0]
+
+
 def window_of(
     projection: Projection,
     form: ChannelFormat,

@@ -12,7 +12,7 @@ import pytest
 from octex.channels import BASE_COLOR, NORMAL, ROUGHNESS, srgb_to_linear
 from octex.errors import ArgumentError, ImageError
 from octex.jit import kernel
-from octex.painting.picture import Mips, Projection, check_projections, read_paint, window_of
+from octex.painting.picture import Mips, Projection, check_projections, mips_of, read_paint
 from octex.painting.sharpened import sharpened
 from tests.make.painted import above
 
@@ -41,7 +41,7 @@ def test_colours_are_decoded_as_their_channel_has_them() -> None:
         (ROUGHNESS, codes / 255),
         (NORMAL, codes / 127.5 - 1),
     ):
-        mips = window_of(projection(codes), form)[0]
+        mips = mips_of(projection(codes), form)
         np.testing.assert_allclose(mips.pixels[:36].reshape(6, 6, 4), values(expected), atol=1e-4)
         assert (mips.pixels[:36, 3] == 1).all()
 
@@ -50,7 +50,7 @@ def test_alpha_and_mask_multiply_and_colours_with_them() -> None:
     random = np.random.default_rng(1)
     image = random.random((4, 4, 4)).astype(np.float32)
     mask = random.integers(0, 256, (4, 4), np.uint8)
-    mips = window_of(projection(image, mask=mask), BASE_COLOR, 0.5)[0]
+    mips = mips_of(projection(image, mask=mask), BASE_COLOR, 0.5)
     alpha = image[..., 3] * mask / 255 * 0.5
     np.testing.assert_allclose(mips.pixels[:16, 3].reshape(4, 4), alpha, atol=1e-5)
     np.testing.assert_allclose(
@@ -60,7 +60,7 @@ def test_alpha_and_mask_multiply_and_colours_with_them() -> None:
 
 def test_a_pixel_is_read_exactly_at_its_centre() -> None:
     image = np.random.default_rng(2).random((8, 8, 3)).astype(np.float32)
-    mips, expected = window_of(projection(image), BASE_COLOR)[0], values(image)
+    mips, expected = mips_of(projection(image), BASE_COLOR), values(image)
     expected[..., :3] = expected[..., :3].clip(image.min((0, 1)), image.max((0, 1)))  # no colour is new
     for row in range(8):
         for column in range(8):
@@ -70,7 +70,7 @@ def test_a_pixel_is_read_exactly_at_its_centre() -> None:
 
 @pytest.mark.parametrize("width", [0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 7.0, 100.0])
 def test_what_is_alike_everywhere_is_read_so_at_any_width(width: float) -> None:
-    mips = window_of(projection(np.full((13, 13, 3), 0.3, np.float32)), BASE_COLOR)[0]
+    mips = mips_of(projection(np.full((13, 13, 3), 0.3, np.float32)), BASE_COLOR)
     for x, y in ((0.0, 0.0), (6.5, 2.2), (12.99, 12.99)):
         np.testing.assert_allclose(_read(mips, x, y, width), [0.3, 0.3, 0.3, 1], atol=1e-6)
 
@@ -79,7 +79,7 @@ def test_what_is_alike_everywhere_is_read_so_at_any_width(width: float) -> None:
 def test_wide_readings_are_means_over_boxes(width: float) -> None:
     y, x = np.mgrid[:64, :64] + 0.5
     image = np.repeat((0.5 + 0.5 * np.sin(x * 0.15) * np.cos(y * 0.12))[..., None], 3, axis=2)
-    mips = window_of(projection(image.astype(np.float32)), BASE_COLOR)[0]
+    mips = mips_of(projection(image.astype(np.float32)), BASE_COLOR)
     fine = (np.arange(400) + 0.5) / 400 - 0.5
     for at_x, at_y in ((20.3, 31.7), (40.0, 25.5), (33.3, 18.1)):
         of_x, of_y = np.sin((at_x + width * fine) * 0.15).mean(), np.cos((at_y + width * fine) * 0.12).mean()
@@ -90,12 +90,12 @@ def test_files_are_read_and_named_if_they_cannot_be(tmp_path: Path) -> None:
     image = PIL.Image.fromarray(np.full((5, 5, 3), 128, np.uint8))
     image.save(tmp_path / "fine.png")
     assert projection_of(tmp_path / "fine.png").name == str(tmp_path / "fine.png")
-    mips = window_of(projection_of(tmp_path / "fine.png"), ROUGHNESS)[0]
+    mips = mips_of(projection_of(tmp_path / "fine.png"), ROUGHNESS)
     np.testing.assert_allclose(mips.pixels[:25, 0], 128 / 255, atol=1e-4)
     (tmp_path / "bad.png").write_bytes(b"no picture")
     for name in ("bad.png", "none.png"):
         with pytest.raises(ImageError, match=name):
-            window_of(projection_of(tmp_path / name), BASE_COLOR)[0]
+            mips_of(projection_of(tmp_path / name), BASE_COLOR)
 
 
 def projection_of(path: Path) -> Projection:
@@ -105,12 +105,12 @@ def projection_of(path: Path) -> Projection:
 def test_sizes_that_do_not_fit_are_refused() -> None:
     camera = above(size=8)
     with pytest.raises(ArgumentError, match="has 6×4 pixels, its camera 8×8"):
-        window_of(Projection(np.zeros((4, 6, 3), np.uint8), camera), BASE_COLOR)
+        mips_of(Projection(np.zeros((4, 6, 3), np.uint8), camera), BASE_COLOR)
     image = np.zeros((8, 8, 3), np.uint8)
     with pytest.raises(ArgumentError, match="the mask has 3×8 pixels"):
-        window_of(Projection(image, camera, mask=np.zeros((8, 3), np.uint8)), BASE_COLOR)
+        mips_of(Projection(image, camera, mask=np.zeros((8, 3), np.uint8)), BASE_COLOR)
     with pytest.raises(ImageError, match="the image: an image must have shape"):
-        window_of(Projection(np.zeros(3), camera), BASE_COLOR)
+        mips_of(Projection(np.zeros(3), camera), BASE_COLOR)
 
 
 def test_projections_that_make_no_sense_are_refused() -> None:
