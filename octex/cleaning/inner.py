@@ -18,8 +18,7 @@ from octex.source.vectors import Vector, cross_product, dot_product, minus, row_
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement, on_grid
-from octex.voxelize.fragments import bin_triangles
-from octex.voxelize.grid import BLOCK_BITS
+from octex.voxelize.fragments import divided, whole
 
 _DEPTH = 8
 _EDGE = 1 << _DEPTH
@@ -53,7 +52,7 @@ def seen_triangles(rest: Float64s, triangles: Int32s) -> Bools:
     used = rest[triangles].reshape(-1, 3)
     placement = Placement.around(np.array([used.min(axis=0), used.max(axis=0)]), _DEPTH)
     grid = on_grid(rest, placement)
-    found = bin_triangles(grid, triangles, _DEPTH + BLOCK_BITS)
+    found = divided(whole(grid, triangles, _DEPTH), 0)
     places = decode_cells(found.codes)
     rows = np.full((_EDGE, _EDGE, _EDGE), _EMPTY, np.int32)
     rows[tuple(places.T)] = np.arange(len(places), dtype=np.int32)

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from concurrent.futures import Executor
 from functools import partial
 from itertools import count
-from typing import TypeAlias
 
 import numpy as np
 
@@ -28,8 +27,11 @@ from octex.conversion.differences import (
     values_at_samples,
 )
 from octex.conversion.evaluator import Coefficients
+from octex.conversion.fit import Fitter
+from octex.conversion.levels import Filled
 from octex.conversion.prune import Channels, Finest, Pruned, grafted, limits_of, prune
 from octex.conversion.samples import Samples
+from octex.conversion.sides import with_sides
 from octex.errors import ArgumentError
 from octex.field.weights import facings_of
 from octex.parallel import Progress, ordered_map, sharing
@@ -44,10 +46,6 @@ _ROUNDING = 1 / 16
 #: Leaves that fail are split by a level; by one more after each so many rounds, since neighbours may fail in
 #: turn.
 _PATIENCE = 2
-#: Fits the leaves of a tree whose values are means; or some of them (leaves,), beside others' fitted values.
-Fit: TypeAlias = Callable[[Octree, Channels, Bools | None], Channels]
-#: Splits leaves of a tree, given their means and their fitted values.
-Split: TypeAlias = Callable[[Octree, Channels, Channels], tuple[Octree, Channels]]
 
 
 def as_max_error(max_error: float) -> float:
@@ -59,21 +57,11 @@ def as_max_error(max_error: float) -> float:
 
 
 def adapted(
-    tree: Octree,
-    channels: Channels,
-    samples: Samples | None,
-    *,
-    max_error: float | None,
-    wanted: Uint8s | None,
-    fit: Fit | None,
-    split: Split | None,
-    executor: Executor,
-    progress: Progress,
+    filled: Filled, *, fit: bool, max_error: float | None, executor: Executor, progress: Progress
 ) -> tuple[Octree, dict[str, Channel]]:
-    """Return the tree with fewer leaves, and its channels, fitted if there is a ``fit``, then ``split``.
+    """Return a tree with fewer leaves, as deep as wanted, and its channels.
 
-    ``tree`` is full: all its leaves have its depth; channels hold the source's means. ``wanted`` (finest
-    cells,) are the depths wanted there, in Morton order. Without samples none can merge.
+    With ``fit`` and samples, leaves are fitted and have rows for their sides. Without samples none can merge.
 
     With ``max_error``, in 8-bit codes of what is encoded (see `measure`), leaves merge upward from there.
     Then the quadratic field differs from that of the tree without ``max_error`` by at most that and 1/16
@@ -82,16 +70,20 @@ def adapted(
     difference taken for a quadratic polynomial on each of the triangles that ``samples.lay_out`` makes of
     that. Leaves that do not merge have the values that they have without it.
     """
-    finest, limits, pruned = None, None, None
+    tree, channels, samples, wanted, has_gaps = filled
+    finest, limits, pruned, fitter = None, None, None, None
+    if fit and samples is not None:
+        # With a fitted alpha, what is covered would not seem to be beside gaps, nor opaque paint be opaque.
+        fitter = Fitter(samples, executor, progress, (ALPHA.name,) if has_gaps else ())
     if wanted is not None and wanted.min(initial=tree.max_depth) < tree.max_depth:
         finest = Finest.of(tree)
         limits = limits_of(finest, wanted)
         pruned = prune(finest, limits)
     whole = tree if pruned is None else pruned.tree
     means = channels if pruned is None else pruned.carried(channels)
-    values = fit(whole, means, None) if fit else means
-    if split:
-        whole, values = split(whole, means, values)
+    values: Channels = means
+    if fitter is not None:
+        whole, values = with_sides(fitter, whole, means, fitter.fit(whole, means))
     if max_error is None or samples is None:
         return whole, dict(values)
     if finest is None or limits is None or pruned is None:
@@ -101,7 +93,7 @@ def adapted(
     full, known = grafted(tree, channels, pruned, whole, values)
     finest = finest._replace(tree=full)
     merger = _Merger(finest, known, samples, max_error, limits, executor, progress)
-    return merger.merged(fit)
+    return merger.merged(fitter)
 
 
 class _Merger:
@@ -129,7 +121,7 @@ class _Merger:
         self._reference = Reference.of(full, samples, self._forms)
         self._wanted = large.joined(self._by_runs(partial(values_at_samples, self._reference)))
 
-    def merged(self, fit: Fit | None) -> tuple[Octree, dict[str, Channel]]:
+    def merged(self, fitter: Fitter | None) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree of fewest leaves that was found, and its channels."""
         depth = self._finest.tree.max_depth
         depths = self._limits.copy()
@@ -140,15 +132,15 @@ class _Merger:
         # What was judged on even trees is judged again on the tree of many depths.
         self._split(depths)
         self._progress("adapt", depth + 1, depth + 3)
-        if fit:
-            self._fit(fit, depths)
+        if fitter is not None:
+            self._fit(fitter, depths)
         self._progress("adapt", depth + 2, depth + 3)
         self._settle(depths)
         self._progress("adapt", depth + 3, depth + 3)
         pruned = prune(self._finest, depths)
         return pruned.tree, pruned.carried(self._known)
 
-    def _fit(self, fit: Fit, depths: Uint8s) -> None:
+    def _fit(self, fitter: Fitter, depths: Uint8s) -> None:
         """Give merged leaves fitted values."""
         pruned = prune(self._finest, depths)
         cells, is_merged = pruned.leaf_cells(depths), (depths < self._limits)[pruned.starts]
@@ -156,7 +148,7 @@ class _Merger:
         if not merged.size:
             return
         # Merged leaves are known by their means as yet.
-        values = fit(pruned.tree, pruned.carried(self._known), is_merged)
+        values = fitter.fit(pruned.tree, pruned.carried(self._known), is_merged)
         whole, cells, end = self._whole, pruned.cells[merged], 0
         rows = whole.rows.reshape(-1, (whole.components + 4) // 4 * 4)
         for name, channel in values.items():

@@ -7,14 +7,13 @@ import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy.typing as npt
 
 import octex
-from octex.channels import ALPHA, ChannelFormat
+from octex.channels import ChannelFormat
 from octex.checks import (
     as_entries,
     as_flag,
@@ -27,11 +26,9 @@ from octex.checks import (
 from octex.conversion import apart, large
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.detail import DetailFunction, Wanted, channel_of, wanted_levels
-from octex.conversion.fit import Fitter
-from octex.conversion.gaps import Remaining, without_gaps, without_opaque
-from octex.conversion.levels import CellLevels, assemble, cell_levels, memory_needed
+from octex.conversion.gaps import without_opaque
+from octex.conversion.levels import assemble, cell_levels, memory_needed
 from octex.conversion.points import convert_points
-from octex.conversion.sides import with_sides
 from octex.conversion.voxels import convert_voxels
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, ModelError, OutputError
@@ -43,7 +40,6 @@ from octex.source.voxels import Voxels, is_voxels
 from octex.texture import Channel, OctreeTexture, open_texture
 from octex.texture.channel import Dtypes, formats_as
 from octex.texture.file import ENDING
-from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
 DEFAULT_FILTER = "ewa"
@@ -104,8 +100,7 @@ def convert(
     encoded range stores a value for each facing.
 
     PointCloud accepts only ``depth``, ``cell``, ``channels``, ``dtype`` and ``progress``; Voxels neither
-    ``depth`` nor ``cell``. Sources with gaps (such as a cloud with a ``distance``) must fit into memory,
-    and do not accept ``path`` with an executor.
+    ``depth`` nor ``cell``.
 
     Raises ModelError and ImageError for a model that cannot be used, OutputError if ``path`` cannot be
     written, and ArgumentError for any other argument out of range.
@@ -189,80 +184,43 @@ class Plan(NamedTuple):
 def _converted(plan: Plan, pool: Executor, report: Progress) -> OctreeTexture:
     """Voxelize a surface, build the tree, fit its leaves, give them sides, merge them."""
     surface, placement = plan.surface, plan.placement
-    filled = cell_levels(
-        surface, plan.stored, placement, plan.depth, pool, report,
+    cells = cell_levels(
+        surface, surface.source, plan.stored, placement, plan.depth, pool, report,
         has_samples=plan.has_samples, wanted=plan.wanted,
     )  # fmt: skip
-    report("build", 0, 1)
-    tree, values = assemble(plan.stored, filled)
-    report("build", 1, 1)
-    if surface.source.has_gaps:
-        known = _without_gaps(plan, tree, values, filled, pool, report)
-    else:
-        known = Remaining(tree, values, filled.take_samples(plan.stored), filled.wanted, 0)
-    degenerate = filled.degenerate
-    del filled, tree, values  # they hold all values once more
-    fit = split = None
-    if known.samples is not None and plan.fit:
-        # With a fitted alpha, what is covered would not seem to be beside gaps.
-        unfitted = (ALPHA.name,) if surface.source.has_gaps else ()
-        fitter = Fitter(known.samples, pool, report, unfitted)
-        fit, split = fitter.fit, partial(with_sides, fitter)
-    tree, channels = adapted(
-        known.tree, known.channels, known.samples,
-        max_error=plan.max_error, wanted=known.wanted, fit=fit, split=split, executor=pool, progress=report,
-    )  # fmt: skip
-    if surface.source.alpha_is_coverage and not known.empty:
-        channels = without_opaque(channels)
-    metadata = _metadata(plan, channels, degenerate, known.empty)
-    texture = OctreeTexture(tree, channels, placement, surface.bounds, metadata)
-    return refaced(texture) if known.empty else texture
-
-
-def _without_gaps(
-    plan: Plan,
-    tree: Octree,
-    values: dict[str, Channel],
-    filled: CellLevels,
-    pool: Executor,
-    report: Progress,
-) -> Remaining:
-    """Leave out the cells that the source knows nothing of; raises ModelError if those are all."""
-    coverage = None
-    if not plan.surface.source.alpha_is_coverage:
-        known = plan.surface.coverage
-        task = known, known.channels, plan.placement, plan.depth, pool, report
-        coverage = cell_levels(*task, has_samples=False)
-    found = without_gaps(tree, values, filled, plan.placement, coverage)
-    if not found.tree.n_leaves:
+    if not cells.codes.size:
         raise ModelError(
-            f"{plan.surface.name}: its source has no value anywhere on it: it is too far away, or faces "
-            "another way; allow more distance, or a larger angle"
+            f"{surface.name}: its source has no value anywhere on it: it is too far away, or faces another "
+            "way; allow more distance, or a larger angle"
         )
-    return found
+    degenerate, empty = cells.degenerate, cells.gaps.size
+    report("build", 0, 1)
+    filled = assemble(cells)
+    report("build", 1, 1)
+    del cells  # they hold all values once more
+    tree, channels = adapted(filled, fit=plan.fit, max_error=plan.max_error, executor=pool, progress=report)
+    if surface.source.alpha_is_coverage and not empty:
+        channels = without_opaque(channels)
+    metadata = _metadata(plan, channels, degenerate, empty)
+    texture = OctreeTexture(tree, channels, placement, surface.bounds, metadata)
+    return refaced(texture) if empty else texture
 
 
 def _is_mapped(plan: Plan, run: Run) -> bool:
     """Say whether large arrays go to files; raises ArgumentError where they cannot."""
-    source, name = plan.surface.source, plan.surface.name
-    must_stay = source.has_gaps or source.alpha_is_coverage
     if run.executor is None:
         if run.memory is None:
             return False
         needed = memory_needed(
             plan.surface, plan.stored, plan.placement, plan.depth, has_samples=plan.has_samples
         )
-        if needed * (1 if must_stay else _MOST_TAKEN) <= as_memory(run.memory):
+        if needed * _MOST_TAKEN <= as_memory(run.memory):
             return False
-    if must_stay:
-        raise ArgumentError(
-            f"{name}: sources with gaps must fit into memory; leave out memory, and path if there is an "
-            "executor"
-        )
     is_here = run.executor is None or shares_memory(run.executor)
     if not is_here and (plan.max_error is not None or plan.wanted is not None):
         raise ArgumentError(
-            f"{name}: max_error and detail run on one machine only; leave out path or the executor"
+            f"{plan.surface.name}: max_error and detail run on one machine only; leave out path or the "
+            "executor"
         )
     return True
 

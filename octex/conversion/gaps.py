@@ -3,76 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s
+from octex.arrays import Array, Bools, Int64s
 from octex.channels import ALPHA, ONE, decode
-from octex.conversion.levels import CellLevels
-from octex.conversion.samples import Samples
+from octex.conversion import large
+from octex.conversion.samples import UNIT, Samples
 from octex.editing.averages import average
-from octex.editing.carried import carried
 from octex.editing.nodes import nodes_at
 from octex.texture import Channel, OctreeTexture
-from octex.tree.edit import cull
-from octex.tree.octree import Octree, distinct
-from octex.tree.placement import Placement
+from octex.tree.octree import Octree
 
 #: The alpha of what hardly weighs more than gaps: what they add to others is lost in float32's rounding.
 _TRANSPARENT = 2.0**-20
 
 
-class Remaining(NamedTuple):
-    """What is left of a conversion."""
-
-    tree: Octree
-    channels: dict[str, Channel]
-    samples: Samples | None
-    wanted: Uint8s | None  # (finest cells,)
-    empty: int  # leaves that were left out
-
-
-def without_gaps(
-    tree: Octree,
-    channels: Mapping[str, Channel],
-    filled: CellLevels,
-    placement: Placement,
-    coverage: CellLevels | None = None,
-) -> Remaining:
-    """Leave out the leaves that are gaps alone, and the nodes without any others; see ``Source.has_gaps``.
-
-    Those are they whose ``alpha`` is 0; or, where it says more than that, whose ``coverage`` is, the same
-    cells filled with ``Surface.coverage``. Nodes keep their facings, also those that no cell below has any
-    more: see ``split.refaced``.
-    """
-    if coverage is None:
-        is_left = channels[ALPHA.name].values[:, 0] > 0
-    else:
-        stored = [part.values[0] for level in coverage.levels for part in level]
-        is_left = np.concatenate(stored)[:, 0] > 0
-    samples = filled.take_samples([channel.format for channel in channels.values()])
-    wanted = filled.wanted
-    cells = np.flatnonzero(is_left[-filled.codes.size :])
-    empty = filled.codes.size - cells.size
-    gaps = filled.gaps
-    if empty:
-        gaps = distinct(np.concatenate([gaps, filled.codes[~is_left[-filled.codes.size :]]]))
-        edited = cull(tree, is_left)
-        channels = carried(OctreeTexture(tree, channels, placement, np.zeros((2, 3))), edited)
-        tree = edited.tree
-        samples = None if samples is None else samples.of(cells)
-        wanted = None if wanted is None else wanted[cells]
-    if gaps.size:
-        _average_transparent(tree, channels, placement, gaps)
-    if samples is not None:
-        samples = _with_bare_as_means(samples, channels)
-    return Remaining(tree, dict(channels), samples, wanted, empty)
-
-
-def _average_transparent(
-    tree: Octree, channels: Mapping[str, Channel], placement: Placement, gaps: Int64s
-) -> None:
+def average_transparent(tree: Octree, channels: Mapping[str, Channel], gaps: Int64s) -> None:
     """Make the colours of nodes anew, in place, that are transparent and had gaps, finest cells, below them.
 
     A gap weighs as much as what is transparent: means of both are not those of what is left.
@@ -80,7 +27,7 @@ def _average_transparent(
     cells = np.flatnonzero(_is_transparent(channels[ALPHA.name].values))
     if not cells.size:
         return
-    texture = OctreeTexture(tree, channels, placement, np.zeros((2, 3)))
+    texture = OctreeTexture(tree, channels, UNIT, np.zeros((2, 3)))
     gaps, found = np.sort(gaps, kind="stable"), []
     for level, (codes, is_node) in enumerate(tree.walk()):
         first, end = np.searchsorted(cells, tree.arrays.level_cells[level : level + 2]).tolist()
@@ -107,7 +54,7 @@ def without_opaque(channels: Mapping[str, Channel]) -> dict[str, Channel]:
     return {name: channel for name, channel in channels.items() if not (is_opaque and name == ALPHA.name)}
 
 
-def _with_bare_as_means(samples: Samples, channels: Mapping[str, Channel]) -> Samples:
+def with_bare_as_means(samples: Samples, channels: Mapping[str, Channel]) -> Samples:
     """Give samples whose ``alpha`` is 0 the means of their cells.
 
     They tell nothing of the others; as black they would darken the rim of what is known.
@@ -116,7 +63,7 @@ def _with_bare_as_means(samples: Samples, channels: Mapping[str, Channel]) -> Sa
     names = [form.name for form in samples.channels]
     bare = np.flatnonzero(samples.values[:, columns[names.index(ALPHA.name)]] == 0)
     cells = np.repeat(np.arange(samples.codes.size), np.diff(samples.firsts))[bare]
-    values = samples.values.copy()
+    values = large.copied(samples.values)
     for name, first, end in zip(names, columns[:-1], columns[1:], strict=True):
         if name != ALPHA.name:
             finest = channels[name].values[-samples.codes.size :]

@@ -6,37 +6,38 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from functools import partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int32s, Int64s, Uint8s, Uint64s, bit_counts, in_runs
+from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts, in_runs
 from octex.channels import ALPHA, ChannelFormat, check_range, encode
 from octex.conversion import large
 from octex.conversion.detail import Wanted, deepest_wanted
+from octex.conversion.gaps import average_transparent, with_bare_as_means
+from octex.conversion.prune import Channels
 from octex.conversion.samples import Samples, Taken, join, take_samples
 from octex.editing.split import differ
 from octex.errors import ArgumentError, ModelError
-from octex.jit import kernel
 from octex.parallel import Progress, memory_size, ordered_map
+from octex.source.base import Source
 from octex.source.surface import Surface
 from octex.texture.channel import Channel
-from octex.tree.children import rank
-from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_CELLS, SPLIT, SplitTable, TreeArrays
+from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_CELLS, SPLIT, SplitTable
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement, on_grid
 from octex.voxelize.fragments import (
     BlockRange,
     Blocks,
     Fragments,
-    bin_triangles,
+    Reached,
     cut,
+    divided,
     even_runs,
     most_fragments,
-    smaller_blocks,
-    some_blocks,
+    whole,
 )
-from octex.voxelize.grid import BLOCK_BITS, count_degenerate
+from octex.voxelize.grid import count_degenerate
 from octex.voxelize.sums import (
     SumColumns,
     Sums,
@@ -59,9 +60,6 @@ _FEW_BLOCKS, _SMALL_BITS = 1024, 3
 
 #: Files of parts that are joined to one.
 _JOINED = 16
-
-#: Says which blocks of a level are to be converted.
-Reached: TypeAlias = Callable[[Blocks, int], Bools]
 
 
 class LevelCells(NamedTuple):
@@ -88,37 +86,50 @@ class Part(NamedTuple):
 class CellLevels(NamedTuple):
     """A surface, converted level by level."""
 
+    channels: tuple[ChannelFormat, ...]  # as they are stored
     depth: int
     codes: Int64s  # of the finest cells
     levels: list[list[LevelCells]]  # from the root down, each in parts
     taken: list[Taken] | None  # samples in the finest cells, in parts
     wanted: Uint8s | None  # (finest cells,)   the levels wanted there
     degenerate: int  # triangles without area
+    has_gaps: bool
     gaps: Int64s  # finest cells in what was left out
 
-    def take_samples(self, channels: Sequence[ChannelFormat]) -> Samples | None:
-        """Return the samples of ``channels``, as they were converted, end to end; it empties ``taken``."""
-        return None if self.taken is None else join(self.depth, tuple(channels), self.codes, self.taken)
+
+class Filled(NamedTuple):
+    """A tree all of whose leaves are of one level, filled."""
+
+    tree: Octree
+    channels: Channels  # means
+    samples: Samples | None
+    wanted: Uint8s | None  # (leaves,)   the levels wanted there
+    has_gaps: bool  # whether cells of the surface may be missing
 
 
 class Job(NamedTuple):
     """All that a task needs."""
 
-    surface: Surface
+    name: str  # of the surface
+    source: Source | None
     channels: tuple[ChannelFormat, ...]  # as they are stored
     columns: SumColumns
-    grid: Int32s
     blocks: Blocks
-    depth: int
-    block_level: int
     cell: float  # edge of a leaf in rest units
     has_samples: bool
     has_gaps: bool
+    coverage: Source | None  # says where gaps are; None: alpha does
     wanted: Wanted | None
+
+    @property
+    def depth(self) -> int:
+        """The level of the leaves."""
+        return self.blocks.level + self.blocks.bits
 
 
 def cell_levels(
     surface: Surface,
+    source: Source | None,
     channels: tuple[ChannelFormat, ...],
     placement: Placement,
     depth: int,
@@ -126,72 +137,77 @@ def cell_levels(
     report: Progress,
     *,
     has_samples: bool,
-    has_gaps: bool = False,
     wanted: Wanted | None = None,
+    root: Blocks | None = None,
     reached: Reached | None = None,
 ) -> CellLevels:
     """Convert a surface into the means of all cells down to ``depth``, and samples if it ``has_samples``.
 
-    ``channels`` are the surface's, as they are stored; or none, for cells, facings and areas alone.
-    What lies in blocks that are not ``reached`` is left out, and does not count for cells above these; but
-    one block there always is. If it ``has_gaps``, cells that are gaps alone, for their ``alpha`` is 0, are
-    left out, and count for cells above these.
+    ``channels`` are the source's, as they are stored. Without a source there are cells, facings and areas.
+    ``root`` has the triangles that count; by default all of the surface. What lies in blocks that are not
+    ``reached`` is left out, and does not count for cells above these; but one block there always is. Cells
+    that are gaps of the source alone are left out too, and do count.
 
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
     """
-    grid = on_grid(surface.rest, placement)
-    degenerate, faces = count_degenerate(grid, surface.triangles)
-    if degenerate == len(surface.triangles):
+    faces = surface.triangles
+    if root is None:
+        root = whole(on_grid(surface.rest, placement), faces, depth)
+    else:
+        faces = faces[root.members]
+    degenerate, area = count_degenerate(root.grid, faces)
+    if degenerate == len(faces):
         raise ModelError(
             f"{surface.name}: all {degenerate} triangles are degenerate (without area in steps of "
             f"{placement.size / 2**GRID_BITS:.3g}); there is nothing to convert"
         )
-    least, per_cell = _least_cells(faces, depth), _cell_memory(channels, has_samples)
+    least, per_cell = _least_cells(area, depth), _cell_memory(channels, has_samples)
     if least > min(MAX_CELLS, math.inf if large.is_mapped() else memory_size() / per_cell):
         raise ArgumentError(
             f"depth {depth} needs about {least:.2g} cells for {surface.name}, more than fit into memory "
             "or can be numbered; use a smaller depth or a larger cell"
         )
     report("sort", 0, 1)
-    blocks = bin_triangles(grid, surface.triangles, depth)
+    blocks = divided(root, reached=reached)
     report("sort", 1, 1)
-    block_level, columns, outside = max(depth - BLOCK_BITS, 0), SumColumns.of(channels), None
-    if reached is not None:
-        blocks = some_blocks(blocks, reached(blocks, block_level))
-        if block_level and blocks.codes.size <= _FEW_BLOCKS:
-            block_level = depth - _SMALL_BITS
-            blocks, pieces = smaller_blocks(grid, surface.triangles, blocks, block_level, depth)
-            is_reached = reached(blocks, block_level)
-            blocks = some_blocks(blocks, is_reached)
-            outside = _outside(pieces, ~is_reached, columns) if has_gaps else None
+    columns, outside = SumColumns.of(channels), None
+    has_gaps = source is not None and source.has_gaps
+    coverage = source.only([]) if source is not None and has_gaps and not source.alpha_is_coverage else None
+    if reached is not None and blocks.level and blocks.codes.size <= _FEW_BLOCKS:
+        coarse, smaller = blocks, divided(blocks, _SMALL_BITS)
+        is_reached = reached(smaller)
+        blocks = smaller.some(is_reached)
+        outside = _outside(coarse.of_cells(blocks.level), ~is_reached, columns) if has_gaps else None
+    for each in (source, coverage):
+        if each is not None:
+            each.prepare()
     cell = placement.size / 2**depth
-    if channels:
-        surface.source.prepare()
     job = Job(
-        surface, channels, columns, grid, blocks, depth, block_level, cell, has_samples, has_gaps, wanted
-    )
-    runs = even_runs(most_fragments(grid, surface.triangles, blocks, depth))
+        surface.name, source, channels, columns, blocks, cell, has_samples, has_gaps, coverage, wanted
+    )  # fmt: skip
+    runs = even_runs(most_fragments(blocks))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = _gathered(converted)
     codes = large.joined([part.codes for part in parts])
     gaps = np.concatenate([part.gaps for part in parts])
     tops = _end_to_end([part.top for part in parts], np.concatenate)
     if outside is not None:
-        gaps = np.concatenate([gaps, outside.codes << 3 * (depth - block_level)])
+        gaps = np.concatenate([gaps, outside.codes << 3 * blocks.bits])
         tops = _interleaved(tops, outside)
-    left = distinct(codes >> 3 * (depth - block_level)) if gaps.size else None
-    upper, _ = climb(tops, block_level, channels, columns, left)
+    left = distinct(codes >> 3 * blocks.bits) if gaps.size else None
+    upper, _ = climb(tops, blocks.level, channels, columns, left)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
     taken = [part.taken for part in parts if part.taken is not None] if has_samples else None
     levels_wanted = [part.wanted for part in parts if part.wanted is not None]
     deepest = np.concatenate(levels_wanted) if wanted is not None else None
-    return CellLevels(depth, codes, levels, taken, deepest, degenerate, gaps)
+    return CellLevels(channels, depth, codes, levels, taken, deepest, degenerate, has_gaps, gaps)
 
 
-def _outside(pieces: Fragments, chosen: Bools, columns: SumColumns) -> Sums:
-    """Return the sums of some cells that nothing is known of."""
-    pieces, _ = _some_fragments(pieces, chosen)
+def _outside(blocks: Blocks, chosen: Bools, columns: SumColumns) -> Sums:
+    """Return the sums of some cells in blocks, of all that the surface meets; nothing is known of them."""
+    run = BlockRange(0, blocks.codes.size, int(most_fragments(blocks).sum()))
+    pieces, _ = _some_fragments(cut(blocks, run), chosen)
     values = np.zeros((pieces.entries.size, columns.first.size), np.float32)
     n_entries = int(bit_counts(pieces.flags).sum())
     sums = sum_fragments(pieces.entries, pieces.areas, values, columns.alpha, n_entries)
@@ -259,37 +275,43 @@ def _end_to_end(parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) 
 
 def _convert_run(job: Job, run: BlockRange) -> Part:
     """Convert a run of blocks."""
-    surface = job.surface
-    fragments = cut(job.grid, surface.triangles, job.blocks, run, job.depth)
+    source = job.source
+    fragments = cut(job.blocks, run)
     # A fragment is read with a footprint of its own size: a cell's mean is then that of all that lies in it.
     widths = (np.sqrt(fragments.areas) * job.cell).astype(np.float32)
     values = np.empty((widths.size, 0), np.float32)
-    if job.channels:
-        values = surface.evaluate_all(fragments.triangles, fragments.barycentric, widths)
+    if source is not None:
+        values = source.evaluate(fragments.triangles, fragments.barycentric, widths)
     end = 0
-    for given, stored in zip(surface.channels, job.channels, strict=bool(job.channels)):
+    for given, stored in zip(() if source is None else source.channels, job.channels, strict=True):
         start, end = end, end + given.components
-        check_range(values[:, start:end], given, stored.dtype, surface.name)
+        check_range(values[:, start:end], given, stored.dtype, job.name)
     n_entries = int(bit_counts(fragments.flags).sum())
     sums = sum_fragments(fragments.entries, fragments.areas, values, job.columns.alpha, n_entries)
     leaves = Sums(fragments.codes, fragments.flags, sums)
     codes, left, gaps = fragments.codes, None, fragments.codes[:0]
     if job.has_gaps:
-        form = next(channel for channel in job.channels if channel.name == ALPHA.name)
-        is_left = encode(coverages(leaves, job.columns.alpha), form.dtype, form.space) > 0
+        form = next((channel for channel in job.channels if channel.name == ALPHA.name), ALPHA)
+        covered, alpha = leaves, job.columns.alpha
+        if job.coverage is not None:
+            form, alpha = ALPHA, 0
+            known = job.coverage.evaluate(fragments.triangles, fragments.barycentric, widths)
+            sums = sum_fragments(fragments.entries, fragments.areas, known, alpha, n_entries)
+            covered = leaves._replace(sums=sums)
+        is_left = encode(coverages(covered, alpha), form.dtype, form.space) > 0
         if not is_left.all():
             codes, gaps = codes[is_left], codes[~is_left]
             left = codes
             if job.has_samples or job.wanted is not None:
                 fragments, chosen = _some_fragments(fragments, is_left)
                 widths, values = widths[chosen], values[chosen]
-    levels, top = climb(leaves, job.depth - job.block_level, job.channels, job.columns, left)
+    levels, top = climb(leaves, job.blocks.bits, job.channels, job.columns, left)
     levels.pop()  # the blocks themselves: in top
     wanted = None if job.wanted is None else deepest_wanted(job.wanted, fragments, widths)
     taken = None
-    if job.has_samples:
+    if job.has_samples and source is not None:
         taken = take_samples(
-            surface, job.grid, fragments, widths, values, job.depth, job.cell, job.channels, job.columns.alpha
+            source, job.blocks, fragments, widths, values, job.cell, job.channels, job.columns.alpha
         )
     return Part(codes, gaps, levels, top, taken, wanted)
 
@@ -378,60 +400,27 @@ def _stored_levels(
         )  # fmt: skip
 
 
-def assemble(channels: Sequence[ChannelFormat], filled: CellLevels) -> tuple[Octree, dict[str, Channel]]:
-    """Build the tree, and lay the parts of each level end to end."""
+def assemble(filled: CellLevels) -> Filled:
+    """Build the tree, and lay the parts of each level, and of the samples, end to end; they are given up.
+
+    Raises ArgumentError for more cells than can be numbered.
+    """
+    channels = filled.channels
     cells: LevelCells = _end_to_end([part for level in filled.levels for part in level], large.joined)
     split_cells = np.flatnonzero(cells.flags & SPLIT).astype(np.uint32)
     facings = cells.flags[split_cells] & np.uint8(FACING_FLAGS)
     split = SplitTable(split_cells, facings, cells.split_areas)
-    tree = Octree(TreeArrays(*_structure(filled), cells.flags, cells.areas), split)
+    tree = Octree.from_leaves(filled.codes, filled.depth).with_cell_data(cells.flags, cells.areas, split)
     values = {
-        channel.name: Channel(
-            channel,
-            cells.values[i],
-            cells.split_values[i],
-            np.empty((0, channel.components), channel.dtype),
-        )
-        for i, channel in enumerate(channels)
+        form.name: Channel(form, own, rows, np.empty((0, form.components), form.dtype))
+        for form, own, rows in zip(channels, cells.values, cells.split_values, strict=True)
     }
-    return tree, values
-
-
-def _structure(filled: CellLevels) -> tuple[Uint64s, Int64s, Int64s]:
-    """Return the groups, and the first cell and node of each level, of a tree all of whose leaves are finest.
-
-    Raises ArgumentError for more cells than can be numbered.
-    """
-    counts = [sum(len(part.flags) for part in level) for level in filled.levels]
-    level_cells = np.cumsum([0, *counts])
-    if level_cells[-1] > MAX_CELLS:
-        raise ArgumentError(f"{level_cells[-1]} cells are more than a tree can hold; use a smaller depth")
-    level_nodes = np.append(level_cells[:-1], level_cells[-2])
-    groups = large.zeros((-(-int(level_nodes[-1]) // 8), 3), np.uint64)
-    masks = np.zeros((2, 8 * len(groups)), np.uint8)
-    codes = filled.codes
-    for level in range(filled.depth, 0, -1):
-        first, end = level_nodes[level - 1 : level + 1]
-        parents = large.empty(int(end - first), np.int64)
-        _join_octants(codes, parents, masks[int(level == filled.depth), first:end])
-        codes = parents
-    for word in range(2):
-        groups[:, word] = masks[word].view("<u8")
-    rank(groups)
-    return groups, level_cells, level_nodes
-
-
-@kernel
-def _join_octants(codes: Int64s, parents: Int64s, masks: Uint8s) -> None:
-    """Write the parents of cells, whose Morton codes ascend, and the octants that each parent has."""
-    n = -1
-    for cell in range(codes.size):
-        parent = codes[cell] >> 3
-        if n < 0 or parents[n] != parent:
-            n += 1
-            parents[n] = parent
-            masks[n] = 0
-        masks[n] |= np.uint8(1 << (codes[cell] & 7))
+    samples = None if filled.taken is None else join(filled.depth, channels, filled.codes, filled.taken)
+    if filled.gaps.size:
+        average_transparent(tree, values, filled.gaps)
+    if filled.has_gaps and samples is not None:
+        samples = with_bare_as_means(samples, values)
+    return Filled(tree, values, samples, filled.wanted, filled.has_gaps)
 
 
 def is_degenerate(surface: Surface, placement: Placement) -> bool:

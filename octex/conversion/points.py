@@ -66,8 +66,8 @@ def convert_points(
     leaves = _leaves(cloud, placement, depth, [form.name for form in stored])
     levels, _ = climb(leaves, depth, stored, columns)
     stored_levels = [[level] for level in reversed(levels)]
-    filled = CellLevels(depth, leaves.codes, stored_levels, None, None, 0, leaves.codes[:0])
-    tree, values = assemble(stored, filled)
+    filled = CellLevels(stored, depth, leaves.codes, stored_levels, None, None, 0, False, leaves.codes[:0])
+    tree, values, *_ = assemble(filled)
     if cloud.normals is None:
         flags = tree.arrays.flags & np.uint8(0xFF ^ FACING_FLAGS)
         tree = tree.with_cell_data(flags, tree.arrays.areas)

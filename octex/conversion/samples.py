@@ -18,13 +18,13 @@ from octex.arrays import Bools, Float32s, Float64s, Int8s, Int32s, Int64s, Uint8
 from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.conversion import large
 from octex.jit import inlined, kernel, popcount
-from octex.source.surface import Surface
+from octex.source.base import Source
 from octex.tree.edit import first_not_below
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
 from octex.tree.placement import Placement
 from octex.tree.search import Origin
-from octex.voxelize.fragments import Fragments
+from octex.voxelize.fragments import Blocks, Fragments
 
 #: Places in a cell are stored in steps of this part of its edge, shares of its area in steps of that, unit
 #: normals in steps of that.
@@ -97,19 +97,18 @@ class Chosen(NamedTuple):
 
 
 def take_samples(
-    surface: Surface,
-    grid: Int32s,
+    source: Source,
+    blocks: Blocks,
     fragments: Fragments,
     widths: Float32s,
     values: Float32s,
-    depth: int,
     cell: float,
     channels: Sequence[ChannelFormat],
     alpha: int,
 ) -> Taken:
     """Take the samples of a run's fragments, whose ``values`` were read over ``widths``.
 
-    ``cell`` is the edge of a cell of ``depth`` in rest units, ``channels`` are as they are stored. ``alpha``
+    ``cell`` is the edge of a cell in rest units, ``channels`` are as they are stored. ``alpha``
     is the column that holds coverage, or −1.
 
     A sample is read over a width w with w² = cell² − texel², but half a cell at least: the field is as wide
@@ -118,17 +117,17 @@ def take_samples(
     """
     chosen = _choose(fragments.flags, fragments.entries, fragments.areas)
     triangles = fragments.triangles.take(chosen.fragments)
-    texels = surface.source.texel_edges(triangles).astype(np.float64) ** 2
+    texels = source.texel_edges(triangles).astype(np.float64) ** 2
     wanted = np.maximum(cell * cell - texels, (LEAST_WIDTH * cell) ** 2)
     found, given = (
         values.take(chosen.fragments, axis=0),
         widths.take(chosen.fragments).astype(np.float64) ** 2,
     )
     places = np.empty((len(triangles), 3), np.uint16)
-    _place(grid, surface.triangles, fragments, chosen, values, alpha, depth, found, places)
+    _place(blocks, fragments, chosen, values, alpha, found, places)
     same, one, other = SAME_WIDTH**2, given + texels, wanted + texels
     differ = np.flatnonzero(((one * same < other) | (one > same * other)) & ~chosen.is_mean)
-    found[differ] = surface.evaluate_all(
+    found[differ] = source.evaluate(
         triangles[differ],
         fragments.barycentric.take(chosen.fragments[differ], axis=0),
         np.sqrt(wanted[differ]).astype(np.float32),
@@ -139,7 +138,7 @@ def take_samples(
     if not (np.abs(found) <= most).all():
         found = np.clip(np.nan_to_num(found), -most, most)
     rows[chosen.order] = found
-    faces = face_normals(grid, surface.triangles, triangles)
+    faces = face_normals(blocks.grid, blocks.faces, triangles)
     normals = np.empty_like(faces)
     normals[chosen.order] = faces
     return Taken(chosen.counts, places, normals, chosen.shares, rows)
@@ -377,13 +376,11 @@ def _middle(
 
 @kernel
 def _place(
-    grid: Int32s,
-    corners: Int32s,
+    blocks: Blocks,
     fragments: Fragments,
     chosen: Chosen,
     values: Float32s,
     alpha: int,
-    depth: int,
     found: Float32s,
     places: Uint16s,
 ) -> None:
@@ -394,7 +391,8 @@ def _place(
         for _ in range(chosen.counts[cell]):
             cells[n] = cell
             n += 1
-    scale = 1.0 / (1 << (GRID_BITS - depth))
+    grid, corners = blocks.grid, blocks.faces
+    scale = 1.0 / (1 << (GRID_BITS - blocks.level - blocks.bits))
     middles = np.empty((chosen.order.size, 3), np.float64)
     totals = np.empty((chosen.order.size, 2), np.float64)  # the areas of means, and their coverage
     for n in range(chosen.order.size):

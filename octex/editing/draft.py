@@ -21,7 +21,6 @@ from octex.channels import ALPHA, ONE
 from octex.editing.runs import ROOT, Runs, add_below, children_in, joined_runs
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
-from octex.texture.channel import row_counts
 from octex.tree.beside import with_boundary
 from octex.tree.children import children_before
 from octex.tree.edit import among, locate, with_all_above
@@ -406,9 +405,8 @@ def put_together(
 
 def with_alpha(texture: OctreeTexture) -> OctreeTexture:
     """Give a texture a channel alpha: opaque."""
-    tree = texture.tree
-    opaque = (np.full((count, 1), ONE[ALPHA.dtype], ALPHA.dtype) for count in row_counts(tree))
-    return texture.with_cells(tree, {**texture.channels, ALPHA.name: Channel(ALPHA, *opaque)})
+    opaque = Channel.full(ALPHA, texture.tree, ONE[ALPHA.dtype])
+    return texture.with_cells(texture.tree, {**texture.channels, ALPHA.name: opaque})
 
 
 def with_channels_of(draft: OctreeTexture, texture: OctreeTexture) -> OctreeTexture:

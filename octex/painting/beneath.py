@@ -19,13 +19,11 @@ from octex.painting.stack import (
     Layer,
     Stack,
     composite_name,
-    named,
     shown_names,
     with_composite,
     with_layer_channels,
 )
 from octex.texture import Channel, OctreeTexture
-from octex.texture.channel import row_counts
 from octex.tree.split import rows_of
 
 #: What a stroke leads to: the layer erased, its mask without anything hidden, or painted.
@@ -59,7 +57,7 @@ def beneath(stacked: Stacked, number: int | None, leads: Leads) -> OctreeTexture
         if stack:
             erased = _filled(texture, Channel(COVERAGE, *texture.channels[BASE_COLOR.name][1:]), 1)
             color = _composite(restored(texture, opened, erased), stack)
-            return texture.with_cells(texture.tree, {BASE_COLOR.name: named(color, BASE_COLOR.name)})
+            return texture.with_cells(texture.tree, {BASE_COLOR.name: color.named(BASE_COLOR.name)})
         return opened.with_cells(opened.tree, {BASE_COLOR.name: opened.channels[BASE_COLOR.name]})
     layer = stack[place] if place >= 0 else None
     met = [each for each in stack[place + 1 :] if each.is_visible and each.opacity > 0]
@@ -82,7 +80,7 @@ def beneath(stacked: Stacked, number: int | None, leads: Leads) -> OctreeTexture
     tree, rows = draft.tree, rows_of(draft.tree.split).cells
     alphas = (np.where(known[at], ONE[ALPHA.dtype], 0) for at in (slice(None), rows, tree.kept.cells))
     alpha = Channel(ALPHA, *(each.astype(ALPHA.dtype)[:, None] for each in alphas))
-    channels = {name: named(color, name) for name, color in colors.items()}
+    channels = {name: color.named(name) for name, color in colors.items()}
     return draft.with_cells(tree, {**channels, ALPHA.name: alpha})
 
 
@@ -113,6 +111,4 @@ def _painted(texture: OctreeTexture, layer: Layer | None, value: int) -> OctreeT
 
 
 def _filled(texture: OctreeTexture, channel: Channel, value: int) -> Channel:
-    form = channel.format
-    shapes = [(count, form.components) for count in row_counts(texture.tree)]
-    return Channel(form, *(np.full(shape, value * ONE[form.dtype], form.dtype) for shape in shapes))
+    return Channel.full(channel.format, texture.tree, value * ONE[channel.format.dtype])

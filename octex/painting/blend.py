@@ -174,9 +174,7 @@ def facings_of_paint(
 
 def no_parts(tree: Octree, names: Iterable[str]) -> dict[str, Channel]:
     """Return how much of the cells of channels is paint: nothing."""
-    counts = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
-    forms = [ChannelFormat(name, 1, "data", "float32") for name in names]
-    return {form.name: Channel(form, *(np.zeros((n, 1), np.float32) for n in counts)) for form in forms}
+    return {name: Channel.full(ChannelFormat(name, 1, "data", "float32"), tree) for name in names}
 
 
 def with_split_cells(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
@@ -188,10 +186,7 @@ def with_split_cells(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
 
 def writable(texture: OctreeTexture, names: Collection[str]) -> dict[str, Channel]:
     """Return a texture's channels, of which some can be written to."""
-    return {
-        name: Channel(own.format, *(each.copy() for each in own[1:])) if name in names else own
-        for name, own in texture.channels.items()
-    }
+    return {name: own.copied() if name in names else own for name, own in texture.channels.items()}
 
 
 def may_differ(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> Int64s:

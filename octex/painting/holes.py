@@ -30,8 +30,7 @@ from octex.tree.edit import among, locate
 from octex.tree.octree import distinct
 from octex.tree.placement import on_grid
 from octex.tree.split import rows_of
-from octex.voxelize.fragments import bin_triangles
-from octex.voxelize.grid import BLOCK_BITS
+from octex.voxelize.fragments import divided, whole
 
 #: The channel that says where pictures have covered the surface.
 COVERED = "coverage"
@@ -102,12 +101,11 @@ def begun(
     mean = decode(layer.channels[name].values[0], form.space).astype(np.float64)
     values = np.concatenate([filled(sheets, values, coverage >= _KNOWN, mean), mean[None]])
     source = SheetValues(form, sheets, values.astype(np.float32))
-    part = surface.part(np.arange(len(surface.triangles)), source)
     made = cell_levels(
-        part, (form,), layer.placement, level, executor, progress,
+        surface, source, (form,), layer.placement, level, executor, progress,
         has_samples=False, reached=region.reaches if is_hidden else None,
     )  # fmt: skip
-    tree, channels = assemble((form,), made)
+    tree, channels, *_ = assemble(made)
     progress("fill", 1, 1)
     return OctreeTexture(tree, channels, layer.placement, layer.bounds, nothing.metadata)
 
@@ -126,7 +124,7 @@ def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Region]:
 
 def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Int64s:
     """Return the cells of a level in or beside which a layer does not cover the surface wholly."""
-    blocks = bin_triangles(on_grid(surface.rest, layer.placement), surface.triangles, above + BLOCK_BITS)
+    blocks = divided(whole(on_grid(surface.rest, layer.placement), surface.triangles, above), 0)
     alpha = layer.channels[ALPHA.name]
     full = np.iinfo(alpha.format.dtype).max
     is_open = alpha.values[:, 0] < full

@@ -46,8 +46,22 @@ COVERAGE = ALPHA._replace(dtype="uint16")
 class PaintSource(Source):
     """Gives a channel's components, and their coverage as ``alpha``, to points of a surface."""
 
-    def __init__(self, form: ChannelFormat) -> None:
-        self._channels = (form, COVERAGE)
+    form: ChannelFormat  # of what is painted
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """What is painted, and its coverage."""
+        return self.form, COVERAGE
+
+    @property
+    def has_gaps(self) -> bool:
+        """Where there is no paint."""
+        return True
+
+    @property
+    def alpha_is_coverage(self) -> bool:
+        """Where ``alpha`` is 0 there is no paint."""
+        return True
 
     @property
     def color(self) -> Float32s | None:
@@ -58,18 +72,12 @@ class PaintSource(Source):
     def touched(self) -> Int32s:
         """Return triangles, ascending, in whose neighbourhood all paint lies."""
 
-    @abstractmethod
-    def on(self, chosen: Int32s) -> PaintSource:
-        """Return the same paint for a surface of some of the triangles, in that order."""
+    def near(self, triangles: Int32s) -> PaintSource:  # noqa: ARG002
+        """Return the same paint, made ready for what is near some triangles."""
+        return self
 
-    def reaches(
-        self,
-        blocks: Blocks,
-        corners: Float64s,  # noqa: ARG002
-        edge: float,  # noqa: ARG002
-        rest: Float64s,  # noqa: ARG002
-    ) -> Bools:
-        """Say in which of blocks paint may lie, given their lowest corners (n, 3) and their edge at rest."""
+    def reaches(self, blocks: Blocks, placement: Placement, rest: Float64s) -> Bools:  # noqa: ARG002
+        """Say in which of blocks in a root cell paint may lie, for a surface at ``rest`` (n, 3)."""
         return np.ones(blocks.codes.size, np.bool_)
 
     def widths(
@@ -155,8 +163,6 @@ def empty_texture(
     """Return a texture without leaves, which remembers how far a surface's parts were moved apart."""
     provenance = {} if surface is None else surface.provenance
     metadata = {name: text for name, text in provenance.items() if name == SEPARATION}
-    channels = {}
-    for form in forms:
-        none = np.empty((0, form.components), form.dtype)
-        channels[form.name] = Channel(form, np.zeros((1, form.components), form.dtype), none, none)
-    return OctreeTexture(Octree.from_leaves(np.empty(0, np.int64), 0), channels, placement, bounds, metadata)
+    tree = Octree.from_leaves(np.empty(0, np.int64), 0)
+    channels = {form.name: Channel.full(form, tree) for form in forms}
+    return OctreeTexture(tree, channels, placement, bounds, metadata)

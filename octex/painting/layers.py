@@ -27,7 +27,6 @@ from octex.painting.stack import (
     check_layer,
     composite_name,
     composited,
-    named,
     shown,
     shown_names,
     united,
@@ -229,9 +228,7 @@ class Layers(Painter):
         channels = {name: own for name, own in self._texture.channels.items() if not _is_of(gone, name)}
         come = _without(step.after, step.before)
         channels |= {  # copied, as later strokes write to them and the step stays as it is
-            name: named(Channel(own.format, *(each.copy() for each in own[1:])), name)
-            for name, own in step.channels.items()
-            if _is_of(come, name)
+            name: own.copied().named(name) for name, own in step.channels.items() if _is_of(come, name)
         }
         if self._chosen in {layer.number for layer in gone}:
             below = step.before[: step.before.index(gone[0])]

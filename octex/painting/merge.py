@@ -43,7 +43,7 @@ from octex.painting.steps import delete_paint, merge_draft, refine_paint
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress, Run, as_run, ordered_map, sharing, silent, workers
 from octex.source.surface import Surface, as_surface
-from octex.texture import Channel, OctreeTexture, as_texture
+from octex.texture import OctreeTexture, as_texture
 from octex.tree.areas import SKIRT
 from octex.tree.beside import with_boundary
 from octex.tree.edit import among, locate, rebuilt, with_all_above
@@ -219,7 +219,7 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
         if made is None:
             return None
         tree, tiles = made.texture.tree, Tiles(level, codes)
-        parts = {_PART + name: _named(own, _PART + name) for name, own in made.parts.channels.items()}
+        parts = {_PART + name: own.named(_PART + name) for name, own in made.parts.channels.items()}
         top = made.texture.with_cells(tree, {**made.texture.channels, **parts})
         ends, walk = tree.arrays.level_cells, list(tree.walk())
         new, fresh = (
@@ -271,10 +271,6 @@ def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:
     ]
 
 
-def _named(channel: Channel, name: str) -> Channel:
-    return channel._replace(format=channel.format._replace(name=name))
-
-
 def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) -> Merged:
     """Return the texture down to the tiles, with the values of pieces; nodes are still to be averaged."""
     level, none = pieces[0].tiles.level, np.empty(0, np.int64)
@@ -308,9 +304,7 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
     is_new[first:] |= among(codes, new)
     is_fresh[first:] |= among(codes, fresh)
     channels = {name: own for name, own in made.channels.items() if name not in names}
-    parts = {
-        name.removeprefix(_PART): _named(made.channels[name], name.removeprefix(_PART)) for name in names
-    }
+    parts = {name.removeprefix(_PART): made.channels[name].named(name.removeprefix(_PART)) for name in names}
     return Merged(
         made.with_cells(tree, channels),
         made.with_cells(tree, parts),

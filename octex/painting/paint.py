@@ -23,7 +23,7 @@ from octex.painting.merge import merged
 from octex.painting.options import HOLES, Balance, Holes, PaintOptions, Pictures, format_of
 from octex.painting.picture import Blend, Projection, check_projections, content_of, room_for
 from octex.painting.reading import terms_of
-from octex.painting.resume import Stages, stages_in
+from octex.painting.resume import NOT_STORED, Stages, stages_in
 from octex.painting.sight import AROUND, Shot, in_fixed_order, take_shots
 from octex.painting.steps import Raster, layer_from, rasterize_surface
 from octex.painting.surface import PaintedSurface, key_of, laid_flat
@@ -45,14 +45,14 @@ Merging: TypeAlias = Callable[
 
 
 class Job(NamedTuple):
-    """What painting a call's pictures needs throughout."""
+    """What a call that paints needs throughout."""
 
     surface: PaintedSurface
-    options: PaintOptions
     executor: Executor
     progress: Progress
-    stages: Stages
-    merge: Merging | None = None  # None: `merged`
+    merge: Merging = merged
+    options: PaintOptions = PaintOptions()
+    stages: Stages = NOT_STORED
 
 
 def paint(
@@ -123,7 +123,7 @@ def paint(
     given = check_projections(projections)
     model = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     with workers(run) as pool, room_for(given, run):
-        job = Job(model, options, pool, run.report, stages_in(run.resume))
+        job = Job(model, pool, run.report, options=options, stages=stages_in(run.resume))
         for made, _ in painted(job, texture, given, filling, layers):
             texture = made
     assert texture is not None
@@ -154,8 +154,7 @@ def painted(
                 yield texture, None
                 continue
             blend = mode
-        merge = job.merge or merged
-        change = merge(texture, layer, surface, opacity, blend, job.executor, job.progress)
+        change = job.merge(texture, layer, surface, opacity, blend, job.executor, job.progress)
         texture = texture if change is None else put(change, texture)
         yield texture, change
 
@@ -197,7 +196,8 @@ def project(
     model = PaintedSurface(surface if like is None else surface.placed_in(like))
     model, given = laid_flat(model, given, like)
     with workers(run) as pool, room_for(given, run):
-        return layer_of(Job(model, options, pool, run.report, stages_in(run.resume)), given, like)
+        job = Job(model, pool, run.report, options=options, stages=stages_in(run.resume))
+        return layer_of(job, given, like)
 
 
 def layer_of(job: Job, pictures: Sequence[Projection], like: OctreeTexture | None) -> OctreeTexture:
@@ -220,7 +220,7 @@ def _raster_of(
     job: Job, pictures: Sequence[Projection], like: OctreeTexture | None, form: ChannelFormat, stages: Stages
 ) -> Raster:
     """Project pictures, held no longer than that; ``stages`` are those of what was made from all of them."""
-    (painted, options, executor, progress, *_), surface = job, job.surface.surface
+    painted, options, surface = job.surface, job.options, job.surface.surface
     is_single = len(pictures) == 1
     around = AROUND if is_single and options.edge_feather < AROUND else None
     shots = _look(job, form, pictures, around)
@@ -252,9 +252,9 @@ def _raster_of(
     if not is_single:
         from octex.photos.weigh import weighed  # a single picture has none of it
 
-        paint = weighed(source, surface, options, number, placement, depth, executor, stages)
+        paint = weighed(source, surface, options, number, placement, depth, job.executor, stages)
     return rasterize_surface(
-        painted, paint, placement, depths, fit=options.fit, cells=cells, executor=executor, progress=progress
+        painted, paint, placement, depths, job.executor, job.progress, fit=options.fit, cells=cells
     )
 
 

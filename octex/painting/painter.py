@@ -12,11 +12,11 @@ from octex.checks import as_path
 from octex.editing.draft import Change, as_change
 from octex.errors import OutputError
 from octex.painting.history import History, Stroke
+from octex.painting.merge import merged
 from octex.painting.options import Balance, PaintOptions, Pictures
 from octex.painting.paint import Job, Merging, painted
 from octex.painting.picture import Blend, Projection, check_projections
 from octex.painting.region import Fill, Region, filled
-from octex.painting.resume import NOT_STORED
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
@@ -35,13 +35,12 @@ class Painter:
     Raises ArgumentError for a texture or surface that ``paint`` does not accept.
     """
 
-    _merging: Merging | None = None
-
     def __init__(self, texture: OctreeTexture, surface: Surface) -> None:
         as_surface(surface)
         self._texture = as_texture(texture)
         self._shared = self._texture  # others have it: its arrays stay as they are, all else is written to
         self._surface = surface
+        self._merging: Merging = merged
         self._painted = PaintedSurface(surface.placed_in(texture), in_session=True)
         self._pose: tuple[Surface, PaintedSurface] | None = None  # the last one that was painted
         self._done, self._undone = History(), History()
@@ -113,7 +112,7 @@ class Painter:
         changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:
-            job = Job(self._posed(pose), options, pool, run.report, NOT_STORED, self._merging)
+            job = Job(self._posed(pose), pool, run.report, self._merging, options)
             given = check_projections(projections)
             try:
                 for texture, change in painted(job, self._texture, given, put=self._put):
@@ -142,8 +141,8 @@ class Painter:
         """Fill a region as ``octex.fill`` does; return the changes, as ``paint`` does."""
         wanted, run = Fill(region, color, channel, opacity, blend, max_depth), as_run(run, threads, progress)
         with workers(run) as pool:
-            model = self._painted, self._surface
-            _, change = filled(self._texture, *model, wanted, pool, run.report, self._merging)
+            job = Job(self._painted, pool, run.report, self._merging)
+            _, change = filled(job, self._texture, self._surface, wanted)
         if change is not None:
             self._texture = self._put(change, self._texture)
         return self._did([change])

@@ -127,14 +127,21 @@ class Window(NamedTuple):
 def mips_of(
     projection: Projection, form: ChannelFormat, scale: float = 1.0, stages: Stages = NOT_STORED
 ) -> Mips:
-    """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``."""
+    """Decode all of a projection; see `window_of`."""
     return window_of(projection, form, scale, None, stages)[0]
 
 
 def window_of(
-    projection: Projection, form: ChannelFormat, scale: float, around: int | None, stages: Stages = NOT_STORED
+    projection: Projection,
+    form: ChannelFormat,
+    scale: float = 1.0,
+    around: int | None = None,
+    stages: Stages = NOT_STORED,
 ) -> tuple[Mips, Window]:
-    """Decode the part of a projection within ``around`` pixels of paint, or all for None; see `mips_of`."""
+    """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``.
+
+    With ``around``, of what lies within so many pixels of paint.
+    """
 
     def decoded() -> dict[str, Array]:
         mips, window = _window_of(projection, form, scale, around)

@@ -19,6 +19,8 @@ from octex.painting.reading import Terms, add_paint, finish, mark_seen_blocks, n
 from octex.painting.sight import Shot, has_paint, most_ahead, near_paint
 from octex.parallel import built_once, ordered_map, sharing
 from octex.source.corners import at_corners
+from octex.tree.morton import decode_cells
+from octex.tree.placement import Placement
 from octex.view.shading import face_normals
 from octex.voxelize.fragments import Blocks
 from octex.voxelize.grid import BLOCK_BITS
@@ -41,10 +43,7 @@ class Projected(PaintSource):
     stretches: Float32s  # (m,)   what is 1 long on a posed triangle is so long at rest
     shading: Shading
     chosen: Bools | None = None  # (m,)   the triangles that are painted; None for all
-
-    def __post_init__(self) -> None:
-        """Take the channel that is painted."""
-        super().__init__(self.form)
+    normals: Float32s | None = None  # (m, 3, 3)   what `shading` gives; None: not asked for yet
 
     @property
     def color(self) -> Float32s | None:
@@ -74,7 +73,8 @@ class Projected(PaintSource):
 
     @built_once
     def _normals(self) -> Float32s:
-        return self.shading(np.arange(len(self.triangles), dtype=np.int32))
+        every = np.arange(len(self.triangles), dtype=np.int32)
+        return self.shading(every) if self.normals is None else self.normals
 
     def touched(self) -> Int32s:
         """Return the triangles that own a pixel of a shot, or that may be painted though they are hidden."""
@@ -92,30 +92,22 @@ class Projected(PaintSource):
         counts[seen.triangles[pixels > 0]] = pixels[pixels > 0]
         return counts
 
-    def on(self, chosen: Int32s) -> Projected:
-        """Return the same paint for some of the triangles, among them all that own a pixel."""
-        names = np.full(len(self.triangles) + 1, -1, np.int32)  # none, −1, is the last
-        names[chosen] = np.arange(len(chosen), dtype=np.int32)
-        shots = [
-            shot._replace(seen=shot.seen._replace(triangles=names[shot.seen.triangles]))
-            for shot in self.shots
-        ]
-        return replace(
-            self,
-            shots=self.shots if self.terms.hidden else shots,
-            triangles=np.ascontiguousarray(self.triangles[chosen]),
-            stretches=self.stretches[chosen],
-            shading=self.shading(chosen).__getitem__,
-            chosen=None if self.chosen is None else self.chosen[chosen],
-        )
+    def near(self, triangles: Int32s) -> Projected:
+        """Return the same paint, with the normals of some triangles alone."""
+        normals = np.zeros(
+            (len(self.triangles), 3, 3), np.float32
+        )  # memory that is not touched costs nothing
+        normals[triangles] = self.shading(triangles)
+        return replace(self, normals=normals)
 
-    def reaches(self, blocks: Blocks, corners: Float64s, edge: float, rest: Float64s) -> Bools:
+    def reaches(self, blocks: Blocks, placement: Placement, rest: Float64s) -> Bools:
         """Say of which blocks a shot may see something: what is not seen is not painted."""
-        found = np.zeros(blocks.codes.size, np.bool_)
+        found, edge = np.zeros(blocks.codes.size, np.bool_), placement.size / 2**blocks.level
+        corners = placement.to_rest(decode_cells(blocks.codes) / 2**blocks.level)
         for shot in self.shots:
             seen = _summed(shot)
             # Large blocks that are left out count for no average: those that are seen do.
-            is_coarse = blocks.bits == BLOCK_BITS or is_bent(shot.lens)
+            is_coarse = blocks.bits >= BLOCK_BITS or is_bent(shot.lens)
             painted = seen if is_coarse else _sums_of(has_paint(shot))
             mark_seen_blocks(
                 shot.camera, seen, painted, self.vertices, self.triangles, rest, blocks, corners, edge, found

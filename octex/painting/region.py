@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,9 +16,8 @@ from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.functions import answer
 from octex.painting.layer import Depths, PaintSource, empty_texture
-from octex.painting.merge import merged
 from octex.painting.options import format_of, triangles_of
-from octex.painting.paint import Merging, check_inside
+from octex.painting.paint import Job, check_inside
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import layer_from, rasterize_surface
 from octex.painting.surface import PaintedSurface
@@ -135,7 +133,7 @@ def fill(
     painted = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     wanted = Fill(region, color, channel, opacity, blend, max_depth)
     with workers(run) as pool:
-        base, change = filled(texture, painted, surface, wanted, pool, run.report)
+        base, change = filled(Job(painted, pool, run.report), texture, surface, wanted)
     return base if change is None else change.put_into(base)
 
 
@@ -151,16 +149,10 @@ class Fill(NamedTuple):
 
 
 def filled(
-    texture: OctreeTexture | None,
-    painted: PaintedSurface,
-    surface: Surface,
-    wanted: Fill,
-    executor: Executor,
-    progress: Progress,
-    merge: Merging | None = None,
+    job: Job, texture: OctreeTexture | None, surface: Surface, wanted: Fill
 ) -> tuple[OctreeTexture, Change | None]:
     """Return the texture, a new one for None, and the change of a fill of a region of ``surface``."""
-    opacity = as_number(wanted.opacity, "opacity", 0.0, 1.0)
+    painted, opacity = job.surface, as_number(wanted.opacity, "opacity", 0.0, 1.0)
     as_choice(wanted.blend, BLENDS, "blend")
     form = format_of(texture, wanted.channel)
     value = _value(wanted.color, form)
@@ -172,12 +164,11 @@ def filled(
     source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(wanted.region, surface))
     check_inside(painted.surface, placement)
     raster = rasterize_surface(
-        painted, source, placement, Depths(depth, depth), fit=False, executor=executor, progress=progress
+        painted, source, placement, Depths(depth, depth), job.executor, job.progress, fit=False
     )
-    layer = layer_from(raster, executor, progress)
+    layer = layer_from(raster, job.executor, job.progress)
     base = texture or empty_texture([form], placement, painted.surface.bounds, painted.surface)
-    merge = merge or merged
-    return base, merge(base, layer, painted, opacity, wanted.blend, executor, progress)
+    return base, job.merge(base, layer, painted, opacity, wanted.blend, job.executor, job.progress)
 
 
 def _value(color: npt.ArrayLike | str, form: ChannelFormat) -> Float32s:
@@ -208,17 +199,9 @@ class RegionSource(PaintSource):
     chosen: Bools  # (m,)   the triangles that it may cover
     covers: RegionFunction
 
-    def __post_init__(self) -> None:
-        """Take the channel that is painted."""
-        super().__init__(self.form)
-
     def touched(self) -> Int32s:
         """Return the triangles that may be covered."""
         return np.flatnonzero(self.chosen).astype(np.int32)
-
-    def on(self, chosen: Int32s) -> RegionSource:
-        """Return the same for some of the triangles."""
-        return replace(self, triangles=self.triangles[chosen], chosen=self.chosen[chosen])
 
     def evaluate(
         self,

@@ -28,13 +28,12 @@ from octex.tree.split import bits_of
 from octex.voxelize.fragments import (
     BlockRange,
     Blocks,
-    bin_triangles,
     cut,
+    divided,
     even_runs,
     most_fragments,
-    some_blocks,
+    whole,
 )
-from octex.voxelize.grid import BLOCK_BITS
 
 #: By how much of a cell an edge may miss it and still join what is on both sides: rounding.
 _SLACK = 1e-6
@@ -52,11 +51,11 @@ class Region(NamedTuple):
     level: int
     codes: Int64s  # (n,)   Morton codes, ascending
 
-    def reaches(self, blocks: Blocks, level: int) -> Bools:
-        """Say which blocks of a level the region reaches into."""
-        if level < self.level:
-            return among(blocks.codes, distinct(self.codes >> 3 * (self.level - level)))
-        return self.holds(blocks.codes, level)
+    def reaches(self, blocks: Blocks) -> Bools:
+        """Say which blocks the region reaches into."""
+        if blocks.level < self.level:
+            return among(blocks.codes, distinct(self.codes >> 3 * (self.level - blocks.level)))
+        return self.holds(blocks.codes, blocks.level)
 
     def holds(self, codes: Int64s, level: int) -> Bools:
         """Say which cells of a level, its own or a finer one, lie in the region."""
@@ -98,12 +97,9 @@ def sheets_of(
 ) -> Sheets:
     """Cut a surface at rest into its sheets in cells of a level, those of a region if one is given."""
     grid, faces = on_grid(surface.rest, placement), surface.triangles
-    blocks = bin_triangles(grid, faces, level)
-    if within is not None:
-        blocks = some_blocks(blocks, within.reaches(blocks, max(level - BLOCK_BITS, 0)))
-
-    runs = even_runs(most_fragments(grid, faces, blocks, level))
-    columns = list(ordered_map(executor, partial(_columns_of, grid, faces, blocks, level, within), runs))
+    blocks = divided(whole(grid, faces, level), reached=None if within is None else within.reaches)
+    runs = even_runs(most_fragments(blocks))
+    columns = list(ordered_map(executor, partial(_columns_of, blocks, level, within), runs))
     codes, bits, triangles, barycentric, areas = (np.concatenate(each) for each in zip(*columns, strict=True))
     order = np.lexsort((codes, triangles))
     codes, triangles = codes[order], triangles[order]
@@ -139,11 +135,9 @@ def sheets_of(
     )
 
 
-def _columns_of(
-    grid: Int32s, faces: Int32s, blocks: Blocks, level: int, within: Region | None, run: BlockRange
-) -> Columns:
+def _columns_of(blocks: Blocks, level: int, within: Region | None, run: BlockRange) -> Columns:
     """Cut what lies in some blocks, and in the region if one is given."""
-    pieces = cut(grid, faces, blocks, run, level)
+    pieces = cut(blocks, run)
     owners = np.repeat(np.arange(pieces.codes.size), bit_counts(pieces.flags))[pieces.entries]
     some = slice(None) if within is None else np.flatnonzero(within.holds(pieces.codes, level)[owners])
     bits = bits_of(pieces.flags)[pieces.entries[some]]

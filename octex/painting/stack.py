@@ -119,7 +119,7 @@ def shown_names(texture: OctreeTexture) -> dict[str, str]:
 
 def shown(texture: OctreeTexture, names: Mapping[str, str]) -> OctreeTexture:
     """Return the composite of a stack's texture as a texture of its own; it shares the arrays."""
-    channels = {name: named(texture.channels[own], name) for name, own in names.items()}
+    channels = {name: texture.channels[own].named(name) for name, own in names.items()}
     return texture.with_cells(texture.tree, channels)
 
 
@@ -131,17 +131,11 @@ def with_layer_channels(texture: OctreeTexture, names: Iterable[str]) -> OctreeT
             continue
         bottom = channels.get(plain_name(name))
         if bottom is not None and name == composite_name(plain_name(name)):
-            channels[name] = named(Channel(bottom.format, *(each.copy() for each in bottom[1:])), name)
+            channels[name] = bottom.copied().named(name)
             continue
         form = COVERAGE if bottom is None or alpha_of(name) is None else bottom.format
-        arrays = (np.zeros((count, form.components), form.dtype) for count in row_counts(texture.tree))
-        channels[name] = named(Channel(form, *arrays), name)
+        channels[name] = Channel.full(form, texture.tree).named(name)
     return texture.with_cells(texture.tree, channels)
-
-
-def named(channel: Channel, name: str) -> Channel:
-    """Return a channel under another name."""
-    return channel._replace(format=channel.format._replace(name=name))
 
 
 def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> OctreeTexture:
@@ -195,7 +189,6 @@ def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> Octr
 def united(texture: OctreeTexture, layers: Stack, into: Layer) -> dict[str, Channel]:
     """Return the channels of a layer that looks as some do, each over those before it."""
     made = {}
-    counts = row_counts(texture.tree)
     for name in bottom_names(texture):
         own = [layer.paints(name) for layer in layers if layer.paints(name) in texture.channels]
         if not own:
@@ -203,12 +196,11 @@ def united(texture: OctreeTexture, layers: Stack, into: Layer) -> dict[str, Chan
         used = {*own, *map(alpha_of, own), *(layer.mask for layer in layers)}
         channels = {each: channel for each, channel in texture.channels.items() if each in used}
         for form in (texture.channels[name].format, COVERAGE._replace(name=ALPHA.name)):
-            nothing = (np.zeros((count, form.components), form.dtype) for count in counts)
-            channels[form.name] = Channel(form, *nothing)
+            channels[form.name] = Channel.full(form, texture.tree)
         whole = with_composite(texture.with_cells(texture.tree, channels), layers).channels
         paint = into.paints(name)
         for wanted, plain in ((paint, name), (alpha_of(paint) or "", ALPHA.name)):
-            made[wanted] = named(whole[composite_name(plain)], wanted)
+            made[wanted] = whole[composite_name(plain)].named(wanted)
     return made
 
 

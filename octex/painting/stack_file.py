@@ -22,7 +22,6 @@ from octex.painting.stack import (
     Stack,
     check_layer,
     composite_name,
-    named,
     shown,
     shown_names,
     with_composite,
@@ -51,7 +50,7 @@ def as_file(texture: OctreeTexture, stack: Stack) -> OctreeTexture:
             made = plain
         else:
             made = plain + _IN_LAYER + name.removeprefix(channel_in("", plain))
-        channels[made] = named(own, made)
+        channels[made] = own.named(made)
     order = sorted(channels, key=_is_of_stack)
     listed = {
         "composite": _digest(channels, texture),
@@ -91,7 +90,7 @@ def from_file(texture: OctreeTexture, keep: Keep | None = None) -> tuple[OctreeT
         plain, mark, layer = name.partition(_IN_LAYER)
         made = channel_in(layer, plain) if mark else name.removesuffix(_IN_BOTTOM)
         if name not in bottoms:
-            channels[made] = named(own, made)
+            channels[made] = own.named(made)
     _check(channels, stack)
     metadata = {name: text for name, text in texture.metadata.items() if name != LISTED}
     made_of = with_composite(

@@ -17,10 +17,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, alpha_of, decode, encode
 from octex.conversion.adapt import adapted
-from octex.conversion.fit import Fitter
-from octex.conversion.gaps import without_gaps
 from octex.conversion.levels import CellLevels, assemble, cell_levels
-from octex.conversion.sides import with_sides
 from octex.editing.averages import with_summed_areas
 from octex.editing.carried import carried
 from octex.editing.draft import coarsest_of
@@ -113,11 +110,11 @@ def rasterize_surface(
     source: PaintSource,
     placement: Placement,
     depths: Depths,
+    executor: Executor,
+    progress: Progress,
     *,
     fit: bool,
     cells: float = CELLS,
-    executor: Executor,
-    progress: Progress,
 ) -> Raster:
     """1. Rasterize the surface: read paint in all cells; `layer_from` needs the source no more.
 
@@ -129,13 +126,13 @@ def rasterize_surface(
     touched = source.touched()
     if not touched.size:
         return Raster(channels, placement, surface.bounds, None)
-    chosen = painted.grid(placement).around(touched, depth)
-    here = source.on(chosen)
+    root = painted.grid(placement).around(touched, depth)
+    source = source.near(root.members)
     filled = cell_levels(
-        surface.part(chosen, here), here.channels, placement, depth, executor, progress,
-        has_samples=fit and not is_plain(source), has_gaps=True,
-        wanted=None if depths.is_even else partial(_wanted, here, placement.size, cells, depths),
-        reached=partial(_reached, here, surface.rest, placement),
+        surface, source, channels, placement, depth, executor, progress,
+        has_samples=fit and not is_plain(source),
+        wanted=None if depths.is_even else partial(_wanted, source, placement.size, cells, depths),
+        root=root, reached=partial(source.reaches, placement=placement, rest=surface.rest),
     )  # fmt: skip
     return Raster(channels, placement, surface.bounds, filled if filled.codes.size else None)
 
@@ -149,27 +146,10 @@ def layer_from(raster: Raster, executor: Executor, progress: Progress) -> Octree
     nothing = empty_texture(channels, placement, bounds)
     if filled is None:
         return nothing
-    covered = without_gaps(*assemble(channels, filled), filled, placement)
+    covered = assemble(filled)
     del raster, filled  # as large as what follows
-    if not covered.tree.n_leaves:
-        return nothing
-    fitting = splitting = None
-    if covered.samples is not None:
-        # Opaque paint stays opaque.
-        fitter = Fitter(covered.samples, executor, progress, (ALPHA.name,))
-        fitting, splitting = fitter.fit, partial(with_sides, fitter)
-    tree, values = adapted(
-        covered.tree, covered.channels, None,
-        max_error=None, wanted=covered.wanted, fit=fitting, split=splitting, executor=executor,
-        progress=progress,
-    )  # fmt: skip
+    tree, values = adapted(covered, fit=True, max_error=None, executor=executor, progress=progress)
     return with_bare_facings(refaced(OctreeTexture(tree, values, placement, bounds)))
-
-
-def _reached(source: PaintSource, rest: Float64s, placement: Placement, blocks: Blocks, level: int) -> Bools:
-    """Say which blocks of a level paint may lie in."""
-    corners = placement.to_rest(decode_cells(blocks.codes) / 2**level)
-    return source.reaches(blocks, corners, placement.size / 2**level, rest)
 
 
 def _wanted(
@@ -231,28 +211,28 @@ def _deepest(paint: Sequence[Paint]) -> int:
 
 def cull_cells(task: Merge, within: Sequence[tuple[int, Int64s]], depth: int) -> SurfaceCells:
     """7. Cull: return the cells down to ``depth`` that the surface meets in some cells, given by level."""
-    placement = task.texture.placement
+    placement, surface = task.texture.placement, task.surface.surface
     none = SurfaceCells(Octree.from_leaves(_NONE, 0), [_NONE] * (depth + 1))
-    chosen = task.surface.grid(placement).touching(within) if within else np.empty(0, np.int32)
-    if not chosen.size:
+    root = task.surface.grid(placement).touching(within, depth) if within else None
+    if root is None or not root.members.size:
         return none
-    part = task.surface.surface.part(chosen)
+    around = [(level, with_boundary(codes, level)) for level, codes in within]
     try:
         filled = cell_levels(
-            part, (), placement, depth, task.executor, task.progress,
-            has_samples=False, reached=partial(_are_near, within),
+            surface, None, (), placement, depth, task.executor, task.progress,
+            has_samples=False, root=root, reached=partial(_are_among, around),
         )  # fmt: skip
     except ModelError:  # no triangle there has an area
         return none
-    tree, _ = assemble((), filled)
+    tree = assemble(filled).tree
     return SurfaceCells(tree, [codes for codes, _ in tree.walk()])
 
 
-def _are_near(cells: Sequence[tuple[int, Int64s]], blocks: Blocks, level: int) -> Bools:
-    """Say which blocks of a level meet cells, given by level, or cells beside these."""
+def _are_among(cells: Sequence[tuple[int, Int64s]], blocks: Blocks) -> Bools:
+    """Say which blocks meet cells, given by level."""
     found = np.zeros(blocks.codes.size, np.bool_)
-    for at, codes in cells:
-        found |= among_at(blocks.codes, level, with_boundary(codes, at), at)
+    for level, codes in cells:
+        found |= among_at(blocks.codes, blocks.level, codes, level)
     return found
 
 

@@ -28,6 +28,7 @@ from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement, on_grid
 from octex.view.shading import corner_normals, corner_normals_of, face_normals
+from octex.voxelize.fragments import Blocks, whole
 
 #: The level of the coarse cells: 128³, whose coordinates fit a byte.
 _COARSE = 7
@@ -168,14 +169,16 @@ class TriangleGrid:
     """Where the triangles of a surface lie in a root cell: the coarse cells that their boxes reach."""
 
     def __init__(self, surface: Surface, placement: Placement) -> None:
-        self._boxes = _boxes(on_grid(surface.rest, placement), surface.triangles, GRID_BITS - _COARSE)
+        self._grid, self._faces = on_grid(surface.rest, placement), surface.triangles
+        self._boxes = _boxes(self._grid, self._faces, GRID_BITS - _COARSE)
 
-    def around(self, chosen: Int32s, reach: int) -> Int32s:
-        """Return the triangles in or beside coarse cells, of level ``reach``, of ``chosen`` ones."""
-        shift = max(_COARSE - reach, 0)
-        return self._sharing(self._boxes[chosen] >> np.uint8(shift), shift, 1)
+    def around(self, chosen: Int32s, depth: int) -> Blocks:
+        """Return the triangles in or beside coarse cells, no finer than ``depth``, of ``chosen`` ones."""
+        shift = max(_COARSE - depth, 0)
+        found = self._sharing(self._boxes[chosen] >> np.uint8(shift), shift, 1)
+        return whole(self._grid, self._faces, depth, found)
 
-    def touching(self, cells: Sequence[tuple[int, Int64s]]) -> Int32s:
+    def touching(self, cells: Sequence[tuple[int, Int64s]], depth: int) -> Blocks:
         """Return the triangles that may meet cells, given as levels and Morton codes."""
         boxes = []
         for level, codes in cells:
@@ -183,7 +186,9 @@ class TriangleGrid:
             if level < _COARSE:
                 first, last = first << (_COARSE - level), ((first + 1) << (_COARSE - level)) - 1
             boxes.append(np.concatenate([first, last], axis=1).astype(np.uint8))
-        return self._sharing(np.concatenate(boxes), 0, 0) if any(map(len, boxes)) else np.empty(0, np.int32)
+        some = any(map(len, boxes))
+        found = self._sharing(np.concatenate(boxes), 0, 0) if some else np.empty(0, np.int32)
+        return whole(self._grid, self._faces, depth, found)
 
     def _sharing(self, boxes: Uint8s, shift: int, beside: int) -> Int32s:
         """Return the triangles that share coarse cells with boxes (n, 6), or cells so far ``beside`` them."""

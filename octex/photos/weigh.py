@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.channels import ChannelFormat
 from octex.painting.layer import PaintSource
 from octex.painting.multigrid import graph_of
 from octex.painting.options import PaintOptions
@@ -36,23 +37,23 @@ class BestPaint(PaintSource):
     sheets: Sheets
     shares: Float32s  # (sheets, shots)   of 1
     exposures: Float32s  # (sheets, shots, 3)   see `exposed`
-    chosen: Int32s  # (m,)   the numbers of the triangles that are painted in the whole surface
 
-    def __post_init__(self) -> None:
-        """Take the channel that is painted."""
-        super().__init__(self.source.form)
+    @property
+    def form(self) -> ChannelFormat:  # type: ignore[override]
+        """The channel that is painted."""
+        return self.source.form
 
     def touched(self) -> Int32s:
         """Return the triangles that own a pixel of a shot."""
         return self.source.touched()
 
-    def on(self, chosen: Int32s) -> BestPaint:
-        """Return the same paint for some of the triangles, among them all that own a pixel."""
-        return replace(self, source=self.source.on(chosen), chosen=self.chosen[chosen])
+    def near(self, triangles: Int32s) -> BestPaint:
+        """Return the same paint, with the normals of some triangles alone."""
+        return replace(self, source=self.source.near(triangles))
 
-    def reaches(self, blocks: Blocks, corners: Float64s, edge: float, rest: Float64s) -> Bools:
+    def reaches(self, blocks: Blocks, placement: Placement, rest: Float64s) -> Bools:
         """Say of which blocks a shot may see something."""
-        return self.source.reaches(blocks, corners, edge, rest)
+        return self.source.reaches(blocks, placement, rest)
 
     def widths(self, triangles: Int32s, barycentric: Float64s) -> Float32s:
         """Return how wide the finest pixel is at points."""
@@ -60,7 +61,7 @@ class BestPaint(PaintSource):
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return paint, linear for colours, and coverage (n, components + 1); zeros where there is none."""
-        sheets = self.sheets.at(self.chosen[triangles], barycentric)
+        sheets = self.sheets.at(triangles, barycentric)
         found = self.source.evaluate(triangles, barycentric, widths)
         components = found.shape[1] - 1
         is_seen = (found[:, -1] > 0) & (sheets >= 0)  # no sheet: from all pictures
@@ -97,7 +98,7 @@ def best(
     labels = labelled(graph, sheets.codes, sheets.areas, costs_of(paint, weights, sheets.areas))
     exposures = levelling(sheets, labels, paint, weights)
     shares, feathers = feathered(graph, labels, exposures, weights)
-    return BestPaint(source, sheets, shares, feathers, np.arange(len(surface.triangles), dtype=np.int32))
+    return BestPaint(source, sheets, shares, feathers)
 
 
 def weighed(

@@ -36,6 +36,22 @@ class Channel(NamedTuple):
     split_values: Array  # (split rows, components)
     kept_values: Array  # (kept nodes, components)   the coefficients of the leaves that they were
 
+    @classmethod
+    def full(cls, form: ChannelFormat, tree: Octree, value: float = 0) -> Channel:
+        """Return a channel of a tree that has one number everywhere, as stored."""
+        arrays = [np.zeros((rows, form.components), form.dtype) for rows in row_counts(tree)]
+        for array in arrays if value else ():
+            array.fill(value)
+        return cls(form, *arrays)
+
+    def copied(self) -> Channel:
+        """Return the same values in arrays of their own."""
+        return Channel(self.format, *(array.copy() for array in self[1:]))
+
+    def named(self, name: str) -> Channel:
+        """Return the same values under another name."""
+        return self._replace(format=self.format._replace(name=name))
+
     @property
     def nbytes(self) -> int:
         """Bytes of all values."""

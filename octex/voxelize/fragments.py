@@ -6,18 +6,18 @@ cell's normal flags, and a bit's rank among all set bits numbers the *entry* (ce
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s, bit_counts
+from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s
 from octex.jit import inlined, kernel, popcount, trailing_zeros
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
 from octex.voxelize.clip import MAX_VERTICES, POLYGONS, clip_to_columns
 from octex.voxelize.grid import (
     BLOCK_BITS,
-    BLOCK_CELLS,
     BLOCK_EDGE,
     COLUMN_FIRST,
     COLUMN_LAST,
@@ -36,12 +36,33 @@ _TASKS, _LEAST_FRAGMENTS = 8, 250_000
 
 
 class Blocks(NamedTuple):
-    """Blocks of cells in Morton order, 32³ of them (at the root less), and the triangles that meet each."""
+    """Blocks of cells in Morton order, and the triangles of a surface that meet each."""
 
+    grid: Int32s  # (n, 3)   vertices in steps of 2⁻³⁰ of the root's edge
+    faces: Int32s  # (m, 3)   triangles
+    level: int
+    bits: int  # a block's edge is 2 to the power of so many cells
     codes: Int64s  # (blocks,)   Morton codes at the blocks' level
     starts: Int64s  # (blocks + 1,)   each block's first row of `members`
     members: Int32s  # (pairs,)   triangles, ascending within a block
-    bits: int = BLOCK_BITS  # a block's edge is 2 to the power of so many cells
+
+    def of_cells(self, depth: int) -> Blocks:
+        """Return the same as blocks of the cells of a level."""
+        return self._replace(bits=depth - self.level)
+
+    def some(self, chosen: Bools) -> Blocks:
+        """Return some of them, the first one if none is chosen."""
+        chosen[0] |= not chosen.any()
+        counts = np.diff(self.starts)
+        return self._replace(
+            codes=self.codes[chosen],
+            starts=np.concatenate([[0], np.cumsum(counts[chosen])]),
+            members=self.members[np.repeat(chosen, counts)],
+        )
+
+
+#: Says which blocks are to be cut.
+Reached: TypeAlias = Callable[[Blocks], Bools]
 
 
 class Fragments(NamedTuple):
@@ -85,12 +106,12 @@ def _block_columns(
 
 
 @kernel
-def most_fragments(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) -> Int64s:
-    """Bound from above how many cells of ``depth`` the triangles of each block can meet, by their boxes.
+def most_fragments(blocks: Blocks) -> Int64s:
+    """Bound from above how many cells the triangles of each block can meet, by their boxes.
 
     It sizes the arrays of `cut`, and divides the work.
     """
-    shift, edge = GRID_BITS - depth, 1 << blocks.bits
+    shift, edge = GRID_BITS - blocks.level - blocks.bits, 1 << blocks.bits
     bounds = np.empty(blocks.codes.size, np.int64)
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
@@ -98,7 +119,9 @@ def most_fragments(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) 
         bounds[block] = 0
         origin = _block_origin(blocks.codes[block], blocks.bits)
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
-            axis = load_triangle(grid, triangles, int(np.int64(blocks.members[row])), corners, normal)
+            axis = load_triangle(
+                blocks.grid, blocks.faces, int(np.int64(blocks.members[row])), corners, normal
+            )
             if axis < 0:
                 continue
             cells = np.int64(1)
@@ -113,28 +136,22 @@ def most_fragments(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) 
 
 
 @kernel
-def _bin(
-    grid: Int32s,
-    triangles: Int32s,
-    blocks: Blocks,
-    depth: int,
-    most: int,
-    most_in_block: int,
-) -> Blocks:
-    """Cut blocks into the blocks one step deeper; ``depth`` is the level of the new ones.
+def _bin(blocks: Blocks, most: int, most_in_block: int) -> tuple[Int64s, Int64s, Int32s]:
+    """Cut blocks into their cells, and return the codes, starts and members of these as blocks.
 
     ``most`` is the sum, ``most_in_block`` the largest of what `most_fragments` tells.
     """
-    shift, edge = GRID_BITS - depth, 1 << blocks.bits
+    shift, edge = GRID_BITS - blocks.level - blocks.bits, 1 << blocks.bits
+    n_cells = edge * edge * edge
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
     sides = np.empty((6, 3), np.int64)
     columns = np.empty((BLOCK_EDGE * BLOCK_EDGE, 5), np.int64)
     origin = np.empty(3, np.int64)
-    counts = np.empty(BLOCK_CELLS, np.int64)
-    for cell in range(BLOCK_CELLS):
+    counts = np.empty(n_cells, np.int64)
+    for cell in range(n_cells):
         counts[cell] = 0
-    codes = np.empty(min(most, blocks.codes.size * BLOCK_CELLS), np.int64)
+    codes = np.empty(min(most, blocks.codes.size * n_cells), np.int64)
     starts = np.empty(codes.size + 1, np.int64)
     n_blocks = 0
     members = np.empty(most, np.int32)
@@ -146,7 +163,7 @@ def _bin(
         n_pairs = 0
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
             triangle = int(np.int64(blocks.members[row]))
-            axis = load_triangle(grid, triangles, triangle, corners, normal)
+            axis = load_triangle(blocks.grid, blocks.faces, triangle, corners, normal)
             if axis < 0:
                 continue
             n_columns = _block_columns(axis, corners, normal, shift, origin, edge, sides, columns)
@@ -162,9 +179,9 @@ def _bin(
                     n_pairs += 1
                     counts[cell] += 1
         # A counting sort by cell keeps the triangles of a cell in order.
-        for cell in range(BLOCK_CELLS):
+        for cell in range(n_cells):
             if counts[cell] > 0:
-                codes[n_blocks] = (blocks.codes[block] << (3 * BLOCK_BITS)) | cell
+                codes[n_blocks] = (blocks.codes[block] << (3 * blocks.bits)) | cell
                 starts[n_blocks] = n_members
                 n_blocks += 1
                 size = counts[cell]
@@ -177,38 +194,35 @@ def _bin(
         for i in range(n_pairs):
             counts[pair_cells[i]] = 0
     starts[n_blocks] = n_members
-    return Blocks(
-        codes[:n_blocks].copy(), starts[: n_blocks + 1].copy(), members[:n_members].copy(), blocks.bits
-    )
+    return codes[:n_blocks].copy(), starts[: n_blocks + 1].copy(), members[:n_members].copy()
 
 
-def bin_triangles(grid: Int32s, triangles: Int32s, depth: int) -> Blocks:
-    """List the blocks that hold the cells of ``depth``, each with the triangles that meet it.
+def whole(grid: Int32s, faces: Int32s, depth: int, members: Int32s | None = None) -> Blocks:
+    """Return the root as one block of cells of ``depth``, with all triangles or some ``members``."""
+    if members is None:
+        members = np.arange(len(faces), dtype=np.int32)
+    starts = np.array([0, len(members)], np.int64)
+    return Blocks(grid, faces, 0, depth, np.zeros(1, np.int64), starts, members)
 
-    ``grid`` are vertices (n, 3) in steps of 2⁻³⁰ of the root's edge, ``triangles`` (m, 3) index them. The
-    blocks' level is ``max(depth − 5, 0)``.
-    """
-    members = np.arange(len(triangles), dtype=np.int32)
-    blocks = Blocks(np.zeros(1, np.int64), np.array([0, len(members)], np.int64), members)
-    for level in block_levels(depth)[1:]:
-        bounds = most_fragments(grid, triangles, blocks, level)
-        blocks = _bin(grid, triangles, blocks, level, int(bounds.sum()), int(bounds.max(initial=0)))
+
+def divided(blocks: Blocks, bits: int = BLOCK_BITS, reached: Reached | None = None) -> Blocks:
+    """Cut blocks, in steps, into those of 2 to the power of ``bits`` cells; only such as are reached."""
+    depth = blocks.level + blocks.bits
+    while blocks.bits > bits:
+        level = min(blocks.level + BLOCK_BITS, depth - bits)
+        coarse = blocks.of_cells(level)
+        bounds = most_fragments(coarse)
+        codes, starts, members = _bin(coarse, int(bounds.sum()), int(bounds.max(initial=0)))
+        blocks = Blocks(blocks.grid, blocks.faces, level, depth - level, codes, starts, members)
+        if reached is not None and codes.size:
+            blocks = blocks.some(reached(blocks))
     return blocks
 
 
-def block_levels(depth: int) -> list[int]:
-    """Levels of the blocks on the way to ``depth``: from 0, in steps of five, to max(depth − 5, 0).
-
-    The first step may be finer than five: its blocks start at the root and use only part of their 32³ cells.
-    """
-    last = max(depth - BLOCK_BITS, 0)
-    return [0, *range((last - 1) % BLOCK_BITS + 1, last + 1, BLOCK_BITS)] if last else [0]
-
-
 @kernel
-def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth: int) -> Fragments:
-    """Cut the triangles of a run of blocks along the cells of ``depth``."""
-    shift, edge = GRID_BITS - depth, 1 << blocks.bits
+def cut(blocks: Blocks, run: BlockRange) -> Fragments:
+    """Cut the triangles of a run of blocks along the cells."""
+    shift, edge = GRID_BITS - blocks.level - blocks.bits, 1 << blocks.bits
     n_words = max(edge * edge * edge // 8, 1)
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
@@ -235,7 +249,7 @@ def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth:
         first_fragment = n_fragments
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
             triangle = int(np.int64(blocks.members[row]))
-            axis = load_triangle(grid, triangles, triangle, corners, normal)
+            axis = load_triangle(blocks.grid, blocks.faces, triangle, corners, normal)
             if axis < 0:
                 continue
             n_columns = _block_columns(axis, corners, normal, shift, origin, edge, sides, columns)
@@ -300,31 +314,6 @@ def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth:
         barycentric[:n_fragments],
         areas[:n_fragments],
     )
-
-
-def some_blocks(blocks: Blocks, chosen: Bools) -> Blocks:
-    """Return some of blocks, the first one if none is chosen."""
-    chosen[0] |= not chosen.any()
-    counts = np.diff(blocks.starts)
-    starts = np.concatenate([[0], np.cumsum(counts[chosen])])
-    return blocks._replace(
-        codes=blocks.codes[chosen], starts=starts, members=blocks.members[np.repeat(chosen, counts)]
-    )
-
-
-def smaller_blocks(
-    grid: Int32s, triangles: Int32s, blocks: Blocks, level: int, depth: int
-) -> tuple[Blocks, Fragments]:
-    """Cut blocks of cells of ``depth`` into those of a deeper level; return their fragments, too."""
-    bits = depth - level
-    coarse = blocks._replace(bits=blocks.bits - bits)
-    most = int(most_fragments(grid, triangles, coarse, level).sum())
-    fragments = cut(grid, triangles, coarse, BlockRange(0, blocks.codes.size, most), level)
-    counts = bit_counts(fragments.flags)
-    owners = np.repeat(np.arange(counts.size), counts)[fragments.entries]
-    starts = np.concatenate([[0], np.cumsum(np.bincount(owners, minlength=counts.size))])
-    members = fragments.triangles[np.argsort(owners, kind="stable")]
-    return Blocks(fragments.codes, starts, members, bits), fragments
 
 
 def even_runs(bounds: Int64s) -> list[BlockRange]:

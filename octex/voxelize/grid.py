@@ -24,7 +24,6 @@ from octex.jit import inlined, kernel
 #: Work is cut into blocks of 32³ cells: a block's masks fit the second-level cache.
 BLOCK_BITS = 5
 BLOCK_EDGE = 1 << BLOCK_BITS
-BLOCK_CELLS = 1 << (3 * BLOCK_BITS)
 
 #: A triangle rises by at most two cells along w over a column, so it meets at most three of its cells.
 MOST_IN_COLUMN = 3

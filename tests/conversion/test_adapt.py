@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
+from unittest import mock
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +24,10 @@ from octex.channels import (
     encode,
     linear_to_srgb,
 )
-from octex.conversion.adapt import Fit, adapted, as_max_error
-from octex.conversion.prune import Finest, limits_of, prune
+from octex.conversion.adapt import adapted, as_max_error
+from octex.conversion.fit import Fitter
+from octex.conversion.levels import Filled
+from octex.conversion.prune import Channels, Finest, limits_of, prune
 from octex.conversion.samples import Samples
 from octex.errors import ArgumentError
 from octex.parallel import silent
@@ -41,6 +44,8 @@ ROUNDING = 1 / 8  # of samples, and what is allowed for that, in codes
 UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 Floats = npt.NDArray[np.floating]
 Bools = npt.NDArray[np.bool_]
+#: Stands for `Fitter.fit`.
+Fit = Callable[[Octree, Channels, Bools | None], Channels]
 
 
 def plane(depth: int) -> Octree:
@@ -94,11 +99,17 @@ def merge(
     fit: Fit | None = None,
 ) -> OctreeTexture:
     """Adapt a tree to what its finest cells hold."""
-    with ThreadPoolExecutor(1) as pool:
+
+    class Own(Fitter):
+        def fit(self, tree: Octree, channels: Channels, chosen: Bools | None = None) -> Channels:
+            assert fit is not None
+            return fit(tree, channels, chosen)
+
+    filled = Filled(tree, dict(channels), sampled(tree, channels), wanted, False)
+    with ThreadPoolExecutor(1) as pool, mock.patch("octex.conversion.adapt.Fitter", Own):
         found, values = adapted(
-            tree, channels, sampled(tree, channels),
-            max_error=max_error, wanted=wanted, fit=fit, split=None, executor=pool, progress=silent,
-        )  # fmt: skip
+            filled, fit=fit is not None, max_error=max_error, executor=pool, progress=silent
+        )
     found.validate()
     return OctreeTexture(found, values, UNIT, [[0, 0, 0], [1, 1, 1]])
 

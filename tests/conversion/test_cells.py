@@ -14,10 +14,10 @@ from octex.voxelize.fragments import (
     BlockRange,
     Blocks,
     Fragments,
-    bin_triangles,
-    block_levels,
     cut,
+    divided,
     most_fragments,
+    whole,
 )
 from tests.conftest import needs_jit
 from tests.oracles import naive_cells
@@ -28,20 +28,17 @@ Corner = tuple[int, int, int]
 def cut_all(triangles: list[list[Corner]], depth: int) -> Fragments:
     grid = np.array(triangles, np.int32).reshape(-1, 3)
     indices = np.arange(len(grid), dtype=np.int32).reshape(-1, 3)
-    blocks = bin_triangles(grid, indices, depth)
-    return cut_blocks(grid, indices, blocks, 0, len(blocks.codes), depth)
+    blocks = divided(whole(grid, indices, depth))
+    return cut_blocks(blocks, 0, len(blocks.codes))
 
 
 def cut_blocks(
-    grid: npt.NDArray[np.int32],
-    triangles: npt.NDArray[np.int32],
     blocks: Blocks,
     first: int,
     last: int,
-    depth: int,
 ) -> Fragments:
-    most = int(most_fragments(grid, triangles, blocks, depth)[first:last].sum())
-    return cut(grid, triangles, blocks, BlockRange(first, last, most), depth)
+    most = int(most_fragments(blocks)[first:last].sum())
+    return cut(blocks, BlockRange(first, last, most))
 
 
 def check(triangles: list[list[Corner]], depth: int) -> None:
@@ -123,21 +120,28 @@ def test_centroids_lie_where_the_piece_is() -> None:
             assert np.allclose(points[rows[order[cell]]], np.array(center, float), atol=1e-6 * CELL)
 
 
+@needs_jit
 @pytest.mark.parametrize("depth", range(22))
-def test_blocks_come_down_in_steps_of_five(depth: int) -> None:
-    levels = block_levels(depth)
-    steps = np.diff(levels)
-    assert levels[0] == 0
-    assert levels[-1] == max(depth - 5, 0)
-    assert (steps <= 5).all()
-    assert (steps[1:] == 5).all()
+def test_blocks_are_of_32_cells_and_hold_the_triangles_that_meet_them(depth: int) -> None:
+    grid, triangles = bumpy_sphere(12, 8)
+    triangles = triangles[:3] if depth > 14 else triangles
+    grid = grid >> max(depth - 14, 0)  # small enough to have few cells
+    blocks = divided(whole(grid, triangles, depth))
+    assert (blocks.level, blocks.bits) == (max(depth - 5, 0), min(depth, 5))
+    assert (np.diff(blocks.codes) > 0).all()
+    owners = np.repeat(decode_cells(blocks.codes), np.diff(blocks.starts), axis=0) << GRID_BITS - blocks.level
+    corners = grid[triangles[blocks.members]]
+    assert (corners.min(axis=1) < owners + (1 << GRID_BITS - blocks.level)).all()
+    assert (corners.max(axis=1) >= owners).all()
+    if depth < 8:
+        assert set(cut_blocks(blocks, 0, len(blocks.codes)).codes >> 3 * blocks.bits) == set(blocks.codes)
 
 
 @needs_jit
 def test_pieces_tile_a_closed_surface() -> None:
     grid, triangles = bumpy_sphere(60, 40)
-    blocks = bin_triangles(grid, triangles, 9)
-    pieces = cut_blocks(grid, triangles, blocks, 0, len(blocks.codes), 9)
+    blocks = divided(whole(grid, triangles, 9))
+    pieces = cut_blocks(blocks, 0, len(blocks.codes))
     corners = grid[triangles].astype(np.float64) / 2.0 ** (GRID_BITS - 9)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     assert np.allclose(np.bincount(pieces.triangles, pieces.areas, len(triangles)), areas, rtol=1e-9)
@@ -146,14 +150,14 @@ def test_pieces_tile_a_closed_surface() -> None:
 @needs_jit
 def test_the_cut_does_not_depend_on_how_blocks_are_grouped() -> None:
     grid, triangles = bumpy_sphere(60, 40)
-    blocks = bin_triangles(grid, triangles, 8)
-    whole = cut_blocks(grid, triangles, blocks, 0, len(blocks.codes), 8)
+    blocks = divided(whole(grid, triangles, 8))
+    every = cut_blocks(blocks, 0, len(blocks.codes))
     middle = len(blocks.codes) // 3
-    first = cut_blocks(grid, triangles, blocks, 0, middle, 8)
-    second = cut_blocks(grid, triangles, blocks, middle, len(blocks.codes), 8)
+    first = cut_blocks(blocks, 0, middle)
+    second = cut_blocks(blocks, middle, len(blocks.codes))
     for name in ("codes", "flags", "areas", "barycentric", "triangles"):
         assert np.array_equal(
-            np.concatenate([getattr(first, name), getattr(second, name)]), getattr(whole, name)
+            np.concatenate([getattr(first, name), getattr(second, name)]), getattr(every, name)
         )
 
 

@@ -73,7 +73,7 @@ def pair(surface: Surface, depth: int, **options: object) -> tuple[OctreeTexture
 def filled(surface: Surface, depth: int, executor: Executor) -> tuple[CellLevels, Placement]:
     placement = Placement.around(surface.bounds, depth)
     return cell_levels(
-        surface, surface.channels, placement, depth, executor, silent, has_samples=True
+        surface, surface.source, surface.channels, placement, depth, executor, silent, has_samples=True
     ), placement
 
 
@@ -96,9 +96,10 @@ def test_the_fit_is_the_least_squares_between_the_bounds(dtype: str) -> None:
     surface = Surface(TETRAHEDRON, FACES, source)
     with ThreadPoolExecutor(1) as pool:
         full, placement = filled(surface, 4, pool)
-        samples = full.take_samples(surface.channels)
+        made = assemble(full)
+        samples = made.samples
         assert samples is not None
-        tree, channels = assemble(surface.channels, full)
+        tree, channels = made.tree, made.channels
         found = fit.Fitter(samples, pool, silent).fit(tree, channels)
     chosen = np.arange(len(samples.shares))
     taps = Field(tree).taps(sample_points(samples, chosen, placement), placement)
@@ -367,9 +368,10 @@ def test_trees_of_any_depths_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None
     surface = painted(waves(16))
     with ThreadPoolExecutor(2) as pool:
         full, placement = filled(surface, 6, pool)
-        samples = full.take_samples(surface.channels)
+        made = assemble(full)
+        samples = made.samples
         assert samples is not None
-        tree, channels = merged(*assemble(surface.channels, full))
+        tree, channels = merged(made.tree, made.channels)
         leaves = Leaves.of(tree, samples)
         assert np.array_equal(leaves.ranks[leaves.cells], np.arange(tree.n_leaves))
         assert leaves.firsts[-1] == len(samples.shares)
@@ -406,7 +408,8 @@ def test_every_cell_has_a_sample_for_each_way_its_surface_faces() -> None:
     surface = tetrahedron()
     with ThreadPoolExecutor(1) as pool:
         full, placement = filled(surface, 4, pool)
-    samples = full.take_samples(surface.channels)
+    made = assemble(full)
+    samples = made.samples
     assert samples is not None
     flags = np.concatenate([part.flags for part in full.levels[4]]) & 63
     counts = np.diff(samples.firsts)
@@ -439,7 +442,8 @@ def test_two_pieces_that_face_alike_are_two_samples_unless_one_is_small() -> Non
     surface = Surface.from_arrays(SQUARE, HALVES, colors=SQUARE)
     with ThreadPoolExecutor(1) as pool:
         full, _ = filled(surface, 4, pool)
-    samples = full.take_samples(surface.channels)
+    made = assemble(full)
+    samples = made.samples
     assert samples is not None
     counts = np.diff(samples.firsts)
     i, j, _ = decode_cells(samples.codes).T
@@ -457,7 +461,8 @@ def test_samples_of_a_cell_have_its_mean_and_its_middle_however_many_pieces_it_h
     surface = Surface(surface.rest, surface.triangles, source)
     with ThreadPoolExecutor(1) as pool:
         full, placement = filled(surface, 3, pool)
-    samples = full.take_samples(surface.channels)
+    made = assemble(full)
+    samples = made.samples
     assert samples is not None
     firsts = samples.firsts[:-1]
     roughness, alpha = samples.values.T
@@ -485,7 +490,8 @@ def test_samples_of_fine_types_are_fine() -> None:
         surface = Surface(TETRAHEDRON, FACES, FaceSource((form,), [[0.1]] * 4))
         with ThreadPoolExecutor(1) as pool:
             full, _ = filled(surface, 2, pool)
-        samples = full.take_samples(surface.channels)
+        made = assemble(full)
+        samples = made.samples
         assert samples is not None
         assert samples.values.dtype == kept
 

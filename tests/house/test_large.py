@@ -163,6 +163,25 @@ def test_processes_pass_files_and_the_same_bytes_come_out(processes: Executor, t
         assert converted(torus(), tmp_path, run=octex.Run(executor=threads))[1] == in_memory
 
 
+def wave(points: np.ndarray) -> np.ndarray:
+    """Return the alpha of positions."""
+    return 0.5 + 0.4 * np.sin(9 * points[:, :1])
+
+
+@pytest.mark.parametrize("sources", [{}, {"alpha": wave}])
+def test_a_texture_with_gaps_made_in_files_has_the_same_bytes(
+    sources: dict[str, object], processes: Executor, tmp_path: Path
+) -> None:
+    taller = torus().with_rest(torus().rest * [1, 1, 1.2])
+    surface = taller.with_sources({**octex.Transfer(torus(), distance=0.04).sources, **sources})
+    for run in (octex.Run(memory=1), octex.Run(executor=processes)):
+        in_memory, in_files = converted(surface, tmp_path, run=run)
+        assert in_memory == in_files
+    texture = octex.open(tmp_path / "files.octex")
+    assert 0 < texture.tree.n_leaves < 0.9 * octex.convert(taller, 6, fit=False).tree.n_leaves
+    assert "alpha" in texture.channels
+
+
 @pytest.mark.parametrize("name", ["sheet", "bent"])
 def test_sides_are_told_apart_in_parallel_as_in_one_thread(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -290,9 +309,6 @@ def test_what_cannot_be_made_in_files_is_refused(tmp_path: Path) -> None:
         octex.convert(surface, 3, path=tmp_path / "a.ply")
     with pytest.raises(OutputError, match="there is no folder"):
         octex.convert(surface, 3, path=tmp_path / "b" / "a.octex")
-    with_gaps = surface.with_sources(octex.Transfer(sheet(turned(3), 0.02), distance=0.01).sources)
-    with pytest.raises(ArgumentError, match="sources with gaps must fit into memory"):
-        octex.convert(with_gaps, 3, run=octex.Run(memory=1), path=tmp_path / "a.octex")
     with (
         ProcessPoolExecutor(1) as pool,
         pytest.raises(ArgumentError, match="max_error and detail run on one machine only"),

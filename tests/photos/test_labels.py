@@ -184,7 +184,7 @@ def test_points_on_no_sheet_are_painted_from_all_pictures() -> None:
     source: Any = _TwoPictures()
     sheets: Any = _Sheets()
     own = np.arange(3, dtype=np.int32)
-    paint = BestPaint(source, sheets, shares, np.zeros((2, 2, 3), np.float32), own)
+    paint = BestPaint(source, sheets, shares, np.zeros((2, 2, 3), np.float32))
     found = paint.evaluate(own, np.zeros((3, 3)), np.zeros(3, np.float32))
     np.testing.assert_allclose(found[2], [0.5, 0.5, 0.5, 1.0])
     assert (found[0, :3] < 0.4).all() and (found[1, :3] > 0.6).all()

@@ -14,7 +14,7 @@ from octex.errors import ArgumentError
 from octex.texture import FILTERS, Channel, OctreeTexture
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
-from tests.make.small_textures import eight_colors
+from tests.make.small_textures import eight_colors, shell
 from tests.make.strategies import textures
 from tests.oracles import naive
 
@@ -174,3 +174,19 @@ def test_an_impossible_root_cell_is_refused(placement: Placement) -> None:
 def test_impossible_bounds_are_refused(bounds: list[list[float]]) -> None:
     with pytest.raises(ArgumentError, match="two finite corners"):
         eight_colors(bounds=bounds)
+
+
+def test_a_channel_of_one_number_has_it_in_all_rows_and_a_copy_has_its_own() -> None:
+    tree = shell(4).tree
+    assert tree.split.areas.size
+    assert tree.kept.cells.size
+    for value in (0, 7):
+        channel = Channel.full(BASE_COLOR, tree, value)
+        channel.check("base_color", tree)
+        copy = channel.copied().named("other")
+        assert (copy.format, channel.format) == (BASE_COLOR._replace(name="other"), BASE_COLOR)
+        for array, own in zip(channel[1:], copy[1:], strict=True):
+            assert array.shape[1] == 3
+            assert (array == value).all()
+            assert (own == value).all()
+            assert not np.shares_memory(array, own)

@@ -28,7 +28,7 @@ from octex.conversion.levels import assemble, cell_levels
 from octex.parallel import silent
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement, on_grid
-from octex.voxelize.fragments import BlockRange, bin_triangles, cut, most_fragments
+from octex.voxelize.fragments import BlockRange, cut, divided, most_fragments, whole
 
 UNIT_CUBE = Placement((0.0, 0.0, 0.0), 1.0)
 
@@ -50,8 +50,8 @@ def tree(around: int, across: int, depth: int) -> Callable[[], Answer]:
     def build() -> Octree:
         surface = octex.Surface(vertices.astype(np.float64), triangles, NoChannels(), name="torus")
         with ThreadPoolExecutor(1) as pool:
-            filled = cell_levels(surface, (), UNIT_CUBE, depth, pool, silent, has_samples=False)
-        return assemble((), filled)[0]
+            filled = cell_levels(surface, None, (), UNIT_CUBE, depth, pool, silent, has_samples=False)
+        return assemble(filled).tree
 
     def task() -> Answer:
         spent, built = timed(build)
@@ -71,9 +71,9 @@ def keys(around: int, across: int, depth: int) -> Callable[[], Answer]:
 
     def build() -> np.ndarray:
         grid = on_grid(vertices.astype(np.float64), UNIT_CUBE)
-        blocks = bin_triangles(grid, triangles, depth)
-        most = int(most_fragments(grid, triangles, blocks, depth).sum())
-        return cut(grid, triangles, blocks, BlockRange(0, len(blocks.codes), most), depth).codes
+        blocks = divided(whole(grid, triangles, depth))
+        most = int(most_fragments(blocks).sum())
+        return cut(blocks, BlockRange(0, len(blocks.codes), most)).codes
 
     def task() -> Answer:
         spent, codes = timed(build)
