@@ -32,5 +32,6 @@ function fill(painting, event) {
   if (filled !== "all" && !at) return;
   const name = { part: "Fill a part", color: "Fill a colour", colors: "Fill a colour", all: "Fill all" }[filled];
   painting.sending.send({ kind: "fill", name, ...painting.paint, opacity, blend, mirror, offset: painting.offset, at, ...like });
+  painting.palette.use(painting.paint.color);
   painting.choose("brush");
 }
