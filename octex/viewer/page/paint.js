@@ -26,6 +26,13 @@ const THOUSANDTH = 0.001; // of the root cell’s edge: sizes in the model’s u
 
 const KEPT = "octex-brush"; // of this tab, when the page loads anew
 
+const KEYS = TOOLS.map(({ key, text }) => `${key.toUpperCase()} ${text.toLowerCase()}`).join(", ");
+const HELP = [
+  "Drag on the model to paint, beside it or with the middle button to turn, with the right button to move; wheel or pinch zooms.",
+  "Shift draws straight lines, Ctrl changes the brush’s size and hardness, Alt picks a colour.",
+  `Keys: ${KEYS}, X the other colour, [ and ] size, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns by itself.`,
+].join(" ");
+
 export async function begin(viewer, told) {
   const painting = new Painting(viewer);
   await painting.open();
@@ -118,6 +125,7 @@ class Painting {
       this.exporting.section,
       make("p", { id: "paint-note", role: "status" }));
     document.querySelector("aside").prepend(painting);
+    element("help").textContent = HELP;
     element("history").open = true;
     element("panel").open = false;
     this.layers.show();
@@ -270,7 +278,7 @@ class Painting {
   isForTool(event) {
     if (this.tool.turns || event.button !== 0 || event.ctrlKey || event.metaKey || (event.shiftKey && !this.tool.hasRing)) return false;
     this.look(this.place(event));
-    this.isOnModel = this.viewer.seen(...this.place(event)) !== null;
+    this.isOnModel = this.below !== null || this.viewer.seen(...this.place(event)) !== null; // which draws all of the model
     return this.isOnModel;
   }
 
