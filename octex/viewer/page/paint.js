@@ -11,7 +11,7 @@ import { Layers } from "./layers.js";
 import { Material } from "./material.js";
 import { Outline } from "./outline.js";
 import { Palette } from "./palette.js";
-import { act, check, choice, icon, make, section, slider } from "./panel.js";
+import { BLENDS, act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Retouch } from "./retouch.js";
 import { Sending } from "./sending.js";
 import { Stencil } from "./stencil.js";
@@ -102,7 +102,7 @@ class Painting {
       ...slider("size", "Size", { min: least, max: most, step: 0.01 }, (x) => this.set({ size: Math.round(Math.exp(x)) })),
       ...slider("hardness", "Hardness", part, (hardness) => this.set({ hardness })),
       ...slider("opacity", "Opacity", { ...part, min: 0.01 }, (opacity) => this.set({ opacity })),
-      ...choice("blend", "Blend mode", [["over", "normal"], ["multiply", "multiply"], ["screen", "screen"], ["add", "add"]], (blend) => this.set({ blend })),
+      ...choice("blend", "Blend mode", BLENDS, (blend) => this.set({ blend })),
       section("tip", "Brush",
         ...choice("unit", "Size in", [["pixels", "pixels of the screen"], ["model", "the model’s units"]], (unit) => this.measure(unit)),
         ...slider("flow", "Flow", { ...part, min: 0.01 }, (flow) => this.set({ flow })),

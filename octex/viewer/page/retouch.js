@@ -2,6 +2,7 @@
 // view, a texel a pixel, made by retouch.frag where the brush comes.
 
 import { BrushDrag } from "./brush.js";
+import { clipped } from "./dabs.js";
 import { element } from "./elements.js";
 import { choice, make, section, slider } from "./panel.js";
 import { planesFor } from "./programs.js";
@@ -39,43 +40,35 @@ export class Seen {
   constructor({ viewer, strokes }, drawn = () => {}, beneath = null, channel = "base_color") {
     const { gpu } = viewer;
     strokes.fit();
-    [this.width, this.height] = strokes.size;
+    this.size = strokes.size;
     this.viewer = viewer;
     this.drawn = drawn;
     this.places = strokes.places;
-    this.target = gpu.target(`seen${beneath ? ` ${channel} beneath` : ""}`, this.width, this.height, [gpu.gl.RGBA8], this.places);
-    this.across = Math.ceil(this.width / TILE);
+    this.target = gpu.target(`seen${beneath ? ` ${channel} beneath` : ""}`, ...this.size, [gpu.gl.RGBA8], this.places);
+    this.across = Math.ceil(this.size[0] / TILE);
     this.known = new Set();
     this.look = lookOf({ viewer, strokes }, beneath, channel);
   }
 
   // Draw what there is of a box (left, bottom, right, top).
   need(box) {
-    const [left, bottom, right, top] = this.within(box), at = (pixel) => Math.floor(pixel / TILE), end = at(right - 1) + 1;
+    const [left, bottom, right, top] = clipped(box, this.size) ?? [0, 0, 0, 0], at = (pixel) => Math.floor(pixel / TILE), end = at(right - 1) + 1;
     for (let row = at(bottom); row <= at(top - 1); row++) {
       const isNew = (column) => column < end && !this.known.has(row * this.across + column);
       for (let column = at(left); column < end; column++) {
         const first = column;
         for (; isNew(column); column++) this.known.add(row * this.across + column);
-        if (column > first) this.draw(this.within([first * TILE, row * TILE, column * TILE, (row + 1) * TILE]));
+        if (column > first) this.draw(clipped([first * TILE, row * TILE, column * TILE, (row + 1) * TILE], this.size));
       }
     }
   }
 
-  within([left, bottom, right, top]) {
-    return [Math.max(left, 0), Math.max(bottom, 0), Math.min(right, this.width), Math.min(top, this.height)];
-  }
-
   draw(box) {
-    const { viewer: { gpu, camera }, target } = this, { gl } = gpu, [left, bottom, right, top] = box;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    gl.viewport(0, 0, this.width, this.height);
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(left, bottom, right - left, top - bottom);
-    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
-    gpu.drawLayer(this.look, camera, this.places, target, null, {}, true);
-    gl.disable(gl.SCISSOR_TEST);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    const { viewer: { gpu, camera }, target } = this, { gl } = gpu;
+    gpu.drawOn(target, box, () => {
+      gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+      gpu.drawLayer(this.look, camera, this.places, target, null, {}, true);
+    });
     this.drawn(box);
   }
 }
@@ -93,14 +86,14 @@ export class Made {
   drawn() {}
 
   target(name) {
-    return this.gpu.target(name, this.seen.width, this.seen.height, [this.gpu.gl.RGBA8]);
+    return this.gpu.target(name, ...this.seen.size, [this.gpu.gl.RGBA8]);
   }
 
   // Run retouch.frag from one target to another, within a box.
   run(action, from, to, box, { step = [0, 0], sigma = 1, share = 1, disc = [0, 0, 1, 1], before = from, paint = null } = {}) {
     const { gpu, seen } = this, { gl } = gpu, { viewer } = seen, program = gpu.programs.use("retouch", viewer.parts[0], viewer.look, 0);
-    const [left, bottom, right, top] = seen.within(box);
-    if (left >= right || bottom >= top) return;
+    const part = clipped(box, seen.size);
+    if (!part) return;
     const textures = { u_from: from.textures[0], u_before: before.textures[0], u_seen: seen.places.textures[0], u_paint: paint ?? from.textures[0] };
     Object.entries(textures).forEach(([name, texture], unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
@@ -113,13 +106,7 @@ export class Made {
     gl.uniform1f(program.at("u_sigma"), sigma);
     gl.uniform1f(program.at("u_share"), share);
     gl.uniform4f(program.at("u_disc"), ...disc);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, to.buffer);
-    gl.viewport(0, 0, seen.width, seen.height);
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(left, bottom, right - left, top - bottom);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
-    gl.disable(gl.SCISSOR_TEST);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gpu.drawOn(to, part, () => gl.drawArrays(gl.TRIANGLES, 0, 3));
   }
 }
 
