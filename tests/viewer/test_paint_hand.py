@@ -134,6 +134,7 @@ def test_colours_are_typed_and_those_used_last_are_at_hand(studio: Studio, page:
     page.keyboard.up("Alt")
     np.testing.assert_allclose(page.evaluate(f"{_BRUSH}.color"), 188, atol=1)
     assert page.evaluate("viewer.painting.tool.name") == "eraser"
+    studio.is_done(page)
 
 
 @needs_jit
