@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from octex.arrays import Float32s, Int64s, Uint8s
-from octex.channels import ALPHA, alpha_of, channel_in, decode, encode
-from octex.editing.averages import Residuals, average, residuals, residuals_at
-from octex.editing.nodes import nodes_at
+from octex.channels import ALPHA, ONE, alpha_of, channel_in, decode, encode
+from octex.editing.averages import Residuals, average, residuals
+from octex.editing.nodes import Nodes, all_children, nodes_at
 from octex.editing.refined import refined_rows, refined_values
 from octex.editing.split import rows_facing
 from octex.painting.blend import writable
@@ -60,19 +60,43 @@ def restored(texture: OctreeTexture, opened: OctreeTexture, erased: Channel) -> 
     made = texture.with_cells(tree, channels)
     levels = [tree.level_codes(level)[each] for level, each in _by_level(tree, places[0])]
     above = [distinct(codes >> 3) for codes in with_all_above(levels)[1:]]
-    nodes, were = nodes_at(tree, above), nodes_at(opened.tree, above)
+    nodes = nodes_at(tree, above)
     split = rows_of(tree.split, nodes.cells)
-    owners = np.searchsorted(nodes.cells, split.cells)
     part, row_part = (
         decode(each, "data") for each in (erased.values[nodes.cells], erased.split_values[split.rows])
     )
+    whole = _laid_on(opened, made, names, nodes)
     for name in sorted(names, key=lambda name: alpha_of(name) is not None):
-        own_left = residuals(texture, name, nodes)
-        left = Residuals(own_left.nodes * (1 - part), own_left.rows * (1 - row_part))
-        if name in opened.channels:
-            was = residuals_at(opened, name, were, owners, split.bits)
-            left = Residuals(left.nodes + was.nodes * part, left.rows + was.rows * row_part)
+        ours, theirs = residuals(texture, name, nodes), residuals(whole, name, nodes)
+        left = Residuals(
+            ours.nodes * (1 - part) + theirs.nodes * part,
+            ours.rows * (1 - row_part) + theirs.rows * row_part,
+        )
         average(made, channels[name], left, nodes)
+    return made
+
+
+def _laid_on(opened: OctreeTexture, texture: OctreeTexture, names: list[str], nodes: Nodes) -> OctreeTexture:
+    """Return a texture on the tree of another, right in nodes and their children.
+
+    What were leaves and are nodes now have the values that they had, as lookups with a width read these.
+    """
+    tree = texture.tree
+    cells = distinct(np.concatenate([nodes.cells, all_children(tree, nodes.numbers)[0]]))
+    rows = rows_of(tree.split, cells)
+    channels = writable(texture, names)
+    for kind, at, own, bits in ((0, cells, cells, None), (1, rows.rows, rows.cells, rows.bits)):
+        found = _values(opened, tree, own, bits, are_nodes=True)
+        for name in names:
+            form, stored = channels[name].format, list(channels[name][1:])[kind]
+            stored[at] = encode(found[name], form.dtype, form.space) if name in found else ONE[form.dtype]
+    made = texture.with_cells(tree, {name: channels[name] for name in names})
+    had = [
+        locate(opened.tree, tree.level_codes(level)[own], level).levels == level
+        for level, own in _by_level(tree, nodes.cells)
+    ]
+    for name in sorted(names, key=lambda name: alpha_of(name) is not None):
+        average(made, channels[name], None, nodes.of(~np.concatenate(had)))
     return made
 
 
@@ -84,11 +108,16 @@ def _by_level(tree: Octree, cells: Int64s) -> Iterator[tuple[int, Int64s]]:
 
 
 def _values(
-    opened: OctreeTexture, tree: Octree, cells: Int64s, bits: Uint8s | None, are_kept: bool
+    opened: OctreeTexture,
+    tree: Octree,
+    cells: Int64s,
+    bits: Uint8s | None,
+    are_kept: bool = False,
+    are_nodes: bool = False,
 ) -> dict[str, Float32s]:
     """Return what a texture has, decoded, in cells (n,) of a tree, ascending: beside its cells, what is near.
 
-    It is of facings, if ``bits`` (n,) are given; else of leaves, or of kept nodes.
+    It is of facings, if ``bits`` (n,) are given; else of leaves, of kept nodes, or averages of any nodes.
     """
     names = list(opened.channels)
     found = {
@@ -102,7 +131,7 @@ def _values(
         codes = tree.level_codes(level)[own]
         where = locate(opened.tree, codes, level)
         is_kept = opened.tree.arrays.flags[where.cells] & KEPT != 0
-        has_own = where.is_leaf | is_kept if are_kept else where.is_leaf
+        has_own = where.is_leaf | (is_kept & are_kept) | are_nodes
         is_same = (where.levels == level) & has_own
         is_below = (where.levels < level) & (where.is_leaf | is_kept)
         same, below, other = (
@@ -120,7 +149,7 @@ def _values(
                 found[name][same] = rows_facing(opened, channel, where.cells[is_same], bits[same])
             else:
                 stored = channel.values[where.cells[is_same]]
-                kept = np.flatnonzero(is_kept[is_same])
+                kept = np.flatnonzero(is_kept[is_same] & (not are_nodes))
                 rows = np.searchsorted(opened.tree.kept.cells, where.cells[is_same][kept].astype(np.uint32))
                 stored[kept] = channel.kept_values[rows]
                 found[name][same] = decode(stored, channel.format.space)

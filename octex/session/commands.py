@@ -283,8 +283,8 @@ def target_of(command: Command) -> tuple[int | None, bool]:
 
 def codes_of(command: Command) -> Uint8s:
     """Return a colour as a page has it, in 8-bit sRGB."""
-    codes = numbers(command.given, "color", (3,), 255.0)
-    if (codes < 0).any():
+    codes = numbers(command.given, "color", (3,))
+    if (codes < 0).any() or (codes > 255).any():
         raise ArgumentError("color must be codes of 0 to 255")
     return np.rint(codes).astype(np.uint8)
 
@@ -297,6 +297,6 @@ def values_of(command: Command) -> dict[str, Array]:
     return {name: numbers(given, name, (-1,)) for name in given}
 
 
-def numbers(given: dict[str, Any], name: str, shape: tuple[int, ...], most: float = _FARTHEST) -> Array:
+def numbers(given: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
     """Return numbers of a field; raise ArgumentError for others than finite ones of a shape."""
-    return as_reals(given.get(name), name, shape, most=most)  # type: ignore[arg-type]
+    return as_reals(given.get(name), name, shape, most=_FARTHEST)  # type: ignore[arg-type]

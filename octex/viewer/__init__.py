@@ -22,7 +22,8 @@ page/       the page: plain modules and shaders, as they are served
     player      which animation is played, at what time
     paint       tools and the pen, of pages that paint; stroke: what is not painted yet; sending: it;
                 exporting: what is downloaded; flat: a piece laid flat, beside the model; beneath:
-                what strokes below layers and erasers lead to; outline: of the brush on the surface
+                what strokes below layers and erasers lead to; outline: of the brush on the surface;
+                hand: what helps it; palette: colours used last, ready brushes
     pointed     what lies under the cursor
     viewer      what is shown, when it is drawn, and what its controls do
     shaders/    places: where pixels see the surface rest, opaque or translucent; walk: the field there, as

@@ -32,8 +32,8 @@ player divider pointed viewer
 MODULES = [f"{name}.js" for name in _NAMES.split()]
 #: Modules, styles and shaders of pages that paint, which files never do.
 _PAINTING_NAMES = """
-panel path dabs under outline mirror stroke sending brush images stencil retouch beneath elsewhere
-tools layers material exporting flat paint
+panel path hand dabs under outline mirror stroke sending brush images stencil retouch beneath elsewhere
+tools layers material palette exporting flat paint
 """
 PAINTING = [*(f"{name}.js" for name in _PAINTING_NAMES.split()), "paint.css"]
 PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]

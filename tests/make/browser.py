@@ -73,6 +73,26 @@ _COARSE = """Object.defineProperty(globalThis, "viewer", {
     Object.defineProperty(globalThis, "viewer", { value: Object.assign(value, { finest: %s }) });
   },
 })"""
+#: Returns the arrays in which the page's octree differs from one that is loaded anew.
+UNLIKE = """async () => {
+  const { Octree } = await import("./octree.js");
+  const header = await (await fetch("data/header")).json(), [part] = header.parts, anew = new Octree(part);
+  const held = viewer.parts[0].octree;
+  const names = ["words", "planes", "entries", "owners", "cells", "nodes", "tables", "depth"];
+  for (const [n, chunk] of part.chunks.entries()) {
+    const packed = (await fetch(`data/${header.version}/0-levels-${n}`)).body;
+    const unpacked = packed.pipeThrough(new DecompressionStream("deflate-raw"));
+    const bytes = new Uint8Array(await new Response(unpacked).arrayBuffer());
+    if (chunk.levels) anew.take(chunk, bytes);
+    else anew.takeTables(bytes);
+  }
+  const isLike = (a, b) => {
+    if (ArrayBuffer.isView(a)) return a.length === b.length && a.every((each, n) => each === b[n]);
+    const isSame = (x, y) => (y instanceof Object ? isLike(x, y) : x === y);
+    return Object.keys(b).every((key) => isSame(a[key], b[key]));
+  };
+  return names.filter((name) => !isLike([held[name]], [anew[name]]));
+}"""
 
 
 @contextmanager

@@ -12,6 +12,22 @@ from tests.conftest import needs_jit
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, SIZE, Studio, pictured
 
+#: Opens all sections of the panel; returns the names of those that were open.
+_OPEN = """() => {
+  const all = [...document.querySelectorAll("aside details")], open = all.filter((each) => each.open);
+  for (const each of all) each.open = true;
+  return open.map((each) => each.id);
+}"""
+_CLOSE = """(open) => {
+  for (const each of document.querySelectorAll("aside details")) each.open = open.includes(each.id);
+}"""
+#: Returns how many lines of text buttons have.
+_LINES = """(all) => all.map((each) => {
+  const range = document.createRange();
+  range.selectNodeContents(each);
+  return new Set([...range.getClientRects()].map(({ top }) => Math.round(top))).size;
+})"""
+
 
 @needs_jit
 def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio: Studio, page: Any) -> None:
@@ -182,19 +198,22 @@ def test_keys_and_the_picker_set_the_brush(studio: Studio, page: Any) -> None:
 
 @needs_jit
 @pytest.mark.parametrize("size", [(1180, 760), (800, 340), (844, 390), (390, 780)])
-def test_each_tool_is_within_the_window_and_boxes_to_tick_are_of_one_size(
+def test_each_tool_is_within_the_window_and_each_control_within_the_panel(
     size: tuple[int, int], page: Any
 ) -> None:
     page.set_viewport_size({"width": size[0], "height": size[1]})
     boxes = page.locator("#tools button").evaluate_all(
         "(all) => all.map((each) => each.getBoundingClientRect().toJSON())"
     )
-    page.evaluate("document.getElementById('where').open = true")
+    opened = page.evaluate(_OPEN)
     widths = page.locator("#where input[type=checkbox]").evaluate_all(
         "(all) => all.map((each) => each.offsetWidth)"
     )
     height, stage = page.evaluate("[viewer.canvas.clientHeight, viewer.canvas.clientWidth]")
-    page.evaluate("document.getElementById('where').open = false")
+    panel = page.locator("aside")
+    inner, outer = panel.evaluate("(panel) => [panel.scrollWidth, panel.clientWidth]")
+    lines = page.locator(".buttons button:visible").evaluate_all(_LINES)
+    page.evaluate(_CLOSE, opened)
     page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
     assert len(boxes) == 9
     for box in boxes:
@@ -202,3 +221,6 @@ def test_each_tool_is_within_the_window_and_boxes_to_tick_are_of_one_size(
         assert box["right"] <= stage
         assert box["bottom"] <= height
     assert len(set(widths)) == 1
+    assert inner <= outer
+    assert len(lines) > 5
+    assert set(lines) == {1}

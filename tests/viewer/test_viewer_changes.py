@@ -20,31 +20,10 @@ from octex.viewer import Viewer
 from octex.viewer.changes import change_between, change_of
 from octex.viewer.pack import pack
 from tests.conftest import needs_jit
-from tests.make.browser import Probe, differences, opened, served
+from tests.make.browser import UNLIKE, Probe, differences, opened, served
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.small_surfaces import sheet
-
-#: Whether the page's octree equals one that is loaded anew; what differs.
-_UNLIKE = """async () => {
-  const { Octree } = await import("./octree.js");
-  const header = await (await fetch("data/header")).json(), [part] = header.parts, anew = new Octree(part);
-  const held = viewer.parts[0].octree;
-  const names = ["words", "planes", "entries", "owners", "cells", "nodes", "tables", "depth"];
-  for (const [n, chunk] of part.chunks.entries()) {
-    const packed = (await fetch(`data/${header.version}/0-levels-${n}`)).body;
-    const unpacked = packed.pipeThrough(new DecompressionStream("deflate-raw"));
-    const bytes = new Uint8Array(await new Response(unpacked).arrayBuffer());
-    if (chunk.levels) anew.take(chunk, bytes);
-    else anew.takeTables(bytes);
-  }
-  const isLike = (a, b) => {
-    if (ArrayBuffer.isView(a)) return a.length === b.length && a.every((each, n) => each === b[n]);
-    const isSame = (x, y) => (y instanceof Object ? isLike(x, y) : x === y);
-    return Object.keys(b).every((key) => isSame(a[key], b[key]));
-  };
-  return names.filter((name) => !isLike([held[name]], [anew[name]]));
-}"""
 
 
 def told(viewer: Viewer, page: Any) -> None:
@@ -76,7 +55,7 @@ def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(browser: Any,
             stroke()
             assert painter.texture() is not before
             told(viewer, page)
-            assert page.evaluate(_UNLIKE) == []
+            assert page.evaluate(UNLIKE) == []
         assert page.evaluate("isFirst")
         texture = painter.texture()
         assert texture.tree.split.cells.size
@@ -117,7 +96,7 @@ def test_random_strokes_change_a_page_to_what_one_has_that_loads_anew(
             else:
                 (painter.undo if move == 2 else painter.redo)()
             told(viewer, page)
-            assert page.evaluate(_UNLIKE) == []
+            assert page.evaluate(UNLIKE) == []
         assert painter.texture().tree.kept.cells.size
         assert page.complaints == []
         page.close()

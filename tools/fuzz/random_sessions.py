@@ -163,8 +163,11 @@ def closes(count: int, seed: int = 0) -> None:
 
 
 def strokes(count: int, seed: int = 0) -> None:
-    """Paint, undo all and redo all, with a page that follows; see what is left, and what memory it takes."""
-    from tests.make.browser import opened, started
+    """Paint, undo all and redo all, with a page that follows; see what is left, and what memory it takes.
+
+    The page's octree must be the one that a page has which loads it anew.
+    """
+    from tests.make.browser import UNLIKE, opened, started
 
     random = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as folder, started() as browser:
@@ -197,6 +200,9 @@ def strokes(count: int, seed: int = 0) -> None:
             )
             return told
 
+        def check_page() -> None:
+            assert page.evaluate(UNLIKE) == [], "the page's octree is not the server's"
+
         began, bodies = time.monotonic(), list[bytes]()
         for number in range(1, count + 1):
             bodies.append(studio.stroke(number, random))
@@ -205,6 +211,7 @@ def strokes(count: int, seed: int = 0) -> None:
                 follow(number)
             if number == _FIRST or number % 250 == 0:
                 measure(f"{number} strokes")
+                check_page()
         print(f"{time.monotonic() - began:.0f} s", flush=True)
         numbers, steps = itertools.count(count + 1), follow(count)["done"]
         for kind in ("undo", "redo"):
@@ -217,6 +224,7 @@ def strokes(count: int, seed: int = 0) -> None:
             follow(number)
             print(f"{steps} × {kind}: {time.monotonic() - began:.0f} s", flush=True)
             measure(f"after {kind} of all")
+            check_page()
             if kind == "undo":
                 assert_same(studio.saved(next(numbers)), studio.texture)
         assert_same(studio.saved(next(numbers)), studio.painted(bodies))

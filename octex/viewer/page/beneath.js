@@ -4,7 +4,7 @@
 
 import { inflated } from "./octree.js";
 import { Part } from "./part.js";
-import { Made, Seen } from "./retouch.js";
+import { Made, Seen, prepare } from "./retouch.js";
 
 const PAINT = 3; // as retouch.frag names it
 const VEIL = [128, 128, 128], VEILED = 0.6; // is laid where nothing is known of what an eraser leads to, and how strongly
@@ -98,6 +98,7 @@ export class Beneath {
       part.upload(chunk.levels ? octree.take(chunk, stream) : octree.takeTables(stream));
     }
     part.keepOnGpu();
+    for (const { name } of header.channels) if (name !== "alpha") prepare(this.painting, part, name);
     return part;
   }
 

@@ -1,11 +1,13 @@
 // A stroke of the brush, from the pen's press until it is up.
 
+import { pulled } from "./hand.js";
 import { Path } from "./path.js";
 import { deflated } from "./sending.js";
 
 // Send a stroke, if there is one; show it until it is painted.
-export function send({ strokes, sending }, stroke, isShown = true) {
+export function send({ strokes, sending, palette }, stroke, isShown = true) {
   if (!stroke) return;
+  if (!stroke.erases && !stroke.colors) palette.use(stroke.color);
   const { name, colors = new Uint8Array(), coverage, angle: maxAngle, ...own } = stroke;
   const { camera, moved, patch, box, color, values, opacity, blend, backFaces, hidden, at, mirror, offset, erases } = own;
   const called = mirror ? `${name}, mirrored` : name;
@@ -19,19 +21,34 @@ export class BrushDrag {
   constructor(painting, event, own = {}) {
     this.painting = painting;
     const { strokes, below, offset } = painting, first = painting.place(event);
-    this.path = new Path(first);
+    const from = event.shiftKey ? painting.lineTo(first) : first;
+    this.path = new Path(from);
+    this.string = painting.brush.smoothing; // how long it is
+    this.tip = first; // where the brush is
     this.dirty = null; // what of the picture has changed since the last frame
     const brush = { name: "Brush", ...painting.brush, ...painting.paint, ...own };
     const at = brush.onePart ? below?.rest : undefined, look = painting.beneath.look(brush);
     strokes.begin({ ...brush, ...strokes.seen, offset, at, begin: first, look });
-    this.draw(first, first);
+    this.draw(from, from);
+    if (from !== first) this.to(first);
+  }
+
+  // Where the brush is, if not under the pen.
+  get at() {
+    return this.string ? this.tip : null;
   }
 
   moved(event) {
     const events = event.getCoalescedEvents?.() ?? [];
     for (const each of events.length ? events : [event]) {
-      for (const line of this.path.to(this.painting.place(each))) this.draw(...line);
+      const next = pulled(this.tip, this.painting.place(each), this.string);
+      if (next !== this.tip) this.to(next);
     }
+  }
+
+  to(place) {
+    this.tip = place;
+    for (const line of this.path.to(place)) this.draw(...line);
   }
 
   // Draw a part of the stroke; the picture has it in the next frame.
@@ -52,6 +69,7 @@ export class BrushDrag {
   }
 
   up() {
+    this.painting.ended(this.tip);
     send(this.painting, this.painting.strokes.end());
   }
 

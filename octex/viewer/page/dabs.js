@@ -33,16 +33,9 @@ export class Dabs {
   }
 
   put(dabs, flow, hardness) {
-    const { viewer, size, target } = this.strokes, { gpu } = viewer, { gl } = gpu, [width, height] = size;
-    const low = [0, 1].map((k) => Math.max(Math.floor(Math.min(...dabs.map((dab) => dab[k] - dab[2])) - 1), 0));
-    const high = [0, 1].map((k) => Math.min(Math.ceil(Math.max(...dabs.map((dab) => dab[k] + dab[2])) + 1), size[k]));
-    if (low[0] >= high[0] || low[1] >= high[1]) return null;
+    const { viewer, size, target } = this.strokes, { gpu } = viewer, { gl } = gpu, box = clipped(reached(dabs), size);
+    if (!box) return null;
     const program = gpu.programs.use("dabs", viewer.parts[0], viewer.look, 0);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.after.buffer);
-    gl.viewport(0, 0, width, height);
-    gl.disable(gl.DEPTH_TEST);
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(...low, high[0] - low[0], high[1] - low[1]);
     gl.activeTexture(gl.TEXTURE0);
     gl.bindTexture(gl.TEXTURE_2D, this.before.textures[0]);
     gl.uniform1i(program.at("u_before"), 0);
@@ -50,17 +43,28 @@ export class Dabs {
     gl.uniform1i(program.at("u_count"), dabs.length);
     gl.uniform1f(program.at("u_flow"), flow);
     gl.uniform1f(program.at("u_hardness"), hardness);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
-    gl.disable(gl.SCISSOR_TEST);
+    gpu.drawOn(this.after, box, () => gl.drawArrays(gl.TRIANGLES, 0, 3));
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, this.after.buffer);
     [this.before, target].forEach(({ buffer }, number) => {
       gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
       gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, buffer);
-      gl.blitFramebuffer(...low, ...high, ...low, ...high, gl.COLOR_BUFFER_BIT, gl.NEAREST);
+      gl.blitFramebuffer(...box, ...box, gl.COLOR_BUFFER_BIT, gl.NEAREST);
     });
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    return [...low, ...high];
+    return box;
   }
+}
+
+// The box (left, bottom, right, top) of discs, each with its middle and radius.
+export function reached(discs) {
+  const ends = (k, sign) => discs.map((disc) => disc[k] + sign * disc[2]);
+  return [0, 1].map((k) => Math.floor(Math.min(...ends(k, -1))) - 1).concat([0, 1].map((k) => Math.ceil(Math.max(...ends(k, 1))) + 1));
+}
+
+// What of a box is in a picture of a size; null for nothing.
+export function clipped([left, bottom, right, top], [width, height]) {
+  const box = [Math.max(left, 0), Math.max(bottom, 0), Math.min(right, width), Math.min(top, height)];
+  return box[0] < box[2] && box[1] < box[3] ? box : null;
 }
 
 // The box around two: left, bottom, right, top; either may be none.

@@ -155,6 +155,18 @@ export class Gpu {
     gl.disable(gl.STENCIL_TEST);
   }
 
+  // Draw on a box (left, bottom, right, top) of a target.
+  drawOn({ buffer, width, height }, [left, bottom, right, top], draw) {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+    gl.viewport(0, 0, width, height);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(left, bottom, right - left, top - bottom);
+    draw();
+    gl.disable(gl.SCISSOR_TEST);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  }
+
   // For each part, run a program that `use` makes ready for the pixels that see it.
   drawSeen(use) {
     const { gl } = this;

@@ -2,11 +2,10 @@
 
 import { BrushDrag } from "./brush.js";
 import { element } from "./elements.js";
-import { ICONS, act, check, choice, icon, make, section, slider } from "./panel.js";
+import { BLENDS, ICONS, act, check, choice, icon, make, section, slider } from "./panel.js";
 
 Object.assign(ICONS, {
   eraser: "M15.6 3.2a2 2 0 0 0-2.8 0L3.2 12.8a2 2 0 0 0 0 2.8L7.6 20H21v-2.2h-7.2l7-7a2 2 0 0 0 0-2.8zM8.5 17.8l-3.7-3.6 4-4 4.5 4.5-3.1 3.1z",
-  add: "M10.8 4h2.4v6.8H20v2.4h-6.8V20h-2.4v-6.8H4v-2.4h6.8z",
   up: "m12 5 7 7-1.7 1.7-4.1-4.1V19h-2.4V9.6l-4.1 4.1L5 12z",
   down: "m12 19-7-7 1.7-1.7 4.1 4.1V5h2.4v9.4l4.1-4.1L19 12z",
   copy: "M8 3h12v14H8zm2.2 2.2v9.6h7.6V5.2zM4 7h2.2v11.8H16V21H4z",
@@ -15,8 +14,6 @@ Object.assign(ICONS, {
   seen: "M12 5C6.5 5 2.7 9.4 1.5 12c1.2 2.6 5 7 10.5 7s9.3-4.4 10.5-7C21.3 9.4 17.5 5 12 5zm0 2.2c3.8 0 6.7 2.8 8 4.8-1.3 2-4.2 4.8-8 4.8S5.3 14 4 12c1.3-2 4.2-4.8 8-4.8zm0 1.6a3.2 3.2 0 1 0 0 6.4 3.2 3.2 0 0 0 0-6.4z",
   hidden: "m3.5 2.5-1.5 1.5 4 4C3.7 9.3 2.2 11 1.5 12c1.2 2.6 5 7 10.5 7 1.7 0 3.2-.4 4.5-1l4 4 1.5-1.5zM12 16.8c-3.8 0-6.7-2.8-8-4.8.700-1.1 1.9-2.4 3.5-3.4l1.7 1.7A3.2 3.2 0 0 0 13.6 15l1.2 1.2c-.9.4-1.8.600-2.8.600zM12 5c5.5 0 9.3 4.4 10.5 7-.5 1.1-1.5 2.5-2.9 3.8L18 14.2c.9-.7 1.5-1.5 2-2.2-1.3-2-4.2-4.8-8-4.8-.6 0-1.1.100-1.7.200L8.5 5.6A11 11 0 0 1 12 5z",
 });
-
-const BLENDS = [["over", "normal"], ["multiply", "multiply"], ["screen", "screen"], ["add", "add"]];
 
 export const eraser = { name: "eraser", text: "Eraser", key: "e", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, { name: "Eraser", erases: true }) };
 
@@ -36,7 +33,7 @@ export class Layers {
     const title = make("input", { type: "text", id: "layer-title", maxlength: 40, onchange: ({ target }) => (target.value.trim() ? set("title", "Rename a layer")(target.value.trim()) : this.show()) });
     return section("layers", "Layers",
       make("div", { class: "bar" },
-        act("layer-add", "add", "Add a layer above", () => this.make("add", "Add a layer")),
+        act("layer-add", "more", "Add a layer above", () => this.make("add", "Add a layer")),
         act("layer-up", "up", "Move the layer up", () => this.move(1)),
         act("layer-down", "down", "Move the layer down", () => this.move(-1)),
         act("layer-copy", "copy", "Copy the layer", () => this.make("copy", "Copy a layer")),

@@ -12,11 +12,21 @@ export class Outline {
     const svg = document.createElementNS(SVG, "svg");
     this.lines = [0, 1].map(() => svg.appendChild(document.createElementNS(SVG, "path")));
     this.needle = make("i");
-    this.ring = make("div", { id: "ring", hidden: true }, svg, this.needle);
+    this.note = make("b");
+    this.ring = make("div", { id: "ring", hidden: true }, svg, this.needle, this.note);
+    this.string = make("div", { id: "string", hidden: true });
   }
 
   hide() {
-    this.ring.hidden = true;
+    this.ring.hidden = this.string.hidden = true;
+  }
+
+  // Show a string from one place to another.
+  tie([x, y], [right, down]) {
+    const { string } = this, length = Math.hypot(right - x, down - y);
+    string.hidden = length < 1;
+    string.style.width = `${length}px`;
+    string.style.transform = `translate(${x}px, ${y}px) rotate(${Math.atan2(down - y, right - x)}rad)`;
   }
 
   // Show it around a place, so many CSS pixels wide; `below` is what lies there, see under.js.

@@ -5,11 +5,13 @@ import { element } from "./elements.js";
 import { Elsewhere } from "./elsewhere.js";
 import { Exporting } from "./exporting.js";
 import { Flat } from "./flat.js";
+import { SizeDrag } from "./hand.js";
 import { onDrop } from "./images.js";
 import { Layers } from "./layers.js";
-import { Material, fromHex, toHex } from "./material.js";
+import { Material } from "./material.js";
 import { Outline } from "./outline.js";
-import { act, check, choice, icon, make, section, slider } from "./panel.js";
+import { Palette } from "./palette.js";
+import { BLENDS, act, check, choice, icon, make, section, slider } from "./panel.js";
 import { Retouch } from "./retouch.js";
 import { Sending } from "./sending.js";
 import { Stencil } from "./stencil.js";
@@ -24,6 +26,13 @@ const THOUSANDTH = 0.001; // of the root cell’s edge: sizes in the model’s u
 
 const KEPT = "octex-brush"; // of this tab, when the page loads anew
 
+const KEYS = TOOLS.map(({ key, text }) => `${key.toUpperCase()} ${text.toLowerCase()}`).join(", ");
+const HELP = [
+  "Drag on the model to paint, beside it or with the middle button to turn, with the right button to move; wheel or pinch zooms.",
+  "Shift draws straight lines, Ctrl changes the brush’s size and hardness, Alt picks a colour.",
+  `Keys: ${KEYS}, X the other colour, [ and ] size, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns by itself.`,
+].join(" ");
+
 export async function begin(viewer, told) {
   const painting = new Painting(viewer);
   await painting.open();
@@ -34,9 +43,9 @@ export async function begin(viewer, told) {
 class Painting {
   constructor(viewer) {
     this.viewer = viewer;
-    this.brush = { color: [200, 60, 40], size: 40, unit: "pixels", hardness: 0.7, opacity: 1, flow: 1, spacing: 0.1, pressure: "size", blend: "over" };
+    this.brush = { color: [200, 60, 40], size: 40, unit: "pixels", hardness: 0.7, opacity: 1, flow: 1, spacing: 0.1, smoothing: 0, pressure: "size", blend: "over" };
     Object.assign(this.brush, { angle: MOST_ANGLE, backFaces: false, hidden: false, onePart: false, mirror: "", mirrorAt: 0, filled: "part", tolerance: 12 });
-    Object.assign(this.brush, { ticked: ["base_color"], values: {} }, JSON.parse(sessionStorage.getItem(KEPT)));
+    Object.assign(this.brush, { ticked: ["base_color"], values: {}, used: [] }, JSON.parse(sessionStorage.getItem(KEPT)));
     this.other = [245, 245, 245]; // the colour that X changes to
     this.layers = new Layers(this);
     this.sending = new Sending((text) => this.say(text), () => this.layers.target);
@@ -45,7 +54,9 @@ class Painting {
     this.exporting = new Exporting(this);
     this.flat = new Flat(this);
     this.outlined = new Outline(viewer);
+    this.palette = new Palette(this);
     this.pen = null; // which pointer draws, and its drag
+    this.end = null; // where the last stroke has ended, and how the model was posed
     this.hindered = ""; // why nothing could be painted last
     this.last = {}; // what the server told last
   }
@@ -74,10 +85,8 @@ class Painting {
       make("button", { type: "button", id: `tool-${name}`, title: `${text} (${shownKey})`, "aria-pressed": "false", onclick: () => this.choose(name) }, icon(name), make("span", {}, text));
     this.tools = make("nav", { id: "tools", "aria-label": "Tools" }, ...TOOLS.map(button));
     this.stage = element("stage");
-    this.stage.append(this.outlined.ring);
+    this.stage.append(this.outlined.ring, this.outlined.string);
     this.main.append(this.flat.picture, this.tools, this.flat.bar);
-    const color = make("input", { type: "color", id: "color", "aria-label": "Colour", oninput: ({ target }) => this.set({ color: fromHex(target.value) }) });
-    const other = make("button", { type: "button", id: "other", title: "Change to the other colour (X)", onclick: () => this.swap() });
     const [least, most] = [LEAST_SIZE, MOST_SIZE].map(Math.log);
     const part = { min: 0, max: 1, step: 0.01 };
     this.material = new Material(this);
@@ -89,15 +98,16 @@ class Painting {
         act("theme", "theme", "Dark or light", () => this.theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"))),
       make("p", { id: "saved", role: "status" }),
       make("div", { id: "question", role: "alert", hidden: true }),
-      make("div", { class: "colors" }, color, other, make("span", { id: "color-text" })),
+      ...this.palette.parts,
       ...slider("size", "Size", { min: least, max: most, step: 0.01 }, (x) => this.set({ size: Math.round(Math.exp(x)) })),
       ...slider("hardness", "Hardness", part, (hardness) => this.set({ hardness })),
       ...slider("opacity", "Opacity", { ...part, min: 0.01 }, (opacity) => this.set({ opacity })),
-      ...choice("blend", "Blend mode", [["over", "normal"], ["multiply", "multiply"], ["screen", "screen"], ["add", "add"]], (blend) => this.set({ blend })),
+      ...choice("blend", "Blend mode", BLENDS, (blend) => this.set({ blend })),
       section("tip", "Brush",
         ...choice("unit", "Size in", [["pixels", "pixels of the screen"], ["model", "the model’s units"]], (unit) => this.measure(unit)),
         ...slider("flow", "Flow", { ...part, min: 0.01 }, (flow) => this.set({ flow })),
         ...slider("spacing", "Spacing", { min: 0.05, max: 2, step: 0.05 }, (spacing) => this.set({ spacing })),
+        ...slider("smoothing", "Smoothing", { min: 0, max: 100, step: 1 }, (smoothing) => this.set({ smoothing })),
         ...choice("pressure", "A pen’s pressure changes", [["size", "the size"], ["opacity", "the opacity"], ["both", "both"], ["", "nothing"]], (pressure) => this.set({ pressure }))),
       this.material.section,
       section("where", "What is painted",
@@ -115,6 +125,7 @@ class Painting {
       this.exporting.section,
       make("p", { id: "paint-note", role: "status" }));
     document.querySelector("aside").prepend(painting);
+    element("help").textContent = HELP;
     element("history").open = true;
     element("panel").open = false;
     this.layers.show();
@@ -138,11 +149,11 @@ class Painting {
     Object.assign(brush, change);
     brush.size = Math.min(Math.max(brush.size, LEAST_SIZE), MOST_SIZE);
     brush.hardness = Math.min(Math.max(brush.hardness, 0), 1);
-    element("color").value = toHex(brush.color);
-    element("color-text").textContent = toHex(brush.color);
-    element("other").style.background = toHex(this.other);
+    this.palette.show();
     element("size").value = Math.log(brush.size);
-    element("size-text").textContent = brush.unit === "pixels" ? `${brush.size} px` : `${Number((brush.size * this.thousandth).toPrecision(2))}`;
+    element("size-text").textContent = this.sizeText;
+    element("smoothing").value = brush.smoothing;
+    element("smoothing-text").textContent = brush.smoothing ? `${brush.smoothing} px behind` : "off";
     element("angle").value = brush.angle;
     element("angle-text").textContent = brush.angle === 90 ? "any" : `${brush.angle}°`;
     element("mirror-at").value = brush.mirrorAt;
@@ -167,6 +178,11 @@ class Painting {
     if (!mirror || !mirrorAt) return 0;
     const [low, high] = this.flat.views?.model.bounds ?? this.viewer.bounds();
     return (mirrorAt / 100) * (high[axis] - low[axis]);
+  }
+
+  get sizeText() {
+    const { size, unit } = this.brush;
+    return unit === "pixels" ? `${size} px` : `${Number((size * this.thousandth).toPrecision(2))}`;
   }
 
   get thousandth() {
@@ -235,16 +251,34 @@ class Painting {
   }
 
   // See what is under the pointer; beside the model a stroke keeps what it was on last.
-  look(event) {
-    const [x, y] = this.place(event);
+  look([x, y]) {
     this.below = under(this.viewer, x, y) ?? (this.pen ? this.below : null);
+  }
+
+  // How the model is posed, or laid flat.
+  get posed() {
+    const { moved, patch } = this.viewer.look;
+    return JSON.stringify([moved, patch?.spot]);
+  }
+
+  // A stroke has ended at a place: with Shift the next one goes on from that point of the model.
+  ended([x, y]) {
+    const { camera, canvas } = this.viewer;
+    this.end = { point: camera.pointAt([x, y], [canvas.clientWidth, canvas.clientHeight], this.below?.away), posed: this.posed };
+  }
+
+  // Where a straight line to a place begins; at that place if no stroke was drawn before.
+  lineTo(place) {
+    const { end, viewer: { camera, canvas } } = this;
+    const at = end?.posed === this.posed ? camera.placeOf(end.point, [canvas.clientWidth, canvas.clientHeight]) : null;
+    return at ? [...at, ...place.slice(2)] : place;
   }
 
   // Whether a pointer is for the tool; else it turns or moves the view. Beside the model it turns.
   isForTool(event) {
-    if (this.tool.turns || event.button !== 0 || event.shiftKey || event.ctrlKey || event.metaKey) return false;
-    this.look(event);
-    this.isOnModel = this.viewer.seen(...this.place(event)) !== null;
+    if (this.tool.turns || event.button !== 0 || event.ctrlKey || event.metaKey || (event.shiftKey && !this.tool.hasRing)) return false;
+    this.look(this.place(event));
+    this.isOnModel = this.below !== null || this.viewer.seen(...this.place(event)) !== null; // which draws all of the model
     return this.isOnModel;
   }
 
@@ -258,34 +292,45 @@ class Painting {
       if (event.pointerType === "touch" && this.pen.type === "touch") this.giveUp(event);
       return;
     }
-    if (event.isPasses || !this.viewer.isComplete || !this.isForTool(event)) return;
+    if (event.isPasses || !this.viewer.isComplete) return;
+    const isSized = (event.ctrlKey || event.metaKey) && event.button !== 1 && this.tool.hasRing;
+    if (!isSized && !this.isForTool(event)) return;
     event.stopPropagation();
     event.preventDefault();
     document.activeElement?.blur(); // keys are the tools’ now, not a slider’s
+    if (isSized) return this.hold(event, new SizeDrag(this, event));
     if (event.altKey) return (this.tool.alt ?? pick)(this, event);
     if (this.tool.isAnywhere) return this.tool.down(this, event);
     const why = this.hindrance;
     if (why !== this.hindered) this.say((this.hindered = why));
     if (why) return;
-    this.viewer.canvas.setPointerCapture(event.pointerId);
     this.viewer.look.marked = null;
     this.viewer.turn(false);
     this.viewer.player?.stop();
     element("turntable").checked = false;
     const drag = this.tool.down(this, event);
-    if (drag) this.pen = { id: event.pointerId, type: event.pointerType, first: event, drag };
+    if (drag) this.hold(event, drag);
+  }
+
+  // A pointer drags until it is up.
+  hold(event, drag) {
+    this.viewer.canvas.setPointerCapture(event.pointerId);
+    this.pen = { id: event.pointerId, type: event.pointerType, first: event, drag };
   }
 
   moved(event) {
-    if (!this.pen || event.pointerId !== this.pen.id) {
+    const place = this.place(event), isHeld = this.pen && event.pointerId === this.pen.id;
+    if (!isHeld) {
       if (event.target !== this.viewer.canvas) return;
-      this.look(event);
-      return this.outline(this.place(event));
+      this.look(place);
+      return this.outline(place, event.shiftKey ? this.lineTo(place) : place);
     }
     event.stopPropagation();
-    this.look(event);
-    this.pen.drag.moved(event);
-    this.outline(this.place(event));
+    const { drag } = this.pen; // some have the brush elsewhere than the pointer, at `at`
+    if (!drag.at) this.look(place);
+    drag.moved(event);
+    if (drag.at) this.look(drag.at);
+    this.outline(drag.at ?? place, place);
   }
 
   up(event) {
@@ -347,12 +392,13 @@ class Painting {
     this.outline(this.at);
   }
 
-  // The outline of the brush under the pointer, or none.
-  outline(at) {
+  // The outline of the brush at a place, or none, and a string from there to another one.
+  outline(at, end = at) {
     this.at = at;
     this.tool.hovered?.(this, at);
-    if (at === null || !this.tool.hasRing) this.outlined.hide();
-    else this.outlined.show(at, this.width, this.below, this.brush);
+    if (at === null || !this.tool.hasRing) return this.outlined.hide();
+    this.outlined.show(at, this.width, this.below, this.brush);
+    this.outlined.tie(at, end);
   }
 
   // A version of the texture is shown, of which this is told.

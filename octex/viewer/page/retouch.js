@@ -2,10 +2,12 @@
 // view, a texel a pixel, made by retouch.frag where the brush comes.
 
 import { BrushDrag } from "./brush.js";
+import { clipped } from "./dabs.js";
 import { element } from "./elements.js";
 import { choice, make, section, slider } from "./panel.js";
+import { planesFor } from "./programs.js";
 
-const TILE = 64; // pixels along the sides of squares that are drawn at once
+const TILE = 16; // pixels along the sides of squares that are drawn or not yet; neighbours in a row are drawn at once
 const COPY = 0, BLUR = 1, SMUDGE = 2; // as retouch.frag names them; beneath.js has one more
 const REACH = 2.5; // of a blur, in standard deviations
 const SHARPER = -1; // how much is added of what a blur would take away
@@ -17,53 +19,57 @@ const SAME = 0.02; // how far from the source, in the model's radius, is what hi
 const grown = ([left, bottom, right, top], x, y) => [left - x, bottom - y, right + x, top + y];
 const moved = ([left, bottom, right, top], [x, y]) => [left + x, bottom + y, right + x, top + y];
 
+// What is looked up of it: all of its colours, or an octree that is `beneath`.
+function lookOf({ viewer: { gpu, look, parts }, strokes }, beneath, channel) {
+  const facing = (beneath ? [beneath] : parts).some(({ header }) => header.split[0] > 0);
+  const paint = beneath ? null : Object.create(strokes, { current: { value: null } });
+  const shown = { shown: "channel", channel, filter: "quadratic", footprints: true, level: gpu.deepest };
+  return { ...look, ...shown, facing, paint, beneath, divider: 0, marked: null };
+}
+
+// Compile what draws it, so that a first stroke does not wait for that.
+export function prepare(painting, beneath = null, channel = "base_color") {
+  const { gpu, parts: [part], look } = painting.viewer, seen = lookOf(painting, beneath, channel);
+  gpu.programs.use("surface", beneath ?? part, seen, planesFor(beneath ?? part, seen));
+  gpu.programs.use("retouch", part, look, 0);
+}
+
 // The colours of the surface without light, as the view sees them; drawn where they are needed. Alpha 0: none.
 export class Seen {
-  // `drawn` is called with each square that gets drawn; `beneath` is an octree that is looked up instead, in a channel.
+  // `drawn` is called with each box that gets drawn; `beneath` is an octree that is looked up instead, in a channel.
   constructor({ viewer, strokes }, drawn = () => {}, beneath = null, channel = "base_color") {
-    const { gpu, look, parts } = viewer;
+    const { gpu } = viewer;
     strokes.fit();
-    [this.width, this.height] = strokes.size;
+    this.size = strokes.size;
     this.viewer = viewer;
     this.drawn = drawn;
     this.places = strokes.places;
-    this.target = gpu.target(`seen${beneath ? ` ${channel} beneath` : ""}`, this.width, this.height, [gpu.gl.RGBA8], this.places);
-    this.across = Math.ceil(this.width / TILE);
+    this.target = gpu.target(`seen${beneath ? ` ${channel} beneath` : ""}`, ...this.size, [gpu.gl.RGBA8], this.places);
+    this.across = Math.ceil(this.size[0] / TILE);
     this.known = new Set();
-    const facing = (beneath ? [beneath] : parts).some(({ header }) => header.split[0] > 0);
-    const paint = beneath ? null : Object.create(strokes, { current: { value: null } });
-    const shown = { shown: "channel", channel, filter: "quadratic", footprints: true, level: gpu.deepest };
-    this.look = { ...look, ...shown, facing, paint, beneath, divider: 0, marked: null };
+    this.look = lookOf({ viewer, strokes }, beneath, channel);
   }
 
   // Draw what there is of a box (left, bottom, right, top).
   need(box) {
-    const [left, bottom, right, top] = this.within(box), at = (pixel) => Math.floor(pixel / TILE);
+    const [left, bottom, right, top] = clipped(box, this.size) ?? [0, 0, 0, 0], at = (pixel) => Math.floor(pixel / TILE), end = at(right - 1) + 1;
     for (let row = at(bottom); row <= at(top - 1); row++) {
-      for (let column = at(left); column <= at(right - 1); column++) {
-        const number = row * this.across + column;
-        if (!this.known.has(number)) this.draw([column * TILE, row * TILE]);
-        this.known.add(number);
+      const isNew = (column) => column < end && !this.known.has(row * this.across + column);
+      for (let column = at(left); column < end; column++) {
+        const first = column;
+        for (; isNew(column); column++) this.known.add(row * this.across + column);
+        if (column > first) this.draw(clipped([first * TILE, row * TILE, column * TILE, (row + 1) * TILE], this.size));
       }
     }
   }
 
-  within([left, bottom, right, top]) {
-    return [Math.max(left, 0), Math.max(bottom, 0), Math.min(right, this.width), Math.min(top, this.height)];
-  }
-
-  draw([left, bottom]) {
+  draw(box) {
     const { viewer: { gpu, camera }, target } = this, { gl } = gpu;
-    const width = Math.min(TILE, this.width - left), height = Math.min(TILE, this.height - bottom);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    gl.viewport(0, 0, this.width, this.height);
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(left, bottom, width, height);
-    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
-    gpu.drawLayer(this.look, camera, this.places, target, null, {}, true);
-    gl.disable(gl.SCISSOR_TEST);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    this.drawn([left, bottom, left + width, bottom + height]);
+    gpu.drawOn(target, box, () => {
+      gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+      gpu.drawLayer(this.look, camera, this.places, target, null, {}, true);
+    });
+    this.drawn(box);
   }
 }
 
@@ -80,14 +86,14 @@ export class Made {
   drawn() {}
 
   target(name) {
-    return this.gpu.target(name, this.seen.width, this.seen.height, [this.gpu.gl.RGBA8]);
+    return this.gpu.target(name, ...this.seen.size, [this.gpu.gl.RGBA8]);
   }
 
   // Run retouch.frag from one target to another, within a box.
   run(action, from, to, box, { step = [0, 0], sigma = 1, share = 1, disc = [0, 0, 1, 1], before = from, paint = null } = {}) {
     const { gpu, seen } = this, { gl } = gpu, { viewer } = seen, program = gpu.programs.use("retouch", viewer.parts[0], viewer.look, 0);
-    const [left, bottom, right, top] = seen.within(box);
-    if (left >= right || bottom >= top) return;
+    const part = clipped(box, seen.size);
+    if (!part) return;
     const textures = { u_from: from.textures[0], u_before: before.textures[0], u_seen: seen.places.textures[0], u_paint: paint ?? from.textures[0] };
     Object.entries(textures).forEach(([name, texture], unit) => {
       gl.activeTexture(gl.TEXTURE0 + unit);
@@ -100,13 +106,7 @@ export class Made {
     gl.uniform1f(program.at("u_sigma"), sigma);
     gl.uniform1f(program.at("u_share"), share);
     gl.uniform4f(program.at("u_disc"), ...disc);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, to.buffer);
-    gl.viewport(0, 0, seen.width, seen.height);
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(left, bottom, right - left, top - bottom);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
-    gl.disable(gl.SCISSOR_TEST);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gpu.drawOn(to, part, () => gl.drawArrays(gl.TRIANGLES, 0, 3));
   }
 }
 

@@ -1,6 +1,6 @@
 // The stroke that is drawn, and those that the server has not painted yet: what the picture shows of them.
 
-import { CLOSE, Dabs, joined } from "./dabs.js";
+import { CLOSE, Dabs, clipped, joined, reached } from "./dabs.js";
 import { Mirror, product } from "./mirror.js";
 
 export const MOST_ANGLE = 85; // degrees beyond which nothing is painted, unless it is set otherwise
@@ -20,13 +20,6 @@ const TABLES = Object.fromEntries(Object.entries(BLENDS).map(([name, blend]) => 
 
 // A stroke as it looks until it is painted; see beneath.js.
 const seen = (stroke) => ({ ...stroke, ...stroke?.look });
-
-// The box (left, bottom, right, top) that a line with radii reaches.
-function reached(from, to) {
-  const [left, bottom] = [0, 1].map((k) => Math.floor(Math.min(from[k] - from[2], to[k] - to[2])) - 1);
-  const [right, top] = [0, 1].map((k) => Math.ceil(Math.max(from[k] + from[2], to[k] + to[2])) + 1);
-  return [left, bottom, right, top];
-}
 
 export class Strokes {
   constructor(viewer) {
@@ -135,7 +128,7 @@ export class Strokes {
   extend(from, to) {
     const { viewer, current } = this, [, height] = this.size, { times } = viewer.film;
     const ends = [from, to].map(([x, y, radius, strength = 1]) => [x * times, height - y * times, radius * times, strength]);
-    for (const picture of [current.picture, current.look?.picture]) picture?.ready?.(reached(...ends), ...ends);
+    for (const picture of [current.picture, current.look?.picture]) picture?.ready?.(reached(ends), ...ends);
     const box = current.dabs ? current.dabs.draw(...ends, current) : this.line(...ends);
     if (!box) return null;
     current.box = joined(current.box, box);
@@ -145,41 +138,24 @@ export class Strokes {
 
   // Draw a line from one place to another, in pixels from the lower left; returns its box.
   line(from, to) {
-    const { viewer, current, target } = this, { gl } = viewer.gpu, [width, height] = this.size, ends = [from, to];
-    const reach = Math.max(from[2], to[2]) + 1;
-    const left = Math.max(Math.floor(Math.min(...ends.map((p) => p[0])) - reach), 0);
-    const right = Math.min(Math.ceil(Math.max(...ends.map((p) => p[0])) + reach), width);
-    const bottom = Math.max(Math.floor(Math.min(...ends.map((p) => p[1])) - reach), 0);
-    const top = Math.min(Math.ceil(Math.max(...ends.map((p) => p[1])) + reach), height);
-    if (left >= right || bottom >= top) return null;
-    const program = viewer.gpu.programs.use("stroke", viewer.parts[0], viewer.look, 0);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    gl.viewport(0, 0, width, height);
-    gl.disable(gl.DEPTH_TEST);
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(left, bottom, right - left, top - bottom);
+    const { viewer, current, target } = this, { gpu } = viewer, { gl } = gpu, box = clipped(reached([from, to]), this.size);
+    if (!box) return null;
+    const program = gpu.programs.use("stroke", viewer.parts[0], viewer.look, 0);
     gl.enable(gl.BLEND);
     gl.blendEquation(gl.MAX);
     gl.uniform4f(program.at("u_line"), from[0], from[1], to[0], to[1]);
     gl.uniform2f(program.at("u_radii"), from[2], to[2]);
     gl.uniform2f(program.at("u_strengths"), from[3], to[3]);
     gl.uniform1f(program.at("u_hardness"), current.hardness);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gpu.drawOn(target, box, () => gl.drawArrays(gl.TRIANGLES, 0, 3));
     gl.disable(gl.BLEND);
-    gl.disable(gl.SCISSOR_TEST);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    return [left, bottom, right, top];
+    return box;
   }
 
   // Cover all of a box (left, bottom, right, top).
   cover(box) {
-    const { gl } = this.viewer.gpu, [left, bottom, right, top] = box;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.buffer);
-    gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(left, bottom, right - left, top - bottom);
-    gl.clearBufferfv(gl.COLOR, 0, [1, 0, 0, 0]);
-    gl.disable(gl.SCISSOR_TEST);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    const { gpu } = this.viewer;
+    gpu.drawOn(this.target, box, () => gpu.gl.clearBufferfv(gpu.gl.COLOR, 0, [1, 0, 0, 0]));
     this.current.box = box;
   }
 

@@ -5,16 +5,19 @@
 
 import { BrushDrag } from "./brush.js";
 import { eraser } from "./layers.js";
+import { prepare } from "./retouch.js";
 import { through } from "./stencil.js";
+
+const retouched = (painting) => void prepare(painting);
 
 export const TOOLS = [
   { name: "brush", text: "Brush", key: "b", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, through(painting)) },
   eraser,
   { name: "pick", text: "Pick", key: "i", shownKey: "Alt", isAnywhere: true, down: pick },
   { name: "stencil", text: "Stencil", key: "d", turns: true, chosen: ({ stencil }) => stencil.begin(), keys: ({ stencil }, event) => stencil.keys(event) },
-  { name: "clone", text: "Clone", key: "o", hasRing: true, down: ({ retouch }, event) => retouch.clone(event), alt: ({ retouch }, event) => retouch.aim(event), hovered: ({ retouch }, at) => retouch.hover(at), left: ({ retouch }) => retouch.leave() },
-  { name: "smudge", text: "Smudge", key: "u", hasRing: true, down: ({ retouch }, event) => retouch.smudge(event) },
-  { name: "blur", text: "Blur", key: "r", hasRing: true, down: ({ retouch }, event) => retouch.blur(event) },
+  { name: "clone", text: "Clone", key: "o", hasRing: true, chosen: retouched, down: ({ retouch }, event) => retouch.clone(event), alt: ({ retouch }, event) => retouch.aim(event), hovered: ({ retouch }, at) => retouch.hover(at), left: ({ retouch }) => retouch.leave() },
+  { name: "smudge", text: "Smudge", key: "u", hasRing: true, chosen: retouched, down: ({ retouch }, event) => retouch.smudge(event) },
+  { name: "blur", text: "Blur", key: "r", hasRing: true, chosen: retouched, down: ({ retouch }, event) => retouch.blur(event) },
   { name: "fill", text: "Fill", key: "f", isAnywhere: true, down: fill },
   { name: "flat", text: "Flat", key: "v", isAnywhere: true, chosen: ({ flat }) => flat.close(), down: ({ flat }, event) => void flat.open(event) },
 ];
@@ -32,5 +35,6 @@ function fill(painting, event) {
   if (filled !== "all" && !at) return;
   const name = { part: "Fill a part", color: "Fill a colour", colors: "Fill a colour", all: "Fill all" }[filled];
   painting.sending.send({ kind: "fill", name, ...painting.paint, opacity, blend, mirror, offset: painting.offset, at, ...like });
+  painting.palette.use(painting.paint.color);
   painting.choose("brush");
 }

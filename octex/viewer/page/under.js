@@ -12,7 +12,7 @@ function unpacked(bits) {
 // view space, and how far along the view it is; or null where nothing is.
 export function under(viewer, x, y) {
   const { gpu, canvas, parts, camera } = viewer, { gl } = gpu, { places } = gpu.pictures;
-  if (!places || !viewer.isDrawn || viewer.isLost) return null;
+  if (!places || !viewer.isDrawn || viewer.isLost || gpu.showsCubes(viewer.look)) return null;
   const column = Math.floor((x / canvas.clientWidth) * places.width), row = Math.floor((1 - y / canvas.clientHeight) * places.height);
   if (!(column >= 0 && column < places.width && row >= 0 && row < places.height)) return null;
   gl.bindFramebuffer(gl.FRAMEBUFFER, places.buffer);
