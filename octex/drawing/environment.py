@@ -267,7 +267,7 @@ def _of_four(values: Float64s) -> Float64s:
 
 @kernel
 def _gather(pyramid: Float64s, levels: Int64s, directions: Float64s, alpha: float, out: Float64s) -> None:
-    """Average light around directions (n, 3) by GGX's lobe, or the cosine if alpha is 0 (Barnes & Hut 1986)."""
+    """Average light around directions (n, 3) by GGX, or by the cosine if alpha is 0 (Barnes & Hut 1986)."""
     coarsest = len(levels) - 1
     stack = np.empty((256, 2), np.int64)
     lobe = min(2.0 * alpha, _WIDEST_LOBE) if alpha > 0.0 else _WIDEST_LOBE

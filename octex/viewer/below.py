@@ -1,4 +1,4 @@
-"""What pages ask sessions for: a piece of the surface laid flat, and what strokes in a layer lead to."""
+"""Packs answers of a session to a page: patches, and the texture below layers."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from octex.painting.beneath import beneath
 from octex.session.painting import Session
 from octex.viewer.pack import pack, packed_mesh
 
-#: Deflate's level: it stays on this machine.
+#: Deflate's level: the data stays on this machine.
 _QUICK = 1
 
 
 def packed_patch(session: Session, asked: str) -> bytes:
-    """Return a piece of the surface, laid flat: a line of JSON, and the mesh's stream.
+    """Return an unwrapped patch of the surface: a line of JSON, and the mesh's stream.
 
     ``asked`` is JSON with the fields of a stroke. Raises ArgumentError and ModelError.
     """
@@ -28,9 +28,9 @@ def packed_patch(session: Session, asked: str) -> bytes:
 
 
 def packed_beneath(session: Session, asked: str) -> bytes:
-    """Return what strokes in a layer lead to, see `octex.painting.beneath`: a line of JSON, and streams.
+    """Return the result of full strokes in a layer (`octex.painting.beneath`): a line of JSON, and streams.
 
-    ``asked`` is JSON with the layer and what strokes lead to. Raises ArgumentError for anything else.
+    ``asked`` is JSON with the layer and the kind of stroke. Raises ArgumentError for anything else.
     """
     try:
         given = json.loads(asked)

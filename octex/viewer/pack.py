@@ -1,12 +1,11 @@
-"""A texture and its mesh as the page takes them: levels one after another, small enough to send.
+"""Packs a texture and its mesh for a page: levels one after another, small enough to send.
 
-Of levels and tables see octex.formats.web.
+octex.formats.web describes levels and tables.
 
-The mesh is one stream: positions in whole numbers of 2⁻ᵇ of a cube's edge, each less the one before it;
-normals as points of an octahedron, likewise; where it moves, the surface's vertices, and if it is posed the
-normals at rest; where it has maps, coordinates in them and colours (``maps``); triangles by how far back each
-vertex is from the next new one.
-Numbers of more than a byte are stored as planes of bytes, the lowest first. For how it moves see ``moves``.
+The mesh is one stream, in this order. Positions: multiples of 2⁻ᵇ of a cube's edge, as differences.
+Octahedral normals, as differences. If it moves: the surface's vertices, and in a pose the rest normals. With
+maps: image coordinates and colours (``maps``). Triangles: each vertex as its distance from the next new one.
+Numbers of more than a byte are planes of bytes, lowest first. ``moves`` describes motion.
 """
 
 from __future__ import annotations
@@ -34,19 +33,19 @@ if TYPE_CHECKING:
     from octex.source.motion import Motion
     from octex.source.surface import Surface
 
-#: Parts that the page tells apart by what it keeps of each pixel.
+#: The page numbers parts in one byte of each pixel.
 MOST_PARTS = 255
 
 
 class Packed(NamedTuple):
-    """What a page shows, or a part of that: a header, ready for JSON, and streams by their names."""
+    """Contents of a page or of one part: a header, ready for JSON, and streams by name."""
 
     header: dict[str, Any]
     streams: dict[str, bytes]
 
     @property
     def notes(self) -> list[str]:
-        """What a page shows otherwise than its textures have it."""
+        """What the page shows differently from its textures."""
         parts = self.header["parts"]
         return [
             f"{part['name']}: {note}" if part["name"] else note for part in parts for note in part["notes"]
@@ -54,7 +53,7 @@ class Packed(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A texture and the surface that it is of; of a set, a part of the model."""
+    """A texture and its surface; of a set, one part of the model."""
 
     name: str
     texture: OctreeTexture
@@ -62,9 +61,9 @@ class Part(NamedTuple):
 
 
 def parts_of(textures: OctreeTexture | TextureSet, surface: Surface | None) -> list[Part]:
-    """Return what a page shows: a texture, or a set's, each with its part of the surface.
+    """Return a texture, or a set's textures, each with its part of the surface.
 
-    Raises ArgumentError for more parts than a page shows, and for a surface with other parts than the set.
+    Raises ArgumentError for too many parts, and for a surface with other parts than the set.
     """
     if isinstance(textures, OctreeTexture):
         return [Part("", textures, surface)]
@@ -96,7 +95,7 @@ def packed_page(
     level: int = 6,
     room: int | None = None,
 ) -> Packed:
-    """Pack all that a page shows, as ``pack`` does; motion, maps and paint are of a page of one part."""
+    """Pack a whole page with ``pack``; motion, maps and paint need a page of one part."""
     packed = [pack(each.texture, each.surface, level=level, room=room) for each in parts[1:]]
     first = parts[0]
     more: dict[str, Any] = {"motion": motion, "maps": maps, "paints": paints}
@@ -109,12 +108,12 @@ def packed_page(
 
 @cache
 def _packed_studio() -> tuple[dict[str, Any], bytes]:
-    """Return the header and the stream of the studio light, by which the library draws its own pictures.
+    """Return the header and stream of the studio light of the library's renderings.
 
-    16-bit floats, each less the one before: the studio's tables, then A and B of the reflectance A·F₀ + B.
+    16-bit floats, as differences: the studio's tables, then A and B of the reflectance A·F₀ + B.
     """
     tables, reflectance = Environment.studio().tables, reflectances()
-    light = tables.light[:, 0]  # it is grey
+    light = tables.light[:, 0]  # the light is grey
     halves = np.concatenate([light, reflectance.ravel()]).astype("<f2").view("<u2").astype(np.int64)
     header = {"tables": tables.shapes.tolist(), "reflectances": len(reflectance), "numbers": halves.size}
     return header, deflated(planes(zigzag(np.diff(halves, prepend=0))), 9)
@@ -130,11 +129,11 @@ def pack(
     level: int = 6,
     room: int | None = None,
 ) -> Packed:
-    """Pack a texture, the surface that it is of, how that moves and its maps; deflate's ``level`` is 1 to 9.
+    """Pack a texture, its surface, motion and maps; deflate's ``level`` is 1 to 9.
 
-    The header's ``notes`` say what the page shows otherwise than lookups have it. ``motion`` has
-    fewer frames, or is left out, where it takes more than ``room`` bytes. A page that ``paints`` knows the
-    surface's parts. Raises ArgumentError for a surface that is not the texture's.
+    The header's ``notes`` say where the page differs from lookups. ``motion`` has fewer frames, or is left
+    out, where it takes more than ``room`` bytes. A page that ``paints`` gets the surface's parts. Raises
+    ArgumentError for a surface that is not the texture's.
     """
     if surface is not None:
         surface = surface.placed_on(texture)
@@ -163,9 +162,9 @@ def packed_mesh(
     maps: Maps | None = None,
     paints: bool = False,
 ) -> tuple[dict[str, Any], bytes]:
-    """Return what a mesh's stream holds, and the stream.
+    """Return the description of a mesh's stream, and the stream.
 
-    Of one that ``moves`` it names vertices' owners, of one that is painted the parts that they are of.
+    With ``moves`` it includes vertices' owners, with ``paints`` their parts.
     """
     order = np.arange(len(surface.triangles)) if maps is None else maps.order
     faces = surface.triangles[order]
@@ -217,7 +216,7 @@ def packed_mesh(
 
 
 def _octahedral(normals: Array) -> Int32s:
-    """Return unit vectors (n, 3) as whole numbers −1023 … 1023 (n, 2) on an unfolded octahedron."""
+    """Return unit vectors (n, 3) as integers −1023 … 1023 (n, 2) on an unfolded octahedron."""
     vectors = np.asarray(normals, np.float64)
     sums = np.abs(vectors).sum(axis=1, keepdims=True)
     flat: Float64s = vectors / np.where(sums > 0, sums, 1.0)

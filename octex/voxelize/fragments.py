@@ -1,7 +1,7 @@
-"""A surface cut into fragments, one for each (triangle, cell) that meet, block of cells by block of cells.
+"""Cuts a surface into fragments, one for each pair of triangle and cell, block of cells by block of cells.
 
-A block's cells are marked in a mask of one byte a cell whose bits are the facings seen in it: the byte is the
-cell's normal flags, and a bit's rank among all set bits numbers the *entry* (cell, facing) in Morton order.
+A mask has one byte for each cell of a block, whose bits are the facings of the surface in it: the cell's
+normal flags. The rank of a bit among all set bits numbers the *entry* (cell, facing) in Morton order.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ from octex.voxelize.grid import (
     load_triangle,
 )
 
-#: Bound of the fragments in one task: enough to hide what a task costs, few enough to stay in the cache.
+#: Largest number of fragments a task: enough to hide the overhead, few enough to stay in the cache.
 TASK_FRAGMENTS = 400_000
-#: Little work is cut into so many tasks, of no fewer fragments than this.
+#: Small work is cut into this many tasks, with at least this many fragments each.
 _TASKS, _LEAST_FRAGMENTS = 8, 250_000
 
 
 class Blocks(NamedTuple):
-    """Blocks of cells in Morton order, 32³ of them (at the root less), and the triangles that meet each."""
+    """Blocks of 32³ cells (at the root fewer) in Morton order, and the triangles that meet each."""
 
     codes: Int64s  # (blocks,)   Morton codes at the blocks' level
     starts: Int64s  # (blocks + 1,)   each block's first row of `members`
     members: Int32s  # (pairs,)   triangles, ascending within a block
-    bits: int = BLOCK_BITS  # a block's edge is 2 to the power of so many cells
+    bits: int = BLOCK_BITS  # a block's edge is 2 to this power of cells
 
 
 class Fragments(NamedTuple):
-    """The fragments of a run of blocks, and the cells that they lie in."""
+    """The fragments of a run of blocks, and their cells."""
 
     codes: Int64s  # (cells,)   Morton codes, ascending
-    flags: Uint8s  # (cells,)   normal flags; a cell has one entry for each, in the bits' order
+    flags: Uint8s  # (cells,)   normal flags; each set bit is an entry, in order of bits
     entries: Int32s  # (fragments,)   the entry of each fragment
     triangles: Int32s  # (fragments,)
     barycentric: Float64s  # (fragments, 3)   of the fragment's centroid
@@ -56,7 +56,7 @@ class Fragments(NamedTuple):
 
 
 class BlockRange(NamedTuple):
-    """The work of one task: a run of blocks, with a bound of their fragments."""
+    """The work of one task: a run of blocks, with a bound of the number of fragments."""
 
     first_block: int
     last_block: int  # exclusive
@@ -86,7 +86,7 @@ def _block_columns(
 
 @kernel
 def most_fragments(grid: Int32s, triangles: Int32s, blocks: Blocks, depth: int) -> Int64s:
-    """Bound from above how many cells of ``depth`` the triangles of each block can meet, by their boxes.
+    """Return an upper bound, from bounding boxes, of the cells of ``depth`` that each block's triangles meet.
 
     It sizes the arrays of `cut`, and divides the work.
     """
@@ -121,9 +121,9 @@ def _bin(
     most: int,
     most_in_block: int,
 ) -> Blocks:
-    """Cut blocks into the blocks one step deeper; ``depth`` is the level of the new ones.
+    """Divide blocks into the blocks one step deeper; ``depth`` is the new level.
 
-    ``most`` is the sum, ``most_in_block`` the largest of what `most_fragments` tells.
+    ``most`` is the sum, ``most_in_block`` the largest of the bounds that `most_fragments` returns.
     """
     shift, edge = GRID_BITS - depth, 1 << blocks.bits
     corners = np.empty((3, 3), np.int64)
@@ -185,7 +185,7 @@ def _bin(
 def bin_triangles(grid: Int32s, triangles: Int32s, depth: int) -> Blocks:
     """List the blocks that hold the cells of ``depth``, each with the triangles that meet it.
 
-    ``grid`` are vertices (n, 3) in steps of 2⁻³⁰ of the root's edge, ``triangles`` (m, 3) index them. The
+    ``grid`` holds vertices (n, 3) in steps of 2⁻³⁰ of the root's edge, ``triangles`` (m, 3) index them. The
     blocks' level is ``max(depth − 5, 0)``.
     """
     members = np.arange(len(triangles), dtype=np.int32)
@@ -197,7 +197,7 @@ def bin_triangles(grid: Int32s, triangles: Int32s, depth: int) -> Blocks:
 
 
 def block_levels(depth: int) -> list[int]:
-    """Levels of the blocks on the way to ``depth``: from 0, in steps of five, to max(depth − 5, 0).
+    """Return the block levels that lead to ``depth``: from 0, in steps of five, to max(depth − 5, 0).
 
     The first step may be finer than five: its blocks start at the root and use only part of their 32³ cells.
     """
@@ -207,7 +207,7 @@ def block_levels(depth: int) -> list[int]:
 
 @kernel
 def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth: int) -> Fragments:
-    """Cut the triangles of a run of blocks along the cells of ``depth``."""
+    """Cut the triangles of a run of blocks at the cells of ``depth``."""
     shift, edge = GRID_BITS - depth, 1 << blocks.bits
     n_words = max(edge * edge * edge // 8, 1)
     corners = np.empty((3, 3), np.int64)
@@ -229,7 +229,7 @@ def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth:
     members = np.empty(run.most, np.int32)
     barycentric = np.empty((run.most, 3), np.float64)
     areas = np.empty(run.most, np.float64)
-    n_fragments = int(np.int64(0))  # a constant would have numba compile `clip_to_columns` again for it
+    n_fragments = int(np.int64(0))  # not a literal, for which numba would compile `clip_to_columns` again
     for block in range(run.first_block, run.last_block):
         origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block], blocks.bits)
         first_fragment = n_fragments
@@ -303,7 +303,7 @@ def cut(grid: Int32s, triangles: Int32s, blocks: Blocks, run: BlockRange, depth:
 
 
 def some_blocks(blocks: Blocks, chosen: Bools) -> Blocks:
-    """Return some of blocks, the first one if none is chosen."""
+    """Return the chosen blocks, or the first one if none is chosen."""
     chosen[0] |= not chosen.any()
     counts = np.diff(blocks.starts)
     starts = np.concatenate([[0], np.cumsum(counts[chosen])])
@@ -315,7 +315,7 @@ def some_blocks(blocks: Blocks, chosen: Bools) -> Blocks:
 def smaller_blocks(
     grid: Int32s, triangles: Int32s, blocks: Blocks, level: int, depth: int
 ) -> tuple[Blocks, Fragments]:
-    """Cut blocks of cells of ``depth`` into those of a deeper level; return their fragments, too."""
+    """Divide blocks of cells of ``depth`` into blocks of a deeper level; also return their fragments."""
     bits = depth - level
     coarse = blocks._replace(bits=blocks.bits - bits)
     most = int(most_fragments(grid, triangles, coarse, level).sum())
@@ -328,7 +328,7 @@ def smaller_blocks(
 
 
 def even_runs(bounds: Int64s) -> list[BlockRange]:
-    """Cut blocks into runs of about TASK_FRAGMENTS or less, by the bounds of their fragments."""
+    """Group blocks into runs of at most about TASK_FRAGMENTS, by their bounds."""
     totals = np.cumsum(bounds)
     size = min(max(int(totals[-1]) // _TASKS, _LEAST_FRAGMENTS), TASK_FRAGMENTS)
     ends = np.searchsorted(totals, np.arange(size, totals[-1], size)) + 1
