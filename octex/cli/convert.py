@@ -1,4 +1,4 @@
-"""octex convert: from a textured model, points or voxels to an octree texture, or to a folder of parts."""
+"""octex convert: writes an octree texture, or a folder of parts, from a textured model, points or voxels."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from octex.source.voxels import Voxels
     from octex.texture import OctreeTexture
 
-INDEX = "set.json"  # as octex.texture.folder.INDEX
+INDEX = "set.json"  # equals octex.texture.folder.INDEX
 OUTPUT_ENDINGS = *TEXTURE_ENDINGS, ".ply", ".npz", ".osl"
-_LINES = 10  # so many parts are listed
+_LINES = 10  # largest number of parts in the report
 _STORED = {"--channels", "--dtype", "--preview"}
-#: The options that a kind of INPUT takes; a model takes all.
+#: The options for each kind of INPUT; a model takes all.
 _FOR: dict[str, set[str]] = {
     "texture": {"--preview"},
     "cloud": {"--depth", "--cell", *_STORED},
@@ -49,7 +49,7 @@ def convert(options: Options, program: str) -> int:
 
 
 def _check(options: Options) -> None:
-    """Refuse options that make no sense together, or for what INPUT is."""
+    """Refuse options that contradict each other or the kind of INPUT."""
     path, kind = options.INPUT, kind_of(options.INPUT)
     if path.suffix.lower() == PTEX_ENDING:
         raise ArgumentError(f"{path}: holds texels of a mesh: convert its mesh with --transfer {path}")
@@ -115,7 +115,7 @@ def _convert(options: Options, program: str) -> int:
             target = None if options.memory is None else output
             run = octex.Run(memory=options.memory, progress=progress)
             texture = octex.convert(model, **_settings(options), path=target, run=run)
-        if options.preview is not None:  # first: without room for it, no OUTPUT is left unannounced
+        if options.preview is not None:  # first: if the disk is full, no OUTPUT exists without a report
             with progress.stage("draw"):
                 octex.write_preview(options.preview, texture, surface)
         if options.memory is None:
@@ -125,7 +125,7 @@ def _convert(options: Options, program: str) -> int:
     empty = 0 if surface is None else json.loads(texture.metadata["convert"]).get("empty", 0)
     if empty:
         made["empty"] = empty
-        # With leaves of several sizes, finest cells are no part of their number.
+        # With leaves of several sizes, the number of finest cells says little.
         is_even = options.max_error is None and options.detail is None
         share = f" ({100 * empty / (empty + texture.tree.n_leaves):.3g} %)" if is_even else ""
         faces = options.within is not None and options.within.degrees is not None
@@ -143,7 +143,7 @@ def _convert(options: Options, program: str) -> int:
 
 
 def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: int = 0) -> None:
-    """Write a texture in the format of the ending; stored integers of .octz may change by ``loss``."""
+    """Write a texture in the format of the ending; .octz may change stored integers by up to ``loss``."""
     ending = path.suffix.lower()
     if ending in TEXTURE_ENDINGS:
         with progress.stage("write"):
@@ -162,13 +162,13 @@ def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: 
 
 
 def _settings(options: Options) -> dict[str, Any]:
-    """Return the settings of a conversion, as ``octex.convert`` takes them."""
+    """Return a conversion's settings as arguments of ``octex.convert``."""
     names = "depth", "cell", "channels", "dtype", "max_error", "detail"
     return {**{name: getattr(options, name) for name in names}, "fit": not options.no_fit}
 
 
 def overlaps_as_json(found: Overlaps) -> dict[str, Any]:
-    """Return overlapping parts for a machine; a gap beyond the margin, and an unknown volume, are null."""
+    """Return overlapping parts for JSON; a gap beyond the margin, and an unknown volume, are null."""
     pairs = [pair._asdict() for pair in found.pairs]
     for pair in pairs:
         pair["gap"] = pair["gap"] if math.isfinite(pair["gap"]) else None
@@ -176,7 +176,7 @@ def overlaps_as_json(found: Overlaps) -> dict[str, Any]:
 
 
 def _separated_text(moved: dict[str, list[float]], found: Overlaps) -> Iterator[str]:
-    """Yield lines that say which parts were moved, how far, and what could not be checked."""
+    """Yield lines about moved parts, their offsets, and unchecked parts."""
     if moved:
         yield f"{len(moved):,} of {found.n_parts:,} parts moved apart; Surface.rest_positions says where to"
         for part, offset in list(moved.items())[:_LINES]:
@@ -211,7 +211,7 @@ def _convert_parts(options: Options, program: str) -> int:
 
 
 def _check_folder(folder: Path, *, force: bool) -> None:
-    """Refuse a folder that cannot or must not be written, before any work is done."""
+    """Refuse a folder that cannot or must not be written, before any work starts."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; --parts writes a folder, give OUTPUT another name")
     if folder.suffix.lower() in OUTPUT_ENDINGS:

@@ -1,4 +1,4 @@
-"""octex info, validate, diff and overlaps: what a texture holds, whether it is sound, and how it compares."""
+"""octex info, validate, diff and overlaps: describes, checks and compares textures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def info(options: Options, _program: str) -> int:
 def validate(options: Options, _program: str) -> int:
     """Run octex validate."""
     path = options.TEXTURE
-    if isinstance(path, Address):  # a file that cannot be read is not broken
+    if isinstance(path, Address):  # an unreadable file is not a broken one
         from octex.remote import RemoteFile
 
         RemoteFile(str(path))
@@ -105,7 +105,7 @@ def _opened(path: Path | Address) -> OctreeTexture | TextureSet:
 
 
 def _texture_text(information: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of a texture's information for a person."""
+    """Yield the lines of a texture's information."""
     placement, bounds, parts = (information[key] for key in ("placement", "bounds", "bytes"))
     yield f"depth       {information['depth']}, finest cells of edge {information['finest_cell']:.6g}"
     yield f"root cell   edge {placement['size']:.6g} at {triple(placement['origin'])}"
@@ -149,12 +149,12 @@ def _lines(text: str) -> list[str]:
 
 
 def triple(numbers: Sequence[float]) -> str:
-    """Return a position for a person."""
+    """Format a position."""
     return "(" + ", ".join(f"{number:.6g}" for number in numbers) + ")"
 
 
 def _set_text(information: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of a set's information for a person."""
+    """Yield the lines of a set's information."""
     parts = information["parts"]
     width = max(len("part"), *map(len, parts))
     yield f"{'part':{width}} {'depth':>5} {'finest cell':>12} {'leaves':>15} {'nodes':>15} {'bytes':>15}"
@@ -168,7 +168,7 @@ def _set_text(information: dict[str, Any]) -> Iterator[str]:
 
 
 def _as_json(result: Difference) -> dict[str, Any]:
-    """Return a difference for a machine; numbers that are not finite become null."""
+    """Return a difference for JSON; non-finite numbers become null."""
     fields: dict[str, Any] = result._asdict()
     if fields.pop("angle") is not None and result.angle is not None:
         fields["angle"] = _as_json(result.angle)
@@ -179,7 +179,7 @@ def _as_json(result: Difference) -> dict[str, Any]:
 
 
 def _readable(paths: Sequence[Path], sides: Sequence[Side], found: Differences) -> Iterator[str]:
-    """Yield the lines of differences for a person."""
+    """Yield the lines of differences."""
     from octex.source.surface import Surface
 
     for letter, path, side in zip("AB", paths, sides, strict=True):
@@ -226,5 +226,5 @@ def _row(name: str, result: Difference) -> tuple[str, ...]:
 
 
 def number(value: float) -> str:
-    """Return a value of three digits or so."""
+    """Format a value with about three digits."""
     return f"{value:.1f}" if abs(value) >= 10 else f"{value:.4f}".rstrip("0").rstrip(".")

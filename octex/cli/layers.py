@@ -1,4 +1,4 @@
-"""Layers of paint: pictures are projected into them, they are merged and recorded in the metadata."""
+"""Projects images into layers of paint, merges layers, and records them in the metadata."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Painting:
-    """Paints as the options say: projects pictures to a layer, and merges layers into a texture."""
+    """Paints as the options ask: projects images to a layer, and merges layers into a texture."""
 
     def __init__(self, options: Options, surface: Surface, executor: Executor, progress: Reporter) -> None:
         self._options, self._surface = options, surface
@@ -36,7 +36,7 @@ class Painting:
         self._opacity = 1.0 if options.opacity is None else options.opacity
 
     def fitting(self, shots: list[Shot]) -> tuple[list[Shot], list[str]]:
-        """Return the pictures that can be right, and the names of the others; note why these cannot."""
+        """Return the images that fit the model and each other, and the names of the rest; note the reasons."""
         if len(shots) < 2 or any(shot.since for shot in shots):
             return shots, []
         from octex.photos.misfits import misfits
@@ -52,7 +52,7 @@ class Painting:
     def projected(
         self, texture: OctreeTexture | None, shots: Sequence[Shot]
     ) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
-        """Project pictures; return the texture to merge them into, None for a new one, and their layer."""
+        """Project images; return the texture to merge them into (None: a new one), and their layer."""
         options, surface = self._options, self._surface
         settings: dict[str, Any] = {
             "fit": not options.no_fit,
@@ -84,15 +84,15 @@ class Painting:
         return texture, [layer]
 
     def refined(self, shots: Sequence[Shot]) -> list[Shot]:
-        """Return pictures with cameras through which they agree best, and write these."""
+        """Return the images with refined cameras, and write these cameras."""
         pictures, reference = [self._projection(shot) for shot in shots], self._reference(shots)
         found = octex.refine_cameras(self._surface, pictures, reference=reference, run=self._stored)
-        # What comes next may take hours, so they are written now.
+        # The next steps may take hours, so the cameras are written now.
         octex.write_cameras(self._options.refine_cameras, dict(zip(_camera_names(shots), found, strict=True)))
         return [shot._replace(camera=camera) for shot, camera in zip(shots, found, strict=True)]
 
     def started(self, layer: OctreeTexture, has_layers: bool) -> tuple[OctreeTexture, bool]:
-        """Return a new texture, whose unseen part may be filled, and whether a layer is in it already."""
+        """Return a new texture, filled where unseen as asked, and whether it includes a layer already."""
         from octex.painting import first
         from octex.painting.surface import PaintedSurface
 
@@ -104,7 +104,7 @@ class Painting:
     def merged(
         self, texture: OctreeTexture, layers: Sequence[OctreeTexture], files: Sequence[Path], first: int
     ) -> OctreeTexture:
-        """Merge layers, those of ``files`` if any, from the ``first`` on that is not in the texture.
+        """Merge layers, read from ``files`` if any, from number ``first`` on.
 
         Returns the same texture if they paint nothing.
         """
@@ -187,7 +187,7 @@ def channel_of(layer: OctreeTexture) -> str:
 def with_entries(
     texture: OctreeTexture, surface: Surface, entries: Sequence[dict[str, str | float]]
 ) -> OctreeTexture:
-    """Append to the provenance of a texture's paint; that of a new texture also names the model."""
+    """Append paint to a texture's provenance; for a new texture also record the model."""
     from octex.processing.edit import with_listed
     from octex.texture import OctreeTexture
 

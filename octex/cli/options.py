@@ -9,13 +9,13 @@ from typing import Any
 from octex.cli import values as v
 from octex.cli.parser import Command, File, Option
 
-DEFAULT_CHANNEL = "base_color"  # what is painted
+DEFAULT_CHANNEL = "base_color"  # the channel to paint
 DRAWN = "panels", "view", "paint", "cells", "difference"
 UV = "auto", "keep", "atlas", "xatlas"
 IMAGE_FORMATS = "png", "webp", "jpeg", "jpeg-all", "png16", "exr"
 UNITS = "meter", "centimeter", "millimeter", "inch", "foot"
 
-#: Every option as help shows it; words behind several spaces explain it.
+#: Every option as help shows it; its description follows after several spaces.
 _TABLE = """
 --depth N             number of levels: cells are 1/2^N of the model (default 10)
 --cell SIZE           width of the finest cells in the model's units, instead of --depth
@@ -118,7 +118,7 @@ _TABLE = """
 --quiet               print only errors, and the result of --json
 --json                print the result as one JSON object
 """
-#: How values are read; options in no row are flags.
+#: Parsers of option values; options in no row are flags.
 _READERS: dict[Callable[[str], Any], str] = {
     v.whole_number: "--depth --max-depth --level --texture-size --padding --supersample",
     v.count: "--threads --points",
@@ -171,7 +171,7 @@ _REPEATED = "--also", "--source", "--mask"
 
 
 def _options() -> dict[str, Option]:
-    """Return the options of the table by their words."""
+    """Return the options of the table by word."""
     readers = {word: read for read, words in _READERS.items() for word in words.split()}
     rows = re.findall(r"^(--\S+)(?: (\S+))? +(\S.*(?:\n +\S.*)*)$", _TABLE, re.MULTILINE)
     return {
@@ -182,7 +182,7 @@ def _options() -> dict[str, Option]:
 
 OPTIONS = _options()
 
-#: Every command: what it does, examples, files (in brackets where they may be missing) and options.
+#: Every command: summary, examples, files (optional ones in brackets) and options.
 _COMMANDS = """
 convert  Convert a textured model, points, voxels or a function to an octree texture.
   > droid.glb droid.octex --depth 10 --preview droid.png
@@ -266,7 +266,7 @@ warm-up  Compile everything now, so that later commands start at once.
   >
   --quiet
 """
-#: What help says instead of "default 10", where another depth is the default.
+#: Text in help instead of "default 10", for commands with another default depth.
 _DEPTHS = {"view": "default 9", "edit": "default: all"}
 _SHORT = {
     "SHAPE": "--rest --pose --subdiv",
@@ -277,7 +277,7 @@ _FILES: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys(("OUTPUT", "PAGE"), v.output_file),
     **dict.fromkeys(("MODEL", "IMAGE"), v.file_here),
 }
-#: Whether a word is a file that may be missing.
+#: Whether a word may be this optional file.
 _FITS: dict[str, Callable[[str], bool]] = {
     "TEXTURE": v.is_texture_name,
     "MODEL": lambda word: not word.lower().endswith((v.PAGE_ENDING, v.WEB_ENDING, ".png", ".jpg", ".jpeg")),

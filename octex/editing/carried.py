@@ -1,4 +1,4 @@
-"""The values of a texture in a tree that was made from its own."""
+"""Copies the values of a texture into an edited tree."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def carried(
 ) -> dict[str, Channel]:
     """Return the channels of a texture for the cells, rows and kept nodes of an edited tree.
 
-    ``values`` (cells, components), as stored, are those of its cells; by default ``edited.carried``, where
-    new cells have zeros. Nodes that did not keep a coefficient before keep their values.
+    Stored ``values`` (cells, components) are those of the new cells; default: ``edited.carried``, with zeros
+    in cells that the texture lacked. Newly kept nodes keep their values as coefficients.
     """
     kept = edited.tree.kept.cells
     was_kept = among(edited.old[kept], texture.tree.kept.cells.astype(np.int64))

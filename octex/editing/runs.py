@@ -1,4 +1,4 @@
-"""Textures joined from runs of the cells of others: cells of a level stand in Morton order."""
+"""Joins textures from runs of other textures' cells, since the cells of a level are in Morton order."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from octex.tree.octree import Octree
 
 
 class Runs(NamedTuple):
-    """Cells, or nodes, of several textures, end to end."""
+    """Runs of cells, or of nodes, of several textures, end to end."""
 
     owners: Int64s
     begins: Int64s
@@ -24,7 +24,7 @@ class Runs(NamedTuple):
 
     @classmethod
     def joined(cls, *parts: Iterable[Int64s]) -> Runs:
-        """Put runs one after the other; those that follow on each other become one."""
+        """Concatenate runs; consecutive ones become one."""
         owners, begins, ends = (np.concatenate(column) for column in zip(*parts, strict=True))
         some = begins < ends
         owners, begins, ends = owners[some], begins[some], ends[some]
@@ -42,17 +42,17 @@ class Runs(NamedTuple):
         return in_runs(self.begins, self.ends - self.begins)
 
     def of(self, arrays: Sequence[Array]) -> Array:
-        """Join the runs of an array of each texture."""
+        """Concatenate the runs of one array a texture."""
         runs = zip(*(column.tolist() for column in self), strict=True)
         return np.concatenate([arrays[owner][begin:end] for owner, begin, end in runs] or [arrays[0][:0]])
 
 
-#: The root, the first of all textures.
+#: The root of the first texture.
 ROOT = Runs(*np.array([[0], [0], [1]], np.int64))
 
 
 def children_in(trees: Sequence[Octree], nodes: Runs) -> tuple[Runs, Runs]:
-    """Return the runs of the children of runs of nodes: of cells, and of those of them that are nodes."""
+    """Return the runs of the children of runs of nodes: all cells, and those that are nodes."""
     first, last = np.zeros((2, 2, nodes.owners.size), np.int64)
     for number, tree in enumerate(trees):
         own = nodes.owners == number
@@ -62,7 +62,7 @@ def children_in(trees: Sequence[Octree], nodes: Runs) -> tuple[Runs, Runs]:
 
 
 def add_below(trees: Sequence[Octree], cells: list[Runs], nodes: list[Runs]) -> None:
-    """Add all below the last runs of nodes, level by level: the runs of cells, and of nodes."""
+    """Append, level by level, all runs of cells and nodes below the last runs of nodes."""
     while True:
         found, below = children_in(trees, nodes[-1])
         if not (found.begins < found.ends).any():
@@ -78,9 +78,9 @@ def joined_runs(
     nodes: Sequence[Runs],
     turned: Bools,
 ) -> OctreeTexture:
-    """Return a texture of runs of cells and nodes of others, level by level, with the channels of one.
+    """Return a texture of runs of cells and nodes, level by level, with the channels of ``like``.
 
-    Of the first cells those ``turned`` are nodes instead of leaves, or the other way round.
+    Where ``turned``, the first cells change from leaves to nodes, or from nodes to leaves.
     """
     counts = np.array([[(own.ends - own.begins).sum() for own in runs] for runs in (cells, nodes)], np.int64)
     counts = counts[:, : np.count_nonzero(counts[0])]
@@ -118,7 +118,7 @@ def joined_runs(
 
 @kernel
 def _turn(masks: Uint8s, turned: Bools) -> None:
-    """Make leaves of those of the first cells that are nodes and ``turned``, or nodes of leaves."""
+    """Turn those of the first cells that are ``turned`` from nodes to leaves, or from leaves to nodes."""
     cell = 1
     for node in range(masks.shape[1]):
         if cell >= turned.size:
@@ -134,7 +134,7 @@ def _turn(masks: Uint8s, turned: Bools) -> None:
 
 
 def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Runs]:
-    """Return the split cells among runs of cells, by new numbers, and the runs of them and of their rows."""
+    """Return the new numbers of split cells in runs of cells, and the runs of table entries and rows."""
     found, runs = _listed([tree.split.cells for tree in trees], cells)
     ends = [
         np.concatenate([[0], np.cumsum(bit_counts(tree.split.facings), dtype=np.int64)]) for tree in trees
@@ -146,7 +146,7 @@ def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Ru
 
 
 def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
-    """Return which of runs of cells tables list, by their new numbers, and the runs of the tables."""
+    """Return the new numbers of the cells in runs that tables list, and the runs of table entries."""
     owners, begins, ends = cells
     counts = ends - begins
     shifts = np.cumsum(counts) - counts - begins
