@@ -26,7 +26,7 @@ _TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 def read(path: Path, content: bytes) -> list[Frame]:
     """Read the aligned cameras of all chunks."""
     if b"<!DOCTYPE" in content:
-        raise BrokenError("has a document type, which no export of Metashape has")
+        raise BrokenError("has a document type, unlike exports of Metashape; export the cameras again")
     try:
         root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -55,8 +55,8 @@ def _frames(path: Path, chunk: Element) -> list[Frame]:
                 if transform is not None and len(transform):
                     if chunk.findtext("reference", "").strip().startswith(_ON_EARTH):
                         raise BrokenError(
-                            "the chunk's coordinates are on the earth, where models are exported in others "
-                            "than cameras; set its reference to local coordinates, then export both again"
+                            "the chunk has geographic coordinates, in which models and cameras do not match; "
+                            "set its reference to local coordinates, then export both again"
                         )
                     with within("the component's transform"):
                         pose = _placed(_numbers(transform), pose)

@@ -126,9 +126,9 @@ def bake(options: Options, program: str) -> int:
     }
     where = f"in maps of {size} × {size}" if size else f"at {len(baked.vertices):,} vertices"
     if images == "png" and written.image_bytes > _LARGE:
-        webp = "" if ending in USD_ENDINGS else "webp makes them smaller without loss, "
+        webp = "" if ending in USD_ENDINGS else "webp is smaller and lossless, "
         taken = f"its images take {bytes_text(written.image_bytes)}"
-        lines.append(f"{taken}: --image-format {webp}jpeg makes colours far smaller with some")
+        lines.append(f"{taken}: --image-format {webp}jpeg is far smaller and lossy")
     return tell_file(options, f"{', '.join(names)} {where}", made, *lines)
 
 

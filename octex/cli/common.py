@@ -278,7 +278,7 @@ class Reporter:
         warnings.simplefilter("always", ModelWarning)
         self._show_warning, warnings.showwarning = warnings.showwarning, self._warn
         if self._announce and not self._quiet:
-            text = "compiling what this needs, once (octex warm-up compiles all)"
+            text = "compiling kernels, once (octex warm-up compiles all)"
             self._stack.enter_context(at_first_compilation(lambda: self.note(text)))
         return self
 

@@ -129,8 +129,8 @@ def _convert(options: Options, program: str) -> int:
         is_even = options.max_error is None and options.detail is None
         share = f" ({100 * empty / (empty + texture.tree.n_leaves):.3g} %)" if is_even else ""
         faces = options.within is not None and options.within.degrees is not None
-        why = "is near enough and faces as they do" if faces else "is near enough"
-        lines.append(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
+        why = "no source is near enough with the same facing" if faces else "no source is near enough"
+        lines.append(f"{empty:,} finest cells{share} stay empty: {why}")
     repaired, told = told_repair(surface)
     made |= repaired
     lines += told
@@ -184,12 +184,12 @@ def _separated_text(moved: dict[str, list[float]], found: Overlaps) -> Iterator[
         if len(moved) > _LINES:
             yield f"  and {len(moved) - _LINES:,} more; --json lists them"
     elif found.n_parts > 1:
-        yield f"{found.n_parts:,} parts, none too near to another: none is moved"
+        yield f"{found.n_parts:,} parts, none too close to another: none moved"
     else:
-        yield "one part alone: nothing to move apart; where it runs through itself it stays as it is"
+        yield "one part: nothing to move apart, even where it intersects itself"
     if found.unchecked:
         yield (
-            f"{len(found.unchecked):,} of them are no solids: only their surfaces were checked, not their "
+            f"{len(found.unchecked):,} of them are not closed solids: only their surfaces were checked, not their "
             "inside; octex overlaps lists them"
         )
 

@@ -100,7 +100,7 @@ def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
                 texture = texture.level(options.level)
             model = _model(options, kind)
         if texture is None and kind == "paint":
-            progress.note("there is no texture: the model is drawn grey, in some light")
+            progress.note("without a texture the model is drawn grey, with soft shading")
         camera: Camera | None = None
         if options.unwrap is not None:
             patch = patch_of(options, model, options.size or _SIZE, progress)
@@ -109,7 +109,7 @@ def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
             camera = _camera(options, kind, texture, model, frame)
         if camera is not None and camera.is_distorted:
             progress.note(
-                "the camera's lens distorts; the picture is drawn without that, and fits the camera that "
+                "the camera has lens distortion; the picture is drawn without it, and fits the camera that "
                 "--camera-out writes"
             )
             camera = camera.undistorted

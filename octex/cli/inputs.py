@@ -76,7 +76,7 @@ def open_texture(path: Path | Address) -> OctreeTexture:
 def tell_layers(texture: OctreeTexture, path: Path | Address, tell_note: Callable[[str], None]) -> None:
     """Note that the layers in a texture do not change when the texture is edited."""
     if "layers" in texture.metadata:
-        tell_note(f"{path} has layers: the edit is of what it shows, and the layers do not have it")
+        tell_note(f"{path} has layers: the edit changes the visible texture, not its layers")
 
 
 def number_of(textures: TextureSet, folder: Path, part: str) -> int:

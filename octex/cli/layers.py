@@ -36,7 +36,7 @@ class Painting:
         self._opacity = 1.0 if options.opacity is None else options.opacity
 
     def fitting(self, shots: list[Shot]) -> tuple[list[Shot], list[str]]:
-        """Return the images that fit the model and each other, and the names of the rest; note the reasons."""
+        """Return the images that fit the model, and the names of the others; note why."""
         if len(shots) < 2 or any(shot.since for shot in shots):
             return shots, []
         from octex.photos.misfits import misfits

@@ -143,7 +143,7 @@ def _check(options: Options, is_set: bool) -> None:
     if path is None and kind_of(model) == "cloud":
         raise ArgumentError(f"{model}: has no surface; convert it with octex convert first")
     if not is_set:
-        refuse(options, ["--part"], f"needs a folder of parts; {path or model} is none")
+        refuse(options, ["--part"], f"needs a folder of parts; {path or model} is not one")
     if path is not None:
         refuse(options, ["--depth"], f"is for models; choose the level of {path} in the page")
     if options.paint is not None:

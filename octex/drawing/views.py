@@ -75,7 +75,9 @@ def render(
     if camera is not None and not isinstance(camera, Camera):
         raise ArgumentError(f"camera must be an octex.Camera, not {camera!r}")
     if camera is not None and camera.is_distorted:
-        raise ArgumentError("the camera's lens distorts, which pictures do not show; give camera.undistorted")
+        raise ArgumentError(
+            "the camera has lens distortion, which render cannot draw; give camera.undistorted"
+        )
     level, cubes = None if level is None else as_depth(level, "level"), as_flag(cubes, "cubes")
     if texture is None and (cubes or level is not None):
         raise ArgumentError("level and cubes are for a texture; give one, or leave them out")

@@ -119,8 +119,7 @@ def _same_formats(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTe
     """Return two textures with their common channels, stored as in the first; missing alpha becomes 1."""
     if first.metadata.get(SEPARATION) != second.metadata.get(SEPARATION):
         raise ArgumentError(
-            "parts of these textures' surfaces were moved apart, and not by the same; separate both or "
-            "neither"
+            "the parts of these textures were separated by different distances; separate both or neither"
         )
     if first.placement != second.placement:
         cells = " and ".join(
@@ -128,8 +127,8 @@ def _same_formats(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTe
             for origin, size in (first.placement, second.placement)
         )
         raise ArgumentError(
-            f"the textures' root cells differ, {cells}, and so do their cells, and octex does not resample "
-            "them; convert both models with the same bounds and depth or cell"
+            f"the textures' root cells differ, {cells}, and octex does not resample them; "
+            "convert both models with the same bounds and depth or cell"
         )
     one, other = {}, {}
     for name, channel in first.channels.items():

@@ -68,9 +68,9 @@ def command_of(body: bytes) -> Command:
     try:
         fields = json.loads(line)
     except (ValueError, RecursionError):
-        raise ArgumentError("the command is no line of JSON") from None
+        raise ArgumentError("the command is not a line of JSON") from None
     if not isinstance(fields, dict):
-        raise ArgumentError("the command is no JSON object")
+        raise ArgumentError("the command is not a JSON object")
     page, kind, name = fields.get("page"), fields.get("kind"), fields.get("name", "")
     if not isinstance(page, str) or not re.fullmatch(r"[0-9a-f-]{8,40}", page):
         raise ArgumentError("page must be hexadecimal digits")
@@ -153,7 +153,7 @@ def fill_of(command: Command) -> tuple[dict[str, Any], Where, Alike | None]:
     where, alike = where_of(command), None
     if "tolerance" in command.fields:
         if where.point is None:
-            raise ArgumentError("a tolerance needs at, the point whose colour is filled")
+            raise ArgumentError("tolerance needs at, the point whose colour is replaced")
         tolerance = as_number(command.fields["tolerance"], "tolerance", 0.0, 255.0)
         alike = Alike(tolerance, as_flag(command.fields.get("connected", True), "connected"))
     return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, alike
@@ -236,7 +236,7 @@ def picture_of(command: Command, camera: Camera) -> Uint8s:
         planes = b""
     if len(planes) != size or not unpacker.eof or unpacker.unused_data:
         what = "coverage" if is_plain else "red, green, blue and coverage"
-        raise ArgumentError(f"the content is no deflated {what} of {math.prod(shape[1:]):,} pixels")
+        raise ArgumentError(f"the content is not deflated {what} of {math.prod(shape[1:]):,} pixels")
     image = np.zeros((height, width, 4), np.uint8)
     inside = image[top:bottom, left:right]
     if "color" in command.fields:

@@ -75,7 +75,7 @@ class Journal:
             )
         if records and head != self._head:
             raise OutputError(
-                f"{self.path} is of another texture or model; give those that were painted, or delete it"
+                f"{self.path} is of another texture or model; give the painted ones, or delete it"
             )
         if not records:
             os.ftruncate(self._file, 0)

@@ -63,7 +63,7 @@ class Poses:
         except (ValueError, RecursionError):
             given = None
         if not isinstance(given, dict):
-            raise ArgumentError("a patch is asked for by a JSON object")
+            raise ArgumentError("a request for a patch must be a JSON object")
         spot = spot_of(given)
         if spot is None:
             raise ArgumentError("patch is missing")

@@ -37,7 +37,7 @@ def packed_beneath(session: Session, asked: str) -> bytes:
     except (ValueError, RecursionError):
         given = None
     if not isinstance(given, dict):
-        raise ArgumentError("what strokes lead to is asked for by a JSON object")
+        raise ArgumentError("a request for the texture beneath must be a JSON object")
     layer = given.get("layer")
     number = None if layer is None else as_whole(layer, "layer", 1, 2**53)
     texture = beneath(session.shown.stacked, number, given.get("leads"))  # type: ignore[arg-type]

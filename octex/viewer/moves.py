@@ -44,7 +44,7 @@ def packed_motion(motion: Motion, surface: Surface, level: int, room: int | None
     if not motion.animations:
         return PackedMotion({}, b"", notes)
     if start is None:
-        why = "it stands or rests as another model does" if len(motion.positions) == len(surface.rest) else ""
+        why = "its pose or rest mesh is another model's" if len(motion.positions) == len(surface.rest) else ""
         return PackedMotion(
             {}, b"", [*notes, f"no animations: {why or 'its vertices are not the file’s own'}"]
         )

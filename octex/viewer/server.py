@@ -194,7 +194,12 @@ class Viewer:
             with self._lock:
                 version = self._now().version
             is_other = self.session is not None and self._file_stamp() != self._opened
-            return version, f"{self._path.name} has changed: you paint on what was opened" if is_other else ""
+            return (
+                version,
+                f"{self._path.name} has changed: you paint on the version that was opened"
+                if is_other
+                else "",
+            )
         except OctexError as error:
             return self._state.version, str(error)
 

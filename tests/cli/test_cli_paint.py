@@ -643,7 +643,7 @@ def test_without_a_texture_the_view_shows_the_form_in_grey(
     view = tmp_path / "view.png"
     given = [scene.model, VIEW, view, "--camera", f"{scene.cameras}#blue.png"]
     assert main([str(each) for each in given]) == ExitCode.DONE
-    assert "there is no texture: the model is drawn grey" in capsys.readouterr().err
+    assert "without a texture the model is drawn grey" in capsys.readouterr().err
     picture = np.array(Image.open(view)).reshape(-1, 4)
     seen = picture[picture[:, 3] == 255]
     assert (seen[:, :1] == seen[:, :3]).all()
@@ -660,7 +660,8 @@ def test_a_view_has_no_lens_distortion(
     given += ["--camera-out", tmp_path / "straight.json"]
     assert main([str(each) for each in given]) == ExitCode.DONE
     assert (
-        "octex draw: the camera's lens distorts; the picture is drawn without that" in capsys.readouterr().err
+        "octex draw: the camera has lens distortion; the picture is drawn without it"
+        in capsys.readouterr().err
     )
     frame = octex.read_cameras(tmp_path / "straight.json")[0]
     assert frame.name == "a.png"
