@@ -189,8 +189,8 @@ def _separated_text(moved: dict[str, list[float]], found: Overlaps) -> Iterator[
         yield "one part: nothing to move apart, even where it intersects itself"
     if found.unchecked:
         yield (
-            f"{len(found.unchecked):,} of them are not closed solids: only their surfaces were checked, not their "
-            "inside; octex overlaps lists them"
+            f"{len(found.unchecked):,} of them are not closed solids: only their surfaces were checked, not "
+            "their inside; octex overlaps lists them"
         )
 
 
