@@ -249,10 +249,10 @@ class Camera:
         They are NaN far from the axis, where radial distortion would fold points back into the image.
         """
         points = np.ascontiguousarray(as_reals(points, "points", (-1, 2)), np.float64)
-        found = np.empty_like(points)
+        distorted = np.empty_like(points)
         with np.errstate(all="ignore"):
-            distort(self.lens, points, found)
-        return found
+            distort(self.lens, points, distorted)
+        return distorted
 
     def project(self, points: npt.ArrayLike) -> tuple[Float64s, Float64s]:
         """Return the pixel coordinates (n, 2) and depths (n,) of world points (n, 3).
@@ -280,9 +280,9 @@ class Camera:
             if self.projection == "pinhole":
                 if self.is_distorted:
                     bent = np.ascontiguousarray(on_plane[:, :2])
-                    found = np.empty_like(bent)
-                    undistort(self.lens, bent, found)
-                    on_plane[:, :2] = found
+                    undistorted = np.empty_like(bent)
+                    undistort(self.lens, bent, undistorted)
+                    on_plane[:, :2] = undistorted
                 origins, directions = np.zeros_like(on_plane), on_plane
             else:
                 origins, directions = on_plane * [1.0, 1.0, 0.0], np.tile([0.0, 0.0, 1.0], (len(pixels), 1))
@@ -340,11 +340,11 @@ def intrinsics(focal_x: float, focal_y: float, center_x: float, center_y: float)
 
 def as_size(size: tuple[int, int]) -> tuple[int, int]:
     """Return a checked width and height in pixels, or raise ArgumentError."""
-    given = list(size) if is_several(size) else []
-    is_size = [isinstance(each, (int, np.integer)) and 0 < each <= LARGEST_SIZE for each in given]
+    sides = list(size) if is_several(size) else []
+    is_size = [isinstance(each, (int, np.integer)) and 0 < each <= LARGEST_SIZE for each in sides]
     if is_size != [True, True]:
         raise ArgumentError(f"size must be (width, height) in whole pixels above zero, not {size!r}")
-    return int(given[0]), int(given[1])
+    return int(sides[0]), int(sides[1])
 
 
 def _as_center(center: npt.ArrayLike | None, width: int, height: int) -> tuple[float, float]:
@@ -388,25 +388,25 @@ def _as_distortion(distortion: Sequence[float], model: DistortionModel) -> Disto
 def _as_view(pose: npt.ArrayLike, convention: Convention) -> Float64s:
     """Return a user's pose as a world-to-camera matrix in our camera axes."""
     as_choice(convention, get_args(Convention), "camera convention")
-    given = as_reals(pose, "a camera's pose", (4, 4), (3, 4), most=LARGEST)
-    if len(given) == 3:
-        given = np.vstack([given, [0.0, 0.0, 0.0, 1.0]])
-    pose = _as_rigid(given, "a camera's pose")
-    left, _, right = np.linalg.svd(given[:3, :3])
+    matrix = as_reals(pose, "a camera's pose", (4, 4), (3, 4), most=LARGEST)
+    if len(matrix) == 3:
+        matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
+    pose = _as_rigid(matrix, "a camera's pose")
+    left, _, right = np.linalg.svd(matrix[:3, :3])
     pose[:3, :3] = left @ right  # the nearest rotation, since files round to a few digits
     pose[3] = [0.0, 0.0, 0.0, 1.0]
     return cast(Float64s, _FLIP_YZ @ np.linalg.inv(pose) if convention == "opengl" else pose)
 
 
 def _as_rigid(matrix: npt.ArrayLike, name: str) -> Float64s:
-    given = as_reals(matrix, name, (4, 4), most=LARGEST)
-    if not np.allclose(given[3], [0.0, 0.0, 0.0, 1.0]):
+    values = as_reals(matrix, name, (4, 4), most=LARGEST)
+    if not np.allclose(values[3], [0.0, 0.0, 0.0, 1.0]):
         raise ArgumentError(f"{name} must have the last row 0 0 0 1; is the matrix transposed?")
-    if np.abs(np.linalg.svd(given[:3, :3])[1] - 1.0).max() > 1e-4:
+    if np.abs(np.linalg.svd(values[:3, :3])[1] - 1.0).max() > 1e-4:
         raise ArgumentError(f"{name} must not scale or shear: its upper left 3×3 must be a rotation")
-    if np.linalg.det(given[:3, :3]) < 0.0:
+    if np.linalg.det(values[:3, :3]) < 0.0:
         raise ArgumentError(f"{name} must not mirror; is one of its axes negated?")
-    return given
+    return values
 
 
 def _look_along(forward: Float64s, up: Float64s) -> Float64s:

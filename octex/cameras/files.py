@@ -132,12 +132,12 @@ def find_frame(frames: Sequence[Frame], name: str) -> Frame:
     """
     keys: tuple[Callable[[str], str], ...] = (str, file_name, lambda text: Path(file_name(text)).stem)
     for key in keys:
-        alike = [frame for frame in frames if key(frame.name) == key(name)]
-        if len(alike) == 1:
-            return alike[0]
-        if alike:
+        matches = [frame for frame in frames if key(frame.name) == key(name)]
+        if len(matches) == 1:
+            return matches[0]
+        if matches:
             raise CameraError(
-                f"frame {name!r} may be {len(alike)} frames: {_listing(alike)}; give the whole name"
+                f"frame {name!r} may be {len(matches)} frames: {_listing(matches)}; give the whole name"
             )
     raise CameraError(f"there is no frame {name!r}; there are: {_listing(frames)}")
 

@@ -84,9 +84,9 @@ def repair(surface: Surface, *, cell: float | None = None, inner: bool = True) -
     kept = kept.part(np.flatnonzero(seen))
     degenerates, duplicates, hidden = counts
     not_finite = int(surface.provenance.get(NOT_FINITE, 0))
-    found = Repairs(not_finite, degenerates, duplicates, hidden, moved)
-    kept.provenance[REPAIR] = json.dumps(found._asdict())
-    return kept, found
+    repairs = Repairs(not_finite, degenerates, duplicates, hidden, moved)
+    kept.provenance[REPAIR] = json.dumps(repairs._asdict())
+    return kept, repairs
 
 
 def _useless(rest: Float64s, triangles: Int32s) -> tuple[Bools, Bools]:

@@ -90,7 +90,7 @@ def _convert(options: Options, program: str) -> int:
     kind = kind_of(path)
     if kind == "texture" and output.suffix.lower() == path.suffix.lower():
         raise ArgumentError(f"{path}: is an octree texture already; octex edit makes it coarser or smaller")
-    found: Overlaps | None = None
+    overlaps: Overlaps | None = None
     model: PointCloud | Voxels | Surface
     surface: Surface | None = None
     stages = ("convert", "preview") if options.preview is not None else ("convert",)
@@ -108,7 +108,7 @@ def _convert(options: Options, program: str) -> int:
                     model = surface = read_model(path, options)
             if options.separate is not None and surface is not None:
                 with progress.stage("separate"):
-                    model, found = octex.separate(
+                    model, overlaps = octex.separate(
                         surface, options.separate, depth=options.depth, cell=options.cell
                     )
                     surface = model
@@ -131,13 +131,13 @@ def _convert(options: Options, program: str) -> int:
         faces = options.within is not None and options.within.degrees is not None
         why = "no source is near enough with the same facing" if faces else "no source is near enough"
         lines.append(f"{empty:,} finest cells{share} stay empty: {why}")
-    repaired, told = told_repair(surface)
+    repaired, repair_lines = told_repair(surface)
     made |= repaired
-    lines += told
-    if found is not None:
+    lines += repair_lines
+    if overlaps is not None:
         separation = json.loads(texture.metadata.get("separation", '{"moved": {}}'))
-        made["separated"] = {**overlaps_as_json(found), "moved": separation["moved"]}
-        lines += _separated_text(separation["moved"], found)
+        made["separated"] = {**overlaps_as_json(overlaps), "moved": separation["moved"]}
+        lines += _separated_text(separation["moved"], overlaps)
     others = {"preview": (options.preview, "a picture of it")}
     return tell_file(options, text, made, *lines, others=others)
 
@@ -167,29 +167,29 @@ def _settings(options: Options) -> dict[str, Any]:
     return {**{name: getattr(options, name) for name in names}, "fit": not options.no_fit}
 
 
-def overlaps_as_json(found: Overlaps) -> dict[str, Any]:
+def overlaps_as_json(parts: Overlaps) -> dict[str, Any]:
     """Return overlapping parts for JSON; a gap beyond the margin, and an unknown volume, are null."""
-    pairs = [pair._asdict() for pair in found.pairs]
+    pairs = [pair._asdict() for pair in parts.pairs]
     for pair in pairs:
         pair["gap"] = pair["gap"] if math.isfinite(pair["gap"]) else None
-    return {"parts": found.n_parts, "pairs": pairs, "unchecked": [each._asdict() for each in found.unchecked]}
+    return {"parts": parts.n_parts, "pairs": pairs, "unchecked": [each._asdict() for each in parts.unchecked]}
 
 
-def _separated_text(moved: dict[str, list[float]], found: Overlaps) -> Iterator[str]:
+def _separated_text(moved: dict[str, list[float]], parts: Overlaps) -> Iterator[str]:
     """Yield lines about moved parts, their offsets, and unchecked parts."""
     if moved:
-        yield f"{len(moved):,} of {found.n_parts:,} parts moved apart; Surface.rest_positions says where to"
+        yield f"{len(moved):,} of {parts.n_parts:,} parts moved apart; Surface.rest_positions says where to"
         for part, offset in list(moved.items())[:_LINES]:
             yield f"  part {part} by {', '.join(f'{step:.6g}' for step in offset)}"
         if len(moved) > _LINES:
             yield f"  and {len(moved) - _LINES:,} more; --json lists them"
-    elif found.n_parts > 1:
-        yield f"{found.n_parts:,} parts, none too close to another: none moved"
+    elif parts.n_parts > 1:
+        yield f"{parts.n_parts:,} parts, none too close to another: none moved"
     else:
         yield "one part: nothing to move apart, even where it intersects itself"
-    if found.unchecked:
+    if parts.unchecked:
         yield (
-            f"{len(found.unchecked):,} of them are not closed solids: only their surfaces were checked, not "
+            f"{len(parts.unchecked):,} of them are not closed solids: only their surfaces were checked, not "
             "their inside; octex overlaps lists them"
         )
 
@@ -204,10 +204,10 @@ def _convert_parts(options: Options, program: str) -> int:
         with progress.stage("write"):
             made.save(folder)
     leaves = sum(texture.tree.n_leaves for texture in made.values())
-    repaired, told = told_repair(surface)
+    repaired, repair_lines = told_repair(surface)
     facts = {"parts": len(made), "leaves": leaves, "bytes": made.info()["bytes"], **repaired}
     text = f"{count_text(len(made), 'part')}, {count_text(leaves, 'leaf', 'leaves')}"
-    return tell_file(options, text, facts, *told)
+    return tell_file(options, text, facts, *repair_lines)
 
 
 def _check_folder(folder: Path, *, force: bool) -> None:

@@ -140,9 +140,9 @@ def _codes(
     channel, light, bump = options.channel, _light(options), options.bump
     size = {} if options.size is None else {"size": options.size}
     if kind == "difference":
-        found = octex.difference(texture, model, channels=None if channel is None else [channel])
+        differences = octex.difference(texture, model, channels=None if channel is None else [channel])
         names = options.TEXTURE.name, options.MODEL.name
-        return drawing.draw_difference(texture, model, found, names, **size)
+        return drawing.draw_difference(texture, model, differences, names, **size)
     if kind == "panels":
         view, lit = _viewpoint(options, frame), {"light": light, "bump": bump}
         return drawing.draw_preview(texture, model, **size, view=view, channel=channel, **lit)

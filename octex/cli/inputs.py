@@ -129,8 +129,8 @@ def told_repair(surface: Surface | None) -> tuple[dict[str, Any], list[str]]:
 
     if surface is None or REPAIR not in surface.provenance:
         return {}, []
-    found = Repairs(**json.loads(surface.provenance[REPAIR]))
-    return {REPAIR: found._asdict()}, [f"repair: {found}"]
+    counts = Repairs(**json.loads(surface.provenance[REPAIR]))
+    return {REPAIR: counts._asdict()}, [f"repair: {counts}"]
 
 
 def bare_model(path: Path, options: Options) -> Surface:
@@ -158,9 +158,9 @@ def check_model(options: Options, path: Path | Address) -> None:
 def read_model(path: Path, options: Options, extra: Sequence[str] = ()) -> Surface:
     """Read a model or FILE.py:NAME at rest with its channels; ``extra`` ones only if the model has them."""
     sources = {**_transferred(options), **_sources(options)}
-    for channel, given in sources.items():
-        if isinstance(given, FunctionName):
-            sources[channel] = load_function(given)
+    for channel, source in sources.items():
+        if isinstance(source, FunctionName):
+            sources[channel] = load_function(source)
     names = _wanted(options)
     every = [_read(each, options, sources, None if extra else names) for each in [path, *options.also]]
     surface = octex.Surface.joined(every) if options.also else every[0]
@@ -196,17 +196,17 @@ def _sources(options: Options) -> dict[str, Any]:
     """Return the sources of channels by name; refuse a channel that is repeated or not read."""
     sources: dict[str, Any] = {}
     wanted = _wanted(options)
-    for name, given in options.source:
+    for name, source in options.source:
         if name in sources:
             raise ArgumentError(f"--source gives {name} twice")
         if wanted is not None and name not in wanted:
             raise ArgumentError(f"--source gives {name}, but --channels leaves it out")
-        sources[name] = given
-        if isinstance(given, Path) and given.suffix.lower() == PTEX_ENDING:
-            sources[name] = octex.Ptex(given)
-        elif options.project is not None and isinstance(given, Path):
-            sources[name] = octex.MappedImage(given, **options.project)
-    if options.project is not None and not any(isinstance(given, Path) for _, given in options.source):
+        sources[name] = source
+        if isinstance(source, Path) and source.suffix.lower() == PTEX_ENDING:
+            sources[name] = octex.Ptex(source)
+        elif options.project is not None and isinstance(source, Path):
+            sources[name] = octex.MappedImage(source, **options.project)
+    if options.project is not None and not any(isinstance(source, Path) for _, source in options.source):
         raise ArgumentError("--project needs an image to project: --source base_color=FILE")
     return sources
 

@@ -41,13 +41,13 @@ class Painting:
             return shots, []
         from octex.photos.misfits import misfits
 
-        found, better = misfits(self._surface, [self._projection(shot) for shot in shots], self._executor)
-        for number, reason in sorted(found.items()):
+        reasons, better = misfits(self._surface, [self._projection(shot) for shot in shots], self._executor)
+        for number, reason in sorted(reasons.items()):
             self._progress.note(f"{shots[number].path} is left out: {reason}")
         if better:
             self._progress.note(f"the mesh does not fit the cameras: {better}")
-        kept = [shot for number, shot in enumerate(shots) if number not in found]
-        return kept, [shots[number].path.name for number in sorted(found)]
+        kept = [shot for number, shot in enumerate(shots) if number not in reasons]
+        return kept, [shots[number].path.name for number in sorted(reasons)]
 
     def projected(
         self, texture: OctreeTexture | None, shots: Sequence[Shot]
@@ -66,9 +66,9 @@ class Painting:
                 settings[name] = getattr(options, name)
         if options.max_angle is not None:
             settings["max_angle"], settings["back_faces"], settings["hidden"] = options.max_angle
-        given = [self._projection(shot) for shot in shots]
+        projections = [self._projection(shot) for shot in shots]
         background = _value_of(options) if isinstance(options.holes, tuple) else None
-        layer = octex.project(surface, given, like=texture, **settings)
+        layer = octex.project(surface, projections, like=texture, **settings)
         if texture is not None and layer.tree.n_leaves > texture.tree.n_leaves:
             self._progress.note(
                 f"the paint has {layer.tree.n_leaves:,} leaves, the texture {texture.tree.n_leaves:,}; "
@@ -80,16 +80,18 @@ class Painting:
         wanted: dict[str, Any] = {"channels": [channel_of(layer)], "sources": {channel_of(layer): background}}
         texture = octex.convert(surface, depth, **wanted, fit=not options.no_fit, run=self._run)
         if texture.placement != layer.placement:
-            layer = octex.project(surface, given, like=texture, **settings)
+            layer = octex.project(surface, projections, like=texture, **settings)
         return texture, [layer]
 
     def refined(self, shots: Sequence[Shot]) -> list[Shot]:
         """Return the images with refined cameras, and write these cameras."""
         pictures, reference = [self._projection(shot) for shot in shots], self._reference(shots)
-        found = octex.refine_cameras(self._surface, pictures, reference=reference, run=self._stored)
+        cameras = octex.refine_cameras(self._surface, pictures, reference=reference, run=self._stored)
         # The next steps may take hours, so the cameras are written now.
-        octex.write_cameras(self._options.refine_cameras, dict(zip(_camera_names(shots), found, strict=True)))
-        return [shot._replace(camera=camera) for shot, camera in zip(shots, found, strict=True)]
+        octex.write_cameras(
+            self._options.refine_cameras, dict(zip(_camera_names(shots), cameras, strict=True))
+        )
+        return [shot._replace(camera=camera) for shot, camera in zip(shots, cameras, strict=True)]
 
     def started(self, layer: OctreeTexture, has_layers: bool) -> tuple[OctreeTexture, bool]:
         """Return a new texture, filled where unseen as asked, and whether it includes a layer already."""
@@ -123,13 +125,13 @@ class Painting:
 
     def entries(self, files: Sequence[Path], layer: OctreeTexture) -> list[dict[str, str | float]]:
         """Return the provenance of the paint in files."""
-        found: list[dict[str, str | float]] = []
+        paint: list[dict[str, str | float]] = []
         for path in files:
             with open_file(path) as file:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
             entry = {"image": path.name, "sha256": digest, "blend": self._blend, "opacity": self._opacity}
-            found.append({**entry, "channel": channel_of(layer)})
-        return found
+            paint.append({**entry, "channel": channel_of(layer)})
+        return paint
 
     def _projection(self, shot: Shot) -> Projection:
         since: Any = shot.since

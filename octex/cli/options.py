@@ -292,8 +292,8 @@ def _command(text: str) -> Command:
     for line in map(str.strip, lines):
         if line.startswith(">"):
             examples.append(line[1:].strip())
-        elif found := re.fullmatch(r"(\[?)([A-Z]+)( ...)?\]?  +(.*)", line):
-            bracket, word, dots, help = found.groups()
+        elif match := re.fullmatch(r"(\[?)([A-Z]+)( ...)?\]?  +(.*)", line):
+            bracket, word, dots, help = match.groups()
             read = v.texture_file if (name, word) == ("draw", "MODEL") else _FILES[word]
             number: Any = "any" if dots else "maybe" if bracket else "one"
             files.append(File(word, read, help, number, _FITS.get(word, bool)))

@@ -98,12 +98,12 @@ class Parser:
 
     def parsed(self, words: Sequence[str]) -> Options:
         """Parse words; those after -- are files. Raises ArgumentError, and SystemExit after --help."""
-        found: dict[str, Any] = {
+        values: dict[str, Any] = {
             each.name: [] if each.repeats else None if each.read else False
             for command in self._commands.values()
             for each in command.options
         }
-        found["words"] = []
+        values["words"] = []
         left = deque(words)
         files: list[str] = []
         while left:
@@ -121,36 +121,36 @@ class Parser:
             option = self._options.get(word)
             if option is None:
                 self._refuse(word)
-            found["words"].append(word)
+            values["words"].append(word)
             if option.read is None:
                 if equals:
                     self.error(f"{word} takes no value")
-                found[option.name] = True
+                values[option.name] = True
                 continue
             if not equals:
                 if not left or left[0] in self._options:
                     self.error(f"{word} needs a value, {option.value}")
                 value = left.popleft()  # may begin with a minus
             read = self._read(option.read, word, value)
-            if found[option.name] is not None and not option.repeats:
+            if values[option.name] is not None and not option.repeats:
                 self.error(f"{word} is given twice; it takes one value")
-            found[option.name] = [*found[option.name], read] if option.repeats else read
-        found.update(self._files(files))
-        return Options(**found)
+            values[option.name] = [*values[option.name], read] if option.repeats else read
+        values.update(self._files(files))
+        return Options(**values)
 
     def _files(self, words: list[str]) -> dict[str, Any]:
         """Return files by name, or refuse too few or too many."""
-        found: dict[str, Any] = {}
+        files: dict[str, Any] = {}
         left = deque(words)
         late = None  # a file after a missing one
         for each in self._command.files:
             if each.number == "any":
-                found[each.word] = [self._read(each.read, each.word, word) for word in left]
+                files[each.word] = [self._read(each.read, each.word, word) for word in left]
                 left.clear()
             elif left and (each.number == "one" or each.fits(left[0])):
-                found[each.word] = self._read(each.read, each.word, left.popleft())
+                files[each.word] = self._read(each.read, each.word, left.popleft())
             elif each.number == "maybe":
-                found[each.word] = None
+                files[each.word] = None
                 late = late or next(filter(each.fits, left), None)
         usage = " ".join(each.usage for each in self._command.files)
         if left:
@@ -158,11 +158,11 @@ class Parser:
                 self.error(f"{late} is no file for its place: write {self.program} {usage}")
             self.error(f"{left[0]} is one file too many for {self.program} {usage}".rstrip())
         missing = [
-            each.word for each in self._command.files if each.number == "one" and each.word not in found
+            each.word for each in self._command.files if each.number == "one" and each.word not in files
         ]
         if missing:
             self.error(f"{' '.join(missing)} {'are' if len(missing) > 1 else 'is'} missing")
-        return found
+        return files
 
     def _read(self, read: Callable[[str], Any], word: str, value: str) -> Any:
         try:

@@ -102,11 +102,11 @@ def _masks(options: Options, pictures: Sequence[Path]) -> list[Path | None]:
     pattern = next((each for each in options.mask if isinstance(each, str)), None)
     if pattern is None:
         return [*files] if len(files) > 1 else [files[0] if files else None] * len(pictures)
-    found = [Path(pattern.replace(_NAME, path.name).replace(_STEM, path.stem)) for path in pictures]
-    missing = [mask.as_posix() for mask in found if not mask.is_file()]
+    masks = [Path(pattern.replace(_NAME, path.name).replace(_STEM, path.stem)) for path in pictures]
+    missing = [mask.as_posix() for mask in masks if not mask.is_file()]
     if missing:
-        raise ImageError(f"--mask: {len(missing)} of {len(found)} masks are missing: {_listing(missing)}")
-    return list(found)
+        raise ImageError(f"--mask: {len(missing)} of {len(masks)} masks are missing: {_listing(missing)}")
+    return list(masks)
 
 
 def _size(path: Path, frame: Frame) -> tuple[int, int]:
@@ -152,22 +152,23 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
         frames = [frame_of(frames, name, file)]
     if len(images) == 1 and len(frames) == 1 and images[0][1] is None:
         return [(images[0][0], frames[0])], []
-    if len(images) == len(frames) and not any([*(f.is_named for f in frames), *(own for _, own in images)]):
+    if len(images) == len(frames) and not any([*(f.is_named for f in frames), *(name for _, name in images)]):
         return [(image, frame) for (image, _), frame in zip(images, frames, strict=True)], []
     if images:
         try:
-            return [(image, frame_of(frames, own or image.as_posix(), file)) for image, own in images], []
+            return [(image, frame_of(frames, name or image.as_posix(), file)) for image, name in images], []
         except CameraError as error:
             raise CameraError(f"{error}; IMAGE=NAME says which camera an IMAGE has") from None
-    own = [(frame.image, frame) for frame in frames if frame.image is not None]
-    if not own:
+    named = [(frame.image, frame) for frame in frames if frame.image is not None]
+    if not named:
         raise CameraError(f"{file}: does not name the pictures of its cameras; give IMAGEs")
-    missing = [frame.name for image, frame in own if not image.is_file()]
-    if len(missing) == len(own):
+    missing = [frame.name for image, frame in named if not image.is_file()]
+    if len(missing) == len(named):
         raise CameraError(
-            f"{file}: none of the {len(own)} pictures that it names exists: {_listing(missing)}; give IMAGEs"
+            f"{file}: none of the {len(named)} pictures that it names exists: {_listing(missing)}; "
+            "give IMAGEs"
         )
-    return [(image, frame) for image, frame in own if image.is_file()], missing
+    return [(image, frame) for image, frame in named if image.is_file()], missing
 
 
 def _image_and_frame(path: Path) -> tuple[Path, str | None]:

@@ -281,7 +281,7 @@ def projected(text: str) -> dict[str, Any]:
     """Parse KIND[:axis=A][:center=X,Y,Z][:size=S] into arguments of octex.MappedImage."""
     kind, *settings = text.split(":")
     readers: dict[str, Callable[[str], Any]] = {"axis": one_of(*AXES), "center": position, "size": sizes}
-    found: dict[str, Any] = {"kind": one_of(*PROJECTIONS)(kind)}
+    arguments: dict[str, Any] = {"kind": one_of(*PROJECTIONS)(kind)}
     for setting in settings:
         name, equals, value = setting.partition("=")
         if name not in readers or not equals:
@@ -289,12 +289,12 @@ def projected(text: str) -> dict[str, Any]:
                 f"{setting!r} is not one of axis=A, center=X,Y,Z, size=SIZE, such as box:size=0.5"
             )
         try:
-            found[name] = readers[name](value)
+            arguments[name] = readers[name](value)
         except ArgumentError as error:
             raise ArgumentError(f"{name}: {error}") from None
-    if kind == "spherical" and "size" in found:
+    if kind == "spherical" and "size" in arguments:
         raise ArgumentError("a spherical projection has no size: one copy of the image goes around")
-    return found
+    return arguments
 
 
 def mask(text: str) -> Path | str | tuple[int, int, int]:
@@ -373,15 +373,15 @@ def disc(text: str) -> dict[str, Any]:
     """Parse X,Y,Z,RADIUS[:conformal][:up=X,Y,Z] into arguments of octex.unwrap."""
     sphere, *settings = text.split(":")
     numbers = _sphere(sphere)
-    found: dict[str, Any] = {"center": numbers[:3], "radius": numbers[3]}
+    arguments: dict[str, Any] = {"center": numbers[:3], "radius": numbers[3]}
     for setting in settings:
         if setting.startswith("up="):
-            found["up"] = direction(setting.removeprefix("up="))
+            arguments["up"] = direction(setting.removeprefix("up="))
         elif setting == "conformal":
-            found["method"] = setting
+            arguments["method"] = setting
         else:
             raise ArgumentError(f"{setting!r} is neither conformal nor up=X,Y,Z")
-    return found
+    return arguments
 
 
 def file_and_amount(text: str) -> tuple[Path | Address, float]:

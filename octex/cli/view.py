@@ -126,9 +126,9 @@ def _reader(
             return open_texture(path)
         textures = octex.TextureSet.open(path)
         part = options.part
-        found = textures if part is None else textures[textures.names[number_of(textures, path, part)]]
-        found.validate()
-        return found
+        chosen = textures if part is None else textures[textures.names[number_of(textures, path, part)]]
+        chosen.validate()
+        return chosen
 
     return opened
 

@@ -332,7 +332,7 @@ def inside_cells(texture: OctreeTexture) -> Callable[..., Bools]:
     inset = texture.placement.size * 2.0**-29
 
     def lies_on(centres: Floats, edges: Floats | None = None) -> Bools:
-        found = np.zeros(len(centres), np.bool_)
+        is_inside = np.zeros(len(centres), np.bool_)
         edges = np.full(len(centres), finest_edge(texture)) if edges is None else edges
         for edge in np.unique(edges):
             # A cell that meets a cube, and is no smaller, holds one of the cube's corners.
@@ -342,9 +342,9 @@ def inside_cells(texture: OctreeTexture) -> Callable[..., Bools]:
             for corner in np.ndindex(2, 2, 2):
                 offset = (np.array(corner) - 0.5) * (edge - 2 * inset)
                 held = coarse.contains(centres[left] + offset)
-                found[left[held]] = True
+                is_inside[left[held]] = True
                 left = left[~held]
-        return found
+        return is_inside
 
     return lies_on
 

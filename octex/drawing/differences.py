@@ -61,7 +61,7 @@ class _Row(NamedTuple):
 def draw_difference(
     a: Side,
     b: Side,
-    found: Differences,
+    differences: Differences,
     names: tuple[str, str] = ("A", "B"),
     size: tuple[int, int] = (1800, 640),
     supersample: int = 3,
@@ -90,9 +90,9 @@ def draw_difference(
     room = round(1.6 * caption_height(size[1]))
     has_model = any(isinstance(side, Surface) for side in whole)
     kind = _OnModel if has_model else _TwoTrees
-    sides = kind(in_common(*whole), found, (size[0] // 3, size[1]), room, supersample)
+    sides = kind(in_common(*whole), differences, (size[0] // 3, size[1]), room, supersample)
     rows = []
-    for channel, result in found.items():
+    for channel, result in differences.items():
         row = sides.row(channel)
         panels = [
             captioned(picture, name, caption(side, channel), room)
@@ -107,13 +107,18 @@ class _OnModel:
     """Draws a model coloured by itself and by a texture."""
 
     def __init__(
-        self, sides: tuple[Side, Side], found: Differences, size: tuple[int, int], room: int, supersample: int
+        self,
+        sides: tuple[Side, Side],
+        differences: Differences,
+        size: tuple[int, int],
+        room: int,
+        supersample: int,
     ) -> None:
-        self._sides, self._found, self._supersample = sides, found, supersample
+        self._sides, self._found, self._supersample = sides, differences, supersample
         (self._model,) = (side for side in sides if isinstance(side, Surface))
         (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
         self._covers = inside_cells(texture)
-        self._camera = surface_camera(self._model, self._look(sides[0], next(iter(found))), size, room)
+        self._camera = surface_camera(self._model, self._look(sides[0], next(iter(differences))), size, room)
 
     @staticmethod
     def _look(side: Side, channel: str) -> Shader:
@@ -144,11 +149,16 @@ class _TwoTrees:
     """Draws the leaves of two textures, no smaller than half a pixel."""
 
     def __init__(
-        self, sides: tuple[Side, Side], found: Differences, size: tuple[int, int], room: int, supersample: int
+        self,
+        sides: tuple[Side, Side],
+        differences: Differences,
+        size: tuple[int, int],
+        room: int,
+        supersample: int,
     ) -> None:
         whole = [side for side in sides if isinstance(side, OctreeTexture)]
-        self._found, self._supersample = found, supersample
-        self._camera = leaf_camera(whole, next(iter(found)), size, room)
+        self._found, self._supersample = differences, supersample
+        self._camera = leaf_camera(whole, next(iter(differences)), size, room)
         a, b = (texture.level(visible_level(texture, self._camera, _LEAF_PIXELS)) for texture in whole)
         self._textures = a, b
         both = Leaves.of(a), Leaves.of(b)
@@ -190,9 +200,9 @@ class _TwoTrees:
 class _Apart:
     """Encodes the difference of two sides as emitted red, and surface of one side only as green."""
 
-    def __init__(self, sides: tuple[Side, Side], channel: str, found: Differences) -> None:
+    def __init__(self, sides: tuple[Side, Side], channel: str, differences: Differences) -> None:
         self._channel = channel
-        self._readers = readers_of(sides, [channel], found.width or 0.0, found.filter)
+        self._readers = readers_of(sides, [channel], differences.width or 0.0, differences.filter)
 
     def appearance(self, points: Points, covered: Bools) -> Appearance:
         a, b = (reader.read(points)[self._channel] for reader in self._readers)

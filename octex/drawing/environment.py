@@ -132,14 +132,14 @@ class Environment:
         return self._read(normals, -1.0)
 
     def _read(self, directions: npt.ArrayLike, level: float) -> Float64s:
-        given = as_reals(directions, "directions", (-1, 3), most=_LONGEST)
-        lengths = np.linalg.norm(given, axis=1, keepdims=True)
+        vectors = as_reals(directions, "directions", (-1, 3), most=_LONGEST)
+        lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
         if not lengths.all():
             raise ArgumentError("directions must have a length")
-        unit = np.ascontiguousarray(given / lengths, np.float64)
-        found = np.empty_like(unit)
-        _read_all(self.tables, unit, level, found)
-        return found
+        unit = np.ascontiguousarray(vectors / lengths, np.float64)
+        light = np.empty_like(unit)
+        _read_all(self.tables, unit, level, light)
+        return light
 
 
 def _as_light(texels: Texels) -> Float64s:
@@ -225,10 +225,10 @@ def _tables(light: Float64s) -> tuple[Float32s, Int64s]:
     tables = [light.reshape(-1, 3)]
     for number, (high, wide) in enumerate(sizes[1:], 1):
         directions = np.ascontiguousarray(_directions(high, wide).reshape(-1, 3))
-        found = np.empty_like(directions)
+        texels = np.empty_like(directions)
         alpha = (number / _STEPS) ** 2 if number < _TABLES - 1 else 0.0
-        _gather(pyramid, levels, directions, alpha, found)
-        tables.append(found)
+        _gather(pyramid, levels, directions, alpha, texels)
+        tables.append(texels)
     firsts = np.cumsum([0, *(len(table) for table in tables[:-1])])
     shapes = np.column_stack([firsts, np.array(sizes)]).astype(np.int64)
     return np.concatenate(tables).astype(np.float32), shapes
@@ -307,14 +307,14 @@ def _gather(pyramid: Float64s, levels: Int64s, directions: Float64s, alpha: floa
 
 
 @kernel
-def _read_all(tables: Tables, directions: Float64s, level: float, found: Float64s) -> None:
+def _read_all(tables: Tables, directions: Float64s, level: float, out: Float64s) -> None:
     for n in range(len(directions)):
         x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
         if level < 0.0:
             red, green, blue = matte_light(tables, x, y, z)
         else:
             red, green, blue = glossy_light(tables, level / _STEPS, x, y, z)
-        found[n, 0], found[n, 1], found[n, 2] = red, green, blue  # assigning whole rows compiles 3 s longer
+        out[n, 0], out[n, 1], out[n, 2] = red, green, blue  # assigning whole rows compiles 3 s longer
 
 
 @inlined

@@ -129,10 +129,10 @@ def shaders_of(
     """Return the channel to show, which both have, and shaders of the model and of the texture."""
     formats = [form for form in surface.channels if texture is None or form.name in texture.channels]
     channel = Shown.of(formats, channel).channel.name
-    own = bump
-    if own is not None and texture is not None and own[0] not in [form.name for form in surface.channels]:
-        own = None  # draw a model without the channel grey, next to the texture that has it
-    looks = [source_shader(surface, channel, materials=materials, bump=own)]
+    used = bump
+    if used is not None and texture is not None and used[0] not in [form.name for form in surface.channels]:
+        used = None  # a model without the channel is drawn without the bump
+    looks = [source_shader(surface, channel, materials=materials, bump=used)]
     if texture is not None:
         looks.append(texture_shader(texture, channel, materials=materials, bump=bump))
     return channel, looks

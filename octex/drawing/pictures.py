@@ -75,8 +75,8 @@ def film_surface(
             layer = z_buffer(surface.vertices, surface.triangles, seen.camera, executor, behind=layer)
             opened = np.zeros(layer.triangle.shape, np.bool_)
             blocks = seen.blocks(layer)
-            found = ordered_map(executor, partial(appear, layer), blocks, window=2 * cpu_count())
-            for pixels, appearances in zip(blocks, found, strict=True):
+            shaded = ordered_map(executor, partial(appear, layer), blocks, window=2 * cpu_count())
+            for pixels, appearances in zip(blocks, shaded, strict=True):
                 for film, appearance in zip(films, appearances, strict=True):
                     opened.ravel()[pixels] |= film.add(pixels, appearance)
             if not opened.any():
@@ -118,10 +118,10 @@ def lit(
         appearance.reflected, appearance.metallic, appearance.roughness, appearance.occlusion,
         appearance.specular,
     )  # fmt: skip
-    found = reflected(light, camera, points, faces, normals, material)
+    light_reflected = reflected(light, camera, points, faces, normals, material)
     if not light.tone_mapped:
-        return appearance._replace(reflected=found)
-    seen: Floats = found if appearance.emitted is None else found + appearance.emitted
+        return appearance._replace(reflected=light_reflected)
+    seen: Floats = light_reflected if appearance.emitted is None else light_reflected + appearance.emitted
     return appearance._replace(reflected=tone_mapped(seen), emitted=None)
 
 
@@ -177,8 +177,8 @@ def _expose(
         row, column = divmod(samples[n], width * supersample)
         pixel = row // supersample * width + column // supersample
         before = passed[samples[n]]
-        own = coverage[n] if len(coverage) else np.float32(1.0)
-        part, left = before * own, before * (np.float32(1.0) - own)
+        opacity = coverage[n] if len(coverage) else np.float32(1.0)
+        part, left = before * opacity, before * (np.float32(1.0) - opacity)
         for lane in range(3):
             if len(reflected):
                 sums[pixel, lane] += float(reflected[n, lane]) * part

@@ -235,8 +235,8 @@ def weighted_means(starts: Int64s, weights: Float32s, stored: Array, space: Colo
     Run n begins at ``starts`` (n + 1,); ``weights`` are (m,).
     """
     means = np.zeros((starts.size - 1, stored.shape[1]))
-    alike = np.zeros(weights.size, np.uint8), np.ones(1)
-    _means(starts[:-1], np.diff(starts), *alike, weights, *_as_codes(stored, space), means)
+    equal_areas = np.zeros(weights.size, np.uint8), np.ones(1)
+    _means(starts[:-1], np.diff(starts), *equal_areas, weights, *_as_codes(stored, space), means)
     return means.astype(np.float32)
 
 
@@ -303,8 +303,8 @@ def _row_shares(
     bits = np.repeat(rows.bits, np.diff(starts, append=children.size))
     flags = tree.arrays.flags[children]
     shares = AREAS[tree.arrays.areas[children]] / np.maximum(counts_of(flags), 1)
-    there, found = find_rows(tree.split, children, bits)
-    shares[there] = AREAS[areas[found]]
+    there, numbers = find_rows(tree.split, children, bits)
+    shares[there] = AREAS[areas[numbers]]
     shares[flags & bits == 0] = 0.0
     return children, bits, starts, shares
 

@@ -21,10 +21,10 @@ def carried(
     """
     kept = edited.tree.kept.cells
     was_kept = among(edited.old[kept], texture.tree.kept.cells.astype(np.int64))
-    found = {}
+    channels = {}
     for name, channel in texture.channels.items():
-        own = edited.carried(channel.values) if values is None else values[name]
-        kept_values = np.ascontiguousarray(own[kept])
+        stored = edited.carried(channel.values) if values is None else values[name]
+        kept_values = np.ascontiguousarray(stored[kept])
         kept_values[was_kept] = channel.kept_values[edited.kept_rows]
-        found[name] = Channel(channel.format, own, channel.split_values[edited.split_rows], kept_values)
-    return found
+        channels[name] = Channel(channel.format, stored, channel.split_values[edited.split_rows], kept_values)
+    return channels

@@ -144,8 +144,8 @@ def change_of_values(before: OctreeTexture, after: OctreeTexture) -> Change | No
     differs = np.zeros(tree.n_cells, np.bool_)
     owners, kept = rows_of(tree.split).cells, tree.kept.cells
     for name, channel in after.channels.items():
-        for own, was, cells in zip(channel[1:], before.channels[name][1:], (None, owners, kept), strict=True):
-            apart = np.zeros(len(own), np.bool_) if own is was else np.logical_or.reduce(list((own != was).T))
+        for now, was, cells in zip(channel[1:], before.channels[name][1:], (None, owners, kept), strict=True):
+            apart = np.zeros(len(now), np.bool_) if now is was else np.logical_or.reduce(list((now != was).T))
             differs[slice(None) if cells is None else cells[apart]] |= apart if cells is None else np.True_
     if not differs.any():
         return None
@@ -179,8 +179,8 @@ def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
     for deeper in range(level + 1, tree.max_depth + 1):
         firsts, begins = children_before(tree.arrays.groups, begins)
         first, end = tree.arrays.level_cells[deeper : deeper + 2]
-        own = [cell for cell in bright if first <= cell < end]
-        tiles.append(codes[is_node][np.searchsorted(firsts, own, "right") - 1])
+        cells_here = [cell for cell in bright if first <= cell < end]
+        tiles.append(codes[is_node][np.searchsorted(firsts, cells_here, "right") - 1])
     return np.concatenate(tiles)
 
 
@@ -197,11 +197,11 @@ def coarsest_near(tree: Octree, codes: Sequence[Int64s]) -> int:
     The cells are listed by level, and neighbours counted at their level. Without any, return the level of the
     largest of these cells.
     """
-    largest = next((level for level, own in enumerate(codes) if own.size), 0)
+    largest = next((level for level, cells in enumerate(codes) if cells.size), 0)
     first = coarsest_of(tree)
     above = with_all_above(codes)[first:largest] if first < largest else []
-    for level, own in enumerate(above, first):
-        where = locate(tree, with_boundary(own, level), level)
+    for level, cells in enumerate(above, first):
+        where = locate(tree, with_boundary(cells, level), level)
         is_kept = tree.arrays.flags[where.cells] & KEPT != 0
         if ((where.levels == level) & (where.is_leaf | is_kept)).any():
             return level
@@ -210,7 +210,9 @@ def coarsest_near(tree: Octree, codes: Sequence[Int64s]) -> int:
 
 def _at(codes: Sequence[Int64s], level: int) -> Int64s:
     """Return the cells of a level that contain cells listed by level, none larger."""
-    return distinct(np.concatenate([own >> 3 * (at - level) for at, own in enumerate(codes) if own.size]))
+    return distinct(
+        np.concatenate([cells >> 3 * (at - level) for at, cells in enumerate(codes) if cells.size])
+    )
 
 
 def _is_small(tree: Octree, tiles: Tiles) -> bool:
@@ -240,8 +242,8 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
     for level, opened in enumerate(_opened(tiles)):
         if level:
             codes, is_node = _child_codes(tree, numbers, codes)
-            found, below = children_in([tree], nodes[-1])
-            cells.append(Runs.joined(found))
+            children, below = children_in([tree], nodes[-1])
+            cells.append(Runs.joined(children))
             numbers = below.numbers()
         is_open = is_node & among(codes, opened)
         closed.append(is_node & ~is_open)
@@ -324,8 +326,8 @@ def _overwritten(
     taken = set() if shared is None else {each.ctypes.data for each in _arrays(shared)}
     written: list[tuple[Array, Array, Array]] = []  # once all copies exist: an error changes nothing
 
-    def changed(whole: Array, was: Array, own: Array, place: Int64s) -> Array:
-        differs = was != own
+    def changed(whole: Array, was: Array, changed_rows: Array, place: Int64s) -> Array:
+        differs = was != changed_rows
         if differs.ndim > 1:
             differs = np.logical_or.reduce(list(differs.T))  # twice as fast as along an axis of three
         rows = np.flatnonzero(differs & (place >= 0))
@@ -335,7 +337,7 @@ def _overwritten(
         is_free = shared is not None and whole.ctypes.data not in taken
         if not (is_free and isinstance(made, np.ndarray) and made.flags.writeable):
             made = whole.copy()
-        written.append((made, place[rows], own[rows]))
+        written.append((made, place[rows], changed_rows[rows]))
         return made
 
     flags, areas = (
@@ -385,14 +387,14 @@ def put_together(
             where = locate(texture.tree, codes, at)
             owners[~is_node & (where.levels == at) & ~where.is_leaf] = 1
         for number in distinct(owners[owners > 0]).tolist():
-            own = owners == number
-            where = locate(trees[number], codes[own], at)
-            numbers[own], own_nodes[own] = where.cells, where.nodes
+            is_here = owners == number
+            where = locate(trees[number], codes[is_here], at)
+            numbers[is_here], own_nodes[is_here] = where.cells, where.nodes
         is_below = own_nodes >= 0
-        found, below = children_in(trees, nodes[-1])
+        children, below = children_in(trees, nodes[-1])
         # Cells of the top are copied one by one, from any texture; others in runs.
-        counts = np.where(found.owners == 0, found.ends - found.begins, 1)
-        rows = np.stack([*found, below.begins, below.ends]).repeat(counts, axis=1)
+        counts = np.where(children.owners == 0, children.ends - children.begins, 1)
+        rows = np.stack([*children, below.begins, below.ends]).repeat(counts, axis=1)
         is_top = rows[0] == 0
         rows[:, is_top] = owners, numbers, numbers + 1, own_nodes, own_nodes + is_below
         cells.append(Runs.joined(rows[:3]))

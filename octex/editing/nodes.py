@@ -37,9 +37,9 @@ def nodes_at(tree: Octree, codes: Sequence[Int64s]) -> Nodes:
     Without a node there, the number is −1, and the cell is the one that contains the place.
     """
     found = [Nodes(np.empty(0, np.int64), np.empty(0, np.int64))]
-    for level, own in enumerate(codes):
-        if own.size:
-            where = locate(tree, own, level)
+    for level, here in enumerate(codes):
+        if here.size:
+            where = locate(tree, here, level)
             found.append(Nodes(np.where(where.levels == level, where.nodes, -1), where.cells))
     return Nodes(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
@@ -66,6 +66,6 @@ def rows_by_level(tree: Octree, nodes: Nodes) -> Iterator[tuple[slice, Rows, Int
     rows = rows_of(tree.split, nodes.cells)
     owners = np.searchsorted(nodes.cells, rows.cells)
     for here in by_level(tree, nodes):
-        some = slice(*np.searchsorted(owners, [here.start, here.stop]).tolist())
-        if some.start < some.stop:
-            yield some, rows.of(some), nodes.numbers[owners[some]]
+        span = slice(*np.searchsorted(owners, [here.start, here.stop]).tolist())
+        if span.start < span.stop:
+            yield span, rows.of(span), nodes.numbers[owners[span]]

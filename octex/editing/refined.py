@@ -51,9 +51,9 @@ def refined_below(
 ) -> Below:
     """Refine a texture to cells (n,) of a level below its leaves, from their codes and facings."""
     blocks = [slice(begin, begin + _BLOCK) for begin in range(0, codes.size, _BLOCK)] or [slice(0)]
-    given = [(codes[here], facings[here]) for here in blocks]
+    tasks = [(codes[here], facings[here]) for here in blocks]
     refine = partial(_refined_below, texture, level)
-    done = [refine(each) for each in given] if executor is None else ordered_map(executor, refine, given)
+    done = [refine(each) for each in tasks] if executor is None else ordered_map(executor, refine, tasks)
     values, is_split, rows = zip(*done, strict=True)
     return Below(_joined(values), np.concatenate(is_split), _joined(rows))
 
@@ -62,8 +62,8 @@ def _joined(parts: Sequence[Mapping[str, Float32s]]) -> dict[str, Float32s]:
     return {name: np.concatenate([each[name] for each in parts]) for name in parts[0]}
 
 
-def _refined_below(texture: OctreeTexture, level: int, given: tuple[Int64s, Uint8s]) -> Below:
-    codes, facings = given
+def _refined_below(texture: OctreeTexture, level: int, task: tuple[Int64s, Uint8s]) -> Below:
+    codes, facings = task
     tree, channels = texture.tree, texture.channels
     taps = _Taps(*refined_taps(tree, codes, level))
     values = _blended(channels, taps)
@@ -105,21 +105,21 @@ def refined_rows(texture: OctreeTexture, codes: Int64s, level: int, bits: Uint8s
     Taps that face only the opposite way are hidden. Taps that face sideways are not: a normal between two
     facings sees both.
     """
-    found = [_blended(texture.channels, _Taps(np.zeros(1, np.int64), *_NO_TAPS))]
+    blocks = [_blended(texture.channels, _Taps(np.zeros(1, np.int64), *_NO_TAPS))]
     for begin in range(0, codes.size, _BLOCK):
         here = slice(begin, begin + _BLOCK)
-        own, owners = np.unique(codes[here], return_inverse=True)
-        taps = _Taps(*refined_taps(texture.tree, own, level))
-        found.append(_blended(texture.channels, *_facing(texture.tree, taps, owners, bits[here])))
-    return _joined(found)
+        distinct_codes, owners = np.unique(codes[here], return_inverse=True)
+        taps = _Taps(*refined_taps(texture.tree, distinct_codes, level))
+        blocks.append(_blended(texture.channels, *_facing(texture.tree, taps, owners, bits[here])))
+    return _joined(blocks)
 
 
 def _facing(tree: Octree, taps: _Taps, owners: Int64s, bits: Uint8s) -> tuple[_Taps, Bools, Int64s]:
     """Return the taps of cells' facings, which of them have rows in the split table, and these rows."""
     counts = np.diff(taps.starts)[owners]
     starts = np.cumsum(np.concatenate([[0], counts]))
-    own = in_runs(taps.starts[owners], counts)
-    rows, weights, bits = taps.rows[own], taps.weights[own], np.repeat(bits, counts)
+    picked = in_runs(taps.starts[owners], counts)
+    rows, weights, bits = taps.rows[picked], taps.weights[picked], np.repeat(bits, counts)
     cells = rows.astype(np.int64)
     is_kept = cells >= tree.n_cells
     cells[is_kept] = tree.kept.cells[cells[is_kept] - tree.n_cells]
@@ -129,17 +129,17 @@ def _facing(tree: Octree, taps: _Taps, owners: Int64s, bits: Uint8s) -> tuple[_T
 
 
 def _blended(
-    channels: Mapping[str, Channel], taps: _Taps, there: Bools | None = None, own: Int64s | None = None
+    channels: Mapping[str, Channel], taps: _Taps, there: Bools | None = None, own_rows: Int64s | None = None
 ) -> dict[str, Float32s]:
     """Blend channels, decoded; taps in ``there`` use their ``own`` rows of the split table."""
 
     def shown(channel: Channel) -> Array:
         stored = channel.rows(taps.rows)
         if there is not None:
-            stored[there] = channel.split_values[own]
+            stored[there] = channel.split_values[own_rows]
         return stored
 
-    found = {}
+    blended = {}
     weights: dict[str | None, Float32s] = {}
     for name, channel in channels.items():
         alpha = alpha_of(name)
@@ -150,8 +150,8 @@ def _blended(
             if alpha is not None:
                 part = decode(shown(channels[alpha]), channels[alpha].format.space)[:, 0]
                 weights[alpha] = taps.weights * np.maximum(part, _FAINT)
-        found[name] = weighted_means(taps.starts, weights[alpha], shown(channel), channel.format.space)
-    return found
+        blended[name] = weighted_means(taps.starts, weights[alpha], shown(channel), channel.format.space)
+    return blended
 
 
 @kernel
@@ -164,7 +164,7 @@ def _see_apart(taps: _Taps, flags: Uint8s, kept_cells: Uint32s, facings: Uint8s,
             row = np.int64(taps.rows[tap])
             if row >= flags.size:
                 row = np.int64(kept_cells[min(row - flags.size, np.int64(kept_cells.size) - 1)])
-            own = flags[min(row, np.int64(flags.size) - 1)]
-            if own & SPLIT or facings[n] & ~own & OPPOSITE[own & FACING_FLAGS]:
+            flag = flags[min(row, np.int64(flags.size) - 1)]
+            if flag & SPLIT or facings[n] & ~flag & OPPOSITE[flag & FACING_FLAGS]:
                 sees_apart[n] = True
                 break

@@ -26,8 +26,8 @@ class Runs(NamedTuple):
     def joined(cls, *parts: Iterable[Int64s]) -> Runs:
         """Concatenate runs; consecutive ones become one."""
         owners, begins, ends = (np.concatenate(column) for column in zip(*parts, strict=True))
-        some = begins < ends
-        owners, begins, ends = owners[some], begins[some], ends[some]
+        is_filled = begins < ends
+        owners, begins, ends = owners[is_filled], begins[is_filled], ends[is_filled]
         follows = np.zeros(owners.size + 1, np.bool_)
         follows[1:-1] = (owners[1:] == owners[:-1]) & (begins[1:] == ends[:-1])
         return cls(owners[~follows[:-1]], begins[~follows[:-1]], ends[~follows[1:]])
@@ -55,19 +55,19 @@ def children_in(trees: Sequence[Octree], nodes: Runs) -> tuple[Runs, Runs]:
     """Return the runs of the children of runs of nodes: all cells, and those that are nodes."""
     first, last = np.zeros((2, 2, nodes.owners.size), np.int64)
     for number, tree in enumerate(trees):
-        own = nodes.owners == number
-        first[:, own] = children_before(tree.arrays.groups, nodes.begins[own])
-        last[:, own] = children_before(tree.arrays.groups, nodes.ends[own])
+        is_here = nodes.owners == number
+        first[:, is_here] = children_before(tree.arrays.groups, nodes.begins[is_here])
+        last[:, is_here] = children_before(tree.arrays.groups, nodes.ends[is_here])
     return Runs(nodes.owners, first[0], last[0]), Runs(nodes.owners, first[1], last[1])
 
 
 def add_below(trees: Sequence[Octree], cells: list[Runs], nodes: list[Runs]) -> None:
     """Append, level by level, all runs of cells and nodes below the last runs of nodes."""
     while True:
-        found, below = children_in(trees, nodes[-1])
-        if not (found.begins < found.ends).any():
+        children, below = children_in(trees, nodes[-1])
+        if not (children.begins < children.ends).any():
             return
-        cells.append(Runs.joined(found))
+        cells.append(Runs.joined(children))
         nodes.append(Runs.joined(below))
 
 
@@ -135,14 +135,14 @@ def _turn(masks: Uint8s, turned: Bools) -> None:
 
 def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Runs]:
     """Return the new numbers of split cells in runs of cells, and the runs of table entries and rows."""
-    found, runs = _listed([tree.split.cells for tree in trees], cells)
+    split, runs = _listed([tree.split.cells for tree in trees], cells)
     ends = [
         np.concatenate([[0], np.cumsum(bit_counts(tree.split.facings), dtype=np.int64)]) for tree in trees
     ]
     firsts = np.cumsum([0, *map(len, ends)])[runs.owners]
     every = np.concatenate(ends)
     rows = Runs(runs.owners, every[firsts + runs.begins], every[firsts + runs.ends])
-    return found, runs, rows
+    return split, runs, rows
 
 
 def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
@@ -152,10 +152,10 @@ def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
     shifts = np.cumsum(counts) - counts - begins
     first, last = np.zeros((2, owners.size), np.int64)
     for number, table in enumerate(tables):
-        own = owners == number
-        first[own] = np.searchsorted(table, begins[own].astype(np.uint32))
-        last[own] = np.searchsorted(table, ends[own].astype(np.uint32))
+        is_here = owners == number
+        first[is_here] = np.searchsorted(table, begins[is_here].astype(np.uint32))
+        last[is_here] = np.searchsorted(table, ends[is_here].astype(np.uint32))
     has = last > first
     runs = Runs(owners[has], first[has], last[has])
-    found = runs.of(tables).astype(np.int64) + np.repeat(shifts[has], (last - first)[has])
-    return found.astype(np.uint32), runs
+    listed = runs.of(tables).astype(np.int64) + np.repeat(shifts[has], (last - first)[has])
+    return listed.astype(np.uint32), runs

@@ -44,9 +44,9 @@ def rows_facing(texture: OctreeTexture, channel: Channel, cells: Int64s, bits: U
 
 def _stored_facing(channel: Channel, cells: Int64s, there: Bools, rows: Int64s) -> Array:
     """Return the stored values of cells (n,), and those of ``rows`` for the cells in ``there`` (n,)."""
-    found = channel.values[cells]
-    found[there] = channel.split_values[rows]
-    return found
+    values = channel.values[cells]
+    values[there] = channel.split_values[rows]
+    return values
 
 
 def with_split(
@@ -76,8 +76,8 @@ def without_split(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
     if not cells.size:
         return texture
     tree = texture.tree
-    own = tree.split.cells.astype(np.int64)
-    split, rows = taken(tree.split, np.where(among(own, cells), -1, own))
+    split_cells = tree.split.cells.astype(np.int64)
+    split, rows = taken(tree.split, np.where(among(split_cells, cells), -1, split_cells))
     flags = tree.arrays.flags.copy()
     flags[cells] &= np.uint8(0xFF ^ SPLIT)
     channels = {

@@ -68,12 +68,12 @@ def _values(channel: Channel) -> tuple[Array, Array, Array, Array]:
 
 def _joined_tiles(levels: list[Tiles | None]) -> tuple[Int64s, Int32s, Uint64s, Uint32s]:
     """Join the tiles of all levels; levels without tiles get a top level of −1."""
-    found = np.full((MAX_DEPTH + 1, 5), -1, np.int64)
+    table = np.full((MAX_DEPTH + 1, 5), -1, np.int64)
     tops, masks, firsts = [np.empty(0, np.int32)], [np.empty(0, np.uint64)], [np.empty(0, np.uint32)]
     top = row = 0
     for level, tiles in enumerate(levels):
         if tiles is not None:
             tops, masks, firsts = [*tops, tiles.top], [*masks, tiles.masks], [*firsts, tiles.firsts]
-            found[level] = tiles.top_level, top, top + tiles.top.size, row, row + tiles.masks.size
+            table[level] = tiles.top_level, top, top + tiles.top.size, row, row + tiles.masks.size
             top, row = top + tiles.top.size, row + tiles.masks.size
-    return found, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts)
+    return table, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts)

@@ -112,11 +112,11 @@ def _keys(positions: Float64s, low: Float64s, scale: float) -> Int64s:
 @kernel
 def rows_in(order: Int64s, rows: Array) -> Array:
     """Return rows (n, components) in an order; three times as fast as numpy where they lie far apart."""
-    found = np.empty_like(rows)
+    ordered = np.empty_like(rows)
     for n in range(order.size):
         for k in range(rows.shape[1]):
-            found[n, k] = rows[order[n], k]
-    return found
+            ordered[n, k] = rows[order[n], k]
+    return ordered
 
 
 def boxes_of(low: Float64s, high: Float64s) -> Boxes:

@@ -39,7 +39,7 @@ def gap(a: Mesh, b: Mesh, most: float) -> float:
 def _gap(few: Float64s, many: Mesh, most: float, stride: int) -> float:
     search = new_search()
     best = most * most
-    found = False
+    is_reached = False
     for number in range(few.shape[0]):
         i = number * stride % few.shape[0]  # spread over the mesh, to find a small distance early
         # Query with the ball around the triangle's box.
@@ -57,11 +57,11 @@ def _gap(few: Float64s, many: Mesh, most: float, stride: int) -> float:
                     continue
                 distance = _triangle_distance(few, i, many.corners, j)
                 if distance <= best:
-                    best, found = distance, True
+                    best, is_reached = distance, True
                     if best == 0.0:
                         return 0.0
                     bound = reach(best, at[3] + radius)
-    return np.sqrt(best) if found else np.inf
+    return np.sqrt(best) if is_reached else np.inf
 
 
 @inlined

@@ -65,12 +65,12 @@ class Points(NamedTuple):
         points count whose normal's cosine to the direction is at least ``least_cosine``.
         """
         means = np.zeros((len(places), self.values.shape[1]), np.float32)
-        found = np.zeros(len(places), np.bool_)
+        has_value = np.zeros(len(places), np.bool_)
         facing = np.empty((0, 3)) if directions is None or not len(self.normals) else directions
         farthest = -1.0 if nearest is None else float(nearest)
         width = float(np.median(radii)) if len(radii) else 0.0
-        _around(self, places, radii, facing, farthest, float(least_cosine), width, means, found)
-        return means, found
+        _around(self, places, radii, facing, farthest, float(least_cosine), width, means, has_value)
+        return means, has_value
 
     def spacing(self) -> float:
         """Return the distance within which 19 of 20 points have a neighbour, from at most 10,000 points."""
@@ -107,7 +107,7 @@ def _around(
     least_cosine: float,
     width: float,
     means: Float32s,
-    found: Bools,
+    has_value: Bools,
 ) -> None:
     boxes = cloud.boxes
     search, cache = new_search(), new_node_cache(width)
@@ -138,13 +138,13 @@ def _around(
                     near &= near - np.uint64(1)
                     total += _add_group(cloud, group, sought, square, sums)
         if total > 0.0:
-            found[n] = True
+            has_value[n] = True
             for component in range(sums.size):
                 means[n, component] = sums[component] / total
         elif farthest >= 0.0:
             last = _nearest(cloud, search, sought, farthest, last, -1)
             if last >= 0:
-                found[n] = True
+                has_value[n] = True
                 for component in range(sums.size):
                     means[n, component] = cloud.values[last, component]
 
@@ -189,9 +189,9 @@ def _to_others(cloud: Points, chosen: Int64s) -> Float64s:
     search, no_directions = new_search(), np.empty((0, 3), np.float64)
     squares = np.empty(chosen.size, np.float64)
     for n in range(chosen.size):
-        own = int(chosen[n])
-        point = cloud.positions[own, 0], cloud.positions[own, 1], cloud.positions[own, 2]
+        row_here = int(chosen[n])
+        point = cloud.positions[row_here, 0], cloud.positions[row_here, 1], cloud.positions[row_here, 2]
         sought = Sought(point, local(cloud.boxes, *point), no_directions, n, -1.0)
-        other = _nearest(cloud, search, sought, np.inf, -1, own)
+        other = _nearest(cloud, search, sought, np.inf, -1, row_here)
         squares[n] = _square(cloud.positions, other, point) if other >= 0 else np.inf
     return squares

@@ -83,10 +83,10 @@ class Triangles(NamedTuple):
         With unit ``directions`` (n, 3), only triangles count whose normal's cosine to the direction is at
         least ``least_cosine``. At equal distance the first triangle wins.
         """
-        found = Nearest(np.empty(len(points), np.int32), np.empty((len(points), 3)), np.empty(len(points)))
+        result = Nearest(np.empty(len(points), np.int32), np.empty((len(points), 3)), np.empty(len(points)))
         facing = np.empty((0, 3)) if directions is None else directions
-        _nearest(self, points, facing, float(distance), float(least_cosine), *found)
-        return found
+        _nearest(self, points, facing, float(distance), float(least_cosine), *result)
+        return result
 
 
 @inlined

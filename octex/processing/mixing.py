@@ -58,8 +58,8 @@ class Side:
         self.texture, self.origins, self._cells = texture, origins, cells
         self._below = np.flatnonzero(origins.cells < NOTHING) if refines else np.empty(0, np.int64)
         parts = [
-            refined_below(texture, cells.codes[own], level, cells.facings[own], executor)
-            for level, own in enumerate(cells.by_level(self._below) if self._below.size else ())
+            refined_below(texture, cells.codes[chosen], level, cells.facings[chosen], executor)
+            for level, chosen in enumerate(cells.by_level(self._below) if self._below.size else ())
         ]
         self._is_split = np.concatenate([np.empty(0, np.bool_), *(each.is_split for each in parts)])
         self._refined = {
@@ -231,8 +231,8 @@ class Mixing:
             blocks, ordered_map(self._executor, self._leaves_mixed, blocks), strict=True
         ):
             self._share[block] = share
-            for name, own in mixed.items():
-                values[name][block] = own
+            for name, mixed_values in mixed.items():
+                values[name][block] = mixed_values
         return values, Nodes(np.flatnonzero(is_made), self._nodes[is_made])
 
     def _leaves_mixed(self, cells: Int64s) -> tuple[dict[str, Array], Float32s]:

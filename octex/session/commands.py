@@ -95,15 +95,15 @@ class Where(NamedTuple):
 
 def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], Where]:
     """Return a stroke's image, its options of painting, and the connected part that limits it, if any."""
-    given = command.fields
+    fields = command.fields
     options = {
-        "max_angle": given.get("maxAngle", DRAWN_ANGLE),
-        "back_faces": given.get("backFaces", False),
-        "hidden": given.get("hidden", False),
+        "max_angle": fields.get("maxAngle", DRAWN_ANGLE),
+        "back_faces": fields.get("backFaces", False),
+        "hidden": fields.get("hidden", False),
     }
     PaintOptions(**options)
-    moment_of(given)
-    spot_of(given)
+    moment_of(fields)
+    spot_of(fields)
     camera = camera_of(command)
     image = picture_of(command, camera)
     picture = Projection(image, camera, opacity=opacity_of(command), blend=blend_of(command))
@@ -150,13 +150,13 @@ def fill_of(command: Command) -> tuple[dict[str, Any], Where, Alike | None]:
     _no_content(command)
     if not values_of(command) or "color" in command.fields:
         codes_of(command)
-    where, alike = where_of(command), None
+    where, limits = where_of(command), None
     if "tolerance" in command.fields:
         if where.point is None:
             raise ArgumentError("tolerance needs at, the point whose colour is replaced")
         tolerance = as_number(command.fields["tolerance"], "tolerance", 0.0, 255.0)
-        alike = Alike(tolerance, as_flag(command.fields.get("connected", True), "connected"))
-    return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, alike
+        limits = Alike(tolerance, as_flag(command.fields.get("connected", True), "connected"))
+    return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, limits
 
 
 def channel_of(command: Command) -> str:
@@ -171,13 +171,13 @@ def channel_of(command: Command) -> str:
 def layer_of(command: Command) -> tuple[str, dict[str, Any]]:
     """Return an action, and its arguments for the command's layer."""
     _no_content(command)
-    given, (layer, _) = command.fields, target_of(command)
-    action = str(as_choice(given.get("action", ""), _ACTIONS, "action"))
+    fields, (layer, _) = command.fields, target_of(command)
+    action = str(as_choice(fields.get("action", ""), _ACTIONS, "action"))
     if layer is None and action != "add":
         raise ArgumentError(f"name the layer to {action}")
     if action == "move":
-        return action, {"place": as_whole(given.get("place"), "place", 0, _MOST_NUMBER)}  # type: ignore[arg-type]
-    wanted = {own: given[name] for name, own in _FIELDS.items() if name in given}
+        return action, {"place": as_whole(fields.get("place"), "place", 0, _MOST_NUMBER)}  # type: ignore[arg-type]
+    wanted = {parameter: fields[name] for name, parameter in _FIELDS.items() if name in fields}
     check_layer(Layer(1, "Layer")._replace(**wanted))
     return action, wanted
 

@@ -209,7 +209,7 @@ class Session:
             self._painter.store(self._output.parent)
 
     def _shown(self) -> Shown:
-        told = {
+        status = {
             "steps": [step.name for step in (*self._steps, *self._undone[::-1])],
             "done": len(self._steps),
             "baked": dict(self._baked),
@@ -229,7 +229,7 @@ class Session:
             "fault": self._fault,
             "question": self._question,
         }
-        return Shown(self._painter.texture(), told, self._before, self._changes, self._painter.stacked)
+        return Shown(self._painter.texture(), status, self._before, self._changes, self._painter.stacked)
 
     def _do(self, command: Command) -> None:
         """Run a command; one that fails changes nothing, and sets the fault."""
@@ -331,14 +331,14 @@ class Session:
             self._undone.clear()
 
     def _do_layer(self, command: Command) -> None:
-        action, given = layer_of(command)
+        action, arguments = layer_of(command)
         number = cast(int, target_of(command)[0])
         if action == "add":
-            self._painter.add_layer(**given)
+            self._painter.add_layer(**arguments)
         elif action == "set":
-            self._painter.change_layer(number, **given)
+            self._painter.change_layer(number, **arguments)
         elif action == "move":
-            self._painter.move_layer(number, **given)
+            self._painter.move_layer(number, **arguments)
         elif action == "copy":
             self._painter.copy_layer(number)
         elif action == "merge":

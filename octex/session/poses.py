@@ -59,15 +59,15 @@ class Poses:
     def asked(self, asked: str) -> Patch:
         """Return the patch for JSON with the fields of a stroke; raises as ``patch`` does."""
         try:
-            given = json.loads(asked)
+            fields = json.loads(asked)
         except (ValueError, RecursionError):
-            given = None
-        if not isinstance(given, dict):
+            fields = None
+        if not isinstance(fields, dict):
             raise ArgumentError("a request for a patch must be a JSON object")
-        spot = spot_of(given)
+        spot = spot_of(fields)
         if spot is None:
             raise ArgumentError("patch is missing")
-        return self.patch(moment_of(given), spot)
+        return self.patch(moment_of(fields), spot)
 
 
 def mirrored_spot(spot: Spot, axis: int, middle: float) -> Spot:

@@ -182,15 +182,15 @@ def _smooth(
             row = rows[corner // 3]
             if row < 0:
                 continue
-            own = faces[corner // 3]
-            x, y, z = own[0], own[1], own[2]
+            face_here = faces[corner // 3]
+            x, y, z = face_here[0], face_here[1], face_here[2]
             if is_shared:
                 x, y, z = a, b, c
             elif end - first <= _MANY:
                 x, y, z = 0.0, 0.0, 0.0
                 for other in by_place[first:end]:
                     face = faces[other // 3]
-                    if own[0] * face[0] + own[1] * face[1] + own[2] * face[2] >= cosines[0]:
+                    if face_here[0] * face[0] + face_here[1] * face[1] + face_here[2] * face[2] >= cosines[0]:
                         x += angles[other] * face[0]
                         y += angles[other] * face[1]
                         z += angles[other] * face[2]

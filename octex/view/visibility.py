@@ -40,10 +40,10 @@ class Visibility(NamedTuple):
 
     def triangle(self, rows: Int32s) -> Int32s:
         """Return the triangles of rows of any shape; −1 stays −1."""
-        found = np.full(rows.shape, -1, np.int32)
+        triangles = np.full(rows.shape, -1, np.int32)
         sees = rows >= 0
-        found[sees] = self.triangles[rows[sees]]
-        return found
+        triangles[sees] = self.triangles[rows[sees]]
+        return triangles
 
 
 class View(NamedTuple):

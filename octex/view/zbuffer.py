@@ -80,25 +80,27 @@ def z_buffer(
     if behind is None:
         behind = Buffers(np.empty((0, 0), np.int32), np.empty((0, 0, 3), np.float32), np.empty((0, 0)))
     shape = camera.height, camera.width
-    found = Buffers(np.empty(shape, np.int32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float64))
+    buffers = Buffers(
+        np.empty(shape, np.int32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float64)
+    )
     corners = np.ascontiguousarray(corners, np.int32)
 
     def draw(ends: tuple[int, int]) -> None:
         rows = slice(*ends)
-        triangle, barycentric, depth = found.triangle[rows], found.barycentric[rows], found.depth[rows]
+        triangle, barycentric, depth = buffers.triangle[rows], buffers.barycentric[rows], buffers.depth[rows]
         triangle[:], barycentric[:], depth[:] = -1, 0.0, np.inf
         before = behind.triangle[rows], behind.depth[rows]
         _draw(screen, snapped, outside, corners, same, ends[0], *before, triangle, barycentric, depth)
 
     if executor is None:
         draw((0, camera.height))
-        return found
+        return buffers
     bands = min(cpu_count(), camera.height)
     ends = [camera.height * band // bands for band in range(bands + 1)]
     with sharing(executor) as pool:
         for _ in ordered_map(pool, draw, list(pairwise(ends))):
             pass
-    return found
+    return buffers
 
 
 @kernel

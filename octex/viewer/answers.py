@@ -148,12 +148,12 @@ class Handler(BaseHTTPRequestHandler):
         A page that lost its server asks for a proof without the token, since another server may answer now.
         """
         token, slash, path = self.path.partition("?")[0].removeprefix("/").partition("/")
-        own = {f"{ADDRESS}:{self.viewer.port}", f"localhost:{self.viewer.port}"}
+        hosts = {f"{ADDRESS}:{self.viewer.port}", f"localhost:{self.viewer.port}"}
         host, origin = self.headers.get("Host"), self.headers.get("Origin")
         why, status = "", HTTPStatus.FORBIDDEN
-        if host not in own:
+        if host not in hosts:
             why = f"the host is {host!r}"
-        elif origin is not None and origin.removeprefix("http://") not in own:
+        elif origin is not None and origin.removeprefix("http://") not in hosts:
             why = f"the origin is {origin!r}"
         elif self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
             why = "another site asks"
@@ -241,9 +241,9 @@ class Handler(BaseHTTPRequestHandler):
         """Make a file for a page and report progress; a closed page stops the work."""
         send = self._events()
 
-        def tell(name: str, told: dict[str, Any]) -> None:
+        def tell(name: str, message: dict[str, Any]) -> None:
             try:
-                send(f"event: {name}\ndata: {json.dumps(told)}\n\n")
+                send(f"event: {name}\ndata: {json.dumps(message)}\n\n")
             except OSError:
                 raise _GoneError from None
 

@@ -33,14 +33,14 @@ def packed_beneath(session: Session, asked: str) -> bytes:
     ``asked`` is JSON with the layer and the kind of stroke. Raises ArgumentError for anything else.
     """
     try:
-        given = json.loads(asked)
+        fields = json.loads(asked)
     except (ValueError, RecursionError):
-        given = None
-    if not isinstance(given, dict):
+        fields = None
+    if not isinstance(fields, dict):
         raise ArgumentError("a request for the texture beneath must be a JSON object")
-    layer = given.get("layer")
+    layer = fields.get("layer")
     number = None if layer is None else as_whole(layer, "layer", 1, 2**53)
-    texture = beneath(session.shown.stacked, number, given.get("leads"))  # type: ignore[arg-type]
+    texture = beneath(session.shown.stacked, number, fields.get("leads"))  # type: ignore[arg-type]
     if texture is None:
         return b"null\n"
     header, streams = pack(texture, None, level=_QUICK)

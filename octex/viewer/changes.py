@@ -180,8 +180,8 @@ def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:
     levels = zip(before.tree.walk(), after.tree.walk(), here, there, strict=False)
     for (had, _), (codes, _), first, first_old in levels:
         at = np.minimum(np.searchsorted(had, codes), had.size - 1)
-        own = old[first : first + codes.size]
-        own[:] = np.where(had[at] == codes, first_old + at, -1)
+        old_here = old[first : first + codes.size]
+        old_here[:] = np.where(had[at] == codes, first_old + at, -1)
     is_known = old >= 0
     (masks, areas), (old_masks, old_areas) = (_nodes_data(each.tree) for each in (after, before))
     flags, old_flags = after.tree.arrays.flags, before.tree.arrays.flags

@@ -52,10 +52,10 @@ class Wanted(NamedTuple):
     @classmethod
     def of(cls, query: str) -> Wanted:
         """Parse a query; raises ArgumentError for an invalid one."""
-        given = parse_qsl(query, keep_blank_values=True)
-        for name, _ in given:
+        pairs = parse_qsl(query, keep_blank_values=True)
+        for name, _ in pairs:
             as_choice(name, tuple(_DEFAULTS), "field of the download")
-        kind, uv, size, divide = {**_DEFAULTS, **dict(given)}.values()
+        kind, uv, size, divide = {**_DEFAULTS, **dict(pairs)}.values()
         as_choice(kind, tuple(_ENDINGS), "kind")
         as_choice(uv, LAYOUTS, "uv")
         as_choice(size, _SIZES, "size")

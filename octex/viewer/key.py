@@ -20,20 +20,20 @@ def user_key() -> bytes:
 
 
 def _folder() -> Path:
-    given = os.environ.get("XDG_STATE_HOME") or os.environ.get("LOCALAPPDATA")
-    return (Path(given) if given else Path.home() / ".local" / "state") / "octex"
+    variable = os.environ.get("XDG_STATE_HOME") or os.environ.get("LOCALAPPDATA")
+    return (Path(variable) if variable else Path.home() / ".local" / "state") / "octex"
 
 
 def _read(path: Path) -> bytes:
     """Return a file's secret; empty for a damaged file, and for one that others own or can read."""
     try:
         with path.open("rb") as file:
-            status, found = os.fstat(file.fileno()), file.read(_BYTES + 1)
+            status, secret = os.fstat(file.fileno()), file.read(_BYTES + 1)
     except FileNotFoundError:
         return b""
     if os.name == "posix" and (status.st_uid != os.getuid() or status.st_mode & 0o077):
         return b""
-    return found if len(found) == _BYTES else b""
+    return secret if len(secret) == _BYTES else b""
 
 
 def _made(path: Path) -> bytes:

@@ -51,7 +51,7 @@ def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -
     if not textures:
         return None
     texels = {
-        (id(each.texels), given.lanes): each.texels for given in inputs.values() if (each := given.texture)
+        (id(each.texels), entry.lanes): each.texels for entry in inputs.values() if (each := entry.texture)
     }
     images, divisor = _files(texels, small, room)
     order = np.argsort(source.triangle_materials, kind="stable")
@@ -59,12 +59,12 @@ def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -
     parts, first = [], 0
     for number in used:
         count = int((source.triangle_materials == number).sum())
-        given = inputs[number]
-        part: dict[str, Any] = {"first": first, "count": count, "factor": list(given.factor)}
-        if given.texture is not None:
-            part["image"] = places.index((id(given.texture.texels), given.lanes))
-            part["wraps"] = [_WRAPS[given.texture.wrap_u], _WRAPS[given.texture.wrap_v]]
-            part["isNearest"] = given.texture.nearest
+        kind = inputs[number]
+        part: dict[str, Any] = {"first": first, "count": count, "factor": list(kind.factor)}
+        if kind.texture is not None:
+            part["image"] = places.index((id(kind.texture.texels), kind.lanes))
+            part["wraps"] = [_WRAPS[kind.texture.wrap_u], _WRAPS[kind.texture.wrap_v]]
+            part["isNearest"] = kind.texture.nearest
         parts.append(part)
         first += count
     coordinates = np.zeros((len(surface.triangles), 3, 2))

@@ -119,13 +119,13 @@ def _bounds(motion: Motion, animations: list[Animation], middle: Float64s) -> li
     used = np.isfinite(low[:, 0])
     low, high = low[used], high[used]
     center, half = (low + high) / 2, (high - low) / 2
-    found = []
+    boxes = []
     for each in animations:
         bones = each.bones[:, used]
         at = _times(bones[..., :3], center) + bones[..., 3]
         off = _times(np.abs(bones[..., :3]), half)
-        found.append([(at - off).min(axis=(0, 1)).tolist(), (at + off).max(axis=(0, 1)).tolist()])
-    return found
+        boxes.append([(at - off).min(axis=(0, 1)).tolist(), (at + off).max(axis=(0, 1)).tolist()])
+    return boxes
 
 
 def _times(matrices: Float64s, vectors: Array) -> Float64s:

@@ -100,8 +100,14 @@ def packed_page(
     first = parts[0]
     more: dict[str, Any] = {"motion": motion, "maps": maps, "paints": paints}
     packed.insert(0, pack(first.texture, first.surface, **more, level=level, room=room))
-    headers = [{"name": part.name, **own.header} for part, own in zip(parts, packed, strict=True)]
-    streams = {f"{n}-{name}": stream for n, own in enumerate(packed) for name, stream in own.streams.items()}
+    headers = [
+        {"name": part.name, **packed_part.header} for part, packed_part in zip(parts, packed, strict=True)
+    ]
+    streams = {
+        f"{n}-{name}": stream
+        for n, packed_part in enumerate(packed)
+        for name, stream in packed_part.streams.items()
+    }
     studio, streams["studio"] = _packed_studio()
     return Packed({"title": title, "studio": studio, "parts": headers}, streams)
 

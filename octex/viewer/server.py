@@ -218,17 +218,17 @@ class Viewer:
         return self._state
 
     def _read(self, stamp: str) -> _State:
-        told: dict[str, Any] | None
+        status: dict[str, Any] | None
         if self.session is not None:
-            texture, told, before, changes, _ = self.session.shown
+            texture, status, before, changes, _ = self.session.shown
             parts = parts_of(texture, self._surface)
         else:
-            told, before, changes = None, None, ()
+            status, before, changes = None, None, ()
             parts = [
                 part._replace(texture=copy.deepcopy(part.texture))
                 for part in parts_of(self._open(), self._surface)
             ]
-        return _State(stamp, parts, [prepared(part.texture) for part in parts], told, before, changes)
+        return _State(stamp, parts, [prepared(part.texture) for part in parts], status, before, changes)
 
     def _stamp(self) -> str:
         file = "" if self.session is not None else self._file_stamp()
@@ -238,9 +238,9 @@ class Viewer:
         """Return a fingerprint that changes with the file or folder."""
         try:
             paths = [self._path, *sorted(self._path.iterdir())] if self._path.is_dir() else [self._path]
-            found = [path.stat() for path in paths]
-            latest = max(status.st_mtime_ns for status in found)
-            size = sum(status.st_size for status in found)
+            stats = [path.stat() for path in paths]
+            latest = max(status.st_mtime_ns for status in stats)
+            size = sum(status.st_size for status in stats)
             return f"-{latest}-{size}"
         except OSError:
             return "-gone"
@@ -250,15 +250,15 @@ class Viewer:
         with self._lock:
             self._pages += 1
             self._had_page = True
-        told = "", ""
+        sent = "", ""
         try:
             while not self._ended.is_set():
                 calls, now = self._calls, self.version()
-                if now != told:
+                if now != sent:
                     send(f"event: version\ndata: {now[0]}\n\n")
                     if now[1]:
                         send(f"event: changing\ndata: {' '.join(now[1].split())}\n\n")
-                    told = now
+                    sent = now
                 else:
                     send(": alive\n\n")
                 with self._news:
@@ -293,9 +293,9 @@ def _change(before: _State, after: _State) -> Packed | None:
         else:
             counts, stream = change_between(moved, now.texture)
         streams[f"change-{number}"] = deflated(stream, _QUICK)
-        own = {name: value for name, value in now.header.items() if name != "notes"}
-        told = {"header": own, "counts": counts, "touched": touched, "isOther": is_other}
-        header["parts"].append(told)
+        fields = {name: value for name, value in now.header.items() if name != "notes"}
+        entries = {"header": fields, "counts": counts, "touched": touched, "isOther": is_other}
+        header["parts"].append(entries)
     return Packed(header, streams)
 
 

@@ -152,17 +152,17 @@ def sum_children(children: Sums) -> Sums:
 @kernel
 def coverages(level: Sums, alpha: int) -> Float64s:
     """Return the mean coverage (cells,) of a level; ``alpha`` is its column."""
-    found = np.empty(level.codes.size, np.float64)
+    means = np.empty(level.codes.size, np.float64)
     row = 0
-    for cell in range(found.size):
+    for cell in range(means.size):
         end = row + popcount(np.uint64(level.flags[cell]))
         weight = area = 0.0
         for entry in range(row, end):
             weight += level.sums[entry, alpha]
             area += level.sums[entry, -1]
-        found[cell] = weight / area
+        means[cell] = weight / area
         row = end
-    return found
+    return means
 
 
 @kernel
