@@ -25,26 +25,26 @@ The words
 
 The rooms, each of which knows only those before it (painting and photos know each other)
     tree        Morton codes, areas, placement; building, changing, searching and walking octrees
-    nearest     nearest points of triangles and of clouds, how near meshes come
+    nearest     nearest points of meshes and clouds, and the distance of two meshes
     field       what lies between the cells: which of them a lookup blends, and what weighs them
     archive     the same in a third of the bytes: predicted, and coded by entropy
     texture     OctreeTexture: tree, channels and placement; lookups; the .octex file
-    kernels     lookups of one point, for one's own compiled loops
-    editing     what every change of a texture shares: averages, rows of split cells, refined cells
+    kernels     lookups of one point, for your own compiled loops
+    editing     shared by all edits: averages, rows of split cells, refined cells, drafts
     source      surfaces and what they are coloured by: models, images, mappings, functions, clouds
-    voxelize    a surface in cells: those that it meets exactly, its fragments in them, sums a level
-    cleaning    what scans and generated meshes have too much of: duplicates, cracks, inner faces
+    voxelize    the cells that a surface meets, exactly; its fragments in them; sums by level
+    cleaning    repairs scans and generated meshes: duplicates, cracks, inner faces
     conversion  the tree of these, the fit, adaptive depth
-    cameras     cameras, their lenses and their files
-    view        what a camera sees: a z-buffer and the visibility of points
+    cameras     cameras, lenses and camera files
+    view        z-buffers, and the points that a camera sees
     painting    pictures projected into a paint octree, regions, layers; raising and merging
     photos      what painting asks of several photographs first: masks, gains, weights; better cameras
     processing  textures from textures
     baking      textures to images at texture coordinates
     formats     files that are not our own
-    drawing     pictures of models and textures: views, light, previews, comparison
-    session     painting that pages ask for: commands, done in order, undone, recovered and saved
-    viewer      textures in a browser: a page, the walk as a shader, a server
+    drawing     renders models and textures: views, light, previews, differences
+    session     paints for browser pages: commands, undo, recovery, saving
+    viewer      textures in a browser: a page with a shader that walks the octree, a server
     cli         the commands
     docs        the pages of octex help and of the documentation site
 

@@ -1,10 +1,10 @@
-"""Cameras and their files.
+"""Cameras, and the files that store them.
 
-camera         a picture's size, lens and pose
+camera         image size, lens and pose
 lens           lens distortion
-differentials  how the point that a pixel sees moves from pixel to pixel
-files          cameras read and written, whatever the format
-frames         the cameras of a file, with the names of their pictures
-fields         fields of records: read, checked, and named in errors
-others         one file a format; sfm: those of structure from motion
+differentials  derivatives of the visible surface point by pixel position
+files          reads and writes cameras of any supported format
+frames         the cameras of one file, with the names of their images
+fields         reads and checks the fields of a record, and names them in errors
+others         one module a format; sfm: the formats of structure from motion
 """

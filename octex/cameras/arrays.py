@@ -1,12 +1,12 @@
-"""Cameras from arrays of numpy, as gsplat and others take them.
+"""Cameras from numpy arrays in an .npz file, named as in gsplat and similar projects.
 
 viewmats       (n, 4, 4), or w2c or extrinsics: world-to-camera, OpenCV's axes (x right, y down, z forward);
                or instead of it
-camtoworlds    (n, 4, 4), or c2w or poses: camera-to-world, of a ``convention``
-Ks             (n, 3, 3), or K or intrinsics (3, 3) for all: in pixels, whose centres are at (i+½, j+½)
-convention     "opencv" or "opengl" (camtoworlds only): the camera's axes; never guessed
-width, height  of the pictures, for all or (n,); default: the pictures'
-names          (n,), texts: the pictures' file names; without it cameras are numbered from 0
+camtoworlds    (n, 4, 4), or c2w or poses: camera-to-world, in the axes of ``convention``
+Ks             (n, 3, 3), or K or intrinsics (3, 3) for all: in pixels, with pixel centres at (i+½, j+½)
+convention     "opencv" or "opengl" (required with camtoworlds): the camera's axes
+width, height  image size, a number or (n,); default: the size of the images
+names          (n,) texts: the images' file names; default: camera numbers from 0
 distortion     (n, numbers) or (numbers,), and distortion_model: see `octex.Camera`
 """
 
@@ -33,7 +33,7 @@ _SHAPES = ((4, 4), (3, 4))
 
 
 def read(path: Path, content: bytes) -> list[Frame]:
-    """Read the cameras of an .npz file: a record for each, of one row of every array."""
+    """Read the cameras of an .npz file; camera i has row i of each array."""
     try:
         arrays = read_npz(io.BytesIO(content))
     except (ValueError, OSError) as error:
@@ -86,7 +86,7 @@ def _known(arrays: Mapping[str, Array], names: tuple[str, ...]) -> list[str]:
 
 
 def _inverse(pose: Float64s) -> Float64s:
-    """Return the inverse of a pose (4, 4) or (3, 4), or refuse one that has none."""
+    """Return the inverse of a pose (4, 4) or (3, 4), or raise BrokenError if it has none."""
     pose = np.vstack([pose, [0.0, 0.0, 0.0, 1.0]]) if len(pose) == 3 else pose
     if not abs(np.linalg.det(pose)) > 0.0:
         raise BrokenError("its upper left 3×3 must be a rotation")
@@ -94,7 +94,7 @@ def _inverse(pose: Float64s) -> Float64s:
 
 
 def _numbers(arrays: Mapping[str, Array], name: str, dimensions: int) -> Float64s:
-    """Return an array of finite numbers, with a row for each camera or one for all."""
+    """Return a checked float64 array with one row a camera, or one row for all."""
     array = arrays[name]
     if array.dtype.kind not in "fiu" or not (np.abs(array) <= LARGEST).all():
         raise BrokenError(f"{name} must be finite numbers, not {reprlib.repr(array)}")

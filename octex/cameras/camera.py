@@ -1,8 +1,8 @@
-"""Cameras: where a point of the world lands in a picture, and what ray of the world a pixel sees.
+"""Cameras: project world points to pixels, and return the world ray through a pixel.
 
 Pixel (i, j), column i and row j from the top left, covers [i, i+1) × [j, j+1); its centre is at (i+½, j+½).
-In camera axes x runs right, y down and z forward: the depth of a point is its z there. A camera sees what
-lies at depths above zero.
+In camera axes x runs right, y down and z forward. The depth of a point is its z in these axes. A camera sees
+points of positive depth.
 """
 
 from __future__ import annotations
@@ -29,27 +29,26 @@ from octex.checks import (
 )
 from octex.errors import ArgumentError
 
-#: What a pose matrix means.
-#: ``opengl``: camera-to-world; the camera looks down its −z, +y is up (glTF, Blender, transforms.json).
-#: ``opencv``: world-to-camera; the camera looks down its +z, +y is down (OpenCV, COLMAP).
+#: Meaning of a pose matrix. ``opengl``: camera-to-world; the camera looks along −z, +y is up (glTF, Blender,
+#: transforms.json). ``opencv``: world-to-camera; the camera looks along +z, +y is down (OpenCV, COLMAP).
 Convention = Literal["opengl", "opencv"]
 
-#: What `DistortionModel` says.
+#: Coefficients in the order of `DistortionModel`.
 Distortion = tuple[float, ...]
 NO_DISTORTION: Distortion = (0.0, 0.0, 0.0, 0.0)
 
-#: How parallel the rays are.
+#: Whether rays meet in the camera's position or are parallel.
 Projection = Literal["pinhole", "orthographic"]
 
-#: Of numbers of a camera: their powers are still far from overflow.
+#: Bounds of a camera's numbers: their powers stay far from overflow and underflow.
 LARGEST, SMALLEST = 1e30, 1e-30
-#: Of the sides of pictures, in pixels.
+#: Largest image side, in pixels.
 LARGEST_SIZE = 1_000_000
 _MOST_DIMENSIONS = 9
-#: By which a field of view must be from nothing, and from a half circle, in degrees.
+#: Smallest distance of a field of view from 0° and from 180°, in degrees.
 _LEAST_ANGLE = 1e-6
 
-#: From OpenGL's camera axes to ours, and back.
+#: Between OpenGL's camera axes and ours, either way.
 _FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -59,15 +58,16 @@ class Camera:
 
     Make one with ``Camera.pinhole``, ``Camera.orthographic`` or ``Camera.fitted``.
 
-    width, height     picture size in pixels
+    width, height     image size in pixels
     K                 (3, 3), to pixel coordinates. pinhole: K · (x/z, y/z, 1); orthographic: K · (x, y, 1)
     world_to_camera   (4, 4): a rotation and a translation into camera axes (x right, y down, z forward)
-    distortion        numbers of the lens, which moves (x/z, y/z) before K; zeros if orthographic
-    distortion_model  what these numbers are: ``opencv``: k1, k2, p1, p2 (radial and tangential), or
-                      these with k3, k4, k5, k6 (rational); ``fisheye``: k1, k2, k3, k4 of OpenCV's fisheye
-                      model, or k1, k2, p1, p2, k3, k4, sx1, sy1 of COLMAP's THIN_PRISM_FISHEYE; ``fov``: ω
+    distortion        coefficients of the lens, which moves (x/z, y/z) before K; zeros if orthographic
+    distortion_model  ``opencv``: k1, k2, p1, p2 (radial and tangential), or also k3, k4, k5, k6 (rational);
+                      ``fisheye``: k1, k2, k3, k4 of OpenCV's fisheye model, or
+                      k1, k2, p1, p2, k3, k4, sx1, sy1 of COLMAP's THIN_PRISM_FISHEYE; ``fov``: ω
 
-    Matrices are copied, and read-only. Raises ArgumentError for other shapes, values and names.
+    The camera copies matrices and makes them read-only. Raises ArgumentError for other shapes, values and
+    names.
     """
 
     width: int
@@ -114,12 +114,12 @@ class Camera:
                      world-to-camera, looking along +z with +y down (OpenCV, COLMAP)
         K            (3, 3) intrinsics in pixels; or instead of it
         focal        focal length in pixels, one number or (x, y), and
-        center       principal point in pixels; default: the middle of the picture
-        distortion   numbers of the lens, as ``distortion_model`` says; of ``opencv`` also k1, k2 alone, or
+        center       principal point in pixels; default: the middle of the image
+        distortion   coefficients in the order of ``distortion_model``; ``opencv`` also takes k1, k2 alone, or
                      k1, k2, p1, p2, k3; default: none
 
         Raises ArgumentError for a matrix that is not a pose or not intrinsics, for a wrong number of
-        distortion coefficients, and unless exactly one of K and focal is given.
+        coefficients, and unless exactly one of K and focal is given.
         """
         width, height = as_size(size)
         if (K is None) == (focal is None) or (K is not None and center is not None):
@@ -148,7 +148,7 @@ class Camera:
         pixels_per_unit: float,
         center: tuple[float, float] | None = None,
     ) -> Camera:
-        """Make a camera with parallel rays: a length of 1 is ``pixels_per_unit`` pixels. See ``pinhole``."""
+        """Make a camera with parallel rays; 1 unit spans ``pixels_per_unit`` pixels. See ``pinhole``."""
         width, height = as_size(size)
         scale = as_positive(pixels_per_unit, "pixels_per_unit")
         K = intrinsics(scale, scale, *_as_center(center, width, height))
@@ -169,12 +169,12 @@ class Camera:
 
         points       (n, 3), for example a model's vertices
         direction    from the model toward the camera
-        fov          the angle, in degrees, across the shorter side of the picture
-        up           what points up in the picture; another axis is taken if it is parallel to ``direction``
+        fov          the angle, in degrees, across the shorter side of the image
+        up           direction that points up in the image; another axis if it is parallel to ``direction``
         margin       free border on each side, as a fraction of width and height
 
-        Raises ArgumentError for no points, non-finite ones, a direction of no length, or an angle or margin
-        out of range.
+        Raises ArgumentError for an empty array, non-finite points, a direction of length 0, or an angle or
+        margin out of range.
         """
         width, height = as_size(size)
         points = as_points(points).astype(np.float64, copy=False)
@@ -203,7 +203,7 @@ class Camera:
         return cls(width, height, intrinsics(focal, focal, width / 2, height / 2), view, "pinhole")
 
     def zoomed(self, times: float) -> Camera:
-        """Return the camera with the picture enlarged ``times`` about its middle.
+        """Return the camera with the image enlarged by ``times`` about its middle.
 
         Raises ArgumentError for a number that is not above zero.
         """
@@ -215,14 +215,14 @@ class Camera:
 
     @property
     def position(self) -> Float64s:
-        """Where the camera is, in the world (3,)."""
+        """Return the camera's position in the world (3,)."""
         return -self.world_to_camera[:3, :3].T @ self.world_to_camera[:3, 3]
 
     @property
     def matrix(self) -> Float64s:
-        """(4, 4): a world point (x, y, z, 1) to (i·w, j·w, w, depth), where (i, j) are pixel coordinates.
+        """Return the matrix (4, 4) from (x, y, z, 1) to (i·w, j·w, w, depth) with pixel coordinates (i, j).
 
-        Without the lens distortion, which no matrix can express: ``undistorted`` has the same matrix.
+        It ignores lens distortion, which no matrix can express.
         """
         view = self.world_to_camera
         last = view[2] if self.projection == "pinhole" else np.array([0.0, 0.0, 0.0, 1.0])
@@ -235,24 +235,24 @@ class Camera:
 
     @property
     def is_distorted(self) -> bool:
-        """Whether ``distort`` moves anything."""
+        """Whether the lens has any distortion."""
         return self.distortion_model == "fisheye" or any(self.distortion)
 
     @property
     def lens(self) -> Float64s:
-        """The distortion as kernels read it: `octex.cameras.lens.lens_numbers`."""
+        """The distortion in the form that kernels read: `octex.cameras.lens.lens_numbers`."""
         return lens_numbers(self.distortion_model, self.distortion)
 
     def distort(self, points: npt.ArrayLike) -> Float64s:
         """Return normalised coordinates (x/z, y/z), (n, 2), as the lens distorts them.
 
-        They are NaN far from the axis, where radial distortion would fold points back into the picture.
+        They are NaN far from the axis, where radial distortion would fold points back into the image.
         """
         points = np.ascontiguousarray(as_reals(points, "points", (-1, 2)), np.float64)
-        found = np.empty_like(points)
+        distorted = np.empty_like(points)
         with np.errstate(all="ignore"):
-            distort(self.lens, points, found)
-        return found
+            distort(self.lens, points, distorted)
+        return distorted
 
     def project(self, points: npt.ArrayLike) -> tuple[Float64s, Float64s]:
         """Return the pixel coordinates (n, 2) and depths (n,) of world points (n, 3).
@@ -260,7 +260,7 @@ class Camera:
         Coordinates are NaN where a pinhole camera's depth is not above zero or ``distort`` gives NaN.
         """
         points = as_points(points)
-        with np.errstate(over="ignore", invalid="ignore"):  # of points that are not finite, or nearly
+        with np.errstate(over="ignore", invalid="ignore"):  # points may be non-finite or huge
             if not self.is_distorted:
                 x, y, w, depth = self.matrix[:, :3] @ points.T + self.matrix[:, 3:]
                 w = np.where(w > 0.0, w, np.nan)
@@ -272,17 +272,17 @@ class Camera:
     def rays(self, pixels: npt.ArrayLike) -> tuple[Float64s, Float64s]:
         """Return rays through pixel coordinates (n, 2): origins at depth 0 and unit directions, (n, 3).
 
-        Directions are NaN for pixels that no point reaches through the lens.
+        Directions are NaN for pixels that the lens maps no point to.
         """
         pixels = as_reals(pixels, "pixels", (-1, 2))
         on_plane = np.linalg.solve(self.K, np.column_stack([pixels, np.ones(len(pixels))]).T).T
-        with np.errstate(over="ignore", invalid="ignore"):  # of pixels that are not finite, or nearly
+        with np.errstate(over="ignore", invalid="ignore"):  # pixels may be non-finite or huge
             if self.projection == "pinhole":
                 if self.is_distorted:
                     bent = np.ascontiguousarray(on_plane[:, :2])
-                    found = np.empty_like(bent)
-                    undistort(self.lens, bent, found)
-                    on_plane[:, :2] = found
+                    undistorted = np.empty_like(bent)
+                    undistort(self.lens, bent, undistorted)
+                    on_plane[:, :2] = undistorted
                 origins, directions = np.zeros_like(on_plane), on_plane
             else:
                 origins, directions = on_plane * [1.0, 1.0, 0.0], np.tile([0.0, 0.0, 1.0], (len(pixels), 1))
@@ -292,10 +292,10 @@ class Camera:
             return (origins - translation) @ rotation, directions / lengths
 
     def differentials(self, points: npt.ArrayLike, normals: npt.ArrayLike) -> tuple[Float64s, Float64s]:
-        """Return the derivatives of seen points (n, 3) by pixel, in the world: to the right and down.
+        """Return the world steps of visible surface points (n, 3) for one pixel to the right and one down.
 
-        The surface at a point counts as a plane with its normal, ``normals`` (n, 3), 0.06° or more
-        from edge-on (Igehy, "Tracing Ray Differentials", 1999). Lens distortion is ignored.
+        It takes the surface at a point as a plane with normal ``normals`` (n, 3), at least 0.06° from edge-on
+        (Igehy, "Tracing Ray Differentials", 1999). It ignores lens distortion.
         """
         points = as_points(points).astype(np.float64, copy=False)
         normals = as_points(normals, "normals").astype(np.float64, copy=False)
@@ -307,44 +307,44 @@ class Camera:
 
     @property
     def eye(self) -> Float64s:
-        """Where the camera is, its axis, and a pixel's steps to the right and down at depth 1 (4, 3)."""
+        """Rows (4, 3): position, axis, and the steps of one pixel to the right and down at depth 1."""
         rotation = self.world_to_camera[:3, :3]
         steps = (np.linalg.inv(self.K)[:, :2].T * [1.0, 1.0, 0.0]) @ rotation
         return np.vstack([self.position, rotation[2], steps])
 
     def pixel_width(self, depth: npt.ArrayLike) -> Float64s:
-        """Return how wide a pixel is in the world, across the view, at depths of any shape.
+        """Return the world width of a pixel, across the view, at depths of any shape.
 
-        Lens distortion is ignored.
+        It ignores lens distortion.
         """
         focal = np.sqrt(self.K[0, 0] * self.K[1, 1])
         depth = as_reals(depth, "depth", *((-1,) * n for n in range(_MOST_DIMENSIONS)))
         return depth / focal if self.projection == "pinhole" else np.full(depth.shape, 1.0 / focal)
 
     def scaled(self, factor: int) -> Camera:
-        """Return the same view with ``factor`` times as many pixels each way."""
+        """Return the same view with ``factor`` times as many pixels in each direction."""
         factor = as_whole(factor, "factor", 1, LARGEST_SIZE)
         return self.resized((self.width * factor, self.height * factor))
 
     def resized(self, size: tuple[int, int]) -> Camera:
-        """Return the same view with other pixels: ``size`` (width, height) of them."""
+        """Return the same view at another ``size`` (width, height) in pixels."""
         width, height = as_size(size)
         K = np.diag([width / self.width, height / self.height, 1.0]) @ self.K
         return replace(self, width=width, height=height, K=K)
 
 
 def intrinsics(focal_x: float, focal_y: float, center_x: float, center_y: float) -> Float64s:
-    """Return the matrix of focal lengths and a centre, in pixels."""
+    """Return the intrinsics (3, 3) of focal lengths and a principal point, in pixels."""
     return np.array([[focal_x, 0.0, center_x], [0.0, focal_y, center_y], [0.0, 0.0, 1.0]])
 
 
 def as_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Return a width and a height in pixels, or raise ArgumentError."""
-    given = list(size) if is_several(size) else []
-    is_size = [isinstance(each, (int, np.integer)) and 0 < each <= LARGEST_SIZE for each in given]
+    """Return a checked width and height in pixels, or raise ArgumentError."""
+    sides = list(size) if is_several(size) else []
+    is_size = [isinstance(each, (int, np.integer)) and 0 < each <= LARGEST_SIZE for each in sides]
     if is_size != [True, True]:
         raise ArgumentError(f"size must be (width, height) in whole pixels above zero, not {size!r}")
-    return int(given[0]), int(given[1])
+    return int(sides[0]), int(sides[1])
 
 
 def _as_center(center: npt.ArrayLike | None, width: int, height: int) -> tuple[float, float]:
@@ -360,7 +360,7 @@ def as_vector(vector: npt.ArrayLike, name: str) -> Float64s:
     largest = np.abs(array).max()
     if not largest > 0.0:
         raise ArgumentError(f"{name} must be three finite numbers, not all zero")
-    array = np.ldexp(array, -np.frexp(largest)[1])  # squares of these neither overflow nor vanish
+    array = np.ldexp(array, -np.frexp(largest)[1])  # squares of the scaled values neither overflow nor vanish
     return cast(Float64s, array / np.linalg.norm(array))
 
 
@@ -388,25 +388,25 @@ def _as_distortion(distortion: Sequence[float], model: DistortionModel) -> Disto
 def _as_view(pose: npt.ArrayLike, convention: Convention) -> Float64s:
     """Return a user's pose as a world-to-camera matrix in our camera axes."""
     as_choice(convention, get_args(Convention), "camera convention")
-    given = as_reals(pose, "a camera's pose", (4, 4), (3, 4), most=LARGEST)
-    if len(given) == 3:
-        given = np.vstack([given, [0.0, 0.0, 0.0, 1.0]])
-    pose = _as_rigid(given, "a camera's pose")
-    left, _, right = np.linalg.svd(given[:3, :3])
-    pose[:3, :3] = left @ right  # the nearest rotation: files round to a few digits
+    matrix = as_reals(pose, "a camera's pose", (4, 4), (3, 4), most=LARGEST)
+    if len(matrix) == 3:
+        matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
+    pose = _as_rigid(matrix, "a camera's pose")
+    left, _, right = np.linalg.svd(matrix[:3, :3])
+    pose[:3, :3] = left @ right  # the nearest rotation, since files round to a few digits
     pose[3] = [0.0, 0.0, 0.0, 1.0]
     return cast(Float64s, _FLIP_YZ @ np.linalg.inv(pose) if convention == "opengl" else pose)
 
 
 def _as_rigid(matrix: npt.ArrayLike, name: str) -> Float64s:
-    given = as_reals(matrix, name, (4, 4), most=LARGEST)
-    if not np.allclose(given[3], [0.0, 0.0, 0.0, 1.0]):
+    values = as_reals(matrix, name, (4, 4), most=LARGEST)
+    if not np.allclose(values[3], [0.0, 0.0, 0.0, 1.0]):
         raise ArgumentError(f"{name} must have the last row 0 0 0 1; is the matrix transposed?")
-    if np.abs(np.linalg.svd(given[:3, :3])[1] - 1.0).max() > 1e-4:
+    if np.abs(np.linalg.svd(values[:3, :3])[1] - 1.0).max() > 1e-4:
         raise ArgumentError(f"{name} must not scale or shear: its upper left 3×3 must be a rotation")
-    if np.linalg.det(given[:3, :3]) < 0.0:
+    if np.linalg.det(values[:3, :3]) < 0.0:
         raise ArgumentError(f"{name} must not mirror; is one of its axes negated?")
-    return given
+    return values
 
 
 def _look_along(forward: Float64s, up: Float64s) -> Float64s:

@@ -1,4 +1,4 @@
-"""Cameras of COLMAP's models, as text and binary."""
+"""Cameras of COLMAP's models, text and binary."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from octex.files import read_bytes
 
 
 class _Model(NamedTuple):
-    """The numbers of one of COLMAP's models: focal lengths, then a centre, then the distortion."""
+    """Counts of the parameters of a camera model, in order: focal lengths, the centre, the distortion."""
 
     focals: int
     distortion: str = ""
@@ -25,11 +25,11 @@ class _Model(NamedTuple):
 
     @property
     def n_numbers(self) -> int:
-        """How many numbers there are."""
+        """Number of parameters."""
         return self.focals + 2 + len(self.distortion.split())
 
 
-#: COLMAP's models in the order of their numbers.
+#: COLMAP's camera models, indexed by COLMAP's model id.
 _MODELS = {
     "SIMPLE_PINHOLE": _Model(1),
     "PINHOLE": _Model(2),
@@ -47,7 +47,7 @@ _CAMERA, _IMAGE = "CAMERA_ID MODEL WIDTH HEIGHT", "IMAGE_ID QW QX QY QZ TX TY TZ
 
 
 def find(path: Path) -> tuple[Path, str] | None:
-    """Return the folder of a COLMAP model and the ending of its files; None for files of other kinds."""
+    """Return the folder of a COLMAP model and the ending of its files; None for any other path."""
     if path.name in {f"{stem}{ending}" for stem in ("cameras", "images") for ending in (".bin", ".txt")}:
         return path.parent, path.suffix
     if not path.is_dir():
@@ -63,7 +63,7 @@ def find(path: Path) -> tuple[Path, str] | None:
 
 
 def read(folder: Path, ending: str) -> list[Frame]:
-    """Read the cameras and images of a folder whose files have an ending."""
+    """Read the cameras and images of a folder whose files have this ending."""
     cameras, images = folder / f"cameras{ending}", folder / f"images{ending}"
     of_cameras, of_images = (_cameras_binary, _images_binary) if ending == ".bin" else (_cameras, _images)
     with reading(cameras):
@@ -129,7 +129,7 @@ def _pose(name: str, numbers: list[Any]) -> Float64s:
 
 
 def _lines(content: bytes) -> Iterator[tuple[int, str]]:
-    """Yield a text's lines but for comments, and their numbers from 1."""
+    """Yield line numbers, from 1, and lines of a text, without comments."""
     for number, line in enumerate(content.decode("utf-8-sig").split("\n"), 1):
         if not line.startswith("#"):
             yield number, line.strip()

@@ -1,4 +1,4 @@
-"""How what a pixel sees moves from pixel to pixel (H. Igehy, "Tracing Ray Differentials", 1999)."""
+"""Derivatives of the visible surface point by pixel (H. Igehy, "Tracing Ray Differentials", 1999)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from octex.arrays import Float64s
 from octex.jit import kernel, part
 
-#: Planes that are seen flatter than this sine, edge-on or nearly, are taken as turned so far.
+#: Smallest sine of the angle between a ray and a plane; flatter planes are tilted to it.
 _LEAST = 1e-3
 
 
@@ -15,12 +15,14 @@ _LEAST = 1e-3
 def differential(
     eye: Float64s, perspective: bool, x: float, y: float, z: float, a: float, b: float, c: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Return the steps to the right and down, in the world, of a point seen on a plane with a normal.
+    """Return the steps of a visible point, in the world, for one pixel to the right and one down.
 
-    eye            (4, 3): where the camera is, its axis, and a pixel's steps to the right and down at depth 1
-    perspective    whether rays go through where the camera is, or along its axis
+    The point moves on a plane.
+
+    eye            (4, 3): position, axis, and the steps of one pixel to the right and down at depth 1
+    perspective    True: rays start at the position; False: rays are parallel to the axis
     x, y, z        the point
-    a, b, c        the normal, of length 1
+    a, b, c        the plane's unit normal
     """
     right, down, ahead = eye[1, 0], eye[1, 1], eye[1, 2]
     depth = 1.0
@@ -48,7 +50,7 @@ def differential(
 def differentials(
     eye: Float64s, perspective: bool, points: Float64s, normals: Float64s, right: Float64s, down: Float64s
 ) -> None:
-    """Fill in the steps (n, 3) of points (n, 3) on planes with normals (n, 3)."""
+    """Write the steps (n, 3) of points (n, 3) on planes with normals (n, 3)."""
     for n in range(len(points)):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         a, b, c = normals[n, 0], normals[n, 1], normals[n, 2]

@@ -1,4 +1,4 @@
-"""Fields of camera files: each is read by its name, checked, and named in errors."""
+"""Fields of camera files: read by name, checked, and named in errors."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from octex.errors import ArgumentError, CameraError, ModelError
 
 
 class BrokenError(Exception):
-    """Say what is wrong, without the file's name."""
+    """An error in a camera file; the message has no file name yet."""
 
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turn an error while a file is read into a CameraError that names the file."""
+    """Turn any error of reading a file into a CameraError that names the file."""
     try:
-        with np.errstate(all="ignore"):  # values that overflow are refused by as_finite
+        with np.errstate(all="ignore"):  # as_finite refuses values that overflow
             yield
     except (BrokenError, ArgumentError) as error:
         raise CameraError(f"{path}: {error}") from None
-    except ModelError as error:  # which begins with the file's name
+    except ModelError as error:  # its text begins with the file's name
         raise CameraError(f"{path}: {str(error).removeprefix(path.name).lstrip(': ')}") from None
     except UnicodeDecodeError:
         raise CameraError(f"{path}: is not UTF-8 text; is the file damaged?") from None
-    except (OSError, ValueError) as error:  # ValueError: names that no file can have
+    except (OSError, ValueError) as error:  # ValueError: an impossible file name
         reason = getattr(error, "strerror", None) or str(error)
         raise CameraError(f"{path}: cannot be read: {reason}; give a camera file") from error
 
 
 @contextlib.contextmanager
 def within(place: str) -> Iterator[None]:
-    """Put the name of a place before the errors in it."""
+    """Prefix errors with the name of the place that they occur in."""
     try:
         yield
     except (BrokenError, ArgumentError) as error:
@@ -48,9 +48,9 @@ def within(place: str) -> Iterator[None]:
 
 
 class Record:
-    """Fields by name, of JSON, of XML or of a line of text, where ``are_texts`` lets numbers be texts.
+    """Named fields of JSON, XML or a line of text; ``are_texts`` allows numbers written as texts.
 
-    Each method returns a field of one type, or raises BrokenError that says what the field must be.
+    Each method returns a field as one type, or raises BrokenError that states the expected value.
     """
 
     def __init__(self, fields: Mapping[str, Any], *, are_texts: bool = False) -> None:
@@ -68,7 +68,7 @@ class Record:
         return self._fields.get(field, default)
 
     def over(self, other: Record) -> Record:
-        """Return these fields, and those of another record that are missing here."""
+        """Return this record's fields, completed by the fields of another record."""
         return Record({**other._fields, **self._fields}, are_texts=self._are_texts)
 
     def _get(self, field: str, kind: type, what: str) -> Any:
@@ -80,7 +80,7 @@ class Record:
         return value
 
     def key(self, field: str) -> str:
-        """Return a number that other records refer to, as a text."""
+        """Return the identifier of another record, as a text."""
         return str(self._get(field, object, "a number"))
 
     def text(self, field: str) -> str:
@@ -88,7 +88,7 @@ class Record:
         return str(self._get(field, str, "a text"))
 
     def choice(self, field: str, choices: Sequence[str], default: str | None = None) -> Any:
-        """Return one of some texts; the default where the field is missing."""
+        """Return a text out of ``choices``; the default where the field is missing."""
         if default is not None and field not in self:
             return default
         value = self.text(field)
@@ -121,7 +121,7 @@ class Record:
             raise BrokenError(f"{field} must be a number, not {reprlib.repr(value)}") from None
 
     def positive(self, field: str, below: float = math.inf) -> float:
-        """Return a number above zero, and below another."""
+        """Return a number above zero and below ``below``."""
         number = self.number(field)
         if not SMALLEST <= number < below:
             limit = "" if below == math.inf else f" and below {below:g}"
@@ -129,7 +129,7 @@ class Record:
         return number
 
     def size(self, width: str = "width", height: str = "height") -> tuple[int, int]:
-        """Return a picture's size: two fields, whole numbers of pixels."""
+        """Return an image size (width, height): whole numbers of pixels in two fields."""
         pixels = []
         for field in (width, height):
             number = self.number(field)
@@ -139,7 +139,7 @@ class Record:
         return pixels[0], pixels[1]
 
     def numbers(self, field: str, *counts: int) -> Float64s:
-        """Return a list of numbers, one of ``counts`` long."""
+        """Return a list of numbers whose length is in ``counts``."""
         what = " or ".join(map(str, counts))
         values = self._get(field, list, f"{what} numbers")
         if len(values) not in counts:
@@ -147,7 +147,7 @@ class Record:
         return np.array([self._number(value, field) for value in values])
 
     def matrix(self, field: str, *shapes: tuple[int, int]) -> Float64s:
-        """Return a matrix of one of some shapes, a list of rows."""
+        """Return a matrix, stored as a list of rows, whose shape is in ``shapes``."""
         what = "a matrix of " + " or ".join(f"{rows}×{columns}" for rows, columns in shapes) + " numbers"
         values = self._get(field, list, what)
         widths = {len(row) if isinstance(row, list) else -1 for row in values}
@@ -157,14 +157,14 @@ class Record:
 
 
 def as_finite(value: object, field: str) -> float:
-    """Return a value that is a finite number."""
+    """Return a value as a float, or raise BrokenError unless it is a finite number."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) <= LARGEST:
         raise BrokenError(f"{field} must be a finite number, not {reprlib.repr(value)}")
     return float(value)
 
 
 class Bytes:
-    """Bytes that are read from the front."""
+    """Reads bytes from front to back."""
 
     def __init__(self, content: bytes) -> None:
         self._content = content
@@ -172,7 +172,7 @@ class Bytes:
 
     @property
     def left(self) -> int:
-        """How many bytes are not read yet."""
+        """Number of unread bytes."""
         return len(self._content) - self._at
 
     def piece(self, count: int) -> bytes:
@@ -187,12 +187,12 @@ class Bytes:
         return struct.unpack(f"<{layout}", self.piece(struct.calcsize(f"<{layout}")))
 
     def numbers(self, field: str, *shape: int) -> Float64s:
-        """Return the next doubles as an array of a shape."""
+        """Return the next float64 values as an array of this shape."""
         values = self.take(f"{math.prod(shape)}d")
         return np.array([as_finite(value, field) for value in values]).reshape(shape)
 
     def text(self) -> str:
-        """Return the bytes before the next zero as text, and skip that zero."""
+        """Return the bytes up to the next zero byte as text, and skip the zero byte."""
         count = self._content.find(b"\0", self._at) - self._at
         if count < 0:
             raise BrokenError("the file ends in a name; copy or export it again")

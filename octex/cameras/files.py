@@ -1,18 +1,18 @@
-"""Cameras from files that people have, and to a file of our own.
+"""Reads cameras of many formats, and writes octex's format.
 
 glTF               .gltf, .glb: the cameras of the scene's nodes
 transforms.json    NeRF, instant-ngp, nerfstudio: a JSON object with "frames"
 COLMAP             a folder with cameras and images, .bin or .txt, or one of these files
 Metashape          .xml, exported as Agisoft XML
 OpenMVS            .mvs: a scene
-Meshroom           .sfm: what AliceVision's StructureFromMotion writes as JSON
-OpenSfM            reconstruction.json, of OpenDroneMap too
+Meshroom           .sfm: JSON that AliceVision's StructureFromMotion writes
+OpenSfM            reconstruction.json, also of OpenDroneMap
 OpenMVG            sfm_data.json
-Bundler            .out, with the list of the pictures beside it
+Bundler            .out, with the list of images in the same folder
 octex cameras      a JSON object with "octex_cameras", as ``write_cameras`` writes it
-arrays             .npz: ``viewmats`` and ``Ks`` as gsplat has them, and the others of `octex.cameras.arrays`
+arrays             .npz: ``viewmats`` and ``Ks`` as in gsplat, and more; see `octex.cameras.arrays`
 
-The content of a file decides how it is read, not its name (but for COLMAP's files, which go by their names).
+The content of a file selects the reader. Only COLMAP's files are selected by name.
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ from octex.checks import as_entries, as_path
 from octex.errors import ArgumentError, CameraError, OutputError
 from octex.files import read_bytes, replacing
 
-#: The field that tells octex's own files, with the version of their layout.
+#: The field that marks octex's format; its value is the version.
 MARK = "octex_cameras"
 _VERSION = 1
 _LISTED = 10
 
 
 def read_cameras(path: str | os.PathLike[str]) -> list[Frame]:
-    """Read the cameras of a file, or of a folder with a COLMAP model, in the file's order.
+    """Read the cameras of a file or of a folder with a COLMAP model, in the file's order.
 
-    Raises CameraError for a missing, unknown or damaged file, for one without cameras, and for camera models
-    that octex does not support (equirectangular and others).
+    Raises CameraError for a missing, unknown or damaged file, for a file without cameras, and for camera
+    models that octex does not support (equirectangular and others).
     """
     path = as_path(path, refusal=CameraError)
     with reading(path):
@@ -109,14 +109,14 @@ def _read_own(path: Path, document: dict[str, Any]) -> list[Frame]:
     return frames
 
 
-#: The readers by the first bytes of a file ...
+#: Readers, selected by the first bytes of a file ...
 _BY_MARK: dict[bytes, Callable[[Path, bytes], list[Frame]]] = {
     b"glTF": gltf.read,
     arrays.MARK: arrays.read,
     openmvs.MARK: openmvs.read,
     sfm.BUNDLER_MARK: sfm.read_bundler,
 }
-#: ... and by fields of a JSON object.
+#: ... or by the fields of a JSON object.
 _BY_FIELDS: dict[tuple[str, ...], Callable[[Path, dict[str, Any]], list[Frame]]] = {
     (MARK,): _read_own,
     ("frames",): transforms.read,
@@ -126,24 +126,24 @@ _BY_FIELDS: dict[tuple[str, ...], Callable[[Path, dict[str, Any]], list[Frame]]]
 
 
 def find_frame(frames: Sequence[Frame], name: str) -> Frame:
-    """Return the frame of that name; else of the same file name in whatever folder; else of the same stem.
+    """Return the frame of this name, or else of the same file name in any folder, or else of the same stem.
 
-    Raises CameraError listing names if there is none, or more than one.
+    Raises CameraError, which lists names, for no match or several.
     """
     keys: tuple[Callable[[str], str], ...] = (str, file_name, lambda text: Path(file_name(text)).stem)
     for key in keys:
-        alike = [frame for frame in frames if key(frame.name) == key(name)]
-        if len(alike) == 1:
-            return alike[0]
-        if alike:
+        matches = [frame for frame in frames if key(frame.name) == key(name)]
+        if len(matches) == 1:
+            return matches[0]
+        if matches:
             raise CameraError(
-                f"frame {name!r} may be {len(alike)} frames: {_listing(alike)}; give the whole name"
+                f"frame {name!r} may be {len(matches)} frames: {_listing(matches)}; give the whole name"
             )
     raise CameraError(f"there is no frame {name!r}; there are: {_listing(frames)}")
 
 
 def _listing(frames: Iterable[Frame]) -> str:
-    """Return the frames' names as a message lists them: some, and how many more."""
+    """Return the frames' names for a message: the first ones, and the number of the others."""
     names = [repr(frame.name) for frame in frames]
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
     return (", ".join(names[:_LISTED]) or "none") + more
@@ -152,9 +152,9 @@ def _listing(frames: Iterable[Frame]) -> str:
 def write_cameras(
     path: str | os.PathLike[str], cameras: Mapping[str, Camera], views: Mapping[str, bytes] | None = None
 ) -> None:
-    """Write cameras, by name, to a JSON file from which ``read_cameras`` reads the same bits.
+    """Write cameras, by name, to a JSON file; ``read_cameras`` returns bit-identical cameras.
 
-    ``views`` are the PNG bytes of the views that octex drew, by the same names; ``Frame.view`` has them.
+    ``views`` are PNG bytes of the views that octex drew, by the same names; ``Frame.view`` returns them.
 
     The file is replaced completely or not at all. Raises OutputError if it cannot be written.
     """

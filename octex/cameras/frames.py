@@ -1,4 +1,4 @@
-"""Frames: the cameras of a file, each with its picture's name, and the parts that they are made of."""
+"""Frames: the cameras of a file, each with the name of its image, and helpers to build them."""
 
 from __future__ import annotations
 
@@ -18,51 +18,51 @@ from octex.errors import ArgumentError, CameraError
 from octex.files import referred
 from octex.gltf import rotation_matrix
 
-#: The numbers of a distortion in the order of `Camera`'s; of fisheyes also all that COLMAP's have.
+#: Coefficients of each distortion model in the order of `Camera`; COLMAP's fisheyes have more.
 _ORDERS = {"opencv": "k1 k2 p1 p2 k3 k4 k5 k6", "fisheye": "k1 k2 k3 k4", "fov": "omega"}
 _WHOLE_FISHEYE = "k1 k2 p1 p2 k3 k4 sx1 sy1"
 
 
 def distortion_of(model: DistortionModel, names: str, numbers: Sequence[float]) -> Distortion:
-    """Return the numbers of a distortion, given in the order of their ``names``, in that of `Camera`'s."""
+    """Reorder distortion coefficients from the order of ``names`` to that of `Camera`."""
     known = dict(zip(names.split(), numbers, strict=True))
     order = _WHOLE_FISHEYE if model == "fisheye" and "p1" in known else _ORDERS[model]
     return tuple(known.get(name, 0.0) for name in order.split())
 
 
 class Optics(NamedTuple):
-    """The lens and the picture size that frames of one camera share."""
+    """The lens and image size that the frames of one camera share."""
 
-    size: tuple[int, int] | None  # (width, height), if the file says
-    K: Float64s | Callable[[int, int], Float64s]  # (3, 3) intrinsics, or these by width and height
+    size: tuple[int, int] | None  # (width, height), if the file has it
+    K: Float64s | Callable[[int, int], Float64s]  # (3, 3) intrinsics, or a function of width and height
     distortion: Distortion = NO_DISTORTION
     model: DistortionModel = "opencv"
     projection: Projection = "pinhole"
 
 
 class Frame(NamedTuple):
-    """A camera of a file; ``camera`` makes it."""
+    """A camera of a file; ``camera`` makes the `Camera`."""
 
     name: str  # transforms.json: file_path; COLMAP: the image's name; glTF: the node's or camera's name
     file: Path
     optics: Optics
-    world_to_camera: Float64s  # (4, 4), as Camera's
-    # The picture's path, if the file says; the picture may be missing. An absolute path becomes its name next
-    # to the file.
+    world_to_camera: Float64s  # (4, 4), as in Camera
+    # The image's path, if the file has it; the image may be missing. An absolute path becomes its name next
+    # to the camera file.
     image: Path | None = None
-    view: bytes | None = None  # the PNG file that this camera drew, in octex's own files
-    is_named: bool = True  # False where the file has no names: ``name`` is then the camera's number, from 0
+    view: bytes | None = None  # only in octex's files: the PNG that octex drew with this camera
+    is_named: bool = True  # False where the file has no names: ``name`` is then the camera's number
 
     @property
     def size(self) -> tuple[int, int] | None:
-        """The picture's (width, height), if the file says."""
+        """The image's (width, height), if the file has it."""
         return self.optics.size
 
     def camera(self, size: tuple[int, int] | None = None) -> Camera:
-        """Make the camera for a picture of ``size`` (width, height); default: the file's size.
+        """Make the camera for an image of ``size`` (width, height); default: the file's size.
 
-        Where both are known, ``size`` may be that of the picture made smaller or larger. Raises CameraError
-        if neither is known, and for a picture of another shape.
+        ``size`` may differ from the file's size by a scale. Raises CameraError if neither is known, and for
+        another aspect ratio.
         """
         frame = f"frame {self.name!r} of {self.file}"
         if size is None and self.size is None:
@@ -89,18 +89,18 @@ class Frame(NamedTuple):
         return camera if size is None else camera.resized(size)
 
     def fits(self, size: tuple[int, int]) -> bool:
-        """Say whether a picture of ``size`` (width, height) has the file's shape, but for rounding."""
+        """Return whether ``size`` (width, height) has the file's aspect ratio, up to rounding."""
         width, height = size
         return self.size is None or abs(width * self.size[1] - height * self.size[0]) <= max(self.size)
 
 
 def file_name(name: str) -> str:
-    """Return the last part of a path, whatever its slashes."""
+    """Return the last part of a path with slashes or backslashes."""
     return re.split(r"[/\\]", name)[-1]
 
 
 def picture_path(file: Path, name: str) -> Path:
-    """Return the path of a picture that a file names; an absolute path becomes its name next to the file."""
+    """Return the path of an image that a file names; an absolute path becomes its name next to the file."""
     try:
         return referred(file.parent, name)
     except OSError:
@@ -108,15 +108,15 @@ def picture_path(file: Path, name: str) -> Path:
 
 
 def is_file(path: Path) -> bool:
-    """Say whether a path is a file that can be looked at."""
+    """Return whether a path is a file; False where that cannot be checked."""
     try:
         return path.is_file()
-    except (OSError, ValueError):  # too long a name, for example
+    except (OSError, ValueError):  # for example, too long a name
         return False
 
 
 def centred(focal: float, width: int, height: int) -> Float64s:
-    """Return the intrinsics of a picture whose centre is in its middle."""
+    """Return the intrinsics with the principal point in the middle of the image."""
     return intrinsics(focal, focal, width / 2, height / 2)
 
 
@@ -135,7 +135,7 @@ def rotation_of(quaternion: Float64s, field: str) -> Float64s:
 
 
 def view_of(pose: Float64s, convention: Convention = "opencv") -> Float64s:
-    """Return a checked pose as a world-to-camera matrix; one that is that already, to the same bits."""
+    """Return a checked pose as a world-to-camera matrix; a valid one keeps its bits."""
     view = Camera.pinhole((1, 1), pose=pose, convention=convention, focal=1.0).world_to_camera
     exact = convention == "opencv" and pose.shape == (4, 4) and np.allclose(view, pose, rtol=0.0, atol=1e-12)
     return pose if exact else view
@@ -150,7 +150,7 @@ def frame_of(
     pose: str = "pose",
     shapes: Sequence[tuple[int, int]] = ((4, 4),),
 ) -> Frame:
-    """Return the camera that a record describes; ``K`` and ``pose`` are the names of its matrices."""
+    """Return the frame of a record; ``K`` and ``pose`` name the fields of its matrices."""
     projection = record.choice("projection", ("pinhole", "orthographic"))
     convention = record.choice("convention", ("opencv", "opengl"))
     matrix, placed = record.matrix(K, (3, 3)), record.matrix(pose, *shapes)

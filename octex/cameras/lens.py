@@ -1,6 +1,6 @@
-"""Lenses: what they make of normalised coordinates (x/z, y/z), and back.
+"""Lenses: distort and undistort normalised coordinates (x/z, y/z).
 
-A lens first bends angles, if it does: a point at r = √(x² + y²) comes to atan(a·r) / ω; then it distorts:
+Lenses with a > 0 first map the radius r = √(x² + y²) to atan(a·r) / ω. Then all lenses distort:
 
     radial   (1 + k1·s + k2·s² + k3·s³ + k4·s⁴) / (1 + d1·s + d2·s² + d3·s³),  s = x² + y²
     x        x·radial + 2·p1·x·y + p2·(s + 2·x²) + sx·s
@@ -18,48 +18,47 @@ import numpy as np
 from octex.arrays import Float64s
 from octex.jit import inlined, kernel
 
-#: What the numbers of a distortion are.
-#: ``opencv``: k1, k2, p1, p2 of OpenCV's radial-tangential model, of its rational one with k3, k4, k5, k6
-#: behind them; or k1, k2 alone.
-#: ``fisheye``: k1, k2, k3, k4 of OpenCV's fisheye model, angles instead of slopes; or k1, k2, p1, p2, k3, k4,
-#: sx1, sy1 as COLMAP's THIN_PRISM_FISHEYE has them.
-#: ``fov``: ω of Devernay & Faugeras, "Straight Lines Have to Be Straight" (2001).
+#: Meaning of the coefficients. ``opencv``: OpenCV's k1, k2, p1, p2 (radial and tangential), optionally with
+#: k3, k4, k5, k6 (rational); or k1, k2 alone. ``fisheye``: k1, k2, k3, k4 of OpenCV's fisheye model, in
+#: angles instead of slopes; or k1, k2, p1, p2, k3, k4, sx1, sy1 of COLMAP's THIN_PRISM_FISHEYE. ``fov``: ω of
+#: Devernay & Faugeras, "Straight Lines Have to Be Straight" (2001).
 DistortionModel = Literal["opencv", "fisheye", "fov"]
 DISTORTION_MODELS: tuple[DistortionModel, ...] = get_args(DistortionModel)
-#: How many numbers each may have.
+#: Allowed numbers of coefficients.
 COUNTS: dict[DistortionModel, tuple[int, ...]] = {"opencv": (2, 4, 5, 8), "fisheye": (4, 8), "fov": (1,)}
 
-# Rows of a lens's numbers (14,).
+# Indices into a lens's numbers (14,).
 _A, _OMEGA, _K, _D, _P, _S, _REACH = 0, 1, 2, 6, 9, 11, 13
 
-#: Bounds of the search for what a lens moved to a place.
+#: Bounds of Newton's method in `undistort`.
 _MOST_STEPS = 100
 _LEAST_STEP = 1e-6
 _ROUNDING = 2.0**-51
-_FOUND = 1e-12
+_CONVERGED = 1e-12
 
 
 def lens_numbers(model: DistortionModel, distortion: Sequence[float]) -> Float64s:
-    """Return a, ω (0: angles are not bent), k1 … k4, d1 … d3, p1, p2, sx, sy and the reach, squared (14,).
+    """Return a, ω (0: no bending of angles), k1 … k4, d1 … d3, p1, p2, sx, sy and the squared reach, (14,).
 
-    The reach is where what the lens makes of r stops rising: points farther out would be folded back.
+    The reach is the radius where the distorted radius stops rising; the lens would fold points beyond it
+    back.
     """
     numbers = np.zeros(14)
-    given = list(distortion)
+    coefficients = list(distortion)
     if model == "fov":
-        if given[0] != 0.0:
-            numbers[_A], numbers[_OMEGA] = 2.0 * math.tan(given[0] / 2.0), given[0]
+        if coefficients[0] != 0.0:
+            numbers[_A], numbers[_OMEGA] = 2.0 * math.tan(coefficients[0] / 2.0), coefficients[0]
     elif model == "fisheye":
-        if len(given) == 4:
-            given = [*given[:2], 0.0, 0.0, *given[2:], 0.0, 0.0]
+        if len(coefficients) == 4:
+            coefficients = [*coefficients[:2], 0.0, 0.0, *coefficients[2:], 0.0, 0.0]
         numbers[_A] = numbers[_OMEGA] = 1.0
-        numbers[_K : _K + 4] = *given[:2], *given[4:6]
-        numbers[_P : _P + 2], numbers[_S : _S + 2] = given[2:4], given[6:8]
+        numbers[_K : _K + 4] = *coefficients[:2], *coefficients[4:6]
+        numbers[_P : _P + 2], numbers[_S : _S + 2] = coefficients[2:4], coefficients[6:8]
     else:
-        given = [*given, *[0.0] * (8 - len(given))]
-        numbers[_K : _K + 3] = *given[:2], given[4]
-        numbers[_D : _D + 3] = given[5:8]
-        numbers[_P : _P + 2] = given[2:4]
+        coefficients = [*coefficients, *[0.0] * (8 - len(coefficients))]
+        numbers[_K : _K + 3] = *coefficients[:2], coefficients[4]
+        numbers[_D : _D + 3] = coefficients[5:8]
+        numbers[_P : _P + 2] = coefficients[2:4]
     until = _rising_until(numbers[_K : _K + 4], numbers[_D : _D + 3])
     if numbers[_OMEGA] != 0.0 and until < math.inf:
         angle = math.sqrt(until) * numbers[_OMEGA]
@@ -80,13 +79,13 @@ def _rising_until(k: Float64s, d: Float64s) -> float:
 
 
 def is_bent(lens: Float64s) -> bool:
-    """Say whether a lens moves anything."""
+    """Return whether a lens moves any point."""
     return bool(lens[:_REACH].any())
 
 
 @inlined
 def distorted(lens: Float64s, x: float, y: float) -> tuple[float, float]:
-    """Return where a lens moves normalised coordinates; NaN from its reach on."""
+    """Return distorted coordinates; NaN at and beyond the lens's reach."""
     square = x * x + y * y
     if not square < lens[_REACH]:
         return np.nan, np.nan
@@ -116,9 +115,9 @@ def _bent(lens: Float64s, square: float) -> float:
 
 @inlined
 def _slopes(lens: Float64s, x: float, y: float) -> tuple[float, float, float, float]:
-    """Return the derivatives of `distorted`: of x by x and y, of y by x and y."""
+    """Return the Jacobian of `distorted`: dx/dx, dx/dy, dy/dx, dy/dy."""
     square = x * x + y * y
-    bent = along = 1.0  # across the radius and along it
+    bent = along = 1.0  # scale across the radius and along it
     r = np.sqrt(square)
     if lens[_OMEGA] != 0.0:
         a = lens[_A]
@@ -150,18 +149,18 @@ def _slopes(lens: Float64s, x: float, y: float) -> tuple[float, float, float, fl
 
 
 @kernel
-def distort(lens: Float64s, points: Float64s, found: Float64s) -> None:
-    """Write where a lens moves points (n, 2)."""
+def distort(lens: Float64s, points: Float64s, out: Float64s) -> None:
+    """Write the distorted coordinates of points (n, 2)."""
     for n in range(len(points)):
-        found[n, 0], found[n, 1] = distorted(lens, points[n, 0], points[n, 1])
+        out[n, 0], out[n, 1] = distorted(lens, points[n, 0], points[n, 1])
 
 
 @kernel
-def undistort(lens: Float64s, seen: Float64s, found: Float64s) -> None:
-    """Write what a lens moves to ``seen`` (n, 2); NaN where there is none.
+def undistort(lens: Float64s, seen: Float64s, out: Float64s) -> None:
+    """Write the points that a lens maps to ``seen`` (n, 2); NaN where none exists.
 
-    Newton's method from the middle. A step that does not come closer, or that leaves the part where the lens
-    is defined, is halved.
+    Newton's method from the image centre. It halves a step that does not come closer or that leaves the
+    lens's domain.
     """
     for n in range(len(seen)):
         u, v = seen[n, 0], seen[n, 1]
@@ -184,6 +183,6 @@ def undistort(lens: Float64s, seen: Float64s, found: Float64s) -> None:
                 part *= 0.5
             if max(abs(left), abs(down)) <= _ROUNDING * size or part <= _LEAST_STEP:
                 break
-        is_found = max(abs(left), abs(down)) <= _FOUND * size
-        found[n, 0] = x if is_found else np.nan
-        found[n, 1] = y if is_found else np.nan
+        is_converged = max(abs(left), abs(down)) <= _CONVERGED * size
+        out[n, 0] = x if is_converged else np.nan
+        out[n, 1] = y if is_converged else np.nan

@@ -1,7 +1,7 @@
-"""Cameras of Agisoft Metashape, as it exports them to .xml (Metashape user manual, appendix "Camera models").
+"""Cameras of Agisoft Metashape's .xml export (Metashape user manual, appendix "Camera models").
 
-A chunk's cameras stand in the axes of its component, whose transform, or the chunk's, brings them to where
-models are exported in local coordinates.
+Poses are relative to a chunk's component. The transform of the component, or of the chunk, maps them to the
+local coordinates in which Metashape exports models.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from octex.cameras.fields import BrokenError, Record, within
 from octex.cameras.frames import Frame, Optics, distortion_of, view_of
 from octex.cameras.lens import DistortionModel
 
-#: Coordinates that are not local, by their names in WKT.
+#: WKT names of coordinate systems that are not local.
 _ON_EARTH = "GEOGCS", "GEOCCS", "PROJCS", "COMPD_CS", "GEOGCRS", "GEODCRS", "PROJCRS", "COMPOUNDCRS"
-#: Metashape's cameras look along z, and y points down.
+#: Metashape's cameras look along z, with y down.
 _TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def read(path: Path, content: bytes) -> list[Frame]:
-    """Read the cameras of all chunks that are aligned."""
+    """Read the aligned cameras of all chunks."""
     if b"<!DOCTYPE" in content:
-        raise BrokenError("has a document type, which no export of Metashape has")
+        raise BrokenError("has a document type, unlike exports of Metashape; export the cameras again")
     try:
         root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
@@ -55,8 +55,8 @@ def _frames(path: Path, chunk: Element) -> list[Frame]:
                 if transform is not None and len(transform):
                     if chunk.findtext("reference", "").strip().startswith(_ON_EARTH):
                         raise BrokenError(
-                            "the chunk's coordinates are on the earth, where models are exported in others "
-                            "than cameras; set its reference to local coordinates, then export both again"
+                            "the chunk has geographic coordinates, in which models and cameras do not match; "
+                            "set its reference to local coordinates, then export both again"
                         )
                     with within("the component's transform"):
                         pose = _placed(_numbers(transform), pose)
@@ -69,12 +69,12 @@ def _frames(path: Path, chunk: Element) -> list[Frame]:
 
 
 def _numbers(element: Element) -> Record:
-    """Return the elements in another as lists of numbers."""
+    """Return the child elements as lists of numbers."""
     return Record({each.tag: (each.text or "").split() for each in reversed(element)}, are_texts=True)
 
 
 def _placed(transform: Record, pose: Float64s) -> Float64s:
-    """Return where a similarity brings a pose (camera to world)."""
+    """Apply a similarity to a pose (camera to world)."""
     rotation = transform.numbers("rotation", 9).reshape(3, 3) if "rotation" in transform else np.eye(3)
     factor = float(transform.numbers("scale", 1)[0]) if "scale" in transform else 1.0
     placed = pose.copy()
@@ -103,7 +103,7 @@ def _optics(sensor: Element) -> Optics:
         if record.number(field, 0.0):
             raise BrokenError(f"{field} must be zero: octex has no such number; undistort the photos")
     K = np.array([[focal + b1, b2, width / 2 + cx], [0.0, focal, height / 2 + cy], [0.0, 0.0, 1.0]])
-    # Metashape's p1 goes with x², which is OpenCV's second.
+    # Metashape's p1 multiplies x², as OpenCV's p2 does.
     numbers = [record.number(field, 0.0) for field in ("k1", "k2", "p2", "p1", "k3", "k4")]
     model: DistortionModel = "fisheye" if kind == "fisheye" else "opencv"
     return Optics(size, K, distortion_of(model, "k1 k2 p1 p2 k3 k4", numbers), model)

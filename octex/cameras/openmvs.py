@@ -1,4 +1,4 @@
-"""Cameras of OpenMVS's scenes (.mvs), as its Interface.h has them: versions 1 to 7, undistorted pictures."""
+"""Cameras of OpenMVS's scenes (.mvs, its Interface.h): versions 1 to 7, undistorted images."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from octex.arrays import Float64s
 from octex.cameras.fields import BrokenError, Bytes, Record, within
 from octex.cameras.frames import Frame, Optics, picture_path, rigid, view_of
 
-#: A scene begins with this.
+#: The first bytes of a scene.
 MARK = b"MVSI"
 _NEWEST = 7
-#: The number of a pose that is missing.
+#: The number that stands for a missing pose.
 _NONE = 2**32 - 1
-#: From pixels whose centres are whole numbers.
+#: From pixels with centres at whole numbers to pixels with centres at ½.
 _TO_CORNERS = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
 
 
 class _Platform(NamedTuple):
     optics: list[Optics]
-    mounts: list[Float64s]  # (4, 4), of each camera: from the platform's axes
+    mounts: list[Float64s]  # (4, 4) of each camera: from the platform's axes
     poses: list[Float64s]  # (4, 4)
 
 
 def read(path: Path, content: bytes) -> list[Frame]:
-    """Read the cameras of a scene's pictures, those that have poses."""
+    """Read the cameras of a scene's images that have poses."""
     data = Bytes(content)
     data.piece(len(MARK))
     version, _ = data.take("II")
@@ -39,7 +39,7 @@ def read(path: Path, content: bytes) -> list[Frame]:
         with within(f"image {number}"):
             name = _text(data)
             if version > 4:
-                _text(data)  # of its mask
+                _text(data)  # the mask's name
             platform, camera, pose = data.take("III")
             data.piece(4 if version > 2 else 0)
             if version > 6:
@@ -63,7 +63,7 @@ def _platform(data: Bytes, version: int) -> _Platform:
     platform = _Platform([], [], [])
     for number in _numbered(data, "camera"):
         with within(f"camera {number}"):
-            for _ in range(2 if version > 3 else 1):  # its name, and its band's
+            for _ in range(2 if version > 3 else 1):  # the camera's name, and its band's
                 _text(data)
             width, height = data.take("II")
             size = Record({"width": width, "height": height}).size() if width or height else None
@@ -80,7 +80,7 @@ def _optics(size: tuple[int, int] | None, K: Float64s) -> Optics:
         return Optics(size, _TO_CORNERS @ K)
 
     def scaled(width: int, height: int) -> Float64s:
-        """Return the intrinsics of a camera without a size, whose pictures are 1 along the longer side."""
+        """Return the intrinsics in pixels from intrinsics whose image is 1 along the longer side."""
         longest = max(width, height)
         return _TO_CORNERS @ np.diag([longest, longest, 1.0]) @ K
 
@@ -97,7 +97,7 @@ def _text(data: Bytes) -> str:
 
 
 def _numbered(data: Bytes, what: str) -> range:
-    """Return the numbers of a list's items; each is longer than a byte."""
+    """Return the range of a list's item numbers; each item takes more than a byte."""
     (count,) = data.take("Q")
     if count > data.left:
         raise BrokenError(f"the number of {what}s, {count}, is more than the file has room for")

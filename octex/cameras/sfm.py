@@ -1,6 +1,6 @@
 """Cameras of structure from motion: Meshroom's .sfm, OpenMVG's and OpenSfM's JSON, Bundler's .out.
 
-All but Bundler's have axes like OpenCV's. Pixels' centres of Meshroom and OpenMVG are whole numbers.
+All but Bundler's use OpenCV's axes. In Meshroom and OpenMVG pixel centres are whole numbers.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from octex.cameras.lens import DistortionModel
 from octex.files import read_bytes
 
 BUNDLER_MARK = b"# Bundle file"
-#: From y up and z backward to OpenCV's axes, and back.
+#: Between axes with y up and z backward and OpenCV's axes, either way.
 _TURN = np.diag([1.0, -1.0, -1.0, 1.0])
-#: How many numbers a camera of Bundler's has.
+#: Numbers a camera in Bundler's file.
 _WIDTH = 15
-#: The numbers of Meshroom's distortions, by their names and by the camera's types of older versions.
+#: Coefficients of Meshroom's distortions, by distortion name and by camera type of older versions.
 _MESHROOM = {
     **dict.fromkeys(("none", "pinhole"), ""),
     **dict.fromkeys(("radialk1", "radial1"), "k1"),
@@ -42,14 +42,14 @@ _MESHROOM = {
     "brown": "k1 k2 k3 p1 p2",
     "fisheye": "k1 k2 k3 k4",
 }
-#: OpenMVG's distortions by their fields: octex's model, and the numbers of the field.
+#: OpenMVG's distortions by field: octex's model, and the names of the field's coefficients.
 _OPENMVG: dict[str, tuple[DistortionModel, str]] = {
     "disto_k1": ("opencv", "k1"),
     "disto_k3": ("opencv", "k1 k2 k3"),
     "disto_t2": ("opencv", "k1 k2 k3 p1 p2"),
     "fisheye": ("fisheye", "k1 k2 k3 k4"),
 }
-#: OpenSfM's distortions by projection_type: octex's model, and the fields of its numbers.
+#: OpenSfM's distortions by projection_type: octex's model, and the fields of the coefficients.
 _OPENSFM: dict[str, tuple[DistortionModel, str]] = {
     **dict.fromkeys(("perspective", "simple_radial", "radial"), ("opencv", "k1 k2")),
     "brown": ("opencv", "k1 k2 p1 p2 k3"),
@@ -58,14 +58,14 @@ _OPENSFM: dict[str, tuple[DistortionModel, str]] = {
 
 
 def _view_from(rotation: Float64s, center: Float64s) -> Float64s:
-    """Return the view of a camera that sees X at R(X − C)."""
+    """Return the world-to-camera matrix that maps X to R(X − C)."""
     return view_of(rigid(rotation, -rotation @ center))
 
 
 def read_meshroom(path: Path, document: dict[str, Any]) -> list[Frame]:
-    """Read the cameras of all views of AliceVision's JSON that are placed; its numbers are texts.
+    """Read the cameras of all views of AliceVision's JSON that have a pose; it stores numbers as texts.
 
-    From version 1.2.3 on, meshes are written with y and z turned round, poses are not.
+    From version 1.2.3 on, AliceVision turns y and z of meshes round, but not of poses.
     """
     scene = Record(document, are_texts=True)
     version = scene.numbers("version", 3).tolist()
@@ -77,7 +77,7 @@ def read_meshroom(path: Path, document: dict[str, Any]) -> list[Frame]:
             name = record.text("path")
         pose, lens = poses.get(str(record.find("poseId"))), optics.get(str(record.find("intrinsicId")))
         if pose is None or lens is None:
-            continue  # not placed
+            continue  # no pose
         with within(f"view {name!r}"):
             if "rigId" in record and str(record.find("isPoseIndependant", True)).lower() in ("false", "0"):
                 raise BrokenError("belongs to a rig, which octex does not read; leave the rig out")
@@ -133,7 +133,7 @@ def _meshroom_focal(record: Record, version: list[float], width: int) -> tuple[f
 
 
 def read_openmvg(path: Path, document: dict[str, Any]) -> list[Frame]:
-    """Read the cameras of all views of sfm_data.json that are placed."""
+    """Read the cameras of all views of sfm_data.json that have a pose."""
     scene = Record(document)
     poses = {each.key("key"): each.record("value") for each in scene.records("extrinsics")}
     optics = {each.key("key"): each for each in scene.records("intrinsics")}
@@ -145,7 +145,7 @@ def read_openmvg(path: Path, document: dict[str, Any]) -> list[Frame]:
             name = seen.text("filename")
         pose, lens = poses.get(str(seen.find("id_pose"))), optics.get(str(seen.find("id_intrinsic")))
         if pose is None or lens is None:
-            continue  # not placed
+            continue  # no pose
         with within(f"view {name!r}"):
             with within("intrinsics"):
                 shared = _openmvg_optics(_openmvg_data(lens))
@@ -157,7 +157,7 @@ def read_openmvg(path: Path, document: dict[str, Any]) -> list[Frame]:
 
 
 def _openmvg_data(record: Record) -> Record:
-    """Return the object that a pointer points at; older versions hold shared fields in ``value0``."""
+    """Return the data of a pointer record; older versions keep shared fields in ``value0``."""
     data = record.record("value").record("ptr_wrapper").record("data")
     return data.over(data.record("value0")) if "value0" in data else data
 
@@ -176,9 +176,9 @@ def _openmvg_optics(record: Record) -> Optics:
 
 
 def read_opensfm(path: Path, reconstructions: list[dict[str, Any]]) -> list[Frame]:
-    """Read the cameras of the first, the largest reconstruction of reconstruction.json, of OpenDroneMap too.
+    """Read the cameras of the first and largest reconstruction of reconstruction.json (also OpenDroneMap's).
 
-    A camera sees X at R·X + t, R by its axis and angle.
+    A camera maps X to R·X + t; the file stores R as axis times angle.
     """
     frames = []
     scene = Record(reconstructions[0])
@@ -199,7 +199,7 @@ def read_opensfm(path: Path, reconstructions: list[dict[str, Any]]) -> list[Fram
 
 
 def _opensfm_optics(record: Record) -> Optics:
-    """Return a camera, whose focal lengths and centres are parts of the picture's longer side."""
+    """Return a camera's optics; focal lengths and centres in the file are parts of the longer image side."""
     kind = record.text("projection_type") if "projection_type" in record else "perspective"
     if kind not in _OPENSFM:
         raise BrokenError(
@@ -220,8 +220,8 @@ def _opensfm_optics(record: Record) -> Optics:
 def read_bundler(path: Path, content: bytes) -> list[Frame]:
     """Read the cameras of Bundler, RealityCapture, VisualSFM and others that have a focal length.
 
-    A camera sees X at R·X + t, looking along −z with y up; f·(1 + k1·s + k2·s²) times what it sees at (x, y),
-    s = x² + y², are pixels from the middle of the picture. Pictures' names stand in a list beside the file.
+    A camera maps X to R·X + t and looks along −z with y up. At normalised (x, y) the pixel is f·(1 + k1·s +
+    k2·s²)·(x, y) from the image's middle, s = x² + y². A list in the same folder names the images.
     """
     words = content.decode("utf-8", errors="replace").partition("\n")[2].split()
     what = "the number of cameras"
@@ -233,7 +233,7 @@ def read_bundler(path: Path, content: bytes) -> list[Frame]:
     listed = next(filter(is_file, lists), None)
     if listed is not None:
         lines = read_bytes(listed).decode("utf-8", errors="replace").splitlines()
-        # Bundler's own lists say zero and a focal length after a name.
+        # Bundler's lists have a zero and a focal length after each name.
         names = [re.sub(r"\s+0\s+\S+$", "", line.strip()) for line in lines if line.strip()]
     if names and len(names) != count:
         raise BrokenError(f"its list names {len(names)} pictures for {count:g} cameras; export both again")
@@ -246,7 +246,7 @@ def read_bundler(path: Path, content: bytes) -> list[Frame]:
             focal, *bends = (record.number(field) for field in ("f", "k1", "k2"))
             rotation, shift = record.numbers("R", 9), record.numbers("t", 3)
             if focal == 0.0:
-                continue  # not placed
+                continue  # no pose
             if focal < 0.0:
                 raise BrokenError(f"f must be above zero, not {focal:g}")
             view = view_of(_TURN @ rigid(rotation.reshape(3, 3), shift))

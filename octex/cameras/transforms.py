@@ -15,9 +15,9 @@ from octex.cameras.frames import Frame, Optics, distortion_of, is_file, picture_
 from octex.cameras.lens import DistortionModel
 
 _ENDINGS = ("", ".png", ".jpg", ".jpeg")
-#: Fields of a distortion's numbers.
+#: Fields of the distortion coefficients.
 _NUMBERS = "k1 k2 p1 p2 k3 k4"
-#: The values of camera_model, and the meaning of their numbers k1, k2, …
+#: Distortion models by camera_model.
 _MODELS: dict[str, DistortionModel] = {
     "PINHOLE": "opencv", "SIMPLE_PINHOLE": "opencv", "OPENCV": "opencv", "SIMPLE_RADIAL": "opencv",
     "RADIAL": "opencv", "OPENCV_FISHEYE": "fisheye", "SIMPLE_RADIAL_FISHEYE": "fisheye",
@@ -26,7 +26,7 @@ _MODELS: dict[str, DistortionModel] = {
 
 
 def read(path: Path, document: dict[str, Any]) -> list[Frame]:
-    """Read the frames; fields of the document hold for all frames without these fields."""
+    """Read the frames; the document's fields are defaults for the frames' fields."""
     frames = []
     shared = Record(document)
     for number, record in enumerate(shared.records("frames")):
@@ -83,12 +83,12 @@ def _intrinsics(record: Record) -> Callable[[int, int], Float64s]:
 
 
 def _focal(record: Record, field: str, angle: str) -> tuple[float, float] | None:
-    """Return a focal length, so many pixels and so many pictures; None where neither field is there."""
+    """Return a focal length (in pixels, in image widths or heights), of which one is 0; None if missing."""
     if field in record:
         return record.positive(field), 0.0
     return (0.0, focal_of_angle(record, angle)) if angle in record else None
 
 
 def focal_of_angle(record: Record, field: str) -> float:
-    """Return the focal length, in pictures, for the angle across a picture."""
+    """Return the focal length, in image widths or heights, for the field of view across the image."""
     return 0.5 / math.tan(record.positive(field, below=math.pi) / 2)

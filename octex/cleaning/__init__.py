@@ -1,6 +1,6 @@
-"""Meshes that nobody modelled, made clean: they keep their colours, images and materials.
+"""Repairs scanned and generated meshes; colours, images and materials stay.
 
-repair   the whole: triangles without area, duplicates, cracks, inner faces, and how many of each
-cracks   borders that face each other across less than a cell, drawn together
-inner    which triangles nothing outside can see
+repair   removes triangles without area, duplicates and inner faces, closes cracks, and counts all of these
+cracks   closes gaps, narrower than a cell, between facing borders
+inner    finds the triangles that are visible from outside
 """

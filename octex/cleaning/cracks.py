@@ -1,4 +1,4 @@
-"""Close cracks: vertices of open edges that face each other across less than a cell move together."""
+"""Closes cracks: moves pairs of facing border vertices, closer than a cell, to their middle."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from octex.source.parts import edges_of
 from octex.source.welding import welded
 from octex.tree.morton import encode, encode_cells
 
-#: Pairs of vertices are drawn together in so many rounds at most; each leaves fewer open edges.
+#: Largest number of rounds of pairing; each leaves fewer open edges.
 _ROUNDS = 8
-#: A vertex's neighbours along its own border are no other side of a crack, unless the border runs this many
-#: times farther than the straight way.
+#: Vertices along the same border are the other side of a crack only if the border runs this many times
+#: farther than the straight distance.
 _DETOUR = 3.0
-#: So many vertices of the own border are known around a vertex.
+#: Largest number of border vertices searched around a vertex.
 _NEAR = 64
 _MOST_CELLS = 1 << 20
 
@@ -25,8 +25,8 @@ def closed_cracks(
 ) -> tuple[Float64s, Float64s, int]:
     """Return rest and posed positions (n, 3) with cracks narrower than ``width`` closed, and how many moved.
 
-    A crack is closed where two vertices of open edges are each the other's nearest and no triangle joins
-    them: both move to their middle. Vertices at one rest position move as one.
+    A crack closes where two vertices of open edges are mutually nearest and no triangle joins them: both move
+    to their middle. Vertices at one rest position move as one.
     """
     places = np.concatenate([rest, vertices], axis=1)
     width = max(width, float(np.ptp(rest, axis=0).max()) / _MOST_CELLS)
@@ -76,11 +76,11 @@ def _nearest(
     by_code: Int64s,
     width: float,
 ) -> Int64s:
-    """Return for each vertex of open edges the nearest one across a crack, −1 for none.
+    """Return each vertex's nearest vertex across a crack, or −1, both on open edges.
 
-    ``others`` from ``starts`` on are what open edges join a vertex with; ``codes`` are sorted.
+    ``others`` from ``starts`` on lists the vertices that share an open edge; ``codes`` are sorted.
     """
-    found = np.full(len(points), -1, np.int64)
+    nearest = np.full(len(points), -1, np.int64)
     near = np.empty(_NEAR, np.int64)
     ways = np.empty(_NEAR, np.float64)
     for n in range(len(points)):
@@ -106,15 +106,15 @@ def _nearest(
                     is_own = is_own or (near[at] == other and ways[at] <= _DETOUR * distance)
                 if not is_own:
                     least = distance
-                    found[n] = other
-    return found
+                    nearest[n] = other
+    return nearest
 
 
 @part
 def _own_border(
     points: Float64s, starts: Int64s, others: Int64s, n: int, reach: float, near: Int64s, ways: Float64s
 ) -> int:
-    """List vertices along the border from vertex ``n`` and how far they are; return their number."""
+    """List vertices along the border from vertex ``n``, with their distance along it; return their number."""
     near[0], ways[0] = n, 0.0
     count, done = 1, 0
     while done < count:

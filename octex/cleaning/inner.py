@@ -1,9 +1,9 @@
-"""Which triangles something outside can see.
+"""Finds the triangles that are visible from outside.
 
-Cells of 1/256 of the model are outside if a path of empty cells, side by side, leads to them from beyond it.
-From points of a triangle lines run in many directions, through cells that hold triangles. A line that comes
-into a cell outside sees the triangle; one that meets another triangle, or comes into an empty cell that is
-not outside, does not. Lines are short: cells that hold triangles are a thin layer.
+Cells are 1/256 of the model. A cell is outside if a path of empty, adjacent cells leads to it from beyond the
+model. From points of a triangle, rays run in many directions through cells that contain triangles. A ray that
+reaches an outside cell makes the triangle visible. A ray ends at another triangle, and at an empty cell that
+is not outside. Rays are short, since the cells that contain triangles form a thin layer.
 """
 
 from __future__ import annotations
@@ -22,25 +22,25 @@ from octex.voxelize.fragments import divided, whole
 
 _DEPTH = 8
 _EDGE = 1 << _DEPTH
-#: What a cell is, other than the number of a row of its triangles.
+#: Kinds of cells without triangles; other cells hold a row of `starts`.
 _EMPTY, _OUTSIDE = -1, -2
-#: Lines from a triangle with one point; each of several points has so many at least.
+#: Rays from a triangle with one sample point, and the least number a point with several.
 _DIRECTIONS, _FEWEST = 64, 8
-#: From cells that so many others part from outside, no line gets there.
+#: Rays from cells this many cells away from outside never reach it.
 _DEEPEST = 8
-#: Hits nearer than this, in cells, are of triangles that touch the point: copies of its own.
+#: Nearer hits, in cells, are triangles that touch the point, such as copies.
 _TOUCHING = 1e-6
-#: Lines meet triangles that miss them by this part of an edge: none slips through between two.
+#: Triangles are enlarged by this part of an edge, so that no ray slips between two.
 _ROUNDING = 1e-9
-#: Points lie about so many cells apart.
+#: Distance of sample points, in cells.
 _APART = 1.0
 
 
 class _Cells(NamedTuple):
     """The cells, and the triangles in them."""
 
-    rows: Int32s  # (256, 256, 256)   which row of `starts`, or _EMPTY or _OUTSIDE
-    depths: Uint8s  # (cells,)   how many cells part it from outside, from 0 to _DEEPEST
+    rows: Int32s  # (256, 256, 256)   row of `starts`, or _EMPTY or _OUTSIDE
+    depths: Uint8s  # (cells,)   distance from outside in cells, 0 … _DEEPEST
     starts: Int64s  # (cells + 1,)   each cell's first row of `members`
     members: Int32s  # (pairs,)   triangles
     points: Float64s  # (n, 3)   vertices, in cells
@@ -48,7 +48,7 @@ class _Cells(NamedTuple):
 
 
 def seen_triangles(rest: Float64s, triangles: Int32s) -> Bools:
-    """Say which triangles (m, 3) of vertices (n, 3), none without area, are seen from outside (m,)."""
+    """Return which triangles (m, 3) of vertices (n, 3), all with area, are visible from outside (m,)."""
     used = rest[triangles].reshape(-1, 3)
     placement = Placement.around(np.array([used.min(axis=0), used.max(axis=0)]), _DEPTH)
     grid = on_grid(rest, placement)
@@ -60,7 +60,7 @@ def seen_triangles(rest: Float64s, triangles: Int32s) -> Bools:
     depths = np.full(len(places), _DEEPEST, np.uint8)
     _find_depths(rows, places, depths)
     points = np.ldexp(grid.astype(np.float64), _DEPTH - GRID_BITS)
-    cells = _Cells(rows, depths, found.starts, found.members, points, triangles)
+    cells = _Cells(rows, depths, blocks.starts, blocks.members, points, triangles)
     turns = np.arange(_DIRECTIONS) + 0.5  # a spiral of even density (Vogel 1979)
     heights, angles = 1.0 - 2.0 * turns / _DIRECTIONS, turns * np.pi * (3.0 - np.sqrt(5.0))
     radii = np.sqrt(1.0 - heights**2)
@@ -72,7 +72,7 @@ def seen_triangles(rest: Float64s, triangles: Int32s) -> Bools:
 
 @kernel
 def _flood(rows: Int32s) -> None:
-    """Mark the empty cells that hang together with the first one, which lies beyond the model."""
+    """Mark the empty cells that are connected to the first one, which lies beyond the model."""
     stack = np.empty(rows.size, np.int32)
     stack[0] = 0
     rows[0] = _OUTSIDE
@@ -127,7 +127,7 @@ def _see(cells: _Cells, directions: Float64s, seen: Bools) -> None:
             row, column = number // count, number % count
             if seen[triangle]:
                 break
-            # The triangles of the grid that points the same way, then those that are turned round.
+            # First the upright triangles of the grid, then the inverted ones.
             third = 1.0 / 3.0
             if row + column >= count:
                 row, column, third = count - 1 - row, count - 1 - column, 2.0 / 3.0
@@ -140,10 +140,10 @@ def _see(cells: _Cells, directions: Float64s, seen: Bools) -> None:
 def _is_seen(
     cells: _Cells, directions: Float64s, first: int, lines: int, triangle: int, point: Vector
 ) -> bool:
-    """Say whether a point of a triangle is seen: from the cells around it, or in some of the directions."""
+    """Return whether a sample point is visible: from adjacent outside cells, or along some direction."""
     i, j, k = int(point[0]), int(point[1]), int(point[2])
-    own = cells.rows[i, j, k]
-    if own >= 0 and cells.depths[own] == _DEEPEST:
+    here = cells.rows[i, j, k]
+    if here >= 0 and cells.depths[here] == _DEEPEST:
         return False
     for number in range(27):
         x, y, z = i + number // 9 - 1, j + number // 3 % 3 - 1, k + number % 3 - 1
@@ -159,7 +159,7 @@ def _is_seen(
 
 @part
 def _escapes(cells: _Cells, triangle: int, point: Vector, toward: Vector) -> bool:
-    """Walk from cell to cell along a line (Amanatides & Woo 1987); say whether it comes outside."""
+    """Walk along a ray, cell by cell (Amanatides & Woo 1987); return whether it gets outside."""
     i, j, k = int(point[0]), int(point[1]), int(point[2])
     x = np.inf if toward[0] == 0.0 else (i + (toward[0] > 0.0) - point[0]) / toward[0]
     y = np.inf if toward[1] == 0.0 else (j + (toward[1] > 0.0) - point[1]) / toward[1]
@@ -187,7 +187,7 @@ def _escapes(cells: _Cells, triangle: int, point: Vector, toward: Vector) -> boo
 
 @part
 def _hits(cells: _Cells, triangle: int, point: Vector, toward: Vector, leave: float) -> bool:
-    """Say whether a line meets a triangle before it leaves a cell (Möller & Trumbore 1997)."""
+    """Return whether a ray hits a triangle before it leaves a cell (Möller & Trumbore 1997)."""
     a = row_of(cells.points, cells.triangles[triangle, 0])
     e = minus(row_of(cells.points, cells.triangles[triangle, 1]), a)
     f = minus(row_of(cells.points, cells.triangles[triangle, 2]), a)

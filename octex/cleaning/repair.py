@@ -1,4 +1,4 @@
-"""Repair a surface: leave out triangles that add nothing, close cracks, and count all of it."""
+"""Repairs a surface: removes useless triangles, closes cracks, and counts both."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from octex.source.surface import NOT_FINITE, Surface, as_surface
 from octex.source.welding import welded
 from octex.tree.placement import Placement
 
-#: The entry of provenance that counts what a repair changed.
+#: The provenance entry that counts the changes of a repair.
 REPAIR = "repair"
 #: Cracks are narrower than a cell of this depth, if no cell is given.
 _DEPTH = 10
 
 
 class Repairs(NamedTuple):
-    """How many triangles a repair left out, and how many vertices it moved."""
+    """Numbers of removed triangles, by reason, and of moved vertices."""
 
-    not_finite: int  # triangles with a vertex that is not finite
+    not_finite: int  # triangles with a non-finite vertex
     degenerate: int  # triangles without area
     duplicate: int  # triangles with the corners of an earlier one, in the same order
-    inner: int  # triangles that nothing outside can see
-    moved: int  # vertices that were moved to close cracks
+    inner: int  # triangles that are invisible from outside
+    moved: int  # vertices moved to close cracks
 
     def __str__(self) -> str:
         names = "not finite", "without area", "duplicate", "inner"
@@ -39,24 +39,24 @@ class Repairs(NamedTuple):
 
 
 def repair(surface: Surface, *, cell: float | None = None, inner: bool = True) -> tuple[Surface, Repairs]:
-    """Return a surface without what scans and generated meshes have too much of, and the counts of that.
+    """Return a surface without the usual defects of scans and generated meshes, and counts of changes.
 
     cell   cracks narrower than this are closed, in the model's units (default: a cell of depth 10)
-    inner  leave out triangles that nothing outside can see, from either side
+    inner  remove triangles that are invisible from outside, from both sides
 
-    Triangles without area are left out, and those with the corners of an earlier one in the same order. Open
-    edges that face each other across a crack are drawn together: pairs of vertices move to their middle. The
-    other triangles keep their order, values, texture coordinates and normals.
+    It removes triangles without area, and those with the corners of an earlier one in the same order. Open
+    edges that face each other across a crack are joined: pairs of vertices move to their middle. The other
+    triangles keep their order, values, texture coordinates and normals.
 
-    A triangle is seen if a straight line from a point of it meets no other triangle on its way to space that
-    is connected with the outside. Lines run in 64 directions, and toward such space near the point. That
-    space is found in cells of 1/256 of the model, so a hole wider than a cell keeps what lies behind it.
+    A triangle is visible if a straight line from a point of it reaches space connected to the outside and
+    hits no other triangle before. Lines run in 64 directions, and toward such space near the point. That
+    space is found in cells of 1/256 of the model, so triangles behind a hole wider than a cell stay.
 
-    ``load_surface(…, finite=True)`` leaves out triangles with vertices that are not finite; they are counted
-    here too. The same surface gives the same result; the result's provenance holds the counts.
+    ``load_surface(…, finite=True)`` removes triangles with non-finite vertices; they are counted here too.
+    The same surface gives the same result; the result's provenance holds the counts.
 
-    Raises ArgumentError for anything but a Surface, and for a cell that is not above zero; ModelError if no
-    triangle has an area.
+    Raises ArgumentError for an argument that is not a Surface, and for a cell that is not above zero;
+    ModelError if no triangle has an area.
     """
     as_surface(surface)
     as_flag(inner, "inner")
@@ -82,9 +82,9 @@ def repair(surface: Surface, *, cell: float | None = None, inner: bool = True) -
     kept = kept.part(np.flatnonzero(seen))
     degenerates, duplicates, hidden = counts
     not_finite = int(surface.provenance.get(NOT_FINITE, 0))
-    found = Repairs(not_finite, degenerates, duplicates, hidden, moved)
-    kept.provenance[REPAIR] = json.dumps(found._asdict())
-    return kept, found
+    repairs = Repairs(not_finite, degenerates, duplicates, hidden, moved)
+    kept.provenance[REPAIR] = json.dumps(repairs._asdict())
+    return kept, repairs
 
 
 def _useless(rest: Float64s, triangles: Int32s) -> tuple[Bools, Bools]:

@@ -1,1 +1,1 @@
-"""The commands: thin faces of the library. Nothing heavy is imported before the arguments are read."""
+"""The commands: thin wrappers of the library. Heavy imports wait until the arguments are parsed."""

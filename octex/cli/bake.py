@@ -1,4 +1,4 @@
-"""octex bake: from an octree texture and its model to the model with images, for other programs."""
+"""octex bake: writes a model with images for other programs, from an octree texture and its model."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _OF_VERTICES = "--max-edge", "--vertex-error"
 _ALWAYS_VERTICES = ".ply", ".3mf"
 _GLTF = ".glb", ".gltf"
 _WITH_UNIT = *USD_ENDINGS, ".3mf"
-#: How images are stored, and the bits of a number in their maps.
+#: Image formats by option value, and the bits of a component.
 _IMAGES: dict[str, tuple[ImageFormat, Bits]] = {
     "png": ("png", 8), "webp": ("webp", 8), "jpeg": ("jpeg", 8), "jpeg-all": ("jpeg-all", 8),
     "png16": ("png", 16), "exr": ("exr", 32),
 }  # fmt: skip
-#: Images of more bytes than this are large.
+#: Images of more bytes than this are large; a note then suggests another format.
 _LARGE = 10_000_000
 
 
@@ -126,14 +126,14 @@ def bake(options: Options, program: str) -> int:
     }
     where = f"in maps of {size} × {size}" if size else f"at {len(baked.vertices):,} vertices"
     if images == "png" and written.image_bytes > _LARGE:
-        webp = "" if ending in USD_ENDINGS else "webp makes them smaller without loss, "
+        webp = "" if ending in USD_ENDINGS else "webp is smaller and lossless, "
         taken = f"its images take {bytes_text(written.image_bytes)}"
-        lines.append(f"{taken}: --image-format {webp}jpeg makes colours far smaller with some")
+        lines.append(f"{taken}: --image-format {webp}jpeg is far smaller and lossy")
     return tell_file(options, f"{', '.join(names)} {where}", made, *lines)
 
 
 def _write_ptex(options: Options, program: str) -> int:
-    """Write a .ptx file: texels for the polygons of a model."""
+    """Write a .ptx file: texels for the faces of a model."""
     allowed = {"--channels", "--rest", "--pose", "--subdiv", "--force", "--threads", "--quiet", "--json"}
     refuse(options, set(options.words) - allowed, f"cannot be used for {options.OUTPUT}")
     with Reporter(program, options.quiet) as progress:

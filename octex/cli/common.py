@@ -1,4 +1,4 @@
-"""Shared by all commands: errors in one line, exit codes, progress, and checks before any work."""
+"""Shared by all commands: one-line errors, exit codes, progress, and checks before any work."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from octex.parallel import at_most
 if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
-# What numpy and OpenImageIO start besides the threads of octex, which spreads the work itself: none.
+# Numpy and OpenImageIO start no threads of their own, since octex spreads the work.
 _NO_THREADS = {
     **dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"), "1"),
     "VECLIB_MAXIMUM_THREADS": "1",
     "OPENIMAGEIO_OPTIONS": "threads=1,exr_threads=-1",
 }
-#: Set to anything, it shows the traceback of an unexpected error.
+#: If set, unexpected errors show their traceback.
 TRACEBACK_VARIABLE = "OCTEX_TRACEBACK"
 
 
 @contextmanager
 def limited(count: int | None) -> Iterator[None]:
-    """Work on ``count`` threads while the block lasts, which imports numpy; None: on all processors."""
+    """Use ``count`` threads within the block, which imports numpy; None: all processors."""
     added = {} if count is None else {name: _NO_THREADS[name] for name in _NO_THREADS.keys() - os.environ}
     os.environ.update(added)
     try:
@@ -68,7 +68,7 @@ def _ended_by_signals() -> Iterator[None]:
     replaced = {}
     if threading.current_thread() is threading.main_thread():
         for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
-            if signal.getsignal(number) is usual:  # not where whoever called ignores it
+            if signal.getsignal(number) is usual:  # unless the caller ignores it
                 replaced[number] = usual
                 signal.signal(number, end)
     try:
@@ -83,14 +83,14 @@ def _ended_by_signals() -> Iterator[None]:
 def run(command: str, body: Callable[[], int]) -> int:
     """Run the body of a command and return its exit code; every failure becomes one line on stderr.
 
-    After SIGINT or SIGTERM nothing is left half-written; a second signal does not wait for threads.
+    After SIGINT or SIGTERM no file is half-written; a second signal does not wait for threads.
     """
     use_shipped_code()
     with _ended_by_signals():
         try:
             try:
                 code = body()
-            except SystemExit as wanted:  # after --help and --version
+            except SystemExit as wanted:  # from --help and --version
                 code = int(wanted.code or 0)
             _write(sys.stdout, "")
             return code
@@ -117,19 +117,19 @@ def run(command: str, body: Callable[[], int]) -> int:
 
 
 def say(text: str) -> None:
-    """Print a result on stdout; raises OutputError, except for a reader that has gone away."""
+    """Print a result on stdout; raises OutputError, except when the reader has closed the pipe."""
     _write(sys.stdout, text + "\n")
 
 
 def _write(stdout: TextIO | None, text: str) -> None:
-    if stdout is None:  # closed by whoever called
+    if stdout is None:  # closed by the caller
         return
     try:
         encoding = stdout.encoding or "utf-8"
         stdout.write(text.encode(encoding, "backslashreplace").decode(encoding))
         stdout.flush()
     except OSError as error:
-        # What is left in the buffer must not fail again when the interpreter ends.
+        # The rest of the buffer must not fail again when the interpreter ends.
         with suppress(OSError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), stdout.fileno())
         if not isinstance(error, BrokenPipeError):
@@ -137,7 +137,7 @@ def _write(stdout: TextIO | None, text: str) -> None:
 
 
 def tell(options: SimpleNamespace, made: Mapping[str, Any], *lines: str) -> None:
-    """Print results: as a JSON object with --json, else as lines; nothing with --quiet."""
+    """Print results: with --json as a JSON object, with --quiet nothing, else as lines."""
     if options.json:
         say(json.dumps(made))
     elif not options.quiet:
@@ -152,7 +152,7 @@ def tell_file(
     others: Mapping[str, tuple[Path | None, str]] | None = None,
     path: Path | None = None,
 ) -> ExitCode:
-    """Print that OUTPUT, or ``path``, was written: ``text`` or ``made`` describe it, with its size and time.
+    """Report the written OUTPUT, or ``path``: ``text`` or ``made`` describe it, with its size and time.
 
     ``others`` are further files by their names in JSON, each with a description; None is left out.
     """
@@ -167,7 +167,7 @@ def tell_file(
 
 
 def facts_of(texture: OctreeTexture) -> tuple[str, dict[str, Any]]:
-    """Return the facts of a texture for a person and for a machine."""
+    """Return the facts of a texture as text and for JSON."""
     tree = texture.tree
     cell = texture.placement.size / 2**tree.max_depth
     made = {"leaves": tree.n_leaves, "nodes": tree.n_nodes, "depth": tree.max_depth, "cell": cell}
@@ -178,8 +178,8 @@ def facts_of(texture: OctreeTexture) -> tuple[str, dict[str, Any]]:
 
 
 def fail(command: str, message: str, code: ExitCode) -> ExitCode:
-    """Print why there is no result, in one line on stderr, and return the exit code."""
-    if sys.stderr is not None:  # closed by whoever called
+    """Print an error in one line on stderr, and return the exit code."""
+    if sys.stderr is not None:  # closed by the caller
         with suppress(OSError):
             print(f"{command}: {' '.join(message.split())}", file=sys.stderr)
     return code
@@ -188,7 +188,7 @@ def fail(command: str, message: str, code: ExitCode) -> ExitCode:
 class Reporter:
     """Progress on stderr: a bar on a terminal, else a line for each finished stage.
 
-    Call it with (stage, done, total), within its context. It says once if kernels are compiled, unless
+    Call it with (stage, done, total), within its context. It notes once that kernels are compiled, unless
     ``announce`` is False. An error of stderr does not stop the work.
     """
 
@@ -223,7 +223,7 @@ class Reporter:
         if self._on_terminal:
             from tqdm import tqdm
 
-            tqdm.monitor_interval = 0  # else a thread redraws bars that nothing moves
+            tqdm.monitor_interval = 0  # no thread that redraws idle bars
 
             columns, lines = shutil.get_terminal_size()
             self._bar = tqdm(
@@ -273,19 +273,19 @@ class Reporter:
         self(name, 1, 1)
 
     def __enter__(self) -> Self:
-        """Listen to the compiler, and to warnings about models."""
+        """Start to report compilation, and warnings about models."""
         self._stack.enter_context(warnings.catch_warnings())
         warnings.simplefilter("always", ModelWarning)
         self._show_warning, warnings.showwarning = warnings.showwarning, self._warn
         if self._announce and not self._quiet:
-            text = "compiling what this needs, once (octex warm-up compiles all)"
+            text = "compiling kernels, once (octex warm-up compiles all)"
             self._stack.enter_context(at_first_compilation(lambda: self.note(text)))
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, _value: BaseException | None, _trace: TracebackType | None
     ) -> None:
-        """End the last stage; after an error silently."""
+        """End the last stage; after an error without a report."""
         self._stack.close()
         if kind is not None and self._bar is None:
             self._stage = None
@@ -296,9 +296,9 @@ class Reporter:
 def check_outputs(
     outputs: Iterable[tuple[Path | None, Iterable[str], str]], inputs: Iterable[Path | None], *, force: bool
 ) -> None:
-    """Refuse outputs that cannot or must not be written, before any work is done.
+    """Refuse outputs that cannot or must not be written, before any work starts.
 
-    outputs    (path or None, the endings that it may have, its word on the command line)
+    outputs    (path or None, its possible endings, its word on the command line)
     inputs     paths or None; no output may be one of them
     """
     taken = {identity(path): "an input" for path in inputs if path is not None}
@@ -325,13 +325,13 @@ def check_outputs(
 
 
 def listed(words: Sequence[str]) -> str:
-    """Return words with commas and an "and"."""
+    """Join words by commas and "and"."""
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def identity(path: Path) -> tuple[int, int] | Path:
-    """Return the identity of a file, the same for all its names."""
+    """Return an identity of a file that is equal for all its names."""
     with suppress(OSError):
         status = path.stat()
         return status.st_dev, status.st_ino
-    return Path(os.path.realpath(path))  # which takes links that lead to themselves
+    return Path(os.path.realpath(path))  # works for links to themselves, too

@@ -1,4 +1,4 @@
-"""octex convert: from a textured model, points or voxels to an octree texture, or to a folder of parts."""
+"""octex convert: writes an octree texture, or a folder of parts, from a textured model, points or voxels."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from octex.source.voxels import Voxels
     from octex.texture import OctreeTexture
 
-INDEX = "set.json"  # as octex.texture.folder.INDEX
+INDEX = "set.json"  # equals octex.texture.folder.INDEX
 OUTPUT_ENDINGS = *TEXTURE_ENDINGS, ".ply", ".npz", ".osl"
-_LINES = 10  # so many parts are listed
+_LINES = 10  # largest number of parts in the report
 _STORED = {"--channels", "--dtype", "--preview"}
-#: The options that a kind of INPUT takes; a model takes all.
+#: The options for each kind of INPUT; a model takes all.
 _FOR: dict[str, set[str]] = {
     "texture": {"--preview"},
     "cloud": {"--depth", "--cell", *_STORED},
@@ -49,7 +49,7 @@ def convert(options: Options, program: str) -> int:
 
 
 def _check(options: Options) -> None:
-    """Refuse options that make no sense together, or for what INPUT is."""
+    """Refuse options that contradict each other or the kind of INPUT."""
     path, kind = options.INPUT, kind_of(options.INPUT)
     if path.suffix.lower() == PTEX_ENDING:
         raise ArgumentError(f"{path}: holds texels of a mesh: convert its mesh with --transfer {path}")
@@ -86,7 +86,7 @@ def _convert(options: Options, program: str) -> int:
     kind = kind_of(path)
     if kind == "texture" and output.suffix.lower() == path.suffix.lower():
         raise ArgumentError(f"{path}: is an octree texture already; octex edit makes it coarser or smaller")
-    found: Overlaps | None = None
+    overlaps: Overlaps | None = None
     model: PointCloud | Voxels | Surface
     surface: Surface | None = None
     stages = ("convert", "preview") if options.preview is not None else ("convert",)
@@ -104,14 +104,14 @@ def _convert(options: Options, program: str) -> int:
                     model = surface = read_model(path, options)
             if options.separate is not None and surface is not None:
                 with progress.stage("separate"):
-                    model, found = octex.separate(
+                    model, overlaps = octex.separate(
                         surface, options.separate, depth=options.depth, cell=options.cell
                     )
                     surface = model
             target = None if options.memory is None else output
             run = octex.Run(memory=options.memory, progress=progress)
             texture = octex.convert(model, **_settings(options), path=target, run=run)
-        if options.preview is not None:  # first: without room for it, no OUTPUT is left unannounced
+        if options.preview is not None:  # first: if the disk is full, no OUTPUT exists without a report
             with progress.stage("draw"):
                 octex.write_preview(options.preview, texture, surface)
         if options.memory is None:
@@ -121,25 +121,25 @@ def _convert(options: Options, program: str) -> int:
     empty = 0 if surface is None else json.loads(texture.metadata["convert"]).get("empty", 0)
     if empty:
         made["empty"] = empty
-        # With leaves of several sizes, finest cells are no part of their number.
+        # With leaves of several sizes, the number of finest cells says little.
         is_even = options.max_error is None and options.detail is None
         share = f" ({100 * empty / (empty + texture.tree.n_leaves):.3g} %)" if is_even else ""
         faces = options.within is not None and options.within.degrees is not None
-        why = "is near enough and faces as they do" if faces else "is near enough"
-        lines.append(f"{empty:,} finest cells{share} stay empty: nothing to take from {why}")
-    repaired, told = told_repair(surface)
+        why = "no source is near enough with the same facing" if faces else "no source is near enough"
+        lines.append(f"{empty:,} finest cells{share} stay empty: {why}")
+    repaired, repair_lines = told_repair(surface)
     made |= repaired
-    lines += told
-    if found is not None:
+    lines += repair_lines
+    if overlaps is not None:
         separation = json.loads(texture.metadata.get("separation", '{"moved": {}}'))
-        made["separated"] = {**overlaps_as_json(found), "moved": separation["moved"]}
-        lines += _separated_text(separation["moved"], found)
+        made["separated"] = {**overlaps_as_json(overlaps), "moved": separation["moved"]}
+        lines += _separated_text(separation["moved"], overlaps)
     others = {"preview": (options.preview, "a picture of it")}
     return tell_file(options, text, made, *lines, others=others)
 
 
 def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: int = 0) -> None:
-    """Write a texture in the format of the ending; stored integers of .octz may change by ``loss``."""
+    """Write a texture in the format of the ending; .octz may change stored integers by up to ``loss``."""
     ending = path.suffix.lower()
     if ending in TEXTURE_ENDINGS:
         with progress.stage("write"):
@@ -158,35 +158,35 @@ def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: 
 
 
 def _settings(options: Options) -> dict[str, Any]:
-    """Return the settings of a conversion, as ``octex.convert`` takes them."""
+    """Return a conversion's settings as arguments of ``octex.convert``."""
     names = "depth", "cell", "channels", "dtype", "max_error", "detail"
     return {**{name: getattr(options, name) for name in names}, "fit": not options.no_fit}
 
 
-def overlaps_as_json(found: Overlaps) -> dict[str, Any]:
-    """Return overlapping parts for a machine; a gap beyond the margin, and an unknown volume, are null."""
-    pairs = [pair._asdict() for pair in found.pairs]
+def overlaps_as_json(parts: Overlaps) -> dict[str, Any]:
+    """Return overlapping parts for JSON; a gap beyond the margin, and an unknown volume, are null."""
+    pairs = [pair._asdict() for pair in parts.pairs]
     for pair in pairs:
         pair["gap"] = pair["gap"] if math.isfinite(pair["gap"]) else None
-    return {"parts": found.n_parts, "pairs": pairs, "unchecked": [each._asdict() for each in found.unchecked]}
+    return {"parts": parts.n_parts, "pairs": pairs, "unchecked": [each._asdict() for each in parts.unchecked]}
 
 
-def _separated_text(moved: dict[str, list[float]], found: Overlaps) -> Iterator[str]:
-    """Yield lines that say which parts were moved, how far, and what could not be checked."""
+def _separated_text(moved: dict[str, list[float]], parts: Overlaps) -> Iterator[str]:
+    """Yield lines about moved parts, their offsets, and unchecked parts."""
     if moved:
-        yield f"{len(moved):,} of {found.n_parts:,} parts moved apart; Surface.rest_positions says where to"
+        yield f"{len(moved):,} of {parts.n_parts:,} parts moved apart; Surface.rest_positions says where to"
         for part, offset in list(moved.items())[:_LINES]:
             yield f"  part {part} by {', '.join(f'{step:.6g}' for step in offset)}"
         if len(moved) > _LINES:
             yield f"  and {len(moved) - _LINES:,} more; --json lists them"
-    elif found.n_parts > 1:
-        yield f"{found.n_parts:,} parts, none too near to another: none is moved"
+    elif parts.n_parts > 1:
+        yield f"{parts.n_parts:,} parts, none too close to another: none moved"
     else:
-        yield "one part alone: nothing to move apart; where it runs through itself it stays as it is"
-    if found.unchecked:
+        yield "one part: nothing to move apart, even where it intersects itself"
+    if parts.unchecked:
         yield (
-            f"{len(found.unchecked):,} of them are no solids: only their surfaces were checked, not their "
-            "inside; octex overlaps lists them"
+            f"{len(parts.unchecked):,} of them are not closed solids: only their surfaces were checked, not "
+            "their inside; octex overlaps lists them"
         )
 
 
@@ -200,14 +200,14 @@ def _convert_parts(options: Options, program: str) -> int:
         with progress.stage("write"):
             made.save(folder)
     leaves = sum(texture.tree.n_leaves for texture in made.values())
-    repaired, told = told_repair(surface)
+    repaired, repair_lines = told_repair(surface)
     facts = {"parts": len(made), "leaves": leaves, "bytes": made.info()["bytes"], **repaired}
     text = f"{count_text(len(made), 'part')}, {count_text(leaves, 'leaf', 'leaves')}"
-    return tell_file(options, text, facts, *told)
+    return tell_file(options, text, facts, *repair_lines)
 
 
 def _check_folder(folder: Path, *, force: bool) -> None:
-    """Refuse a folder that cannot or must not be written, before any work is done."""
+    """Refuse a folder that cannot or must not be written, before any work starts."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; --parts writes a folder, give OUTPUT another name")
     if folder.suffix.lower() in OUTPUT_ENDINGS:

@@ -1,4 +1,4 @@
-"""octex draw: pictures of a texture, a model or both, from any side and in any light."""
+"""octex draw: renders a texture, a model or both, from any side and in any light."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from octex.drawing import Environment, Viewpoint
 
 _SIZE = 1024, 1024  # of a view
-_DIRECTION = 0.4, 0.3, 1.0  # of a picture to paint on
+_DIRECTION = 0.4, 0.3, 1.0  # of an image to paint on
 _UP = 0.0, 1.0, 0.0
-#: The options that a kind of picture has not.
+#: The options that each kind of image refuses.
 _OF_VIEWS = "--camera-out", "--unwrap", "--empty-layer"
 _REFUSED = {
     "view": ("--empty-layer",),
@@ -52,7 +52,7 @@ def draw(options: Options, program: str) -> int:
 
 
 def _check(options: Options, kind: str) -> None:
-    """Refuse files and options that make no sense together."""
+    """Refuse files and options that contradict each other."""
     texture, model = options.TEXTURE, options.MODEL
     refuse(options, _REFUSED.get(kind, ()), f"cannot be used with --as {kind}")
     if texture is None and (model is None or kind in ("cells", "difference")):
@@ -91,7 +91,7 @@ def _check(options: Options, kind: str) -> None:
 
 
 def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
-    """Write the picture, and the files that belong to it; return its width and height."""
+    """Write the image and its other files; return its width and height."""
     frame = _frame(options, kind)
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
@@ -100,7 +100,7 @@ def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
                 texture = texture.level(options.level)
             model = _model(options, kind)
         if texture is None and kind == "paint":
-            progress.note("there is no texture: the model is drawn grey, in some light")
+            progress.note("without a texture the model is drawn grey, with soft shading")
         camera: Camera | None = None
         if options.unwrap is not None:
             patch = patch_of(options, model, options.size or _SIZE, progress)
@@ -109,7 +109,7 @@ def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
             camera = _camera(options, kind, texture, model, frame)
         if camera is not None and camera.is_distorted:
             progress.note(
-                "the camera's lens distorts; the picture is drawn without that, and fits the camera that "
+                "the camera has lens distortion; the picture is drawn without it, and fits the camera that "
                 "--camera-out writes"
             )
             camera = camera.undistorted
@@ -121,7 +121,7 @@ def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
 
 
 def _model(options: Options, kind: str) -> Any:
-    """Read MODEL: a surface, or another texture; None without."""
+    """Read MODEL: a surface or another texture; None if absent."""
     if options.MODEL is None:
         return None
     if is_texture(options.MODEL):
@@ -134,15 +134,15 @@ def _model(options: Options, kind: str) -> Any:
 def _codes(
     options: Options, kind: str, texture: Any, model: Any, camera: Camera | None, frame: Frame | None
 ) -> Uint8s:
-    """Draw the picture."""
+    """Draw the image."""
     from octex import drawing
 
     channel, light, bump = options.channel, _light(options), options.bump
     size = {} if options.size is None else {"size": options.size}
     if kind == "difference":
-        found = octex.difference(texture, model, channels=None if channel is None else [channel])
+        differences = octex.difference(texture, model, channels=None if channel is None else [channel])
         names = options.TEXTURE.name, options.MODEL.name
-        return drawing.draw_difference(texture, model, found, names, **size)
+        return drawing.draw_difference(texture, model, differences, names, **size)
     if kind == "panels":
         view, lit = _viewpoint(options, frame), {"light": light, "bump": bump}
         return drawing.draw_preview(texture, model, **size, view=view, channel=channel, **lit)
@@ -156,13 +156,13 @@ def _codes(
 
 
 def _write(options: Options, codes: Uint8s, camera: Camera | None) -> None:
-    """Write the picture, and what else is asked for, all at the end."""
+    """Write the image and the other requested files, all at the end."""
     from octex.drawing import as_png
 
     pictures = {options.OUTPUT: as_png(codes)}
     if options.empty_layer is not None:
         pictures[options.empty_layer] = as_png(codes * 0)
-    if options.camera_out is not None:  # no view is stored of a layer: all of it is paint
+    if options.camera_out is not None:  # a layer has no unedited view: all of it is paint
         assert camera is not None
         cameras = dict.fromkeys((path.name for path in pictures), camera)
         octex.write_cameras(options.camera_out, cameras, {options.OUTPUT.name: pictures[options.OUTPUT]})
@@ -172,7 +172,7 @@ def _write(options: Options, codes: Uint8s, camera: Camera | None) -> None:
 
 
 def _frame(options: Options, kind: str) -> Frame | None:
-    """Return the camera of --camera: the only one, the one that is named, or the one of OUTPUT's name."""
+    """Return the camera of --camera: the only one, the named one, or the one of OUTPUT's name."""
     if options.camera is None:
         return None
     from octex.cameras.files import read_cameras
@@ -215,7 +215,7 @@ def _camera(options: Options, kind: str, texture: Any, model: Any, frame: Frame 
 
 
 def _light(options: Options) -> Environment | None:
-    """Return the light of --light; None for soft light, and for none."""
+    """Return the environment of --light; None for soft and no light."""
     if options.light in (None, "soft"):
         return None
     from octex.drawing import Environment

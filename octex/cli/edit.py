@@ -1,4 +1,4 @@
-"""octex edit: from a texture to another, an operation for each option in a fixed order."""
+"""octex edit: writes an edited texture; applies the options' operations in a fixed order."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _edited(options: Options, progress: Reporter) -> OctreeTexture:
             raise InputError(
                 f"{options.TEXTURE}: has depth {deepest}; --depth {options.depth} needs the model"
             )
-        # octex.resize would also divide the leaves above it, into cells of which nothing is known.
+        # octex.resize would also divide the leaves above it, into cells without new detail.
         coarse = texture.level(options.depth)
         metadata = noted(texture.metadata, "resize", depth=options.depth)
         texture = OctreeTexture(coarse.tree, coarse.channels, coarse.placement, coarse.bounds, metadata)

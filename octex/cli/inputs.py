@@ -1,4 +1,4 @@
-"""Reads the models, textures and cameras that the command line names."""
+"""Reads the models, textures and cameras on the command line."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
 
 def refuse(options: Options, words: Iterable[str], why: str, path: Path | Address | None = None) -> None:
-    """Raise ArgumentError for the first of some options that is on the command line, about a file."""
+    """Raise ArgumentError for the first of ``words`` that is on the command line, about a file."""
     for word in options.words:
         if word in words:
             raise ArgumentError(f"{'' if path is None else f'{path}: '}{word} {why}")
 
 
 def is_texture(path: Path | Address) -> bool:
-    """Tell whether a file is a texture, by its ending."""
+    """Return whether a file is a texture, by its ending."""
     return path.suffix.lower() in TEXTURE_ENDINGS
 
 
@@ -44,7 +44,7 @@ def kind_of(path: Path | Address) -> str:
     """Return the kind of a file: "texture", "cloud" for points without a surface, "voxels" or "model"."""
     if isinstance(path, Address) or is_texture(path):
         return "texture"
-    if path.suffix.lower() in (".ply", ".xyz", ".npz", ".vxz"):  # else it is known without an import
+    if path.suffix.lower() in (".ply", ".xyz", ".npz", ".vxz"):  # other endings are known without an import
         from octex.source.cloud import is_cloud
         from octex.source.voxels import is_voxels
 
@@ -55,7 +55,7 @@ def kind_of(path: Path | Address) -> str:
 
 
 def check_texture(path: Path | Address) -> None:
-    """Refuse a file whose ending is none of those that hold textures."""
+    """Refuse a file whose ending is not that of a texture."""
     if not is_texture(path) and path.suffix.lower() not in (WEB_ENDING, ".glb", ".gltf"):
         raise ArgumentError(
             f"{path}: is not a {TEXTURE_ENDINGS[0]} file; octex convert makes one from a model"
@@ -63,9 +63,9 @@ def check_texture(path: Path | Address) -> None:
 
 
 def open_texture(path: Path | Address) -> OctreeTexture:
-    """Open a texture, also that of a web file or a glTF model, and validate it.
+    """Open and validate a texture, also in a web file or a glTF model.
 
-    Errors name the file and what is broken.
+    Errors name the file and the broken part.
     """
     check_texture(path)
     texture = octex.open(str(path))
@@ -74,9 +74,9 @@ def open_texture(path: Path | Address) -> OctreeTexture:
 
 
 def tell_layers(texture: OctreeTexture, path: Path | Address, tell_note: Callable[[str], None]) -> None:
-    """Say of a texture with layers, which is edited, that they do not have the edit."""
+    """Note that the layers in a texture do not change when the texture is edited."""
     if "layers" in texture.metadata:
-        tell_note(f"{path} has layers: the edit is of what it shows, and the layers do not have it")
+        tell_note(f"{path} has layers: the edit changes the visible texture, not its layers")
 
 
 def number_of(textures: TextureSet, folder: Path, part: str) -> int:
@@ -87,7 +87,7 @@ def number_of(textures: TextureSet, folder: Path, part: str) -> int:
 
 
 def only(texture: OctreeTexture, channel: str) -> OctreeTexture:
-    """Return a texture with one channel, and alpha, by which it is looked up."""
+    """Return a texture reduced to one channel and alpha, which lookups need."""
     from octex.checks import as_choice
     from octex.texture import OctreeTexture
 
@@ -107,9 +107,9 @@ def frame_of(frames: Sequence[Frame], name: str, file: Path) -> Frame:
 
 
 def shaped_model(path: Path, options: Options, cell: float | None = None, **settings: Any) -> Surface:
-    """Read a model as ``octex.load_surface`` does, with --rest, --pose, --repair and --subdiv.
+    """Read a model with ``octex.load_surface``, with --rest, --pose, --repair and --subdiv.
 
-    Cracks narrower than ``cell`` are closed (default: those narrower than the cells that options ask for).
+    --repair closes cracks narrower than ``cell`` (default: than the cells that the options ask for).
     """
     surface = octex.load_surface(path, options.rest, pose=options.pose, finite=options.repair, **settings)
     if options.repair:
@@ -124,17 +124,17 @@ def shaped_model(path: Path, options: Options, cell: float | None = None, **sett
 
 
 def told_repair(surface: Surface | None) -> tuple[dict[str, Any], list[str]]:
-    """Return what --repair changed, for a machine and as a line; nothing without it."""
+    """Return the changes of --repair, for JSON and as a line; empty without it."""
     from octex.cleaning.repair import REPAIR, Repairs
 
     if surface is None or REPAIR not in surface.provenance:
         return {}, []
-    found = Repairs(**json.loads(surface.provenance[REPAIR]))
-    return {REPAIR: found._asdict()}, [f"repair: {found}"]
+    counts = Repairs(**json.loads(surface.provenance[REPAIR]))
+    return {REPAIR: counts._asdict()}, [f"repair: {counts}"]
 
 
 def bare_model(path: Path, options: Options) -> Surface:
-    """Read the shape of a model alone, with its normals."""
+    """Read only the shape of a model, with its normals."""
     surface = shaped_model(path, options, channels=["alpha"], sources={"alpha": 1.0}, normals=True)
     del surface.provenance["source_alpha"]
     return surface
@@ -156,11 +156,11 @@ def check_model(options: Options, path: Path | Address) -> None:
 
 
 def read_model(path: Path, options: Options, extra: Sequence[str] = ()) -> Surface:
-    """Read a model or FILE.py:NAME at rest with its channels, ``extra`` ones too if the model has them."""
+    """Read a model or FILE.py:NAME at rest with its channels; ``extra`` ones only if the model has them."""
     sources = {**_transferred(options), **_sources(options)}
-    for channel, given in sources.items():
-        if isinstance(given, FunctionName):
-            sources[channel] = load_function(given)
+    for channel, source in sources.items():
+        if isinstance(source, FunctionName):
+            sources[channel] = load_function(source)
     names = _wanted(options)
     every = [_read(each, options, sources, None if extra else names) for each in [path, *options.also]]
     surface = octex.Surface.joined(every) if options.also else every[0]
@@ -185,7 +185,7 @@ def _read(path: Path, options: Options, sources: dict[str, Any], wanted: Sequenc
 
 
 def _wanted(options: Options) -> list[str] | None:
-    """Return the channels to read: --channels, and the one that --detail needs."""
+    """Return the channels to read: --channels, and the channel of --detail."""
     steering = None if options.detail == "stretch" else options.detail
     if options.channels is None or steering is None or steering in options.channels:
         return options.channels  # type: ignore[no-any-return]
@@ -193,20 +193,20 @@ def _wanted(options: Options) -> list[str] | None:
 
 
 def _sources(options: Options) -> dict[str, Any]:
-    """Return the sources of channels by name; refuses a channel that is named twice or not wanted."""
+    """Return the sources of channels by name; refuse a channel that is repeated or not read."""
     sources: dict[str, Any] = {}
     wanted = _wanted(options)
-    for name, given in options.source:
+    for name, source in options.source:
         if name in sources:
             raise ArgumentError(f"--source gives {name} twice")
         if wanted is not None and name not in wanted:
             raise ArgumentError(f"--source gives {name}, but --channels leaves it out")
-        sources[name] = given
-        if isinstance(given, Path) and given.suffix.lower() == PTEX_ENDING:
-            sources[name] = octex.Ptex(given)
-        elif options.project is not None and isinstance(given, Path):
-            sources[name] = octex.MappedImage(given, **options.project)
-    if options.project is not None and not any(isinstance(given, Path) for _, given in options.source):
+        sources[name] = source
+        if isinstance(source, Path) and source.suffix.lower() == PTEX_ENDING:
+            sources[name] = octex.Ptex(source)
+        elif options.project is not None and isinstance(source, Path):
+            sources[name] = octex.MappedImage(source, **options.project)
+    if options.project is not None and not any(isinstance(source, Path) for _, source in options.source):
         raise ArgumentError("--project needs an image to project: --source base_color=FILE")
     return sources
 
@@ -231,16 +231,16 @@ def _transferred(options: Options) -> dict[str, Any]:
 def load_function(named: FunctionName) -> Callable[..., Any]:
     """Run a Python file and return its function.
 
-    The file can import others in its folder, as ``python FILE.py`` lets it. Raises InputError for a file that
-    cannot be read or raises, and for a name that is no function in it.
+    The file can import modules in its folder, as with ``python FILE.py``. Raises InputError for a file that
+    is unreadable or raises, and for a name that is not a function in it.
     """
     path = named.path.resolve()
     spec = importlib.util.spec_from_file_location(f"octex_functions:{path}", path)
-    assert spec is not None and spec.loader is not None  # by its ending
+    assert spec is not None and spec.loader is not None  # guaranteed by its ending
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # where dataclasses look their annotations up
+    sys.modules[spec.name] = module  # dataclasses look up annotations there
     if str(path.parent) not in sys.path:
-        sys.path.insert(0, str(path.parent))  # for good: functions may import when they are called
+        sys.path.insert(0, str(path.parent))  # permanent: functions may import when called
     try:
         spec.loader.exec_module(module)
     except OSError as error:

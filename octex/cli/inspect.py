@@ -1,4 +1,4 @@
-"""octex info, validate, diff and overlaps: what a texture holds, whether it is sound, and how it compares."""
+"""octex info, validate, diff and overlaps: describes, checks and compares textures."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def info(options: Options, _program: str) -> int:
 def validate(options: Options, _program: str) -> int:
     """Run octex validate."""
     path = options.TEXTURE
-    if isinstance(path, Address):  # a file that cannot be read is not broken
+    if isinstance(path, Address):  # an unreadable file is not a broken one
         from octex.remote import RemoteFile
 
         RemoteFile(str(path))
@@ -46,8 +46,8 @@ def validate(options: Options, _program: str) -> int:
         _opened(path).validate()
     except TextureFileError as error:
         broken = str(error)
-    told = {"file": str(path), "valid": broken is None, "broken": broken}
-    tell(options, told, broken or "valid")
+    facts = {"file": str(path), "valid": broken is None, "broken": broken}
+    tell(options, facts, broken or "valid")
     return ExitCode.DONE if broken is None else ExitCode.INVALID
 
 
@@ -58,8 +58,8 @@ def overlaps(options: Options, program: str) -> int:
         with progress.stage("read"):
             surface = octex.load_surface(path, options.rest, channels=["alpha"], sources={"alpha": 1.0})
         with progress.stage("compare"):
-            found = surface.overlapping_parts(options.margin or 0.0)
-    tell(options, {"model": str(path), "margin": found.margin, **overlaps_as_json(found)}, f"{path}: {found}")
+            pairs = surface.overlapping_parts(options.margin or 0.0)
+    tell(options, {"model": str(path), "margin": pairs.margin, **overlaps_as_json(pairs)}, f"{path}: {pairs}")
     return ExitCode.DONE
 
 
@@ -82,18 +82,18 @@ def diff(options: Options, program: str) -> int:
             else:
                 other = read_model(options.OTHER, options, extra)
         points = {} if options.points is None else {"points": options.points}
-        found = octex.difference(texture, other, channels=options.channels, **points, progress=progress)
-    told = {
+        differences = octex.difference(texture, other, channels=options.channels, **points, progress=progress)
+    facts = {
         "a": str(paths[0]),
         "b": str(paths[1]),
-        "points": found.points,
-        "width": found.width,
-        "channels": {name: _as_json(result) for name, result in found.items()},
-        "unmatched": dict(zip("ab", map(list, found.unmatched), strict=True)),
-        "areas": dict(zip("ab", found.areas, strict=True)),
-        "uncovered": dict(zip("ab", found.uncovered, strict=True)),
+        "points": differences.points,
+        "width": differences.width,
+        "channels": {name: _as_json(result) for name, result in differences.items()},
+        "unmatched": dict(zip("ab", map(list, differences.unmatched), strict=True)),
+        "areas": dict(zip("ab", differences.areas, strict=True)),
+        "uncovered": dict(zip("ab", differences.uncovered, strict=True)),
     }
-    tell(options, told, *_readable(paths, (texture, other), found))
+    tell(options, facts, *_readable(paths, (texture, other), differences))
     return ExitCode.DONE
 
 
@@ -105,7 +105,7 @@ def _opened(path: Path | Address) -> OctreeTexture | TextureSet:
 
 
 def _texture_text(information: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of a texture's information for a person."""
+    """Yield the lines of a texture's information."""
     placement, bounds, parts = (information[key] for key in ("placement", "bounds", "bytes"))
     yield f"depth       {information['depth']}, finest cells of edge {information['finest_cell']:.6g}"
     yield f"root cell   edge {placement['size']:.6g} at {triple(placement['origin'])}"
@@ -149,12 +149,12 @@ def _lines(text: str) -> list[str]:
 
 
 def triple(numbers: Sequence[float]) -> str:
-    """Return a position for a person."""
+    """Format a position."""
     return "(" + ", ".join(f"{number:.6g}" for number in numbers) + ")"
 
 
 def _set_text(information: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of a set's information for a person."""
+    """Yield the lines of a set's information."""
     parts = information["parts"]
     width = max(len("part"), *map(len, parts))
     yield f"{'part':{width}} {'depth':>5} {'finest cell':>12} {'leaves':>15} {'nodes':>15} {'bytes':>15}"
@@ -168,7 +168,7 @@ def _set_text(information: dict[str, Any]) -> Iterator[str]:
 
 
 def _as_json(result: Difference) -> dict[str, Any]:
-    """Return a difference for a machine; numbers that are not finite become null."""
+    """Return a difference for JSON; non-finite numbers become null."""
     fields: dict[str, Any] = result._asdict()
     if fields.pop("angle") is not None and result.angle is not None:
         fields["angle"] = _as_json(result.angle)
@@ -178,8 +178,8 @@ def _as_json(result: Difference) -> dict[str, Any]:
     }
 
 
-def _readable(paths: Sequence[Path], sides: Sequence[Side], found: Differences) -> Iterator[str]:
-    """Yield the lines of differences for a person."""
+def _readable(paths: Sequence[Path], sides: Sequence[Side], differences: Differences) -> Iterator[str]:
+    """Yield the lines of differences."""
     from octex.source.surface import Surface
 
     for letter, path, side in zip("AB", paths, sides, strict=True):
@@ -188,23 +188,23 @@ def _readable(paths: Sequence[Path], sides: Sequence[Side], found: Differences) 
         else:
             leaves = count_text(side.tree.n_leaves, "leaf", "leaves")
             yield f"{letter}  {path}: an octree texture of depth {side.tree.max_depth}, {leaves}"
-    if found.width is None:
-        yield f"at the centres of {found.points:,} leaves, those of both, by area"
+    if differences.width is None:
+        yield f"at the centres of {differences.points:,} leaves, those of both, by area"
     else:
-        yield f"at {found.points:,} points, uniform by area, both averaged over {found.width:.4g}"
-    for letter, names in zip("AB", found.unmatched, strict=True):
+        yield f"at {differences.points:,} points, uniform by area, both averaged over {differences.width:.4g}"
+    for letter, names in zip("AB", differences.unmatched, strict=True):
         if names:
             yield f"only {letter} has the channel{'s' if len(names) > 1 else ''} {', '.join(names)}"
-    for letter, other, part in zip("AB", "BA", found.uncovered, strict=True):
+    for letter, other, part in zip("AB", "BA", differences.uncovered, strict=True):
         if part:
             yield f"{100 * part:.3g} % of {letter}'s surface is not in {other}; it is left out"
-    if abs(found.areas[0] - found.areas[1]) > 0.1 * max(found.areas):
-        yield f"A has an area of {found.areas[0]:.4g}, B of {found.areas[1]:.4g}"
+    if abs(differences.areas[0] - differences.areas[1]) > 0.1 * max(differences.areas):
+        yield f"A has an area of {differences.areas[0]:.4g}, B of {differences.areas[1]:.4g}"
     yield ""
     rows: list[tuple[str, ...]] = [
         ("channel", "measure", "rms", "PSNR", "p99", "maximum", "where", "A there", "B there")
     ]
-    for name, result in found.items():
+    for name, result in differences.items():
         rows.append(_row(name, result))
         if result.angle is not None:
             rows.append(_row("", result.angle))
@@ -226,5 +226,5 @@ def _row(name: str, result: Difference) -> tuple[str, ...]:
 
 
 def number(value: float) -> str:
-    """Return a value of three digits or so."""
+    """Format a value with about three digits."""
     return f"{value:.1f}" if abs(value) >= 10 else f"{value:.4f}".rstrip("0").rstrip(".")

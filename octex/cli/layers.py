@@ -1,4 +1,4 @@
-"""Layers of paint: pictures are projected into them, they are merged and recorded in the metadata."""
+"""Projects images into layers of paint, merges layers, and records them in the metadata."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 class Painting:
-    """Paints as the options say: projects pictures to a layer, and merges layers into a texture."""
+    """Paints as the options ask: projects images to a layer, and merges layers into a texture."""
 
     def __init__(self, options: Options, surface: Surface, executor: Executor, progress: Reporter) -> None:
         self._options, self._surface = options, surface
@@ -36,23 +36,23 @@ class Painting:
         self._opacity = 1.0 if options.opacity is None else options.opacity
 
     def fitting(self, shots: list[Shot]) -> tuple[list[Shot], list[str]]:
-        """Return the pictures that can be right, and the names of the others; note why these cannot."""
+        """Return the images that fit the model, and the names of the others; note why."""
         if len(shots) < 2 or any(shot.since for shot in shots):
             return shots, []
         from octex.photos.misfits import misfits
 
-        found, better = misfits(self._surface, [self._projection(shot) for shot in shots], self._executor)
-        for number, reason in sorted(found.items()):
+        reasons, better = misfits(self._surface, [self._projection(shot) for shot in shots], self._executor)
+        for number, reason in sorted(reasons.items()):
             self._progress.note(f"{shots[number].path} is left out: {reason}")
         if better:
             self._progress.note(f"the mesh does not fit the cameras: {better}")
-        kept = [shot for number, shot in enumerate(shots) if number not in found]
-        return kept, [shots[number].path.name for number in sorted(found)]
+        kept = [shot for number, shot in enumerate(shots) if number not in reasons]
+        return kept, [shots[number].path.name for number in sorted(reasons)]
 
     def projected(
         self, texture: OctreeTexture | None, shots: Sequence[Shot]
     ) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
-        """Project pictures; return the texture to merge them into, None for a new one, and their layer."""
+        """Project images; return the texture to merge them into (None: a new one), and their layer."""
         options, surface = self._options, self._surface
         settings: dict[str, Any] = {
             "fit": not options.no_fit,
@@ -66,9 +66,9 @@ class Painting:
                 settings[name] = getattr(options, name)
         if options.max_angle is not None:
             settings["max_angle"], settings["back_faces"], settings["hidden"] = options.max_angle
-        given = [self._projection(shot) for shot in shots]
+        projections = [self._projection(shot) for shot in shots]
         background = _value_of(options) if isinstance(options.holes, tuple) else None
-        layer = octex.project(surface, given, like=texture, **settings)
+        layer = octex.project(surface, projections, like=texture, **settings)
         if texture is not None and layer.tree.n_leaves > texture.tree.n_leaves:
             self._progress.note(
                 f"the paint has {layer.tree.n_leaves:,} leaves, the texture {texture.tree.n_leaves:,}; "
@@ -80,19 +80,21 @@ class Painting:
         wanted: dict[str, Any] = {"channels": [channel_of(layer)], "sources": {channel_of(layer): background}}
         texture = octex.convert(surface, depth, **wanted, fit=not options.no_fit, run=self._run)
         if texture.placement != layer.placement:
-            layer = octex.project(surface, given, like=texture, **settings)
+            layer = octex.project(surface, projections, like=texture, **settings)
         return texture, [layer]
 
     def refined(self, shots: Sequence[Shot]) -> list[Shot]:
-        """Return pictures with cameras through which they agree best, and write these."""
+        """Return the images with refined cameras, and write these cameras."""
         pictures, reference = [self._projection(shot) for shot in shots], self._reference(shots)
-        found = octex.refine_cameras(self._surface, pictures, reference=reference, run=self._stored)
-        # What comes next may take hours, so they are written now.
-        octex.write_cameras(self._options.refine_cameras, dict(zip(_camera_names(shots), found, strict=True)))
-        return [shot._replace(camera=camera) for shot, camera in zip(shots, found, strict=True)]
+        cameras = octex.refine_cameras(self._surface, pictures, reference=reference, run=self._stored)
+        # The next steps may take hours, so the cameras are written now.
+        octex.write_cameras(
+            self._options.refine_cameras, dict(zip(_camera_names(shots), cameras, strict=True))
+        )
+        return [shot._replace(camera=camera) for shot, camera in zip(shots, cameras, strict=True)]
 
     def started(self, layer: OctreeTexture, has_layers: bool) -> tuple[OctreeTexture, bool]:
-        """Return a new texture, whose unseen part may be filled, and whether a layer is in it already."""
+        """Return a new texture, filled where unseen as asked, and whether it includes a layer already."""
         from octex.painting import first
         from octex.painting.surface import PaintedSurface
 
@@ -104,7 +106,7 @@ class Painting:
     def merged(
         self, texture: OctreeTexture, layers: Sequence[OctreeTexture], files: Sequence[Path], first: int
     ) -> OctreeTexture:
-        """Merge layers, those of ``files`` if any, from the ``first`` on that is not in the texture.
+        """Merge layers, read from ``files`` if any, from number ``first`` on.
 
         Returns the same texture if they paint nothing.
         """
@@ -123,13 +125,13 @@ class Painting:
 
     def entries(self, files: Sequence[Path], layer: OctreeTexture) -> list[dict[str, str | float]]:
         """Return the provenance of the paint in files."""
-        found: list[dict[str, str | float]] = []
+        paint: list[dict[str, str | float]] = []
         for path in files:
             with open_file(path) as file:
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
             entry = {"image": path.name, "sha256": digest, "blend": self._blend, "opacity": self._opacity}
-            found.append({**entry, "channel": channel_of(layer)})
-        return found
+            paint.append({**entry, "channel": channel_of(layer)})
+        return paint
 
     def _projection(self, shot: Shot) -> Projection:
         since: Any = shot.since
@@ -187,7 +189,7 @@ def channel_of(layer: OctreeTexture) -> str:
 def with_entries(
     texture: OctreeTexture, surface: Surface, entries: Sequence[dict[str, str | float]]
 ) -> OctreeTexture:
-    """Append to the provenance of a texture's paint; that of a new texture also names the model."""
+    """Append paint to a texture's provenance; for a new texture also record the model."""
     from octex.processing.edit import with_listed
     from octex.texture import OctreeTexture
 

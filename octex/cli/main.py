@@ -17,7 +17,7 @@ from octex.docs import TOPICS, topic
 from octex.errors import ArgumentError, ExitCode
 
 PROGRAM = "octex"
-#: The module of each command; it has a function ``run(options, program)`` of this name.
+#: The module of each command; its function of the same name runs the command.
 _MODULES = {
     **dict.fromkeys(("info", "diff", "validate", "overlaps"), "inspect"),
     "warm-up": "warm_up",
@@ -49,14 +49,14 @@ def _run(name: str, rest: Sequence[str], program: str) -> int:
 
 
 def _by_option(message: str, command: Command) -> str:
-    """Name the option that a message calls by the parameter of the library."""
+    """Replace a library parameter in a message by the option's name."""
     name, must, rest = message.partition(" must ")
     word = f"--{name.replace('_', '-')}"
     return f"{word}{must}{rest}" if must and command.has(word) else message
 
 
 def _answer(first: str, rest: Sequence[str]) -> int:
-    """Print what is asked of octex itself."""
+    """Print the answer to options of octex itself."""
     if first in ("-h", "--help") or (first == "help" and not rest):
         say(_overview())
     elif first == "--version":

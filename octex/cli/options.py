@@ -9,13 +9,13 @@ from typing import Any
 from octex.cli import values as v
 from octex.cli.parser import Command, File, Option
 
-DEFAULT_CHANNEL = "base_color"  # what is painted
+DEFAULT_CHANNEL = "base_color"  # the channel to paint
 DRAWN = "panels", "view", "paint", "cells", "difference"
 UV = "auto", "keep", "atlas", "xatlas"
 IMAGE_FORMATS = "png", "webp", "jpeg", "jpeg-all", "png16", "exr"
 UNITS = "meter", "centimeter", "millimeter", "inch", "foot"
 
-#: Every option as help shows it; words behind several spaces explain it.
+#: Every option as help shows it; its description follows after several spaces.
 _TABLE = """
 --depth N             number of levels: cells are 1/2^N of the model (default 10)
 --cell SIZE           width of the finest cells in the model's units, instead of --depth
@@ -28,12 +28,12 @@ _TABLE = """
 
 --rest MESH           the undeformed model, with the same vertices and triangles
 --pose NAME@SECONDS   pose of an animated glTF model, like Run@0.5
---repair              leave out triangles without area, copies and inner ones; close cracks narrower than
-                      a cell
+--repair              remove triangles without area, duplicates and inner ones; close cracks narrower
+                      than a cell
 --subdiv N[,limit]    subdivide a control cage N times; limit: rest positions on the limit surface
 --also MODEL          another model that shares the texture; may be repeated
 --grid BOX,EDGE       for a function: its box and the triangles' edges, x0,y0,z0,x1,y1,z1,EDGE
---separate CELLS      move parts apart that come nearer than this many cells (try 3)
+--separate CELLS      move parts apart that are closer than this many cells (try 3)
 --parts               write a folder with a texture for each part
 --margin SIZE         smallest allowed distance between parts, in the model's units (default 0)
 
@@ -41,7 +41,7 @@ _TABLE = """
 --project KIND        place images of --source without UVs: planar, box, cylindrical or spherical, like
                       box:size=0.5:axis=z:center=0,0,0
 --transfer FILE       take colours from the nearest surface of a model, from points, or a .ptx
---within D[,DEGREES]  leave cells empty whose --transfer is farther, or faces another way; mean:R: the
+--within D[,DEGREES]  leave cells empty where --transfer is farther, or faces another way; mean:R: the
                       mean of the points within R
 --filter NAME         filter of images: nearest, bilinear, bicubic, trilinear, ripmap, sat or ewa (default)
 
@@ -53,15 +53,15 @@ _TABLE = """
 --loss CODES          for NAME.octz: let stored integers change by up to CODES
 
 --camera FILE[#NAME]  cameras: camera.json, transforms.json, COLMAP folder … (octex help cameras)
---unwrap X,Y,Z,R      a disc of the surface laid flat, no camera; X,Y,Z,R:conformal:up=X,Y,Z
---mask PNG            white = paint; one, one an IMAGE, 'masks/{stem}.png', or a backdrop '#rrggbb'
+--unwrap X,Y,Z,R      unwrap a disc of the surface, no camera; X,Y,Z,R:conformal:up=X,Y,Z
+--mask PNG            white = paint: one, or one per IMAGE, 'masks/{stem}.png'; or a backdrop '#rrggbb'
 --since PNG           the unedited view: paint only what differs; 'nothing': paint all pixels
 --blend MODE          over (default), multiply, screen, add, erase or replace
 --opacity X           opacity of the paint, 0 to 1 (default 1)
 --channel NAME        channel to paint or to draw (default base_color)
 --max-depth N         finest level; cells up to it are 1/4 to 1/2 pixel wide (default 1/2 to 1)
---max-angle DEGREES   not surface tilted more (default 75; 85 for views); 75,both: also back faces;
-                      75,hidden: also what other surface hides
+--max-angle DEGREES   skip surface tilted more (default 75; 85 for views); 75,both: paint back faces;
+                      75,hidden: paint hidden surface
 --edge-feather PIXELS fade paint toward the picture's border and toward edges in depth (default 0)
 --pictures MODE       how pictures combine: average, best, or robust (default for three or more)
 --balance MODE        match exposures: gain; full: each colour, and vignetting
@@ -76,7 +76,7 @@ _TABLE = """
 --as KIND             panels (default): side by side with captions; view: one picture, lit; paint: unlit,
                       to paint on; cells: leaves as cubes; difference: how both differ
 --size W,H            width and height in pixels
---direction X,Y,Z     direction from the model to the camera (default: the side that shows most)
+--direction X,Y,Z     direction from the model to the camera (default: the side with most detail)
 --up X,Y,Z            direction that points up in the picture (default 0,1,0)
 --zoom TIMES          enlarge by this factor (default 1: the whole model)
 --level N             draw this level of the texture (default: the finest, or what a pixel shows)
@@ -90,9 +90,9 @@ _TABLE = """
                       new ones, cut by xatlas (slow for scans)
 --texture-size N      width and height of the images (default: as fine as the leaves, or finer by up
                       to 4 where images would differ from the texture by more than 3/255, RMS)
---triangles N         make a mesh of so many, like 50k, with a normal map of what it lacks
+--triangles N         reduce the mesh to so many, like 50k; a normal map has the lost detail
 --original MODEL      the model of the texture, where MODEL is a simpler mesh of it
---max-distance D      how far the surface of --original may be, in its units (default: any)
+--max-distance D      largest distance to the surface of --original, in its units (default: any)
 --padding N           texels around each chart (default 8)
 --image-format NAME   png (default), webp, jpeg, jpeg-all, png16 or exr
 --supersample N       average this many lookups along each side of a texel (default 1)
@@ -102,13 +102,13 @@ _TABLE = """
 --vertex-error CODES  largest error of vertex colours, in 1/255 (default 8)
 --displace CHANNEL=H  move the surface by H where the channel is 1; CHANNEL=H,M: by 0 where it is M
 --octree              let a .glb or .gltf carry the texture too, for octex-three (EXT_octree_texture)
---unit UNIT           a length of 1 in .3mf, USD: meter (default), centimeter, millimeter, inch, foot
+--unit UNIT           unit of length in .3mf, USD: meter (default), centimeter, millimeter, inch, foot
 
 --part NAME           show only this part of a folder
 --port N              port of 127.0.0.1 (default: the file's own, if it is free)
 --paint OUTPUT        paint in the page; Ctrl-S saves the texture here, .octex or .octz
---keep WHAT           of a texture edited since its layers were saved: shown, or the layers
---recover             paint again what a session did not save
+--keep WHAT           for a texture edited after its layers were saved: keep shown or layers
+--recover             repeat the unsaved strokes of an earlier session
 --no-browser          print the page's address, and do not open a browser
 --max-size SIZE       leave out the finest levels until the page is no larger, like 20MB
 
@@ -118,7 +118,7 @@ _TABLE = """
 --quiet               print only errors, and the result of --json
 --json                print the result as one JSON object
 """
-#: How values are read; options in no row are flags.
+#: Parsers of option values; options in no row are flags.
 _READERS: dict[Callable[[str], Any], str] = {
     v.depth: "--depth --max-depth",
     v.whole_number: "--level --texture-size --padding --supersample",
@@ -172,7 +172,7 @@ _REPEATED = "--also", "--source", "--mask"
 
 
 def _options() -> dict[str, Option]:
-    """Return the options of the table by their words."""
+    """Return the options of the table by word."""
     readers = {word: read for read, words in _READERS.items() for word in words.split()}
     rows = re.findall(r"^(--\S+)(?: (\S+))? +(\S.*(?:\n +\S.*)*)$", _TABLE, re.MULTILINE)
     return {
@@ -183,7 +183,7 @@ def _options() -> dict[str, Option]:
 
 OPTIONS = _options()
 
-#: Every command: what it does, examples, files (in brackets where they may be missing) and options.
+#: Every command: summary, examples, files (optional ones in brackets) and options.
 _COMMANDS = """
 convert  Convert a textured model, points, voxels or a function to an octree texture.
   > droid.glb droid.octex --depth 10 --preview droid.png
@@ -267,7 +267,7 @@ warm-up  Compile everything now, so that later commands start at once.
   >
   --quiet
 """
-#: What help says instead of "default 10", where another depth is the default.
+#: Text in help instead of "default 10", for commands with another default depth.
 _DEPTHS = {"view": "default 9", "edit": "default: all"}
 _SHORT = {
     "SHAPE": "--rest --pose --subdiv",
@@ -278,7 +278,7 @@ _FILES: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys(("OUTPUT", "PAGE"), v.output_file),
     **dict.fromkeys(("MODEL", "IMAGE"), v.file_here),
 }
-#: Whether a word is a file that may be missing.
+#: Whether a word may be this optional file.
 _FITS: dict[str, Callable[[str], bool]] = {
     "TEXTURE": v.is_texture_name,
     "MODEL": lambda word: not word.lower().endswith((v.PAGE_ENDING, v.WEB_ENDING, ".png", ".jpg", ".jpeg")),
@@ -293,8 +293,8 @@ def _command(text: str) -> Command:
     for line in map(str.strip, lines):
         if line.startswith(">"):
             examples.append(line[1:].strip())
-        elif found := re.fullmatch(r"(\[?)([A-Z]+)( ...)?\]?  +(.*)", line):
-            bracket, word, dots, help = found.groups()
+        elif match := re.fullmatch(r"(\[?)([A-Z]+)( ...)?\]?  +(.*)", line):
+            bracket, word, dots, help = match.groups()
             read = v.texture_file if (name, word) == ("draw", "MODEL") else _FILES[word]
             number: Any = "any" if dots else "maybe" if bracket else "one"
             files.append(File(word, read, help, number, _FITS.get(word, bool)))

@@ -1,4 +1,4 @@
-"""octex paint: from pictures and cameras, or layers, to an octree texture with their paint."""
+"""octex paint: paints images through cameras, or layers, into an octree texture."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
-#: The options that go with layers.
+#: The options that merging layers accepts.
 _OF_LAYERS = {"--blend", "--opacity", "--preview", "--rest", "--pose", "--subdiv"}
 _OF_LAYERS |= {"--force", "--threads", "--quiet", "--json"}
 
@@ -37,7 +37,7 @@ def paint(options: Options, program: str) -> int:
 
 
 def _check(options: Options, program: str) -> bool:
-    """Refuse options that make no sense together; tell whether layers are merged instead of pictures."""
+    """Refuse contradictory options; return whether to merge layers instead of images."""
     layers = [path for path in options.IMAGE if is_texture(path)]
     if layers:
         if len(layers) < len(options.IMAGE):
@@ -77,7 +77,7 @@ def _check_files(options: Options) -> None:
         (options.refine_cameras, (".json",), "--refine-cameras"),
         (options.preview, (".png",), "--preview"),
     )
-    # OUTPUT may take the place of TEXTURE, which is not written to: the old file is there until all is done.
+    # OUTPUT may replace TEXTURE: the old file stays until all work is done.
     texture = options.TEXTURE
     is_replaced = texture is not None and identity(texture) == identity(options.OUTPUT)
     masks = [each for each in options.mask if not isinstance(each, tuple | str)]
@@ -125,7 +125,7 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
             return _nothing_painted(options, program, any(shot.since for shot in shots))
         entries = painting.entries([shot.path for shot in shots] or options.IMAGE, layers[0])
         made = with_entries(made, surface, entries)
-        if options.preview is not None:  # first: without room for it, nothing is left unannounced
+        if options.preview is not None:  # first: if the disk is full, no OUTPUT exists without a report
             with progress.stage("draw"):
                 view: dict[str, Any] = {}
                 if options.unwrap is not None:
@@ -163,7 +163,7 @@ def _nothing_painted(options: Options, program: str, compares: bool) -> int:
 
 
 def _direction_to(surface: Surface, patch: Patch) -> Float64s:
-    """Return the direction (3,) that the patch faces on the surface: the mean normal."""
+    """Return the direction (3,) that the patch faces: its mean normal."""
     import numpy as np
 
     first, second, third = surface.vertices[surface.triangles[patch.triangles]].swapaxes(0, 1)
@@ -174,7 +174,7 @@ def _direction_to(surface: Surface, patch: Patch) -> Float64s:
 def _draw(
     options: Options, texture: OctreeTexture, surface: Surface, channel: str, view: dict[str, Any]
 ) -> None:
-    """Write --preview: next to the model's own colours, if it has the channel."""
+    """Write --preview: next to the model's own colours if it has the channel."""
     shown: Surface | None = surface
     if channel != DEFAULT_CHANNEL:
         has_channel = channel in [form.name for form in surface.channels]

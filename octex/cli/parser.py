@@ -1,4 +1,4 @@
-"""Commands as tables of options: the parser and the help are made from them."""
+"""Tables of commands and options, which define both the parser and the help."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import octex
 from octex.cli.common import say
 from octex.errors import ArgumentError
 
-_WIDTH, _COLUMN = 100, 24  # of help, and where it explains
-_ALIKE = 0.8  # difflib's ratio from which a word may be meant for an option
+_WIDTH, _COLUMN = 100, 24  # width of help, and column of descriptions
+_ALIKE = 0.8  # difflib's ratio at which help suggests an option
 
-#: Values by name: ``options.max_error`` is that of --max-error, ``options.MODEL`` a file, ``options.words``
-#: lists the options on the command line. What is not there, or is of other commands, is None, False or [].
+#: Values by name: ``options.max_error`` for --max-error, ``options.MODEL`` for a file, ``options.words`` for
+#: the options on the command line. Missing ones, also of other commands, are None, False or [].
 Options = SimpleNamespace
 
 
 class Option(NamedTuple):
-    """An option like --depth."""
+    """An option such as --depth."""
 
     word: str
     value: str  # its value in help, "N"; "" for a flag
@@ -42,17 +42,17 @@ class Option(NamedTuple):
 
 
 class File(NamedTuple):
-    """A file that a command takes without an option's word."""
+    """A file that a command takes as a plain word."""
 
     word: str
     read: Callable[[str], Any]
     help: str
     number: Literal["one", "maybe", "any"] = "one"
-    fits: Callable[[str], bool] = bool  # whether a word is this file, where it may be missing
+    fits: Callable[[str], bool] = bool  # whether a word can be this file, if it is optional
 
     @property
     def usage(self) -> str:
-        """The word in brackets if it may be missing."""
+        """The word, in brackets if optional."""
         return {"one": self.word, "maybe": f"[{self.word}]", "any": f"[{self.word} ...]"}[self.number]
 
 
@@ -66,12 +66,12 @@ class Command(NamedTuple):
     examples: Sequence[str]  # without the command's name
 
     def has(self, word: str) -> bool:
-        """Tell whether a word is an option of the command."""
+        """Return whether a word is an option of the command."""
         return any(each.word == word for each in self.options)
 
 
 class Parser:
-    """Reads the words of a command, in any order, and refuses in one line; it knows no abbreviations."""
+    """Parses the words of a command, in any order, and refuses in one line; it accepts no abbreviations."""
 
     def __init__(self, program: str, command: Command, commands: Mapping[str, Command]) -> None:
         self.program = program
@@ -98,12 +98,12 @@ class Parser:
 
     def parsed(self, words: Sequence[str]) -> Options:
         """Parse words; those after -- are files. Raises ArgumentError, and SystemExit after --help."""
-        found: dict[str, Any] = {
+        values: dict[str, Any] = {
             each.name: [] if each.repeats else None if each.read else False
             for command in self._commands.values()
             for each in command.options
         }
-        found["words"] = []
+        values["words"] = []
         left = deque(words)
         files: list[str] = []
         while left:
@@ -121,36 +121,36 @@ class Parser:
             option = self._options.get(word)
             if option is None:
                 self._refuse(word)
-            found["words"].append(word)
+            values["words"].append(word)
             if option.read is None:
                 if equals:
                     self.error(f"{word} takes no value")
-                found[option.name] = True
+                values[option.name] = True
                 continue
             if not equals:
                 if not left or left[0] in self._options:
                     self.error(f"{word} needs a value, {option.value}")
-                value = left.popleft()  # which may begin with a minus
+                value = left.popleft()  # may begin with a minus
             read = self._read(option.read, word, value)
-            if found[option.name] is not None and not option.repeats:
+            if values[option.name] is not None and not option.repeats:
                 self.error(f"{word} is given twice; it takes one value")
-            found[option.name] = [*found[option.name], read] if option.repeats else read
-        found.update(self._files(files))
-        return Options(**found)
+            values[option.name] = [*values[option.name], read] if option.repeats else read
+        values.update(self._files(files))
+        return Options(**values)
 
     def _files(self, words: list[str]) -> dict[str, Any]:
         """Return files by name, or refuse too few or too many."""
-        found: dict[str, Any] = {}
+        files: dict[str, Any] = {}
         left = deque(words)
-        late = None  # a file after its place
+        late = None  # a file after a missing one
         for each in self._command.files:
             if each.number == "any":
-                found[each.word] = [self._read(each.read, each.word, word) for word in left]
+                files[each.word] = [self._read(each.read, each.word, word) for word in left]
                 left.clear()
             elif left and (each.number == "one" or each.fits(left[0])):
-                found[each.word] = self._read(each.read, each.word, left.popleft())
+                files[each.word] = self._read(each.read, each.word, left.popleft())
             elif each.number == "maybe":
-                found[each.word] = None
+                files[each.word] = None
                 late = late or next(filter(each.fits, left), None)
         usage = " ".join(each.usage for each in self._command.files)
         if left:
@@ -158,11 +158,11 @@ class Parser:
                 self.error(f"{late} is no file for its place: write {self.program} {usage}")
             self.error(f"{left[0]} is one file too many for {self.program} {usage}".rstrip())
         missing = [
-            each.word for each in self._command.files if each.number == "one" and each.word not in found
+            each.word for each in self._command.files if each.number == "one" and each.word not in files
         ]
         if missing:
             self.error(f"{' '.join(missing)} {'are' if len(missing) > 1 else 'is'} missing")
-        return found
+        return files
 
     def _read(self, read: Callable[[str], Any], word: str, value: str) -> Any:
         try:
@@ -175,7 +175,7 @@ class Parser:
         raise ArgumentError(f"{message}; see {self.program} --help")
 
     def _refuse(self, word: str) -> NoReturn:
-        """Refuse an unknown option; name the commands that have it, or one that is alike."""
+        """Refuse an unknown option; name the commands that have it, or a similar option."""
         others = [f"octex {name}" for name, each in self._commands.items() if each.has(word)]
         if others:
             self.error(f"{word} is an option of {', '.join(others)}, not of {self.program}")

@@ -1,4 +1,4 @@
-"""Pictures with the cameras that they are painted through: cameras found, sizes read, masks dealt out."""
+"""Finds the camera, size and mask of each image to paint."""
 
 from __future__ import annotations
 
@@ -20,26 +20,26 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
-#: What --since names where all pixels are painted.
+#: The value of --since that paints all pixels.
 NOTHING = Path("nothing")
 _LISTED = 5
-#: EXIF orientations above this are of pictures whose rows are stored as columns.
+#: EXIF orientations from 5 on swap rows and columns.
 _LYING = 4
 _NAME, _STEM = "{name}", "{stem}"
 
 
 class Shot(NamedTuple):
-    """A picture, the camera it is painted through, and where paint goes."""
+    """An image, its camera, and its mask."""
 
     path: Path
     camera: Camera
     mask: Path | None
-    since: Path | bytes | None  # the unedited view: only pixels that differ are painted
+    since: Path | bytes | None  # the unedited view: paint only pixels that differ from it
     name: str  # of its camera
 
 
 def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str]]:
-    """Return pictures with their cameras, and the names of those that are missing or damaged."""
+    """Return images with their cameras, and the names of missing or damaged images."""
     pairs, missing = _pairs(options)
     if missing:
         progress.note(f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures: {_listing(missing)}")
@@ -65,7 +65,7 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
 def flat_shots(
     options: Options, surface: Surface, texture: OctreeTexture | None, progress: Reporter
 ) -> tuple[Patch, list[Shot]]:
-    """Lay the disc of --unwrap flat; return it and its pictures."""
+    """Unwrap the disc of --unwrap; return it and its images."""
     from octex.drawing.views import as_png, draw_paintable
     from octex.source.images.decode import image_size
 
@@ -82,7 +82,7 @@ def flat_shots(
 
 
 def patch_of(options: Options, surface: Surface, size: tuple[int, int], progress: Reporter) -> Patch:
-    """Lay the disc of --unwrap flat; note where it is no disc."""
+    """Unwrap the disc of --unwrap; note where it is not a disc."""
     if size[0] != size[1]:
         raise ArgumentError(f"pictures of a disc are square, not {size[0]} × {size[1]}")
     patch = octex.unwrap(surface, **options.unwrap, size=size[0])
@@ -92,25 +92,25 @@ def patch_of(options: Options, surface: Surface, size: tuple[int, int], progress
 
 
 def images_of(options: Options) -> list[Path]:
-    """Return the pictures that are named."""
+    """Return the named images."""
     return [_image_and_frame(path)[0] for path in options.IMAGE]
 
 
 def _masks(options: Options, pictures: Sequence[Path]) -> list[Path | None]:
-    """Return the mask of each picture."""
+    """Return the mask of each image."""
     files = [each for each in options.mask if isinstance(each, Path)]
     pattern = next((each for each in options.mask if isinstance(each, str)), None)
     if pattern is None:
         return [*files] if len(files) > 1 else [files[0] if files else None] * len(pictures)
-    found = [Path(pattern.replace(_NAME, path.name).replace(_STEM, path.stem)) for path in pictures]
-    missing = [mask.as_posix() for mask in found if not mask.is_file()]
+    masks = [Path(pattern.replace(_NAME, path.name).replace(_STEM, path.stem)) for path in pictures]
+    missing = [mask.as_posix() for mask in masks if not mask.is_file()]
     if missing:
-        raise ImageError(f"--mask: {len(missing)} of {len(found)} masks are missing: {_listing(missing)}")
-    return list(found)
+        raise ImageError(f"--mask: {len(missing)} of {len(masks)} masks are missing: {_listing(missing)}")
+    return list(masks)
 
 
 def _size(path: Path, frame: Frame) -> tuple[int, int]:
-    """Return a picture's size, upright unless it has the frame's shape as it is stored."""
+    """Return an image's size, upright unless its stored orientation matches the frame."""
     from octex.source.images.decode import image_size, orientation_of
 
     width, height = image_size(path)
@@ -122,7 +122,7 @@ def _size(path: Path, frame: Frame) -> tuple[int, int]:
 
 
 def _since(options: Options, frame: Frame, size: tuple[int, int]) -> Path | bytes | None:
-    """Return the unedited view; None where all pixels are painted, as on a new texture."""
+    """Return the unedited view; None to paint all pixels, as on a new texture."""
     if options.since is not None and options.since != NOTHING:
         return Path(options.since)
     if options.since == NOTHING or options.TEXTURE is None or frame.view is None:
@@ -137,7 +137,7 @@ def _since(options: Options, frame: Frame, size: tuple[int, int]) -> Path | byte
 
 
 def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
-    """Return pictures with their frames, and the names of pictures that are missing."""
+    """Return images with their frames, and the names of missing images."""
     from octex.cameras.files import read_cameras
 
     file, name = options.camera
@@ -152,26 +152,27 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
         frames = [frame_of(frames, name, file)]
     if len(images) == 1 and len(frames) == 1 and images[0][1] is None:
         return [(images[0][0], frames[0])], []
-    if len(images) == len(frames) and not any([*(f.is_named for f in frames), *(own for _, own in images)]):
+    if len(images) == len(frames) and not any([*(f.is_named for f in frames), *(name for _, name in images)]):
         return [(image, frame) for (image, _), frame in zip(images, frames, strict=True)], []
     if images:
         try:
-            return [(image, frame_of(frames, own or image.as_posix(), file)) for image, own in images], []
+            return [(image, frame_of(frames, name or image.as_posix(), file)) for image, name in images], []
         except CameraError as error:
             raise CameraError(f"{error}; IMAGE=NAME says which camera an IMAGE has") from None
-    own = [(frame.image, frame) for frame in frames if frame.image is not None]
-    if not own:
+    named = [(frame.image, frame) for frame in frames if frame.image is not None]
+    if not named:
         raise CameraError(f"{file}: does not name the pictures of its cameras; give IMAGEs")
-    missing = [frame.name for image, frame in own if not image.is_file()]
-    if len(missing) == len(own):
+    missing = [frame.name for image, frame in named if not image.is_file()]
+    if len(missing) == len(named):
         raise CameraError(
-            f"{file}: none of the {len(own)} pictures that it names exists: {_listing(missing)}; give IMAGEs"
+            f"{file}: none of the {len(named)} pictures that it names exists: {_listing(missing)}; "
+            "give IMAGEs"
         )
-    return [(image, frame) for image, frame in own if image.is_file()], missing
+    return [(image, frame) for image, frame in named if image.is_file()], missing
 
 
 def _image_and_frame(path: Path) -> tuple[Path, str | None]:
-    """Read IMAGE=FRAME, or the name of a picture alone, which may contain an = too."""
+    """Parse IMAGE=FRAME, or an image's name, which may contain an = too."""
     image, sign, frame = str(path).rpartition("=")
     return (Path(image), frame) if sign and image and frame and not path.exists() else (path, None)
 

@@ -1,4 +1,4 @@
-"""Starts the programs: also one that is interrupted while Python imports it says so in one line."""
+"""Entry points; an interrupt during the imports ends in one line, too."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reads the values of options and the names of files; nothing heavy is imported for it."""
+"""Parses option values and file names, without heavy imports."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from octex.files import is_address
 TEXTURE_ENDING, ARCHIVE_ENDING = ".octex", ".octz"
 TEXTURE_ENDINGS = TEXTURE_ENDING, ARCHIVE_ENDING
 PAGE_ENDING, PTEX_ENDING = ".html", ".ptx"
-#: Files of data alone, for three.js.
+#: Web files: data for three.js.
 WEB_ENDING = ".octw"
-#: As formats.models.WRITTEN_ENDINGS, without an import.
+#: Equals formats.models.WRITTEN_ENDINGS, without an import.
 USD_ENDINGS = ".usdz", ".usd", ".usda", ".usdc"
 BAKED_ENDINGS = ".glb", ".gltf", ".obj", *USD_ENDINGS, ".3mf", ".ply", PTEX_ENDING
-#: Known names, as the modules define them that use them.
+#: Known names, equal to those in the modules that use them.
 DTYPES = "uint8", "uint16", "float16", "float32"
 FILTERS = "nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa"
 PROJECTIONS = "planar", "box", "cylindrical", "spherical"
@@ -31,13 +31,13 @@ BLENDS = "over", "multiply", "screen", "add", "erase", "replace"
 PICTURES = "average", "best", "robust"
 BALANCES = "gain", "full"
 HOLES = "leave", "smooth"
-#: The widest and highest picture that is drawn: as large as octex reads.
+#: Largest width and height of a drawn image: the largest that octex reads.
 MOST_PIXELS = 16384
 
 
 @dataclass(frozen=True)
 class Address:
-    """The address of a texture, where commands expect a path."""
+    """The address of a texture, in place of a path."""
 
     text: str
 
@@ -59,11 +59,11 @@ class Address:
         return PurePosixPath(self.name).suffix
 
     def is_dir(self) -> bool:
-        """Return False: only files have addresses."""
+        """Return False: an address is a file's."""
         return False
 
     def stat(self) -> NoReturn:
-        """Raise FileNotFoundError: the file is not on this machine."""
+        """Raise FileNotFoundError: the file is remote."""
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.text)
 
 
@@ -77,17 +77,17 @@ class FunctionName(NamedTuple):
         return f"{self.path}:{self.name}"
 
 
-#: What a channel comes from: an image file, a function, a number for each component, or #rrggbb.
+#: The source of a channel: an image file, a function, a number for each component, or #rrggbb.
 Source = Path | FunctionName | float | tuple[float, ...] | str
 
 
 def is_texture_name(text: str) -> bool:
-    """Tell whether a word of the command line names a texture: a file, an address or a folder of parts."""
+    """Return whether a word names a texture: a file, an address or a folder of parts."""
     return is_address(text) or _is_texture(text) or Path(text).is_dir()
 
 
 def texture_file(text: str) -> Path | Address:
-    """Read the name of a texture, or its address."""
+    """Parse the name of a texture, or its address."""
     if not is_address(text):
         return Path(text)
     address = Address(text)
@@ -100,27 +100,27 @@ def texture_file(text: str) -> Path | Address:
 
 
 def file_here(text: str) -> Path:
-    """Read the name of a file on this machine that is read."""
+    """Parse the name of a local input file."""
     if is_address(text):
         raise ArgumentError(f"{text} is a URL, and octex reads this file from disk: download it first")
     return Path(text)
 
 
 def output_file(text: str) -> Path:
-    """Read the name of a file or folder that is written."""
+    """Parse the name of an output file or folder."""
     if is_address(text):
         raise ArgumentError(f"{text} is a URL, and octex writes to disk only; write a file, then upload it")
     return Path(text)
 
 
 def function_name(text: str) -> FunctionName | None:
-    """Read FILE.py:NAME; return None for another text."""
+    """Parse FILE.py:NAME; return None for another text."""
     path, colon, name = text.rpartition(":")
     return FunctionName(Path(path), name) if colon and path.endswith(".py") and name.isidentifier() else None
 
 
 def one_of(*known: str) -> Callable[[str], str]:
-    """Return a reader of one of some names."""
+    """Return a parser of one of these names."""
 
     def read(text: str) -> str:
         if text not in known:
@@ -133,7 +133,7 @@ def one_of(*known: str) -> Callable[[str], str]:
 def _number(
     kind: type[Any], limits: str = "", fits: Callable[[Any], bool] | None = None
 ) -> Callable[[str], Any]:
-    """Return a reader of an int or a float within limits."""
+    """Return a parser of an int or a float within limits."""
 
     def read(text: str) -> Any:
         try:
@@ -162,7 +162,7 @@ pixels = _number(float, "from 0 to 1000000", lambda number: 0.0 <= number <= 1e6
 
 
 def file_size(text: str) -> int:
-    """Read a number of bytes: 20MB, 800kB, 5000."""
+    """Parse a number of bytes: 20MB, 800kB, 5000."""
     from octex.files import size_of
 
     try:
@@ -172,7 +172,7 @@ def file_size(text: str) -> int:
 
 
 def thousands(text: str) -> int:
-    """Read a whole number above zero: 50k, 1.5M, 50000."""
+    """Parse a whole number above zero: 50k, 1.5M, 50000."""
     number, factor = text[:-1], {"k": 1e3, "M": 1e6}.get(text[-1:])
     try:
         value = float(number) * factor if factor else float(int(text))
@@ -184,12 +184,12 @@ def thousands(text: str) -> int:
 
 
 def edge_length(text: str) -> float | str:
-    """Read a length, or "auto"."""
+    """Parse a length, or "auto"."""
     return text if text == "auto" else float(length(text))
 
 
 def angle_and_sides(text: str) -> tuple[float | None, bool, bool]:
-    """Read DEGREES, both, hidden, with commas: the angle, and whether back faces and hidden surface count."""
+    """Parse DEGREES, both, hidden: the largest angle, and whether to paint back faces and hidden surface."""
     words = text.split(",")
     both, hidden = ("both" in words, "hidden" in words)
     numbers = [word for word in words if word not in ("both", "hidden")]
@@ -197,15 +197,15 @@ def angle_and_sides(text: str) -> tuple[float | None, bool, bool]:
 
 
 class Near(NamedTuple):
-    """What is taken of another model or of points: what is near enough."""
+    """The part of another model or of points that counts."""
 
     distance: float | None = None
-    degrees: float | None = None  # between normals
-    radius: float | None = None  # the mean of all points within it
+    degrees: float | None = None  # largest angle between normals
+    radius: float | None = None  # average all points within it
 
 
 def near(text: str) -> Near:
-    """Read D or D,DEGREES; D is the largest distance, mean:RADIUS, or "any"."""
+    """Parse D or D,DEGREES; D is the largest distance, mean:RADIUS, or "any"."""
     distance, comma, degrees = text.partition(",")
     largest = angle(degrees) if comma else None
     if distance.startswith("mean:"):
@@ -214,7 +214,7 @@ def near(text: str) -> Near:
 
 
 def light(text: str) -> Path | str:
-    """Read the name of a panorama, "studio" or "soft"."""
+    """Parse the name of a panorama, "studio" or "soft"."""
     return text if text in ("studio", "soft") else file_here(text)
 
 
@@ -227,13 +227,13 @@ def _pair(text: str, form: str) -> tuple[str, str]:
 
 
 def bump(text: str) -> tuple[str, float]:
-    """Read CHANNEL=HEIGHT."""
+    """Parse CHANNEL=HEIGHT."""
     name, height = _pair(text, "CHANNEL=HEIGHT, such as roughness=0.01")
     return name, real(height)
 
 
 def displacement(text: str) -> tuple[str, float, float]:
-    """Read CHANNEL=HEIGHT or CHANNEL=HEIGHT,MIDDLE."""
+    """Parse CHANNEL=HEIGHT or CHANNEL=HEIGHT,MIDDLE."""
     name, numbers = _pair(text, "CHANNEL=HEIGHT[,MIDDLE], such as roughness=0.01,0.5")
     height, comma, middle = numbers.partition(",")
     return name, real(height), real(middle) if comma else 0.0
@@ -246,7 +246,7 @@ def _check_names(names: Sequence[str]) -> None:
 
 
 def channel_names(text: str) -> list[str]:
-    """Read names of channels, separated by commas."""
+    """Parse names of channels, separated by commas."""
     names = [name.strip() for name in text.split(",")]
     if not all(names):
         raise ArgumentError(f"{text!r} has an empty name; write base_color,normal")
@@ -255,7 +255,7 @@ def channel_names(text: str) -> list[str]:
 
 
 def dtypes(text: str) -> str | dict[str, str]:
-    """Read one stored type for all channels, or NAME=TYPE pairs separated by commas."""
+    """Parse one stored type for all channels, or NAME=TYPE pairs separated by commas."""
     read = one_of(*DTYPES)
     if "=" not in text:
         return read(text.strip())
@@ -265,7 +265,7 @@ def dtypes(text: str) -> str | dict[str, str]:
 
 
 def source(text: str) -> tuple[str, Source]:
-    """Read the source of a channel: NAME=FILE, =FILE.py:FUNCTION, =NUMBER,NUMBER,… or =#rrggbb."""
+    """Parse the source of a channel: NAME=FILE, =FILE.py:FUNCTION, =NUMBER,NUMBER,… or =#rrggbb."""
     form = "CHANNEL=FILE, such as roughness=rough.png"
     name, value = _pair(text, form)
     if not value:
@@ -279,10 +279,10 @@ def source(text: str) -> tuple[str, Source]:
 
 
 def projected(text: str) -> dict[str, Any]:
-    """Read KIND[:axis=A][:center=X,Y,Z][:size=S], as octex.MappedImage takes it."""
+    """Parse KIND[:axis=A][:center=X,Y,Z][:size=S] into arguments of octex.MappedImage."""
     kind, *settings = text.split(":")
     readers: dict[str, Callable[[str], Any]] = {"axis": one_of(*AXES), "center": position, "size": sizes}
-    found: dict[str, Any] = {"kind": one_of(*PROJECTIONS)(kind)}
+    arguments: dict[str, Any] = {"kind": one_of(*PROJECTIONS)(kind)}
     for setting in settings:
         name, equals, value = setting.partition("=")
         if name not in readers or not equals:
@@ -290,23 +290,23 @@ def projected(text: str) -> dict[str, Any]:
                 f"{setting!r} is not one of axis=A, center=X,Y,Z, size=SIZE, such as box:size=0.5"
             )
         try:
-            found[name] = readers[name](value)
+            arguments[name] = readers[name](value)
         except ArgumentError as error:
             raise ArgumentError(f"{name}: {error}") from None
-    if kind == "spherical" and "size" in found:
+    if kind == "spherical" and "size" in arguments:
         raise ArgumentError("a spherical projection has no size: one copy of the image goes around")
-    return found
+    return arguments
 
 
 def mask(text: str) -> Path | str | tuple[int, int, int]:
-    """Read a mask image, a pattern of them with {stem} or {name}, or a backdrop colour, #rrggbb or R,G,B."""
+    """Parse a mask image, a name pattern with {stem} or {name}, or a backdrop colour, #rrggbb or R,G,B."""
     if re.fullmatch(r"#[^.]*|\d+,\d+,\d+", text):
         return color(text)
     return str(file_here(text)) if "{stem}" in text or "{name}" in text else file_here(text)
 
 
 def holes(text: str) -> str | tuple[int, int, int]:
-    """Read how the unseen part of a new texture is filled: smooth, leave, or a colour."""
+    """Parse how to fill unseen areas of a new texture: smooth, leave, or a colour."""
     if text in HOLES:
         return text
     try:
@@ -316,13 +316,13 @@ def holes(text: str) -> str | tuple[int, int, int]:
 
 
 def subdivision(text: str) -> tuple[int, str]:
-    """Read LEVELS or LEVELS,limit: how often a cage is divided, and its rest positions."""
+    """Parse LEVELS or LEVELS,limit: how often to subdivide a cage, and its rest positions."""
     levels, comma, rest = text.partition(",")
     return whole_number(levels), one_of("hull", "limit")(rest) if comma else "hull"
 
 
 def _numbers(like: str, fits: Callable[[tuple[float, ...]], bool]) -> Callable[[str], tuple[float, ...]]:
-    """Return a reader of finite numbers with commas between."""
+    """Return a parser of finite numbers separated by commas."""
 
     def read(text: str) -> tuple[float, ...]:
         try:
@@ -357,13 +357,13 @@ _sizes = _numbers(
 
 
 def sizes(text: str) -> float | tuple[float, ...]:
-    """Read a size, or one for each direction."""
+    """Parse a size, or one for each direction."""
     numbers = _sizes(text)
     return numbers if len(numbers) == 3 else numbers[0]
 
 
 def direction(text: str) -> tuple[float, ...]:
-    """Read a direction: three numbers that are not all zero."""
+    """Parse a direction: three numbers that are not all zero."""
     numbers = position(text)
     if not any(numbers):
         raise ArgumentError("must not be 0,0,0")
@@ -371,22 +371,22 @@ def direction(text: str) -> tuple[float, ...]:
 
 
 def disc(text: str) -> dict[str, Any]:
-    """Read X,Y,Z,RADIUS[:conformal][:up=X,Y,Z], as octex.unwrap takes it."""
+    """Parse X,Y,Z,RADIUS[:conformal][:up=X,Y,Z] into arguments of octex.unwrap."""
     sphere, *settings = text.split(":")
     numbers = _sphere(sphere)
-    found: dict[str, Any] = {"center": numbers[:3], "radius": numbers[3]}
+    arguments: dict[str, Any] = {"center": numbers[:3], "radius": numbers[3]}
     for setting in settings:
         if setting.startswith("up="):
-            found["up"] = direction(setting.removeprefix("up="))
+            arguments["up"] = direction(setting.removeprefix("up="))
         elif setting == "conformal":
-            found["method"] = setting
+            arguments["method"] = setting
         else:
             raise ArgumentError(f"{setting!r} is neither conformal nor up=X,Y,Z")
-    return found
+    return arguments
 
 
 def file_and_amount(text: str) -> tuple[Path | Address, float]:
-    """Read a texture's file and a number from 0 to 1, after the last =."""
+    """Parse a texture's file and, after the last =, a number from 0 to 1."""
     name, equals, number = text.rpartition("=")
     if not (name and equals):
         raise ArgumentError(f"{text!r} is not FILE=AMOUNT, such as other.octex=0.3")
@@ -394,7 +394,7 @@ def file_and_amount(text: str) -> tuple[Path | Address, float]:
 
 
 def camera(text: str) -> tuple[Path, str | None]:
-    """Read a file of cameras, and the name of one after a #; both names may contain more #."""
+    """Parse a file of cameras, and a camera's name after a #; both may contain more #."""
     whole = file_here(text)
     signs = [at for at, letter in enumerate(text) if letter == "#" and at > 0]
     if not signs or whole.exists():
@@ -407,7 +407,7 @@ def camera(text: str) -> tuple[Path, str | None]:
 
 
 def picture_size(text: str) -> tuple[int, int]:
-    """Read a picture's width and height, with a comma or an x between."""
+    """Parse an image's width and height, separated by a comma or an x."""
     try:
         width, height = (int(number) for number in re.split("[,x×]", text))
     except ValueError:
@@ -418,7 +418,7 @@ def picture_size(text: str) -> tuple[int, int]:
 
 
 def color(text: str) -> tuple[int, int, int]:
-    """Read a colour as 8-bit codes: R,G,B or #rrggbb, or one number for a grey."""
+    """Parse a colour as 8-bit codes: R,G,B or #rrggbb, or one number for a grey."""
     from octex.channels import screen_color
 
     try:

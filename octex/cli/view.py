@@ -1,4 +1,4 @@
-"""octex view: a texture in the browser, or as a page that opens offline."""
+"""octex view: shows a texture in the browser, or writes a page that opens offline."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def view(options: Options, program: str) -> int:
         if model is not None:
             with progress.stage("read"):
                 surface = shaped_model(model, options, normals=path is not None)
-                if not is_set:  # a set's vertices are the whole model's
+                if not is_set:  # a set has the vertices of the whole model
                     motion = _motion_of(model, options, note)
         if surface is not None and options.part is not None:
             number = number_of(octex.TextureSet.open(path), path, options.part)
@@ -113,7 +113,7 @@ def _session(
 def _reader(
     options: Options, surface: Surface | None, progress: Reporter
 ) -> Callable[[], OctreeTexture | TextureSet]:
-    """Return a function that reads the texture, or that returns the model's, converted once."""
+    """Return a function that reads the texture, or that converts the model once and returns its texture."""
     path = options.TEXTURE
     if path is None:
         assert surface is not None
@@ -126,15 +126,15 @@ def _reader(
             return open_texture(path)
         textures = octex.TextureSet.open(path)
         part = options.part
-        found = textures if part is None else textures[textures.names[number_of(textures, path, part)]]
-        found.validate()
-        return found
+        chosen = textures if part is None else textures[textures.names[number_of(textures, path, part)]]
+        chosen.validate()
+        return chosen
 
     return opened
 
 
 def _check(options: Options, is_set: bool) -> None:
-    """Refuse files and options that make no sense together."""
+    """Refuse files and options that contradict each other."""
     path, model, page = options.TEXTURE, options.MODEL, options.PAGE
     if path is None and model is None:
         if page is not None and page.exists():
@@ -143,7 +143,7 @@ def _check(options: Options, is_set: bool) -> None:
     if path is None and kind_of(model) == "cloud":
         raise ArgumentError(f"{model}: has no surface; convert it with octex convert first")
     if not is_set:
-        refuse(options, ["--part"], f"needs a folder of parts; {path or model} is none")
+        refuse(options, ["--part"], f"needs a folder of parts; {path or model} is not one")
     if path is not None:
         refuse(options, ["--depth"], f"is for models; choose the level of {path} in the page")
     if options.paint is not None:
@@ -163,7 +163,7 @@ def _check(options: Options, is_set: bool) -> None:
 
 
 def _check_painting(options: Options, is_set: bool) -> None:
-    """Refuse what cannot be painted in a page."""
+    """Refuse files and options with which a page cannot paint."""
     from octex.session.journal import layers_file
 
     if options.MODEL is None:
@@ -171,7 +171,7 @@ def _check_painting(options: Options, is_set: bool) -> None:
     if is_set:
         raise ArgumentError(f"--paint: {options.TEXTURE} is a folder; open the texture of one part")
     inputs = options.TEXTURE, options.MODEL, options.rest
-    # What is recovered may have been saved before.
+    # An earlier session may have saved OUTPUT.
     is_forced = options.force or options.recover
     layers = layers_file(options.paint)
     outputs = [(options.paint, "--paint"), (layers, "the file of layers beside --paint")]
@@ -179,7 +179,7 @@ def _check_painting(options: Options, is_set: bool) -> None:
 
 
 def _motion_of(path: Path, options: Options, tell_note: Callable[[str], None]) -> Motion | None:
-    """Return the animations of a model, if the page can show them; else say why not, if it has any."""
+    """Return the animations of a model if the page can show them; otherwise note why not."""
     from octex.source.load import load_motion
 
     try:

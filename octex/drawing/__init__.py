@@ -1,4 +1,4 @@
-"""Pictures of models and textures, in any light, and of where they differ."""
+"""Renders models and textures in any light, and maps of their differences."""
 
 from octex.drawing.compare import difference as difference
 from octex.drawing.differences import draw_difference as draw_difference

@@ -1,4 +1,4 @@
-"""The arguments of pictures, checked once."""
+"""Checks of the arguments that all renderings share."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _STEEPEST = 1e30
 
 
 def as_picture_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Return a width and a height, or raise ArgumentError."""
+    """Return a checked width and height in pixels, or raise ArgumentError."""
     width, height = as_size(size)
     if width * height > _MOST_PIXELS:
         raise ArgumentError(f"a picture has at most {_MOST_PIXELS:,} pixels, not {width} × {height}")
@@ -25,20 +25,20 @@ def as_picture_size(size: tuple[int, int]) -> tuple[int, int]:
 
 
 def as_viewpoint(direction: npt.ArrayLike | None, up: npt.ArrayLike, zoom: float) -> Viewpoint:
-    """Return where a picture is taken from, or raise ArgumentError."""
+    """Return a checked viewpoint, or raise ArgumentError."""
     direction = None if direction is None else as_vector(direction, "direction")
     return Viewpoint(direction, as_vector(up, "up"), as_positive(zoom, "zoom"))
 
 
 def as_light(light: Environment | None) -> Environment | None:
-    """Return light from all around or None, or raise ArgumentError."""
+    """Return a checked environment or None, or raise ArgumentError."""
     if light is not None and not isinstance(light, Environment):
         raise ArgumentError(f"light must be an octex.Environment, not {light!r}")
     return light
 
 
 def as_bump(bump: Bump | None) -> Bump | None:
-    """Return a channel and a height or None, or raise ArgumentError."""
+    """Return a checked channel and height or None, or raise ArgumentError."""
     if bump is None:
         return None
     pair = list(bump) if is_several(bump) else []
@@ -49,5 +49,5 @@ def as_bump(bump: Bump | None) -> Bump | None:
 
 
 def as_supersample(supersample: int) -> int:
-    """Return a number of samples along a side of a pixel, or raise ArgumentError."""
+    """Return a checked number of samples along each side of a pixel, or raise ArgumentError."""
     return as_whole(supersample, "supersample", 1, _MOST_SAMPLES)

@@ -1,8 +1,8 @@
-"""How two textures, or a texture and a model, differ over the surface.
+"""Measures how two textures, or a texture and a model, differ over the surface.
 
-Light is compared in sRGB codes, however it is stored: 255 · the sRGB curve of its linear value, continued
-above 1. Data are compared as they are, directions component by component and by the angle between them. Where
-both sides have alpha, their light is multiplied by it first: what nobody sees does not differ.
+Light is compared as sRGB codes: 255 · the sRGB curve of its linear value, continued above 1. Data are
+compared unchanged, directions by component and by angle. Where both sides have alpha, their light is first
+multiplied by it: invisible colours do not differ.
 """
 
 from __future__ import annotations
@@ -27,49 +27,49 @@ from octex.tree.areas import AREAS
 from octex.tree.morton import decode_cells
 from octex.tree.walk import walk_leaves
 
-#: Points compared on a model.
+#: Number of sample points on a model.
 DEFAULT_POINTS = 1_000_000
 _MOST_POINTS = 1 << 40
 _WIDEST = 1e30
 _BLOCK = 1 << 16
 _LIGHT = ("srgb", "linear")
-#: The measure of a channel's differences by its colour space.
+#: The unit of a channel's differences, by colour space.
 MEASURES = {"srgb": "sRGB codes", "linear": "sRGB codes", "data": "0 to 1", "direction": "components"}
 _ANGLE = "degrees"
-#: The peak of a measure's PSNR: how far apart ordinary values can be.
+#: The PSNR peak of each unit: the largest ordinary difference.
 PEAKS = {"sRGB codes": 255.0, "0 to 1": 1.0, "components": 2.0, _ANGLE: 180.0}
-# Percentiles come from a histogram over the first 18 bits of a float32 without its sign: steps of 0.1 %.
+# Percentiles come from a histogram over the top 18 bits of a float32 after the sign: bins 0.1 % wide.
 _CUT_BITS, _BINS = 13, 1 << 18
 
 
 class Difference(NamedTuple):
-    """How one channel of b differs from that of a.
+    """The difference of one channel between a and b.
 
-    The root mean square is that of all components; the 99th percentile (to 0.1 %) and the maximum are of the
+    The root mean square is over all components. The 99th percentile (to 0.1 %) and the maximum take the
     component that differs most at each point.
     """
 
     measure: str  # "sRGB codes", "0 to 1", "components" (of directions) or "degrees"
     rms: float
-    psnr: float  # 20 · log10(peak / rms) in dB, with the measure's peak (PEAKS); infinite if nothing differs
+    psnr: float  # 20 · log10(peak / rms) in dB, with the unit's peak (PEAKS); infinite for no difference
     p99: float
     maximum: float
-    where: tuple[float, float, float]  # the rest position of the maximum; of equal ones the first
-    a: tuple[float, ...]  # the values there, in the measure
+    where: tuple[float, float, float]  # rest position of the maximum; the first of equal ones
+    a: tuple[float, ...]  # the values there, in the unit ``measure``
     b: tuple[float, ...]
-    angle: Difference | None = None  # of a direction: the same of the angle between a's and b's
+    angle: Difference | None = None  # of a direction channel: the angle between a and b
 
 
 class Differences(dict[str, Difference]):
-    """Differences by channel, and what could not be compared.
+    """Differences by channel, and coverage.
 
-    points        points compared
-    width         the width, in rest units, over which both were averaged at each; None without a model
-    filter        that with which textures were read
-    unmatched     channels that only a has, and that only b has
-    areas         areas of a and b at rest, in square units; a texture's to some percent, as it is stored
-    uncovered     part of a's area where b has nothing and of b's where a has nothing; None for the part of a
-                  texture's that a model lacks: there, compare the areas
+    points        number of points compared
+    width         averaging width at each point, in rest units; None without a model
+    filter        the filter of the texture lookups
+    unmatched     channels that only a has, and channels that only b has
+    areas         rest areas of a and b, in square units; stored areas of textures are off by some percent
+    uncovered     part of a's area where b has no surface, and the reverse; None for the part of a
+                  texture's area that a model lacks: compare the areas instead
     """
 
     points: int
@@ -84,16 +84,16 @@ class Points(NamedTuple):
     """Points of a surface."""
 
     rest: Float64s  # (n, 3)   rest positions
-    triangles: Int32s | None = None  # (n,)   where they are on the model, if there is one
+    triangles: Int32s | None = None  # (n,)   triangles of the model, if there is one
     barycentric: Float64s | None = None  # (n, 3)
 
     def only(self, chosen: Bools) -> Points:
-        """Return some of them."""
+        """Return the points that a mask selects."""
         return Points(*(None if array is None else array[chosen] for array in self))  # type: ignore[arg-type]
 
 
-#: Some points of one side: its number, the points, the area that each stands for (n,), and whether the other
-#: side has a surface there (n,).
+#: A batch: the side that it samples (0 or 1), its points, the area that each represents (n,), and whether the
+#: other side has a surface there (n,).
 _Visit = tuple[int, Points, Float64s, Bools]
 Side = OctreeTexture | Surface
 
@@ -113,18 +113,18 @@ def difference(
 
     a, b        two textures, or a texture and a model, in either order
     channels    names; default: all that both have
-    points      with a model: the number of points on it, uniform by posed area, the same for a ``seed``
-    width       with a model: the width, in rest units, over which both are averaged at each point; default:
-                the edge of the texture's finest cells, which blurs no lookup; 0: read at points
-    filter      how textures are read, see ``OctreeTexture.sample``; ``nearest`` compares stored values
+    points      with a model: number of points on it, uniform by posed area, the same for each ``seed``
+    width       with a model: averaging width at each point, in rest units; default: the edge of the texture's
+                finest cells, which blurs no lookup; 0: no averaging
+    filter      filter of texture lookups, see ``OctreeTexture.sample``; ``nearest`` compares stored values
 
     Two textures are compared at the centre of every leaf of both, weighted by its area; they may differ in
     placement and depth. Values are compared only where both have a surface (within a finest cell);
-    ``Differences.uncovered`` says how much is left out.
+    ``Differences.uncovered`` is the part left out.
 
-    Memory does not grow with points and leaves. Raises ArgumentError for two models, for channels that are
-    not in both or do not mean the same in both, for an unknown filter, if the surfaces have nothing in
-    common, and for textures whose parts were not moved apart alike.
+    Memory does not grow with the number of points and leaves. Raises ArgumentError for two models, for
+    channels that one side lacks or that differ in meaning, for an unknown filter, for surfaces without a
+    common part, and for textures whose parts were separated differently.
     """
     report = as_progress(progress)
     points = as_whole(points, "points", 1, _MOST_POINTS)
@@ -191,20 +191,20 @@ def difference(
 
 
 def formats_of(side: Side) -> dict[str, ChannelFormat]:
-    """Return the formats of a texture's or a model's channels by name."""
+    """Return the channel formats of a texture or a model, by name."""
     if isinstance(side, Surface):
         return {channel.name: channel for channel in side.channels}
     return {name: channel.format for name, channel in side.channels.items()}
 
 
 class Reader:
-    """Reads channels of one side in their measures."""
+    """Reads the channels of one side in their units of comparison."""
 
     def __init__(
         self, side: Side, spaces: dict[str, ColorSpace], fades: bool, width: float, filter: str
     ) -> None:
         self.spaces = spaces
-        self._fades = fades  # light is multiplied by alpha
+        self._fades = fades  # multiply light by alpha
         self._names = [*spaces, *(["alpha"] if fades and "alpha" not in spaces else [])]
         self._side = side.with_channels(self._names) if isinstance(side, Surface) else side
         self._width = width
@@ -231,7 +231,7 @@ class Reader:
 
 
 def placed(a: Side, b: Side) -> tuple[Side, Side]:
-    """Return both sides, a model at the rest positions of the texture; refuse parts separated otherwise."""
+    """Return both sides, with a model in the texture's rest pose; refuse parts separated differently."""
     if isinstance(a, Surface):
         return (a.placed_in(b), b) if isinstance(b, OctreeTexture) else (a, b)
     if isinstance(b, Surface):
@@ -245,7 +245,7 @@ def placed(a: Side, b: Side) -> tuple[Side, Side]:
 
 
 def in_common(a: Side, b: Side) -> tuple[Side, Side]:
-    """Return both sides with only the channels that both have, at least one."""
+    """Return both sides reduced to their common channels; refuse sides without one."""
     names = [name for name in formats_of(a) if name in formats_of(b)]
 
     def restricted(side: Side) -> Side:
@@ -259,7 +259,7 @@ def in_common(a: Side, b: Side) -> tuple[Side, Side]:
 def readers_of(
     sides: tuple[Side, Side], channels: Sequence[str] | None, width: float, filter: str
 ) -> tuple[Reader, Reader]:
-    """Return readers of the same channels, by default all that both have, averaged over width."""
+    """Return readers of the same channels, by default all common ones, averaged over ``width``."""
     as_choice(filter, FILTERS, "filter")
     first, second = (formats_of(side) for side in sides)
     both = [name for name in first if name in second]
@@ -283,7 +283,7 @@ def readers_of(
 
 
 def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int) -> Iterator[_Visit]:
-    """Yield points on the model, uniform by posed area."""
+    """Yield batches of points on the model, uniform by posed area."""
     surface, texture = sides[number], sides[1 - number]
     assert isinstance(surface, Surface) and isinstance(texture, OctreeTexture)
     lies_on = inside_cells(texture)
@@ -296,7 +296,7 @@ def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int)
 
 
 def _leaf_visits(textures: Sequence[OctreeTexture]) -> Iterator[_Visit]:
-    """Yield the centres of all leaves of both textures."""
+    """Yield batches of the leaf centres of both textures."""
     for number in (0, 1):
         lies_on = inside_cells(textures[1 - number])
         for centres, edges, areas in _leaves(textures[number]):
@@ -322,35 +322,35 @@ def _area(side: Side) -> float:
 def inside_cells(texture: OctreeTexture) -> Callable[..., Bools]:
     """Return a function that tells which cubes, by default finest cells, meet a leaf."""
     level_of = cache(texture.level)
-    # So much further in, the upper corners of a texture's own cells are not rounded into the next ones.
+    # Shrink cubes by this much, so that rounding does not move upper corners into the next cell.
     inset = texture.placement.size * 2.0**-29
 
     def lies_on(centres: Floats, edges: Floats | None = None) -> Bools:
         found = np.zeros(len(centres), np.bool_)
         edges = np.full(len(centres), cell_of(texture)) if edges is None else edges
         for edge in np.unique(edges):
-            # A cell no smaller than a cube that it meets holds one of its corners.
+            # A cell that meets a cube, and is no smaller, holds one of the cube's corners.
             level = int(np.clip(np.floor(np.log2(texture.placement.size / edge) + 1e-9), 0, 21))
             coarse = level_of(min(level, texture.tree.max_depth))
             left = np.flatnonzero(edges == edge)
             for corner in np.ndindex(2, 2, 2):
                 offset = (np.array(corner) - 0.5) * (edge - 2 * inset)
                 held = coarse.contains(centres[left] + offset)
-                found[left[held]] = True
+                is_inside[left[held]] = True
                 left = left[~held]
-        return found
+        return is_inside
 
     return lies_on
 
 
 def degrees_between(a: Floats, b: Floats) -> Float64s:
-    """Return the angles (n,) between directions (n, 3) of any length; 0 where one has none."""
+    """Return the angles (n,) between directions (n, 3) of any length; 0 for a zero vector."""
     across = np.linalg.norm(np.cross(a, b), axis=1)
     return np.asarray(np.degrees(np.arctan2(across, (a * b).sum(axis=1))))
 
 
 class _Sums:
-    """Gathers the differences of a channel."""
+    """Accumulates the differences of a channel."""
 
     def __init__(self, measure: str) -> None:
         self.measure = measure
@@ -373,7 +373,7 @@ class _Sums:
 
     def result(self) -> Difference:
         rms = float(np.sqrt(self.squares / self.weight))
-        # The bin in which all but a hundredth of the weight is reached.
+        # The first bin where the cumulative weight reaches 99 %.
         reached = np.searchsorted(np.cumsum(self.histogram), 0.99 * self.histogram.sum())
         p99 = np.array([reached << _CUT_BITS], np.uint32).view(np.float32)[0]
         x, y, z = self.at[0].tolist()

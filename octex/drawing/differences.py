@@ -1,4 +1,4 @@
-"""Pictures of where two textures, or a texture and a model, differ."""
+"""Draws where two textures, or a texture and a model, differ."""
 
 from __future__ import annotations
 
@@ -37,47 +37,48 @@ from octex.drawing.soft_light import background
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 
-# Inferno, by Nathaniel Smith and Stéfan van der Walt (CC0): as even to the eye as it is in numbers.
+# Inferno, by Nathaniel Smith and Stéfan van der Walt (CC0), a perceptually uniform colour map.
 _SCALE = np.array(
     [
         [0, 0, 4], [33, 12, 74], [87, 16, 110], [138, 34, 106], [188, 55, 84],
         [228, 90, 49], [249, 142, 9], [249, 203, 53], [252, 255, 164],
     ]
 )  # fmt: skip
-#: Drawn where only one side has a surface.
+#: Colour where only one side has a surface.
 _ALONE = np.array([0, 190, 255])
-#: Leaves are drawn no finer than this many pixels.
+#: Leaves are drawn no smaller than this many pixels.
 _LEAF_PIXELS = 0.5
 
 
 class _Row(NamedTuple):
-    """How a channel looks on both sides, and how it differs."""
+    """One channel of both sides, and its difference."""
 
     pictures: list[Float32s]
-    film: Film  # of the difference (in red) and of where only one side is (in green)
-    ring: tuple[float, float] | None  # pixel coordinates of the maximum, if it is in sight
+    film: Film  # the difference in red, and surface of one side only in green
+    ring: tuple[float, float] | None  # pixel coordinates of the maximum, if visible
 
 
 def draw_difference(
     a: Side,
     b: Side,
-    found: Differences,
+    differences: Differences,
     names: tuple[str, str] = ("A", "B"),
     size: tuple[int, int] = (1800, 640),
     supersample: int = 3,
 ) -> Uint8s:
-    """Draw a, b and their difference side by side, a row for each channel, as sRGB codes (height, width, 3).
+    """Draw a, b and their difference side by side, one row a channel, as sRGB codes (height, width, 3).
 
     found          the result of ``octex.difference``
-    names          of a and b
+    names          captions of a and b
     size           (width, height) of a row in pixels
     supersample    samples along each side of a pixel
 
-    The difference is that of the component that differs most (of directions the angle), averaged over each
-    pixel, on a scale from black to yellow that reaches at least to the 99th percentile and to a tenth of the
-    maximum. A ring marks the maximum if it is in sight; blue is where only one of them has a surface. Both
-    are drawn on the model if there is one; else as leaves no finer than two to a pixel, and the difference on
-    the finer ones. Alpha and emitted light are drawn if both have them.
+    The third panel shows the component that differs most (of directions the angle), averaged over each pixel.
+    The scale runs from black to yellow and reaches at least the 99th percentile and a tenth of the maximum. A
+    ring marks the maximum if it is visible. Blue marks surface of only one side.
+
+    With a model, both are drawn on it. Otherwise leaves are drawn, no smaller than half a pixel; the
+    difference is drawn on the finer of the two textures. Alpha and emitted light are drawn if both have them.
     """
 
     def caption(side: Side, channel: str) -> str:
@@ -89,9 +90,9 @@ def draw_difference(
     room = round(1.6 * caption_height(size[1]))
     has_model = any(isinstance(side, Surface) for side in whole)
     kind = _OnModel if has_model else _TwoTrees
-    sides = kind(in_common(*whole), found, (size[0] // 3, size[1]), room, supersample)
+    sides = kind(in_common(*whole), differences, (size[0] // 3, size[1]), room, supersample)
     rows = []
-    for channel, result in found.items():
+    for channel, result in differences.items():
         row = sides.row(channel)
         panels = [
             captioned(picture, name, caption(side, channel), room)
@@ -103,16 +104,21 @@ def draw_difference(
 
 
 class _OnModel:
-    """A model as it and a texture colour it."""
+    """Draws a model coloured by itself and by a texture."""
 
     def __init__(
-        self, sides: tuple[Side, Side], found: Differences, size: tuple[int, int], room: int, supersample: int
+        self,
+        sides: tuple[Side, Side],
+        differences: Differences,
+        size: tuple[int, int],
+        room: int,
+        supersample: int,
     ) -> None:
-        self._sides, self._found, self._supersample = sides, found, supersample
+        self._sides, self._found, self._supersample = sides, differences, supersample
         (self._model,) = (side for side in sides if isinstance(side, Surface))
         (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
         self._covers = inside_cells(texture)
-        self._camera = surface_camera(self._model, self._look(sides[0], next(iter(found))), size, room)
+        self._camera = surface_camera(self._model, self._look(sides[0], next(iter(differences))), size, room)
 
     @staticmethod
     def _look(side: Side, channel: str) -> Shader:
@@ -140,18 +146,23 @@ class _OnModel:
 
 
 class _TwoTrees:
-    """The leaves of two textures, at levels two to a pixel."""
+    """Draws the leaves of two textures, no smaller than half a pixel."""
 
     def __init__(
-        self, sides: tuple[Side, Side], found: Differences, size: tuple[int, int], room: int, supersample: int
+        self,
+        sides: tuple[Side, Side],
+        differences: Differences,
+        size: tuple[int, int],
+        room: int,
+        supersample: int,
     ) -> None:
         whole = [side for side in sides if isinstance(side, OctreeTexture)]
-        self._found, self._supersample = found, supersample
-        self._camera = leaf_camera(whole, next(iter(found)), size, room)
+        self._found, self._supersample = differences, supersample
+        self._camera = leaf_camera(whole, next(iter(differences)), size, room)
         a, b = (texture.level(visible_level(texture, self._camera, _LEAF_PIXELS)) for texture in whole)
         self._textures = a, b
         both = Leaves.of(a), Leaves.of(b)
-        # The finer ones show the difference, and those of the others that lie where there are no finer ones.
+        # Draw the difference on the finer texture's leaves, and on the other's where the finer has none.
         order = (0, 1) if both[0].edges.min() <= both[1].edges.min() else (1, 0)
         fine, coarse = (both[n] for n in order)
         meets_coarse, meets_fine = (inside_cells(self._textures[n]) for n in reversed(order))
@@ -177,7 +188,7 @@ class _TwoTrees:
             film_leaves(leaves, appearance, seen, self._camera, self._supersample)
             for leaves, appearance, seen in zip(self._leaves, appearances, self._seen, strict=True)
         )
-        # Leaves that hold the maximum, or the centre of one that does.
+        # Leaves that contain the maximum, or the centre of a leaf that does.
         where = np.array((self._found[channel].angle or self._found[channel]).where)
         holding = np.abs(differing.centres - where).max(axis=1) <= 1.001 * differing.edges
         seen = self._seen[2].cube
@@ -187,11 +198,11 @@ class _TwoTrees:
 
 
 class _Apart:
-    """How far apart two sides are in one channel, as an appearance: emitted in red, being alone in green."""
+    """Encodes the difference of two sides as emitted red, and surface of one side only as green."""
 
-    def __init__(self, sides: tuple[Side, Side], channel: str, found: Differences) -> None:
+    def __init__(self, sides: tuple[Side, Side], channel: str, differences: Differences) -> None:
         self._channel = channel
-        self._readers = readers_of(sides, [channel], found.width or 0.0, found.filter)
+        self._readers = readers_of(sides, [channel], differences.width or 0.0, differences.filter)
 
     def appearance(self, points: Points, covered: Bools) -> Appearance:
         a, b = (reader.read(points)[self._channel] for reader in self._readers)
@@ -233,7 +244,7 @@ def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> 
 
 
 def _draw_legend(panel: Image.Image, top: float, measure: str, room: int, *, alone: bool) -> None:
-    """Draw the scale with its ends at the bottom of a panel."""
+    """Draw the scale, with the values of its ends, at the bottom of a panel."""
     draw = ImageDraw.Draw(panel)
     strip = caption_height(panel.height)
     font = ImageFont.load_default(strip * 0.26)
@@ -261,16 +272,16 @@ def _scale_top(shown: Difference) -> float:
 
 
 def _scale_codes(values: Float64s) -> Float64s:
-    """Return the scale's sRGB codes (…, 3) of values from 0 to 1; larger ones have its last."""
+    """Return the scale's sRGB codes (…, 3) of values 0 … 1; larger values get the last colour."""
     stops = np.linspace(0.0, 1.0, len(_SCALE))
     return np.stack([np.interp(values, stops, column) for column in _SCALE.T], axis=-1)
 
 
 def _amount(number: float, measure: str) -> str:
-    """Return a difference with its unit: of 255 for colours, none for numbers from 0 to 1."""
+    """Format a difference with its unit; colours are out of 255, data have no unit."""
     return _text(number) + {"sRGB codes": "/255", "degrees": "°"}.get(measure, "")
 
 
 def _text(number: float) -> str:
-    """Return a number of three digits, large ones whole."""
+    """Format a number with three digits, or as a whole number if large."""
     return f"{number:,.0f}" if abs(number) >= 100 else f"{number:.3g}"

@@ -1,4 +1,4 @@
-"""Where to look at a model from: the usual side, unless another shows more."""
+"""Chooses the direction to view a model from: three-quarter, unless another side shows more detail."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from octex.arrays import Float64s, Floats
 from octex.cameras.camera import Camera
 from octex.cameras.files import Frame
 
-#: From the model toward the camera: from the front (glTF's +z), a little from the right and from above.
+#: From the model toward the camera: the front (glTF's +z), a little from the right and from above.
 _THREE_QUARTER = np.array([0.56, 0.42, 1.0]) / np.linalg.norm([0.56, 0.42, 1.0])
-#: A model is flat if this part of its squared normals is along one axis; it is seen this much from the side.
+#: Flat models have this part of their squared normals along one axis. Their view is tilted by _SLANT.
 _FLAT, _SLANT = 0.85, 0.45
-#: Another side is shown than one before it if it has so many times its detail.
+#: Factor of detail by which another side must exceed an earlier one.
 _CLEARLY = 1.1
-#: Steps between pixels, of values from 0 to 1, that are no larger are rounding.
+#: Smaller steps between pixels, of values 0 … 1, count as rounding.
 _SEEN = 1 / 512
-#: Unit vectors whose mean is shorter point all around.
+#: Below this length of their mean, unit vectors count as pointing all around.
 _ALIKE = 0.5
 
 
 class Viewpoint(NamedTuple):
-    """Where a picture is taken from."""
+    """Where a camera views from."""
 
-    direction: npt.ArrayLike | None = None  # from the model toward the camera; None: the side that shows most
+    direction: npt.ArrayLike | None = None  # toward the camera; None: the side with most detail
     up: npt.ArrayLike = (0.0, 1.0, 0.0)
     zoom: float = 1.0  # 1: the whole model
     frame: Frame | None = None  # a camera of a file, instead of a direction
@@ -41,10 +41,10 @@ class Viewpoint(NamedTuple):
         size: tuple[int, int],
         room: int,
     ) -> Camera:
-        """Return a camera that sees points (n, 3) above ``room`` pixels at the bottom of its picture.
+        """Return a camera that sees points (n, 3) above ``room`` pixels at the bottom of the image.
 
-        ``parts`` returns normals and areas as for ``view_directions``, ``unlit`` makes a picture without
-        light. A frame of another shape is made as large as it fits.
+        ``parts`` returns normals and areas for ``view_directions``; ``unlit`` renders without light. A frame
+        of another shape is scaled to fit.
         """
         size = size[0], size[1] - room
         if self.frame is None:
@@ -65,7 +65,7 @@ USUAL = Viewpoint()
 
 
 def viewpoint_among(cameras: Sequence[Camera]) -> Viewpoint:
-    """Return the mean direction and up of cameras; those of the first if they look from all around."""
+    """Return the mean direction and up of cameras; those of the first if the cameras look from all around."""
     turns = [camera.world_to_camera[:3, :3] for camera in cameras]
     means = []
     for axis in (2, 1):
@@ -76,13 +76,13 @@ def viewpoint_among(cameras: Sequence[Camera]) -> Viewpoint:
 
 
 def view_directions(normals: Floats, areas: Floats) -> Float64s:
-    """Return unit vectors (k, 3) to the camera, the usual first, for normals and areas of parts."""
+    """Return unit vectors (k, 3) toward the camera to try, the usual first, from face normals and areas."""
     weights = areas / max(float(areas.sum()), 1e-300)
     strengths, axes = np.linalg.eigh(np.einsum("n,nc,nd->cd", weights, normals, normals))
     if strengths[2] < _FLAT:
         sides = np.array([[1.0, 1.0, 1.0], [-1.0, 1.0, 1.0], [1.0, 1.0, -1.0], [-1.0, 1.0, -1.0]])
         return cast("Float64s", sides * _THREE_QUARTER)
-    # Flat: along the normal and a little aslant, from the side that more of it faces, or else from either.
+    # Flat: look along the normal, slightly tilted, at the side that most area faces, or else at both.
     normal = axes[:, 2] * (1.0 if axes[:, 2] @ _THREE_QUARTER >= 0.0 else -1.0)
     facing = normals @ normal
     excess = float((weights * facing * np.abs(facing)).sum())
@@ -93,7 +93,7 @@ def view_directions(normals: Floats, areas: Floats) -> Float64s:
 
 
 def best_direction(directions: Floats, points: Floats, unlit: Callable[[Camera], Floats]) -> Float64s:
-    """Choose the direction (3,) from which ``unlit`` pictures of a model's points (n, 3) show most detail."""
+    """Return the direction (3,) whose small ``unlit`` rendering of points (n, 3) has most detail."""
     details = [0.0] * len(directions)
     for number, direction in enumerate(directions if len(directions) > 1 else ()):
         picture = unlit(Camera.fitted(points, direction, size=(96, 96)))

@@ -1,7 +1,7 @@
-"""Light from all around: a picture by latitude and longitude, averaged as rough surfaces reflect it.
+"""Image-based light: a latitude-longitude image, prefiltered for each roughness.
 
-Averages for each roughness are made ahead, as if looked at along the normal (B. Karis, "Real Shading in
-Unreal Engine 4", 2013), not by samples but by sums over all texels, coarser ones where the lobe is smooth.
+The tables assume that the view direction equals the normal (B. Karis, "Real Shading in Unreal Engine 4",
+2013). They sum over all texels instead of sampling, over coarser texels where the lobe is smooth.
 """
 
 from __future__ import annotations
@@ -22,39 +22,39 @@ from octex.jit import inlined, kernel
 from octex.source.images.decode import as_texels, read_image_file
 from octex.source.images.pyramid import Texels, resized
 
-#: The widest picture that is kept: 0.35° a texel.
+#: Width limit of the image: 0.35° a texel.
 _WIDEST = 1024
-#: Roughness rises by one of so many steps from table to table; the last but one is of roughness 1.
+#: Number of roughness steps between the tables; the last but one has roughness 1.
 _STEPS = 8
-#: How wide the table of each roughness is; the last is of what white matte surfaces reflect.
+#: Width of each roughness's table; the last table is the irradiance.
 _WIDTHS = (256, 128, 128, 64, 64, 64, 64, 64, 64)
 _TABLES = len(_WIDTHS) + 1
-#: Texels are divided until they are smaller than this part of their distance from the lobe, with its width.
+#: Divide texels until they are smaller than this part of their distance from the lobe plus its width ...
 _SMALL = 0.15
-#: Of lobes no wider than this.
+#: ... which counts at most this much.
 _WIDEST_LOBE = 0.5
-#: The coarsest level of the picture has no fewer rows.
+#: Least number of rows of the image's coarsest level.
 _ROWS = 4
 _STUDIO_WIDTH = 256
 
 
 class Tables(NamedTuple):
-    """An environment as kernels read it."""
+    """An environment in the form that kernels read."""
 
     light: Float32s  # (texels, 3)   all tables, one after the other, row by row from the top
     shapes: Int64s  # (tables, 3)   first texel, height and width
-    axes: Float64s  # (3, 3)   from directions of the world to those of the picture
+    axes: Float64s  # (3, 3)   from world directions to the image's
 
 
-#: Squares of longer directions could overflow.
+#: Squares of longer vectors could overflow.
 _LONGEST = 1e150
 
 
 class Environment:
-    """Light that comes from far away, in every direction; make it with ``of``, ``load`` or ``studio``.
+    """Light from far away in every direction; make it with ``of``, ``load`` or ``studio``.
 
-    ``tables`` are what kernels read. An environment that ``follows`` the camera has its middle behind it.
-    Pictures in one that is ``tone_mapped`` compress what is brighter than white; others clip it.
+    ``tables`` are for kernels. If it ``follows`` the camera, the image's middle is behind the camera. If it
+    is ``tone_mapped``, renderings compress light brighter than white; otherwise they clip it.
     """
 
     def __init__(self, tables: Tables, *, follows: bool = False, tone_mapped: bool = False) -> None:
@@ -66,12 +66,12 @@ class Environment:
     def of(
         cls, picture: npt.ArrayLike, exposure: float = 0.0, up: npt.ArrayLike = (0.0, 1.0, 0.0)
     ) -> Environment:
-        """Make one of a picture (height, width, 1 to 4): floats are linear light, integers sRGB codes.
+        """Make one of an image (height, width, 1 to 4): floats are linear light, integers sRGB codes.
 
-        Its top is ``up`` and its middle, with +y up, the direction +z, before which models face; what lies
-        right of that is −x (the latitude-longitude map of OpenEXR's ImfEnvmap.h). ``exposure``, in stops,
-        doubles the light for each; what is below 0, as of lossy files, is black. Raises ImageError for a
-        picture that cannot be used, ArgumentError for an exposure beyond 64 stops and an ``up`` of no length.
+        The image's top is ``up``. With +y up its middle is +z, in front of the model, and −x is to the right
+        of it (the latitude-longitude map of OpenEXR's ImfEnvmap.h). Each stop of ``exposure`` doubles the
+        light. Values below 0, from lossy files, become black. Raises ImageError for an unusable image,
+        ArgumentError for an exposure beyond ±64 stops and an ``up`` of length 0.
         """
         return cls._of(as_texels(picture), exposure, up)
 
@@ -79,7 +79,7 @@ class Environment:
     def load(
         cls, path: str | Path, exposure: float = 0.0, up: npt.ArrayLike = (0.0, 1.0, 0.0)
     ) -> Environment:
-        """Make one of an image file, ``.hdr``, ``.exr`` or another; else as ``of``."""
+        """Make an environment of an image file (``.hdr``, ``.exr`` or another); see ``of``."""
         file = as_path(path)
         return cls._of(read_image_file(file)[0], exposure, up, file.name)
 
@@ -105,8 +105,9 @@ class Environment:
 
         exposure    in stops: 1 doubles the light
 
-        It is grey, follows the camera and is tone mapped. Materials look about as bright as in three.js'
-        RoomEnvironment with its neutral tone mapping. Raises ArgumentError for an exposure beyond ±64.
+        The room is grey, follows the camera and is tone mapped. Materials look about as bright as in
+        three.js' RoomEnvironment with its neutral tone mapping. Raises ArgumentError for an exposure beyond
+        ±64.
         """
         stops = as_number(exposure, "exposure", -64.0, 64.0)
         light, shapes = _studio()
@@ -114,7 +115,7 @@ class Environment:
         return cls(tables, follows=True, tone_mapped=True)
 
     def seen_by(self, camera: Camera) -> Tables:
-        """Return the tables with the axes that they have for a camera."""
+        """Return the tables with the axes that hold for this camera."""
         if not isinstance(camera, Camera):
             raise ArgumentError(f"camera must be an octex.Camera, not {camera!r}")
         if not self.follows:
@@ -124,26 +125,26 @@ class Environment:
         )
 
     def radiance(self, directions: npt.ArrayLike, roughness: float) -> Float64s:
-        """Return the light (n, 3) around directions (n, 3), averaged as a surface so rough reflects it."""
+        """Return prefiltered light (n, 3) around directions (n, 3) for a roughness."""
         return self._read(directions, as_number(roughness, "roughness", 0.0, 1.0) * _STEPS)
 
     def irradiance(self, normals: npt.ArrayLike) -> Float64s:
-        """Return what white matte surfaces with normals (n, 3) reflect (n, 3): irradiance over π."""
+        """Return irradiance over π (n, 3) for normals (n, 3): what white matte surfaces reflect."""
         return self._read(normals, -1.0)
 
     def _read(self, directions: npt.ArrayLike, level: float) -> Float64s:
-        given = as_reals(directions, "directions", (-1, 3), most=_LONGEST)
-        lengths = np.linalg.norm(given, axis=1, keepdims=True)
+        vectors = as_reals(directions, "directions", (-1, 3), most=_LONGEST)
+        lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
         if not lengths.all():
             raise ArgumentError("directions must have a length")
-        unit = np.ascontiguousarray(given / lengths, np.float64)
-        found = np.empty_like(unit)
-        _read_all(self.tables, unit, level, found)
-        return found
+        unit = np.ascontiguousarray(vectors / lengths, np.float64)
+        light = np.empty_like(unit)
+        _read_all(self.tables, unit, level, light)
+        return light
 
 
 def _axes_of(up: npt.ArrayLike) -> Float64s:
-    """Return the rotation that takes ``up`` to +y, the shortest way."""
+    """Return the smallest rotation that takes ``up`` to +y."""
     x, y, z = as_vector(up, "up")
     if y < -1.0 + 1e-12:
         return np.diag([1.0, -1.0, -1.0])
@@ -164,7 +165,7 @@ def _resampled(light: Float32s) -> Float64s:
 
 @cache
 def _studio() -> tuple[Float32s, Int64s]:
-    """Return the tables of the built-in light; +z is toward the camera, x to its right, y up."""
+    """Return the tables of the built-in room; +z is toward the camera, x to its right, y up."""
     directions = _directions(_STUDIO_WIDTH // 2, _STUDIO_WIDTH)
     up = directions[..., 1]
     light = 0.22 + 0.49 * _ramp(up, -0.05, -0.45) + 0.43 * _ramp(up, 0.1, 0.7)
@@ -186,13 +187,13 @@ def _studio() -> tuple[Float32s, Int64s]:
 
 
 def _ramp(values: Float64s, low: float, high: float) -> Float64s:
-    """Return 0 at ``low``, 1 at ``high``, and a smooth step between."""
+    """Return a smooth step from 0 at ``low`` to 1 at ``high``."""
     t = np.clip((values - low) / (high - low), 0.0, 1.0)
     return np.asarray(t * t * (3.0 - 2.0 * t))
 
 
 def _directions(height: int, width: int) -> Float64s:
-    """Return the directions (height, width, 3) of the middles of texels."""
+    """Return the directions (height, width, 3) of texel centres."""
     latitude = np.pi * (0.5 - (np.arange(height) + 0.5) / height)[:, None]
     longitude = np.pi * (1.0 - 2.0 * (np.arange(width) + 0.5) / width)[None]
     rim = np.cos(latitude)
@@ -201,23 +202,23 @@ def _directions(height: int, width: int) -> Float64s:
 
 
 def _tables(light: Float64s) -> tuple[Float32s, Int64s]:
-    """Return the tables of a picture of powers of two, for each roughness and for matte surfaces."""
+    """Return the tables, one a roughness and one of irradiance, of an image whose sides are powers of two."""
     pyramid, levels = _pyramid(light)
     sizes = [light.shape[:2], *((max(wide // 2, 1), wide) for wide in _WIDTHS)]
     tables = [light.reshape(-1, 3)]
     for number, (high, wide) in enumerate(sizes[1:], 1):
         directions = np.ascontiguousarray(_directions(high, wide).reshape(-1, 3))
-        found = np.empty_like(directions)
+        texels = np.empty_like(directions)
         alpha = (number / _STEPS) ** 2 if number < _TABLES - 1 else 0.0
-        _gather(pyramid, levels, directions, alpha, found)
-        tables.append(found)
+        _gather(pyramid, levels, directions, alpha, texels)
+        tables.append(texels)
     firsts = np.cumsum([0, *(len(table) for table in tables[:-1])])
     shapes = np.column_stack([firsts, np.array(sizes)]).astype(np.int64)
     return np.concatenate(tables).astype(np.float32), shapes
 
 
 def _pyramid(light: Float64s) -> tuple[Float64s, Int64s]:
-    """Return rows of all levels, finest first (light, angle, direction, reach), and their shapes."""
+    """Return rows (light, solid angle, direction, radius) of all levels, finest first, and their shapes."""
     rows: list[Float64s] = []
     levels: list[tuple[int, int, int]] = []
     first = 0
@@ -225,7 +226,7 @@ def _pyramid(light: Float64s) -> tuple[Float64s, Int64s]:
     ends = np.sin(np.pi * (0.5 - np.arange(high + 1) / high))
     solid = np.broadcast_to(((ends[:-1] - ends[1:]) * 2 * np.pi / wide)[:, None], (high, wide))
     middle = _directions(high, wide)
-    least = 1e-3 * light.mean() + 1e-30  # where it is dark, directions are those of the middle
+    least = 1e-3 * light.mean() + 1e-30  # makes directions of dark texels the directions of their centres
     while True:
         high, wide = light.shape[:2]
         reach = np.full((high, wide), 0.5 * np.hypot(np.pi / high, 2 * np.pi / wide))
@@ -242,14 +243,14 @@ def _pyramid(light: Float64s) -> tuple[Float64s, Int64s]:
 
 
 def _of_four(values: Float64s) -> Float64s:
-    """Return the sums of two by two texels (height, width, k)."""
+    """Return the sums of 2 × 2 texels (height, width, k)."""
     high, wide, parts = values.shape
     return np.asarray(values.reshape(high // 2, 2, wide // 2, 2, parts).sum(axis=(1, 3)))
 
 
 @kernel
-def _gather(pyramid: Float64s, levels: Int64s, directions: Float64s, alpha: float, found: Float64s) -> None:
-    """Average light around directions (n, 3): GGX's lobe, the cosine for 0 (Barnes & Hut 1986)."""
+def _gather(pyramid: Float64s, levels: Int64s, directions: Float64s, alpha: float, out: Float64s) -> None:
+    """Average light around directions (n, 3) by GGX, or by the cosine if alpha is 0 (Barnes & Hut 1986)."""
     coarsest = len(levels) - 1
     stack = np.empty((256, 2), np.int64)
     lobe = min(2.0 * alpha, _WIDEST_LOBE) if alpha > 0.0 else _WIDEST_LOBE
@@ -278,32 +279,32 @@ def _gather(pyramid: Float64s, levels: Int64s, directions: Float64s, alpha: floa
                     continue
                 weight = cosine * pyramid[at, 3]
                 if alpha > 0.0:
-                    # n·h of a lobe that is seen along its normal: its square is 1 less a quarter of that.
+                    # n·h where the view direction is the normal: its square is 1 − square / 4.
                     spread = square / 4.0 + alpha * alpha * (1.0 - square / 4.0)
                     weight /= spread * spread
                 red += weight * pyramid[at, 0]
                 green += weight * pyramid[at, 1]
                 blue += weight * pyramid[at, 2]
                 total += weight
-        found[n, 0], found[n, 1], found[n, 2] = red / total, green / total, blue / total
+        out[n, 0], out[n, 1], out[n, 2] = red / total, green / total, blue / total
 
 
 @kernel
-def _read_all(tables: Tables, directions: Float64s, level: float, found: Float64s) -> None:
+def _read_all(tables: Tables, directions: Float64s, level: float, out: Float64s) -> None:
     for n in range(len(directions)):
         x, y, z = directions[n, 0], directions[n, 1], directions[n, 2]
         if level < 0.0:
             red, green, blue = matte_light(tables, x, y, z)
         else:
             red, green, blue = glossy_light(tables, level / _STEPS, x, y, z)
-        found[n, 0], found[n, 1], found[n, 2] = red, green, blue  # whole rows compile for 3 s more
+        out[n, 0], out[n, 1], out[n, 2] = red, green, blue  # assigning whole rows compiles 3 s longer
 
 
 @inlined
 def glossy_light(
     tables: Tables, roughness: float, x: float, y: float, z: float
 ) -> tuple[float, float, float]:
-    """Return the light around a unit direction, averaged as a surface of some roughness reflects it."""
+    """Return prefiltered light around a unit direction for a roughness."""
     level = roughness * _STEPS
     below = min(int(level), _STEPS - 1)
     part = level - below
@@ -316,7 +317,7 @@ def glossy_light(
 
 @inlined
 def matte_light(tables: Tables, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return what a white matte surface with a unit normal reflects."""
+    """Return irradiance over π for a unit normal: what a white matte surface reflects."""
     return _texel(tables, _STEPS + 1, x, y, z)
 
 

@@ -1,4 +1,4 @@
-"""What the samples of a picture see of a surface: points at rest, and how these change to the next sample."""
+"""Visible surface points of an image's samples, at rest, with their derivatives by image position."""
 
 from __future__ import annotations
 
@@ -19,34 +19,34 @@ from octex.view.zbuffer import Buffers, z_buffer
 if TYPE_CHECKING:
     from octex.source.surface import Surface
 
-#: Samples are worked on this many at a time, so that a large picture needs little memory.
+#: Samples a batch, which bounds the memory for large images.
 _BLOCK = 1 << 16
 
 
 class Hits(NamedTuple):
-    """Points of a surface that a picture's samples see."""
+    """Surface points that the samples of an image see."""
 
     triangles: Int32s  # (n,)
     barycentric: Float64s  # (n, 3)
     rest: Float64s  # (n, 3)   rest positions
-    width: Float32s  # (n,)   what a sample covers there, in rest units
-    dPdx: Float64s  # (n, 3)   how rest positions change to the sample at its right
-    dPdy: Float64s  # (n, 3)   and to the one below
-    normals: Float64s  # (n, 3)   of the surface at rest, smooth
+    width: Float32s  # (n,)   footprint of a sample, in rest units
+    dPdx: Float64s  # (n, 3)   change of the rest position to the next sample at the right
+    dPdy: Float64s  # (n, 3)   and to the next sample below
+    normals: Float64s  # (n, 3)   smooth normals at rest
 
 
 class Seen:
-    """A surface before a camera."""
+    """A surface in front of a camera."""
 
     def __init__(self, surface: Surface, camera: Camera, normals: Float32s | None = None) -> None:
-        """Prepare; ``normals`` (m, 3, 3) are the surface's ``rest_normals``, if they are there."""
+        """Prepare; ``normals`` (m, 3, 3) are the surface's ``rest_normals`` if already computed."""
         self.surface, self.camera = surface, camera
         self.is_posed = is_posed(surface)
         self._resting = rest_normals(surface) if normals is None else normals
         self._vertices, self._rest = (
             np.ascontiguousarray(positions, np.float64) for positions in (surface.vertices, surface.rest)
         )
-        # What is one wide on the posed model is so wide at rest.
+        # The ratio of rest length to posed length.
         self._faces, posed_areas = face_normals(surface.vertices, surface.triangles)
         _, rest_areas = face_normals(surface.rest, surface.triangles)
         self._stretch = np.sqrt(rest_areas / np.maximum(posed_areas, 1e-300))
@@ -59,19 +59,19 @@ class Seen:
         return smooth_normals(frames, self.surface.vertices, self.surface.triangles)
 
     def normals(self, hits: Hits) -> tuple[Float64s, Float64s]:
-        """Return the normals of triangles and smooth ones (n, 3) on the posed surface."""
+        """Return face normals and smooth normals (n, 3) on the posed surface."""
         smooth = hits.normals
         if self.is_posed:
             smooth = np.einsum("nk,nkc->nc", hits.barycentric, self._smooth[hits.triangles])
         return self._faces[hits.triangles], smooth
 
     def blocks(self, buffers: Buffers) -> list[Int64s]:
-        """Return the pixels that see something, numbered row by row, some at a time."""
+        """Return batches of the pixels that see a surface, numbered row by row."""
         seen = np.flatnonzero(buffers.triangle >= 0)
         return [seen[first : first + _BLOCK] for first in range(0, len(seen), _BLOCK)]
 
     def hits(self, pixels: Int64s, buffers: Buffers) -> tuple[Hits, Float64s]:
-        """Return what pixels (n,) see, and where that is on the posed surface (n, 3)."""
+        """Return the hits of pixels (n,), and their positions on the posed surface (n, 3)."""
         triangles = buffers.triangle.ravel()[pixels]
         width = self.camera.pixel_width(buffers.depth.ravel()[pixels]) * self._stretch[triangles]
         weights, points, rest, right, down, normals = np.empty((6, len(pixels), 3))
@@ -85,7 +85,7 @@ class Seen:
 
 
 def visible_hits(surface: Surface, camera: Camera, normals: Float32s) -> Iterator[tuple[Int64s, Hits]]:
-    """Yield what pixels see, with their numbers."""
+    """Yield batches of pixel numbers and their hits."""
     buffers = z_buffer(surface.vertices, surface.triangles, camera)
     seen = Seen(surface, camera, normals)
     for pixels in seen.blocks(buffers):
@@ -98,14 +98,14 @@ def rest_normals(surface: Surface) -> Float32s:
 
 
 def smooth_normals(frames: Frames | None, positions: Float64s, triangles: Int32s) -> Float32s:
-    """Return the normals (m, 3, 3) of frames, or those that positions have without."""
+    """Return the normals (m, 3, 3) of frames, or without frames those computed from positions."""
     if frames is None:
         return corner_normals(positions, triangles)
     return np.ascontiguousarray(frames.normals.values[frames.normals.rows], np.float32)
 
 
 def is_posed(surface: Surface) -> bool:
-    """Tell whether a surface is not as it rests."""
+    """Return whether a surface has a pose that differs from rest."""
     return not np.array_equal(surface.rest, surface.vertices)
 
 
@@ -128,7 +128,7 @@ def _hit(
     down: Float64s,
     normals: Float64s,
 ) -> None:
-    """Fill in what lies at barycentric ``shares`` (n, 3) of the triangles ``seen`` (n,)."""
+    """Write the hits at barycentric ``shares`` (n, 3) of the triangles ``seen`` (n,)."""
     for n in range(len(seen)):
         triangle = seen[n]
         a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
@@ -149,7 +149,8 @@ def _hit(
         down[n, 0], down[n, 1], down[n, 2] = bx, by, bz
         if not is_posed:
             continue
-        # Steps along the posed triangle are shares of its edges, which are as large along those at rest.
+        # Express steps along the posed triangle by its edges; the same combination of rest edges is the rest
+        # step.
         ee = ff = ef = re = rf = de = df = 0.0
         for axis in range(3):
             e, f = vertices[b, axis] - vertices[a, axis], vertices[c, axis] - vertices[a, axis]

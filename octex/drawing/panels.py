@@ -1,4 +1,4 @@
-"""Previews: panels side by side, from the side that shows most, with captions."""
+"""Previews: captioned panels side by side, from the side with most detail."""
 
 from __future__ import annotations
 
@@ -48,20 +48,20 @@ def write_preview(
     bump: tuple[str, float] | None = None,
     supersample: int = 3,
 ) -> None:
-    """Draw a model next to its octree texture as a PNG file.
+    """Draw a model next to its octree texture, as a PNG file.
 
-    texture        its colours are on the right; None: draw the model alone
+    texture        colours the right panel; None: draw the model alone
     surface        the model; None: draw the texture's leaves, and the cubes of a coarser level
     size           (width, height) in pixels
-    direction      (3,) from the model to the camera; None: the side that shows most
-    up             (3,) direction that points up in the picture
+    direction      (3,) from the model to the camera; None: the side with most detail
+    up             (3,) direction that points up in the image
     zoom           enlarges; 1 shows the whole model
     channel        default: base colour in the light, or else the channel that is most like a colour
-    light          reflected by metal, roughness, occlusion and normal maps; None: soft light on base colour
-    bump           (channel, height): bend the normals as if the surface rose by the channel times height
+    light          for metal, roughness, occlusion and normal maps; None: soft light on base colour
+    bump           (channel, height): bend normals as if the surface rose by the channel times height
     supersample    samples along each side of a pixel
 
-    A file at ``path`` is replaced once the picture is complete. Raises OutputError if the file cannot be
+    A file at ``path`` is replaced once the image is complete. Raises OutputError if the file cannot be
     written, and ArgumentError for neither a surface nor a texture, without leaves or channels to draw, and
     for an unknown channel.
     """
@@ -91,7 +91,7 @@ def draw_preview(
     light: Environment | None = None,
     bump: tuple[str, float] | None = None,
 ) -> Uint8s:
-    """Return the picture of ``write_preview``; ``note`` is added to the texture's caption."""
+    """Return the image of ``write_preview``, with ``note`` added to the texture's caption."""
     room = caption_height(size[1])
     if surface is not None:
         placed = surface if texture is None else surface.placed_on(texture)
@@ -113,7 +113,7 @@ def draw_preview(
         captions = [texture_caption(texture, channel, note), (f"level {level}", cells)]
     else:
         raise ArgumentError("a preview needs a surface, a texture or both")
-    for picture in pictures:  # a zoomed model reaches below
+    for picture in pictures:  # a zoomed model reaches below the caption
         picture[-room:] = background(*picture.shape[:2])[-room:]
     panels = [captioned(picture, *caption) for picture, caption in zip(pictures, captions, strict=True)]
     return np.hstack([np.asarray(panel) for panel in panels])
@@ -129,17 +129,17 @@ def shaders_of(
     """Return the channel to show, which both have, and shaders of the model and of the texture."""
     formats = [form for form in surface.channels if texture is None or form.name in texture.channels]
     channel = Shown.of(formats, channel).channel.name
-    own = bump
-    if own is not None and texture is not None and own[0] not in [form.name for form in surface.channels]:
-        own = None  # a model without the channel is drawn smooth next to the texture that has it
-    looks = [source_shader(surface, channel, materials=materials, bump=own)]
+    used = bump
+    if used is not None and texture is not None and used[0] not in [form.name for form in surface.channels]:
+        used = None  # a model without the channel is drawn without the bump
+    looks = [source_shader(surface, channel, materials=materials, bump=used)]
     if texture is not None:
         looks.append(texture_shader(texture, channel, materials=materials, bump=bump))
     return channel, looks
 
 
 def write_png(path: str | Path, codes: Uint8s) -> None:
-    """Write sRGB codes (height, width, 3 or 4) as a file, or leave the old one; raises OutputError."""
+    """Write sRGB codes (height, width, 3 or 4) as a PNG file, complete or not at all; raises OutputError."""
     with replacing(path) as file:
         Image.fromarray(codes).save(file, "PNG")
 
@@ -147,7 +147,7 @@ def write_png(path: str | Path, codes: Uint8s) -> None:
 def surface_camera(
     surface: Surface, look: Shader, size: tuple[int, int], room: int = 0, view: Viewpoint = USUAL
 ) -> Camera:
-    """Return a camera that sees a model, by default from the side that shows most, above a caption's room."""
+    """Return a camera that sees a model above ``room`` pixels, by default from the side with most detail."""
     normals = rest_normals(surface)
 
     def unlit(camera: Camera) -> Floats:
@@ -167,8 +167,8 @@ def leaf_camera(
     room: int = 0,
     view: Viewpoint = USUAL,
 ) -> Camera:
-    """Return a camera that sees textures, by default from the side on which the first shows most."""
-    # Coarse cells are enough to find out where the model is and where to look at it from.
+    """Return a camera that sees textures, by default from the side where the first has most detail."""
+    # Coarse cells suffice to find the bounds and the best side.
     coarse = [texture.level(min(7, texture.tree.max_depth)) for texture in textures]
     every = [Leaves.of(texture) for texture in coarse]
     first, colors = every[0], every[0].appearance(coarse[0], channel).unlit()
@@ -187,33 +187,33 @@ def leaf_camera(
 
 
 def source_caption(surface: Surface, channel: str) -> tuple[str, str]:
-    """Return a title and a subtitle for a picture of a model."""
+    """Return title and subtitle for an image of a model."""
     return surface.name, f"{named(channel)}model, {count_text(len(surface.triangles), 'triangle')}"
 
 
 def texture_caption(texture: OctreeTexture, channel: str, note: str = "") -> tuple[str, str]:
-    """Return a title and a subtitle for a picture of a texture."""
+    """Return title and subtitle for an image of a texture."""
     facts = texture_facts(texture) + (f", {note}" if note else "")
     return f"octree, depth {texture.tree.max_depth}", named(channel) + facts
 
 
 def texture_facts(texture: OctreeTexture) -> str:
-    """Return how large a texture is."""
+    """Return a line with the size of a texture."""
     return f"{count_text(texture.tree.n_leaves, 'leaf', 'leaves')}, {bytes_text(texture.nbytes)}"
 
 
 def named(channel: str) -> str:
-    """Return what to begin a caption with, if it is not about base colour."""
+    """Return the prefix of a caption: the channel's name unless it is base colour."""
     return "" if channel == "base_color" else f"{channel}: "
 
 
 def caption_height(height: int) -> int:
-    """Return the height of a caption at the bottom of a picture so high."""
+    """Return the height of the caption in an image of this height."""
     return max(height // 11, 24)
 
 
 def captioned(picture: Float32s, title: str, subtitle: str, room: int | None = None) -> Image.Image:
-    """Return linear light (height, width, 3) with a caption at the top of the ``room`` at its bottom."""
+    """Return linear light (height, width, 3) as an image, with a caption in ``room`` pixels at its bottom."""
     panel = Image.fromarray(encode(picture, "uint8", "srgb"))
     strip = caption_height(panel.height)
     draw = ImageDraw.Draw(panel)

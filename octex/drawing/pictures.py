@@ -1,4 +1,4 @@
-"""Pictures of surfaces and of leaves: what each sample sees, how it is lit, and how samples become pixels."""
+"""Renders surfaces and leaves: finds what samples see, lights it, and averages samples into pixels."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
-#: Samples are coloured this many at a time, so that a large picture needs little memory.
+#: Samples a batch, which bounds the memory for large images.
 _BLOCK = 1 << 18
-#: So many layers are drawn where things are transparent ...
+#: Largest number of transparent layers ...
 _LAYERS = 64
-#: ... until no more than this shines through: a quarter of a code of sRGB's darkest light.
+#: ... of which drawing stops at this transmittance: a quarter of a code of sRGB's darkest light.
 _OPAQUE = 2.0**-12
-#: Of the faces of cubes, so much along each side is drawn as their edges.
+#: Width of the drawn cube edges, as a part of the face.
 _EDGE = 0.05
 
 
 def render_surface(
     surface: Surface, camera: Camera, look: Shader, supersample: int = 3, light: Environment | None = None
 ) -> Float32s:
-    """Draw a surface as a shader shows it; return linear light (height, width, 3).
+    """Draw a surface with a shader; return linear light (height, width, 3).
 
     supersample    samples along each side of a pixel, averaged in linear light
-    light          light from all around; None: soft light from next to the camera, in which colours are matte
+    light          environment; None: soft light from near the camera, in which colours are matte
 
     Transparent samples show up to 64 layers behind them, then the background.
     """
@@ -60,7 +60,7 @@ def film_surface(
     supersample: int,
     light: Environment | None = None,
 ) -> list[Film]:
-    """Expose a film to a surface for each look, layer by layer where one of them lets light through."""
+    """Render a surface to one film a shader, layer by layer where a shader is transparent."""
     films = [Film(camera, supersample) for _ in looks]
     seen = Seen(surface, camera.scaled(supersample))
     layer: Buffers | None = None
@@ -75,8 +75,8 @@ def film_surface(
             layer = z_buffer(surface.vertices, surface.triangles, seen.camera, executor, behind=layer)
             opened = np.zeros(layer.triangle.shape, np.bool_)
             blocks = seen.blocks(layer)
-            found = ordered_map(executor, partial(appear, layer), blocks, window=2 * cpu_count())
-            for pixels, appearances in zip(blocks, found, strict=True):
+            shaded = ordered_map(executor, partial(appear, layer), blocks, window=2 * cpu_count())
+            for pixels, appearances in zip(blocks, shaded, strict=True):
                 for film, appearance in zip(films, appearances, strict=True):
                     opened.ravel()[pixels] |= film.add(pixels, appearance)
             if not opened.any():
@@ -86,7 +86,7 @@ def film_surface(
 
 
 def _turned(appearance: Appearance, seen: Seen, hits: Hits) -> Appearance:
-    """Return an appearance whose own normals, if it has any, are those of the posed surface."""
+    """Return an appearance whose normals, if it has any, are turned to the posed surface."""
     if appearance.normals is None or not seen.is_posed:
         return appearance
     surface, rows = seen.surface, np.arange(3 * len(hits.triangles), dtype=np.int32).reshape(-1, 3)
@@ -106,7 +106,7 @@ def lit(
     faces: Floats,
     normals: Floats,
 ) -> Appearance:
-    """Return what points look like in a light; arrays (n, 3) as for ``soft_light.light``."""
+    """Return the lit appearance of points; arrays (n, 3) as for ``soft_light.light``."""
     if appearance.reflected is None:
         return appearance
     if appearance.normals is not None:
@@ -116,23 +116,23 @@ def lit(
         return appearance._replace(reflected=appearance.reflected * shade[:, None])
     found = reflected(light, camera, points, faces, normals, appearance)
     if not light.tone_mapped:
-        return appearance._replace(reflected=found)
-    seen: Floats = found if appearance.emitted is None else found + appearance.emitted
+        return appearance._replace(reflected=light_reflected)
+    seen: Floats = light_reflected if appearance.emitted is None else light_reflected + appearance.emitted
     return appearance._replace(reflected=tone_mapped(seen), emitted=None)
 
 
 class Film:
-    """Gathers samples into pixels, those in front before those behind them."""
+    """Composites samples into pixels, front to back."""
 
     def __init__(self, camera: Camera, supersample: int) -> None:
         self._shape = camera.height, camera.width
         self._supersample = supersample
         self._sums = np.zeros((camera.height * camera.width, 4))
-        # What each sample lets through of what is behind.
+        # Transmittance of each sample.
         self._passed = np.ones(camera.height * camera.width * supersample**2, np.float32)
 
     def add(self, samples: Int64s, appearance: Appearance) -> Bools:
-        """Add lit samples, numbered row by row; return where more is seen behind (n,)."""
+        """Add lit samples, numbered row by row; return which ones are still transparent (n,)."""
         opened = np.empty(len(samples), np.bool_)
         parts = ((appearance.reflected, (0, 3)), (appearance.emitted, (0, 3)), (appearance.coverage, 0))
         reflected, emitted, coverage = (
@@ -146,7 +146,7 @@ class Film:
         return opened
 
     def exposure(self) -> tuple[Float64s, Float64s]:
-        """Return the pixels' sums (height, width, 3), already multiplied by their coverage, and that."""
+        """Return the pixels' light (height, width, 3), multiplied by coverage, and their coverage."""
         sums = (self._sums / self._supersample**2).reshape(*self._shape, 4)
         return sums[..., :3], sums[..., 3:]
 
@@ -168,13 +168,13 @@ def _expose(
     sums: Float64s,
     opened: Bools,
 ) -> None:
-    """Add samples to pixels, ``width`` to a row; of what is empty there is nothing, or it covers all."""
+    """Add samples to pixels, ``width`` in a row. Empty light arrays mean none; empty coverage means 1."""
     for n in range(len(samples)):
         row, column = divmod(samples[n], width * supersample)
         pixel = row // supersample * width + column // supersample
         before = passed[samples[n]]
-        own = coverage[n] if len(coverage) else np.float32(1.0)
-        part, left = before * own, before * (np.float32(1.0) - own)
+        opacity = coverage[n] if len(coverage) else np.float32(1.0)
+        part, left = before * opacity, before * (np.float32(1.0) - opacity)
         for lane in range(3):
             if len(reflected):
                 sums[pixel, lane] += float(reflected[n, lane]) * part
@@ -188,13 +188,13 @@ def _expose(
 class Leaves(NamedTuple):
     """All leaves of a texture, in rest units."""
 
-    corners: Float64s  # (n, 3)   least coordinates
+    corners: Float64s  # (n, 3)   smallest coordinates
     edges: Float64s  # (n,)
     normals: Float32s  # (n, 3)
 
     @classmethod
     def of(cls, texture: OctreeTexture) -> Leaves:
-        """Gather them; raises ArgumentError if there are none."""
+        """Return a texture's leaves; raises ArgumentError if it has none."""
         blocks = []
         for cells, codes, depths in walk_leaves(texture.tree.arrays):
             edges = np.ldexp(1.0, -depths.astype(np.int32))
@@ -207,16 +207,16 @@ class Leaves(NamedTuple):
 
     @classmethod
     def joined(cls, *parts: Leaves) -> Leaves:
-        """Return all leaves of some parts."""
+        """Return the leaves of several sets as one."""
         return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
     def seen(self, camera: Camera) -> CubeBuffers:
-        """Return which of them a camera sees."""
+        """Return the z-buffer of the leaves' cubes."""
         return rasterize_cubes(self.corners, self.edges, camera)
 
     @property
     def centres(self) -> Float64s:
-        """Where their middles are (n, 3)."""
+        """Centres (n, 3)."""
         return self.corners + self.edges[:, None] / 2
 
     def appearance(
@@ -227,7 +227,7 @@ class Leaves(NamedTuple):
         bump: Bump | None = None,
         filter: str = "quadratic",
     ) -> Appearance:
-        """Return how a texture looks at their centres, as by ``texture_shader``."""
+        """Return a texture's appearance at the leaf centres; see ``texture_shader``."""
         formats = (stored.format for stored in texture.channels.values())
         shown = Shown.of(formats, channel, materials=materials)
         appearance = shown.appearance(texture.sample(self.centres, shown.names, filter=filter))
@@ -250,7 +250,7 @@ def render_leaves(
     """Draw the leaves of a texture as cubes; return linear light (height, width, 3).
 
     level    default: the deepest level whose cells are no smaller than a pixel
-    cubes    show the values that leaves hold, and light the cubes' faces, not the surface that leaves lie on
+    cubes    show the stored values of leaves, with lit cube faces; otherwise light the surface in the leaves
 
     ``channel`` and ``bump`` as for ``texture_shader``, ``light`` as for ``render_surface``.
     """
@@ -272,7 +272,7 @@ def film_leaves(
     *,
     cubes: bool = False,
 ) -> Film:
-    """Expose a film to leaves as they appear, or to their ``cubes``; ``buffers`` say what samples see."""
+    """Render leaves, or their ``cubes``, to a film; ``buffers`` is their z-buffer."""
     film = Film(camera, supersample)
     for _ in range(_LAYERS):
         opened = np.zeros(buffers.cube.shape, np.bool_)
@@ -285,7 +285,7 @@ def film_leaves(
             if cubes:
                 here = here._replace(normals=None)
             here = lit(here, light, camera, leaves.corners[leaf], normals, normals)
-            if cubes:  # with their edges drawn, so that they can be told apart
+            if cubes:  # draw the edges that separate them
                 on_edge = buffers.border.ravel()[samples, None] < _EDGE
                 dimmed = np.where(on_edge, np.float32(0.75), np.float32(1.0))
                 reflected, emitted = (None if part is None else part * dimmed for part in here[:2])
@@ -299,7 +299,7 @@ def film_leaves(
 
 
 def visible_level(texture: OctreeTexture, camera: Camera, pixels: float = 1.0) -> int:
-    """Return the deepest level whose cells are no smaller than ``pixels`` in the middle of the bounds."""
+    """Return the deepest level whose cells span at least ``pixels`` at the middle of the bounds."""
     _, depth = camera.project(texture.bounds.mean(axis=0)[None])
     level = np.floor(np.log2(texture.placement.size / (pixels * camera.pixel_width(depth[0]))))
     return int(np.clip(level, 0, texture.tree.max_depth))

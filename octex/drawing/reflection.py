@@ -1,9 +1,9 @@
-"""What surfaces of some roughness and metal reflect of the light all around: glTF's GGX, image-based.
+"""Image-based lighting of glTF's GGX materials.
 
-The split sum: an average of the light around the mirrored ray times the lobe's whole reflectance (B. Karis,
-"Real Shading in Unreal Engine 4", 2013). What is scattered more than once between the facets, which a single
-scattering loses, comes from all around (C. Fdez-Agüera, "A Multiple-Scattering Microfacet Model for Real-Time
-Image-Based Lighting", JCGT 2019): what is white reflects all.
+The split sum multiplies the prefiltered light around the mirrored ray by the lobe's reflectance (B. Karis,
+"Real Shading in Unreal Engine 4", 2013). Single scattering loses the light that facets scatter repeatedly.
+That light is added back from the irradiance, so that white surfaces reflect everything (C. Fdez-Agüera, "A
+Multiple-Scattering Microfacet Model for Real-Time Image-Based Lighting", JCGT 2019).
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from octex.drawing.shaders import Appearance
 from octex.jit import inlined, kernel
 from octex.source.vectors import unit
 
-#: Of what is no metal, along the normal (glTF 2.0, appendix B).
+#: Reflectance of non-metals along the normal (glTF 2.0, appendix B).
 _DIELECTRIC = 0.04
-#: What reflects less than a fiftieth along the normal, as nothing solid does, reflects less at the rim, too.
+#: Below this reflectance along the normal, which no solid has, reflectance at grazing angles fades too.
 _DARKEST = 0.02
 _SIZE = 32
 _BITS = 12
 _SAMPLES = 2**_BITS
-#: Normals that lean away are turned until their cosine with the way to the eye is this.
+#: Normals that face away from the eye are turned until their cosine with the view direction is this.
 _GRAZING = 1e-3
-#: The tone mapper compresses light from here on, and takes so much of its colour.
+#: Start of the tone mapper's compression, and its desaturation.
 _COMPRESSED, _DESATURATION = 0.76, 0.15
 
 
@@ -60,10 +60,10 @@ def reflected(
 
 
 def tone_mapped(light: Floats) -> Float64s:
-    """Return light (n, 3) as a screen shows it, linear: what is brighter than white is compressed.
+    """Return tone-mapped linear light (n, 3): light brighter than white is compressed.
 
-    Colours lose 0.04, which surfaces that are no metal reflect of white light; dark ones lose less. (Khronos
-    PBR Neutral tone mapper, 2024.)
+    Colours lose 0.04, the reflection of white light by non-metals; dark ones lose less. (Khronos PBR Neutral
+    tone mapper, 2024.)
     """
     least = light.min(axis=1, keepdims=True)
     color = light.astype(np.float64) - np.where(least < 0.08, least - 6.25 * least * least, 0.04)
@@ -91,7 +91,7 @@ def reflectances() -> Float64s:
         up = np.sqrt((1 - height) / (1 + (square - 1) * height))
         out = np.sqrt(np.maximum(1 - up**2, 0))
         h = np.stack([out * np.cos(azimuth), out * np.sin(azimuth), up], axis=1)
-        toward = v @ h.T  # of each cosine and sample
+        toward = v @ h.T  # for each cosine and sample
         mirrored = 2 * toward * up - middles[:, None]
         is_seen = (mirrored > 0) & (toward > 0)
         n_l, n_v = np.maximum(mirrored, 1e-12), middles[:, None]
@@ -157,7 +157,7 @@ def _reflect(
 
 @inlined
 def _scattered(first: float, slope: float, bias: float) -> tuple[float, float]:
-    """Return the parts that are scattered once and more often, where ``first`` is along the normal."""
+    """Return the parts that scatter once and several times; ``first`` is the reflectance along the normal."""
     once = first * slope + bias
     lost = 1.0 - slope - bias
     average = first + (1.0 - first) / 21.0

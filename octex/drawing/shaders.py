@@ -1,4 +1,4 @@
-"""Shaders: the colours of a surface in the light, or one channel as it is."""
+"""Shaders: the lit colours of a surface, or one channel as data."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Appearance(NamedTuple):
-    """How points look, in linear light."""
+    """Appearance of points, in linear light."""
 
     reflected: Floats | None = None  # (n, 3)   of white light; None: nothing
     emitted: Floats | None = None  # (n, 3)   whatever the light
@@ -35,32 +35,32 @@ class Appearance(NamedTuple):
     specular: Floats | None = None  # (n, 3)   of what is no metal, reflected along the normal; None: 0.04
 
     def bent(self, normals: Floats, slopes: Float64s) -> Appearance:
-        """Return it with its own normals, or else ``normals`` (n, 3), bent against ``slopes`` (n, 3)."""
+        """Return it with its normals, or else ``normals`` (n, 3), bent against ``slopes`` (n, 3)."""
         return self._replace(normals=bent(normals if self.normals is None else self.normals, slopes))
 
     def unlit(self) -> Floats:
-        """Return the light (n, 3) of points in white light."""
+        """Return the light (n, 3) of points under white light."""
         parts = [part for part in (self.reflected, self.emitted) if part is not None]
         return np.asarray(np.clip(sum(parts), 0.0, 1.0))
 
 
-#: The channels that say how light is reflected, beside base colour.
+#: Channels of reflection besides base colour.
 _SCALARS = "metallic", "roughness", "occlusion"
 _REFLECTION = NORMAL.name, *_SCALARS, SPECULAR.name
 
-#: Gives hits their appearance.
+#: Maps hits to their appearance.
 Shader = Callable[[Hits], Appearance]
 
 
-#: A channel and the height of 1 in it: normals are bent as if the surface were displaced by it.
+#: (channel, height): bend normals as if the surface were displaced by the channel times height.
 Bump = tuple[str, float]
 
 
 class Shown(NamedTuple):
-    """The channels of a texture or of a surface that a picture shows."""
+    """The channels of a texture or a surface that an image shows."""
 
-    channel: ChannelFormat  # the one that gives the picture its name
-    names: list[str]  # all that are read
+    channel: ChannelFormat  # the channel that names the image
+    names: list[str]  # all channels to read
 
     @classmethod
     def of(
@@ -68,8 +68,8 @@ class Shown(NamedTuple):
     ) -> Shown:
         """Choose ``channel``, by default base colour, else the first colour, the first data or direction.
 
-        Alpha is read with it; with base colour also emitted light and, for ``materials``, the other channels
-        of materials. Raises ArgumentError for an unknown channel, and if there is none.
+        Alpha is read too; with base colour also emitted light and, for ``materials``, the other material
+        channels. Raises ArgumentError for an unknown channel, and for no channel.
         """
         known = {form.name: form for form in formats}
         if not known:
@@ -86,11 +86,11 @@ class Shown(NamedTuple):
 
     @property
     def is_lit(self) -> bool:
-        """Whether it is drawn in the light."""
+        """Whether the image is lit."""
         return self.channel.name == "base_color"
 
     def appearance(self, values: Mapping[str, Floats]) -> Appearance:
-        """Return how values (n, components) by channel look; data and directions as sRGB."""
+        """Return the appearance of values (n, components) by channel; shows data and directions as sRGB."""
         shown = values[self.channel.name]
         alpha = values.get(ALPHA.name) if self.channel.name != ALPHA.name else None
         coverage = None if alpha is None else alpha[:, 0]
@@ -121,13 +121,13 @@ class Shown(NamedTuple):
 def source_shader(
     surface: Surface, channel: str | None = None, *, materials: bool = False, bump: Bump | None = None
 ) -> Shader:
-    """Show a surface by its source, averaged over the footprint of each sample.
+    """Return a shader of a surface's source, averaged over each sample's footprint.
 
     channel      default: base colour in the light, with emitted light, or else the channel most like a colour
-    materials    read metallic, roughness, occlusion, specular and normal too
-    bump         bends the normals by the difference of a channel between neighbouring samples
+    materials    also read metallic, roughness, occlusion, specular and normal
+    bump         bends normals by the channel's difference between adjacent samples
 
-    Raises ArgumentError for a channel that is not there.
+    Raises ArgumentError for an unknown channel.
     """
     shown = Shown.of(surface.channels, channel, materials=materials)
     whole, surface = surface, surface.with_channels(shown.names)
@@ -161,11 +161,11 @@ def source_shader(
 def texture_shader(
     texture: OctreeTexture, channel: str | None = None, *, materials: bool = False, bump: Bump | None = None
 ) -> Shader:
-    """Show a surface by the field of a texture, averaged over each sample's footprint, on the side it sees.
+    """Return a shader of a texture's field, averaged over each sample's footprint, for the visible face.
 
-    Where the texture has no cell, translucent surface is not shown, though coarse averages reach there.
-    ``channel`` and ``materials`` as for ``source_shader``; ``bump`` uses the field's gradient. Raises
-    ArgumentError for an unknown channel.
+    Translucent surface in an empty cell stays invisible, though coarse averages reach it. ``channel`` and
+    ``materials`` as for ``source_shader``; ``bump`` uses the field's gradient. Raises ArgumentError for an
+    unknown channel.
     """
     formats = [stored.format for stored in texture.channels.values()]
     shown = Shown.of(formats, channel, materials=materials)
@@ -186,7 +186,7 @@ def texture_shader(
 
 
 def _bumping(bump: Bump, formats: Iterable[ChannelFormat]) -> str:
-    """Return the channel that bends normals; refuse an unknown one, and directions."""
+    """Return the bump channel's name; refuse an unknown one, and directions."""
     known = {form.name: form for form in formats}
     as_choice(bump[0], known, "channel to bend normals by")
     if known[bump[0]].space == "direction":
@@ -195,12 +195,12 @@ def _bumping(bump: Bump, formats: Iterable[ChannelFormat]) -> str:
 
 
 def _luminance(values: Floats) -> Float64s:
-    """Return numbers (…,) of the components (…, k) of a channel."""
+    """Return one number (…,) for the components (…, k) of a channel."""
     return np.asarray(values @ (LUMINANCE if values.shape[-1] == 3 else np.eye(values.shape[-1])[0]))
 
 
 def _shares(corners: Float64s, steps: Float64s) -> Float64s:
-    """Return how barycentric coordinates (n, 3) change by steps (n, 3) along triangles (n, 3, 3)."""
+    """Return the change of barycentric coordinates (n, 3) for steps (n, 3) along triangles (n, 3, 3)."""
     one, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     across = np.cross(one, other)
     square = np.maximum(np.einsum("nc,nc->n", across, across), 1e-300)
@@ -210,7 +210,7 @@ def _shares(corners: Float64s, steps: Float64s) -> Float64s:
 
 
 def _gradient(hits: Hits, right: Float64s, down: Float64s) -> Float64s:
-    """Return the gradient (n, 3), along the surface at rest, of what rises so much from sample to sample."""
+    """Return the gradient (n, 3), along the surface at rest, from the change to the next samples."""
     normal = np.cross(hits.dPdx, hits.dPdy)
     square = np.maximum(np.einsum("nc,nc->n", normal, normal), 1e-300)[:, None]
     ways = np.cross(hits.dPdy, normal) * right[:, None] + np.cross(normal, hits.dPdx) * down[:, None]
@@ -220,13 +220,13 @@ def _gradient(hits: Hits, right: Float64s, down: Float64s) -> Float64s:
 def field_slopes(
     texture: OctreeTexture, bump: Bump, points: Floats, normals: Floats, width: npt.ArrayLike | None = None
 ) -> Float64s:
-    """Return how the heights of a texture's field change by rest position (n, 3), at points (n, 3)."""
+    """Return the gradient (n, 3) of the field's height by rest position, at points (n, 3)."""
     _, gradients = texture.sample(points, bump[0], width=width, normals=normals, gradient=True)
     return bump[1] * _luminance(np.moveaxis(gradients.astype(np.float64), 1, 2))
 
 
 def bent(normals: Floats, slopes: Float64s) -> Float64s:
-    """Return normals (n, 3) bent against the slope of what is added along them (Blinn 1978)."""
+    """Return normals (n, 3) bent against the gradient of a displacement along them (Blinn 1978)."""
     normals = normals.astype(np.float64)
     normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     along = np.einsum("nc,nc->n", slopes, normals)[:, None] * normals

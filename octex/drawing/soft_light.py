@@ -1,6 +1,6 @@
-"""Soft light from next to the camera, of little contrast, so that colours stay comparable; and the backdrop.
+"""Soft light from near the camera, of little contrast, so that colours stay comparable; and the backdrop.
 
-Everything is linear light. The lights turn with the camera.
+All values are linear light. The lights turn with the camera.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ _FROM_ABOVE, _FROM_BELOW = 0.52, 0.30
 
 
 def light(camera: Camera, points: npt.ArrayLike, faces: npt.ArrayLike, normals: npt.ArrayLike) -> Float32s:
-    """Return the light (n,), 0.35 to 1.03, on the side that the camera sees; multiply base colours with it.
+    """Return the light (n,), 0.35 to 1.03, on the visible side; multiply base colours by it.
 
     points     (n, 3) in the world
-    faces      (n, 3) normals of their triangles: they decide which side is seen
-    normals    (n, 3) normals to light them by, of the same side as the triangles'; of any length
+    faces      (n, 3) face normals: they decide which side is visible
+    normals    (n, 3) shading normals on the same side as the face normals; of any length
     """
     points, faces, normals = (np.ascontiguousarray(array, np.float64) for array in (points, faces, normals))
     lit = np.empty(len(points), np.float32)
@@ -62,7 +62,7 @@ def _light(
 
 
 def background(height: int, width: int) -> Float32s:
-    """Return a grey backdrop (height, width, 3), the same across, brightest a little below the middle."""
+    """Return a grey backdrop (height, width, 3), constant along rows, brightest slightly below the middle."""
     down = (np.arange(height) + 0.5) / height
     grey = 0.40 - 0.40 * (down - 0.55) ** 2
     return np.broadcast_to(grey[:, None, None], (height, width, 3)).astype(np.float32)

@@ -1,4 +1,4 @@
-"""Pictures of one camera: a model or leaves in some light, and views to paint on."""
+"""Renders a model or leaves through one camera, and views to paint on."""
 
 from __future__ import annotations
 
@@ -47,23 +47,23 @@ def render(
     bump: Bump | None = None,
     supersample: int = 3,
 ) -> Uint8s:
-    """Draw a model as a texture colours it, or the texture's leaves.
+    """Draw a model with a texture's colours, or the texture's leaves.
 
-    texture        its colours; None: the surface's own, from its images
+    texture        colours the model; None: use the model's own images
     surface        the model; None: draw the leaves
-    camera         without distortion; default: sees all in ``size`` from ``direction``, see ``write_preview``
-    path           also write the picture to this PNG file
+    camera         without distortion; default: sees all, with ``size`` and ``direction`` of ``write_preview``
+    path           also write the image to this PNG file
     channel        default: base colour in the light, or else the channel that is most like a colour
-    level          read this level of the texture; of leaves by default the deepest that a pixel shows
-    cubes          draw the leaves as cubes, also if there is a surface
-    light          reflected by metal, roughness, occlusion and normal maps; None: soft light on base colour
-    bump           (channel, height): bend the normals as if the surface rose by the channel times height
+    level          read this level of the texture; default for leaves: the deepest that a pixel shows
+    cubes          draw the leaves as cubes, even with a surface
+    light          for metal, roughness, occlusion and normal maps; None: soft light on base colour
+    bump           (channel, height): bend normals as if the surface rose by the channel times height
     supersample    samples along each side of a pixel, averaged in linear light
 
-    Returns an sRGB image (height, width, 3) over a grey backdrop, uint8. Transparent surface shows what is
-    behind it. Raises ArgumentError for neither a texture nor a surface, without leaves or channels to draw,
-    for an unknown channel, ``level`` or ``cubes`` without a texture and ``bump`` on cubes; OutputError if the
-    file cannot be written.
+    Returns an sRGB image (height, width, 3) over a grey backdrop, uint8. Transparent surface shows the
+    surface behind it. Raises ArgumentError for neither a texture nor a surface, without leaves or channels to
+    draw, for an unknown channel, ``level`` or ``cubes`` without a texture and ``bump`` on cubes; OutputError
+    if the file cannot be written.
     """
     if texture is None and surface is None:
         raise ArgumentError("a picture needs a texture, a surface or both")
@@ -75,7 +75,9 @@ def render(
     if camera is not None and not isinstance(camera, Camera):
         raise ArgumentError(f"camera must be an octex.Camera, not {camera!r}")
     if camera is not None and camera.is_distorted:
-        raise ArgumentError("the camera's lens distorts, which pictures do not show; give camera.undistorted")
+        raise ArgumentError(
+            "the camera has lens distortion, which render cannot draw; give camera.undistorted"
+        )
     level, cubes = None if level is None else as_depth(level, "level"), as_flag(cubes, "cubes")
     if texture is None and (cubes or level is not None):
         raise ArgumentError("level and cubes are for a texture; give one, or leave them out")
@@ -112,7 +114,7 @@ def camera_of(
     view: Viewpoint,
     channel: str | None = None,
 ) -> Camera:
-    """Return a camera that sees a model, or without one the leaves of a texture."""
+    """Return a camera that sees a model, or without a model the leaves of a texture."""
     if surface is not None:
         look = source_shader(surface, channel) if texture is None else texture_shader(texture, channel)
         placed = surface if texture is None else surface.placed_in(texture)
@@ -131,10 +133,10 @@ def draw_paintable(
     light: Environment | None = None,
     bump: Bump | None = None,
 ) -> Uint8s:
-    """Draw a channel at the pixels' centres, to be painted on: sRGB codes and alpha (height, width, 4).
+    """Draw a channel at pixel centres, to paint on: sRGB codes and alpha (height, width, 4).
 
-    Alpha is the texture's, and 0 next to the model; colours are not multiplied by it. Unless ``lit``, only
-    the nearest layer is drawn, without light. Without a texture the model is grey.
+    Alpha is the texture's, and 0 off the model; colours are not multiplied by it. Unless ``lit``, only the
+    nearest layer is drawn, without light. Without a texture the model is grey.
     """
 
     def grey(hits: Hits) -> Appearance:

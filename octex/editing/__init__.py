@@ -1,11 +1,11 @@
-"""What every change of a texture shares.
+"""Shared parts of all edits of a texture.
 
-split       what cells show each way: rows of split cells, told apart, read and changed
-nodes       some nodes of a tree, and their rows, level by level
-averages    a node's value: the mean of what is below it, and its residual; areas that are sums
-refined     cells below leaves: what the field refines to, and in which facings
-carried     the values of a texture in a tree that was made from its own
-draft       the tiles of a texture that an edit touches, cut out and put back; runs: what is copied for that
+split       reads and writes rows of split cells; splits cells, and undoes splits
+nodes       sets of nodes of a tree, and their rows, level by level
+averages    a node's value: the mean of its children plus a residual; summed areas
+refined     cells below leaves: the field's refinement, and its facings
+carried     copies a texture's values into an edited tree
+draft       cuts out the tiles that an edit touches, and puts them back; runs: copies ranges of cells
 
-Areas by their codes, and the split table itself, are in ``tree``: areas, split.
+``tree`` has the codes of areas (areas) and the split table (split).
 """

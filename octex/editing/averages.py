@@ -1,11 +1,11 @@
-"""Averages after an edit: each node is the mean of its children, and what it differed by from that before.
+"""Averages after an edit: each node is the mean of its children plus its residual before the edit.
 
-The mean weighs children by area and alpha, as a conversion does; alpha itself by area alone. A fitted leaf
-holds a coefficient, not a mean, so the value of a node, the mean of the source, is not the mean of its
-children. What it differs by is its *residual*; a difference that is no more than rounding is none. An edit
-says what becomes of residuals; the mean of the children as they are then is added to that.
+The mean weights children by area and alpha, as a conversion does; alpha itself by area only. A fitted leaf
+holds a coefficient, not a mean. So a node's value, the mean of the source, is not the mean of its children.
+The difference is its *residual*; differences within rounding are 0. An edit maps residuals, then adds them to
+the means of the edited children.
 
-The rows of a split node are averages likewise, of what its children show the same way.
+The rows of a split node are averages in the same way, over its children's rows of equal facing.
 """
 
 from __future__ import annotations
@@ -37,8 +37,7 @@ from octex.tree.children import children_of
 from octex.tree.octree import Octree
 from octex.tree.split import Rows, counts_of, find_rows, rows_of
 
-#: What values of floats may be, light that is nowhere brighter than white; integers are clamped as they are
-#: stored.
+#: Limits of float values, for light without values above 1; encoding clamps integers.
 _LIMITS = {
     "srgb": (0.0, 1.0),
     "linear": (0.0, 1.0),
@@ -46,94 +45,94 @@ _LIMITS = {
     "direction": (-1.0, 1.0),
 }
 
-#: Residuals of so many nodes are found for all levels at once; of more level by level, for memory.
+#: Residuals of up to this many nodes are computed for all levels at once; of more level by level, to save
+#: memory.
 _FEW = 1 << 16
-#: What becomes of residuals: from cells (n,), their values and the means of what is below them, decoded
-#: (n, components) each, to residuals.
+#: Maps cells (n,), their values and the means of their children, decoded (n, components), to residuals.
 Change = Callable[[Int64s, Float64s, Float64s], Float64s]
 
 
 def difference(_cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
-    """Return residuals as they are."""
+    """Return unchanged residuals."""
     return values - means
 
 
 class Residuals(NamedTuple):
-    """What nodes have beyond the averages of what is below them."""
+    """Differences of nodes from the averages of their children."""
 
     nodes: Floats  # (n, components)
     rows: Floats  # (rows of these nodes, components)
 
 
-def _alpha_beside(texture: OctreeTexture, name: str) -> Array | None:
-    """Return alpha, as stored (cells, 1), if averages of a channel weigh by it."""
+def _alpha_values(texture: OctreeTexture, name: str) -> Array | None:
+    """Return stored alpha (cells, 1) if it weights the averages of a channel."""
     alpha = _alpha_channel(texture, name)
     return None if alpha is None else alpha.values
 
 
 def _alpha_channel(texture: OctreeTexture, name: str) -> Channel | None:
-    """Return the channel by which averages of a channel weigh, if the texture has it."""
+    """Return the channel that weights the averages of a channel, if the texture has it."""
     alpha = alpha_of(name)
     return None if alpha is None else texture.channels.get(alpha)
 
 
 def coverage(alpha: Array) -> Float32s:
-    """Return what cells of some alpha (n, 1), as stored, weigh in averages beside their areas, (n,)."""
+    """Return the weight (n,) in averages of cells with stored alpha (n, 1), besides their areas."""
     return np.maximum(decode(alpha[:, 0], "data"), np.float32(LEAST_COVERAGE))
 
 
 def residuals(
     texture: OctreeTexture, name: str, nodes: Nodes | None = None, change: Change = difference
 ) -> Residuals:
-    """Return the residuals of nodes, of all if none are given, changed."""
+    """Return the mapped residuals of nodes, by default of all."""
     tree, channel = texture.tree, texture.channels[name]
     nodes = all_nodes(tree) if nodes is None else nodes
-    form, alpha = channel.format, _alpha_beside(texture, name)
+    form, alpha = channel.format, _alpha_values(texture, name)
     precise = np.float64 if form.dtype == "float32" else np.float32
-    found = np.zeros((nodes.cells.size, form.components), precise)
+    of_nodes = np.zeros((nodes.cells.size, form.components), precise)
     for here in [slice(None)] if 0 < nodes.cells.size <= _FEW else by_level(tree, nodes):
         cells = nodes.cells[here]
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
-        _keep_apart(form, channel.values[cells], means, cells, change, found[here])
+        _keep_apart(form, channel.values[cells], means, cells, change, of_nodes[here])
     of_rows = np.zeros((rows_of(tree.split, nodes.cells).rows.size, form.components))
     for here, rows, owners in rows_by_level(tree, nodes):
         means, has = _row_means(texture, channel, rows, owners)
         stored = channel.split_values[rows.rows[has]]
-        own = np.zeros((stored.shape[0], form.components))
-        _keep_apart(form, stored, means[has], rows.cells[has], change, own)
-        of_rows[here][has] = own
-    return Residuals(found, of_rows)
+        changed = np.zeros((stored.shape[0], form.components))
+        _keep_apart(form, stored, means[has], rows.cells[has], change, changed)
+        of_rows[here][has] = changed
+    return Residuals(of_nodes, of_rows)
 
 
 def _keep_apart(
-    form: ChannelFormat, stored: Array, means: Float64s, cells: Int64s, change: Change, found: Floats
+    form: ChannelFormat, stored: Array, means: Float64s, cells: Int64s, change: Change, out: Floats
 ) -> None:
-    """Write the residuals of what is stored in cells (n, components), changed, where they are not zeros."""
+    """Write the mapped residuals of stored values (n, components) where these differ from the means."""
     differs = encode(means, form.dtype, form.space) != stored
     if differs.any():
         apart = np.logical_or.reduce(list(differs.T))  # twice as fast as along an axis of three
         values = decode(stored[apart], form.space).astype(np.float64)
-        found[apart] = change(cells[apart], values, means[apart])
+        out[apart] = change(cells[apart], values, means[apart])
 
 
 def residuals_at(texture: OctreeTexture, name: str, places: Nodes, owners: Int64s, bits: Uint8s) -> Residuals:
-    """Return the residuals that a texture has in places (n,), and in rows (m,) that another has there.
+    """Return a texture's residuals at nodes (n,) of another tree, and at its rows (m,).
 
-    ``places`` are its nodes; where there is none, the number is −1, and residuals are zeros. ``owners`` (m,)
-    are the places of the rows, ``bits`` (m,) their facings; a row that is not there has its node's residual.
+    ``places`` are the nodes here; a number of −1, for no node, gets zeros. ``owners`` (m,) index the rows'
+    nodes in ``places``, ``bits`` (m,) are their facings; a missing row gets its node's residual.
     """
     has = places.numbers >= 0
-    found = np.zeros((has.size, texture.channels[name].format.components))
+    of_nodes = np.zeros((has.size, texture.channels[name].format.components))
     if not has.any():
-        return Residuals(found, found[owners])
+        return Residuals(of_nodes, of_nodes[owners])
     nodes = places.of(has)
-    own = residuals(texture, name, nodes)
-    found[has] = own.nodes
-    of_rows = found[owners]
+    known = residuals(texture, name, nodes)
+    of_nodes[has] = known.nodes
+    of_rows = of_nodes[owners]
     there, rows = find_rows(texture.tree.split, np.where(has, places.cells, -1)[owners], bits)
     if rows.size:
-        of_rows[there] = own.rows[np.searchsorted(rows_of(texture.tree.split, nodes.cells).rows, rows)]
-    return Residuals(found, of_rows)
+        of_rows[there] = known.rows[np.searchsorted(rows_of(texture.tree.split, nodes.cells).rows, rows)]
+    return Residuals(of_nodes, of_rows)
 
 
 def average(
@@ -143,15 +142,15 @@ def average(
     nodes: Nodes | None = None,
     limits: tuple[float, float] | None = None,
 ) -> None:
-    """Make the values of nodes, of all if none are given, and their rows anew, in place.
+    """Recompute the values of nodes, by default all, and of their rows, in place.
 
-    They become the means of their children, and the residuals that are ``left``; None stands for zeros. A row
-    that no child shows the same way as stays. ``texture`` has the tree, and the alpha that is weighed by.
-    ``limits`` are those of `limits_of` if none are given.
+    A value becomes the mean of its children plus the residual in ``left``; None means zeros. Keep a facing's
+    row when no child has that facing. ``texture`` has the tree, and the alpha that weights. ``limits``
+    default to `limits_of`.
     """
     tree, form, limits = texture.tree, channel.format, limits or limits_of(channel)
     nodes = all_nodes(tree) if nodes is None else nodes
-    alpha = _alpha_beside(texture, form.name)
+    alpha = _alpha_values(texture, form.name)
     for here in reversed(by_level(tree, nodes)):
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
         made = means if left is None else with_residuals(limits, means, left.nodes[here])
@@ -166,7 +165,7 @@ def average_rows(
     nodes: Nodes,
     limits: tuple[float, float] | None = None,
 ) -> None:
-    """Make the rows of nodes anew, in place; ``left`` (rows, components) of residuals. See `average`."""
+    """Recompute the rows of nodes, in place, with residuals ``left`` (rows, components). See `average`."""
     form, limits = channel.format, limits or limits_of(channel)
     for here, rows, owners in reversed(list(rows_by_level(texture.tree, nodes))):
         means, has = _row_means(texture, channel, rows, owners)
@@ -175,7 +174,7 @@ def average_rows(
 
 
 def average_plain(tree: Octree, numbers: Float32s, nodes: Nodes | None = None) -> None:
-    """Make the numbers of nodes, in place, the means of those of their children; ``numbers`` (cells,)."""
+    """Set the numbers (cells,) of nodes, in place, to the means of their children's."""
     nodes = all_nodes(tree) if nodes is None else nodes
     for here in reversed(by_level(tree, nodes)):
         means = child_means(tree, nodes.numbers[here], numbers[:, None], "data", None)
@@ -183,7 +182,7 @@ def average_plain(tree: Octree, numbers: Float32s, nodes: Nodes | None = None) -
 
 
 def limits_of(channel: Channel) -> tuple[float, float]:
-    """Return what values of a channel may be, decoded: light no more than the most that is stored, or 1."""
+    """Return the limits of a channel's decoded values: of light at least 1 and the stored maximum."""
     form = channel.format
     if form.space == "data" and plain_name(form.name) in CHANNELS:
         return 0.0, 1.0
@@ -196,7 +195,7 @@ def limits_of(channel: Channel) -> tuple[float, float]:
 
 
 def with_residuals(limits: tuple[float, float], means: Float64s, left: Floats) -> Float64s:
-    """Add residuals to means (n, components), decoded; they leave no value out of limits that it was in."""
+    """Add residuals to decoded means (n, components); a mean within the limits stays within."""
     if not left.any():
         return means
     low, high = limits
@@ -207,10 +206,10 @@ def with_residuals(limits: tuple[float, float], means: Float64s, left: Floats) -
 def child_means(
     tree: Octree, numbers: Int64s, values: Array, space: ColorSpace, alpha: Array | None
 ) -> Float64s:
-    """Return the means of the children of nodes (n, components), decoded.
+    """Return the decoded means of the children of nodes (n, components).
 
-    ``numbers`` (n,) are the nodes', among all nodes. ``values`` (cells, components), as stored, weigh by
-    their areas, and by ``alpha`` (cells, 1), as stored.
+    ``numbers`` (n,) number the nodes of the tree. Stored ``values`` (cells, components) are weighted by area,
+    and by stored ``alpha`` (cells, 1).
     """
     means = np.zeros((numbers.size, values.shape[1]))
     firsts, counts = children_of(tree.arrays.groups, numbers)
@@ -220,7 +219,7 @@ def child_means(
     begin, end = int(firsts[0]), int(firsts[-1] + counts[-1])
     children: Int64s | slice = slice(begin, end)
     starts = firsts - begin
-    if counts.sum() != end - begin:  # they do not stand side by side
+    if counts.sum() != end - begin:  # they are not consecutive
         starts = np.cumsum(counts) - counts
         children = in_runs(firsts, counts)
         children = np.clip(children, 0, tree.n_cells - 1)
@@ -231,25 +230,25 @@ def child_means(
 
 
 def weighted_means(starts: Int64s, weights: Float32s, stored: Array, space: ColorSpace) -> Float32s:
-    """Return the means of runs of stored values (m, components), decoded; zeros where nothing weighs.
+    """Return the decoded means of runs of stored values (m, components); zeros for a total weight of 0.
 
     Run n begins at ``starts`` (n + 1,); ``weights`` are (m,).
     """
     means = np.zeros((starts.size - 1, stored.shape[1]))
-    alike = np.zeros(weights.size, np.uint8), np.ones(1)
-    _means(starts[:-1], np.diff(starts), *alike, weights, *_as_codes(stored, space), means)
+    equal_areas = np.zeros(weights.size, np.uint8), np.ones(1)
+    _means(starts[:-1], np.diff(starts), *equal_areas, weights, *_as_codes(stored, space), means)
     return means.astype(np.float32)
 
 
 def _as_codes(stored: Array, space: ColorSpace) -> tuple[Array, Float32s]:
-    """Return stored values as `_means` takes them, and their table."""
+    """Return stored values in a form that `_means` reads, and their decoding table."""
     if stored.dtype.kind == "u":
         return stored, code_table(stored.dtype, space)
     return stored if _is_plain(stored, space) else decode(stored, space), NO_TABLE
 
 
 def _is_plain(stored: Array, space: ColorSpace) -> bool:
-    """Say whether stored values are what they stand for."""
+    """Return whether stored values need no decoding."""
     return stored.dtype == np.float32 and space != "srgb"
 
 
@@ -281,7 +280,7 @@ def _means(
 def _row_means(
     texture: OctreeTexture, channel: Channel, rows: Rows, owners: Int64s
 ) -> tuple[Float64s, Bools]:
-    """Return the means (n, components) of what children show as rows do, and for which rows some do."""
+    """Return the means (n, components) of children's values by the rows' facings, and which rows have any."""
     tree = texture.tree
     children, bits, starts, shares = _row_shares(tree, tree.split.areas, rows, owners)
     alpha = _alpha_channel(texture, channel.format.name)
@@ -296,24 +295,24 @@ def _row_means(
 def _row_shares(
     tree: Octree, areas: Uint8s, rows: Rows, owners: Int64s
 ) -> tuple[Int64s, Uint8s, Int64s, Float64s]:
-    """Return the children (n,) of rows' owners, the rows' facings, where each row's begin, and their areas.
+    """Return the children (n,) of rows' owners, the rows' facings, the start of each row's part, and areas.
 
-    ``areas`` are those of all rows of the tree. What a child does not face counts for nothing.
+    ``areas`` are those of all rows of the tree. A child without the facing weighs nothing.
     """
     children, starts = all_children(tree, owners)
     bits = np.repeat(rows.bits, np.diff(starts, append=children.size))
     flags = tree.arrays.flags[children]
     shares = AREAS[tree.arrays.areas[children]] / np.maximum(counts_of(flags), 1)
-    there, found = find_rows(tree.split, children, bits)
-    shares[there] = AREAS[areas[found]]
+    there, numbers = find_rows(tree.split, children, bits)
+    shares[there] = AREAS[areas[numbers]]
     shares[flags & bits == 0] = 0.0
     return children, bits, starts, shares
 
 
 def with_summed_areas(tree: Octree, nodes: Nodes) -> Octree:
-    """Return a tree in which the areas of nodes, and of their rows, are the sums of what is below them.
+    """Return a tree in which the areas of nodes, and of their rows, are the sums of their children's.
 
-    A row that no child shows the same way as keeps its own. A node of skirts alone is one too.
+    Keep a row's area when no child has its facing. A node whose leaves are all skirt is skirt, too.
     """
     areas, row_areas = tree.arrays.areas.copy(), tree.split.areas.copy()
     for here in reversed(by_level(tree, nodes)):

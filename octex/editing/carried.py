@@ -1,4 +1,4 @@
-"""The values of a texture in a tree that was made from its own."""
+"""Copies the values of a texture into an edited tree."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ def carried(
 ) -> dict[str, Channel]:
     """Return the channels of a texture for the cells, rows and kept nodes of an edited tree.
 
-    ``values`` (cells, components), as stored, are those of its cells; by default ``edited.carried``, where
-    new cells have zeros. Nodes that did not keep a coefficient before keep their values.
+    Stored ``values`` (cells, components) are those of the new cells; default: ``edited.carried``, with zeros
+    in cells that the texture lacked. Newly kept nodes keep their values as coefficients.
     """
     kept = edited.tree.kept.cells
     was_kept = among(edited.old[kept], texture.tree.kept.cells.astype(np.int64))
-    found = {}
+    channels = {}
     for name, channel in texture.channels.items():
-        own = edited.carried(channel.values) if values is None else values[name]
-        kept_values = np.ascontiguousarray(own[kept])
+        stored = edited.carried(channel.values) if values is None else values[name]
+        kept_values = np.ascontiguousarray(stored[kept])
         kept_values[was_kept] = channel.kept_values[edited.kept_rows]
-        found[name] = Channel(channel.format, own, channel.split_values[edited.split_rows], kept_values)
-    return found
+        channels[name] = Channel(channel.format, stored, channel.split_values[edited.split_rows], kept_values)
+    return channels

@@ -1,11 +1,11 @@
 """Drafts: the part of a texture that an edit touches, cut out, edited as a texture of its own, and put back.
 
-A *tile* is a cell of one level, the draft's, with all that is below it. A draft holds the open tiles, and at
-each level above the cells that hold them, those beside these, and the children of both. All other nodes are
-closed: leaves with the value of the node that they are. So what an edit near the middle of the open tiles
-sees, and all averages above, are as in the whole.
+A *tile* is a cell of one level, the draft's, with all cells below it. A draft has the open tiles. At each
+level above it has the cells that contain them, the neighbours of these, and the children of both. All other
+nodes are closed: they become leaves with the node's value. So an edit near the middle of the open tiles, and
+all averages above, get the same values as in the whole texture.
 
-Those of a tile are one run of each level: cutting and putting back is copying runs.
+A tile's cells are one run of each level, so cutting out and putting back copies runs.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from octex.tree.layout import KEPT, KeptTable
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import rows_of
 
-#: A tile is 2³ times as wide as the largest leaves, kept nodes and edited cells in the open tiles: an edit
-#: reads less than that around what it edits.
+#: A tile is 2³ times as wide as the largest leaves, kept nodes and edited cells in the open tiles. An edit
+#: reads less than that around the edited cells.
 STEPS = 3
-#: Drafts of more than this part of a texture's cells are no gain.
+#: A draft with more than this part of a texture's cells is not worth making.
 _MOST = 0.5
 
 
@@ -43,12 +43,12 @@ class Tiles(NamedTuple):
 
 
 class Change(NamedTuple):
-    """What an edit has changed: its open tiles, and the draft without and with it.
+    """An edit's change: its open tiles, and the draft before and after it.
 
-    Both are textures of their own, small where the edit was.
+    Both drafts are textures, small if the edit was.
     """
 
-    tiles: Tiles | None  # None: all of the texture
+    tiles: Tiles | None  # None: the whole texture
     before: OctreeTexture
     after: OctreeTexture
 
@@ -59,7 +59,7 @@ class Change(NamedTuple):
 
     @property
     def has_same_cells(self) -> bool:
-        """Whether it leaves all cells, split cells and kept nodes where they were."""
+        """Whether both drafts have the same cells, split cells and kept nodes."""
         before, after = self.before.tree, self.after.tree
         arrays: list[list[Array]] = [[*tree.arrays[:3], *tree.split, *tree.kept] for tree in (before, after)]
         is_same = all(np.array_equal(was, now) for was, now in zip(*arrays, strict=True))
@@ -72,7 +72,7 @@ class Change(NamedTuple):
     def applied(self, texture: OctreeTexture) -> OctreeTexture:
         """Return a texture with this change.
 
-        Raises ArgumentError for a texture that is not as the one was from which the change was made.
+        Raises ArgumentError for a texture that differs from the one that the change started from.
         """
         here, before = texture, self.before
         is_like = before.channels.keys() == here.channels.keys() and before.placement == here.placement
@@ -84,9 +84,9 @@ class Change(NamedTuple):
         return self.put_into(texture)
 
     def put_into(self, texture: OctreeTexture, shared: OctreeTexture | None = None) -> OctreeTexture:
-        """Return the texture from which the change was made with it.
+        """Return the texture that the change started from, with the change.
 
-        If ``shared`` is given, arrays that it does not have may be written to: nobody else has them.
+        With ``shared``, it may write to arrays that ``shared`` lacks: nobody else uses them.
         """
         if self.tiles is None:
             return self.after
@@ -95,17 +95,17 @@ class Change(NamedTuple):
         return put_back(texture, self.tiles, self.after)
 
 
-def as_change(given: Change) -> Change:
-    """Return what was given if it is a change; else raise ArgumentError."""
-    if not isinstance(given, Change):
-        raise ArgumentError(f"change must be what a stroke returns, not {type(given).__name__}")
-    return given
+def as_change(change: Change) -> Change:
+    """Return a checked change, or raise ArgumentError."""
+    if not isinstance(change, Change):
+        raise ArgumentError(f"change must be what a stroke returns, not {type(change).__name__}")
+    return change
 
 
 def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s], coarsest: int) -> Tiles | None:
-    """Return the tiles for an edit of cells, given level by level; None if that is most of the texture.
+    """Return the tiles for an edit of cells, listed by level; None if they are most of the texture.
 
-    ``coarsest`` is what `coarsest_near` says of these cells.
+    ``coarsest`` is the result of `coarsest_near` for these cells.
     """
     tree, level = texture.tree, coarsest - STEPS
     if not 0 < level < tree.max_depth:
@@ -117,14 +117,14 @@ def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s], coarsest: int)
 
 
 def change_in(tiles: Tiles, before: OctreeTexture, after: OctreeTexture) -> Change:
-    """Return the change from one texture to another that differs in tiles, and above them, alone."""
+    """Return the change between two textures that differ only in tiles and above them."""
     if not _is_small(before.tree, tiles):
         return Change(None, before, after)
     return Change(tiles, cut_out(before, tiles), cut_out(after, tiles))
 
 
 def joined_change(changes: Sequence[Change], before: OctreeTexture, after: OctreeTexture) -> Change:
-    """Return changes that followed on each other as one, from the first one's texture to the last one's."""
+    """Return consecutive changes as one, from the first one's texture to the last one's."""
     tiles = [change.tiles for change in changes if change.tiles is not None]
     if len(changes) == 1:
         return changes[0]
@@ -132,19 +132,19 @@ def joined_change(changes: Sequence[Change], before: OctreeTexture, after: Octre
         return Change(None, before, after)
     level = min(each.level for each in tiles)
     parents = distinct(np.concatenate([each.codes >> 3 * (each.level - level + 1) for each in tiles]))
-    siblings = (parents[:, None] << 3 | np.arange(8)).ravel()  # a closed one is a leaf to its parent
+    siblings = (parents[:, None] << 3 | np.arange(8)).ravel()  # a closed node is a leaf to its parent
     return change_in(Tiles(level, siblings), before, after)
 
 
 def change_of_values(before: OctreeTexture, after: OctreeTexture) -> Change | None:
-    """Return the change between textures of the same cells, of all tiles in which values differ, or None."""
+    """Return the change between textures of the same cells, with all tiles whose values differ, or None."""
     tree = after.tree
     level = coarsest_of(tree) - STEPS
     differs = np.zeros(tree.n_cells, np.bool_)
     owners, kept = rows_of(tree.split).cells, tree.kept.cells
     for name, channel in after.channels.items():
-        for own, was, cells in zip(channel[1:], before.channels[name][1:], (None, owners, kept), strict=True):
-            apart = np.zeros(len(own), np.bool_) if own is was else np.logical_or.reduce(list((own != was).T))
+        for now, was, cells in zip(channel[1:], before.channels[name][1:], (None, owners, kept), strict=True):
+            apart = np.zeros(len(now), np.bool_) if now is was else np.logical_or.reduce(list((now != was).T))
             differs[slice(None) if cells is None else cells[apart]] |= apart if cells is None else np.True_
     if not differs.any():
         return None
@@ -160,7 +160,7 @@ def change_of_values(before: OctreeTexture, after: OctreeTexture) -> Change | No
 
 
 def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
-    """Return the tiles with the most light of channels that have more than 1: it limits averages."""
+    """Return the tiles with the brightest light of channels above 1, since it limits averages."""
     tree, bright = texture.tree, []
     for channel in texture.channels.values():
         if channel.format.space not in ("srgb", "linear") or not channel.format.dtype.startswith("float"):
@@ -178,8 +178,8 @@ def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
     for deeper in range(level + 1, tree.max_depth + 1):
         firsts, begins = children_before(tree.arrays.groups, begins)
         first, end = tree.arrays.level_cells[deeper : deeper + 2]
-        own = [cell for cell in bright if first <= cell < end]
-        tiles.append(codes[is_node][np.searchsorted(firsts, own, "right") - 1])
+        cells_here = [cell for cell in bright if first <= cell < end]
+        tiles.append(codes[is_node][np.searchsorted(firsts, cells_here, "right") - 1])
     return np.concatenate(tiles)
 
 
@@ -191,16 +191,16 @@ def coarsest_of(tree: Octree) -> int:
 
 
 def coarsest_near(tree: Octree, codes: Sequence[Int64s]) -> int:
-    """Return the level of the largest leaf or kept node that cells are in or beside.
+    """Return the level of the largest leaf or kept node that contains cells or neighbours them.
 
-    The cells are given level by level; beside it is what is so at its own level. If there is none, it is the
-    level of the largest of these cells.
+    The cells are listed by level, and neighbours counted at their level. Without any, return the level of the
+    largest of these cells.
     """
-    largest = next((level for level, own in enumerate(codes) if own.size), 0)
+    largest = next((level for level, cells in enumerate(codes) if cells.size), 0)
     first = coarsest_of(tree)
     above = with_all_above(codes)[first:largest] if first < largest else []
-    for level, own in enumerate(above, first):
-        where = locate(tree, with_boundary(own, level), level)
+    for level, cells in enumerate(above, first):
+        where = locate(tree, with_boundary(cells, level), level)
         is_kept = tree.arrays.flags[where.cells] & KEPT != 0
         if ((where.levels == level) & (where.is_leaf | is_kept)).any():
             return level
@@ -208,12 +208,14 @@ def coarsest_near(tree: Octree, codes: Sequence[Int64s]) -> int:
 
 
 def _at(codes: Sequence[Int64s], level: int) -> Int64s:
-    """Return the cells of a level that hold cells given level by level, none of which is larger."""
-    return distinct(np.concatenate([own >> 3 * (at - level) for at, own in enumerate(codes) if own.size]))
+    """Return the cells of a level that contain cells listed by level, none larger."""
+    return distinct(
+        np.concatenate([cells >> 3 * (at - level) for at, cells in enumerate(codes) if cells.size])
+    )
 
 
 def _is_small(tree: Octree, tiles: Tiles) -> bool:
-    """Say whether a draft's cells are few beside the tree's."""
+    """Return whether a draft has few cells compared with the tree."""
     count = int(tree.arrays.level_cells[tiles.level + 1]) + int(cells_in(tree, tiles).sum())
     return count <= _MOST * tree.n_cells
 
@@ -232,15 +234,15 @@ def cells_in(tree: Octree, tiles: Tiles) -> Int64s:
 
 
 def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
-    """Return the draft of some open tiles."""
+    """Return the draft of open tiles."""
     tree = texture.tree
     codes, is_node, numbers = np.zeros(1, np.int64), np.full(1, tree.n_nodes > 0), np.zeros(1, np.int64)
     cells, nodes, closed = [ROOT], list[Runs](), list[Bools]()
     for level, opened in enumerate(_opened(tiles)):
         if level:
             codes, is_node = _child_codes(tree, numbers, codes)
-            found, below = children_in([tree], nodes[-1])
-            cells.append(Runs.joined(found))
+            children, below = children_in([tree], nodes[-1])
+            cells.append(Runs.joined(children))
             numbers = below.numbers()
         is_open = is_node & among(codes, opened)
         closed.append(is_node & ~is_open)
@@ -264,14 +266,14 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
 
 
 def _opened(tiles: Tiles) -> list[Int64s]:
-    """Return the codes of the cells that are open if they are nodes, from the root down to the tiles."""
+    """Return the codes of the cells that stay nodes in a draft, from the root down to the tiles."""
     above = [tiles.codes >> 3 * (tiles.level - level) for level in range(1, tiles.level)]
     around = [with_boundary(distinct(codes), level) for level, codes in enumerate(above, 1)]
     return [np.zeros(1, np.int64), *around, tiles.codes]
 
 
 def _child_codes(tree: Octree, numbers: Int64s, codes: Int64s) -> tuple[Int64s, Bools]:
-    """Return the codes of the children of nodes, given by numbers and codes, and which of them are nodes."""
+    """Return the codes of the children of nodes, from numbers and codes, and which children are nodes."""
     words = tree.arrays.groups[numbers >> 3, :2] >> (8 * (numbers & 7)).astype(np.uint64)[:, None]
     nodes, leaves = np.unpackbits(words.astype(np.uint8).T[:, :, None], axis=2, bitorder="little")
     stored = (nodes | leaves) != 0
@@ -279,14 +281,14 @@ def _child_codes(tree: Octree, numbers: Int64s, codes: Int64s) -> tuple[Int64s, 
 
 
 def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> OctreeTexture:
-    """Return a texture with what a draft, cut out of it and edited, has in the open tiles and above them."""
+    """Return a texture with an edited draft's cells in the open tiles and above them."""
     if ALPHA.name in draft.channels and ALPHA.name not in texture.channels:
         texture = with_alpha(texture)
     return put_together(draft, texture, [(tiles, draft)])
 
 
 def places_in(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Int64s:
-    """Return the number in a texture of each cell of a draft of it; −1 for closed ones."""
+    """Return each draft cell's number in the texture; −1 for closed ones."""
     tree = texture.tree
     place = np.full(draft.tree.n_cells, -1, np.int64)
     numbers = place[:0]
@@ -309,9 +311,9 @@ def _overwritten(
     after: OctreeTexture,
     shared: OctreeTexture | None,
 ) -> OctreeTexture:
-    """Return what `put_back` does for a draft of the same cells: only arrays that differ are copied.
+    """Do what `put_back` does for a draft of the same cells, but copy only arrays that differ.
 
-    Those that ``shared`` does not have are written to.
+    It writes to arrays that ``shared`` lacks.
     """
     tree, draft = texture.tree, after.tree
     place = places_in(texture, tiles, after)
@@ -321,10 +323,10 @@ def _overwritten(
         places.append(np.full(count, -1, np.int64))
         places[-1][rows(draft, sources)] = rows(tree, place[sources])
     taken = set() if shared is None else {each.ctypes.data for each in _arrays(shared)}
-    written: list[tuple[Array, Array, Array]] = []  # to once all have been copied: errors leave all as it was
+    written: list[tuple[Array, Array, Array]] = []  # once all copies exist: an error changes nothing
 
-    def changed(whole: Array, was: Array, own: Array, place: Int64s) -> Array:
-        differs = was != own
+    def changed(whole: Array, was: Array, changed_rows: Array, place: Int64s) -> Array:
+        differs = was != changed_rows
         if differs.ndim > 1:
             differs = np.logical_or.reduce(list(differs.T))  # twice as fast as along an axis of three
         rows = np.flatnonzero(differs & (place >= 0))
@@ -334,7 +336,7 @@ def _overwritten(
         is_free = shared is not None and whole.ctypes.data not in taken
         if not (is_free and isinstance(made, np.ndarray) and made.flags.writeable):
             made = whole.copy()
-        written.append((made, place[rows], own[rows]))
+        written.append((made, place[rows], changed_rows[rows]))
         return made
 
     flags, areas = (
@@ -364,16 +366,16 @@ def _kept_rows(tree: Octree, cells: Int64s) -> Int64s:
 def put_together(
     top: OctreeTexture, texture: OctreeTexture, drafts: Sequence[tuple[Tiles, OctreeTexture]]
 ) -> OctreeTexture:
-    """Return a texture of the cells above the tiles' level of one, and from there on of others.
+    """Return a texture with the cells of ``top`` above the tiles' level, and cells of others from there on.
 
-    These are, in each draft's open tiles, that draft; no two have a tile in common. In all other tiles it is
-    ``texture``. ``top`` says which tiles there are.
+    Each draft fills its open tiles; drafts share no tile. ``texture`` fills the other tiles. ``top``
+    determines which tiles exist.
     """
     level, textures = drafts[0][0].level, [top, texture, *(draft for _, draft in drafts)]
     trees = [each.tree for each in textures]
     cells, nodes, turned = [ROOT], [ROOT], [np.zeros(1, np.bool_)]
     for at, (codes, is_node) in enumerate(islice(top.tree.walk(), 1, level + 1), 1):
-        owners = np.zeros(codes.size, np.int64)  # of what is to stand here
+        owners = np.zeros(codes.size, np.int64)  # the texture that each cell comes from
         numbers = int(top.tree.arrays.level_cells[at]) + np.arange(codes.size)
         own_nodes = np.where(is_node, int(top.tree.arrays.level_nodes[at]) + np.cumsum(is_node) - 1, -1)
         if at == level:
@@ -384,14 +386,14 @@ def put_together(
             where = locate(texture.tree, codes, at)
             owners[~is_node & (where.levels == at) & ~where.is_leaf] = 1
         for number in distinct(owners[owners > 0]).tolist():
-            own = owners == number
-            where = locate(trees[number], codes[own], at)
-            numbers[own], own_nodes[own] = where.cells, where.nodes
+            is_here = owners == number
+            where = locate(trees[number], codes[is_here], at)
+            numbers[is_here], own_nodes[is_here] = where.cells, where.nodes
         is_below = own_nodes >= 0
-        found, below = children_in(trees, nodes[-1])
-        # Cells of the top stand one by one, for themselves or for what is in their place; others in runs.
-        counts = np.where(found.owners == 0, found.ends - found.begins, 1)
-        rows = np.stack([*found, below.begins, below.ends]).repeat(counts, axis=1)
+        children, below = children_in(trees, nodes[-1])
+        # Cells of the top are copied one by one, from any texture; others in runs.
+        counts = np.where(children.owners == 0, children.ends - children.begins, 1)
+        rows = np.stack([*children, below.begins, below.ends]).repeat(counts, axis=1)
         is_top = rows[0] == 0
         rows[:, is_top] = owners, numbers, numbers + 1, own_nodes, own_nodes + is_below
         cells.append(Runs.joined(rows[:3]))
@@ -410,7 +412,7 @@ def with_alpha(texture: OctreeTexture) -> OctreeTexture:
 
 
 def with_channels_of(draft: OctreeTexture, texture: OctreeTexture) -> OctreeTexture:
-    """Return a draft with those of its channels that a texture has."""
+    """Return a draft reduced to the channels of a texture."""
     if draft.channels.keys() == texture.channels.keys():
         return draft
     channels = {name: draft.channels[name] for name in texture.channels}
@@ -418,7 +420,7 @@ def with_channels_of(draft: OctreeTexture, texture: OctreeTexture) -> OctreeText
 
 
 def _arrays(texture: OctreeTexture) -> list[Array]:
-    """Return what a texture is made of."""
+    """Return all arrays of a texture."""
     tree = texture.tree
     channels = [array for name in sorted(texture.channels) for array in texture.channels[name][1:]]
     return [*tree.arrays, *tree.split, *tree.kept, *channels]

@@ -1,4 +1,4 @@
-"""Nodes of a tree, and the rows that split ones have, level by level."""
+"""Sets of nodes of a tree, and the rows of split ones, level by level."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from octex.tree.split import Rows, rows_of
 
 
 class Nodes(NamedTuple):
-    """Some nodes of a tree, level by level."""
+    """A set of nodes of a tree, in ascending order."""
 
     numbers: Int64s  # (n,)   among its nodes, ascending
     cells: Int64s  # (n,)   among its cells, ascending
 
     def of(self, chosen: Bools) -> Nodes:
-        """Return some of them."""
+        """Return the nodes that a mask selects."""
         return Nodes(self.numbers[chosen], self.cells[chosen])
 
 
@@ -32,40 +32,40 @@ def all_nodes(tree: Octree) -> Nodes:
 
 
 def nodes_at(tree: Octree, codes: Sequence[Int64s]) -> Nodes:
-    """Return the nodes of a tree at places (n,), given by their Morton codes level by level.
+    """Return the nodes of a tree at places (n,), listed as Morton codes by level.
 
-    Where it has none, the number is −1, and the cell that around the place.
+    Without a node there, the number is −1, and the cell is the one that contains the place.
     """
     found = [Nodes(np.empty(0, np.int64), np.empty(0, np.int64))]
-    for level, own in enumerate(codes):
-        if own.size:
-            where = locate(tree, own, level)
+    for level, here in enumerate(codes):
+        if here.size:
+            where = locate(tree, here, level)
             found.append(Nodes(np.where(where.levels == level, where.nodes, -1), where.cells))
     return Nodes(*(np.concatenate(column) for column in zip(*found, strict=True)))
 
 
 def by_level(tree: Octree, nodes: Nodes) -> list[slice]:
-    """Return where the nodes of each level stand that has any, from the root on."""
+    """Return the slice of each level that has nodes, from the root on."""
     ends = np.searchsorted(nodes.numbers, tree.arrays.level_nodes[: tree.max_depth + 1])
     return [slice(begin, end) for begin, end in pairwise(ends.tolist()) if begin < end]
 
 
 def all_children(tree: Octree, numbers: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the children (m,) of nodes (n,), given by their numbers, and where those of each begin (n,)."""
+    """Return the children (m,) of the nodes with these numbers (n,), and the start of each node's (n,)."""
     firsts, counts = children_of(tree.arrays.groups, numbers)
     return in_runs(firsts, counts), np.cumsum(counts) - counts
 
 
 def rows_by_level(tree: Octree, nodes: Nodes) -> Iterator[tuple[slice, Rows, Int64s]]:
-    """Yield the rows of split nodes from the root down, where these stand among all of nodes' rows.
+    """Yield, from the root down, the slice of a level in all rows of the nodes, these rows, and owners.
 
-    The last are the numbers of their nodes (n,).
+    The owners (n,) are the numbers of the rows' nodes.
     """
     if not tree.split.cells.size:
         return
     rows = rows_of(tree.split, nodes.cells)
     owners = np.searchsorted(nodes.cells, rows.cells)
     for here in by_level(tree, nodes):
-        some = slice(*np.searchsorted(owners, [here.start, here.stop]).tolist())
-        if some.start < some.stop:
-            yield some, rows.of(some), nodes.numbers[owners[some]]
+        span = slice(*np.searchsorted(owners, [here.start, here.stop]).tolist())
+        if span.start < span.stop:
+            yield span, rows.of(span), nodes.numbers[owners[span]]

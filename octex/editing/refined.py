@@ -1,4 +1,4 @@
-"""Cells below leaves: what the field refines to there (paper 4.2), and what facings of theirs see."""
+"""Cells below leaves: the field's refinement there (paper 4.2), and the values of their facings."""
 
 from __future__ import annotations
 
@@ -21,39 +21,39 @@ from octex.tree.layout import FACING_FLAGS, OPPOSITE, SPLIT
 from octex.tree.octree import Octree
 from octex.tree.split import bits_of, counts_of, find_rows
 
-#: Cells that are refined at once.
+#: Number of cells refined at once.
 _BLOCK = 1 << 14
-#: What is transparent still weighs so much in what is refined from it.
+#: Weight of a transparent tap, relative to an opaque one.
 _FAINT = np.float32(1e-6)
-#: What is hidden weighs so much: decides only where nothing else is there.
+#: Weight of a hidden tap, relative to a visible one: it counts only where no other does.
 _AWAY = np.float32(1e-6)
 _NO_TAPS = np.empty(0, np.uint32), np.empty(0, np.float32)
 
 
 class Below(NamedTuple):
-    """What cells of a level below leaves have, decoded, by channel."""
+    """Decoded values, by channel, of cells of one level below leaves."""
 
     values: dict[str, Float32s]  # (n, components)
-    is_split: Bools  # (n,)   whether a facing sees something else
-    rows: dict[str, Float32s]  # (rows, components)   of the split ones
+    is_split: Bools  # (n,)   whether a facing's value differs
+    rows: dict[str, Float32s]  # (rows, components)   of the split cells
 
 
 class _Taps(NamedTuple):
-    """What cells (n,), or facings of theirs, are refined from."""
+    """The taps of refined cells (n,), or of their facings."""
 
     starts: Int64s  # (n + 1,)
-    rows: Uint32s  # of cells, and after them of kept coefficients
+    rows: Uint32s  # of cells, followed by those of kept coefficients
     weights: Float32s
 
 
 def refined_below(
     texture: OctreeTexture, codes: Int64s, level: int, facings: Uint8s, executor: Executor | None = None
 ) -> Below:
-    """Refine a texture to cells (n,) of a level below its leaves, given by Morton codes and facings."""
+    """Refine a texture to cells (n,) of a level below its leaves, from their codes and facings."""
     blocks = [slice(begin, begin + _BLOCK) for begin in range(0, codes.size, _BLOCK)] or [slice(0)]
-    given = [(codes[here], facings[here]) for here in blocks]
+    tasks = [(codes[here], facings[here]) for here in blocks]
     refine = partial(_refined_below, texture, level)
-    done = [refine(each) for each in given] if executor is None else ordered_map(executor, refine, given)
+    done = [refine(each) for each in tasks] if executor is None else ordered_map(executor, refine, tasks)
     values, is_split, rows = zip(*done, strict=True)
     return Below(_joined(values), np.concatenate(is_split), _joined(rows))
 
@@ -62,8 +62,8 @@ def _joined(parts: Sequence[Mapping[str, Float32s]]) -> dict[str, Float32s]:
     return {name: np.concatenate([each[name] for each in parts]) for name in parts[0]}
 
 
-def _refined_below(texture: OctreeTexture, level: int, given: tuple[Int64s, Uint8s]) -> Below:
-    codes, facings = given
+def _refined_below(texture: OctreeTexture, level: int, task: tuple[Int64s, Uint8s]) -> Below:
+    codes, facings = task
     tree, channels = texture.tree, texture.channels
     taps = _Taps(*refined_taps(tree, codes, level))
     values = _blended(channels, taps)
@@ -81,7 +81,7 @@ def _refined_below(texture: OctreeTexture, level: int, given: tuple[Int64s, Uint
 
 
 def with_rows(texture: OctreeTexture, parts: Sequence[tuple[Int64s, Below]]) -> OctreeTexture:
-    """Return a texture in which cells (n,), ascending from part to part, are split as they were refined."""
+    """Return a texture with cells (n,), ascending over all parts, split as their refinement is."""
     cells = np.concatenate([own[below.is_split] for own, below in parts]) if parts else np.empty(0, np.int64)
     if not cells.size:
         return texture
@@ -95,31 +95,31 @@ def with_rows(texture: OctreeTexture, parts: Sequence[tuple[Int64s, Below]]) -> 
 def refined_values(
     tree: Octree, channels: Mapping[str, Channel], codes: Int64s, level: int
 ) -> dict[str, Float32s]:
-    """Return what channels refine to in cells of a level below leaves, decoded; others weigh by alpha."""
+    """Return refined channels in cells of a level below leaves, decoded; alpha weights the others."""
     return _blended(channels, _Taps(*refined_taps(tree, codes, level)))
 
 
 def refined_rows(texture: OctreeTexture, codes: Int64s, level: int, bits: Uint8s) -> dict[str, Float32s]:
-    """Return what facings (n,) of cells (n,) of a level below leaves see of the field's refinement, decoded.
+    """Return the decoded refinement for facings (n,) of cells (n,) of a level below leaves.
 
-    What only faces the opposite way is hidden. What faces sideways is not: a normal between the two sees
-    both.
+    Taps that face only the opposite way are hidden. Taps that face sideways are not: a normal between two
+    facings sees both.
     """
-    found = [_blended(texture.channels, _Taps(np.zeros(1, np.int64), *_NO_TAPS))]
+    blocks = [_blended(texture.channels, _Taps(np.zeros(1, np.int64), *_NO_TAPS))]
     for begin in range(0, codes.size, _BLOCK):
         here = slice(begin, begin + _BLOCK)
-        own, owners = np.unique(codes[here], return_inverse=True)
-        taps = _Taps(*refined_taps(texture.tree, own, level))
-        found.append(_blended(texture.channels, *_facing(texture.tree, taps, owners, bits[here])))
-    return _joined(found)
+        distinct_codes, owners = np.unique(codes[here], return_inverse=True)
+        taps = _Taps(*refined_taps(texture.tree, distinct_codes, level))
+        blocks.append(_blended(texture.channels, *_facing(texture.tree, taps, owners, bits[here])))
+    return _joined(blocks)
 
 
 def _facing(tree: Octree, taps: _Taps, owners: Int64s, bits: Uint8s) -> tuple[_Taps, Bools, Int64s]:
-    """Return the taps of facings of cells, for which of them there are rows in the split table, and these."""
+    """Return the taps of cells' facings, which of them have rows in the split table, and these rows."""
     counts = np.diff(taps.starts)[owners]
     starts = np.cumsum(np.concatenate([[0], counts]))
-    own = in_runs(taps.starts[owners], counts)
-    rows, weights, bits = taps.rows[own], taps.weights[own], np.repeat(bits, counts)
+    picked = in_runs(taps.starts[owners], counts)
+    rows, weights, bits = taps.rows[picked], taps.weights[picked], np.repeat(bits, counts)
     cells = rows.astype(np.int64)
     is_kept = cells >= tree.n_cells
     cells[is_kept] = tree.kept.cells[cells[is_kept] - tree.n_cells]
@@ -129,17 +129,17 @@ def _facing(tree: Octree, taps: _Taps, owners: Int64s, bits: Uint8s) -> tuple[_T
 
 
 def _blended(
-    channels: Mapping[str, Channel], taps: _Taps, there: Bools | None = None, own: Int64s | None = None
+    channels: Mapping[str, Channel], taps: _Taps, there: Bools | None = None, own_rows: Int64s | None = None
 ) -> dict[str, Float32s]:
-    """Blend channels, decoded; where taps are ``there`` their ``own`` rows of the split table."""
+    """Blend channels, decoded; taps in ``there`` use their ``own`` rows of the split table."""
 
     def shown(channel: Channel) -> Array:
         stored = channel.rows(taps.rows)
         if there is not None:
-            stored[there] = channel.split_values[own]
+            stored[there] = channel.split_values[own_rows]
         return stored
 
-    found = {}
+    blended = {}
     weights: dict[str | None, Float32s] = {}
     for name, channel in channels.items():
         alpha = alpha_of(name)
@@ -150,13 +150,13 @@ def _blended(
             if alpha is not None:
                 part = decode(shown(channels[alpha]), channels[alpha].format.space)[:, 0]
                 weights[alpha] = taps.weights * np.maximum(part, _FAINT)
-        found[name] = weighted_means(taps.starts, weights[alpha], shown(channel), channel.format.space)
-    return found
+        blended[name] = weighted_means(taps.starts, weights[alpha], shown(channel), channel.format.space)
+    return blended
 
 
 @kernel
 def _see_apart(taps: _Taps, flags: Uint8s, kept_cells: Uint32s, facings: Uint8s, sees_apart: Bools) -> None:
-    """Mark cells (n,) whose facings may see something else: a tap is split, or hidden from one."""
+    """Mark cells (n,) whose facings may differ in value: a tap is split, or hidden from a facing."""
     for n in range(facings.size):
         if facings[n] == 0:
             continue
@@ -164,7 +164,7 @@ def _see_apart(taps: _Taps, flags: Uint8s, kept_cells: Uint32s, facings: Uint8s,
             row = np.int64(taps.rows[tap])
             if row >= flags.size:
                 row = np.int64(kept_cells[min(row - flags.size, np.int64(kept_cells.size) - 1)])
-            own = flags[min(row, np.int64(flags.size) - 1)]
-            if own & SPLIT or facings[n] & ~own & OPPOSITE[own & FACING_FLAGS]:
+            flag = flags[min(row, np.int64(flags.size) - 1)]
+            if flag & SPLIT or facings[n] & ~flag & OPPOSITE[flag & FACING_FLAGS]:
                 sees_apart[n] = True
                 break

@@ -1,4 +1,4 @@
-"""Textures joined from runs of the cells of others: cells of a level stand in Morton order."""
+"""Joins textures from runs of other textures' cells, since the cells of a level are in Morton order."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from octex.tree.octree import Octree
 
 
 class Runs(NamedTuple):
-    """Cells, or nodes, of several textures, end to end."""
+    """Runs of cells, or of nodes, of several textures, end to end."""
 
     owners: Int64s
     begins: Int64s
@@ -24,10 +24,10 @@ class Runs(NamedTuple):
 
     @classmethod
     def joined(cls, *parts: Iterable[Int64s]) -> Runs:
-        """Put runs one after the other; those that follow on each other become one."""
+        """Concatenate runs; consecutive ones become one."""
         owners, begins, ends = (np.concatenate(column) for column in zip(*parts, strict=True))
-        some = begins < ends
-        owners, begins, ends = owners[some], begins[some], ends[some]
+        is_filled = begins < ends
+        owners, begins, ends = owners[is_filled], begins[is_filled], ends[is_filled]
         follows = np.zeros(owners.size + 1, np.bool_)
         follows[1:-1] = (owners[1:] == owners[:-1]) & (begins[1:] == ends[:-1])
         return cls(owners[~follows[:-1]], begins[~follows[:-1]], ends[~follows[1:]])
@@ -42,32 +42,32 @@ class Runs(NamedTuple):
         return in_runs(self.begins, self.ends - self.begins)
 
     def of(self, arrays: Sequence[Array]) -> Array:
-        """Join the runs of an array of each texture."""
+        """Concatenate the runs of one array a texture."""
         runs = zip(*(column.tolist() for column in self), strict=True)
         return np.concatenate([arrays[owner][begin:end] for owner, begin, end in runs] or [arrays[0][:0]])
 
 
-#: The root, the first of all textures.
+#: The root of the first texture.
 ROOT = Runs(*np.array([[0], [0], [1]], np.int64))
 
 
 def children_in(trees: Sequence[Octree], nodes: Runs) -> tuple[Runs, Runs]:
-    """Return the runs of the children of runs of nodes: of cells, and of those of them that are nodes."""
+    """Return the runs of the children of runs of nodes: all cells, and those that are nodes."""
     first, last = np.zeros((2, 2, nodes.owners.size), np.int64)
     for number, tree in enumerate(trees):
-        own = nodes.owners == number
-        first[:, own] = children_before(tree.arrays.groups, nodes.begins[own])
-        last[:, own] = children_before(tree.arrays.groups, nodes.ends[own])
+        is_here = nodes.owners == number
+        first[:, is_here] = children_before(tree.arrays.groups, nodes.begins[is_here])
+        last[:, is_here] = children_before(tree.arrays.groups, nodes.ends[is_here])
     return Runs(nodes.owners, first[0], last[0]), Runs(nodes.owners, first[1], last[1])
 
 
 def add_below(trees: Sequence[Octree], cells: list[Runs], nodes: list[Runs]) -> None:
-    """Add all below the last runs of nodes, level by level: the runs of cells, and of nodes."""
+    """Append, level by level, all runs of cells and nodes below the last runs of nodes."""
     while True:
-        found, below = children_in(trees, nodes[-1])
-        if not (found.begins < found.ends).any():
+        children, below = children_in(trees, nodes[-1])
+        if not (children.begins < children.ends).any():
             return
-        cells.append(Runs.joined(found))
+        cells.append(Runs.joined(children))
         nodes.append(Runs.joined(below))
 
 
@@ -78,9 +78,9 @@ def joined_runs(
     nodes: Sequence[Runs],
     turned: Bools,
 ) -> OctreeTexture:
-    """Return a texture of runs of cells and nodes of others, level by level, with the channels of one.
+    """Return a texture of runs of cells and nodes, level by level, with the channels of ``like``.
 
-    Of the first cells those ``turned`` are nodes instead of leaves, or the other way round.
+    Where ``turned``, the first cells change from leaves to nodes, or from nodes to leaves.
     """
     counts = np.array([[(own.ends - own.begins).sum() for own in runs] for runs in (cells, nodes)], np.int64)
     counts = counts[:, : np.count_nonzero(counts[0])]
@@ -118,7 +118,7 @@ def joined_runs(
 
 @kernel
 def _turn(masks: Uint8s, turned: Bools) -> None:
-    """Make leaves of those of the first cells that are nodes and ``turned``, or nodes of leaves."""
+    """Turn those of the first cells that are ``turned`` from nodes to leaves, or from leaves to nodes."""
     cell = 1
     for node in range(masks.shape[1]):
         if cell >= turned.size:
@@ -134,28 +134,28 @@ def _turn(masks: Uint8s, turned: Bools) -> None:
 
 
 def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Runs]:
-    """Return the split cells among runs of cells, by new numbers, and the runs of them and of their rows."""
-    found, runs = _listed([tree.split.cells for tree in trees], cells)
+    """Return the new numbers of split cells in runs of cells, and the runs of table entries and rows."""
+    split, runs = _listed([tree.split.cells for tree in trees], cells)
     ends = [
         np.concatenate([[0], np.cumsum(bit_counts(tree.split.facings), dtype=np.int64)]) for tree in trees
     ]
     firsts = np.cumsum([0, *map(len, ends)])[runs.owners]
     every = np.concatenate(ends)
     rows = Runs(runs.owners, every[firsts + runs.begins], every[firsts + runs.ends])
-    return found, runs, rows
+    return split, runs, rows
 
 
 def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
-    """Return which of runs of cells tables list, by their new numbers, and the runs of the tables."""
+    """Return the new numbers of the cells in runs that tables list, and the runs of table entries."""
     owners, begins, ends = cells
     counts = ends - begins
     shifts = np.cumsum(counts) - counts - begins
     first, last = np.zeros((2, owners.size), np.int64)
     for number, table in enumerate(tables):
-        own = owners == number
-        first[own] = np.searchsorted(table, begins[own].astype(np.uint32))
-        last[own] = np.searchsorted(table, ends[own].astype(np.uint32))
+        is_here = owners == number
+        first[is_here] = np.searchsorted(table, begins[is_here].astype(np.uint32))
+        last[is_here] = np.searchsorted(table, ends[is_here].astype(np.uint32))
     has = last > first
     runs = Runs(owners[has], first[has], last[has])
-    found = runs.of(tables).astype(np.int64) + np.repeat(shifts[has], (last - first)[has])
-    return found.astype(np.uint32), runs
+    listed = runs.of(tables).astype(np.int64) + np.repeat(shifts[has], (last - first)[has])
+    return listed.astype(np.uint32), runs

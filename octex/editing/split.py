@@ -1,4 +1,4 @@
-"""What cells show each way: the values of split cells' rows, read and changed."""
+"""Values of cells by facing: reads and changes the rows of split cells."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from octex.tree.edit import among, facings_of_nodes
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.split import find_rows, inserted, rows_of, taken
 
-#: Difference, in 8-bit codes, from which on a facing's value is stored for itself.
+#: Least difference, in 8-bit codes, at which a facing gets a row.
 MOST = 1.0
-#: Of the sRGB curve at 1, in codes: above that light is measured by ratio.
+#: Slope of the sRGB curve at 1, in codes: above it light is compared by ratio.
 SLOPE = 255.0 * 1.055 / 2.4
 
 
@@ -31,30 +31,30 @@ def in_codes(stored: Array, form: ChannelFormat) -> Floats:
 
 
 def differ(form: ChannelFormat, rows: Array, cells: Array) -> Bools:
-    """Say which facings' values (n, components), as stored, are to be told from those of their cells (n,)."""
+    """Return which stored facing values (n, components) differ enough from those of their cells (n,)."""
     apart = np.abs(in_codes(rows, form) - in_codes(cells, form)) > MOST
     return np.asarray(apart.any(axis=1))
 
 
 def rows_facing(texture: OctreeTexture, channel: Channel, cells: Int64s, bits: Uint8s) -> Float32s:
-    """Decode what cells (n,) show facings (n,): a split cell's row, or the cell's value."""
+    """Return the decoded value of each cell (n,) for its facing (n,): the row, or the cell's value."""
     there, rows = find_rows(texture.tree.split, cells, bits)
     return decode(_stored_facing(channel, cells, there, rows), channel.format.space)
 
 
 def _stored_facing(channel: Channel, cells: Int64s, there: Bools, rows: Int64s) -> Array:
-    """Return the values of cells (n,), as stored, and those of ``rows`` where they are ``there`` (n,)."""
-    found = channel.values[cells]
-    found[there] = channel.split_values[rows]
-    return found
+    """Return the stored values of cells (n,), and those of ``rows`` for the cells in ``there`` (n,)."""
+    values = channel.values[cells]
+    values[there] = channel.split_values[rows]
+    return values
 
 
 def with_split(
     texture: OctreeTexture, cells: Int64s, facings: Uint8s, rows: Mapping[str, Array]
 ) -> OctreeTexture:
-    """Return a texture whose ``cells``, ascending, are split, with given rows for some of its channels.
+    """Return a texture whose ascending ``cells`` are split, with these rows for some of its channels.
 
-    Other channels keep the rows that they have, or take the cells' values.
+    Other channels keep existing rows, or take the cells' values.
     """
     tree = texture.tree
     table, order, own = inserted(tree.split, cells, facings, tree.arrays.areas[cells])
@@ -72,12 +72,12 @@ def with_split(
 
 
 def without_split(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
-    """Return a texture in which ``cells``, that are split, are not."""
+    """Return a texture without the splits of ``cells``, which are split."""
     if not cells.size:
         return texture
     tree = texture.tree
-    own = tree.split.cells.astype(np.int64)
-    split, rows = taken(tree.split, np.where(among(own, cells), -1, own))
+    split_cells = tree.split.cells.astype(np.int64)
+    split, rows = taken(tree.split, np.where(among(split_cells, cells), -1, split_cells))
     flags = tree.arrays.flags.copy()
     flags[cells] &= np.uint8(0xFF ^ SPLIT)
     channels = {
@@ -89,7 +89,7 @@ def without_split(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
 
 
 def split_in_vain(texture: OctreeTexture, cells: Int64s) -> Int64s:
-    """Return those of split cells, ascending, no facing of which differs from the whole."""
+    """Return the split cells, ascending, whose facings all equal the cell's value."""
     rows = rows_of(texture.tree.split, cells)
     is_told = np.zeros(rows.rows.size, np.bool_)
     for channel in texture.channels.values():
@@ -98,9 +98,9 @@ def split_in_vain(texture: OctreeTexture, cells: Int64s) -> Int64s:
 
 
 def refaced(texture: OctreeTexture) -> OctreeTexture:
-    """Return a texture whose nodes face all ways that their children do, and no other.
+    """Return a texture whose nodes have exactly the facings of their children.
 
-    Split nodes lose and gain rows with that; new ones have the cell's value.
+    Split nodes lose and gain rows accordingly; new rows get the cell's value.
     """
     tree = texture.tree
     flags = facings_of_nodes(tree)

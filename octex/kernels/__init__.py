@@ -1,4 +1,4 @@
-"""Lookups from one's own kernels: a point at a time, in functions that numba compiles into them.
+"""Point lookups for your own kernels: functions that numba compiles into your code.
 
 A renderer looks a texture up at every hit, inside its own compiled loop:
 
@@ -11,12 +11,12 @@ A renderer looks a texture up at every hit, inside its own compiled loop:
             r, g, b, _ = octex.kernels.footprint(arrays, hits[n], widths[n], normals[n], scratch)
             image[n, 0], image[n, 1], image[n, 2] = r, g, b  # image[n] = r, g, b compiles for 5 s more
 
-``nearest``, ``linear`` and ``quadratic`` look at the leaves, as `OctreeTexture.sample` does with these
-filters; ``footprint`` at what a width averages over, toward a normal. All take a rest position, three numbers
-that can be indexed, and return four, linear light for colours: those beyond a channel's components are
-zero. Directions come back as means, not as unit vectors. A lookup allocates nothing, raises nothing and needs
-no lock; a position that is not a number is taken for the root cell's corner. These four are called in kernels
-only; ``numba`` itself keeps one's own compiled code, if asked to, whatever octex becomes meanwhile.
+``nearest``, ``linear`` and ``quadratic`` sample the leaves, as the same filters of `OctreeTexture.sample` do.
+``footprint`` averages over a width, for a normal. All take a rest position (an array or tuple of three
+numbers) and return four numbers, linear light for colours; unused components are zero. Directions are means,
+not unit vectors. Lookups allocate nothing, raise nothing and need no lock. NaN positions count as the root
+cell's corner. Call these four in kernels only. If you let ``numba`` cache your compiled code, it does not
+notice a new octex.
 """
 
 from octex.kernels.arrays import arrays_of as arrays_of

@@ -1,4 +1,4 @@
-"""A texture's channel, made ready for lookups in kernels."""
+"""Prepares a texture's channel for lookups in kernels."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ def arrays_of(
 ) -> LookupArrays:
     """Prepare a channel for lookups in kernels.
 
-    Arrays are the texture's own, but for what helps to find cells, 3 bytes a cell and 5 more where cells are
-    split, and for float32 that is not linear light, which is decoded. ``bleed_threshold`` is as for
+    It shares the texture's arrays. It adds 3 bytes a cell to find cells, 5 more where cells are split, and
+    decoded values for float32 channels that are not linear light. ``bleed_threshold`` is as for
     `OctreeTexture.sample`. Raises ArgumentError for an unknown channel.
     """
     texture = as_texture(texture)
@@ -58,7 +58,7 @@ _NO_VALUES: tuple[Array, Array, Array, Array] = _NONE, _NONE, _NONE, locked(np.e
 
 
 def _values(channel: Channel) -> tuple[Array, Array, Array, Array]:
-    """Return a channel's values, flattened: of cells, of kept nodes, of facings; and their table."""
+    """Return a channel's flattened values of cells, kept nodes and facings, and its decoding table."""
     (*arrays, table), space, _ = stored(channel)
     if space is not None:
         arrays, table = [decode(array, space) for array in arrays], NO_TABLE
@@ -67,13 +67,13 @@ def _values(channel: Channel) -> tuple[Array, Array, Array, Array]:
 
 
 def _joined_tiles(levels: list[Tiles | None]) -> tuple[Int64s, Int32s, Uint64s, Uint32s]:
-    """Join the tiles of levels; those without have a top level of −1."""
-    found = np.full((MAX_DEPTH + 1, 5), -1, np.int64)
+    """Join the tiles of all levels; levels without tiles get a top level of −1."""
+    table = np.full((MAX_DEPTH + 1, 5), -1, np.int64)
     tops, masks, firsts = [np.empty(0, np.int32)], [np.empty(0, np.uint64)], [np.empty(0, np.uint32)]
     top = row = 0
     for level, tiles in enumerate(levels):
         if tiles is not None:
             tops, masks, firsts = [*tops, tiles.top], [*masks, tiles.masks], [*firsts, tiles.firsts]
-            found[level] = tiles.top_level, top, top + tiles.top.size, row, row + tiles.masks.size
+            table[level] = tiles.top_level, top, top + tiles.top.size, row, row + tiles.masks.size
             top, row = top + tiles.top.size, row + tiles.masks.size
-    return found, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts)
+    return table, np.concatenate(tops), np.concatenate(masks), np.concatenate(firsts)

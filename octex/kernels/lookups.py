@@ -1,4 +1,4 @@
-"""Lookups of one point at a time: its taps at a level, weighed, and their blend; and what they take."""
+"""Lookups of one point at a time: finds taps at a level, weights them, and blends their values."""
 
 from __future__ import annotations
 
@@ -21,67 +21,67 @@ from octex.tree.search import Scratch as Search
 from octex.tree.search import fixed, nearest_cell, placed
 from octex.tree.search import new_scratch as new_search
 
-#: What can be indexed by 0, 1 and 2: an array, or a tuple.
+#: A sequence indexed by 0, 1 and 2: an array or a tuple.
 Vector = Any
 Color = tuple[float, float, float, float]
 
-#: What is no more than this of a weight is rounding.
+#: Relative weights up to this are rounding errors.
 _ROUNDED = 1e-6
 
 
 class LookupArrays(NamedTuple):
-    """One channel of a texture, as ``arrays_of`` makes it; its fields are not for others.
+    """One channel of a texture, as ``arrays_of`` returns it; its fields are private.
 
-    They are arrays and numbers alone, as numba's parallel loops want them.
+    All are arrays or numbers, as numba's parallel loops require.
     """
 
-    place: Float64s  # (4,)   the root cell's lowest corner, and the length of its edge
-    groups: Uint64s  # what is in the tree, see `TreeArrays`; areas are those of nodes alone
+    place: Float64s  # (4,)   the root cell's lowest corner, and its edge
+    groups: Uint64s  # the tree, see `TreeArrays`; areas are those of nodes only
     level_cells: Int64s
     level_nodes: Int64s
     flags: Uint8s
     areas: Uint8s
     kept: Uint32s  # (kept nodes,)
-    facings: Uint32s  # (cells,)   a split cell's first facing; (0,) without any
-    tile_levels: Int64s  # (22, 5)   of each level with tiles their top level, begin and end in tops and rows
+    facings: Uint32s  # (cells,)   first row of a split cell; (0,) for no split cells
+    tile_levels: Int64s  # (22, 5)   of each level with tiles: top level, ranges in tops and rows
     tops: Int32s
     masks: Uint64s
     firsts: Uint32s
     values: Array  # (cells · components,)
     kept_values: Array
     split_values: Array
-    table: Array  # what codes stand for; empty for float32
-    alpha: Array  # (cells,), likewise; (0,) without it
+    table: Array  # decoding table of codes; empty for float32
+    alpha: Array  # (cells,), likewise; (0,) without alpha
     kept_alpha: Array
     split_alpha: Array
     alpha_table: Array
     components: int
-    mixed: Uint8s  # (cells,)   which mix opposite facings, as averages; (0,) without any
+    mixed: Uint8s  # (cells,)   averages over opposite facings; (0,) for none
 
 
 class Scratch(NamedTuple):
-    """Where lookups work, and what they remember from one point to the next. One serves one thread."""
+    """Scratch of lookups, and their memory from one point to the next. Use one a thread."""
 
     walk: Walk
     search: Search
-    taps: Taps  # of one look, and these as they face a normal
+    taps: Taps  # of one sample, then those that face a normal
     sight: Sight
     tiles: Int64s  # (8,)   the rows of 2×2×2 tiles
-    codes: Int32s  # (3, 3)   along each axis, the codes of cells in tiles
-    along: Float32s  # (3, 3)   and their weights
-    sums: Float64s  # (10,)   four components, under alpha, and their weight; then without it
+    codes: Int32s  # (3, 3)   along each axis, the codes of cells in their tiles
+    along: Float32s  # (3, 3)   along each axis, the cells' weights
+    sums: Float64s  # (10,)   four components and the weight, times alpha; then without alpha
 
 
 @inlined
 def _tree_of(arrays: LookupArrays, level_cells: Int64s) -> TreeArrays:
-    """Return the tree down to some level."""
+    """Return the tree truncated at a level."""
     return TreeArrays(arrays.groups, level_cells, arrays.level_nodes, arrays.flags, arrays.areas)
 
 
 @kernel
 def new_scratch(arrays: LookupArrays) -> Scratch:
-    """Return room for lookups in one texture: make one for each thread, outside the loop."""
-    # Not by `_tree_of`: what counts no references must not return arrays to what does.
+    """Return scratch for lookups in one texture: make one a thread, outside the loop."""
+    # Not by `_tree_of`: inlined code counts no references and must not return arrays to code that does.
     tree = TreeArrays(arrays.groups, arrays.level_cells, arrays.level_nodes, arrays.flags, arrays.areas)
     return Scratch(
         new_walk(),
@@ -97,7 +97,7 @@ def new_scratch(arrays: LookupArrays) -> Scratch:
 
 @inlined
 def _placed(arrays: LookupArrays, point: Vector) -> tuple[float, float, float]:
-    """Return where a rest position lies in texture space, clamped to 0 … 1."""
+    """Return a rest position in texture space, clamped to 0 … 1."""
     place = arrays.place
     x, y, z = np.float64(point[0]), np.float64(point[1]), np.float64(point[2])
     x, y, z = placed(x, y, z, (place[0], place[1], place[2]), 1.0 / place[3])
@@ -106,7 +106,7 @@ def _placed(arrays: LookupArrays, point: Vector) -> tuple[float, float, float]:
 
 @inlined
 def _clamped(x: float, most: float) -> float:
-    """Clamp a number to 0 … ``most``; what is none becomes 0, so that no index is made of it."""
+    """Clamp a number to 0 … ``most``; NaN becomes 0, so that it is a valid index."""
     positive = x if x > 0.0 else 0.0
     return positive if positive < most else most
 
@@ -122,13 +122,13 @@ def _tiles_of(arrays: LookupArrays, level: int) -> Tiles:
         arrays.tops[known[level, 1] : known[level, 2]],
         arrays.masks[rows],
         arrays.firsts[rows],
-        arrays.masks[:0],  # none is painted more finely
+        arrays.masks[:0],  # no finer paint
     )
 
 
 @inlined
-def _lay(scratch: Scratch, axis: int, x: float, cells: float, filter_code: int) -> int:
-    """Weigh the cells around a coordinate along an axis; return the lowest, −1 … cells."""
+def _weigh_axis(scratch: Scratch, axis: int, x: float, cells: float, filter_code: int) -> int:
+    """Weight the cells around a coordinate along an axis; return the lowest cell, −1 … cells."""
     along, codes = scratch.along, scratch.codes
     if filter_code == QUADRATIC:
         cell = min(np.floor(x * cells), cells - 1.0)
@@ -152,14 +152,14 @@ def _lay(scratch: Scratch, axis: int, x: float, cells: float, filter_code: int) 
 def _tiled(
     arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
 ) -> tuple[int, np.float32]:
-    """Write the taps at a level that has tiles; return their number, and the weight of all."""
+    """Write the taps at a level with tiles; return their number and total weight."""
     tiles = _tiles_of(arrays, level)
     cells = float(1 << level)
-    i = _lay(scratch, 0, x, cells, filter_code)
-    j = _lay(scratch, 1, y, cells, filter_code)
-    k = _lay(scratch, 2, z, cells, filter_code)
+    i = _weigh_axis(scratch, 0, x, cells, filter_code)
+    j = _weigh_axis(scratch, 1, y, cells, filter_code)
+    k = _weigh_axis(scratch, 2, z, cells, filter_code)
     side = 3 if filter_code == QUADRATIC else 2
-    # From which cell on, along each axis, they lie in the next tile.
+    # Along each axis, the first cell that lies in the next tile.
     next_i, next_j, next_k = 8 - (i & 7), 8 - (j & 7), 8 - (k & 7)
     rows = scratch.tiles
     for dz in range(2 if next_k < side else 1):
@@ -181,7 +181,7 @@ def _tiled(
                 octant = rows[tile + (dx >= next_i)] + (code >> 8)
                 cell, is_stored = look_in(tiles, int(octant), int(code))
                 weight = along[0, dx] * of_yz
-                at = np.uint64(n)  # without a branch, which could not be foretold
+                at = np.uint64(n)  # without an unpredictable branch
                 scratch.taps.rows[at] = min(cell, last)
                 scratch.taps.weights[at] = weight
                 total += weight * np.float32(is_stored)
@@ -193,7 +193,7 @@ def _tiled(
 def _walked(
     arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
 ) -> tuple[int, float]:
-    """Write the taps in a truncated tree; return their number and the cover, 0 off the surface."""
+    """Write the taps in a truncated tree; return their number and the coverage, 0 off the surface."""
     tree, walk = _tree_of(arrays, arrays.level_cells[: level + 2]), scratch.walk
     walk.previous[3] = min(walk.previous[3], level)
     way = Way(tree, arrays.kept, walk, filter_code, 2, 1, True)
@@ -204,7 +204,7 @@ def _walked(
 def _find(
     arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
 ) -> tuple[int, bool]:
-    """Write the taps of a look at a level; return their number, and whether it is off the surface."""
+    """Write the taps of a sample at a level; return their number, and whether it is off the surface."""
     here = level
     while here >= 0 and arrays.tile_levels[here, 0] >= 0:
         n, total = _tiled(arrays, here, x, y, z, filter_code, scratch)
@@ -213,7 +213,7 @@ def _find(
                 scratch.taps.weights[tap] *= np.float32(OFF / total)
             return n, here < level
         if n > 0:
-            break  # at the rim of the spline's support
+            break  # at the border of the spline's support
         here -= 1
     n, cover = _walked(arrays, level, x, y, z, filter_code, scratch)
     return n, cover == 0.0
@@ -229,7 +229,7 @@ def _flat(arrays: LookupArrays) -> Flat:
 
 @inlined
 def _add(arrays: LookupArrays, begin: int, end: int, share: float, scratch: Scratch) -> None:
-    """Add the blend of some taps to the sums."""
+    """Add the weighted values of taps to the sums."""
     sums, flat = scratch.sums, _flat(arrays)
     values = arrays.alpha, arrays.kept_alpha, arrays.split_alpha, arrays.alpha_table
     alpha = Flat(*values, flat.first_kept, flat.first_row)
@@ -246,7 +246,7 @@ def _add(arrays: LookupArrays, begin: int, end: int, share: float, scratch: Scra
 
 @inlined
 def _mean(scratch: Scratch) -> Color:
-    """Return what the sums are the sums of: under alpha, if there is any."""
+    """Return the mean of the sums: weighted by alpha, if any."""
     sums = scratch.sums
     if sums[4] > 0.0:
         inverse = 1.0 / sums[4]
@@ -256,8 +256,10 @@ def _mean(scratch: Scratch) -> Color:
 
 
 @inlined
-def _look(arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, scratch: Scratch) -> Color:
-    """Look at the leaves."""
+def _sample_leaves(
+    arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, scratch: Scratch
+) -> Color:
+    """Sample the leaves."""
     scratch.sums[:] = 0.0
     n, _ = _find(arrays, arrays.level_cells.size - 2, x, y, z, filter_code, scratch)
     _add(arrays, 0, n, 1.0, scratch)
@@ -266,7 +268,7 @@ def _look(arrays: LookupArrays, x: float, y: float, z: float, filter_code: int, 
 
 @inlined
 def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
-    """Return what is stored of the leaf that holds a rest position, else of the nearest cell around it."""
+    """Return the stored value of the leaf that contains a rest position, or of the nearest cell around it."""
     x, y, z = _placed(arrays, point)
     flat = _flat(arrays)
     depth = arrays.level_cells.size - 2
@@ -285,24 +287,24 @@ def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
 
 @inlined
 def linear(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
-    """Return the field between leaves by the paper's own rule, which jumps where the depth changes."""
+    """Return the field of leaves by the paper's rule, which jumps where the depth changes."""
     x, y, z = _placed(arrays, point)
-    return _look(arrays, x, y, z, LINEAR, scratch)
+    return _sample_leaves(arrays, x, y, z, LINEAR, scratch)
 
 
 @inlined
 def quadratic(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
-    """Return the field between leaves: a quadratic spline, continuous in its slopes."""
+    """Return the field of leaves: a quadratic spline with continuous slopes."""
     x, y, z = _placed(arrays, point)
-    return _look(arrays, x, y, z, QUADRATIC, scratch)
+    return _sample_leaves(arrays, x, y, z, QUADRATIC, scratch)
 
 
 @inlined
 def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector, scratch: Scratch) -> Color:
-    """Return the mean over a square of some width around a rest position, of what faces a normal.
+    """Return the mean over a square around a rest position, of surface that faces a normal.
 
-    ``width`` is in the model's units, 0 for the leaves alone; ``normal`` of any length, in rest space. With
-    zeros for it nothing is known of where one looks from: then it is as without ``normals``.
+    ``width`` is in the model's units; 0 samples the leaves. ``normal`` has any length, in rest space; zeros
+    average all facings, as without ``normals``.
     """
     scratch.sums[:] = 0.0
     x, y, z = _placed(arrays, point)
@@ -312,7 +314,7 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
     depth = arrays.level_cells.size - 2
     size = arrays.place[3]
     between = level_of(_clamped(np.float64(width), size * WIDEST), size, depth, ROUND_FINER[QUADRATIC])
-    level = min(int(between), depth)  # the coarser of two, and the share of the other
+    level = min(int(between), depth)  # the coarser of two levels, and the weight of the finer
     upper: float = np.float64(between) - level
     share, passed = 1.0 - upper, 0.0
     while level <= depth and (share > 0.0 or upper > 0.0):

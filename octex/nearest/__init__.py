@@ -1,7 +1,7 @@
-"""What is near: the nearest points of triangles and of clouds, and how near two meshes come.
+"""Nearest points of triangle meshes and point clouds, and the distance of two meshes.
 
-boxes       a tree of boxes over triangles
-triangles   the nearest point of them
+boxes       a bounding box hierarchy
+triangles   the nearest point of a mesh
 points      the nearest points of a cloud
-distances   how near two meshes come
+distances   the smallest distance of two meshes
 """

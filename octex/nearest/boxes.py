@@ -1,8 +1,8 @@
-"""Boxes about boxes, eight to one, over things in Morton order: what lies near a point is found top down.
+"""A bounding box hierarchy with eight children a node, over items in Morton order.
 
-The tree is implicit: the children of node i of a level are nodes 8·i … 8·i + 7 of the level below, and those
-of its lowest level are the things themselves. A node holds the boxes of its eight children side by side, so
-that they are measured in vectors.
+The tree is implicit: the children of node i of a level are nodes 8·i … 8·i + 7 of the level below. Children
+of the lowest level are the items. A node holds the boxes of its eight children side by side, to measure them
+in vectors.
 """
 
 from __future__ import annotations
@@ -16,66 +16,64 @@ from octex.jit import inlined, kernel, part, squares_to_boxes, trailing_zeros
 from octex.tree.morton import encode
 
 WIDTH = 8
-#: Nodes that can wait at once: seven of each level, and one.
+#: Largest number of waiting nodes: seven of each level, and one.
 _STACK = 256
-#: Nodes that are kept for searches nearby; balls grow and shrink so that they hold about so many of them.
-_MOST_KEPT, _INNER, _OUTER = 64, 12, 32
+#: Largest number of cached nodes, and the numbers at which the sizes of the two balls aim.
+_MOST_CACHED, _INNER, _OUTER = 64, 12, 32
 #: Boxes and points are rounded to single precision: by at most this part of the largest coordinate.
 _ROUNDING = 4.0 * 2.0**-24
 _FARTHEST = 3e38
 
 
 class Boxes(NamedTuple):
-    """A tree of boxes over things."""
+    """A box hierarchy over items."""
 
     bounds: Float32s  # (nodes, 6, 8)   low x, y, z and high x, y, z of each child, relative to the origin
-    firsts: Int64s  # (levels + 1,)   the first node of each level, from the lowest to the root's
+    firsts: Int64s  # (levels + 1,)   the first node of each level, from the lowest to the root
     origin: Float64s  # (3,)
     extent: float  # the largest coordinate, relative to the origin
     things: int
 
 
 class Search(NamedTuple):
-    """Where a search works."""
+    """Scratch of a search."""
 
-    nodes: Int64s  # (256, 2)   level and number of nodes that wait
-    squares: Float32s  # (256,)   how far they are, squared
-    children: Float32s  # (8,)   how far the boxes in a node are, squared
+    nodes: Int64s  # (256, 2)   level and number of waiting nodes
+    squares: Float32s  # (256,)   their squared distances
+    children: Float32s  # (8,)   squared distances of a node's child boxes
 
 
-class Kept(NamedTuple):
-    """The nodes around a ball: searches in it need no other.
+class NodeCache(NamedTuple):
+    """Cached nodes in a ball: searches within the ball need no others.
 
-    Inside a larger ball those of the level above the lowest are kept, so that the smaller one moves cheaply.
+    A larger ball caches nodes one level above the lowest, so that the small ball moves cheaply.
     """
 
     nodes: Int64s  # (64,)   of the lowest level
     outer: Int64s  # (64,)   of the level above
-    filled: Int64s  # (2,)   how many nodes, and how many outer ones
-    ball: (
-        Float64s  # (5,)   x, y, z relative to the origin, its radius, and how much wider than asked for it is
-    )
+    filled: Int64s  # (2,)   number of nodes, and of outer nodes
+    ball: Float64s  # (5,)   x, y, z relative to the origin, radius, and margin beyond the requested radius
     outer_ball: Float64s  # (5,)
 
 
 @part
 def new_search() -> Search:
-    """Return room for a search."""
+    """Return scratch for a search."""
     return Search(np.empty((_STACK, 2), np.int64), np.empty(_STACK, np.float32), np.empty(8, np.float32))
 
 
 @part
-def new_kept(margin: float) -> Kept:
-    """Return empty balls, to be made wider than asked for by about ``margin`` at first."""
+def new_node_cache(margin: float) -> NodeCache:
+    """Return an empty cache whose balls first exceed requests by about ``margin``."""
     balls = np.zeros((2, 5), np.float64)
     balls[:, 3] = -1.0
     balls[0, 4], balls[1, 4] = margin, 4.0 * margin
-    nodes = np.empty((2, _MOST_KEPT), np.int64)
-    return Kept(nodes[0], nodes[1], np.zeros(2, np.int64), balls[0], balls[1])
+    nodes = np.empty((2, _MOST_CACHED), np.int64)
+    return NodeCache(nodes[0], nodes[1], np.zeros(2, np.int64), balls[0], balls[1])
 
 
 def morton_order(positions: Float64s) -> Int64s:
-    """Return the order (n,) of positions (n, 3) along a Morton curve; the same for the same positions."""
+    """Return the order (n,) of positions (n, 3) along a Morton curve; equal input gives equal order."""
     if not len(positions):
         return np.empty(0, np.int64)
     bits = min((63 - _index_bits(len(positions))) // 3, 16)
@@ -86,12 +84,12 @@ def morton_order(positions: Float64s) -> Int64s:
 
 
 def order_of(keys: Int64s, bits: int) -> Int64s:
-    """Return the order (n,) that sorts keys (n,) of so many bits; what is equal stays in order."""
+    """Return the stable order (n,) that sorts keys (n,) of at most ``bits`` bits."""
     index_bits = _index_bits(keys.size)
     if bits + index_bits > 63:
         return np.argsort(keys, kind="stable")
     packed = keys << index_bits | np.arange(keys.size)
-    packed.sort()  # of key and index in one: six times as fast as an argsort
+    packed.sort()  # key and index in one integer: six times as fast as argsort
     packed &= (1 << index_bits) - 1
     return packed
 
@@ -113,16 +111,16 @@ def _keys(positions: Float64s, low: Float64s, scale: float) -> Int64s:
 
 @kernel
 def rows_in(order: Int64s, rows: Array) -> Array:
-    """Return rows (n, components) in an order: in a third of the time of numpy, where they lie far apart."""
-    found = np.empty_like(rows)
+    """Return rows (n, components) in an order; three times as fast as numpy where they lie far apart."""
+    ordered = np.empty_like(rows)
     for n in range(order.size):
         for k in range(rows.shape[1]):
-            found[n, k] = rows[order[n], k]
-    return found
+            ordered[n, k] = rows[order[n], k]
+    return ordered
 
 
 def boxes_of(low: Float64s, high: Float64s) -> Boxes:
-    """Build the tree over things in Morton order, with corners ``low`` and ``high`` (n, 3), n > 0."""
+    """Build the hierarchy over items in Morton order, with corners ``low`` and ``high`` (n, 3), n > 0."""
     first, last = low.min(axis=0), high.max(axis=0)
     origin = (first + last) / 2
     counts = [-(-len(low) // WIDTH)]
@@ -149,37 +147,37 @@ def _fill(low: Float64s, high: Float64s, origin: Float64s, firsts: Int64s, bound
                 bounds[node, axis + 3, n % 8] = bounds[child, axis + 3].max()
 
 
-#: A point relative to the origin, and how much farther from it boxes may seem than they are.
+#: A point relative to the origin, and a bound of the rounding error of its distances to boxes.
 Local: TypeAlias = tuple[float, float, float, float]
 
 
 class Sought(NamedTuple):
-    """A point that something is sought near to."""
+    """A query: a point, and the direction that results must face."""
 
     point: tuple[float, float, float]
     local: Local
     directions: Float64s  # (points, 3) or (0, 3)
-    n: int  # its row of them
+    n: int  # its row in them
     least_cosine: float
 
 
 @inlined
 def local(boxes: Boxes, x: float, y: float, z: float) -> Local:
-    """Place a point among boxes."""
+    """Return a point relative to the hierarchy's origin."""
     x, y, z = x - boxes.origin[0], y - boxes.origin[1], z - boxes.origin[2]
     return x, y, z, _ROUNDING * (boxes.extent + max(abs(x), max(abs(y), abs(z))))
 
 
 @inlined
 def reach(square: float, slack: float) -> np.float32:
-    """Return how far, squared, boxes may seem to be that hold something nearer than a squared distance."""
+    """Return the largest squared distance to a box that can hold a nearer item, rounding included."""
     far = np.sqrt(square) * (1.0 + 1e-6) + slack
-    return np.float32(min(far * far * (1.0 + 1e-6), _FARTHEST))  # of what is not there the box is at infinity
+    return np.float32(min(far * far * (1.0 + 1e-6), _FARTHEST))  # empty children have boxes at infinity
 
 
 @inlined
 def agrees(normals: Float32s, row: int, sought: Sought) -> bool:
-    """Say whether a thing faces as is wanted (without directions, any way); one without a normal does."""
+    """Return whether an item faces the query's direction; always without directions or a normal."""
     directions, n = sought.directions, sought.n
     if directions.shape[0] == 0:
         return True
@@ -190,7 +188,7 @@ def agrees(normals: Float32s, row: int, sought: Sought) -> bool:
 
 @inlined
 def begin(boxes: Boxes, search: Search) -> int:
-    """Let the root wait; return how many nodes do."""
+    """Push the root; return the number of waiting nodes."""
     search.nodes[0, 0], search.nodes[0, 1] = boxes.firsts.size - 2, 0
     search.squares[0] = np.float32(0.0)
     return 1
@@ -200,10 +198,10 @@ def begin(boxes: Boxes, search: Search) -> int:
 def next_node(
     boxes: Boxes, search: Search, waiting: int, lowest: int, at: Local, bound: np.float32
 ) -> tuple[int, np.uint64, int]:
-    """Go down to the next node of a level, the ``lowest`` or above, that may hold something near.
+    """Descend to the next node of the ``lowest`` level or above that may hold an item within the bound.
 
-    Returns its number, −1 at the end, a bit for each of its children whose box is no farther than ``bound``,
-    squared, and how many nodes wait; ``search.children`` holds how far these boxes are.
+    Returns its number, or −1 at the end; a bit for each child whose box lies within ``bound``, squared; and
+    the number of waiting nodes. ``search.children`` holds the squared distances of these boxes.
     """
     x, y, z = np.float32(at[0]), np.float32(at[1]), np.float32(at[2])
     while waiting > 0:
@@ -220,7 +218,7 @@ def next_node(
             child = trailing_zeros(near)
             near &= near - np.uint64(1)
             square = search.children[child]
-            to = waiting  # the nearest comes last, and is next
+            to = waiting  # the nearest comes last, and is popped first
             while to > bottom and search.squares[to - 1] < square:
                 search.squares[to] = search.squares[to - 1]
                 search.nodes[to, 0], search.nodes[to, 1] = search.nodes[to - 1, 0], search.nodes[to - 1, 1]
@@ -238,21 +236,21 @@ def _holds(ball: Float64s, at: Local, radius: float) -> bool:
 
 
 @inlined
-def is_around(kept: Kept, at: Local, radius: float) -> bool:
-    """Say whether a ball about a point lies in the one whose nodes are kept."""
-    return _holds(kept.ball, at, radius)
+def is_cached(cache: NodeCache, at: Local, radius: float) -> bool:
+    """Return whether a ball about a point lies in the cached ball."""
+    return _holds(cache.ball, at, radius)
 
 
 @inlined
 def _move(ball: Float64s, at: Local, radius: float) -> float:
-    """Put a ball around a point, wider than asked for; return its radius."""
+    """Center a ball on a point, with a margin; return its radius."""
     ball[0], ball[1], ball[2], ball[3] = at[0], at[1], at[2], radius + ball[4]
     return float(ball[3])
 
 
 @inlined
 def _adapt(ball: Float64s, count: int, wanted: int) -> None:
-    """Make a ball wider the next time if it holds few nodes, and narrower if many."""
+    """Adapt a ball's margin: wider next time if it holds few nodes, narrower if many."""
     if 2 * count < wanted:
         ball[4] *= 1.5
     elif 2 * count > 3 * wanted:
@@ -260,23 +258,23 @@ def _adapt(ball: Float64s, count: int, wanted: int) -> None:
 
 
 @inlined
-def _give_up(ball: Float64s, kept: Kept) -> bool:
+def _give_up(ball: Float64s, cache: NodeCache) -> bool:
     ball[3], ball[4] = -1.0, 0.5 * ball[4]
-    kept.ball[3] = -1.0
-    kept.filled[0] = 0
+    cache.ball[3] = -1.0
+    cache.filled[0] = 0
     return False
 
 
 @inlined
-def keep_around(boxes: Boxes, search: Search, kept: Kept, at: Local, radius: float) -> bool:
-    """Keep all nodes of the lowest level that reach into a ball about a point.
+def cache_around(boxes: Boxes, search: Search, cache: NodeCache, at: Local, radius: float) -> bool:
+    """Cache all nodes of the lowest level that reach into a ball about a point.
 
-    It is wider than asked for, so that points that follow share it. Says no if there are too many nodes.
+    A margin lets following points share it. Returns False if there are too many nodes.
     """
     above = min(1, boxes.firsts.size - 2)
-    wide = _move(kept.ball, at, radius)
-    if not _holds(kept.outer_ball, at, wide):
-        outer = _move(kept.outer_ball, at, wide)
+    wide = _move(cache.ball, at, radius)
+    if not _holds(cache.outer_ball, at, wide):
+        outer = _move(cache.outer_ball, at, wide)
         bound = reach(outer * outer, at[3])
         count = 0
         waiting = begin(boxes, search)
@@ -284,28 +282,28 @@ def keep_around(boxes: Boxes, search: Search, kept: Kept, at: Local, radius: flo
             node, near, waiting = next_node(boxes, search, waiting, above, at, bound)
             if near == np.uint64(0):
                 continue
-            if count == kept.outer.size:
-                return _give_up(kept.outer_ball, kept)
-            kept.outer[count] = node
+            if count == cache.outer.size:
+                return _give_up(cache.outer_ball, cache)
+            cache.outer[count] = node
             count += 1
-        kept.filled[1] = count
-        _adapt(kept.outer_ball, count, _OUTER)
+        cache.filled[1] = count
+        _adapt(cache.outer_ball, count, _OUTER)
     bound = reach(wide * wide, at[3])
     x, y, z = np.float32(at[0]), np.float32(at[1]), np.float32(at[2])
     count = 0
-    for row in range(kept.filled[1]):
-        node = kept.outer[row]
+    for row in range(cache.filled[1]):
+        node = cache.outer[row]
         if above == 0:
-            kept.nodes[count] = node
+            cache.nodes[count] = node
             count += 1
             continue
         near = squares_to_boxes(boxes.bounds, boxes.firsts[1] + node, x, y, z, bound, search.children)
         while near != np.uint64(0):
-            if count == kept.nodes.size:
-                return _give_up(kept.ball, kept)
-            kept.nodes[count] = node * 8 + trailing_zeros(near)
+            if count == cache.nodes.size:
+                return _give_up(cache.ball, cache)
+            cache.nodes[count] = node * 8 + trailing_zeros(near)
             near &= near - np.uint64(1)
             count += 1
-    kept.filled[0] = count
-    _adapt(kept.ball, count, _INNER)
+    cache.filled[0] = count
+    _adapt(cache.ball, count, _INNER)
     return True

@@ -1,4 +1,4 @@
-"""How near two meshes come to each other: a tree of boxes over one, asked for each triangle of the other."""
+"""The smallest distance of two meshes: queries a box hierarchy of one for each triangle of the other."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from octex.nearest.boxes import Boxes, begin, boxes_of, local, morton_order, new
 
 
 class Mesh(NamedTuple):
-    """Triangles and a tree of boxes over them."""
+    """Triangles and a box hierarchy over them."""
 
     corners: Float64s  # (m, 3, 3)   along a Morton curve
     boxes: Boxes
 
 
 def mesh_of(corners: Float64s) -> Mesh:
-    """Build the tree over triangles (m, 3, 3)."""
+    """Build the hierarchy over triangles (m, 3, 3)."""
     corners = np.ascontiguousarray(corners[morton_order(corners.mean(axis=1))])
     return Mesh(corners, boxes_of(corners.min(axis=1), corners.max(axis=1)))
 
 
 def gap(a: Mesh, b: Mesh, most: float) -> float:
-    """Return the smallest distance between two meshes, 0 where they cross; infinite above ``most``."""
+    """Return the smallest distance of two meshes, 0 where they intersect; infinite above ``most``."""
     few, many = (a, b) if len(a.corners) <= len(b.corners) else (b, a)
     count = len(few.corners)
     stride = max(round(0.618 * count), 1)
@@ -39,10 +39,10 @@ def gap(a: Mesh, b: Mesh, most: float) -> float:
 def _gap(few: Float64s, many: Mesh, most: float, stride: int) -> float:
     search = new_search()
     best = most * most
-    found = False
+    is_reached = False
     for number in range(few.shape[0]):
-        i = number * stride % few.shape[0]  # all over the mesh: so a small gap is known early
-        # Boxes are asked for around the ball that holds the triangle.
+        i = number * stride % few.shape[0]  # spread over the mesh, to find a small distance early
+        # Query with the ball around the triangle's box.
         (x0, x1), (y0, y1), (z0, z1) = _extent(few, i, 0), _extent(few, i, 1), _extent(few, i, 2)
         radius = 0.5 * np.sqrt((x1 - x0) ** 2 + (y1 - y0) ** 2 + (z1 - z0) ** 2)
         at = local(many.boxes, 0.5 * (x0 + x1), 0.5 * (y0 + y1), 0.5 * (z0 + z1))
@@ -57,16 +57,16 @@ def _gap(few: Float64s, many: Mesh, most: float, stride: int) -> float:
                     continue
                 distance = _triangle_distance(few, i, many.corners, j)
                 if distance <= best:
-                    best, found = distance, True
+                    best, is_reached = distance, True
                     if best == 0.0:
                         return 0.0
                     bound = reach(best, at[3] + radius)
-    return np.sqrt(best) if found else np.inf
+    return np.sqrt(best) if is_reached else np.inf
 
 
 @inlined
 def _extent(corners: Float64s, i: int, axis: int) -> tuple[float, float]:
-    """Return the ends of a triangle along an axis."""
+    """Return a triangle's extent along an axis."""
     x, y, z = corners[i, 0, axis], corners[i, 1, axis], corners[i, 2, axis]
     return min(x, y, z), max(x, y, z)
 
@@ -85,7 +85,7 @@ def _box_distance(a: Float64s, i: int, b: Float64s, j: int) -> float:
 
 @part
 def _triangle_distance(a: Float64s, i: int, b: Float64s, j: int) -> float:
-    """Return the squared distance of two triangles: that of two edges or a corner and a face, or 0."""
+    """Return the squared distance of two triangles, of edges or corner and face; 0 if they intersect."""
     best = np.inf
     for m in range(3):
         p, q = a[i, m], a[i, (m + 1) % 3]
@@ -134,7 +134,7 @@ def _segment_distance(p: Float64s, q: Float64s, r: Float64s, s: Float64s) -> flo
 
 @part
 def _point_distance(p: Float64s, a: Float64s, b: Float64s, c: Float64s) -> float:
-    """Return the squared distance of a point and a triangle's inside; infinite where an edge is nearer."""
+    """Return the squared distance of a point and a triangle's plane; infinite if an edge is nearer."""
     aa, ab, bb = _dot(a, b, a, b), _dot(a, b, a, c), _dot(a, c, a, c)
     ap, bp = _dot(a, b, a, p), _dot(a, c, a, p)
     area = aa * bb - ab * ab
@@ -150,7 +150,7 @@ def _point_distance(p: Float64s, a: Float64s, b: Float64s, c: Float64s) -> float
 
 @part
 def _pierces(p: Float64s, q: Float64s, a: Float64s, b: Float64s, c: Float64s) -> bool:
-    """Whether a segment goes through a triangle."""
+    """Return whether a segment passes through a triangle."""
     nx = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
     ny = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
     nz = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

@@ -1,4 +1,4 @@
-"""What a cloud of points holds around a point: a weighted mean of those near it, or the nearest one."""
+"""Queries of a point cloud: a weighted mean of the points within a radius, or the nearest point."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from octex.nearest.boxes import (
     agrees,
     begin,
     boxes_of,
-    is_around,
-    keep_around,
+    cache_around,
+    is_cached,
     local,
     morton_order,
-    new_kept,
+    new_node_cache,
     new_search,
     next_node,
     reach,
@@ -31,17 +31,17 @@ _MOST_POINTS = 0.95
 
 
 class Points(NamedTuple):
-    """A cloud of points with values, made ready to be searched: in Morton order, in groups of eight."""
+    """A searchable cloud of points with values: in Morton order, in groups of eight."""
 
     boxes: Boxes  # over groups
     positions: Float64s  # (n, 3)
     values: Float32s  # (n, components)
-    normals: Float32s  # (n, 3), of length 1; or (0, 3)
-    order: Int64s  # (n,)   their numbers in the cloud
+    normals: Float32s  # (n, 3), unit length; or (0, 3)
+    order: Int64s  # (n,)   their numbers in the original cloud
 
     @classmethod
     def of(cls, positions: Float64s, values: Float32s, normals: Float32s | None = None) -> Points:
-        """Make positions (n, 3), n > 0, with values (n, components) and unit normals (n, 3) ready."""
+        """Build from positions (n, 3), n > 0, values (n, components) and unit normals (n, 3)."""
         order = morton_order(positions)
         placed = rows_in(order, positions)
         starts = np.arange(0, len(placed), WIDTH)
@@ -60,21 +60,20 @@ class Points(NamedTuple):
     ) -> tuple[Float32s, Bools]:
         """Return means (n, components) of the values around places (n, 3), and where there are any (n,).
 
-        Points within a place's radius weigh (1 − d²/r²)², d being how far they are. Where there is none, the
-        ``nearest`` point counts that is no farther than that; of equally near ones the first. With
-        ``directions`` (n, 3), of length 1, only points count whose normals are at an angle to them whose
-        cosine is ``least_cosine`` or more.
+        A point at distance d within a place's radius r weighs (1 − d²/r²)². Without such points, the nearest
+        point within ``nearest`` counts; at equal distance the first. With unit ``directions`` (n, 3), only
+        points count whose normal's cosine to the direction is at least ``least_cosine``.
         """
         means = np.zeros((len(places), self.values.shape[1]), np.float32)
-        found = np.zeros(len(places), np.bool_)
+        has_value = np.zeros(len(places), np.bool_)
         facing = np.empty((0, 3)) if directions is None or not len(self.normals) else directions
         farthest = -1.0 if nearest is None else float(nearest)
         width = float(np.median(radii)) if len(radii) else 0.0
-        _around(self, places, radii, facing, farthest, float(least_cosine), width, means, found)
-        return means, found
+        _around(self, places, radii, facing, farthest, float(least_cosine), width, means, has_value)
+        return means, has_value
 
     def spacing(self) -> float:
-        """Return how near 19 of 20 points have another; 10,000 points at most are asked."""
+        """Return the distance within which 19 of 20 points have a neighbour, from at most 10,000 points."""
         chosen = np.unique(np.linspace(0, len(self.positions) - 1, 10_000).astype(np.int64))
         return float(np.sqrt(np.quantile(_to_others(self, chosen), _MOST_POINTS, method="higher")))
 
@@ -87,7 +86,7 @@ def _square(positions: Float64s, row: int, point: tuple[float, float, float]) ->
 
 @inlined
 def _add_group(cloud: Points, group: int, sought: Sought, square: float, sums: Float64s) -> float:
-    """Add the values of a group's points within a squared radius; return the sum of their weights."""
+    """Add the values of a group's points within a squared radius; return their summed weight."""
     total = 0.0
     for row in range(group * 8, min(group * 8 + 8, cloud.positions.shape[0])):
         part = 1.0 - _square(cloud.positions, row, sought.point) / square
@@ -108,10 +107,10 @@ def _around(
     least_cosine: float,
     width: float,
     means: Float32s,
-    found: Bools,
+    has_value: Bools,
 ) -> None:
     boxes = cloud.boxes
-    search, kept = new_search(), new_kept(width)
+    search, cache = new_search(), new_node_cache(width)
     sums = np.zeros(means.shape[1], np.float64)
     last = -1
     for n in range(len(places)):
@@ -125,12 +124,12 @@ def _around(
             bound = reach(square, at[3])
             sums[:] = 0.0
             wide = radius + at[3]
-            is_kept = is_around(kept, at, wide) or keep_around(boxes, search, kept, at, wide)
-            waiting = kept.filled[0] if is_kept else begin(boxes, search)
+            uses_cache = is_cached(cache, at, wide) or cache_around(boxes, search, cache, at, wide)
+            waiting = cache.filled[0] if uses_cache else begin(boxes, search)
             while waiting > 0:
-                if is_kept:
+                if uses_cache:
                     waiting -= 1
-                    node = kept.nodes[waiting]
+                    node = cache.nodes[waiting]
                     near = squares_to_boxes(boxes.bounds, node, x, y, z, bound, search.children)
                 else:
                     node, near, waiting = next_node(boxes, search, waiting, 0, at, bound)
@@ -139,20 +138,20 @@ def _around(
                     near &= near - np.uint64(1)
                     total += _add_group(cloud, group, sought, square, sums)
         if total > 0.0:
-            found[n] = True
+            has_value[n] = True
             for component in range(sums.size):
                 means[n, component] = sums[component] / total
         elif farthest >= 0.0:
             last = _nearest(cloud, search, sought, farthest, last, -1)
             if last >= 0:
-                found[n] = True
+                has_value[n] = True
                 for component in range(sums.size):
                     means[n, component] = cloud.values[last, component]
 
 
 @inlined
 def _nearest(cloud: Points, search: Search, sought: Sought, farthest: float, guess: int, without: int) -> int:
-    """Return the row of the nearest point, no farther than ``farthest``, or −1; a guess speeds it up.
+    """Return the row of the nearest point within ``farthest``, or −1; a good guess speeds it up.
 
     Row ``without`` does not count.
     """
@@ -186,13 +185,13 @@ def _nearest(cloud: Points, search: Search, sought: Sought, farthest: float, gue
 
 @kernel
 def _to_others(cloud: Points, chosen: Int64s) -> Float64s:
-    """Return how far, squared, the nearest other point is from each of some rows; 0 for its like."""
+    """Return the squared distance from each chosen row to the nearest other point; 0 for a duplicate."""
     search, no_directions = new_search(), np.empty((0, 3), np.float64)
     squares = np.empty(chosen.size, np.float64)
     for n in range(chosen.size):
-        own = int(chosen[n])
-        point = cloud.positions[own, 0], cloud.positions[own, 1], cloud.positions[own, 2]
+        row_here = int(chosen[n])
+        point = cloud.positions[row_here, 0], cloud.positions[row_here, 1], cloud.positions[row_here, 2]
         sought = Sought(point, local(cloud.boxes, *point), no_directions, n, -1.0)
-        other = _nearest(cloud, search, sought, np.inf, -1, own)
+        other = _nearest(cloud, search, sought, np.inf, -1, row_here)
         squares[n] = _square(cloud.positions, other, point) if other >= 0 else np.inf
     return squares

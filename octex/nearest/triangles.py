@@ -11,46 +11,46 @@ from octex.errors import ModelError
 from octex.jit import inlined, kernel, nearest_box, squares_to_boxes, trailing_zeros
 from octex.nearest.boxes import (
     Boxes,
-    Kept,
+    NodeCache,
     Search,
     Sought,
     agrees,
     begin,
     boxes_of,
-    is_around,
-    keep_around,
+    cache_around,
+    is_cached,
     local,
     morton_order,
-    new_kept,
+    new_node_cache,
     new_search,
     next_node,
     reach,
 )
 
-#: Triangles whose area is less than this part of the square of their longest edge are left out.
+#: Triangles with an area below this part of their longest edge squared are left out.
 _THINNEST = 1e-12
 
 
 class Nearest(NamedTuple):
-    """What is nearest to each point."""
+    """The nearest surface point of each query."""
 
-    triangles: Int32s  # (n,)   −1: nothing is near enough
-    barycentric: Float64s  # (n, 3)   where on the triangle
-    squares: Float64s  # (n,)   how far, squared; infinity for nothing
+    triangles: Int32s  # (n,)   −1: none within the distance
+    barycentric: Float64s  # (n, 3)   of the point on the triangle
+    squares: Float64s  # (n,)   squared distance; infinity for none
 
 
 class Triangles(NamedTuple):
-    """A mesh made ready to be searched."""
+    """A searchable mesh."""
 
     boxes: Boxes
-    order: Int64s  # (triangles,)   their numbers, in the boxes' order
-    corners: Float64s  # (triangles, 9)   in the boxes' order: the first corner, and the way to the others
-    normals: Float32s  # (triangles, 3)   of length 1, in the boxes' order
-    width: float  # of a triangle, about
+    order: Int64s  # (triangles,)   their original numbers, in the boxes' order
+    corners: Float64s  # (triangles, 9)   in the boxes' order: the first corner, and the vectors to the others
+    normals: Float32s  # (triangles, 3)   unit length, in the boxes' order
+    width: float  # typical size of a triangle
 
     @classmethod
     def of(cls, vertices: Float64s, faces: Int32s) -> Triangles:
-        """Make triangles (m, 3) of vertices (n, 3) ready; those without area are never found.
+        """Build from triangles (m, 3) of vertices (n, 3); those without area are left out.
 
         Raises ModelError if none has area.
         """
@@ -78,20 +78,20 @@ class Triangles(NamedTuple):
         distance: float = np.inf,
         least_cosine: float = -1.0,
     ) -> Nearest:
-        """Find what is nearest to points (n, 3), no farther than ``distance``.
+        """Find the nearest surface point of points (n, 3), within ``distance``.
 
-        With ``directions`` (n, 3), of length 1, only triangles count whose normals are at an angle to them
-        whose cosine is ``least_cosine`` or more. Of what is equally near the first triangle is found.
+        With unit ``directions`` (n, 3), only triangles count whose normal's cosine to the direction is at
+        least ``least_cosine``. At equal distance the first triangle wins.
         """
-        found = Nearest(np.empty(len(points), np.int32), np.empty((len(points), 3)), np.empty(len(points)))
+        result = Nearest(np.empty(len(points), np.int32), np.empty((len(points), 3)), np.empty(len(points)))
         facing = np.empty((0, 3)) if directions is None else directions
-        _nearest(self, points, facing, float(distance), float(least_cosine), *found)
-        return found
+        _nearest(self, points, facing, float(distance), float(least_cosine), *result)
+        return result
 
 
 @inlined
 def _on_triangle(corners: Float64s, row: int, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Return how far a point is from a triangle, squared, and the nearest point's second and third weight.
+    """Return the squared distance of a point and a triangle, and the nearest point's second and third weight.
 
     (Ericson, Real-Time Collision Detection, 2005, 5.1.5.)
     """
@@ -128,7 +128,7 @@ Best = tuple[float, int, float, float]
 
 @inlined
 def _best_in(mesh: Triangles, node: int, near: np.uint64, sought: Sought, best: Best) -> Best:
-    """Return the best of some triangles in a node, and of what was best: its square, row and weights."""
+    """Return the nearer of ``best`` (square, row, weights) and the triangles in a node."""
     square, chosen, p, q = best
     while near != np.uint64(0):
         child = trailing_zeros(near)
@@ -143,28 +143,28 @@ def _best_in(mesh: Triangles, node: int, near: np.uint64, sought: Sought, best: 
 
 
 @inlined
-def _best_kept(mesh: Triangles, search: Search, kept: Kept, sought: Sought, best: Best) -> Best:
-    """Return the best of the triangles in the nodes that are kept, and of what was best."""
+def _best_cached(mesh: Triangles, search: Search, cache: NodeCache, sought: Sought, best: Best) -> Best:
+    """Return the nearer of ``best`` and the triangles in the cached nodes."""
     x, y, z, slack = sought.local
     i, j, k = np.float32(x), np.float32(y), np.float32(z)
     bound = reach(best[0], slack)
     bounds = mesh.boxes.bounds
-    # The triangle with the nearest box first: it mostly is the one, and few others need be looked at.
-    first = nearest_box(bounds, kept.nodes, kept.filled[0], i, j, k)
+    # Start with the triangle of the nearest box: it is mostly the result, and excludes most others.
+    first = nearest_box(bounds, cache.nodes, cache.filled[0], i, j, k)
     if first >= 0:
         best = _best_in(mesh, first >> 3, np.uint64(1) << np.uint64(first & 7), sought, best)
         bound = reach(best[0], slack)
-    for row in range(kept.filled[0]):
-        near = squares_to_boxes(bounds, kept.nodes[row], i, j, k, bound, search.children)
+    for row in range(cache.filled[0]):
+        near = squares_to_boxes(bounds, cache.nodes[row], i, j, k, bound, search.children)
         if near != np.uint64(0):
-            best = _best_in(mesh, kept.nodes[row], near, sought, best)
+            best = _best_in(mesh, cache.nodes[row], near, sought, best)
             bound = reach(best[0], slack)
     return best
 
 
 @inlined
 def _best_of_all(mesh: Triangles, search: Search, sought: Sought, best: Best) -> Best:
-    """Return the best of all triangles, and of what was best."""
+    """Return the nearer of ``best`` and all triangles."""
     bound = reach(best[0], sought.local[3])
     waiting = begin(mesh.boxes, search)
     while waiting > 0:
@@ -187,17 +187,17 @@ def _nearest(
     squares: Float64s,
 ) -> None:
     boxes = mesh.boxes
-    search, kept = new_search(), new_kept(mesh.width)
-    radius = -1.0  # what was near to the point before; −1: nothing
+    search, cache = new_search(), new_node_cache(mesh.width)
+    radius = -1.0  # distance from the previous point; −1: none
     for n in range(len(points)):
         point = points[n, 0], points[n, 1], points[n, 2]
         at = local(boxes, *point)
         sought = Sought(point, at, directions, n, least_cosine)
         best = distance * distance, -1, 0.0, 0.0
-        # Points mostly come in the order of some surface, and are as near to this one as the one before.
-        if radius >= 0.0 and (is_around(kept, at, radius) or keep_around(boxes, search, kept, at, radius)):
-            best = _best_kept(mesh, search, kept, sought, best)
-        if best[1] < 0 or not is_around(kept, at, np.sqrt(best[0]) + at[3]):
+        # Consecutive points mostly follow a surface, at about the same distance from this one.
+        if radius >= 0.0 and (is_cached(cache, at, radius) or cache_around(boxes, search, cache, at, radius)):
+            best = _best_cached(mesh, search, cache, sought, best)
+        if best[1] < 0 or not is_cached(cache, at, np.sqrt(best[0]) + at[3]):
             best = _best_of_all(mesh, search, sought, best)
         radius = np.sqrt(best[0]) + at[3] if best[1] >= 0 else -1.0
         square, chosen, p, q = best

@@ -29,16 +29,16 @@ def blur(
 ) -> OctreeTexture:
     """Return a texture that is blurred over its surface.
 
-    width     of the blur, in the model's units
-    channel   one name, several, or None for all. Unless alpha is blurred too, it stays and weighs the others
+    width     width of the blur, in the model's units
+    channel   one name, several, or None for all. Unless alpha is blurred too, it stays and weights the others
     run       how to work (octex.Run)
 
     Each leaf becomes ``texture.sample(centre, width=width, normals=facing)``: the average over a square
-    around its centre, of surface that faces the same way. So nothing bleeds through a thin sheet. Split
-    leaves are blurred for each facing. Leaves wider than ``width`` are blurred in part, so that a width of 0
-    changes nothing. Averages are recomputed.
+    around its centre, of surface with the same facing. So nothing bleeds through a thin sheet. Split leaves
+    are blurred for each facing. Leaves wider than ``width`` are blurred in part: a width of 0 changes
+    nothing. Averages are recomputed.
 
-    Raises ArgumentError for unknown channels, and for a width that is negative or not finite.
+    Raises ArgumentError for unknown channels, and for a negative or non-finite width.
     """
     run, names = as_run(run, threads), names_of(texture, channel)
     width = as_number(width, "width", 0.0, np.finfo(np.float64).max)
@@ -53,7 +53,7 @@ def blur(
     rows = rows.of(is_leaf[rows.cells])
     is_leaf[rows.cells] = False
     plain, kept = np.flatnonzero(is_leaf), tree.kept.cells.astype(np.int64)
-    # What is left of what cells (cells,) differ from the field by; in nodes, of their leaves.
+    # Part of each cell's difference from the field that stays; of a node, the mean of its leaves' parts.
     first = tree.arrays.level_cells
     edges = texture.placement.size * np.ldexp(1.0, -np.arange(first.size - 1))
     left = np.repeat(np.maximum(1 - width / edges, 0), np.diff(first)).astype(np.float32)
@@ -67,12 +67,12 @@ def blur(
     ):
         centres = centres_of[cells]
         blurred = _sampled(texture, names, centres, facings, width, run)
-        some = np.flatnonzero(left[cells] > 0)
-        field = _sampled(texture, names, centres[some], facings[some], None, run)
+        changed = np.flatnonzero(left[cells] > 0)
+        field = _sampled(texture, names, centres[changed], facings[changed], None, run)
         for name in names:
             form, stored = made[name].format, arrays[name][part]
-            old = decode(stored[numbers[some]], form.space)
-            blurred[name][some] += left[cells[some], None] * (old - field[name])
+            old = decode(stored[numbers[changed]], form.space)
+            blurred[name][changed] += left[cells[changed], None] * (old - field[name])
             stored[numbers] = encode(blurred[name], form.dtype, form.space)
     _average_facings(texture, made, rows, left)
     parts = left[:, None].astype(np.float64)
@@ -88,7 +88,7 @@ def _sampled(
     width: float | None,
     run: Run,
 ) -> dict[str, Float32s]:
-    """Return the field at centres (n, 3), by a normal where surface that faces some ways (n,) has one."""
+    """Return the field at centres (n, 3), for facing flags (n,); a normal selects a single facing."""
     axes = np.stack([(facings >> bit & 1).astype(np.int8) for bit in range(6)], axis=1)
     normals = (axes[:, 0::2] - axes[:, 1::2]).astype(np.float32)
     has_normal = (axes[:, 0::2] & axes[:, 1::2] == 0).all(axis=1) & (facings > 0)
@@ -103,7 +103,7 @@ def _sampled(
 
 
 def _average_facings(texture: OctreeTexture, made: Mapping[str, Channel], rows: Rows, left: Float32s) -> None:
-    """Make split leaves the means of their rows, in place, and keep what is left of their residuals."""
+    """Set split leaves to the means of their rows, in place, plus the part ``left`` of their residuals."""
     starts = np.flatnonzero(np.diff(rows.cells, prepend=-1, append=-1))
     split = rows.cells[starts[:-1]]
     areas = AREAS[texture.tree.split.areas[rows.rows]].astype(np.float32)

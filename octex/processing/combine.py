@@ -1,4 +1,4 @@
-"""One texture on another, and all that is between the two, on the tree of the cells of both."""
+"""Lays one texture over another, or mixes two, on the union of their trees."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def combine(
     threads: int | None = None,
     run: Run | None = None,
 ) -> OctreeTexture:
-    """Return two textures of the same root cell in one: ``second`` on top of ``first``.
+    """Return a texture with the cells of both; ``second`` lies on top of ``first``.
 
-    Where only one has cells, they stay. Where both have cells, those of ``second`` replace the others, as
-    ``mix`` does with an amount of 1. With ``over`` they are composited by their alpha, in linear light
-    (Porter & Duff 1984). ``mix`` describes cells of different depth, averages, facings and channels.
-    ``run`` says how to work (octex.Run).
+    A cell of only one texture stays. In a cell of both, ``second`` replaces ``first``, as ``mix`` does with
+    an amount of 1. With ``over`` they are composited by alpha, in linear light (Porter & Duff 1984). See
+    ``mix`` for cells of different depth, averages, facings and channels. ``run`` says how to work
+    (octex.Run).
 
     Raises ArgumentError for textures of different root cells or separations, or without a common channel.
     """
@@ -62,18 +62,17 @@ def mix(
              function of rest positions (n, 3) that returns (n,). It is clamped
     run      how to work (octex.Run)
 
-    Values mix in linear light, weighted by alpha. The tree has all cells of both textures; a cell that only
-    one has keeps its values. Where one has a leaf that the other divides, the leaf's field gives the values
-    below it (paper 4.2). If its share is a half or more, the node also stores the leaf's value (a kept node);
-    so a field that is not mixed does not move. Amounts of exactly 0 and 1 return one texture's field
-    everywhere.
+    Values mix in linear light, weighted by alpha. The tree has all cells of both textures; a cell of only one
+    texture keeps its values. Where one has a leaf that the other divides, the leaf's field gives the values
+    below it (paper 4.2). If the leaf's share is a half or more, the node also stores the leaf's value (a kept
+    node), so that an unmixed field does not move. Amounts of exactly 0 and 1 return one texture's field.
 
-    Averages are recomputed. A cell has the facings of both; values per facing mix facing by facing. Areas are
-    those of the texture with the larger share. The result has the channels that both have, stored as in
-    ``first``; a texture without alpha is opaque.
+    Averages are recomputed. A cell has the facings of both; values mix facing by facing. Areas come from the
+    texture with the larger share. The result has the common channels, stored as in ``first``; a texture
+    without alpha is opaque.
 
     Raises ArgumentError for textures of different root cells or separations, or without a common channel, for
-    channels that differ in components or meaning, and for an amount that cannot be used.
+    channels that differ in components or meaning, and for an unusable amount.
     """
     as_texture(first, "first")
     as_texture(second, "second")
@@ -99,7 +98,7 @@ def _united(
     metadata: dict[str, str],
     run: Run,
 ) -> OctreeTexture:
-    first, second = _alike(first, second)
+    first, second = _same_formats(first, second)
     bounds = np.array(
         [np.minimum(first.bounds[0], second.bounds[0]), np.maximum(first.bounds[1], second.bounds[1])]
     )
@@ -116,12 +115,11 @@ def _united(
     return OctreeTexture(tree, channels, first.placement, bounds, metadata)
 
 
-def _alike(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, OctreeTexture]:
-    """Return two textures with the channels of both, as the first stores them; without alpha opaque."""
+def _same_formats(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, OctreeTexture]:
+    """Return two textures with their common channels, stored as in the first; missing alpha becomes 1."""
     if first.metadata.get(SEPARATION) != second.metadata.get(SEPARATION):
         raise ArgumentError(
-            "parts of these textures' surfaces were moved apart, and not by the same; separate both or "
-            "neither"
+            "the parts of these textures were separated by different distances; separate both or neither"
         )
     if first.placement != second.placement:
         cells = " and ".join(
@@ -129,8 +127,8 @@ def _alike(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTexture, 
             for origin, size in (first.placement, second.placement)
         )
         raise ArgumentError(
-            f"the textures' root cells differ, {cells}, and so do their cells, and octex does not resample "
-            "them; convert both models with the same bounds and depth or cell"
+            f"the textures' root cells differ, {cells}, and octex does not resample them; "
+            "convert both models with the same bounds and depth or cell"
         )
     one, other = {}, {}
     for name, channel in first.channels.items():
@@ -166,7 +164,7 @@ def _opaque(tree: Octree, form: ChannelFormat) -> Channel:
 
 
 def _without_hidden(texture: OctreeTexture, over: OctreeTexture) -> OctreeTexture:
-    """Return a texture without what another hides, laid over it; leaves of both face as the other's."""
+    """Return a texture without the cells that ``over`` hides; leaves of both get the facings of ``over``."""
     edited = rebuilt(texture.tree, _not_hidden(texture.tree, over.tree))
     texture = texture.with_cells(edited.tree, carried(texture, edited))
     tree = texture.tree
@@ -189,12 +187,12 @@ def _without_hidden(texture: OctreeTexture, over: OctreeTexture) -> OctreeTextur
 def _not_hidden(tree: Octree, over: Octree) -> list[Int64s]:
     """Return the codes of the leaves that another tree does not hide, by level.
 
-    Nodes become leaves where the other has leaves. A skirt goes, unless it is beside surface that the other
+    Nodes become leaves where the other has leaves. Skirt leaves remain only next to surface that the other
     lacks.
     """
     leaves: list[Int64s] = []
     skirts: list[Int64s] = []
-    lacked: list[Int64s] = []  # surface that the other lacks
+    lacked: list[Int64s] = []  # surface that the other tree lacks
     for level, (codes, is_node) in enumerate(tree.walk()):
         where = locate(over, codes, level)
         is_lacking = ~is_node & ~where.is_leaf & (where.levels < level)

@@ -1,4 +1,4 @@
-"""A texture with other values: what they are above leaves, and what provenance says of them."""
+"""Replaces the values of a texture, recomputes its averages, and records the operation."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of
 
-#: The name in the metadata under which operations are listed, as JSON.
+#: Metadata key of the list of operations, as JSON.
 PROCESSED = "processed"
-#: Alphas that differ by less count as alike: half an 8-bit code.
+#: Alphas that differ by less count as equal: half an 8-bit code.
 _FAINT = np.float32(0.5 / 255)
 
 
 class Edit(Protocol):
-    """What becomes of the values of one channel."""
+    """Maps the values of one channel."""
 
     def stored(self, values: Array, cells: Int64s | None) -> Array:
-        """Return what stored values (n, components) become: those of ``cells``, or one a cell."""
+        """Map stored values (n, components) of ``cells``, or of all cells for None."""
 
     def changed(self, cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
-        """Return what residuals become: see ``averages.Change``."""
+        """Return new residuals; see ``averages.Change``."""
 
 
 def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[str, str]:
-    """Return provenance with one more operation."""
+    """Return metadata with one more operation."""
     return with_listed(metadata, PROCESSED, [{"operation": operation, **how}])
 
 
 def with_listed(metadata: Mapping[str, str], name: str, entries: Sequence[object]) -> dict[str, str]:
-    """Return metadata with more entries of a JSON list; what else stands there becomes its first."""
+    """Return metadata with more entries in a JSON list; a value of another kind becomes its first entry."""
     try:
         before = json.loads(metadata.get(name, "[]"))
     except ValueError:
@@ -51,14 +51,14 @@ def with_listed(metadata: Mapping[str, str], name: str, entries: Sequence[object
 
 
 def names_of(texture: OctreeTexture, channel: str | Sequence[str] | None) -> list[str]:
-    """Return the names of channels to work on, None for all. Raises ArgumentError, also for no texture."""
+    """Return channel names, all for None. Raises ArgumentError, also for an argument that is no texture."""
     as_texture(texture)
     names = list(texture.channels) if channel is None else as_names(channel, "channel")
     return [as_choice(name, texture.channels, "channel") for name in dict.fromkeys(names)]
 
 
 class Centres:
-    """The centres of a tree's cells, at rest."""
+    """The centres of a tree's cells, in rest positions."""
 
     def __init__(self, tree: Octree, placement: Placement) -> None:
         self._tree, self._placement = tree, placement
@@ -82,7 +82,7 @@ def edited(
     operation: str,
     **how: object,
 ) -> OctreeTexture:
-    """Return a texture with an edit of the values of some channels: of cells, rows and kept coefficients."""
+    """Return a texture with some channels edited: the values of cells, split rows and kept nodes."""
     tree = texture.tree
     owners, kept = rows_of(tree.split).cells, tree.kept.cells.astype(np.int64)
     made: dict[str, Channel] = {}
@@ -105,10 +105,11 @@ def with_values(
     change: Mapping[str, Change],
     metadata: Mapping[str, str],
 ) -> OctreeTexture:
-    """Return a texture with other values in some of its channels, and averages that suit them.
+    """Return a texture with other values in some of its channels, and matching averages.
 
-    ``made`` is written to: nodes and rows of split nodes are made anew, residuals by the ``change`` of each
-    channel. After a change of alpha all channels weigh by the new one, and residuals stay as far as opaque.
+    It writes to ``made``: averages of nodes and of split nodes' rows, plus residuals by the ``change`` of
+    each channel. If alpha changes, all channels are averaged with the new alpha, and residuals shrink where
+    the new alpha is larger.
     """
     others = {
         name: channel._replace(values=channel.values.copy(), split_values=channel.split_values.copy())
@@ -128,6 +129,6 @@ def with_values(
 
 
 def _covered(change: Change, was: Array, alpha: Array) -> Change:
-    """Return a change that keeps of residuals what is as opaque now, by ``alpha``, as it ``was``."""
+    """Return a change that scales residuals by the ratio of old to new opacity, at most 1."""
     parts = np.minimum((coverage(was) + _FAINT) / (coverage(alpha) + _FAINT), 1)
     return lambda cells, values, means: change(cells, values, means) * parts[cells, None]

@@ -1,4 +1,4 @@
-"""Every value of a texture changed: by functions, levels and curves, or to other types."""
+"""Maps every value of a texture: by functions, levels and curves, or to other types."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from octex.processing.edit import Centres, edited, names_of, noted
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.texture.channel import Dtypes, formats_as
 
-#: Values that a function is given at once: with what it makes of them they stay in the processor's cache.
+#: Values a function call: values and results stay in the processor's cache.
 BLOCK = 1 << 13
-#: Values that are recoded at once.
+#: Values recoded at once.
 _RECODED = 1 << 14
 _MOST, _LARGEST = float(np.finfo(np.float64).max), float(np.finfo(np.float32).max)
 _MOST_GAMMA = 100.0
 
-#: From decoded values (n, components), and the positions (n, 3) of their cells' centres at rest if it wants
-#: them, to as many values.
+#: Maps decoded values (n, components), and optionally the rest positions (n, 3) of cell centres, to values of
+#: the same shape.
 ValueFunction = Callable[..., npt.ArrayLike]
 #: A number for all components, or one for each.
 PerComponent = float | Sequence[float]
-#: From encoded values (n, components) to others.
+#: Maps encoded values (n, components).
 Tone = Callable[[Float64s], Float64s]
 
 
@@ -55,12 +55,12 @@ def map_values(
               parameter without a default, it gets the rest positions (n, 3) of the cells' centres
     channel   one name or several; each channel is mapped separately
 
-    Results are rounded and clamped as the channel is stored; alpha is clamped to 0 … 1. f is applied to the
+    Results are rounded and clamped to the channel's type; alpha is clamped to 0 … 1. f is applied to the
     values of leaves, facings and kept nodes. A node gets the mean of the new values below it, plus a
     residual: f(its value) − f(the mean of the values below it). So an affine f maps averages exactly.
 
-    Raises ArgumentError for unknown channels, and if f raises an error, or returns another shape, no numbers
-    or values that are not finite; the message names the first position.
+    Raises ArgumentError for unknown channels, and if f raises an error, or returns another shape, non-numbers
+    or non-finite values; the message names the first position.
     """
     if not callable(f):
         raise ArgumentError(f"f must be a function of values, not {f!r}")
@@ -76,7 +76,7 @@ class _Mapped:
         self._wants_positions = takes_both(f, self._what, "values", "positions")
 
     def stored(self, values: Array, cells: Int64s | None) -> Array:
-        """Map values as stored, which are those of ``cells``, or one a cell."""
+        """Return mapped stored values of ``cells``, or of all cells for None."""
         form = self._form
         mapped = np.empty_like(values)
         for here, chosen in _blocks(len(values), cells):
@@ -84,7 +84,7 @@ class _Mapped:
         return mapped
 
     def changed(self, cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
-        """Return how far f of values is from f of means."""
+        """Return f(values) − f(means)."""
         apart = np.empty_like(values)
         for here, chosen in _blocks(len(values), cells):
             apart[here] = self._of(values[here].astype(np.float32), chosen)
@@ -120,8 +120,8 @@ def levels(
 
     All are encoded values, 0 … 1, as image editors show them (times 255): sRGB for light, in any stored type.
     Each is one number, or one for each component. In between, values follow x^(1/gamma): a gamma above 1
-    makes the middle lighter. Values outside of black … white are clamped, except that floats may go on above
-    white. Averages follow as in ``octex.map``.
+    makes the middle lighter. Values outside of black … white are clamped, except floats above white. Averages
+    follow as in ``octex.map``.
 
     Raises ArgumentError for unknown channels, for directions, and for numbers out of range: ``black`` must be
     below ``white``, ``gamma`` above zero.
@@ -141,7 +141,7 @@ def levels(
         top = _LARGEST if form.dtype.startswith("float") and form.name != ALPHA.name else 1.0
 
         def tone(values: Float64s) -> Float64s:
-            with np.errstate(over="ignore"):  # where black is next to white, or gamma next to nothing
+            with np.errstate(over="ignore"):  # black may be close to white, or gamma close to zero
                 part = np.clip((values - low) / (high - low), 0, top) ** (1 / power)
             return np.asarray(below + (above - below) * np.minimum(part, top))
 
@@ -156,11 +156,11 @@ def curves(
 ) -> OctreeTexture:
     """Return a texture whose encoded values follow a curve through ``points``, as in image editors.
 
-    points    (k, 2): an encoded value, 0 … 1, and its result, ascending in the first column; one curve for
+    points    (k, 2): encoded values, 0 … 1, and their results, ascending in the first column; one curve for
               all components, or a list with one for each
 
-    Between the points the curve is the monotone cubic of Fritsch & Carlson (1980); outside of them it is
-    constant. Encoded values are sRGB for light, in any stored type. Averages follow as in ``octex.map``.
+    Between the points the curve is the monotone cubic of Fritsch & Carlson (1980); outside it is constant.
+    Encoded values are sRGB for light, in any stored type. Averages follow as in ``octex.map``.
 
     Raises ArgumentError for unknown channels, for directions, and for points of another shape or order.
     """
@@ -190,7 +190,7 @@ def _edited(
 
 
 class _Toned:
-    """A tone on the values of one channel; of integers by tables, between whose codes it is straight."""
+    """A tone curve on one channel's values; integers use tables and interpolate between codes."""
 
     def __init__(self, form: ChannelFormat, tone: Tone) -> None:
         self._form, self._tone = form, tone
@@ -204,7 +204,7 @@ class _Toned:
             self._toned_light = self._of(light).astype(np.float32)
 
     def stored(self, values: Array, _cells: Int64s | None) -> Array:
-        """Map values as stored."""
+        """Return mapped stored values."""
         form = self._form
         if not self._has_tables:
             return encode(self._of(decode(values, form.space)), form.dtype, form.space)
@@ -213,7 +213,7 @@ class _Toned:
         return np.asarray(self._codes[np.arange(form.components), values])
 
     def changed(self, _cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
-        """Return how far toned values are from toned means."""
+        """Return tone(values) − tone(means)."""
         if not self._has_tables:
             return self._of(values) - self._of(means)
         columns = [
@@ -223,7 +223,7 @@ class _Toned:
         return np.stack(columns, axis=1)
 
     def _of(self, values: Floats) -> Float64s:
-        """Map decoded values: light by way of sRGB's curve."""
+        """Map decoded values; light is encoded by sRGB's curve first."""
         wide = values.astype(np.float64)
         if self._form.space == "data":
             return np.asarray(self._tone(wide))
@@ -240,7 +240,7 @@ def _curves_of(form: ChannelFormat, points: npt.ArrayLike | Sequence[npt.ArrayLi
     try:
         whole = as_reals(typed(npt.ArrayLike, points), "points", (-1, 2), (-1, -1, 2))
         curves = [whole] * form.components if whole.ndim == 2 else list(whole)
-    except ArgumentError:  # curves of different lengths, or no numbers
+    except ArgumentError:  # curves of different lengths, or non-numbers
         curves = []
         for each in points if isinstance(points, Sequence) else ():
             with suppress(ArgumentError):
@@ -294,7 +294,7 @@ def cast(
 
     dtype      "uint8", "uint16", "float16" or "float32", for all channels or a dict by name. Floats store
                linear light, integers sRGB
-    channels   names of the channels to keep, in this order (default: all)
+    channels   names of the channels in the result, in this order (default: all)
 
     Raises ArgumentError for unknown names, and for an integer type if light or data exceed 0 … 1.
     """
@@ -311,7 +311,7 @@ def cast(
 
 
 def in_format(channel: Channel, form: ChannelFormat) -> Channel:
-    """Return a channel as another format of as many components stores it. Raises ArgumentError."""
+    """Return a channel converted to another format of equal component count. Raises ArgumentError."""
     before = channel.format
     if form == before:
         return channel

@@ -1,4 +1,4 @@
-"""Two textures mixed, cell by cell of their union."""
+"""Mixes two textures, cell by cell of their union."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable
 from octex.tree.octree import Octree
 from octex.tree.split import bits_of, counts_of, find_rows, rows_of
 
-#: How much of the second texture there is in cells that both have: a number, a function of the positions
-#: (n, 3), at rest, of the cells' centres, or a texture of one channel of one component.
+#: Share of the second texture in cells of both: a number, a function of the rest positions (n, 3) of cell
+#: centres, or a texture of one channel with one component.
 Amount = float | OctreeTexture | Callable[[Float64s], npt.ArrayLike]
 
-#: Cells that a thread mixes at once, and those that it copies.
+#: Cells a task: mixed, and copied.
 _BLOCK, _MANY = 1 << 14, 1 << 20
 
 
@@ -41,16 +41,16 @@ class Cells(NamedTuple):
 
     codes: Int64s  # (cells,)
     facings: Uint8s  # (cells,)
-    levels: Int64s  # (max_depth + 2,)   the first cell of each level, then their number
+    levels: Int64s  # (max_depth + 2,)   first cell of each level, then the number of cells
 
     def by_level(self, cells: Int64s) -> list[Int64s]:
-        """Part cells (n,), ascending, by level."""
+        """Group ascending cells (n,) by level."""
         ends = np.searchsorted(cells, self.levels)
         return [cells[begin:end] for begin, end in pairwise(ends.tolist())]
 
 
 class Side:
-    """What one of the textures has in the cells of a union; ``refines`` also below its leaves."""
+    """One of the two textures, read by the union's cells; with ``refines`` also below its leaves."""
 
     def __init__(
         self, texture: OctreeTexture, origins: Origins, cells: Cells, refines: bool, executor: Executor
@@ -58,8 +58,8 @@ class Side:
         self.texture, self.origins, self._cells = texture, origins, cells
         self._below = np.flatnonzero(origins.cells < NOTHING) if refines else np.empty(0, np.int64)
         parts = [
-            refined_below(texture, cells.codes[own], level, cells.facings[own], executor)
-            for level, own in enumerate(cells.by_level(self._below) if self._below.size else ())
+            refined_below(texture, cells.codes[chosen], level, cells.facings[chosen], executor)
+            for level, chosen in enumerate(cells.by_level(self._below) if self._below.size else ())
         ]
         self._is_split = np.concatenate([np.empty(0, np.bool_), *(each.is_split for each in parts)])
         self._refined = {
@@ -68,7 +68,7 @@ class Side:
         }
 
     def values(self, cells: Int64s) -> dict[str, Float32s]:
-        """Return the values of cells (n,), decoded: own ones, or refined ones; of others, any."""
+        """Return decoded values of cells (n,): stored, or refined below a leaf; any for missing cells."""
         where = self.origins.cells[cells]
         below = np.flatnonzero(where < NOTHING) if self._below.size else np.empty(0, np.int64)
         rows = np.searchsorted(self._below, cells[below])
@@ -80,7 +80,7 @@ class Side:
         return values
 
     def coefficients(self, nodes: Int64s) -> dict[str, Float32s]:
-        """Return what nodes (n,) keep or could keep, decoded: values, but for those of kept nodes."""
+        """Return the decoded coefficients of nodes (n,): that of a kept node, otherwise the value."""
         values, where = self.values(nodes), self.origins.cells[nodes]
         cells = self.texture.tree.kept.cells.astype(np.int64)
         kept = np.flatnonzero(among(where, cells))
@@ -90,7 +90,7 @@ class Side:
         return values
 
     def rows(self, cells: Int64s, bits: Uint8s) -> dict[str, Float32s]:
-        """Return what cells (n,), ascending, show facings, decoded."""
+        """Return the decoded values of ascending cells (n,) for facings (n,)."""
         values, where = self.values(cells), self.origins.cells[cells]
         present, below = np.flatnonzero(where > NOTHING), np.flatnonzero(where < NOTHING)
         for name, channel in self.texture.channels.items():
@@ -103,17 +103,17 @@ class Side:
         return values
 
     def find_rows(self, cells: Int64s, bits: Uint8s) -> tuple[Bools, Int64s]:
-        """Say which rows of the union are here too, and return these."""
+        """Return which rows of the union exist here, and their numbers here."""
         return find_rows(self.texture.tree.split, self.origins.cells[cells], bits)
 
     def is_split(self) -> Bools:
-        """Say which cells of the union are split here, or below a leaf see something else in a facing."""
+        """Return which cells of the union are split here, or would be split below a leaf."""
         is_split = self._has_flag(self.origins.cells, SPLIT)
         is_split[self._below] = self._is_split
         return is_split
 
     def keeps(self, nodes: Int64s) -> Bools:
-        """Say which nodes, all of the union, keep a coefficient here, or divide a leaf."""
+        """Return which of the union's nodes are kept here, or divide a leaf of this texture."""
         return self._has_flag(self.origins.cells[nodes], KEPT) | (self.origins.nodes < NOTHING)
 
     def _has_flag(self, where: Int64s, flag: int) -> Bools:
@@ -122,7 +122,7 @@ class Side:
         )
 
     def residuals(self, name: str, nodes: Nodes, owners: Int64s, bits: Uint8s) -> Residuals:
-        """Return the residuals of nodes of the union and of rows of theirs; see `residuals_at`."""
+        """Return the residuals of the union's nodes and of their rows; see `residuals_at`."""
         places = Nodes(
             np.maximum(self.origins.nodes[nodes.numbers], NOTHING), self.origins.cells[nodes.cells]
         )
@@ -130,47 +130,47 @@ class Side:
 
 
 class Mixing:
-    """Two textures of the same channels, stored alike, on the tree of both.
+    """The mixture of two textures with equal channel formats, on the union of their trees.
 
-    ``amount`` None lays the second over the first by its alpha. What only one has is taken from that. With
-    the number 0 or 1 the texture that is not taken has no cells that the other hides.
+    ``amount`` None composites the second over the first by its alpha. A cell of only one texture is copied.
+    For the amounts 0 and 1 the other texture must lack cells that this one hides.
     """
 
     def __init__(
         self, first: OctreeTexture, second: OctreeTexture, amount: Amount | None, executor: Executor
     ) -> None:
         self._amount, self._executor = amount, executor
-        self._texture = first  # for its placement and formats
+        self._texture = first  # source of placement and formats
         self._tree, *origins = unite(first.tree, second.tree)
         arrays = self._tree.arrays
         self._nodes = node_cells(arrays)
         self._centres = Centres(self._tree, first.placement)
         self._cells = Cells(self._centres.codes, arrays.flags & np.uint8(FACING_FLAGS), arrays.level_cells)
-        # What is taken whole or not at all needs no values below the other's leaves.
+        # An amount of 0 or 1 needs no values below the unused texture's leaves.
         self._sides = [
             Side(texture, each, self._cells, amount != unused, executor)
             for texture, each, unused in zip((first, second), origins, (1.0, 0.0), strict=True)
         ]
         has_first, has_second = (each.cells != NOTHING for each in origins)
         self._both = has_first & has_second
-        self._share = has_second.astype(np.float32)  # of the second, in the colour of cells
+        self._share = has_second.astype(np.float32)  # of the second texture in each cell's colour
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out the executor, which does not travel to its own processes."""
+        """Leave out the executor, which cannot be sent to its worker processes."""
         return {**self.__dict__, "_executor": None}
 
     def mixed(self) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree and its channels."""
         first, second = self._sides
         values, made = self._leaves()
-        # Areas are those of the texture that prevails; the parts in nodes are averaged by them.
+        # Areas come from the texture with the larger share; nodes' shares are averages weighted by them.
         areas = self._tree.arrays.areas[:, None]
         own_areas = [side.texture.tree.arrays.areas[:, None] for side in self._sides]
         self._take(own_areas, areas)
         average_plain(self._tree, self._share, made)
         self._take(own_areas, areas)
-        # Nodes keep a coefficient where the texture that prevails has one, cells are split where one is that
-        # has a part in them.
+        # A node is kept if it is kept in the texture with the larger share. A cell is split if it is split in
+        # a texture with a share above 0.
         is_second = self._share[self._nodes] >= 0.5
         kept = self._nodes[np.where(is_second, second.keeps(self._nodes), first.keeps(self._nodes))]
         is_split = first.is_split() & (self._share < 1) | second.is_split() & (self._share > 0)
@@ -198,12 +198,12 @@ class Mixing:
         return tree, {name: channels[name] for name in values}
 
     def _residuals(self, tree: Octree, name: str, made: Nodes) -> Residuals:
-        """Return the residuals of nodes that are not as in one of the two: they count by the parts."""
+        """Return the residuals of mixed nodes: the shares weight those of both textures."""
         rows = rows_of(tree.split, made.cells)
         owners = np.searchsorted(made.cells, rows.cells)
         tasks = [start(self._executor, side.residuals, name, made, owners, rows.bits) for side in self._sides]
         one, other = (task.result() for task in tasks)
-        # Where only one tells a facing apart, its own residual stays.
+        # A facing that only one texture has takes that texture's residual.
         has_first, has_second = (side.find_rows(rows.cells, rows.bits)[0] for side in self._sides)
         share = self._share[made.cells, None]
         row_share = np.where(has_first == has_second, self._share[rows.cells], has_second)[:, None]
@@ -212,7 +212,7 @@ class Mixing:
         )
 
     def _leaves(self) -> tuple[dict[str, Array], Nodes]:
-        """Return the channels' values, as stored, and the nodes, to be averaged, that both have a part in."""
+        """Return stored values by channel, and the nodes that have parts of both and need averaging."""
         is_mixed = self._both.copy()
         is_mixed[self._nodes] = False
         if isinstance(self._amount, float) and self._amount in (0.0, 1.0):
@@ -227,12 +227,12 @@ class Mixing:
         one, other = (side.origins.nodes for side in self._sides)
         find_made(self._tree.arrays, self._nodes, one, other, self._share, is_mixed, is_made)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
-        for some, (mixed, share) in zip(
+        for block, (mixed, share) in zip(
             blocks, ordered_map(self._executor, self._leaves_mixed, blocks), strict=True
         ):
-            self._share[some] = share
-            for name, own in mixed.items():
-                values[name][some] = own
+            self._share[block] = share
+            for name, mixed_values in mixed.items():
+                values[name][block] = mixed_values
         return values, Nodes(np.flatnonzero(is_made), self._nodes[is_made])
 
     def _leaves_mixed(self, cells: Int64s) -> tuple[dict[str, Array], Float32s]:
@@ -243,7 +243,7 @@ class Mixing:
     def _mix(
         self, cells: Int64s, values: Callable[[Side], dict[str, Float32s]], amounts: Float32s | None = None
     ) -> tuple[dict[str, Float32s], Float32s]:
-        """Mix cells (n,), by ``amounts``; return values by channel, and the second's part (n,) in colours."""
+        """Mix cells (n,) by ``amounts``; return values by channel, and the second's share (n,) of colour."""
         has = [(side.origins.cells[cells] != NOTHING).astype(np.float32) for side in self._sides]
         one, other = (values(side) for side in self._sides)
         alphas = [np.ones(cells.size, np.float32)] * 2
@@ -263,7 +263,7 @@ class Mixing:
         return ({ALPHA.name: total[:, None]} if ALPHA.name in one else {}) | mixed, share
 
     def _amounts(self, cells: Int64s) -> Float32s:
-        """Return how much of the second there is to be in cells (n,), 0 … 1."""
+        """Return the amount of the second texture in cells (n,), 0 … 1."""
         if isinstance(self._amount, float):
             return np.full(cells.size, self._amount, np.float32)
         centres = self._centres[cells]
@@ -274,13 +274,13 @@ class Mixing:
         return np.clip(amounts, 0, 1).astype(np.float32)
 
     def _take(self, sides: Sequence[Array], taken: Array) -> None:
-        """Take what cells have in the texture that prevails, or in the other if it lacks the cell."""
+        """Copy each cell from the texture with the larger share, or from the only one that has it."""
         one, other, rows = (array.view(np.uint8) for array in (*sides, taken))
         first, second = (side.origins.cells for side in self._sides)
         share = self._share
 
-        def copied(some: slice) -> None:
-            take(first[some], second[some], share[some], one, other, rows[some])
+        def copied(block: slice) -> None:
+            take(first[block], second[block], share[block], one, other, rows[block])
 
         with sharing(self._executor) as pool:
             for _ in ordered_map(
@@ -289,15 +289,15 @@ class Mixing:
                 pass
 
     def _summed(self, made: Nodes) -> Nodes:
-        """Return the nodes to which both add cells of their own."""
-        adds = ~self._both  # cells, or to what is below them
+        """Return the nodes below which each texture has cells that the other lacks."""
+        adds = ~self._both  # cells with cells of one texture only, themselves or below
         for here in reversed(by_level(self._tree, made)):
             children, starts = all_children(self._tree, made.numbers[here])
             adds[made.cells[here]] |= np.logical_or.reduceat(adds[children], starts)
         return made.of(adds[made.cells] & self._both[made.cells])
 
     def _rows(self, owners: Int64s, bits: Uint8s) -> dict[str, Float32s]:
-        """Mix what cells (n,) show facings, decoded; in nodes by the parts of the textures below them."""
+        """Mix decoded values of cells (n,) for facings (n,); nodes use the average share below them."""
         is_node = np.isin(owners, self._nodes)
         rows = {
             name: np.empty((owners.size, channel.format.components), np.float32)
@@ -310,12 +310,12 @@ class Mixing:
                 lambda side, cells=cells, facings=facings: side.rows(cells, facings),  # type: ignore[misc]
                 amounts,
             )
-            for name, own in mixed.items():
-                rows[name][chosen] = own
+            for name, each in mixed.items():
+                rows[name][chosen] = each
         return rows
 
     def _row_areas(self, owners: Int64s, bits: Uint8s) -> Uint8s:
-        """Return the areas of rows: those of the texture that prevails, else even parts of their cells'."""
+        """Return rows' areas: from the texture with the larger share, else equal parts of the cell's area."""
         areas = shared_codes(self._tree.arrays.areas[owners], counts_of(self._tree.arrays.flags[owners]))
         is_second = self._share[owners] >= 0.5
         for side, prevails in zip(self._sides, (~is_second, is_second), strict=True):

@@ -1,4 +1,4 @@
-"""Textures of another depth, and of a part of space."""
+"""Textures of another depth, and crops."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ def resize(
 ) -> OctreeTexture:
     """Return a texture of another depth.
 
-    Coarser: ``texture.level(depth)``; leaves become the averages of what was below them. Deeper: every leaf
-    above ``depth`` is divided into all its cells of that depth, with values from the field, and becomes
-    a kept node (paper 4.2). So the field does not move, except for rounding. Areas are divided
-    evenly. Painting needs no deeper texture: ``octex.paint`` divides cells where paint is finer.
+    Coarser: ``texture.level(depth)``; leaves become the averages of the cells below them. Deeper: every leaf
+    above ``depth`` is divided into all its cells of that depth, with values from the field, and becomes a
+    kept node (paper 4.2). So the field does not move, except for rounding. Areas are divided evenly. Painting
+    needs no deeper texture: ``octex.paint`` divides cells where paint is finer.
 
-    With normals the field does not move where the surface in a cell faces one way. Otherwise it moves by up
+    A lookup with normals does not move where the surface in a cell has one facing. Otherwise it moves by up
     to 0.03 of the range on a thin sheet, and by up to 0.25 inside a leaf at a crease.
 
-    ``run`` says how to work (octex.Run). Raises ArgumentError for a depth outside of 0 … 21, and for one with
-    more cells than can be numbered.
+    ``run`` says how to work (octex.Run). Raises ArgumentError for a depth outside of 0 … 21, and for one that
+    needs too many cells.
     """
     as_texture(texture)
     depth, run = as_depth(depth), as_run(run, threads)
@@ -91,7 +91,7 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     """Return the part of a texture whose leaves meet the box from ``low`` to ``high``, in rest positions.
 
     The root cell does not change, so rest positions stay valid; the bounds shrink. Leaves keep their values.
-    Nodes that lose cells are averaged anew over those that remain.
+    Nodes that lose cells are averaged again over the remaining ones.
 
     Raises ArgumentError for corners that are not finite or out of order, and for a box that no leaf meets.
     """

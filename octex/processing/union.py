@@ -1,7 +1,7 @@
-"""The tree of all cells of two trees, and where each of them comes from.
+"""The union of two trees, and the origin of each of its cells.
 
-The two are walked down together, level by level: the cells of both stand in Morton order, so those of the
-union are their merge, and every array is read and written from its beginning to its end.
+Both trees are walked together, level by level. Their cells are in Morton order, so the union is a merge that
+reads and writes every array from front to back.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ from octex.tree.edit import facings_of_nodes
 from octex.tree.layout import FACING_FLAGS, MAX_CELLS, MAX_DEPTH, TreeArrays
 from octex.tree.octree import Octree
 
-#: Where a tree has nothing.
+#: Origin of a cell that a tree lacks.
 NOTHING = -1
-#: Below a leaf, this less its number.
+#: Origin of a cell below a leaf: this minus the leaf's number.
 BELOW = -2
 
 
 class Origins(NamedTuple):
-    """Where the cells of a union come from in one of the trees."""
+    """The origins of a union's cells in one of the trees."""
 
-    cells: Int64s  # (cells,)   the same cell there; or NOTHING; or BELOW − the leaf that it is in
-    nodes: Int64s  # (nodes,)   the same node there; or NOTHING; or BELOW − the leaf that it is or is in
+    cells: Int64s  # (cells,)   the same cell; NOTHING; or BELOW − the leaf that contains it
+    nodes: Int64s  # (nodes,)   the same node; NOTHING; or BELOW − the leaf that it divides or lies in
 
 
 class Union(NamedTuple):
     """The union of two trees."""
 
-    tree: Octree  # its facings are those of both; areas are zero
+    tree: Octree  # facings of both trees; areas are zero
     first: Origins
     second: Origins
 
 
 def unite(first: Octree, second: Octree) -> Union:
-    """Unite two trees: a cell is a node if it is one in either. Facings are of leaves, or of children."""
+    """Unite two trees: a node of either is a node. Facings come from leaves, and go up from children."""
     n_nodes = first.n_nodes + second.n_nodes
     n_cells = first.n_cells + second.n_cells
     masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
@@ -57,7 +57,7 @@ def unite(first: Octree, second: Octree) -> Union:
     areas = np.zeros(n_cells, np.uint8)
     tree = Octree(TreeArrays(groups, level_cells, level_nodes, flags[:n_cells], areas))
     one, other = (Origins(cells[each, :n_cells], nodes[each, :n_nodes]) for each in range(2))
-    if (one.nodes < NOTHING).any() or (other.nodes < NOTHING).any():  # leaves, which face like nothing else
+    if (one.nodes < NOTHING).any() or (other.nodes < NOTHING).any():  # leaves, whose facings other cells lack
         tree = tree.with_cell_data(facings_of_nodes(tree), areas)
     return Union(tree, one, other)
 
@@ -73,7 +73,7 @@ def _unite(
     level_cells: Int64s,
     level_nodes: Int64s,
 ) -> None:
-    """Walk down two trees; no content of theirs makes this read or write outside the arrays."""
+    """Merge two trees; damaged trees cannot make it read or write outside the arrays."""
     one_ends = first.level_nodes[-1]
     other_ends = second.level_nodes[-1]
     n_cells, n_nodes = 1, 0
@@ -87,7 +87,7 @@ def _unite(
         one_facing = one_facing if one_ends > 0 else 0
         other_facing = other_facing if other_ends > 0 else 0
     flags[0] = one_facing | other_facing
-    one_cell = one_node = other_cell = other_node = 1  # those that come next
+    one_cell = one_node = other_cell = other_node = 1  # the next of each
     level_cells[1], level_nodes[1] = n_cells, n_nodes
     done = 0
     for level in range(1, level_cells.size - 1):
@@ -103,7 +103,7 @@ def _unite(
                 bit = 1 << octant
                 if (is_node | is_leaf) & bit == 0 or n_cells == flags.size:
                     continue
-                one_below, other_below = min(one, NOTHING), min(other, NOTHING)  # what is below
+                one_below, other_below = min(one, NOTHING), min(other, NOTHING)  # the origin of children
                 one_here, other_here = one_below, other_below
                 facing = 0
                 if (one_nodes | one_leaves) & bit != 0:
@@ -136,7 +136,7 @@ def _unite(
 
 @kernel
 def _children(arrays: TreeArrays, node: int) -> tuple[int, int]:
-    """Return a node's masks of nodes and of leaves; zeros if it is none."""
+    """Return a node's masks of child nodes and child leaves; zeros for no node."""
     if node < 0 or node >= arrays.level_nodes[-1]:
         return 0, 0
     shift = np.uint64(8 * (node & 7))
@@ -149,7 +149,7 @@ def _children(arrays: TreeArrays, node: int) -> tuple[int, int]:
 def take(
     first_cells: Int64s, second_cells: Int64s, share: Float32s, first: Uint8s, second: Uint8s, taken: Uint8s
 ) -> None:
-    """Copy rows of bytes: those of cells of the side that prevails, or of the other if it lacks the cell."""
+    """Copy rows of bytes from the side with the larger share, or from the only side that has the cell."""
     for n in range(taken.shape[0]):
         source = second_cells[n]
         if source >= 0 and (share[n] >= 0.5 or first_cells[n] < 0):
@@ -171,9 +171,10 @@ def find_made(
     is_mixed: Bools,
     is_made: Bools,
 ) -> None:
-    """Find the nodes below which not everything is as in one of the two, from the deepest up.
+    """Find the nodes whose content mixes both textures, from the deepest level up.
 
-    ``is_mixed`` (cells,), of leaves, is set for them too. The others have a ``share`` of 0 or 1.
+    It also sets ``is_mixed`` (cells,), which leaves have on entry, for these nodes, and a ``share`` of 0 or 1
+    for the others.
     """
     groups = arrays.groups
     end = share.size

@@ -1,8 +1,8 @@
-"""A session of painting: what pages ask for, done in order with a `Painter`, undone, recovered and saved.
+"""A painting session: runs the commands of browser pages with a `Painter`; undo, recovery and saving.
 
-commands    what a page asks for, checked as it comes
-journal     what pages sent, on the disk before it is done
-material    several channels painted at once, and channels added
-poses       the surface posed, or laid flat, for strokes on that
-painting    the session: commands on a thread of their own; undo, redo and saving
+commands    parses and checks commands
+journal     writes commands to disk before they run
+material    strokes that paint several channels, and added channels
+poses       the surface as posed or unwrapped, to paint on
+painting    the session: runs commands on a thread of its own; undo, redo and saving
 """

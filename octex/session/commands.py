@@ -1,4 +1,4 @@
-"""Commands of pages that paint: a line of JSON with fields, and what follows. Each is checked as it comes."""
+"""Commands of painting pages: a line of JSON with fields, then binary content. Each is checked on arrival."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from octex.painting.options import DRAWN_ANGLE, PaintOptions
 from octex.painting.picture import Blend, Projection
 from octex.painting.stack import Layer, check_layer
 
-#: Bytes of a command, and pixels along a side of the view that a stroke is painted on.
+#: Largest size of a command in bytes, and largest side of a stroke's view in pixels.
 MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
 _LONGEST_NAME = 40
 _FARTHEST = 1e12
 _MOST_CHANNELS = 16
 _BLENDS: tuple[Blend, ...] = ("over", "multiply", "screen", "add")
 _MOST_NUMBER = 2**53 - 1
-#: What can be done with a layer, and the fields that say how it is to be.
+#: Actions on layers, and the fields that they take.
 _ACTIONS = "add", "set", "move", "copy", "merge", "delete"
 _FIELDS = {
     "title": "name",
@@ -38,14 +38,14 @@ _FIELDS = {
 
 
 class Moment(NamedTuple):
-    """A frame of an animation, between frames too."""
+    """A time of an animation, also between frames."""
 
     animation: int
     time: float  # seconds
 
 
 class Spot(NamedTuple):
-    """Where the surface is laid flat, as `octex.unwrap` takes it."""
+    """The spot around which the surface is unwrapped, as arguments of `octex.unwrap`."""
 
     center: tuple[float, float, float]
     radius: float
@@ -53,139 +53,139 @@ class Spot(NamedTuple):
 
 
 class Command(NamedTuple):
-    """What a page asks for; pages count their commands from 1."""
+    """A command of a page; each page numbers its commands from 1."""
 
     page: str
     number: int
     kind: str
-    given: dict[str, Any]
+    fields: dict[str, Any]
     content: bytes
 
 
 def command_of(body: bytes) -> Command:
-    """Return what a page sent: a line of JSON, and what follows. Raises ArgumentError for anything else."""
+    """Parse a line of JSON and the bytes after it. Raises ArgumentError for anything else."""
     line, _, content = body.partition(b"\n")
     try:
-        given = json.loads(line)
+        fields = json.loads(line)
     except (ValueError, RecursionError):
-        raise ArgumentError("the command is no line of JSON") from None
-    if not isinstance(given, dict):
-        raise ArgumentError("the command is no JSON object")
-    page, kind, name = given.get("page"), given.get("kind"), given.get("name", "")
+        raise ArgumentError("the command is not a line of JSON") from None
+    if not isinstance(fields, dict):
+        raise ArgumentError("the command is not a JSON object")
+    page, kind, name = fields.get("page"), fields.get("kind"), fields.get("name", "")
     if not isinstance(page, str) or not re.fullmatch(r"[0-9a-f-]{8,40}", page):
         raise ArgumentError("page must be hexadecimal digits")
-    number = as_whole(given.get("number"), "number", 1, _MOST_NUMBER)  # type: ignore[arg-type]
+    number = as_whole(fields.get("number"), "number", 1, _MOST_NUMBER)  # type: ignore[arg-type]
     if not isinstance(kind, str) or kind not in _READERS:
         raise ArgumentError(f"kind must be one of {', '.join(_READERS)}")
     if not isinstance(name, str) or len(name) > _LONGEST_NAME or not name.isprintable():
         raise ArgumentError(f"name must be a line of at most {_LONGEST_NAME} characters")
-    command = Command(page, number, kind, given, content)
+    command = Command(page, number, kind, fields, content)
     target_of(command)
     _READERS[kind](command)
     return command
 
 
 class Where(NamedTuple):
-    """A point at rest, or None, and the mirror."""
+    """A rest point, or None, and the mirror plane."""
 
     point: Array | None
-    axis: int | None  # None: there is no mirror
+    axis: int | None  # normal axis of the mirror; None: no mirror
     offset: float  # of the mirror from the model's middle
 
 
 def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], Where]:
-    """Return the picture of a stroke, the options to paint it with, and the part that it stays on, if any."""
-    given = command.given
+    """Return a stroke's image, its options of painting, and the connected part that limits it, if any."""
+    fields = command.fields
     options = {
-        "max_angle": given.get("maxAngle", DRAWN_ANGLE),
-        "back_faces": given.get("backFaces", False),
-        "hidden": given.get("hidden", False),
+        "max_angle": fields.get("maxAngle", DRAWN_ANGLE),
+        "back_faces": fields.get("backFaces", False),
+        "hidden": fields.get("hidden", False),
     }
     PaintOptions(**options)
-    moment_of(given)
-    spot_of(given)
+    moment_of(fields)
+    spot_of(fields)
     camera = camera_of(command)
     image = picture_of(command, camera)
     picture = Projection(image, camera, opacity=opacity_of(command), blend=blend_of(command))
     return picture, options, where_of(command)
 
 
-def moment_of(given: dict[str, Any]) -> Moment | None:
-    """Return the frame that a page shows the model in; None as it stands."""
-    moved = _object_of(given, "moved")
+def moment_of(fields: dict[str, Any]) -> Moment | None:
+    """Return the animation time that the page shows; None for the model as loaded."""
+    moved = _object_of(fields, "moved")
     if moved is None:
         return None
     number = as_whole(moved.get("animation"), "animation", 0, 1 << 20)  # type: ignore[arg-type]
     return Moment(number, as_number(moved.get("time"), "time", 0.0, 1e9))  # type: ignore[arg-type]
 
 
-def spot_of(given: dict[str, Any]) -> Spot | None:
-    """Return where the surface is laid flat that a page shows; None if it is not."""
-    patch = _object_of(given, "patch")
+def spot_of(fields: dict[str, Any]) -> Spot | None:
+    """Return the spot of the unwrapped view; None for an ordinary view."""
+    patch = _object_of(fields, "patch")
     if patch is None:
         return None
     center, up = (tuple(numbers(patch, name, (3,)).tolist()) for name in ("center", "up"))
     return Spot(center, as_number(patch.get("radius"), "radius", 1e-12, 1e12), up)  # type: ignore[arg-type]
 
 
-def _object_of(given: dict[str, Any], name: str) -> dict[str, Any] | None:
-    found = given.get(name)
-    if found is not None and not isinstance(found, dict):
+def _object_of(fields: dict[str, Any], name: str) -> dict[str, Any] | None:
+    record = fields.get(name)
+    if record is not None and not isinstance(record, dict):
         raise ArgumentError(f"{name} must be an object")
-    return found
+    return record
 
 
 class Alike(NamedTuple):
-    """What a fill covers of the colour at its point."""
+    """Limits of a fill to a similar colour."""
 
     tolerance: float  # 8-bit codes
     connected: bool
 
 
 def fill_of(command: Command) -> tuple[dict[str, Any], Where, Alike | None]:
-    """Return the options of a fill, a point of it or None for all, and what it covers there.
+    """Return a fill's options, its point (None: everywhere), and the limits of a fill by colour.
 
-    That is what is alike, or the whole part for None.
+    Limits of None fill the whole connected part.
     """
     _no_content(command)
-    if not values_of(command) or "color" in command.given:
+    if not values_of(command) or "color" in command.fields:
         codes_of(command)
-    where, alike = where_of(command), None
-    if "tolerance" in command.given:
+    where, limits = where_of(command), None
+    if "tolerance" in command.fields:
         if where.point is None:
-            raise ArgumentError("a tolerance needs at, the point whose colour is filled")
-        tolerance = as_number(command.given["tolerance"], "tolerance", 0.0, 255.0)
-        alike = Alike(tolerance, as_flag(command.given.get("connected", True), "connected"))
-    return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, alike
+            raise ArgumentError("tolerance needs at, the point whose colour is replaced")
+        tolerance = as_number(command.fields["tolerance"], "tolerance", 0.0, 255.0)
+        limits = Alike(tolerance, as_flag(command.fields.get("connected", True), "connected"))
+    return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, limits
 
 
 def channel_of(command: Command) -> str:
-    """Return the name of the channel that a command adds."""
+    """Return the name of the channel to add."""
     _no_content(command)
-    name = command.given.get("channel")
+    name = command.fields.get("channel")
     if not isinstance(name, str):
         raise ArgumentError("channel must be a name")
     return name
 
 
 def layer_of(command: Command) -> tuple[str, dict[str, Any]]:
-    """Return what is to be done with the layer that is named, and how it is to be."""
+    """Return an action, and its arguments for the command's layer."""
     _no_content(command)
-    given, (layer, _) = command.given, target_of(command)
-    action = str(as_choice(given.get("action", ""), _ACTIONS, "action"))
+    fields, (layer, _) = command.fields, target_of(command)
+    action = str(as_choice(fields.get("action", ""), _ACTIONS, "action"))
     if layer is None and action != "add":
         raise ArgumentError(f"name the layer to {action}")
     if action == "move":
-        return action, {"place": as_whole(given.get("place"), "place", 0, _MOST_NUMBER)}  # type: ignore[arg-type]
-    wanted = {own: given[name] for name, own in _FIELDS.items() if name in given}
+        return action, {"place": as_whole(fields.get("place"), "place", 0, _MOST_NUMBER)}  # type: ignore[arg-type]
+    wanted = {parameter: fields[name] for name, parameter in _FIELDS.items() if name in fields}
     check_layer(Layer(1, "Layer")._replace(**wanted))
     return action, wanted
 
 
 def replaces_of(command: Command) -> bool:
-    """Return whether a save replaces a file that another program has written meanwhile."""
+    """Return whether to overwrite a file that another program has changed."""
     _no_content(command)
-    return as_flag(command.given.get("replace", False), "replace")
+    return as_flag(command.fields.get("replace", False), "replace")
 
 
 def _no_content(command: Command) -> None:
@@ -193,7 +193,7 @@ def _no_content(command: Command) -> None:
         raise ArgumentError(f"a command of the kind {command.kind} has no content")
 
 
-#: What reads a command of each kind, and raises ArgumentError for what it does not accept.
+#: Parsers by kind of command; each raises ArgumentError for bad fields.
 _READERS: dict[str, Callable[[Command], Any]] = {
     "stroke": stroke_of,
     "fill": fill_of,
@@ -206,27 +206,27 @@ _READERS: dict[str, Callable[[Command], Any]] = {
 
 
 def camera_of(command: Command) -> Camera:
-    """Return the camera of the view that a page has painted on."""
-    given = command.given.get("camera")
-    if not isinstance(given, dict):
+    """Return the camera of the view that was painted on."""
+    record = command.fields.get("camera")
+    if not isinstance(record, dict):
         raise ArgumentError("camera must be an object")
-    width, height = (as_whole(given.get(name), name, 1, MOST_PIXELS) for name in ("width", "height"))  # type: ignore[arg-type]
-    pose, K = (numbers(given, name, shape) for name, shape in (("pose", (4, 4)), ("K", (3, 3))))
+    width, height = (as_whole(record.get(name), name, 1, MOST_PIXELS) for name in ("width", "height"))  # type: ignore[arg-type]
+    pose, K = (numbers(record, name, shape) for name, shape in (("pose", (4, 4)), ("K", (3, 3))))
     return Camera.pinhole((width, height), pose=pose, convention="opencv", K=K)
 
 
 def picture_of(command: Command, camera: Camera) -> Uint8s:
-    """Return the picture (height, width, 4) of a stroke, in sRGB.
+    """Return the image (height, width, 4) of a stroke, in sRGB.
 
-    The content has its ``box`` alone, deflated: the coverage by its ``color`` or ``values``; without both,
-    planes of red, green, blue and coverage.
+    The content covers only its ``box`` and is deflated: coverage alone if the command has ``color`` or
+    ``values``, otherwise planes of red, green, blue and coverage.
     """
     width, height = camera.width, camera.height
-    left, top, right, bottom = box = numbers(command.given, "box", (4,)).tolist()
+    left, top, right, bottom = box = numbers(command.fields, "box", (4,)).tolist()
     if not (0 <= left < right <= width and 0 <= top < bottom <= height and all(n == int(n) for n in box)):
         raise ArgumentError(f"box must be a part of {width}×{height} pixels")
     left, top, right, bottom = map(int, box)
-    is_plain = bool(values_of(command)) or "color" in command.given
+    is_plain = bool(values_of(command)) or "color" in command.fields
     shape = (1 if is_plain else 4, bottom - top, right - left)
     size = math.prod(shape)
     unpacker = zlib.decompressobj(-15)
@@ -236,44 +236,44 @@ def picture_of(command: Command, camera: Camera) -> Uint8s:
         planes = b""
     if len(planes) != size or not unpacker.eof or unpacker.unused_data:
         what = "coverage" if is_plain else "red, green, blue and coverage"
-        raise ArgumentError(f"the content is no deflated {what} of {math.prod(shape[1:]):,} pixels")
+        raise ArgumentError(f"the content is not deflated {what} of {math.prod(shape[1:]):,} pixels")
     image = np.zeros((height, width, 4), np.uint8)
     inside = image[top:bottom, left:right]
-    if "color" in command.given:
+    if "color" in command.fields:
         inside[..., :3] = codes_of(command)
     inside[..., -shape[0] :] = np.frombuffer(planes, np.uint8).reshape(shape).transpose(1, 2, 0)
     return image
 
 
 def where_of(command: Command) -> Where:
-    """Return the point of a command, if it has one, and its mirror."""
-    point = numbers(command.given, "at", (3,)) if "at" in command.given else None
-    offset = as_number(command.given.get("offset", 0.0), "offset", -_FARTHEST, _FARTHEST)
+    """Return the point of a command, if any, and its mirror."""
+    point = numbers(command.fields, "at", (3,)) if "at" in command.fields else None
+    offset = as_number(command.fields.get("offset", 0.0), "offset", -_FARTHEST, _FARTHEST)
     return Where(point, mirror_of(command), offset)
 
 
 def mirror_of(command: Command) -> int | None:
-    """Return the axis that a command is mirrored across; None if it is not."""
-    name = command.given.get("mirror", "")
+    """Return the normal axis of the command's mirror; None for no mirror."""
+    name = command.fields.get("mirror", "")
     if name not in ("", "x", "y", "z"):
         raise ArgumentError("mirror must be x, y, z or nothing")
     return "xyz".index(name) if name else None
 
 
 def opacity_of(command: Command) -> float:
-    """Return the opacity of paint, 1 unless it is given."""
-    return as_number(command.given.get("opacity", 1.0), "opacity", 0.0, 1.0)
+    """Return the opacity of paint; default 1."""
+    return as_number(command.fields.get("opacity", 1.0), "opacity", 0.0, 1.0)
 
 
 def blend_of(command: Command) -> Blend:
-    """Return how paint combines with what is there, or that it is an eraser's."""
-    blend = as_choice(command.given.get("blend", "over"), _BLENDS, "blend")
-    return "erase" if as_flag(command.given.get("erases", False), "erases") else blend
+    """Return the blend mode of paint, or "erase"."""
+    blend = as_choice(command.fields.get("blend", "over"), _BLENDS, "blend")
+    return "erase" if as_flag(command.fields.get("erases", False), "erases") else blend
 
 
 def target_of(command: Command) -> tuple[int | None, bool]:
     """Return the number of the layer to paint, None for the texture itself, and whether to paint its mask."""
-    layer, mask = command.given.get("layer"), as_flag(command.given.get("mask", False), "mask")
+    layer, mask = command.fields.get("layer"), as_flag(command.fields.get("mask", False), "mask")
     if layer is not None:
         layer = as_whole(layer, "layer", 1, _MOST_NUMBER)
     elif mask:
@@ -290,11 +290,11 @@ def codes_of(command: Command) -> Uint8s:
 
 
 def values_of(command: Command) -> dict[str, Array]:
-    """Return the numbers that each channel is painted with; none if the command has no values."""
-    given = command.given.get("values", {})
-    if not isinstance(given, dict) or len(given) > _MOST_CHANNELS:
+    """Return the values to paint by channel; empty without a field ``values``."""
+    values = command.fields.get("values", {})
+    if not isinstance(values, dict) or len(values) > _MOST_CHANNELS:
         raise ArgumentError(f"values must be an object of at most {_MOST_CHANNELS} channels")
-    return {name: numbers(given, name, (-1,)) for name in given}
+    return {name: numbers(values, name, (-1,)) for name in values}
 
 
 def numbers(given: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:

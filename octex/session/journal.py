@@ -1,4 +1,4 @@
-"""The journal of a session: what pages sent, in order, so that a crash loses nothing."""
+"""The journal of a session: all commands in order, so that a crash loses nothing."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ except ImportError:  # on Windows
     fcntl = None  # type: ignore[assignment]
 
 _ENDING = ".strokes"
-_HEAD = struct.Struct("<II")  # of each record: its bytes, and their CRC-32
+_HEAD = struct.Struct("<II")  # of each record: size in bytes, CRC-32
 _VERSION = 1
 
 
 class Journal:
-    """A file beside OUTPUT: records, each behind its length and check sum; the first says what was painted.
+    """A file next to OUTPUT with records, each after its size and checksum; the first identifies the inputs.
 
-    A record that was half written when the process ended is no record.
+    A record that a crash cut off is ignored.
     """
 
     def __init__(
@@ -49,10 +49,10 @@ class Journal:
         self._file = -1
 
     def begin(self, recover: bool) -> list[bytes]:
-        """Open the file for this process alone; return the records that it has.
+        """Open and lock the file; return its records.
 
-        Raises OutputError if it cannot be written, if another process has it, if it is of another texture or
-        model, and for records without ``recover``.
+        Raises OutputError if the file cannot be written, another process has locked it, or it belongs to
+        another texture or model; also for existing records unless ``recover``.
         """
         try:
             self._file = os.open(self.path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o600)
@@ -75,7 +75,7 @@ class Journal:
             )
         if records and head != self._head:
             raise OutputError(
-                f"{self.path} is of another texture or model; give those that were painted, or delete it"
+                f"{self.path} is of another texture or model; give the painted ones, or delete it"
             )
         if not records:
             os.ftruncate(self._file, 0)
@@ -87,7 +87,7 @@ class Journal:
         return records
 
     def append(self, record: bytes) -> None:
-        """Write a record, and wait until the disk has it; raises OutputError, and is then as before."""
+        """Write a record and wait for the disk; on OutputError the file is unchanged."""
         data = _HEAD.pack(len(record), zlib.crc32(record)) + record
         try:
             os.lseek(self._file, self._end, os.SEEK_SET)
@@ -101,7 +101,7 @@ class Journal:
         self._end += len(data)
 
     def close(self, *, remove: bool) -> None:
-        """Close the file, and remove it if all of it is saved."""
+        """Close the file; remove it if everything is saved."""
         if self._file >= 0:
             if remove:
                 self.path.unlink(missing_ok=True)
@@ -119,7 +119,7 @@ class Journal:
 
 
 def layers_file(output: Path) -> Path:
-    """Return the file in which a session keeps layers, beside the one that it saves to."""
+    """Return the path of a session's layers file, next to its output."""
     return output.with_name(f"{output.stem}.layers.octex")
 
 

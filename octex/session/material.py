@@ -1,4 +1,4 @@
-"""Several channels that one command paints, and channels that pages add to a texture."""
+"""Commands that paint several channels, and channels that pages add to a texture."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from octex.texture.channel import row_counts
 
 #: The channel that pages show as relief.
 HEIGHT = ChannelFormat("height", 1, "data")
-#: Channels that pages add, and the value that a new one has: a texture looks the same with it and without.
+#: Channels that pages can add, with a start value that does not change the texture's look.
 ADDED = {
     form.name: (form, value)
     for form, value in (
@@ -40,10 +40,10 @@ ADDED = {
 
 
 class Value(NamedTuple):
-    """What a command paints a channel with."""
+    """The value that a command paints into a channel."""
 
     form: ChannelFormat
-    codes: Array  # (components,)   as pictures have it: 8-bit sRGB for colours, else as the channel stores it
+    codes: Array  # (components,)   as in images: 8-bit sRGB for colours, else as the channel stores it
 
     @property
     def light(self) -> Array:
@@ -51,7 +51,7 @@ class Value(NamedTuple):
         return decode(self.codes, "srgb" if _is_color(self.form) else self.form.space)
 
     def pictured(self, projection: Projection) -> Projection:
-        """Return a picture with the same coverage and this value."""
+        """Return an image with the same coverage and this value."""
         coverage = cast(Array, projection.image)[..., 3]
         dtype = self.codes.dtype if self.codes.dtype.kind == "u" else np.dtype(np.float32)
         image = np.zeros((*coverage.shape, 4), dtype)
@@ -63,26 +63,26 @@ class Value(NamedTuple):
 def pictures_of(
     command: Command, projection: Projection, texture: OctreeTexture
 ) -> list[tuple[str, Projection]]:
-    """Return the channels that a stroke paints, and a picture for each; raise ArgumentError as `paint_of`."""
+    """Return the channels that a stroke paints, each with an image; raises ArgumentError as `paint_of`."""
     if not values_of(command):
         return [(BASE_COLOR.name, projection)]
     return [(value.form.name, value.pictured(projection)) for value in paint_of(command, texture)]
 
 
 def paint_of(command: Command, texture: OctreeTexture) -> list[Value]:
-    """Return what the colour and the values of a command paint channels with, in the texture's order.
+    """Return a command's values for channels, including its colour, in the texture's order.
 
-    Raises ArgumentError for channels that the texture does not have, and for values that they cannot hold.
+    Raises ArgumentError for channels that the texture lacks, and for values out of range.
     """
-    found = []
-    for name, given in values_of(command).items():
-        found.append(_value(format_of(texture, name), given))
-    if "color" in command.given:
-        found.append(Value(texture.channels[BASE_COLOR.name].format, codes_of(command)))
-    if len({value.form.name for value in found}) < len(found):
+    values = []
+    for name, numbers in values_of(command).items():
+        values.append(_value(format_of(texture, name), numbers))
+    if "color" in command.fields:
+        values.append(Value(texture.channels[BASE_COLOR.name].format, codes_of(command)))
+    if len({value.form.name for value in values}) < len(values):
         raise ArgumentError(f"color is the value of {BASE_COLOR.name!r}; leave one of them out")
     order = list(texture.channels)
-    return sorted(found, key=lambda value: order.index(value.form.name))
+    return sorted(values, key=lambda value: order.index(value.form.name))
 
 
 def _value(form: ChannelFormat, numbers: Array) -> Value:
@@ -105,7 +105,7 @@ def _is_color(form: ChannelFormat) -> bool:
 
 
 def with_channel(command: Command, texture: OctreeTexture) -> OctreeTexture:
-    """Return a texture with the channel that a command adds; raise ArgumentError if it has that."""
+    """Return a texture with the channel that a command adds; raise ArgumentError if it exists."""
     name = channel_of(command)
     form, value = ADDED[as_choice(name, ADDED, "channel to add")]
     if name in texture.channels:

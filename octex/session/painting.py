@@ -1,4 +1,4 @@
-"""A session of painting in the browser: commands of pages, each in a journal before it is done."""
+"""A painting session in the browser: writes each command of a page to a journal, then runs it."""
 
 from __future__ import annotations
 
@@ -48,45 +48,45 @@ from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 
-#: Commands that wait for their turn; a page keeps more of them itself.
+#: Largest number of waiting commands; a page queues further ones itself.
 _MOST_WAITING = 64
-#: Pages whose last number is known.
+#: Largest number of pages whose last command number is remembered.
 _MOST_PAGES = 1000
 
 
 class BusyError(OctexError):
-    """So many commands wait that a page must send this one again later."""
+    """The queue is full: the page must send the command again later."""
 
 
 class OrderError(OctexError):
-    """A page's commands have begun before this session: it must count them from 1, under another name."""
+    """A page started before this session: it must count commands from 1, under another name."""
 
 
 class _Step(NamedTuple):
-    """What is undone at once."""
+    """A unit of undo."""
 
     name: str
-    strokes: int  # of the Painter
-    number: int  # of the steps that there ever were
+    strokes: int  # number of the Painter's strokes
+    number: int  # running number of all steps ever made
 
 
 class Shown(NamedTuple):
-    """The texture at a time, and what pages are told of the session."""
+    """The texture after a command, and the session's status for pages."""
 
     texture: OctreeTexture
     told: dict[str, Any]
-    before: OctreeTexture | None  # the texture at the time before
-    changes: tuple[Change, ...]  # since then
-    stacked: Stacked  # with the layers that it is made of
+    before: OctreeTexture | None  # the texture before that command
+    changes: tuple[Change, ...]  # made by that command
+    stacked: Stacked  # the layers and the texture below them
 
 
 class Session:
-    """Paints what pages send with a `Painter`, in the order in which it came, on a thread of its own.
+    """Runs the commands of pages with a `Painter`, in order of arrival, on a thread of its own.
 
-    ``take`` returns as soon as the journal has a command, so the next one never waits for paint.
-    ``changed`` is called after each. ``motion`` is how the surface moves, to be painted at frames of that.
-    Raises OutputError for a journal with commands that nobody has repeated, unless ``recover``: then they are
-    repeated first. Raises what `Painter` raises, and ArgumentError for a texture without base colour.
+    ``take`` returns as soon as the command is in the journal; it does not wait for paint. The session calls
+    ``changed`` after each command. ``motion`` animates the surface, to paint on its poses. Raises OutputError
+    for a journal with commands of an earlier session, unless ``recover``: then it repeats them first. Raises
+    the errors of `Painter`, and ArgumentError for a texture without base colour.
     """
 
     def __init__(
@@ -99,24 +99,24 @@ class Session:
         recover: bool = False,
     ) -> None:
         format_of(texture, BASE_COLOR.name)
-        texture = copy.deepcopy(texture)  # in memory, as its file may be overwritten
+        texture = copy.deepcopy(texture)  # in memory, since its file may be overwritten
         self._painter = Layers(texture, surface)
         self._surface = surface.placed_in(texture)
         self._poses = Poses(surface, motion)
         self._output = output
         self._queue: queue.Queue[Command | None] = queue.Queue()
-        self._lock = threading.Lock()  # of what is known of commands that wait
-        self._numbers: dict[str, int] = {}  # of each page, the last one that is in the journal
-        self._baked: dict[str, int] = {}  # and that is done
+        self._lock = threading.Lock()  # guards _numbers
+        self._numbers: dict[str, int] = {}  # by page: the last command in the journal
+        self._baked: dict[str, int] = {}  # by page: the last finished command
         self._steps: list[_Step] = []
         self._undone: list[_Step] = []
         self._fault, self._is_ending, self._count = "", False, 0
-        self._question = ""  # why the last save asks whether to replace OUTPUT
-        self._stamp = _stamp_of(output)  # of OUTPUT as this session knows it
-        self._saved: list[int] | None = []  # the steps that OUTPUT has, or the texture given for none
-        self._has_layers_file = False  # saved by this session
-        self._before: OctreeTexture | None = None  # the texture before the last command
-        self._changes: tuple[Change, ...] = ()  # by that
+        self._question = ""  # why the last save asks before replacing OUTPUT
+        self._stamp = _stamp_of(output)  # of OUTPUT when the session last read or wrote it
+        self._saved: list[int] | None = []  # the steps saved in OUTPUT; []: the input texture; None: unknown
+        self._has_layers_file = False  # True once this session saved one
+        self._before: OctreeTexture | None = None  # before the last command
+        self._changes: tuple[Change, ...] = ()  # of the last command
         self.changed: Callable[[], None] = lambda: None
         self.repeated = 0
         self._journal = Journal(output, texture, surface, motion)
@@ -129,15 +129,15 @@ class Session:
                     self._store()
                     self.repeated += 1
         if self.repeated:
-            self._saved = None  # what was saved of them is not known
+            self._saved = None  # the saved steps are unknown
         self.shown = self._shown()
         self._worker = threading.Thread(target=self._work, args=(texture, surface), daemon=True)
         self._worker.start()
 
     def take(self, body: bytes) -> int:
-        """Take a command of a page and return its number; one that was taken before is not done again.
+        """Take a page's command and return its number; a repeated command is ignored.
 
-        Raises ArgumentError for what is no command, OrderError, BusyError, and OutputError for a full disk.
+        Raises ArgumentError for an invalid command, OrderError, BusyError, and OutputError for a full disk.
         """
         command = command_of(body)
         with self._lock:
@@ -156,18 +156,18 @@ class Session:
         return command.number
 
     def patch(self, asked: str) -> Patch:
-        """Return the surface laid flat, as JSON with the fields of a stroke asks for it.
+        """Return the unwrapped surface for JSON with the fields of a stroke.
 
         Raises ArgumentError and ModelError.
         """
         return self._poses.asked(asked)
 
     def wait(self) -> None:
-        """Wait until all that was taken is done."""
+        """Wait until all commands are done."""
         self._queue.join()
 
     def close(self) -> str:
-        """End, without what still waits; return what is not saved, in a sentence, or nothing."""
+        """End the session and drop waiting commands; return a sentence about unsaved work, or ""."""
         self._is_ending = True
         self._queue.put(None)
         self._worker.join()
@@ -183,7 +183,7 @@ class Session:
 
     @property
     def output(self) -> Path:
-        """Where it saves."""
+        """The file that the session saves to."""
         return self._output
 
     @property
@@ -197,19 +197,19 @@ class Session:
             if not self._is_ending:
                 self._do(command)
                 self.shown = self._shown()
-                with suppress(Exception):  # pages ask for the change again, and are told what is wrong
+                with suppress(Exception):  # pages then ask for the change, and get the error
                     self.changed()
                 self._store()
             self._queue.task_done()
         self._queue.task_done()
 
     def _store(self) -> None:
-        """Free the memory of strokes but the last few."""
-        with suppress(OutputError):  # a full disk; they then stay in memory
+        """Move all but the last few strokes from memory to disk."""
+        with suppress(OutputError):  # a full disk: the strokes stay in memory
             self._painter.store(self._output.parent)
 
     def _shown(self) -> Shown:
-        told = {
+        status = {
             "steps": [step.name for step in (*self._steps, *self._undone[::-1])],
             "done": len(self._steps),
             "baked": dict(self._baked),
@@ -229,10 +229,10 @@ class Session:
             "fault": self._fault,
             "question": self._question,
         }
-        return Shown(self._painter.texture(), told, self._before, self._changes, self._painter.stacked)
+        return Shown(self._painter.texture(), status, self._before, self._changes, self._painter.stacked)
 
     def _do(self, command: Command) -> None:
-        """Do a command; what fails changes nothing, and is told."""
+        """Run a command; one that fails changes nothing, and sets the fault."""
         self._fault, self._before, self._changes = "", self._painter.texture(), ()
         try:
             layer, in_mask = target_of(command)
@@ -243,13 +243,13 @@ class Session:
         except Exception as error:  # a defect must not end the session
             self._fault = f"this is a defect of octex: {type(error).__name__}: {error}"
         while self._painter.count > sum(step.strokes for step in self._steps):
-            self._painter.undo()  # a part of what has failed
+            self._painter.undo()  # a part of the failed command
             self._undone.clear()
         self._baked[command.page] = command.number
 
     def _do_stroke(self, command: Command) -> None:
         projection, options, where = stroke_of(command)
-        moment, spot = moment_of(command.given), spot_of(command.given)
+        moment, spot = moment_of(command.fields), spot_of(command.fields)
         pose = self._poses.at(moment)
         both = [projection if spot is None else self._poses.flat(projection, moment, spot)]
         if where.axis is not None:
@@ -258,7 +258,7 @@ class Session:
                 both.append(mirrored(projection, where.axis, middle))
             else:
                 other = mirrored(projection, 0, 0.0)
-                with suppress(ModelError):  # there is no surface in the mirror
+                with suppress(ModelError):  # no surface at the mirrored spot
                     both.append(self._poses.flat(other, moment, mirrored_spot(spot, where.axis, middle)))
         regions: list[Any] = [None, None]
         if where.point is not None:
@@ -302,12 +302,12 @@ class Session:
         self._did(command, [self._painter.put(change)])
 
     def _mirror(self, where: Where, vertices: Array) -> float:
-        """Return where the mirror of a command crosses its axis."""
+        """Return the mirror's position on its axis."""
         used = vertices[np.unique(self._surface.triangles)][:, where.axis]
         return float((used.min() + used.max()) / 2) + where.offset
 
     def _points(self, where: Where) -> list[Array]:
-        """Return the point of a command, and what a mirror shows of it."""
+        """Return the point of a command, and its mirror image if there is a mirror."""
         assert where.point is not None
         if where.axis is None:
             return [where.point]
@@ -327,18 +327,18 @@ class Session:
         made = self._painter.count - sum(step.strokes for step in self._steps)
         if made:
             self._count += 1
-            self._steps.append(_Step(command.given.get("name", command.kind), made, self._count))
+            self._steps.append(_Step(command.fields.get("name", command.kind), made, self._count))
             self._undone.clear()
 
     def _do_layer(self, command: Command) -> None:
-        action, given = layer_of(command)
+        action, arguments = layer_of(command)
         number = cast(int, target_of(command)[0])
         if action == "add":
-            self._painter.add_layer(**given)
+            self._painter.add_layer(**arguments)
         elif action == "set":
-            self._painter.change_layer(number, **given)
+            self._painter.change_layer(number, **arguments)
         elif action == "move":
-            self._painter.move_layer(number, **given)
+            self._painter.move_layer(number, **arguments)
         elif action == "copy":
             self._painter.copy_layer(number)
         elif action == "merge":
@@ -382,7 +382,7 @@ class Session:
 
 
 def _stamp_of(path: Path) -> tuple[int, ...] | None:
-    """Return what differs once another program has written a file; None if there is none."""
+    """Return a fingerprint that changes when another program writes the file; None for no file."""
     try:
         status = path.stat()
     except OSError:
@@ -391,7 +391,7 @@ def _stamp_of(path: Path) -> tuple[int, ...] | None:
 
 
 def warm_up(texture: OctreeTexture, surface: Surface) -> None:
-    """Paint a small stroke for nobody, so that the first one does not wait for code to load."""
+    """Paint a small stroke and discard it, so that compiled code is loaded before the first stroke."""
     camera = Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(64, 64))
     image = np.zeros((64, 64, 4), np.uint8)
     image[24:40, 24:40, 3] = 255
@@ -399,7 +399,7 @@ def warm_up(texture: OctreeTexture, surface: Surface) -> None:
 
 
 def mirrored(projection: Projection, axis: int, middle: float) -> Projection:
-    """Return a picture as seen in a mirror across an axis, through the camera's image in that."""
+    """Return an image, and its camera, reflected at the plane across an axis."""
     camera = cast(Camera, projection.camera)
     mirror = np.eye(4)
     mirror[axis, axis], mirror[axis, 3] = -1.0, 2.0 * middle

@@ -1,4 +1,4 @@
-"""The surface as animations pose it, or laid flat around a point, to be painted there."""
+"""The surface as animations pose it, or unwrapped around a point, to paint on."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from octex.session.commands import Moment, Spot, moment_of, spot_of
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 
-#: Patches that are kept: one that is painted on, and the one in a mirror.
+#: Number of cached patches: the current one, and its mirror image.
 _MOST_PATCHES = 2
 
 
 class Poses:
-    """A surface at moments of its animations and in patches; the last ones are kept for the next strokes."""
+    """Poses a surface by its animations, and unwraps it; caches the last results for the next strokes."""
 
     def __init__(self, surface: Surface, motion: Motion | None) -> None:
         is_moved = motion is not None and motion.start_on(surface.vertices, surface.rest) is not None
@@ -28,9 +28,9 @@ class Poses:
         self._patches: tuple[tuple[tuple[Moment | None, Spot], Patch], ...] = ()
 
     def at(self, moment: Moment | None) -> Surface | None:
-        """Return the surface at an animation's second as the page draws it; None as it stands.
+        """Return the surface at an animation's time, as the page draws it; None for the model as loaded.
 
-        Raises ArgumentError for an animation that it does not have.
+        Raises ArgumentError for an unknown animation.
         """
         if moment is None:
             return None
@@ -43,35 +43,35 @@ class Poses:
         return last[1]
 
     def patch(self, moment: Moment | None, spot: Spot) -> Patch:
-        """Return the surface laid flat. Raises ArgumentError and ModelError as ``octex.unwrap`` does."""
+        """Return the unwrapped surface. Raises ArgumentError and ModelError as ``octex.unwrap`` does."""
         key, known = (moment, spot), self._patches
-        found = next((patch for own, patch in known if own == key), None)
-        if found is None:
-            found = unwrap(self.at(moment) or self._surface, spot.center, spot.radius, up=spot.up)
-            self._patches = ((key, found), *known)[:_MOST_PATCHES]
-        return found
+        flat = next((patch for known_key, patch in known if known_key == key), None)
+        if flat is None:
+            flat = unwrap(self.at(moment) or self._surface, spot.center, spot.radius, up=spot.up)
+            self._patches = ((key, flat), *known)[:_MOST_PATCHES]
+        return flat
 
     def flat(self, projection: Projection, moment: Moment | None, spot: Spot) -> Projection:
-        """Return a picture through a patch, as the projection's camera sees that."""
+        """Project an image from a patch into the projection's camera."""
         camera = cast(Camera, projection.camera)
         return replace(projection, camera=replace(self.patch(moment, spot), camera=camera))
 
     def asked(self, asked: str) -> Patch:
-        """Return the patch that JSON with the fields of a stroke asks for; raises as ``patch`` does."""
+        """Return the patch for JSON with the fields of a stroke; raises as ``patch`` does."""
         try:
-            given = json.loads(asked)
+            fields = json.loads(asked)
         except (ValueError, RecursionError):
-            given = None
-        if not isinstance(given, dict):
-            raise ArgumentError("a patch is asked for by a JSON object")
-        spot = spot_of(given)
+            fields = None
+        if not isinstance(fields, dict):
+            raise ArgumentError("a request for a patch must be a JSON object")
+        spot = spot_of(fields)
         if spot is None:
             raise ArgumentError("patch is missing")
-        return self.patch(moment_of(given), spot)
+        return self.patch(moment_of(fields), spot)
 
 
 def mirrored_spot(spot: Spot, axis: int, middle: float) -> Spot:
-    """Return where a mirror across an axis shows a spot: its picture is that seen in a mirror across x."""
+    """Return the spot in a mirror across an axis; its view is the original mirrored across x."""
     center, up = list(spot.center), list(spot.up)
     center[axis], up[axis] = 2 * middle - center[axis], -up[axis]
     return Spot((center[0], center[1], center[2]), spot.radius, (up[0], up[1], up[2]))

@@ -1,11 +1,9 @@
-"""What a model looks like: what cameras see of a mesh (and of cubes), and how that is lit.
+"""Visibility of meshes and cubes from a camera, and normals for shading.
 
-Knows arrays of vertices and triangles; nothing of textures and model files.
+It knows arrays of vertices and triangles, but neither textures nor model files.
 
 zbuffer       the triangle that each pixel sees
 visibility    which points a camera sees
-cubes         cells drawn as cubes
-shading       soft light on what is seen, and smooth normals
-environment   light from all around
-reflection    what materials reflect of that
+cubes         a z-buffer of cubes, for drawing cells
+shading       face normals and smooth corner normals
 """

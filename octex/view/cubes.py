@@ -1,4 +1,4 @@
-"""A z-buffer of cubes along the world's axes: what the cells of an octree look like."""
+"""A z-buffer of axis-aligned cubes: draws the cells of an octree."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from octex.jit import kernel
 
 
 class CubeBuffers(NamedTuple):
-    """What each pixel sees; row 0 is the top of the picture."""
+    """What each pixel sees; row 0 is the top of the image."""
 
-    cube: Int32s  # (height, width)   the nearest cube; −1: none
-    axis: Int8s  # (height, width)   0, 1 or 2: the face seen is across x, y or z
-    border: Float32s  # (height, width)   how far inside that face, 0 … ½ of its edge
-    depth: Float64s  # (height, width)   along the camera's axis; inf where there is none
+    cube: Int32s  # (height, width)   number of the nearest cube; −1: none
+    axis: Int8s  # (height, width)   normal axis of the visible face: 0, 1 or 2
+    border: Float32s  # (height, width)   distance to the face's border, 0 … ½ of the edge
+    depth: Float64s  # (height, width)   along the camera's axis; inf without a cube
 
 
 def rasterize_cubes(
     corners: Float64s, edges: Float64s, camera: Camera, behind: CubeBuffers | None = None
 ) -> CubeBuffers:
-    """Find the cube seen at the centre of every pixel.
+    """Find the cube that each pixel's centre sees.
 
-    corners    (n, 3) float64: each cube's corner of least coordinates, in the world
-    edges      (n,) float64: how long its edges are
-    behind     what an earlier call found: found is what lies behind that, and nothing where that has no cube
+    corners    (n, 3) float64: each cube's corner of smallest coordinates, in the world
+    edges      (n,) float64: edge lengths
+    behind     an earlier result: return the next layer behind it, and nothing where it has no cube
 
-    Of cubes at the same depth the first is seen. Cubes that reach to depth 0 or behind are not.
+    At equal depth the first cube wins. Cubes that reach to depth 0 or less are invisible.
     """
     shape = camera.height, camera.width
     buffers = CubeBuffers(
@@ -68,7 +68,7 @@ def _draw(
     borders: Float32s,
     depths: Float64s,
 ) -> None:
-    """Trace the rays of a cube's bounding rectangle through the cube (slabs: Kay & Kajiya 1986).
+    """Intersect the rays of a cube's bounding rectangle with the cube (slabs: Kay & Kajiya 1986).
 
     The ray of the pixel centre p = (x, y, 1) is position + origins · p + depth · directions · p.
     """
@@ -113,7 +113,7 @@ def _draw(
 def _rectangle(
     corner: Float64s, edge: float, matrix: Float64s, width: int, height: int
 ) -> tuple[int, int, int, int]:
-    """Return the first and one past the last column, then row, whose centres a cube can cover."""
+    """Return the column range, then the row range, [first, end) of pixel centres that a cube may cover."""
     low_x, low_y, high_x, high_y = np.inf, np.inf, -np.inf, -np.inf
     for vertex in range(8):
         x = corner[0] + edge * (vertex & 1)
@@ -127,7 +127,7 @@ def _rectangle(
         row = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2] * z + matrix[1, 3]) / w
         low_x, high_x = min(low_x, column), max(high_x, column)
         low_y, high_y = min(low_y, row), max(high_y, row)
-    # A little more for the rounding, and within the picture, so that it fits an integer.
+    # Widened by the rounding error, and clipped to the image so that it fits an integer.
     return (
         int(np.ceil(min(max(low_x - 0.501, 0.0), float(width)))),
         int(np.floor(min(max(high_x + 0.501, 0.0), float(width)))),

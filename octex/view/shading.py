@@ -8,12 +8,12 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Integers
 from octex.jit import kernel
 from octex.source.welding import welded
 
-#: Corners of more triangles than this get the triangle's own normal: comparing all pairs would take too long.
+#: Above this many triangles at one position, corners get the face normal: comparing all pairs is slow.
 _MANY = 256
 
 
 def face_normals(positions: Float64s, triangles: Int32s) -> tuple[Float64s, Float64s]:
-    """Return unit normals (m, 3), zeros without area, and areas (m,) of triangles (m, 3)."""
+    """Return unit normals (m, 3), zeros for triangles without area, and areas (m,) of triangles (m, 3)."""
     normals, areas, angles = np.empty((len(triangles), 3)), np.empty(len(triangles)), np.empty((0, 3))
     _measure(positions, triangles, normals, areas, angles)
     return normals, areas
@@ -22,8 +22,8 @@ def face_normals(positions: Float64s, triangles: Int32s) -> tuple[Float64s, Floa
 def corner_normals(positions: Float64s, triangles: Int32s, crease: float = 40.0) -> Float32s:
     """Return smooth unit normals (m, 3, 3) at the corners of triangles (m, 3).
 
-    A corner's is the mean, weighted by angle, of the triangles at its position whose normals are within
-    ``crease`` degrees of its own triangle's (Thürmer & Wüthrich 1998).
+    A corner's normal is the angle-weighted mean over the triangles at its position. Only normals within
+    ``crease`` degrees of its own triangle's normal count (Thürmer & Wüthrich 1998).
     """
     return _smoothed(
         positions, triangles, welded(positions), np.arange(len(triangles), dtype=np.int32), crease
@@ -33,27 +33,27 @@ def corner_normals(positions: Float64s, triangles: Int32s, crease: float = 40.0)
 def corner_normals_of(
     chosen: Integers, positions: Float64s, triangles: Int32s, crease: float = 40.0
 ) -> Float32s:
-    """Return `corner_normals` of ``chosen`` triangles (k,): (k, 3, 3), measuring only what is near."""
+    """Return `corner_normals` of the ``chosen`` triangles (k,): (k, 3, 3), from their neighbourhood alone."""
     if not len(chosen):
         return np.empty((0, 3, 3), np.float32)
     is_ascending = bool((chosen[1:] > chosen[:-1]).all())
-    own = (chosen if is_ascending else np.unique(chosen)).astype(np.int64)
-    inside = np.flatnonzero(_inside(positions, triangles, own))
+    ascending = (chosen if is_ascending else np.unique(chosen)).astype(np.int64)
+    inside = np.flatnonzero(_inside(positions, triangles, ascending))
     places = np.full(len(positions), -1, np.int32)
     places[inside] = welded(positions[inside])
-    near, rows = _around(places, triangles, own)
-    normals = _smoothed(positions, triangles[near], places, rows, crease)
-    return normals if is_ascending else normals[np.searchsorted(own, chosen)]
+    neighbours, rows = _around(places, triangles, ascending)
+    normals = _smoothed(positions, triangles[neighbours], places, rows, crease)
+    return normals if is_ascending else normals[np.searchsorted(ascending, chosen)]
 
 
 def _smoothed(
     positions: Float64s, triangles: Int32s, places: Int32s, rows: Int32s, crease: float
 ) -> Float32s:
-    """Return the normals at the corners of triangles (m,) with ``rows`` (m,), −1 for none."""
+    """Return corner normals of triangles (m,) in the given output ``rows`` (m,); −1: no output."""
     faces, angles = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
     _measure(positions, triangles, faces, np.empty(len(triangles)), angles)
 
-    # Corners at one position one after the other, whatever vertices they use.
+    # Sorted by position, since vertices at one position may differ.
     by_place, starts = _by_place(places, triangles)
 
     normals = np.empty((int(rows.max(initial=-1)) + 1, 3, 3), np.float32)
@@ -64,7 +64,7 @@ def _smoothed(
 
 @kernel
 def _inside(positions: Float64s, triangles: Int32s, chosen: Int64s) -> Bools:
-    """Say which positions are in the box around chosen triangles."""
+    """Return which positions lie in the bounding box of the chosen triangles."""
     box = np.empty((2, 3), np.float64)
     box[0], box[1] = np.inf, -np.inf
     for n in range(chosen.size):
@@ -83,8 +83,8 @@ def _inside(positions: Float64s, triangles: Int32s, chosen: Int64s) -> Bools:
 
 @kernel
 def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int32s, Int32s]:
-    """Return the triangles at the places of chosen ones, and which of these each is; others get −1."""
-    is_used = np.zeros(places.size + 1, np.bool_)  # none, −1, is the last
+    """Return all triangles that share a position with chosen ones, and their index in ``chosen`` or −1."""
+    is_used = np.zeros(places.size + 1, np.bool_)  # the last entry is for the place −1
     for n in range(chosen.size):
         for corner in range(3):
             is_used[places[triangles[chosen[n], corner]]] = True
@@ -105,7 +105,7 @@ def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int32s, 
 
 @kernel
 def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int32s, Int64s]:
-    """Return the corners of triangles by their vertices' places, from 0, and where each place's begin."""
+    """Return triangle corners sorted by the place of their vertex, and the start of each place."""
     starts = np.zeros(places.size + 1, np.int64)
     for n in range(len(triangles)):
         for corner in range(3):
@@ -120,7 +120,7 @@ def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int32s, Int64s]:
             if place >= 0:
                 corners[starts[place]] = 3 * n + corner
                 starts[place] += 1
-    for place in range(places.size, 0, -1):  # each has moved on to where the next begins
+    for place in range(places.size, 0, -1):  # each start has moved to the next place's start
         starts[place] = starts[place - 1]
     starts[0] = 0
     return corners, starts
@@ -130,7 +130,7 @@ def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int32s, Int64s]:
 def _measure(
     positions: Float64s, triangles: Int32s, normals: Float64s, areas: Float64s, angles: Float64s
 ) -> None:
-    """Fill in normals, areas and, if there is room for them, the angles at the corners."""
+    """Write normals, areas and, where ``angles`` has rows, the angles at the corners."""
     for n in range(len(triangles)):
         a, b, c = positions[triangles[n, 0]], positions[triangles[n, 1]], positions[triangles[n, 2]]
         x = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
@@ -160,7 +160,7 @@ def _smooth(
     rows: Int32s,
     normals: Float32s,
 ) -> None:
-    """Fill in the normals of corners in ``rows``; ``cosines`` are of the crease angle and of half of it."""
+    """Write the corner normals of ``rows``; ``cosines`` are those of the crease angle and of half of it."""
     for place in range(len(starts) - 1):
         first, end = starts[place], starts[place + 1]
         a = b = c = 0.0
@@ -170,7 +170,8 @@ def _smooth(
             a += angles[corner] * face[0]
             b += angles[corner] * face[1]
             c += angles[corner] * face[2]
-        # Triangles within half the angle of their mean are within the whole of each other: it is that of all.
+        # If all normals lie within half the crease angle of the mean, each pair lies within the crease angle:
+        # all corners then share the mean.
         least = cosines[1] * np.sqrt(a * a + b * b + c * c) * (1.0 + 1e-9)
         is_shared = end - first <= _MANY
         for at in range(first, end):
@@ -181,15 +182,15 @@ def _smooth(
             row = rows[corner // 3]
             if row < 0:
                 continue
-            own = faces[corner // 3]
-            x, y, z = own[0], own[1], own[2]
+            face_here = faces[corner // 3]
+            x, y, z = face_here[0], face_here[1], face_here[2]
             if is_shared:
                 x, y, z = a, b, c
             elif end - first <= _MANY:
                 x, y, z = 0.0, 0.0, 0.0
                 for other in by_place[first:end]:
                     face = faces[other // 3]
-                    if own[0] * face[0] + own[1] * face[1] + own[2] * face[2] >= cosines[0]:
+                    if face_here[0] * face[0] + face_here[1] * face[1] + face_here[2] * face[2] >= cosines[0]:
                         x += angles[other] * face[0]
                         y += angles[other] * face[1]
                         z += angles[other] * face[2]

@@ -1,8 +1,8 @@
-"""Which points of a surface a camera sees, decided point by point against what its pixels see.
+"""Decides for surface points whether a camera sees them, by comparing them with the planes that pixels see.
 
-Every triangle that a pixel sees keeps its plane, as the *nearness* of that plane over the picture: 1 over
-depth for pinhole cameras, minus depth for orthographic ones. Nearness is linear in pixel coordinates, so that
-the plane of a pixel can be read at a point beside it, and the plane of a point at a pixel.
+Each visible triangle stores its plane as *nearness* over the image: 1 / depth for pinhole cameras, minus
+depth for orthographic ones. Nearness is linear in pixel coordinates. So a pixel's plane can be evaluated at a
+nearby point, and a point's plane at a pixel.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from octex.jit import inlined, kernel
 from octex.source.vectors import Vector, cross_product, dot_product, minus
 from octex.view.zbuffer import z_buffer
 
-#: Surfaces nearer to each other than this, in pixels as they are there, are not told apart ...
+#: Surfaces closer than this, in pixels at their depth, count as one ...
 _CLOSE = 0.01
-#: ... and where triangles are smaller than pixels, this much more: a rough surface hides none of itself.
+#: ... plus this where triangles are smaller than pixels, so that a rough surface does not hide itself.
 _ROUGH = 0.5
-#: How far beyond the picture a camera without distortion may look for what one with distortion sees.
+#: Largest width of the undistorted image, as a multiple of the distorted one.
 _WIDEST = 4.0
 
 
@@ -31,33 +31,33 @@ Pixel = tuple[float, float]
 
 
 class Visibility(NamedTuple):
-    """What the pixels of a camera without distortion see; row 0 is the top of the picture."""
+    """What the pixels of a camera without distortion see; row 0 is the top of the image."""
 
-    rows: Int32s  # (height, width)   the row of the triangle that a pixel sees; −1: none
-    triangles: Int32s  # (k,)   those that pixels see
-    planes: Float64s  # (k, 3)   nearness at pixel coordinates (0, 0), and its slopes to the right and down
-    corner: Int64s  # (2,)   pixel coordinates, x and y, of the corner of the first pixel
+    rows: Int32s  # (height, width)   row of the visible triangle; −1: none
+    triangles: Int32s  # (k,)   the visible triangles
+    planes: Float64s  # (k, 3)   nearness at pixel (0, 0), and its slopes to the right and down
+    corner: Int64s  # (2,)   pixel coordinates, x and y, of the first pixel's corner
 
     def triangle(self, rows: Int32s) -> Int32s:
-        """Return the triangles of rows of any shape; −1 for −1."""
-        found = np.full(rows.shape, -1, np.int32)
+        """Return the triangles of rows of any shape; −1 stays −1."""
+        triangles = np.full(rows.shape, -1, np.int32)
         sees = rows >= 0
-        found[sees] = self.triangles[rows[sees]]
-        return found
+        triangles[sees] = self.triangles[rows[sees]]
+        return triangles
 
 
 class View(NamedTuple):
-    """A camera as kernels see it."""
+    """A camera in the form that kernels read."""
 
     world_to_camera: Float64s  # (4, 4)
     K: Float64s  # (3, 3)
     inverse_k: Float64s  # (3, 3)
-    focal: float  # pixels of what is 1 wide and 1 away, or of what is 1 wide if the projection is parallel
+    focal: float  # pixels a world unit, at depth 1 if pinhole
     is_pinhole: bool
 
 
 def view_of(camera: Camera) -> View:
-    """Return a camera, without distortion, as kernels see it."""
+    """Return a camera without distortion in the form that kernels read."""
     inverse = np.linalg.inv(camera.K).astype(np.float64)
     focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
     return View(camera.world_to_camera, camera.K, inverse, focal, camera.projection == "pinhole")
@@ -66,7 +66,7 @@ def view_of(camera: Camera) -> View:
 def visibility_of(
     vertices: Float64s, triangles: Int32s, camera: Camera, executor: Executor | None = None
 ) -> Visibility:
-    """Find what the pixels of a camera without distortion see of triangles (m, 3) of vertices (n, 3)."""
+    """Find the triangles (m, 3) of vertices (n, 3) that the pixels of a camera without distortion see."""
     rows = z_buffer(vertices, triangles, camera, executor).triangle
     seen = _number(rows, len(triangles))
     planes = _planes_of(vertices, triangles[seen], view_of(camera))
@@ -74,7 +74,7 @@ def visibility_of(
 
 
 def straight(camera: Camera) -> Camera:
-    """Return a camera without distortion whose picture holds all that ``camera`` sees, as fine."""
+    """Return a camera without distortion that covers the view of ``camera`` at the same resolution."""
     if not camera.is_distorted:
         return camera
     width, height = camera.width, camera.height
@@ -98,7 +98,7 @@ def straight(camera: Camera) -> Camera:
 
 @inlined
 def transformed(view: View, points: Float64s, row: int) -> Vector:
-    """Return a point of the world in camera axes."""
+    """Return a world point in camera axes."""
     M = view.world_to_camera
     x, y, z = points[row, 0], points[row, 1], points[row, 2]
     return (
@@ -110,14 +110,14 @@ def transformed(view: View, points: Float64s, row: int) -> Vector:
 
 @inlined
 def plane_through(a: Vector, b: Vector, c: Vector) -> tuple[float, float, float, float]:
-    """Return normal and offset, n · x = d, of the plane through three points; n is twice the area long."""
+    """Return normal n and offset d, n · x = d, of the plane through three points; |n| is twice the area."""
     normal = cross_product(minus(b, a), minus(c, a))
     return normal[0], normal[1], normal[2], dot_product(normal, a)
 
 
 @inlined
 def nearness(view: View, plane: tuple[float, float, float, float]) -> Vector:
-    """Return the nearness of a plane at pixel coordinates (0, 0), and its slopes; zeros if seen edge-on."""
+    """Return a plane's nearness at pixel (0, 0), and its slopes; zeros if seen edge-on."""
     L = view.inverse_k
     x, y, z, d = plane
     right = x * L[0, 0]
@@ -134,18 +134,18 @@ def nearness(view: View, plane: tuple[float, float, float, float]) -> Vector:
 
 @kernel
 def _number(seen: Int32s, count: int) -> Int32s:
-    """Return the triangles, of ``count``, that pixels see; put their rows in place of them."""
-    rows, found, size = np.full(count, -1, np.int32), np.empty(min(count, seen.size), np.int32), 0
+    """Return the visible triangles, out of ``count``, and replace triangles in ``seen`` by their rows."""
+    rows, visible, size = np.full(count, -1, np.int32), np.empty(min(count, seen.size), np.int32), 0
     for i in range(seen.shape[0]):
         for j in range(seen.shape[1]):
             triangle = seen[i, j]
             if triangle < 0:
                 continue
             if rows[triangle] < 0:
-                rows[triangle], found[size] = size, triangle
+                rows[triangle], visible[size] = size, triangle
                 size += 1
             seen[i, j] = rows[triangle]
-    return found[:size].copy()
+    return visible[:size].copy()
 
 
 @kernel
@@ -161,7 +161,7 @@ def _planes_of(vertices: Float64s, triangles: Int32s, view: View) -> Float64s:
 
 @inlined
 def _plane_at(seen: Visibility, row: int, column: int) -> Vector:
-    """Return the nearness of what a pixel sees in its middle, and its slopes."""
+    """Return the nearness, and its slopes, at a pixel's centre."""
     at = seen.rows[row, column]
     base, right, down = seen.planes[at, 0], seen.planes[at, 1], seen.planes[at, 2]
     x, y = seen.corner[0] + column + 0.5, seen.corner[1] + row + 0.5
@@ -174,16 +174,16 @@ def _plane_at(seen: Visibility, row: int, column: int) -> Vector:
 
 @inlined
 def tolerance(view: View, near: float, right: float, down: float, size: float) -> float:
-    """Return how much nearer something must be to hide a point on a plane with slopes right and down."""
+    """Return the nearness margin by which an occluder must exceed a point's plane."""
     pixel = (abs(near) if view.is_pinhole else 1.0) / view.focal
     return float((_CLOSE + _ROUGH / (1.0 + size)) * (abs(right) + abs(down) + pixel))
 
 
 @inlined
 def hides(seen: Visibility, row: int, column: int, pixel: Pixel, plane: Vector, slack: float) -> bool:
-    """Say whether what a pixel sees hides a point at another, by its own plane and by the point's.
+    """Return whether a pixel's surface hides a point at ``pixel``, by its own plane and by the point's.
 
-    Either alone errs: the planes of the two faces of a crease, drawn out, pass before each other.
+    Both must agree: extended beyond a crease, the planes of its two faces pass before each other.
     """
     (x, y), (near, right, down) = pixel, plane
     there, across, along = _plane_at(seen, row, column)
@@ -195,18 +195,18 @@ def hides(seen: Visibility, row: int, column: int, pixel: Pixel, plane: Vector, 
 
 @inlined
 def parts(seen: Visibility, row: int, column: int, pixel: Pixel, plane: Vector, slack: float) -> bool:
-    """Say whether what a pixel sees hides a point, or goes on behind it; see `hides`."""
+    """Return whether a pixel's surface and a point's are apart in depth, in either order; see `hides`."""
     (x, y), (near, right, down) = pixel, plane
     dx, dy = column + 0.5 - x, row + 0.5 - y
     there, across, along = _plane_at(seen, row, column)
-    own = near + right * dx + down * dy - there
-    other = near - (there - across * dx - along * dy)
-    return bool((own < -slack and other < -slack) or (own > slack and other > slack))
+    at_pixel = near + right * dx + down * dy - there
+    at_point = near - (there - across * dx - along * dy)
+    return bool((at_pixel < -slack and at_point < -slack) or (at_pixel > slack and at_point > slack))
 
 
 @inlined
 def visible_part(seen: Visibility, triangle: int, pixel: Pixel, plane: Vector, slack: float) -> float:
-    """Return how much of the four pixels around a point sees it, 0 … 1, by their bilinear weights."""
+    """Return the visible fraction of a point, 0 … 1: the bilinear weights of the four pixels that see it."""
     (x, y), (height, width) = pixel, seen.rows.shape
     left, top = np.floor(x - 0.5), np.floor(y - 0.5)
     part_x, part_y = x - 0.5 - left, y - 0.5 - top
@@ -227,10 +227,10 @@ def visible_part(seen: Visibility, triangle: int, pixel: Pixel, plane: Vector, s
 
 @kernel
 def distances_to_edges(seen: Visibility, view: View, reach: float) -> Float32s:
-    """Return how far each pixel's centre is from where the surface that it sees ends: pixels, to ``reach``.
+    """Return each pixel centre's distance to the nearest visible edge, in pixels, at most ``reach``.
 
-    It ends at the rim, at the background, and where a part hides another. Steps to 8 neighbours: at most 8 %
-    too long.
+    Edges are the image border, the background, and occlusions. Distances step over 8 neighbours and are at
+    most 8 % too long.
     """
     height, width = seen.rows.shape
     distances = np.empty((height, width), np.float32)
@@ -271,7 +271,7 @@ def distances_to_edges(seen: Visibility, view: View, reach: float) -> Float32s:
 
 @inlined
 def _parts(seen: Visibility, view: View, row: int, column: int, other_row: int, other_column: int) -> bool:
-    """Say whether two pixels beside each other see what does not hang together."""
+    """Return whether an edge separates two adjacent pixels: background, or a surface behind the other."""
     here, there = seen.rows[row, column], seen.rows[other_row, other_column]
     if here == there:
         return False
@@ -286,7 +286,7 @@ def _parts(seen: Visibility, view: View, row: int, column: int, other_row: int, 
 def _is_hidden(
     seen: Visibility, view: View, row: int, column: int, other_row: int, other_column: int
 ) -> bool:
-    """Say whether what the second pixel sees goes on behind what the first one sees."""
+    """Return whether the second pixel's surface continues behind the first pixel's."""
     near, right, down = _plane_at(seen, other_row, other_column)
     slack = tolerance(view, near, right, down, 0.0)
     return hides(seen, row, column, (other_column + 0.5, other_row + 0.5), (near, right, down), slack)

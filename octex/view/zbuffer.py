@@ -1,8 +1,8 @@
-"""A z-buffer: the triangle that each pixel's centre sees, and where on it.
+"""A z-buffer: the triangle that each pixel's centre sees, and its barycentric coordinates.
 
-Edge functions are homogeneous, so triangles that pass through the camera's plane need no clipping (Olano &
-Greer, "Triangle Scan Conversion using 2D Homogeneous Coordinates", 1997). Vertices are snapped to 2⁻¹⁴ of a
-pixel: the edge functions of triangles up to 4096 pixels across are then exact in float64.
+Edge functions are homogeneous, so triangles through the camera plane need no clipping (Olano & Greer,
+"Triangle Scan Conversion using 2D Homogeneous Coordinates", 1997). Vertices snap to 2⁻¹⁴ of a pixel. The edge
+functions of triangles up to 4096 pixels across are then exact in float64.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from octex.parallel import cpu_count, ordered_map, sharing
 
 Index = int | np.integer[Any]
 
-#: Snapped positions are whole multiples of 1 / _SUBPIXELS of a pixel.
+#: Snapped positions are multiples of 1 / _SUBPIXELS of a pixel.
 _SUBPIXELS = 2.0**14
-#: Vertices farther than this from the picture's corner, in pixels, are not snapped.
+#: Vertices farther than this from the image's corner, in pixels, do not snap.
 _FAR = 2.0**20
-#: Depths that differ by less than this part of the largest are the same: the rounding of interpolation.
+#: Depths closer than this part of the largest depth are equal: the rounding of interpolation.
 _SAME_DEPTH = 1e-12
-#: Where a vertex is, bit by bit: left of, right of, above and below the picture, and behind the camera. A
-#: triangle whose vertices share a bit is not seen.
+#: Bits of a vertex's position: left of, right of, above and below the image, and behind the camera. A
+#: triangle whose vertices share a bit is invisible.
 _LEFT, _RIGHT, _ABOVE, _BELOW, _BEHIND = 1, 2, 4, 8, 16
 
 
 class Buffers(NamedTuple):
-    """What each pixel sees; row 0 is the top of the picture."""
+    """What each pixel sees; row 0 is the top of the image."""
 
     triangle: Int32s  # (height, width)      the nearest triangle; −1: none
-    barycentric: Float32s  # (height, width, 3)   perspective-correct; zeros where there is none
-    depth: Float64s  # (height, width)      along the camera's axis; inf where there is none
+    barycentric: Float32s  # (height, width, 3)   perspective-correct; zeros without a triangle
+    depth: Float64s  # (height, width)      along the camera's axis; inf without a triangle
 
 
 def z_buffer(
@@ -50,18 +50,18 @@ def z_buffer(
     *,
     behind: Buffers | None = None,
 ) -> Buffers:
-    """Find the triangle seen at the centre of every pixel.
+    """Find the triangle that each pixel's centre sees.
 
     positions    (n, 3), in the world
-    triangles    (m, 3) numbers of positions; either side is seen; those without area are not
-    camera       for several samples a pixel, ``camera.scaled``
-    executor     spreads the work over bands of rows; it does not change the result
-    behind       what an earlier call found: found is what lies behind that, and nothing where that has no
-                 triangle (depth peeling: C. Everitt, "Interactive Order-Independent Transparency", 2001)
+    triangles    (m, 3) numbers of positions; both sides are visible; triangles without area are not
+    camera       for several samples a pixel, pass ``camera.scaled``
+    executor     spreads the work over bands of rows; the result stays the same
+    behind       an earlier result: return the next layer behind it, and nothing where it has no triangle
+                 (depth peeling: C. Everitt, "Interactive Order-Independent Transparency", 2001)
 
     A centre on the edge between two triangles belongs to exactly one of them (the top-left rule), whether
-    they share the edge's vertices or only positions. Of triangles at the same depth the first is seen, and
-    the next one behind it. What lies at depth 0 or behind is not.
+    they share vertices or only positions. At equal depth the first triangle wins, and the next one lies
+    behind it. Points at depth 0 or less are invisible.
 
     Raises ArgumentError for other shapes, non-finite positions, or vertex numbers out of range.
     """
@@ -80,41 +80,44 @@ def z_buffer(
     if behind is None:
         behind = Buffers(np.empty((0, 0), np.int32), np.empty((0, 0, 3), np.float32), np.empty((0, 0)))
     shape = camera.height, camera.width
-    found = Buffers(np.empty(shape, np.int32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float64))
+    buffers = Buffers(
+        np.empty(shape, np.int32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float64)
+    )
     corners = np.ascontiguousarray(corners, np.int32)
 
     def draw(ends: tuple[int, int]) -> None:
         rows = slice(*ends)
-        triangle, barycentric, depth = found.triangle[rows], found.barycentric[rows], found.depth[rows]
+        triangle, barycentric, depth = buffers.triangle[rows], buffers.barycentric[rows], buffers.depth[rows]
         triangle[:], barycentric[:], depth[:] = -1, 0.0, np.inf
         before = behind.triangle[rows], behind.depth[rows]
         _draw(screen, snapped, outside, corners, same, ends[0], *before, triangle, barycentric, depth)
 
     if executor is None:
         draw((0, camera.height))
-        return found
+        return buffers
     bands = min(cpu_count(), camera.height)
     ends = [camera.height * band // bands for band in range(bands + 1)]
     with sharing(executor) as pool:
         for _ in ordered_map(pool, draw, list(pairwise(ends))):
             pass
-    return found
+    return buffers
 
 
 @kernel
 def _to_screen(
     positions: Float64s, matrix: Float64s, width: int, height: int
 ) -> tuple[Float64s, Bools, Uint8s]:
-    """Return rows (x, y, w, depth) of the vertices, whether x and y are snapped pixel coordinates, and where.
+    """Return rows (x, y, w, depth) of the vertices, whether each snapped, and its position bits.
 
-    Other vertices, behind the camera or far outside the picture, have pixel coordinates times w.
+    x and y are pixel coordinates of snapped vertices. Of others, behind the camera or far outside the image,
+    they are multiplied by w.
     """
     screen = np.empty((len(positions), 4), np.float64)
     snapped = np.zeros(len(positions), np.bool_)
     outside = np.zeros(len(positions), np.uint8)
     for n in range(len(positions)):
         for row in range(4):
-            # Not a matrix product: vertices at one position must land on the same bits.
+            # Not a matrix product: vertices at one position must get the same bits.
             screen[n, row] = (
                 matrix[row, 0] * positions[n, 0]
                 + matrix[row, 1] * positions[n, 1]
@@ -142,7 +145,8 @@ def _edge(
 ) -> tuple[float, float, float, float, float, float]:
     """Return x0, y0, across, down, constant and scale of the edge function from vertex p to q.
 
-    It is (x − x0) · across + (y − y0) · down + constant, times scale; from q to p exactly the negative.
+    The function is ((x − x0) · across + (y − y0) · down + constant) · scale. From q to p it is exactly
+    negated.
     """
     sign = 1.0
     for axis in range(3):
@@ -163,7 +167,7 @@ def _edge(
 
 @part
 def _orientation(screen: Float64s, snapped: Bools, a: Index, b: Index, c: Index) -> float:
-    """Return 1 or −1 for the two sides of a triangle, 0 for one without area in the picture."""
+    """Return 1 or −1 for the visible side of a triangle, 0 for no area in the image."""
     if snapped[a] and snapped[b] and snapped[c]:
         abx, aby = screen[b, 0] - screen[a, 0], screen[b, 1] - screen[a, 1]
         acx, acy = screen[c, 0] - screen[a, 0], screen[c, 1] - screen[a, 1]
@@ -191,19 +195,19 @@ def _pixel_range(
     first: int,
     end: int,
 ) -> tuple[int, int]:
-    """Return the first and one past the last pixel, along an axis, whose centres the triangle can cover."""
+    """Return the range [first, end) of pixels along an axis whose centres the triangle may cover."""
     a, b, c = corners
     if not (snapped[a] and snapped[b] and snapped[c]):
         return first, end
     low = min(screen[a, axis], screen[b, axis], screen[c, axis])
     high = max(screen[a, axis], screen[b, axis], screen[c, axis])
-    # Snapped positions are within ±2²⁰, so they fit an integer.
+    # Snapped positions lie within ±2²⁰ and fit an integer.
     return max(int(np.ceil(low - 0.5)), first), min(int(np.floor(high - 0.5)) + 1, end)
 
 
 @part
 def _covers(value: float, across: float, down: float) -> bool:
-    """Tell whether a point is inside an edge, or on it if it is a left edge or a level top edge."""
+    """Return whether a point is inside an edge, or on a left or top edge."""
     return value > 0.0 or (value == 0.0 and (across > 0.0 or (across == 0.0 and down > 0.0)))
 
 
@@ -243,7 +247,7 @@ def _draw(
         for e in range(3):
             p, q = (b, c) if e == 0 else (c, a) if e == 1 else (a, b)
             x0, y0, across, down, constant, scale = _edge(screen, snapped, p, q)
-            # One by one: as an array expression this compiles for four seconds.
+            # Scalar by scalar: an array expression takes four seconds to compile.
             edges[e, 0], edges[e, 1], edges[e, 5] = x0, y0, scale
             edges[e, 2], edges[e, 3], edges[e, 4] = across * side, down * side, constant * side
         a_depth, b_depth, c_depth = screen[a, 3], screen[b, 3], screen[c, 3]
@@ -258,7 +262,7 @@ def _draw(
                 if across == 0.0:
                     end = end if constant >= 0.0 else first
                     continue
-                # The pixel where the edge crosses the row, and one more for the rounding.
+                # The pixel where the edge crosses the row, widened by one for rounding.
                 crossing = min(max(x0 - constant / across, -1.0), width + 1.0)
                 if across > 0.0:
                     first = max(first, int(crossing) - 1)

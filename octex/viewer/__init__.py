@@ -1,15 +1,15 @@
-"""Textures in a browser: the octree itself on the GPU, walked by a shader from rest positions.
+"""Shows textures in a browser: the GPU holds the octree, and a shader walks it from rest positions.
 
-moves       what a page is sent of animations
-maps        what it is sent of the model's own images
-pack        what it is sent of all: levels one after another, the mesh, how that moves; of a set part by part
-changes     what it is sent of a texture that has changed: the cells that it does not have
-page/       the page: plain modules and shaders, as they are served
-    elements    its elements by their names
-    kept        what stays when it loads anew: camera and controls
-    data        where its data comes from: a server, or the page itself
-    octree      levels as they arrive: words for nodes, planes of values for cells; what is at a point
-    patch       the octree as it has changed
+moves       packs animations for a page
+maps        packs the model's own images
+pack        packs everything for a page: levels one after another, the mesh, its motion; a set part by part
+changes     packs the cells of a changed texture that a page lacks
+page/       the page: plain modules and shaders, served as they are
+    elements    its elements by name
+    kept        what survives a reload: camera and controls
+    data        loads data from a server, or from the page itself
+    octree      levels as they arrive: words for nodes, planes of values for cells; the value at a point
+    patch       applies changes to the octree
     mesh        positions, normals, triangles
     motion      bones and targets at frames
     source      the model's own images; divider: between these and the octree
@@ -32,7 +32,7 @@ below       pieces laid flat, and what strokes in layers lead to, as pages take 
 export      one file that has all of that in it
 downloads   files for a page that paints to download: the texture, or the model with it
 key         a secret of the user, which makes a file's address the same each time
-server      the page, for this machine alone
+server      serves the page to this machine only
 """
 
 from octex.viewer.export import write_page as write_page

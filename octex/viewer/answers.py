@@ -1,4 +1,4 @@
-"""Requests of pages: which are admitted, and the answers."""
+"""Admits or refuses requests of pages, and answers them."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ _HEADERS = {
 }
 #: Seconds for a request to arrive.
 _PATIENCE = 10.0
-#: Seconds that a browser may pause in a download, and bytes that are sent at once.
+#: Longest pause of a browser during a download, in seconds, and bytes sent at once.
 _PAUSE, _PIECE = 600.0, 1 << 20
 
 
-#: What a session is asked for.
+#: Makers of answers from a session.
 _MADE = {"patch": packed_patch, "beneath": packed_beneath}
 
 
@@ -56,12 +56,13 @@ class Server(ThreadingHTTPServer):
     """Answers each request on a thread of its own."""
 
     daemon_threads = True
-    request_queue_size = 128  # of connections that wait to be accepted
-    # A port whose server has ended is free at once; elsewhere this would let two servers share it.
+    request_queue_size = 128  # largest number of connections that wait for acceptance
+    # On POSIX this frees the port of a closed server at once. On Windows it would let two servers share the
+    # port.
     allow_reuse_address = os.name == "posix"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Let a page go away in the middle of an answer."""
+        """Ignore errors of a page that closes during an answer."""
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -72,16 +73,16 @@ class Handler(BaseHTTPRequestHandler):
     server_version = "octex"
     sys_version = ""
     timeout = _PATIENCE
-    disable_nagle_algorithm = True  # else a body waits up to 40 ms until the page has confirmed its headers
+    disable_nagle_algorithm = True  # else a body waits up to 40 ms for the page to acknowledge its headers
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Log what http.server itself refuses, and requests of which no more comes; others need no line."""
+        """Log only refusals by http.server itself and incomplete requests."""
         is_half = format.startswith("Request timed out") and bool(getattr(self, "raw_requestline", b""))
         if is_half or format.startswith("code "):
             self.viewer.refuse(_printable(format % args))
 
     def do_GET(self) -> None:
-        """Answer with a file of the page, its data, the line of events, or a proof of the token."""
+        """Answer with a file of the page, its data, the event stream, or a proof of the token."""
         path = self._admitted()
         if path is None:
             return
@@ -104,7 +105,7 @@ class Handler(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such file")
 
     def do_POST(self) -> None:
-        """Take a command of a page that paints, and answer with its number."""
+        """Take a command of a painting page, and answer with its number."""
         session, length = self.viewer.session, self.headers.get("Content-Length", "")
         if session is None:
             self.send_error(HTTPStatus.NOT_IMPLEMENTED, "Unsupported method ('POST')")
@@ -128,7 +129,7 @@ class Handler(BaseHTTPRequestHandler):
         else:
             body = self.rfile.read(int(length))
             if len(body) < int(length):
-                self._refuse(HTTPStatus.BAD_REQUEST, f"{len(body):,} bytes of {int(length):,} have come")
+                self._refuse(HTTPStatus.BAD_REQUEST, f"{len(body):,} bytes of {int(length):,} arrived")
                 return
             try:
                 self._json({"number": session.take(body)})
@@ -142,17 +143,17 @@ class Handler(BaseHTTPRequestHandler):
                 self._refuse(HTTPStatus.BAD_REQUEST, str(error))
 
     def _admitted(self, *, has_body: bool = False) -> str | None:
-        """Return what a request asks for, below the token; refuse what comes from elsewhere.
+        """Return the path of a request below the token; refuse requests from elsewhere.
 
-        A page that has lost its server asks for a proof without the token: it may be another server by now.
+        A page that lost its server asks for a proof without the token, since another server may answer now.
         """
         token, slash, path = self.path.partition("?")[0].removeprefix("/").partition("/")
-        own = {f"{ADDRESS}:{self.viewer.port}", f"localhost:{self.viewer.port}"}
+        hosts = {f"{ADDRESS}:{self.viewer.port}", f"localhost:{self.viewer.port}"}
         host, origin = self.headers.get("Host"), self.headers.get("Origin")
         why, status = "", HTTPStatus.FORBIDDEN
-        if host not in own:
+        if host not in hosts:
             why = f"the host is {host!r}"
-        elif origin is not None and origin.removeprefix("http://") not in own:
+        elif origin is not None and origin.removeprefix("http://") not in hosts:
             why = f"the origin is {origin!r}"
         elif self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
             why = "another site asks"
@@ -178,7 +179,7 @@ class Handler(BaseHTTPRequestHandler):
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
         self.wfile.write(body)
-        self.raw_requestline = b""  # what is waited for next is another request, or none
+        self.raw_requestline = b""  # the connection then waits for the next request
 
     def _begin(self, kind: str, status: HTTPStatus = HTTPStatus.OK) -> None:
         self.send_response(status)
@@ -189,7 +190,7 @@ class Handler(BaseHTTPRequestHandler):
             self.send_header("Connection", "close")
 
     def _data(self, name: str) -> None:
-        """Answer with the header, or of data/VERSION with streams or the change to the next version."""
+        """Answer with the header, or with streams or changes of data/VERSION."""
         if name == "header":
             try:
                 self._json(self.viewer.packed().header)
@@ -204,7 +205,7 @@ class Handler(BaseHTTPRequestHandler):
         elif name in streams:
             self._answer(streams[name], "application/octet-stream")
         elif version.partition("-")[0].isdigit() and (not packed.header or name == "change"):
-            # The page then loads what is shown now.
+            # The page then loads the current version.
             self._answer(b"that version is no longer there", "text/plain", HTTPStatus.GONE)
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such data")
@@ -213,7 +214,7 @@ class Handler(BaseHTTPRequestHandler):
         self._answer(json.dumps(header).encode(), "application/json")
 
     def _events(self) -> Callable[[str], None]:
-        """Begin an answer of events; return what sends them."""
+        """Begin an event stream; return the function that sends an event."""
         self.close_connection = True
         self._begin("text/event-stream")
         self.end_headers()
@@ -228,7 +229,7 @@ class Handler(BaseHTTPRequestHandler):
         self.viewer.follow(self._events())
 
     def _made(self, make: Callable[[Session, str], bytes], session: Session) -> None:
-        """Answer with what is made for a page from its question: a line of JSON, and streams."""
+        """Answer a question of a page: with a line of JSON, and streams."""
         try:
             body = make(session, unquote(self.path.partition("?")[2]))
         except OctexError as error:
@@ -237,12 +238,12 @@ class Handler(BaseHTTPRequestHandler):
             self._answer(body, "application/octet-stream")
 
     def _export(self, downloads: Downloads) -> None:
-        """Make a file for a page, and tell it how far that is; a page that goes away stops the work."""
+        """Make a file for a page and report progress; a closed page stops the work."""
         send = self._events()
 
-        def tell(name: str, told: dict[str, Any]) -> None:
+        def tell(name: str, message: dict[str, Any]) -> None:
             try:
-                send(f"event: {name}\ndata: {json.dumps(told)}\n\n")
+                send(f"event: {name}\ndata: {json.dumps(message)}\n\n")
             except OSError:
                 raise _GoneError from None
 
@@ -250,7 +251,7 @@ class Handler(BaseHTTPRequestHandler):
             downloads.make(self.path.partition("?")[2], tell)
 
     def _give(self, path: Path | None) -> None:
-        """Answer with a file to be downloaded, piece by piece."""
+        """Answer with a file to download, in pieces."""
         try:
             if path is None:
                 raise FileNotFoundError
@@ -269,9 +270,9 @@ class Handler(BaseHTTPRequestHandler):
 
 
 class _GoneError(Exception):
-    """The page that waits for a file has gone."""
+    """The page that waits for a file has closed."""
 
 
 def _printable(text: str) -> str:
-    """Return text as one line of at most 200 characters without anything that a terminal obeys."""
+    """Return text as one printable line of at most 200 characters, without terminal escapes."""
     return "".join(each if each.isprintable() else "�" for each in text)[:200]

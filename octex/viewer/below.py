@@ -1,4 +1,4 @@
-"""What pages ask sessions for: a piece of the surface laid flat, and what strokes in a layer lead to."""
+"""Packs answers of a session to a page: patches, and the texture below layers."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from octex.session.painting import Session
 from octex.viewer.mesh import packed_mesh
 from octex.viewer.pack import pack
 
-#: Deflate's level: it stays on this machine.
+#: Deflate's level: the data stays on this machine.
 _QUICK = 1
 
 
 def packed_patch(session: Session, asked: str) -> bytes:
-    """Return a piece of the surface, laid flat: a line of JSON, and the mesh's stream.
+    """Return an unwrapped patch of the surface: a line of JSON, and the mesh's stream.
 
     ``asked`` is JSON with the fields of a stroke. Raises ArgumentError and ModelError.
     """
@@ -29,19 +29,19 @@ def packed_patch(session: Session, asked: str) -> bytes:
 
 
 def packed_beneath(session: Session, asked: str) -> bytes:
-    """Return what strokes in a layer lead to, see `octex.painting.beneath`: a line of JSON, and streams.
+    """Return the result of full strokes in a layer (`octex.painting.beneath`): a line of JSON, and streams.
 
-    ``asked`` is JSON with the layer and what strokes lead to. Raises ArgumentError for anything else.
+    ``asked`` is JSON with the layer and the kind of stroke. Raises ArgumentError for anything else.
     """
     try:
-        given = json.loads(asked)
+        fields = json.loads(asked)
     except (ValueError, RecursionError):
-        given = None
-    if not isinstance(given, dict):
-        raise ArgumentError("what strokes lead to is asked for by a JSON object")
-    layer = given.get("layer")
+        fields = None
+    if not isinstance(fields, dict):
+        raise ArgumentError("a request for the texture beneath must be a JSON object")
+    layer = fields.get("layer")
     number = None if layer is None else as_whole(layer, "layer", 1, 2**53)
-    texture = beneath(session.shown.stacked, number, given.get("leads"))  # type: ignore[arg-type]
+    texture = beneath(session.shown.stacked, number, fields.get("leads"))  # type: ignore[arg-type]
     if texture is None:
         return b"null\n"
     header, streams = pack(texture, None, level=_QUICK)

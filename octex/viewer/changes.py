@@ -1,12 +1,11 @@
-"""What a page is sent of a texture that has changed: the cells that it does not have, and where others stand.
+"""Packs the change of a texture for a page: new cells, and the new numbers of known ones.
 
-A cell is known where the texture was as it is now: of the same level and place, with the same children, flags
-and values, those of its sides and what it keeps among them. Known cells stand in runs that follow on each
-other in both. One stream:
+A cell is known if the old texture has it with the same level, position, children, flags and values, including
+its rows and kept coefficient. Known cells form runs of consecutive numbers in both textures. One stream:
 
-    runs        how many new cells come before each; the cell that it began at; its length; planes of bytes
+    runs        per run: number of new cells before it; its first old cell; its length; as planes of bytes
     new cells   node masks, leaf masks, areas of nodes, flags, components of channels: a byte for each cell
-    their rows  components of channels: what nodes among them keep, then the sides of split ones
+    their rows  components of channels: kept coefficients of new nodes, then rows of new split cells
 """
 
 from __future__ import annotations
@@ -25,20 +24,20 @@ from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.split import rows_of
 
-#: What of a part's header stays while a page is shown: where its values stand, and what they mean.
+#: Header fields that must not change while a page shows a part: the layout and meaning of values.
 _STAYS = "origin", "size", "channels", "area", "flags", "planes"
 
 
 def is_like(header: dict[str, Any], other: dict[str, Any]) -> bool:
-    """Say whether a page that shows a part can be sent changes to another one."""
+    """Return whether a page that shows one part can be sent changes to another."""
     return all(header[name] == other[name] for name in _STAYS)
 
 
 def with_channels_of(before: OctreeTexture, after: OctreeTexture) -> tuple[OctreeTexture | None, bytes]:
-    """Return a texture with the channels of one of the same cells, and a stream of those it did not have.
+    """Return ``before`` with the channels of ``after``, and a stream of the new channels.
 
-    Of each component of these the stream has the cells, what nodes keep, and the sides of split cells. None
-    instead of the texture where cells differ, or channels of one name.
+    The stream has, for each new component, cells, kept coefficients and split rows. Returns None instead of
+    the texture if cells differ, or channels of equal name.
     """
     tree, channels, parts = before.tree, {}, []
     arrays: list[list[Array]] = [
@@ -55,7 +54,7 @@ def with_channels_of(before: OctreeTexture, after: OctreeTexture) -> tuple[Octre
 
 
 class _Runs(NamedTuple):
-    """Runs of known cells, by the first one's numbers, now and before."""
+    """Runs of known cells: first new number, first old number, length."""
 
     now: Int64s
     before: Int64s
@@ -67,7 +66,7 @@ class _Runs(NamedTuple):
         return cls(now, before, np.ones_like(now)).joined()
 
     def joined(self) -> _Runs:
-        """Join those that follow on each other in both."""
+        """Join runs that are consecutive in both textures."""
         begins = np.ones(self.now.size, np.bool_)
         ends = self.now + self.lengths, self.before + self.lengths
         begins[1:] = (self.now[1:] != ends[0][:-1]) | (self.before[1:] != ends[1][:-1])
@@ -77,7 +76,7 @@ class _Runs(NamedTuple):
 
 
 def change_between(before: OctreeTexture, after: OctreeTexture) -> tuple[dict[str, int], bytes]:
-    """Return how many entries a change's stream has, and the stream; textures are as the page has them."""
+    """Return the sizes of a change's parts, and its stream; textures are as the page has them."""
     if before is after:
         none = np.zeros(1, np.int64)
         return _packed(
@@ -89,7 +88,7 @@ def change_between(before: OctreeTexture, after: OctreeTexture) -> tuple[dict[st
 
 
 def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tuple[dict[str, int], bytes]:
-    """Return what `change_between` does of two textures that differ by a change, from its drafts alone."""
+    """Return `change_between` of two textures that differ by a known change, from its drafts alone."""
     tiles, draft = change.tiles, change.after
     if tiles is None:
         return change_between(before, after)
@@ -110,9 +109,9 @@ def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tu
 
 
 def touched_by(changes: Sequence[Change]) -> list[list[float]] | None:
-    """Return the lowest and the highest corner of what changes may touch, in root cells; none if that is all.
+    """Return the corners (low, high) of the box that changes may touch, in root cells; None for everything.
 
-    Averages of larger cells change as far around as these reach.
+    Averages of larger cells change beyond the box, by the cells' size.
     """
     corners = []
     for change in changes:
@@ -127,14 +126,14 @@ def touched_by(changes: Sequence[Change]) -> list[list[float]] | None:
 
 
 def _around(new: Int64s, count: int) -> _Runs:
-    """Return the runs of the other cells of so many, where none has another number."""
+    """Return the runs of all other cells of ``count``, whose numbers do not change."""
     first, end = np.append(0, new + 1), np.append(new, count)
     is_some = first < end
     return _Runs(first[is_some], first[is_some], (end - first)[is_some])
 
 
 def _closed(here: Int64s, count: int, there: Int64s, old_count: int) -> _Runs:
-    """Return the runs of cells that are not among some, now and before; these follow in the same order."""
+    """Return the runs of cells outside two sets, now and before; both have the same order."""
     gaps = []
     for numbers, end in ((here, count), (there, old_count)):
         apart = np.append(numbers - np.arange(numbers.size), end - numbers.size)
@@ -149,9 +148,9 @@ def _closed(here: Int64s, count: int, there: Int64s, old_count: int) -> _Runs:
 def _packed(
     runs: _Runs, texture: OctreeTexture, is_known: Bools, is_closed: Bools | None = None
 ) -> tuple[dict[str, int], bytes]:
-    """Return a change's counts and stream; new cells are those of a texture that are not known.
+    """Return a change's part sizes and stream; new cells are those of a texture that are not known.
 
-    Closed cells are leaves of a draft but nodes of its texture; masks of their parents are corrected.
+    Closed cells are leaves of a draft but nodes of its texture, so their parents' masks are corrected.
     """
     new = np.flatnonzero(~is_known)
     gaps = np.diff(runs.now, prepend=0) - np.concatenate([[0], runs.lengths[:-1]])[: runs.now.size]
@@ -175,14 +174,14 @@ def _packed(
 
 
 def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:
-    """Return the number that each cell had, and whether it is as it was; else the number means nothing."""
+    """Return each cell's old number, and whether it is unchanged; the number is undefined for others."""
     old = np.full(after.tree.n_cells, -1)
     here, there = (tree.arrays.level_cells.tolist() for tree in (after.tree, before.tree))
     levels = zip(before.tree.walk(), after.tree.walk(), here, there, strict=False)
     for (had, _), (codes, _), first, first_old in levels:
         at = np.minimum(np.searchsorted(had, codes), had.size - 1)
-        own = old[first : first + codes.size]
-        own[:] = np.where(had[at] == codes, first_old + at, -1)
+        old_here = old[first : first + codes.size]
+        old_here[:] = np.where(had[at] == codes, first_old + at, -1)
     is_known = old >= 0
     (masks, areas), (old_masks, old_areas) = (_nodes_data(each.tree) for each in (after, before))
     flags, old_flags = after.tree.arrays.flags, before.tree.arrays.flags
@@ -209,7 +208,7 @@ def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:
 
 
 def _as_before(before: OctreeTexture, after: OctreeTexture) -> Bools:
-    """Say which cells are as they were, where all are where they were."""
+    """Return which cells are unchanged, for trees with the same cells."""
     arrays, old_arrays = after.tree.arrays, before.tree.arrays
     differs = arrays.flags != old_arrays.flags
     nodes = node_cells(arrays)
@@ -226,14 +225,14 @@ def _as_before(before: OctreeTexture, after: OctreeTexture) -> Bools:
 
 
 def _rows_of(owners: Int64s, old_owners: Int64s, old: Int64s, is_known: Bools) -> Int64s:
-    """Return the row that each of a table's rows was, −1 where its cell was not there with the same flags."""
+    """Return each row's old row, or −1 where its cell is new or has other flags."""
     first = np.searchsorted(owners, owners)
     at = np.searchsorted(old_owners, old[owners]) + np.arange(owners.size) - first
     return np.where(is_known[owners], at, -1)
 
 
 def _nodes_data(tree: Octree) -> tuple[Uint8s, Uint8s]:
-    """Return the masks (cells, 2) and the areas of cells that are nodes; 0 of leaves."""
+    """Return masks (cells, 2) and areas of nodes; 0 for leaves."""
     arrays = tree.arrays
     nodes = node_cells(arrays)
     masks, areas = np.zeros((tree.n_cells, 2), np.uint8), np.zeros(tree.n_cells, np.uint8)
@@ -244,5 +243,5 @@ def _nodes_data(tree: Octree) -> tuple[Uint8s, Uint8s]:
 
 
 def _owners(tree: Octree) -> tuple[Int64s, Int64s]:
-    """Return the cells of the rows of kept nodes, and of those of split cells."""
+    """Return the cells that own the rows of kept nodes, and of split cells."""
     return tree.kept.cells.astype(np.int64), rows_of(tree.split).cells

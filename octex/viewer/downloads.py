@@ -1,4 +1,4 @@
-"""Files that a page downloads: the texture as it is painted, or the model with it, for other programs."""
+"""Makes files that a page downloads: the painted texture, or the model with it, for other programs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
-#: What a file can be, by the end of its name.
+#: File formats by ending.
 _ENDINGS = {
     "octex": ".octex",
     "octz": ".octz",
@@ -37,25 +37,25 @@ _ENDINGS = {
 }
 _SIZES = "auto", "512", "1024", "2048", "4096", "8192"
 _DEFAULTS = {"kind": "", "uv": "auto", "size": "auto", "divide": "no"}
-#: Seconds between two tellings of how far a file is.
+#: Seconds between progress messages.
 _BEAT = 0.2
 
 
 class Wanted(NamedTuple):
-    """What a page asks for."""
+    """A page's request for a file."""
 
     kind: str
-    uv: str  # of images: as octex.bake takes it
+    uv: str  # of images: `octex.bake`'s uv
     size: int | None  # of images, in pixels
-    divide: bool  # whether there are more vertices where colours need them
+    divide: bool  # add vertices where colours need them
 
     @classmethod
     def of(cls, query: str) -> Wanted:
-        """Return what a query asks for; raises ArgumentError for anything else."""
-        given = parse_qsl(query, keep_blank_values=True)
-        for name, _ in given:
+        """Parse a query; raises ArgumentError for an invalid one."""
+        pairs = parse_qsl(query, keep_blank_values=True)
+        for name, _ in pairs:
             as_choice(name, tuple(_DEFAULTS), "field of the download")
-        kind, uv, size, divide = {**_DEFAULTS, **dict(given)}.values()
+        kind, uv, size, divide = {**_DEFAULTS, **dict(pairs)}.values()
         as_choice(kind, tuple(_ENDINGS), "kind")
         as_choice(uv, LAYOUTS, "uv")
         as_choice(size, _SIZES, "size")
@@ -64,22 +64,22 @@ class Wanted(NamedTuple):
 
 
 class Downloads:
-    """Makes files of what a session has painted, one at a time, in a hidden folder beside its OUTPUT.
+    """Makes files of a session's texture, one at a time, in a hidden folder next to its OUTPUT.
 
-    Painting goes on meanwhile: a file has the texture as it was at the beginning. The last one stays.
+    Painting continues: the file has the texture from when its making began. Only the last file remains.
     """
 
     def __init__(self, session: Session, surface: Surface, motion: Motion | None, title: str) -> None:
         self._session, self._surface, self._motion, self._title = session, surface, motion, title
-        self._lock = threading.Lock()  # of making one
-        self._held = ExitStack()  # the folder of the last one
+        self._lock = threading.Lock()  # held while a file is made
+        self._held = ExitStack()  # the last file's folder
         self._number = 0
         self._made: tuple[str, Path] | None = None
 
     def make(self, query: str, tell: Callable[[str, dict[str, Any]], None]) -> None:
-        """Make a file; ``tell`` hears how far it is, then where it is or what is wrong.
+        """Make a file; ``tell`` gets progress, then the file's address or the error.
 
-        ``tell`` stops the work by raising an exception of its own.
+        ``tell`` may raise an exception to stop the work.
         """
         if not self._lock.acquire(blocking=False):
             tell("fault", {"why": "another export is under way; wait until it is done"})
@@ -104,12 +104,12 @@ class Downloads:
             self._lock.release()
 
     def file(self, number: str) -> Path | None:
-        """Return the file of a number, if it is still there."""
+        """Return the file of this number, or None if it was removed."""
         made = self._made
         return made[1] if made is not None and made[0] == number else None
 
     def close(self) -> None:
-        """Remove what is left; what is still being made is removed when it is given up."""
+        """Remove the last file; one in progress is removed when its work stops."""
         if self._lock.acquire(blocking=False):
             self._drop()
             self._lock.release()
@@ -134,7 +134,7 @@ class Downloads:
 
 
 def _seldom(tell: Callable[[str, dict[str, Any]], None]) -> Progress:
-    """Return a progress that is told at once where a stage begins, then now and then."""
+    """Return a progress callback that reports each new stage at once, and otherwise at intervals."""
     last: tuple[str, float] = "", 0.0
 
     def progress(stage: str, done: int, total: int) -> None:

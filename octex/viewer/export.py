@@ -1,4 +1,4 @@
-"""One file: a page with its modules and data, which opens by a double click; or data alone, for three.js."""
+"""Writes one file: an HTML page with its modules and data, or a web file for three.js."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
 
-#: Modules in the order in which each knows those before it.
+#: Modules, each after those that it imports.
 _NAMES = """
 elements kept octree data patch mesh motion camera controls legend connection source part field programs gpu
 player divider pointed viewer
 """
 MODULES = [f"{name}.js" for name in _NAMES.split()]
-#: Modules, styles and shaders of pages that paint, which files never do.
+#: Modules, styles and shaders of painting pages, which files never contain.
 _PAINTING_NAMES = """
 panel path hand dabs under outline mirror stroke sending brush images stencil retouch beneath elsewhere
 tools layers material palette exporting flat paint
@@ -40,18 +40,18 @@ PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]
 SHADERS = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"
-#: How web files end.
+#: The ending of web files.
 WEB_ENDING = ".octw"
 #: Deflate's level for files, which are packed once.
 _SMALLEST = 9
-#: What part of a page's size animations may take, and images likewise, before base64.
+#: The share of a page's size for animations, and for images, before base64.
 _SHARE = 0.25 * 3 / 4
-#: With this times the bytes of a page without levels there is room for its images.
+#: Images are included if the page without levels, times this, fits.
 _ROOMY = 1.2
 
 
 def page_text(name: str) -> str:
-    """Return one of the page's files."""
+    """Return the text of one of the page's files."""
     return (_PAGE / name).read_text("utf-8")
 
 
@@ -65,14 +65,13 @@ def write_page(
     max_size: int | None = None,
     progress: Progress = silent,
 ) -> list[str]:
-    """Write a page of a texture on its surface, or of a set on its model; without these, of the cells.
+    """Write a page of a texture on its surface, or of a set on its model; without a surface, of the cells.
 
-    A ``path`` that ends in .octw gets a web file instead, for three.js: without motion and images of the
-    source. ``motion`` is how the surface of a texture moves. ``max_size``, in bytes, leaves out the finest
-    levels until the file is no larger; of that animations take a quarter at most, and images of the source
-    likewise. Returns what the page shows otherwise than the textures have it. Raises ArgumentError if it does
-    not fit without any level, for a surface that is not the textures', and for sets of more than 255 parts;
-    OutputError if the file cannot be written.
+    A ``path`` that ends in .octw gets a web file instead, for three.js: without motion and source images.
+    ``motion`` animates the surface. ``max_size``, in bytes, leaves out the finest levels until the file fits;
+    animations take at most a quarter of it, and source images too. Returns notes on what the page shows
+    differently from the textures. Raises ArgumentError if it does not fit without any level, for a surface
+    that is not the textures', and for sets of more than 255 parts; OutputError if the file cannot be written.
     """
     parts = parts_of(textures, surface)
     level = deepest = max(part.texture.tree.max_depth for part in parts)
@@ -108,10 +107,10 @@ def write_page(
 
 
 def _level_within(packed: Packed, excess: int) -> int:
-    """Return the deepest level with which a page may be smaller by ``excess`` bytes; −1 if none is left."""
+    """Return the deepest level without whose finer levels ``excess`` bytes may be saved; −1 for none."""
     headers = packed.header["parts"]
     level = deepest = max(int(header["depth"]) for header in headers)
-    # Rows of all levels' cells are no levels': few of them may remain.
+    # Rows that are shared by all levels do not count: few of them may remain.
     chunks = [chunk for header in headers for chunk in header["chunks"] if chunk["levels"] is not None]
     for chunk in sorted(chunks, key=lambda chunk: -chunk["levels"][0]):
         if excess <= 0:
@@ -129,8 +128,8 @@ def _bare_file(packed: Packed) -> bytes:
 
 
 def _inlined(packed: Packed) -> str:
-    """Return the page with all that it needs in it, and a policy that lets it load nothing."""
-    # Modules without imports and exports: all of them share one scope.
+    """Return the page with everything inlined, and a policy that forbids loading."""
+    # Modules without imports and exports share one scope.
     modules = "".join(_bare(page_text(name)) for name in MODULES)
     script = re.sub(r"^(?:import .*\n|export )", "", modules, flags=re.MULTILINE)
     style = page_text("style.css")
@@ -153,7 +152,7 @@ def _inlined(packed: Packed) -> str:
 
 
 def _bare(text: str) -> str:
-    """Return code without indents, empty lines and lines of comments."""
+    """Return code without indentation, empty lines and comment lines."""
     return re.sub(r"^[ \t]*(?://.*)?\n|^[ \t]+", "", text, flags=re.MULTILINE)
 
 

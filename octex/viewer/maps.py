@@ -1,8 +1,7 @@
-"""The base colour's own images, to be seen beside the octree, and where the mesh has them.
+"""The model's base colour images, shown next to the octree, and the mesh's coordinates in them.
 
-Images are PNG, or WebP where a page is to be small. The mesh's stream has the coordinates of each of its
-vertices in them, in whole numbers of 2⁻ᵇ, and vertex colours as sRGB codes, where the model has such; its
-triangles are sorted by material.
+Images are PNG, or WebP in small pages. The mesh's stream has each vertex's image coordinates, in multiples of
+2⁻ᵇ, and vertex colours as sRGB codes, if any. Its triangles are sorted by material.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
     from octex.source.surface import Surface
 
 _QUALITY = 75  # of WebP
-#: By how many bits coordinates are finer than texels, in small pages and in others.
+#: Bits by which coordinates are finer than texels, in small pages and in others.
 _FINER_SMALL, _FINER = 2, 6
 _LEAST_BITS = 12
 _WRAPS = {REPEAT: "repeat", MIRROR: "mirror", CLAMP: "clamp"}
@@ -32,7 +31,7 @@ _WHITE = Input((1.0, 1.0, 1.0))
 
 
 class Maps(NamedTuple):
-    """What the page shows as the source."""
+    """The images and coordinates that the page shows as the source."""
 
     materials: Array  # (m,)   of each triangle; those of a material come together
     columns: Array  # (m, 3, k)   of their corners: coordinates, and colours if there are any
@@ -42,7 +41,7 @@ class Maps(NamedTuple):
 
 
 def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -> Maps | None:
-    """Return base colour images, if any; a ``small`` page's are halved to fit ``room`` bytes."""
+    """Return base colour images, if any; for a ``small`` page halved until they fit ``room`` bytes."""
     source = surface.source
     if not isinstance(source, MaterialSource):
         return None
@@ -52,19 +51,19 @@ def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -
     if not textures:
         return None
     texels = {
-        (id(each.texels), given.lanes): each.texels for given in inputs.values() if (each := given.texture)
+        (id(each.texels), entry.lanes): each.texels for entry in inputs.values() if (each := entry.texture)
     }
     images, divisor = _files(texels, small, room)
     places = list(texels)
     parts, first = [], 0
     for number in used:
         count = int((source.triangle_materials == number).sum())
-        given = inputs[number]
-        part: dict[str, Any] = {"first": first, "count": count, "factor": list(given.factor)}
-        if given.texture is not None:
-            part["image"] = places.index((id(given.texture.texels), given.lanes))
-            part["wraps"] = [_WRAPS[given.texture.wrap_u], _WRAPS[given.texture.wrap_v]]
-            part["isNearest"] = given.texture.nearest
+        kind = inputs[number]
+        part: dict[str, Any] = {"first": first, "count": count, "factor": list(kind.factor)}
+        if kind.texture is not None:
+            part["image"] = places.index((id(kind.texture.texels), kind.lanes))
+            part["wraps"] = [_WRAPS[kind.texture.wrap_u], _WRAPS[kind.texture.wrap_v]]
+            part["isNearest"] = kind.texture.nearest
         parts.append(part)
         first += count
     coordinates = np.zeros((len(surface.triangles), 3, 2))
@@ -91,7 +90,7 @@ def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -
 def _files(
     texels: dict[tuple[int, tuple[int, ...]], Texels], small: bool, room: int | None
 ) -> tuple[list[bytes], int]:
-    """Return image files, and the number that their sides were divided by to fit."""
+    """Return image files, and the factor by which they were reduced to fit."""
     divisor = 1
     pictures = [PIL.Image.fromarray(_codes(each, lanes)) for (_, lanes), each in texels.items()]
     while True:

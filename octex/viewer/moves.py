@@ -1,15 +1,15 @@
-"""Animations as the page takes them: bones and targets at frames, and what of the vertices they move.
+"""Packs animations for a page: bones and morph targets by frame, and their weights on vertices.
 
-One stream, of which all parts are planes of bytes:
+One stream; all its parts are planes of bytes:
 
-    bones of vertices      how many of each vertex; their numbers; their shares, of 2¹⁶
-    targets of vertices    how many of each vertex; their numbers; what they add, x, y, z, of the edge's 2ᵇ;
-                           if any turns normals, what they add to these, of 2ᵇ
-    of each animation      number by number of its bones (12 each, row after row) and targets: this at each
-                           frame, less what it was at the one before; of 2ᵇ, translations of the edge's 2ᵇ
+    bones of vertices      count for each vertex; bone numbers; weights in 2⁻¹⁶
+    targets of vertices    count for each vertex; target numbers; offsets x, y, z in the edge's 2⁻ᵇ;
+                           if any target turns normals, their offsets in 2⁻ᵇ
+    of each animation      each number of its bones (12 each, row by row) and targets: its difference at each
+                           frame from the frame before; in 2⁻ᵇ, translations in the edge's 2⁻ᵇ
 
-Bones take positions from the middle of the model, so that they are exact on it wherever it stands. Numbers
-that can be negative are zigzag. Vertices are the surface's, which the mesh's name as their owners.
+Bones act on positions relative to the model's middle, for precision far from the origin. Signed numbers are
+zigzag coded. Vertices are the surface's; the mesh names them as owners.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from octex.source.motion import Animation, Motion
 from octex.source.surface import Surface
 
 _BITS, _SHARE_BITS, _MOST_BITS = 18, 16, 30
-#: Every how many frames are left out, one after the other, until a motion is small enough.
+#: Frame steps, tried in order until a motion fits.
 _EVERY = 1, 2, 4
 
 
 class PackedMotion(NamedTuple):
-    """What the page plays: for the header, and a stream of deflate; none where ``header`` is empty."""
+    """A page's animations: the header's entry and a deflated stream; none if ``header`` is empty."""
 
     header: dict[str, Any]
     stream: bytes
@@ -38,13 +38,13 @@ class PackedMotion(NamedTuple):
 
 
 def packed_motion(motion: Motion, surface: Surface, level: int, room: int | None) -> PackedMotion:
-    """Pack animations, with fewer frames beyond ``room`` bytes; ``notes`` say what is left out."""
+    """Pack animations, with fewer frames if they exceed ``room`` bytes; ``notes`` list what is left out."""
     notes = list(motion.faults)
     start = motion.start_on(surface.vertices, surface.rest)
     if not motion.animations:
         return PackedMotion({}, b"", notes)
     if start is None:
-        why = "it stands or rests as another model does" if len(motion.positions) == len(surface.rest) else ""
+        why = "its pose or rest mesh is another model's" if len(motion.positions) == len(surface.rest) else ""
         return PackedMotion(
             {}, b"", [*notes, f"no animations: {why or 'its vertices are not the file’s own'}"]
         )
@@ -64,7 +64,7 @@ def _packed(motion: Motion, every: int) -> tuple[dict[str, Any], bytes]:
     low, high = motion.positions.min(axis=0), motion.positions.max(axis=0)
     edge, middle = float((high - low).max()) or 1.0, (low + high) / 2
     animations = []
-    for each in motion.animations:  # every so many frames; bones take positions less the middle
+    for each in motion.animations:  # every step-th frame; bones act on positions minus the middle
         bones = each.bones[::every].copy()
         bones[..., 3] += bones[..., :3] @ middle
         animations.append(each._replace(bones=bones, weights=each.weights[::every]))
@@ -107,9 +107,9 @@ def _packed(motion: Motion, every: int) -> tuple[dict[str, Any], bytes]:
 
 
 def _bounds(motion: Motion, animations: list[Animation], middle: Float64s) -> list[list[list[float]]]:
-    """Return the corners of boxes that animations stay in, by the boxes of what each bone moves."""
+    """Return the bounding boxes of animations, from the boxes of the vertices that each bone moves."""
     vertices = np.repeat(np.arange(len(motion.positions)), np.diff(motion.bones.first))
-    reach = np.zeros((len(motion.positions), 3))  # how far targets go
+    reach = np.zeros((len(motion.positions), 3))  # largest offsets by targets
     moved = np.repeat(np.arange(len(motion.positions)), np.diff(motion.targets.first))
     np.add.at(reach, moved, np.abs(motion.targets.shares))
     n_bones = animations[0].bones.shape[1]
@@ -119,13 +119,13 @@ def _bounds(motion: Motion, animations: list[Animation], middle: Float64s) -> li
     used = np.isfinite(low[:, 0])
     low, high = low[used], high[used]
     center, half = (low + high) / 2, (high - low) / 2
-    found = []
+    boxes = []
     for each in animations:
         bones = each.bones[:, used]
         at = _times(bones[..., :3], center) + bones[..., 3]
         off = _times(np.abs(bones[..., :3]), half)
-        found.append([(at - off).min(axis=(0, 1)).tolist(), (at + off).max(axis=(0, 1)).tolist()])
-    return found
+        boxes.append([(at - off).min(axis=(0, 1)).tolist(), (at + off).max(axis=(0, 1)).tolist()])
+    return boxes
 
 
 def _times(matrices: Float64s, vectors: Array) -> Float64s:

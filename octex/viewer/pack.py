@@ -1,4 +1,4 @@
-"""A texture and its mesh as the page takes them: levels one after another, small enough to send.
+"""Packs a texture and its mesh for a page: levels one after another, small enough to send.
 
 Of levels and tables see octex.formats.web, of the mesh ``mesh``, of how it moves ``moves``.
 """
@@ -25,19 +25,19 @@ if TYPE_CHECKING:
     from octex.source.motion import Motion
     from octex.source.surface import Surface
 
-#: Parts that the page tells apart by what it keeps of each pixel.
+#: The page numbers parts in one byte of each pixel.
 MOST_PARTS = 255
 
 
 class Packed(NamedTuple):
-    """What a page shows, or a part of that: a header, ready for JSON, and streams by their names."""
+    """Contents of a page or of one part: a header, ready for JSON, and streams by name."""
 
     header: dict[str, Any]
     streams: dict[str, bytes]
 
     @property
     def notes(self) -> list[str]:
-        """What a page shows otherwise than its textures have it."""
+        """What the page shows differently from its textures."""
         parts = self.header["parts"]
         return [
             f"{part['name']}: {note}" if part["name"] else note for part in parts for note in part["notes"]
@@ -45,7 +45,7 @@ class Packed(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A texture and the surface that it is of; of a set, a part of the model."""
+    """A texture and its surface; of a set, one part of the model."""
 
     name: str
     texture: OctreeTexture
@@ -53,9 +53,9 @@ class Part(NamedTuple):
 
 
 def parts_of(textures: OctreeTexture | TextureSet, surface: Surface | None) -> list[Part]:
-    """Return what a page shows: a texture, or a set's, each with its part of the surface.
+    """Return a texture, or a set's textures, each with its part of the surface.
 
-    Raises ArgumentError for more parts than a page shows, and for a surface with other parts than the set.
+    Raises ArgumentError for too many parts, and for a surface with other parts than the set.
     """
     if isinstance(textures, OctreeTexture):
         return [Part("", textures, surface)]
@@ -87,25 +87,31 @@ def packed_page(
     level: int = 6,
     room: int | None = None,
 ) -> Packed:
-    """Pack all that a page shows, as ``pack`` does; motion, maps and paint are of a page of one part."""
+    """Pack a whole page with ``pack``; motion, maps and paint need a page of one part."""
     packed = [pack(each.texture, each.surface, level=level, room=room) for each in parts[1:]]
     first = parts[0]
     more: dict[str, Any] = {"motion": motion, "maps": maps, "paints": paints}
     packed.insert(0, pack(first.texture, first.surface, **more, level=level, room=room))
-    headers = [{"name": part.name, **own.header} for part, own in zip(parts, packed, strict=True)]
-    streams = {f"{n}-{name}": stream for n, own in enumerate(packed) for name, stream in own.streams.items()}
+    headers = [
+        {"name": part.name, **packed_part.header} for part, packed_part in zip(parts, packed, strict=True)
+    ]
+    streams = {
+        f"{n}-{name}": stream
+        for n, packed_part in enumerate(packed)
+        for name, stream in packed_part.streams.items()
+    }
     studio, streams["studio"] = _packed_studio()
     return Packed({"title": title, "studio": studio, "parts": headers}, streams)
 
 
 @cache
 def _packed_studio() -> tuple[dict[str, Any], bytes]:
-    """Return the header and the stream of the studio light, by which the library draws its own pictures.
+    """Return the header and stream of the studio light of the library's renderings.
 
-    16-bit floats, each less the one before: the studio's tables, then A and B of the reflectance A·F₀ + B.
+    16-bit floats, as differences: the studio's tables, then A and B of the reflectance A·F₀ + B.
     """
     tables, reflectance = Environment.studio().tables, reflectances()
-    light = tables.light[:, 0]  # it is grey
+    light = tables.light[:, 0]  # the light is grey
     halves = np.concatenate([light, reflectance.ravel()]).astype("<f2").view("<u2").astype(np.int64)
     header = {"tables": tables.shapes.tolist(), "reflectances": len(reflectance), "numbers": halves.size}
     return header, deflated(planes(zigzag(np.diff(halves, prepend=0))), 9)
@@ -121,11 +127,11 @@ def pack(
     level: int = 6,
     room: int | None = None,
 ) -> Packed:
-    """Pack a texture, the surface that it is of, how that moves and its maps; deflate's ``level`` is 1 to 9.
+    """Pack a texture, its surface, motion and maps; deflate's ``level`` is 1 to 9.
 
-    The header's ``notes`` say what the page shows otherwise than lookups have it. ``motion`` has
-    fewer frames, or is left out, where it takes more than ``room`` bytes. A page that ``paints`` knows the
-    surface's parts. Raises ArgumentError for a surface that is not the texture's.
+    The header's ``notes`` say where the page differs from lookups. ``motion`` has fewer frames, or is left
+    out, where it takes more than ``room`` bytes. A page that ``paints`` gets the surface's parts. Raises
+    ArgumentError for a surface that is not the texture's.
     """
     if surface is not None:
         surface = surface.placed_on(texture)

@@ -1,4 +1,4 @@
-"""The page for this machine alone: a server on 127.0.0.1 that answers to whoever has its token."""
+"""Serves the page to this machine only: on 127.0.0.1, to requests with the secret token."""
 
 from __future__ import annotations
 
@@ -33,44 +33,44 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture, TextureSet
     from octex.viewer.downloads import Downloads
 
-#: Seconds between signs of life to a page, and without any page until the end.
+#: Seconds between heartbeats, and seconds without any page until the server ends.
 _BEAT, _ALONE = 1.0, 30.0
-#: By how much longer the first page is waited for: browsers may take long to start.
+#: Factor of that time for the first page: browsers may start slowly.
 _FIRST = 20
-#: Deflate's level for changes: they stay on this machine, and packing them takes longer than sending them.
+#: Deflate's level for changes: packing takes longer than sending on one machine.
 _QUICK = 0
-#: And for channels that are new: mostly one value.
+#: Deflate's level for new channels, which mostly hold one value.
 _SMALL = 1
-#: Changes that are kept for pages that do not have them yet, and bytes of all but the last; pages further
-#: behind load all anew.
+#: Limits on stored changes: their number, and bytes of all but the last. Pages that are further behind load
+#: everything again.
 _MOST_CHANGES, _MOST_BYTES = 32, 32 << 20
-#: The ports of which one is a path's: below those that systems lend to anybody.
+#: Ports for fixed addresses: below the range that systems assign to programs.
 _PORTS = range(20_000, 32_768)
-#: Different refusals that are logged.
+#: Largest number of different refusals in the log.
 _MOST_REFUSALS = 1000
 
 
 class _State(NamedTuple):
-    """What is shown at a time, by its version; in memory, as files may be overwritten."""
+    """A version of the content; in memory, since files may be overwritten."""
 
     version: str
     parts: list[Part]
     prepared: list[Prepared]
-    session: dict[str, Any] | None  # what is told of one
-    before: OctreeTexture | None  # the session's texture at the time before
-    changes: tuple[Change, ...]  # since then
+    session: dict[str, Any] | None  # the session's status
+    before: OctreeTexture | None  # the session's texture in the version before
+    changes: tuple[Change, ...]  # since that version
 
 
 class Viewer:
-    """Serves a texture or a set, the mesh that it is of and how that moves, to pages of this machine.
+    """Serves a texture or a set, its mesh and motion, to pages on this machine.
 
-    ``open_texture`` reads the texture: anew when ``path``, its file or folder, has changed, and after
-    ``changed``. Pages are then sent the cells that differ: a session of painting is shown by
-    ``Viewer(painter.texture, path, surface)`` and a call of ``changed`` after each stroke. ``log`` is called
-    with a line for each refusal. ``session`` paints what pages send, from the texture that it shows.
-    ``port`` 0 is any that is free. With a ``key`` (`key.user_key`) a viewer of
-    the same path has the same address each time, unless its port is taken: pages of the one before go on.
-    Raises OutputError if the given port is taken, and ArgumentError for a surface that is not the texture's.
+    ``open_texture`` reads the texture, again whenever ``path``, its file or folder, has changed, and after
+    ``changed``. Pages then get the cells that differ. To show a session of painting, make
+    ``Viewer(painter.texture, path, surface)`` and call ``changed`` after each stroke. It calls ``log`` with a
+    line for each refusal. ``session`` paints the commands of pages, on the texture shown. ``port`` 0 is any
+    free port. With a ``key`` (`key.user_key`) a viewer of the same path has the same address each time,
+    unless its port is taken: pages of the earlier viewer then reconnect. Raises OutputError if ``port`` is
+    taken, and ArgumentError for a surface that is not the texture's.
     """
 
     def __init__(
@@ -95,8 +95,8 @@ class Viewer:
             session.changed = self.changed
             self.downloads = Downloads(session, surface, motion, path.name)
         self._lock = threading.RLock()
-        self._own = secrets.token_hex(4)  # in versions: the next viewer may show another texture of this path
-        self._calls = 0  # of ``changed``
+        self._own = secrets.token_hex(4)  # in versions: the next viewer may have another texture
+        self._calls = 0  # number of calls of ``changed``
         self._refused: set[str] = set()
         self._news = threading.Condition()
         self._opened = self._file_stamp()
@@ -113,7 +113,7 @@ class Viewer:
         secret = hmac.digest(key, name, "sha256") if key else secrets.token_bytes(32)
         self.token = base64.urlsafe_b64encode(secret[:16]).decode().rstrip("=")
         usual = _PORTS[int.from_bytes(secret[16:], "big") % len(_PORTS)]
-        for candidate in [port] if port else [usual, 0] if key else [0]:  # the first that is free
+        for candidate in [port] if port else [usual, 0] if key else [0]:  # the first free one
             try:
                 self._server = Server((ADDRESS, candidate), type("Handler", (Handler,), {"viewer": self}))
                 break
@@ -127,15 +127,15 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """The page's address."""
         return f"http://{ADDRESS}:{self.port}/{self.token}/"
 
     def proof(self, asked: str) -> str:
-        """Return what only who has the token can say to a page that asks."""
+        """Return the answer to a page's challenge, which only the holder of the token can compute."""
         return hmac.digest(self.token.encode(), asked.encode(), "sha256").hex()
 
     def run(self, alone: float = _ALONE) -> None:
-        """Serve until no page is there for some seconds, 20 times as long for the first, or SIGTERM."""
+        """Serve until SIGTERM, or until no page is open for ``alone`` seconds (20 times that at first)."""
         thread = threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
         )
@@ -152,17 +152,17 @@ class Viewer:
                 self.downloads.close()
 
     def refuse(self, line: str) -> None:
-        """Log why a request is refused, once for those that are alike; of very many only the first."""
+        """Log the reason of a refusal, equal ones only once, and a limited number."""
         if line not in self._refused and len(self._refused) < _MOST_REFUSALS:
             self._refused.add(line)
             self._log(f"refused: {line}")
 
     def changed(self) -> None:
-        """Read the texture anew and send pages what has changed; may be called from any thread."""
+        """Read the texture again and send pages the changes; may be called from any thread."""
         with self._lock:
             self._calls += 1
             if self.session is not None:
-                self._now()  # its changes are from one call to the next
+                self._now()  # computes the changes since the last call
         with self._news:
             self._news.notify_all()
 
@@ -170,7 +170,7 @@ class Viewer:
         return self._calls != calls
 
     def packed(self) -> Packed:
-        """Return all that is shown: read anew if its file has changed and can be read."""
+        """Return the packed content: read again if its file has changed and is readable."""
         with self._lock:
             state = self._now()
             if self._packed[0] != state.version:
@@ -182,24 +182,29 @@ class Viewer:
             return self._packed[1]
 
     def of_version(self, version: str) -> tuple[Packed, Packed]:
-        """Return what there is of a version: all of it, and the change to the next one; else nothing."""
+        """Return a version's content, and its change to the next version; empty if not stored."""
         none = Packed({}, {})
         with self._lock:
             change = next((change for since, change in self._changes if since == version), none)
             return (self._packed[1] if self._packed[0] == version else none), change
 
     def version(self) -> tuple[str, str]:
-        """Return the version that is shown, and what is wrong with the file, if anything is."""
+        """Return the current version, and the error of reading the file, if any."""
         try:
             with self._lock:
                 version = self._now().version
             is_other = self.session is not None and self._file_stamp() != self._opened
-            return version, f"{self._path.name} has changed: you paint on what was opened" if is_other else ""
+            return (
+                version,
+                f"{self._path.name} has changed: you paint on the version that was opened"
+                if is_other
+                else "",
+            )
         except OctexError as error:
             return self._state.version, str(error)
 
     def _now(self) -> _State:
-        """Return what is shown; if that has changed, read it anew and keep what pages are sent of that."""
+        """Return the current state; after a change, first read the texture and pack its changes for pages."""
         stamp = self._stamp()
         if stamp != self._state.version:
             before, self._state = self._state, self._read(stamp)
@@ -213,47 +218,47 @@ class Viewer:
         return self._state
 
     def _read(self, stamp: str) -> _State:
-        told: dict[str, Any] | None
+        status: dict[str, Any] | None
         if self.session is not None:
-            texture, told, before, changes, _ = self.session.shown
+            texture, status, before, changes, _ = self.session.shown
             parts = parts_of(texture, self._surface)
         else:
-            told, before, changes = None, None, ()
+            status, before, changes = None, None, ()
             parts = [
                 part._replace(texture=copy.deepcopy(part.texture))
                 for part in parts_of(self._open(), self._surface)
             ]
-        return _State(stamp, parts, [prepared(part.texture) for part in parts], told, before, changes)
+        return _State(stamp, parts, [prepared(part.texture) for part in parts], status, before, changes)
 
     def _stamp(self) -> str:
         file = "" if self.session is not None else self._file_stamp()
         return f"{self._calls}-{self._own}{file}"
 
     def _file_stamp(self) -> str:
-        """Return what differs once the file or folder has changed."""
+        """Return a fingerprint that changes with the file or folder."""
         try:
             paths = [self._path, *sorted(self._path.iterdir())] if self._path.is_dir() else [self._path]
-            found = [path.stat() for path in paths]
-            latest = max(status.st_mtime_ns for status in found)
-            size = sum(status.st_size for status in found)
+            stats = [path.stat() for path in paths]
+            latest = max(status.st_mtime_ns for status in stats)
+            size = sum(status.st_size for status in stats)
             return f"-{latest}-{size}"
         except OSError:
             return "-gone"
 
     def follow(self, send: Callable[[str], None]) -> None:
-        """Tell a page of changes until it is gone."""
+        """Send a page all changes until it closes."""
         with self._lock:
             self._pages += 1
             self._had_page = True
-        told = "", ""
+        sent = "", ""
         try:
             while not self._ended.is_set():
                 calls, now = self._calls, self.version()
-                if now != told:
+                if now != sent:
                     send(f"event: version\ndata: {now[0]}\n\n")
                     if now[1]:
                         send(f"event: changing\ndata: {' '.join(now[1].split())}\n\n")
-                    told = now
+                    sent = now
                 else:
                     send(": alive\n\n")
                 with self._news:
@@ -267,7 +272,7 @@ class Viewer:
 
 
 def _change(before: _State, after: _State) -> Packed | None:
-    """Return what pages are sent of a change; None if they must load all anew."""
+    """Return the packed change between two states; None if pages must load everything again."""
     if [part.name for part in before.parts] != [part.name for part in after.parts]:
         return None
     header: dict[str, Any] = {"version": after.version, "session": after.session, "parts": []}
@@ -288,9 +293,9 @@ def _change(before: _State, after: _State) -> Packed | None:
         else:
             counts, stream = change_between(moved, now.texture)
         streams[f"change-{number}"] = deflated(stream, _QUICK)
-        own = {name: value for name, value in now.header.items() if name != "notes"}
-        told = {"header": own, "counts": counts, "touched": touched, "isOther": is_other}
-        header["parts"].append(told)
+        fields = {name: value for name, value in now.header.items() if name != "notes"}
+        entries = {"header": fields, "counts": counts, "touched": touched, "isOther": is_other}
+        header["parts"].append(entries)
     return Packed(header, streams)
 
 

@@ -1,8 +1,8 @@
-"""The fragment of a triangle inside each cell: its area and where its middle lies.
+"""The fragment of a triangle inside each cell: its area and centroid.
 
-Polygons are cut as seen along w (see `cells`), in units of a cell from the block's corner: positions stay
-small, and exact differences become floating point only once. A triangle is cut into strips along u, a strip
-into columns along v, a column into cells along w: one cut for each fragment but the last.
+Polygons are projected along w (see `cells`), in cell units from the block's corner. Positions stay small, and
+exact differences become floating point only once. A triangle is cut into strips along u, a strip into columns
+along v, a column into cells along w: one cut for each fragment but the last.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from octex.voxelize.grid import (
     COLUMN_V,
 )
 
-#: A triangle has three vertices, each of the up to six planes that bound a cell adds one; with room to spare.
+#: A triangle has three vertices, and each of the up to six planes that bound a cell adds one; with room to
+#: spare.
 MAX_VERTICES = 12
-#: What a contact without area weighs, in cell faces: nothing beside any area, everything when alone.
+#: Weight of a contact without area, in cell faces: negligible next to any area, everything when alone.
 CONTACT = 2.0**-70
 
 POLYGONS = 6
@@ -31,7 +32,7 @@ POLYGONS = 6
 def split(
     polygons: Float64s, row: int, count: int, a: float, b: float, c: float, below: int, above: int
 ) -> tuple[int, int]:
-    """Split polygon ``row`` where a·u + b·v = c into two other rows; return their numbers of vertices."""
+    """Split polygon ``row`` at the line a·u + b·v = c into two other rows; return their vertex counts."""
     n_below = 0
     n_above = 0
     if count == 0:
@@ -135,7 +136,7 @@ def clip_to_columns(
     stretch = np.sqrt(slope_u * slope_u + slope_v * slope_v + 1.0)
     inverse /= scale * scale
 
-    # Rows and counts are of one type, that of literals being one for each: `split` compiles once.
+    # Rows and counts share one type, so that `split` compiles once: each literal has a type of its own.
     zero = int(np.int64(0))
     rest, strip, column, cell, spare, dump = zero, zero + 1, zero + 2, zero + 3, zero + 4, zero + 5
     n_rest, n_strip = zero + 3, zero
@@ -145,7 +146,8 @@ def clip_to_columns(
     strip_u = np.int64(-1)
     last_u = columns[n_columns - 1, COLUMN_U]
     strip_is_cut = True
-    # Beyond the block's first and last cells the triangle may go on; elsewhere it ends in the cells listed.
+    # The triangle may continue beyond the block's first and last cells; elsewhere it ends in the listed
+    # cells.
     if columns[0, COLUMN_U] == block_u:
         _, n_rest = split(polygons, rest, n_rest, 1.0, 0.0, 0.0, dump, spare)
         rest, spare = spare, rest

@@ -1,7 +1,7 @@
-"""A surface cut into fragments, one for each (triangle, cell) that meet, block of cells by block of cells.
+"""Cuts a surface into fragments, one for each pair of triangle and cell, block of cells by block of cells.
 
-A block's cells are marked in a mask of one byte a cell whose bits are the facings seen in it: the byte is the
-cell's normal flags, and a bit's rank among all set bits numbers the *entry* (cell, facing) in Morton order.
+A mask has one byte for each cell of a block, whose bits are the facings of the surface in it: the cell's
+normal flags. The rank of a bit among all set bits numbers the *entry* (cell, facing) in Morton order.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from octex.voxelize.grid import (
     load_triangle,
 )
 
-#: Bound of the fragments in one task: enough to hide what a task costs, few enough to stay in the cache.
+#: Largest number of fragments a task: enough to hide the overhead, few enough to stay in the cache.
 TASK_FRAGMENTS = 400_000
-#: Little work is cut into so many tasks, of no fewer fragments than this.
+#: Small work is cut into this many tasks, with at least this many fragments each.
 _TASKS, _LEAST_FRAGMENTS = 8, 250_000
 
 
@@ -66,10 +66,10 @@ Reached: TypeAlias = Callable[[Blocks], Bools]
 
 
 class Fragments(NamedTuple):
-    """The fragments of a run of blocks, and the cells that they lie in."""
+    """The fragments of a run of blocks, and their cells."""
 
     codes: Int64s  # (cells,)   Morton codes, ascending
-    flags: Uint8s  # (cells,)   normal flags; a cell has one entry for each, in the bits' order
+    flags: Uint8s  # (cells,)   normal flags; each set bit is an entry, in order of bits
     entries: Int32s  # (fragments,)   the entry of each fragment
     triangles: Int32s  # (fragments,)
     barycentric: Float64s  # (fragments, 3)   of the fragment's centroid
@@ -77,7 +77,7 @@ class Fragments(NamedTuple):
 
 
 class BlockRange(NamedTuple):
-    """The work of one task: a run of blocks, with a bound of their fragments."""
+    """The work of one task: a run of blocks, with a bound of the number of fragments."""
 
     first_block: int
     last_block: int  # exclusive
@@ -139,7 +139,7 @@ def most_fragments(blocks: Blocks) -> Int64s:
 def _bin(blocks: Blocks, most: int, most_in_block: int) -> tuple[Int64s, Int64s, Int32s]:
     """Cut blocks into their cells, and return the codes, starts and members of these as blocks.
 
-    ``most`` is the sum, ``most_in_block`` the largest of what `most_fragments` tells.
+    ``most`` is the sum, ``most_in_block`` the largest of the bounds that `most_fragments` returns.
     """
     shift, edge = GRID_BITS - blocks.level - blocks.bits, 1 << blocks.bits
     n_cells = edge * edge * edge
@@ -243,7 +243,7 @@ def cut(blocks: Blocks, run: BlockRange) -> Fragments:
     members = np.empty(run.most, np.int32)
     barycentric = np.empty((run.most, 3), np.float64)
     areas = np.empty(run.most, np.float64)
-    n_fragments = int(np.int64(0))  # a constant would have numba compile `clip_to_columns` again for it
+    n_fragments = int(np.int64(0))  # not a literal, for which numba would compile `clip_to_columns` again
     for block in range(run.first_block, run.last_block):
         origin[0], origin[1], origin[2] = _block_origin(blocks.codes[block], blocks.bits)
         first_fragment = n_fragments
@@ -317,7 +317,7 @@ def cut(blocks: Blocks, run: BlockRange) -> Fragments:
 
 
 def even_runs(bounds: Int64s) -> list[BlockRange]:
-    """Cut blocks into runs of about TASK_FRAGMENTS or less, by the bounds of their fragments."""
+    """Group blocks into runs of at most about TASK_FRAGMENTS, by their bounds."""
     totals = np.cumsum(bounds)
     size = min(max(int(totals[-1]) // _TASKS, _LEAST_FRAGMENTS), TASK_FRAGMENTS)
     ends = np.searchsorted(totals, np.arange(size, totals[-1], size)) + 1

@@ -1,17 +1,17 @@
-"""Exactly the cells that a triangle meets.
+"""The cells that a triangle meets, exactly.
 
-Vertices are rounded once to a grid of 2³⁰ steps along the root cell's edge, so that 2D cross products fit 64
-bits and the plane's test 128. From there on everything is integer arithmetic: a half-open cell [a, b)³ is met
-if it shares a point with the closed rounded triangle, whatever the depth, the order of the triangles or the
-block that the work is cut into.
+Vertices are rounded once to a grid of 2³⁰ steps along the root cell's edge. 2D cross products then fit 64
+bits and the plane's test 128, and all further arithmetic is in integers. A half-open cell [a, b)³ is met if
+it shares a point with the closed rounded triangle. The result does not depend on depth, triangle order or
+blocks.
 
-A triangle is looked at along the axis w to which its normal is nearest, over the plane of the two axes u and
-v that follow w cyclically. It crosses a column of cells along w in a run without gaps, of at most three.
+A triangle is projected along the axis w nearest to its normal, onto the two axes u and v that follow w
+cyclically. It crosses a column of cells along w in a run without gaps, of at most three.
 
-The test is that of separating axes. Two sets overlap in 3D unless the box axes, the triangle's plane, or one
-of the projections along the three axes separates them. In a projection the outward side of each edge
-suffices. On an axis of direction d, the half-open box, a union of closed boxes [a, b−ε]³, reaches its largest
-value only if d has no positive component, and its smallest only if d has no negative one.
+The test uses separating axes. Two sets overlap in 3D unless the box axes, the triangle's plane, or one of the
+projections along the three axes separates them. In a projection the outward side of each edge suffices. A
+half-open box is a union of closed boxes [a, b−ε]³. Along a direction d it reaches its largest value only if d
+has no positive component, and its smallest only if d has no negative one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 from octex.arrays import Int32s, Int64s
 from octex.jit import inlined, kernel
 
-#: Work is cut into blocks of 32³ cells: a block's masks fit the second-level cache.
+#: Blocks have 32³ cells: a block's masks fit the second-level cache.
 BLOCK_BITS = 5
 BLOCK_EDGE = 1 << BLOCK_BITS
 
@@ -33,8 +33,8 @@ SPREAD = np.array(
     [sum(((i >> bit) & 1) << (3 * bit) for bit in range(BLOCK_BITS)) for i in range(BLOCK_EDGE)], np.int64
 )
 
-# The scratch table that `columns_met` fills has a row for each column of cells: its place along u and v, its
-# first and last cell along w, and whether it lies wholly inside the triangle as seen along w.
+# The scratch table of `columns_met` has a row for each column of cells: its position along u and v, its first
+# and last cell along w, and whether it lies wholly inside the triangle's projection along w.
 COLUMN_U, COLUMN_V, COLUMN_FIRST, COLUMN_LAST, COLUMN_INSIDE = range(5)
 
 
@@ -46,9 +46,9 @@ def load_triangle(
     corners: Int64s,
     normal: Int64s,
 ) -> int:
-    """Load a triangle's corners and normal with their axes in the order u, v, w; return w.
+    """Load a triangle's corners (3, 3) and normal (3,) with axes in the order u, v, w; return w.
 
-    Returns −1 for a triangle that is degenerate after rounding. ``corners`` is (3, 3), ``normal`` (3,).
+    Returns −1 for a triangle that is degenerate after rounding.
     """
     a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
     ax, ay, az = np.int64(grid[a, 0]), np.int64(grid[a, 1]), np.int64(grid[a, 2])
@@ -93,7 +93,8 @@ def _edge(
     if orientation < 0:
         p = -p
         q = -q
-    # The function's largest value in the cell over that at its corner; less one where that is not reached.
+    # The function's maximum over the cell minus its value at the corner; less one if the maximum is on an
+    # open side.
     reach = cell * (max(p, 0) + max(q, 0)) - (1 if p > 0 or q > 0 else 0)
     return p, q, reach - (p * corners[i, first] + q * corners[i, second]), cell * (abs(p) + abs(q))
 
@@ -112,7 +113,7 @@ def _sign_of_dot(normal: Int64s, u: int, v: int, w: int) -> int:
 
 @inlined
 def _meets_plane(corners: Int64s, normal: Int64s, cell: int, u: int, v: int, w: int) -> bool:
-    """Whether the triangle's plane meets the half-open cell at (u, v, w), given in grid steps."""
+    """Return whether the triangle's plane meets the half-open cell at (u, v, w), in grid steps."""
     du, dv, dw = u - corners[0, 0], v - corners[0, 1], w - corners[0, 2]
     up_u = cell if normal[0] > 0 else 0
     up_v = cell if normal[1] > 0 else 0
@@ -129,8 +130,8 @@ def _meets_plane(corners: Int64s, normal: Int64s, cell: int, u: int, v: int, w: 
 
 @inlined
 def _set_sides(corners: Int64s, normal: Int64s, cell: int, sides: Int64s) -> None:
-    """Fill ``sides`` (6, 3) with the edges as seen along u, then along v."""
-    zero = int(np.int64(0))  # no literal, as in `columns_met`
+    """Write the edges as projected along u, then along v, into ``sides`` (6, 3)."""
+    zero = int(np.int64(0))  # not a literal; see `columns_met`
     for i in range(3):
         j = i + 1 if i < 2 else zero
         sides[i, 0], sides[i, 1], sides[i, 2], _ = _edge(corners, i, j, zero + 1, zero + 2, normal[0], cell)
@@ -141,7 +142,7 @@ def _set_sides(corners: Int64s, normal: Int64s, cell: int, sides: Int64s) -> Non
 
 @inlined
 def _meets_sides(sides: Int64s, u: int, v: int, w: int) -> bool:
-    """Whether no edge as seen along u or v separates the cell at (u, v, w), given in grid steps."""
+    """Return whether no edge, projected along u or v, separates the cell at (u, v, w), in grid steps."""
     along_u = (
         (sides[0, 0] * v + sides[0, 1] * w + sides[0, 2])
         | (sides[1, 0] * v + sides[1, 1] * w + sides[1, 2])
@@ -179,7 +180,7 @@ def columns_met(
     last_v = min(max(corners[0, 1], corners[1, 1], corners[2, 1]) >> shift, block_v + edge - 1)
     first_w = min(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift
     last_w = max(corners[0, 2], corners[1, 2], corners[2, 2]) >> shift
-    # How w rises from cell to cell along u and v, and its value at the corner of cell (0, 0).
+    # Slope of w from cell to cell along u and v, and its value at the corner of cell (0, 0).
     inverse = -1.0 / np.float64(normal[2])
     rise_u = np.float64(normal[0]) * inverse * cell
     rise_v = np.float64(normal[1]) * inverse * cell
@@ -187,7 +188,7 @@ def columns_met(
     above = max(rise_u, 0.0) + max(rise_v, 0.0)
     scale = 1.0 / cell
     base = corners[0, 2] - rise_u * (corners[0, 0] * scale) - rise_v * (corners[0, 1] * scale)
-    zero = int(np.int64(0))  # no literal, for each of which `_edge` would compile again
+    zero = int(np.int64(0))  # not a literal: numba would compile `_edge` again for each
     one, two = zero + 1, zero + 2
     p0, q0, c0, span0 = _edge(corners, zero, one, zero, one, normal[2], cell)
     p1, q1, c1, span1 = _edge(corners, one, two, zero, one, normal[2], cell)
@@ -206,7 +207,7 @@ def columns_met(
             inside = ((e0 - span0) | (e1 - span1) | (e2 - span2)) >= 0
             height = base_u + rise_v * iv
             lowest, highest = np.int64(np.floor(height + below)), np.int64(np.floor(height + above))
-            # The plane's range over the column, widened and narrowed by more than all rounding: where both
+            # The plane's range over the column, widened and narrowed by more than all rounding. Where both
             # give the same cell, the plane needs no exact test.
             first = max((lowest - 1) >> shift, first_w)
             last = min((highest + 1) >> shift, last_w)
@@ -215,7 +216,7 @@ def columns_met(
             if first < last and not inside and not has_sides:
                 _set_sides(corners, normal, cell, sides)
                 has_sides = True
-            # The triangle does meet the column, and so the last candidate that remains.
+            # The triangle does meet the column, so the last remaining candidate needs no test.
             while first < last and not (
                 (inside or _meets_sides(sides, u, v, first << shift))
                 and (
@@ -246,7 +247,7 @@ def columns_met(
 
 @kernel
 def count_degenerate(grid: Int32s, triangles: Int32s) -> tuple[int, float]:
-    """Count the triangles that are degenerate on the grid; also add up all areas, in square grid steps."""
+    """Return the number of triangles without area on the grid, and the total area in square grid steps."""
     corners = np.empty((3, 3), np.int64)
     normal = np.empty(3, np.int64)
     count = 0

@@ -1,14 +1,14 @@
-"""Sums over the surface in each cell, from the fragments up to the root, and what is stored of them.
+"""Sums over the surface in each cell, from the fragments up to the root, and the stored means.
 
-Everything that is averaged is kept as float64 sums for each *entry*, a (cell, facing) pair: a row of
+Averages start as float64 sums for each *entry*, a (cell, facing) pair: a row of
 
     area · coverage · value, for each component (for the component `alpha`, area · coverage) …, and the area
 
-in cell faces of the level at hand. Coverage is 1 without an alpha among the channels. The entries of a level
-are sorted by cell, then facing; a cell's flags say which facings it has: popcount(flags) rows.
+in cell faces of the current level. Coverage is 1 without an alpha channel. The entries of a level are sorted
+by cell, then facing. A cell has popcount(flags) rows, one for each facing in its flags.
 
-The rows hold the components of all channels side by side, so that each fragment and each child is met once;
-the means lie channel after channel, so that each is encoded in one run through memory.
+Rows hold the components of all channels side by side, so that each fragment and each child is read once.
+Means are stored channel by channel, so that each channel is encoded in one pass through memory.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from octex.tree.layout import POSITIVE_FACINGS
 
 
 class SumColumns(NamedTuple):
-    """Where the components of all channels stand in a row of values."""
+    """The position of all channels' components in a row of values."""
 
     first: Int64s  # (components,)   the first column of each column's channel
-    place: Int64s  # (components,)   each column's place in its channel
-    width: Int64s  # (components,)   the components of each column's channel
-    alpha: int  # the column that holds coverage, or −1
+    place: Int64s  # (components,)   each column's index in its channel
+    width: Int64s  # (components,)   number of components of each column's channel
+    alpha: int  # the column of coverage, or −1
 
     @classmethod
     def of(cls, channels: Sequence[ChannelFormat]) -> SumColumns:
@@ -45,7 +45,7 @@ class SumColumns(NamedTuple):
 
 
 class Sums(NamedTuple):
-    """The sums of one level's cells."""
+    """The sums of the cells of one level."""
 
     codes: Int64s  # (cells,)   Morton codes, ascending
     flags: Uint8s  # (cells,)   normal flags
@@ -53,20 +53,20 @@ class Sums(NamedTuple):
 
 
 class Means(NamedTuple):
-    """Means and areas of one level's cells, and of each facing in cells that show both ways along an axis.
+    """Means and areas of one level's cells, and of each facing in cells with two opposite facings.
 
-    Values lie channel after channel: those of the channel that begins at column f at f · rows.
+    Values are stored channel by channel: a channel that begins at column f begins at f · rows.
     """
 
     values: Float64s  # (cells · components,)
     areas: Uint8s  # (cells,)
-    two_sided: Int64s  # (cells that show both ways,)   index into the level's cells
+    two_sided: Int64s  # (cells with opposite facings,)   index into the level's cells
     facing_values: Float64s  # (their entries · components,)
     facing_areas: Uint8s  # (their entries,)
 
 
 def by_channel(values: Float64s, channels: Sequence[ChannelFormat]) -> Iterator[Float64s]:
-    """Yield the values (rows, components) of each channel, of such that lie channel after channel."""
+    """Yield each channel's values (rows, components), from values stored channel by channel."""
     rows = values.size // max(sum(channel.components for channel in channels), 1)
     end = 0
     for channel in channels:
@@ -82,13 +82,13 @@ def sum_fragments(
     alpha: int,
     n_entries: int,
 ) -> Float64s:
-    """Add up the fragments of each entry. ``alpha`` is the column that holds coverage, or −1."""
+    """Sum the fragments of each entry. ``alpha`` is the column of coverage, or −1."""
     components = values.shape[1]
     sums = np.empty((n_entries, components + 1), np.float64)
     cleared = 0
     for i in range(entries.size):
         row = entries[i]
-        while cleared <= row:  # in step with the fragments: rows are then still in the cache
+        while cleared <= row:  # in step with the fragments, while the rows are in the cache
             for k in range(components + 1):
                 sums[cleared, k] = 0.0
             cleared += 1
@@ -106,7 +106,7 @@ def sum_fragments(
 
 @kernel
 def sum_children(children: Sums) -> Sums:
-    """Add up the cells of one level into their parents."""
+    """Sum the cells of one level into their parents."""
     codes, flags, sums = children
     columns = sums.shape[1]
     parent_codes = np.empty(codes.size, np.int64)
@@ -123,7 +123,7 @@ def sum_children(children: Sums) -> Sums:
         while last < codes.size and codes[last] >> 3 == code:
             seen |= np.int64(flags[last])
             last += 1
-        if seen & (seen - 1) == 0:  # one facing, as almost everywhere: a row each
+        if seen & (seen - 1) == 0:  # one facing, as almost everywhere: one row a child
             for k in range(columns):
                 parent_sums[entries, k] = 0.25 * sums[row, k]
             for child in range(row + 1, row + last - first):
@@ -151,23 +151,23 @@ def sum_children(children: Sums) -> Sums:
 
 @kernel
 def coverages(level: Sums, alpha: int) -> Float64s:
-    """Return the mean coverage (cells,) of a level; ``alpha`` is the column that holds it."""
-    found = np.empty(level.codes.size, np.float64)
+    """Return the mean coverage (cells,) of a level; ``alpha`` is its column."""
+    means = np.empty(level.codes.size, np.float64)
     row = 0
-    for cell in range(found.size):
+    for cell in range(means.size):
         end = row + popcount(np.uint64(level.flags[cell]))
         weight = area = 0.0
         for entry in range(row, end):
             weight += level.sums[entry, alpha]
             area += level.sums[entry, -1]
-        found[cell] = weight / area
+        means[cell] = weight / area
         row = end
-    return found
+    return means
 
 
 @kernel
 def some_cells(level: Sums, chosen: Int64s) -> Sums:
-    """Return the sums of those cells of a level that are ``chosen``, ascending codes."""
+    """Return the sums of the cells of a level with the ``chosen``, ascending codes."""
     codes, flags, sums = level
     flags_left = np.empty(chosen.size, np.uint8)
     sums_left = np.empty((min(6 * chosen.size, sums.shape[0]), sums.shape[1]), np.float64)
@@ -198,7 +198,7 @@ def _store_mean(
     alpha = columns.alpha
     inverse = 1.0 / (sums[entry, components] if alpha < 0 else sums[entry, alpha])
     for k in range(components):
-        # Unsigned, an index is not looked at for counting from the end: 3 ns a cell.
+        # An unsigned index is not tested for counting from the end, which saves 3 ns a cell.
         values[np.uint64(starts[k] + row * columns.width[k])] = sums[entry, k] * inverse
     if alpha >= 0:
         values[starts[alpha] + row] = sums[entry, alpha] / sums[entry, components]
@@ -206,7 +206,7 @@ def _store_mean(
 
 @kernel
 def level_means(level: Sums, columns: SumColumns) -> Means:
-    """Divide the sums of a level by its areas, coverage by coverage."""
+    """Divide the sums of a level by its areas, weighted by coverage."""
     sums = level.sums
     components = sums.shape[1] - 1
     n_cells = level.codes.size
@@ -225,7 +225,7 @@ def level_means(level: Sums, columns: SumColumns) -> Means:
     facing_starts = columns.first * n_rows + columns.place
     facing_areas = np.empty(n_rows, np.uint8)
     total = np.empty((1, components + 1), np.float64)
-    zero = int(np.int64(0))  # no literal, for which `_store_mean` would compile again
+    zero = int(np.int64(0))  # not a literal, for which `_store_mean` would compile again
     entry = row = cell = zero
     for i in range(n_cells):
         seen = np.int64(level.flags[i])

@@ -300,7 +300,7 @@ def test_large_images_are_told_and_smaller_formats_offered(
     assert len(sizes) == 3
     assert bytes_text(sum(sizes)) in made
     size = bytes_text((tmp_path / "large-0.png").stat().st_size)
-    assert f"its images take {size}: --image-format webp makes them smaller without loss, jpeg" in made
+    assert f"its images take {size}: --image-format webp is smaller and lossless, jpeg" in made
     assert "--image-format" not in told("webp.glb", "--image-format", "webp")
     assert (tmp_path / "webp.glb").stat().st_size < sum(sizes)
 

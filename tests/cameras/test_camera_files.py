@@ -877,7 +877,7 @@ REFUSED = {
         (metashape({"f": 500.0, "k4": 0.1}), "k4 must be zero"),
         (metashape({"f": float("nan")}), "f must be a finite number, not nan"),
         (metashape(resolution=("", 480)), "width must be a number, not ''"),
-        (metashape(reference="GEOGCS[]"), "the chunk's coordinates are on the earth"),
+        (metashape(reference="GEOGCS[]"), "the chunk has geographic coordinates"),
         (metashape(scale=(1, 2)), "the component's transform: scale must be 1 numbers, not 2"),
         (metashape(rotation=np.ones((3, 3))), "frame 'a.jpg': transform: "),
         (metashape().replace('sensor_id="3"', 'sensor_id="4"'), "sensor_id '4' names no sensor of the file"),

@@ -177,9 +177,7 @@ def test_compilation_is_announced_once(capsys: pytest.CaptureFixture[str]) -> No
     with Reporter("octree-x"):
         for number in range(2):
             numba.njit(lambda value: value + number)(1)  # noqa: B023
-    expected = (
-        [] if jit.DISABLED else ["octree-x: compiling what this needs, once (octex warm-up compiles all)"]
-    )
+    expected = [] if jit.DISABLED else ["octree-x: compiling kernels, once (octex warm-up compiles all)"]
     assert capsys.readouterr().err.splitlines() == expected
 
 

@@ -977,7 +977,7 @@ def test_the_help_names_the_librarys_defaults() -> None:
     defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
     assert defaults["channel"] == DEFAULT_CHANNEL
     assert (
-        f"not surface tilted more (default {options.TAKEN_ANGLE:g}; {options.DRAWN_ANGLE:g} for views)"
+        f"skip surface tilted more (default {options.TAKEN_ANGLE:g}; {options.DRAWN_ANGLE:g} for views)"
         in text
     )
     assert f"edges in depth (default {defaults['edge_feather']:g})" in text

@@ -244,7 +244,7 @@ def test_random_commands_do_bit_for_bit_what_the_library_does_also_after_a_crash
         (stroke(1, at=[float("nan"), 0, 0]), "at"),
         (stroke(1, mirror="x", offset=float("nan")), "offset"),
         (stroke(1, mirror="x", offset=1e13), "offset"),
-        (plain_command("fill", 1, color=[1, 2, 3], tolerance=20), "a tolerance needs at"),
+        (plain_command("fill", 1, color=[1, 2, 3], tolerance=20), "tolerance needs at"),
         (plain_command("fill", 1, color=[1, 2, 3], at=[0, 0, 1], tolerance=-1), "tolerance"),
         (plain_command("fill", 1, color=[1, 2, 3], at=[0, 0, 1], tolerance=256), "tolerance"),
         (plain_command("fill", 1, color=[1, 2, 3], at=[0, 0, 1], tolerance=9, connected=1), "connected"),

@@ -103,7 +103,7 @@ def test_pages_hear_that_the_texture_which_was_opened_has_changed(
         seen = b""
         while b"event: changing" not in seen:
             seen += line.readline()
-        assert line.readline() == b"data: ball.octex has changed: you paint on what was opened\n"
+        assert line.readline() == b"data: ball.octex has changed: you paint on the version that was opened\n"
         session.take(stroke(1))
         session.wait()
         while b"version\ndata: 1-" not in seen:  # strokes are told nevertheless

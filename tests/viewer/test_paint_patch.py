@@ -158,7 +158,7 @@ def test_pages_are_sent_a_patch_as_a_mesh(served: Served) -> None:
     assert len(zlib.decompress(stream, -15)) == size
     connection.request("GET", f"/{served.viewer.token}/patch?nothing")
     answer = connection.getresponse()
-    assert (answer.status, answer.read()) == (400, b"a patch is asked for by a JSON object\n")
+    assert (answer.status, answer.read()) == (400, b"a request for a patch must be a JSON object\n")
     connection.close()
 
 

@@ -384,10 +384,10 @@ def deflated(content: bytes) -> bytes:
 
 NAN = float("nan")
 BAD: list[tuple[bytes, str]] = [
-    (b"", "no line of JSON"),
-    (b"\xff\xfe{}\n", "no line of JSON"),
-    (b"[" * 100_000, "no line of JSON"),
-    (b"[]\n", "no JSON object"),
+    (b"", "not a line of JSON"),
+    (b"\xff\xfe{}\n", "not a line of JSON"),
+    (b"[" * 100_000, "not a line of JSON"),
+    (b"[]\n", "not a JSON object"),
     (plain("undo", 1, page="../../etc"), "page must be"),
     (plain("undo", 0), "number"),
     (plain("undo", 10**30), "number"),
@@ -415,10 +415,10 @@ BAD: list[tuple[bytes, str]] = [
     (stroke(1, box=[0, 0, 48.5, 32]), "box must be a part"),
     (stroke(1, box=[10, 4, 10, 28]), "box must be a part"),
     (stroke(1, box=[NAN, 4, 10, 28]), "box"),
-    (stroke(1, content=b"not deflated"), "no deflated coverage of 720 pixels"),
-    (stroke(1, content=deflated(bytes(719))), "no deflated coverage of 720 pixels"),
-    (stroke(1, content=deflated(bytes(10**8))), "no deflated coverage of 720 pixels"),
-    (stroke(1)[:-5], "no deflated coverage of 720 pixels"),
+    (stroke(1, content=b"not deflated"), "not deflated coverage of 720 pixels"),
+    (stroke(1, content=deflated(bytes(719))), "not deflated coverage of 720 pixels"),
+    (stroke(1, content=deflated(bytes(10**8))), "not deflated coverage of 720 pixels"),
+    (stroke(1)[:-5], "not deflated coverage of 720 pixels"),
 ]
 
 
@@ -528,7 +528,7 @@ def test_half_a_command_changes_nothing(served: Served, monkeypatch: pytest.Monk
         waits.sendall(head + body[:50])
         assert waits.recv(4096) == b""
     assert len(served.lines) == 2
-    assert f"50 bytes of {len(body):,} have come" in served.lines[0]
+    assert f"50 bytes of {len(body):,} arrived" in served.lines[0]
     assert "timed out" in served.lines[1]
     assert served.post(body)[0] == 200
 

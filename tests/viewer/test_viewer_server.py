@@ -316,7 +316,7 @@ def test_of_a_folder_all_parts_are_shown_or_one(tmp_path: Path, monkeypatch: pyt
         (["a.octex", "--max-size", "1MB"], "--max-size is for pages, NAME.html"),
         (["a.octex", "a.html", "--port", "80"], "--port cannot be used when a page is written"),
         (["a.octex", "--port", "0"], "--port: 0 is not a port from 1 to 65535"),
-        (["a.octex", "--part", "x"], "--part needs a folder of parts; a.octex is none"),
+        (["a.octex", "--part", "x"], "--part needs a folder of parts; a.octex is not one"),
         (["a.octex", "--rest", "b.glb"], "--rest needs a MODEL"),
     ],
 )
