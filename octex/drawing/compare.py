@@ -326,7 +326,7 @@ def inside_cells(texture: OctreeTexture) -> Callable[..., Bools]:
     inset = texture.placement.size * 2.0**-29
 
     def lies_on(centres: Floats, edges: Floats | None = None) -> Bools:
-        found = np.zeros(len(centres), np.bool_)
+        is_inside = np.zeros(len(centres), np.bool_)
         edges = np.full(len(centres), cell_of(texture)) if edges is None else edges
         for edge in np.unique(edges):
             # A cell that meets a cube, and is no smaller, holds one of the cube's corners.

@@ -114,7 +114,7 @@ def lit(
     if light is None:
         shade = soft_light(camera, points, faces, normals)
         return appearance._replace(reflected=appearance.reflected * shade[:, None])
-    found = reflected(light, camera, points, faces, normals, appearance)
+    light_reflected = reflected(light, camera, points, faces, normals, appearance)
     if not light.tone_mapped:
         return appearance._replace(reflected=light_reflected)
     seen: Floats = light_reflected if appearance.emitted is None else light_reflected + appearance.emitted

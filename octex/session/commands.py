@@ -283,7 +283,7 @@ def target_of(command: Command) -> tuple[int | None, bool]:
 
 def codes_of(command: Command) -> Uint8s:
     """Return a colour as a page has it, in 8-bit sRGB."""
-    codes = numbers(command.given, "color", (3,))
+    codes = numbers(command.fields, "color", (3,))
     if (codes < 0).any() or (codes > 255).any():
         raise ArgumentError("color must be codes of 0 to 255")
     return np.rint(codes).astype(np.uint8)
