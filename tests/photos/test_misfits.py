@@ -97,6 +97,18 @@ def test_a_picture_that_is_given_twice_and_one_beside_the_model_are_found() -> N
     }
 
 
+@pytest.mark.parametrize("wrong", [1, 4])
+def test_of_a_picture_with_two_cameras_the_one_that_agrees_less_is_found(wrong: int) -> None:
+    given = ring()
+    beside = look(3)
+    view = beside.world_to_camera.copy()
+    view[0, 3] += 0.05  # near enough to agree in part
+    given[wrong] = replace(given[3], camera=replace(beside, world_to_camera=view))
+    reasons, better = found(given)
+    assert reasons == {wrong: "the same picture as the image, whose camera it fits better"}
+    assert better is None
+
+
 def test_pictures_of_one_colour_tell_nothing() -> None:
     given = [replace(each, image=np.full((SIZE, SIZE, 3), 40 * n, np.uint8)) for n, each in enumerate(ring())]
     assert found(given) == ({}, None)
