@@ -12,8 +12,8 @@ from octex.jit import inlined, kernel
 from octex.painting.picture import clipped, read_paint
 from octex.painting.sight import TRUSTED, Shot
 from octex.source.images.taps import catmull_rom
+from octex.source.vectors import Vector
 from octex.view.visibility import (
-    Vector,
     View,
     nearness,
     parts,
