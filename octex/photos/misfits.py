@@ -79,7 +79,8 @@ def misfits(
     samples = read_points(source, surface)
     agreed = samples.agreements()
     now = float(np.nan_to_num(agreed).mean())
-    if now < _FITS and (np.isfinite(agreed).any() or _filled_by(surface, small) < _FILLED):
+    # Pictures of a mesh that lies otherwise may share nothing of it: how they agree is not known then.
+    if now < _FITS and (len(small) > _OTHERS or _filled_by(surface, small) < _FILLED):
         better = better_placed(surface, small, now, executor)
         if better is not None:
             return found, better

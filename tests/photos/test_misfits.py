@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -120,6 +121,15 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told() -> None:
     reasons, better = found(ring(), Surface.from_arrays(lying, triangles))
     assert reasons == {}
     assert better == "pictures agree if in the mesh it is scaled by 1000 and (x, y, z) becomes (x, -z, y)"
+    steep = [
+        Camera.fitted(vertices, (0.1 * np.cos(n), 0.1 * np.sin(n), 1.0), size=(SIZE, SIZE)) for n in range(6)
+    ]
+    lying = vertices[:, [0, 2, 1]] * [1, 0.1, -1]  # nearly flat, and so steep that pictures share nothing
+    given = [Projection(picture(each), each) for each in steep]
+    reasons, better = found(given, Surface.from_arrays(lying, triangles))
+    assert reasons == {}
+    assert better is not None  # what is flat may also be turned about its normal
+    assert re.fullmatch(r"pictures agree if in the mesh \(x, y, z\) becomes \(.*, y\)", better)
     far = Surface.from_arrays(np.add(vertices, [0, 0, 1e6]), triangles)
     assert found(ring(), far) == ({}, None)
 
