@@ -25,7 +25,7 @@ from octex.texture import OctreeTexture, open_texture
 Rows = TypeVar("Rows")
 
 #: Changes with what stages store, beside the version of octex.
-_VERSION = 4
+_VERSION = 5
 
 
 class Stages(NamedTuple):

@@ -10,6 +10,7 @@ seen.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from functools import partial
 
@@ -22,7 +23,11 @@ from octex.painting.project import Projected
 from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import ordered_map, sharing
 from octex.photos.patches import batches, beside, masked, patches_of, seen_at, sums_around, widths_of
+from octex.source.surface import Surface
 
+#: A picture is compared with no more than so many, itself among them: those that see most of what it sees,
+#: of so many points of the surface. Of a hundred, all would take six times as long.
+_MOST, _POINTS = 17, 4000
 #: Of how many pictures the mode is sought at least: of two none is right.
 _LEAST = 3
 #: A picture's vote grows with its weight, by this power: three that see a place aslant outvote one ahead.
@@ -41,11 +46,13 @@ _MAJORITY, _FILLED = 0.5, 0.3
 _CERTAIN = 8
 
 
-def agreeing(source: Projected, executor: Executor, stages: Stages = NOT_STORED) -> Projected:
+def agreeing(
+    source: Projected, surface: Surface, executor: Executor, stages: Stages = NOT_STORED
+) -> Projected:
     """Mask the pictures of ``source``, in its list, where they do not agree with the others; return it."""
-    numbers = range(len(source.shots))
+    numbers, compared = range(len(source.shots)), _compared(source, surface)
     with sharing(executor) as pool:
-        found = list(ordered_map(pool, partial(_stored_differences, source, stages), numbers))
+        found = list(ordered_map(pool, partial(_stored_differences, source, compared, stages), numbers))
     known = np.concatenate([each[np.isfinite(each)] for each in found])
     if not known.size:
         return source
@@ -58,24 +65,44 @@ def agreeing(source: Projected, executor: Executor, stages: Stages = NOT_STORED)
     return source
 
 
-def _stored_differences(source: Projected, stages: Stages, number: int) -> Float32s:
+def _compared(source: Projected, surface: Surface) -> list[list[int]]:
+    """Return which pictures each is compared with, itself among them: those that share most with it."""
+    count = len(source.shots)
+    if count <= _MOST:
+        return [list(range(count))] * count
+    points = surface.scatter(_POINTS)
+    where = points.triangles, points.barycentric
+    _, weights = source.each(*where, np.zeros(_POINTS, np.float32))
+    sees = (weights > 0.0).astype(np.float32)
+    shared = sees @ sees.T
+    np.fill_diagonal(shared, np.inf)
+    nearest = np.argsort(-shared, axis=1, kind="stable")[:, :_MOST]
+    return [sorted(own[shared[number, own] > 0.0].tolist()) for number, own in enumerate(nearest)]
+
+
+def _stored_differences(
+    source: Projected, compared: Sequence[Sequence[int]], stages: Stages, number: int
+) -> Float32s:
     own = stages.of(lambda: [number])
-    return own.arrays("differences", lambda: {"codes": _differences(source, number)})["codes"]
+    return own.arrays("differences", lambda: {"codes": _differences(source, compared[number], number)})[
+        "codes"
+    ]
 
 
-def _differences(source: Projected, number: int) -> Float32s:
+def _differences(source: Projected, compared: Sequence[int], number: int) -> Float32s:
     """Return by how many codes a picture is off what most say, per patch; NaN where that is not known."""
-    shot = source.shots[number]
+    shot, own = source.shots[number], compared.index(number)
     rows, columns = patches_of(shot)
     codes, modes = np.full((2, rows * columns, 3), np.nan, np.float32)
     patches, triangles, barycentric = seen_at(source, shot, np.ones((rows, columns), np.bool_))
-    own = source.with_shots([shot])
-    for some in batches(len(patches), len(source.shots)):
+    alone = source.with_shots([shot])
+    source = source.with_shots([source.shots[each] for each in compared])
+    for some in batches(len(patches), len(compared)):
         where = triangles[some], barycentric[some]
-        colors, weights = source.each(*where, widths_of(own, *where))
-        found = np.empty_like(colors[number])
-        find_modes(colors, weights, number, found)
-        codes[patches[some]], modes[patches[some]] = as_codes(colors[number]), found
+        colors, weights = source.each(*where, widths_of(alone, *where))
+        found = np.empty_like(colors[own])
+        find_modes(colors, weights, own, found)
+        codes[patches[some]], modes[patches[some]] = as_codes(colors[own]), found
     return off_modes(codes.reshape(rows, columns, 3), modes.reshape(rows, columns, 3))
 
 

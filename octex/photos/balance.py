@@ -16,7 +16,7 @@ from octex.painting.project import Projected
 from octex.painting.sight import Shot
 from octex.photos.agreement import as_codes
 from octex.photos.consensus import agreed_step, medians, robust_weights
-from octex.photos.patches import PATCH, batches, beside, masked, patches_of, seen_at, widths_of
+from octex.photos.patches import batches, beside, masked, patch_of, patches_of, seen_at, widths_of
 from octex.source.surface import Surface
 
 #: Points of the surface that pictures are compared at.
@@ -35,8 +35,6 @@ _HOLD, _HOLD_GAIN = 1e-4, 1e-9
 _CUT = 0.955
 #: By how many codes others must be lighter.
 _LIGHTER = 2.0
-#: Patches are pixels of this level.
-_LEVEL = PATCH.bit_length() - 1
 
 
 def balanced(
@@ -186,7 +184,8 @@ def _masked(given: Projected, evened: Projected, number: int) -> Mips:
 
 def _cut_off(shot: Shot) -> Bools:
     """Say which patches (rows, columns) of a picture are cut off, as a level of it shows them."""
-    first, width, height = shot.mips.sizes[min(_LEVEL, len(shot.mips.sizes) - 1)].tolist()
+    level = patch_of(shot).bit_length() - 1  # whose pixels are patches
+    first, width, height = shot.mips.sizes[min(level, len(shot.mips.sizes) - 1)].tolist()
     pixels = shot.mips.pixels[first : first + width * height].reshape(height, width, 4)
     light = pixels[..., :3].max(axis=2) > _CUT * pixels[..., 3]
     rows, columns = patches_of(shot)

@@ -49,13 +49,14 @@ def misfits(
 ) -> tuple[dict[int, str], str | None]:
     """Return the numbers of pictures that should not be painted, and why; and how the mesh would fit better.
 
-    These are files that are damaged, pictures given twice, those whose cameras see nothing of the surface,
-    those that are turned, and those that show something else than most others do.
+    These are files that are damaged, pictures given twice, also with another camera, those whose cameras see
+    nothing of the surface, those that are turned, and those that show something else than most others do.
     """
     found: dict[int, str] = {}
     first: dict[bytes, int] = {}
+    contents = [content_of(each) for each in projections]
     for number, each in enumerate(projections):
-        before = first.setdefault(content_of(each) + key_of(cast(Camera, each.camera)), number)
+        before = first.setdefault(contents[number] + key_of(cast(Camera, each.camera)), number)
         if before != number:
             found[number] = f"the same picture and camera as {projections[before].name}"
     rest = [number for number in range(len(projections)) if number not in found]
@@ -78,7 +79,8 @@ def misfits(
     samples = read_points(source, surface)
     agreed = samples.agreements()
     now = float(np.nan_to_num(agreed).mean())
-    if now < _FITS and (np.isfinite(agreed).any() or _filled_by(surface, small) < _FILLED):
+    # Pictures of a mesh that lies otherwise may share nothing of it: how they agree is not known then.
+    if now < _FITS and (len(small) > _OTHERS or _filled_by(surface, small) < _FILLED):
         better = better_placed(surface, small, now, executor)
         if better is not None:
             return found, better
@@ -91,6 +93,12 @@ def misfits(
             if turn
             else "it differs from all others there: another scene, or the camera of another picture"
         )
+    best: dict[bytes, int] = {}  # of those that are the same picture, the one that agrees best
+    for index in np.argsort(-agreed, kind="stable").tolist():  # what is not known comes last
+        number = rest[index]
+        before = best.setdefault(contents[number], number)
+        if before != number and number not in found and np.isfinite(agreed[index]):
+            found[number] = f"the same picture as {projections[before].name}, whose camera it fits better"
     return found, None
 
 

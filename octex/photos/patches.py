@@ -16,27 +16,38 @@ from octex.painting.sight import Shot
 
 #: So many points of all pictures are read together.
 _POINTS = 1 << 20
-#: Pixels of a patch, each way.
-PATCH = 4
+#: Pixels of a patch, each way; twice as many until a picture has no more patches than so many.
+_PATCH, _MOST = 4, 1 << 17
+
+
+def patch_of(shot: Shot) -> int:
+    """Return how many pixels a picture's patches have each way, a power of two."""
+    width, height = shot.mips.sizes[0, 1:].tolist()
+    patch = _PATCH
+    while width * height > _MOST * patch**2:
+        patch *= 2
+    return patch
 
 
 def patches_of(shot: Shot) -> tuple[int, int]:
     """Return how many rows and columns of patches a picture has."""
     width, height = shot.mips.sizes[0, 1:].tolist()
-    return -(-height // PATCH), -(-width // PATCH)
+    patch = patch_of(shot)
+    return -(-height // patch), -(-width // patch)
 
 
 def widths_of(source: Projected, triangles: Int32s, barycentric: Float64s) -> Float32s:
-    """Return how wide patches of the finest picture are at points of the surface, at rest."""
+    """Return how wide the patches of a source's only picture are at points of the surface, at rest."""
     widths = source.widths(triangles, barycentric)
-    return np.where(np.isfinite(widths), PATCH * widths, np.float32(0)).astype(np.float32)
+    patch = patch_of(source.shots[0])
+    return np.where(np.isfinite(widths), patch * widths, np.float32(0)).astype(np.float32)
 
 
 def seen_at(source: Projected, shot: Shot, among: Bools) -> tuple[Int64s, Int32s, Float64s]:
     """Return which patches of some (rows, columns) see the surface in their middle, and what they see."""
     chosen = np.flatnonzero(among)
     y, x = np.divmod(chosen, among.shape[1])
-    places = np.column_stack([x + 0.5, y + 0.5]) * PATCH
+    places = np.column_stack([x + 0.5, y + 0.5]) * patch_of(shot)
     places = np.minimum(places, shot.mips.sizes[0, 1:] - 0.5)
     if is_bent(shot.lens):
         bent = np.linalg.solve(shot.K, np.column_stack([places, np.ones(len(places))]).T)[:2].T

@@ -170,7 +170,7 @@ def _refined(
         numbers = _agreeing(given.at(some), numbers, stays, far)
         cameras = [adjusted(*each) for each in zip(began, scales, numbers, strict=True)]
         if done == 0:  # now pictures lie well enough on each other to tell what only one of them saw
-            mips = [shot.mips for shot in agreeing(lit(cameras, balance), pool).shots]
+            mips = [shot.mips for shot in agreeing(lit(cameras, balance), surface, pool).shots]
     light: Balance | None = balance and "full"
     before, after = observed(began, 0, light), observed(cameras, 0, light)
     some = np.union1d(_telling(before, 0 * numbers, _FAR), _telling(after, numbers, _FAR))

@@ -27,6 +27,8 @@ from octex.voxelize.fragments import Blocks
 
 #: Pictures are chosen for cells so many levels above the finest; at most for so many by their own number.
 _ABOVE, _MOST_VIEWS = 1, 1 << 22
+#: Pixels up to so many cells wide count alike in a mean.
+_ENOUGH = 2.0
 
 
 @dataclass(eq=False)
@@ -117,8 +119,10 @@ def weighed(
         evened = balanced(source, surface, balance, reference, executor)
         source = without_overexposed(source, evened, executor)
     if pictures in ("robust", "best") or (pictures is None and len(source.shots) > 2):
-        source = agreeing(source, executor, stages)
+        source = agreeing(source, surface, executor, stages)
         if balance is not None:  # again, without what only one of them saw
             source = balanced(source, surface, balance, reference, executor)
     source = weighed_by_sharpness(source, surface)
-    return best(source, surface, placement, depth, executor) if pictures == "best" else source
+    if pictures == "best":
+        return best(source, surface, placement, depth, executor)
+    return replace(source, terms=source.terms._replace(enough=_ENOUGH * placement.size / 2**depth))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -96,6 +97,18 @@ def test_a_picture_that_is_given_twice_and_one_beside_the_model_are_found() -> N
     }
 
 
+@pytest.mark.parametrize("wrong", [1, 4])
+def test_of_a_picture_with_two_cameras_the_one_that_agrees_less_is_found(wrong: int) -> None:
+    given = ring()
+    beside = look(3)
+    view = beside.world_to_camera.copy()
+    view[0, 3] += 0.05  # near enough to agree in part
+    given[wrong] = replace(given[3], camera=replace(beside, world_to_camera=view))
+    reasons, better = found(given)
+    assert reasons == {wrong: "the same picture as the image, whose camera it fits better"}
+    assert better is None
+
+
 def test_pictures_of_one_colour_tell_nothing() -> None:
     given = [replace(each, image=np.full((SIZE, SIZE, 3), 40 * n, np.uint8)) for n, each in enumerate(ring())]
     assert found(given) == ({}, None)
@@ -107,6 +120,15 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told() -> None:
     reasons, better = found(ring(), Surface.from_arrays(lying, triangles))
     assert reasons == {}
     assert better == "pictures agree if in the mesh it is scaled by 1000 and (x, y, z) becomes (x, -z, y)"
+    steep = [
+        Camera.fitted(vertices, (0.1 * np.cos(n), 0.1 * np.sin(n), 1.0), size=(SIZE, SIZE)) for n in range(6)
+    ]
+    lying = vertices[:, [0, 2, 1]] * [1, 0.1, -1]  # nearly flat, and so steep that pictures share nothing
+    given = [Projection(picture(each), each) for each in steep]
+    reasons, better = found(given, Surface.from_arrays(lying, triangles))
+    assert reasons == {}
+    assert better is not None  # what is flat may also be turned about its normal
+    assert re.fullmatch(r"pictures agree if in the mesh \(x, y, z\) becomes \(.*, y\)", better)
     far = Surface.from_arrays(np.add(vertices, [0, 0, 1e6]), triangles)
     assert found(ring(), far) == ({}, None)
 
