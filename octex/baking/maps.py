@@ -9,8 +9,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Uint8s, Uint16s
-from octex.channels import ALPHA, CHANNELS, decode, encode, srgb8_code, srgb8_encoder, unit_code
+from octex.arrays import ChannelCodes, Float32s, Float64s, Uint16s
+from octex.channels import ALPHA, CHANNELS, decode, encode, srgb_code, srgb_encoder, unit_code
 from octex.jit import kernel
 from octex.parallel import ordered_map
 from octex.source.images.pyramid import Texels
@@ -143,7 +143,7 @@ def _encode(
             used |= {*given.lanes}
             if bits == 8:
                 half = 0.5 if space == "direction" else 0.0
-                coder = space == "srgb", half, *srgb8_encoder()
+                coder = space == "srgb", half, *srgb_encoder("uint8")
                 put_codes(fitted, (own.start, count, lane), strength, *coder, rows.view(np.uint16))
             elif bits == 16:
                 rows[..., lanes] = encode(fitted[..., own] / strength, "uint16", space)
@@ -187,13 +187,13 @@ def fit_rows(values: Float32s, areas: Float32s, part: float, first: int, fitted:
 
 @kernel
 def put_codes(
-    fitted: Float32s, lanes: tuple[int, int, int], most: float, is_srgb: bool, half: float, guesses: Uint8s,
-    thresholds: Float64s, texels: Uint16s,
+    fitted: Float32s, lanes: tuple[int, int, int], most: float, is_srgb: bool, half: float,
+    guesses: ChannelCodes, thresholds: Float64s, texels: Uint16s,
 ) -> None:  # fmt: skip
     """Write lanes of a map, divided by ``most``, as codes of 8 bits to texels of 16 (rows, width, 4).
 
     ``lanes`` are the first of the values, how many, and the first of the texels. Colours become sRGB, by
-    `channels.srgb8_encoder`; what goes from −1 to 1 has ``half`` 0.5, numbers from 0 to 1 have 0.
+    `channels.srgb_encoder`; what goes from −1 to 1 has ``half`` 0.5, numbers from 0 to 1 have 0.
     """
     lane, count, to = lanes
     scale, over = 1.0 - half, 1.0 / most
@@ -202,7 +202,7 @@ def put_codes(
             of, at = np.uint64(lane + k), np.uint64(to + k)
             if is_srgb:
                 for column in range(texels.shape[1]):
-                    code = srgb8_code(np.float64(fitted[row, column, of]) * over, guesses, thresholds)
+                    code = srgb_code(np.float64(fitted[row, column, of]) * over, guesses, thresholds)
                     texels[row, column, at] = np.uint16(257 * code)
             else:
                 for column in range(texels.shape[1]):

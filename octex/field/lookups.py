@@ -12,7 +12,7 @@ import numpy as np
 from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
-from octex.field.bricks import Asked, look_up_crowded, new_bricks
+from octex.field.bricks import NUMBER_BITS, SORTED, Asked, look_up_crowded, new_bricks
 from octex.field.field import NO_BYTES, NO_LEFT, NO_VECTORS, Field, Finder, NotFiniteError, positions
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
@@ -21,7 +21,7 @@ from octex.field.tiled import Additions, Search, Weighed, look_up_tiled
 from octex.field.values import Codes
 from octex.field.weights import Weighing
 from octex.jit import direct, unlocked
-from octex.tree.order import order_of, put_rows
+from octex.tree.order import keys_of, put_rows
 from octex.tree.placement import Placement
 
 #: Points for which it is worth while to sort them.
@@ -115,7 +115,7 @@ class Lookup:
         """Say whether so many points are looked up by bricks, a channel after the other."""
         query, spaces = self._query, set(map(attrgetter("space"), self._channels))
         is_bare = query.normals is None and not self._gradients and query.filter == "quadratic"
-        has_bricks = self._field.tiles is None and count >= _LEAST_SORTED
+        has_bricks = self._field.tiles is None and _LEAST_SORTED <= count < 1 << NUMBER_BITS
         return is_bare and has_bricks and {*spaces, self._alpha and self._alpha.space} == {None}
 
     def at(self, points: Floats) -> None:
@@ -171,7 +171,9 @@ class Lookup:
         fault = place_points(positions(points), *self._placement, places)
         if fault >= 0:
             raise NotFiniteError(fault)
-        asked = Asked(places, order_of(places), results.reshape(-1), results.shape[1], missed)
+        keys = keys_of(places, SORTED, NUMBER_BITS)
+        keys.sort()
+        asked = Asked(places, keys, results.reshape(-1), results.shape[1], missed)
         tree = self._field.tree
         n_missed = look_up_crowded(tree.arrays, tree.kept.cells, channel.codes, alpha, asked, new_bricks())
         if n_missed:
