@@ -70,9 +70,7 @@ def _extent(kind: str, codings: Mapping[str, Coding], block: Block) -> tuple[tup
         return structure.CONTEXTS, structure.MOST * (block.last - block.first)
     if kind == AREAS:
         return areas.CONTEXTS, cell + row
-    form = codings[kind].form
-    contexts = values.SETS * form.components * values.CONTEXTS, 4
-    return contexts, (cell + row + kept) * (form.components * (1 if form.size == 1 else 9) + 1)
+    return values.extent(codings[kind].form, cell + row + kept)
 
 
 def _list_flagged(content: Content, block: Block) -> None:
@@ -112,7 +110,7 @@ def _code_channel(
         if not decodes:
             numbers[:-1] = values.numbers_of(given, form)
         if owned is None:
-            values.code_values(rows, around, raw.reshape(-1), numbers, form, coding.weights, coder)
+            values.code_values(rows, around, raw.reshape(-1), numbers, form, coding.weights.copy(), coder)
         elif owned.size:
             values.code_rows(owned, values.numbers_of(raw[owned], form), numbers, kind, form, coder)
         if decodes or form.error:  # else they are what was given

@@ -3,9 +3,10 @@
 A cell's value is guessed from its parent's: to that is added a weighted sum of how the cells across the
 parent's faces on its own side, those on the other side, three cells beside the cell, and its siblings so far
 differ from it, and of how far the components before it differ from their parents', and from their guesses.
-The weights are fitted to the texture, for parents of leaves alone and for others, by how much the cells
-around the parent vary; in each block they then follow the sign of what guesses are off by. Where the cells
-around are all as the parent is, a bit says first whether its children are, too.
+Weights are others for parents of leaves alone, and by how much the cells around the parent vary. They follow
+the sign of what guesses are off by: from cells all over the texture first, and then in each block.
+
+Where the cells around are all as the parent is, a bit says first whether its children are, too.
 
 Rows of split cells and kept nodes are guessed from their cells' own values.
 """
@@ -23,21 +24,27 @@ from octex.arrays import Int32s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel
 
 #: How much the cells around vary, in steps of the channel's unit, has so many contexts.
-CONTEXTS = 11
+_CONTEXTS = 11
 #: Sets of these: leaves, nodes, rows of split cells, kept nodes; and where those of each table begin.
-SETS = 4
+_SETS = 4
 CELLS, SPLIT_ROWS, KEPT_NODES = 0, 2, 3
 _MOST_TERM = 1 << 12
 
 #: The class, and the context, of how much differences vary, 0 … 255.
-CLASS_OF = np.searchsorted([1, 4, 16, 48], np.arange(256), side="right").astype(np.uint8)
+_CLASS_OF = np.searchsorted([1, 4, 16, 48], np.arange(256), side="right").astype(np.uint8)
 _CONTEXT_OF = np.searchsorted([1, 2, 3, 6, 10, 16, 24, 36, 52, 80], np.arange(256), side="right").astype(
     np.uint8
 )
 #: 2¹⁶ / n for n from 1 to 8.
-PART_OF = np.array([0, *(65536 // n for n in range(1, 9))], np.int64)
+_PART_OF = np.array([0, *(65536 // n for n in range(1, 9))], np.int64)
 #: By how many bits terms are shifted before they are added to the weights of a class.
 _SHIFTS = np.array([9, 8, 7, 5, 3], np.int64)
+
+
+def extent(form: Form, rows: int) -> tuple[tuple[int, int], int]:
+    """Return how many contexts of symbols, and of bits, values have, and how many notes so many rows."""
+    contexts = _SETS * form.components * _CONTEXTS, 4
+    return contexts, rows * (form.components * (1 if form.size == 1 else 9) + 1)
 
 
 def numbers_of(raw: Uint8s, form: Form) -> Int64s:
@@ -130,12 +137,12 @@ def code_values(
     """Note or decode the values of a block's cells, around which lie ``rows`` and ``around``.
 
     ``raw`` are the bytes of the levels above; ``numbers`` (cells + 1, components) are noted, and written as
-    they will be read; the last row is room.
+    they will be read; the last row is room. ``weights`` follow what guesses are off by.
     """
-    each, free = np.zeros((9, 4), np.int64), weights.copy()
+    each = np.zeros((9, 4), np.int64)
     places, terms, sides = np.zeros(6, np.int64), np.zeros(TERMS, np.int64), np.zeros(24, np.int64)
     known = each[0], each[1], each[2], each[3], each[4], each[5], each[6], each[7], each[8]
-    room = _Room(numbers.reshape(-1), sides, *known, terms, places, free)
+    room = _Room(numbers.reshape(-1), sides, *known, terms, places, weights)
     # Bytes are read by code of their own, in which these are known.
     is_plain = form.size == 1 and form.error == 0 and form.unit == 0
     if is_plain and form.components == 3:
@@ -161,7 +168,7 @@ def _code_values(rows: Int32s, around: Uint32s, raw: Uint8s, form: Form, room: _
             for j in range(form.components):
                 room.numbers[np.uint64(wide(t) * form.components + j)] = np.uint32(room.values[j])
             continue
-        part = PART_OF[np.uint64(left)]
+        part = _PART_OF[np.uint64(left)]
         spare = wide(rows.shape[0])  # where the node's own values stand, for cells that are not there
         for axis in range(3):
             other = wide(rows[t, np.uint64(axis)])
@@ -196,9 +203,9 @@ def _begin_node(
         room.values[own], room.sums[own], room.total[own] = value, 0, sum_
         numbers[np.uint64(numbers.size - form.components + j)] = np.uint32(value)
         most = min(total >> form.unit + 1, 255)
-        class_ = np.uint64(CLASS_OF[np.uint64(most)])
+        class_ = np.uint64(_CLASS_OF[np.uint64(most)])
         kind = (about >> 4 & 1) * form.components + j
-        room.most[own], room.contexts[own] = most, kind * CONTEXTS
+        room.most[own], room.contexts[own] = most, kind * _CONTEXTS
         room.at[own], room.shifts[own] = (kind * CLASSES + wide(class_)) * TERMS, _SHIFTS[class_]
     if differ != 0:
         return wide(-1)
@@ -261,7 +268,7 @@ def code_rows(owners: Uint32s, own: Int64s, numbers: Uint32s, kind: int, form: F
         for j in range(form.components):
             guess = own[n, j] + (shift if form.components >= 3 else 0)
             varies = min((abs(before[j]) >> form.unit) + noise, 255)
-            context = (kind * form.components + j) * CONTEXTS + wide(_CONTEXT_OF[varies])
+            context = (kind * form.components + j) * _CONTEXTS + wide(_CONTEXT_OF[varies])
             number, _, more = _coded(wide(numbers[n, j]), guess, context, form, coder)
             numbers[n, j] = np.uint32(number)
             before[j] = shift = number - own[n, j]

@@ -13,7 +13,7 @@ import numpy as np
 
 from octex import container
 from octex.archive.blocks import code_block
-from octex.archive.entropy import Model
+from octex.archive.entropy import Model, new_model, noter
 from octex.archive.layout import (
     AREAS,
     CLASSES,
@@ -37,8 +37,8 @@ from octex.archive.layout import (
     pieces_of,
     runs,
 )
-from octex.archive.structure import ABOUT, OWN, around_children, around_nodes
-from octex.archive.values import CLASS_OF, PART_OF, numbers_of
+from octex.archive.structure import around_children, around_nodes
+from octex.archive.values import code_values, extent, numbers_of
 from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, zeros
 from octex.files import replacing
 from octex.parallel import ordered_map, workers
@@ -49,9 +49,9 @@ from octex.tree.split import counts_of
 
 #: So many of the last cells are looked at to choose a unit.
 _LAST = 1 << 14
-#: About so many nodes of each of the two deepest levels are looked at to fit weights, so many at a time.
-_SAMPLE, _RUN = 1 << 10, 1 << 8
-_ROUNDS = 3
+#: From about so many nodes of each of the two deepest levels weights are learned, so many at a time, and so
+#: many times.
+_SAMPLE, _RUN, _ROUNDS = 1 << 13, 1 << 8, 3
 _MOST = 8 << WEIGHT_BITS
 
 #: Of some nodes: their children's first cell, and what lies around.
@@ -77,7 +77,7 @@ def write(
     sample, codings, decoded = _sampled(content.arrays), {}, dict(content.given)
     for name, channel in content.given.items():
         form = _form(channel, tensors[f"channels/{name}"].dtype, max_error)
-        codings[name] = Coding(form, _fitted(channel.values, form, sample))
+        codings[name] = Coding(form, _learned(channel.values, form, sample))
         if form.error:  # what is read will differ, but for the root's
             decoded[name] = Named(*(zeros(array.size).reshape(array.shape) for array in channel))
             for made, given, count in zip(decoded[name], channel, (1, place.row, place.kept), strict=True):
@@ -166,62 +166,19 @@ def _sampled(arrays: TreeArrays) -> _Sampled:
             begins = children_before(arrays.groups, np.array([first, last]))[0].tolist()
             block = Block(level, first, last, *(Place(0, cell, 0, 0, 0) for cell in begins))
             around = around_nodes(arrays, block)
-            found.append((begins[0], around_children(arrays, block, around), around[:, : OWN + 1]))
+            found.append((begins[0], around_children(arrays, block, around), around))
     return found
 
 
-def _fitted(raw: Uint8s, form: Form, sample: _Sampled) -> Int64s:
-    """Return the weights (2 · components · classes · terms,) of a channel's values (cells, components, size).
-
-    Squares are weighted so that their sum is about that of what guesses are off by.
-    """
-    weights = np.zeros((2, form.components, CLASSES, TERMS), np.int64)
-    if not sample:
-        return weights.reshape(-1)
-    runs_of_terms = zip(*(_terms(raw, form, *run) for run in sample), strict=True)
-    terms, more, groups, kinds = (np.concatenate(each, axis=-1) for each in runs_of_terms)
-    for j in range(form.components):
-        for kind, group in np.ndindex(2, CLASSES):
-            own = (kinds == kind) & (groups[j] == group)
-            known, wanted = terms[j][: 4 + 2 * min(j, 3), own].astype(np.float64), more[j, own]
-            if wanted.size < 4 * TERMS:
-                continue
-            off = wanted
-            for _ in range(_ROUNDS):
-                weighted = known / (np.abs(off) + 0.5)
-                square = weighted @ known.T + 1e-3 * np.sqrt(wanted.size) * np.eye(len(known))
-                found = np.linalg.solve(square, weighted @ wanted)
-                off = wanted - found @ known
-            whole = np.clip(np.rint(found * (1 << WEIGHT_BITS)), -_MOST, _MOST)
-            weights[kind, j, group, : len(known)] = whole
-            for later in terms[j + 1 :]:
-                if j < 3:
-                    later[4 + 2 * j, own], later[5 + 2 * j, own] = np.rint(off), more[j, own]
-    return weights.reshape(-1)
-
-
-def _terms(raw: Uint8s, form: Form, begin: int, rows: Int32s, cells: Uint32s) -> tuple[Array, ...]:
-    """Return terms (components, terms, cells), what values have more than their parents', classes, and kinds.
-
-    All but the kinds are by component and cell, in the channel's unit.
-    """
-    about, count = rows[:, ABOUT], len(rows)
-    left = about & 15
-    node = np.cumsum(np.append(1, left[:-1] == 1)) - 1
-    firsts = np.flatnonzero(np.diff(node, prepend=-1))[node]
-    numbers = numbers_of(raw[begin : begin + count], form)
-    around = numbers_of(raw[cells.reshape(-1)], form).reshape(-1, 7, form.components)
-    values, sides = around[node, OWN], around[:, :OWN] - around[:, OWN:]
-    most = np.minimum(np.abs(sides).sum(axis=1) >> form.unit + 1, 255)[node]
-    more = numbers - values
-    sums = np.cumsum(more, axis=0) - more
-    near = beside = np.zeros_like(more)
-    for axis in range(3):
-        near = near + (sides[node, 2 * axis + (about >> 5 + axis & 1)] >> form.unit)
-        other = rows[:, axis]
-        beside = beside + np.where(other[:, None] >= 0, numbers[other] - values, 0)
-    mean = (sums - sums[firsts] >> form.unit) * PART_OF[left, None] >> 16
-    known = near, (sides >> form.unit).sum(axis=1)[node], beside >> form.unit, mean
-    terms = np.zeros((form.components, TERMS, count), np.int64)
-    terms[:, :4] = np.stack(known).transpose(2, 0, 1)
-    return terms, more.T >> form.unit, CLASS_OF[most].T, about >> 4 & 1
+def _learned(raw: Uint8s, form: Form, sample: _Sampled) -> Int64s:
+    """Return the weights (2 · components · classes · terms,) that coding a sample of a channel leads to."""
+    first = np.zeros((2, form.components, CLASSES, TERMS), np.int64)
+    first[:, 1:, :, 5] = 1 << WEIGHT_BITS - 1  # components differ from their parents' like the first
+    weights = first.reshape(-1)
+    for begin, rows, around in sample * _ROUNDS:
+        numbers = np.zeros((len(rows) + 1, form.components), np.uint32)
+        numbers[:-1] = numbers_of(raw[begin : begin + len(rows)], form)
+        contexts, most = extent(form, len(rows))
+        coder = noter(new_model(*contexts), most)
+        code_values(rows, around, raw.reshape(-1), numbers, form, weights, coder)
+    return np.clip(weights, -_MOST, _MOST)

@@ -19,6 +19,7 @@ from octex.conversion.numbering import Leaves
 from octex.conversion.prune import Channels
 from octex.conversion.samples import UNIT, Samples, sample_points
 from octex.editing.split import split_in_vain, with_split, without_split
+from octex.field.blend import listed
 from octex.field.field import Field
 from octex.field.splines import QUADRATIC
 from octex.field.windows import BEGIN, INSIDE, Way, cell_at, follow, new_walk
@@ -87,7 +88,8 @@ def _in_sight(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor
         for begin in range(0, mixed.size, _BLOCK):
             some = mixed[begin : begin + _BLOCK]
             normals = samples.normals[some].astype(np.float32)
-            for taps in field.batches(sample_points(samples, some, UNIT), UNIT, normals=normals):
+            for each in field.runs(sample_points(samples, some, UNIT), UNIT, normals=normals):
+                taps = listed(each, 1.0)
                 used = slice(0, taps.starts[-1])
                 rows = taps.rows[used][taps.weights[used] >= _LEAST_WEIGHT].astype(np.int64)
                 in_table = rows >= tree.n_cells

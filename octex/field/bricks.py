@@ -31,7 +31,7 @@ from octex.field.windows import MOST_TAPS, Way, kept_row, new_walk
 from octex.jit import fused_kernel, inlined, popcount, prefetch, refine_rows, trailing_zeros, weighted_cube
 from octex.tree.children import children
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
-from octex.tree.order import AHEAD, Order, end_of_cell, sort_by_digit
+from octex.tree.order import AHEAD, end_of_cell
 
 # Where blocks lie in `Bricks.rows`, in cells: first a 4³ for each level, then those of the brick.
 _AT_SIX = 64 * (MAX_DEPTH + 2)
@@ -70,7 +70,6 @@ class Bricks(NamedTuple):
     n_inner: Int64s  # (4,)
     ends: Int64s  # (MAX_DEPTH + 2,)   where the points of the cell of each level end
     split: Bools  # (MAX_DEPTH + 2,)   whether that cell is split
-    counts: Int64s  # (513,)   for sorting
 
 
 def new_bricks() -> Bricks:
@@ -87,7 +86,6 @@ def new_bricks() -> Bricks:
         np.zeros(4, np.int64),
         np.zeros(levels, np.int64),
         np.zeros(levels, np.bool_),
-        np.zeros(513, np.int64),
     )
 
 
@@ -316,6 +314,9 @@ def _enter(way: Way, values: Values, bricks: Bricks, planes: int) -> None:
         _write_value(values, bricks, middle, row, planes, np.float32(1.0))
 
 
+#: Cells of this level are not split: their points are walked to. The number of a point has so many bits.
+SORTED, NUMBER_BITS = 15, 18
+_NUMBER = (1 << NUMBER_BITS) - 1
 #: Points in a cell for which a brick is not worth its while: a walk takes longer where coefficients are kept.
 _FEW, _FEW_KEPT = 8, 2
 
@@ -324,7 +325,7 @@ class Asked(NamedTuple):
     """What is asked, and answered."""
 
     places: Float64s  # (n, 3)   in texture space
-    order: Order  # of the places
+    keys: Int64s  # (n,)   ascending: of each the Morton code of level SORTED << NUMBER_BITS | its number
     results: Float32s  # (n · components,)   the mean of the channel
     components: int
     missed: Int32s  # (n,)   points that are not answered
@@ -384,13 +385,13 @@ def _blend_brick(
     n_missed: int,
 ) -> int:
     """Answer points from a block of a level, whose first cell is ``low``; return how many are missed."""
-    rows, places, numbers = bricks.rows, asked.places, asked.order.numbers
+    rows, places, keys = bricks.rows, asked.places, asked.keys
     cells = np.float64(np.int64(1) << level)
     for m in range(begin, end):
-        ahead = int(numbers[min(m + AHEAD, numbers.size - 1)])
+        ahead = int(keys[min(m + AHEAD, keys.size - 1)] & _NUMBER)
         prefetch(places, ahead)
         prefetch(asked.results, ahead * asked.components)
-        n = np.uint64(numbers[m])
+        n = np.uint64(keys[m] & _NUMBER)
         x = (places[n, 0] + 1.0 - 1.0) * cells
         y = (places[n, 1] + 1.0 - 1.0) * cells
         z = (places[n, 2] + 1.0 - 1.0) * cells
@@ -415,8 +416,7 @@ def look_up_crowded(
 
     These lie off the surface, or nearly, or where alpha is zero. ``bricks`` are new.
     """
-    ends, split, order = bricks.ends, bricks.split, asked.order
-    places, numbers = order.codes, order.numbers
+    ends, split, keys = bricks.ends, bricks.split, asked.keys
     values = Values(flat_of(codes), flat_of(alpha), codes.values.shape[1])
     planes, few = 1, _FEW_KEPT if kept_cells.size > 0 else _FEW
     if values.components > 3 or (values.alpha.values.size > 0 and kept_cells.size > 0):
@@ -424,9 +424,9 @@ def look_up_crowded(
     way, found = Way(arrays, kept_cells, new_walk(), QUADRATIC, 2, 1, False), new_taps(1, MOST_TAPS, False)
     _enter(way, values, bricks, planes)
     level, begin, n_missed = 0, 0, 0
-    ends[0], split[0] = places.size, False
+    ends[0], split[0] = keys.size, False
     path = np.zeros((MAX_DEPTH + 2, 4), np.int64)  # the cell of each level, and its octant
-    while begin < places.size:
+    while begin < keys.size:
         while begin >= ends[level]:
             level -= 1
         end = ends[level]
@@ -451,20 +451,18 @@ def look_up_crowded(
                     n_missed = _blend_brick(bricks, *task, asked, begin, end, n_missed)
                     begin = end
                     continue
-                is_done = level >= MAX_DEPTH
+                is_done = level >= SORTED
             if is_done:
                 for m in range(begin, end):
-                    n_missed = _answer_by_walk(values, way, found, asked, int(numbers[m]), n_missed)
+                    n_missed = _answer_by_walk(values, way, found, asked, int(keys[m] & _NUMBER), n_missed)
                 begin = end
                 continue
             _note_nodes(bricks, level + 1)
-            if level % 3 == 0:
-                sort_by_digit(order, begin, end, 3 * (MAX_DEPTH - level - 3), bricks.counts)
             split[level] = True
         level += 1
-        shift = 3 * (MAX_DEPTH - level)
-        ends[level], split[level] = end_of_cell(places, begin, end, shift), False
-        octant = places[begin] >> shift & 7
+        shift = NUMBER_BITS + 3 * (SORTED - level)
+        ends[level], split[level] = end_of_cell(keys, begin, end, shift), False
+        octant = keys[begin] >> shift & 7
         path[level, 0], path[level, 1] = 2 * i + (octant & 1), 2 * j + (octant >> 1 & 1)
         path[level, 2], path[level, 3] = 2 * k + (octant >> 2), octant
     return n_missed

@@ -11,7 +11,6 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, bit_counts
 from octex.errors import TextureFileError
-from octex.field.blend import Listed, joined, listed
 from octex.field.neighborhood import walked_taps
 from octex.field.sources import FINDERS
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
@@ -48,7 +47,7 @@ _NO_FACINGS = Facings(NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
 
 
 class NotFiniteError(ValueError):
-    """A position that is not finite: the row of it."""
+    """A position that is not finite; raised by all that looks points up."""
 
     def __init__(self, row: int) -> None:
         super().__init__(f"points[{row}] is not finite")
@@ -154,28 +153,6 @@ class Field:
                 )
             yield above
 
-    def taps(
-        self, points: Floats, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
-    ) -> Listed:
-        """List the taps of rest positions (n, 3), with their slopes if ``gradient``.
-
-        Raises NotFiniteError.
-        """
-        return joined(list(self.batches(points, placement, filter, gradient=gradient)))
-
-    def batches(
-        self,
-        points: Floats,
-        placement: Placement,
-        filter: str = "quadratic",
-        *,
-        normals: Float32s | None = None,
-        gradient: bool = False,
-    ) -> Iterator[Listed]:
-        """Yield the taps of consecutive runs of rest positions. See ``runs``."""
-        for taps in self.runs(points, placement, filter, normals=normals, gradient=gradient):
-            yield listed(taps, 1.0 / placement.size)
-
     def runs(
         self,
         points: Floats,
@@ -183,14 +160,13 @@ class Field:
         filter: str = "quadratic",
         *,
         normals: Float32s | None = None,
-        gradient: bool = False,
     ) -> Iterator[Taps]:
         """Yield what runs of rest positions (n, 3) blend, as it is found: valid until the next run.
 
         With ``normals`` (n, 3) it is what faces these; after the kept rows come those of the split table.
         Raises NotFiniteError.
         """
-        finder = Finder(self, placement, filter, gradient=gradient)
+        finder = Finder(self, placement, filter)
         for _, taps in finder.blocks(points, self.weighing(self, normals is not None), normals):
             yield taps
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint32s
 from octex.field.blend import Listed, joined, listed
-from octex.field.field import Field, NotFiniteError
+from octex.field.field import NotFiniteError
 from octex.field.footprints import NO_SLOPES
-from octex.field.lookups import ChannelRows, Lookup, Query
+from octex.field.lookups import Lookup
 from octex.field.taps import Taps, place_points
 from octex.tree.morton import encode_cells
 from octex.tree.octree import distinct
-from octex.tree.placement import Placement
 from octex.tree.search import Positions
 
 _NO_ROWS, _NO_COVERS = np.empty(0, np.uint32), np.empty(0, np.float32)
@@ -32,19 +31,6 @@ class TapList(NamedTuple):
     weights: Float32s  # (taps,)   1 in sum for each point
 
 
-def list_blends(
-    field: Field,
-    placement: Placement,
-    points: Floats,
-    query: Query,
-    channel: ChannelRows,
-    alpha: ChannelRows | None,
-) -> Listed:
-    """List what `lookups.look_up` blends of a channel. Raises NotFiniteError."""
-    task = _Listing(field, placement, query, [channel], alpha, [], [])
-    return task.leaves_listed(points) if query.footprints is None else task.footprints_listed(points)
-
-
 class Reads(NamedTuple):
     """What lookups of a channel read at a level."""
 
@@ -52,37 +38,20 @@ class Reads(NamedTuple):
     cells: Int64s  # (m,)   the Morton codes of those that hold the looks' points, ascending
 
 
-def reads_of(
-    field: Field,
-    placement: Placement,
-    points: Floats,
-    query: Query,
-    channel: ChannelRows,
-    *,
-    cells_alone: bool = False,
-) -> dict[int, Reads]:
-    """Return what `lookups.look_up` reads of a channel, by the level looked at.
+class Listing(Lookup):
+    """Lookups of one channel, listed. All raise NotFiniteError."""
 
-    With ``cells_alone`` no rows, and only the cells that no content of the tree changes. Raises
-    NotFiniteError.
-    """
-    listing = _Listing(field, placement, query, [channel], None, [], [])
-    return listing.cells(points) if cells_alone else listing.reads(points)
+    def blends(self, points: Floats) -> Listed:
+        """List what is blended."""
+        return joined(list(self._leaves(points) if self._query.footprints is None else self._looks(points)))
 
-
-class _Listing(Lookup):
-    """Lookups of one channel."""
-
-    def leaves_listed(self, points: Floats) -> Listed:
-        found = []
+    def _leaves(self, points: Floats) -> Iterator[Listed]:
         for _, taps in self.each_block(points):
             self._weigh_all(taps, always=False)
-            found.append(listed(taps, 1.0))
-        return joined(found)
+            yield listed(taps, 1.0)
 
-    def footprints_listed(self, points: Floats) -> Listed:
+    def _looks(self, points: Floats) -> Iterator[Listed]:
         """List the blends of footprints: looks at all levels, added up."""
-        found = []
         for run, by_level in self.each_run(points):
             n_points = run.stop - run.start
             keys, parts = [np.empty(0, np.int64)], [np.empty(0)]
@@ -100,20 +69,18 @@ class _Listing(Lookup):
             owner, row, part = owner[is_any], row[is_any], part[is_any] / totals[owner[is_any]]
             if bare.size:  # alpha is zero throughout
                 numbers = run.start + bare
-                again = _Listing(
-                    *(self._field, self._placement, self._query.of(numbers), self._channels, None, [], [])
-                )
-                more = again.footprints_listed(points[numbers])
+                query = self._query.of(numbers)
+                again = Listing(self._field, self._placement, query, self._channels, None)
+                more = again.blends(points[numbers])
                 owner = np.concatenate([owner, np.repeat(bare, np.diff(more.starts))])
                 order = np.argsort(owner, kind="stable")
                 row = np.concatenate([row, more.rows])[order]
                 part = np.concatenate([part, more.weights])[order]
             starts = np.cumsum(np.append(0, np.bincount(owner, minlength=n_points)))
-            found.append(Listed(starts, row, part.astype(np.float32), NO_SLOPES, _NO_COVERS))
-        return joined(found)
+            yield Listed(starts, row, part.astype(np.float32), NO_SLOPES, _NO_COVERS)
 
     def reads(self, points: Floats) -> dict[int, Reads]:
-        """List what is read at each level."""
+        """List what is read, by the level looked at."""
         depth = self._field.depth
         if self._query.footprints is None:
             return joined_reads({depth: self._read(taps, depth)} for _, taps in self.each_block(points))
@@ -121,20 +88,18 @@ class _Listing(Lookup):
         return joined_reads({level: self._read(taps, level)} for level, _, taps in looks)
 
     def cells(self, points: Floats) -> dict[int, Reads]:
-        """List the cells that hold points that are looked at, at each level, whatever is stored."""
-        depth = self._field.depth
-        places = np.empty((len(points), 3))
-        fault = place_points(Positions.of(points), *self._placement, places)
-        if fault >= 0:
-            raise NotFiniteError(fault)
-        if self._query.footprints is None:
-            return {depth: Reads(_NO_ROWS, _cells_at(places, depth))}
+        """List like ``reads`` the cells alone, only those that no content of the tree changes."""
+        looks: Iterable[tuple[int, Floats]] = [(self._field.depth, points)]
+        if self._query.footprints is not None:
+            runs = self.each_run(points)
+            looks = ((level, some.points) for _, by_level in runs for level, some in by_level.items())
         found = []
-        for _, by_level in self.each_run(points):
-            for level, looks in by_level.items():
-                places = np.empty((len(looks.points), 3))
-                place_points(Positions.of(looks.points), *self._placement, places)
-                found.append({level: Reads(_NO_ROWS, _cells_at(places, level))})
+        for level, own in looks:
+            places = np.empty((len(own), 3))
+            fault = place_points(Positions.of(own), *self._placement, places)
+            if fault >= 0:
+                raise NotFiniteError(fault)
+            found.append({level: Reads(_NO_ROWS, _cells_at(places, level))})
         return joined_reads(found)
 
     def _read(self, taps: Taps, level: int) -> Reads:

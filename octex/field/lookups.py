@@ -12,7 +12,7 @@ import numpy as np
 from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
-from octex.field.bricks import Asked, look_up_crowded, new_bricks
+from octex.field.bricks import NUMBER_BITS, SORTED, Asked, look_up_crowded, new_bricks
 from octex.field.field import NO_BYTES, NO_LEFT, NO_VECTORS, Field, Finder, NotFiniteError, positions
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
@@ -21,7 +21,7 @@ from octex.field.tiled import Additions, Search, Weighed, look_up_tiled
 from octex.field.values import Codes
 from octex.field.weights import Weighing
 from octex.jit import direct, unlocked
-from octex.tree.order import order_of, put_rows
+from octex.tree.order import keys_of, put_rows
 from octex.tree.placement import Placement
 
 #: Points for which it is worth while to sort them.
@@ -66,74 +66,12 @@ class ChannelRows(NamedTuple):
     is_alpha: bool
 
 
-def look_up(
-    field: Field,
-    placement: Placement,
-    points: Floats,
-    query: Query,
-    channels: Sequence[ChannelRows],
-    alpha: ChannelRows | None,
-    answers: Sequence[Float32s],
-    gradients: Sequence[Float32s],
-) -> int:
-    """Write the field of channels at rest positions (n, 3) to ``answers`` (n, components), decoded.
-
-    ``gradients`` (n, components, 3) or none. Channels that are not alpha weigh by it, if there is one, except
-    where it is zero throughout. Returns the first row of points that is not finite, or −1.
-    """
-    if not channels:
-        return -1
-    task = Lookup(field, placement, query, channels, alpha, answers, gradients)
-    try:
-        if query.footprints is not None:
-            task.footprints(points)
-        elif len(channels) == 1 or not task.is_sortable(len(points)):
-            task.at(points)
-        else:
-            for channel, answer in zip(channels, answers, strict=True):
-                Lookup(field, placement, query, [channel], alpha, [answer], ()).at(points)
-    except NotFiniteError as error:
-        return error.row
-    return -1
-
-
-class PlainLookup:
-    """Leaves of one channel looked up by tiles, again and again: what points do not change is prepared."""
-
-    def __init__(self, search: Search, placement: Placement, channel: Weighed) -> None:
-        self._before = placement.origin, placement.size, NO_VECTORS, channel
-        self._search = search
-        self._components = channel.codes.values.shape[1]
-
-    def at(self, points: Floats) -> Float32s | None:
-        """Return the values at rest positions (n, 3), float32 or float64, as kernels take them.
-
-        None where the leaves alone do not answer: `look_up` does, or finds what is wrong.
-        """
-        n = len(points)
-        answer = np.empty((n, self._components), np.float32)
-        lost = np.empty((2, n), np.int64)
-        given = *positions(points), *self._before, answer, _NO_GRADIENTS
-        found = _look_up_tiled(self._search, *given, NO_ADDITIONS, lost)
-        return answer if found == _ALL_FOUND else None
-
-
-def plain_lookup(
-    field: Field, placement: Placement, filter: str, channel: ChannelRows, alpha: ChannelRows | None
-) -> PlainLookup | None:
-    """Prepare plain lookups of a channel; None where leaves are not looked up by tiles."""
-    task = Lookup(field, placement, Query(filter), [channel], alpha, [], [])
-    if not task.is_tiled:
-        return None
-    assert task._channel is not None
-    code = FILTERS.index(filter)
-    by = task.weighing(field)
-    search = Search(code, next(field.searched(code)), field.n_cells - 1, False, by)
-    return PlainLookup(search, placement, task._channel)
-
-
 class Lookup:
-    """One lookup: what is the same for all its blocks of points."""
+    """One lookup: what is the same for all its blocks of points.
+
+    Channels that are not alpha weigh by it, if there is one, except where it is zero throughout. ``answers``
+    (n, components) take their values, decoded, and ``gradients`` (n, components, 3), or none, those.
+    """
 
     def __init__(
         self,
@@ -142,8 +80,8 @@ class Lookup:
         query: Query,
         channels: Sequence[ChannelRows],
         alpha: ChannelRows | None,
-        answers: Sequence[Float32s],
-        gradients: Sequence[Float32s],
+        answers: Sequence[Float32s] = (),
+        gradients: Sequence[Float32s] = (),
     ) -> None:
         self._field = field
         self._placement = placement
@@ -177,17 +115,44 @@ class Lookup:
         """Say whether so many points are looked up by bricks, a channel after the other."""
         query, spaces = self._query, set(map(attrgetter("space"), self._channels))
         is_bare = query.normals is None and not self._gradients and query.filter == "quadratic"
-        has_bricks = self._field.tiles is None and count >= _LEAST_SORTED
+        has_bricks = self._field.tiles is None and _LEAST_SORTED <= count < 1 << NUMBER_BITS
         return is_bare and has_bricks and {*spaces, self._alpha and self._alpha.space} == {None}
 
     def at(self, points: Floats) -> None:
-        """Look up the leaves in the way that suits. Raises NotFiniteError, as all lookups do."""
-        if not self.is_tiled:
+        """Look up rest positions (n, 3) in the way that suits. Raises NotFiniteError, as all lookups do."""
+        if self._query.footprints is not None:
+            self.footprints(points)
+        elif len(self._channels) > 1 and self.is_sortable(len(points)):
+            for channel, answer in zip(self._channels, self._answers, strict=True):
+                Lookup(self._field, self._placement, self._query, [channel], self._alpha, [answer]).at(points)
+        elif not self.is_tiled:
             self.untiled(points)
-            return
-        rim = self._by_tiles(self._field, points, NO_ADDITIONS, self._query.normals)
-        if rim.size:
-            self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
+        else:
+            rim = self._by_tiles(self._field, points, NO_ADDITIONS, self._query.normals)
+            if rim.size:
+                self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
+
+    def plain(self) -> Callable[[Floats], Float32s | None] | None:
+        """Prepare lookups of leaves by tiles, for few points again and again; None where there are none.
+
+        What is returned takes rest positions as kernels do. It returns None where the leaves alone do not
+        answer: `at` does, or finds what is wrong.
+        """
+        if not self.is_tiled or self._channel is None:
+            return None
+        code, components = FILTERS.index(self._query.filter), self._channel.codes.values.shape[1]
+        tiles = next(self._field.searched(code))
+        search = Search(code, tiles, self._field.n_cells - 1, False, self.weighing(self._field))
+        before = self._placement.origin, self._placement.size, NO_VECTORS, self._channel
+
+        def found(points: Floats) -> Float32s | None:
+            answer = np.empty((len(points), components), np.float32)
+            lost = np.empty((2, len(points)), np.int64)
+            given = *positions(points), *before, answer, _NO_GRADIENTS
+            is_all = _look_up_tiled(search, *given, NO_ADDITIONS, lost) == _ALL_FOUND
+            return answer if is_all else None
+
+        return found
 
     def untiled(self, points: Floats) -> None:
         """Look up the leaves without tiles."""
@@ -206,7 +171,9 @@ class Lookup:
         fault = place_points(positions(points), *self._placement, places)
         if fault >= 0:
             raise NotFiniteError(fault)
-        asked = Asked(places, order_of(places), results.reshape(-1), results.shape[1], missed)
+        keys = keys_of(places, SORTED, NUMBER_BITS)
+        keys.sort()
+        asked = Asked(places, keys, results.reshape(-1), results.shape[1], missed)
         tree = self._field.tree
         n_missed = look_up_crowded(tree.arrays, tree.kept.cells, channel.codes, alpha, asked, new_bricks())
         if n_missed:
@@ -258,8 +225,8 @@ class Lookup:
                 slopes = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
                 facing = facing if normals is None else np.take(normals, which, axis=0)
         lost = np.empty((2, len(points)), np.int64)
-        given = *positions(points), *self._placement, unlocked(facing), self._channel, own, slopes
-        n_empty, n_rim, fault = _look_up_tiled(search, *given, some, lost)
+        where = *positions(points), *self._placement, unlocked(facing)
+        n_empty, n_rim, fault = _look_up_tiled(search, *where, self._channel, own, slopes, some, lost)
         if fault >= 0:
             raise NotFiniteError(fault)
         empty, rim = lost[0, :n_empty], lost[1, :n_rim]

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple, Protocol, TypedDict
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Float32s, Uint8s
+from octex.arrays import Array, Float32s, Floats, Uint8s
 from octex.checks import as_array, as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
 from octex.field.field import Field, NotFiniteError
 from octex.field.footprints import ROUND, Footprints, long_footprints
-from octex.field.listing import list_blends, reads_of
-from octex.field.lookups import ChannelRows, PlainLookup, Query, look_up, plain_lookup
+from octex.field.listing import Listing
+from octex.field.lookups import ChannelRows, Lookup, Query
 from octex.field.splines import FILTERS
 from octex.parallel import Run, ordered_map, workers
 from octex.texture.channel import NO_GRADIENTS, Channel, make_unit, mixed_cells, stored
@@ -37,9 +37,8 @@ MOST_ANISOTROPY = 256.0
 Names = str | list[str] | tuple[str, ...]
 #: What is given of points: arrays of a row each by name, "points" (n, 3) among them.
 Given = Mapping[str, Array]
-#: Looks up the points of a block, writes to arrays of as many rows, and returns the first row of points that
-#: is not finite or −1, or raises NotFiniteError.
-LookUp = Callable[[Given, list[Array]], int]
+#: Looks up the points of a block and writes to arrays of as many rows. Raises NotFiniteError.
+LookUp = Callable[[Given, list[Array]], None]
 
 #: Points looked up at once: what is kept of them stays in the processor's cache, and a thread that takes them
 #: is busy for a millisecond or more, beside which handing them over (50 µs) is little.
@@ -303,10 +302,10 @@ def _checked_block(look_up: LookUp, block: _Block) -> tuple[_Fault | None, list[
         if not sound.all():
             return (name, int(np.argmin(sound)) // (array.size // len(array))), answers
     try:
-        row = look_up(taken, answers)
+        look_up(taken, answers)
     except NotFiniteError as error:
-        row = error.row
-    return (("points", row) if row >= 0 else None), answers
+        return ("points", error.row), answers
+    return None, answers
 
 
 def _as_kernels_take_it(array: Array) -> Array:
@@ -401,7 +400,7 @@ class Lookups:
         self.components = {name: channel.format.components for name, channel in channels.items()}
         self._tree, self._channels, self._placement = tree, channels, placement
         self._mixed: dict[tuple[str, int], tuple[float, Uint8s]] = {}
-        self._plain: dict[tuple[str, str], PlainLookup | None] = {}
+        self._plain: dict[tuple[str, str], Callable[[Floats], Float32s | None] | None] = {}
         self._stored: dict[str, ChannelRows] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -430,10 +429,10 @@ class Lookups:
                 plain = None
                 if self._channels[name].format.space != "direction":  # those are made unit vectors
                     (read,), alpha = self.rows_of(name)
-                    plain = plain_lookup(self.field, self._placement, filter, read, alpha)
+                    plain = Lookup(self.field, self._placement, Query(filter), [read], alpha).plain()
                 self._plain[key] = plain
             known = self._plain[key]
-            found = None if known is None else known.at(points)
+            found = None if known is None else known(points)
             if found is None:
                 return None
             values[name] = found
@@ -441,42 +440,42 @@ class Lookups:
 
     def look_up(
         self, names: list[str], lens: Lens, normalize: bool, given: Given, answers: list[Array]
-    ) -> int:
+    ) -> None:
         """Look up a block, as a LookUp: write its values to ``answers``, and as many gradients if wanted."""
         if not names:
-            return -1
+            return
         values, gradients = answers[: len(names)], answers[len(names) :]
         read, alpha = self.rows_of(*names)
-        task = self.field, self._placement, given["points"]
-        query = self.query(lens, given, names[0])
-        if len(names) == 1 or query.mixed is None:
-            fault = look_up(*task, query, read, alpha, values, gradients)
-        else:  # each channel mixes facings in cells of its own
-            for n, name in enumerate(names):
-                query, one = self.query(lens, given, name), slice(n, n + 1)
-                fault = look_up(*task, query, read[one], alpha, values[one], gradients[one])
-        for number, name in enumerate(names if fault < 0 and normalize else ()):
+        parts = [(names[0], slice(None))]
+        if self.query(lens, given, names[0]).mixed is not None:  # each channel mixes in cells of its own
+            numbers = range(len(names) + 1)
+            parts = list(zip(names, map(slice, numbers, numbers[1:]), strict=False))
+        for name, some in parts:
+            task = self.query(lens, given, name), read[some], alpha, values[some], gradients[some]
+            Lookup(self.field, self._placement, *task).at(given["points"])
+        for number, name in enumerate(names if normalize else ()):
             if self._channels[name].format.space == "direction":
                 make_unit(values[number], gradients[number] if gradients else NO_GRADIENTS)
-        return fault
 
-    def list_taps(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> int:
+    def list_taps(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> None:
         """Add the taps of a block to ``answers``, as a LookUp."""
-        query, ((read,), alpha) = self.query(lens, given, name), self.rows_of(name)
-        answers += list_blends(self.field, self._placement, given["points"], query, read, alpha)
-        return -1
+        query, (read, alpha) = self.query(lens, given, name), self.rows_of(name)
+        answers += Listing(self.field, self._placement, query, read, alpha).blends(given["points"])
 
-    def list_reads(self, name: str, lens: Lens, cells_alone: bool, given: Given, answers: list[Array]) -> int:
+    def list_reads(
+        self, name: str, lens: Lens, cells_alone: bool, given: Given, answers: list[Array]
+    ) -> None:
         """Add the levels that a block looks at, and what it reads of each, to ``answers``, as a LookUp."""
-        query, ((read,), _) = self.query(lens, given, name), self.rows_of(name)
-        task = self.field, self._placement, given["points"], query, read
-        found = reads_of(*task, cells_alone=cells_alone)
+        query, (read, _) = self.query(lens, given, name), self.rows_of(name)
+        listing = Listing(self.field, self._placement, query, read, None)
+        found = (listing.cells if cells_alone else listing.reads)(given["points"])
         answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
-        return -1
 
-    def hold(self, given: Given, answers: list[Array]) -> int:
+    def hold(self, given: Given, answers: list[Array]) -> None:
         """Say of a block of points whether leaves hold them, as a LookUp."""
-        return in_leaves(self._tree.arrays, Positions.of(given["points"]), *self._placement, answers[0])
+        fault = in_leaves(self._tree.arrays, Positions.of(given["points"]), *self._placement, answers[0])
+        if fault >= 0:
+            raise NotFiniteError(fault)
 
     def query(self, lens: Lens, given: Given, name: str) -> Query:
         """Return what is asked of a block of points of a channel."""

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from octex.arrays import Array, Bools, Float32s, Int64s
 from octex.checks import as_array, as_choice, as_entries, as_flag, as_path
 from octex.errors import ArgumentError, TextureFileError
+from octex.field.field import NotFiniteError
 from octex.parallel import Run, as_run
 from octex.texture.folder import FORMAT, FORMAT_VERSION, read_index, write_folder
 from octex.texture.lookup import (
@@ -298,21 +299,24 @@ def _of_part(question: Question, part: int) -> Question:
     return question._replace(given={name: array[sound] for name, array in own.items()})
 
 
-def _by_part(look_ups: Mapping[int, LookUp], given: Given, answers: list[Array]) -> int:
-    """Look up a block of points, each as its part is looked up; return the first faulty row or −1."""
+def _by_part(look_ups: Mapping[int, LookUp], given: Given, answers: list[Array]) -> None:
+    """Look up a block of points, each as its part is looked up. Raises NotFiniteError for the first row."""
     parts = given["parts"].astype(np.int64)
     own = {name: array for name, array in given.items() if name != "parts"}
     order = np.argsort(parts, kind="stable")
     starts = np.flatnonzero(np.diff(parts[order]))
     if not starts.size:
-        return look_ups[int(parts[0])](own, answers)
+        look_ups[int(parts[0])](own, answers)
+        return
     faults = []
     for rows in np.split(order, starts + 1):
         taken = {name: array[rows] for name, array in own.items()}
         found = [np.empty((len(rows), *answer.shape[1:]), answer.dtype) for answer in answers]
-        fault = look_ups[int(parts[rows[0]])](taken, found)
-        if fault >= 0:
-            faults.append(int(rows[fault]))
+        try:
+            look_ups[int(parts[rows[0]])](taken, found)
+        except NotFiniteError as error:
+            faults.append(int(rows[error.row]))
         for answer, values in zip(answers, found, strict=True):
             answer[rows] = values
-    return min(faults, default=-1)
+    if faults:
+        raise NotFiniteError(min(faults))

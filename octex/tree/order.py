@@ -1,23 +1,18 @@
 """Points in Morton order.
 
 Of many points in one call those that lie close together share most of what a lookup reads. They are sorted
-first by coarse cells, all of the call, so that blocks of them are compact; then, in each block, by three
-levels at a time where a cell is split.
+first by coarse cells, all of the call, so that blocks of them are compact; then by fine ones in each block.
 """
 
 from __future__ import annotations
-
-from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s
 from octex.jit import inlined, kernel, prefetch
 from octex.tree.morton import encode
-from octex.tree.search import UNITS, Origin, Positions, count_of, finite_place
+from octex.tree.search import Origin, Positions, count_of, finite_place
 
-#: Fewer points than this are sorted one by one.
-_SORTED_SINGLY = 24
 #: How far ahead points are asked for.
 AHEAD = 16
 #: Level of the cells by which many points are sorted before any is looked up; and how many of them that come
@@ -26,24 +21,17 @@ _COARSE = 4
 _RUN = 8
 
 
-class Order(NamedTuple):
-    """Points on their way to being sorted by Morton code, and as much room for that."""
-
-    codes: Int64s  # (n,)
-    numbers: Int32s  # (n,)   which points these are
-    other_codes: Int64s  # (n,)
-    other_numbers: Int32s  # (n,)
-
-
 @kernel
-def order_of(places: Float64s) -> Order:
-    """Return points of texture space (n, 3) unsorted."""
-    n = places.shape[0]
-    order = Order(np.empty(n, np.int64), np.empty(n, np.int32), np.empty(n, np.int64), np.empty(n, np.int32))
-    for m in range(n):
-        i, j, k = cell_of(places[m, 0], UNITS), cell_of(places[m, 1], UNITS), cell_of(places[m, 2], UNITS)
-        order.codes[m], order.numbers[m] = encode(i, j, k), m
-    return order
+def keys_of(places: Float64s, level: int, bits: int) -> Int64s:
+    """Return for points of texture space (n, 3) the Morton code of their cells of a level << bits | number.
+
+    Sorting these takes a sixth of the time of numpy's argsort.
+    """
+    keys, cells = np.empty(places.shape[0], np.int64), 1 << level
+    for n in range(keys.size):
+        x, y, z = places[n, 0], places[n, 1], places[n, 2]
+        keys[n] = encode(cell_of(x, cells), cell_of(y, cells), cell_of(z, cells)) << bits | n
+    return keys
 
 
 @kernel
@@ -98,54 +86,18 @@ def cell_of(x: float, cells: int) -> int:
 
 
 @inlined
-def sort_by_digit(order: Order, begin: int, end: int, shift: int, counts: Int64s) -> None:
-    """Sort points by nine bits of their codes."""
-    codes, numbers = order.codes, order.numbers
-    if end - begin < _SORTED_SINGLY:
-        for m in range(begin + 1, end):
-            code, number = codes[m], numbers[m]
-            key, at = code >> shift, m
-            while at > begin and codes[at - 1] >> shift > key:
-                codes[at], numbers[at] = codes[at - 1], numbers[at - 1]
-                at -= 1
-            codes[at], numbers[at] = code, number
-        return
-    counts[:] = 0
-    previous, is_sorted = np.int64(0), True
-    for m in range(begin, end):
-        digit = codes[m] >> shift & 511
-        is_sorted &= bool(digit >= previous)
-        previous = digit
-        counts[np.uint64(digit + 1)] += 1
-    if is_sorted:
-        return
-    total = np.int64(begin)
-    for each in range(513):
-        total += counts[each]
-        counts[each] = total
-    for m in range(begin, end):
-        code = codes[m]
-        bucket = np.uint64(code >> shift & 511)
-        place = np.uint64(counts[bucket])
-        counts[bucket] += 1
-        order.other_codes[place], order.other_numbers[place] = code, numbers[m]
-    for m in range(begin, end):
-        codes[m], numbers[m] = order.other_codes[m], order.other_numbers[m]
-
-
-@inlined
-def end_of_cell(codes: Int64s, begin: int, end: int, shift: int) -> int:
-    """Return the end of the points from ``begin`` on that lie in one cell."""
-    key = codes[begin] >> shift
+def end_of_cell(keys: Int64s, begin: int, end: int, shift: int) -> int:
+    """Return the end of the keys from ``begin`` on that are alike but for so many bits."""
+    key = keys[begin] >> shift
     low, step = begin, 8
-    while low + step < end and codes[low + step] >> shift == key:
+    while low + step < end and keys[low + step] >> shift == key:
         low += step
         step *= 2
     high = min(low + step, end)  # there, or before, they end
     low += 1
     while low < high:
         middle = low + high >> 1
-        if codes[middle] >> shift == key:
+        if keys[middle] >> shift == key:
             low = middle + 1
         else:
             high = middle

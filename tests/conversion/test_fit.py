@@ -40,6 +40,7 @@ from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests.conftest import needs_jit
 from tests.make.small_surfaces import FACES, LIGHT, TETRAHEDRON, FaceSource, tetrahedron, whole
+from tests.make.taps import taps_of
 from tests.oracles import naive_fit
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0.2], [1, 1, 0.3], [0, 1, 0.1]])
@@ -102,7 +103,7 @@ def test_the_fit_is_the_least_squares_between_the_bounds(dtype: str) -> None:
         tree, channels = made.tree, made.channels
         found = fit.Fitter(samples, pool, silent).fit(tree, channels)
     chosen = np.arange(len(samples.shares))
-    taps = Field(tree).taps(sample_points(samples, chosen, placement), placement)
+    taps = taps_of(Field(tree), sample_points(samples, chosen, placement), placement)
     first = tree.n_cells - tree.n_leaves
     lookups = np.zeros((len(chosen), tree.n_leaves))
     np.add.at(lookups, (np.repeat(chosen, np.diff(taps.starts)), taps.rows - first), taps.weights)

@@ -31,6 +31,7 @@ from octex.tree.placement import Placement
 from octex.tree.search import Positions
 from tests.conftest import needs_jit
 from tests.make.strategies import Leaves, leaf_sets, points_around, with_random_data
+from tests.make.taps import taps_of
 from tests.oracles import naive
 
 UNIT = Placement((0.0, 0.0, 0.0), 1.0)
@@ -85,8 +86,8 @@ def test_weights_and_slopes_are_those_of_the_reference(filter: str, drawn: Drawn
     tree, points = drawn
     field = reference(tree, filter)
     n_rows = len(field.values)
-    plain = Field(tree).taps(points, UNIT, filter)
-    with_slopes = Field(tree).taps(points, UNIT, filter, gradient=True)
+    plain = taps_of(Field(tree), points, UNIT, filter)
+    with_slopes = taps_of(Field(tree), points, UNIT, filter, gradient=True)
     expected = np.array([field.at(point) for point in points.tolist()])
     for taps in (plain, with_slopes):
         np.testing.assert_allclose(spread(taps, taps.weights, n_rows), expected, rtol=0, atol=1e-6)
@@ -112,7 +113,7 @@ def test_weights_are_never_negative_and_sum_to_one(filter: str, depth: int) -> N
     halves = random.integers(0, 8, (2_000, 3)) / 2
     steps = halves + random.normal(size=(2_000, 3)) * random.choice([0, 1e-4, 1e-3, 0.3], (2_000, 3))
     for tree in (Octree.from_leaves(codes, depth), Octree.from_leaves(codes[::3], depth)):
-        taps = Field(tree).taps((places[0] + steps) / 2.0**depth, UNIT, filter)
+        taps = taps_of(Field(tree), (places[0] + steps) / 2.0**depth, UNIT, filter)
         assert taps.weights.min() >= 0
         assert np.abs(blended(taps, np.ones((tree.n_cells, 1))) - 1).max() <= 1e-6
 
@@ -149,7 +150,7 @@ def test_values_on_and_beside_a_sphere_are_those_of_the_reference(
     beside = 1 + 0.2 * random.random((120, 1)) * (random.random((120, 1)) < 0.2)
     placement = Placement((-3.0, 0.5, 10.0), 4.0)
     points = placement.to_rest(0.5 + (on_sphere(directions) - 0.5) * beside).astype(dtype)
-    taps = Field(tree).taps(points, placement, filter)
+    taps = taps_of(Field(tree), points, placement, filter)
     expected = [field.at(point) for point in placement.to_texture_space(points).tolist()]
     np.testing.assert_allclose(blended(taps, values), expected, rtol=0, atol=1e-5)
 
@@ -165,12 +166,12 @@ def test_taps_do_not_depend_on_the_points_before_them(
     points = on_sphere(random.normal(size=(2_000, 3)))
     order = random.permutation(len(points))
     values = random.random((tree.n_cells, 1))
-    found = blended(Field(tree).taps(points, UNIT, filter), values)
+    found = blended(taps_of(Field(tree), points, UNIT, filter), values)
     monkeypatch.setattr("octex.field.field.BLOCK", 100)
     monkeypatch.setattr("octex.field.field._WALKED", 1)
     field = Field(tree)
-    again = field.taps(points[order], UNIT, filter)
-    assert len(list(field.batches(points, UNIT, filter))) > 1
+    again = taps_of(field, points[order], UNIT, filter)
+    assert len(list(field.runs(points, UNIT, filter))) > 1
     assert (found[order] == blended(again, values)).all()
 
 
@@ -208,7 +209,7 @@ def test_blends_and_covers_are_those_of_the_reference(filter: str, drawn: Drawn,
 @each_filter
 def test_no_points_have_no_taps(filter: str) -> None:
     for gradient in (False, True):
-        taps = Field(shell(3, 3)).taps(np.empty((0, 3)), UNIT, filter, gradient=gradient)
+        taps = taps_of(Field(shell(3, 3)), np.empty((0, 3)), UNIT, filter, gradient=gradient)
         assert taps.starts.tolist() == [0]
         assert taps.rows.size == taps.weights.size == len(taps.slopes) == 0
 
@@ -219,7 +220,7 @@ def test_a_point_that_is_not_finite_is_named(wrong: float, gradient: bool) -> No
     points = np.full((40, 3), 0.5)
     points[[23, 31], 1] = wrong
     with pytest.raises(NotFiniteError, match=r"points\[23\]") as caught:
-        Field(shell(3, 3)).taps(points, UNIT, gradient=gradient)
+        taps_of(Field(shell(3, 3)), points, UNIT, gradient=gradient)
     assert caught.value.row == 23
 
 
@@ -227,7 +228,7 @@ def test_outside_the_root_slopes_are_those_of_the_nearest_point_inside() -> None
     tree = Octree.from_leaves([0, 7], 1)
     outside = np.array([[1.5, 0.25, -0.5]])
     found, inside = (
-        Field(tree).taps(points, UNIT, gradient=True) for points in (outside, outside.clip(0, 1))
+        taps_of(Field(tree), points, UNIT, gradient=True) for points in (outside, outside.clip(0, 1))
     )
     assert all((one == other).all() for one, other in zip(found, inside, strict=True))
 
@@ -252,7 +253,7 @@ def test_threads_build_what_they_share_once(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("octex.field.field.build_tiles", tiled)
     field, start = Field(tree), Barrier(4)
     with ThreadPoolExecutor(4) as threads:
-        found = list(threads.map(lambda _: (start.wait(), field.taps(points, UNIT)), range(4)))
+        found = list(threads.map(lambda _: (start.wait(), taps_of(field, points, UNIT)), range(4)))
     assert len(built) == len(set(built)) > tree.max_depth
     assert all(np.array_equal(taps.rows, found[0][1].rows) for _, taps in found)
 
@@ -261,11 +262,11 @@ def test_the_field_of_a_level_does_not_keep_the_whole_one() -> None:
     tree, points = off_the_surface()
     field = Field(tree)
     level, whole = field.level(3), ref(field)
-    expected = level.taps(points, UNIT)
+    expected = taps_of(level, points, UNIT)
     del field
     gc.collect()
     assert whole() is None
-    assert np.array_equal(level.taps(points, UNIT).rows, expected.rows)
+    assert np.array_equal(taps_of(level, points, UNIT).rows, expected.rows)
     assert level.level(2) is level.level(2)
 
 

@@ -32,6 +32,7 @@ from tests.make.same import assert_equal
 from tests.make.small_surfaces import bent
 from tests.make.small_textures import UNIT, UNIT_BOUNDS, shell
 from tests.make.strategies import with_random_data
+from tests.make.taps import taps_of
 
 POINTS = np.random.default_rng(0).random((40, 3))
 
@@ -83,7 +84,7 @@ def test_textures_and_sets_and_fields_are_copied_and_pickled(
             assert_equal(made[name], parts[name])
     field = copied(Field(shell(2).tree))
     assert isinstance(field, Field)
-    assert np.array_equal(field.taps(POINTS, UNIT).rows, Field(shell(2).tree).taps(POINTS, UNIT).rows)
+    assert np.array_equal(taps_of(field, POINTS, UNIT).rows, taps_of(Field(shell(2).tree), POINTS, UNIT).rows)
 
 
 def test_what_a_file_has_besides_travels_too(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import Positions, child, in_leaves, nearest_cells
 from tests.make.strategies import Leaves, leaf_sets, points_around
+from tests.make.taps import taps_of
 from tests.oracles import naive
 
 UNIT = ((0.0, 0.0, 0.0), 1.0)
@@ -144,4 +145,4 @@ def test_points_between_two_steps_lie_in_one_cell_however_they_are_asked_for() -
     inside = np.empty(len(points), np.bool_)
     in_leaves(tree.arrays, Positions.of(points), *placement, inside)
     np.testing.assert_array_equal(inside, steps >> 20 & 1 == 0)
-    np.testing.assert_array_equal(Field(tree).taps(points, placement, "nearest").covers > 0, inside)
+    np.testing.assert_array_equal(taps_of(Field(tree), points, placement, "nearest").covers > 0, inside)
