@@ -600,7 +600,7 @@ def test_the_view_is_of_the_channel_alone(scene: Scene, tmp_path: Path, cli: Cli
 def test_without_a_texture_the_view_shows_the_form_in_grey(scene: Scene, tmp_path: Path, cli: Cli) -> None:
     view = tmp_path / "view.png"
     given = [scene.model, VIEW, view, "--camera", f"{scene.cameras}#blue.png"]
-    assert "there is no texture: the model is drawn grey" in cli.errors(*given)
+    assert "without a texture the model is drawn grey" in cli.errors(*given)
     picture = np.array(Image.open(view)).reshape(-1, 4)
     seen = picture[picture[:, 3] == 255]
     assert (seen[:, :1] == seen[:, :3]).all()
@@ -613,7 +613,7 @@ def test_a_view_has_no_lens_distortion(scene: Scene, tmp_path: Path, cli: Cli) -
     octex.write_cameras(tmp_path / "bent.json", {"bent": bent})
     given = [scene.texture, scene.model, "--camera", tmp_path / "bent.json", VIEW, tmp_path / "a.png"]
     given += ["--camera-out", tmp_path / "straight.json"]
-    assert "octex draw: the camera's lens distorts; the picture is drawn without that" in cli.errors(*given)
+    assert "octex draw: the camera has lens distortion; the picture is drawn without it" in cli.errors(*given)
     frame = octex.read_cameras(tmp_path / "straight.json")[0]
     assert frame.name == "a.png"
     assert frame.camera().distortion == (0.0, 0.0, 0.0, 0.0)

@@ -407,15 +407,15 @@ def test_the_command_separates(tmp_path: Path, cli: Cli) -> None:
     assert are_apart(cells[0], cells[1], 4)
     text = cli.result(model, out, "--depth", 6, "--force", "--preview", tmp_path / "a.png", "--separate", 3)
     assert "1 of 3 parts moved apart; Surface.rest_positions says where to\n  part 1 by " in text
-    assert "1 of them are no solids: only their surfaces were checked" in text
+    assert "1 of them are not closed solids: only their surfaces were checked" in text
     lines = cli.result("diff", out, model, "--json", "--points", 1000)
     assert json.loads(lines)["channels"]["base_color"]["rms"] < 2
     box = written(tmp_path, cube([0, 0, 0]))
     text = cli.result(box, out, "--depth", 3, "--force", "--separate", 3)
-    assert text.endswith("nothing to move apart; where it runs through itself it stays as it is\n")
+    assert text.endswith("nothing to move apart, even where it intersects itself\n")
     boxes = written(tmp_path, cube([0, 0, 0]), cube([9, 0, 0]))
     text = cli.result(boxes, out, "--depth", 5, "--force", "--separate", 3)
-    assert text.endswith("2 parts, none too near to another: none is moved\n")
+    assert text.endswith("2 parts, none too close to another: none moved\n")
 
 
 @needs_jit

@@ -16,6 +16,7 @@ from octex.field.splines import FILTERS
 from octex.field.weights import AREA_WEIGHTS
 from octex.texture import OctreeTexture
 from octex.tree.layout import SPLIT
+from tests.make.taps import taps_of
 
 Array = npt.NDArray[Any]
 
@@ -47,7 +48,7 @@ class Views:
     def taps(self, point: Array, level: int) -> tuple[list[tuple[int, float]], float]:
         """Rows and weights, and the cover, of the field over a level's averages."""
         field = self.fields[level]
-        taps = field.taps(point[None], self.texture.placement, self.filter)
+        taps = taps_of(field, point[None], self.texture.placement, self.filter)
         moved = self.tree.n_cells - field.tree.n_cells
         rows = [row + (moved if row >= field.tree.n_cells else 0) for row in taps.rows.tolist()]
         found = list(zip(rows, taps.weights.tolist(), strict=True))

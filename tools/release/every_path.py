@@ -22,6 +22,7 @@ from octex.tree.areas import area_codes
 from octex.tree.morton import encode_cells
 from octex.tree.order import order_in_space, put_rows
 from octex.tree.search import Positions
+from octex.viewer.export import write_page
 
 # A needle: few cells, but at a depth at which cells come in several blocks.
 _OBJ = """mtllib needle.mtl
@@ -78,6 +79,7 @@ def main(_arguments: list[str]) -> int:
             bump = ("base_color", 0.01)
             write_preview(folder / "lit.png", texture, surface, size=(64, 64), light=light, bump=bump)
         light.irradiance([[0.0, 0.0, 1.0]])
+        write_page(octex.convert(surfaces[0], 3), folder / "page.octw", surfaces[0])
         _map(surfaces[0])
         _take(surfaces[0], folder)
         _separate(surfaces[0])
