@@ -175,7 +175,8 @@ def bare_surface(
         inside = codes[is_within(codes >> 3, tops[:level], level - 1)] if level else codes[:0]
         is_bare = ~among(inside, above[level]) & ~is_within(inside, painted, level)
         there = np.flatnonzero(among(inside, painted[level]))
-        at = np.searchsorted(codes, inside[there]) + int(met.tree.arrays.level_cells[level])
+        start = int(met.tree.arrays.level_cells[level]) if codes.size else 0  # nothing met: no such level
+        at = np.searchsorted(codes, inside[there]) + start
         own = paint[level].flags[np.searchsorted(painted[level], inside[there])]
         is_bare[there] = leave_bare(met.tree.arrays.flags[at], own)
         bare[level] = distinct(np.concatenate([bare[level], inside[is_bare]]))

@@ -275,7 +275,7 @@ def test_of_a_file_with_layers_that_a_command_edits_nothing_is_lost(
     corners = "".join(f"v {x} {y} {z}\n" for x, y, z in surface.vertices)
     Path(model).write_text(corners + "".join(f"f {a} {b} {c}\n" for a, b, c in surface.triangles + 1))
     assert main(["edit", path, edited, "--levels", "0.1,0.8,1"]) == ExitCode.DONE
-    assert "the layers do not have it" in capfd.readouterr().err
+    assert "not its layers" in capfd.readouterr().err
     words = ["view", edited, model, "--paint", str(tmp_path / "out.octex"), "--no-browser"]
     assert main(words) == ExitCode.REFUSED
     assert "edited.octex: the texture was edited after its layers were saved" in capfd.readouterr().err
