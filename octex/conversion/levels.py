@@ -150,11 +150,9 @@ def cell_levels(
 
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
     """
-    faces = surface.triangles
     if root is None:
-        root = whole(on_grid(surface.rest, placement), faces, depth)
-    else:
-        faces = faces[root.members]
+        root = whole(on_grid(surface.rest, placement), surface.triangles, depth)
+    faces = root.faces[root.members]
     degenerate, area = count_degenerate(root.grid, faces)
     if degenerate == len(faces):
         raise ModelError(
