@@ -94,9 +94,8 @@ class Projected(PaintSource):
 
     def near(self, triangles: Int32s) -> Projected:
         """Return the same paint, with the normals of some triangles alone."""
-        normals = np.zeros(
-            (len(self.triangles), 3, 3), np.float32
-        )  # memory that is not touched costs nothing
+        # Memory that is not touched costs nothing.
+        normals = np.zeros((len(self.triangles), 3, 3), np.float32)
         normals[triangles] = self.shading(triangles)
         return replace(self, normals=normals)
 
