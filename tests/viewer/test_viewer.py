@@ -305,8 +305,8 @@ def test_controls_are_named_and_within_the_window(browser: Any, small: Path, siz
       .filter((each) => !(each.labels?.length || each.ariaLabel || each.textContent.trim()))
       .map((each) => each.id)"""
     assert page.evaluate(unnamed) == []
-    gap = "help.getBoundingClientRect().top - reset.getBoundingClientRect().bottom"
-    assert page.evaluate(gap) < 40  # between them is what the pointer is over: nothing yet
+    gap = "help.getBoundingClientRect().top - save.getBoundingClientRect().bottom"
+    assert page.evaluate(gap) < 40  # between them is the cell under the pointer: none yet
     page.close()
 
 
