@@ -48,8 +48,7 @@ The rooms, each of which knows only those before it (painting and photos know ea
     cli         the commands
     docs        the pages of octex help and of the documentation site
 
-Common ground: ahead, arrays, channels, checks, container, errors, files, functions, gltf, jit, npz,
-parallel, remote.
+Common ground: ahead, arrays, channels, checks, container, errors, files, gltf, jit, npz, parallel, remote.
 """
 
 from __future__ import annotations

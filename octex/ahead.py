@@ -8,6 +8,7 @@ no longer fits: the command compiles what it misses.
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -28,6 +29,8 @@ PORTABLE = {
     "NUMBA_CPU_FEATURES": "+avx,+avx2,+bmi,+bmi2,+crc32,+cx16,+f16c,+fma,+fxsr,+lzcnt,+movbe,+popcnt,+sahf,"
     "+sse3,+sse4.1,+sse4.2,+ssse3,+xsave",
 }
+#: An array's type as text: ``uint8:2C`` has two axes, in C order.
+_ARRAY = re.compile(r"(\w+):(\d+)([ACF])")
 #: Helpers at most: more would compile the same.
 _MOST = 3
 #: What a helper runs; without the folder that the command is called in among those of modules.
@@ -150,8 +153,50 @@ def lines(*sections: str) -> list[str]:
 
 def read(line: str) -> tuple[Any, tuple[Any, ...]]:
     """Return a kernel and the types of arguments that a line names; raises what is raised if it has none."""
-    from octex.jit.signatures import read_types
-
     home, text = line.split(" ", 1)
     module, name = home.split(":")
     return getattr(import_module(module), name), read_types(text)
+
+
+def types_text(arguments: Any) -> str:
+    """Return the names of the types of arguments."""
+    return ", ".join(map(_type_text, arguments))
+
+
+def _type_text(kind: Any) -> str:
+    from numba import types
+
+    if isinstance(kind, types.Array):
+        return f"{kind.dtype}:{kind.ndim}{kind.layout}"
+    if not isinstance(kind, types.BaseTuple):
+        return str(kind)
+    of = getattr(kind, "instance_class", tuple)
+    return f"{of.__module__}.{of.__qualname__}({types_text(kind.types)})"
+
+
+def read_types(text: str) -> tuple[Any, ...]:
+    """Return the types that a text of ``types_text`` names; raises an error for unknown ones."""
+    found, start, depth = [], 0, 0
+    for end, letter in enumerate(f"{text}," if text else ""):
+        depth += (letter == "(") - (letter == ")")
+        if letter == "," and depth == 0:
+            found.append(_read_type(text[start:end].strip()))
+            start = end + 1
+    return tuple(found)
+
+
+def _read_type(text: str) -> Any:
+    from numba import types
+
+    array = _ARRAY.fullmatch(text)
+    if array is not None:
+        dtype, dimensions, layout = array.groups()
+        return types.Array(_read_type(dtype), int(dimensions), layout)
+    if not text.endswith(")"):
+        return types.boolean if text == "bool" else getattr(types, text)
+    name, _, inner = text[:-1].partition("(")
+    module, _, name = name.rpartition(".")
+    of, within = getattr(import_module(module), name), read_types(inner)
+    if len(getattr(of, "_fields", within)) != len(within):
+        raise ValueError(f"{of} has not {len(within)} fields")
+    return types.BaseTuple.from_types(within, None if of is tuple else of)

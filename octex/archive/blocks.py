@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from octex.archive import areas, structure, values
+from octex.archive import structure, values
 from octex.archive.entropy import DECODES, Coder, Model, decoder, encoded, is_whole, new_model, noter
 from octex.archive.layout import AREAS, STRUCTURE, Block, Coding, Content, DamagedError, owners_of
 from octex.arrays import Array
@@ -48,8 +48,8 @@ def code_block(
         if kind == STRUCTURE:
             structure.code_structure(arrays, block, around, coder)
         elif kind == AREAS:
-            areas.code_areas(arrays, block.begin.cell, rows, around, coder)
-            areas.code_row_areas(owners, content.split.areas, block.begin.row, arrays.areas, coder)
+            values.code_areas(arrays, block.begin.cell, rows, around, coder)
+            values.code_row_areas(owners, content.split.areas, block.begin.row, arrays.areas, coder)
         else:
             _code_channel(content, kind, codings[kind], block, (owners, rows, around), coder)
         if streams is None:
@@ -69,7 +69,7 @@ def _extent(kind: str, codings: Mapping[str, Coding], block: Block) -> tuple[tup
     if kind == STRUCTURE:
         return structure.CONTEXTS, structure.MOST * (block.last - block.first)
     if kind == AREAS:
-        return areas.CONTEXTS, cell + row
+        return values.AREA_CONTEXTS, cell + row
     return values.extent(codings[kind].form, cell + row + kept)
 
 

@@ -30,7 +30,7 @@ from octex.source.materials import AlphaMode, Material, MaterialSource
 from octex.source.surface import Surface, as_surface
 from octex.source.tangents import corner_frames
 from octex.texture import OctreeTexture, as_texture
-from octex.tree.order import put_rows
+from octex.tree.search import put_rows
 from octex.view.shading import corner_normals
 
 #: The smallest and the largest maps, and what their sizes are multiples of.

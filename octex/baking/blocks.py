@@ -15,8 +15,8 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint
 from octex.baking.texels import Shown
 from octex.field.footprints import long_footprints, spread
 from octex.field.splines import QUADRATIC, single_quadratic_weights
+from octex.field.taps import Codes
 from octex.field.tiles import Tiles, tile_row
-from octex.field.values import Codes
 from octex.field.weights import AREA_WEIGHTS, Facings, direction_of, face_cell, parts_of, row_of, view_of
 from octex.jit import decoded, inlined, kernel, spline_box, trailing_zeros
 from octex.texture import OctreeTexture

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from octex.source.voxels import Voxels
     from octex.texture import OctreeTexture
 
-INDEX = "set.json"  # equals octex.texture.folder.INDEX
+INDEX = "set.json"  # equals octex.texture.set.INDEX
 OUTPUT_ENDINGS = *TEXTURE_ENDINGS, ".ply", ".npz", ".osl"
 _LINES = 10  # largest number of parts in the report
 _STORED = {"--channels", "--dtype", "--preview"}

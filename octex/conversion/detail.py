@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float32s, Float64s, Int32s, Uint8s, bit_counts
-from octex.checks import as_choice
+from octex.checks import answer, as_choice
 from octex.errors import ArgumentError, ModelError
-from octex.functions import answer
 from octex.source.base import Source, by_channel
 from octex.source.corners import at_corners
 from octex.source.surface import Surface

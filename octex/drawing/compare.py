@@ -25,7 +25,7 @@ from octex.source.surface import Surface
 from octex.texture import FILTERS, OctreeTexture
 from octex.tree.areas import AREAS
 from octex.tree.morton import decode_cells
-from octex.tree.walk import walk_leaves
+from octex.tree.octree import walk_leaves
 
 #: Number of sample points on a model.
 DEFAULT_POINTS = 1_000_000

@@ -21,7 +21,7 @@ from octex.source.corners import Corners, Frames
 from octex.source.tangents import carried
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
-from octex.tree.walk import walk_leaves
+from octex.tree.octree import walk_leaves
 from octex.view.cubes import CubeBuffers, rasterize_cubes
 from octex.view.zbuffer import Buffers, z_buffer
 

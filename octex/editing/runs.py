@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, bit_counts, in_r
 from octex.jit import kernel
 from octex.texture import Channel, OctreeTexture
 from octex.tree.children import children_before, groups_of, masks_of
+from octex.tree.edit import Edited, among
 from octex.tree.layout import KeptTable, SplitTable, TreeArrays
 from octex.tree.octree import Octree
 
@@ -159,3 +160,22 @@ def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
     runs = Runs(owners[has], first[has], last[has])
     listed = runs.of(tables).astype(np.int64) + np.repeat(shifts[has], (last - first)[has])
     return listed.astype(np.uint32), runs
+
+
+def carried(
+    texture: OctreeTexture, edited: Edited, values: Mapping[str, Array] | None = None
+) -> dict[str, Channel]:
+    """Return the channels of a texture for the cells, rows and kept nodes of an edited tree.
+
+    Stored ``values`` (cells, components) are those of the new cells; default: ``edited.carried``, with zeros
+    in cells that the texture lacked. Newly kept nodes keep their values as coefficients.
+    """
+    kept = edited.tree.kept.cells
+    was_kept = among(edited.old[kept], texture.tree.kept.cells.astype(np.int64))
+    channels = {}
+    for name, channel in texture.channels.items():
+        stored = edited.carried(channel.values) if values is None else values[name]
+        kept_values = np.ascontiguousarray(stored[kept])
+        kept_values[was_kept] = channel.kept_values[edited.kept_rows]
+        channels[name] = Channel(channel.format, stored, channel.split_values[edited.split_rows], kept_values)
+    return channels

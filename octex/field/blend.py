@@ -8,13 +8,16 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint32s
-from octex.field.taps import AT_ONCE, OFF, Taps, end_of
-from octex.field.values import (
+from octex.field.taps import (
+    AT_ONCE,
     NO_FIVE,
+    OFF,
     Codes,
     Five,
     Flat,
     Four,
+    Taps,
+    end_of,
     flat_of,
     put_value,
     value_at,

@@ -24,14 +24,13 @@ import numpy as np
 from octex.arrays import Bools, ChannelValues, Float32s, Float64s, Int32s, Int64s, Uint32s
 from octex.field.neighborhood import taps_around
 from octex.field.splines import QUADRATIC
-from octex.field.taps import LEAST, Taps, new_taps
+from octex.field.taps import LEAST, Codes, Flat, Taps, flat_of, new_taps, put_value, value_of
 from octex.field.tiles import Integer
-from octex.field.values import Codes, Flat, flat_of, put_value, value_of
 from octex.field.windows import MOST_TAPS, Way, kept_row, new_walk
 from octex.jit import fused_kernel, inlined, popcount, prefetch, refine_rows, trailing_zeros, weighted_cube
 from octex.tree.children import children
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
-from octex.tree.order import AHEAD, end_of_cell
+from octex.tree.search import AHEAD, end_of_cell
 
 # Where blocks lie in `Bricks.rows`, in cells: first a 4³ for each level, then those of the brick.
 _AT_SIX = 64 * (MAX_DEPTH + 2)

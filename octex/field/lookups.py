@@ -16,13 +16,12 @@ from octex.field.bricks import NUMBER_BITS, SORTED, Asked, look_up_crowded, new_
 from octex.field.field import NO_BYTES, NO_LEFT, NO_VECTORS, Field, Finder, NotFiniteError, positions
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
-from octex.field.taps import Taps, place_points
+from octex.field.taps import Codes, Taps, place_points
 from octex.field.tiled import Additions, Search, Weighed, look_up_tiled
-from octex.field.values import Codes
 from octex.field.weights import Weighing
 from octex.jit import direct, unlocked
-from octex.tree.order import keys_of, put_rows
 from octex.tree.placement import Placement
+from octex.tree.search import keys_of, put_rows
 
 #: Points for which it is worth while to sort them.
 _LEAST_SORTED = 64

@@ -51,8 +51,7 @@ from octex.jit import inlined, kernel, trailing_zeros
 from octex.tree.layout import MAX_DEPTH, TreeArrays
 from octex.tree.morton import decode
 from octex.tree.octree import Octree
-from octex.tree.order import cell_of
-from octex.tree.search import UNITS
+from octex.tree.search import UNITS, cell_of
 
 #: Cells whose taps are found at once: most have 8 to 27.
 _CELLS_AT_ONCE = 1 << 14

@@ -27,13 +27,13 @@ from octex.field.taps import (
     MOST_TILED,
     Ahead,
     Batch,
+    Codes,
     Taps,
     hold_outside,
     new_taps,
     place_points,
 )
 from octex.field.tiles import Tiles, nearest_rows
-from octex.field.values import Codes
 from octex.field.weights import MOST_ROWS, Weighing, weigh_taps
 from octex.jit import bytes_of, kernel, part
 from octex.tree.search import Origin, Positions, count_of

@@ -13,8 +13,18 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from octex.arrays import ChannelValues, Float32s, Floats, Uint8s, Uint32s
-from octex.field.taps import AT_ONCE, Taps, end_of, let_sum_to_off
-from octex.field.values import NO_FIVE, Codes, Five, Flat, flat_of, with_row
+from octex.field.taps import (
+    AT_ONCE,
+    NO_FIVE,
+    Codes,
+    Five,
+    Flat,
+    Taps,
+    end_of,
+    flat_of,
+    let_sum_to_off,
+    with_row,
+)
 from octex.jit import decoded, inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS, SPLIT

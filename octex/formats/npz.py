@@ -14,7 +14,7 @@ from octex.formats.ply import LeafPoints, leaf_points
 from octex.parallel import Progress, silent
 from octex.tree.areas import AREAS
 from octex.tree.morton import decode_cells
-from octex.tree.walk import Leaves
+from octex.tree.octree import Leaves
 
 if TYPE_CHECKING:
     from octex.texture import OctreeTexture

@@ -17,7 +17,7 @@ from octex.formats.models import Target, Written, codes_of, needed_colors
 from octex.parallel import Progress, silent
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
-from octex.tree.walk import Leaves, walk_leaves
+from octex.tree.octree import Leaves, walk_leaves
 
 if TYPE_CHECKING:
     from octex.source.surface import Surface

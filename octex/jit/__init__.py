@@ -8,7 +8,6 @@ extensions generate code with.
 
 decorators    kernel, part …: what compiles functions
 cache         where compiled kernels lie on disk, and whether they are still what the source says
-signatures    the types of a kernel's arguments as text
 instructions  bits, memory, arrays
 vectors       numbers side by side; sums of rows of four, boxes eight at a time
 """

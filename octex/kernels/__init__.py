@@ -19,9 +19,9 @@ cell's corner. Call these four in kernels only. If you let ``numba`` cache your 
 notice a new octex.
 """
 
-from octex.kernels.arrays import arrays_of as arrays_of
 from octex.kernels.lookups import LookupArrays as LookupArrays
 from octex.kernels.lookups import Scratch as Scratch
+from octex.kernels.lookups import arrays_of as arrays_of
 from octex.kernels.lookups import footprint as footprint
 from octex.kernels.lookups import linear as linear
 from octex.kernels.lookups import nearest as nearest

@@ -15,9 +15,9 @@ import numpy as np
 from octex.arrays import Bools, Int64s, Uint8s
 from octex.channels import ALPHA, ONE, decode, encode
 from octex.editing.averages import with_summed_areas
-from octex.editing.carried import carried
 from octex.editing.nodes import nodes_at
 from octex.editing.refined import Below, refined_below, refined_rows, with_rows
+from octex.editing.runs import carried
 from octex.editing.split import refaced, rows_facing
 from octex.errors import own_making
 from octex.painting.blend import (

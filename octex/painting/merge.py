@@ -18,7 +18,6 @@ from octex.channels import ALPHA, alpha_of
 from octex.checks import as_choice, as_number
 from octex.conversion import large
 from octex.editing.averages import with_summed_areas
-from octex.editing.carried import carried
 from octex.editing.draft import (
     STEPS,
     Change,
@@ -34,6 +33,7 @@ from octex.editing.draft import (
     with_channels_of,
 )
 from octex.editing.nodes import nodes_at
+from octex.editing.runs import carried
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, own_making
 from octex.painting.blend import Merge, Merged, averaged_above, no_parts

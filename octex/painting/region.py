@@ -11,10 +11,9 @@ import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.channels import ChannelFormat, color_in_light
-from octex.checks import as_choice, as_depth, as_number, as_points, as_positive, as_reals
+from octex.checks import answer, as_choice, as_depth, as_number, as_points, as_positive, as_reals
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
-from octex.functions import answer
 from octex.painting.layer import Depths, PaintSource, empty_texture
 from octex.painting.options import format_of, triangles_of
 from octex.painting.paint import Job, check_inside

@@ -19,10 +19,10 @@ from octex.channels import ALPHA, ChannelFormat, alpha_of, decode, encode
 from octex.conversion.adapt import adapted
 from octex.conversion.levels import CellLevels, assemble, cell_levels
 from octex.editing.averages import with_summed_areas
-from octex.editing.carried import carried
 from octex.editing.draft import coarsest_of
 from octex.editing.nodes import nodes_at
 from octex.editing.refined import Below, refined_below, refined_values, with_rows
+from octex.editing.runs import carried
 from octex.editing.split import refaced
 from octex.errors import ModelError, own_making
 from octex.painting.blend import (

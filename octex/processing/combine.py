@@ -7,7 +7,7 @@ import numpy as np
 from octex.arrays import Int64s
 from octex.channels import ALPHA, ONE, ChannelFormat
 from octex.checks import as_flag, as_number
-from octex.editing.carried import carried
+from octex.editing.runs import carried
 from octex.editing.split import refaced, without_split
 from octex.errors import ArgumentError
 from octex.parallel import Run, as_run, workers

@@ -22,9 +22,8 @@ from octex.channels import (
     linear_to_srgb,
     srgb_to_linear,
 )
-from octex.checks import as_choice, as_names, as_number, as_reals
+from octex.checks import answer, as_choice, as_names, as_number, as_reals, name_of, takes_both
 from octex.errors import ArgumentError
-from octex.functions import answer, name_of, takes_both
 from octex.processing.edit import Centres, edited, names_of, noted
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.texture.channel import Dtypes, formats_as

@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s
 from octex.channels import ALPHA, decode, encode
+from octex.checks import answer
 from octex.editing.averages import Residuals, average, average_plain, residuals_at, with_summed_areas
 from octex.editing.nodes import Nodes, all_children, by_level
 from octex.editing.refined import refined_below, refined_rows
 from octex.editing.split import rows_facing
-from octex.functions import answer
 from octex.parallel import ordered_map, sharing, start
 from octex.processing.edit import Centres
 from octex.processing.union import NOTHING, Origins, find_made, take, unite

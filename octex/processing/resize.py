@@ -11,9 +11,9 @@ from octex.arrays import Int64s
 from octex.channels import ALPHA, encode
 from octex.checks import as_depth, as_reals
 from octex.editing.averages import average, residuals_at, with_summed_areas
-from octex.editing.carried import carried
 from octex.editing.nodes import nodes_at
 from octex.editing.refined import Below, refined_below, with_rows
+from octex.editing.runs import carried
 from octex.editing.split import refaced
 from octex.errors import ArgumentError
 from octex.parallel import Run, as_run, workers

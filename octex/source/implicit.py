@@ -10,9 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float64s, Int32s
-from octex.checks import as_number, as_points, as_positive
+from octex.checks import answer, as_number, as_points, as_positive
 from octex.errors import ArgumentError, ModelError
-from octex.functions import answer
 from octex.parallel import memory_size
 
 #: Gives a value (n,) for each of positions (n, 3).

@@ -11,9 +11,8 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.channels import CHANNELS, ChannelFormat, color_in_light
-from octex.checks import as_choice
+from octex.checks import answer, as_choice, name_of, takes_both
 from octex.errors import ArgumentError, ModelError
-from octex.functions import answer, name_of, takes_both
 from octex.source.base import Placeable, Source, SpatialSource
 from octex.source.images.decode import read_image
 from octex.source.materials import MOST_IN_FLOAT16, Input, Material, MaterialSource, Texture, light_format

@@ -17,7 +17,7 @@ from octex.arrays import Float64s, Int32s, Int64s, in_runs
 from octex.checks import as_number, as_positive
 from octex.errors import ArgumentError
 from octex.jit import kernel
-from octex.nearest import distances
+from octex.nearest.triangles import MeshBoxes, gap, mesh_of
 from octex.source.welding import first_equal, paired_sides
 
 if TYPE_CHECKING:
@@ -99,15 +99,15 @@ def overlapping_parts(rest: Float64s, triangles: Int32s, margin: float = 0.0) ->
     order = np.argsort(parts, kind="stable")
     members = np.split(order, np.flatnonzero(np.diff(parts[order])) + 1)
     solids = [_solid(rest, triangles[part], welded) for part in members]
-    surfaces: dict[int, distances.Mesh] = {}
+    surfaces: dict[int, MeshBoxes] = {}
     pairs = []
     low, high = boxes_of(rest, triangles, parts)
     for first, second in _near_boxes(low, high, margin):
         for a, b in zip(first.tolist(), second.tolist(), strict=True):
             for part in (a, b):
                 if part not in surfaces:
-                    surfaces[part] = distances.mesh_of(rest[triangles[members[part]]])
-            distance = distances.gap(surfaces[a], surfaces[b], margin)
+                    surfaces[part] = mesh_of(rest[triangles[members[part]]])
+            distance = gap(surfaces[a], surfaces[b], margin)
             within = (low[a] >= low[b]).all() and (high[a] <= high[b]).all()
             around = (low[a] <= low[b]).all() and (high[a] >= high[b]).all()
             # Apart and not one in the other: the intersection is empty without a boolean.

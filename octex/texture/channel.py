@@ -13,7 +13,7 @@ from octex.channels import COLOR_SPACES, ONE, ChannelFormat, ColorSpace, decode,
 from octex.checks import as_choice, as_entries, locked
 from octex.errors import ArgumentError
 from octex.field.lookups import ChannelRows
-from octex.field.values import Codes
+from octex.field.taps import Codes
 from octex.field.weights import mark_mixed
 from octex.jit import kernel, unlocked
 from octex.tree.octree import Octree

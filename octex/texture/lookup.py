@@ -20,9 +20,8 @@ from octex.field.splines import FILTERS
 from octex.parallel import Run, ordered_map, workers
 from octex.texture.channel import NO_GRADIENTS, Channel, make_unit, mixed_cells, stored
 from octex.tree.octree import Octree
-from octex.tree.order import order_in_space, put_rows
 from octex.tree.placement import Placement
-from octex.tree.search import Positions, in_leaves
+from octex.tree.search import Positions, in_leaves, order_in_space, put_rows
 
 #: Difference of a front and a back, of 1, that footprints without normals may mix.
 BLEED_THRESHOLD = 1 / 32

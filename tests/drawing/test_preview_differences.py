@@ -16,7 +16,7 @@ from octex.drawing.differences import _ALONE, _SCALE, _scale_codes, _scale_top
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
-from octex.tree.walk import walk_leaves
+from octex.tree.octree import walk_leaves
 from tests.conftest import needs_jit
 
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])

@@ -23,9 +23,8 @@ from hypothesis import strategies as st
 from octex.field.blend import Listed, blend
 from octex.field.field import Field, Finder, NotFiniteError
 from octex.field.splines import FILTERS
-from octex.field.taps import place_points
+from octex.field.taps import Codes, place_points
 from octex.field.tiles import CACHE_LINE, build_tiles
-from octex.field.values import Codes
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import Positions

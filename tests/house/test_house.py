@@ -28,7 +28,6 @@ ROWS = [
         "files",
         "gltf",
         "checks",
-        "functions",
         "ahead",
         "docs",
         "jit",

@@ -13,8 +13,8 @@ import numba
 import pytest
 
 from octex import ahead
+from octex.ahead import types_text
 from octex.cli.main import main
-from octex.jit.signatures import types_text
 from tests.conftest import needs_jit
 
 

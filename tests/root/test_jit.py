@@ -17,8 +17,8 @@ import pytest
 from numba.core import event
 
 from octex import jit
+from octex.ahead import read_types, types_text
 from octex.jit import cache
-from octex.jit.signatures import read_types, types_text
 from tests.conftest import needs_jit
 
 pytestmark = needs_jit

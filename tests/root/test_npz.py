@@ -16,7 +16,7 @@ from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import AREAS
 from octex.tree.morton import encode_cells
 from octex.tree.normals import estimate_normals
-from octex.tree.walk import walk_leaves
+from octex.tree.octree import walk_leaves
 from tests.make.small_surfaces import whole
 from tests.source.test_ply import LEAVES, PLACEMENT, texture_of
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import octex
 from octex.errors import ArgumentError
-from octex.nearest.distances import gap, mesh_of
+from octex.nearest.triangles import gap, mesh_of
 from octex.source import parts
 from octex.source.parts import Overlap, Unchecked, parts_of
 from octex.source.surface import Surface

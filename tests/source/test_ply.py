@@ -19,9 +19,8 @@ from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import AREA_ONE
 from octex.tree.morton import decode_cells
 from octex.tree.normals import estimate_normals
-from octex.tree.octree import Octree
+from octex.tree.octree import Octree, walk_leaves
 from octex.tree.placement import Placement
-from octex.tree.walk import walk_leaves
 
 PLACEMENT = Placement((-3.0, 2.0, 0.5), 4.0)
 # Leaves at mixed depths, as (code, depth) in Morton order.

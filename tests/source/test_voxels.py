@@ -16,7 +16,7 @@ from octex.channels import decode, encode
 from octex.errors import ArgumentError, ModelError
 from octex.formats.npz import write_arrays
 from octex.source.voxels import is_voxels
-from octex.tree.walk import walk_leaves
+from octex.tree.octree import walk_leaves
 from tests.make.command import Cli
 from tests.make.vxz import vxz
 

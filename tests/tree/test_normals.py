@@ -10,8 +10,7 @@ from octex import jit
 from octex.tree.layout import AREA_ONE, AREA_STEPS, SplitTable, TreeArrays
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.normals import estimate_normals
-from octex.tree.octree import Octree
-from octex.tree.walk import walk_leaves
+from octex.tree.octree import Octree, walk_leaves
 from tests.conftest import needs_jit
 from tests.oracles import naive_normals
 

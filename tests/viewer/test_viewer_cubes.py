@@ -10,7 +10,7 @@ import pytest
 
 import octex
 from octex.tree.morton import decode_cells
-from octex.tree.walk import walk_leaves
+from octex.tree.octree import walk_leaves
 from octex.viewer import write_page
 from tests.conftest import needs_jit
 from tests.make.browser import drawn, file_url, opened

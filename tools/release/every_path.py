@@ -20,8 +20,7 @@ from octex.source.models.vxz import unpack_vxz
 from octex.texture import FILTERS
 from octex.tree.areas import area_codes
 from octex.tree.morton import encode_cells
-from octex.tree.order import order_in_space, put_rows
-from octex.tree.search import Positions
+from octex.tree.search import Positions, order_in_space, put_rows
 from octex.viewer.export import write_page
 
 # A needle: few cells, but at a depth at which cells come in several blocks.

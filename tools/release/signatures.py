@@ -18,8 +18,8 @@ from typing import Any
 import numba
 
 from octex import ahead, jit
+from octex.ahead import types_text
 from octex.jit.decorators import Kernel
-from octex.jit.signatures import types_text
 
 ROOT = Path(__file__).parents[2]
 MODEL = ROOT / "samples" / "droid.glb"
