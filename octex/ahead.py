@@ -1,8 +1,8 @@
-"""Compile ahead: while a command compiles what it needs first, helpers compile what it needs last.
+"""Compile ahead: helper processes compile the last kernels that a command needs while it compiles the first.
 
-All keep what they compile in the same folders (`jit.cache`). `signatures.txt` lists what commands call
-kernels with, in the order of need; `tools/release/signatures.py` writes it. A helper passes over a line that
-no longer fits: the command compiles what it misses.
+All share the same cache (`jit.cache`). `signatures.txt` lists the kernels of commands and the types of their
+arguments, in the order of need; `tools/release/signatures.py` writes it. A helper skips lines that no longer
+fit: the command compiles those.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ _CALL = ("-P", "-c", "from octex.ahead import main; main()")
 
 
 def use_shipped_code() -> None:
-    """Have numba, in this process and those that it starts, use the code that a wheel brought along.
+    """Make numba, in this process and those that it starts, use the code that came with a wheel.
 
-    Call it before numba is imported. It changes nothing where there is none, on a processor that lacks one of
+    Call it before numba is imported. It changes nothing without such code, on a processor that lacks one of
     the features, or where the environment names another processor.
     """
     if not LIST.with_name("compiled").is_dir() or PORTABLE.keys() & os.environ.keys():
@@ -74,7 +74,7 @@ def at_first_compilation(action: Callable[[], object]) -> Iterator[None]:
 
 @contextmanager
 def ahead(*sections: str) -> Iterator[None]:
-    """While the block lasts, have helpers compile sections of the list, once a kernel is missing."""
+    """While the block lasts, let helpers compile sections of the list, once a kernel is missing."""
     count = min(cpu_count() - 1, _MOST) if sections else 0
     # A program that Python is built into starts no helpers.
     if count == 0 or not Path(sys.executable or "").name.startswith("python"):
@@ -103,7 +103,7 @@ def ahead(*sections: str) -> Iterator[None]:
 
 
 def main() -> None:
-    """Be a helper: compile its share of some sections, the last lines first, while standard input lasts."""
+    """Run a helper: compile its share of sections, the last lines first, while standard input lasts."""
     number, count = map(int, sys.argv[1:3])
     threading.Thread(target=_watch, args=[_writing()], daemon=True).start()
     for line in lines(*sys.argv[3:])[::-1][number::count]:
@@ -111,7 +111,7 @@ def main() -> None:
 
 
 def compile_listed(progress: Progress) -> None:
-    """Compile all that is listed; later commands start at once."""
+    """Compile everything listed; later commands start at once."""
     listed = lines(*SECTIONS)
     for done, line in enumerate(listed):
         progress("compile", done, len(listed))
@@ -120,7 +120,7 @@ def compile_listed(progress: Progress) -> None:
 
 
 def _compile(line: str) -> None:
-    """Compile a line of the list, or pass over one that no longer fits."""
+    """Compile a line of the list, or skip one that no longer fits."""
     with suppress(Exception):
         kernel, arguments = read(line)
         kernel.compiled.compile(arguments)
@@ -140,7 +140,7 @@ def _watch(writing: AbstractContextManager[Any]) -> None:
 
 
 def lines(*sections: str) -> list[str]:
-    """Return the lines of some sections, each once."""
+    """Return the lines of sections, each once."""
     found: dict[str, None] = {}
     section = ""
     for line in LIST.read_text(encoding="utf-8").splitlines():
@@ -152,7 +152,7 @@ def lines(*sections: str) -> list[str]:
 
 
 def read(line: str) -> tuple[Any, tuple[Any, ...]]:
-    """Return a kernel and the types of arguments that a line names; raises what is raised if it has none."""
+    """Return the kernel and the argument types of a line; raises an error for a line that no longer fits."""
     home, text = line.split(" ", 1)
     module, name = home.split(":")
     return getattr(import_module(module), name), read_types(text)
@@ -175,7 +175,7 @@ def _type_text(kind: Any) -> str:
 
 
 def read_types(text: str) -> tuple[Any, ...]:
-    """Return the types that a text of ``types_text`` names; raises an error for unknown ones."""
+    """Return the types in a text of ``types_text``; raises an error for unknown ones."""
     found, start, depth = [], 0, 0
     for end, letter in enumerate(f"{text}," if text else ""):
         depth += (letter == "(") - (letter == ")")

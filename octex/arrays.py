@@ -1,4 +1,4 @@
-"""The types of arrays, by what their elements are; zeros in files; and counts of bits."""
+"""The types of arrays by element; large zeros in files; and counts of bits."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ ChannelValues = npt.NDArray[np.uint8 | np.uint16 | np.float32]
 
 
 def zeros(count: int, most_in_memory: int = 1 << 28) -> Uint8s:
-    """Return zero bytes, many of them in a temporary file; raises OutputError without room for that."""
+    """Return zero bytes, above a limit in a temporary file; raises OutputError without room for it."""
     if count <= most_in_memory:
         return np.zeros(count, np.uint8)
     try:
@@ -49,7 +49,7 @@ def zeros(count: int, most_in_memory: int = 1 << 28) -> Uint8s:
 
 
 def zeros_in(file: IO[bytes], count: int) -> mmap.mmap:
-    """Map a new file, which becomes so many zeros; writes to them are writes to it."""
+    """Extend a new file to ``count`` zeros and map it; writes to the map are writes to the file."""
     if hasattr(os, "posix_fallocate"):
         os.posix_fallocate(file.fileno(), 0, count)  # a page without room would end the process
     else:
@@ -58,7 +58,7 @@ def zeros_in(file: IO[bytes], count: int) -> mmap.mmap:
 
 
 def in_runs(firsts: Integers, counts: Int64s) -> Int64s:
-    """Return whole numbers, run after run: of each run (n,) its first, and those that follow it."""
+    """Return whole numbers in runs (n,): each run's first, and ``counts`` consecutive ones."""
     return np.repeat(firsts - (np.cumsum(counts) - counts), counts) + np.arange(counts.sum())
 
 

@@ -1,6 +1,6 @@
-"""What a channel's stored numbers mean: type, components, colour space, and the value of 1.0.
+"""The meaning of a channel's stored numbers: type, components, colour space, and the value of 1.0.
 
-Values are averaged, filtered and blended in linear light; encoding and decoding happen here and nowhere else.
+Values are averaged, filtered and blended in linear light. Only this module encodes and decodes them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ONE = {"uint8": 255.0, "uint16": 65535.0, "float16": 1.0, "float32": 1.0}
 
 
 class ChannelFormat(NamedTuple):
-    """How a named channel is stored."""
+    """The stored form of a named channel."""
 
     name: str
     components: int
@@ -66,17 +66,17 @@ _IN = "\0in "
 
 
 def channel_in(layer: str, name: str) -> str:
-    """Return the name under which a texture stores a channel of a layer."""
+    """Return the stored name of a layer's channel."""
     return name + _IN + layer
 
 
 def plain_name(name: str) -> str:
-    """Return the name of a channel without that of its layer."""
+    """Return a channel's name without its layer."""
     return name.partition(_IN)[0]
 
 
 def alpha_of(name: str) -> str | None:
-    """Return the name of the channel by which averages of a channel weigh; None for alpha itself."""
+    """Return the name of the channel that weights averages of a channel; None for alpha itself."""
     plain, mark, layer = name.partition(_IN)
     return None if plain == ALPHA.name else ALPHA.name + mark + layer
 
@@ -116,7 +116,7 @@ def color_in_light(text: str, form: ChannelFormat) -> Float32s:
 
 
 def check_range(values: Floats, form: ChannelFormat, dtype: str, name: str = "") -> None:
-    """Refuse values of a float channel that ``dtype`` cannot hold; messages begin with ``name``."""
+    """Raise ArgumentError for float values that ``dtype`` cannot hold; messages begin with ``name``."""
     if not dtype.startswith("u") or not form.dtype.startswith("float") or form.space == "direction":
         return
     for is_beyond, where in ((values > 1 + _ROUNDING, "above 1"), (values < -_ROUNDING, "below 0")):
@@ -139,7 +139,7 @@ def decode_table(dtype: str, space: ColorSpace) -> Float32s:
 
 
 def code_table(dtype: np.dtype[Any], space: ColorSpace) -> Float32s:
-    """Return the table of uint8 or uint16; ``dtype.name`` takes longer than a few values."""
+    """Return the table of uint8 or uint16; ``dtype.name`` takes longer than decoding a few values."""
     return decode_table("uint8" if dtype.itemsize == 1 else "uint16", space)
 
 
@@ -154,8 +154,8 @@ def decode(stored: Array, space: ColorSpace) -> Float32s:
 def encode(values: Floats, dtype: str, space: ColorSpace) -> Array:
     """Return values (linear light for colours) as stored numbers of the same shape, rounded to nearest.
 
-    Integers clamp to 0 … 1, directions to −1 … 1; floats stop at their largest finite number. NaN becomes
-    the stored number 0.
+    Integers clamp to 0 … 1, directions to −1 … 1; floats stop at their largest finite number. NaN becomes the
+    stored number 0.
     """
     if space == "srgb" and dtype.startswith("float"):
         values = linear_to_srgb(values)
@@ -219,7 +219,7 @@ def _encode_half(values: Float64s, codes: Uint16s) -> None:
 
 @cache
 def srgb_encoder(dtype: str) -> tuple[ChannelCodes, Float64s]:
-    """Return a first guess by bin of linear light, and the light at which each code gives way to the next."""
+    """Return a first guess of the code by bin of linear light, and the upper limit of light of each code."""
     last, bins = int(ONE[dtype]), _SRGB_BINS[dtype]
     thresholds = srgb_to_linear((np.arange(last) + 0.5) / last)
     below = np.bincount(np.ceil(thresholds * bins).astype(np.int64), minlength=bins + 1)

@@ -1,4 +1,4 @@
-"""The border: what users give is cast here to the one form that kernels take, or refused."""
+"""Checks of arguments: casts users' input to the form that kernels take, or refuses it."""
 
 from __future__ import annotations
 
@@ -43,10 +43,10 @@ def as_point_rows(points: npt.ArrayLike, name: str = "points") -> Array:
 
 
 def as_array(given: Any) -> Array:
-    """Return an array, not copied if it is one; one of shape () and void type for rows of unequal lengths.
+    """Return an array, not copied if it is one; a void array of shape () for rows of unequal lengths.
 
     Tensors of other libraries are read by ``__array__``, or else by ``__dlpack__``. Raises ArgumentError for
-    one that cannot be read, such as a tensor on a GPU.
+    unreadable ones, such as a tensor on a GPU.
     """
     is_tensor = hasattr(given, "__dlpack__") and not isinstance(given, np.ndarray)
     try:
@@ -79,8 +79,7 @@ def as_row_numbers(numbers: npt.ArrayLike, count: int) -> Int64s:
 def as_reals(given: npt.ArrayLike, name: str, *shapes: tuple[int, ...], most: float = np.inf) -> Float64s:
     """Return numbers as a float64 array of one of ``shapes``, in which −1 stands for any length.
 
-    Raises ArgumentError for another shape, for what are no real numbers, and for those beyond ±``most``,
-    infinity not among them, unless it is infinite.
+    Raises ArgumentError for another shape, for anything but real numbers, and for numbers beyond ±``most``.
     """
 
     def refusal() -> ArgumentError:
@@ -125,7 +124,7 @@ def as_path(path: Any, name: str = "path", refusal: type[OctexError] = ArgumentE
 
 
 def is_path(given: object) -> TypeGuard[str | os.PathLike[str]]:
-    """Say whether something is the path of a file: text, bytes too, or what ``os.fspath`` takes."""
+    """Return whether an object is the path of a file: text, bytes, or an ``os.PathLike``."""
     return isinstance(given, (str, bytes, os.PathLike))
 
 
@@ -137,14 +136,14 @@ def as_flag(flag: bool, name: str) -> bool:
 
 
 def is_several(given: object) -> TypeGuard[Iterable[Any]]:
-    """Say whether something can be gone through, and is no text."""
+    """Return whether an object is iterable, and no text."""
     if isinstance(given, np.ndarray):
         return given.ndim > 0
     return isinstance(given, Iterable) and not isinstance(given, (str, bytes))
 
 
 def as_names(names: str | Iterable[str], name: str) -> list[str]:
-    """Return one name or several as a list, or raise ArgumentError for what is no text."""
+    """Return one name or several as a list, or raise ArgumentError for anything but text."""
     listed: list[Any] = list(names) if is_several(names) else [names]
     for each in listed:
         if not isinstance(each, str):
@@ -160,7 +159,7 @@ def as_text(text: str, name: str) -> str:
 
 
 def as_entries(given: Mapping[Any, Item], name: str) -> dict[str, Item]:
-    """Return what is given by name as a dict, or raise ArgumentError."""
+    """Return a mapping with text keys as a dict, or raise ArgumentError."""
     if not isinstance(given, Mapping):
         raise ArgumentError(f"{name} must be a dict with names as keys, not {given!r}")
     entries = dict(given)
@@ -183,7 +182,7 @@ def as_depth(depth: int, name: str = "depth") -> int:
 
 
 def as_items(given: Any, kind: type[Item], name: str) -> list[Item]:
-    """Return one thing or several of a kind as a list, or raise ArgumentError for anything else."""
+    """Return one object or several of a kind as a list, or raise ArgumentError for anything else."""
     if isinstance(given, kind):
         return [given]
     listed = list(given) if is_several(given) else []
@@ -205,7 +204,7 @@ def as_choice(value: Choice, choices: Iterable[str], name: str) -> Choice:
 
 
 def as_memory(size: int | str) -> int:
-    """Return ``memory`` in bytes, given as such or as a text like "2GB", or raise ArgumentError."""
+    """Return ``memory`` in bytes, from a number or a text like "2GB", or raise ArgumentError."""
     if not isinstance(size, str):
         return as_whole(size, "memory", 1, 1 << 53)
     try:
@@ -232,7 +231,7 @@ def as_positive(value: float, name: str) -> float:
 
 
 def as_real(value: Any, name: str, kind: str = "a number") -> float:
-    """Return one real number, be it infinite or none, or raise ArgumentError."""
+    """Return one real number, also infinite or NaN, or raise ArgumentError."""
     if type(value) is float:  # a fifth of a lookup of one point otherwise
         return value
     try:
@@ -257,11 +256,11 @@ def answer(
     most: float = np.inf,
     slack: float = 0.0,
 ) -> Float64s:
-    """Return what a function returns for arrays with a row for each point: numbers of one of some shapes.
+    """Call a user's function for arrays with a row for each point; return its numbers, of one of ``shapes``.
 
-    ``what`` is the function in messages, ``where`` gives the position of the point of a row. Raises
-    ArgumentError, which keeps the cause, if the function raises, and for another shape, for what are no real
-    numbers and for those not from ``least`` to ``most``, which may be missed by so much ``slack``.
+    ``what`` names the function in messages, ``where`` returns the position of a row's point. Raises
+    ArgumentError, with the cause, if the function raises, and for another shape, for anything but real
+    numbers, and for numbers outside ``least`` to ``most`` by more than ``slack``.
     """
     count = len(arguments[0])
 
@@ -300,7 +299,7 @@ def name_of(function: object) -> str:
 
 
 def takes_both(function: Callable[..., Any], what: str, one: str, other: str) -> bool:
-    """Say whether a function requires ``other`` beside ``one``; refuse other numbers of arguments."""
+    """Return whether a function requires ``other`` besides ``one``; refuse other numbers of arguments."""
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):  # written in C

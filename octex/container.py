@@ -37,7 +37,7 @@ _METADATA = "__metadata__"
 
 
 class Contents(NamedTuple):
-    """What stands in a file."""
+    """The content of a file."""
 
     tensors: dict[str, Array]  # views, in the file's order; writable, but never written to the file
     metadata: dict[str, str]
@@ -74,8 +74,8 @@ def _in_file_order(tensors: Mapping[str, Array]) -> list[tuple[str, Array]]:
 def write(path: str | os.PathLike[str], tensors: Mapping[str, Array], metadata: Mapping[str, str]) -> None:
     """Write arrays and strings to ``path``; the same input gives the same bytes.
 
-    Raises ArgumentError like ``header``, and OutputError if the file cannot be written: then what stood at
-    ``path`` still stands.
+    Raises ArgumentError like ``header``, and OutputError if the file cannot be written: the old file at
+    ``path`` is then unchanged.
     """
     first = header(tensors, metadata)
     with replacing(path) as file:
@@ -87,7 +87,7 @@ def write(path: str | os.PathLike[str], tensors: Mapping[str, Array], metadata: 
 
 
 def read(path: str | os.PathLike[str]) -> Contents:
-    """Map a file and read its header; raises TextureFileError for one that is missing or damaged."""
+    """Map a file and read its header; raises TextureFileError for a missing or damaged one."""
     try:
         with open_file(path) as file:
             if os.fstat(file.fileno()).st_size < 8:
@@ -99,7 +99,7 @@ def read(path: str | os.PathLike[str]) -> Contents:
 
 
 def read_mapped(mapping: mmap.mmap, name: str) -> Contents:
-    """Read the header of a file that is mapped already; ``name`` is for errors, which are as in ``read``."""
+    """Read the header of a mapped file; ``name`` is for errors, which are as in ``read``."""
     size, begin = len(mapping), header_length(mapping)
     try:
         if size < 8 or not 2 <= begin - 8 <= _LONGEST_HEADER:
@@ -117,7 +117,7 @@ def read_mapped(mapping: mmap.mmap, name: str) -> Contents:
 
 
 class Entry(NamedTuple):
-    """Where an array stands in a file."""
+    """An array's place in a file."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
@@ -147,7 +147,7 @@ def described(text: bytes, begin: int = 0) -> tuple[dict[str, Entry], dict[str, 
 
 
 def without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """Return a JSON object's entries, as ``object_pairs_hook``; raises ValueError for a name given twice."""
+    """Return a JSON object, as ``object_pairs_hook``; raises ValueError for a duplicate name."""
     entries = dict(pairs)
     if len(entries) < len(pairs):
         raise ValueError("a name twice")
@@ -188,12 +188,12 @@ def _mapped(file: BinaryIO) -> mmap.mmap:
 
 
 def header_length(mapping: mmap.mmap) -> int:
-    """Return how many bytes of a mapped file come before the arrays."""
+    """Return the number of bytes of a mapped file before the arrays."""
     return 8 + int.from_bytes(mapping[:8], "little")
 
 
 def read_ahead(mapping: mmap.mmap) -> None:
-    """Prepare for most of a mapped file to be read, where the system takes such advice."""
+    """Prepare to read most of a mapped file, where the system takes such advice."""
     if sys.platform != "win32":
         mapping.madvise(mmap.MADV_NORMAL)
 

@@ -1,17 +1,17 @@
-"""Errors and exit codes, all of them.
+"""All errors and exit codes.
 
-OctexError                  anything octex refuses; the message names what, why and what to do
-├── InputError              something given cannot be used
+OctexError                  anything octex refuses; the message names the cause and a remedy
+├── InputError              unusable input
 │   ├── ArgumentError       an argument (also a ValueError)
 │   ├── ModelError          a model file or surface
 │   ├── ImageError          an image file
 │   ├── CameraError         a camera or a camera file
 │   └── TextureFileError    an .octex file
-├── OutputError             something could not be written; what stood there before still stands
+├── OutputError             output could not be written; the previous content is unchanged
 └── MissingExtraError       an optional package is not installed (also an ImportError)
 
-ModelWarning                part of a model is missing or was mended; it is read nevertheless (a UserWarning)
-DefectError                 octex made something that does not fit together: nobody's input is to blame
+ModelWarning                a model was read without a part, or with a repaired one (a UserWarning)
+DefectError                 a defect of octex: it made inconsistent parts from valid input
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from typing import Self
 
 
 class ExitCode(IntEnum):
-    """What every octex command returns to the shell."""
+    """The exit codes of all octex commands."""
 
     meaning: str
 
     def __new__(cls, value: int, meaning: str) -> Self:
-        """Make a number that knows what it means."""
+        """Make a number with a meaning."""
         code = int.__new__(cls, value)
         code._value_ = value
         code.meaning = meaning
@@ -44,11 +44,11 @@ class ExitCode(IntEnum):
 
 
 class OctexError(Exception):
-    """Base of everything that octex raises on purpose."""
+    """Base of all errors that octex raises on purpose."""
 
 
 class InputError(OctexError):
-    """Something given to octex cannot be used."""
+    """Input to octex cannot be used."""
 
 
 class ArgumentError(InputError, ValueError):
@@ -72,7 +72,7 @@ class TextureFileError(InputError):
 
 
 class OutputError(OctexError):
-    """A file could not be written; nothing of the user's was changed."""
+    """A file could not be written; no existing file was changed."""
 
 
 class MissingExtraError(OctexError, ImportError):
@@ -80,26 +80,26 @@ class MissingExtraError(OctexError, ImportError):
 
     @classmethod
     def needed(cls, what: str, package: str, extra: str) -> Self:
-        """Return the error for ``what`` takes a package that is not installed."""
+        """Return the error for a purpose that needs a package that is not installed."""
         return cls(f"{what}, {package} is needed; install it: pip install 'octex[{extra}]'")
 
 
 class ModelWarning(UserWarning):
-    """A model was read without something that it refers to, or with something mended."""
+    """A model was read without one of its parts, or with a repaired one."""
 
 
 class DefectError(Exception):
-    """Octex itself made something inconsistent: a defect, whatever was given to it."""
+    """Octex made inconsistent parts from valid input: a defect."""
 
 
 def damaged(fault: str) -> ModelError:
-    """Return the error for a fault of a file that only another export can mend."""
+    """Return the error for a fault of a file that only another export can repair."""
     return ModelError(f"{fault}; export it again")
 
 
 @contextmanager
 def own_making() -> Iterator[None]:
-    """Raise DefectError for what is refused inside: for parts that octex made itself out of checked input."""
+    """Raise DefectError for any refusal inside: for parts that octex made from checked input."""
     try:
         yield
     except InputError as error:

@@ -1,7 +1,7 @@
-"""Files read whole and replaced whole: devices and pipes are refused, and nothing half-written stays.
+"""Files read whole and replaced whole: devices and pipes are refused, and no partial file remains.
 
-What is being made is known here from before it exists until it is complete. A command that is told to end
-calls ``undo_all``; so does SIGTERM where it would end the process at once, and Python at its own end.
+Every unfinished file is registered here from before it exists until it is complete. A command that is asked
+to end calls ``undo_all``; so do SIGTERM where it would end the process at once, and Python at its end.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ _undos: dict[object, Callable[[], None]] = {}
 
 
 def is_address(path: object) -> bool:
-    """Say whether a path names a file elsewhere: ``protocol://…``, or protocols chained by ``::``."""
+    """Return whether a path is an address: ``protocol://…``, or protocols chained by ``::``."""
     return isinstance(path, str) and _ADDRESS.match(path) is not None
 
 
 def open_file(path: str | os.PathLike[str]) -> BufferedReader:
     """Open a file to read its bytes.
 
-    Raises OSError, also for a pipe or a device, which may have no end, for a name that no file can have, and
-    for what Git LFS leaves in a file's place.
+    Raises OSError, also for a pipe or a device, which may have no end, for an invalid name, and for a Git LFS
+    pointer.
     """
     try:
         # A pipe that nobody writes to is opened at once; for files this changes nothing.
@@ -75,7 +75,7 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
 
 
 def size_of(text: str) -> int:
-    """Return a number of bytes, of a text like 20MB, 800 kB, 2GiB or 5000; raises ValueError for another."""
+    """Return the bytes of a text like 20MB, 800 kB, 2GiB or 5000; raises ValueError for other text."""
     units = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30}
     found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]*)\s*", text.lower())
     if found is None or found[2] not in units or not 1 <= float(found[1]) * units[found[2]] < 2**53:
@@ -84,14 +84,14 @@ def size_of(text: str) -> int:
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:
-    """Return the content of a file; raises what ``open_file`` does."""
+    """Return the content of a file; raises OSError as ``open_file`` does."""
     with open_file(path) as file:
         return file.read()
 
 
 @contextlib.contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Raise ModelError, which names a file, where it cannot be read or takes more memory than there is."""
+    """Raise ModelError with the file's name where it cannot be read or does not fit into memory."""
     try:
         yield
     except OctexError:
@@ -103,7 +103,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def is_absolute(path: str) -> bool:
-    """Say whether a path is absolute, on this system or another."""
+    """Return whether a path is absolute, on this system or another."""
     windows = PureWindowsPath(path)
     return PurePosixPath(path).is_absolute() or bool(windows.drive or windows.root)
 
@@ -134,7 +134,7 @@ def undone_on_failure(undo: Callable[[], None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def _undone_by_sigterm() -> Iterator[None]:
-    """Have SIGTERM undo all before it ends the process; Python lets only the main thread say so."""
+    """Let SIGTERM undo all before it ends the process; only the main thread can set this."""
     is_main = threading.current_thread() is threading.main_thread()
     if not is_main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
         yield
@@ -153,7 +153,7 @@ def _end(number: int, _frame: FrameType | None) -> None:
 
 
 def undo_all() -> None:
-    """Undo all that is not complete, for a process that is about to end."""
+    """Undo all unfinished files, for a process that is about to end."""
     for undo in list(_undos.values()):
         with contextlib.suppress(Exception):
             undo()
@@ -167,11 +167,11 @@ if hasattr(os, "register_at_fork"):
 
 @contextlib.contextmanager
 def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """Open a new file that takes the place of ``path`` at the end of the block, whole or not at all.
+    """Open a new file that replaces ``path`` at the end of the block, completely or not at all.
 
-    Where the system can do so, the new file has no name before it is complete, so that nothing is left of it
-    however the process ends; what killed processes left in the folder nevertheless is removed. Raises
-    OutputError if anything cannot be written (also for an OSError of the block itself).
+    Where the system allows, the new file has no name before it is complete, so that nothing remains of it
+    however the process ends. Remains of killed processes in the folder are removed. Raises OutputError if
+    anything cannot be written (also for an OSError of the block itself).
     """
     target = Path(path)
     try:
@@ -206,9 +206,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
-    """Make a folder that is gone, with all that is in it, at the end of the block or of the process.
+    """Make a folder that is removed, with its content, at the end of the block or of the process.
 
-    It lies in ``parent``, by default where temporary files do. What killed processes left there is removed.
+    It lies in ``parent``, by default where temporary files do. Remains of killed processes there are removed.
     """
     parent = parent or Path(tempfile.gettempdir())
     _remove_leavings(parent)
@@ -245,7 +245,7 @@ def _nameless_file(folder: Path) -> BinaryIO | None:
 
 
 def _named_file(path: Path) -> BinaryIO:
-    """Open a new file, locked, that is surely the one at its path."""
+    """Open a new locked file, and check that it is still the one at its path."""
     while True:
         file = path.open("xb")
         if _lock(file):
@@ -258,7 +258,7 @@ def _named_file(path: Path) -> BinaryIO:
 
 
 def _lock(file: BinaryIO | int) -> bool:
-    """Lock a file or a folder as long as it is open; say whether the system does so."""
+    """Lock a file or a folder as long as it is open; return whether the system can."""
     if not fcntl:
         return False
     try:
@@ -269,7 +269,7 @@ def _lock(file: BinaryIO | int) -> bool:
 
 
 def _remove_leavings(folder: Path) -> None:
-    """Remove the half-written files and the scratch folders of killed processes: those that nobody holds."""
+    """Remove unlocked unfinished files and scratch folders of killed processes."""
     if not fcntl:
         return
     with contextlib.suppress(OSError):

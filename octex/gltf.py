@@ -45,7 +45,7 @@ _MOST_ZEROS = 2**24
 
 
 class Document:
-    """A parsed file: its JSON, and the bytes that it refers to; ``content`` is the file's, if read."""
+    """A parsed file: its JSON, and its buffers; ``content`` are the file's bytes, if read already."""
 
     def __init__(self, path: Path, content: bytes | None = None) -> None:
         self.path = path
@@ -79,7 +79,7 @@ class Document:
         return self.items("extensionsRequired")
 
     def _unpack(self, data: bytes) -> bytes:
-        """Return the JSON chunk of a GLB and keep its binary chunk."""
+        """Return the JSON chunk of a GLB and store its binary chunk."""
         if len(data) < 20:
             raise ModelError(f"{self.name} is truncated: a GLB header has 20 bytes, the file {len(data)}")
         version, length, json_length = struct.unpack_from("<III", data, 4)
@@ -100,7 +100,7 @@ class Document:
         return data[20 : 20 + json_length]
 
     def items(self, kind: str) -> list[Any]:
-        """Return a top-level array, empty if it is not there."""
+        """Return a top-level array, empty if missing."""
         items = self.json.get(kind, [])
         if not isinstance(items, list):
             raise damaged(f"{self.name}: {kind} must be a list, not {reprlib.repr(items)}")
@@ -115,7 +115,7 @@ class Document:
         return as_object(items[index], f"{self.name}: {kind}[{index}]")
 
     def resource(self, uri: str, what: str, error_class: type[ModelError | ImageError] = ModelError) -> bytes:
-        """Return the bytes of a data: URI, or of a file beside this one."""
+        """Return the bytes of a data: URI, or of a file in the same folder."""
         if uri.startswith("data:"):
             head, comma, payload = uri.partition(",")
             if not comma:
@@ -159,7 +159,7 @@ class Document:
         return self._buffers[index]
 
     def view(self, index: int) -> tuple[memoryview, int | None]:
-        """Return the bytes of a buffer view, and its stride; of one that meshopt codes, decoded."""
+        """Return the decoded bytes of a buffer view, and its stride."""
         entry = self.item("bufferViews", index)
         what = f"{self.name}: bufferViews[{index}]"
         extensions = as_object(entry.get("extensions", {}), f"{what}.extensions")
@@ -183,7 +183,7 @@ class Document:
         return memoryview(data)[start : start + length]
 
     def draco(self, primitive: Json, what: str) -> tuple[Array, dict[str, Array]] | None:
-        """Return the triangles (m, 3) of a primitive that Draco codes, and its attributes; or None."""
+        """Return the triangles (m, 3) and attributes of a primitive in Draco's coding, or None."""
         extensions = as_object(primitive.get("extensions", {}), f"{what}.extensions")
         if DRACO not in extensions:
             return None
@@ -217,7 +217,8 @@ class Document:
     def accessor(self, index: int, components: tuple[int, ...], decoded: Array | None = None) -> Array:
         """Return an accessor (count, components); normalized integers as float64 in −1 … 1.
 
-        ``components`` are those allowed. ``decoded`` are the accessor's rows, where an extension has them.
+        ``components`` are the allowed numbers. ``decoded`` are the accessor's rows, if an extension coded
+        them.
         """
         entry = self.item("accessors", index)
         what = f"{self.name}: accessors[{index}]"
@@ -250,7 +251,7 @@ class Document:
         return rows
 
     def _rows(self, entry: Json, count: int, width: int, dtype: np.dtype[Any], what: str) -> Array:
-        """Return so many rows of the buffer view that a record names."""
+        """Return ``count`` rows of the buffer view of a record."""
         data, stride = self.view(entry["bufferView"])
         offset, row = entry.get("byteOffset", 0), width * dtype.itemsize
         stride = stride or row
@@ -263,14 +264,14 @@ class Document:
 
 
 def as_object(value: Any, what: str) -> Json:
-    """Return a part of the JSON that must be an object, or raise ModelError."""
+    """Return a JSON object, or raise ModelError."""
     if not isinstance(value, dict):
         raise damaged(f"{what} must be an object, not {reprlib.repr(value)}")
     return value
 
 
 def as_numbers(values: Any, count: int, what: str, limit: float) -> tuple[float, ...]:
-    """Return so many numbers below a limit, or raise ModelError."""
+    """Return ``count`` numbers below a limit, or raise ModelError."""
     numbers = values if isinstance(values, (list, tuple)) else ()
     if len(numbers) != count or not all(is_number(number, limit) for number in numbers):
         raise damaged(f"{what} must be {count} numbers, not {reprlib.repr(values)}")
@@ -278,7 +279,7 @@ def as_numbers(values: Any, count: int, what: str, limit: float) -> tuple[float,
 
 
 def is_number(value: Any, limit: float) -> bool:
-    """Say whether a part of the JSON is a number below a limit."""
+    """Return whether a JSON value is a number below a limit."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < limit
 
 
@@ -287,7 +288,7 @@ def _refuse_constant(constant: str) -> None:
 
 
 def _decode_meshopt(data: bytes, entry: Json, what: str) -> bytes:
-    """Decode a buffer view, which errors call ``what``, as its extension says."""
+    """Decode a buffer view of meshopt; errors call it ``what``."""
     try:
         import meshopt
     except ImportError:
@@ -313,9 +314,9 @@ def _line(error: Exception) -> str:
 def scene_nodes(
     document: Document, posed: Mapping[int, Json] | None = None
 ) -> Iterator[tuple[int, Json, Float64s]]:
-    """Yield the scene's nodes, depth first: number, node, and the matrix (4, 4) that takes it to the world.
+    """Yield the scene's nodes, depth first: number, node, and its matrix (4, 4) to the world.
 
-    ``posed`` has fields of nodes by their numbers, instead of those in the file.
+    ``posed`` replaces fields of nodes, by number.
     """
     if document.items("scenes"):
         roots = _links(document, "scenes", document.json.get("scene", 0), "nodes")
@@ -343,7 +344,7 @@ def scene_nodes(
 
 
 def _links(document: Document, kind: str, number: Any, field: str) -> list[int]:
-    """Return the numbers of nodes that a scene or a node lists, all of which are there."""
+    """Return the existing nodes that a scene or a node lists."""
     numbers = document.item(kind, number).get(field, [])
     if not isinstance(numbers, list):
         raise damaged(f"{document.name}: {kind}[{number}]: {field} must be a list of indices")
@@ -364,7 +365,7 @@ def local_matrix(fields: Mapping[str, npt.ArrayLike]) -> Float64s:
 
 
 def rotation_matrix(w: float, x: float, y: float, z: float) -> Float64s:
-    """Return the matrix (3, 3) of a quaternion of any length; no turn for one of length 0."""
+    """Return the matrix (3, 3) of a quaternion of any length; the identity for length 0."""
     length = w * w + x * x + y * y + z * z
     s = 2 / length if length else 0.0
     return np.array(

@@ -1,4 +1,4 @@
-"""Read the arrays of an .npz file: what it says of itself is checked before it takes memory."""
+"""Reads the arrays of an .npz file; checks its declared sizes before it takes memory."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _KINDS = "biufUS"
 
 
 def read_npz(file: IO[bytes], names: Container[str] | None = None) -> dict[str, Array]:
-    """Return the arrays of an .npz file, or those of some ``names``: of numbers or texts, not of objects.
+    """Return the arrays of an .npz file, by default all: of numbers or texts, not of objects.
 
-    Takes at most some 1100 times the file's bytes. Raises ValueError, which says why, for a file that is
-    damaged or none, and OSError where it cannot be read.
+    Takes at most about 1100 times the file's bytes. Raises ValueError, with the reason, for a damaged file,
+    and OSError where it cannot be read.
     """
     size = file.seek(0, io.SEEK_END)
     try:

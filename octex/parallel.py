@@ -1,10 +1,10 @@
-"""Work in parallel: the one rule for who works, and how far it is.
+"""Parallel work and progress.
 
-Functions that work in parallel take a `Run`, and hand it to `workers`. What a worker calls works alone in its
+Functions that work in parallel take a `Run`, and pass it to `workers`. Code that a worker calls stays in its
 thread.
 
-A task returns what it makes: `start` sends other processes copies of arrays, to read only. A task that writes
-to the arrays it is given takes its workers from `sharing`: threads of this process.
+A task returns its result: `start` sends other processes copies of arrays, to read only. A task that writes to
+its input arrays takes its workers from `sharing`: threads of this process.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def silent(stage: str, done: int, total: int) -> None:
 
 
 def as_progress(progress: Progress | None) -> Progress:
-    """Return what is called with progress, which for None says nothing, or raise ArgumentError."""
+    """Return a progress function, silent for None, or raise ArgumentError."""
     if progress is not None and not callable(progress):
         raise ArgumentError(f"progress must be a function (stage, done, total), not {progress!r}")
     return silent if progress is None else progress
@@ -52,15 +52,15 @@ def as_progress(progress: Progress | None) -> Progress:
 
 @dataclass(frozen=True, kw_only=True)
 class Run:
-    """How octex works: who works, in how much memory, and who hears of it. No field changes a result.
+    """How octex works: threads, memory and progress. No field changes a result.
 
-    threads   so many threads. Default: all processors for large batches, the calling thread for small ones
+    threads   number of threads. Default: all processors for large batches, the calling thread for small ones
     executor  a concurrent.futures.Executor that does the work, instead of threads
-    memory    bytes, or a text like "2GB": keep what exceeds it in files. ``convert`` takes it with ``path``;
+    memory    bytes, or a text like "2GB": store the excess in files. ``convert`` takes it with ``path``;
               ``paint``, ``project`` and ``refine_cameras`` need 64 bytes a pixel, merging some 700 MB
     folder    for these files. Default: that of ``path``, or the folder of temporary files
-    resume    a folder that stores finished stages of painting. A later call with the same folder reuses what
-              has not changed. It holds 29 bytes a pixel; you may delete it
+    resume    a folder that stores finished stages of painting. A later call with the same folder reuses
+              unchanged stages. It holds 29 bytes a pixel; you may delete it
     progress  called with a stage's name, the units done and the units in all
 
     Other functions refuse memory, folder and resume. The shortcuts ``threads=`` and ``progress=`` of a
@@ -97,7 +97,7 @@ class Run:
 
     @property
     def report(self) -> Progress:
-        """``progress``, or for None what says nothing."""
+        """``progress``, or a silent function for None."""
         return as_progress(self.progress)
 
 
@@ -106,7 +106,7 @@ DEFAULT = Run()
 
 
 def folder_of(run: Run, default: Path) -> Path:
-    """Return where the files of a run lie, or raise ArgumentError for what is no folder."""
+    """Return the folder for a run's files, or raise ArgumentError if it is none."""
     folder = default if run.folder is None else Path(os.fsdecode(run.folder))
     if not folder.is_dir():
         raise ArgumentError(f"folder: {folder} is not a folder; name an existing one")
@@ -114,9 +114,9 @@ def folder_of(run: Run, default: Path) -> Path:
 
 
 def as_run(run: Run | None, threads: int | None = None, progress: Progress | None = None, *uses: str) -> Run:
-    """Return a run with the shortcuts of a function in it, or raise ArgumentError.
+    """Return a run with a function's shortcuts in it, or raise ArgumentError.
 
-    ``uses`` are those of memory, folder and resume that the function has a use for.
+    ``uses`` names the fields among memory, folder and resume that the function uses.
     """
     run = DEFAULT if run is None else run
     if not isinstance(run, Run):
@@ -134,7 +134,7 @@ def as_run(run: Run | None, threads: int | None = None, progress: Progress | Non
 
 
 def memory_size() -> float:
-    """Return the bytes of memory that this machine has, infinity if it does not say."""
+    """Return the bytes of memory of this machine, infinity if unknown."""
     try:
         return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
     except (AttributeError, ValueError, OSError):  # not on this operating system
@@ -159,7 +159,7 @@ def at_most(count: int | None) -> Iterator[None]:
 
 
 def cpu_count() -> int:
-    """Processors that this process may use, or as many as ``at_most`` says."""
+    """Return the number of processors that this process may use, or the limit of ``at_most``."""
     if _most is not None:
         return _most
     try:
@@ -170,7 +170,7 @@ def cpu_count() -> int:
 
 @contextmanager
 def pool_of(count: int) -> Iterator[Executor]:
-    """Yield a pool of ``count`` threads that ends with the block; an error drops what has not begun."""
+    """Yield a pool of ``count`` threads that ends with the block; an error drops pending tasks."""
     global _pools
     if _most is not None and _pools:  # which has all threads that may be
         yield _Here()
@@ -191,9 +191,9 @@ def _note_worker() -> None:
 
 
 class built_once(cached_property[Result]):  # noqa: N801  (as what it derives from)
-    """Like ``cached_property``, but what several threads ask for at the same time is made by one of them.
+    """Like ``cached_property``, but one of several threads computes the value.
 
-    Meanwhile only those who ask for the same of the same object wait.
+    Only threads that need the same value of the same object wait.
     """
 
     def __get__(self, instance: Any, owner: type[Any] | None = None) -> Any:
@@ -217,7 +217,7 @@ _turns: dict[tuple[int, str | None], threading.RLock] = {}  # only until an obje
 
 
 class _Here(Executor):
-    """Works at once, in the thread that asks."""
+    """Works at once, in the calling thread."""
 
     def submit(self, function: Callable[..., Result], /, *given: Any, **named: Any) -> Future[Result]:
         future: Future[Result] = Future()
@@ -230,10 +230,10 @@ class _Here(Executor):
 
 @contextmanager
 def workers(run: Run = DEFAULT, tasks: int | None = None) -> Iterator[Executor]:
-    """Yield who does so many ``tasks``, None being many: an executor, or threads that end with the block.
+    """Yield an executor for a number of ``tasks``, None for many; its threads end with the block.
 
-    These are as many as the run says, for None a thread for each processor; the calling thread alone for one
-    task, and for None in a thread that works for octex already.
+    They are as many as the run says, for None a thread for each processor; the calling thread for one task,
+    and for None in a worker thread of octex.
     """
     if run.executor is not None:
         yield run.executor
@@ -248,12 +248,12 @@ def workers(run: Run = DEFAULT, tasks: int | None = None) -> Iterator[Executor]:
 
 
 def shares_memory(executor: Executor) -> bool:
-    """Say whether an executor surely works in this process."""
+    """Return whether an executor surely works in this process."""
     return isinstance(executor, (_Here, ThreadPoolExecutor))
 
 
 def start(executor: Executor, function: Callable[..., Result], /, *given: Any) -> Future[Result]:
-    """Have an executor do a task; other processes get copies of its arrays, which it must not write to.
+    """Submit a task; other processes get copies of its arrays, which it must not write to.
 
     Raises ArgumentError for a task that cannot be sent to them.
     """
@@ -272,7 +272,7 @@ def start(executor: Executor, function: Callable[..., Result], /, *given: Any) -
 
 
 class _Pickler(pickle.Pickler):
-    """Keeps the elements of all arrays apart from the rest."""
+    """Pickles the elements of all arrays separately."""
 
     def reducer_override(self, given: Any) -> Any:
         flags = getattr(given, "flags", None)
@@ -282,7 +282,7 @@ class _Pickler(pickle.Pickler):
 
 
 def _do(text: bytes, copies: list[bytes]) -> Any:
-    """Do a task that was sent here; raises RuntimeError for one that writes to what it was given."""
+    """Do a task in another process; raises RuntimeError for one that writes to its arguments."""
     sums = [zlib.adler32(copy) for copy in copies]
     function, given = pickle.loads(text, buffers=copies)  # arrays of bytes are read-only
     found = function(*given)
@@ -293,10 +293,10 @@ def _do(text: bytes, copies: list[bytes]) -> Any:
 
 @contextmanager
 def sharing(executor: Executor) -> Iterator[Executor]:
-    """Yield who does tasks that write to arrays of this process.
+    """Yield an executor for tasks that write to arrays of this process.
 
-    That is ``executor``, or what it has as ``here``, if that works in this process; else threads that end
-    with the block.
+    That is ``executor``, or its attribute ``here``, if that works in this process; else threads that end with
+    the block.
     """
     here = getattr(executor, "here", executor)
     if here is not None and shares_memory(here):

@@ -1,8 +1,7 @@
-"""Files elsewhere, a part of which lies here: fetched in blocks when they are needed, by fsspec.
+"""Files at an address, fetched in blocks on demand, by fsspec.
 
-A local file as long as the remote one, without the blocks that are not here yet, is mapped; the blocks that
-somebody is about to read are fetched into it before. It has no name and goes with the process, or stands in a
-folder beside a byte a block that says which are here, for the next process.
+A local file of the same length is mapped; blocks are fetched into it before they are read. It has no name and
+ends with the process, or lies in a folder with a byte a block that marks fetched ones, for later processes.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ _STAMPS = "ETag", "etag", "Last-Modified", "LastModified", "last_modified", "mti
 
 
 class RemoteFile:
-    """A file at an address, and the part of it that is here, mapped.
+    """A file at an address, and its mapped local copy, of fetched blocks.
 
-    ``cache`` is a folder that keeps what was fetched. Raises TextureFileError, which names the address, for
-    what cannot be reached, here and when blocks are fetched; OutputError if there is no place for them here;
-    MissingExtraError without fsspec, or what it needs for the protocol.
+    ``cache`` is a folder for fetched blocks. Raises TextureFileError, with the address, for an unreachable
+    file, here and when blocks are fetched; OutputError without room for them; MissingExtraError without
+    fsspec, or a package that it needs for the protocol.
     """
 
     def __init__(self, address: str, cache: Path | None = None) -> None:
@@ -70,11 +69,11 @@ class RemoteFile:
 
     @property
     def is_whole(self) -> bool:
-        """Whether all blocks are here."""
+        """Whether all blocks are fetched."""
         return bool(self._is_here.all())
 
     def fetch(self, ranges: Iterable[tuple[int, int]]) -> bool:
-        """Fetch what is not here of bytes from … to before …; say whether there was any."""
+        """Fetch the missing blocks of ranges of bytes; return whether there were any."""
         with self._lock:
             wanted = np.zeros(self._is_here.size, np.bool_)
             for begin, end in ranges:
@@ -94,7 +93,7 @@ class RemoteFile:
 
     @contextmanager
     def checked_once(self) -> Iterator[None]:
-        """Look once, at the end, whether the file has changed while parts of it were fetched."""
+        """Check once, at the end of the block, whether the file changed while parts were fetched."""
         with self._lock:
             self._checks_later = True
             try:
@@ -105,11 +104,11 @@ class RemoteFile:
                     self._check_unchanged()
 
     def fetch_all(self) -> None:
-        """Fetch all that is not here."""
+        """Fetch all missing blocks."""
         self.fetch([(0, self.size)])
 
     def holds(self, array: Array) -> bool:
-        """Say whether an array is empty or a view of the mapping."""
+        """Return whether an array is empty or a view of the mapping."""
         return not array.nbytes or 0 <= array.ctypes.data - self._first < self.size
 
     def _fetch(self, runs: Int64s) -> None:
@@ -141,7 +140,7 @@ class RemoteFile:
             self._is_here[begin // BLOCK : -(-end // BLOCK)] = 1
 
     def _described(self) -> tuple[int, tuple[str, ...]]:
-        """Return the file's length, and it and all by which a changed file is known."""
+        """Return the file's length, and its length and stamps, which tell a changed file."""
         try:
             self._files.invalidate_cache(self._path)
             info: dict[str, Any] = self._files.info(self._path)
@@ -155,7 +154,7 @@ class RemoteFile:
         return size, (str(size), *(str(info[name]) for name in _STAMPS if info.get(name)))
 
     def _check_unchanged(self) -> None:
-        """Raise TextureFileError if the file has changed: then nothing of it is here."""
+        """Raise TextureFileError if the file has changed: then all blocks are missing."""
         if self._described()[1] != self._stamp:
             self._is_here[:] = 0
             raise TextureFileError(f"{self.address}: changed after it was opened; open it again")
@@ -175,7 +174,7 @@ class RemoteFile:
 
 
 def _made(cache: Path | None, address: str, stamp: tuple[str, ...], size: int) -> tuple[BinaryIO, Uint8s]:
-    """Make the local file, or find it in the ``cache``; return it, and which blocks are here."""
+    """Make the local file, or find it in the ``cache``; return it, and the marks of fetched blocks."""
     blocks = -(-size // BLOCK)
     if cache is None:
         nameless: Any = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  (it is kept open)

@@ -1,12 +1,11 @@
-"""The archive of a texture, ``.octz``: a third of a render file's bytes or less (paper 4.3.2).
+"""The archive of a texture, ``.octz``: at most a third of a render file's bytes (paper 4.3.2).
 
-layout      blocks, the streams in them, and names; coarse levels first
-entropy     symbols and bits, whose frequencies follow what occurs, to words and back
-structure   what is known around a cell before it is decoded; which children a node has, and flags
-areas       of cells, from what the others of their column leave, and their siblings
-values      of channels, from their parents' and from what came before; rows, from their cells'
-blocks      the streams of a block, in order: the same for noting and decoding
-write       a file; blocks of a level in parallel
-read        a file, whole or in part
-web         web files read, ``.octw``
+layout      blocks, their streams, and names; coarse levels first
+entropy     codes symbols and bits with adaptive frequencies as words, and decodes them
+structure   the neighbours of nodes and children; codes children and flags from them
+values      codes channels' values from those of the level above, areas, and rows from their cells
+blocks      codes the streams of a block in order, to encode and to decode
+write       writes a file; blocks of a level in parallel
+read        reads a file, whole or in part
+web         reads web files, ``.octw``
 """

@@ -1,4 +1,4 @@
-"""The streams of a block, in order: the same for noting and for decoding."""
+"""Codes the streams of a block in order: the same code encodes and decodes."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def code_block(
     models: dict[str, Model],
     streams: Iterator[tuple[int, bytes]] | None = None,
 ) -> list[bytes]:
-    """Code streams of a block: STRUCTURE, AREAS, channels, those of ``kinds`` in this order.
+    """Code streams of a block: those of ``kinds``, in the order STRUCTURE, AREAS, channels.
 
-    Returns the streams, or decodes those that are given, each with the byte of the file where it begins;
-    raises DamagedError for one that makes no sense. ``models`` are what streams have learned in the last
-    level of one block. They are copied, or if the block is its level's only one, go on.
+    Returns the encoded streams, or decodes ``streams``, each with its first byte in the file; raises
+    DamagedError for an invalid one. ``models`` hold the state of streams after the last level of one block.
+    They are copied, or continue if the block is the only one of its level.
     """
     arrays, found = content.arrays, []
     around = structure.around_nodes(arrays, block)
@@ -64,7 +64,7 @@ def code_block(
 
 
 def _extent(kind: str, codings: Mapping[str, Coding], block: Block) -> tuple[tuple[int, int], int]:
-    """Return how many contexts of symbols, and of bits, a stream has, and how many notes it may have."""
+    """Return a stream's numbers of contexts of symbols and of bits, and its largest number of notes."""
     _, cell, _, row, kept = block.counts
     if kind == STRUCTURE:
         return structure.CONTEXTS, structure.MOST * (block.last - block.first)
@@ -74,7 +74,7 @@ def _extent(kind: str, codings: Mapping[str, Coding], block: Block) -> tuple[tup
 
 
 def _list_flagged(content: Content, block: Block) -> None:
-    """List in the tables which cells of a block are split, or kept nodes, by their decoded flags."""
+    """List the split cells and kept nodes of a block in the tables, from its decoded flags."""
     begin, end, flags = block.begin, block.end, content.arrays.flags
     for flag, cells in (
         (SPLIT, content.split.cells[begin.split : end.split]),
@@ -93,7 +93,7 @@ def _list_flagged(content: Content, block: Block) -> None:
 def _code_channel(
     content: Content, name: str, coding: Coding, block: Block, found: tuple[Array, ...], coder: Coder
 ) -> None:
-    """Note or decode the values of a channel, those of cells, of rows of split cells, and of kept nodes."""
+    """Code the values of a channel: of cells, of rows of split cells, and of kept nodes."""
     form, (owners, rows, around), begin, end = coding.form, found, block.begin, block.end
     decodes, raw = coder.work == DECODES, content.decoded[name].values
     tables = zip(

@@ -1,9 +1,9 @@
-"""The entropy coder: adaptive symbols and bits to words of 32 bits and back, in one stream.
+"""The entropy coder: adaptive symbols and bits, in one stream of 32-bit words.
 
 rANS (Duda 2013, "Asymmetric numeral systems") with two states of 63 bits, which take turns (Giesen 2014,
-"Interleaved entropy coders"). Frequencies are of 32768. A context's frequencies follow what occurs in it, so
-nothing about them is stored. rANS writes backward: symbols are noted first, then the notes are turned into
-words, the last first. The decoder reads forward.
+"Interleaved entropy coders"). Frequencies are parts of 32768 and adapt in each context, so none are stored.
+rANS writes backward: symbols are noted first, then the notes become words, the last first. The decoder reads
+forward.
 """
 
 from __future__ import annotations
@@ -46,19 +46,19 @@ _LANES = np.arange(SYMBOLS, dtype=np.int16)
 
 
 class Model(NamedTuple):
-    """What a stream has learned: what kernels take."""
+    """The adaptive state of a stream."""
 
     numbers: Int16s  # (contexts · 32,)
     odds: Uint32s  # (contexts of bits,)   of 65536: how likely 0 is
 
 
 def new_model(symbols: int, bits: int) -> Model:
-    """Return a model of so many contexts of symbols, and of bits."""
+    """Return a model of contexts of symbols, and of bits."""
     return Model(np.tile(_EVEN, symbols), np.full(bits, 1 << 15, np.uint32))
 
 
 class Coder(NamedTuple):
-    """A stream that is noted or decoded: what kernels take."""
+    """A stream to note or to decode."""
 
     work: int  # NOTES or DECODES
     state: Int64s  # the states, then PLACE and FAULT
@@ -67,12 +67,12 @@ class Coder(NamedTuple):
 
 
 def noter(model: Model, most: int) -> Coder:
-    """Return a coder that notes, with room for so many notes."""
+    """Return a coder that notes, with room for ``most`` notes."""
     return Coder(NOTES, np.array(_BEGIN, np.int64), np.empty(most, np.int64), model)
 
 
 def decoder(model: Model, content: bytes) -> Coder:
-    """Return a coder that reads a stream's bytes; a zero ends its words. These begin with the states."""
+    """Return a coder that reads a stream's bytes: first the states, then words, then an added zero."""
     words = np.frombuffer(content, "<u4", len(content) // 4)
     coder = Coder(DECODES, np.array(_BEGIN, np.int64), np.append(words, np.uint32(0)).astype(np.int64), model)
     if words.size >= 2 * STATES:
@@ -82,25 +82,25 @@ def decoder(model: Model, content: bytes) -> Coder:
 
 
 def is_whole(coder: Coder) -> bool:
-    """Say whether a stream was read to its end, where the encoder began."""
+    """Return whether a stream was read to its end, where the encoder began."""
     return bool(coder.state.tolist() == [_LEAST] * STATES + [coder.stream.size - 1, 0])
 
 
 @inlined
 def wide(number: Any) -> int:
-    """Return a number of any type as int64, which no sum of kernels leaves."""
+    """Return a number of any type as int64, so that kernels' sums stay int64."""
     return np.int64(number)  # type: ignore[return-value]
 
 
 @inlined
 def _low(coder: Coder) -> int:
-    """Return what says which symbol is next."""
+    """Return the state's part that selects the next symbol."""
     return wide(coder.state[0] & (ONE - 1))
 
 
 @inlined
 def _code(start: int, size: int, plain: int, count: int, coder: Coder) -> int:
-    """Note a symbol's interval and ``count`` bits, 0 to 15, or take them off a state; return the bits."""
+    """Code a symbol's interval and ``count`` plain bits, 0 to 15; return the bits."""
     place = coder.state[PLACE]
     if coder.work != DECODES:
         coder.stream[np.uint64(place)] = count << 48 | plain << 32 | start << 16 | size
@@ -121,7 +121,7 @@ def _code(start: int, size: int, plain: int, count: int, coder: Coder) -> int:
 
 @inlined
 def code_token(symbol: int, plain: int, bits: Int64s, context: int, coder: Coder) -> tuple[int, int]:
-    """Note or decode a symbol of 16 in a context and its plain bits, ``bits`` of each symbol; return both."""
+    """Code one of 16 symbols in a context, and its plain bits, ``bits`` of each symbol; return both."""
     numbers, at = coder.model.numbers, context * _ROW
     if coder.work == DECODES:
         begins = sixteen_at(numbers, at) + sixteen_at(_LANES, 0)
@@ -140,13 +140,13 @@ def code_token(symbol: int, plain: int, bits: Int64s, context: int, coder: Coder
 
 @inlined
 def code_symbol(symbol: int, context: int, coder: Coder) -> int:
-    """Note or decode a symbol of 16 in a context; return it."""
+    """Code one of 16 symbols in a context; return it."""
     return code_token(symbol, 0, _NO_BITS, context, coder)[0]
 
 
 @inlined
 def code_bit(bit: int, context: int, coder: Coder) -> int:
-    """Note or decode a bit in a context of bits; return it."""
+    """Code a bit in a context of bits; return it."""
     at = np.uint64(context)
     odds = wide(coder.model.odds[at])
     size = min(max(odds >> 1, 16), ONE - 16)
@@ -159,12 +159,10 @@ def code_bit(bit: int, context: int, coder: Coder) -> int:
 
 @inlined
 def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Coder) -> tuple[int, int]:
-    """Note or decode a number; return it, and about what it is.
+    """Code a number, and return it, and about its size.
 
-    It has 8 bits at most if it is a byte's, else 39.
-
-    A token says where it lies in units of 2ᵘⁿⁱᵗ, and plain bits where from there. The last token is followed
-    by the number of bits.
+    It has at most 8 bits if ``is_byte``, else 39. A token gives its range in units of 2ᵘⁿⁱᵗ, and plain bits
+    its place there. The number of bits follows the last token.
     """
     high, token, plain = number >> unit, wide(0), wide(0)
     if coder.work != DECODES:
@@ -190,7 +188,7 @@ def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Code
 
 @inlined
 def _code_long(value: int, count: int, coder: Coder) -> int:
-    """Note or decode ``count`` plain bits, the lowest first; return them."""
+    """Code ``count`` plain bits, the lowest first; return them."""
     found = done = wide(0)
     while done < count:
         some = min(count - done, PRECISION)
@@ -201,7 +199,7 @@ def _code_long(value: int, count: int, coder: Coder) -> int:
 
 @kernel
 def _write_words(notes: Int64s, words: Uint32s) -> int:
-    """Turn notes into words, the last first, at the far end of ``words``; return where they begin."""
+    """Write notes as words, the last first, at the end of ``words``; return where they begin."""
     states = np.full(STATES, _LEAST, np.int64)
     at = words.size
     for i in range(notes.size - 1, -1, -1):
@@ -223,7 +221,7 @@ def _write_words(notes: Int64s, words: Uint32s) -> int:
 
 
 def encoded(coder: Coder) -> bytes:
-    """Return the stream of what was noted."""
+    """Return the stream of all notes."""
     notes = coder.stream[: coder.state[PLACE]]
     words = np.empty(notes.size + 2 * STATES + 1, np.uint32)  # a note takes a word at most
     return words[_write_words(notes, words) :].astype("<u4").tobytes()

@@ -1,8 +1,8 @@
-"""The parts of an archive: blocks, the streams in them, and names; octex/formats/FORMAT.md draws the bytes.
+"""The parts of an archive: blocks, their streams, and names; octex/formats/FORMAT.md draws the bytes.
 
-A block is the children of up to ``BLOCK`` nodes of one level, with the rows of those that are split and the
-coefficients of those that are kept. A block has a stream for its structure and flags, one for its areas, and
-one for each channel. A stream is decoded with nothing but the levels above its block.
+A block is the children of up to ``BLOCK`` nodes of one level, with the rows of split ones and the
+coefficients of kept ones. It has a stream for its structure and flags, one for its areas, and one for each
+channel. A stream needs only the levels above its block.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ KEPT_NAME = "kept/cells"
 
 
 class DamagedError(Exception):
-    """Say what is wrong, without the file's name."""
+    """A fault of the file, without the file's name."""
 
 
 class Place(NamedTuple):
-    """How many of each come before a place in the file's order."""
+    """Counts of all that precedes a place in the file's order."""
 
     node: int
     cell: int
@@ -56,7 +56,7 @@ class Place(NamedTuple):
 
 
 class Block(NamedTuple):
-    """The children of some nodes of a level."""
+    """The children of nodes of a level."""
 
     level: int  # of the nodes
     first: int
@@ -66,7 +66,7 @@ class Block(NamedTuple):
 
     @property
     def counts(self) -> Place:
-        """How many of each it has."""
+        """The block's own counts."""
         return Place(*(after - before for before, after in zip(self.begin, self.end, strict=True)))
 
 
@@ -79,7 +79,7 @@ class Named(NamedTuple):
 
 
 class Form(NamedTuple):
-    """What a channel's values are."""
+    """The form of a channel's values."""
 
     components: int
     size: int  # bytes of a value: 1, 2, 4
@@ -89,14 +89,14 @@ class Form(NamedTuple):
 
 
 class Coding(NamedTuple):
-    """How a channel's values are coded."""
+    """The coding of a channel's values."""
 
     form: Form
     weights: Int64s  # (groups · terms,)   of guesses
 
 
 class Content(NamedTuple):
-    """What is archived, or as far as it is decoded."""
+    """The arrays to archive, or decoded so far."""
 
     arrays: TreeArrays
     split: SplitTable
@@ -106,7 +106,7 @@ class Content(NamedTuple):
 
 
 def content_of(tensors: Mapping[str, Array], channels: Sequence[str]) -> Content:
-    """Return a render file's tensors by what they are; raises KeyError for one that lacks some."""
+    """Return a render file's tensors as arrays by kind; raises KeyError for missing ones."""
     has_split, has_kept = SPLIT_NAMES[0] in tensors, KEPT_NAME in tensors
     split = SplitTable(*(tensors[name] for name in SPLIT_NAMES)) if has_split else no_split()
     kept = KeptTable(tensors[KEPT_NAME]) if has_kept else no_kept()
@@ -142,7 +142,7 @@ def channels_in(metadata: Mapping[str, str]) -> list[str]:
 
 
 def pieces_of(sizes: Mapping[str, int], channels: Sequence[str]) -> Iterator[tuple[str, int, int]]:
-    """Yield the pieces of other tensors, of whose bytes there are so many: which, from where to where."""
+    """Yield the pieces of other tensors, from their sizes in bytes: name, begin and end."""
     known = known_names(sizes, channels)
     for name, size in sizes.items():
         for begin in range(0, size if name not in known else 0, PIECE):
@@ -150,7 +150,7 @@ def pieces_of(sizes: Mapping[str, int], channels: Sequence[str]) -> Iterator[tup
 
 
 def runs(first: int, end: int) -> Iterator[tuple[int, int]]:
-    """Yield the first node of each block of a level, and that after its last."""
+    """Yield the first node of each block of a level, and the end of the block."""
     while first < end:
         last = min((first // BLOCK + 1) * BLOCK, end)
         yield first, last
@@ -165,7 +165,7 @@ def after_root(flags: int, n_nodes: int) -> Place:
 
 
 def of_root(content: Content, place: Place) -> list[Array]:
-    """Return what the root has: flags, area, areas of its rows, and of each channel its rows of values."""
+    """Return the root's data: flags, area, areas of its rows, and its rows of values by channel."""
     arrays, rows = content.arrays, (1, place.row, place.kept)
     found = [arrays.flags[:1], arrays.areas[:1], content.split.areas[: place.row]]
     for channel in content.given.values():

@@ -1,4 +1,4 @@
-"""Decode an archive, whole or what is asked for of it."""
+"""Decodes an archive, whole or in part."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ Fetch = Callable[[Sequence[tuple[int, int]]], object]
 
 
 class Contents(NamedTuple):
-    """What an archive holds."""
+    """The content of an archive."""
 
     tensors: dict[str, Array]  # named, and ordered, as in a render file
     metadata: dict[str, str]
@@ -71,7 +71,7 @@ class Contents(NamedTuple):
 
 
 class _Stream(NamedTuple):
-    """Where a stream lies."""
+    """A stream's place in the file."""
 
     begin: int
     length: int
@@ -85,7 +85,7 @@ class _Stream(NamedTuple):
         return found
 
     def damaged(self) -> DamagedError:
-        """Return the error for a stream that is not what was written."""
+        """Return the error for wrong bytes."""
         return DamagedError(f"its bytes from {self.begin} on are damaged; copy it again")
 
 
@@ -95,7 +95,7 @@ _Part = tuple[Block, dict[str, _Stream]]
 
 @contextmanager
 def naming(place: object) -> Iterator[None]:
-    """Raise TextureFileError, which names a file, for one that cannot be read."""
+    """Raise TextureFileError, with the file's name, for one that cannot be read."""
     try:
         yield
     except OSError as error:
@@ -107,10 +107,10 @@ def naming(place: object) -> Iterator[None]:
 
 
 def read(path: str | os.PathLike[str]) -> Contents:
-    """Decode an archive into memory, or where it is large into a temporary file that is mapped.
+    """Decode an archive into memory, or a large one into a mapped temporary file.
 
-    Every stream is checked by its checksum, and every count. Raises TextureFileError for a file that is
-    missing, damaged, no archive, or of another version.
+    Every stream's checksum and every count is checked. Raises TextureFileError for a file that is missing,
+    damaged, no archive, or of another version.
     """
     with naming(path), open_file(path) as file:
         if os.fstat(file.fileno()).st_size < START:
@@ -122,9 +122,10 @@ def read(path: str | os.PathLike[str]) -> Contents:
 
 
 class Decoding:
-    """The decoding of one archive, whole or in part: a block's stream after what it is decoded with.
+    """The decoding of one archive, whole or in part: each block's stream after the levels above it.
 
-    ``fetch`` is told which bytes of ``content`` are about to be read. Raises DamagedError, as its methods do.
+    ``fetch`` is called with the ranges of ``content`` before they are read. Raises DamagedError, as its
+    methods do.
     """
 
     def __init__(self, content: mmap.mmap, fetch: Fetch = lambda _ranges: None) -> None:
@@ -151,7 +152,7 @@ class Decoding:
         self.is_whole = False
 
     def _open(self, header: bytes, root: bytes, records: bytes) -> None:
-        """Make room for what is described; raises errors for what no archive has."""
+        """Allocate the described arrays; raises errors for impossible ones."""
         entries, self._metadata, size = container.described(header)
         channels, numbers = channels_in(self._metadata), np.frombuffer(records, "<u4").tolist()
         at = 0
@@ -198,7 +199,7 @@ class Decoding:
 
     @property
     def contents(self) -> Contents:
-        """What is decoded, zeros for what is not."""
+        """The decoded content, zeros for the rest."""
         names = {STRUCTURE: "structure and flags", AREAS: "areas"}
         sizes = {
             names.get(kind, f"channel {kind}"): sum(streams[kind].length for _, streams in self._parts)
@@ -209,7 +210,7 @@ class Decoding:
         return Contents(self._tensors, self._metadata, sizes)
 
     def decode_all(self) -> None:
-        """Decode what is not decoded yet."""
+        """Decode everything."""
         if self.is_whole:
             return
         self._fetch([(START, self._end)])
@@ -223,10 +224,10 @@ class Decoding:
         self.is_whole = True
 
     def decode(self, wanted: Mapping[str, Sequence[tuple[str, Int64s]]], level: int = 0) -> bool:
-        """Decode AREAS and channels: of each kind rows of tables, which are named as in `Place`.
+        """Decode AREAS and channels: rows of tables, named as in `Place`, for each kind.
 
-        Structure, flags and tables are decoded down to these, and at least to a ``level``. Says whether there
-        was anything to do.
+        Structure, flags and tables are decoded down to these rows, and at least to ``level``. Returns whether
+        there was anything to do.
         """
         marked = {kind: self._marked(rows) for kind, rows in wanted.items()}
         level = max([level, *(self.level_of(*rows) for each in wanted.values() for rows in each)])
@@ -242,12 +243,12 @@ class Decoding:
         return self._decode(marked) or was_more
 
     def level_of(self, table: str, rows: Int64s) -> int:
-        """Return the level of the last of the cells that some rows of a table are of."""
+        """Return the level of the last cell with any of these rows of a table."""
         number = int(np.searchsorted(self._firsts[table], rows.max(initial=0), "right")) - 1
         return self._parts[number][0].level + 1 if number >= 0 else 0
 
     def _marked(self, wanted: Sequence[tuple[str, Int64s]]) -> Bools:
-        """Mark the blocks that have rows of tables; the root's are in none."""
+        """Mark the blocks with rows of tables; the root's are in none."""
         marked = np.zeros(len(self._parts), np.bool_)
         for table, rows in wanted:
             found = np.searchsorted(self._firsts[table], rows, "right") - 1
@@ -255,7 +256,7 @@ class Decoding:
         return marked
 
     def _decode(self, wanted: Mapping[str, Bools]) -> bool:
-        """Decode kinds of streams of blocks, level by level; what they are decoded with is, or is wanted."""
+        """Decode kinds of streams of blocks, level by level; the levels above are decoded, or wanted too."""
         left = {kind: marked & ~self._done[kind] for kind, marked in wanted.items()}
         todo: list[_Part] = []
         for number in np.flatnonzero(np.any(list(left.values()), axis=0)) if left else ():
@@ -277,7 +278,7 @@ class Decoding:
         code_block(self._coded, self._codings, block, list(streams), self._models, read)
 
     def _stream(self) -> _Stream:
-        """Return where the next stream of the file lies."""
+        """Return the place of the file's next stream."""
         begin, length = self._at_byte, next(self._records)
         self._at_byte += length
         if self._at_byte > self._end:
@@ -331,7 +332,7 @@ def _directory(content: mmap.mmap, fetch: Fetch) -> tuple[int, bytes, bytes, byt
 
 
 def _unpacked(content: bytes, length: int) -> bytes | None:
-    """Return the bytes that xz has packed; None if they are not as many."""
+    """Unpack xz; None unless it has exactly ``length`` bytes."""
     try:
         inflate = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_MOST_FOR_XZ)
         found = inflate.decompress(content, length + 1)
@@ -343,7 +344,7 @@ def _unpacked(content: bytes, length: int) -> bytes | None:
 def _check_records(
     entries: Mapping[str, container.Entry], channels: list[str], levels: list[Array], count: int
 ) -> None:
-    """Refuse records that are not as many as the rest wants: what is decoded is bounded so."""
+    """Raise ValueError for a wrong number of records: this bounds the size of the decoded arrays."""
     (cells, nodes), known = levels, known_names(entries, channels)
     pairs = pairwise(nodes[:-1].tolist())
     blocks = sum((end - 1) // BLOCK - first // BLOCK + 1 for first, end in pairs if end > first)
@@ -356,7 +357,7 @@ def _check_records(
 
 
 def _form(channel: Named, dtype: np.dtype[Any], error: int, unit: int, content: Content) -> Form:
-    """Return what the values of a channel are."""
+    """Return the form of a channel's values."""
     _, components, size = channel.values.shape
     rows = content.arrays.flags.size, content.split.areas.size, content.kept.cells.size
     if [part.shape for part in channel] != [(n, components, size) for n in rows]:

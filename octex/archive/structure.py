@@ -1,8 +1,8 @@
-"""What lies around the nodes of a block and their children; and these children and their flags, coded by it.
+"""The neighbours of a block's nodes and children; and the coding of children and flags from them.
 
-A block is a run of nodes of one level. Around a node are the six cells of its level that it shares faces
-with, in the order −x, +x, −y, +y, −z, +z. They are found from the root down, for the block's ancestors alone,
-so that a block needs the levels above it and nothing else.
+A block is a run of nodes of one level. A node has six neighbours across faces, in the order −x, +x, −y, +y,
+−z, +z. They are found from the root down, for the block's ancestors alone, so that a block needs only the
+levels above it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ MOST = 8 * 9 + 3
 
 @inlined
 def children_of(groups: Uint64s, node: int) -> tuple[int, int, int, int]:
-    """Return as `children` which children of a node are nodes, which are stored, and the first of both."""
+    """Return the result of `children` in signed integers."""
     nodes, stored, first_node, first_cell = children(groups, node)
     return int(np.int64(nodes)), int(np.int64(stored)), first_node, first_cell
 
@@ -49,7 +49,7 @@ def before(mask: int, place: int) -> int:
 
 @part
 def _descended(groups: Uint64s, begin: int, above: Uint32s, first: int, last: int) -> Uint32s:
-    """Return what lies around nodes ``first`` to ``last``, children of those from ``begin`` on."""
+    """Return the neighbours of nodes ``first`` to ``last``, children of those from ``begin`` on."""
     below = np.empty((last - first, _AROUND), np.uint32)
     room = np.empty((4, 7), np.int64)
     inner, stored, next_node, next_cell = room[0], room[1], room[2], room[3]
@@ -80,7 +80,7 @@ def _descended(groups: Uint64s, begin: int, above: Uint32s, first: int, last: in
 
 @inlined
 def _parent(groups: Uint64s, low: int, high: int, node: int) -> int:
-    """Return the node of ``low`` … ``high`` whose child a node is."""
+    """Return the node of ``low`` … ``high`` that is a node's parent."""
     high -= 1
     while low < high:
         middle = low + high + 1 >> 1
@@ -93,7 +93,7 @@ def _parent(groups: Uint64s, low: int, high: int, node: int) -> int:
 
 @kernel
 def around_nodes(arrays: TreeArrays, block: Block) -> Uint32s:
-    """Return a row for each of a block's nodes (n, 13). Reads the levels above."""
+    """Return a row for each of a block's nodes (n, 13), from the levels above."""
     groups, level_nodes, level = arrays.groups, arrays.level_nodes, block.level
     runs = np.empty((level + 1, 2), np.int64)
     runs[level, 0], runs[level, 1] = block.first, block.last
@@ -150,17 +150,17 @@ def around_children(arrays: TreeArrays, block: Block, around: Uint32s) -> Int32s
 
 @inlined
 def _mask(masks: Int64s, node: int) -> int:
-    """Return the mask of a node, by its number in the block, 0 for one outside it."""
+    """Return the mask of a node, by its number in the block, 0 outside it."""
     is_own = wide(node >= 0) & wide(node < masks.size)  # as good as random: no branch
     return wide(masks[np.uint64(node * is_own)] & -is_own)
 
 
 @kernel
 def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Coder) -> None:
-    """Note or decode the children of a block's nodes, around which lie cells and nodes.
+    """Code the children of a block's nodes, from the cells and nodes around.
 
-    Decoding, it writes their masks and the groups' ranks, and their flags. What goes beyond the block's ends
-    sets FAULT.
+    Decoding, it writes their masks, the groups' ranks, and their flags. A count beyond the block's ends sets
+    FAULT.
     """
     groups, flags, first, last = arrays.groups, arrays.flags, block.first, block.last
     next_node, next_cell, end_node, end_cell = (

@@ -1,14 +1,19 @@
-"""Values of channels, from those of the level above and those that came before.
+"""Codes the values of channels and the areas of cells, from the level above and from values before.
 
-A cell's value is guessed from its parent's: to that is added a weighted sum of how the cells across the
-parent's faces on its own side, those on the other side, three cells beside the cell, and its siblings so far
-differ from it, and of how far the components before it differ from their parents', and from their guesses.
-Weights are others for parents of leaves alone, and by how much the cells around the parent vary. They follow
-the sign of what guesses are off by: from cells all over the texture first, and then in each block.
+A cell's value is predicted from its parent's, plus a weighted sum of differences from it: of the cells across
+the parent's faces on the cell's side, of those on the other side, of three cells next to it, and of its
+siblings so far; and of the components before it, from their parents' and from their predictions. Weights
+differ for parents of leaves alone, and by the variance around the parent. They follow the sign of the errors,
+first over a sample of the texture, then in each block.
 
-Where the cells around are all as the parent is, a bit says first whether its children are, too.
+Where all cells around equal the parent, a bit tells first whether its children do, too.
 
-Rows of split cells and kept nodes are guessed from their cells' own values.
+Rows of split cells and kept nodes are predicted from their cells' values.
+
+The areas of a node's children make up its own. A surface that faces one axis has the same area over each
+face of the lattice along that axis: the sum of the cells in a column. So a cell alone in its column has the
+area of one next to it, and a cell above another has the rest of the column. The rest of the node's area, and
+the cells around, predict other areas.
 """
 
 from __future__ import annotations
@@ -43,7 +48,7 @@ _SHIFTS = np.array([9, 8, 7, 5, 3], np.int64)
 
 
 def extent(form: Form, rows: int) -> tuple[tuple[int, int], int]:
-    """Return how many contexts of symbols, and of bits, values have, and how many notes so many rows."""
+    """Return the numbers of contexts of symbols and bits of values, and the most notes for ``rows``."""
     contexts = _SETS * form.components * _CONTEXTS, 4
     return contexts, rows * (form.components * (1 if form.size == 1 else 9) + 1)
 
@@ -56,7 +61,7 @@ def numbers_of(raw: Uint8s, form: Form) -> Int64s:
 
 
 def write_numbers(numbers: Uint32s, raw: Uint8s, form: Form) -> None:
-    """Write values (n, components, size), given as whole numbers."""
+    """Write values (n, components, size) from whole numbers."""
     sign = 1 << (8 * form.size - 1)
     if form.is_float:
         numbers = np.where(numbers & sign, numbers ^ sign, 2 * sign - 1 - numbers)
@@ -70,7 +75,7 @@ def _order(form: Form) -> list[int]:
 
 @inlined
 def _number_at(raw: Uint8s, cell: int, j: int, form: Form) -> int:
-    """Return a cell's value of the component that is coded as the j-th as a whole number."""
+    """Return a cell's value, of the component coded as the j-th, as a whole number."""
     component = 1 - j if form.components >= 3 and j < 2 else j
     i = np.uint64((cell * form.components + component) * form.size)
     number = wide(raw[i])
@@ -86,7 +91,7 @@ def _number_at(raw: Uint8s, cell: int, j: int, form: Form) -> int:
 
 @inlined
 def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> tuple[int, int, int]:
-    """Note or decode a number that was guessed; return it, what its guess was off by, about twice that."""
+    """Code a predicted number; return it, its error, and about twice that."""
     most, step = (1 << 8 * form.size) - 1, 2 * form.error + 1
     guess = min(max(guess, 0), most)
     steps = (most + 2 * form.error) // step + 1
@@ -113,7 +118,7 @@ def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> t
 
 
 class _Room(NamedTuple):
-    """What is known of a node, by component, and of a child."""
+    """State of a node, by component, and of a child."""
 
     numbers: Uint32s  # of all cells by component; at the end the node's own, for cells that are not there
     sides: Int64s  # (components · 6,)   what the cells around have more than the node's
@@ -135,10 +140,10 @@ class _Room(NamedTuple):
 def code_values(
     rows: Int32s, around: Uint32s, raw: Uint8s, numbers: Uint32s, form: Form, weights: Int64s, coder: Coder
 ) -> None:
-    """Note or decode the values of a block's cells, around which lie ``rows`` and ``around``.
+    """Code the values of a block's cells, with their neighbours ``rows`` and ``around``.
 
-    ``raw`` are the bytes of the levels above; ``numbers`` (cells + 1, components) are noted, and written as
-    they will be read; the last row is room. ``weights`` follow what guesses are off by.
+    ``raw`` are the bytes of the levels above. ``numbers`` (cells + 1, components) are coded, and written as
+    they will be read; the last row is scratch. ``weights`` follow the errors.
     """
     each = np.zeros((9, 4), np.int64)
     places, terms, sides = np.zeros(6, np.int64), np.zeros(TERMS, np.int64), np.zeros(24, np.int64)
@@ -189,7 +194,7 @@ def _code_values(rows: Int32s, around: Uint32s, raw: Uint8s, form: Form, room: _
 def _begin_node(
     t: int, about: int, around: Uint32s, was_flat: int, raw: Uint8s, form: Form, room: _Room, coder: Coder
 ) -> int:
-    """Look around a node; return whether its children are as the cells around, −1 if these differ."""
+    """Read a node's neighbours; return whether its children equal them, −1 if the neighbours differ."""
     differ, numbers = wide(0), room.numbers
     for j in range(form.components):
         value, total, sum_ = _number_at(raw, wide(around[OWN]), j, form), wide(0), wide(0)
@@ -220,7 +225,7 @@ def _begin_node(
 
 @inlined
 def _term(difference: int, form: Form) -> int:
-    """Return a difference in the channel's unit, which bounds what weights can become."""
+    """Return a difference in the channel's unit, which bounds the weights."""
     if form.size == 1:
         return difference
     return wide(min(max(difference >> form.unit, -_MOST_TERM), _MOST_TERM))
@@ -228,7 +233,7 @@ def _term(difference: int, form: Form) -> int:
 
 @inlined
 def _code_component(t: int, j: int, part: int, noise: int, form: Form, room: _Room, coder: Coder) -> int:
-    """Note or decode component ``j`` of a child; return how much the components so far were off."""
+    """Code component ``j`` of a child; return how much the components so far were off."""
     components, own = form.components, np.uint64(j)
     terms, weights, numbers, value = room.terms, room.weights, room.numbers, room.values[own]
     near, beside = wide(0), -3 * value
@@ -260,7 +265,7 @@ def _code_component(t: int, j: int, part: int, noise: int, form: Form, room: _Ro
 
 @kernel
 def code_rows(owners: Uint32s, own: Int64s, numbers: Uint32s, kind: int, form: Form, coder: Coder) -> None:
-    """Note or decode numbers of rows, a row of each cell of ``owners``, whose own numbers these are."""
+    """Code numbers of rows, one for each cell of ``owners``, predicted from the cells' numbers ``own``."""
     before = np.zeros(4, np.int64)
     for n in range(owners.size):
         if n == 0 or owners[n] != owners[n - 1]:
@@ -302,7 +307,7 @@ _LEAST_OF = np.array([65, 33, 17, 9, 5, 3, 2, 1, 0, 1, 2, 3, 5, 9, 17, 33])
 
 @inlined
 def _code(area: int) -> int:
-    """Return the code of the largest area that is not above ``area``, below 2⁵²."""
+    """Return the code of the largest area up to ``area``, below 2⁵²."""
     bits = wide(np.float64(area).view(np.int64))
     code = AREA_ONE + AREA_STEPS * ((bits >> 52) - 1023 - _BITS) + wide(_STEPS_OF[bits >> 44 & 255]) - 1
     code = min(max(code, 0), 253)
@@ -312,7 +317,7 @@ def _code(area: int) -> int:
 
 @inlined
 def _code_area(area: int, guess: int, whole: int, rest: int, shape: int, coder: Coder) -> int:
-    """Note or decode an area as part of a whole; return it. A ``guess`` below 0 is all that is left."""
+    """Code an area as part of a whole; return it. A ``guess`` below 0 stands for all of the rest."""
     rest, part = max(rest, _AREAS[np.uint64(whole)] >> 8), wide(0)
     for step in _STEPS:
         part += wide(rest >= _AREAS[np.uint64(max(whole + 1 - step, 0))])
@@ -336,7 +341,7 @@ def _size(area: int, whole: int) -> int:
 
 @kernel
 def code_areas(arrays: TreeArrays, begin: int, rows: Int32s, around: Uint32s, coder: Coder) -> None:
-    """Note or decode the areas of cells from ``begin`` on; ``rows``, ``around`` lie around them."""
+    """Code the areas of cells from ``begin`` on, with their neighbours ``rows`` and ``around``."""
     flags, areas = arrays.flags, arrays.areas
     rest = whole = wide(0)
     left, node = 1, -1
@@ -381,7 +386,7 @@ def code_areas(arrays: TreeArrays, begin: int, rows: Int32s, around: Uint32s, co
 
 @kernel
 def code_row_areas(owners: Uint32s, areas: Uint8s, begin: int, cell_areas: Uint8s, coder: Coder) -> None:
-    """Likewise the areas of rows from ``begin`` on, a row of each cell of ``owners``."""
+    """Code the areas of rows from ``begin`` on, one for each cell of ``owners``."""
     rest = whole = left = wide(0)
     for n in range(owners.size):
         if left == 0:

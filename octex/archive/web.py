@@ -1,7 +1,7 @@
-"""Web files, .octw, read back as the tensors of a render file; also those that a glTF model carries.
+"""Reads web files, .octw, as the tensors of a render file; also from glTF models that contain one.
 
-octex.formats.web writes them. Areas of leaves and of split cells' rows are not stored: they share evenly what
-their node's area leaves them.
+octex.formats.web writes them. They lack the areas of leaves and of split cells' rows: these share the rest of
+their node's area evenly.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _FAULTS = (KeyError, TypeError, ValueError, IndexError, AttributeError, Overflow
 
 
 def read(path: str | os.PathLike[str]) -> Contents:
-    """Read a web file, or that of a .glb or .gltf file with the extension EXT_octree_texture.
+    """Read a web file, or the one in a .glb or .gltf file with the extension EXT_octree_texture.
 
     Raises TextureFileError for a file that is missing, damaged, of another version or without an octree.
     """
@@ -52,7 +52,7 @@ def read(path: str | os.PathLike[str]) -> Contents:
 
 
 def _carried(path: Path, content: bytes) -> bytes:
-    """Return the web file that a glTF model carries."""
+    """Return the web file in a glTF model."""
     try:
         document = Document(path, content)
         entry = document.json.get("extensions", {}).get(OCTREE_EXTENSION)
@@ -67,14 +67,14 @@ def _carried(path: Path, content: bytes) -> bytes:
 
 
 class _Levels(NamedTuple):
-    """How many cells and nodes come before each level, and all of them."""
+    """The numbers of cells and nodes before each level, and of all."""
 
     cells: Int64s
     nodes: Int64s
 
     @classmethod
     def of(cls, part: dict[str, Any]) -> _Levels:
-        """Return those of a header; raises ValueError for such as no tree has."""
+        """Read them from a header; raises ValueError for impossible ones."""
         depth = part["depth"]
         found = cls(*(np.array(part[name], np.int64) for name in ("levelCells", "levelNodes")))
         if not 0 <= depth <= MAX_DEPTH or any(counts.shape != (depth + 2,) for counts in found):
@@ -87,7 +87,7 @@ class _Levels(NamedTuple):
 
 
 class _Stream:
-    """A stream of bytes, taken from the front."""
+    """A stream of bytes, read from the front."""
 
     def __init__(self, name: str, packed: bytes, size: int) -> None:
         self.name, self._at = name, 0
@@ -106,12 +106,12 @@ class _Stream:
         return found
 
     def damaged(self) -> DamagedError:
-        """Return the error for a stream that is not what was written."""
+        """Return the error for wrong bytes."""
         return DamagedError(f"is damaged, in {self.name}; {_AGAIN}")
 
 
 class _Tree:
-    """What has been read of a part."""
+    """The content of a part, as far as read."""
 
     def __init__(self, part: dict[str, Any]) -> None:
         self.levels = _Levels.of(part)
@@ -130,7 +130,7 @@ class _Tree:
         self.row_values: dict[str, Array] = {}
 
     def size(self, levels: list[int] | None) -> int:
-        """Return how many bytes the stream of some levels has, or that of the tables."""
+        """Return the bytes of the stream of levels, or of the tables for None."""
         width = sum(self.channels.values())
         if levels is None:
             return 4 * self.kept + 5 * self.split + width * (self.kept + self.rows)
@@ -139,7 +139,7 @@ class _Tree:
         return int(2 * above + nodes + (1 + width) * cells)
 
     def take_level(self, level: int, stream: _Stream) -> None:
-        """Take the cells of a level."""
+        """Read the cells of a level."""
         levels = self.levels
         first, end = levels.cells[level : level + 2].tolist()
         parents, is_node = np.zeros(1, np.int64), np.array([levels.nodes[-1] > 0])
@@ -164,7 +164,7 @@ class _Tree:
             values[first:end] = _together(there + known * apart(values[parents]))
 
     def _share_areas(self, first: int, parents: Int64s, is_node: Bools) -> None:
-        """Give the leaves of a level what the nodes among their siblings leave of their parent's area."""
+        """Set the areas of a level's leaves: equal parts of the rest of their parent's."""
         below = slice(int(parents[0]), int(parents[-1]) + 1)
         owners, size = parents - below.start, below.stop - below.start
         taken = np.bincount(owners[is_node], AREAS[self.areas[first:][: owners.size][is_node]], size)
@@ -174,7 +174,7 @@ class _Tree:
         self.areas[first + np.flatnonzero(~is_node)] = area_codes(shares)[owners[~is_node]]
 
     def take_tables(self, stream: _Stream) -> None:
-        """Take the rows of kept nodes and of split cells."""
+        """Read the rows of kept nodes and of split cells."""
         steps = stream.take(4 * (self.kept + self.split)).reshape(4, -1).T
         steps = np.ascontiguousarray(steps).view("<u4")[:, 0].astype(np.int64)
         kept, split = np.cumsum(steps[: self.kept]), np.cumsum(steps[self.kept :])
@@ -197,14 +197,14 @@ def _bits(masks: Uint8s) -> Bools:
 
 
 def apart(values: Uint8s) -> Uint8s:
-    """Return colours (n, 3) with red and blue less green; others as they are."""
+    """Return colours (n, 3) with red and blue minus green; others unchanged."""
     if values.shape[1] != 3:
         return values
     return np.stack([values[:, 0] - values[:, 1], values[:, 1], values[:, 2] - values[:, 1]], axis=1)
 
 
 def _together(values: Uint8s) -> Uint8s:
-    """Return what ``apart`` was given."""
+    """Invert ``apart``."""
     if values.shape[1] != 3:
         return values
     return np.stack([values[:, 0] + values[:, 1], values[:, 1], values[:, 2] + values[:, 1]], axis=1)
@@ -224,7 +224,7 @@ def _read(content: bytes) -> Contents:
 
 
 def _contents(header: dict[str, Any], content: bytes, first: int) -> Contents:
-    """Return what a file holds whose streams begin at a byte; raises one of ``_FAULTS`` for a bad header."""
+    """Return the content, with streams from ``first`` on; raises one of ``_FAULTS`` for a bad header."""
     parts = header["parts"]
     if len(parts) != 1:
         raise DamagedError(f"has {len(parts)} parts; write a file of one part's texture")
@@ -275,7 +275,7 @@ def _tensors(tree: _Tree, forms: dict[str, tuple[str, float, float]]) -> dict[st
 
 
 def _decoded(codes: Uint8s, space: str, low: float, high: float) -> Array:
-    """Return codes as they are, or of channels that exceed 0 … 1 what they stand for."""
+    """Return codes, or for channels beyond 0 … 1 their values."""
     if (low, high) == (0.0, 1.0):
         return codes
     light = decode(codes, space)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Write an archive, block by block, from mapped arrays."""
+"""Writes an archive, block by block, from mapped arrays."""
 
 from __future__ import annotations
 
@@ -64,11 +64,11 @@ def write(
     metadata: Mapping[str, str],
     max_error: int = 0,
 ) -> None:
-    """Write a texture's tensors and metadata, as they are in its render file.
+    """Write the tensors and metadata of a texture's render file.
 
-    Values of integer channels may move by ``max_error`` codes; all else comes back bit for bit. The same
-    input gives the same bytes. Raises TextureFileError for a tree that is not sound, and OutputError if the
-    file cannot be written: then what stood at ``path`` still stands.
+    Values of integer channels may change by ``max_error`` codes; all else is restored bit for bit. The same
+    input gives the same bytes. Raises TextureFileError for an invalid tree, and OutputError if the file
+    cannot be written: the old file at ``path`` is then unchanged.
     """
     first, channels = container.header(tensors, metadata), channels_in(metadata)
     content = content_of(tensors, channels)
@@ -86,7 +86,7 @@ def write(
     models: dict[str, Model] = {}
 
     def encode(block: Block) -> tuple[list[int], list[bytes]]:
-        """Return what a block's record begins with, and its streams."""
+        """Return the start of a block's record, and its streams."""
         return list(block.counts), code_block(content, codings, block, kinds, models)
 
     with replacing(path) as file, workers() as executor:
@@ -114,7 +114,7 @@ def write(
 
 
 def packed(content: bytes) -> bytes:
-    """Return bytes packed by xz, at most some megabytes, which ``unpacked`` checks."""
+    """Pack up to a few megabytes by xz, as ``read`` unpacks them."""
     filters = [{"id": lzma.FILTER_LZMA2, "preset": 4, "dict_size": PIECE}]
     return lzma.compress(content, check=lzma.CHECK_NONE, filters=filters)
 
@@ -145,7 +145,7 @@ def _planned(content: Content) -> Iterator[list[Block]]:
 
 
 def _form(channel: Named, dtype: np.dtype[Any], error: int) -> Form:
-    """Return what the values of a channel are, in the unit in which neighbours differ by about eight."""
+    """Return the form of a channel's values; neighbours differ by about eight units."""
     _, components, size = channel.values.shape
     form = Form(components, size, int(dtype.kind == "f"), 0, 0)
     if size > 1:  # floats and 16 bits differ by far more steps than 8 bits do
@@ -156,7 +156,7 @@ def _form(channel: Named, dtype: np.dtype[Any], error: int) -> Form:
 
 
 def _sampled(arrays: TreeArrays) -> _Sampled:
-    """Return nodes all over the two deepest levels of nodes."""
+    """Sample nodes all over the two deepest levels of nodes."""
     found = []
     for level in range(max(arrays.level_cells.size - 4, 0), arrays.level_cells.size - 2):
         begin, end = int(arrays.level_nodes[level]), int(arrays.level_nodes[level + 1])
@@ -171,7 +171,7 @@ def _sampled(arrays: TreeArrays) -> _Sampled:
 
 
 def _learned(raw: Uint8s, form: Form, sample: _Sampled) -> Int64s:
-    """Return the weights (2 · components · classes · terms,) that coding a sample of a channel leads to."""
+    """Return the weights (2 · components · classes · terms,) after coding a sample of a channel."""
     first = np.zeros((2, form.components, CLASSES, TERMS), np.int64)
     first[:, 1:, :, 5] = 1 << WEIGHT_BITS - 1  # components differ from their parents' like the first
     weights = first.reshape(-1)

@@ -1,4 +1,4 @@
-"""What is made of taps: values blended, in double precision; looks added up; taps listed."""
+"""Blends taps in double precision, adds probes up, and lists taps."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ from octex.field.taps import (
     value_of,
     with_row,
 )
-from octex.field.weights import NO_VIEW, Weighing, find_split, new_sight, view_of, weigh
+from octex.field.weights import NO_VIEW, Weighing, find_split, new_visible, view_of, weigh
 from octex.jit import by_constants, fused_kernel, fused_part, inlined, kernel, part, prefetch
 
 Three = tuple[float, float, float]
 
 
 @inlined
-def _ask(taps: Taps, begin: int, end: int, codes: Codes) -> None:
-    """Ask for the rows of a group of points: for every other one, which the next mostly lies beside."""
+def _prefetch_rows(taps: Taps, begin: int, end: int, codes: Codes) -> None:
+    """Prefetch every other row of a group of points: the next mostly lies next to it."""
     first_kept = codes.values.shape[0]
     first_row = first_kept + codes.kept_values.shape[0]
     for n in range(begin, end):
@@ -68,7 +68,7 @@ def _sum_any(taps: Taps, n: int, flat: Flat, components: int) -> Five:
 
 @part
 def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
-    """Write the values of rows (points,), which are cells."""
+    """Write the values of cells ``rows`` (points,)."""
     flat, components = flat_of(codes), codes.values.shape[1]
     flat_results = results.reshape(-1)
     for n in range(rows.size):
@@ -78,17 +78,14 @@ def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
 
 @by_constants
 @fused_kernel
-def blend(taps: Taps, codes: Codes, is_asked: bool, results: Float32s) -> None:
-    """Write the mean (points, components) under the weights: Σ w·v / Σ w.
-
-    ``is_asked`` says that the values have been asked for.
-    """
+def blend(taps: Taps, codes: Codes, is_prefetched: bool, results: Float32s) -> None:
+    """Write the weighted mean (points, components): Σ w·v / Σ w. ``is_prefetched``: the rows already are."""
     flat, components = flat_of(codes), codes.values.shape[1]
     flat_results = results.reshape(-1)
     for begin in range(0, taps.starts.size, AT_ONCE):
         end = min(begin + AT_ONCE, taps.starts.size)
-        if not is_asked:
-            _ask(taps, begin, end, codes)
+        if not is_prefetched:
+            _prefetch_rows(taps, begin, end, codes)
         for n in range(begin, end):
             if taps.ends[n] - taps.starts[n] == 1:
                 a, b, c, d = value_of(flat, int(taps.rows[taps.starts[n]]), components)
@@ -139,9 +136,9 @@ def _sum_any_slopes(
 
 @fused_kernel
 def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, gradients: Float32s) -> None:
-    """Write the derivatives of the mean, which is known: Σ w′·(v − mean) / Σ w, times ``scale``.
+    """Write the derivatives of the known mean: Σ w′·(v − mean) / Σ w, times ``scale``.
 
-    So those of constants are zero, however the weights are rounded.
+    Those of constants are zero, however the weights are rounded.
     """
     flat, components = flat_of(codes), codes.values.shape[1]
     flat_results = results.reshape(-1)
@@ -158,7 +155,7 @@ def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, grad
 
 
 class Sums(NamedTuple):
-    """What looks at several levels add up to, by the point whose looks they are."""
+    """Sums over the probes at several levels, by the point that owns the probes."""
 
     values: Float64s  # (points, components)
     totals: Float64s  # (points,)   of the weights
@@ -168,7 +165,7 @@ class Sums(NamedTuple):
 
 @kernel
 def new_sums(points: int, answers: Float32s, gradient: bool) -> Sums:
-    """Return zeros for the components of answers."""
+    """Return zeros for the components of ``answers``."""
     n, components = points if gradient else 0, answers.shape[1]
     return Sums(
         np.zeros((points, components), np.float64),
@@ -196,22 +193,22 @@ def _add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components:
 def add_up(
     taps: Taps,
     codes: Codes,
-    is_asked: bool,
+    is_prefetched: bool,
     owners: Int32s,
     shares: Float32s,
     share_slopes: Float32s,
     sums: Sums,
 ) -> None:
-    """Add the blends of looks, times their shares, to those of the points that own them.
+    """Add the blends of probes, times their shares, to the sums of their owners.
 
-    ``share_slopes`` (looks, 3) are the derivatives of the shares, for gradients. ``is_asked`` as in `blend`.
+    ``share_slopes`` (probes, 3) are the derivatives of the shares, for gradients.
     """
     flat, components = flat_of(codes), codes.values.shape[1]
     gradient = sums.total_slopes.shape[0] > 0
     for begin in range(0, taps.starts.size, AT_ONCE):
         end = min(begin + AT_ONCE, taps.starts.size)
-        if not is_asked:
-            _ask(taps, begin, end, codes)
+        if not is_prefetched:
+            _prefetch_rows(taps, begin, end, codes)
         for n in range(begin, end):
             five = _sum_any(taps, n, flat, components)
             owner = np.uint64(owners[np.uint64(n)])
@@ -236,34 +233,34 @@ def add_weighed(
     codes: Codes,
     owners: Int32s,
     shares: Float32s,
-    left: Float32s,
+    passed: Float32s,
     sums: Sums,
 ) -> None:
-    """Weigh and add up at once: `weights.weigh_taps` and then `add_up`, for taps that are cells.
+    """Weigh and add up at once: `weights.weigh_taps`, then `add_up`, for taps that are cells.
 
-    Taps are neither written anew nor read again, which saves a fifth of the time. ``left`` (looks,) as there.
+    Taps are not written and read again, which saves a fifth of the time. ``passed`` (probes,) as there.
     """
-    sight, flat, components = new_sight(), flat_of(codes), codes.values.shape[1]
+    visible, flat, components = new_visible(), flat_of(codes), codes.values.shape[1]
     for begin in range(0, taps.starts.size, AT_ONCE):
         last = min(begin + AT_ONCE, taps.starts.size)
-        find_split(taps, begin, last, by, codes.split_values, sight)
+        find_split(taps, begin, last, by, codes.split_values, visible)
         for n in range(begin, last):
-            is_split = sight.is_split[np.uint64(n - begin)] != 0
+            is_split = visible.is_split[np.uint64(n - begin)] != 0
             view = view_of(normals, n) if by.faces else NO_VIEW
             if components != 3:
                 _, five, total, gone = weigh(
-                    taps, n, 0, by, view, sight, by.faces, is_split, flat, components
+                    taps, n, 0, by, view, visible, by.faces, is_split, flat, components
                 )
             elif not by.faces:
-                _, five, total, gone = weigh(taps, n, 0, by, view, sight, False, False, flat, 3)
+                _, five, total, gone = weigh(taps, n, 0, by, view, visible, False, False, flat, 3)
             elif is_split:
-                _, five, total, gone = weigh(taps, n, 0, by, view, sight, True, True, flat, 3)
+                _, five, total, gone = weigh(taps, n, 0, by, view, visible, True, True, flat, 3)
             else:
-                _, five, total, gone = weigh(taps, n, 0, by, view, sight, True, False, flat, 3)
+                _, five, total, gone = weigh(taps, n, 0, by, view, visible, True, False, flat, 3)
             at = np.uint64(n)
             share = np.float64(shares[at])
             if by.mixed.size > 0:
-                left[at] = gone / total if gone > 0.0 else 0.0
+                passed[at] = gone / total if gone > 0.0 else 0.0
             if by.areas.size > 0 and taps.covers[at] == np.float32(0.0) and total > 0.0:
                 share *= np.float64(OFF) / total
             _add_to(sums, np.uint64(owners[at]), share, five, components)
@@ -283,17 +280,14 @@ def divide(sums: Sums, scale: float, results: Float32s, gradients: Float32s) -> 
 
 
 @kernel
-def weigh_by_alpha(taps: Taps, alpha: Codes, is_asked: bool, always: bool) -> None:
-    """Multiply the weights by alpha, of one component; unless ``always``, only where any of it is left.
-
-    ``is_asked`` says that alpha has been asked for.
-    """
+def weigh_by_alpha(taps: Taps, alpha: Codes, is_prefetched: bool, always: bool) -> None:
+    """Multiply the weights by alpha; unless ``always``, only where the weighted alpha is not zero."""
     flat = flat_of(alpha)
     end = end_of(taps)
     parts = np.empty(end, np.float32)
     least = np.float32(1.0)
-    if not is_asked:
-        _ask(taps, 0, taps.starts.size, alpha)
+    if not is_prefetched:
+        _prefetch_rows(taps, 0, taps.starts.size, alpha)
     for tap in range(end):
         part = np.float32(value_of(flat, int(taps.rows[np.uint64(tap)]), 1)[0])
         parts[np.uint64(tap)] = part
@@ -313,10 +307,10 @@ def weigh_by_alpha(taps: Taps, alpha: Codes, is_asked: bool, always: bool) -> No
 
 
 class Listed(NamedTuple):
-    """The taps of points, one point's after another's.
+    """The taps of points, one point after another.
 
-    A row is a cell's number, that of a leaf or, off the surface, of a node; after the cells come the rows of
-    the kept table, then those of the split table.
+    A row is a cell's number, of a leaf or, off the surface, of a node. After the cells come the rows of the
+    kept table, then those of the split table.
     """
 
     starts: Int64s  # (points + 1,)   a point's taps are those from its start to the next one's
@@ -347,7 +341,7 @@ def listed(taps: Taps, scale: float) -> Listed:
 
 
 def joined(lists: Sequence[Listed]) -> Listed:
-    """Join the taps of points, one list's after another's."""
+    """Concatenate lists of taps."""
     if len(lists) == 1:
         return lists[0]
     parts = [(np.diff(each.starts), *each[1:]) for each in (_NO_TAPS, *lists)]
@@ -359,7 +353,7 @@ def joined(lists: Sequence[Listed]) -> Listed:
 def list_taps(
     taps: Taps, scale: float, starts: Int64s, rows: Uint32s, weights: Float32s, slopes: Float32s
 ) -> None:
-    """List the taps that weigh anything, with weights that sum to 1 and slopes times ``scale``."""
+    """List the taps that have weight, with weights that sum to 1 and slopes times ``scale``."""
     end = 0
     starts[0] = 0
     gradient = slopes.shape[0] > 0

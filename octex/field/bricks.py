@@ -6,13 +6,12 @@ A *brick* is the coefficients of the cells below one cell, one to three levels d
     cells in it    1      2³       4³       8³
     decoded       3³      4³       6³      10³
 
-Each block of coefficients is refined from the one before (`splines`), and children of nodes are written over
-that. At the first level where no cell decoded is a node, the field of all points in the brick is their sum
-under the spline's weights: refinement does not move the field, so it does not matter that some of them stop
-at a coarser level. If there is a node three levels down, the cell is split in eight.
+Each block of coefficients is refined from the one above (`splines`); children of nodes overwrite it. At the
+first level where no decoded cell is a node, the field of all points in the brick is their weighted sum.
+Refinement does not move the field, so coarser leaves among them change nothing. If a node lies three levels
+down, the cell is split in eight.
 
-A cell of few points is walked to, one point after the other. What the walk and bricks answer differs by
-rounding only, some 10⁻⁷.
+A cell with few points is walked to, point by point. Walk and bricks differ by rounding only, about 10⁻⁷.
 """
 
 from __future__ import annotations
@@ -38,12 +37,12 @@ _AT_TEN = _AT_SIX + 216
 _AT_WIDE = _AT_TEN + 1000  # refined along x
 _AT_FLAT = _AT_WIDE + 360  # refined along x and y
 _CELLS = _AT_FLAT + 600
-#: How many cells along an edge the block has that each step decodes from.
+#: Cells along an edge of the block that each step decodes from.
 _SIDES = 0, 3, 4, 6
 
 
 class Values(NamedTuple):
-    """A channel that is decoded, and alpha, which it weighs by; if there is none, that is empty."""
+    """A channel to decode, and the alpha that weights it, empty for none."""
 
     codes: Flat
     alpha: Flat
@@ -51,7 +50,7 @@ class Values(NamedTuple):
 
 
 class Bricks(NamedTuple):
-    """Where bricks are decoded: 170 kB for one thread. Blocks count their cells x fastest.
+    """Memory for bricks: 170 kB for one thread. Blocks count their cells x fastest.
 
     A coefficient is two fours: four components, and the weight and another.
     """
@@ -72,7 +71,7 @@ class Bricks(NamedTuple):
 
 
 def new_bricks() -> Bricks:
-    """Return room for bricks."""
+    """Return memory for bricks."""
     levels = MAX_DEPTH + 2
     return Bricks(
         np.zeros(2 * _CELLS * 4, np.float32),
@@ -92,7 +91,7 @@ def new_bricks() -> Bricks:
 def _covered_value(
     values: Values, row: int
 ) -> tuple[np.float32, np.float32, np.float32, np.float32, np.float32]:
-    """Return the components of a row times its alpha, and that."""
+    """Return the components of a row times its alpha, and its alpha."""
     a, b, c, d = value_of(values.codes, row, values.components)
     covered = np.float32(1.0)
     if values.alpha.values.size > 0:
@@ -127,7 +126,7 @@ def _write_value(values: Values, bricks: Bricks, at: int, row: int, planes: int,
 
 @inlined
 def _inside(x: int, y: int, z: int, last: int) -> np.uint64:
-    """Say which children of a cell lie in the block below; ``last`` is the place of a block's last cell."""
+    """Return the children of a cell that lie in the block below; ``last`` is the last cell's coordinate."""
     inside = np.uint64(0xFF)
     inside &= np.uint64(0b10101010 if x == 0 else 0b01010101 if x == last else 0xFF)
     inside &= np.uint64(0b11001100 if y == 0 else 0b00110011 if y == last else 0xFF)
@@ -136,17 +135,14 @@ def _inside(x: int, y: int, z: int, last: int) -> np.uint64:
 
 @inlined
 def _child_place(x: int, y: int, z: int, octant: int, side: int) -> int:
-    """Place of a child in the block below, of so many cells along an edge."""
+    """Return where a child lies in the block below, of ``side`` cells along an edge."""
     x, y, z = 2 * x - 1 + (octant & 1), 2 * y - 1 + (octant >> 1 & 1), 2 * z - 1 + (octant >> 2)
     return x + side * (y + side * z)
 
 
 @inlined
 def _list_children(way: Way, values: ChannelValues, bricks: Bricks, step: int) -> bool:
-    """List the coefficients below the nodes of a block, and which children of these are nodes.
-
-    Returns False if there is any such after the last step.
-    """
+    """List a block's coefficients below nodes, and child nodes; False for nodes after the last step."""
     arrays, over, inner, side = way.arrays, bricks.over, bricks.inner, _SIDES[step]
     n_nodes, above = bricks.n_inner[step - 1], np.uint64(216 * (step - 1))
     to_over, to_inner = np.uint64(1000 * step), np.uint64(216 * step)
@@ -196,7 +192,7 @@ def _list_children(way: Way, values: ChannelValues, bricks: Bricks, step: int) -
 
 @inlined
 def _list_blocks(way: Way, values: ChannelValues, bricks: Bricks, corner: int) -> int:
-    """List what is in the blocks of the brick whose 3³ cells are those from one of a 4³ on.
+    """List the blocks of the brick around the 3³ cells from ``corner`` of a 4³.
 
     Returns the first block without nodes, or −1 if there is none.
     """
@@ -279,7 +275,7 @@ def _decode(
     target: int,
     has: bool,
 ) -> bool:
-    """Write the coefficients of a block below another; ``has`` says whether that has any. Return as much."""
+    """Write the coefficients of the block below another; ``has`` and the result tell whether it has any."""
     rows, over = bricks.rows, bricks.over
     below = 2 * side - 2
     for plane in range(planes):
@@ -302,7 +298,7 @@ def _decode(
 
 @inlined
 def _enter(way: Way, values: Values, bricks: Bricks, planes: int) -> None:
-    """Write the root's block: it is the second cell along each axis, the others have nothing."""
+    """Write the root's block: the root is the second cell along each axis; the others are empty."""
     middle, row = 1 + 4 * (1 + 4), 0
     if way.arrays.groups.shape[0] > 0:
         bricks.nodes[middle] = 0
@@ -313,31 +309,28 @@ def _enter(way: Way, values: Values, bricks: Bricks, planes: int) -> None:
         _write_value(values, bricks, middle, row, planes, np.float32(1.0))
 
 
-#: Cells of this level are not split: their points are walked to. The number of a point has so many bits.
+#: Cells of this level are not split: their points are walked to. Bits of a point's number.
 SORTED, NUMBER_BITS = 15, 18
 _NUMBER = (1 << NUMBER_BITS) - 1
-#: Points in a cell for which a brick is not worth its while: a walk takes longer where coefficients are kept.
+#: Cells with fewer points are walked to; a walk takes longer in trees with kept nodes.
 _FEW, _FEW_KEPT = 8, 2
 
 
 class Asked(NamedTuple):
-    """What is asked, and answered."""
+    """The points to look up, and their results."""
 
     places: Float64s  # (n, 3)   in texture space
     keys: Int64s  # (n,)   ascending: of each the Morton code of level SORTED << NUMBER_BITS | its number
     results: Float32s  # (n · components,)   the mean of the channel
     components: int
-    missed: Int32s  # (n,)   points that are not answered
+    missed: Int32s  # (n,)   output: points without a result
 
 
 @inlined
 def _answer(
     asked: Asked, n: Integer, n_missed: int, a: float, b: float, c: float, d: float, total: float
 ) -> int:
-    """Answer a point with a sum of values divided by that of its weights; it is missed if that says nothing.
-
-    Returns how many points are missed then.
-    """
+    """Write the mean of a point, or list it as missed if it is not finite; return the number missed."""
     inverse = 1.0 / total
     a, b, c, d = a * inverse, b * inverse, c * inverse, d * inverse
     if not (total >= LEAST and abs(a) + abs(b) + abs(c) + abs(d) < np.inf):
@@ -349,7 +342,7 @@ def _answer(
 
 @inlined
 def _answer_by_walk(values: Values, way: Way, found: Taps, asked: Asked, n: int, n_missed: int) -> int:
-    """Answer a point by the walk, see `neighborhood`; return how many are missed then."""
+    """Look a point up by the walk (`neighborhood`); return the number missed."""
     x, y, z = asked.places[n, 0], asked.places[n, 1], asked.places[n, 2]
     end, _ = taps_around(way, x, y, z, True, found, 0)
     sum_a = sum_b = sum_c = sum_d = total = 0.0
@@ -363,7 +356,7 @@ def _answer_by_walk(values: Values, way: Way, found: Taps, asked: Asked, n: int,
 
 @inlined
 def _brick_weights(t: float) -> tuple[np.float32, np.float32, np.float32]:
-    """Weights of the quadratic B-spline: small ones keep their digits."""
+    """Return the weights of the quadratic B-spline; small ones keep their digits."""
     half = np.float32(0.5)
     s, r = np.float32(1.0 - t), np.float32(t)
     low, high = half * s * s, half * r * r
@@ -383,7 +376,7 @@ def _blend_brick(
     end: int,
     n_missed: int,
 ) -> int:
-    """Answer points from a block of a level, whose first cell is ``low``; return how many are missed."""
+    """Look points up in a block of a level whose first cell is ``low``; return the number missed."""
     rows, places, keys = bricks.rows, asked.places, asked.keys
     cells = np.float64(np.int64(1) << level)
     for m in range(begin, end):
@@ -411,9 +404,9 @@ def _blend_brick(
 def look_up_crowded(
     arrays: TreeArrays, kept_cells: Uint32s, codes: Codes, alpha: Codes, asked: Asked, bricks: Bricks
 ) -> int:
-    """Look up a channel, which weighs by alpha unless that has no rows; return how many points are missed.
+    """Look up a channel, weighted by alpha if that has rows; return how many points are missed.
 
-    These lie off the surface, or nearly, or where alpha is zero. ``bricks`` are new.
+    Missed points lie off the surface, or nearly, or where alpha is zero. ``bricks`` are new.
     """
     ends, split, keys = bricks.ends, bricks.split, asked.keys
     values = Values(flat_of(codes), flat_of(alpha), codes.values.shape[1])

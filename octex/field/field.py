@@ -1,4 +1,4 @@
-"""The field over one tree: which taps a lookup reads, for any tree and filter."""
+"""The field over one tree: finds the taps of a lookup, for any tree and filter."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import Positions, nearest_cells
 
-#: Taps of a point that a walk is given room for at first.
+#: Initial room for the taps of a point that is walked to.
 _WALKED = 24
 NO_BYTES = np.empty(0, np.uint8)
 NO_VECTORS = np.empty((0, 3), np.float32)
 _NO_DOUBLES = np.empty((0, 3))
 _NO_ROWS: Uint8s = np.empty((1, 1), np.uint8)
-#: The part of looks that mixes opposite facings, and its derivatives; empty where it is not wanted.
-Left = tuple[Float32s, Float32s]
-NO_LEFT: Left = np.empty(0, np.float32), NO_VECTORS
+#: The part of probes that mixes opposite facings, and its derivatives; empty if not wanted.
+Passed = tuple[Float32s, Float32s]
+NO_PASSED: Passed = np.empty(0, np.float32), NO_VECTORS
 _NO_FACINGS = Facings(NO_BYTES, np.empty(0, np.uint32), np.empty(0, np.uint32))
 
 
 class NotFiniteError(ValueError):
-    """A position that is not finite; raised by all that looks points up."""
+    """A position is not finite; every lookup raises it."""
 
     def __init__(self, row: int) -> None:
         super().__init__(f"points[{row}] is not finite")
@@ -61,14 +61,12 @@ def positions(points: Floats) -> Positions:
 
 
 class Field:
-    """The field over one tree: which cells count, and how much, is the same for all channels."""
+    """The field over one tree. Cells and weights are the same for all channels."""
 
     def __init__(self, tree: Octree, root: Field | None = None) -> None:
         self.tree = tree
         self.depth, self.n_cells, self.n_leaves = tree.max_depth, tree.n_cells, tree.n_leaves
-        self._root = ref(
-            root or self
-        )  # of a level, the field that it is of; it keeps its levels, not they it
+        self._root = ref(root or self)  # weak, as it owns the fields of its levels
         self._lock = RLock()
         self._levels: dict[int, Field] = {}
         self._areas: dict[int, Uint8s] = {}
@@ -77,7 +75,7 @@ class Field:
         return Field, (self.tree,)
 
     def level(self, level: int) -> Field:
-        """Return the field over the averages of a level, whose cells have the same numbers."""
+        """Return the field over the averages of a level. Its cells have the same numbers."""
         if level >= self.depth:
             return self
         root = self._root() or self
@@ -87,7 +85,7 @@ class Field:
             return root._levels[level]
 
     def areas_of_averages(self, level: int) -> Uint8s:
-        """Return the codes of the areas of nodes down to a level (cells,), 0 for leaves: not known."""
+        """Return the area codes of nodes down to a level (cells,), and 0, unknown, for leaves."""
         with self._lock:
             if level not in self._areas:
                 areas = self.tree.arrays.areas
@@ -112,18 +110,18 @@ class Field:
 
     @built_once
     def painted(self) -> tuple[Tiles, ...] | None:
-        """Return the tiles of a tree of one depth that was painted more finely, marked; None for others."""
+        """Return marked tiles of a tree of one depth with finer paint; None for other trees."""
         levels = [] if self.tiles is not None else painted_levels(self.tree)
         found: list[Tiles] = []
         for level in levels:
             tiles = marked(build_tiles(self.level(level).tree), self.tree)
             n_marked, n_cells = int(bit_counts(tiles.marks).sum()), sum(self.tree.cells_by_depth()[level])
-            if not found or 2 * n_marked < n_cells:  # they serve the most
+            if not found or 2 * n_marked < n_cells:  # most points are unmarked
                 found.append(tiles)
         return tuple(found) or None
 
     def tiles_for(self, filter_code: int) -> Tiles | None:
-        """Return the tiles that serve a filter: all of the points, or the most of them."""
+        """Return the tiles that find all or most points for a filter."""
         tiles: Tiles | None = self.tiles
         if tiles is None and filter_code in (LINEAR, QUADRATIC) and self.painted:
             tiles = self.painted[0]
@@ -131,23 +129,21 @@ class Field:
 
     @built_once
     def finer(self) -> tuple[Tiles, ...]:
-        """Return the tiles that are searched for what `tiles_for` a filter do not answer; most have none."""
+        """Return the tiles to search for points that `tiles_for` does not answer; mostly none."""
         return self.painted[1:] if self.tiles is None and self.painted else ()
 
     def searched(self, filter_code: int) -> Iterator[Tiles]:
-        """Yield the tiles that lookups search, one after the other, for what those before do not have.
+        """Yield the tiles to search, each for the points that the ones before lack.
 
-        Off the surface that are the averages of the deepest level that has any there; `nearest` looks around
-        the cell that should hold the point first. Raises TextureFileError for a damaged tree.
+        Off the surface these are the averages of the deepest level with cells there; `nearest` first searches
+        around the cell that should hold the point. Raises TextureFileError for a damaged tree.
         """
         tiles = self.tiles_for(filter_code)
         assert tiles is not None
         yield tiles
         for level in range(tiles.depth - (filter_code != NEAREST), -1, -1):
             above = self.level(level).tiles
-            if (
-                above is None
-            ):  # all leaves have one depth, or had it before they were painted: it has no other cells
+            if above is None:  # above one depth of leaves there are nodes alone
                 raise TextureFileError(
                     f"level {level}: its nodes and leaves are not those that the groups count"
                 )
@@ -161,27 +157,24 @@ class Field:
         *,
         normals: Float32s | None = None,
     ) -> Iterator[Taps]:
-        """Yield what runs of rest positions (n, 3) blend, as it is found: valid until the next run.
+        """Yield the taps of runs of rest positions (n, 3); each is valid until the next.
 
-        With ``normals`` (n, 3) it is what faces these; after the kept rows come those of the split table.
-        Raises NotFiniteError.
+        With ``normals`` (n, 3) only visible taps. After the kept rows come those of the split table. Raises
+        NotFiniteError.
         """
         finder = Finder(self, placement, filter)
         for _, taps in finder.blocks(points, self.weighing(self, normals is not None), normals):
             yield taps
 
     def weighing(self, whole: Field, faces: bool, mixed: Uint8s = NO_BYTES) -> Weighing:
-        """Return what weighs the taps of this field, toward normals or not.
-
-        ``whole`` is the field that this is a level of: its cells are those that rows are counted after.
-        """
+        """Return what weighs the taps of this field; ``whole`` is the field that this is a level of."""
         areas = NO_BYTES if self is whole else unlocked(whole.areas_of_averages(self.depth)[: self.n_cells])
         facings, first_kept = self.facings if faces else _NO_FACINGS, whole.n_cells
         return Weighing(areas, mixed, 0, facings, faces, first_kept, first_kept + whole.tree.kept.cells.size)
 
 
 def _with_room(taps: Taps, used: int, room: int) -> Taps:
-    """Return the same taps, of which so many are used, with room for as many in all."""
+    """Return the taps, the first ``used`` of them copied, with room for ``room`` in all."""
     larger = new_taps(0, 2 * room, taps.slopes.shape[0] > 0)
     for new, old in zip(larger[:3], taps[:3], strict=True):
         new[: min(used, len(old))] = old[:used]
@@ -189,10 +182,10 @@ def _with_room(taps: Taps, used: int, room: int) -> Taps:
 
 
 class Finder:
-    """Finds the taps of rest positions, a block after another, in one field.
+    """Finds the taps of rest positions, block after block, in one field.
 
-    ``whole`` is the field that it is a level of, by default itself. With ``adds`` the taps of several levels
-    are added up.
+    ``whole`` is the field that it is a level of, by default itself. With ``adds`` the caller sums several
+    levels.
     """
 
     def __init__(
@@ -221,12 +214,12 @@ class Finder:
         points: Floats,
         by: Weighing,
         normals: Float32s | None = None,
-        left: Left = NO_LEFT,
+        passed: Passed = NO_PASSED,
         rows: Uint8s = _NO_ROWS,
     ) -> Iterator[tuple[slice, Taps]]:
-        """Yield the taps of blocks of rest positions (n, 3), weighed: valid until the next.
+        """Yield the weighted taps of blocks of rest positions (n, 3); each is valid until the next.
 
-        With ``normals`` (n, 3) it is what faces these. ``left`` takes what mixes opposite facings, and its
+        With ``normals`` (n, 3) only visible taps. ``passed`` takes the weight of mixed facings and its
         derivatives: see `weights.weigh_taps`. Raises NotFiniteError.
         """
         memory = np.empty((min(len(points), BLOCK), 3))
@@ -243,13 +236,13 @@ class Finder:
                 if by.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
                     taps = _with_room(taps, end, (1 + MOST_ROWS) * end)
                 facing = NO_VECTORS if normals is None else normals[block]
-                weigh_taps(taps, by, facing, _NO_ROWS, left[0][block], left[1][block])
+                weigh_taps(taps, by, facing, _NO_ROWS, passed[0][block], passed[1][block])
             yield block, taps
 
     def find(self, places: Float64s, rows: Uint8s = _NO_ROWS) -> Taps:
-        """Return the taps of points (n, 3), at most BLOCK; valid until the next are found.
+        """Return the taps of at most BLOCK points (n, 3), valid until the next call.
 
-        ``rows`` are what will be read of the cells next: they are asked for.
+        ``rows``, which are read of the cells next, are prefetched.
         """
         n = len(places)
         tiles = self.field.tiles_for(self.filter)
@@ -292,7 +285,7 @@ class Finder:
         return taps, end, n_rim
 
     def _walked(self, places: Float64s, taps: Taps, end: int, which: Int64s) -> Taps:
-        """Walk to the taps of some points."""
+        """Find the taps of some points by the walk."""
         if self._walk is None:
             self._walk = new_walk()
         tree = self.field.tree

@@ -1,10 +1,10 @@
-"""Footprints: what is averaged around a point, and the looks at coarser levels that add up to it.
+"""Footprints: the area to average over around a point, as probes at coarser levels that add up to it.
 
-A *look* reads the field over the averages of one level (paper 3.5.1). These averages are means over boxes of
-the cells' edge h, and the quadratic spline between them makes of each look the surface's mean under a cubic
-B-spline of scale h, whose variance is h²/3. A box of width w has the variance w²/12, so one look stands for
-it at h = w / 2; several looks, w / k apart, at h = w / 2k, come nearer to the box. Looks are made at the two
-levels whose cells are next to h in size and blended, so that nothing jumps while a width changes.
+A *probe* samples the field over the averages of one level (paper 3.5.1). These averages are means over boxes
+of the cells' edge h. The quadratic spline between them makes each probe the surface's mean under a cubic
+B-spline of scale h, with variance h²/3. A box of width w has the variance w²/12, so one probe at h = w / 2
+stands for it. Several probes, w / k apart with h = w / 2k, approximate the box better. Probes are made at the
+two levels with cells next to h in size and blended, so that nothing jumps while a width changes.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from octex.field.splines import LINEAR
 from octex.jit import inlined, kernel
 from octex.tree.layout import MAX_DEPTH
 
-#: Looks made at once: few enough to stay in the processor's cache.
+#: Probes made at once: they fit the processor's cache.
 _ROOM = 1 << 15
-#: By filter: levels by which looks are finer than cells of the footprint's width, for round footprints and,
-#: beyond those for its rows of looks, for long ones. Errors were least so, or nearly, for painted content on
-#: a sphere seen in 20², 64² and 256² pixels.
+#: By filter: levels by which probes are finer than cells of the footprint's width, for round footprints and,
+#: besides those for rows of probes, for long ones. They nearly minimize errors of painted content on a sphere
+#: of 20², 64² and 256² pixels.
 ROUND_FINER = 0.85, 0.6, 0.85, 1.15
 LONG_FINER = 1.0, 0.85, 1.0, 1.2
-#: How far apart the looks of a single row are, in widths: a fifth fewer than at 1, hardly worse.
+#: Distance of the probes of a single row, in widths: a fifth fewer than at 1, hardly worse.
 _ROW_STEP = 1.15
-#: What is shorter has no direction; what is longer is cut off.
+#: Shorter axes have no direction; longer ones are clamped.
 _SHORTEST, _LONGEST = 1e-150, 1e150
-#: What is longer than so many root cells is cut off.
+#: Longest axis, in root cells.
 _ROOTS = 4.0
 #: Least and largest widths that have a level of their own, in root cells.
 _NARROWEST, WIDEST = 0.25**MAX_DEPTH, 4.0**MAX_DEPTH
-#: What is as near as this to a whole level is read there alone. That saves 15 % of all looks, for 3 % more
-#: error, and one look does for widths of 1, 2, 4 … cells.
+#: Levels this near to a whole one use that alone: 15 % fewer probes, for 3 % more error, and one probe for
+#: widths of 1, 2, 4 … cells.
 WHOLE = 0.1501
 
 NO_SLOPES = np.empty((0, 3), np.float32)
 
 
 class Footprints(NamedTuple):
-    """Footprints of n points; elongated if there are lengths. All in the units of rest positions."""
+    """Footprints of n points in the units of rest positions; elongated if there are lengths."""
 
     widths: Float64s  # (n,)   of the short axis
     lengths: Float64s  # (n,) or (0,)   of the long axis
@@ -51,36 +51,36 @@ class Footprints(NamedTuple):
     sharpness: float  # 0 … 1
 
     def of(self, points: Int64s) -> Footprints:
-        """Return those of some of the points."""
+        """Select points."""
         widths, lengths, along, across = (array[points] if array.size else array for array in self[:4])
         return Footprints(widths, lengths, along, across, self.sharpness)
 
 
 class Probes(NamedTuple):
-    """Looks at one level."""
+    """Probes at one level."""
 
     points: Floats  # (m, 3)
-    owners: Int32s  # (m,)   whose looks these are
+    owners: Int32s  # (m,)   the point of each
     shares: Float32s  # (m,)   1 in sum for each owner, over all levels
-    slopes: Float32s = NO_SLOPES  # (m, 3)   derivatives of the shares in texture space; (0, 3) if not wanted
+    slopes: Float32s = NO_SLOPES  # (m, 3) or (0, 3)   derivatives of the shares in texture space
 
     def of(self, rows: Int64s | slice) -> Probes:
-        """Return some of them."""
+        """Select rows."""
         slopes = self.slopes[rows] if self.slopes.size else self.slopes
         return Probes(self.points[rows], self.owners[rows], self.shares[rows], slopes)
 
 
-#: What all footprints that are as wide as long have in common.
+#: Shared fields of all footprints that are as wide as long.
 ROUND = Footprints(np.empty(0), np.empty(0), np.empty((0, 3)), np.empty((0, 3)), 0.0)
 
 
 def long_footprints(
     dPdx: Floats, dPdy: Floats, blur: float, anisotropy: float, sharpness: float
 ) -> Footprints:
-    """Return the footprints of pixels, from how positions change from one to the next (n, 3).
+    """Return the footprints of pixels from derivatives of positions by pixel (n, 3).
 
     A pixel is a parallelogram on the surface; its footprint has the same mean and variances. The short axis
-    is never taken shorter than the long one by ``anisotropy``.
+    is at least the long one divided by ``anisotropy``.
     """
     n = len(dPdx)
     shape = Footprints(np.empty(n), np.empty(n), np.empty((n, 3)), np.empty((n, 3)), sharpness)
@@ -125,38 +125,37 @@ def _principal_axes(
 
 @kernel
 def passed_on(
-    looks: Probes, left: Float32s, left_slopes: Float32s, least: np.float32, more: Probes
+    probes: Probes, passed: Float32s, passed_slopes: Float32s, least: np.float32, more: Probes
 ) -> Probes:
-    """Return ``more`` looks, and those of which more than ``least`` is ``left`` (m,), with that share.
+    """Return ``more`` probes, and probes whose ``passed`` part (m,) exceeds ``least``, with that share.
 
-    ``left_slopes`` are the derivatives of ``left``, where looks have those of their shares. Where there is a
-    look of the same owner at the same point, the share is added to its own. Owners ascend, in what is given
-    and returned.
+    ``passed_slopes`` are the derivatives of ``passed``, where probes have slopes. A probe of the same owner
+    at the same point takes the share instead. Owners ascend in all arguments and in the result.
     """
-    gradient = looks.slopes.shape[0] > 0
+    gradient = probes.slopes.shape[0] > 0
     count = n_more = more.shares.size
-    for n in range(left.size):
-        count += left[n] > least
-    points, owners = np.empty((count, 3), looks.points.dtype), np.empty(count, np.int32)
+    for n in range(passed.size):
+        count += passed[n] > least
+    points, owners = np.empty((count, 3), probes.points.dtype), np.empty(count, np.int32)
     shares, slopes = np.empty(count, np.float32), np.zeros((count if gradient else 0, 3), np.float32)
     at = m = 0
-    for n in range(left.size + 1):
-        is_last = n == left.size
-        if not is_last and not left[n] > least:
+    for n in range(passed.size + 1):
+        is_last = n == passed.size
+        if not is_last and not passed[n] > least:
             continue
-        while m < n_more and (is_last or more.owners[m] < looks.owners[n]):
+        while m < n_more and (is_last or more.owners[m] < probes.owners[n]):
             for axis in range(3 if gradient else 0):
                 slopes[at, axis] = more.slopes[m, axis]
-            at = _write_look(more, m, more.shares[m], points, owners, shares, at)
+            at = _write_probe(more, m, more.shares[m], points, owners, shares, at)
             m += 1
         if is_last:
             break
-        share, same = looks.shares[n] * left[n], m
-        while same < n_more and more.owners[same] == looks.owners[n] and not _is_same(more, same, looks, n):
+        share, same = probes.shares[n] * passed[n], m
+        while same < n_more and more.owners[same] == probes.owners[n] and not _is_same(more, same, probes, n):
             same += 1
-        is_there = same < n_more and more.owners[same] == looks.owners[n]
+        is_there = same < n_more and more.owners[same] == probes.owners[n]
         for axis in range(3 if gradient else 0):
-            slope = looks.slopes[n, axis] * left[n] + looks.shares[n] * left_slopes[n, axis]
+            slope = probes.slopes[n, axis] * passed[n] + probes.shares[n] * passed_slopes[n, axis]
             if is_there:
                 more.slopes[same, axis] += slope
             else:
@@ -164,31 +163,31 @@ def passed_on(
         if is_there:
             more.shares[same] += share
         else:
-            at = _write_look(looks, n, share, points, owners, shares, at)
+            at = _write_probe(probes, n, share, points, owners, shares, at)
     return Probes(points[:at], owners[:at], shares[:at], slopes[:at])
 
 
 @inlined
-def _is_same(looks: Probes, n: int, others: Probes, m: int) -> bool:
-    """Say whether two looks are at the same point."""
-    a, b = looks.points, others.points
+def _is_same(probes: Probes, n: int, others: Probes, m: int) -> bool:
+    """Return whether two probes are at the same point."""
+    a, b = probes.points, others.points
     return bool((a[n, 0] == b[m, 0]) & (a[n, 1] == b[m, 1]) & (a[n, 2] == b[m, 2]))
 
 
 @inlined
-def _write_look(
-    looks: Probes, n: int, share: np.float32, points: Floats, owners: Int32s, shares: Float32s, at: int
+def _write_probe(
+    probes: Probes, n: int, share: np.float32, points: Floats, owners: Int32s, shares: Float32s, at: int
 ) -> int:
-    """Write a look with a share; return the end of what is written."""
+    """Write a probe with a share; return the end of the list."""
     for axis in range(3):
-        points[at, axis] = looks.points[n, axis]
-    owners[at], shares[at] = looks.owners[n], share
+        points[at, axis] = probes.points[n, axis]
+    owners[at], shares[at] = probes.owners[n], share
     return at + 1
 
 
 @inlined
 def level_of(width: float, size: float, depth: int, finer: float) -> np.float32:
-    """Return the level, 0 … depth and between, at which looks of a width are made."""
+    """Return the level, 0 … depth and between, for probes of a width."""
     width = min(max(width, size * _NARROWEST), size * WIDEST)
     level = np.log2(np.float32(size / width)) + np.float32(finer)
     whole = np.floor(level)
@@ -205,10 +204,10 @@ def _levels_of(widths: Float64s, size: float, depth: int, finer: float, levels: 
 
 @inlined
 def _level_shares(level: np.float32, depth: int, sharpness: float) -> tuple[int, float, float, float]:
-    """Return the coarser of two levels, and the shares of the one before it, of itself and of the next.
+    """Return the coarser of two levels, and the shares of the level before it, of it and of the next.
 
-    To sharpen, as much of the levels one coarser is taken off as leaves a variance of 0 for ``sharpness`` 1.
-    Leaves are not sharpened.
+    Sharpening subtracts part of the next coarser levels, up to a variance of 0 for ``sharpness`` 1. Leaves
+    are not sharpened.
     """
     lower = min(int(level), depth)
     upper = float(level) - lower
@@ -226,11 +225,10 @@ def _level_shares_of(level: np.float32, depth: int, sharpness: float) -> tuple[i
 
 @inlined
 def _lay(width: float, length: float, rows: int, least: float) -> tuple[float, float, float]:
-    """Lay looks out over a long footprint: how far apart they are, and how far they reach along and across.
+    """Lay probes out over a long footprint: return their distance, and the reach along and across.
 
-    They reach to both sides, along in steps from one to the next, and two rows of them across. The variances
-    are then the footprint's; what the looks' own width adds to them is taken off. Looks are not nearer to
-    each other than ``least``, a leaf's edge.
+    They reach to both sides, along in steps of one distance; two rows lie across. The variances are then the
+    footprint's, less the probes' own width. Distances are at least ``least``, a leaf's edge.
     """
     apart = max(width * (0.5 if rows > 1 else _ROW_STEP), least)
     if not apart > 0.0:
@@ -243,7 +241,7 @@ def _lay(width: float, length: float, rows: int, least: float) -> tuple[float, f
 
 @inlined
 def _steps(along: float) -> int:
-    """How many looks are made to each side of the middle."""
+    """Return the number of probes to each side of the middle."""
     return int(np.ceil(max(along - 0.5, 0.0)))
 
 
@@ -258,25 +256,25 @@ def _count(
     room: int,
     counts: Int64s,
 ) -> int:
-    """Count looks by level (depth + 1,) for points from ``first`` on, as many as fit; return their end."""
+    """Count probes by level (depth + 1,) from point ``first`` on, while they fit; return the end."""
     total = 0
-    looks = 1
+    probes = 1
     for n in range(first, levels.size):
         if rows > 0:
             _, along, across = _lay(shape.widths[n], shape.lengths[n], rows, least)
-            looks = (2 * _steps(along) + 1) * (2 if across > 0.0 else 1)
-        total += looks
+            probes = (2 * _steps(along) + 1) * (2 if across > 0.0 else 1)
+        total += probes
         if total > room and n > first:
             return n
         lower, before, own, after = _level_shares(levels[n], depth, shape.sharpness)
-        counts[max(lower - 1, 0)] += looks * (before != 0.0)
-        counts[lower] += looks * (own != 0.0)
-        counts[min(lower + 1, depth)] += looks * (after != 0.0)
+        counts[max(lower - 1, 0)] += probes * (before != 0.0)
+        counts[lower] += probes * (own != 0.0)
+        counts[min(lower + 1, depth)] += probes * (after != 0.0)
     return levels.size
 
 
 @inlined
-def _put_look(
+def _put_probe(
     ends: Int64s,
     level: int,
     share: float,
@@ -288,7 +286,7 @@ def _put_look(
     owners: Int32s,
     shares: Float32s,
 ) -> None:
-    """Write a look that has a share."""
+    """Write a probe unless its share is 0."""
     if share != 0.0:
         at = ends[level]
         places[at, 0], places[at, 1], places[at, 2] = x, y, z
@@ -297,7 +295,7 @@ def _put_look(
 
 
 @kernel
-def _write_looks(
+def _write_probes(
     points: Floats,
     shape: Footprints,
     levels: Float32s,
@@ -311,15 +309,15 @@ def _write_looks(
     owners: Int32s,
     shares: Float32s,
 ) -> None:
-    """Write the looks of points ``first`` … ``end`` − 1, those of each level from its ``ends`` on."""
+    """Write the probes of points ``first`` … ``end`` − 1, each level's from its ``ends`` on."""
     for n in range(first, end):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         lower, before, own, after = _level_shares(levels[n], depth, shape.sharpness)
         target = n - first, places, owners, shares
         if rows == 0:
-            _put_look(ends, lower - 1, before, x, y, z, *target)
-            _put_look(ends, lower, own, x, y, z, *target)
-            _put_look(ends, lower + 1, after, x, y, z, *target)
+            _put_probe(ends, lower - 1, before, x, y, z, *target)
+            _put_probe(ends, lower, own, x, y, z, *target)
+            _put_probe(ends, lower + 1, after, x, y, z, *target)
             continue
         apart, along, across = _lay(shape.widths[n], shape.lengths[n], rows, least)
         steps = _steps(along)
@@ -333,17 +331,17 @@ def _write_looks(
                 u = x + a * shape.along[n, 0] + b * shape.across[n, 0]
                 v = y + a * shape.along[n, 1] + b * shape.across[n, 1]
                 w = z + a * shape.along[n, 2] + b * shape.across[n, 2]
-                _put_look(ends, lower - 1, part * before, u, v, w, *target)
-                _put_look(ends, lower, part * own, u, v, w, *target)
-                _put_look(ends, lower + 1, part * after, u, v, w, *target)
+                _put_probe(ends, lower - 1, part * before, u, v, w, *target)
+                _put_probe(ends, lower, part * own, u, v, w, *target)
+                _put_probe(ends, lower + 1, part * after, u, v, w, *target)
 
 
 def spread(
     points: Floats, shape: Footprints, size: float, depth: int, filter_code: int
 ) -> Iterator[tuple[slice, dict[int, Probes]]]:
-    """Yield runs of points, and their looks by level, about ``_ROOM`` at a time.
+    """Yield runs of points and their probes by level, about ``_ROOM`` at a time.
 
-    ``size`` is the root cell's edge. Owners are counted from the first point of the run.
+    ``size`` is the root cell's edge. Owners count from the first point of the run.
     """
     rows = 0 if not shape.lengths.size else 1 if filter_code <= LINEAR else 2
     finer = LONG_FINER[filter_code] + np.log2(rows) if rows else ROUND_FINER[filter_code]
@@ -364,12 +362,12 @@ def spread(
         places, owners = np.empty((starts[-1], 3), points.dtype), np.empty(starts[-1], np.int32)
         shares = np.empty(starts[-1], np.float32)
         ends = starts[:-1].copy()
-        _write_looks(points, shape, levels, first, end, depth, rows, least, ends, places, owners, shares)
-        looks = {}
+        _write_probes(points, shape, levels, first, end, depth, rows, least, ends, places, owners, shares)
+        probes = {}
         for level in np.flatnonzero(counts).tolist():
             at = slice(starts[level], starts[level + 1])
-            looks[level] = Probes(places[at], owners[at], shares[at])
-        yield slice(first, end), looks
+            probes[level] = Probes(places[at], owners[at], shares[at])
+        yield slice(first, end), probes
         first = end
 
 
@@ -383,8 +381,8 @@ def _alike(
     for first in range(0, len(points), room):
         run = slice(first, min(first + room, len(points)))
         n = run.stop - first
-        looks: dict[int, Probes] = {}
+        probes: dict[int, Probes] = {}
         for above, share in enumerate(shares, lower - 1):
             if share != 0.0:
-                looks[above] = Probes(points[run], owners[:n], np.full(n, share, np.float32))
-        yield run, looks
+                probes[above] = Probes(points[run], owners[:n], np.full(n, share, np.float32))
+        yield run, probes

@@ -1,4 +1,4 @@
-"""What lookups blend and read, listed: for solvers, and for files that are read by parts."""
+"""Lists the rows that lookups blend and read: for solvers, and for files that are read in part."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ _NO_ROWS, _NO_COVERS = np.empty(0, np.uint32), np.empty(0, np.float32)
 
 
 class TapList(NamedTuple):
-    """What points blend, in compressed sparse rows: Σ weights · values, over a point's taps, is its value.
+    """The taps of points in compressed sparse rows: a point's value is Σ weights · values over its taps.
 
-    Rows count cells, then the rows of the kept nodes, then those of the split cells.
+    Rows count cells, then kept nodes, then the facings of split cells.
     """
 
     starts: Int64s  # (n + 1,)   a point's taps are those from its start to the next one's
@@ -32,34 +32,36 @@ class TapList(NamedTuple):
 
 
 class Reads(NamedTuple):
-    """What lookups of a channel read at a level."""
+    """The rows and cells that lookups of a channel read at a level."""
 
     rows: Uint32s  # (n,)   each once
-    cells: Int64s  # (m,)   the Morton codes of those that hold the looks' points, ascending
+    cells: Int64s  # (m,)   the Morton codes of those that hold the probes' points, ascending
 
 
 class Listing(Lookup):
-    """Lookups of one channel, listed. All raise NotFiniteError."""
+    """Lists lookups of one channel. All methods raise NotFiniteError."""
 
     def blends(self, points: Floats) -> Listed:
-        """List what is blended."""
-        return joined(list(self._leaves(points) if self._query.footprints is None else self._looks(points)))
+        """List the taps of points."""
+        return joined(
+            list(self._leaves(points) if self._query.footprints is None else self._of_probes(points))
+        )
 
     def _leaves(self, points: Floats) -> Iterator[Listed]:
         for _, taps in self.each_block(points):
             self._weigh_all(taps, always=False)
             yield listed(taps, 1.0)
 
-    def _looks(self, points: Floats) -> Iterator[Listed]:
-        """List the blends of footprints: looks at all levels, added up."""
+    def _of_probes(self, points: Floats) -> Iterator[Listed]:
+        """List the taps of footprints: probes at all levels, added up."""
         for run, by_level in self.each_run(points):
             n_points = run.stop - run.start
             keys, parts = [np.empty(0, np.int64)], [np.empty(0)]
-            for _, looks, taps in self.each_look(run, by_level):
+            for _, probes, taps in self.each_probe(run, by_level):
                 self._weigh_all(taps, always=True)
-                look, at = _each_tap(taps)
-                keys.append(looks.owners[look].astype(np.int64) << 32 | taps.rows[at])
-                parts.append(taps.weights[at].astype(np.float64) * looks.shares[look])
+                probe, at = _each_tap(taps)
+                keys.append(probes.owners[probe].astype(np.int64) << 32 | taps.rows[at])
+                parts.append(taps.weights[at].astype(np.float64) * probes.shares[probe])
             key, which = np.unique(np.concatenate(keys), return_inverse=True)
             part = np.bincount(which, np.concatenate(parts), key.size)
             owner, row = key >> 32, key & 0xFFFFFFFF
@@ -80,21 +82,21 @@ class Listing(Lookup):
             yield Listed(starts, row, part.astype(np.float32), NO_SLOPES, _NO_COVERS)
 
     def reads(self, points: Floats) -> dict[int, Reads]:
-        """List what is read, by the level looked at."""
+        """List the rows and cells read, by level."""
         depth = self._field.depth
         if self._query.footprints is None:
             return joined_reads({depth: self._read(taps, depth)} for _, taps in self.each_block(points))
-        looks = (each for run in self.each_run(points) for each in self.each_look(*run))
-        return joined_reads({level: self._read(taps, level)} for level, _, taps in looks)
+        probes = (each for run in self.each_run(points) for each in self.each_probe(*run))
+        return joined_reads({level: self._read(taps, level)} for level, _, taps in probes)
 
     def cells(self, points: Floats) -> dict[int, Reads]:
-        """List like ``reads`` the cells alone, only those that no content of the tree changes."""
-        looks: Iterable[tuple[int, Floats]] = [(self._field.depth, points)]
+        """List like ``reads`` the cells alone, as far as the tree's content does not change them."""
+        probes: Iterable[tuple[int, Floats]] = [(self._field.depth, points)]
         if self._query.footprints is not None:
             runs = self.each_run(points)
-            looks = ((level, some.points) for _, by_level in runs for level, some in by_level.items())
+            probes = ((level, some.points) for _, by_level in runs for level, some in by_level.items())
         found = []
-        for level, own in looks:
+        for level, own in probes:
             places = np.empty((len(own), 3))
             fault = place_points(Positions.of(own), *self._placement, places)
             if fault >= 0:
@@ -103,12 +105,12 @@ class Listing(Lookup):
         return joined_reads(found)
 
     def _read(self, taps: Taps, level: int) -> Reads:
-        """Return what the taps of the latest block of points read, and which cells hold these."""
+        """Return the rows that the latest block reads, and the cells that hold its points."""
         places = self.finder(self._field.level(level)).places
         return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), _cells_at(places, level))
 
     def _weigh_all(self, taps: Taps, *, always: bool) -> None:
-        """Let taps weigh as the channel's do."""
+        """Weigh taps as lookups of the channel do."""
         for _ in self.each_weighed(taps, False, always=always):
             pass
 
@@ -120,7 +122,7 @@ def _cells_at(places: Float64s, level: int) -> Int64s:
 
 
 def joined_reads(found: Iterable[Mapping[int, Reads]]) -> dict[int, Reads]:
-    """Join what several blocks of points, or lookups of several channels, read by level."""
+    """Join the reads of several blocks of points, or channels, by level."""
     by_level: dict[int, list[Reads]] = {}
     for levels in found:
         for level, read in levels.items():
@@ -135,7 +137,7 @@ def joined_reads(found: Iterable[Mapping[int, Reads]]) -> dict[int, Reads]:
 
 
 def _each_tap(taps: Taps) -> tuple[Int64s, Int64s]:
-    """Return of each tap, point after point, the point's number and where it is."""
+    """Return for each tap, point after point, the point's number and the tap's index."""
     counts = taps.ends - taps.starts
     points = np.repeat(np.arange(counts.size), counts)
     before = np.cumsum(counts) - counts

@@ -1,4 +1,4 @@
-"""Lookups: what is asked of points, by tiles, bricks or the walk; footprints at all levels."""
+"""Lookups of points by tiles, bricks or the walk; footprints at all levels."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.bricks import NUMBER_BITS, SORTED, Asked, look_up_crowded, new_bricks
-from octex.field.field import NO_BYTES, NO_LEFT, NO_VECTORS, Field, Finder, NotFiniteError, positions
+from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, NotFiniteError, positions
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
 from octex.field.taps import Codes, Taps, place_points
@@ -23,34 +23,34 @@ from octex.jit import direct, unlocked
 from octex.tree.placement import Placement
 from octex.tree.search import keys_of, put_rows
 
-#: Points for which it is worth while to sort them.
+#: Fewer points are not sorted.
 _LEAST_SORTED = 64
-#: What is no more than this of a weight is rounding.
+#: Relative weights up to this are rounding errors.
 _ROUNDED = np.float32(1e-6)
 _NO_GRADIENTS = np.empty((0, 1, 3), np.float32)
 _NO_TABLE = np.empty(0, np.float32)
 NO_ADDITIONS = Additions(
-    *(np.empty(0, np.int32), NO_LEFT[0], NO_LEFT[0]),
+    *(np.empty(0, np.int32), NO_PASSED[0], NO_PASSED[0]),
     Sums(np.empty((0, 1)), np.empty(0), np.empty((0, 1, 3)), np.empty((0, 3))),
 )
-#: What `look_up_tiled` returns where tiles have all points.
+#: Result of `look_up_tiled` where tiles find all points.
 _ALL_FOUND = 0, 0, -1
-#: What searches and channels hold is unlocked where they are made.
+#: Searches and channels hold unlocked arrays.
 _look_up_tiled = direct(look_up_tiled)
 
 
 class Query(NamedTuple):
-    """What is asked of points. Its arrays have a row for each."""
+    """The options of a lookup. Its arrays have a row for each point."""
 
     filter: str
     footprints: Footprints | None = None  # None: the leaves where the points are
-    normals: Float32s | None = None  # (n, 3)   what faces away from them is not seen
-    #: For footprints without normals: which cells (cells,) of a level's field are left to the next finer
-    #: level, see `weights.mark_mixed`.
+    normals: Float32s | None = None  # (n, 3)   hide surface that faces away
+    #: For footprints without normals: marks a level's cells that pass on to the next finer level, see
+    #: `weights.mark_mixed`.
     mixed: Callable[[int], Uint8s] | None = None
 
     def of(self, points: Int64s) -> Query:
-        """Return what is asked of some of the points."""
+        """Select points."""
         return self._replace(
             footprints=None if self.footprints is None else self.footprints.of(points),
             normals=None if self.normals is None else self.normals[points],
@@ -66,10 +66,10 @@ class ChannelRows(NamedTuple):
 
 
 class Lookup:
-    """One lookup: what is the same for all its blocks of points.
+    """One lookup, for all its blocks of points.
 
-    Channels that are not alpha weigh by it, if there is one, except where it is zero throughout. ``answers``
-    (n, components) take their values, decoded, and ``gradients`` (n, components, 3), or none, those.
+    Channels other than alpha are weighted by it, except where it is zero throughout. ``answers`` (n,
+    components) take the decoded values, and ``gradients`` (n, components, 3), if any, their derivatives.
     """
 
     def __init__(
@@ -90,11 +90,11 @@ class Lookup:
         self._answers = answers
         self._gradients = gradients
         self._finders: dict[int, Finder] = {}
-        #: The numbers of channels; alpha itself comes first: then it weighs all others.
+        #: Channel numbers, alpha first: it then weights all others.
         is_alpha = list(map(attrgetter("is_alpha"), channels))
         self._numbers = sorted(range(len(channels)), key=is_alpha.__getitem__, reverse=True)
         values = (alpha or channels[self._numbers[0]]).codes.values
-        #: The first values that are read, as bytes, to be asked for ahead.
+        #: The first values to read, as bytes, for prefetching.
         self._rows: Uint8s = values.view(np.uint8).reshape(len(values), -1)
         self._channel: Weighed | None = None
         if len(channels) == 1:
@@ -106,19 +106,19 @@ class Lookup:
 
     @property
     def is_tiled(self) -> bool:
-        """Say whether leaves are looked up by tiles, from points to values at once."""
+        """Whether tiles look leaves up from points to values in one call."""
         code = FILTERS.index(self._query.filter)
         return self._channel is not None and code != QUARTIC and self._field.tiles_for(code) is not None
 
     def is_sortable(self, count: int) -> bool:
-        """Say whether so many points are looked up by bricks, a channel after the other."""
+        """Return whether bricks look up ``count`` points, one channel after another."""
         query, spaces = self._query, set(map(attrgetter("space"), self._channels))
         is_bare = query.normals is None and not self._gradients and query.filter == "quadratic"
         has_bricks = self._field.tiles is None and _LEAST_SORTED <= count < 1 << NUMBER_BITS
         return is_bare and has_bricks and {*spaces, self._alpha and self._alpha.space} == {None}
 
     def at(self, points: Floats) -> None:
-        """Look up rest positions (n, 3) in the way that suits. Raises NotFiniteError, as all lookups do."""
+        """Look up rest positions (n, 3) by the fastest path. All lookups raise NotFiniteError."""
         if self._query.footprints is not None:
             self.footprints(points)
         elif len(self._channels) > 1 and self.is_sortable(len(points)):
@@ -132,10 +132,10 @@ class Lookup:
                 self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
 
     def plain(self) -> Callable[[Floats], Float32s | None] | None:
-        """Prepare lookups of leaves by tiles, for few points again and again; None where there are none.
+        """Prepare lookups of a few points of leaves by tiles; None where there are no tiles.
 
-        What is returned takes rest positions as kernels do. It returns None where the leaves alone do not
-        answer: `at` does, or finds what is wrong.
+        The result takes rest positions as kernels do. It returns None where tiles alone do not answer: call
+        `at`.
         """
         if not self.is_tiled or self._channel is None:
             return None
@@ -147,8 +147,8 @@ class Lookup:
         def found(points: Floats) -> Float32s | None:
             answer = np.empty((len(points), components), np.float32)
             lost = np.empty((2, len(points)), np.int64)
-            given = *positions(points), *before, answer, _NO_GRADIENTS
-            is_all = _look_up_tiled(search, *given, NO_ADDITIONS, lost) == _ALL_FOUND
+            task = *positions(points), *before, answer, _NO_GRADIENTS
+            is_all = _look_up_tiled(search, *task, NO_ADDITIONS, lost) == _ALL_FOUND
             return answer if is_all else None
 
         return found
@@ -161,7 +161,7 @@ class Lookup:
             self.leaves(points)
 
     def sorted(self, points: Floats) -> None:
-        """Look up one channel's leaves by bricks, in the order of space."""
+        """Look up one channel's leaves by bricks, in Morton order."""
         (channel,), (results,) = self._channels, self._answers
         alpha = channel.codes._replace(values=channel.codes.values[:0])
         if self._alpha is not None and not channel.is_alpha:
@@ -182,23 +182,20 @@ class Lookup:
     def _by_tiles(
         self, here: Field, points: Floats, additions: Additions, normals: Float32s | None
     ) -> Int64s:
-        """Look up by a level's tiles, and what they lack by coarser ones; return what is for the walk.
-
-        ``normals`` are those of the looks' owners.
-        """
-        code, by, given = FILTERS.index(self._query.filter), self.weighing(here), (points, additions, normals)
+        """Look up by a level's tiles, else by coarser ones; return the points for the walk."""
+        code, by, task = FILTERS.index(self._query.filter), self.weighing(here), (points, additions, normals)
         empty: Int64s | None = None
         rims: list[Int64s] = []
         for number, tiles in enumerate(here.searched(code)):
             search = Search(code, tiles, here.n_cells - 1, number > 0, by)
-            empty, rim = self._search(search, empty, *given)
+            empty, rim = self._search(search, empty, *task)
             rims.append(rim)
             if not empty.size:
                 break
         rim = np.concatenate(rims)
         for tiles in here.finer if rim.size else ():
             search = Search(code, tiles, here.n_cells - 1, False, by)
-            rim = np.concatenate(self._search(search, rim, *given))
+            rim = np.concatenate(self._search(search, rim, *task))
         return rim
 
     def _search(
@@ -209,7 +206,7 @@ class Lookup:
         additions: Additions,
         normals: Float32s | None,
     ) -> tuple[Int64s, Int64s]:
-        """Look up points, or some of them, and return which are lost: see `look_up_tiled`."""
+        """Look up points, by default all, and return those without cells and those for the walk."""
         assert self._channel is not None
         adds, answers = additions is not NO_ADDITIONS, self._answers[0]
         some, own, facing = additions, answers, NO_VECTORS if normals is None else normals
@@ -217,8 +214,8 @@ class Lookup:
         if which is not None:
             points = np.take(points, which, axis=0)
             if adds:
-                left = np.zeros(which.size if additions.left.size else 0, np.float32)
-                some = Additions(additions.owners[which], additions.shares[which], left, additions.sums)
+                passed = np.zeros(which.size if additions.passed.size else 0, np.float32)
+                some = Additions(additions.owners[which], additions.shares[which], passed, additions.sums)
             else:
                 own = np.empty((which.size, answers.shape[1]), np.float32)
                 slopes = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
@@ -231,8 +228,8 @@ class Lookup:
         empty, rim = lost[0, :n_empty], lost[1, :n_rim]
         if which is None:
             return empty, rim
-        if additions.left.size:
-            additions.left[which] = some.left
+        if additions.passed.size:
+            additions.passed[which] = some.passed
         if not adds:
             put_rows(own, which, answers)
             if self._gradients:
@@ -248,19 +245,21 @@ class Lookup:
         return here.weighing(self._field, faces, mixed)
 
     def leaves(self, points: Floats) -> None:
-        """Look up the leaves, in any tree."""
+        """Look up the leaves of any tree."""
         scale = 1.0 / self._placement.size
-        # Values of cells are asked for with their tiles; what is walked to is not, nor what faces a normal.
-        is_asked = self._query.normals is None and self._field.tiles is not None
+        # Tiles prefetch the values of cells; walks and split rows do not.
+        is_prefetched = self._query.normals is None and self._field.tiles is not None
         for rows, taps in self.each_block(points):
-            for number, used, codes in self.each_weighed(taps, is_asked, always=False):
+            for number, used, codes in self.each_weighed(taps, is_prefetched, always=False):
                 results = self._answers[number][rows]
-                blend(used, codes, is_asked and self._alpha is None and number == self._numbers[0], results)
+                blend(
+                    used, codes, is_prefetched and self._alpha is None and number == self._numbers[0], results
+                )
                 if self._gradients:
                     blend_slopes(used, codes, scale, results, self._gradients[number][rows])
 
     def finder(self, here: Field) -> Finder:
-        """Return what finds the taps of a level."""
+        """Return the finder of a level's taps."""
         if here.depth not in self._finders:
             options = {"gradient": bool(self._gradients), "adds": self._query.footprints is not None}
             finder = Finder(here, self._placement, self._query.filter, whole=self._field, **options)
@@ -268,12 +267,12 @@ class Lookup:
         return self._finders[here.depth]
 
     def each_block(self, points: Floats) -> Iterator[tuple[slice, Taps]]:
-        """Yield the taps of the leaves, weighed, a block of points after another."""
+        """Yield the weighted taps of the leaves, block after block."""
         here = self._field
         return self.finder(here).blocks(points, self.weighing(here), self._query.normals, rows=self._rows)
 
     def each_run(self, points: Floats) -> Iterator[tuple[slice, dict[int, Probes]]]:
-        """Yield the looks of footprints: see `footprints.spread`."""
+        """Yield the probes of footprints: see `footprints.spread`."""
         assert self._query.footprints is not None
         is_finite = np.isfinite(points)
         if not is_finite.all():
@@ -282,7 +281,7 @@ class Lookup:
         return spread(points, self._query.footprints, self._placement.size, depth, code)
 
     def footprints(self, points: Floats) -> None:
-        """Look footprints up: add the looks at all levels up."""
+        """Look footprints up: add the probes at all levels up."""
         gradient = bool(self._gradients)
         # By tiles, from points to sums at once.
         is_bare = self._channel is not None and not self._channel.has_alpha
@@ -291,11 +290,11 @@ class Lookup:
             n_points = run.stop - run.start
             sums = list(map(new_sums, repeat(n_points), self._answers, repeat(gradient)))
             if gradient:
-                for level, looks in by_level.items():
-                    by_level[level] = looks._replace(slopes=np.zeros((looks.shares.size, 3), np.float32))
-            for _, looks, taps in self.each_look(run, by_level, sums[0] if is_added else None):
+                for level, probes in by_level.items():
+                    by_level[level] = probes._replace(slopes=np.zeros((probes.shares.size, 3), np.float32))
+            for _, probes, taps in self.each_probe(run, by_level, sums[0] if is_added else None):
                 for number, used, codes in self.each_weighed(taps, False, always=True):
-                    add_up(used, codes, False, looks.owners, looks.shares, looks.slopes, sums[number])
+                    add_up(used, codes, False, probes.owners, probes.shares, probes.slopes, sums[number])
             bare = np.zeros(n_points, np.bool_)
             for number, channel in enumerate(self._channels):
                 gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
@@ -307,32 +306,32 @@ class Lookup:
                 rows = run.start + np.flatnonzero(bare)
                 self._look_again(points, rows, numbers, None, Lookup.footprints)
 
-    def each_look(
+    def each_probe(
         self, run: slice, by_level: dict[int, Probes], sums: Sums | None = None
     ) -> Iterator[tuple[int, Probes, Taps]]:
-        """Yield the looks of a run, level by level and a block after another, and their taps, weighed.
+        """Yield the probes of a run, level by level and block after block, and their weighted taps.
 
-        With ``sums`` what tiles can look up is added to them instead.
+        With ``sums``, probes that tiles can look up are added to them instead.
         """
         normals = None if self._query.normals is None else self._query.normals[run]
         for level in range(self._field.depth + 1):
             if level not in by_level:
                 continue
-            here, looks = self._field.level(level), by_level[level]
+            here, probes = self._field.level(level), by_level[level]
             by = self.weighing(here)
-            rows: slice | Int64s = slice(None)  # those that tiles leave over
-            count = len(looks.points) if by.mixed.size else 0
-            left = np.zeros(count, np.float32), np.zeros((count if self._gradients else 0, 3), np.float32)
+            rows: slice | Int64s = slice(None)  # those that tiles do not answer
+            count = len(probes.points) if by.mixed.size else 0
+            passed = np.zeros(count, np.float32), np.zeros((count if self._gradients else 0, 3), np.float32)
             if sums is not None and here.tiles_for(QUADRATIC) is not None:
-                own = Additions(looks.owners, looks.shares, left[0], sums)
-                rows = self._by_tiles(here, looks.points, own, normals)
-            some, parts = looks.of(rows), (left[0][rows] if count else left[0], left[1])
+                own = Additions(probes.owners, probes.shares, passed[0], sums)
+                rows = self._by_tiles(here, probes.points, own, normals)
+            some, parts = probes.of(rows), (passed[0][rows] if count else passed[0], passed[1])
             facing = None if normals is None else normals[some.owners]
             for block, taps in self.finder(here).blocks(some.points, by, facing, parts, self._rows):
                 yield level, some.of(block), taps
-            if count:  # the next level is looked at for what was not seen at this
-                left[0][rows] = parts[0]
-                more = passed_on(looks, *left, _ROUNDED, by_level.get(level + 1, looks.of(slice(0))))
+            if count:  # the next level answers for mixed cells
+                passed[0][rows] = parts[0]
+                more = passed_on(probes, *passed, _ROUNDED, by_level.get(level + 1, probes.of(slice(0))))
                 if more.shares.size:
                     by_level[level + 1] = more
 
@@ -344,7 +343,7 @@ class Lookup:
         alpha: ChannelRows | None,
         look_up_points: Callable[[Lookup, Floats], None],
     ) -> None:
-        """Look some channels of some points up anew, in another way."""
+        """Look some channels of some points up by another path."""
         answers = [np.empty((rows.size, self._answers[n].shape[1]), np.float32) for n in numbers]
         gradients = [np.empty((*answer.shape, 3), np.float32) for answer in answers if self._gradients]
         channels = [self._channels[n] for n in numbers]
@@ -356,14 +355,16 @@ class Lookup:
             if self._gradients:
                 self._gradients[number][rows] = gradients[at]
 
-    def each_weighed(self, taps: Taps, is_asked: bool, *, always: bool) -> Iterator[tuple[int, Taps, Codes]]:
-        """Yield the channels by number, and their taps and codes; alpha weighs those that are not alpha."""
+    def each_weighed(
+        self, taps: Taps, is_prefetched: bool, *, always: bool
+    ) -> Iterator[tuple[int, Taps, Codes]]:
+        """Yield each channel's number, taps and codes; alpha weights the taps of the others."""
         alpha, is_covered = self._alpha, False
         for number in self._numbers:
             channel = self._channels[number]
             if alpha is not None and not channel.is_alpha and not is_covered:
                 weighing = (taps, alpha.codes) if alpha.space is None else _as_read(taps, alpha)
-                weigh_by_alpha(*weighing, is_asked, always)
+                weigh_by_alpha(*weighing, is_prefetched, always)
                 is_covered = True
             used, codes = taps, channel.codes
             if channel.space is not None:

@@ -1,10 +1,10 @@
 """The taps of one lookup in any octree, and of cells that are not stored.
 
 A walk goes down from window to window (`windows`) until no cell of the window is a node. There the spline's
-weights fall on the cells. Leaves take theirs; what falls on cells below leaves and empty cells is sent up to
-the cells that they are refined from, until all has come to rest on leaves, nodes and empty cells. What lies
-on leaves and kept coefficients are the taps. Sent up from a cell below a leaf, they are the coefficients that
-the field refines to it (paper 4.2).
+weights fall on the cells. Leaves take theirs. Weights on cells below leaves and on empty cells are sent up to
+the cells that those are refined from, until all rest on leaves, nodes and empty cells. The weights on leaves
+and kept nodes are the taps. Sent up from a cell below a leaf, they are the coefficients that the field
+refines to it (paper 4.2).
 """
 
 from __future__ import annotations
@@ -62,15 +62,14 @@ _MIDDLE = 13
 def taps_around(
     way: Way, x: float, y: float, z: float, is_constant: bool, taps: Taps, first: int
 ) -> tuple[int, float]:
-    """Write the taps of a point of texture space from index ``first`` on; return the end, and the cover.
+    """Write the taps of a point of texture space from index ``first`` on; return the end and the cover.
 
-    ``taps`` must have room for MOST_TAPS. A row is a cell's number, or the number of cells + r for row r of
-    the kept nodes. Weights sum to the cover, or to OFF if that is more; slopes are their derivatives by x, y
-    and z, if ``is_constant`` those of weights with a constant sum. The point is first clamped into the root;
-    it must be finite.
+    ``taps`` has room for MOST_TAPS. A row is a cell's number, or the number of cells + r for row r of the
+    kept nodes. Weights sum to the cover, or to OFF if that is more; slopes are their derivatives by x, y and
+    z, if ``is_constant`` with a constant sum. The point is first clamped into the root; it must be finite.
 
-    The cover is how much of the spline's weight falls on leaves, 0 … 1. Where it is zero, the taps are those
-    of the tree truncated at the deepest level that has any there.
+    The cover is the part of the spline's weight on leaves, 0 … 1. Where it is zero, the taps are those of the
+    tree truncated at the deepest level with cells there.
     """
     walk = way.walk
     x, y, z = _rounded(x), _rounded(y), _rounded(z)
@@ -95,10 +94,7 @@ def taps_around(
 
 @inlined
 def _rounded(x: float) -> float:
-    """Clamp a coordinate to 0 … 1 and round it to 2⁻⁵².
-
-    Weights at the rim of a spline's support are then zero, or large enough for the quotients of slopes.
-    """
+    """Clamp a coordinate to 0 … 1 and round it to 2⁻⁵²: weights at the spline's rim are then exact."""
     return min(max(x, 0.0), 1.0) + 1.0 - 1.0
 
 
@@ -124,7 +120,7 @@ def _fill_window(way: Way, x: float, y: float, z: float, i: int, j: int, k: int,
 def _spline(
     filter_code: int, is_slope: bool, t: float, cells: float
 ) -> tuple[float, float, float, float, float]:
-    """Weights of the spline along an axis, or their slopes by a coordinate of texture space."""
+    """Return the weights of the spline along an axis, or their slopes by a coordinate of texture space."""
     if filter_code == QUARTIC:
         if not is_slope:
             return quartic_weights(t)
@@ -141,10 +137,7 @@ def _spline(
 
 @inlined
 def _collect(way: Way, level: int, truncated: bool, rows: Uint32s, first: int) -> tuple[int, float]:
-    """Write taps for what falls on a window, and on those above by refinement.
-
-    If ``truncated``, the level's nodes count as leaves. Returns the number of taps and their weight.
-    """
+    """Write the taps of a window and of those above by refinement; return their number and weight."""
     walk, n_taps, total = way.walk, 0, 0.0
     while True:
         n_taps, total = _settle(way, level, truncated, rows, first, n_taps, total)
@@ -163,7 +156,7 @@ def _collect(way: Way, level: int, truncated: bool, rows: Uint32s, first: int) -
 def _settle(
     way: Way, level: int, truncated: bool, rows: Uint32s, first: int, n_taps: int, total: float
 ) -> tuple[int, float]:
-    """Write taps for what falls on the leaves and kept nodes of a window; return number and weight of all."""
+    """Write the taps on the leaves and kept nodes of a window; return number and weight of all."""
     walk, parents, has_kept = way.walk, way.parents, way.kept_cells.size > 0
     windows = walk.windows
     begin = walk.levels[level, BEGIN]
@@ -204,10 +197,7 @@ def _settle(
 def _write_taps(
     walk: Walk, n_taps: int, total: float, wanted: float, is_constant: bool, to: Taps, first: int
 ) -> None:
-    """Write the weights of taps of weight ``total``, scaled to the sum ``wanted``, and their slopes.
-
-    If ``is_constant``, the sum does not change with the position: slopes sum to zero.
-    """
+    """Write taps' weights, scaled to the sum ``wanted``, and slopes, of sum 0 if ``is_constant``."""
     taps = walk.taps
     scale = wanted / total
     for n in range(n_taps):
@@ -236,12 +226,11 @@ def walked_taps(
     taps: Taps,
     end: int,
 ) -> tuple[int, int]:
-    """Find the taps of points ``which[begin:]`` of those in texture space (n, 3), from index ``end`` on.
+    """Find the taps of points ``which[begin:]`` in texture space (n, 3), from index ``end`` on.
 
-    ``first_kept`` is what the first row of ``kept_cells`` is counted as. If ``is_constant``, slopes are those
-    of weights with a constant sum: more exact at the rim of the spline's support, but not to be added up over
-    levels. Stops where there might be no room for a point's taps; returns how far it came, and the end of the
-    taps.
+    ``first_kept`` is the row number of the first kept node. With ``is_constant`` slopes are those of weights
+    with a constant sum: more exact at the rim of the spline's support, but not to be added up over levels.
+    Stops where a point's taps might not fit; returns the number of points done, and the end of the taps.
     """
     n_cells = np.uint32(arrays.flags.size)
     shift, columns = np.uint32(first_kept - arrays.flags.size), 4 if taps.slopes.shape[0] > 0 else 1
@@ -264,10 +253,10 @@ def walked_taps(
 
 
 def refined_taps(tree: Octree, codes: Int64s, level: int) -> tuple[Int64s, Uint32s, Float32s]:
-    """Find what the quadratic field refines to cells (n,) of a level that lie below leaves of a tree.
+    """Find the taps that the quadratic field refines to cells (n,) of a level, below leaves of a tree.
 
-    ``codes`` are Morton codes. Returns starts (n + 1,), rows and weights as `Field.taps` does; a cell that
-    nothing is refined to has no taps.
+    ``codes`` are Morton codes. Returns starts (n + 1,), rows and weights; a cell without refinement has no
+    taps.
     """
     walk = new_walk()
     counts = np.zeros(codes.size, np.int64)
@@ -292,7 +281,7 @@ def _refine_cells(
     counts: Int64s,
     taps: Taps,
 ) -> tuple[int, int]:
-    """Write the taps of cells from ``begin`` on, as many as fit; return the ends of these cells and taps."""
+    """Write the taps of cells from ``begin`` on, while they fit; return the ends of cells and taps."""
     way = Way(arrays, kept_cells, walk, QUADRATIC, 2, 1, False)
     shift = MAX_DEPTH - level
     end = 0

@@ -1,11 +1,11 @@
-"""Sources by tiles: the taps of points by each filter.
+"""Taps from tiles, for each filter.
 
-`nearest` has the cell that holds the point, `linear` the 2×2×2 cells with centres around it. `quadratic` and
-`quartic` have the 3×3×3 or 5×5×5 around that of the point, under a spline: they lie in a *window*, the
-children of 2×2×2 or 3×3×3 nodes, which is kept while points stay in it.
+`nearest` takes the cell that holds the point, `linear` the 2×2×2 cells with centres around it. `quadratic`
+and `quartic` take the 3×3×3 or 5×5×5 cells around the point's, under a spline. They lie in a *window*, the
+children of 2×2×2 or 3×3×3 nodes, which is cached while points stay in it.
 
-Each filter's kernel writes taps from index ``end`` on; ``is_off`` says that the points are off the surface.
-It returns the end of the taps, and how many points are listed as without cells and for the walk.
+Each filter's kernel writes taps from index ``end`` on; ``is_off`` marks points off the surface. It returns
+the end of the taps, and the numbers of points listed as without cells and for the walk.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s, Uint8s, Uint16s, Uint64s
 from octex.field.splines import quartic_slopes, quartic_weights, single_quadratic_weights
-from octex.field.taps import OFF, Ahead, Batch, Taps, ask_for, finish, scale_off
+from octex.field.taps import OFF, Ahead, Batch, Taps, finish, prefetch_cell, scale_off
 from octex.field.tiles import (
     GROUP,
     Near,
@@ -47,10 +47,7 @@ def _place_linear(
     octants: Uint8s,
     bits: Uint8s,
 ) -> None:
-    """Find each point's tile and the codes of its cells there.
-
-    ``steps`` (3 · GROUP,) are from the lowest cell's centre, in cells.
-    """
+    """Find each point's tile and its cells' codes; ``steps`` are from the lowest cell's centre, in cells."""
     cells = float(1 << depth)
     one, two, three = np.int32(1), np.int32(2), np.int32(3)
     for n in range(count):
@@ -77,7 +74,7 @@ def _place_linear(
 
 @inlined
 def _slope_linear(steps: Float32s, n: int, depth: int, stored: int, slopes: Float32s, end: int) -> None:
-    """Write the slopes of a point's taps from index ``end`` on: those whose bit in ``stored`` is set."""
+    """Write the slopes of a point's taps, those with a bit in ``stored``, from index ``end`` on."""
     one, cells = np.float32(1.0), np.float32(1 << depth)
     r, s, t = steps[n], steps[n + GROUP], steps[n + 2 * GROUP]
     for tap in range(8):
@@ -103,7 +100,7 @@ def linear_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) 
     gradient, one = taps.slopes.shape[0] > 0, np.float32(1.0)
     n_empty = n_rim = 0
     # What is seldom wanted stands outside the loop over eight cells, which takes a fifth longer with it.
-    asks_more = ahead.alpha.shape[0] + ahead.flags.size + ahead.areas.size > 0
+    prefetches_more = ahead.alpha.shape[0] + ahead.flags.size + ahead.areas.size > 0
     for begin in range(0, places.shape[0], GROUP):
         count = min(GROUP, places.shape[0] - begin)
         _place_linear(flat, begin, count, tiles.depth, near, steps, octants, bits)
@@ -126,8 +123,8 @@ def linear_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) 
                 total += weight * np.float32(is_stored)
                 stored |= int(is_stored) << tap
                 end += is_stored
-            for tap in range(start, end if asks_more else start, 2):
-                ask_for(ahead, int(taps.rows[np.uint64(tap)]))
+            for tap in range(start, end if prefetches_more else start, 2):
+                prefetch_cell(ahead, int(taps.rows[np.uint64(tap)]))
             if gradient:
                 _slope_linear(steps, n, tiles.depth, stored, taps.slopes, start)
             end, n_empty, n_rim = finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
@@ -143,7 +140,7 @@ def linear_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) 
 
 
 class Tables(NamedTuple):
-    """What of a window is read, by the parities of the lowest cell read: x | y << 1 | z << 2."""
+    """Tables of a window by the parities of the lowest cell read: x | y << 1 | z << 2."""
 
     masks: Uint64s  # (8 · words,)   which cells; bit child & 63 of word child >> 6, child = 8 · node + octant
     #: (2 · 8 · children,) where in `Group.along` a child's weight along x is for the first point of a group,
@@ -165,7 +162,7 @@ _QUADRATIC, _QUARTIC = _tables(1), _tables(2)
 
 
 class Group(NamedTuple):
-    """Points placed, and the window of the latest."""
+    """A group of points in their tiles, and the latest window."""
 
     near: Near
     windows: Uint8s  # (GROUP,)   the lowest node of each point's window in the tile: x | y << 2 | z << 4
@@ -181,7 +178,7 @@ class Group(NamedTuple):
 
 @part
 def new_group(gradient: bool) -> Group:
-    """Return a group that knows nothing. It serves one tree and one spline."""
+    """Return an empty group for one tree and one spline."""
     latest = np.empty(2, np.int64)
     latest[0] = latest[1] = -1
     return Group(
@@ -199,7 +196,7 @@ def new_group(gradient: bool) -> Group:
 @by_constants
 @inlined
 def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, reach: int) -> None:
-    """Find the tile and the window whose lowest cell is (i, j, k)."""
+    """Find the tile and the window with lowest cell (i, j, k)."""
     one, two, three, four = np.int32(1), np.int32(2), np.int32(3), np.int32(4)
     more = np.int32(reach)
     at = np.uint64(n)
@@ -230,7 +227,7 @@ def _put_three(
 
 @inlined
 def _place_quadratic(places: Float64s, begin: int, count: int, depth: int, group: Group) -> None:
-    """Find each point's tile and window, and weigh."""
+    """Find each point's tile, window and weights."""
     cells = float(1 << depth)
     one = np.int32(1)
     along = group.along
@@ -249,7 +246,7 @@ def _place_quadratic(places: Float64s, begin: int, count: int, depth: int, group
 
 @inlined
 def _slope_quadratic(places: Float64s, begin: int, count: int, depth: int, group: Group) -> None:
-    """Write the slopes that go with the weights."""
+    """Write the slopes of the weights."""
     cells, one, two = np.float32(1 << depth), np.float32(1.0), np.float32(2.0)
     slopes = group.slopes
     for n in range(count):
@@ -293,14 +290,14 @@ def _place_quartic(places: Float64s, begin: int, count: int, depth: int, group: 
 
 @inlined
 def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, k: int, ahead: Ahead) -> None:
-    """Add the children of a node at (i, j, k), 0 … 5, from the tile on, to the window's masks."""
+    """Add the children of a node at (i, j, k), 0 … 5 from the tile on, to the window's masks."""
     code = code_in_tile(2 * i, 2 * j, 2 * k)
     octant = np.uint64(group.near.octants[np.uint64(slot + (code >> 11))] + (code >> 8 & 7))
     shift = np.uint64(code & 63)
     stored = tiles.masks[octant]
     below = stored & ((np.uint64(1) << shift) - np.uint64(1))
     first = np.int64(tiles.firsts[octant]) + popcount(below)
-    ask_for(ahead, int(first))
+    prefetch_cell(ahead, int(first))
     word = np.uint64(node >> 3)
     group.firsts[np.uint64(node)] = first - popcount(group.masks[word])
     group.masks[word] |= ((stored >> shift) & np.uint64(0xFF)) << np.uint64(8 * (node & 7))
@@ -309,7 +306,7 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
 @by_constants
 @inlined
 def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -> None:
-    """Know the window of point n, and ask for the rows of its cells."""
+    """Find the window of point n, unless it is the latest, and prefetch its cells' rows."""
     window, key = np.int64(group.windows[np.uint64(n)]), group.near.keys[np.uint64(n)]
     if (window == group.latest[0]) & (key == group.latest[1]):
         return
@@ -329,7 +326,7 @@ def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -
 
 @inlined
 def _is_window_marked(tiles: Tiles, group: Group) -> bool:
-    """Say whether the first cell of the latest window, of 2×2×2 nodes, is marked."""
+    """Return whether the first cell of the latest window, of 2×2×2 nodes, is marked."""
     mask = group.masks[0]
     return mask != np.uint64(0) and is_marked(tiles, int(group.firsts[trailing_zeros(mask) >> 3]))
 
@@ -423,7 +420,7 @@ def quartic_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int)
 
 @part
 def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
-    """Find the nearest stored cell of the 27 around points that no leaf holds; of equally near the first."""
+    """Find the nearest of the 27 cells around points without a leaf; the first of equally near ones."""
     places, which = batch.places, batch.which
     group = new_group(False)
     shift, one = MAX_DEPTH - tiles.depth, np.int32(1)

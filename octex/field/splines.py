@@ -1,7 +1,7 @@
-"""B-splines on cells: the weights of the cells around a point, and how a spline's cells are split in two.
+"""B-splines on cells: the weights of the cells around a point, and the refinement of a spline's cells.
 
-``t`` is the position within the cell in the middle, 0 at its lower face and 1 at its upper one. Weights are
-those of the cells from the lowest to the highest; slopes are their derivatives by t.
+``t`` is the position within the middle cell, 0 at its lower face and 1 at its upper one. Weights are those of
+the cells from the lowest to the highest; slopes are their derivatives by t.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def linear_weights(t: float) -> Three:
 
 @inlined
 def linear_slopes(t: float) -> Three:
-    """Slopes of ``linear_weights``: in the cell's centre, those above it."""
+    """Slopes of ``linear_weights``; in the cell's centre the upper ones."""
     if t < 0.5:
         return -1.0, 1.0, 0.0
     return 0.0, -1.0, 1.0
@@ -42,7 +42,7 @@ def quadratic_weights(t: float) -> Three:
 
 @inlined
 def single_quadratic_weights(t: np.float32) -> tuple[np.float32, np.float32, np.float32]:
-    """`quadratic_weights` in single precision: the outer ones keep all their digits."""
+    """`quadratic_weights` in single precision; the outer ones have full precision."""
     half, one = np.float32(0.5), np.float32(1.0)
     low, high = half * (one - t) * (one - t), half * t * t
     return low, one - low - high, high
@@ -87,9 +87,9 @@ def quartic_slopes(t: float) -> Five:
 
 @inlined
 def refine(quartic: bool, a: float, b: float, c: float, d: float, e: float) -> Five:
-    """Refine the cells around one, from the lowest to the highest: the finer ones around its lower half.
+    """Refine the cells around one, lowest first: returns the finer cells around its lower half.
 
-    For the upper half, give and take all in reverse. Without ``quartic`` there are three of each.
+    For the upper half, reverse arguments and results. Without ``quartic`` there are three of each.
     """
     if quartic:
         return (

@@ -1,11 +1,11 @@
-"""Taps: the stored rows that a lookup blends, and their weights.
+"""Taps: the stored rows that a lookup blends, their weights, and their decoded values.
 
-They are found by tiles (`sources`) where the leaves have one depth, else by the walk (`neighborhood`), then
-weighed (`weights`), and blended or listed (`blend`).
+Tiles (`sources`) find them where all leaves have one depth, else the walk (`neighborhood`). Then they are
+weighted (`weights`), and blended or listed (`blend`).
 
-Weights are those of the spline, so that those of one point sum to its *cover*, 0 … 1: how much of the
-spline's weight falls on leaves. Off the surface, where that is zero, they are those of the coarser averages
-that answer there and sum to OFF: beside looks that lie on the surface they count for nothing.
+Weights are those of the spline. The weights of a point sum to its *cover*, 0 … 1: the part of the spline's
+weight on leaves. Off the surface, with cover zero, taps are coarser averages and their weights sum to OFF:
+next to probes on the surface they are negligible.
 """
 
 from __future__ import annotations
@@ -18,22 +18,21 @@ from octex.arrays import ChannelValues, Float32s, Float64s, Floats, Int64s, Uint
 from octex.jit import by_constants, decoded, inlined, kernel, part, prefetch
 from octex.tree.search import Origin, Positions, placed, position
 
-#: Points whose taps are found before any is blended: enough that calls cost little, few enough that their
-#: taps stay in the processor's second cache.
+#: Points whose taps are found before any is blended: calls cost little, and taps fit the second cache.
 BLOCK = 4096
-#: Points whose rows are asked for before any is read.
+#: Points whose rows are prefetched before any is read.
 AT_ONCE = 64
 #: Most taps of a point that tiles give, by filter.
 MOST_TILED = 1, 8, 27, 125
-#: What weights off the surface sum to.
+#: Sum of the weights off the surface.
 OFF = np.float32(1e-9)
-#: Taps that weigh less in sum lie at the rim of the spline's support, where products of single precision have
-#: lost their digits: the walk answers there.
+#: Smaller sums lie at the rim of the spline's support, where products of single precision have lost their
+#: digits: the walk answers there.
 LEAST = np.float32(1e-24)
 
 
 class Ahead(NamedTuple):
-    """What will be read of cells next, to be asked for ahead; what is empty will not be read."""
+    """The arrays of cells to prefetch; empty ones are not read."""
 
     values: Uint8s  # (cells, bytes)
     alpha: Uint8s  # (cells, bytes) or (0, bytes)
@@ -42,8 +41,8 @@ class Ahead(NamedTuple):
 
 
 @inlined
-def ask_for(ahead: Ahead, cell: int) -> None:
-    """Ask for what will be read of a cell, and of those that lie beside it."""
+def prefetch_cell(ahead: Ahead, cell: int) -> None:
+    """Prefetch a cell, and the cells next to it."""
     prefetch(ahead.values, cell)
     if ahead.alpha.shape[0] > 0:
         prefetch(ahead.alpha, cell)
@@ -54,14 +53,14 @@ def ask_for(ahead: Ahead, cell: int) -> None:
 
 
 class Batch(NamedTuple):
-    """Points whose taps are sought by tiles, and lists of those that these do not answer."""
+    """Points whose taps tiles look for, and lists of those without an answer."""
 
     places: Float64s  # (n, 3)   in texture space
     which: Int64s  # (n,)   the points' numbers among the taps
     last: int  # the largest number of a cell
-    empty: Int64s  # (n,)   takes points without any cell around them
-    rim: Int64s  # (n,)   takes points for the walk: their weights are too small, or other levels count there
-    ahead: Ahead  # what is asked for of the cells
+    empty: Int64s  # (n,)   output: points without any cell around them
+    rim: Int64s  # (n,)   output: points for the walk, with too small weights, or near other levels
+    ahead: Ahead
 
 
 class Taps(NamedTuple):
@@ -80,7 +79,7 @@ class Taps(NamedTuple):
 
 @kernel
 def new_taps(points: int, room: int, gradient: bool) -> Taps:
-    """Return room for the taps of so many points."""
+    """Return room for the taps of points."""
     return Taps(
         np.empty(room, np.uint32),
         np.empty(room, np.float32),
@@ -104,10 +103,7 @@ def end_of(taps: Taps) -> int:
 def finish(
     batch: Batch, n: int, taps: Taps, start: int, end: int, total: np.float32, n_empty: int, n_rim: int
 ) -> tuple[int, int, int]:
-    """Note where the taps of a point are; one that has none, or too small ones, is listed instead.
-
-    Returns the end of the taps, and how many points are listed.
-    """
+    """Write the range of a point's taps, or list the point if it has none or too small ones."""
     point = batch.which[np.uint64(n)]
     at = np.uint64(point)
     if not total >= LEAST:
@@ -126,10 +122,7 @@ def finish(
 def let_sum_to_off(
     taps: Taps, start: int, end: int, total: np.float32, x: np.float32, y: np.float32, z: np.float32
 ) -> None:
-    """Scale the taps of a point, of weight ``total``, to the sum OFF: their slopes then sum to zero.
-
-    x, y and z are what they summed to before.
-    """
+    """Scale a point's taps to the sum OFF, and make slopes sum to 0; total, x, y, z are the sums so far."""
     factor = OFF / total
     x, y, z = x / total, y / total, z / total
     for tap in range(start, end):
@@ -143,7 +136,7 @@ def let_sum_to_off(
 
 @inlined
 def scale_off(taps: Taps, which: Int64s) -> None:
-    """Scale the taps of some points off the surface, whose covers are what they weigh, to the sum OFF."""
+    """Scale the taps of points off the surface, whose covers are their weights, to the sum OFF."""
     for n in which:
         start, end, total = int(taps.starts[n]), int(taps.ends[n]), taps.covers[n]
         if start == end:
@@ -157,7 +150,7 @@ def scale_off(taps: Taps, which: Int64s) -> None:
 
 @kernel
 def hold_outside(taps: Taps, places: Float64s) -> None:
-    """Set the slopes of points outside the root cell to zero along the axes that ``places`` (n, 3) clamp."""
+    """Zero the slopes of points outside the root cell, along the axes that ``places`` (n, 3) clamp."""
     for n in range(places.shape[0]):
         for axis in range(3):
             if 0.0 < places[n, axis] < 1.0:
@@ -168,7 +161,7 @@ def hold_outside(taps: Taps, places: Float64s) -> None:
 
 @inlined
 def _place_rows(rows: Floats, origin: Origin, inverse: float, places: Float64s) -> bool:
-    """Write where rows (n, 3) lie; say whether some are not finite."""
+    """Write the places of rows (n, 3); return whether any row is not finite."""
     faults = 0
     for n in range(rows.shape[0]):
         x, y, z = np.float64(rows[n, 0]), np.float64(rows[n, 1]), np.float64(rows[n, 2])
@@ -182,10 +175,7 @@ def _place_rows(rows: Floats, origin: Origin, inverse: float, places: Float64s) 
 
 @kernel
 def place_points(points: Positions, origin: Origin, size: float, places: Float64s) -> int:
-    """Write where points lie in texture space (n, 3), clamped to 0 … 1.
-
-    Returns the first position that is not finite, or −1.
-    """
+    """Write points' places in texture space (n, 3), clamped to 0 … 1; return the first not finite, or −1."""
     if points.singles.shape[0] > 0:
         is_faulty = _place_rows(points.singles, origin, 1.0 / size, places)
     else:
@@ -206,7 +196,7 @@ NO_FIVE = 0.0, 0.0, 0.0, 0.0, 0.0
 
 
 class Codes(NamedTuple):
-    """A channel as it is stored, and what its codes stand for."""
+    """A channel as stored, and the decoding table of its codes."""
 
     values: ChannelValues  # (cells, components)
     kept_values: ChannelValues  # (kept nodes, components)
@@ -243,7 +233,7 @@ def flat_of(codes: Codes) -> Flat:
 @by_constants
 @inlined
 def value_at(values: ChannelValues, table: Floats, at: np.uint64, components: int) -> Four:
-    """Return the decoded components from a place of some values on, and zeros after them."""
+    """Return the decoded components at an index of flat values, padded with zeros."""
     a = np.float64(decoded(table, values[at]))
     b = c = d = 0.0
     if components > 1:
@@ -257,7 +247,7 @@ def value_at(values: ChannelValues, table: Floats, at: np.uint64, components: in
 
 @inlined
 def put_value(results: Float32s, at: int, components: int, a: float, b: float, c: float, d: float) -> None:
-    """Write components to flat results from a place on."""
+    """Write components to flat results."""
     results[np.uint64(at)] = a
     if components > 1:
         results[np.uint64(at + 1)] = b
@@ -270,7 +260,7 @@ def put_value(results: Float32s, at: int, components: int, a: float, b: float, c
 @by_constants
 @inlined
 def value_of(flat: Flat, row: int, components: int) -> Four:
-    """Return the decoded components of a row: by branches, as most rows are cells."""
+    """Return the decoded components of a row, by branches, as most rows are cells."""
     if row < flat.first_kept:
         return value_at(flat.values, flat.table, np.uint64(row * components), components)
     if row < flat.first_row:

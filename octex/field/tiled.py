@@ -1,7 +1,7 @@
-"""Lookups by tiles in one call: from points to values, so many points at once as the first cache holds.
+"""Lookups by tiles in one call: from points to values, in groups that fit the first cache.
 
-What taps are made of is asked for ahead, and is still near when they are weighed and blended: in 2 M cells
-that takes a third less time than blocks of thousands of points.
+Prefetched values are still cached when they are weighted and blended: with 2 M cells this takes a third less
+time than blocks of thousands of points.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ _STEP = 256
 
 
 class Search(NamedTuple):
-    """Where taps are found, and what changes their weights; what is not wanted is empty."""
+    """How to find and weight taps; unused arrays are empty."""
 
     filter_code: int  # NEAREST, LINEAR or QUADRATIC
     tiles: Tiles
     last: int  # the largest number of a cell
-    is_off: bool  # points are off the surface, as deeper tiles have none of their cells
+    is_off: bool  # points are off the surface: deeper tiles lack their cells
     by: Weighing
 
 
 class Weighed(NamedTuple):
-    """A channel, and the alpha that it weighs by."""
+    """A channel, and the alpha that weights it."""
 
     codes: Codes
     alpha: Codes  # of the same type
@@ -61,11 +61,11 @@ class Weighed(NamedTuple):
 
 
 class Additions(NamedTuple):
-    """Looks whose sums are added to those of others; or none."""
+    """Probes whose sums are added to those of their owners; or none."""
 
-    owners: Int32s  # (n,)   whose looks these are
-    shares: Float32s  # (n,)   what their sums are multiplied by
-    left: Float32s  # (n,) or (0,)   takes the part of each that mixes facings
+    owners: Int32s  # (n,)   the point of each probe
+    shares: Float32s  # (n,)   factors of their sums
+    passed: Float32s  # (n,) or (0,)   output: the part of each in mixed cells
     sums: Sums  # of the owners
 
 
@@ -99,22 +99,22 @@ def look_up_tiled(
 ) -> tuple[int, int, int]:
     """Write the mean (n, components) of a channel at points, see `Positions`, and its gradient.
 
-    ``gradients`` (n, components, 3) or (0, components, 3). Where ``additions`` have owners, sums are added to
-    those of the owners instead, without alpha and gradients; normals are then the owners'. In ``lost`` (2, n)
-    are listed the points that have no cells around them, and those for the walk. Returns how many they are,
-    and the first that is not finite, where all stopped, or −1.
+    ``gradients`` are (n, components, 3) or (0, components, 3). Where ``additions`` have owners, sums are
+    added to the owners' instead, without alpha and gradients; normals are then the owners'. ``lost`` (2, n)
+    lists the points without cells around them, and those for the walk. Returns both counts, and the first
+    point that is not finite, where it stopped, or −1.
     """
     points = Positions(singles, doubles)
     adds, faces = additions.owners.size > 0, search.by.faces
     gradient = gradients.shape[0] > 0 and not adds
-    # Leaves toward normals are weighed as they are summed, too: that takes three quarters of the time.
-    sees = faces and not (adds or gradient or channel.has_alpha)
+    # Leaves with normals are weighted as they are summed, too, in three quarters of the time.
+    is_faced = faces and not (adds or gradient or channel.has_alpha)
     all_points = count_of(points)
     step = max(min(_STEP, all_points), 1)
-    is_split = search.by.facings.rows.size > 0 and faces and not (adds or sees)
+    is_split = search.by.facings.rows.size > 0 and faces and not (adds or is_faced)
     room, places, each = _new_room(search, step, is_split, gradient)
     facing = np.empty((step if faces else 0, 3), np.float32)
-    if sees:  # points own one look each
+    if is_faced:  # points own one probe each
         shares, none = np.ones(step, np.float32), np.empty(0, np.float32)
         additions = Additions(np.arange(step, dtype=np.int32), shares, none, new_sums(step, results, False))
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
@@ -146,24 +146,24 @@ def look_up_tiled(
                 _, more, rest = quadratic_taps(search.tiles, search.is_off, batch, taps, 0)
             if gradient:
                 hold_outside(taps, here)
-            if adds or sees:
-                at, sums = 0 if sees else begin, additions.sums
+            if adds or is_faced:
+                at, sums = 0 if is_faced else begin, additions.sums
                 owners, shares = additions.owners[at : at + count], additions.shares[at : at + count]
                 for n in range(count if faces else 0):
-                    owner = np.uint64(begin + n if sees else int(owners[n]))
+                    owner = np.uint64(begin + n if is_faced else int(owners[n]))
                     for axis in range(3):
                         facing[n, axis] = normals[owner, axis]
-                if sees:
+                if is_faced:
                     sums.values[:], sums.totals[:] = 0.0, 0.0
-                task = facing[:count], channel.codes, owners, shares, additions.left[at : at + count], sums
+                task = facing[:count], channel.codes, owners, shares, additions.passed[at : at + count], sums
                 add_weighed(taps, search.by, *task)
-                if sees:
+                if is_faced:
                     mean = Sums(sums.values[:count], sums.totals[:count], sums.slopes, sums.total_slopes)
                     divide(mean, 1.0, results[begin:end], gradients[:0])
             else:
                 if faces:
                     split = bytes_of(channel.codes.split_values)
-                    weigh_taps(taps, search.by, normals[begin:end], split, additions.left, normals[:0])
+                    weigh_taps(taps, search.by, normals[begin:end], split, additions.passed, normals[:0])
                 if channel.has_alpha:
                     weigh_by_alpha(taps, channel.alpha, True, False)
                 blend(taps, channel.codes, True, results[begin:end])

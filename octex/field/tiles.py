@@ -1,19 +1,19 @@
 """Tiles: cells found by a bit test and a count instead of a descent.
 
-A *tile* is the 8×8×8 cells three levels below a node, which are consecutive in the numbering. Its eight
-octants are a word each, 4×4×4 cells in Morton order, a bit for each that is stored, and a number:
+A *tile* is the 8×8×8 cells three levels below a node, which are consecutive in the numbering. Each of its
+eight octants is a word, 4×4×4 cells in Morton order with a bit for each stored one, and a number:
 
     cell = first of the octant + popcount(mask of the octant & below)        where its bit is set
 
-Tiles of the deepest level name cells. Those three, six … levels above name, in the same way, the rows of the
-tiles below them, and a dense grid of the rows of some level is where every search begins. They have the cells
-of a tree's deepest level, and take 1.5 bytes each. A tree of less than three levels is one tile, filled in
-part. Where a part of a tree of one depth was painted more finely, the cells of both levels have tiles; those
-near which the other's count, too, are marked.
+Tiles of the deepest level lead to cells. Those three, six … levels above lead likewise to the rows of the
+tiles below them. Every search begins in a dense grid of the rows of one level. Tiles hold the cells of a
+tree's deepest level and take 1.5 bytes each. A tree of less than three levels is one tile, filled in part.
+Where a part of a tree of one depth was painted more finely, both levels have tiles; cells near the other
+level are marked.
 
-Of a group of points all are placed, by vectors, before any tile is read, and all tiles are found before any
-value: of random points most of the time is waiting for memory, and so they wait together. What is known of a
-tile is kept while points stay in it.
+A group of points is placed in vectors before any tile is read, and all tiles are found before any value:
+with random points most time is spent waiting for memory, so the group waits together. The latest tile is
+cached.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s, zeros
 from octex.errors import OutputError
-from octex.field.taps import Batch, ask_for
+from octex.field.taps import Batch, prefetch_cell
 from octex.jit import by_constants, fused_part, inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.beside import with_boundary
 from octex.tree.children import children
@@ -36,13 +36,13 @@ from octex.tree.octree import Octree
 #: Deepest level of the dense grid, which then takes 128 kB.
 MOST_TOP_LEVEL = 5
 
-#: Least part of the surface that the leaves of a level take, whose cells have tiles beside another level's.
+#: Least part of the surface for which a second level gets tiles.
 _LEAST_PART = 1 / 16
 
-#: Bytes that memory is read in.
+#: Bytes of a cache line.
 CACHE_LINE = 64
 
-#: Most bytes of rows that stay in memory: those of 64 M cells. Others may leave it, as their texture may.
+#: Most bytes of rows in memory, enough for 64 M cells; more go to a file.
 _IN_MEMORY = 1 << 26
 
 Integer: TypeAlias = int | np.integer[Any]
@@ -51,7 +51,7 @@ _NO_MARKS = np.empty(0, np.uint64)
 
 
 class Tiles(NamedTuple):
-    """The tiles of one tree. Row r has octants 8·r … 8·r + 7; the last row is that of no node, and empty."""
+    """The tiles of one tree. Row r has octants 8·r … 8·r + 7; the last row is empty, for no node."""
 
     depth: int  # the level of the cells
     top_level: int
@@ -63,13 +63,13 @@ class Tiles(NamedTuple):
 
 
 def can_be_tiled(tree: Octree) -> bool:
-    """Say whether a tree has leaves, all of them at the deepest level, and no kept coefficients."""
+    """Return whether a tree has leaves, all at the deepest level, and no kept nodes."""
     counts = tree.cells_by_depth()
     return tree.n_leaves > 0 and not any(leaves for leaves, _ in counts[:-1]) and not tree.kept.cells.size
 
 
 def build_tiles(tree: Octree) -> Tiles:
-    """Derive the tiles of a tree's deepest level."""
+    """Build the tiles of a tree's deepest level."""
     if tree.max_depth < 3:
         return _one_tile(tree)
     depth, groups, level_nodes = tree.max_depth, tree.arrays.groups, tree.arrays.level_nodes.tolist()
@@ -90,10 +90,9 @@ def build_tiles(tree: Octree) -> Tiles:
 
 
 def painted_levels(tree: Octree) -> list[int]:
-    """Return the levels that have most leaves of a tree of one depth that was painted more finely.
+    """Return the one or two levels with most leaves of a tree of one depth with finer paint.
 
-    There are one or two, the first of them the first with leaves, and no node above keeps a coefficient;
-    else none is returned.
+    The first of them is the first with leaves, and no node above is kept; else none is returned.
     """
     leaves = np.array([leaves for leaves, _ in tree.cells_by_depth()])
     parts = leaves * 0.25 ** np.arange(leaves.size)
@@ -104,10 +103,10 @@ def painted_levels(tree: Octree) -> list[int]:
 
 
 def marked(tiles: Tiles, tree: Octree) -> Tiles:
-    """Mark the cells of tiles in whose fields others count: nodes, coarser leaves, kept coefficients.
+    """Mark the cells of tiles whose fields read others: nodes, coarser leaves, kept nodes.
 
-    These count within one of their own cells. Marks reach two cells farther, as a window is known by any of
-    its own, and cover whole octants, 4³ cells.
+    Those count within one of their cells. Marks reach two cells farther, as any of its cells identifies a
+    window, and cover whole octants, 4³ cells.
     """
     depth, firsts = tiles.depth, tree.arrays.level_cells
     marks = np.zeros(int(firsts[depth + 1]) + 63 >> 6, np.uint64)
@@ -129,16 +128,13 @@ def marked(tiles: Tiles, tree: Octree) -> Tiles:
 
 
 def _distinct(codes: Int64s) -> Int64s:
-    """Return each of some codes, which ascend, once."""
+    """Return ascending codes, each once."""
     return codes[np.flatnonzero(np.diff(codes, prepend=-1))]
 
 
 @kernel
 def _mark(tiles: Tiles, codes: Int64s, up: int, reach: int, marks: Uint64s) -> None:
-    """Mark the cells of the octants in blocks, of 2ᵘᵖ octants along an edge, and around them.
-
-    Blocks are given by their Morton codes; ``reach`` is counted in octants.
-    """
+    """Mark the cells of octants in blocks of 2ᵘᵖ octants an edge, and ``reach`` octants around them."""
     side = (1 << up) + 2 * reach
     for n in range(codes.size):
         i, j, k = decode(codes[n])
@@ -154,7 +150,7 @@ def _mark(tiles: Tiles, codes: Int64s, up: int, reach: int, marks: Uint64s) -> N
 
 
 def _one_tile(tree: Octree) -> Tiles:
-    """Derive the only tile of a tree of less than three levels: its cells lie in the first octant."""
+    """Build the only tile of a tree of less than three levels: its cells lie in the first octant."""
     depth = tree.max_depth
     masks, firsts = _new_rows(1, np.uint64), _new_rows(1, np.uint32)
     masks[0] = np.bitwise_or.reduce(np.uint64(1) << tree.level_codes(depth).astype(np.uint64))
@@ -210,16 +206,13 @@ def _spread_bits(i: Integer) -> Any:
 
 @inlined
 def code_in_tile(i: Integer, j: Integer, k: Integer) -> Any:
-    """Say where a cell is in its tile: its bit, and 256 times its octant.
-
-    Coordinates are taken from a tile's corner on, 0 … 15: from 8 on the octants are those of the next tiles.
-    """
+    """Return a cell's bit in its octant, plus 256 · octant; coordinates 8 … 15 lie in the next tiles."""
     return _spread_bits(i) | _spread_bits(j) << np.int32(1) | _spread_bits(k) << np.int32(2)
 
 
 @inlined
 def is_marked(tiles: Tiles, cell: int) -> bool:
-    """Say whether cells of other levels count near a cell."""
+    """Return whether cells of other levels count near a cell."""
     word = cell >> 6
     if word >= tiles.marks.size:
         return False
@@ -228,7 +221,7 @@ def is_marked(tiles: Tiles, cell: int) -> bool:
 
 @inlined
 def look_in(tiles: Tiles, octant: int, code: int) -> tuple[int, bool]:
-    """Return the number that a cell of an octant has if it is stored, and whether it is."""
+    """Return the number of an octant's cell, and whether the cell is stored."""
     bit = np.uint64(code & 63)
     mask = tiles.masks[np.uint64(octant)]
     below = mask & ((np.uint64(1) << bit) - np.uint64(1))
@@ -238,7 +231,7 @@ def look_in(tiles: Tiles, octant: int, code: int) -> tuple[int, bool]:
 
 @inlined
 def tile_row(tiles: Tiles, i: int, j: int, k: int) -> int:
-    """Row of the tile at a place of the grid of tiles; places outside have the empty one."""
+    """Return the row of the tile at a place of the grid of tiles; outside, the empty row."""
     none = (tiles.masks.size >> 3) - 1
     level = max(tiles.depth - 3, 0)
     if (i | j | k) >> level != 0:
@@ -256,7 +249,7 @@ def tile_row(tiles: Tiles, i: int, j: int, k: int) -> int:
     return row
 
 
-#: Points placed at once: enough that all can wait for memory together, few enough to stay in the first cache.
+#: Points placed at once: all wait for memory together, and fit the first cache.
 GROUP = 64
 
 
@@ -266,16 +259,16 @@ _AXIS_BITS = 20  # of a tile's coordinate plus one, in a key
 class Near(NamedTuple):
     """The tiles around each point of a group. Octants are counted over all tiles."""
 
-    keys: Int64s  # (GROUP,)   the tile of the lowest cell that is read, see `tile_key`
-    reached: Uint8s  # (GROUP,)   whether cells of the next tile are read too: a bit for each axis
-    slots: Int64s  # (GROUP,)   where `octants` of the point begin
-    octants: Int64s  # (8 · (GROUP + 1),)   the first of each of 2×2×2 tiles, as far as they are reached
-    latest: Int64s  # (3,)   the latest key, its slot, and which of its tiles are known
+    keys: Int64s  # (GROUP,)   the tile of the lowest cell read, see `tile_key`
+    reached: Uint8s  # (GROUP,)   whether the next tile is read too: a bit for each axis
+    slots: Int64s  # (GROUP,)   the start of the point's `octants`
+    octants: Int64s  # (8 · (GROUP + 1),)   the first of each of 2×2×2 tiles, as far as reached
+    latest: Int64s  # (3,)   the latest key, its slot, and its known tiles
 
 
 @part
 def new_near() -> Near:
-    """Return what knows nothing. It serves one tree."""
+    """Return an empty group for one tree."""
     latest = np.zeros(3, np.int64)
     latest[0] = -1
     return Near(
@@ -289,7 +282,7 @@ def new_near() -> Near:
 
 @inlined
 def tile_key(i: Integer, j: Integer, k: Integer) -> Any:
-    """Return one number for a tile's coordinates, each from −1 on."""
+    """Pack a tile's coordinates, each from −1 on."""
     one = np.int64(1)
     return i + one | (j + one) << np.int64(_AXIS_BITS) | (k + one) << np.int64(2 * _AXIS_BITS)
 
@@ -297,7 +290,7 @@ def tile_key(i: Integer, j: Integer, k: Integer) -> Any:
 @by_constants
 @inlined
 def _find_octant(tiles: Tiles, key: int, other: int) -> int:
-    """Find the first octant of one of the 2×2×2 tiles from that of a key on, and ask for it."""
+    """Find and prefetch the first octant of one of the 2×2×2 tiles from that of a key on."""
     low = (1 << _AXIS_BITS) - 1
     i = (key & low) - 1 + (other & 1)
     j = (key >> _AXIS_BITS & low) - 1 + (other >> 1 & 1)
@@ -310,7 +303,7 @@ def _find_octant(tiles: Tiles, key: int, other: int) -> int:
 
 @inlined
 def find_tiles(tiles: Tiles, near: Near, count: int) -> None:
-    """Find the tiles of a group of points, whose keys and reach are known, and ask for them."""
+    """Find and prefetch the tiles of a group of points with known keys and reach."""
     octants = near.octants
     key, slot, known = near.latest[0], near.latest[1], near.latest[2]
     for other in range(8):
@@ -340,14 +333,14 @@ def find_tiles(tiles: Tiles, near: Near, count: int) -> None:
 
 @inlined
 def rounded_cell(x: float, depth: int) -> np.int32:
-    """Find the cell that holds a coordinate 0 … 1, rounded as the vertices of surfaces are."""
+    """Return the cell that holds a coordinate 0 … 1, rounded as the vertices of surfaces are."""
     cell = np.int32(x * (1 << GRID_BITS) + 0.5) >> np.int32(GRID_BITS - depth)
     return min(cell, np.int32((1 << depth) - 1))
 
 
 @fused_part
 def nearest_rows(tiles: Tiles, batch: Batch, found: Uint32s) -> int:
-    """Write the cells that hold points to ``found`` (n,); return how many none holds, which are listed."""
+    """Write the cells that hold points to ``found`` (n,); list the points without, return their number."""
     places, last, empty, ahead = batch.places, batch.last, batch.empty, batch.ahead
     near, codes = new_near(), np.zeros(GROUP, np.int32)
     flat = places.reshape(-1)
@@ -367,7 +360,7 @@ def nearest_rows(tiles: Tiles, batch: Batch, found: Uint32s) -> int:
             code = np.int64(codes[np.uint64(n)])
             octant = near.octants[np.uint64(near.slots[np.uint64(n)])] + (code >> 8)
             cell, is_stored = look_in(tiles, int(octant), int(code))
-            ask_for(ahead, int(cell))
+            prefetch_cell(ahead, int(cell))
             found[np.uint64(begin + n)] = min(cell, last)
             empty[np.uint64(n_empty)] = begin + n
             n_empty += not is_stored

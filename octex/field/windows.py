@@ -1,4 +1,4 @@
-"""The cells around a point, level by level: which are nodes, which are leaves, and their numbers.
+"""The cells around a point, level by level: nodes, leaves, and their numbers.
 
 The *window* of a level is the 3×3×3 cells of that level around the cell that holds the point, 5×5×5 for
 quartic. They are children of a *block* of 2×2×2 (3×3×3) parents, which lie in the window of the level above:
@@ -7,12 +7,10 @@ quartic. They are children of a *block* of 2×2×2 (3×3×3) parents, which lie 
                 + c +        at the first or the second of them
                 + + +
 
-A window depends only on the cell that holds the point, so what the previous point shares is kept. Each block
-is a few words of bits, and a group is read for each parent that is a node. Every index is clamped and every
-descent bounded, so that no content of the arrays makes a kernel read outside them. Coefficients pass from a
-window down to finer cells, and shares up to coarser ones.
-
-(Paper 3.4, after Kobbelt et al. 1997.)
+A window depends only on the cell that holds the point, so windows shared with the previous point are cached.
+Each block is a few words of bits, and a group is read for each parent that is a node. Every index is clamped
+and every descent bounded, so that damaged arrays cannot make a kernel read outside them. Coefficients pass
+from a window down to finer cells, and shares up to coarser ones (paper 3.4, after Kobbelt et al. 1997).
 """
 
 from __future__ import annotations
@@ -49,7 +47,7 @@ SHARES = 45  # 4 rows: weights and slopes that fall on a window's cells
 
 
 class Walk(NamedTuple):
-    """What walks through one tree remember from one point to the next, and where they work.
+    """The memory of walks through one tree.
 
     Slots number the parents of a block, and places the cells of a window, x fastest. Child 8·slot + octant of
     a block has bit (child & 63) of the words [level, child >> 6].
@@ -70,7 +68,7 @@ class Walk(NamedTuple):
 
 
 class Way(NamedTuple):
-    """A walk through a tree for a filter: what its steps share."""
+    """A walk through a tree for a filter."""
 
     arrays: TreeArrays
     kept_cells: Uint32s  # (kept nodes,)   ascending, the nodes flagged KEPT
@@ -82,7 +80,7 @@ class Way(NamedTuple):
 
 
 def _tabulate_blocks() -> tuple[Uint8s, Uint64s, Uint8s, Uint64s]:
-    """Tabulate what is where in blocks of 2³ and of 3³ parents."""
+    """Tabulate blocks of 2³ and of 3³ parents: see below."""
     slot_at, parents_of = np.zeros((2, 27, 216), np.uint8), np.zeros((2, 27, 4), np.uint64)
     places, inside = np.zeros((2, 8, 216), np.uint8), np.zeros((2, 8, 4), np.uint64)
     octants = [(x, y, z) for z, y, x in product(range(2), repeat=3)]
@@ -117,7 +115,7 @@ SLOT_AT, PARENTS, PLACES, INSIDE = _tabulate_blocks()
 
 @kernel
 def new_walk() -> Walk:
-    """Return a walk without memory. A walk serves one tree, and all filters."""
+    """Return an empty walk for one tree and all filters."""
     levels = MAX_DEPTH + 1
     return Walk(
         np.full(6, -1, np.int64),
@@ -137,13 +135,13 @@ def new_walk() -> Walk:
 
 @inlined
 def words_of(way: Way) -> int:
-    """Return how many words the children of a block take."""
+    """Return the number of words for the children of a block."""
     return 1 if way.parents == 2 else 4
 
 
 @inlined
 def follow(way: Way, i: int, j: int, k: int) -> int:
-    """Go down to the first level whose window holds no node, and return it."""
+    """Go down to the first level without nodes in its window, and return it."""
     walk = way.walk
     previous = walk.previous
     difference = (i ^ previous[0]) | (j ^ previous[1]) | (k ^ previous[2])
@@ -169,7 +167,7 @@ def follow(way: Way, i: int, j: int, k: int) -> int:
 
 @inlined
 def _write_root(way: Way) -> None:
-    """Write the root's window: it is the first child of the slot in the middle, the others have none."""
+    """Write the root's window: the root is the first child of the middle slot; others are empty."""
     walk, parents = way.walk, way.parents
     is_node = way.arrays.groups.shape[0] > 0
     keeps = is_node and way.kept_cells.size > 0 and way.arrays.flags[0] & KEPT != 0
@@ -240,7 +238,7 @@ def _go_down(way: Way, i: int, j: int, k: int, level: int) -> None:
 
 @inlined
 def _find_below_leaves(walk: Walk, level: int) -> None:
-    """Find which children of a block are below a leaf."""
+    """Find the children of a block that lie below a leaf."""
     walk.below_leaves[level, 0] = 0
     above = walk.levels[level, ABOVE]
     leaves = walk.cells[level - 1, 0] ^ walk.nodes[level - 1, 0] | walk.below_leaves[level - 1, 0]
@@ -253,7 +251,7 @@ def _find_below_leaves(walk: Walk, level: int) -> None:
 
 @inlined
 def _find_kept(way: Way, level: int) -> None:
-    """Find which nodes of a window, and which parents of its block, have kept coefficients."""
+    """Find the kept nodes of a window, and the kept parents of its block."""
     arrays, kept_cells, walk, parents = way.arrays, way.kept_cells, way.walk, way.parents
     levels, below_kept = walk.levels, walk.below_kept
     above, begin = levels[level, ABOVE], levels[level, BEGIN]
@@ -283,7 +281,7 @@ def _find_kept(way: Way, level: int) -> None:
 
 @inlined
 def kept_row(way: Way, cell: int) -> int:
-    """Return the row of what a node keeps, those of the kept table counted after all cells; −1 for none."""
+    """Return the row of a kept node, counted after all cells; −1 for other nodes."""
     low, high = 0, way.kept_cells.size
     while low < high:
         middle = low + high >> 1
@@ -297,26 +295,26 @@ def kept_row(way: Way, cell: int) -> int:
 
 @inlined
 def cell_at(arrays: TreeArrays, walk: Walk, level: int, word: int, place: int) -> int:
-    """Cell number of a block's child."""
+    """Return the cell number of a block's child."""
     cell = walk.first_cells[level, 8 * word + (place >> 3)] + _rank(walk.cells[level, word], place)
     return min(int(cell), arrays.flags.size - 1)
 
 
 @inlined
 def _rank(word: np.uint64, place: int) -> int:
-    """Count a parent's children, of those in a word, that are before the one at a place."""
+    """Count the children of a parent before a place, of those in a word."""
     return popcount(word >> np.uint64(place & 56) & _below(place & 7))
 
 
 @inlined
 def place_of(parents: int, begin: int, child: int) -> int:
-    """Say where a child lies in a window."""
+    """Return a child's place in a window."""
     return int(np.int64(PLACES[parents - 2, begin, child]))
 
 
 @inlined
 def _slot(parents: int, above: int, child: int) -> int:
-    """Say in which slot a child of the block above is a parent."""
+    """Return the slot in which a child of the block above is a parent."""
     return int(np.int64(SLOT_AT[parents - 2, above, child]))
 
 
@@ -333,7 +331,7 @@ def _below(place: int) -> np.uint64:
 
 @inlined
 def leave_refined(way: Way, level: int) -> bool:
-    """Leave in a window what falls on cells that are refined, and nothing else; say whether there is any."""
+    """Keep only the shares of refined cells in a window; return whether there are any."""
     walk, is_linear = way.walk, way.filter_code == LINEAR
     windows, levels = walk.windows, walk.levels
     begin = levels[level, BEGIN]
@@ -394,7 +392,7 @@ def change_level(walk: Walk, row: int, level: int, parents: int, down: bool) -> 
 
 @inlined
 def _find_colors(walk: Walk, level: int) -> None:
-    """Find how much of the refined cells of a window comes from cells with a colour, as ``linear`` has it."""
+    """Find the part of a window's refined cells that comes from cells with a colour, for ``linear``."""
     windows = walk.windows
     begin = walk.levels[level - 1, BEGIN]
     windows[COLOR, :27] = 0.0

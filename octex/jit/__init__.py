@@ -1,15 +1,15 @@
-"""How octex compiles: what makes kernels of functions, and the instructions that numba lacks.
+"""Compilation: decorators for kernels, and instructions that numba lacks.
 
 With ``NUMBA_DISABLE_JIT=1`` every kernel runs as plain Python; the instructions then have plain twins.
 
-No class or function of numba is changed. Of what it does not document, `decorators` passes the option
-``_nrt`` and derives the type of what kernels call, and `instructions` and `vectors` use what its own
-extensions generate code with.
+No class or function of numba is changed. Of its undocumented parts, `decorators` passes the option ``_nrt``
+and derives the type of functions that kernels call; `instructions` and `vectors` generate code as numba's own
+extensions do.
 
-decorators    kernel, part …: what compiles functions
-cache         where compiled kernels lie on disk, and whether they are still what the source says
+decorators    kernel, part …: compile functions
+cache         stores compiled kernels on disk, and checks that they match the source
 instructions  bits, memory, arrays
-vectors       numbers side by side; sums of rows of four, boxes eight at a time
+vectors       vectors of numbers; sums of rows of four, boxes eight at a time
 """
 
 from octex.jit.decorators import DISABLED as DISABLED

@@ -1,9 +1,9 @@
-"""Where compiled kernels lie on disk.
+"""The cache of compiled kernels on disk.
 
-Each state of a module has a folder of its own, named after a digest of its source and of all that it imports
-of octex: code never outlives the source that it was compiled from. In it lie numba's own files, and their
-checksums: numba would load a damaged file and crash. While a file is written its folder is locked, since
-processes that add versions at once would mix up numba's index.
+Each state of a module has a folder, named after a digest of its source and of all octex modules that it
+imports: code never outlives its source. The folder has numba's files and their checksums, since numba would
+load a damaged file and crash. While a file is written its folder is locked: processes that add versions at
+the same time would corrupt numba's index.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _checked: set[Path] = set()
 
 
 def cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
-    """Return a function compiled by numba with ``options``, on disk where a folder can be written to."""
+    """Return a function compiled by numba with ``options``, cached on disk where a folder is writable."""
     with _lock:
         folder = _folder_of(function.__module__)
         if not _has_room(folder):  # each process compiles anew
@@ -68,7 +68,7 @@ def cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
 
 @cache
 def _folder_of(module: str) -> Path:
-    """Return the folder of this state of a module; those of others are removed where no one else has them."""
+    """Return the folder of this state of a module; removes those of other states in the default folder."""
     in_tree = Path(__file__).parents[1] / "__pycache__"
     root = Path(numba.config.CACHE_DIR) if numba.config.CACHE_DIR else in_tree
     if root == in_tree and not _has_room(root):
@@ -83,7 +83,7 @@ def _folder_of(module: str) -> Path:
 
 @cache
 def _has_room(folder: Path) -> bool:
-    """Tell whether files can be put into a folder."""
+    """Return whether files can be put into a folder."""
     with suppress(OSError):
         folder.mkdir(parents=True, exist_ok=True)
         return os.access(folder, os.W_OK) and shutil.disk_usage(folder).free > ROOM
@@ -91,7 +91,7 @@ def _has_room(folder: Path) -> bool:
 
 
 def _user_folder() -> Path:
-    """Return the folder for what can be made again that the operating system gives a user."""
+    """Return the operating system's cache folder of a user."""
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData/Local")) / "octex" / "Cache"
     if sys.platform == "darwin":
@@ -100,7 +100,7 @@ def _user_folder() -> Path:
 
 
 def _check(folder: Path, path: Path) -> None:
-    """Remove damaged files from numba's folder ``path``; take over a wheel's, or those of a moved octex."""
+    """Remove damaged files from numba's folder ``path``; copy a wheel's files, or those of a moved octex."""
     if path in _checked:
         return
     _checked.add(path)
@@ -133,7 +133,7 @@ def _write_sums(path: Path) -> None:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Be alone in writing to a folder."""
+    """Lock a folder for writing."""
     with WRITING, (path / "lock").open("wb") as file:
         if fcntl is not None:
             with suppress(OSError):  # a file system without locks
@@ -142,10 +142,10 @@ def _locked(path: Path) -> Iterator[None]:
 
 
 class _Saving(event.Listener):  # type: ignore[misc]
-    """Lock a folder from when numba has compiled a function until it has saved it, and write checksums.
+    """Lock a folder while numba saves a compiled function, and write checksums.
 
-    numba tells when it compiles, and when it takes and gives back its lock: the first time after it has
-    compiled a function is when that is saved.
+    numba reports when it compiles, and when it takes and releases its lock. It saves a function before the
+    first release after compiling it.
     """
 
     def __init__(self) -> None:
@@ -155,7 +155,7 @@ class _Saving(event.Listener):  # type: ignore[misc]
         self._usual: tuple[int, ...] = ()  # Python's thresholds while none does
 
     def on_start(self, told: Any) -> None:
-        """Let Python collect less garbage."""
+        """Make Python collect less garbage."""
         if told.kind == "numba:compiler_lock":
             with self._lock:
                 if self._waiting == 0:
@@ -164,7 +164,7 @@ class _Saving(event.Listener):  # type: ignore[misc]
                 self._waiting += 1
 
     def on_end(self, told: Any) -> None:
-        """Lock the folder of what has been compiled; give it back when that is saved."""
+        """Lock the folder of a compiled function; unlock it when that is saved."""
         if told.kind == "numba:compile":
             path = told.data["dispatcher"].stats.cache_path
             if path is not None and Path(path) in _checked:
@@ -190,13 +190,13 @@ for _kind in ("numba:compile", "numba:compiler_lock"):
 
 @cache
 def digest_behind(module: str) -> str:
-    """Tell this state of a module, and of all that it imports of octex, from any other."""
+    """Return a digest of a module and of all octex modules that it imports."""
     digests = (_digest_of(name) for name in sorted(modules_behind(module)))
     return hashlib.sha256("".join(digests).encode()).hexdigest()
 
 
 def modules_behind(module: str) -> set[str]:
-    """Return a module and those of octex that it imports, and so on."""
+    """Return a module and all octex modules that it imports, directly or not."""
     found, waiting = {module}, [module]
     while waiting:
         new = _imports_of(waiting.pop()) - found
@@ -207,7 +207,7 @@ def modules_behind(module: str) -> set[str]:
 
 @cache
 def _imports_of(module: str) -> frozenset[str]:
-    """Return the modules of octex that one imports at its top: what functions import, no kernel sees."""
+    """Return the octex modules that a module imports at its top: kernels see no others."""
     names = set()
     for package, listed in _IMPORT.findall(_source_of(module)):
         names |= {package, *(f"{package}.{name}" for name in re.findall(r"\w+", listed))}
@@ -221,7 +221,7 @@ def _digest_of(module: str) -> str:
 
 @cache
 def _source_of(module: str) -> str:
-    """Return a module's text; nothing for what is not a module of octex."""
+    """Return a module's text; empty for modules outside octex."""
     path = Path(__file__).parents[2].joinpath(*module.split("."))
     for file in (path.with_suffix(".py"), path / "__init__.py"):
         if file.is_file():

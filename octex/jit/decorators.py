@@ -1,4 +1,4 @@
-"""What compiles functions: kernels, which Python calls, and parts, which only kernels call."""
+"""Decorators that compile functions: kernels for Python, and parts for kernels."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ DISABLED: bool = bool(numba.config.DISABLE_JIT)
 class Part:
     """A compiled function that kernels call."""
 
-    #: Whether numba compiles it anew for each constant that it is called with.
     by_constants = False
 
     def __init__(self, compiled: Any) -> None:
@@ -30,7 +29,7 @@ class Part:
         functools.update_wrapper(self, compiled.py_func)
 
     def __call__(self, *_arguments: Any) -> Any:
-        """Raise TypeError: numba made nothing that Python can call."""
+        """Raise TypeError: numba compiled no entry for Python."""
         raise TypeError(f"{self.py_func.__qualname__} can be called in kernels only")
 
     def __reduce__(self) -> str:
@@ -38,18 +37,18 @@ class Part:
 
 
 class Kernel(Part):
-    """A compiled function that Python calls, too; all arrays pass as writable, for one version."""
+    """A compiled function for Python and kernels; all arrays pass as writable, for one version."""
 
     def __call__(self, *arguments: Any) -> Any:
-        """Call the compiled function. It must not write to what Python may not write to."""
+        """Call the compiled function, which must not write to read-only arrays."""
         return self.compiled(*map(unlocked, arguments))
 
 
 class _Callee(numba.types.Dispatcher):  # type: ignore[misc]
-    """A compiled function that a kernel calls: once for all constants that it is called with."""
+    """The type of a function that a kernel calls: one version for all constant arguments."""
 
     def get_call_type(self, context: Any, args: Any, kws: Any) -> Any:
-        """Tell numba which version is called."""
+        """Choose the version to call."""
         kws = {name: numba.types.unliteral(kind) for name, kind in dict(kws).items()}
         return super().get_call_type(context, tuple(map(numba.types.unliteral, args)), kws)
 
@@ -59,12 +58,12 @@ register_model(_Callee)(models.OpaqueModel)
 
 @typeof_impl.register(Part)  # type: ignore[untyped-decorator]
 def _type_of(part: Part, _purpose: Any) -> Any:
-    """Tell numba that a kernel calls the compiled function."""
+    """Return numba's type of a part."""
     return (numba.types.Dispatcher if part.by_constants else _Callee)(part.compiled)
 
 
 class _Memory:
-    """The memory of an array, to numpy's array protocol, as if it could be written to."""
+    """An array's memory for numpy's array protocol, as writable."""
 
     def __init__(self, array: Array) -> None:
         interface = array.__array_interface__
@@ -73,7 +72,7 @@ class _Memory:
 
 
 def unlocked(argument: Any) -> Any:
-    """Return an argument whose arrays, in tuples too, numba types as writable; kernels only read them."""
+    """Return an argument with its arrays, also in tuples, typed as writable; kernels only read them."""
     if isinstance(argument, np.ndarray):
         return argument if DISABLED or argument.flags.writeable else np.asarray(_Memory(argument))
     if not isinstance(argument, tuple):
@@ -85,7 +84,7 @@ def unlocked(argument: Any) -> Any:
 
 
 def direct(kernel: Function) -> Function:
-    """Return what calls a kernel with arguments that are `unlocked` already: 3 to 8 µs faster."""
+    """Return the function that calls a kernel with `unlocked` arguments: 3 to 8 µs faster."""
     return getattr(kernel, "compiled", kernel)
 
 
@@ -98,22 +97,22 @@ def kernel(function: Function) -> Function:
 
 
 def summing_kernel(function: Function) -> Function:
-    """Compile like ``kernel``, but let sums be reordered to run in vectors: their last bits may vary."""
+    """Compile like ``kernel``, with sums reordered for vectors: their last bits may vary."""
     return _compiled(function, Kernel, fastmath={"reassoc", "contract"})
 
 
 def fused_kernel(function: Function) -> Function:
-    """Compile like ``kernel``, but let a product and a sum be one instruction, rounded once."""
+    """Compile like ``kernel``, with a product and a sum as one instruction, rounded once."""
     return _compiled(function, Kernel, fastmath={"contract"})
 
 
 def part(function: Function) -> Function:
-    """Compile ``function`` for kernels alone, a seventh faster; it may create arrays."""
+    """Compile ``function`` for kernels only, a seventh faster; it may create arrays."""
     return _compiled(function)
 
 
 def fused_part(function: Function) -> Function:
-    """Compile like ``part``, but let a product and a sum be one instruction, rounded once."""
+    """Compile like ``part``, with a product and a sum as one instruction, rounded once."""
     return _compiled(function, fastmath={"contract"})
 
 
@@ -123,19 +122,19 @@ def step(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """Compile like ``step``, into each kernel that calls it: for the small steps of a hot loop."""
+    """Compile like ``step``, into each calling kernel: for the small steps of a hot loop."""
     return _compiled(function, _nrt=False, forceinline=True)
 
 
 def by_constants(function: Function) -> Function:
-    """Have what is compiled be so anew for each constant that kernels call it with: some loops gain 3 %."""
+    """Let numba compile a part for each constant argument: some loops gain 3 %."""
     if isinstance(function, Part):
         function.by_constants = True
     return function
 
 
 def fused_inlined(function: Function) -> Function:
-    """Compile like ``inlined``, but let a product and a sum be one instruction, rounded once."""
+    """Compile like ``inlined``, with a product and a sum as one instruction, rounded once."""
     return _compiled(function, _nrt=False, forceinline=True, fastmath={"contract"})
 
 

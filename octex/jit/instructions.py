@@ -1,4 +1,4 @@
-"""Instructions that numba lacks, each beside the plain function that says what it does."""
+"""Instructions that numba lacks, each with a plain function of the same result."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from octex.jit.decorators import DISABLED, Function, kernel
 
 
 def instruction(kind: Callable[..., Any], write: Callable[..., Any]) -> Callable[[Function], Function]:
-    """Have kernels run, in the place of a plain function, the instructions that ``write`` writes.
+    """Replace a plain function in kernels by the instructions that ``write`` generates.
 
-    ``kind`` returns numba's signature for the types of arguments. ``write`` takes what numba gives to those
-    who write code: its context, a builder, the signature and the arguments; it returns the result.
+    ``kind`` returns numba's signature for the arguments' types. ``write`` takes numba's context, a builder,
+    the signature and the arguments; it returns the result.
     """
 
     def made(function: Function) -> Function:
@@ -79,7 +79,7 @@ def _write_prefetch(context: Any, builder: Any, signature: Any, given: Any) -> A
 
 @instruction(lambda array, _: types.void(array, types.int64), _write_prefetch)
 def prefetch(array: np.ndarray[Any, Any], row: int) -> None:
-    """Ask for the memory of a row of an array ahead of its use; any number will do."""
+    """Prefetch the memory of a row of an array; any number is valid."""
 
 
 def _write_bytes(context: Any, builder: Any, signature: Any, given: Any) -> Any:
@@ -111,7 +111,7 @@ def _write_decoded(context: Any, builder: Any, signature: Any, given: Any) -> An
     lambda table, code: (code if code == types.float32 else table.dtype)(table, code), _write_decoded
 )
 def decoded(table: Any, code: Any) -> Any:
-    """Return what ``table`` has for an unsigned code; a float32 number as it is."""
+    """Return the entry of ``table`` for an unsigned code; a float32 number unchanged."""
     return code if isinstance(code, np.floating) else table[code]
 
 

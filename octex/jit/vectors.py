@@ -1,8 +1,8 @@
-"""Vectors of numbers in registers, and what is summed with them: the compiler makes none by itself.
+"""Vectors of numbers in registers, and sums with them: the compiler makes none by itself.
 
-A vector is read from an array, or filled with one number; vectors are added, multiplied, divided and
-compared like numbers. A sweep of the fit takes 55 to 65 ns a leaf so, where scalars take 86 to 91. Without
-numba a vector is a short array of numpy's.
+A vector is read from an array, or filled with one number; vectors are added, multiplied, divided and compared
+like numbers. A sweep of the fit takes 55 to 65 ns a leaf with them, 86 to 91 with scalars. Without numba a
+vector is a short numpy array.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from octex.jit.instructions import instruction, pointer_to
 
 
 class Vector(types.Type):  # type: ignore[misc]
-    """Numba's type of a vector of so many numbers, or of truth values."""
+    """Numba's type of a vector of numbers or of truth values."""
 
     def __init__(self, element: Any, count: int) -> None:
         self.element, self.count = element, count
@@ -69,7 +69,7 @@ for _symbol, _names in {
 
 
 def _vector_place(context: Any, builder: Any, array: Any, kind: Vector, given: Any) -> tuple[Any, int]:
-    """Return a pointer to a vector in an array, and what its place is a multiple of."""
+    """Return a pointer to a vector in an array, and its alignment."""
     pointer = pointer_to(context, builder, array, *given)
     of_vector = context.get_value_type(kind).as_pointer()
     return builder.bitcast(pointer, of_vector), array.dtype.bitwidth // 8
@@ -149,7 +149,7 @@ def vector_of(numbers: Any) -> Any:
 
 @instruction(lambda mask, one, other: one(mask, one, other), lambda _c, to, _s, given: to.select(*given))
 def chosen(mask: Any, one: Any, other: Any) -> Any:
-    """Return the vector of one's numbers where ``mask`` is true, and of the other's else."""
+    """Return the vector of one's numbers where ``mask`` is true, else of the other's."""
     return np.where(mask, one, other)
 
 
@@ -222,7 +222,7 @@ def spline_box(rows: Any, first: int, steps: Any, of_x: Any, of_y: Any, of_z: An
 
 @fused_inlined
 def _fused_line(rows: Any, at: int, weights: Any) -> Any:
-    """Sum three rows that stand side by side under weights."""
+    """Sum three adjacent rows under weights."""
     return (
         four(weights[0]) * four_at(rows, at)
         + four(weights[1]) * four_at(rows, at + 4)
@@ -247,7 +247,7 @@ def weighted_cube(rows: Any, at: int, step: int, along_x: Any, along_y: Any, alo
 
 @fused_inlined
 def _with_row(totals: Any, rows: Any, row: int, weight: Any) -> Any:
-    """Return four totals, and to each added a number of a row under weights."""
+    """Add a row's four numbers times weights to four totals."""
     at = np.uint64(row)
     return (
         totals[0] + weight * eight(rows[at, 0]),
@@ -259,7 +259,7 @@ def _with_row(totals: Any, rows: Any, row: int, weight: Any) -> Any:
 
 @fused_inlined
 def _with_plane(totals: Any, rows: Any, first: int, of_x: Any, of_y: Any, of_z: Any) -> Any:
-    """Return four totals, and to each added what nine rows sum to under weights."""
+    """Add the weighted sum of nine rows to four totals."""
     none = eight(0.0)
     found = (none, none, none, none)
     found = _with_row(found, rows, first, of_x[0] * of_y[0])
@@ -315,7 +315,7 @@ def _larger(one: Any, other: Any) -> Any:
 
 @inlined
 def _squares(bounds: Any, node: int, x: Any, y: Any, z: Any) -> Any:
-    """Return how far, squared, a node's eight boxes are from a point, which is given as vectors."""
+    """Return the squared distances of a node's eight boxes to a point of vectors."""
     at, none = 48 * node, eight(0.0)
     i = _larger(_larger(eight_at(bounds, at) - x, x - eight_at(bounds, at + 24)), none)
     j = _larger(_larger(eight_at(bounds, at + 8) - y, y - eight_at(bounds, at + 32)), none)
@@ -325,10 +325,10 @@ def _squares(bounds: Any, node: int, x: Any, y: Any, z: Any) -> Any:
 
 @inlined
 def squares_to_boxes(bounds: Any, node: int, x: Any, y: Any, z: Any, limit: Any, squares: Any) -> np.uint64:
-    """Fill in how far (8,) the eight boxes of a node are from a point, squared; say which are in a limit.
+    """Write the squared distances (8,) of a node's boxes to a point; return the boxes within a limit as bits.
 
-    ``bounds`` (nodes, 6, 8) has their low x, y, z and high x, y, z; the result has a bit for each box
-    that is ``limit`` far or less. All are float32, C-ordered. A third of the time of scalars.
+    ``bounds`` (nodes, 6, 8) has their low x, y, z and high x, y, z. All are float32, C-ordered. A third of
+    the time of scalars.
     """
     found = _squares(bounds, node, eight(x), eight(y), eight(z))
     put(squares, 0, found)
@@ -340,7 +340,7 @@ _LANES = np.arange(8, dtype=np.int64)
 
 @inlined
 def nearest_box(bounds: Any, nodes: Any, count: int, x: Any, y: Any, z: Any) -> int:
-    """Return which box of the first ``count`` of some nodes is nearest to a point: 8 · node + child.
+    """Return the box nearest to a point, of the first ``count`` nodes: 8 · node + child.
 
     As for ``squares_to_boxes``; ``nodes`` are int64. Of equally near boxes any; −1 for no node.
     """

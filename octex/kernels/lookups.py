@@ -14,7 +14,7 @@ from octex.field.neighborhood import taps_around
 from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
 from octex.field.taps import LEAST, OFF, Flat, Taps, new_taps, value_of
 from octex.field.tiles import Tiles, code_in_tile, look_in, tile_row
-from octex.field.weights import MOST_ROWS, Facings, Sight, Weighing, new_sight, view_along, weigh
+from octex.field.weights import MOST_ROWS, Facings, Visible, Weighing, new_visible, view_along, weigh
 from octex.field.windows import MOST_TAPS, Walk, Way, new_walk
 from octex.jit import inlined, kernel, step
 from octex.texture.channel import NO_TABLE, Channel, mixed_cells, stored
@@ -69,7 +69,7 @@ class Scratch(NamedTuple):
     walk: Walk
     search: Search
     taps: Taps  # of one sample, then those that face a normal
-    sight: Sight
+    visible: Visible
     tiles: Int64s  # (8,)   the rows of 2×2×2 tiles
     codes: Int32s  # (3, 3)   along each axis, the codes of cells in their tiles
     along: Float32s  # (3, 3)   along each axis, the cells' weights
@@ -91,7 +91,7 @@ def new_scratch(arrays: LookupArrays) -> Scratch:
         new_walk(),
         new_search(tree),
         new_taps(1, (1 + MOST_ROWS) * MOST_TAPS, False),
-        new_sight(),
+        new_visible(),
         np.empty(8, np.int64),
         np.empty((3, 3), np.int32),
         np.empty((3, 3), np.float32),
@@ -334,7 +334,7 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
             ]
             by = Weighing(areas, mixed, int(first), facings, is_facing, flat.first_kept, flat.first_row)
             end, _, total, gone = weigh(
-                scratch.taps, 0, n, by, view, scratch.sight, is_facing, is_split, flat, 0
+                scratch.taps, 0, n, by, view, scratch.visible, is_facing, is_split, flat, 0
             )
             left = gone / total if gone > 0.0 else 0.0
             part = share * np.float64(OFF) / total if is_off and total > 0.0 and not is_leaf else share

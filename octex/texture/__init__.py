@@ -1,14 +1,13 @@
-"""The octree texture: what everything else meets.
+"""The octree texture.
 
-channel     a named array of values, one a cell; decoded as lookups read it
-lookup      what is asked of points, checked; blocks, on any threads; where answers go; what answers
-file        what is on disk, drawn; opened and saved through container
-spans       which rows of its arrays, and bytes of its file, lookups read
+channel     a named array of values, one a cell; decoded for lookups
+lookup      checks the arguments of lookups; runs blocks on threads; writes the results
+file        the file on disk, drawn; opened and saved through container
+spans       the rows of arrays, and the bytes of the file, that lookups read
 texture     tree + channels + placement
-remote      textures elsewhere, of which what lookups read is fetched
-open        textures opened, here and elsewhere
-set         textures of parts by name, looked up by part
-folder      what a set is on disk
+remote      textures at an address, fetched as far as lookups read them
+open        opens textures, on disk and at addresses
+set         textures of parts by name, looked up by part; their folder
 """
 
 from octex.field.listing import TapList as TapList

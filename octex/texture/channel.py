@@ -1,4 +1,4 @@
-"""A channel's values: packed arrays whose rows are numbered by the tree; and as lookups read them."""
+"""A channel's values: packed arrays with rows numbered by the tree; and their form for lookups."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ class Channel(NamedTuple):
 
     @classmethod
     def full(cls, form: ChannelFormat, tree: Octree, value: float = 0) -> Channel:
-        """Return a channel of a tree that has one number everywhere, as stored."""
+        """Return a channel of a tree with one stored number everywhere."""
         arrays = [np.zeros((rows, form.components), form.dtype) for rows in row_counts(tree)]
         for array in arrays if value else ():
             array.fill(value)
         return cls(form, *arrays)
 
     def copied(self) -> Channel:
-        """Return the same values in arrays of their own."""
+        """Copy the arrays."""
         return Channel(self.format, *(array.copy() for array in self[1:]))
 
     def named(self, name: str) -> Channel:
@@ -84,7 +84,7 @@ class Channel(NamedTuple):
         return Channel(self.format, *(array[:count] for array, count in parts))
 
     def rows(self, numbers: Integers) -> Array:
-        """Return what is stored in rows (n,): those of cells, then of kept nodes, then of split facings."""
+        """Return the stored values of rows (n,): cells, then kept nodes, then split facings."""
         found = self.values.take(numbers, axis=0, mode="clip")
         begin = len(self.values)
         for part in (self.kept_values, self.split_values):
@@ -101,7 +101,7 @@ class Channel(NamedTuple):
         return Channel(self.format, *map(locked, self[1:]))
 
     def is_finite(self) -> bool:
-        """Say whether no value is infinite or not a number."""
+        """Return whether all values are finite."""
         return all(
             np.isfinite(array[begin : begin + _PIECE]).all()
             for array in self[1:]
@@ -111,27 +111,27 @@ class Channel(NamedTuple):
 
 
 def row_counts(tree: Octree) -> tuple[int, int, int]:
-    """Return how many rows a tree's channels have: of cells, of facings of split cells, of kept nodes."""
+    """Return the numbers of rows of a tree's channels: cells, facings of split cells, kept nodes."""
     return tree.n_cells, tree.split.areas.size, tree.kept.cells.size
 
 
 def as_channels(channels: Mapping[str, Channel], tree: Octree) -> dict[str, Channel]:
-    """Return channels, read-only, or raise ArgumentError for no tree, and for those that do not fit it."""
+    """Return channels, read-only, or raise ArgumentError for those that do not fit the tree, or no tree."""
     if not isinstance(tree, Octree):
         raise ArgumentError(f"tree must be an Octree, not {tree!r}")
-    given = as_entries(channels, "channels")
-    for name, channel in given.items():
+    entries = as_entries(channels, "channels")
+    for name, channel in entries.items():
         if not isinstance(channel, Channel):
             raise ArgumentError(f"channel {name!r} must be a Channel, not {channel!r}")
         channel.check(name, tree)
-    return {name: channel.locked() for name, channel in given.items()}
+    return {name: channel.locked() for name, channel in entries.items()}
 
 
 def formats_as(forms: Sequence[ChannelFormat], dtype: Dtypes) -> tuple[ChannelFormat, ...]:
     """Return channels' formats with other stored types: floats store linear light, integers sRGB.
 
-    Where ``dtype`` gives none, or the one that a channel has, its format stays. Raises ArgumentError for
-    unknown names and types. Whether an integer type holds a channel's values shows when these are read.
+    A format stays where ``dtype`` has none, or the same one. Raises ArgumentError for unknown names and
+    types. Whether an integer type can hold the values is checked when they are read.
     """
     names = [form.name for form in forms]
     wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
@@ -172,7 +172,7 @@ def stored(channel: Channel) -> ChannelRows:
 def mixed_cells(channel: Channel, tree: Octree, threshold: float) -> Uint8s:
     """Mark the cells (cells,) of a tree whose opposite facings differ by ``threshold`` or more.
 
-    Of split cells above the deepest level, which are leaves, none differ.
+    Split cells above the deepest level, which are leaves, do not count.
     """
     mixed = np.zeros(tree.n_cells, np.uint8)
     cells, facings, _ = tree.split
@@ -192,10 +192,10 @@ def _half_table(space: ColorSpace) -> Float32s:
 
 @kernel
 def make_unit(vectors: Float32s, gradients: Float32s) -> None:
-    """Make vectors (n, components) of length 1, in place; zeros stay.
+    """Normalize vectors (n, components) in place; zeros stay.
 
-    ``gradients`` (n or 0, components, 3) become those of the unit vectors: what of them is across the vector,
-    divided by its length; zeros where it has none.
+    ``gradients`` (n or 0, components, 3) become those of the unit vectors: their part across the vector,
+    divided by its length; zeros for zero vectors.
     """
     components = vectors.shape[1]
     for n in range(vectors.shape[0]):

@@ -1,6 +1,6 @@
-"""The render file of a texture (paper 3.6): what is on disk.
+"""The render file of a texture (paper 3.6).
 
-See container for the bytes around it. With n cells, s of them split, with r rows, and k of them kept:
+See container for the bytes around it. With n cells, s of them split, with r rows, and k kept nodes:
 
     tree/groups           U64 (⌈nodes / 8⌉, 3)       these five as tree/layout draws them
     tree/level_cells      I64 (max_depth + 2,)
@@ -21,7 +21,7 @@ See container for the bytes around it. With n cells, s of them split, with r row
     channels              {NAME: colour space, …}, in the order of the texture's channels
     provenance            {name: text, …}
 
-Other tensors and metadata are kept when an opened texture is saved again.
+An opened texture saves unknown tensors and metadata again.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ ARCHIVE_ENDING = ".octz"
 
 @dataclass(eq=False)
 class Source:
-    """Where the arrays of a texture come from: memory, or the file that it was opened from."""
+    """The origin of a texture's arrays: memory, or the file that it was opened from."""
 
     path: str = ""  # "" for what was made here
     mapping: mmap.mmap | None = None  # of a render file; None: the arrays lie in memory
@@ -71,23 +71,23 @@ class Source:
     is_here: ClassVar = True
 
     def here(self, texture: OctreeTexture) -> OctreeTexture:
-        """Return a texture of what is here of it: all."""
+        """Return a texture of the loaded part: all of it."""
         return texture
 
     def whole(self, texture: OctreeTexture) -> OctreeTexture:
-        """Prepare for all of a texture to be read, and return it."""
+        """Prepare to read all of a texture, and return it."""
         if self.mapping:
             container.read_ahead(self.mapping)
         return texture
 
     def levels(self, texture: OctreeTexture, _level: int) -> OctreeTexture:
-        """Return a texture whose levels 0 … ``level`` are here."""
+        """Return a texture with levels 0 … ``level`` loaded."""
         return texture
 
     def prepare(
         self, texture: OctreeTexture, count: int, _question: Callable[[], Question], /
     ) -> OctreeTexture:
-        """Prepare for lookups of so many points, and return the texture that answers them."""
+        """Prepare lookups of ``count`` points, and return the texture that answers them."""
         # About a page a point: most of the file will be read.
         if self.mapping and count * mmap.PAGESIZE > len(self.mapping):
             container.read_ahead(self.mapping)
@@ -95,7 +95,7 @@ class Source:
 
 
 def written(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
-    """Return a texture's tensors and metadata, with what octex does not know of its file."""
+    """Return a texture's tensors and metadata, including unknown ones of its file."""
     tree, placement = texture.tree, texture.placement
     tensors: dict[str, Array] = dict(zip(TREE_NAMES, tree.arrays, strict=True))
     has_rows = True, tree.split.cells.size > 0, tree.kept.cells.size > 0
@@ -118,7 +118,7 @@ def written(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
 
 
 def described(texture: OctreeTexture) -> dict[str, Any]:
-    """Describe a texture: what `OctreeTexture.info` returns."""
+    """Describe a texture for `OctreeTexture.info`."""
     tree, placement, source = texture.tree, texture.placement, texture.source
     tensors, metadata = written(texture)
     sizes = {
@@ -157,9 +157,9 @@ def described(texture: OctreeTexture) -> dict[str, Any]:
 def taken(
     tensors: dict[str, Array], metadata: dict[str, str]
 ) -> tuple[Octree, dict[str, Channel], Placement, Float64s, dict[str, str]]:
-    """Take a texture's parts out of tensors and metadata; what octex does not know stays there.
+    """Take a texture's parts out of tensors and metadata; unknown entries stay there.
 
-    Raises TextureFileError for what is missing or damaged, ArgumentError for a tree that does not fit.
+    Raises TextureFileError for missing or damaged parts, ArgumentError for a tree that does not fit.
     """
     if metadata.pop("format", None) != FORMAT:
         raise TextureFileError("is not an octree texture; make one with octex convert")
@@ -190,7 +190,7 @@ def taken(
 
 
 def wrong_version(version: str) -> str:
-    """Say what is wrong with a version that is not the one that is read."""
+    """Explain a format version that octex does not read."""
     if re.fullmatch("[1-9][0-9]*", version):  # there is none before the first
         return "newer than this octex reads; update octex"
     return "which is none: damaged, or made by something else; make it again"

@@ -1,4 +1,4 @@
-"""Lookups: what users ask, checked; in blocks, on any threads; where answers go, and what answers."""
+"""Lookups: checks arguments; runs blocks on threads; writes the results."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ MOST_ANISOTROPY = 256.0
 #: One channel by name, or several.
 Names = str | list[str] | tuple[str, ...]
 #: What is given of points: arrays of a row each by name, "points" (n, 3) among them.
-Given = Mapping[str, Array]
+Inputs = Mapping[str, Array]
 #: Looks up the points of a block and writes to arrays of as many rows. Raises NotFiniteError.
-LookUp = Callable[[Given, list[Array]], None]
+LookUp = Callable[[Inputs, list[Array]], None]
 
 #: Points looked up at once: what is kept of them stays in the processor's cache, and a thread that takes them
 #: is busy for a millisecond or more, beside which handing them over (50 µs) is little.
@@ -53,7 +53,7 @@ _NO_NUMBERS = np.empty(0, np.int32)
 
 
 class FootprintOptions(TypedDict, total=False):
-    """What lookups average over: see `OctreeTexture.sample`."""
+    """Options of footprints: see `OctreeTexture.sample`."""
 
     width: npt.ArrayLike | None
     normals: npt.ArrayLike | None
@@ -66,7 +66,7 @@ class FootprintOptions(TypedDict, total=False):
 
 
 class LookupOptions(FootprintOptions, total=False):
-    """How points are looked at: see `OctreeTexture.sample`."""
+    """Options of lookups: see `OctreeTexture.sample`."""
 
     normalize: bool
     threads: int | None
@@ -74,19 +74,19 @@ class LookupOptions(FootprintOptions, total=False):
 
 
 class SurfacePoints(Protocol):
-    """Points of a surface, as ``Surface.scatter`` returns them; or a record of hits of one's own."""
+    """Points of a surface, as ``Surface.scatter`` returns them; or your renderer's record of hits."""
 
     @property
     def rest(self) -> npt.ArrayLike:
-        """Rest positions (n, 3). Beside them are normals there: ``rest_normals``, else ``normals``."""
+        """Rest positions (n, 3). Normals come with them as ``rest_normals``, else ``normals``."""
 
 
 def placed(
     points: npt.ArrayLike | SurfacePoints, normals: npt.ArrayLike | None = None
 ) -> tuple[Array, npt.ArrayLike | None]:
-    """Return rest positions (n, 3), and normals: those that are given, else those that points come with.
+    """Return rest positions (n, 3), and normals: the argument, else those of the points.
 
-    Raises ArgumentError for what are no positions.
+    Raises ArgumentError for anything but positions.
     """
     if not hasattr(points, "rest"):
         return as_point_rows(points), normals
@@ -96,7 +96,7 @@ def placed(
 
 
 class Lens(NamedTuple):
-    """What is the same for all points of a lookup; see `OctreeTexture.sample`."""
+    """Options shared by all points of a lookup; see `OctreeTexture.sample`."""
 
     filter: str
     anisotropy: float = ANISOTROPY
@@ -104,22 +104,22 @@ class Lens(NamedTuple):
     sharpness: float = 0.0
     bleed_threshold: float = BLEED_THRESHOLD
 
-    def has_footprints(self, given: Given) -> bool:
-        """Say whether points are looked up with footprints."""
-        return "width" in given or "dPdx" in given or self.blur > 0
+    def has_footprints(self, inputs: Inputs) -> bool:
+        """Return whether points are looked up with footprints."""
+        return "width" in inputs or "dPdx" in inputs or self.blur > 0
 
-    def query(self, given: Given) -> Query:
-        """Return what is asked of a block of points, whose arrays are as kernels take them."""
+    def query(self, inputs: Inputs) -> Query:
+        """Return the query of a block of points, with arrays as kernels take them."""
         footprints: Footprints | None = None
-        if "dPdx" in given:
-            derivatives = given["dPdx"], given["dPdy"]
+        if "dPdx" in inputs:
+            derivatives = inputs["dPdx"], inputs["dPdy"]
             footprints = long_footprints(*derivatives, self.blur, self.anisotropy, self.sharpness)
-        elif "width" in given or self.blur > 0:
-            widths = np.full(len(given["points"]), float(self.blur))
-            if "width" in given:
-                widths += given["width"]
+        elif "width" in inputs or self.blur > 0:
+            widths = np.full(len(inputs["points"]), float(self.blur))
+            if "width" in inputs:
+                widths += inputs["width"]
             footprints = ROUND._replace(widths=widths, sharpness=self.sharpness)
-        normals = given.get("normals")
+        normals = inputs.get("normals")
         if normals is not None:
             most = np.finfo(np.float32).max
             normals = np.clip(normals, -most, most).astype(np.float32, copy=False)
@@ -127,9 +127,9 @@ class Lens(NamedTuple):
 
 
 class Question(NamedTuple):
-    """What is asked of points, and what is given of each."""
+    """A lookup's inputs and options."""
 
-    given: Given
+    inputs: Inputs
     channel: Names | None = None  # None: whether leaves hold them
     lens: Lens = Lens("nearest")
 
@@ -145,12 +145,9 @@ def asked(
     dPdy: npt.ArrayLike | None = None,
     **options: Any,
 ) -> tuple[Lens, dict[str, Array]]:
-    """Return what is asked of points, and what is given of each; see `OctreeTexture.sample`.
-
-    Raises ArgumentError for what does not fit.
-    """
+    """Check a lookup's arguments and return its options and inputs; see `OctreeTexture.sample`."""
     places, normals = placed(points, normals)
-    lens, given = Lens(filter, **options), {"points": places}
+    lens, inputs = Lens(filter, **options), {"points": places}
     as_choice(lens.filter, FILTERS, "filter")
     if gradient and lens.filter == "nearest":
         raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
@@ -168,25 +165,25 @@ def asked(
             if widths.dtype.kind not in "fiu" or widths.shape not in ((), (n,)):
                 found = f"{widths.dtype} {widths.shape}"
                 raise ArgumentError(f"width must be a real number or (n,) of them, not {found}")
-            given[name] = np.broadcast_to(widths, (n,))
+            inputs[name] = np.broadcast_to(widths, (n,))
         else:
-            given[name] = as_point_rows(array, name)
-            if len(given[name]) != n:
-                raise ArgumentError(f"{name} must have a row for each of {n} points, not {len(given[name])}")
-    if ("dPdx" in given) != ("dPdy" in given):
+            inputs[name] = as_point_rows(array, name)
+            if len(inputs[name]) != n:
+                raise ArgumentError(f"{name} must have a row for each of {n} points, not {len(inputs[name])}")
+    if ("dPdx" in inputs) != ("dPdy" in inputs):
         raise ArgumentError("dPdx and dPdy are given together or not at all")
-    if "width" in given and "dPdx" in given:
+    if "width" in inputs and "dPdx" in inputs:
         raise ArgumentError("a footprint has a width, or dPdx and dPdy, not both")
-    if lens.sharpness > 0 and not lens.has_footprints(given):
+    if lens.sharpness > 0 and not lens.has_footprints(inputs):
         raise ArgumentError("sharpness is for footprints: give a width, or dPdx and dPdy, or blur")
-    if lens.anisotropy != ANISOTROPY and "dPdx" not in given:
+    if lens.anisotropy != ANISOTROPY and "dPdx" not in inputs:
         raise ArgumentError("anisotropy is for footprints longer than wide: give dPdx and dPdy")
-    if lens.bleed_threshold != BLEED_THRESHOLD and ("normals" in given or not lens.has_footprints(given)):
+    if lens.bleed_threshold != BLEED_THRESHOLD and ("normals" in inputs or not lens.has_footprints(inputs)):
         raise ArgumentError(
             "bleed_threshold is for footprints without normals: leave it out, or give a width, or dPdx "
             "and dPdy, or blur, and no normals"
         )
-    return lens, given
+    return lens, inputs
 
 
 #: An array of what is given, and the first row of it that cannot be used.
@@ -194,32 +191,32 @@ _Fault = tuple[str, int]
 
 
 class _Block(NamedTuple):
-    """What is given of some points, and the rows of their answers, which do not travel to other processes."""
+    """The inputs of a block of points, and rows for its results, which other processes allocate anew."""
 
-    given: Given
+    inputs: Inputs
     answers: list[Array]
 
     @classmethod
-    def empty(cls, given: Given, answers: list[tuple[tuple[int, ...], np.dtype[Any]]]) -> _Block:
-        """Return a block with room for answers of some shapes and types."""
-        return cls(given, [np.empty(*each) for each in answers])
+    def empty(cls, inputs: Inputs, answers: list[tuple[tuple[int, ...], np.dtype[Any]]]) -> _Block:
+        """Return a block with room for results of these shapes and types."""
+        return cls(inputs, [np.empty(*each) for each in answers])
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _Block.empty, (self.given, [(each.shape, each.dtype) for each in self.answers])
+        return _Block.empty, (self.inputs, [(each.shape, each.dtype) for each in self.answers])
 
 
-def in_blocks(given: Given, answers: list[Array], look_up: LookUp, run: Run) -> None:
-    """Look up points by what is given of them, of any real type, and write to ``answers``, arrays of n rows.
+def in_blocks(inputs: Inputs, answers: list[Array], look_up: LookUp, run: Run) -> None:
+    """Look up points, of any real type, and write to ``answers``, arrays of n rows.
 
-    Only a block is copied, and only if it is not as kernels take it. Raises ArgumentError naming the first
-    row that is not finite, or a width that is below zero; the answers are then written in part.
+    A block is copied only if kernels cannot take it as it is. Raises ArgumentError naming the first row that
+    is not finite, or a negative width; the answers are then partly written.
     """
-    if run.threads is None and run.executor is None and 0 < len(given["points"]) <= BLOCK:  # in one piece
-        fault, _ = _checked_block(look_up, _Block(given, answers))
+    if run.threads is None and run.executor is None and 0 < len(inputs["points"]) <= BLOCK:  # in one piece
+        fault, _ = _checked_block(look_up, _Block(inputs, answers))
         if fault is not None:
-            _refuse(fault, 0, given)
+            _refuse(fault, 0, inputs)
         return
-    for begin, found in each_block(given, answers, look_up, run):
+    for begin, found in each_block(inputs, answers, look_up, run):
         for answer, rows in zip(answers, found, strict=True):
             here = answer[begin : begin + BLOCK]
             if not np.may_share_memory(here, rows):  # the executor works in other processes
@@ -227,42 +224,42 @@ def in_blocks(given: Given, answers: list[Array], look_up: LookUp, run: Run) -> 
 
 
 def each_block(
-    given: Given, answers: list[Array], look_up: LookUp, run: Run
+    inputs: Inputs, answers: list[Array], look_up: LookUp, run: Run
 ) -> Iterator[tuple[int, list[Array]]]:
-    """Look up points like ``in_blocks``; yield where each block begins, and its rows of the answers.
+    """Look up points like ``in_blocks``; yield each block's begin, and its rows of the answers.
 
-    These are followed by what ``look_up`` adds to the list of answers that it is given.
+    After these rows come the arrays that ``look_up`` appends.
     """
-    begins, blocks = range(0, len(given["points"]), BLOCK), []
+    begins, blocks = range(0, len(inputs["points"]), BLOCK), []
     for begin in begins:
         rows = slice(begin, begin + BLOCK)
-        taken = {name: array[rows] for name, array in given.items()}
+        taken = {name: array[rows] for name, array in inputs.items()}
         blocks.append(_Block(taken, [answer[rows] for answer in answers]))
     with workers(run, len(blocks)) as pool:
         results = ordered_map(pool, partial(_checked_block, look_up), blocks)
         for begin, (fault, found) in zip(begins, results, strict=True):
             if fault is not None:
-                _refuse(fault, begin, given)
+                _refuse(fault, begin, inputs)
             yield begin, found
 
 
 def in_space(
-    given: Given,
+    inputs: Inputs,
     answers: list[Array],
     look_up: LookUp,
     run: Run,
     placement: Placement,
     least: int = 0,
 ) -> None:
-    """Look points up as ``in_blocks`` does, where they do not come in an order like that of space in this.
+    """Look points up like ``in_blocks``, sorted in Morton order unless they already nearly are.
 
-    That is for lookups that read much, or in which points that lie close together share most of the work.
-    Points that are no more than ``least``, by default than a block, are looked up as they come.
+    This is for lookups that read much, or where close points share most of the work. At most ``least``
+    points, by default a block, are looked up unsorted.
     """
     try:
-        for begin in range(0, len(given["points"]), _SORTED):
+        for begin in range(0, len(inputs["points"]), _SORTED):
             rows = slice(begin, begin + _SORTED)
-            here = {name: array[rows] for name, array in given.items()}
+            here = {name: array[rows] for name, array in inputs.items()}
             there = [answer[rows] for answer in answers]
             numbers = _NO_NUMBERS
             if len(here["points"]) > (least or BLOCK):
@@ -277,21 +274,21 @@ def in_space(
             for answer, each in zip(there, found, strict=True):
                 put_rows(each.reshape(len(each), -1), numbers, answer.reshape(len(answer), -1))
     except ArgumentError:
-        in_blocks(given, answers, look_up, run)  # which names the first row
+        in_blocks(inputs, answers, look_up, run)  # which names the first row
         raise
 
 
-def _refuse(fault: _Fault, begin: int, given: Given) -> None:
+def _refuse(fault: _Fault, begin: int, inputs: Inputs) -> None:
     """Raise ArgumentError for a fault in the block that begins at a row."""
     name, row = fault[0], begin + fault[1]
     kind = "finite and not below zero" if name == "width" else "finite"
-    raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {given[name][row].tolist()}")
+    raise ArgumentError(f"{name} must be {kind}, but {name}[{row}] is {inputs[name][row].tolist()}")
 
 
 def _checked_block(look_up: LookUp, block: _Block) -> tuple[_Fault | None, list[Array]]:
-    given, answers = block
+    inputs, answers = block
     taken: dict[str, Array] = {}
-    for name, array in given.items():
+    for name, array in inputs.items():
         taken[name] = array = _as_kernels_take_it(array)
         if name == "points":  # looked at as they are placed
             continue
@@ -314,17 +311,17 @@ def _as_kernels_take_it(array: Array) -> Array:
 
 
 class Answers:
-    """Where the values of channels go, and their gradients if they are wanted.
+    """Arrays for the values of channels, and for their gradients if wanted.
 
-    ``components`` are those of the channels that there are, by name; ``channel``, ``gradient`` and ``out``
-    are what users ask for: see `OctreeTexture.sample`. Raises ArgumentError for what does not fit.
+    ``components`` are those of all channels by name; for ``channel``, ``gradient`` and ``out`` see
+    `OctreeTexture.sample`. Raises ArgumentError for arguments that do not fit.
     """
 
     def __init__(
         self,
         components: Mapping[str, int],
         channel: Names,
-        given: Given,
+        inputs: Inputs,
         gradient: bool,
         out: Any,
     ) -> None:
@@ -333,7 +330,7 @@ class Answers:
         slopes: dict[str, tuple[int, ...]] = {}
         for name in channel if isinstance(channel, (list, tuple)) else (channel,):
             as_choice(name, components, "channel")
-            shapes[name] = len(given["points"]), components[name]
+            shapes[name] = len(inputs["points"]), components[name]
             slopes[name] = *shapes[name], 3
         #: The channels, each once.
         self.channels = list(shapes)
@@ -347,7 +344,7 @@ class Answers:
         #: The values of each channel, then the gradients of each.
         self.arrays: list[Array] = [*values.values(), *gradients.values()]
         if is_given:
-            _check_apart(given.values(), self.arrays)
+            _check_apart(inputs.values(), self.arrays)
         #: What `OctreeTexture.sample` returns.
         self.returned: Any = (values, gradients) if gradient else values
         if is_single:
@@ -357,10 +354,7 @@ class Answers:
 def _answers_for(
     shapes: Mapping[str, tuple[int, ...]], out: Any, single: bool, name: str = "out"
 ) -> dict[str, Float32s]:
-    """Return arrays to write to by channel: new ones, or for ``out`` what the caller gave, if it fits.
-
-    ``out`` is one array if ``single``, else a dict of them. Raises ArgumentError.
-    """
+    """Return arrays by channel: new ones, or the checked ``out``, one array if ``single``, else a dict."""
     if out is None:
         new: dict[str, Float32s] = {}
         for channel, shape in shapes.items():
@@ -382,9 +376,9 @@ def _answers_for(
     return {channel: out[channel] for channel in shapes}
 
 
-def _check_apart(given: Iterable[Array], answers: Sequence[Array]) -> None:
-    """Raise ArgumentError if an answer shares memory with another or with what is given."""
-    known = list(given)
+def _check_apart(inputs: Iterable[Array], answers: Sequence[Array]) -> None:
+    """Raise ArgumentError if an answer shares memory with another or with an input."""
+    known = list(inputs)
     for answer in answers:
         if any(np.may_share_memory(answer, other) for other in known):
             raise ArgumentError("the arrays in out must not share memory with each other or with the points")
@@ -392,7 +386,7 @@ def _check_apart(given: Iterable[Array], answers: Sequence[Array]) -> None:
 
 
 class Lookups:
-    """What answers lookups of a texture: its channels as they are read, and what was indexed for that."""
+    """Lookups of a texture: its channels in readable form, and indices built for them."""
 
     def __init__(self, tree: Octree, channels: Mapping[str, Channel], placement: Placement) -> None:
         self.field = Field(tree)
@@ -406,9 +400,9 @@ class Lookups:
         return Lookups, (self._tree, dict(self._channels), self._placement)
 
     def few(self, points: Any, channel: Any, filter: Any) -> Float32s | dict[str, Float32s] | None:
-        """Look up few points of the leaves the short way; None where that is not for them.
+        """Look up at most 64 points of leaves by a short path; None where it does not apply.
 
-        A call with one point takes a third of the time so.
+        A call with one point takes a third of the time this way.
         """
         if type(points) is not np.ndarray or points.ndim != 2 or not 0 < len(points) <= _FEW:
             return None
@@ -438,7 +432,7 @@ class Lookups:
         return (values or None) if is_list else values[channel]
 
     def look_up(
-        self, names: list[str], lens: Lens, normalize: bool, given: Given, answers: list[Array]
+        self, names: list[str], lens: Lens, normalize: bool, inputs: Inputs, answers: list[Array]
     ) -> None:
         """Look up a block, as a LookUp: write its values to ``answers``, and as many gradients if wanted."""
         if not names:
@@ -446,45 +440,45 @@ class Lookups:
         values, gradients = answers[: len(names)], answers[len(names) :]
         read, alpha = self.rows_of(*names)
         parts = [(names[0], slice(None))]
-        if self.query(lens, given, names[0]).mixed is not None:  # each channel mixes in cells of its own
+        if self.query(lens, inputs, names[0]).mixed is not None:  # each channel mixes in cells of its own
             numbers = range(len(names) + 1)
             parts = list(zip(names, map(slice, numbers, numbers[1:]), strict=False))
         for name, some in parts:
-            task = self.query(lens, given, name), read[some], alpha, values[some], gradients[some]
-            Lookup(self.field, self._placement, *task).at(given["points"])
+            task = self.query(lens, inputs, name), read[some], alpha, values[some], gradients[some]
+            Lookup(self.field, self._placement, *task).at(inputs["points"])
         for number, name in enumerate(names if normalize else ()):
             if self._channels[name].format.space == "direction":
                 make_unit(values[number], gradients[number] if gradients else NO_GRADIENTS)
 
-    def list_taps(self, name: str, lens: Lens, given: Given, answers: list[Array]) -> None:
+    def list_taps(self, name: str, lens: Lens, inputs: Inputs, answers: list[Array]) -> None:
         """Add the taps of a block to ``answers``, as a LookUp."""
-        query, (read, alpha) = self.query(lens, given, name), self.rows_of(name)
-        answers += Listing(self.field, self._placement, query, read, alpha).blends(given["points"])
+        query, (read, alpha) = self.query(lens, inputs, name), self.rows_of(name)
+        answers += Listing(self.field, self._placement, query, read, alpha).blends(inputs["points"])
 
     def list_reads(
-        self, name: str, lens: Lens, cells_alone: bool, given: Given, answers: list[Array]
+        self, name: str, lens: Lens, cells_alone: bool, inputs: Inputs, answers: list[Array]
     ) -> None:
-        """Add the levels that a block looks at, and what it reads of each, to ``answers``, as a LookUp."""
-        query, (read, _) = self.query(lens, given, name), self.rows_of(name)
+        """Add the levels that a block reads, and its reads of each, to ``answers``, as a LookUp."""
+        query, (read, _) = self.query(lens, inputs, name), self.rows_of(name)
         listing = Listing(self.field, self._placement, query, read, None)
-        found = (listing.cells if cells_alone else listing.reads)(given["points"])
+        found = (listing.cells if cells_alone else listing.reads)(inputs["points"])
         answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
 
-    def hold(self, given: Given, answers: list[Array]) -> None:
-        """Say of a block of points whether leaves hold them, as a LookUp."""
-        fault = in_leaves(self._tree.arrays, Positions.of(given["points"]), *self._placement, answers[0])
+    def hold(self, inputs: Inputs, answers: list[Array]) -> None:
+        """Write whether leaves hold a block of points, as a LookUp."""
+        fault = in_leaves(self._tree.arrays, Positions.of(inputs["points"]), *self._placement, answers[0])
         if fault >= 0:
             raise NotFiniteError(fault)
 
-    def query(self, lens: Lens, given: Given, name: str) -> Query:
-        """Return what is asked of a block of points of a channel."""
-        query = lens.query(given)
+    def query(self, lens: Lens, inputs: Inputs, name: str) -> Query:
+        """Return the query of a block of points for a channel."""
+        query = lens.query(inputs)
         if query.footprints is not None and query.normals is None and self._tree.split.cells.size:
             query = query._replace(mixed=partial(self._mixed_cells, name, lens.bleed_threshold))
         return query
 
     def rows_of(self, *names: str) -> tuple[list[ChannelRows], ChannelRows | None]:
-        """Return channels as lookups read them, and that which others weigh by, if there is one."""
+        """Return channels in readable form, and the alpha that weights them, if any."""
         found: list[ChannelRows] = []
         for name in (*names, "alpha") if "alpha" in self._channels else names:
             if name not in self._stored:

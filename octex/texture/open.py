@@ -1,4 +1,4 @@
-"""Textures opened: files here, and at addresses."""
+"""Opens textures: files on disk, and at addresses."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def open_texture(
 
 
 def _decoder(path: Path) -> Callable[[Path], Contents] | None:
-    """Return what decodes a file that begins as an archive, a web file or a glTF model does."""
+    """Return the decoder of a file that begins as an archive, a web file or a glTF model does."""
     head = b""
     with suppress(OSError), open_file(path) as file:
         head = file.read(len(MAGIC))

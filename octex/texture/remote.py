@@ -1,7 +1,7 @@
-"""Textures whose files are elsewhere: what a lookup reads is fetched before it reads it.
+"""Textures at an address: lookups fetch what they read.
 
 A render file is fetched in blocks of bytes. Of an archive whole levels of the structure are fetched, and
-blocks of areas and channels, no deeper than asked for; these are decoded into memory.
+blocks of areas and channels down to the requested level; these are decoded into memory.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ Fetch = Callable[..., object]
 
 
 def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
-    """Open the file at an address, of which the header is fetched, or the directory of an archive.
+    """Open the file at an address; fetches its header, or the directory of an archive.
 
     Raises TextureFileError, OutputError and MissingExtraError: see RemoteFile.
     """
@@ -74,9 +74,9 @@ def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
 
 
 class RemoteSource(Source):
-    """A file elsewhere. Lookups fetch what they read; all else, what it asks for, whole.
+    """A file at an address. Lookups fetch what they read; all other users fetch whole arrays.
 
-    What a field has indexed of a texture does not change: when more has come, there is a new one.
+    A field never changes its indices: when more has come, there is a new field.
     """
 
     is_here = False
@@ -90,7 +90,7 @@ class RemoteSource(Source):
         self._reached: tuple[str, dict[int, Int64s]] = "", {}
 
     def here(self, _texture: OctreeTexture) -> OctreeTexture:
-        """Return a texture of what is here of it, zeros for what is not."""
+        """Return a texture of the fetched part, zeros for the rest."""
         return self._here
 
     def whole(self, _texture: OctreeTexture) -> OctreeTexture:
@@ -123,11 +123,11 @@ class RemoteSource(Source):
     def _fetched(self, question: Question) -> OctreeTexture:
         """Fetch what lookups of channels read, and return the texture that answers them.
 
-        What says which cells there are around the points comes first, level by level, then what these are
-        said to hold. Coarse cells that mix facings leave looks to finer ones: so again until all is here.
+        First come the groups around the points, level by level, then the rows of the cells there. Coarse
+        cells with mixed facings pass probes on to finer ones; so this repeats until all is fetched.
         """
-        given, _, lens = question
-        has_tables = lens.has_footprints(given) or "normals" in given or not can_be_tiled(self._here.tree)
+        inputs, _, lens = question
+        has_tables = lens.has_footprints(inputs) or "normals" in inputs or not can_be_tiled(self._here.tree)
         is_first = is_more = True
         while is_more and not self.file.is_whole:
             reads = lookup_reads(self._here, question, cells_alone=is_first)
@@ -142,15 +142,15 @@ class RemoteSource(Source):
         return self.whole(self._here) if self.file.is_whole else self._here
 
     def _fetched_around(self, question: Question) -> OctreeTexture:
-        """Fetch what says which points leaves hold, and return the texture that says so."""
+        """Fetch the groups that decide which points leaves hold, and return the texture."""
         depth = self._here.tree.max_depth
-        points = np.nan_to_num(question.given["points"], posinf=0.0, neginf=0.0)
+        points = np.nan_to_num(question.inputs["points"], posinf=0.0, neginf=0.0)
         codes = encode_cells(on_grid(points, self._here.placement) >> (GRID_BITS - depth))
         self._renew(self._fetch_nodes({depth: distinct(codes)}, "nearest"))
         return self._here
 
     def _fetch_nodes(self, cells: dict[int, Int64s], filter: str) -> bool:
-        """Fetch what says which cells there are around some, by level; say whether there was any."""
+        """Fetch the groups around cells, by level; return whether any were missing."""
         known_filter, known = self._reached
         is_like = filter == known_filter and known.keys() == cells.keys()
         if is_like and all(np.array_equal(known[level], each) for level, each in cells.items()):
@@ -162,18 +162,18 @@ class RemoteSource(Source):
         return was_fetched
 
     def _fetch_groups(self, nodes: Int64s) -> bool:
-        """Fetch the groups of some nodes; say whether there was anything to fetch."""
+        """Fetch the groups of nodes; return whether any were missing."""
         groups = self._here.tree.arrays.groups
         return self.file.fetch_rows(lambda rows: rows.nodes(groups, nodes))
 
     def _renew(self, has_more: bool) -> None:
-        """Forget what was indexed of the texture, if more of it has come."""
+        """Drop the texture's indices if more of it has come."""
         if has_more:
             self._here = self._here._over(self._here.tree, self._here.channels, self._here.source)
 
 
 class _Tree(Octree):
-    """A tree elsewhere: its arrays are fetched when they are asked for."""
+    """A tree at an address; it fetches arrays on access."""
 
     __slots__ = ("_fetch", "_here")
 
@@ -192,7 +192,7 @@ class _Tree(Octree):
 
 
 class _Channel(Channel):
-    """A channel elsewhere: its values are fetched when they are asked for."""
+    """A channel at an address; it fetches values on access."""
 
     _fetch: Fetch
     values = property(lambda self: self[1])
@@ -201,7 +201,7 @@ class _Channel(Channel):
 
     @classmethod
     def over(cls, here: Channel, fetch: Fetch) -> _Channel:
-        """Return what fetches the values of a channel."""
+        """Return a fetching channel."""
         found = cls(*here)
         found._fetch = fetch
         return found
@@ -223,16 +223,16 @@ class _Channel(Channel):
 
 
 class RenderFile(RemoteFile):
-    """A render file elsewhere, of whose mapping arrays are views."""
+    """A render file at an address; arrays are views of its mapping."""
 
     def fetch_rows(self, gather: Callable[[Rows], None]) -> bool:
-        """Fetch the rows that a function gathers; say whether there was anything to fetch."""
+        """Fetch the rows that a function gathers; return whether any were missing."""
         rows = Spans(self.mapping, BLOCK)
         gather(rows)
         return self.fetch(rows.ranges().tolist())
 
     def fetch_tables(self, tree: Octree, level: int) -> bool:
-        """Fetch what says which cells down to a level are split or kept; say whether there was anything."""
+        """Fetch the tables of split and kept cells down to a level; return whether any were missing."""
         split, n_cells, n_split = tree.split, int(tree.level_cells[level + 1]), _LEAST_SPLIT
         kept: list[Array] = [tree.kept.cells, tree.arrays.flags[:n_cells]] if tree.kept.cells.size else []
         was_more = fetch_arrays(self, *kept, split.cells[: n_split + 1])
@@ -244,7 +244,7 @@ class RenderFile(RemoteFile):
 
 
 class _Wanted(Rows):
-    """Gathers what is read of an archive."""
+    """Gathers the rows to decode of an archive."""
 
     def __init__(self, archive: Archive) -> None:
         self._archive = archive
@@ -252,7 +252,7 @@ class _Wanted(Rows):
         self.tables: dict[str, list[tuple[str, Int64s]]] = {}  # rows of areas and channels
 
     def rows(self, array: Array, rows: Array) -> None:
-        """Add some rows."""
+        """Add rows."""
         rows = rows[(rows >= 0) & (rows < len(array))]
         name, first = self._archive.place_of(array)
         if name is None or not rows.size:
@@ -267,7 +267,7 @@ class _Wanted(Rows):
             self.tables.setdefault(name.partition("channels/")[2] or AREAS, []).append((table, rows))
 
     def nodes(self, groups: Array, nodes: Int64s) -> None:
-        """Add the groups of some nodes."""
+        """Add the groups of nodes."""
         if groups.size and nodes.size:
             firsts = self._archive.level_nodes
             last = min(int(nodes.max()), int(firsts[-1]) - 1)
@@ -275,9 +275,9 @@ class _Wanted(Rows):
 
 
 class Archive:
-    """An archive elsewhere, decoded as far as it was asked for into arrays of its own.
+    """An archive at an address, decoded into arrays as far as requested.
 
-    Raises TextureFileError, which names the address, for one that is damaged.
+    Raises TextureFileError, which names the address, for a damaged one.
     """
 
     def __init__(self, remote: RemoteFile) -> None:
@@ -300,14 +300,14 @@ class Archive:
         return self.decoding.is_whole
 
     def fetch_rows(self, gather: Callable[[Rows], None]) -> bool:
-        """Fetch the rows that a function gathers; say whether there was anything to fetch."""
+        """Fetch the rows that a function gathers; return whether any were missing."""
         rows = _Wanted(self)
         gather(rows)
         with self._decoded():
             return self.decoding.decode(rows.tables, rows.level)
 
     def fetch_tables(self, _tree: Octree, level: int) -> bool:
-        """Fetch what says which cells down to a level are split or kept; say whether there was anything."""
+        """Fetch the tables of split and kept cells down to a level; return whether any were missing."""
         with self._decoded():
             return self.decoding.decode({}, level)
 
@@ -317,11 +317,11 @@ class Archive:
             self.decoding.decode_all()
 
     def checked_once(self) -> AbstractContextManager[None]:
-        """Look once, at the end of the block, whether the file has changed meanwhile."""
+        """Check once, at the end of the block, whether the file has changed."""
         return self._remote.checked_once()
 
     def place_of(self, array: Array) -> tuple[str | None, int]:
-        """Return which tensor an array is a view of, None for none, and from which row on."""
+        """Return the tensor that an array is a view of, None for none, and its first row."""
         address = array.ctypes.data
         if array.nbytes:
             for begin, end, name, length in self._places:
@@ -340,7 +340,7 @@ Elsewhere = RenderFile | Archive
 
 
 def fetch_arrays(file: Elsewhere, *arrays: Array) -> bool:
-    """Fetch whole arrays of a file, or what of them is viewed; say whether there was anything to fetch."""
+    """Fetch whole arrays of a file, or views of them; return whether any part was missing."""
 
     def gather(rows: Rows) -> None:
         for array in arrays:

@@ -1,4 +1,10 @@
-"""TextureSet: parts of a model with textures of their own (paper 4.3.1)."""
+"""TextureSet: parts of a model with textures of their own (paper 4.3.1); and its folder.
+
+The folder has an .octex file for each part, and an index of them, which is written last:
+
+    set.json    {"format": "octex set", "format_version": 1,
+                 "parts": {name: file, …}, "provenance": {name: text, …}}
+"""
 
 from __future__ import annotations
 
@@ -25,7 +31,7 @@ from octex.texture.file import ENDING, wrong_version
 from octex.texture.lookup import (
     Answers,
     FootprintOptions,
-    Given,
+    Inputs,
     LookUp,
     LookupOptions,
     Names,
@@ -178,16 +184,16 @@ class TextureSet(Mapping[str, OctreeTexture]):
         part lacks or has with other components.
         """
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
-        lens, given = asked(points, filter, gradient, **options)
-        given["parts"] = self._numbers(parts, len(given["points"]))
-        used = np.flatnonzero(np.bincount(given["parts"])).tolist()
+        lens, inputs = asked(points, filter, gradient, **options)
+        inputs["parts"] = self._numbers(parts, len(inputs["points"]))
+        used = np.flatnonzero(np.bincount(inputs["parts"])).tolist()
         components = self._components(used or [0], channel)
-        answers = Answers(components, channel, given, gradient, out)
+        answers = Answers(components, channel, inputs, gradient, out)
         look_ups = {
             part: partial(texture._lookups.look_up, answers.channels, lens, normalize)
-            for part, texture in self._ready_for(Question(given, answers.channels, lens))
+            for part, texture in self._ready_for(Question(inputs, answers.channels, lens))
         }
-        in_blocks(given, answers.arrays, partial(_by_part, look_ups), as_run(run, threads))
+        in_blocks(inputs, answers.arrays, partial(_by_part, look_ups), as_run(run, threads))
         return answers.returned
 
     def contains(
@@ -203,22 +209,22 @@ class TextureSet(Mapping[str, OctreeTexture]):
         ``parts`` are as for ``sample``; ``run`` says how to work (octex.Run). Raises ArgumentError for
         positions that are not finite (n, 3), and for unknown parts.
         """
-        given = {"points": placed(points)[0]}
-        given["parts"] = self._numbers(parts, len(given["points"]))
-        inside = np.empty(len(given["points"]), np.bool_)
-        look_ups = {part: texture._lookups.hold for part, texture in self._ready_for(Question(given))}
-        in_blocks(given, [inside], partial(_by_part, look_ups), as_run(run, threads))
+        inputs = {"points": placed(points)[0]}
+        inputs["parts"] = self._numbers(parts, len(inputs["points"]))
+        inside = np.empty(len(inputs["points"]), np.bool_)
+        look_ups = {part: texture._lookups.hold for part, texture in self._ready_for(Question(inputs))}
+        in_blocks(inputs, [inside], partial(_by_part, look_ups), as_run(run, threads))
         return inside
 
     def _ready_for(self, question: Question) -> Iterator[tuple[int, OctreeTexture]]:
         """Yield the parts in use and the textures that answer for them: see `Source.prepare`."""
-        for part, count in enumerate(np.bincount(question.given["parts"]).tolist()):
+        for part, count in enumerate(np.bincount(question.inputs["parts"]).tolist()):
             if count:
                 texture, own = self[self.names[part]], partial(_of_part, question, part)
                 yield part, texture.source.prepare(texture, count, own)
 
     def _numbers(self, parts: npt.ArrayLike, count: int) -> Int64s:
-        """Return the part of each of so many points (n,) as a number, or refuse it."""
+        """Return each point's part (n,) as a number, or raise ArgumentError."""
         array = as_array(parts)
         if array.shape == (0,) and count == 0:
             return np.empty(0, np.int64)
@@ -239,7 +245,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
         return np.broadcast_to(array.astype(np.int64, copy=False), (count,))
 
     def _components(self, parts: list[int], channel: Names) -> dict[str, int]:
-        """Return the components of the wanted channels, which all of some parts must have alike."""
+        """Return the components of the wanted channels, which must be the same in all parts."""
         found: dict[str, int] = {}
         wanted = channel if isinstance(channel, (list, tuple)) else [channel]
         for part in parts:
@@ -293,20 +299,20 @@ class TextureSet(Mapping[str, OctreeTexture]):
 
 
 def _of_part(question: Question, part: int) -> Question:
-    """Return what is asked of a part's points; what is not finite the lookup itself refuses, by its row."""
-    own = {name: array for name, array in question.given.items() if name != "parts"}
-    sound = question.given["parts"] == part
+    """Return a part's question, without rows that are not finite: the lookup itself refuses these."""
+    own = {name: array for name, array in question.inputs.items() if name != "parts"}
+    sound = question.inputs["parts"] == part
     for array in own.values():
         sound = sound & np.isfinite(array.reshape(len(array), -1)).all(axis=1)
     if "width" in own:
         sound &= own["width"] >= 0
-    return question._replace(given={name: array[sound] for name, array in own.items()})
+    return question._replace(inputs={name: array[sound] for name, array in own.items()})
 
 
-def _by_part(look_ups: Mapping[int, LookUp], given: Given, answers: list[Array]) -> None:
-    """Look up a block of points, each as its part is looked up. Raises NotFiniteError for the first row."""
-    parts = given["parts"].astype(np.int64)
-    own = {name: array for name, array in given.items() if name != "parts"}
+def _by_part(look_ups: Mapping[int, LookUp], inputs: Inputs, answers: list[Array]) -> None:
+    """Look up a block of points, each in its part's texture. Raises NotFiniteError for the first row."""
+    parts = inputs["parts"].astype(np.int64)
+    own = {name: array for name, array in inputs.items() if name != "parts"}
     order = np.argsort(parts, kind="stable")
     starts = np.flatnonzero(np.diff(parts[order]))
     if not starts.size:
@@ -335,10 +341,10 @@ _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 
 
 def read_index(folder: Path) -> tuple[dict[str, str], dict[str, str]]:
-    """Read the index of a folder: the names of its files, which must be there, by part; and the provenance.
+    """Read the index of a folder: file names by part, and the provenance.
 
     Raises TextureFileError for an index that is missing, damaged or newer, and for a file that is missing or
-    lies elsewhere.
+    lies outside the folder.
     """
     path = folder / INDEX
     try:
@@ -378,16 +384,16 @@ def _are_texts(value: Any) -> TypeGuard[dict[str, str]]:
 
 
 def write_folder(folder: Path, textures: Mapping[str, OctreeTexture], metadata: Mapping[str, str]) -> None:
-    """Write a file for each part, then the index, then remove the files of the set that was there.
+    """Write a file for each part, then the index, then remove the files of the previous set.
 
-    Raises OutputError if that cannot be done; an older set in the folder is then as it was.
+    Raises OutputError if that fails; a previous set is then unchanged.
     """
     old = _files_there(folder)
     is_new = not os.path.lexists(folder)
     written: dict[str, str] = {}
 
     def undo() -> None:
-        """Remove the files that no index names, neither that of an older set nor that of this one."""
+        """Remove new files that no index names."""
         with contextlib.suppress(OSError, OutputError):
             kept = _files_there(folder)
             for file_name in set(written.values()) - kept:
@@ -420,7 +426,7 @@ def write_folder(folder: Path, textures: Mapping[str, OctreeTexture], metadata: 
 
 
 def _files_there(folder: Path) -> set[str]:
-    """Return the files of the set that a folder holds; raises OutputError for an index that is no set's."""
+    """Return the files of the set in a folder; raises OutputError for an index of anything else."""
     if not os.path.lexists(folder / INDEX):
         return set()
     try:
@@ -430,7 +436,7 @@ def _files_there(folder: Path) -> set[str]:
 
 
 def _free_name(part: str, taken: set[str]) -> str:
-    """Return a file's name for a part, that no file has, whether or not the system tells case apart."""
+    """Return an unused file name for a part, also where the system ignores case."""
     base = re.sub(r"[^A-Za-z0-9._-]+", "-", part)[:_LONGEST_NAME].strip("-.") or "part"
     if _RESERVED.match(base):
         base = f"part-{base}"

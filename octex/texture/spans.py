@@ -1,4 +1,4 @@
-"""What lookups read of a texture: rows of its arrays, and where these lie in its file."""
+"""The rows of a texture's arrays that lookups read, and their bytes in its file."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ class Rows:
     """Gathers the rows of arrays that are read."""
 
     def rows(self, array: Array, rows: Array) -> None:
-        """Add some rows of an array that it has."""
+        """Add rows of an array."""
         raise NotImplementedError
 
     def nodes(self, groups: Array, nodes: Int64s) -> None:
-        """Add the groups of some nodes."""
+        """Add the groups of nodes."""
         self.rows(groups, nodes >> 3)
 
     def until(self, array: Array, end: int) -> None:
@@ -54,7 +54,7 @@ class Spans(Rows):
         self._is_read[: -(-header_length(mapping) // block_size)] = True
 
     def rows(self, array: Array, rows: Array) -> None:
-        """Add rows of an array that it has, unless it is no view of the file."""
+        """Add rows of an array, unless it is no view of the file."""
         offset = array.ctypes.data - self._first
         rows = rows[(rows >= 0) & (rows < len(array))]
         if array.size and 0 <= offset < self._size and rows.size:
@@ -72,7 +72,7 @@ class Spans(Rows):
             self._is_read[offset // self._block : (offset + end * length - 1) // self._block + 1] = True
 
     def ranges(self) -> Int64s:
-        """Return where runs of blocks begin and end (n, 2), in order."""
+        """Return begins and ends of runs of blocks (n, 2), in order."""
         changes = np.flatnonzero(np.diff(self._is_read, prepend=False, append=False))
         return np.minimum(changes.reshape(-1, 2) * self._block, self._size)
 
@@ -80,11 +80,11 @@ class Spans(Rows):
 def lookup_reads(
     texture: OctreeTexture, question: Question, *, cells_alone: bool = False
 ) -> dict[str, dict[int, Reads]]:
-    """Return what lookups read of each channel, by level.
+    """Return the reads of lookups by channel and level.
 
-    With ``cells_alone`` only the cells that hold points, as far as no content of the tree changes them.
+    With ``cells_alone`` only the cells that hold points, as far as the tree's content does not change them.
     """
-    given, channel, lens = question
+    inputs, channel, lens = question
     names: list[Any] = list(channel) if isinstance(channel, (list, tuple)) else [channel]
     for name in names:
         as_choice(name, texture.channels, "channel")
@@ -93,23 +93,23 @@ def lookup_reads(
         list_reads = partial(texture._lookups.list_reads, name, lens, cells_alone)
         found[name] = joined_reads(
             dict(zip(levels.tolist(), map(Reads, arrays[::2], arrays[1::2]), strict=True))
-            for _, (levels, *arrays) in each_block(given, [], list_reads, Run(threads=1))
+            for _, (levels, *arrays) in each_block(inputs, [], list_reads, Run(threads=1))
         )
     return found
 
 
 def cells_of(reads: Iterable[Mapping[int, Reads]]) -> dict[int, Int64s]:
-    """Return the cells of each level that lookups of some channels look at."""
+    """Return the cells of each level that lookups of channels read."""
     return {level: read.cells for level, read in joined_reads(reads).items()}
 
 
 def nodes_read(tree: Octree, cells: Mapping[int, Int64s], filter: str) -> Iterator[Int64s]:
-    """Yield the nodes that lookups at points in some cells read, level by level.
+    """Yield the nodes that lookups at points in cells read, level by level.
 
-    ``cells`` are ascending Morton codes by level. Of a tree with tiles these are all nodes of the levels from
-    which every search begins, then those whose cells touch one that holds a point, and their siblings: a word
-    of a tile is made of all children of a node. Of other trees all nodes are read. Which they are of a level
-    is read in those above when it is asked for.
+    ``cells`` are ascending Morton codes by level. Of a tree with tiles these are all nodes of the levels
+    where every search begins, then those whose cells touch one that holds a point, and their siblings, as a
+    word of a tile has all children of a node. Of other trees all nodes are read. A level is determined by the
+    groups of the levels above, when the next item is requested.
     """
     deepest = max((level for level, held in cells.items() if held.size), default=0)
     firsts = tree.arrays.level_nodes
@@ -138,7 +138,7 @@ def nodes_read(tree: Octree, cells: Mapping[int, Int64s], filter: str) -> Iterat
 
 
 def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, Int64s, Int64s]:
-    """Return the child nodes of some nodes: whose they are, 0 …, their Morton codes, and their numbers."""
+    """Return the child nodes of nodes: the index of each parent, their Morton codes, and their numbers."""
     groups = tree.arrays.groups
     masks = (groups[nodes >> 3, 0] >> (8 * (nodes & 7)).astype(np.uint64)).astype(np.uint8)
     parents, octants = np.nonzero(np.unpackbits(masks[:, None], axis=1, bitorder="little"))
@@ -151,10 +151,10 @@ def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, In
 def add_reads(
     texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], question: Question, spans: Rows
 ) -> None:
-    """Add the rows that lookups read, but for the groups of nodes."""
+    """Add the rows that lookups read, except the groups of nodes."""
     alpha = [] if texture._lookups.rows_of()[1] is None else [texture.channels["alpha"]]
-    by_facing = "normals" in question.given
-    is_ruled = not by_facing and question.lens.has_footprints(question.given)  # by the bleed threshold
+    by_facing = "normals" in question.inputs
+    is_ruled = not by_facing and question.lens.has_footprints(question.inputs)  # by the bleed threshold
     for name, levels in reads.items():
         rows = {level: read.rows for level, read in levels.items()}
         _add_channel(spans, texture.tree, [texture.channels[name], *alpha], rows, by_facing, is_ruled)
@@ -168,9 +168,9 @@ def _add_channel(
     by_facing: bool,
     is_ruled: bool,
 ) -> None:
-    """Add what lookups of a channel read, by the level looked at; ``channels`` are that one, and alpha.
+    """Add the reads of a channel's lookups, by level; ``channels`` are that one, and alpha.
 
-    Where there are normals, all rows of a split cell are added: which of them are read, its flags say.
+    With normals all rows of a split cell are added: its flags, read later, select some of them.
     """
     arrays, split, kept = tree.arrays, tree.split, tree.kept
     for array in arrays.level_cells, arrays.level_nodes, kept.cells:

@@ -1,4 +1,4 @@
-"""OctreeTexture: a tree, channels of values and a placement; what everything else meets."""
+"""OctreeTexture: a tree, channels of values and a placement."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from octex.texture.lookup import (
     LEAST_SORTED,
     Answers,
     FootprintOptions,
-    Given,
+    Inputs,
     LookUp,
     LookupOptions,
     Lookups,
@@ -113,7 +113,7 @@ class OctreeTexture:
         return self._over(tree, as_channels(channels, tree), Source())
 
     def _over(self, tree: Octree, channels: Mapping[str, Channel], source: Source) -> OctreeTexture:
-        """Return a texture like ``with_cells``, of parts that are known to fit together."""
+        """Return a texture like ``with_cells``, of parts that fit together."""
         made = object.__new__(OctreeTexture)
         made.placement, made.bounds, made.metadata = self.placement, self.bounds, self.metadata
         made._hold(tree, channels, source)
@@ -246,16 +246,16 @@ class OctreeTexture:
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         look = {"anisotropy": anisotropy, "blur": blur, "sharpness": sharpness}
         shape = width, normals, dPdx, dPdy
-        lens, given = asked(points, filter, gradient, *shape, bleed_threshold=bleed_threshold, **look)
-        answers = Answers(self._lookups.components, channel, given, gradient, out)
+        lens, inputs = asked(points, filter, gradient, *shape, bleed_threshold=bleed_threshold, **look)
+        answers = Answers(self._lookups.components, channel, inputs, gradient, out)
         here = self
         if self.source.path:  # not memory
-            here = self.source.prepare(self, len(given["points"]), lambda: Question(given, channel, lens))
+            here = self.source.prepare(self, len(inputs["points"]), lambda: Question(inputs, channel, lens))
         lookups = here._lookups
         look_up: LookUp = partial(lookups.look_up, answers.channels, lens, normalize)
         how = DEFAULT if threads is None and run is None else as_run(run, threads)
-        task = given, answers.arrays, look_up, how
-        is_crowded = given.keys() <= {"points", "normals"} and lookups.field.tiles is None
+        task = inputs, answers.arrays, look_up, how
+        is_crowded = inputs.keys() <= {"points", "normals"} and lookups.field.tiles is None
         if is_crowded:
             lookups.field.tiles_for(FILTERS.index(filter))
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
@@ -293,10 +293,10 @@ class OctreeTexture:
 
         Raises ArgumentError as ``sample`` does.
         """
-        lens, given = asked(points, filter, **options)
+        lens, inputs = asked(points, filter, **options)
         as_choice(channel, self.channels, "channel")
-        here = self.source.prepare(self, len(given["points"]), lambda: Question(given, channel, lens))
-        blocks = each_block(given, [], partial(here._lookups.list_taps, channel, lens), as_run(run, threads))
+        here = self.source.prepare(self, len(inputs["points"]), lambda: Question(inputs, channel, lens))
+        blocks = each_block(inputs, [], partial(here._lookups.list_taps, channel, lens), as_run(run, threads))
         starts, rows, weights, *_ = joined([Listed(*found) for _, found in blocks])
         return TapList(starts, rows.astype(np.int64), weights)
 
@@ -335,8 +335,8 @@ class OctreeTexture:
         mapping = self.source.here(self).source.mapping
         if mapping is None:
             raise ArgumentError("the texture has no file: save it and open that")
-        lens, given = asked(points, filter, **options)
-        question = Question(given, channel, lens)
+        lens, inputs = asked(points, filter, **options)
+        question = Question(inputs, channel, lens)
         here = self.source.prepare(self, 0, lambda: question)
         spans, reads = Spans(mapping, block_size), lookup_reads(here, question)
         for nodes in nodes_read(here.tree, cells_of(reads.values()), filter):
@@ -355,10 +355,10 @@ class OctreeTexture:
 
         ``run`` says how to work (octex.Run). Raises ArgumentError for positions that are not finite (n, 3).
         """
-        given: Given = {"points": placed(points)[0]}
-        inside = np.empty(len(given["points"]), np.bool_)
-        here = self.source.prepare(self, len(inside), lambda: Question(given))
-        in_blocks(given, [inside], here._lookups.hold, as_run(run, threads))
+        inputs: Inputs = {"points": placed(points)[0]}
+        inside = np.empty(len(inputs["points"]), np.bool_)
+        here = self.source.prepare(self, len(inside), lambda: Question(inputs))
+        in_blocks(inputs, [inside], here._lookups.hold, as_run(run, threads))
         return inside
 
     def level(self, level: int) -> OctreeTexture:
@@ -424,7 +424,7 @@ class OctreeTexture:
 
 
 def as_metadata(metadata: Mapping[str, str] | None) -> dict[str, str]:
-    """Return provenance, or raise ArgumentError for what is no text by name."""
+    """Return provenance, or raise ArgumentError for anything but strings by name."""
     found = {} if metadata is None else metadata
     if not isinstance(found, Mapping) or not all(
         isinstance(text, str) for pair in found.items() for text in pair
@@ -441,7 +441,7 @@ def as_texture(texture: OctreeTexture, name: str = "texture") -> OctreeTexture:
 
 
 def opened(source: Source) -> OctreeTexture:
-    """Take a texture out of a source, which keeps what octex does not know."""
+    """Make a texture of a source, which retains unknown entries."""
     try:
         texture = OctreeTexture(*taken(source.tensors, source.metadata))
     except InputError as error:

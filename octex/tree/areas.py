@@ -1,7 +1,7 @@
-"""What the codes of areas say, and what says areas; see layout.
+"""Codes of areas; see layout.
 
-A code is of the area relative to its own cell's edge squared, "in cell faces": a child's face is a quarter of
-its node's.
+A code is of the area relative to its cell's edge squared, "in cell faces": a child's face is a quarter of its
+node's.
 """
 
 from __future__ import annotations
@@ -50,6 +50,6 @@ def _write_codes(areas: Float64s, codes: Uint8s) -> None:
 
 
 def shared_codes(codes: Uint8s, parts: npt.ArrayLike) -> Uint8s:
-    """Return the codes of areas (n,) that are divided evenly into so many parts, each 1 at least."""
+    """Return the codes of areas (n,) divided evenly into ``parts``, each 1 at least."""
     steps = np.rint(codes - AREA_STEPS * np.log2(np.maximum(parts, 1)))
     return np.where(codes > 0, np.clip(steps, 1, 255), 0).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Cells beside others, at faces, edges and corners: gathered as bits of blocks of 4³ cells, unsorted."""
+"""Neighbouring cells, across faces, edges and corners: gathered as bits of blocks of 4³ cells, unsorted."""
 
 from __future__ import annotations
 
@@ -19,16 +19,13 @@ _FIRST_PLACES = np.array(
 
 
 def boundary(codes: Int64s, level: int) -> Int64s:
-    """Return the boundary layer of some cells of a level, ascending (paper 4.1, step 3).
-
-    These are the cells beside them, without themselves. Codes given ascend, here and below.
-    """
+    """Return the neighbours of cells of a level, without these (paper 4.1, step 3). All codes here ascend."""
     around = with_boundary(codes, level)
     return around[~among(around, codes)]
 
 
 def with_boundary(codes: Int64s, level: int) -> Int64s:
-    """Return some cells of a level with their boundary layer, ascending."""
+    """Return cells of a level with their neighbours."""
     if not codes.size:
         return codes
     above = max(level - 2, 0)  # of few blocks all
@@ -40,7 +37,7 @@ def with_boundary(codes: Int64s, level: int) -> Int64s:
 
 
 def near(codes: Int64s, others: Int64s, level: int) -> Bools:
-    """Say which cells (n,) of a level are among others, or beside some."""
+    """Return which cells (n,) of a level are among others, or neighbours of them."""
     if not codes.size or not others.size:
         return np.zeros(codes.size, np.bool_)
     blocks = distinct(codes >> 6)
@@ -49,7 +46,7 @@ def near(codes: Int64s, others: Int64s, level: int) -> Bools:
 
 
 def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
-    """Say which cells of a level are among others, given level by level, or lie in larger ones of them."""
+    """Return which cells of a level are among cells listed level by level, or lie in larger ones of them."""
     found = np.zeros(codes.size, np.bool_)
     for above, own in enumerate(cells[: level + 1]):
         if own.size:
@@ -58,7 +55,7 @@ def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
 
 
 def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
-    """Say which cells (n,) of a level have some of leaves, given by level, in or beside them."""
+    """Return which cells (n,) of a level contain or neighbour any leaf, listed by level."""
     if not codes.size:
         return np.zeros(0, np.bool_)
     around = with_boundary(codes, level)
@@ -71,7 +68,7 @@ def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
 
 
 def _masks_around(codes: Int64s, level: int, blocks: Int64s) -> Uint64s:
-    """Return for each of blocks (n,), ascending, the bits of its cells that are among some, or beside."""
+    """Return for each block (n,) the bits of its cells that are among ``codes`` or their neighbours."""
     masks = np.zeros(blocks.size, np.uint64)
     _gather(np.ascontiguousarray(codes), level, blocks, masks)
     return masks
@@ -123,14 +120,14 @@ def _gather(codes: Int64s, level: int, blocks: Int64s, masks: Uint64s) -> None:
 
 @inlined
 def _slot(code: int, bits: int) -> int:
-    """Return where a table of 2^bits slots has a code, or the next ones do; near codes come far apart."""
+    """Return the hash of a code in a table of 2^bits slots; near codes lie far apart."""
     last = (1 << bits) - 1
     return ((code ^ code >> bits ^ code >> 2 * bits) & last) * 0x9E3779B1 & last
 
 
 @inlined
 def _widened(mask: np.uint64, axis: int) -> tuple[np.uint64, np.uint64, np.uint64]:
-    """Return cells of a block, as bits, with those beside them along an axis: before, in and after it."""
+    """Return a block's cells, as bits, with neighbours along an axis: before, in and after the block."""
     step = np.uint64(1 << axis)  # from an even place to the next
     carry, across = np.uint64(7) * step, np.uint64(9) * step  # from an odd one; from the last to the first
     first, second = mask & _FIRST_PLACES[axis], mask >> step & _FIRST_PLACES[axis]

@@ -11,9 +11,9 @@ from octex.tree.layout import FACING_FLAGS, TreeArrays
 
 @inlined
 def children(groups: Uint64s, node: int) -> tuple[np.uint64, np.uint64, int, int]:
-    """Return which children of a node are nodes, which are stored, a bit for each, and the first of both.
+    """Return a node's child nodes and stored children, as bits, and the first of both.
 
-    A number that no group has is taken for the nearest that one has.
+    A number beyond the groups is clamped.
     """
     group = np.uint64(min(max(node >> 3, 0), groups.shape[0] - 1))
     shift = np.uint64(8 * (node & 7))
@@ -36,18 +36,18 @@ def children_before(groups: Uint64s, nodes: Int64s) -> tuple[Int64s, Int64s]:
 
 
 def children_of(groups: Uint64s, nodes: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the first child of nodes (n,), given by their numbers among nodes, and how many each has."""
+    """Return the first child of nodes (n,), by node number, and their numbers of children."""
     firsts = children_before(groups, nodes)[0]
     return firsts, children_before(groups, nodes + 1)[0] - firsts
 
 
 def masks_of(groups: Uint64s, word: int) -> Uint8s:
-    """Return a byte for each node: which of its children are nodes (word 0), or leaves (word 1)."""
+    """Return a byte for each node: its children that are nodes (word 0), or leaves (word 1)."""
     return np.ascontiguousarray(groups[:, word]).astype("<u8", copy=False).view(np.uint8)
 
 
 def groups_of(masks: Uint8s) -> Uint64s:
-    """Return the groups of nodes by their masks, as `masks_of` returns them (2, a multiple of 8)."""
+    """Return the groups for masks of nodes (2, a multiple of 8), as `masks_of` returns them."""
     groups = np.zeros((masks.shape[1] // 8, 3), np.uint64)
     for word in range(2):
         groups[:, word] = masks[word].view("<u8")
@@ -74,7 +74,7 @@ def rank(groups: Uint64s) -> None:
 
 @kernel
 def gather_facings(groups: Uint64s, cells: Int64s, flags: Uint8s, made: Uint8s) -> None:
-    """Write to ``made``, which may be ``flags``, the facings of nodes' children as those of the nodes."""
+    """Write the facings of nodes, those of their children, to ``made``, which may be ``flags``."""
     end = flags.size
     for node in range(cells.size - 1, -1, -1):
         _, stored, _, _ = children(groups, node)

@@ -62,7 +62,7 @@ AREA_ONE = 207
 
 
 class TreeArrays(NamedTuple):
-    """An octree as kernels see it."""
+    """An octree as kernels read it."""
 
     groups: Uint64s  # (⌈nodes / 8⌉, 3)   24 bytes for eight nodes
     level_cells: Int64s  # (max_depth + 2,)   first cell of each level, then the number of cells
@@ -75,8 +75,8 @@ class SplitTable(NamedTuple):
     """Values per facing of the cells flagged SPLIT.
 
     A split cell has a row for each of its facings, cell after cell, in the order of the facings' bits. The
-    rows' values stand in the channels, row for row: a node's are means over the surface in it that faces so,
-    a leaf's what lookups with normals blend in its place.
+    channels have these rows' values. A node's are means over the surface of that facing; a leaf's are what
+    lookups with normals blend instead of the cell's value.
     """
 
     cells: Uint32s  # (split cells,)   ascending
@@ -85,6 +85,6 @@ class SplitTable(NamedTuple):
 
 
 class KeptTable(NamedTuple):
-    """The nodes flagged KEPT; their coefficients stand in the channels, row for row."""
+    """The nodes flagged KEPT; the channels have their coefficients, row for row."""
 
     cells: Uint32s  # (kept nodes,)   ascending

@@ -25,7 +25,7 @@ def spread(value: int) -> int:
 
 @part
 def gather(code: int) -> int:
-    """Undo spread: collect every third bit, from bit 0 on."""
+    """Collect every third bit, from bit 0 on: the inverse of spread."""
     value = code & 0x1249249249249249
     value = (value | value >> 2) & 0x10C30C30C30C30C3
     value = (value | value >> 4) & 0x100F00F00F00F00F

@@ -1,11 +1,11 @@
-"""Which way the surface in a leaf faces, estimated from the stored tree alone.
+"""The normal of the surface in a leaf, estimated from the stored tree alone.
 
 The normal is the direction in which the leaf's surroundings spread least: the eigenvector of the smallest
 eigenvalue of the covariance of the cells' centres (Hoppe et al. 1992), weighted by the area in each cell and
-by (1 − r²/R²), R = 4 edges of the leaf. The normal flags decide between its two ends, and stand in for it
-where the surroundings have no direction.
+by (1 − r²/R²), R = 4 edges of the leaf. The normal flags select one of its two ends, and replace it where the
+surroundings have no direction.
 
-On a sphere the error has a median of 0.2° and a 99th percentile of 7°; it is largest where the surface runs
+On a sphere the error has a median of 0.2° and a 99th percentile of 7°. It is largest where the surface runs
 so nearly along an axis that no step of the cells lies within reach.
 """
 
@@ -38,10 +38,10 @@ def estimate_normals(
     codes: Int64s,
     depths: Uint8s,
 ) -> Float32s:
-    """Estimate unit normals (n, 3) of cells given by number, Morton code and depth; fastest in Morton order.
+    """Estimate unit normals (n, 3) of cells by number, Morton code and depth; fastest in Morton order.
 
-    They point outward as the cells' flags say. Where a cell has none, the sign is arbitrary; where a sheet is
-    flagged on both sides, its first facing decides.
+    They point outward as the cells' flags tell. Without flags the sign is arbitrary; with flags on both sides
+    the first facing decides.
     """
     normals = np.empty((len(cells), 3), np.float32)
     _estimate(tree, cells, codes, depths, normals)
@@ -76,7 +76,7 @@ def _estimate(
 
 @kernel
 def _facing_sum(flags: int) -> tuple[float, float, float]:
-    """Sum the axis directions that the flags name."""
+    """Sum the axis directions of flags."""
     x = (flags & 1) - (flags >> 1 & 1)
     y = (flags >> 2 & 1) - (flags >> 3 & 1)
     z = (flags >> 4 & 1) - (flags >> 5 & 1)
@@ -145,10 +145,7 @@ def _add_up(
     around_flags: Int64s,
     moments: Float64s,
 ) -> None:
-    """Sum w, w·p and w·p·pᵀ over the cells around one, p from its centre.
-
-    Cells that face only the other way belong to another surface: the far side of a sheet.
-    """
+    """Sum w, w·p and w·p·pᵀ over cells around one, p from its centre, without the far side of a thin part."""
     own = flags | ~int(np.int64(OPPOSITE[flags]))
     i, j, k = decode(code)
     w_sum = wx_sum = wy_sum = wz_sum = xx = yy = zz = xy = xz = yz = 0.0
@@ -216,7 +213,7 @@ def _flattest(moments: Float64s) -> tuple[float, float, float]:
 
 @kernel
 def _choose(nx: float, ny: float, nz: float, flags: int) -> tuple[float, float, float]:
-    """Turn the estimate to the side of the flags' sum, or take the sum itself if they do not agree."""
+    """Turn the estimate to the side of the flags' sum, or take the sum itself if they disagree."""
     x, y, z = _facing_sum(flags)
     least = _LEAST_AGREEMENT
     if x == 0.0 and y == 0.0 and z == 0.0:  # both sides of each axis: the first stands for all

@@ -1,4 +1,4 @@
-"""The octree: built from leaves, never changed afterwards."""
+"""The octree: built from leaves, immutable; and its leaves in Morton order."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Octree:
     Every cell is a leaf or a node. Two trees have one cell only: the root as a leaf (no nodes), and the empty
     tree (the root as a node without children).
 
-    Raises ArgumentError if the arrays' types, lengths and levels do not fit together; what the structure says
-    is checked by ``validate``.
+    Raises ArgumentError if types, lengths and levels of the arrays do not fit together; ``validate`` checks
+    their content.
     """
 
     __slots__ = ("arrays", "kept", "level_cells", "level_nodes", "split")
@@ -165,7 +165,7 @@ class Octree:
         return self.walked_to(level)[0]
 
     def is_node(self, level: int) -> Bools:
-        """Say of each cell of a level whether it is a node. Raises ArgumentError if there is none such."""
+        """Return which cells of a level are nodes. Raises ArgumentError if there is no such level."""
         return self.walked_to(level)[1]
 
     def leaves(self, level: int) -> Int64s:
@@ -178,16 +178,16 @@ class Octree:
         return np.flatnonzero(~is_node)
 
     def walked_to(self, level: int) -> tuple[Int64s, Bools]:
-        """Return what ``walk`` yields for a level. Raises ArgumentError if there is none such."""
+        """Return the item of ``walk`` for a level. Raises ArgumentError if there is no such level."""
         if as_depth(level, "level") > self.max_depth:
             raise ArgumentError(f"there is no level {level}: the deepest is {self.max_depth}")
         return next(islice(self.walk(), level, None))
 
     def truncated(self, level: int) -> Octree:
-        """Return the tree of levels 0 … ``level``; nodes at ``level`` become leaves, which keep nothing.
+        """Return the tree of levels 0 … ``level``; nodes there become leaves without kept coefficients.
 
-        The groups of the nodes above are copied, and the flags if a kept node becomes a leaf; all else is a
-        view; nothing deeper is read.
+        Copies the groups of the nodes above, and the flags if a kept node becomes a leaf; all else is a view.
+        Nothing deeper is read.
         """
         if as_depth(level, "level") >= self.max_depth:
             return self
@@ -219,7 +219,7 @@ class Octree:
         )
 
     def validate(self) -> None:
-        """Prove that the arrays are an octree, or raise TextureFileError naming the broken invariant."""
+        """Check that the arrays form an octree; raise TextureFileError for the first fault."""
         check_meaning(self.arrays, self.split, self.kept)
 
 
@@ -234,7 +234,7 @@ def _whole(numbers: npt.ArrayLike, name: str) -> Array:
 
 
 def count_before(cells: Uint32s, end: int) -> int:
-    """Count the cells before ``end``, without a look at the far end of a large file."""
+    """Count the cells before ``end``, without reading the far end of a large file."""
     bound = 1
     while bound < cells.size and cells[bound] < end:
         bound *= 2
@@ -244,7 +244,7 @@ def count_before(cells: Uint32s, end: int) -> int:
 def distinct(codes: Integers) -> Int64s:
     """Return codes in ascending order, each once: in a seventieth of np.unique's time.
 
-    Codes that already are, or a few runs of such, are the fastest: sorting by merging takes 1 to 6 ns each.
+    Codes in order, or in a few ordered runs, are the fastest: merge sort takes 1 to 6 ns each.
     """
     wide = np.ascontiguousarray(codes, np.int64)
     found = np.empty(wide.size, np.int64)
@@ -255,7 +255,7 @@ def distinct(codes: Integers) -> Int64s:
 
 
 def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
-    """From the deepest level up: the nodes of a level are the parents of the cells below."""
+    """Build from the deepest level up: the nodes of a level are the parents of the cells below."""
     level_nodes = np.zeros(deepest + 2, np.int64)
     level_cells = np.zeros(deepest + 2, np.int64)
     is_empty = not any(codes.size for codes in leaves_of.values())
@@ -359,7 +359,7 @@ def _cut(groups: Uint64s, first: int, end: int) -> None:
 
 @kernel
 def _children(groups: Uint64s, first: int, end: int, codes: Int64s, n_children: int) -> tuple[Int64s, Bools]:
-    """Codes of the children of nodes first … end−1, whose codes are given, and which of them are nodes."""
+    """Return the codes of the children of nodes first … end−1, from their codes, and which are nodes."""
     child_codes = np.zeros(n_children, np.int64)
     is_node = np.zeros(n_children, np.bool_)
     n = 0
@@ -375,7 +375,7 @@ def _children(groups: Uint64s, first: int, end: int, codes: Int64s, n_children: 
 
 
 class Leaves(NamedTuple):
-    """Some leaves: their cell numbers, their Morton codes and their depths."""
+    """Leaves: their cell numbers, Morton codes and depths."""
 
     cells: Int64s
     codes: Int64s
@@ -383,9 +383,9 @@ class Leaves(NamedTuple):
 
 
 def walk_leaves(arrays: TreeArrays, block: int = 1 << 16) -> Iterator[Leaves]:
-    """Yield all leaves in Morton order, at most ``block`` at once; needs no memory beyond a block.
+    """Yield all leaves in Morton order, at most ``block`` at once, in the memory of one block.
 
-    Damaged arrays yield at most as many leaves as they claim to have.
+    Damaged arrays yield at most as many leaves as their counts.
     """
     left = int(arrays.level_cells[-1] - arrays.level_nodes[-1])
     if arrays.level_nodes[-1] == 0:
@@ -411,9 +411,9 @@ def _next_leaves(
     codes: Int64s,
     depths: Uint8s,
 ) -> int:
-    """Go on with a walk until ``cells`` is full; return the number found.
+    """Continue a walk until ``cells`` is full; return the number found.
 
-    ``path`` holds (node, its code, its next octant) for each level down to where the walk is; its last row is
+    ``path`` holds (node, its code, its next octant) for each level down to the walk's place. Its last row is
     that level, or −1 at the end, and the number of nodes entered.
     """
     level, entered = path[-1, 0], path[-1, 1]

@@ -29,7 +29,7 @@ class Placement(NamedTuple):
 
     @classmethod
     def checked(cls, placement: Placement) -> Placement:
-        """Return a placement of plain numbers, or raise ArgumentError for what is none, or out of range."""
+        """Return a placement of plain numbers, or raise ArgumentError for anything else, or out of range."""
         if not isinstance(placement, Placement):
             raise ArgumentError(f"placement must be a Placement, not {placement!r}")
         x, y, z = as_reals(placement.origin, "the corner of the root cell", (3,)).tolist()
@@ -39,11 +39,11 @@ class Placement(NamedTuple):
 
     @classmethod
     def around(cls, bounds: npt.ArrayLike, depth: int) -> Placement:
-        """Fit a root cell of ``depth`` levels around ``bounds`` (2, 3) with as small a margin as is safe.
+        """Fit a root cell of ``depth`` levels around ``bounds`` (2, 3) with the smallest safe margin.
 
-        The longest side takes 2ᵈ − 3 finest cells (of depth 2 at least), so every side keeps a margin of at
-        least one of them. Raises ArgumentError for bounds that are not finite, out of order, or so far out or
-        so close together that the root cell is out of range.
+        The longest side takes 2ᵈ − 3 finest cells (of depth 2 at least), so every side has a margin of at
+        least one of them. Raises ArgumentError for bounds that are not finite, out of order, or too far out
+        or too close together.
         """
         bounds, extent = _checked(bounds)
         cells = 1 << max(as_depth(depth), 2)
@@ -51,7 +51,7 @@ class Placement(NamedTuple):
 
     @classmethod
     def with_cell(cls, bounds: npt.ArrayLike, cell: float) -> tuple[Placement, int]:
-        """Fit a root cell around ``bounds`` (2, 3) whose finest cells have the edge ``cell``; also the depth.
+        """Fit a root cell around ``bounds`` (2, 3) whose finest cells have the edge ``cell``, and the depth.
 
         Raises ArgumentError if that takes more than 21 levels.
         """
@@ -93,9 +93,9 @@ class Placement(NamedTuple):
 
 
 def on_grid(rest: npt.ArrayLike, placement: Placement) -> Int32s:
-    """Round rest positions (n, 3) to steps of 2⁻³⁰ of the root's edge, clamped into it.
+    """Round finite rest positions (n, 3) to steps of 2⁻³⁰ of the root's edge, clamped into it.
 
-    Shifted right by 30 − depth they are the cells that lookups find. Positions must be finite.
+    Shifted right by 30 − depth they are the cells that lookups find.
     """
     steps = placement.to_texture_space(rest)
     steps *= 1 << GRID_BITS

@@ -1,8 +1,11 @@
-"""The stored cell at a point, or nearest to it.
+"""The stored cell at a point, or nearest to it; and points in Morton order.
 
 Points are cast once to fixed point, rounded to 30 bits an axis and cut to 21; the descent then reads an
-octant a level. Every index is clamped and every descent bounded, so that no content of the arrays makes a
-kernel read outside them.
+octant a level. Every index is clamped and every descent bounded, so that damaged arrays cannot make a kernel
+read outside them.
+
+Many points that lie close together share most of what a lookup reads. They are sorted first by coarse cells,
+so that blocks are compact; then by fine ones in each block.
 """
 
 from __future__ import annotations
@@ -39,13 +42,13 @@ class Positions(NamedTuple):
 
 @inlined
 def count_of(points: Positions) -> int:
-    """Return how many points there are."""
+    """Return the number of points."""
     return len(points.singles) + len(points.doubles)
 
 
 @inlined
 def position(points: Positions, n: int | np.uint64) -> tuple[float, float, float]:
-    """Return where a point is."""
+    """Return a point."""
     if len(points.singles) > 0:
         rows = points.singles
         return np.float64(rows[n, 0]), np.float64(rows[n, 1]), np.float64(rows[n, 2])
@@ -54,10 +57,10 @@ def position(points: Positions, n: int | np.uint64) -> tuple[float, float, float
 
 @inlined
 def placed(x: float, y: float, z: float, origin: Origin, inverse: float) -> tuple[Any, Any, Any]:
-    """Return where a rest position lies in texture space; ``inverse`` is 1 / the root cell's edge.
+    """Return a rest position in texture space; ``inverse`` is 1 / the root cell's edge.
 
-    All that places points does it so, and `Placement.to_texture_space` too: dividing by the edge, some points
-    between two steps of fixed point would be rounded to the other.
+    All code places points by this formula, `Placement.to_texture_space` too: a division by the edge would
+    round some points between two fixed-point steps to the other one.
     """
     return (x - origin[0]) * inverse, (y - origin[1]) * inverse, (z - origin[2]) * inverse
 
@@ -66,7 +69,7 @@ def placed(x: float, y: float, z: float, origin: Origin, inverse: float) -> tupl
 def finite_place(
     points: Positions, n: int, origin: Origin, inverse: float
 ) -> tuple[bool, float, float, float]:
-    """Say whether a rest position is finite, and where it lies in texture space."""
+    """Return whether a rest position is finite, and its place in texture space."""
     x, y, z = position(points, n)
     is_finite = abs(x) < np.inf and abs(y) < np.inf and abs(z) < np.inf
     x, y, z = placed(x, y, z, origin, inverse)
@@ -75,13 +78,13 @@ def finite_place(
 
 @inlined
 def fixed(coordinate: float) -> int:
-    """Fixed-point position, 0 … 2²¹ − 1, of a coordinate 0 … 1 of texture space."""
+    """Return the fixed-point position, 0 … 2²¹ − 1, of a coordinate 0 … 1 of texture space."""
     return min(int(coordinate * (1 << GRID_BITS) + 0.5) >> (GRID_BITS - MAX_DEPTH), UNITS - 1)
 
 
 @inlined
 def child(arrays: TreeArrays, node: int, octant: int) -> tuple[int, int]:
-    """Cell and node number of a node's child: cell −1 if there is none, node −1 if it is a leaf."""
+    """Return the cell and node number of a node's child: cell −1 for no child, node −1 for a leaf."""
     nodes, cells, first_node, first_cell = children(arrays.groups, node)
     bit = np.uint64(1) << np.uint64(octant)
     if cells & bit == 0:
@@ -94,7 +97,7 @@ def child(arrays: TreeArrays, node: int, octant: int) -> tuple[int, int]:
 
 
 class Scratch(NamedTuple):
-    """What the kernels for many points remember from one point to the next, and where they work."""
+    """The memory of kernels from one point to the next."""
 
     path: Int64s  # (22,)   the node at each level above the previous point
     previous: Int64s  # (4,)   the previous position, and the last level of the path
@@ -105,7 +108,7 @@ class Scratch(NamedTuple):
 
 @kernel
 def new_scratch(arrays: TreeArrays) -> Scratch:
-    """Return a scratch whose path is the root's."""
+    """Return a scratch with the root as its path."""
     path = np.full(MAX_DEPTH + 1, -1, np.int64)
     path[0] = 0 if arrays.groups.shape[0] > 0 else -1
     return Scratch(
@@ -119,9 +122,10 @@ def new_scratch(arrays: TreeArrays) -> Scratch:
 
 @inlined
 def find_leaf(arrays: TreeArrays, i: int, j: int, k: int, scratch: Scratch) -> int:
-    """Leaf that holds the fixed-point position (i, j, k), 0 … 2²¹ − 1, or −1.
+    """Return the leaf that holds the fixed-point position (i, j, k), 0 … 2²¹ − 1, or −1.
 
-    Starts at the deepest node shared with the previous position: neighbours in an image share most levels.
+    The descent starts at the deepest node shared with the previous position: neighbours in an image share
+    most.
     """
     path, previous = scratch.path, scratch.previous
     difference = (i ^ previous[0]) | (j ^ previous[1]) | (k ^ previous[2])
@@ -144,9 +148,7 @@ def find_leaf(arrays: TreeArrays, i: int, j: int, k: int, scratch: Scratch) -> i
 
 @inlined
 def nearest_cell(arrays: TreeArrays, x: float, y: float, z: float, scratch: Scratch) -> tuple[int, bool]:
-    """Find the leaf that holds a point of texture space, else the stored cell nearest to it.
-
-    Returns its number, and whether it is a leaf that holds the point.
+    """Return the leaf that holds a point of texture space, else the nearest cell; and which of both it is.
 
     The point is first clamped into the root. Where no leaf holds it, the level is the deepest at which any of
     the 27 cells around it is stored, or lies in a leaf of a level above, whose box then counts. The nearest
@@ -164,7 +166,7 @@ def nearest_cell(arrays: TreeArrays, x: float, y: float, z: float, scratch: Scra
 def _nearest_neighbor(
     arrays: TreeArrays, x: float, y: float, z: float, i: int, j: int, k: int, scratch: Scratch
 ) -> int:
-    """Find the nearest stored cell of the 27 around a position, at the deepest level that has one there.
+    """Return the nearest stored cell of the 27 around a position, at the deepest level that has one there.
 
     The parents of 27 cells are 2×2×2. Only these are followed down from the root, each level from the one
     above (paper 3.4, after Kobbelt et al. 1997).
@@ -197,7 +199,7 @@ def _nearest_neighbor(
 
 @inlined
 def _first(coordinate: int) -> int:
-    """Lower of the two parents of the three cells around a cell."""
+    """Return the lower of the two parents of the three cells around a cell."""
     return coordinate - 1 >> 1
 
 
@@ -205,7 +207,7 @@ def _first(coordinate: int) -> int:
 def _grandchild(
     arrays: TreeArrays, scratch: Scratch, level: int, u: int, v: int, w: int
 ) -> tuple[int, int, int]:
-    """Cell, node and level at place (u, v, w), 0 … 3, among the children of the 2×2×2 cells of a level."""
+    """Return cell, node and level at (u, v, w), 0 … 3, among the children of the 2×2×2 cells of a level."""
     parent = u >> 1 | v >> 1 << 1 | w >> 1 << 2
     node = int(scratch.nodes[level, parent])
     if node < 0:  # a leaf, which stands for its children too, or nothing
@@ -249,7 +251,7 @@ def _nearest_of_27(
 def nearer_box(
     point: Origin, low: tuple[Any, Any, Any], size: int, least: float, least_code: Any
 ) -> tuple[bool, float, Any]:
-    """Say whether a box is nearer to a point than the nearest so far, or as near and before it.
+    """Return whether a box is nearer to a point than ``least``, or as near and first in Morton order.
 
     All in fixed point; ``low`` is the box's lowest corner. Also returns its squared distance and Morton code.
     """
@@ -264,7 +266,7 @@ def nearer_box(
 def nearest_cells(
     arrays: TreeArrays, points: Positions, origin: Origin, size: float, cells: Int64s, held: Bools
 ) -> int:
-    """Write the ``nearest_cell`` of each rest position to ``cells`` (n,), and whether it is held.
+    """Write the ``nearest_cell`` of each rest position to ``cells`` (n,), and whether it holds it.
 
     Returns the index of the first position that is not finite, where it stopped, or −1.
     """
@@ -301,7 +303,7 @@ _RUN = 8
 
 @kernel
 def keys_of(places: Float64s, level: int, bits: int) -> Int64s:
-    """Return for points of texture space (n, 3) the Morton code of their cells of a level << bits | number.
+    """Return the Morton codes of points' cells at a level << bits | their numbers, for points (n, 3).
 
     Sorting these takes a sixth of the time of numpy's argsort.
     """
@@ -316,7 +318,7 @@ def keys_of(places: Float64s, level: int, bits: int) -> Int64s:
 def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
     """Return the numbers of points by cells of the level _COARSE, in Morton order.
 
-    Returns none if they come in a like order, or are not all finite.
+    Returns none for points in a similar order already, and for points that are not all finite.
     """
     n = count_of(points)
     cells, inverse = 1 << _COARSE, 1.0 / size
@@ -349,7 +351,7 @@ def order_in_space(points: Positions, origin: Origin, size: float) -> Int32s:
 
 @kernel
 def put_rows(rows: Float32s, numbers: Int32s | Int64s, target: Float32s) -> None:
-    """Write rows (n, m) where they belong among as many others, by number."""
+    """Write rows (n, m) to their places among others, by number."""
     for n in range(numbers.size):
         prefetch(target, int(numbers[min(n + AHEAD, numbers.size - 1)]))
         at = np.uint64(numbers[n])
@@ -359,13 +361,13 @@ def put_rows(rows: Float32s, numbers: Int32s | Int64s, target: Float32s) -> None
 
 @inlined
 def cell_of(x: float, cells: int) -> int:
-    """Find the cell, of so many along an edge, that holds a coordinate 0 … 1."""
+    """Return the cell, of ``cells`` along an edge, that holds a coordinate 0 … 1."""
     return min(int(x * cells), cells - 1)
 
 
 @inlined
 def end_of_cell(keys: Int64s, begin: int, end: int, shift: int) -> int:
-    """Return the end of the keys from ``begin`` on that are alike but for so many bits."""
+    """Return the end of the keys from ``begin`` on that differ in their last ``shift`` bits only."""
     key = keys[begin] >> shift
     low, step = begin, 8
     while low + step < end and keys[low + step] >> shift == key:

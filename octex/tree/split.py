@@ -12,14 +12,14 @@ from octex.tree.layout import FACING_FLAGS, SplitTable
 
 
 class Rows(NamedTuple):
-    """Some rows, ascending."""
+    """Rows of the split table, ascending."""
 
     rows: Int64s  # (n,)
     cells: Int64s  # (n,)   whose rows they are
     bits: Uint8s  # (n,)   their facings, as flags
 
     def of(self, chosen: Bools | slice) -> Rows:
-        """Return some of them."""
+        """Select rows."""
         return Rows(self.rows[chosen], self.cells[chosen], self.bits[chosen])
 
 
@@ -32,13 +32,13 @@ def bits_of(facings: Uint8s) -> Uint8s:
 
 
 def counts_of(facings: Uint8s) -> Int64s:
-    """Return how many rows cells of some facings have."""
+    """Return the number of rows of cells with these facings."""
     counts: Int64s = bit_counts(facings & np.uint8(FACING_FLAGS)).astype(np.int64)
     return counts
 
 
 def rows_of(split: SplitTable, cells: Int64s | None = None) -> Rows:
-    """Return all rows, or those of some cells, ascending, whether they are split or not."""
+    """Return all rows, or those of the split ones among ``cells``, ascending."""
     chosen = np.arange(split.cells.size)
     if cells is not None:
         own = split.cells.astype(np.int64)
@@ -52,7 +52,7 @@ def rows_of(split: SplitTable, cells: Int64s | None = None) -> Rows:
 
 
 def find_rows(split: SplitTable, cells: Int64s, bits: Uint8s) -> tuple[Bools, Int64s]:
-    """Say which cells (n,) have a row for a facing, and which rows these are."""
+    """Return which cells (n,) have a row for a facing, and these rows."""
     if not split.cells.size:
         return np.zeros(cells.size, np.bool_), np.empty(0, np.int64)
     at = np.minimum(np.searchsorted(split.cells, cells.astype(np.uint32)), split.cells.size - 1)
@@ -63,9 +63,9 @@ def find_rows(split: SplitTable, cells: Int64s, bits: Uint8s) -> tuple[Bools, In
 
 
 def taken(split: SplitTable, numbers: Int64s) -> tuple[SplitTable, Bools]:
-    """Return the table of some of the split cells, by the numbers that they get, −1 for the others.
+    """Return the table of the split cells with new numbers, −1 for dropped ones, and their rows as a mask.
 
-    ``numbers`` (split cells,) ascend. The second are the rows (rows,) that are left.
+    ``numbers`` (split cells,) ascend.
     """
     stays = numbers >= 0
     rows = np.repeat(stays, counts_of(split.facings))
@@ -75,11 +75,11 @@ def taken(split: SplitTable, numbers: Int64s) -> tuple[SplitTable, Bools]:
 def inserted(
     split: SplitTable, cells: Int64s, facings: Uint8s, areas: Uint8s
 ) -> tuple[SplitTable, Int64s, Rows]:
-    """Return a table in which cells (n,), ascending, are split: anew if they are split already.
+    """Return a table in which ascending cells (n,) are split, again if they are already.
 
-    Rows that they had keep their areas; others get even parts of the cells' ``areas`` (n,), as codes. Also
-    returned: the order of all rows, those that stay and then those of these cells; and these, by their
-    numbers in ``split``, −1 where they are new.
+    Existing rows keep their areas; others get even parts of the cells' ``areas`` (n,), as codes. Also returns
+    the order of all rows, first the remaining ones, then those of these cells; and the latter, by their
+    numbers in ``split``, −1 for new ones.
     """
     at = np.minimum(np.searchsorted(cells, split.cells), max(cells.size - 1, 0))
     stays = cells[at] != split.cells if cells.size else np.ones(split.cells.size, np.bool_)

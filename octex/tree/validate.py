@@ -1,4 +1,4 @@
-"""What must hold: of the arrays' lengths, always; of their content, when someone asks."""
+"""Checks of an octree: of the arrays' lengths, always; of their content, on demand."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _PIECE = 1 << 20
 
 
 def check_layout(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> None:
-    """Check types, lengths and levels in O(levels): then kernels stay inside the arrays, whatever they hold.
+    """Check types, lengths and levels in O(levels): then kernels stay inside the arrays.
 
     Raises ArgumentError.
     """
@@ -74,7 +74,7 @@ def check_layout(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> None
 
 
 def check_rows(cells: int, split_rows: int, kept: int) -> None:
-    """Raise ArgumentError for more rows of values than can be numbered: cells', facings' and kept nodes'."""
+    """Raise ArgumentError for more rows of values than 32 bits number: cells', facings' and kept nodes'."""
     if cells + split_rows + kept > MAX_CELLS:
         raise ArgumentError(
             f"{cells:,} cells, {split_rows:,} rows of split cells and {kept:,} kept nodes together are more "
@@ -83,7 +83,7 @@ def check_rows(cells: int, split_rows: int, kept: int) -> None:
 
 
 def check_meaning(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> None:
-    """Check structure, flags, split table and kept nodes; raise TextureFileError naming what is broken."""
+    """Check structure, flags, split table and kept nodes; raise TextureFileError naming the fault."""
     _check_structure(arrays)
     _check_split(arrays.flags, split)
     _check_kept(arrays, kept)
@@ -98,7 +98,7 @@ def check_meaning(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> Non
 
 
 def _node_cells(arrays: TreeArrays) -> Int64s:
-    """Return the cells of the nodes that have children."""
+    """Return the cells of the nodes with children."""
     return node_cells(arrays) if arrays.level_cells.size > 2 else np.empty(0, np.int64)
 
 
@@ -144,7 +144,7 @@ def _check_kept(arrays: TreeArrays, kept: KeptTable) -> None:
 
 
 def _are_flagged(flags: Uint8s, flag: int, cells: Uint32s) -> bool:
-    """Say whether cells are all those that have a flag, in order."""
+    """Return whether cells are exactly those with a flag, in order."""
     row = 0
     for begin in range(0, flags.size, _PIECE):
         flagged = begin + np.flatnonzero(flags[begin : begin + _PIECE] & flag)
