@@ -20,10 +20,10 @@ from typing import Any
 
 from octex.parallel import Progress, cpu_count
 
-#: Of the list: what commands call, and "warm-up" what else there is.
+#: Sections of the list: kernels of commands; "warm-up" has the others.
 SECTIONS = "convert", "preview", "view", "paint", "warm-up"
 LIST = Path(__file__).with_name("signatures.txt")
-#: What code that a wheel brings along is compiled for: numba's names of a processor and its features.
+#: The target of a wheel's code: numba's names of a processor and its features.
 PORTABLE = {
     "NUMBA_CPU_NAME": "x86-64-v3",
     "NUMBA_CPU_FEATURES": "+avx,+avx2,+bmi,+bmi2,+crc32,+cx16,+f16c,+fma,+fxsr,+lzcnt,+movbe,+popcnt,+sahf,"
@@ -31,9 +31,9 @@ PORTABLE = {
 }
 #: An array's type as text: ``uint8:2C`` has two axes, in C order.
 _ARRAY = re.compile(r"(\w+):(\d+)([ACF])")
-#: Helpers at most: more would compile the same.
+#: Most helpers: more would compile the same.
 _MOST = 3
-#: What a helper runs; without the folder that the command is called in among those of modules.
+#: A helper's arguments: -P leaves the working directory out of the module path.
 _CALL = ("-P", "-c", "from octex.ahead import main; main()")
 
 

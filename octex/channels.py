@@ -44,24 +44,24 @@ SPECULAR = ChannelFormat("specular", 3, "srgb")
 NORMAL = ChannelFormat("normal", 3, "direction")
 DETAIL = ChannelFormat("detail", 1, "data")
 
-#: How much light of each component weighs in a colour's luminance (ITU-R BT.709).
+#: Weights of the components in a colour's luminance (ITU-R BT.709).
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
-#: Averages weigh by alpha, but by no less: where nothing covers a cell its colour is still a mean.
+#: The least alpha weight in averages, so that a transparent cell's colour is still a mean.
 LEAST_COVERAGE = 2.0**-40
 
 #: Values by so much above 1 or below 0 are rounded: half a code of 16 bits is twice that.
 _ROUNDING = 2.0**-18
 
-#: The channels of materials, with glTF's names, in the order in which a texture holds them; and one that says
-#: how fine the others are to be kept, 1 for the finest.
+#: The channels of materials, with glTF's names, in a texture's order; and one that sets the resolution of the
+#: others, 1 for the finest.
 CHANNELS = {
     form.name: form
     for form in (BASE_COLOR, ALPHA, METALLIC, ROUGHNESS, OCCLUSION, EMISSIVE, SPECULAR, NORMAL, DETAIL)
 }
 
 
-#: Stands between a channel's name and that of the layer of a stack that it is in.
+#: Separates a channel's name from its layer's.
 _IN = "\0in "
 
 
@@ -192,13 +192,7 @@ def unit_code(value: float, scale: float, shift: float, one: float) -> np.int32:
 
 
 @kernel
-def _encode_unit(
-    values: Float64s,
-    scale: float,
-    shift: float,
-    one: float,
-    codes: ChannelCodes,
-) -> None:
+def _encode_unit(values: Float64s, scale: float, shift: float, one: float, codes: ChannelCodes) -> None:
     for i in range(values.size):
         codes[i] = unit_code(values[i], scale, shift, one)
 

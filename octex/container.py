@@ -61,7 +61,7 @@ def header(tensors: Mapping[str, Array], metadata: Mapping[str, str]) -> bytes:
             "data_offsets": [offset, offset + array.nbytes],
         }
         offset += array.nbytes
-    # Names of files need not be valid text; what is not becomes a question mark.
+    # File names need not be valid text; invalid parts become question marks.
     text = json.dumps(entries, ensure_ascii=False, separators=(",", ":")).encode("utf-8", "replace")
     length = -(-(8 + len(text)) // _PAGE) * _PAGE - 8
     return length.to_bytes(8, "little") + text.ljust(length)

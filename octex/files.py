@@ -35,7 +35,7 @@ except ImportError:  # on Windows
 OCTREE_EXTENSION = "EXT_octree_texture"
 #: The names of files that are being written, and of scratch folders.
 _TEMPORARY = re.compile(r"\.octex-[0-9a-f]{16}")
-#: What a file starts with that Git LFS has left in the place of another.
+#: The start of a Git LFS pointer.
 _POINTER = b"version https://git-lfs."
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(://|::)")
 
@@ -54,7 +54,7 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
     pointer.
     """
     try:
-        # A pipe that nobody writes to is opened at once; for files this changes nothing.
+        # Open a pipe without a writer at once; for files this changes nothing.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
     except ValueError as error:
         raise OSError(errno.EINVAL, f"it is not a valid file name ({error})", repr(path)) from None
@@ -192,9 +192,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
                 os.fsync(file.fileno())
                 if nameless:
                     _name(file, temporary)
-                if fcntl:  # what holds a lock is nobody's leavings
+                if fcntl:  # a locked file is never removed as a remain
                     temporary.replace(real)
-            if not fcntl:  # systems without these locks do not rename what is open
+            if not fcntl:  # systems without these locks do not rename open files
                 temporary.replace(real)
         _remove_leavings(real.parent)
     except OSError as error:
@@ -221,7 +221,7 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
                 _lock(held.enter_context(_opened(folder)))
             if folder.is_dir():
                 break
-            folder.mkdir(mode=0o700)  # it was taken for leavings before it was locked
+            folder.mkdir(mode=0o700)  # it was removed before it was locked
         yield folder
         remove()
 
@@ -252,7 +252,7 @@ def _named_file(path: Path) -> BinaryIO:
             with contextlib.suppress(FileNotFoundError):
                 if os.path.samestat(os.fstat(file.fileno()), path.stat()):
                     return file
-            file.close()  # taken for leavings before it was locked
+            file.close()  # removed before it was locked
         else:
             return file
 

@@ -141,7 +141,7 @@ def memory_size() -> float:
         return math.inf
 
 
-_most: int | None = None  # as ``at_most`` says
+_most: int | None = None  # the limit of ``at_most``
 _pools = 0  # that there are
 _here = threading.local()  # ``is_worker`` in threads of pools
 
@@ -172,7 +172,7 @@ def cpu_count() -> int:
 def pool_of(count: int) -> Iterator[Executor]:
     """Yield a pool of ``count`` threads that ends with the block; an error drops pending tasks."""
     global _pools
-    if _most is not None and _pools:  # which has all threads that may be
+    if _most is not None and _pools:  # a pool has all allowed threads
         yield _Here()
         return
     with ThreadPoolExecutor(count, thread_name_prefix="octex", initializer=_note_worker) as pool:
@@ -190,7 +190,7 @@ def _note_worker() -> None:
     _here.is_worker = True
 
 
-class built_once(cached_property[Result]):  # noqa: N801  (as what it derives from)
+class built_once(cached_property[Result]):  # noqa: N801  (like its base)
     """Like ``cached_property``, but one of several threads computes the value.
 
     Only threads that need the same value of the same object wait.
@@ -213,7 +213,7 @@ class built_once(cached_property[Result]):  # noqa: N801  (as what it derives fr
 
 
 _BEGINNING = threading.Lock()
-_turns: dict[tuple[int, str | None], threading.RLock] = {}  # only until an object has the value
+_turns: dict[tuple[int, str | None], threading.RLock] = {}  # until an object has the value
 
 
 class _Here(Executor):
@@ -320,7 +320,7 @@ def ordered_map(
     At most ``window`` items are in flight, so that results do not pile up. The first error ends the map and
     cancels what has not begun.
     """
-    if len(items) == 1 and shares_memory(executor):  # as fast here, and nobody need wake up
+    if len(items) == 1 and shares_memory(executor):  # as fast, without waking a thread
         executor = _Here()
     window = 1 if isinstance(executor, _Here) else window
     pending: deque[Future[Result]] = deque()

@@ -22,11 +22,11 @@ import numpy as np
 from octex.arrays import Array, Int64s, Uint8s
 from octex.errors import MissingExtraError, OutputError, TextureFileError
 
-#: Bytes fetched at least.
+#: Bytes of a block.
 BLOCK = 1 << 10
-#: Most bytes asked for at once: what a server answers is held in memory meanwhile.
+#: Most bytes of a request: the response is held in memory.
 _MOST = 1 << 26
-#: What file systems say by which a changed file is known.
+#: Entries of file systems that tell a changed file.
 _STAMPS = "ETag", "etag", "Last-Modified", "LastModified", "last_modified", "mtime", "modified", "created"
 
 
@@ -54,7 +54,7 @@ class RemoteFile:
         except Exception as error:
             raise self._failed(error) from error
         self.size, self._stamp = self._described()
-        if len(self._stamp) == 1:  # nobody would know whether the file has changed
+        if len(self._stamp) == 1:  # a changed file would not be noticed
             cache = None
         self._folder = cache or tempfile.gettempdir()
         try:

@@ -113,5 +113,5 @@ def _code_channel(
             values.code_values(rows, around, raw.reshape(-1), numbers, form, coding.weights.copy(), coder)
         elif owned.size:
             values.code_rows(owned, values.numbers_of(raw[owned], form), numbers, kind, form, coder)
-        if decodes or form.error:  # else they are what was given
+        if decodes or form.error:  # else they are unchanged
             values.write_numbers(numbers[:-1], ours[own], form)

@@ -21,26 +21,26 @@ ONE = 1 << PRECISION
 STATES = 2
 _LEAST = 1 << 31  # a state is this or more between two symbols
 
-NOTES, DECODES = 0, 1  # what a coder does
-# What a coder's state holds, after the states of rANS, that which is next first.
+NOTES, DECODES = 0, 1  # the work of a coder
+# Indices of a coder's state, after the states of rANS, the next one first.
 PLACE, FAULT = 2, 3
 _BEGIN = [_LEAST] * STATES + [0, 0]
 
-#: Symbols of a context. It has a row of numbers: where symbol i begins less i, so that each symbol keeps a
-#: frequency of 1 at least; where the last ends, likewise; and how many symbols occurred, up to some.
+#: Symbols of a context. Its row of numbers has the begin of symbol i minus i, so that each frequency is at
+#: least 1; the end of the last symbol, likewise; and the number of symbols so far, up to a limit.
 SYMBOLS = 16
 _MOST, _SEEN = ONE - SYMBOLS, SYMBOLS + 1
 _ROW = 32
-#: By how many bits less each number moves towards 0 up to the symbol that occurs, and to ``_MOST`` after it:
-#: the first symbols of a context move it far.
+#: Shifts by which numbers move towards 0 up to a coded symbol, and towards ``_MOST`` after it: the first
+#: symbols of a context move them far.
 _RATES = np.repeat(np.arange(1, 8), [1, 2, 4, 12, 40, 100, 90])
-#: Of the tokens of numbers: the least number, and how many bits follow.
+#: The least number of each token, and the bits that follow it.
 _LEAST_OF = np.array([*range(8), 8, 12, 16, 24, 32, 48, 64, 128])
 _BITS_OF = np.array([0] * 8 + [2, 2, 3, 3, 4, 4, 6, 7])
 _BITS_OF_LONG = np.append(_BITS_OF[:-1], 5)
 _TOKEN_OF = np.searchsorted(_LEAST_OF, np.arange(256), side="right").astype(np.uint8) - np.uint8(1)
 _NO_BITS = np.zeros(SYMBOLS, np.int64)
-#: What a context begins with.
+#: The initial row of a context.
 _EVEN = np.array([_MOST // SYMBOLS * i for i in range(SYMBOLS)] + [_MOST] + [0] * (_ROW - _SEEN), np.int16)
 _LANES = np.arange(SYMBOLS, dtype=np.int16)
 
@@ -110,8 +110,8 @@ def _code(start: int, size: int, plain: int, count: int, coder: Coder) -> int:
     state = size * (state >> PRECISION) + (state & (ONE - 1)) - start
     plain = state & (1 << count) - 1
     state >>= count
-    # Whether a word is wanted is as good as random: a branch would be missed, so a zero at the end is read
-    # else. Beyond the end PLACE tells.
+    # Whether a word is needed is random: without a branch, the zero at the end is read otherwise. PLACE shows
+    # reads beyond the end.
     wants, last = wide(state < _LEAST), coder.stream.size - 1
     word = coder.stream[np.uint64(last ^ (last ^ min(place, last)) & -wants)]
     coder.state[0], coder.state[1] = coder.state[1], state << 32 * wants | word
@@ -170,7 +170,7 @@ def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Code
         plain = high - _LEAST_OF[np.uint64(token)]
     if is_byte:
         token, plain = code_token(token, plain, _BITS_OF, context, coder)
-        about = _LEAST_OF[np.uint64(token)]  # known before its bits are
+        about = _LEAST_OF[np.uint64(token)]  # available before its bits
         return about + plain, about
     if token == SYMBOLS - 1:
         plain = wide(0)
@@ -207,7 +207,7 @@ def _write_words(notes: Int64s, words: Uint32s) -> int:
         size, start, plain, count = note & 0xFFFF, note >> 16 & 0xFFFF, note >> 32 & 0xFFFF, note >> 48
         turn = np.uint64(i & (STATES - 1))
         state = states[turn]
-        words[np.uint64(at - 1)] = state & 0xFFFFFFFF  # no branch, as good as random it would be missed
+        words[np.uint64(at - 1)] = state & 0xFFFFFFFF  # no branch: it would be random
         wants = wide(state >= size << 48 - count)
         at -= wants
         state = state >> 32 * wants << count | plain

@@ -27,13 +27,13 @@ BLOCK = 1 << 14
 #: Bytes of a piece of another tensor.
 PIECE = 1 << 20
 START = 32
-#: What a guess of a value weighs: sums of differences on the cell's side, on all, beside; the mean of the
-#: siblings' so far; how 3 components were off, and differ.
+#: Terms of a prediction: sums of differences on the cell's side, on all sides, of neighbours; the mean of the
+#: siblings so far; errors and differences of 3 components.
 TERMS = 10
-#: Weights are of 2²⁰, and others for each class of how much the cells around vary.
+#: Weights are parts of 2²⁰, one set for each class of variance around.
 WEIGHT_BITS, CLASSES = 20, 5
 
-#: The kinds of streams beside the channels, whose names do not begin so.
+#: The kinds of streams besides the channels, whose names begin otherwise.
 STRUCTURE, AREAS = "\0structure", "\0areas"
 
 TREE_NAMES = tuple(f"tree/{name}" for name in TreeArrays._fields)
@@ -84,7 +84,7 @@ class Form(NamedTuple):
     components: int
     size: int  # bytes of a value: 1, 2, 4
     is_float: int
-    error: int  # by how much a value may move
+    error: int  # the largest change of a value
     unit: int  # differences are measured in 2ᵘⁿⁱᵗ
 
 

@@ -53,12 +53,12 @@ from octex.parallel import ordered_map, workers
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.validate import check_layout
 
-#: The longest directory, in bytes, and what its decompression may take.
+#: The longest directory, and most memory of its decompression, in bytes.
 _LONGEST, _MOST_FOR_XZ = 1 << 28, 1 << 26
 _TRUNCATED = "is truncated; copy it again"
 _BAD_DIRECTORY = "its directory is damaged; copy it again"
 
-#: Is told which bytes of the file, from … to before …, are about to be read.
+#: Called with ranges of the file's bytes, begin and end, before they are read.
 Fetch = Callable[[Sequence[tuple[int, int]]], object]
 
 
@@ -144,7 +144,7 @@ class Decoding:
         self._others = [(*piece, self._stream()) for piece in pieces_of(sizes, self.channels)]
         if self._at_byte != self._end:
             raise DamagedError("has bytes outside of all blocks; copy it again")
-        #: How many rows of each table come before each block.
+        #: The number of rows of each table before each block.
         begins = np.array([block.begin for block, _ in self._parts], np.int64).reshape(-1, len(Place._fields))
         self._firsts = dict(zip(Place._fields, begins.T.copy(), strict=True))
         #: Which blocks are decoded of each kind.
@@ -235,7 +235,7 @@ class Decoding:
         was_more = self._decode({STRUCTURE: above})
         for kind, blocks in marked.items():
             blocks &= ~self._done[kind]
-            for number in range(blocks.size - 1, -1, -1):  # with what they are guessed from, levels above
+            for number in range(blocks.size - 1, -1, -1):  # with the levels above, which predict them
                 if blocks[number]:
                     around = around_nodes(self._coded.arrays, self._parts[number][0])
                     cells = around[:, : OWN + 1].astype(np.int64).reshape(-1)

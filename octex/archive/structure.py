@@ -16,14 +16,14 @@ from octex.jit import inlined, kernel, part, popcount, trailing_zeros
 from octex.tree.children import children
 from octex.tree.layout import FACING_FLAGS, MAX_CELLS, TreeArrays
 
-# A row of what is known of a node: the cells around it, its own, and the nodes around it. Its own cell stands
-# also where there is none, NO_NODE where there is no node.
+# A node's row: the cells around it, its cell, and the nodes around it. Its cell replaces missing cells,
+# NO_NODE missing nodes.
 OWN, NODES = 6, 7
 _AROUND = 13
 NO_NODE = MAX_CELLS
-# A row of what is known of a child: which of the block's cells lies across its faces −x, −y and −z, −1 for
-# none; then ABOUT: bits 0 … 3 how many children of its node are left, with itself, 4 whether any of these is
-# a node, 5 … 7 its octant; 8 … 13 of each axis whether a cell lies beyond its node, and a sibling.
+# A child's row: the block's cells across its faces −x, −y and −z, −1 for none; then ABOUT: bits 0 … 3 the
+# number of remaining children of its node, including itself, 4 whether any of these is a node, 5 … 7 its
+# octant, 8 … 13 for each axis whether a cell lies beyond its node, and a sibling.
 ABOUT = 3
 
 # Where contexts of bits begin, of 3 · 4; 4 · 2; 4 · 3 · 4; 3 · 2 · 3; 2.
@@ -151,7 +151,7 @@ def around_children(arrays: TreeArrays, block: Block, around: Uint32s) -> Int32s
 @inlined
 def _mask(masks: Int64s, node: int) -> int:
     """Return the mask of a node, by its number in the block, 0 outside it."""
-    is_own = wide(node >= 0) & wide(node < masks.size)  # as good as random: no branch
+    is_own = wide(node >= 0) & wide(node < masks.size)  # random: no branch
     return wide(masks[np.uint64(node * is_own)] & -is_own)
 
 
@@ -171,7 +171,7 @@ def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Cod
     )
     may_be_nodes = block.level + 3 < arrays.level_cells.size
     decodes = coder.work == DECODES
-    # Of the block's nodes: which children they have, and which is the first.
+    # The stored children of the block's nodes, and the first of each.
     masks, begins = np.zeros(last - first, np.int64), np.zeros(last - first, np.int64)
     was_leaf = 0
     for node in range(first, last):

@@ -29,7 +29,7 @@ from octex.arrays import Int32s, Int64s, Uint8s, Uint32s
 from octex.jit import inlined, kernel, popcount
 from octex.tree.layout import AREA_ONE, AREA_STEPS, FACING_FLAGS, TreeArrays
 
-#: How much the cells around vary, in steps of the channel's unit, has so many contexts.
+#: Contexts for the variance of the cells around, in steps of the channel's unit.
 _CONTEXTS = 11
 #: Sets of these: leaves, nodes, rows of split cells, kept nodes; and where those of each table begin.
 _SETS = 4
@@ -104,7 +104,7 @@ def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> t
             off = off + steps if off < -half else off - steps if off >= steps - half else off
     unit, is_byte = form.unit + 4 * (form.size > 1), form.size == 1
     sign, about = code_number(off << 1 ^ off >> 63, unit, is_byte, context, coder)  # 0, −1, 1, −2 … from 0 on
-    if coder.work == DECODES:  # else what comes next need not wait
+    if coder.work == DECODES:  # else known: later steps need not wait
         off = wide(sign >> 1 ^ -(sign & 1))
     noise = (about + 1 & -2) * step >> form.unit
     number = guess + off * step
@@ -120,19 +120,19 @@ def _coded(number: int, guess: int, context: int, form: Form, coder: Coder) -> t
 class _Room(NamedTuple):
     """State of a node, by component, and of a child."""
 
-    numbers: Uint32s  # of all cells by component; at the end the node's own, for cells that are not there
-    sides: Int64s  # (components · 6,)   what the cells around have more than the node's
+    numbers: Uint32s  # of all cells by component; at the end the node's, for missing cells
+    sides: Int64s  # (components · 6,)   differences of the cells around from the node's
     values: Int64s  # of the node's cell
     total: Int64s  # of ``sides``
-    sums: Int64s  # what the children so far have more
-    most: Int64s  # how much the cells around vary
-    off: Int64s  # by how much a child's guesses were off
-    more: Int64s  # what it has more than the node's
-    at: Int64s  # where the node's weights stand
-    shifts: Int64s  # by how many bits terms are shifted before they are added to these
-    contexts: Int64s  # where its contexts begin
+    sums: Int64s  # differences of the children so far
+    most: Int64s  # variance of the cells around
+    off: Int64s  # errors of a child's predictions
+    more: Int64s  # its differences from the node's
+    at: Int64s  # index of the node's weights
+    shifts: Int64s  # bits by which terms are shifted before they are added to these
+    contexts: Int64s  # its first contexts
     terms: Int64s
-    places: Int64s  # of a child's sides, and of the cells beside, by axis
+    places: Int64s  # of a child's sides, and of the neighbours, by axis
     weights: Int64s
 
 
@@ -149,7 +149,7 @@ def code_values(
     places, terms, sides = np.zeros(6, np.int64), np.zeros(TERMS, np.int64), np.zeros(24, np.int64)
     known = each[0], each[1], each[2], each[3], each[4], each[5], each[6], each[7], each[8]
     room = _Room(numbers.reshape(-1), sides, *known, terms, places, weights)
-    # Bytes are read by code of their own, in which these are known.
+    # Code for bytes has these as constants.
     is_plain = form.size == 1 and form.error == 0 and form.unit == 0
     if is_plain and form.components == 3:
         _code_values(rows, around, raw, Form(3, 1, 0, 0, 0), room, coder)
@@ -175,12 +175,12 @@ def _code_values(rows: Int32s, around: Uint32s, raw: Uint8s, form: Form, room: _
                 room.numbers[np.uint64(wide(t) * form.components + j)] = np.uint32(room.values[j])
             continue
         part = _PART_OF[np.uint64(left)]
-        spare = wide(rows.shape[0])  # where the node's own values stand, for cells that are not there
+        spare = wide(rows.shape[0])  # the row of the node's values, for missing cells
         for axis in range(3):
             other = wide(rows[t, np.uint64(axis)])
             room.places[axis] = 2 * axis + (about >> 5 + axis & 1)
             room.places[3 + axis] = (other if other >= 0 else spare) * form.components
-        # Each component has code of its own, in which its number is known.
+        # Code for each component has its number as a constant.
         noise = _code_component(wide(t), 0, part, 0, form, room, coder)
         if form.components > 1:
             noise = _code_component(wide(t), 1, part, noise, form, room, coder)
@@ -256,7 +256,7 @@ def _code_component(t: int, j: int, part: int, noise: int, form: Form, room: _Ro
     if j + 1 < components:
         room.off[own], room.more[own] = off, number - value
     room.sums[own] += number - value
-    if t & 3 == 0:  # of a quarter of the cells: it takes time
+    if t & 3 == 0:  # for a quarter of the cells, to save time
         move = (wide(off > 0) - wide(off < 0)) << room.shifts[own]
         for k in range(count):
             weights[place + k] += move * terms[k]
@@ -282,15 +282,15 @@ def code_rows(owners: Uint32s, own: Int64s, numbers: Uint32s, kind: int, form: F
 
 
 _PARTS = 6
-#: Contexts: 21 of which cells are around, 3 of how many children are left, 4 each of the largest area beside
-#: and of that along the axis, parts of the area that is left; then those of split rows.
+#: Contexts: 21 of the cells around, 3 of the number of remaining children, 4 each of the largest neighbouring
+#: area and of that along the axis, parts of the remaining area; then those of split rows.
 _SHAPES = 21 * 3 * 4 * 4 + 3
 AREA_CONTEXTS = _SHAPES * _PARTS, 0
 _BITS = 30  # of an area of one
-#: From so many steps of area below all of it on, what is left is a smaller part.
+#: Limits of the parts, in steps below the whole area.
 _STEPS = 4, 9, 17, 25, 36
 _NO_AXIS = 20
-#: 2³⁰ times the areas of codes, whole.
+#: 2³⁰ times the areas of codes, as integers.
 _AREAS = np.rint(np.exp2((np.arange(256) - AREA_ONE) / AREA_STEPS + _BITS)).astype(np.int64)
 _AREAS[0] = 0
 #: Steps of an octave, by the eight bits below the highest.
@@ -298,8 +298,8 @@ _STEPS_OF = np.floor(AREA_STEPS * np.log2(1 + (np.arange(256) + 0.5) / 256)).ast
 #: The axis that a cell of some facings faces, 3 for several.
 _AXIS_OF = np.full(FACING_FLAGS + 1, 3, np.uint8)
 _AXIS_OF[1 << np.arange(6)] = np.arange(6) >> 1
-#: Tokens of differences: 8 less or more, 0, 1, 2, then how many bits they have less one, and 2; the last has
-#: 7. Of each the bits, and the least that they are.
+#: Tokens of differences: 8 minus or plus 0, 1, 2, then the number of bits plus 1; the last has 7. The bits of
+#: each, and the least difference.
 _TOKEN_OF = np.searchsorted([1, 2, 3, 5, 9, 17, 33, 65], np.arange(256), side="right").astype(np.uint8)
 _BITS_OF = np.array([6, 5, 4, 3, 2, 1, 0, 0, 0, 0, 0, 1, 2, 3, 4, 7])
 _LEAST_OF = np.array([65, 33, 17, 9, 5, 3, 2, 1, 0, 1, 2, 3, 5, 9, 17, 33])
@@ -356,7 +356,7 @@ def code_areas(arrays: TreeArrays, begin: int, rows: Int32s, around: Uint32s, co
         left = about & 15
         for k in range(3):
             other = wide(rows[np.uint64(t), k])
-            # Whether one lies there is as good as random: no branch.
+            # Random: no branch.
             is_there = -wide(other >= 0)
             beside[k] = wide(areas[np.uint64(begin + other & is_there)]) & is_there
         axis = wide(_AXIS_OF[flags[begin + t] & FACING_FLAGS])

@@ -15,14 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.archive.layout import (
-    KEPT_NAME,
-    SPLIT_NAMES,
-    TREE_NAMES,
-    WEB_MAGIC,
-    DamagedError,
-    channel_names,
-)
+from octex.archive.layout import KEPT_NAME, SPLIT_NAMES, TREE_NAMES, WEB_MAGIC, DamagedError, channel_names
 from octex.archive.read import Contents, naming
 from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts
 from octex.channels import decode
@@ -161,7 +154,9 @@ class _Tree:
         self.flags[first:end] = stream.take(end - first) ^ known * self.flags[parents]
         for values in self.values.values():
             there = stream.take(values.shape[1] * (end - first)).reshape(-1, end - first).T
-            values[first:end] = _together(there + known * apart(values[parents]))
+            values[first:end] = there + known * apart(values[parents])
+            if values.shape[1] == 3:  # the inverse of `apart`
+                values[first:end, ::2] += values[first:end, 1:2]
 
     def _share_areas(self, first: int, parents: Int64s, is_node: Bools) -> None:
         """Set the areas of a level's leaves: equal parts of the rest of their parent's."""
@@ -201,13 +196,6 @@ def apart(values: Uint8s) -> Uint8s:
     if values.shape[1] != 3:
         return values
     return np.stack([values[:, 0] - values[:, 1], values[:, 1], values[:, 2] - values[:, 1]], axis=1)
-
-
-def _together(values: Uint8s) -> Uint8s:
-    """Invert ``apart``."""
-    if values.shape[1] != 3:
-        return values
-    return np.stack([values[:, 0] + values[:, 1], values[:, 1], values[:, 2] + values[:, 1]], axis=1)
 
 
 def _read(content: bytes) -> Contents:

@@ -47,14 +47,13 @@ from octex.tree.layout import TreeArrays
 from octex.tree.octree import Octree
 from octex.tree.split import counts_of
 
-#: So many of the last cells are looked at to choose a unit.
+#: The number of last cells that determine a unit.
 _LAST = 1 << 14
-#: From about so many nodes of each of the two deepest levels weights are learned, so many at a time, and so
-#: many times.
+#: Weights are learned from about so many nodes of each of the two deepest levels, in runs, in rounds.
 _SAMPLE, _RUN, _ROUNDS = 1 << 13, 1 << 8, 3
 _MOST = 8 << WEIGHT_BITS
 
-#: Of some nodes: their children's first cell, and what lies around.
+#: For sampled nodes: their children's first cell, and the neighbours of children and nodes.
 _Sampled = list[tuple[int, Int32s, Uint32s]]
 
 
@@ -78,7 +77,7 @@ def write(
     for name, channel in content.given.items():
         form = _form(channel, tensors[f"channels/{name}"].dtype, max_error)
         codings[name] = Coding(form, _learned(channel.values, form, sample))
-        if form.error:  # what is read will differ, but for the root's
+        if form.error:  # all values but the root's will differ
             decoded[name] = Named(*(zeros(array.size).reshape(array.shape) for array in channel))
             for made, given, count in zip(decoded[name], channel, (1, place.row, place.kept), strict=True):
                 made[:count] = given[:count]

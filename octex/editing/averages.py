@@ -38,12 +38,7 @@ from octex.tree.octree import Octree
 from octex.tree.split import Rows, counts_of, find_rows, rows_of
 
 #: Limits of float values, for light without values above 1; encoding clamps integers.
-_LIMITS = {
-    "srgb": (0.0, 1.0),
-    "linear": (0.0, 1.0),
-    "data": (-np.inf, np.inf),
-    "direction": (-1.0, 1.0),
-}
+_LIMITS = {"srgb": (0.0, 1.0), "linear": (0.0, 1.0), "data": (-np.inf, np.inf), "direction": (-1.0, 1.0)}
 
 #: Residuals of up to this many nodes are computed for all levels at once; of more level by level, to save
 #: memory.

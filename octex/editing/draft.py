@@ -1,4 +1,4 @@
-"""Drafts: the part of a texture that an edit touches, cut out, edited as a texture of its own, and put back.
+"""Drafts: the part of a texture that an edit touches, cut out, edited as a texture, and put back.
 
 A *tile* is a cell of one level, the draft's, with all cells below it. A draft has the open tiles. At each
 level above it has the cells that contain them, the neighbours of these, and the children of both. All other
@@ -318,10 +318,11 @@ def _overwritten(
     tree, draft = texture.tree, after.tree
     place = places_in(texture, tiles, after)
     sources = np.flatnonzero(place >= 0)
-    places = [place]
-    for count, rows in (draft.split.areas.size, _split_rows), (draft.kept.cells.size, _kept_rows):
-        places.append(np.full(count, -1, np.int64))
-        places[-1][rows(draft, sources)] = rows(tree, place[sources])
+    sizes = draft.split.areas.size, draft.kept.cells.size
+    places = [place, *(np.full(size, -1, np.int64) for size in sizes)]
+    places[1][rows_of(draft.split, sources).rows] = rows_of(tree.split, place[sources]).rows
+    kept, draft_kept = (each.kept.cells.astype(np.int64) for each in (tree, draft))
+    places[2][among(draft_kept, sources)] = np.flatnonzero(among(kept, place[sources]))
     taken = set() if shared is None else {each.ctypes.data for each in _arrays(shared)}
     written: list[tuple[Array, Array, Array]] = []  # once all copies exist: an error changes nothing
 
@@ -351,16 +352,6 @@ def _overwritten(
     for array, at, values in written:
         array[at] = values
     return made
-
-
-def _split_rows(tree: Octree, cells: Int64s) -> Int64s:
-    """Return the rows of cells in the split table."""
-    return rows_of(tree.split, cells).rows
-
-
-def _kept_rows(tree: Octree, cells: Int64s) -> Int64s:
-    """Return the rows of cells in the table of kept nodes."""
-    return np.flatnonzero(among(tree.kept.cells.astype(np.int64), cells))
 
 
 def put_together(

@@ -131,7 +131,7 @@ def _facing(tree: Octree, taps: _Taps, owners: Int64s, bits: Uint8s) -> tuple[_T
 def _blended(
     channels: Mapping[str, Channel], taps: _Taps, there: Bools | None = None, own_rows: Int64s | None = None
 ) -> dict[str, Float32s]:
-    """Blend channels, decoded; taps in ``there`` use their ``own`` rows of the split table."""
+    """Blend channels, decoded; taps in ``there`` use ``own_rows`` of the split table."""
 
     def shown(channel: Channel) -> Array:
         stored = channel.rows(taps.rows)

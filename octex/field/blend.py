@@ -25,7 +25,7 @@ from octex.field.taps import (
     with_row,
 )
 from octex.field.weights import NO_VIEW, Weighing, find_split, new_visible, view_of, weigh
-from octex.jit import by_constants, fused_kernel, fused_part, inlined, kernel, part, prefetch
+from octex.jit import fused_kernel, fused_part, inlined, kernel, part, prefetch
 
 Three = tuple[float, float, float]
 
@@ -44,7 +44,6 @@ def _prefetch_rows(taps: Taps, begin: int, end: int, codes: Codes) -> None:
                 prefetch(codes.split_values, row - first_row)
 
 
-@by_constants
 @inlined
 def _sum(taps: Taps, n: int, flat: Flat, components: int) -> Five:
     """Return Σ w·v of up to four components, and Σ w."""
@@ -76,7 +75,6 @@ def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
         put_value(flat_results, n * components, components, a, b, c, d)
 
 
-@by_constants
 @fused_kernel
 def blend(taps: Taps, codes: Codes, is_prefetched: bool, results: Float32s) -> None:
     """Write the weighted mean (points, components): Σ w·v / Σ w. ``is_prefetched``: the rows already are."""
@@ -188,7 +186,6 @@ def _add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components:
     sums.totals[owner] += factor * five[4]
 
 
-@by_constants
 @fused_kernel
 def add_up(
     taps: Taps,

@@ -32,7 +32,7 @@ _ROW_STEP = 1.15
 _SHORTEST, _LONGEST = 1e-150, 1e150
 #: Longest axis, in root cells.
 _ROOTS = 4.0
-#: Least and largest widths that have a level of their own, in root cells.
+#: Least and largest widths, in root cells.
 _NARROWEST, WIDEST = 0.25**MAX_DEPTH, 4.0**MAX_DEPTH
 #: Levels this near to a whole one use that alone: 15 % fewer probes, for 3 % more error, and one probe for
 #: widths of 1, 2, 4 … cells.

@@ -31,7 +31,7 @@ from octex.field.tiles import (
     tile_key,
 )
 from octex.field.windows import INSIDE, PLACES
-from octex.jit import by_constants, fused_kernel, inlined, kernel, part, popcount, prefetch, trailing_zeros
+from octex.jit import fused_kernel, inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.search import UNITS, nearer_box
 
@@ -99,7 +99,7 @@ def linear_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) 
     flat = places.reshape(-1)
     gradient, one = taps.slopes.shape[0] > 0, np.float32(1.0)
     n_empty = n_rim = 0
-    # What is seldom wanted stands outside the loop over eight cells, which takes a fifth longer with it.
+    # Seldom used steps stay outside the loop over eight cells, which takes a fifth longer with them.
     prefetches_more = ahead.alpha.shape[0] + ahead.flags.size + ahead.areas.size > 0
     for begin in range(0, places.shape[0], GROUP):
         count = min(GROUP, places.shape[0] - begin)
@@ -117,7 +117,7 @@ def linear_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) 
                 weight = (r if tap & 1 else one - r) * (
                     (s if tap & 2 else one - s) * (t if tap & 4 else one - t)
                 )
-                if 0b01101001 >> tap & 1:  # the others mostly lie beside these
+                if 0b01101001 >> tap & 1:  # mostly with the others in the same cache lines
                     prefetch(ahead.values, cell)
                 taps.rows[np.uint64(end)], taps.weights[np.uint64(end)] = min(cell, last), weight
                 total += weight * np.float32(is_stored)
@@ -193,7 +193,6 @@ def new_group(gradient: bool) -> Group:
     )
 
 
-@by_constants
 @inlined
 def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, reach: int) -> None:
     """Find the tile and the window with lowest cell (i, j, k)."""
@@ -303,7 +302,6 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
     group.masks[word] |= ((stored >> shift) & np.uint64(0xFF)) << np.uint64(8 * (node & 7))
 
 
-@by_constants
 @inlined
 def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -> None:
     """Find the window of point n, unless it is the latest, and prefetch its cells' rows."""
@@ -331,7 +329,6 @@ def _is_window_marked(tiles: Tiles, group: Group) -> bool:
     return mask != np.uint64(0) and is_marked(tiles, int(group.firsts[trailing_zeros(mask) >> 3]))
 
 
-@by_constants
 @inlined
 def _take_word(
     group: Group,
@@ -373,7 +370,6 @@ def _take_word(
     return end, total
 
 
-@by_constants
 @inlined
 def _spline_taps(
     tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int, group: Group, tables: Tables, reach: int

@@ -11,28 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
-from octex.field.blend import (
-    Sums,
-    add_weighed,
-    blend,
-    blend_slopes,
-    divide,
-    new_sums,
-    take,
-    weigh_by_alpha,
-)
+from octex.field.blend import Sums, add_weighed, blend, blend_slopes, divide, new_sums, take, weigh_by_alpha
 from octex.field.sources import linear_taps, nearest_taps, quadratic_taps
 from octex.field.splines import LINEAR, NEAREST
-from octex.field.taps import (
-    MOST_TILED,
-    Ahead,
-    Batch,
-    Codes,
-    Taps,
-    hold_outside,
-    new_taps,
-    place_points,
-)
+from octex.field.taps import MOST_TILED, Ahead, Batch, Codes, Taps, hold_outside, new_taps, place_points
 from octex.field.tiles import Tiles, nearest_rows
 from octex.field.weights import MOST_ROWS, Weighing, weigh_taps
 from octex.jit import bytes_of, kernel, part

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s, zeros
 from octex.errors import OutputError
 from octex.field.taps import Batch, prefetch_cell
-from octex.jit import by_constants, fused_part, inlined, kernel, part, popcount, prefetch, trailing_zeros
+from octex.jit import fused_part, inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.beside import with_boundary
 from octex.tree.children import children
 from octex.tree.layout import GRID_BITS
@@ -70,9 +70,12 @@ def can_be_tiled(tree: Octree) -> bool:
 
 def build_tiles(tree: Octree) -> Tiles:
     """Build the tiles of a tree's deepest level."""
-    if tree.max_depth < 3:
-        return _one_tile(tree)
     depth, groups, level_nodes = tree.max_depth, tree.arrays.groups, tree.arrays.level_nodes.tolist()
+    if depth < 3:  # one tile, whose cells lie in its first octant
+        masks, firsts = _new_rows(1, np.uint64), _new_rows(1, np.uint32)
+        masks[0] = np.bitwise_or.reduce(np.uint64(1) << tree.level_codes(depth).astype(np.uint64))
+        firsts[0] = tree.arrays.level_cells[depth]
+        return Tiles(depth, 0, np.zeros(1, np.int32), masks, firsts, _NO_MARKS)
     top_level = depth - 3 * max(-(-(depth - MOST_TOP_LEVEL) // 3), 1)
     nodes = {level: level_nodes[level : level + 2] for level in range(top_level, depth - 2, 3)}
     rows = sum(end - first for first, end in nodes.values())
@@ -147,15 +150,6 @@ def _mark(tiles: Tiles, codes: Int64s, up: int, reach: int, marks: Uint64s) -> N
             first = int(np.int64(tiles.firsts[octant]))
             for cell in range(first, min(first + popcount(tiles.masks[octant]), 64 * marks.size)):
                 marks[cell >> 6] |= np.uint64(1) << np.uint64(cell & 63)
-
-
-def _one_tile(tree: Octree) -> Tiles:
-    """Build the only tile of a tree of less than three levels: its cells lie in the first octant."""
-    depth = tree.max_depth
-    masks, firsts = _new_rows(1, np.uint64), _new_rows(1, np.uint32)
-    masks[0] = np.bitwise_or.reduce(np.uint64(1) << tree.level_codes(depth).astype(np.uint64))
-    firsts[0] = tree.arrays.level_cells[depth]
-    return Tiles(depth, 0, np.zeros(1, np.int32), masks, firsts, _NO_MARKS)
 
 
 def _new_rows(rows: int, dtype: npt.DTypeLike) -> Array:
@@ -287,7 +281,6 @@ def tile_key(i: Integer, j: Integer, k: Integer) -> Any:
     return i + one | (j + one) << np.int64(_AXIS_BITS) | (k + one) << np.int64(2 * _AXIS_BITS)
 
 
-@by_constants
 @inlined
 def _find_octant(tiles: Tiles, key: int, other: int) -> int:
     """Find and prefetch the first octant of one of the 2×2×2 tiles from that of a key on."""

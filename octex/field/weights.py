@@ -194,10 +194,10 @@ class Weighing(NamedTuple):
 class Visible(NamedTuple):
     """The visible part of cells for a normal, by the bits of `DIRECTIONS`; and slopes of mixed cells."""
 
-    parts: Float32s  # (9,)   what cells weigh
-    shares: Float32s  # (9, 3)   how a split cell is shared out among its rows of x, y and z
-    rows: Uint8s  # (9,)   which of these there are, a bit for each; _UNKNOWN until it is asked for
-    is_split: Uint8s  # (AT_ONCE,)   which points of a group see split cells
+    parts: Float32s  # (9,)   weights of cells
+    shares: Float32s  # (9, 3)   of a split cell's rows of x, y and z
+    rows: Uint8s  # (9,)   the visible ones of these, a bit for each; _UNKNOWN until needed
+    is_split: Uint8s  # (AT_ONCE,)   which points of a group have split cells
     slopes: Float32s  # (2, 3)   of the weights of all cells, and of those that mix facings
 
 

@@ -42,7 +42,7 @@ UPPER = 5  # in which half of its parent the cell in the middle lies: x + 2·y +
 # Rows of Walk.windows.
 COVER = 0  # 22 rows: of each level, the weights of the window's coefficients
 REFINED = 22  # 22 rows: of each level, the weights refined from the window above
-COLOR = 44  # how much of a refined cell's colour comes from coloured cells
+COLOR = 44  # the part of a refined cell's colour that comes from coloured cells
 SHARES = 45  # 4 rows: weights and slopes that fall on a window's cells
 
 
@@ -54,7 +54,7 @@ class Walk(NamedTuple):
     """
 
     previous: Int64s  # (6,)   the previous position; its last level; filter; last level of COVER
-    levels: Int64s  # (22, 6)   what is known of each level
+    levels: Int64s  # (22, 6)   see the columns above
     real: Uint64s  # (22, 4)   which children have a parent that is a node; the others are refined
     nodes: Uint64s  # (22, 4)   which of them are nodes
     cells: Uint64s  # (22, 4)   which are stored
@@ -63,7 +63,7 @@ class Walk(NamedTuple):
     below_leaves: Uint64s  # (22, 4)   which are below a leaf; for LINEAR
     first_nodes: Int64s  # (22, 27)   by slot: node number of the parent's first child node
     first_cells: Int64s  # (22, 27)   by slot: cell number of its first child
-    windows: Float64s  # (49, 125)   what lies on a window's cells, by place
+    windows: Float64s  # (49, 125)   values of a window's cells, by place
     taps: Float64s  # (4, MOST_TAPS)   weights and slopes before they are normalized
 
 

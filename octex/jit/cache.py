@@ -30,16 +30,16 @@ try:
 except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
-#: Code that a wheel brings along (`tools/release/wheels.py`), which commands use (`octex.ahead`).
+#: Code that comes with a wheel (`tools/release/wheels.py`) for commands (`octex.ahead`).
 SHIPPED = Path(__file__).parents[1] / "compiled"
-#: Objects after which Python collects garbage while numba compiles: by its usual 700 that takes a tenth of
-#: the time, and another thread could drop code that LLVM is reading.
+#: Objects after which Python collects garbage while numba compiles: with the usual 700 this takes a tenth of
+#: the time, and another thread could free code that LLVM is reading.
 MANY_OBJECTS = 100_000
 #: Bytes free on a disk, below which nothing is written: numba fails where a file does not fit.
 ROOM = 1 << 26
 #: Imports of octex, of whole modules or of names in them.
 _IMPORT = re.compile(r"^(?:from|import) (octex[\w.]*)(?: import (\([^)]*\)|.*))?", re.MULTILINE)
-#: The file of checksums, and the files whose they are.
+#: The file of checksums, and the files that it covers.
 _SUMS, _FILES = "checksums", "*.nb[ci]"
 #: Held while a file is unfinished.
 WRITING = threading.RLock()
@@ -51,7 +51,7 @@ def cached(function: Callable[..., Any], options: dict[str, Any]) -> Any:
     """Return a function compiled by numba with ``options``, cached on disk where a folder is writable."""
     with _lock:
         folder = _folder_of(function.__module__)
-        if not _has_room(folder):  # each process compiles anew
+        if not _has_room(folder):  # each process compiles
             return numba.njit(**options)(function)
         before = numba.config.CACHE_DIR
         numba.config.CACHE_DIR = str(folder)

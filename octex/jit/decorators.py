@@ -22,8 +22,6 @@ DISABLED: bool = bool(numba.config.DISABLE_JIT)
 class Part:
     """A compiled function that kernels call."""
 
-    by_constants = False
-
     def __init__(self, compiled: Any) -> None:
         self.compiled, self.py_func = compiled, compiled.py_func
         functools.update_wrapper(self, compiled.py_func)
@@ -33,7 +31,7 @@ class Part:
         raise TypeError(f"{self.py_func.__qualname__} can be called in kernels only")
 
     def __reduce__(self) -> str:
-        return str(self.py_func.__qualname__)  # other processes have their own
+        return str(self.py_func.__qualname__)  # other processes compile it
 
 
 class Kernel(Part):
@@ -59,7 +57,7 @@ register_model(_Callee)(models.OpaqueModel)
 @typeof_impl.register(Part)  # type: ignore[untyped-decorator]
 def _type_of(part: Part, _purpose: Any) -> Any:
     """Return numba's type of a part."""
-    return (numba.types.Dispatcher if part.by_constants else _Callee)(part.compiled)
+    return _Callee(part.compiled)
 
 
 class _Memory:
@@ -68,7 +66,7 @@ class _Memory:
     def __init__(self, array: Array) -> None:
         interface = array.__array_interface__
         self.__array_interface__ = {**interface, "data": (interface["data"][0], False)}
-        self.array = array  # which lives as long as what is made of this
+        self.array = array  # stays alive with the result
 
 
 def unlocked(argument: Any) -> Any:
@@ -124,13 +122,6 @@ def step(function: Function) -> Function:
 def inlined(function: Function) -> Function:
     """Compile like ``step``, into each calling kernel: for the small steps of a hot loop."""
     return _compiled(function, _nrt=False, forceinline=True)
-
-
-def by_constants(function: Function) -> Function:
-    """Let numba compile a part for each constant argument: some loops gain 3 %."""
-    if isinstance(function, Part):
-        function.by_constants = True
-    return function
 
 
 def fused_inlined(function: Function) -> Function:

@@ -62,12 +62,12 @@ ARCHIVE_ENDING = ".octz"
 class Source:
     """The origin of a texture's arrays: memory, or the file that it was opened from."""
 
-    path: str = ""  # "" for what was made here
+    path: str = ""  # "" for textures in memory
     mapping: mmap.mmap | None = None  # of a render file; None: the arrays lie in memory
-    tensors: dict[str, Array] = field(default_factory=dict)  # those that octex does not know
+    tensors: dict[str, Array] = field(default_factory=dict)  # unknown ones
     metadata: dict[str, str] = field(default_factory=dict)
     sizes: dict[str, int] | None = None  # of an archive: bytes of its streams
-    #: Whether all that lookups read is here.
+    #: Whether lookups need no fetching.
     is_here: ClassVar = True
 
     def here(self, texture: OctreeTexture) -> OctreeTexture:

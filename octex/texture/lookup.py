@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any, NamedTuple, Protocol, TypedDict
 
@@ -26,27 +26,27 @@ from octex.tree.search import Positions, in_leaves, order_in_space, put_rows
 #: Difference of a front and a back, of 1, that footprints without normals may mix.
 BLEED_THRESHOLD = 1 / 32
 
-#: How much longer than wide a footprint may be, if nobody says.
+#: Default of the largest ratio of a footprint's length to its width.
 ANISOTROPY = 16.0
 
-#: Most that a footprint may be longer than wide.
+#: Largest value of that ratio.
 MOST_ANISOTROPY = 256.0
 
 #: One channel by name, or several.
 Names = str | list[str] | tuple[str, ...]
-#: What is given of points: arrays of a row each by name, "points" (n, 3) among them.
+#: Arrays with a row for each point by name, "points" (n, 3) among them.
 Inputs = Mapping[str, Array]
 #: Looks up the points of a block and writes to arrays of as many rows. Raises NotFiniteError.
 LookUp = Callable[[Inputs, list[Array]], None]
 
-#: Points looked up at once: what is kept of them stays in the processor's cache, and a thread that takes them
-#: is busy for a millisecond or more, beside which handing them over (50 µs) is little.
+#: Points looked up at once: they fit the processor's cache, and take a thread a millisecond or more, compared
+#: with 50 µs to hand them over.
 BLOCK = 1 << 16
-#: Most points sorted at once: what is given of them and their answers are copied meanwhile.
+#: Most points sorted at once: their inputs and answers are copied.
 _SORTED = 1 << 19
-#: Points that are looked up as they come, where more are sorted since lookups read much.
+#: Most points that are not sorted for lookups that read much.
 LEAST_SORTED = 1 << 12
-#: Points that are looked up the short way, and their types.
+#: Most points of the short path, and their types.
 _FEW = 64
 _TAKEN = {np.dtype(np.float32), np.dtype(np.float64)}
 _NO_NUMBERS = np.empty(0, np.int32)
@@ -186,12 +186,12 @@ def asked(
     return lens, inputs
 
 
-#: An array of what is given, and the first row of it that cannot be used.
+#: An input's name, and its first unusable row.
 _Fault = tuple[str, int]
 
 
 class _Block(NamedTuple):
-    """The inputs of a block of points, and rows for its results, which other processes allocate anew."""
+    """The inputs of a block of points, and rows for its results, which other processes allocate."""
 
     inputs: Inputs
     answers: list[Array]
@@ -244,12 +244,7 @@ def each_block(
 
 
 def in_space(
-    inputs: Inputs,
-    answers: list[Array],
-    look_up: LookUp,
-    run: Run,
-    placement: Placement,
-    least: int = 0,
+    inputs: Inputs, answers: list[Array], look_up: LookUp, run: Run, placement: Placement, least: int = 0
 ) -> None:
     """Look points up like ``in_blocks``, sorted in Morton order unless they already nearly are.
 
@@ -290,7 +285,7 @@ def _checked_block(look_up: LookUp, block: _Block) -> tuple[_Fault | None, list[
     taken: dict[str, Array] = {}
     for name, array in inputs.items():
         taken[name] = array = _as_kernels_take_it(array)
-        if name == "points":  # looked at as they are placed
+        if name == "points":  # checked as they are placed
             continue
         sound = np.isfinite(array)
         if name == "width":
@@ -318,12 +313,7 @@ class Answers:
     """
 
     def __init__(
-        self,
-        components: Mapping[str, int],
-        channel: Names,
-        inputs: Inputs,
-        gradient: bool,
-        out: Any,
+        self, components: Mapping[str, int], channel: Names, inputs: Inputs, gradient: bool, out: Any
     ) -> None:
         is_single = isinstance(channel, str)
         shapes: dict[str, tuple[int, ...]] = {}
@@ -343,8 +333,13 @@ class Answers:
         gradients = _answers_for(slopes, out_gradients, is_single, "the gradients' out") if gradient else {}
         #: The values of each channel, then the gradients of each.
         self.arrays: list[Array] = [*values.values(), *gradients.values()]
-        if is_given:
-            _check_apart(inputs.values(), self.arrays)
+        known = list(inputs.values())
+        for answer in self.arrays if is_given else ():
+            if any(np.may_share_memory(answer, other) for other in known):
+                raise ArgumentError(
+                    "the arrays in out must not share memory with each other or with the points"
+                )
+            known.append(answer)
         #: What `OctreeTexture.sample` returns.
         self.returned: Any = (values, gradients) if gradient else values
         if is_single:
@@ -374,15 +369,6 @@ def _answers_for(
         if not array.flags.carray:
             raise ArgumentError(f"{name} for {channel!r} must be C-ordered, aligned and writable")
     return {channel: out[channel] for channel in shapes}
-
-
-def _check_apart(inputs: Iterable[Array], answers: Sequence[Array]) -> None:
-    """Raise ArgumentError if an answer shares memory with another or with an input."""
-    known = list(inputs)
-    for answer in answers:
-        if any(np.may_share_memory(answer, other) for other in known):
-            raise ArgumentError("the arrays in out must not share memory with each other or with the points")
-        known.append(answer)
 
 
 class Lookups:
@@ -440,7 +426,7 @@ class Lookups:
         values, gradients = answers[: len(names)], answers[len(names) :]
         read, alpha = self.rows_of(*names)
         parts = [(names[0], slice(None))]
-        if self.query(lens, inputs, names[0]).mixed is not None:  # each channel mixes in cells of its own
+        if self.query(lens, inputs, names[0]).mixed is not None:  # mixed cells differ by channel
             numbers = range(len(names) + 1)
             parts = list(zip(names, map(slice, numbers, numbers[1:]), strict=False))
         for name, some in parts:

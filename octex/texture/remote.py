@@ -31,14 +31,14 @@ from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import on_grid
 
-#: Bytes that are fetched first: the header, and what says which cells there are down to some level.
+#: Bytes that are fetched first: the header, and the groups of the coarse levels.
 _FIRST = 1 << 14
 
-#: Rows of the split table that are fetched at least.
+#: Least rows of the split table to fetch.
 _LEAST_SPLIT = 1 << 8
 #: Tensors of an archive.
 _GROUPS, _LEVEL_CELLS, _LEVEL_NODES, _FLAGS, _ = TREE_NAMES
-#: Those that come with the structure, and which rows they have.
+#: Those that are coded with the structure, and their tables.
 _LISTS = {_FLAGS: "cell", SPLIT_NAMES[0]: "split", SPLIT_NAMES[1]: "split", KEPT_NAME: "kept"}
 
 Fetch = Callable[..., object]
@@ -64,7 +64,7 @@ def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
         contents = container.read_mapped(remote.mapping, address)
         levels = (contents.tensors.get(name) for name in (_LEVEL_CELLS, _LEVEL_NODES))
         fetch_arrays(remote, *(array for array in levels if array is not None))
-        if not all(map(remote.holds, contents.tensors.values())):  # what is not aligned was copied
+        if not all(map(remote.holds, contents.tensors.values())):  # unaligned arrays were copied
             remote.fetch_all()
             contents = container.read_mapped(remote.mapping, address)
         source = Source(address, remote.mapping, dict(contents.tensors), dict(contents.metadata))
@@ -236,7 +236,7 @@ class RenderFile(RemoteFile):
         split, n_cells, n_split = tree.split, int(tree.level_cells[level + 1]), _LEAST_SPLIT
         kept: list[Array] = [tree.kept.cells, tree.arrays.flags[:n_cells]] if tree.kept.cells.size else []
         was_more = fetch_arrays(self, *kept, split.cells[: n_split + 1])
-        # Of the table, which is in the cells' order, in steps like those of its search.
+        # The table is in the cells' order: fetch it in the steps of its search.
         while n_split < split.cells.size and split.cells[n_split] < n_cells:
             n_split *= 2
             was_more |= fetch_arrays(self, split.cells[: n_split + 1])
@@ -335,7 +335,7 @@ class Archive:
             yield
 
 
-#: A file elsewhere.
+#: A file at an address.
 Elsewhere = RenderFile | Archive
 
 

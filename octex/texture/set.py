@@ -44,7 +44,7 @@ from octex.texture.lookup import (
 from octex.texture.open import open_texture
 from octex.texture.texture import OctreeTexture, as_metadata
 
-#: So many parts are named where a set is shown.
+#: Number of parts that `repr` names.
 _SHOWN = 5
 
 
@@ -336,7 +336,7 @@ INDEX = "set.json"
 FORMAT = "octex set"
 FORMAT_VERSION = 1
 _LONGEST_NAME = 100
-# Windows keeps these names for itself, whatever their ending.
+# Windows reserves these names, with any ending.
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 
 
@@ -367,7 +367,7 @@ def read_index(folder: Path) -> tuple[dict[str, str], dict[str, str]]:
     if not (_are_texts(parts) and parts and all(parts) and _are_texts(metadata)):
         raise TextureFileError(f"{path}: its parts or its provenance are damaged; make the set again")
     for name, file in parts.items():
-        # Whatever the system, no file of a set leads out of its folder.
+        # On no system may a set's file lie outside its folder.
         if not file.lower().endswith(ENDING) or re.search(r"[/\\:\0]", file):
             raise TextureFileError(
                 f"{path}: part {name!r} is in {file!r}, which is not an {ENDING} file next to it"
@@ -421,7 +421,7 @@ def write_folder(folder: Path, textures: Mapping[str, OctreeTexture], metadata: 
             f"{folder}: cannot be written: {error.strerror or error}; choose another place"
         ) from error
     for file_name in old - set(written.values()):
-        with contextlib.suppress(OSError):  # open elsewhere, which some systems forbid; it is of no set now
+        with contextlib.suppress(OSError):  # some systems do not remove open files; no index names it now
             (folder / file_name).unlink()
 
 

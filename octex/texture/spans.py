@@ -119,7 +119,7 @@ def nodes_read(tree: Octree, cells: Mapping[int, Int64s], filter: str) -> Iterat
     begin = min(MOST_TOP_LEVEL + 1, deepest)
     yield np.arange(firsts[begin])
     around: dict[int, Int64s] = {}
-    wanted = np.empty(0, np.int64)  # cells of a level that hold points, where there are looks at it or below
+    wanted = np.empty(0, np.int64)  # cells of a level that hold points of probes there or below
     for level in range(deepest - 1, 0, -1):
         here = cells.get(level + 1, wanted[:0])
         if filter == "quartic":  # whose windows reach one cell farther
@@ -186,7 +186,7 @@ def _add_channel(
         level < tree.max_depth or (rows < arrays.level_cells[level]).any() for level, rows in levels.items()
     )
     if by_facing or is_coarse:
-        spans.until(split.cells, 2 * n_split + 2)  # as far as its end is looked for
+        spans.until(split.cells, 2 * n_split + 2)  # read by the search for its end
         spans.until(split.facings, n_split)
     if is_ruled and n_split:
         spans.until(channels[0].split_values, n_rows)

@@ -13,15 +13,14 @@ from octex.arrays import Float64s, Uint8s
 from octex.jit import inlined, kernel
 from octex.tree.layout import AREA_ONE, AREA_STEPS
 
-#: Areas in cell faces by their codes. What the surface only touches, code 0, weighs next to nothing, so that
-#: it decides only where it is alone.
+#: Areas in cell faces by code. Cells that the surface only touches, code 0, count only where no others do.
 AREAS: Float64s = 2.0 ** ((np.arange(256) - AREA_ONE) / AREA_STEPS)
 AREAS[0] = 2.0**-44
-#: The area of skirts, cells that the surface is not in, there for the paint beside them: the least there is.
+#: The area of skirts, cells next to painted ones that the surface does not enter: the least area.
 SKIRT = np.uint8(1)
-#: Less is a contact: a quarter of the least that is none is more than this, of eight contacts less.
+#: Smaller areas are contacts: the sum of eight contacts is less, a quarter of the least area more.
 _LEAST = 2.0**-40
-#: What the seven leading mantissa bits add to an area's code.
+#: Steps of an area's code by the seven leading mantissa bits.
 _MANTISSA_STEPS = np.rint(AREA_STEPS * np.log2(1 + (np.arange(128) + 0.5) / 128)).astype(np.int64)
 
 

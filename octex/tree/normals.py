@@ -20,24 +20,17 @@ from octex.tree.layout import FACING_FLAGS, OPPOSITE, TreeArrays
 from octex.tree.morton import decode
 from octex.tree.search import child
 
-#: R: the cells within one less of the leaf's, on each axis, are asked.
+#: R: the cells within R − 1 of the leaf's, on each axis, count.
 _RADIUS = 4
-# Leaves are done in blocks of 4³ cells, whose surroundings are the same 10³ cells: three times as fast as
-# one by one.
+# Leaves of a block of 4³ cells share surroundings of 10³ cells: three times as fast as one by one.
 _BLOCK_LEVELS = 2
 _MOST_CELLS = ((1 << _BLOCK_LEVELS) + 2 * (_RADIUS - 1)) ** 3
-# Cosine of the largest angle to the flags' sum at which the estimate is believed. A facing stands for normals
-# within 54.7° of it.
+# Cosine of the largest valid angle of an estimate to the flags' sum. A facing covers normals within 54.7°.
 _LEAST_AGREEMENT = 0.4
 _STACK = 8 * 22  # a node is replaced by at most eight children, on each of 22 levels
 
 
-def estimate_normals(
-    tree: TreeArrays,
-    cells: Int64s,
-    codes: Int64s,
-    depths: Uint8s,
-) -> Float32s:
+def estimate_normals(tree: TreeArrays, cells: Int64s, codes: Int64s, depths: Uint8s) -> Float32s:
     """Estimate unit normals (n, 3) of cells by number, Morton code and depth; fastest in Morton order.
 
     They point outward as the cells' flags tell. Without flags the sign is arbitrary; with flags on both sides
@@ -49,13 +42,7 @@ def estimate_normals(
 
 
 @kernel
-def _estimate(
-    tree: TreeArrays,
-    cells: Int64s,
-    codes: Int64s,
-    depths: Uint8s,
-    normals: Float32s,
-) -> None:
+def _estimate(tree: TreeArrays, cells: Int64s, codes: Int64s, depths: Uint8s, normals: Float32s) -> None:
     nodes = np.empty(_STACK, np.int64)
     places = np.empty((_STACK, 4), np.int64)
     around = np.empty((4, _MOST_CELLS), np.float64)
@@ -138,12 +125,7 @@ def _gather(
 
 @summing_kernel
 def _add_up(
-    code: int,
-    flags: int,
-    n_around: int,
-    around: Float64s,
-    around_flags: Int64s,
-    moments: Float64s,
+    code: int, flags: int, n_around: int, around: Float64s, around_flags: Int64s, moments: Float64s
 ) -> None:
     """Sum w, w·p and w·p·pᵀ over cells around one, p from its centre, without the far side of a thin part."""
     own = flags | ~int(np.int64(OPPOSITE[flags]))

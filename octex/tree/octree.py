@@ -104,11 +104,7 @@ class Octree:
         return cls(_build({level: leaves[level] for level in range(deepest + 1)}, deepest))
 
     def with_cell_data(
-        self,
-        flags: Uint8s,
-        areas: Uint8s,
-        split: SplitTable | None = None,
-        kept: KeptTable | None = None,
+        self, flags: Uint8s, areas: Uint8s, split: SplitTable | None = None, kept: KeptTable | None = None
     ) -> Octree:
         """Return a tree of the same structure with other flags, areas, split table and kept nodes."""
         return Octree(self.arrays._replace(flags=flags, areas=areas), split, kept)
@@ -207,13 +203,7 @@ class Octree:
             flags = flags.copy()
             flags[arrays.level_cells[level] :] &= np.uint8(0xFF ^ KEPT)
         return Octree(
-            TreeArrays(
-                groups,
-                arrays.level_cells[: level + 2],
-                level_nodes,
-                flags,
-                arrays.areas[:n_cells],
-            ),
+            TreeArrays(groups, arrays.level_cells[: level + 2], level_nodes, flags, arrays.areas[:n_cells]),
             SplitTable(self.split.cells[:n_split], facings, self.split.areas[:rows]),
             KeptTable(kept[:n_kept]),
         )
@@ -404,13 +394,7 @@ def walk_leaves(arrays: TreeArrays, block: int = 1 << 16) -> Iterator[Leaves]:
 
 
 @kernel
-def _next_leaves(
-    arrays: TreeArrays,
-    path: Int64s,
-    cells: Int64s,
-    codes: Int64s,
-    depths: Uint8s,
-) -> int:
+def _next_leaves(arrays: TreeArrays, path: Int64s, cells: Int64s, codes: Int64s, depths: Uint8s) -> int:
     """Continue a walk until ``cells`` is full; return the number found.
 
     ``path`` holds (node, its code, its next octant) for each level down to the walk's place. Its last row is

@@ -218,15 +218,7 @@ def _grandchild(
 
 @inlined
 def _nearest_of_27(
-    arrays: TreeArrays,
-    x: float,
-    y: float,
-    z: float,
-    i: int,
-    j: int,
-    k: int,
-    scratch: Scratch,
-    level: int,
+    arrays: TreeArrays, x: float, y: float, z: float, i: int, j: int, k: int, scratch: Scratch, level: int
 ) -> int:
     shift = MAX_DEPTH - level
     a, b, c = (i >> shift) - 1, (j >> shift) - 1, (k >> shift) - 1
@@ -293,10 +285,10 @@ def in_leaves(arrays: TreeArrays, points: Positions, origin: Origin, size: float
     return -1
 
 
-#: How far ahead points are asked for.
+#: Distance of prefetching, in points.
 AHEAD = 16
-#: Level of the cells by which many points are sorted before any is looked up; and how many of them that come
-#: one after the other lie in the same one, on average, if they need not be.
+#: Level of the cells by which many points are sorted, unless their average run in one of these cells is
+#: longer.
 _COARSE = 4
 _RUN = 8
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Int64s, Uint8s, Uint32s, bit_counts
+from octex.arrays import Uint8s, Uint32s, bit_counts
 from octex.errors import ArgumentError, TextureFileError
 from octex.tree.children import children_before, gather_facings, masks_of, node_cells, rank
 from octex.tree.layout import (
@@ -85,21 +85,28 @@ def check_rows(cells: int, split_rows: int, kept: int) -> None:
 def check_meaning(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> None:
     """Check structure, flags, split table and kept nodes; raise TextureFileError naming the fault."""
     _check_structure(arrays)
-    _check_split(arrays.flags, split)
-    _check_kept(arrays, kept)
+    flags = arrays.flags
+    if not _are_flagged(flags, SPLIT, split.cells):
+        raise TextureFileError("split table: its cells are not those flagged as split, in order")
+    if (flags[split.cells] & FACING_FLAGS != split.facings).any():
+        raise TextureFileError("split table: a cell's facings are not its normal flags")
+    rows = int(bit_counts(split.facings).sum())
+    if rows != split.areas.size:
+        raise TextureFileError(f"split table: {split.areas.size} rows, but the facings number {rows}")
+    if not _are_flagged(flags, KEPT, kept.cells):
+        raise TextureFileError("kept table: its cells are not those flagged as kept, in order")
+    cells = node_cells(arrays) if arrays.level_cells.size > 2 else np.empty(0, np.int64)
+    leaves = kept.cells[~np.isin(kept.cells, cells)]
+    if leaves.size:
+        raise TextureFileError(f"kept table: cell {leaves[0]} has no children")
     if arrays.level_cells.size > 2:
-        together = arrays.flags.copy()
-        gather_facings(arrays.groups, _node_cells(arrays), arrays.flags, together)
-        differ = np.flatnonzero(together != arrays.flags)
+        together = flags.copy()
+        gather_facings(arrays.groups, cells, flags, together)
+        differ = np.flatnonzero(together != flags)
         if differ.size:
             raise TextureFileError(
                 f"node cell {differ[0]}: its normal flags are not those of its children together"
             )
-
-
-def _node_cells(arrays: TreeArrays) -> Int64s:
-    """Return the cells of the nodes with children."""
-    return node_cells(arrays) if arrays.level_cells.size > 2 else np.empty(0, np.int64)
 
 
 def _check_structure(arrays: TreeArrays) -> None:
@@ -123,24 +130,6 @@ def _check_structure(arrays: TreeArrays) -> None:
         if are_wrong.any():
             level = int(np.argmax(are_wrong))
             raise TextureFileError(f"level {level}: the masks above count other cells or nodes")
-
-
-def _check_split(flags: Uint8s, split: SplitTable) -> None:
-    if not _are_flagged(flags, SPLIT, split.cells):
-        raise TextureFileError("split table: its cells are not those flagged as split, in order")
-    if (flags[split.cells] & FACING_FLAGS != split.facings).any():
-        raise TextureFileError("split table: a cell's facings are not its normal flags")
-    rows = int(bit_counts(split.facings).sum())
-    if rows != split.areas.size:
-        raise TextureFileError(f"split table: {split.areas.size} rows, but the facings number {rows}")
-
-
-def _check_kept(arrays: TreeArrays, kept: KeptTable) -> None:
-    if not _are_flagged(arrays.flags, KEPT, kept.cells):
-        raise TextureFileError("kept table: its cells are not those flagged as kept, in order")
-    leaves = kept.cells[~np.isin(kept.cells, _node_cells(arrays))]
-    if leaves.size:
-        raise TextureFileError(f"kept table: cell {leaves[0]} has no children")
 
 
 def _are_flagged(flags: Uint8s, flag: int, cells: Uint32s) -> bool:
