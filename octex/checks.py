@@ -42,15 +42,15 @@ def as_point_rows(points: npt.ArrayLike, name: str = "points") -> Array:
     return array
 
 
-def as_array(given: Any) -> Array:
+def as_array(value: Any) -> Array:
     """Return an array, not copied if it is one; a void array of shape () for rows of unequal lengths.
 
     Tensors of other libraries are read by ``__array__``, or else by ``__dlpack__``. Raises ArgumentError for
     unreadable ones, such as a tensor on a GPU.
     """
-    is_tensor = hasattr(given, "__dlpack__") and not isinstance(given, np.ndarray)
+    is_tensor = hasattr(value, "__dlpack__") and not isinstance(value, np.ndarray)
     try:
-        return np.from_dlpack(given) if is_tensor and not hasattr(given, "__array__") else np.asarray(given)
+        return np.from_dlpack(value) if is_tensor and not hasattr(value, "__array__") else np.asarray(value)
     except Exception as error:
         if not is_tensor:
             if isinstance(error, ValueError):
@@ -58,7 +58,7 @@ def as_array(given: Any) -> Array:
             raise
         reason = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
         raise ArgumentError(
-            f"octex reads arrays in main memory, and this {type(given).__name__} cannot be read as one "
+            f"octex reads arrays in main memory, and this {type(value).__name__} cannot be read as one "
             f"({reason}); give a copy there, like tensor.detach().cpu(), of a type that numpy has"
         ) from None
 
@@ -76,7 +76,7 @@ def as_row_numbers(numbers: npt.ArrayLike, count: int) -> Int64s:
     return array.astype(np.int64, copy=False)
 
 
-def as_reals(given: npt.ArrayLike, name: str, *shapes: tuple[int, ...], most: float = np.inf) -> Float64s:
+def as_reals(value: npt.ArrayLike, name: str, *shapes: tuple[int, ...], most: float = np.inf) -> Float64s:
     """Return numbers as a float64 array of one of ``shapes``, in which −1 stands for any length.
 
     Raises ArgumentError for another shape, for anything but real numbers, and for numbers beyond ±``most``.
@@ -85,9 +85,9 @@ def as_reals(given: npt.ArrayLike, name: str, *shapes: tuple[int, ...], most: fl
     def refusal() -> ArgumentError:
         wanted = " or ".join(str(shape).replace("-1", "n") for shape in shapes)
         kind = "finite numbers" if most < np.inf else "numbers"
-        return ArgumentError(f"{name} must be {kind} of shape {wanted}, not {reprlib.repr(given)}")
+        return ArgumentError(f"{name} must be {kind} of shape {wanted}, not {reprlib.repr(value)}")
 
-    array = as_array(given)
+    array = as_array(value)
     is_shape = any(
         len(shape) == array.ndim and all(n in (-1, m) for n, m in zip(shape, array.shape, strict=True))
         for shape in shapes
@@ -123,9 +123,9 @@ def as_path(path: Any, name: str = "path", refusal: type[OctexError] = ArgumentE
     return Path(text)
 
 
-def is_path(given: object) -> TypeGuard[str | os.PathLike[str]]:
+def is_path(value: object) -> TypeGuard[str | os.PathLike[str]]:
     """Return whether an object is the path of a file: text, bytes, or an ``os.PathLike``."""
-    return isinstance(given, (str, bytes, os.PathLike))
+    return isinstance(value, (str, bytes, os.PathLike))
 
 
 def as_flag(flag: bool, name: str) -> bool:
@@ -135,11 +135,11 @@ def as_flag(flag: bool, name: str) -> bool:
     return bool(flag)
 
 
-def is_several(given: object) -> TypeGuard[Iterable[Any]]:
+def is_several(value: object) -> TypeGuard[Iterable[Any]]:
     """Return whether an object is iterable, and no text."""
-    if isinstance(given, np.ndarray):
-        return given.ndim > 0
-    return isinstance(given, Iterable) and not isinstance(given, (str, bytes))
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Iterable) and not isinstance(value, (str, bytes))
 
 
 def as_names(names: str | Iterable[str], name: str) -> list[str]:
@@ -158,11 +158,11 @@ def as_text(text: str, name: str) -> str:
     return text
 
 
-def as_entries(given: Mapping[Any, Item], name: str) -> dict[str, Item]:
+def as_entries(value: Mapping[Any, Item], name: str) -> dict[str, Item]:
     """Return a mapping with text keys as a dict, or raise ArgumentError."""
-    if not isinstance(given, Mapping):
-        raise ArgumentError(f"{name} must be a dict with names as keys, not {given!r}")
-    entries = dict(given)
+    if not isinstance(value, Mapping):
+        raise ArgumentError(f"{name} must be a dict with names as keys, not {value!r}")
+    entries = dict(value)
     for each in entries:
         if not isinstance(each, str):
             raise ArgumentError(f"{name} must have names, not {each!r}")
@@ -181,13 +181,13 @@ def as_depth(depth: int, name: str = "depth") -> int:
     return as_whole(depth, name, 0, MAX_DEPTH)
 
 
-def as_items(given: Any, kind: type[Item], name: str) -> list[Item]:
+def as_items(value: Any, kind: type[Item], name: str) -> list[Item]:
     """Return one object or several of a kind as a list, or raise ArgumentError for anything else."""
-    if isinstance(given, kind):
-        return [given]
-    listed = list(given) if is_several(given) else []
+    if isinstance(value, kind):
+        return [value]
+    listed = list(value) if is_several(value) else []
     if not listed:
-        raise ArgumentError(f"{name} is missing: give octex.{kind.__name__}, one or several, not {given!r}")
+        raise ArgumentError(f"{name} is missing: give octex.{kind.__name__}, one or several, not {value!r}")
     for each in listed:
         if not isinstance(each, kind):
             raise ArgumentError(f"each {name} must be an octex.{kind.__name__}, not {each!r}")

@@ -219,10 +219,10 @@ _turns: dict[tuple[int, str | None], threading.RLock] = {}  # until an object ha
 class _Here(Executor):
     """Works at once, in the calling thread."""
 
-    def submit(self, function: Callable[..., Result], /, *given: Any, **named: Any) -> Future[Result]:
+    def submit(self, function: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]:
         future: Future[Result] = Future()
         try:
-            future.set_result(function(*given, **named))
+            future.set_result(function(*arguments, **named))
         except Exception as error:
             future.set_exception(error)
         return future
@@ -252,17 +252,17 @@ def shares_memory(executor: Executor) -> bool:
     return isinstance(executor, (_Here, ThreadPoolExecutor))
 
 
-def start(executor: Executor, function: Callable[..., Result], /, *given: Any) -> Future[Result]:
+def start(executor: Executor, function: Callable[..., Result], /, *arguments: Any) -> Future[Result]:
     """Submit a task; other processes get copies of its arrays, which it must not write to.
 
     Raises ArgumentError for a task that cannot be sent to them.
     """
     if shares_memory(executor) or hasattr(executor, "here"):
-        return executor.submit(function, *given)
+        return executor.submit(function, *arguments)
     buffers: list[pickle.PickleBuffer] = []
     text = io.BytesIO()
     try:
-        _Pickler(text, protocol=5, buffer_callback=buffers.append).dump((function, given))
+        _Pickler(text, protocol=5, buffer_callback=buffers.append).dump((function, arguments))
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise ArgumentError(
             f"executor: a task cannot be sent to its processes: {error}; define functions in a module, or "
@@ -274,18 +274,18 @@ def start(executor: Executor, function: Callable[..., Result], /, *given: Any) -
 class _Pickler(pickle.Pickler):
     """Pickles the elements of all arrays separately."""
 
-    def reducer_override(self, given: Any) -> Any:
-        flags = getattr(given, "flags", None)
+    def reducer_override(self, value: Any) -> Any:
+        flags = getattr(value, "flags", None)
         if flags is None or getattr(flags, "forc", True):
             return NotImplemented
-        return given.copy().__reduce_ex__(5)
+        return value.copy().__reduce_ex__(5)
 
 
 def _do(text: bytes, copies: list[bytes]) -> Any:
     """Do a task in another process; raises RuntimeError for one that writes to its arguments."""
     sums = [zlib.adler32(copy) for copy in copies]
-    function, given = pickle.loads(text, buffers=copies)  # arrays of bytes are read-only
-    found = function(*given)
+    function, arguments = pickle.loads(text, buffers=copies)  # arrays of bytes are read-only
+    found = function(*arguments)
     if sums != [zlib.adler32(copy) for copy in copies]:  # kernels write to read-only arrays, too
         raise RuntimeError(f"{function} writes to arrays that are not shared; `sharing` has workers for that")
     return found

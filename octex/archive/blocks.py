@@ -100,15 +100,15 @@ def _code_channel(
         (values.CELLS, values.SPLIT_ROWS, values.KEPT_NODES),
         (slice(begin.cell, end.cell), slice(begin.row, end.row), slice(begin.kept, end.kept)),
         (None, owners, content.kept.cells[begin.kept : end.kept]),
-        content.given[name],
+        content.original[name],
         content.decoded[name],
         strict=True,
     )
     for kind, own, owned, theirs, ours in tables:
-        given = theirs[own]
-        numbers = np.zeros((len(given) + 1, form.components), np.uint32)  # the last row is room
+        original = theirs[own]
+        numbers = np.zeros((len(original) + 1, form.components), np.uint32)  # the last row is room
         if not decodes:
-            numbers[:-1] = values.numbers_of(given, form)
+            numbers[:-1] = values.numbers_of(original, form)
         if owned is None:
             values.code_values(rows, around, raw.reshape(-1), numbers, form, coding.weights.copy(), coder)
         elif owned.size:

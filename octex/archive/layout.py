@@ -70,7 +70,7 @@ class Block(NamedTuple):
         return Place(*(after - before for before, after in zip(self.begin, self.end, strict=True)))
 
 
-class Named(NamedTuple):
+class ChannelBytes(NamedTuple):
     """A channel's arrays as bytes (rows, components, bytes of a value)."""
 
     values: Uint8s
@@ -101,8 +101,8 @@ class Content(NamedTuple):
     arrays: TreeArrays
     split: SplitTable
     kept: KeptTable
-    given: dict[str, Named]
-    decoded: dict[str, Named]  # as they will be read: the same arrays where nothing may move
+    original: dict[str, ChannelBytes]
+    decoded: dict[str, ChannelBytes]  # as they will be read: the same arrays where nothing may move
 
 
 def content_of(tensors: Mapping[str, Array], channels: Sequence[str]) -> Content:
@@ -115,7 +115,7 @@ def content_of(tensors: Mapping[str, Array], channels: Sequence[str]) -> Content
         keys = channel_names(name)
         values = _as_bytes(tensors[keys[0]])
         of_split = _as_bytes(tensors[keys[1]]) if has_split else values[:0]
-        named[name] = Named(values, of_split, _as_bytes(tensors[keys[2]]) if has_kept else values[:0])
+        named[name] = ChannelBytes(values, of_split, _as_bytes(tensors[keys[2]]) if has_kept else values[:0])
     return Content(TreeArrays(*(tensors[name] for name in TREE_NAMES)), split, kept, named, named)
 
 
@@ -164,11 +164,11 @@ def after_root(flags: int, n_nodes: int) -> Place:
     return Place(min(n_nodes, 1), 1, is_split, rows, int(flags & KEPT > 0))
 
 
-def of_root(content: Content, place: Place) -> list[Array]:
+def root_arrays(content: Content, place: Place) -> list[Array]:
     """Return the root's data: flags, area, areas of its rows, and its rows of values by channel."""
     arrays, rows = content.arrays, (1, place.row, place.kept)
     found = [arrays.flags[:1], arrays.areas[:1], content.split.areas[: place.row]]
-    for channel in content.given.values():
+    for channel in content.original.values():
         found += [array[:count] for array, count in zip(channel, rows, strict=True)]
     return found
 

@@ -30,18 +30,18 @@ from octex.archive.layout import (
     TREE_NAMES,
     WEIGHT_BITS,
     Block,
+    ChannelBytes,
     Coding,
     Content,
     DamagedError,
     Form,
-    Named,
     Place,
     after_root,
     channels_in,
     content_of,
     known_names,
-    of_root,
     pieces_of,
+    root_arrays,
     runs,
 )
 from octex.archive.structure import OWN, around_nodes
@@ -170,10 +170,10 @@ class Decoding:
         for name, level in zip(TREE_NAMES[1:3], levels, strict=True):
             self._tensors[name][:] = level
         self._records, self._coded = iter(numbers), content_of(self._tensors, channels)
-        arrays, split, kept, given, _ = self._coded
+        arrays, split, kept, original, _ = self._coded
         check_layout(arrays, split, kept)
         self._codings: dict[str, Coding] = {}
-        for name, channel in given.items():
+        for name, channel in original.items():
             error, unit = take(2, "<u4").tolist()
             form = _form(channel, entries[f"channels/{name}"].dtype, error, unit, self._coded)
             weights = take(2 * form.components * CLASSES * TERMS, "<i4").astype(np.int64)
@@ -181,7 +181,7 @@ class Decoding:
                 raise ValueError
             self._codings[name] = Coding(form, weights)
         place = after_root(root[at], int(levels[1][1]))
-        for array in of_root(self._coded, place):
+        for array in root_arrays(self._coded, place):
             array.reshape(-1)[:] = take(array.size, "u1")
         if at != len(root):
             raise ValueError
@@ -356,7 +356,7 @@ def _check_records(
         raise ValueError
 
 
-def _form(channel: Named, dtype: np.dtype[Any], error: int, unit: int, content: Content) -> Form:
+def _form(channel: ChannelBytes, dtype: np.dtype[Any], error: int, unit: int, content: Content) -> Form:
     """Return the form of a channel's values."""
     _, components, size = channel.values.shape
     rows = content.arrays.flags.size, content.split.areas.size, content.kept.cells.size

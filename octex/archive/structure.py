@@ -192,13 +192,13 @@ def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Cod
         x = _mask(masks, wide(around[own, NODES + 0]) - first)
         y = _mask(masks, wide(around[own, NODES + 2]) - first)
         z = _mask(masks, wide(around[own, NODES + 4]) - first)
-        given = wide(is_node | is_leaf)
+        present = wide(is_node | is_leaf)
         context = (x >> 1 & 1 | x >> 2 & 2) << 6 | (y >> 2 & 3) << 4 | z >> 4
         context |= (faces >> 1 & 1 | faces >> 2 & 2) << 8
-        there = code_symbol(given & 15, context, coder)
+        there = code_symbol(present & 15, context, coder)
         context = (x >> 5 & 1 | x >> 6 & 2) << 6 | (y >> 6 & 3) << 4 | there
         context |= (faces >> 1 & 1 | faces >> 2 & 2 | faces >> 3 & 4) << 8
-        there |= code_symbol(given >> 4, 1024 + context, coder) << 4
+        there |= code_symbol(present >> 4, 1024 + context, coder) << 4
         if there == 0 or next_cell + popcount(there) > end_cell:
             coder.state[FAULT] = 1
             return

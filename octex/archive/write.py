@@ -25,16 +25,16 @@ from octex.archive.layout import (
     TERMS,
     WEIGHT_BITS,
     Block,
+    ChannelBytes,
     Coding,
     Content,
     Form,
-    Named,
     Place,
     after_root,
     channels_in,
     content_of,
-    of_root,
     pieces_of,
+    root_arrays,
     runs,
 )
 from octex.archive.structure import around_children, around_nodes
@@ -73,14 +73,14 @@ def write(
     content = content_of(tensors, channels)
     Octree(*content[:3]).validate()
     place = after_root(int(content.arrays.flags[0]), int(content.arrays.level_nodes[1]))
-    sample, codings, decoded = _sampled(content.arrays), {}, dict(content.given)
-    for name, channel in content.given.items():
+    sample, codings, decoded = _sampled(content.arrays), {}, dict(content.original)
+    for name, channel in content.original.items():
         form = _form(channel, tensors[f"channels/{name}"].dtype, max_error)
         codings[name] = Coding(form, _learned(channel.values, form, sample))
         if form.error:  # all values but the root's will differ
-            decoded[name] = Named(*(zeros(array.size).reshape(array.shape) for array in channel))
-            for made, given, count in zip(decoded[name], channel, (1, place.row, place.kept), strict=True):
-                made[:count] = given[:count]
+            decoded[name] = ChannelBytes(*(zeros(array.size).reshape(array.shape) for array in channel))
+            for made, original, count in zip(decoded[name], channel, (1, place.row, place.kept), strict=True):
+                made[:count] = original[:count]
     content, kinds = content._replace(decoded=decoded), (STRUCTURE, AREAS, *codings)
     models: dict[str, Model] = {}
 
@@ -100,7 +100,7 @@ def write(
         told: list[Array] = [*content.arrays[1:3]]
         for form, weights in codings.values():
             told += [np.array([form.error, form.unit], "<u4"), weights.astype("<i4")]
-        begins = b"".join(array.tobytes() for array in [*told, *of_root(content, place)])
+        begins = b"".join(array.tobytes() for array in [*told, *root_arrays(content, place)])
         parts = first[8:].rstrip(b" "), begins, np.array(records, "<u4").tobytes()
         begin, sizes = file.tell(), np.array([len(part) for part in parts], "<u4").tobytes()
         directory = sizes + packed(b"".join(parts))
@@ -143,7 +143,7 @@ def _planned(content: Content) -> Iterator[list[Block]]:
         yield [Block(level, *run, *ends) for run, ends in zip(own, pairwise(places), strict=True)]
 
 
-def _form(channel: Named, dtype: np.dtype[Any], error: int) -> Form:
+def _form(channel: ChannelBytes, dtype: np.dtype[Any], error: int) -> Form:
     """Return the form of a channel's values; neighbours differ by about eight units."""
     _, components, size = channel.values.shape
     form = Form(components, size, int(dtype.kind == "f"), 0, 0)

@@ -316,7 +316,7 @@ _NUMBER = (1 << NUMBER_BITS) - 1
 _FEW, _FEW_KEPT = 8, 2
 
 
-class Asked(NamedTuple):
+class Targets(NamedTuple):
     """The points to look up, and their results."""
 
     places: Float64s  # (n, 3)   in texture space
@@ -327,23 +327,23 @@ class Asked(NamedTuple):
 
 
 @inlined
-def _answer(
-    asked: Asked, n: Integer, n_missed: int, a: float, b: float, c: float, d: float, total: float
+def _write_mean(
+    targets: Targets, n: Integer, n_missed: int, a: float, b: float, c: float, d: float, total: float
 ) -> int:
     """Write the mean of a point, or list it as missed if it is not finite; return the number missed."""
     inverse = 1.0 / total
     a, b, c, d = a * inverse, b * inverse, c * inverse, d * inverse
     if not (total >= LEAST and abs(a) + abs(b) + abs(c) + abs(d) < np.inf):
-        asked.missed[n_missed] = n
+        targets.missed[n_missed] = n
         return n_missed + 1
-    put_value(asked.results, int(n) * asked.components, asked.components, a, b, c, d)
+    put_value(targets.results, int(n) * targets.components, targets.components, a, b, c, d)
     return n_missed
 
 
 @inlined
-def _answer_by_walk(values: Values, way: Way, found: Taps, asked: Asked, n: int, n_missed: int) -> int:
+def _look_up_by_walk(values: Values, way: Way, found: Taps, targets: Targets, n: int, n_missed: int) -> int:
     """Look a point up by the walk (`neighborhood`); return the number missed."""
-    x, y, z = asked.places[n, 0], asked.places[n, 1], asked.places[n, 2]
+    x, y, z = targets.places[n, 0], targets.places[n, 1], targets.places[n, 2]
     end, _ = taps_around(way, x, y, z, True, found, 0)
     sum_a = sum_b = sum_c = sum_d = total = 0.0
     for tap in range(end):
@@ -351,7 +351,7 @@ def _answer_by_walk(values: Values, way: Way, found: Taps, asked: Asked, n: int,
         a, b, c, d, covered = _covered_value(values, int(found.rows[np.uint64(tap)]))
         sum_a, sum_b, sum_c = sum_a + share * a, sum_b + share * b, sum_c + share * c
         sum_d, total = sum_d + share * d, total + share * covered
-    return _answer(asked, n, n_missed, sum_a, sum_b, sum_c, sum_d, total)
+    return _write_mean(targets, n, n_missed, sum_a, sum_b, sum_c, sum_d, total)
 
 
 @inlined
@@ -371,18 +371,18 @@ def _blend_brick(
     side: int,
     level: int,
     low: tuple[int, int, int],
-    asked: Asked,
+    targets: Targets,
     begin: int,
     end: int,
     n_missed: int,
 ) -> int:
     """Look points up in a block of a level whose first cell is ``low``; return the number missed."""
-    rows, places, keys = bricks.rows, asked.places, asked.keys
+    rows, places, keys = bricks.rows, targets.places, targets.keys
     cells = np.float64(np.int64(1) << level)
     for m in range(begin, end):
         ahead = int(keys[min(m + AHEAD, keys.size - 1)] & _NUMBER)
         prefetch(places, ahead)
-        prefetch(asked.results, ahead * asked.components)
+        prefetch(targets.results, ahead * targets.components)
         n = np.uint64(keys[m] & _NUMBER)
         x = (places[n, 0] + 1.0 - 1.0) * cells
         y = (places[n, 1] + 1.0 - 1.0) * cells
@@ -396,19 +396,19 @@ def _blend_brick(
         total = d
         if planes > 1:
             total, _, _, _ = weighted_cube(rows, at + _CELLS, side, of_x, of_y, of_z)
-        n_missed = _answer(asked, n, n_missed, a, b, c, d, total)
+        n_missed = _write_mean(targets, n, n_missed, a, b, c, d, total)
     return n_missed
 
 
 @fused_kernel
 def look_up_crowded(
-    arrays: TreeArrays, kept_cells: Uint32s, codes: Codes, alpha: Codes, asked: Asked, bricks: Bricks
+    arrays: TreeArrays, kept_cells: Uint32s, codes: Codes, alpha: Codes, targets: Targets, bricks: Bricks
 ) -> int:
     """Look up a channel, weighted by alpha if that has rows; return how many points are missed.
 
     Missed points lie off the surface, or nearly, or where alpha is zero. ``bricks`` are new.
     """
-    ends, split, keys = bricks.ends, bricks.split, asked.keys
+    ends, split, keys = bricks.ends, bricks.split, targets.keys
     values = Values(flat_of(codes), flat_of(alpha), codes.values.shape[1])
     planes, few = 1, _FEW_KEPT if kept_cells.size > 0 else _FEW
     if values.components > 3 or (values.alpha.values.size > 0 and kept_cells.size > 0):
@@ -440,13 +440,13 @@ def look_up_crowded(
                 if last >= 0:
                     low = (i << last) - 1, (j << last) - 1, (k << last) - 1
                     task = planes, source, stride, level + last, low
-                    n_missed = _blend_brick(bricks, *task, asked, begin, end, n_missed)
+                    n_missed = _blend_brick(bricks, *task, targets, begin, end, n_missed)
                     begin = end
                     continue
                 is_done = level >= SORTED
             if is_done:
                 for m in range(begin, end):
-                    n_missed = _answer_by_walk(values, way, found, asked, int(keys[m] & _NUMBER), n_missed)
+                    n_missed = _look_up_by_walk(values, way, found, targets, int(keys[m] & _NUMBER), n_missed)
                 begin = end
                 continue
             _note_nodes(bricks, level + 1)

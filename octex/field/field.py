@@ -14,7 +14,17 @@ from octex.errors import TextureFileError
 from octex.field.neighborhood import walked_taps
 from octex.field.sources import FINDERS
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
-from octex.field.taps import BLOCK, MOST_TILED, OFF, Ahead, Batch, Taps, hold_outside, new_taps, place_points
+from octex.field.taps import (
+    BLOCK,
+    MOST_TILED,
+    OFF,
+    Ahead,
+    Batch,
+    Taps,
+    clear_outside_slopes,
+    new_taps,
+    place_points,
+)
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_levels
 from octex.field.weights import MOST_ROWS, Facings, Weighing, facings_of, weigh_taps
 from octex.field.windows import MOST_TAPS, Walk, new_walk
@@ -253,7 +263,7 @@ class Finder:
         elif n_rim:
             taps = self._walked(places, taps, end, which)
         if self._gradient:
-            hold_outside(taps, places)
+            clear_outside_slopes(taps, places)
         return taps
 
     def _tiled(self, places: Float64s, taps: Taps, which: Int64s, rows: Uint8s) -> tuple[Taps, int, int]:

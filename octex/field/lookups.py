@@ -12,7 +12,7 @@ import numpy as np
 from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.channels import ColorSpace, decode
 from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
-from octex.field.bricks import NUMBER_BITS, SORTED, Asked, look_up_crowded, new_bricks
+from octex.field.bricks import NUMBER_BITS, SORTED, Targets, look_up_crowded, new_bricks
 from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, NotFiniteError, positions
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
@@ -172,9 +172,9 @@ class Lookup:
             raise NotFiniteError(fault)
         keys = keys_of(places, SORTED, NUMBER_BITS)
         keys.sort()
-        asked = Asked(places, keys, results.reshape(-1), results.shape[1], missed)
+        targets = Targets(places, keys, results.reshape(-1), results.shape[1], missed)
         tree = self._field.tree
-        n_missed = look_up_crowded(tree.arrays, tree.kept.cells, channel.codes, alpha, asked, new_bricks())
+        n_missed = look_up_crowded(tree.arrays, tree.kept.cells, channel.codes, alpha, targets, new_bricks())
         if n_missed:
             rows = missed[:n_missed].astype(np.int64)
             self._look_again(points, rows, [0], self._alpha, Lookup.leaves)

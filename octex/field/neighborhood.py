@@ -41,9 +41,9 @@ from octex.field.windows import (
     change_level,
     follow,
     kept_row,
-    leave_refined,
     new_walk,
     place_of,
+    retain_refined,
     weigh_windows,
     words_of,
 )
@@ -140,10 +140,10 @@ def _collect(way: Way, level: int, truncated: bool, rows: Uint32s, first: int) -
     """Write the taps of a window and of those above by refinement; return their number and weight."""
     walk, n_taps, total = way.walk, 0, 0.0
     while True:
-        n_taps, total = _settle(way, level, truncated, rows, first, n_taps, total)
+        n_taps, total = _collect_level(way, level, truncated, rows, first, n_taps, total)
         if level == 0 or walk.levels[level - 1, CONTENT] == 0:
             break
-        if not leave_refined(way, level):
+        if not retain_refined(way, level):
             break
         for column in range(way.columns):
             change_level(walk, SHARES + column, level, way.parents, False)
@@ -153,7 +153,7 @@ def _collect(way: Way, level: int, truncated: bool, rows: Uint32s, first: int) -
 
 
 @inlined
-def _settle(
+def _collect_level(
     way: Way, level: int, truncated: bool, rows: Uint32s, first: int, n_taps: int, total: float
 ) -> tuple[int, float]:
     """Write the taps on the leaves and kept nodes of a window; return number and weight of all."""

@@ -119,7 +119,7 @@ def finish(
 
 
 @inlined
-def let_sum_to_off(
+def scale_to_off(
     taps: Taps, start: int, end: int, total: np.float32, x: np.float32, y: np.float32, z: np.float32
 ) -> None:
     """Scale a point's taps to the sum OFF, and make slopes sum to 0; total, x, y, z are the sums so far."""
@@ -144,12 +144,12 @@ def scale_off(taps: Taps, which: Int64s) -> None:
         x = y = z = np.float32(0.0)
         for tap in range(start, end if taps.slopes.shape[0] > 0 else start):
             x, y, z = x + taps.slopes[tap, 0], y + taps.slopes[tap, 1], z + taps.slopes[tap, 2]
-        let_sum_to_off(taps, start, end, total, x, y, z)
+        scale_to_off(taps, start, end, total, x, y, z)
         taps.covers[n] = np.float32(0.0)
 
 
 @kernel
-def hold_outside(taps: Taps, places: Float64s) -> None:
+def clear_outside_slopes(taps: Taps, places: Float64s) -> None:
     """Zero the slopes of points outside the root cell, along the axes that ``places`` (n, 3) clamp."""
     for n in range(places.shape[0]):
         for axis in range(3):

@@ -14,7 +14,16 @@ from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
 from octex.field.blend import Sums, add_weighed, blend, blend_slopes, divide, new_sums, take, weigh_by_alpha
 from octex.field.sources import linear_taps, nearest_taps, quadratic_taps
 from octex.field.splines import LINEAR, NEAREST
-from octex.field.taps import MOST_TILED, Ahead, Batch, Codes, Taps, hold_outside, new_taps, place_points
+from octex.field.taps import (
+    MOST_TILED,
+    Ahead,
+    Batch,
+    Codes,
+    Taps,
+    clear_outside_slopes,
+    new_taps,
+    place_points,
+)
 from octex.field.tiles import Tiles, nearest_rows
 from octex.field.weights import MOST_ROWS, Weighing, weigh_taps
 from octex.jit import bytes_of, kernel, part
@@ -127,7 +136,7 @@ def look_up_tiled(
             else:
                 _, more, rest = quadratic_taps(search.tiles, search.is_off, batch, taps, 0)
             if gradient:
-                hold_outside(taps, here)
+                clear_outside_slopes(taps, here)
             if adds or is_faced:
                 at, sums = 0 if is_faced else begin, additions.sums
                 owners, shares = additions.owners[at : at + count], additions.shares[at : at + count]

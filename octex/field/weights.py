@@ -21,7 +21,7 @@ from octex.field.taps import (
     Taps,
     end_of,
     flat_of,
-    let_sum_to_off,
+    scale_to_off,
     with_row,
 )
 from octex.jit import decoded, inlined, kernel, part, popcount, prefetch, trailing_zeros
@@ -384,7 +384,7 @@ def weigh_taps(
                     passed_slopes[n, axis] = (slopes[1, axis] - share * slopes[0, axis]) * inverse
             if by.areas.size > 0 and taps.covers[n] == np.float32(0.0) and total > 0.0:
                 drift = slopes[0, 0], slopes[0, 1], slopes[0, 2]
-                let_sum_to_off(taps, start, stop, np.float32(total), *drift)
+                scale_to_off(taps, start, stop, np.float32(total), *drift)
 
 
 @kernel

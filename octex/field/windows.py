@@ -330,7 +330,7 @@ def _below(place: int) -> np.uint64:
 
 
 @inlined
-def leave_refined(way: Way, level: int) -> bool:
+def retain_refined(way: Way, level: int) -> bool:
     """Keep only the shares of refined cells in a window; return whether there are any."""
     walk, is_linear = way.walk, way.filter_code == LINEAR
     windows, levels = walk.windows, walk.levels

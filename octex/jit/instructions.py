@@ -46,7 +46,7 @@ def pointer_to(context: Any, builder: Any, array_type: Any, array: Any, index: A
     return builder.gep(context.make_array(array_type)(context, builder, array).data, [index])
 
 
-@instruction(lambda _: types.int64(types.uint64), lambda _c, builder, _s, given: builder.ctpop(*given))
+@instruction(lambda _: types.int64(types.uint64), lambda _c, builder, _s, values: builder.ctpop(*values))
 def popcount(bits: int | np.uint64) -> int:
     """Count the set bits of an unsigned 64-bit integer: one instruction."""
     return int(bits).bit_count()
@@ -56,7 +56,7 @@ _ALSO_ZERO = ir.Constant(ir.IntType(1), 0)
 
 
 @instruction(
-    lambda _: types.int64(types.uint64), lambda _c, builder, _s, given: builder.cttz(*given, _ALSO_ZERO)
+    lambda _: types.int64(types.uint64), lambda _c, builder, _s, values: builder.cttz(*values, _ALSO_ZERO)
 )
 def trailing_zeros(bits: int | np.uint64) -> int:
     """Index of the lowest set bit of a non-zero unsigned 64-bit integer: one instruction."""
@@ -64,10 +64,10 @@ def trailing_zeros(bits: int | np.uint64) -> int:
     return (bits & -bits).bit_length() - 1
 
 
-def _write_prefetch(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-    data = context.make_array(signature.args[0])(context, builder, given[0])
+def _write_prefetch(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    data = context.make_array(signature.args[0])(context, builder, values[0])
     stride = builder.extract_value(data.strides, 0)
-    address = builder.add(builder.ptrtoint(data.data, stride.type), builder.mul(given[1], stride))
+    address = builder.add(builder.ptrtoint(data.data, stride.type), builder.mul(values[1], stride))
     pointer = builder.inttoptr(address, ir.IntType(8).as_pointer())
     number = ir.IntType(32)
     to_read, keep, of_data = (ir.Constant(number, value) for value in (0, 3, 1))
@@ -82,8 +82,8 @@ def prefetch(array: np.ndarray[Any, Any], row: int) -> None:
     """Prefetch the memory of a row of an array; any number is valid."""
 
 
-def _write_bytes(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-    array = make_array(signature.args[0])(context, builder, given[0])
+def _write_bytes(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    array = make_array(signature.args[0])(context, builder, values[0])
     seen = make_array(signature.return_type)(context, builder)
     size, one = array.itemsize, context.get_constant(types.intp, 1)
     *rows, last = cgutils.unpack_tuple(builder, array.shape)
@@ -100,11 +100,11 @@ def bytes_of(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
     return array.view(np.uint8)
 
 
-def _write_decoded(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+def _write_decoded(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     if signature.args[1] == types.float32:
-        return given[1]
-    index = builder.zext(given[1], ir.IntType(64))
-    return builder.load(pointer_to(context, builder, signature.args[0], given[0], index))
+        return values[1]
+    index = builder.zext(values[1], ir.IntType(64))
+    return builder.load(pointer_to(context, builder, signature.args[0], values[0], index))
 
 
 @instruction(

@@ -44,13 +44,13 @@ def _typed_as(result: Callable[[Vector], Any], _context: Any) -> Callable[[Any, 
 
 
 def _write_operation(
-    of_floats: str, of_integers: str, sign: str, _c: Any, builder: Any, signature: Any, given: Any
+    of_floats: str, of_integers: str, sign: str, _c: Any, builder: Any, signature: Any, values: Any
 ) -> Any:
     element = signature.args[0].element
     name = of_floats if isinstance(element, types.Float) else of_integers
     if sign and name == of_integers:
         name += "_signed" if element.signed else "_unsigned"
-    return getattr(builder, name)(*filter(None, [sign]), *given)
+    return getattr(builder, name)(*filter(None, [sign]), *values)
 
 
 for _symbol, _names in {
@@ -68,16 +68,16 @@ for _symbol, _names in {
     lower_builtin(_symbol, Vector, Vector)(partial(_write_operation, *_names))
 
 
-def _vector_place(context: Any, builder: Any, array: Any, kind: Vector, given: Any) -> tuple[Any, int]:
+def _vector_place(context: Any, builder: Any, array: Any, kind: Vector, values: Any) -> tuple[Any, int]:
     """Return a pointer to a vector in an array, and its alignment."""
-    pointer = pointer_to(context, builder, array, *given)
+    pointer = pointer_to(context, builder, array, *values)
     of_vector = context.get_value_type(kind).as_pointer()
     return builder.bitcast(pointer, of_vector), array.dtype.bitwidth // 8
 
 
 def _reader(count: int) -> Any:
-    def write(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        place, align = _vector_place(context, builder, signature.args[0], signature.return_type, given)
+    def write(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        place, align = _vector_place(context, builder, signature.args[0], signature.return_type, values)
         return builder.load(place, align=align)
 
     @instruction(lambda array, _: Vector(array.dtype, count)(array, types.int64), write)
@@ -89,10 +89,10 @@ def _reader(count: int) -> Any:
 
 
 def _filler(element: Any, count: int) -> Any:
-    def write(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def write(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         nothing = ir.Constant(context.get_value_type(signature.return_type), ir.Undefined)
         lanes = ir.Constant(ir.VectorType(ir.IntType(32), count), [0] * count)
-        first = builder.insert_element(nothing, given[0], ir.Constant(ir.IntType(32), 0))
+        first = builder.insert_element(nothing, values[0], ir.Constant(ir.IntType(32), 0))
         return builder.shuffle_vector(first, nothing, lanes)
 
     @instruction(lambda _: Vector(element, count)(element), write)
@@ -108,8 +108,8 @@ four, eight, sixteen = _filler(types.float32, 4), _filler(types.float32, 8), _fi
 _eight_numbers = _filler(types.int64, 8)
 
 
-def _write_store(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-    array, at, vector = given
+def _write_store(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    array, at, vector = values
     place, align = _vector_place(context, builder, signature.args[0], signature.args[2], (array, at))
     builder.store(vector, place, align=align)
     return context.get_dummy_value()
@@ -121,9 +121,9 @@ def put(array: Any, at: Any, vector: Any) -> None:
     array.reshape(-1)[at : at + len(vector)] = vector
 
 
-def _write_lanes(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+def _write_lanes(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     lanes = range(signature.return_type.count)
-    numbers = [builder.extract_element(given[0], ir.Constant(ir.IntType(32), lane)) for lane in lanes]
+    numbers = [builder.extract_element(values[0], ir.Constant(ir.IntType(32), lane)) for lane in lanes]
     return context.make_tuple(builder, signature.return_type, numbers)
 
 
@@ -133,10 +133,10 @@ def lanes(vector: Any) -> Any:
     return tuple(vector)
 
 
-def _write_vector(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+def _write_vector(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     vector = ir.Constant(context.get_value_type(signature.return_type), ir.Undefined)
     for lane in range(signature.return_type.count):
-        number = builder.extract_value(given[0], lane)
+        number = builder.extract_value(values[0], lane)
         vector = builder.insert_element(vector, number, ir.Constant(ir.IntType(32), lane))
     return vector
 
@@ -147,14 +147,14 @@ def vector_of(numbers: Any) -> Any:
     return np.array(numbers)
 
 
-@instruction(lambda mask, one, other: one(mask, one, other), lambda _c, to, _s, given: to.select(*given))
+@instruction(lambda mask, one, other: one(mask, one, other), lambda _c, to, _s, values: to.select(*values))
 def chosen(mask: Any, one: Any, other: Any) -> Any:
     """Return the vector of one's numbers where ``mask`` is true, else of the other's."""
     return np.where(mask, one, other)
 
 
-def _write_bits(_context: Any, builder: Any, signature: Any, given: Any) -> Any:
-    bits = builder.bitcast(given[0], ir.IntType(signature.args[0].count))
+def _write_bits(_context: Any, builder: Any, signature: Any, values: Any) -> Any:
+    bits = builder.bitcast(values[0], ir.IntType(signature.args[0].count))
     return builder.zext(bits, ir.IntType(64))
 
 

@@ -47,7 +47,7 @@ from octex.tree.octree import Octree, no_kept, no_split
 from octex.tree.placement import Placement
 
 if TYPE_CHECKING:
-    from octex.texture.lookup import Question
+    from octex.texture.lookup import Request
     from octex.texture.texture import OctreeTexture
 
 Result = TypeVar("Result")
@@ -85,7 +85,7 @@ class Source:
         return texture
 
     def prepare(
-        self, texture: OctreeTexture, count: int, _question: Callable[[], Question], /
+        self, texture: OctreeTexture, count: int, _request: Callable[[], Request], /
     ) -> OctreeTexture:
         """Prepare lookups of ``count`` points, and return the texture that answers them."""
         # About a page a point: most of the file will be read.

@@ -81,7 +81,7 @@ class SurfacePoints(Protocol):
         """Rest positions (n, 3). Normals come with them as ``rest_normals``, else ``normals``."""
 
 
-def placed(
+def points_with_normals(
     points: npt.ArrayLike | SurfacePoints, normals: npt.ArrayLike | None = None
 ) -> tuple[Array, npt.ArrayLike | None]:
     """Return rest positions (n, 3), and normals: the argument, else those of the points.
@@ -126,7 +126,7 @@ class Lens(NamedTuple):
         return Query(self.filter, footprints, normals)
 
 
-class Question(NamedTuple):
+class Request(NamedTuple):
     """A lookup's inputs and options."""
 
     inputs: Inputs
@@ -134,7 +134,7 @@ class Question(NamedTuple):
     lens: Lens = Lens("nearest")
 
 
-def asked(
+def checked_request(
     points: npt.ArrayLike | SurfacePoints,
     filter: str,
     gradient: bool = False,
@@ -146,7 +146,7 @@ def asked(
     **options: Any,
 ) -> tuple[Lens, dict[str, Array]]:
     """Check a lookup's arguments and return its options and inputs; see `OctreeTexture.sample`."""
-    places, normals = placed(points, normals)
+    places, normals = points_with_normals(points, normals)
     lens, inputs = Lens(filter, **options), {"points": places}
     as_choice(lens.filter, FILTERS, "filter")
     if gradient and lens.filter == "nearest":
@@ -385,7 +385,7 @@ class Lookups:
     def __reduce__(self) -> tuple[Any, ...]:
         return Lookups, (self._tree, dict(self._channels), self._placement)
 
-    def few(self, points: Any, channel: Any, filter: Any) -> Float32s | dict[str, Float32s] | None:
+    def sample_few(self, points: Any, channel: Any, filter: Any) -> Float32s | dict[str, Float32s] | None:
         """Look up at most 64 points of leaves by a short path; None where it does not apply.
 
         A call with one point takes a third of the time this way.
@@ -450,7 +450,7 @@ class Lookups:
         found = (listing.cells if cells_alone else listing.reads)(inputs["points"])
         answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
 
-    def hold(self, inputs: Inputs, answers: list[Array]) -> None:
+    def contain(self, inputs: Inputs, answers: list[Array]) -> None:
         """Write whether leaves hold a block of points, as a LookUp."""
         fault = in_leaves(self._tree.arrays, Positions.of(inputs["points"]), *self._placement, answers[0])
         if fault >= 0:

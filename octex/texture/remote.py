@@ -23,7 +23,7 @@ from octex.field.tiles import can_be_tiled
 from octex.remote import BLOCK, RemoteFile
 from octex.texture.channel import Channel
 from octex.texture.file import Source
-from octex.texture.lookup import Question
+from octex.texture.lookup import Request
 from octex.texture.spans import Rows, Spans, add_reads, cells_of, lookup_reads, nodes_read
 from octex.texture.texture import OctreeTexture, opened
 from octex.tree.layout import GRID_BITS
@@ -113,38 +113,38 @@ class RemoteSource(Source):
             return self._here
 
     def prepare(
-        self, _texture: OctreeTexture, _count: int, question: Callable[[], Question], /
+        self, _texture: OctreeTexture, _count: int, request: Callable[[], Request], /
     ) -> OctreeTexture:
         """Fetch what lookups read, and return the texture that answers them."""
         with self._fetching, self.file.checked_once():
-            found = question()
+            found = request()
             return self._fetched_around(found) if found.channel is None else self._fetched(found)
 
-    def _fetched(self, question: Question) -> OctreeTexture:
+    def _fetched(self, request: Request) -> OctreeTexture:
         """Fetch what lookups of channels read, and return the texture that answers them.
 
         First come the groups around the points, level by level, then the rows of the cells there. Coarse
         cells with mixed facings pass probes on to finer ones; so this repeats until all is fetched.
         """
-        inputs, _, lens = question
+        inputs, _, lens = request
         has_tables = lens.has_footprints(inputs) or "normals" in inputs or not can_be_tiled(self._here.tree)
         is_first = is_more = True
         while is_more and not self.file.is_whole:
-            reads = lookup_reads(self._here, question, cells_alone=is_first)
+            reads = lookup_reads(self._here, request, cells_alone=is_first)
             cells = cells_of(reads.values())
             is_more = has_tables and self.file.fetch_tables(self._here.tree, max(cells, default=0))
             is_more |= self._fetch_nodes(cells, lens.filter)
             if not (is_first or is_more):
-                is_more = self.file.fetch_rows(partial(add_reads, self._here, reads, question))
+                is_more = self.file.fetch_rows(partial(add_reads, self._here, reads, request))
             self._renew(is_more)
             is_more |= is_first
             is_first = False
         return self.whole(self._here) if self.file.is_whole else self._here
 
-    def _fetched_around(self, question: Question) -> OctreeTexture:
+    def _fetched_around(self, request: Request) -> OctreeTexture:
         """Fetch the groups that decide which points leaves hold, and return the texture."""
         depth = self._here.tree.max_depth
-        points = np.nan_to_num(question.inputs["points"], posinf=0.0, neginf=0.0)
+        points = np.nan_to_num(request.inputs["points"], posinf=0.0, neginf=0.0)
         codes = encode_cells(on_grid(points, self._here.placement) >> (GRID_BITS - depth))
         self._renew(self._fetch_nodes({depth: distinct(codes)}, "nearest"))
         return self._here

@@ -35,11 +35,11 @@ from octex.texture.lookup import (
     LookUp,
     LookupOptions,
     Names,
-    Question,
+    Request,
     SurfacePoints,
-    asked,
+    checked_request,
     in_blocks,
-    placed,
+    points_with_normals,
 )
 from octex.texture.open import open_texture
 from octex.texture.texture import OctreeTexture, as_metadata
@@ -184,14 +184,14 @@ class TextureSet(Mapping[str, OctreeTexture]):
         part lacks or has with other components.
         """
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
-        lens, inputs = asked(points, filter, gradient, **options)
+        lens, inputs = checked_request(points, filter, gradient, **options)
         inputs["parts"] = self._numbers(parts, len(inputs["points"]))
         used = np.flatnonzero(np.bincount(inputs["parts"])).tolist()
         components = self._components(used or [0], channel)
         answers = Answers(components, channel, inputs, gradient, out)
         look_ups = {
             part: partial(texture._lookups.look_up, answers.channels, lens, normalize)
-            for part, texture in self._ready_for(Question(inputs, answers.channels, lens))
+            for part, texture in self._ready_for(Request(inputs, answers.channels, lens))
         }
         in_blocks(inputs, answers.arrays, partial(_by_part, look_ups), as_run(run, threads))
         return answers.returned
@@ -209,18 +209,18 @@ class TextureSet(Mapping[str, OctreeTexture]):
         ``parts`` are as for ``sample``; ``run`` says how to work (octex.Run). Raises ArgumentError for
         positions that are not finite (n, 3), and for unknown parts.
         """
-        inputs = {"points": placed(points)[0]}
+        inputs = {"points": points_with_normals(points)[0]}
         inputs["parts"] = self._numbers(parts, len(inputs["points"]))
         inside = np.empty(len(inputs["points"]), np.bool_)
-        look_ups = {part: texture._lookups.hold for part, texture in self._ready_for(Question(inputs))}
+        look_ups = {part: texture._lookups.contain for part, texture in self._ready_for(Request(inputs))}
         in_blocks(inputs, [inside], partial(_by_part, look_ups), as_run(run, threads))
         return inside
 
-    def _ready_for(self, question: Question) -> Iterator[tuple[int, OctreeTexture]]:
+    def _ready_for(self, request: Request) -> Iterator[tuple[int, OctreeTexture]]:
         """Yield the parts in use and the textures that answer for them: see `Source.prepare`."""
-        for part, count in enumerate(np.bincount(question.inputs["parts"]).tolist()):
+        for part, count in enumerate(np.bincount(request.inputs["parts"]).tolist()):
             if count:
-                texture, own = self[self.names[part]], partial(_of_part, question, part)
+                texture, own = self[self.names[part]], partial(_of_part, request, part)
                 yield part, texture.source.prepare(texture, count, own)
 
     def _numbers(self, parts: npt.ArrayLike, count: int) -> Int64s:
@@ -298,15 +298,15 @@ class TextureSet(Mapping[str, OctreeTexture]):
         }
 
 
-def _of_part(question: Question, part: int) -> Question:
+def _of_part(request: Request, part: int) -> Request:
     """Return a part's question, without rows that are not finite: the lookup itself refuses these."""
-    own = {name: array for name, array in question.inputs.items() if name != "parts"}
-    sound = question.inputs["parts"] == part
+    own = {name: array for name, array in request.inputs.items() if name != "parts"}
+    sound = request.inputs["parts"] == part
     for array in own.values():
         sound = sound & np.isfinite(array.reshape(len(array), -1)).all(axis=1)
     if "width" in own:
         sound &= own["width"] >= 0
-    return question._replace(inputs={name: array[sound] for name, array in own.items()})
+    return request._replace(inputs={name: array[sound] for name, array in own.items()})
 
 
 def _by_part(look_ups: Mapping[int, LookUp], inputs: Inputs, answers: list[Array]) -> None:

@@ -16,7 +16,7 @@ from octex.field.listing import Reads, joined_reads
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.parallel import Run
 from octex.texture.channel import Channel
-from octex.texture.lookup import Question, each_block
+from octex.texture.lookup import Request, each_block
 from octex.tree.beside import with_boundary
 from octex.tree.children import children_before
 from octex.tree.layout import SplitTable
@@ -78,13 +78,13 @@ class Spans(Rows):
 
 
 def lookup_reads(
-    texture: OctreeTexture, question: Question, *, cells_alone: bool = False
+    texture: OctreeTexture, request: Request, *, cells_alone: bool = False
 ) -> dict[str, dict[int, Reads]]:
     """Return the reads of lookups by channel and level.
 
     With ``cells_alone`` only the cells that hold points, as far as the tree's content does not change them.
     """
-    inputs, channel, lens = question
+    inputs, channel, lens = request
     names: list[Any] = list(channel) if isinstance(channel, (list, tuple)) else [channel]
     for name in names:
         as_choice(name, texture.channels, "channel")
@@ -149,12 +149,12 @@ def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, In
 
 
 def add_reads(
-    texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], question: Question, spans: Rows
+    texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], request: Request, spans: Rows
 ) -> None:
     """Add the rows that lookups read, except the groups of nodes."""
     alpha = [] if texture._lookups.rows_of()[1] is None else [texture.channels["alpha"]]
-    by_facing = "normals" in question.inputs
-    is_ruled = not by_facing and question.lens.has_footprints(question.inputs)  # by the bleed threshold
+    by_facing = "normals" in request.inputs
+    is_ruled = not by_facing and request.lens.has_footprints(request.inputs)  # by the bleed threshold
     for name, levels in reads.items():
         rows = {level: read.rows for level, read in levels.items()}
         _add_channel(spans, texture.tree, [texture.channels[name], *alpha], rows, by_facing, is_ruled)

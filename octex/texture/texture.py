@@ -34,13 +34,13 @@ from octex.texture.lookup import (
     LookupOptions,
     Lookups,
     Names,
-    Question,
+    Request,
     SurfacePoints,
-    asked,
+    checked_request,
     each_block,
     in_blocks,
     in_space,
-    placed,
+    points_with_normals,
 )
 from octex.texture.spans import Spans, add_reads, cells_of, lookup_reads, nodes_read
 from octex.tree.octree import Octree
@@ -223,17 +223,19 @@ class OctreeTexture:
             and (gradient is False and normalize is True and blur is sharpness is _NONE)
             and (anisotropy is ANISOTROPY and bleed_threshold is BLEED_THRESHOLD)
         ):
-            answer = self._lookups.few(points, channel, filter) if self.source.is_here else None
+            answer = self._lookups.sample_few(points, channel, filter) if self.source.is_here else None
             if answer is not None:
                 return answer
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
         look = {"anisotropy": anisotropy, "blur": blur, "sharpness": sharpness}
         shape = width, normals, dPdx, dPdy
-        lens, inputs = asked(points, filter, gradient, *shape, bleed_threshold=bleed_threshold, **look)
+        lens, inputs = checked_request(
+            points, filter, gradient, *shape, bleed_threshold=bleed_threshold, **look
+        )
         answers = Answers(self._lookups.components, channel, inputs, gradient, out)
         here = self
         if self.source.path:  # not memory
-            here = self.source.prepare(self, len(inputs["points"]), lambda: Question(inputs, channel, lens))
+            here = self.source.prepare(self, len(inputs["points"]), lambda: Request(inputs, channel, lens))
         lookups = here._lookups
         look_up: LookUp = partial(lookups.look_up, answers.channels, lens, normalize)
         how = DEFAULT if threads is None and run is None else as_run(run, threads)
@@ -276,9 +278,9 @@ class OctreeTexture:
 
         Raises ArgumentError as ``sample`` does.
         """
-        lens, inputs = asked(points, filter, **options)
+        lens, inputs = checked_request(points, filter, **options)
         as_choice(channel, self.channels, "channel")
-        here = self.source.prepare(self, len(inputs["points"]), lambda: Question(inputs, channel, lens))
+        here = self.source.prepare(self, len(inputs["points"]), lambda: Request(inputs, channel, lens))
         blocks = each_block(inputs, [], partial(here._lookups.list_taps, channel, lens), as_run(run, threads))
         starts, rows, weights, *_ = joined([Listed(*found) for _, found in blocks])
         return TapList(starts, rows.astype(np.int64), weights)
@@ -318,13 +320,13 @@ class OctreeTexture:
         mapping = self.source.here(self).source.mapping
         if mapping is None:
             raise ArgumentError("the texture has no file: save it and open that")
-        lens, inputs = asked(points, filter, **options)
-        question = Question(inputs, channel, lens)
-        here = self.source.prepare(self, 0, lambda: question)
-        spans, reads = Spans(mapping, block_size), lookup_reads(here, question)
+        lens, inputs = checked_request(points, filter, **options)
+        request = Request(inputs, channel, lens)
+        here = self.source.prepare(self, 0, lambda: request)
+        spans, reads = Spans(mapping, block_size), lookup_reads(here, request)
         for nodes in nodes_read(here.tree, cells_of(reads.values()), filter):
             spans.nodes(here.tree.arrays.groups, nodes)
-        add_reads(here, reads, question, spans)
+        add_reads(here, reads, request, spans)
         return spans.ranges()
 
     def contains(
@@ -334,10 +336,10 @@ class OctreeTexture:
 
         ``run`` says how to work (octex.Run). Raises ArgumentError for positions that are not finite (n, 3).
         """
-        inputs: Inputs = {"points": placed(points)[0]}
+        inputs: Inputs = {"points": points_with_normals(points)[0]}
         inside = np.empty(len(inputs["points"]), np.bool_)
-        here = self.source.prepare(self, len(inside), lambda: Question(inputs))
-        in_blocks(inputs, [inside], here._lookups.hold, as_run(run, threads))
+        here = self.source.prepare(self, len(inside), lambda: Request(inputs))
+        in_blocks(inputs, [inside], here._lookups.contain, as_run(run, threads))
         return inside
 
     def level(self, level: int) -> OctreeTexture:

@@ -15,9 +15,10 @@ import numpy.typing as npt
 import pytest
 
 import octex
+from octex import files
 from octex.channels import NORMAL, ROUGHNESS, ChannelFormat
 from octex.errors import ArgumentError, OutputError, TextureFileError
-from octex.texture import Channel, OctreeTexture, TextureSet, folder, lookup
+from octex.texture import Channel, OctreeTexture, TextureSet, lookup
 from octex.texture import set as sets
 from octex.tree.placement import Placement
 from tests.make.small_textures import eight_colors, shell
@@ -317,7 +318,7 @@ def test_a_broken_save_leaves_the_old_set_or_none(
     old = tmp_path / "old"
     TextureSet({"body": eight_colors()}).save(old)
     before = {name: (old / name).read_bytes() for name in names_in(old)}
-    save, replacing = OctreeTexture.save, folder.files.replacing
+    save, replacing = OctreeTexture.save, files.replacing
 
     def failing_save(texture: OctreeTexture, path: Path) -> None:
         if "left" in path.name:
@@ -332,7 +333,7 @@ def test_a_broken_save_leaves_the_old_set_or_none(
     if at == "part":
         monkeypatch.setattr(OctreeTexture, "save", failing_save)
     else:
-        monkeypatch.setattr(folder.files, "replacing", failing_replacing)
+        monkeypatch.setattr(files, "replacing", failing_replacing)
     wanted = OutputError if isinstance(error, OSError) else KeyboardInterrupt
     for place in (old, tmp_path / "new"):
         with pytest.raises(wanted):
@@ -344,7 +345,7 @@ def test_a_broken_save_leaves_the_old_set_or_none(
 def test_a_save_that_is_interrupted_after_its_index_is_whole(
     parts: TextureSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    replacing = folder.files.replacing
+    replacing = files.replacing
 
     @contextmanager
     def interrupted(path: Path) -> Iterator[Any]:
@@ -353,7 +354,7 @@ def test_a_save_that_is_interrupted_after_its_index_is_whole(
         if path.name == "set.json":
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(folder.files, "replacing", interrupted)
+    monkeypatch.setattr(files, "replacing", interrupted)
     with pytest.raises(KeyboardInterrupt):
         parts.save(tmp_path / "new")
     again = TextureSet.open(tmp_path / "new")
