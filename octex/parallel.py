@@ -302,8 +302,8 @@ def sharing(executor: Executor) -> Iterator[Executor]:
     if here is not None and shares_memory(here):
         yield here
         return
-    with workers() as own:
-        yield own
+    with workers() as threads:
+        yield threads
 
 
 def ordered_map(

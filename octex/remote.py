@@ -82,8 +82,8 @@ class RemoteFile:
             if not blocks.size:
                 return False
             for first in range(0, blocks.size, _MOST // BLOCK):
-                own = blocks[first : first + _MOST // BLOCK]
-                parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
+                some = blocks[first : first + _MOST // BLOCK]
+                parts = np.split(some, np.flatnonzero(np.diff(some) > 1) + 1)
                 runs = np.array([(part[0], part[-1] + 1) for part in parts]) * BLOCK
                 self._fetch(np.minimum(runs, self.size))
             self._is_checked = False

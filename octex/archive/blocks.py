@@ -84,8 +84,8 @@ def _list_flagged(content: Content, block: Block) -> None:
         if found.size != cells.size:
             raise DamagedError("its blocks and its flags disagree; copy it again")
         cells[:] = found
-    own = content.split.cells[begin.split : end.split]
-    content.split.facings[begin.split : end.split] = flags[own] & np.uint8(FACING_FLAGS)
+    split_cells = content.split.cells[begin.split : end.split]
+    content.split.facings[begin.split : end.split] = flags[split_cells] & np.uint8(FACING_FLAGS)
     if owners_of(content.split, block).size != end.row - begin.row:
         raise DamagedError("its blocks and its split cells disagree; copy it again")
 
@@ -104,14 +104,14 @@ def _code_channel(
         content.decoded[name],
         strict=True,
     )
-    for kind, own, owned, theirs, ours in tables:
-        original = theirs[own]
+    for kind, rows_here, cells, source, result in tables:
+        original = source[rows_here]
         numbers = np.zeros((len(original) + 1, form.components), np.uint32)  # the last row is room
         if not decodes:
             numbers[:-1] = values.numbers_of(original, form)
-        if owned is None:
+        if cells is None:
             values.code_values(rows, around, raw.reshape(-1), numbers, form, coding.weights.copy(), coder)
-        elif owned.size:
-            values.code_rows(owned, values.numbers_of(raw[owned], form), numbers, kind, form, coder)
+        elif cells.size:
+            values.code_rows(cells, values.numbers_of(raw[cells], form), numbers, kind, form, coder)
         if decodes or form.error:  # else they are unchanged
-            values.write_numbers(numbers[:-1], ours[own], form)
+            values.write_numbers(numbers[:-1], result[rows_here], form)

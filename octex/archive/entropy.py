@@ -126,9 +126,9 @@ def code_token(symbol: int, plain: int, bits: Int64s, context: int, coder: Coder
     if coder.work == DECODES:
         begins = sixteen_at(numbers, at) + sixteen_at(_LANES, 0)
         symbol = popcount(mask_bits(begins <= sixteen(_low(coder)))) - 1
-    own = np.uint64(at + symbol)
-    start = wide(numbers[own])
-    size = wide(numbers[own + np.uint64(1)]) - start + 1
+    at_symbol = np.uint64(at + symbol)
+    start = wide(numbers[at_symbol])
+    size = wide(numbers[at_symbol + np.uint64(1)]) - start + 1
     plain = _code(start + symbol, size, plain, bits[np.uint64(symbol)], coder)
     seen = wide(numbers[np.uint64(at + _SEEN)])
     numbers[np.uint64(at + _SEEN)] = min(seen + 1, _RATES.size - 1)

@@ -66,7 +66,7 @@ class Block(NamedTuple):
 
     @property
     def counts(self) -> Place:
-        """The block's own counts."""
+        """The block's counts."""
         return Place(*(after - before for before, after in zip(self.begin, self.end, strict=True)))
 
 
@@ -175,5 +175,7 @@ def root_arrays(content: Content, place: Place) -> list[Array]:
 
 def owners_of(split: SplitTable, block: Block) -> Uint32s:
     """Return the cell of each row of a block's split cells."""
-    own = slice(block.begin.split, block.end.split)
-    return np.repeat(split.cells[own], bit_counts(split.facings[own] & np.uint8(FACING_FLAGS)))
+    split_cells = slice(block.begin.split, block.end.split)
+    return np.repeat(
+        split.cells[split_cells], bit_counts(split.facings[split_cells] & np.uint8(FACING_FLAGS))
+    )

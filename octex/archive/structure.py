@@ -65,15 +65,15 @@ def _descended(groups: Uint64s, begin: int, above: Uint32s, first: int, last: in
             octant = trailing_zeros(bits)
             bits &= bits - 1
             if first <= child < last:
-                own, cell = np.uint64(child - first), next_cell[OWN] + before(stored[OWN], octant)
-                below[own, OWN] = cell
+                index, cell = np.uint64(child - first), next_cell[OWN] + before(stored[OWN], octant)
+                below[index, OWN] = cell
                 for k in range(6):
                     across = octant ^ 1 << (k >> 1)
                     at = np.uint64(k if octant >> (k >> 1) & 1 == k & 1 else OWN)  # else a sibling
                     other, node = next_cell[at] + before(stored[at], across), next_node[at]
                     node += before(inner[at], across)
-                    below[own, k] = other if stored[at] >> across & 1 else cell
-                    below[own, NODES + k] = node if inner[at] >> across & 1 else NO_NODE
+                    below[index, k] = other if stored[at] >> across & 1 else cell
+                    below[index, NODES + k] = node if inner[at] >> across & 1 else NO_NODE
             child += 1
     return below
 
@@ -120,11 +120,11 @@ def around_children(arrays: TreeArrays, block: Block, around: Uint32s) -> Int32s
         has_nodes[n], stored[n], firsts[n] = inner != 0, mask, cell - begin
     masks, begins = np.zeros(7, np.int64), np.zeros(7, np.int64)
     t = 0
-    for own in range(count):
-        masks[OWN], begins[OWN] = stored[own], firsts[own]
+    for index in range(count):
+        masks[OWN], begins[OWN] = stored[index], firsts[index]
         for k in range(6):
-            beyond = np.int64(around[own, NODES + k]) - first
-            masks[k], begins[k] = 0xFF if around[own, k] != around[own, OWN] else 0, -1
+            beyond = np.int64(around[index, NODES + k]) - first
+            masks[k], begins[k] = 0xFF if around[index, k] != around[index, OWN] else 0, -1
             if 0 <= beyond < count:
                 masks[k], begins[k] = stored[beyond], firsts[beyond]
         left = popcount(masks[OWN])
@@ -132,7 +132,7 @@ def around_children(arrays: TreeArrays, block: Block, around: Uint32s) -> Int32s
         while bits:
             octant = trailing_zeros(bits)
             bits &= bits - 1
-            about, row = left | np.int64(has_nodes[own]) << 4 | octant << 5, np.uint64(t)
+            about, row = left | np.int64(has_nodes[index]) << 4 | octant << 5, np.uint64(t)
             for axis in range(3):
                 across = octant ^ 1 << axis
                 upper = octant >> axis & 1
@@ -175,7 +175,7 @@ def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Cod
     masks, begins = np.zeros(last - first, np.int64), np.zeros(last - first, np.int64)
     was_leaf = 0
     for node in range(first, last):
-        own = node - first
+        index = node - first
         is_node = is_leaf = 0
         if not decodes:
             is_node, stored, _, _ = children_of(groups, node)
@@ -186,12 +186,12 @@ def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Cod
             groups[node >> 3, 2] = np.uint64(next_node) | np.uint64(next_cell) << np.uint64(32)
         faces = leaves_beside = 0
         for k in range(6):
-            is_there = wide(around[own, k] != around[own, OWN])
+            is_there = wide(around[index, k] != around[index, OWN])
             faces |= is_there << k
-            leaves_beside += is_there & wide(around[own, NODES + k] == NO_NODE)
-        x = _mask(masks, wide(around[own, NODES + 0]) - first)
-        y = _mask(masks, wide(around[own, NODES + 2]) - first)
-        z = _mask(masks, wide(around[own, NODES + 4]) - first)
+            leaves_beside += is_there & wide(around[index, NODES + k] == NO_NODE)
+        x = _mask(masks, wide(around[index, NODES + 0]) - first)
+        y = _mask(masks, wide(around[index, NODES + 2]) - first)
+        z = _mask(masks, wide(around[index, NODES + 4]) - first)
         present = wide(is_node | is_leaf)
         context = (x >> 1 & 1 | x >> 2 & 2) << 6 | (y >> 2 & 3) << 4 | z >> 4
         context |= (faces >> 1 & 1 | faces >> 2 & 2) << 8
@@ -202,8 +202,8 @@ def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Cod
         if there == 0 or next_cell + popcount(there) > end_cell:
             coder.state[FAULT] = 1
             return
-        masks[own], begins[own] = there, next_cell
-        parent = wide(flags[around[own, OWN]])
+        masks[index], begins[index] = there, next_cell
+        parent = wide(flags[around[index, OWN]])
         count, leaves, alike = popcount(there), wide(0), wide(1)
         bits = there if may_be_nodes else 0
         while bits:
@@ -227,7 +227,7 @@ def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Cod
             some = wide(0)
             for axis in range(3):
                 across = octant ^ 1 << axis
-                other = own if octant >> axis & 1 else wide(around[own, NODES + 2 * axis]) - first
+                other = index if octant >> axis & 1 else wide(around[index, NODES + 2 * axis]) - first
                 if _mask(masks, other) >> across & 1:
                     some |= wide(flags[begins[other] + before(masks[other], across)])
             flag, found, left = (0 if decodes else wide(flags[next_cell])), wide(0), shown

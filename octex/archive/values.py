@@ -10,7 +10,7 @@ Where all cells around equal the parent, a bit tells first whether its children 
 
 Rows of split cells and kept nodes are predicted from their cells' values.
 
-The areas of a node's children make up its own. A surface that faces one axis has the same area over each
+The areas of a node's children add up to its area. A surface that faces one axis has the same area over each
 face of the lattice along that axis: the sum of the cells in a column. So a cell alone in its column has the
 area of one next to it, and a cell above another has the rest of the column. The rest of the node's area, and
 the cells around, predict other areas.
@@ -166,8 +166,8 @@ def _code_values(rows: Int32s, around: Uint32s, raw: Uint8s, form: Form, room: _
         about = wide(rows[t, ABOUT])
         if left == 1:
             node += 1
-            own = around[np.uint64(node)]
-            flat = _begin_node(wide(t), about, own, was_flat, raw, form, room, coder)
+            node_row = around[np.uint64(node)]
+            flat = _begin_node(wide(t), about, node_row, was_flat, raw, form, room, coder)
             was_flat = was_flat if flat < 0 else flat
         left = about & 15
         if flat > 0:
@@ -205,14 +205,14 @@ def _begin_node(
             side = _term(side, form)
             sum_ += side
             room.sides[np.uint64(6 * j + k)] = side
-        own = np.uint64(j)
-        room.values[own], room.sums[own], room.total[own] = value, 0, sum_
+        index = np.uint64(j)
+        room.values[index], room.sums[index], room.total[index] = value, 0, sum_
         numbers[np.uint64(numbers.size - form.components + j)] = np.uint32(value)
         most = min(total >> form.unit + 1, 255)
         class_ = np.uint64(_CLASS_OF[np.uint64(most)])
         kind = (about >> 4 & 1) * form.components + j
-        room.most[own], room.contexts[own] = most, kind * _CONTEXTS
-        room.at[own], room.shifts[own] = (kind * CLASSES + wide(class_)) * TERMS, _SHIFTS[class_]
+        room.most[index], room.contexts[index] = most, kind * _CONTEXTS
+        room.at[index], room.shifts[index] = (kind * CLASSES + wide(class_)) * TERMS, _SHIFTS[class_]
     if differ != 0:
         return wide(-1)
     is_flat = wide(1)
@@ -234,50 +234,52 @@ def _term(difference: int, form: Form) -> int:
 @inlined
 def _code_component(t: int, j: int, part: int, noise: int, form: Form, room: _Room, coder: Coder) -> int:
     """Code component ``j`` of a child; return how much the components so far were off."""
-    components, own = form.components, np.uint64(j)
-    terms, weights, numbers, value = room.terms, room.weights, room.numbers, room.values[own]
+    components, index = form.components, np.uint64(j)
+    terms, weights, numbers, value = room.terms, room.weights, room.numbers, room.values[index]
     near, beside = wide(0), -3 * value
     for axis in range(3):
         near += room.sides[np.uint64(6 * j) + np.uint64(room.places[axis])]
         beside += wide(numbers[np.uint64(j) + np.uint64(room.places[3 + axis])])
-    mean = _term(room.sums[own], form) * part >> 16
-    place = np.uint64(room.at[own])
-    terms[0], terms[1], terms[2], terms[3] = near, room.total[own], _term(beside, form), mean
+    mean = _term(room.sums[index], form) * part >> 16
+    place = np.uint64(room.at[index])
+    terms[0], terms[1], terms[2], terms[3] = near, room.total[index], _term(beside, form), mean
     for k in range(min(j, 3)):
         terms[4 + 2 * k], terms[5 + 2 * k] = _term(room.off[k], form), _term(room.more[k], form)
     count, total = np.uint64(4 + 2 * min(j, 3)), wide(1 << WEIGHT_BITS - 1)
     for k in range(count):
         total += weights[place + k] * terms[k]
-    context = room.contexts[own] + wide(_CONTEXT_OF[np.uint64(min(room.most[own] + noise, 255))])
+    context = room.contexts[index] + wide(_CONTEXT_OF[np.uint64(min(room.most[index] + noise, 255))])
     at = np.uint64(t * components + j)
     guess = value + (total >> WEIGHT_BITS << form.unit)
     number, off, more = _coded(wide(numbers[at]), guess, context, form, coder)
     numbers[at] = np.uint32(number)
     if j + 1 < components:
-        room.off[own], room.more[own] = off, number - value
-    room.sums[own] += number - value
+        room.off[index], room.more[index] = off, number - value
+    room.sums[index] += number - value
     if t & 3 == 0:  # for a quarter of the cells, to save time
-        move = (wide(off > 0) - wide(off < 0)) << room.shifts[own]
+        move = (wide(off > 0) - wide(off < 0)) << room.shifts[index]
         for k in range(count):
             weights[place + k] += move * terms[k]
     return noise + more
 
 
 @kernel
-def code_rows(owners: Uint32s, own: Int64s, numbers: Uint32s, kind: int, form: Form, coder: Coder) -> None:
-    """Code numbers of rows, one for each cell of ``owners``, predicted from the cells' numbers ``own``."""
+def code_rows(
+    owners: Uint32s, cell_numbers: Int64s, numbers: Uint32s, kind: int, form: Form, coder: Coder
+) -> None:
+    """Code numbers of rows, one for each cell of ``owners``, predicted from ``cell_numbers``."""
     before = np.zeros(4, np.int64)
     for n in range(owners.size):
         if n == 0 or owners[n] != owners[n - 1]:
             before[:] = 0
         noise = shift = wide(0)
         for j in range(form.components):
-            guess = own[n, j] + (shift if form.components >= 3 else 0)
+            guess = cell_numbers[n, j] + (shift if form.components >= 3 else 0)
             varies = min((abs(before[j]) >> form.unit) + noise, 255)
             context = (kind * form.components + j) * _CONTEXTS + wide(_CONTEXT_OF[varies])
             number, _, more = _coded(wide(numbers[n, j]), guess, context, form, coder)
             numbers[n, j] = np.uint32(number)
-            before[j] = shift = number - own[n, j]
+            before[j] = shift = number - cell_numbers[n, j]
             noise += more
 
 

@@ -256,9 +256,9 @@ def _tensors(tree: _Tree, forms: dict[str, tuple[str, float, float]]) -> dict[st
         rows = tree.row_values.get(name, values[:0])
         of_all = values, rows[tree.kept :], rows[: tree.kept]
         are_there = True, has_split, has_kept
-        for key, own, is_there in zip(channel_names(name), of_all, are_there, strict=True):
+        for key, codes, is_there in zip(channel_names(name), of_all, are_there, strict=True):
             if is_there:
-                tensors[key] = _decoded(own, *forms[name])
+                tensors[key] = _decoded(codes, *forms[name])
     return tensors
 
 

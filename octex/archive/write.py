@@ -136,11 +136,11 @@ def _planned(content: Content) -> Iterator[list[Block]]:
         return Place(node, cell, n_split, int(rows[n_split]), int(np.searchsorted(kept.cells, cell)))
 
     for level, (first_node, end_node) in enumerate(pairwise(arrays.level_nodes[:-1].tolist())):
-        own = list(runs(first_node, end_node))
-        firsts = np.array([*(first for first, _ in own), end_node])
+        blocks = list(runs(first_node, end_node))
+        firsts = np.array([*(first for first, _ in blocks), end_node])
         cells, nodes = children_before(arrays.groups, firsts)
         places = list(map(place, nodes.tolist(), cells.tolist()))
-        yield [Block(level, *run, *ends) for run, ends in zip(own, pairwise(places), strict=True)]
+        yield [Block(level, *run, *ends) for run, ends in zip(blocks, pairwise(places), strict=True)]
 
 
 def _form(channel: ChannelBytes, dtype: np.dtype[Any], error: int) -> Form:

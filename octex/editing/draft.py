@@ -299,7 +299,7 @@ def places_in(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Int
         numbers = where.nodes[is_node]
     cells: list[Runs] = []
     add_below([tree], cells, [Runs.of_numbers(np.zeros_like(numbers), numbers)])
-    below = np.concatenate([numbers[:0], *(own.numbers() for own in cells)])
+    below = np.concatenate([numbers[:0], *(runs.numbers() for runs in cells)])
     place[place.size - below.size :] = below
     return place
 

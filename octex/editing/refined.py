@@ -75,14 +75,18 @@ def _refined_below(texture: OctreeTexture, level: int, task: tuple[Int64s, Uint8
     is_split = np.zeros(codes.size, np.bool_)
     for name, each in rows.items():
         form = channels[name].format
-        stored = (encode(own, form.dtype, form.space) for own in (each, values[name][owners]))
+        stored = (encode(part, form.dtype, form.space) for part in (each, values[name][owners]))
         is_split[owners[differ(form, *stored)]] = True
     return Below(values, is_split, {name: each[is_split[owners]] for name, each in rows.items()})
 
 
 def with_rows(texture: OctreeTexture, parts: Sequence[tuple[Int64s, Below]]) -> OctreeTexture:
     """Return a texture with cells (n,), ascending over all parts, split as their refinement is."""
-    cells = np.concatenate([own[below.is_split] for own, below in parts]) if parts else np.empty(0, np.int64)
+    cells = (
+        np.concatenate([numbers[below.is_split] for numbers, below in parts])
+        if parts
+        else np.empty(0, np.int64)
+    )
     if not cells.size:
         return texture
     rows = {}

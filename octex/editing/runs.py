@@ -83,14 +83,16 @@ def joined_runs(
 
     Where ``turned``, the first cells change from leaves to nodes, or from nodes to leaves.
     """
-    counts = np.array([[(own.ends - own.begins).sum() for own in runs] for runs in (cells, nodes)], np.int64)
+    counts = np.array(
+        [[(each.ends - each.begins).sum() for each in runs] for runs in (cells, nodes)], np.int64
+    )
     counts = counts[:, : np.count_nonzero(counts[0])]
     level_cells, level_nodes = np.pad(np.cumsum(counts, axis=1), ((0, 0), (1, 0)))
     every, above = (Runs.joined(*runs) for runs in (cells, nodes))
     n_nodes = int(level_nodes[-1])
     masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
-    for word, own in enumerate(masks):
-        own[:n_nodes] = above.of([masks_of(each.tree.arrays.groups, word) for each in textures])
+    for word, mask in enumerate(masks):
+        mask[:n_nodes] = above.of([masks_of(each.tree.arrays.groups, word) for each in textures])
     _turn(masks, turned)
     trees = [each.tree for each in textures]
     flags = every.of([tree.arrays.flags for tree in trees])
@@ -107,12 +109,12 @@ def joined_runs(
     )
     channels = {}
     for name, channel in like.channels.items():
-        own_channels = [each.channels[name] for each in textures]
+        stored = [each.channels[name] for each in textures]
         channels[name] = Channel(
             channel.format,
-            every.of([own.values for own in own_channels]),
-            row_runs.of([own.split_values for own in own_channels]),
-            kept_runs.of([own.kept_values for own in own_channels]),
+            every.of([each.values for each in stored]),
+            row_runs.of([each.split_values for each in stored]),
+            kept_runs.of([each.kept_values for each in stored]),
         )
     return like.with_cells(tree, channels)
 

@@ -212,10 +212,10 @@ def _level_shares(level: np.float32, depth: int, sharpness: float) -> tuple[int,
     lower = min(int(level), depth)
     upper = float(level) - lower
     excess = sharpness / 3.0 * min(depth - float(level), 1.0)
-    before, own = -excess * (1.0 - upper), 1.0 + excess - upper * (1.0 + 2.0 * excess)
+    before, at_lower = -excess * (1.0 - upper), 1.0 + excess - upper * (1.0 + 2.0 * excess)
     if lower == 0:
-        before, own = 0.0, own + before
-    return lower, before, own, upper * (1.0 + excess)
+        before, at_lower = 0.0, at_lower + before
+    return lower, before, at_lower, upper * (1.0 + excess)
 
 
 @kernel
@@ -228,7 +228,7 @@ def _lay(width: float, length: float, rows: int, least: float) -> tuple[float, f
     """Lay probes out over a long footprint: return their distance, and the reach along and across.
 
     They reach to both sides, along in steps of one distance; two rows lie across. The variances are then the
-    footprint's, less the probes' own width. Distances are at least ``least``, a leaf's edge.
+    footprint's, less the probes' width. Distances are at least ``least``, a leaf's edge.
     """
     apart = max(width * (0.5 if rows > 1 else _ROW_STEP), least)
     if not apart > 0.0:
@@ -266,9 +266,9 @@ def _count(
         total += probes
         if total > room and n > first:
             return n
-        lower, before, own, after = _level_shares(levels[n], depth, shape.sharpness)
+        lower, before, at_lower, after = _level_shares(levels[n], depth, shape.sharpness)
         counts[max(lower - 1, 0)] += probes * (before != 0.0)
-        counts[lower] += probes * (own != 0.0)
+        counts[lower] += probes * (at_lower != 0.0)
         counts[min(lower + 1, depth)] += probes * (after != 0.0)
     return levels.size
 
@@ -312,11 +312,11 @@ def _write_probes(
     """Write the probes of points ``first`` … ``end`` − 1, each level's from its ``ends`` on."""
     for n in range(first, end):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
-        lower, before, own, after = _level_shares(levels[n], depth, shape.sharpness)
+        lower, before, at_lower, after = _level_shares(levels[n], depth, shape.sharpness)
         target = n - first, places, owners, shares
         if rows == 0:
             _put_probe(ends, lower - 1, before, x, y, z, *target)
-            _put_probe(ends, lower, own, x, y, z, *target)
+            _put_probe(ends, lower, at_lower, x, y, z, *target)
             _put_probe(ends, lower + 1, after, x, y, z, *target)
             continue
         apart, along, across = _lay(shape.widths[n], shape.lengths[n], rows, least)
@@ -332,7 +332,7 @@ def _write_probes(
                 v = y + a * shape.along[n, 1] + b * shape.across[n, 1]
                 w = z + a * shape.along[n, 2] + b * shape.across[n, 2]
                 _put_probe(ends, lower - 1, part * before, u, v, w, *target)
-                _put_probe(ends, lower, part * own, u, v, w, *target)
+                _put_probe(ends, lower, part * at_lower, u, v, w, *target)
                 _put_probe(ends, lower + 1, part * after, u, v, w, *target)
 
 

@@ -96,9 +96,9 @@ class Listing(Lookup):
             runs = self.each_run(points)
             probes = ((level, some.points) for _, by_level in runs for level, some in by_level.items())
         found = []
-        for level, own in probes:
-            places = np.empty((len(own), 3))
-            fault = place_points(Positions.of(own), *self._placement, places)
+        for level, sampled in probes:
+            places = np.empty((len(sampled), 3))
+            fault = place_points(Positions.of(sampled), *self._placement, places)
             if fault >= 0:
                 raise NotFiniteError(fault)
             found.append({level: Reads(_NO_ROWS, _cells_at(places, level))})

@@ -98,11 +98,13 @@ class Lookup:
         self._rows: Uint8s = values.view(np.uint8).reshape(len(values), -1)
         self._channel: Weighed | None = None
         if len(channels) == 1:
-            own, weighing = channels[0], None if channels[0].is_alpha else alpha
-            other = weighing or own
-            is_alike = own.codes.values.dtype == other.codes.values.dtype
-            if own.space is other.space is None and is_alike:  # else many pairs of types would be compiled
-                self._channel = Weighed(own.codes, other.codes, weighing is not None)
+            channel, weighing = channels[0], None if channels[0].is_alpha else alpha
+            other = weighing or channel
+            is_alike = channel.codes.values.dtype == other.codes.values.dtype
+            if (
+                channel.space is other.space is None and is_alike
+            ):  # else many pairs of types would be compiled
+                self._channel = Weighed(channel.codes, other.codes, weighing is not None)
 
     @property
     def is_tiled(self) -> bool:
@@ -209,7 +211,7 @@ class Lookup:
         """Look up points, by default all, and return those without cells and those for the walk."""
         assert self._channel is not None
         adds, answers = additions is not NO_ADDITIONS, self._answers[0]
-        some, own, facing = additions, answers, NO_VECTORS if normals is None else normals
+        some, results, facing = additions, answers, NO_VECTORS if normals is None else normals
         slopes = self._gradients[0] if self._gradients else _NO_GRADIENTS
         if which is not None:
             points = np.take(points, which, axis=0)
@@ -217,12 +219,12 @@ class Lookup:
                 passed = np.zeros(which.size if additions.passed.size else 0, np.float32)
                 some = Additions(additions.owners[which], additions.shares[which], passed, additions.sums)
             else:
-                own = np.empty((which.size, answers.shape[1]), np.float32)
+                results = np.empty((which.size, answers.shape[1]), np.float32)
                 slopes = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
                 facing = facing if normals is None else np.take(normals, which, axis=0)
         lost = np.empty((2, len(points)), np.int64)
         where = *positions(points), *self._placement, unlocked(facing)
-        n_empty, n_rim, fault = _look_up_tiled(search, *where, self._channel, own, slopes, some, lost)
+        n_empty, n_rim, fault = _look_up_tiled(search, *where, self._channel, results, slopes, some, lost)
         if fault >= 0:
             raise NotFiniteError(fault)
         empty, rim = lost[0, :n_empty], lost[1, :n_rim]
@@ -231,7 +233,7 @@ class Lookup:
         if additions.passed.size:
             additions.passed[which] = some.passed
         if not adds:
-            put_rows(own, which, answers)
+            put_rows(results, which, answers)
             if self._gradients:
                 self._gradients[0][which] = slopes
         return which[empty], which[rim]
@@ -323,8 +325,8 @@ class Lookup:
             count = len(probes.points) if by.mixed.size else 0
             passed = np.zeros(count, np.float32), np.zeros((count if self._gradients else 0, 3), np.float32)
             if sums is not None and here.tiles_for(QUADRATIC) is not None:
-                own = Additions(probes.owners, probes.shares, passed[0], sums)
-                rows = self._by_tiles(here, probes.points, own, normals)
+                additions = Additions(probes.owners, probes.shares, passed[0], sums)
+                rows = self._by_tiles(here, probes.points, additions, normals)
             some, parts = probes.of(rows), (passed[0][rows] if count else passed[0], passed[1])
             facing = None if normals is None else normals[some.owners]
             for block, taps in self.finder(here).blocks(some.points, by, facing, parts, self._rows):

@@ -329,12 +329,12 @@ def weigh(
         while left != 0:
             axis = trailing_zeros(np.uint64(left))
             left &= left - np.uint8(1)
-            own = row_of(first, flags, axis, view[3])
+            visible_row = row_of(first, flags, axis, view[3])
             share = visible.shares[np.uint64(bits), np.uint64(axis)]
             if components > 0:
-                five = with_row(five, flat, own, share * weight, components)
+                five = with_row(five, flat, visible_row, share * weight, components)
             else:
-                end = _write(taps, end, tap, np.uint32(own), share * weight, share * factor, gradient)
+                end = _write(taps, end, tap, np.uint32(visible_row), share * weight, share * factor, gradient)
     if gradient:
         visible.slopes[0, 0], visible.slopes[0, 1], visible.slopes[0, 2] = x, y, z
     return end, five, total, gone

@@ -33,9 +33,9 @@ def instruction(kind: Callable[..., Any], write: Callable[..., Any]) -> Callable
             return kind(*arguments), write
 
         functools.update_wrapper(typed, function)
-        own = inspect.signature(function)
+        plain = inspect.signature(function)
         context = inspect.Parameter("_context", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-        typed.__signature__ = own.replace(parameters=[context, *own.parameters.values()])  # type: ignore[attr-defined]
+        typed.__signature__ = plain.replace(parameters=[context, *plain.parameters.values()])  # type: ignore[attr-defined]
         return intrinsic(typed)  # type: ignore[no-any-return]
 
     return made

@@ -353,7 +353,7 @@ def nearest_box(bounds: Any, nodes: Any, count: int, x: Any, y: Any, z: Any) -> 
         places = chosen(is_less, _eight_numbers(8 * node) + eight_at(_LANES, 0), places)
         least = chosen(is_less, squares, least)
     best, place = np.float32(np.inf), -1
-    for square, own in zip(lanes(least), lanes(places)):  # noqa: B905  (kernels know no strict)
+    for square, candidate in zip(lanes(least), lanes(places)):  # noqa: B905  (kernels know no strict)
         if square < best:
-            best, place = square, own
+            best, place = square, candidate
     return place

@@ -58,7 +58,7 @@ class Channel(NamedTuple):
         return self.values.nbytes + self.split_values.nbytes + self.kept_values.nbytes
 
     def check(self, name: str, tree: Octree) -> None:
-        """Raise ArgumentError unless the channel fits a tree and its own format."""
+        """Raise ArgumentError unless the channel fits a tree and its format."""
         form = self.format
         if not isinstance(form, ChannelFormat):
             raise ArgumentError(f"channel {name!r} must have a ChannelFormat, not {form!r}")

@@ -220,8 +220,8 @@ class TextureSet(Mapping[str, OctreeTexture]):
         """Yield the parts in use and the textures that answer for them: see `Source.prepare`."""
         for part, count in enumerate(np.bincount(request.inputs["parts"]).tolist()):
             if count:
-                texture, own = self[self.names[part]], partial(_of_part, request, part)
-                yield part, texture.source.prepare(texture, count, own)
+                texture, part_request = self[self.names[part]], partial(_of_part, request, part)
+                yield part, texture.source.prepare(texture, count, part_request)
 
     def _numbers(self, parts: npt.ArrayLike, count: int) -> Int64s:
         """Return each point's part (n,) as a number, or raise ArgumentError."""
@@ -300,27 +300,27 @@ class TextureSet(Mapping[str, OctreeTexture]):
 
 def _of_part(request: Request, part: int) -> Request:
     """Return a part's question, without rows that are not finite: the lookup itself refuses these."""
-    own = {name: array for name, array in request.inputs.items() if name != "parts"}
+    arrays = {name: array for name, array in request.inputs.items() if name != "parts"}
     sound = request.inputs["parts"] == part
-    for array in own.values():
+    for array in arrays.values():
         sound = sound & np.isfinite(array.reshape(len(array), -1)).all(axis=1)
-    if "width" in own:
-        sound &= own["width"] >= 0
-    return request._replace(inputs={name: array[sound] for name, array in own.items()})
+    if "width" in arrays:
+        sound &= arrays["width"] >= 0
+    return request._replace(inputs={name: array[sound] for name, array in arrays.items()})
 
 
 def _by_part(look_ups: Mapping[int, LookUp], inputs: Inputs, answers: list[Array]) -> None:
     """Look up a block of points, each in its part's texture. Raises NotFiniteError for the first row."""
     parts = inputs["parts"].astype(np.int64)
-    own = {name: array for name, array in inputs.items() if name != "parts"}
+    arrays = {name: array for name, array in inputs.items() if name != "parts"}
     order = np.argsort(parts, kind="stable")
     starts = np.flatnonzero(np.diff(parts[order]))
     if not starts.size:
-        look_ups[int(parts[0])](own, answers)
+        look_ups[int(parts[0])](arrays, answers)
         return
     faults = []
     for rows in np.split(order, starts + 1):
-        taken = {name: array[rows] for name, array in own.items()}
+        taken = {name: array[rows] for name, array in arrays.items()}
         found = [np.empty((len(rows), *answer.shape[1:]), answer.dtype) for answer in answers]
         try:
             look_ups[int(parts[rows[0]])](taken, found)

@@ -48,9 +48,9 @@ def near(codes: Int64s, others: Int64s, level: int) -> Bools:
 def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
     """Return which cells of a level are among cells listed level by level, or lie in larger ones of them."""
     found = np.zeros(codes.size, np.bool_)
-    for above, own in enumerate(cells[: level + 1]):
-        if own.size:
-            found |= among(codes >> 3 * (level - above), own)
+    for above, larger in enumerate(cells[: level + 1]):
+        if larger.size:
+            found |= among(codes >> 3 * (level - above), larger)
     return found
 
 
@@ -62,8 +62,8 @@ def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     below = np.empty(0, np.int64)
     for deeper in range(len(leaves) - 1, level - 1, -1):
         if leaves[deeper].size:
-            own = leaves[deeper] >> 3 * (deeper - level)
-            below = np.concatenate([below, own[among(own, around)]])
+            parents = leaves[deeper] >> 3 * (deeper - level)
+            below = np.concatenate([below, parents[among(parents, around)]])
     return near(codes, around[is_within(around, [*leaves[:level], distinct(below)], level)], level)
 
 
@@ -107,15 +107,15 @@ def _gather(codes: Int64s, level: int, blocks: Int64s, masks: Uint64s) -> None:
                 is_out = first + step < 1 or first + step > end
                 ways[axis, step] = -1 if is_out else spread(first + step - 1) << axis
         for side in range(27):
-            own = around[side] & inside
+            bits_there = around[side] & inside
             x, y, z = ways[0, side % 3], ways[1, side // 3 % 3], ways[2, side // 9]
-            if own == np.uint64(0) or x | y | z < 0:
+            if bits_there == np.uint64(0) or x | y | z < 0:
                 continue
             slot = _slot(x | y | z, bits)
             while slots[slot] >= 0 and blocks[slots[slot]] != x | y | z:
                 slot = slot + 1 & slots.size - 1
             if slots[slot] >= 0:
-                masks[slots[slot]] |= own
+                masks[slots[slot]] |= bits_there
 
 
 @inlined
@@ -134,8 +134,8 @@ def _widened(mask: np.uint64, axis: int) -> tuple[np.uint64, np.uint64, np.uint6
     third = mask >> (step + carry) & _FIRST_PLACES[axis]
     fourth = mask >> across & _FIRST_PLACES[axis]
     one, two, three = first | second | third, second | third | fourth, third | fourth
-    own = first | second | one << step | two << (step + carry) | three << across
-    return first << across, own, fourth
+    middle = first | second | one << step | two << (step + carry) | three << across
+    return first << across, middle, fourth
 
 
 @kernel

@@ -37,7 +37,7 @@ class Edited(NamedTuple):
 class Located(NamedTuple):
     """Where cells of one level are in a tree."""
 
-    cells: Int64s  # (n,)   the deepest stored cell that holds each, down to its own level
+    cells: Int64s  # (n,)   the deepest stored cell that holds each, down to this level
     levels: Int64s  # (n,)   that cell's level
     nodes: Int64s  # (n,)   its number among nodes; −1 for a leaf
 
@@ -140,14 +140,14 @@ def raised(
     split_codes = free = none  # those of the level above
     for level in range(depth + 1):
         codes, is_node = next(walk, (none, np.empty(0, np.bool_)))
-        own = codes[~is_node]
+        old_leaves = codes[~is_node]
         below = met[level + 1] >> 3 if level < depth else none
-        may = among(own, needed[level]) & among(own, below)
+        may = among(old_leaves, needed[level]) & among(old_leaves, below)
         children = (split_codes[:, None] << 3 | np.arange(8)).reshape(-1)
         children = children[among(children, met[level])]
         on = among(children, needed[level]) & among(children, below)
-        leaves.append(np.sort(np.concatenate([own[~may], children[~on], added[level]]), kind="stable"))
-        split_codes = np.sort(np.concatenate([own[may], children[on]]), kind="stable")
+        leaves.append(np.sort(np.concatenate([old_leaves[~may], children[~on], added[level]]), kind="stable"))
+        split_codes = np.sort(np.concatenate([old_leaves[may], children[on]]), kind="stable")
         is_free = among(split_codes >> 3, free) | among(split_codes, freed[level])
         keeping.append(np.sort(np.concatenate([split_codes[~is_free], above_added[level]]), kind="stable"))
         free = split_codes[is_free]
@@ -211,8 +211,8 @@ def with_all_above(codes: Sequence[Int64s]) -> list[Int64s]:
     """Return cells, listed level by level, with all cells above them; ascending."""
     found = []
     above = np.empty(0, np.int64)
-    for own in reversed(codes):
-        found.append(distinct(np.concatenate([own, above])))
+    for here in reversed(codes):
+        found.append(distinct(np.concatenate([here, above])))
         above = found[-1] >> 3
     return found[::-1]
 

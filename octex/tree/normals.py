@@ -82,7 +82,7 @@ def _gather(
 ) -> int:
     """List the cells around a block as (centre, area) in the edges of cells of ``depth``, and their flags.
 
-    Nodes of that depth count as cells. Larger leaves count whole, with their own centres.
+    Nodes of that depth count as cells. Larger leaves count whole, with their centres.
     """
     block_i, block_j, block_k = decode(block)
     low_i = (block_i << _BLOCK_LEVELS) - (_RADIUS - 1)
@@ -128,13 +128,13 @@ def _add_up(
     code: int, flags: int, n_around: int, around: Float64s, around_flags: Int64s, moments: Float64s
 ) -> None:
     """Sum w, w·p and w·p·pᵀ over cells around one, p from its centre, without the far side of a thin part."""
-    own = flags | ~int(np.int64(OPPOSITE[flags]))
+    same_side = flags | ~int(np.int64(OPPOSITE[flags]))
     i, j, k = decode(code)
     w_sum = wx_sum = wy_sum = wz_sum = xx = yy = zz = xy = xz = yz = 0.0
     for n in range(n_around):
         x, y, z = around[0, n] - (i + 0.5), around[1, n] - (j + 0.5), around[2, n] - (k + 0.5)
         nearness = 1.0 - (x * x + y * y + z * z) / _RADIUS**2
-        belongs = around_flags[n] == 0 or around_flags[n] & own != 0
+        belongs = around_flags[n] == 0 or around_flags[n] & same_side != 0
         w = around[3, n] * nearness if nearness > 0.0 and belongs else 0.0
         wx, wy, wz = w * x, w * y, w * z
         w_sum += w

@@ -57,7 +57,7 @@ class Octree:
     def from_leaves(cls, codes: npt.ArrayLike, depths: npt.ArrayLike) -> Octree:
         """Build a tree from its leaves; flags and areas are zero.
 
-        ``codes`` (n,) are Morton codes, each of its leaf's own depth; ``depths`` one for all, or (n,).
+        ``codes`` (n,) are Morton codes, each of its leaf's depth; ``depths`` one for all, or (n,).
         The leaves are disjoint and in Morton order, that is, sorted by ``code << 3·(21 − depth)``. The leaves
         of one level are numbered in this order.
 

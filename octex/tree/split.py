@@ -41,14 +41,14 @@ def rows_of(split: SplitTable, cells: Int64s | None = None) -> Rows:
     """Return all rows, or those of the split ones among ``cells``, ascending."""
     chosen = np.arange(split.cells.size)
     if cells is not None:
-        own = split.cells.astype(np.int64)
-        few, many = (own, cells) if own.size < cells.size else (cells, own)
+        split_cells = split.cells.astype(np.int64)
+        few, many = (split_cells, cells) if split_cells.size < cells.size else (cells, split_cells)
         shared = few[many[np.minimum(np.searchsorted(many, few), many.size - 1)] == few] if few.size else few
-        chosen = np.searchsorted(own, shared)
+        chosen = np.searchsorted(split_cells, shared)
     counts = counts_of(split.facings)
-    firsts, own = (np.cumsum(counts) - counts)[chosen], counts[chosen]
-    rows = in_runs(firsts, own)
-    return Rows(rows, np.repeat(split.cells[chosen].astype(np.int64), own), bits_of(split.facings[chosen]))
+    firsts, counts = (np.cumsum(counts) - counts)[chosen], counts[chosen]
+    owners = np.repeat(split.cells[chosen].astype(np.int64), counts)
+    return Rows(in_runs(firsts, counts), owners, bits_of(split.facings[chosen]))
 
 
 def find_rows(split: SplitTable, cells: Int64s, bits: Uint8s) -> tuple[Bools, Int64s]:
