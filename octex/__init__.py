@@ -5,8 +5,8 @@ The words
     root cell   the cube that holds the model; a cell of level k is 2⁻ᵏ as wide
     cell        a cube that the surface passes through: a leaf, or a node, which has cells below it
     depth       the finest level
-    rest        where a point of the surface lies before a pose moves it: the texture coordinate
-    source      what a point's value comes from: images, functions, numbers, other models, points
+    rest        a point's position before a pose moves it: the texture coordinate
+    source      the origin of a point's value: images, functions, numbers, other models, points
     channel     one property: base_color, alpha, roughness …; components are its numbers, codes its integers
     node        its value is the average of the source over the surface inside it
     leaf        its value is a coefficient of the field, or an average without a fit
@@ -14,34 +14,35 @@ The words
     fit         choosing the leaves' values so that the field matches the source
     residual    a node's value minus the average of the values below it: not 0 where leaves are fitted
     tap         a stored value that a lookup reads, with its weight
-    footprint   the area that a lookup averages over: a width, or derivatives by a picture's x and y
+    footprint   the area that a lookup averages over: a width, or derivatives by an image's x and y
+    probe       a sample of the field over one level's averages; a footprint adds several up
     facing      the axis direction nearest to a triangle's normal: +x −x +y −y +z −z
     split cell  a cell that stores a value for each facing of the surface in it, one row each
     kept node   a node above finer paint that also stores its old leaf value, for the field next to the paint
     adaptive    of a tree: it has leaves of several levels
     fragment    the part of a triangle that lies in a cell
     layer       a texture that holds only paint: one channel, and its coverage as alpha
-    patch       a disc of a surface, laid flat to be painted on in a picture
+    patch       a disc of a surface, laid flat to be painted on in an image
 
 The rooms, each of which knows only those before it (painting and photos know each other)
     tree        Morton codes, areas, placement; building, changing, searching and walking octrees
     nearest     nearest points of meshes and clouds, and the distance of two meshes
-    field       what lies between the cells: which of them a lookup blends, and what weighs them
-    archive     the same in a third of the bytes: predicted, and coded by entropy
+    field       the function between the cells: the taps of lookups, and their weights
+    archive     textures in a third of the bytes: predicted, and entropy-coded
     texture     OctreeTexture: tree, channels and placement; lookups; the .octex file
     kernels     lookups of one point, for your own compiled loops
     editing     shared by all edits: averages, rows of split cells, refined cells, drafts
-    source      surfaces and what they are coloured by: models, images, mappings, functions, clouds
-    voxelize    the cells that a surface meets, exactly; its fragments in them; sums by level
+    source      surfaces and their colours: models, images, mappings, functions, clouds
+    voxelize    the exact cells of a surface; its fragments in them; sums by level
     cleaning    repairs scans and generated meshes: duplicates, cracks, inner faces
-    conversion  the tree of these, the fit, adaptive depth
+    conversion  surfaces to textures: the tree, the fit, adaptive depth
     cameras     cameras, lenses and camera files
     view        z-buffers, and the points that a camera sees
-    painting    pictures projected into a paint octree, regions, layers; raising and merging
-    photos      what painting asks of several photographs first: masks, gains, weights; better cameras
+    painting    images projected into a paint octree, regions, layers; raising and merging
+    photos      several photographs before painting: masks, gains, weights; better cameras
     processing  textures from textures
     baking      textures to images at texture coordinates
-    formats     files that are not our own
+    formats     files of other programs
     drawing     renders models and textures: views, light, previews, differences
     session     paints for browser pages: commands, undo, recovery, saving
     viewer      textures in a browser: a page with a shader that walks the octree, a server
