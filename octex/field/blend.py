@@ -25,7 +25,7 @@ from octex.field.taps import (
     with_row,
 )
 from octex.field.weights import NO_VIEW, Weighing, find_split, new_visible, view_of, weigh
-from octex.jit import fused_kernel, fused_part, inlined, kernel, part, prefetch
+from octex.jit import by_constants, fused_kernel, fused_part, inlined, kernel, part, prefetch
 
 Three = tuple[float, float, float]
 
@@ -44,6 +44,7 @@ def _prefetch_rows(taps: Taps, begin: int, end: int, codes: Codes) -> None:
                 prefetch(codes.split_values, row - first_row)
 
 
+@by_constants
 @inlined
 def _sum(taps: Taps, n: int, flat: Flat, components: int) -> Five:
     """Return Σ w·v of up to four components, and Σ w."""
@@ -75,6 +76,7 @@ def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
         put_value(flat_results, n * components, components, a, b, c, d)
 
 
+@by_constants
 @fused_kernel
 def blend(taps: Taps, codes: Codes, is_prefetched: bool, results: Float32s) -> None:
     """Write the weighted mean (points, components): Σ w·v / Σ w. ``is_prefetched``: the rows already are."""
@@ -186,6 +188,7 @@ def _add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components:
     sums.totals[owner] += factor * five[4]
 
 
+@by_constants
 @fused_kernel
 def add_up(
     taps: Taps,
@@ -326,17 +329,6 @@ _NO_TAPS = Listed(
 )
 
 
-def listed(taps: Taps, scale: float) -> Listed:
-    """List taps, with weights that sum to 1 for each point and slopes times ``scale``."""
-    room = int((taps.ends - taps.starts).sum()) + 1
-    starts, rows = np.empty(taps.starts.size + 1, np.int64), np.empty(room, np.uint32)
-    weights = np.empty(room, np.float32)
-    slopes = np.empty((room if len(taps.slopes) else 0, 3), np.float32)
-    list_taps(taps, scale, starts, rows, weights, slopes)
-    end = starts[-1]
-    return Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers)
-
-
 def joined(lists: Sequence[Listed]) -> Listed:
     """Concatenate lists of taps."""
     if len(lists) == 1:
@@ -347,13 +339,14 @@ def joined(lists: Sequence[Listed]) -> Listed:
 
 
 @kernel
-def list_taps(
-    taps: Taps, scale: float, starts: Int64s, rows: Uint32s, weights: Float32s, slopes: Float32s
-) -> None:
-    """List the taps that have weight, with weights that sum to 1 and slopes times ``scale``."""
-    end = 0
-    starts[0] = 0
-    gradient = slopes.shape[0] > 0
+def listed(taps: Taps, scale: float) -> Listed:
+    """List the taps that have weight; weights sum to 1 for each point, slopes are times ``scale``."""
+    gradient, room = taps.slopes.shape[0] > 0, 1
+    for n in range(taps.starts.size):
+        room += taps.ends[n] - taps.starts[n]
+    starts, rows = np.empty(taps.starts.size + 1, np.int64), np.empty(room, np.uint32)
+    weights, slopes = np.empty(room, np.float32), np.empty((room if gradient else 0, 3), np.float32)
+    end = starts[0] = 0
     for n in range(taps.starts.size):
         total = 0.0
         sum_x = sum_y = sum_z = 0.0
@@ -376,3 +369,4 @@ def list_taps(
                 is_any = is_any or bool(x != 0.0 or y != 0.0 or z != 0.0)
             end += is_any
         starts[n + 1] = end
+    return Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers.copy())

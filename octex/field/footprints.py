@@ -74,6 +74,7 @@ class Probes(NamedTuple):
 ROUND = Footprints(np.empty(0), np.empty(0), np.empty((0, 3)), np.empty((0, 3)), 0.0)
 
 
+@kernel
 def long_footprints(
     dPdx: Floats, dPdy: Floats, blur: float, anisotropy: float, sharpness: float
 ) -> Footprints:
@@ -82,23 +83,9 @@ def long_footprints(
     A pixel is a parallelogram on the surface; its footprint has the same mean and variances. The short axis
     is at least the long one divided by ``anisotropy``.
     """
-    n = len(dPdx)
-    shape = Footprints(np.empty(n), np.empty(n), np.empty((n, 3)), np.empty((n, 3)), sharpness)
-    _principal_axes(dPdx, dPdy, blur, anisotropy, *shape[:4])
-    return shape
-
-
-@kernel
-def _principal_axes(
-    dPdx: Floats,
-    dPdy: Floats,
-    blur: float,
-    anisotropy: float,
-    widths: Float64s,
-    lengths: Float64s,
-    along: Float64s,
-    across: Float64s,
-) -> None:
+    n_points = dPdx.shape[0]
+    widths, lengths = np.empty(n_points, np.float64), np.empty(n_points, np.float64)
+    along, across = np.empty((n_points, 3), np.float64), np.empty((n_points, 3), np.float64)
     for n in range(widths.size):
         scale = 0.0
         for axis in range(3):
@@ -121,6 +108,7 @@ def _principal_axes(
             across[n, axis] = (p * y - q * x) / width if width > 0.0 else 0.0
         lengths[n] = min(length * scale, _LONGEST) + blur
         widths[n] = max(min(width * scale, _LONGEST) + blur, lengths[n] / anisotropy)
+    return Footprints(widths, lengths, along, across, sharpness)
 
 
 @kernel
@@ -197,9 +185,11 @@ def level_of(width: float, size: float, depth: int, finer: float) -> np.float32:
 
 
 @kernel
-def _levels_of(widths: Float64s, size: float, depth: int, finer: float, levels: Float32s) -> None:
+def _levels_of(widths: Float64s, size: float, depth: int, finer: float) -> Float32s:
+    levels = np.empty(widths.size, np.float32)
     for n in range(widths.size):
         levels[n] = level_of(widths[n], size, depth, finer)
+    return levels
 
 
 @inlined
@@ -345,8 +335,7 @@ def spread(
     """
     rows = 0 if not shape.lengths.size else 1 if filter_code <= LINEAR else 2
     finer = LONG_FINER[filter_code] + np.log2(rows) if rows else ROUND_FINER[filter_code]
-    levels = np.empty(shape.widths.size, np.float32)
-    _levels_of(shape.widths, size, depth, finer, levels)
+    levels = _levels_of(shape.widths, size, depth, finer)
     shape = shape._replace(
         widths=np.minimum(shape.widths, _ROOTS * size), lengths=np.minimum(shape.lengths, _ROOTS * size)
     )

@@ -31,7 +31,7 @@ from octex.field.tiles import (
     tile_key,
 )
 from octex.field.windows import INSIDE, PLACES
-from octex.jit import fused_kernel, inlined, kernel, part, popcount, prefetch, trailing_zeros
+from octex.jit import by_constants, fused_kernel, inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.search import UNITS, nearer_box
 
@@ -193,6 +193,7 @@ def new_group(gradient: bool) -> Group:
     )
 
 
+@by_constants
 @inlined
 def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, reach: int) -> None:
     """Find the tile and the window with lowest cell (i, j, k)."""
@@ -302,6 +303,7 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
     group.masks[word] |= ((stored >> shift) & np.uint64(0xFF)) << np.uint64(8 * (node & 7))
 
 
+@by_constants
 @inlined
 def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -> None:
     """Find the window of point n, unless it is the latest, and prefetch its cells' rows."""
@@ -329,6 +331,7 @@ def _is_window_marked(tiles: Tiles, group: Group) -> bool:
     return mask != np.uint64(0) and is_marked(tiles, int(group.firsts[trailing_zeros(mask) >> 3]))
 
 
+@by_constants
 @inlined
 def _take_word(
     group: Group,
@@ -370,6 +373,7 @@ def _take_word(
     return end, total
 
 
+@by_constants
 @inlined
 def _spline_taps(
     tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int, group: Group, tables: Tables, reach: int

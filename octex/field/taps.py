@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import ChannelValues, Float32s, Float64s, Floats, Int64s, Uint8s, Uint32s
-from octex.jit import decoded, inlined, kernel, part, prefetch
+from octex.jit import by_constants, decoded, inlined, kernel, part, prefetch
 from octex.tree.search import Origin, Positions, placed, position
 
 #: Points whose taps are found before any is blended: calls cost little, and taps fit the second cache.
@@ -230,6 +230,7 @@ def flat_of(codes: Codes) -> Flat:
     )
 
 
+@by_constants
 @inlined
 def value_at(values: ChannelValues, table: Floats, at: np.uint64, components: int) -> Four:
     """Return the decoded components at an index of flat values, padded with zeros."""
@@ -256,6 +257,7 @@ def put_value(results: Float32s, at: int, components: int, a: float, b: float, c
         results[np.uint64(at + 3)] = d
 
 
+@by_constants
 @inlined
 def value_of(flat: Flat, row: int, components: int) -> Four:
     """Return the decoded components of a row, by branches, as most rows are cells."""
@@ -267,6 +269,7 @@ def value_of(flat: Flat, row: int, components: int) -> Four:
     return value_at(flat.split, flat.table, np.uint64(row * components), components)
 
 
+@by_constants
 @inlined
 def with_row(five: Five, flat: Flat, row: int, weight: np.float32, components: int) -> Five:
     """Add a row times a weight to four components, and the weight to the fifth."""

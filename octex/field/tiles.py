@@ -26,7 +26,7 @@ import numpy.typing as npt
 from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s, zeros
 from octex.errors import OutputError
 from octex.field.taps import Batch, prefetch_cell
-from octex.jit import fused_part, inlined, kernel, part, popcount, prefetch, trailing_zeros
+from octex.jit import by_constants, fused_part, inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.beside import with_boundary
 from octex.tree.children import children
 from octex.tree.layout import GRID_BITS
@@ -281,6 +281,7 @@ def tile_key(i: Integer, j: Integer, k: Integer) -> Any:
     return i + one | (j + one) << np.int64(_AXIS_BITS) | (k + one) << np.int64(2 * _AXIS_BITS)
 
 
+@by_constants
 @inlined
 def _find_octant(tiles: Tiles, key: int, other: int) -> int:
     """Find and prefetch the first octant of one of the 2×2×2 tiles from that of a key on."""

@@ -13,6 +13,7 @@ vectors       vectors of numbers; sums of rows of four, boxes eight at a time
 """
 
 from octex.jit.decorators import DISABLED as DISABLED
+from octex.jit.decorators import by_constants as by_constants
 from octex.jit.decorators import direct as direct
 from octex.jit.decorators import fused_inlined as fused_inlined
 from octex.jit.decorators import fused_kernel as fused_kernel

@@ -112,8 +112,8 @@ class Lens(NamedTuple):
         """Return the query of a block of points, with arrays as kernels take them."""
         footprints: Footprints | None = None
         if "dPdx" in inputs:
-            derivatives = inputs["dPdx"], inputs["dPdy"]
-            footprints = long_footprints(*derivatives, self.blur, self.anisotropy, self.sharpness)
+            shape = map(float, (self.blur, self.anisotropy, self.sharpness))
+            footprints = long_footprints(inputs["dPdx"], inputs["dPdy"], *shape)
         elif "width" in inputs or self.blur > 0:
             widths = np.full(len(inputs["points"]), float(self.blur))
             if "width" in inputs:

@@ -67,15 +67,10 @@ def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     return near(codes, around[is_within(around, [*leaves[:level], distinct(below)], level)], level)
 
 
+@kernel
 def _masks_around(codes: Int64s, level: int, blocks: Int64s) -> Uint64s:
     """Return for each block (n,) the bits of its cells that are among ``codes`` or their neighbours."""
     masks = np.zeros(blocks.size, np.uint64)
-    _gather(np.ascontiguousarray(codes), level, blocks, masks)
-    return masks
-
-
-@kernel
-def _gather(codes: Int64s, level: int, blocks: Int64s, masks: Uint64s) -> None:
     around = np.empty(27, np.uint64)
     ways = np.empty((3, 3), np.int64)  # along each axis the bits of the blocks before, here and after it
     bits = 1
@@ -116,6 +111,7 @@ def _gather(codes: Int64s, level: int, blocks: Int64s, masks: Uint64s) -> None:
                 slot = slot + 1 & slots.size - 1
             if slots[slot] >= 0:
                 masks[slots[slot]] |= bits_there
+    return masks
 
 
 @inlined

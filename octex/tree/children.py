@@ -25,16 +25,6 @@ def children(groups: Uint64s, node: int) -> tuple[np.uint64, np.uint64, int, int
     return nodes >> shift & np.uint64(0xFF), cells >> shift & np.uint64(0xFF), first_node, first_cell
 
 
-def children_before(groups: Uint64s, nodes: Int64s) -> tuple[Int64s, Int64s]:
-    """Return how many cells, and how many nodes, come before the children of nodes (n,).
-
-    These are the numbers of the first of them. The node after the last counts as one.
-    """
-    cells, numbers = np.empty((2, nodes.size), np.int64)
-    _count_before(groups, nodes, cells, numbers)
-    return cells, numbers
-
-
 def children_of(groups: Uint64s, nodes: Int64s) -> tuple[Int64s, Int64s]:
     """Return the first child of nodes (n,), by node number, and their numbers of children."""
     firsts = children_before(groups, nodes)[0]
@@ -53,13 +43,6 @@ def groups_of(masks: Uint8s) -> Uint64s:
         groups[:, word] = masks[word].view("<u8")
     rank(groups)
     return groups
-
-
-def node_cells(arrays: TreeArrays) -> Int64s:
-    """Return the cell numbers of all nodes, ascending."""
-    cells = np.zeros(int(arrays.level_nodes[-1]), np.int64)
-    _list_nodes(arrays.groups, arrays.flags.size - 1, cells)
-    return cells
 
 
 @kernel
@@ -88,7 +71,12 @@ def gather_facings(groups: Uint64s, cells: Int64s, flags: Uint8s, made: Uint8s) 
 
 
 @kernel
-def _count_before(groups: Uint64s, nodes: Int64s, cells: Int64s, numbers: Int64s) -> None:
+def children_before(groups: Uint64s, nodes: Int64s) -> tuple[Int64s, Int64s]:
+    """Return how many cells, and how many nodes, come before the children of nodes (n,).
+
+    These are the numbers of the first of them. The node after the last counts as one.
+    """
+    cells, numbers = np.empty(nodes.size, np.int64), np.empty(nodes.size, np.int64)
     for n in range(nodes.size):
         group = min(nodes[n] >> 3, np.int64(groups.shape[0]) - 1)
         # Beyond the last node all masks are empty; beyond the last group all children come before.
@@ -98,17 +86,21 @@ def _count_before(groups: Uint64s, nodes: Int64s, cells: Int64s, numbers: Int64s
         first, second, ranks = groups[group, 0], groups[group, 1], groups[group, 2]
         numbers[n] = np.int64(ranks & np.uint64(0xFFFFFFFF)) + popcount(first & below)
         cells[n] = np.int64(ranks >> np.uint64(32)) + popcount((first | second) & below)
+    return cells, numbers
 
 
 @kernel
-def _list_nodes(groups: Uint64s, last: int, cells: Int64s) -> None:
-    """Write the cells of the nodes after the root, none beyond the ``last`` cell."""
+def node_cells(arrays: TreeArrays) -> Int64s:
+    """Return the cell numbers of all nodes, ascending."""
+    groups, last = arrays.groups, np.int64(arrays.flags.size) - 1
+    cells = np.zeros(arrays.level_nodes[-1], np.int64)
     found, cell = 1, np.int64(1)
     for node in range(cells.size):
         left, stored, _, _ = children(groups, node)
         while left != np.uint64(0) and found < cells.size:
             lowest = left & (~left + np.uint64(1))
             left ^= lowest
-            cells[found] = min(cell + popcount(stored & (lowest - np.uint64(1))), np.int64(last))
+            cells[found] = min(cell + popcount(stored & (lowest - np.uint64(1))), last)
             found += 1
         cell += popcount(stored)
+    return cells

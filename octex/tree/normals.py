@@ -30,19 +30,14 @@ _LEAST_AGREEMENT = 0.4
 _STACK = 8 * 22  # a node is replaced by at most eight children, on each of 22 levels
 
 
+@kernel
 def estimate_normals(tree: TreeArrays, cells: Int64s, codes: Int64s, depths: Uint8s) -> Float32s:
     """Estimate unit normals (n, 3) of cells by number, Morton code and depth; fastest in Morton order.
 
     They point outward as the cells' flags tell. Without flags the sign is arbitrary; with flags on both sides
     the first facing decides.
     """
-    normals = np.empty((len(cells), 3), np.float32)
-    _estimate(tree, cells, codes, depths, normals)
-    return normals
-
-
-@kernel
-def _estimate(tree: TreeArrays, cells: Int64s, codes: Int64s, depths: Uint8s, normals: Float32s) -> None:
+    normals = np.empty((cells.size, 3), np.float32)
     nodes = np.empty(_STACK, np.int64)
     places = np.empty((_STACK, 4), np.int64)
     around = np.empty((4, _MOST_CELLS), np.float64)
@@ -59,6 +54,7 @@ def _estimate(tree: TreeArrays, cells: Int64s, codes: Int64s, depths: Uint8s, no
         _add_up(code, flags, n_around, around, around_flags, moments)
         x, y, z = _flattest(moments)
         normals[n, 0], normals[n, 1], normals[n, 2] = _choose(x, y, z, flags)
+    return normals
 
 
 @kernel

@@ -12,5 +12,4 @@ def taps_of(
     field: Field, points: Floats, placement: Placement, filter: str = "quadratic", *, gradient: bool = False
 ) -> Listed:
     blocks = Finder(field, placement, filter, gradient=gradient).blocks(points, field.weighing(field, False))
-    found = [(listed(taps, 1.0 / placement.size), taps.covers.copy()) for _, taps in blocks]
-    return joined([taps._replace(covers=covers) for taps, covers in found])
+    return joined([listed(taps, 1.0 / placement.size) for _, taps in blocks])
