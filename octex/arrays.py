@@ -70,5 +70,5 @@ def _bit_counts(words: Integers) -> Uint8s:
 
 
 _BITS_OF_BYTES = np.array([byte.bit_count() for byte in range(256)], np.uint8)
-#: The number of bits that are 1 in each of some unsigned integers.
+#: Counts the 1 bits of each unsigned integer.
 bit_counts: Callable[[Integers], Uint8s] = getattr(np, "bitwise_count", _bit_counts)

@@ -50,7 +50,7 @@ LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 #: The least alpha weight in averages, so that a transparent cell's colour is still a mean.
 LEAST_COVERAGE = 2.0**-40
 
-#: Values by so much above 1 or below 0 are rounded: half a code of 16 bits is twice that.
+#: Largest rounding error above 1 or below 0: a quarter of a code of 16 bits.
 _ROUNDING = 2.0**-18
 
 #: The channels of materials, with glTF's names, in a texture's order; and one that sets the resolution of the

@@ -101,7 +101,7 @@ class Run:
         return as_progress(self.progress)
 
 
-#: A run of which nothing is set.
+#: The default run.
 DEFAULT = Run()
 
 
@@ -142,7 +142,7 @@ def memory_size() -> float:
 
 
 _most: int | None = None  # the limit of ``at_most``
-_pools = 0  # that there are
+_pools = 0  # number of pools
 _here = threading.local()  # ``is_worker`` in threads of pools
 
 

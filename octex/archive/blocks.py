@@ -32,7 +32,7 @@ def code_block(
     rows, owners = np.empty((0, 4), np.int32), np.empty(0, np.uint32)
     is_only = arrays.level_nodes[block.level : block.level + 2].tolist() == [block.first, block.last]
     for kind in kinds:
-        if kind != STRUCTURE and not rows.size:  # once which children there are is known
+        if kind != STRUCTURE and not rows.size:  # once the children are decoded
             rows, owners = structure.around_children(arrays, block, around), owners_of(content.split, block)
         contexts, most_notes = _extent(kind, codings, block)
         model = models.get(kind) or new_model(*contexts)

@@ -297,7 +297,7 @@ _AREAS = np.rint(np.exp2((np.arange(256) - AREA_ONE) / AREA_STEPS + _BITS)).asty
 _AREAS[0] = 0
 #: Steps of an octave, by the eight bits below the highest.
 _STEPS_OF = np.floor(AREA_STEPS * np.log2(1 + (np.arange(256) + 0.5) / 256)).astype(np.uint8)
-#: The axis that a cell of some facings faces, 3 for several.
+#: The axis of a cell's facings, 3 for several.
 _AXIS_OF = np.full(FACING_FLAGS + 1, 3, np.uint8)
 _AXIS_OF[1 << np.arange(6)] = np.arange(6) >> 1
 #: Tokens of differences: 8 minus or plus 0, 1, 2, then the number of bits plus 1; the last has 7. The bits of
@@ -351,7 +351,7 @@ def code_areas(arrays: TreeArrays, begin: int, rows: Int32s, around: Uint32s, co
     for t in range(rows.shape[0]):
         if left == 1:
             node += 1
-            # A child's face is a quarter of its parent's: so many steps.
+            # A child's face is a quarter of its parent's: two octaves.
             whole = min(wide(areas[around[node, OWN]]) + 2 * AREA_STEPS, 255)
             rest = _AREAS[whole]
         about = wide(rows[np.uint64(t), ABOUT])

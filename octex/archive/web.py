@@ -11,7 +11,7 @@ import os
 import struct
 import zlib
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -59,26 +59,6 @@ def _carried(path: Path, content: bytes) -> bytes:
         raise DamagedError(f"its {OCTREE_EXTENSION} is damaged ({error}); {_AGAIN}") from None
 
 
-class _Levels(NamedTuple):
-    """The numbers of cells and nodes before each level, and of all."""
-
-    cells: Int64s
-    nodes: Int64s
-
-    @classmethod
-    def of(cls, part: dict[str, Any]) -> _Levels:
-        """Read them from a header; raises ValueError for impossible ones."""
-        depth = part["depth"]
-        found = cls(*(np.array(part[name], np.int64) for name in ("levelCells", "levelNodes")))
-        if not 0 <= depth <= MAX_DEPTH or any(counts.shape != (depth + 2,) for counts in found):
-            raise ValueError
-        if any(counts[0] != 0 or (np.diff(counts) < 0).any() for counts in found):
-            raise ValueError
-        if found.cells[-1] > MAX_CELLS or (np.diff(found.cells) < np.maximum(np.diff(found.nodes), 1)).any():
-            raise ValueError
-        return found
-
-
 class _Stream:
     """A stream of bytes, read from the front."""
 
@@ -107,10 +87,21 @@ class _Tree:
     """The content of a part, as far as read."""
 
     def __init__(self, part: dict[str, Any]) -> None:
-        self.levels = _Levels.of(part)
+        #: The numbers of cells and of nodes before each level, and of all.
+        self.level_cells, self.level_nodes = (
+            np.array(part[name], np.int64) for name in ("levelCells", "levelNodes")
+        )
+        firsts, depth = (self.level_cells, self.level_nodes), part["depth"]
+        if not 0 <= depth <= MAX_DEPTH or any(counts.shape != (depth + 2,) for counts in firsts):
+            raise ValueError
+        level_sizes, node_counts = map(np.diff, firsts)
+        if self.level_cells[0] or self.level_nodes[0] or (node_counts < 0).any():
+            raise ValueError
+        if self.level_cells[-1] > MAX_CELLS or (level_sizes < np.maximum(node_counts, 1)).any():
+            raise ValueError
         self.kept, (self.split, self.rows) = int(part["kept"]), map(int, part["split"])
         self.channels: dict[str, int] = {each["name"]: each["components"] for each in part["channels"]}
-        cells, nodes = int(self.levels.cells[-1]), int(self.levels.nodes[-1])
+        cells, nodes = int(self.level_cells[-1]), int(self.level_nodes[-1])
         if not all(1 <= width <= 4 for width in self.channels.values()):
             raise ValueError
         if not (0 <= self.kept <= nodes and 0 <= self.split <= min(cells, self.rows) <= 6 * cells):
@@ -127,24 +118,25 @@ class _Tree:
         width = sum(self.channels.values())
         if levels is None:
             return 4 * self.kept + 5 * self.split + width * (self.kept + self.rows)
-        cells, nodes = (np.diff(counts)[slice(*levels)].sum() for counts in self.levels)
-        above = np.diff(self.levels.nodes)[max(levels[0] - 1, 0) : levels[1] - 1].sum()
+        counts = self.level_cells, self.level_nodes
+        cells, nodes = (np.diff(each)[slice(*levels)].sum() for each in counts)
+        above = np.diff(self.level_nodes)[max(levels[0] - 1, 0) : levels[1] - 1].sum()
         return int(2 * above + nodes + (1 + width) * cells)
 
     def take_level(self, level: int, stream: _Stream) -> None:
         """Read the cells of a level."""
-        levels = self.levels
-        first, end = levels.cells[level : level + 2].tolist()
-        parents, is_node = np.zeros(1, np.int64), np.array([levels.nodes[-1] > 0])
+        level_nodes = self.level_nodes
+        first, end = self.level_cells[level : level + 2].tolist()
+        parents, is_node = np.zeros(1, np.int64), np.array([level_nodes[-1] > 0])
         known = np.uint8(level > 0)
         if level:
-            rows = slice(*levels.nodes[level - 1 : level + 1].tolist())
+            rows = slice(*level_nodes[level - 1 : level + 1].tolist())
             count = rows.stop - rows.start
             nodes, leaves = self.masks[:, rows] = stream.take(2 * count).reshape(2, count)
             is_there = _bits(nodes | leaves)
             is_node = _bits(nodes)[is_there]
             parents = np.repeat(self.above, bit_counts(nodes | leaves))
-        if parents.size != end - first or is_node.sum() != np.diff(levels.nodes)[level]:
+        if parents.size != end - first or is_node.sum() != np.diff(level_nodes)[level]:
             raise stream.damaged()
         above = parents[is_node]
         self.above = first + np.flatnonzero(is_node)
@@ -243,7 +235,7 @@ def _contents(header: dict[str, Any], content: bytes, first: int) -> Contents:
 
 
 def _tensors(tree: _Tree, forms: dict[str, tuple[str, float, float]]) -> dict[str, Array]:
-    arrays = groups_of(tree.masks), tree.levels.cells, tree.levels.nodes, tree.flags, tree.areas
+    arrays = groups_of(tree.masks), tree.level_cells, tree.level_nodes, tree.flags, tree.areas
     tensors: dict[str, Array] = dict(zip(TREE_NAMES, arrays, strict=True))
     flagged = tree.flags & np.uint8(SPLIT | KEPT)
     if flagged.any() != bool(tree.tables):

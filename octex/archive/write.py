@@ -49,7 +49,7 @@ from octex.tree.split import counts_of
 
 #: The number of last cells that determine a unit.
 _LAST = 1 << 14
-#: Weights are learned from about so many nodes of each of the two deepest levels, in runs, in rounds.
+#: Weights are learned from about _SAMPLE nodes of each of the two deepest levels, in runs, repeatedly.
 _SAMPLE, _RUN, _ROUNDS = 1 << 13, 1 << 8, 3
 _MOST = 8 << WEIGHT_BITS
 

@@ -32,7 +32,7 @@ Three = tuple[float, float, float]
 
 @inlined
 def _prefetch_rows(taps: Taps, begin: int, end: int, codes: Codes) -> None:
-    """Prefetch every other row of a group of points: the next mostly lies next to it."""
+    """Prefetch every other row of a group of points: the rows between share its cache lines."""
     first_kept = codes.values.shape[0]
     first_row = first_kept + codes.kept_values.shape[0]
     for n in range(begin, end):

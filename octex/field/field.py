@@ -167,7 +167,7 @@ class Field:
             yield taps
 
     def weighing(self, whole: Field, faces: bool, mixed: Uint8s = NO_BYTES) -> Weighing:
-        """Return what weighs the taps of this field; ``whole`` is the field that this is a level of."""
+        """Return the weighing of this field's taps; ``whole`` is the field that this is a level of."""
         areas = NO_BYTES if self is whole else unlocked(whole.areas_of_averages(self.depth)[: self.n_cells])
         facings, first_kept = self.facings if faces else _NO_FACINGS, whole.n_cells
         return Weighing(areas, mixed, 0, facings, faces, first_kept, first_kept + whole.tree.kept.cells.size)
@@ -285,7 +285,7 @@ class Finder:
         return taps, end, n_rim
 
     def _walked(self, places: Float64s, taps: Taps, end: int, which: Int64s) -> Taps:
-        """Find the taps of some points by the walk."""
+        """Find the taps of points ``which`` by the walk."""
         if self._walk is None:
             self._walk = new_walk()
         tree = self.field.tree

@@ -239,7 +239,7 @@ class Lookup:
         return which[empty], which[rim]
 
     def weighing(self, here: Field) -> Weighing:
-        """Return what weighs the taps of a level."""
+        """Return the weighing of a level's taps."""
         query, mixed = self._query, NO_BYTES
         faces = query.normals is not None
         if not (here is self._field or query.mixed is None or faces) and here.tree.split.cells.size:
@@ -345,7 +345,7 @@ class Lookup:
         alpha: ChannelRows | None,
         look_up_points: Callable[[Lookup, Floats], None],
     ) -> None:
-        """Look some channels of some points up by another path."""
+        """Look up channels ``numbers`` at points ``rows`` by another path."""
         answers = [np.empty((rows.size, self._answers[n].shape[1]), np.float32) for n in numbers]
         gradients = [np.empty((*answer.shape, 3), np.float32) for answer in answers if self._gradients]
         channels = [self._channels[n] for n in numbers]

@@ -98,7 +98,7 @@ NO_VIEW: View = np.float32(0.0), np.float32(0.0), np.float32(0.0), 0
 
 @inlined
 def view_of(normals: Float32s, n: int) -> View:
-    """Return the view along one of some normals."""
+    """Return the view along normal n."""
     return view_along(normals[n, 0], normals[n, 1], normals[n, 2])
 
 
@@ -186,7 +186,7 @@ class Weighing(NamedTuple):
     mixed: Uint8s  # (cells,) or (0,)   which cells mix facings, see `mark_mixed`: they weigh nothing
     first_mixed: int  # the first of these cells
     facings: Facings
-    faces: bool  # there are normals
+    faces: bool  # lookups have normals
     first_kept: int  # the row number of the first kept node
     first_row: int  # and of the first row of the split table
 
@@ -363,10 +363,7 @@ def weigh_taps(
     (points, 3) or (0, 3).
     """
     end, visible = end_of(taps), new_visible()
-    slopes, flat = (
-        visible.slopes,
-        flat_of(Codes(split, split, split, visible.parts)),
-    )  # of which nothing is read
+    slopes, flat = visible.slopes, flat_of(Codes(split, split, split, visible.parts))  # ``flat`` is not read
     for begin in range(0, taps.starts.size, AT_ONCE):
         last = min(begin + AT_ONCE, taps.starts.size)
         find_split(taps, begin, last, by, split, visible)

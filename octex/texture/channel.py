@@ -21,7 +21,7 @@ from octex.tree.octree import Octree
 NO_GRADIENTS = np.empty((0, 4, 3), np.float32)
 NO_TABLE = np.empty(0, np.float32)
 
-#: A stored type for all channels, for some by their names, or the type that each has.
+#: A stored type for all channels, or by name; None for their present types.
 Dtypes: TypeAlias = str | Mapping[str, str] | None
 
 #: Rows that are looked at together.

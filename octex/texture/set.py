@@ -275,7 +275,7 @@ class TextureSet(Mapping[str, OctreeTexture]):
     def validate(self) -> None:
         """Check that every part's tree is sound and all values are finite.
 
-        Raises TextureFileError that names the first broken part and what is wrong.
+        Raises TextureFileError that names the first broken part and its fault.
         """
         for name in self.names:
             try:

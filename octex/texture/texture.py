@@ -385,7 +385,7 @@ class OctreeTexture:
     def validate(self) -> None:
         """Check that the tree is sound and all values are finite.
 
-        Raises TextureFileError that names what is broken.
+        Raises TextureFileError that names the fault.
         """
         here, path = self.source.whole(self), self.source.path
         try:

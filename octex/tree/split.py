@@ -15,7 +15,7 @@ class Rows(NamedTuple):
     """Rows of the split table, ascending."""
 
     rows: Int64s  # (n,)
-    cells: Int64s  # (n,)   whose rows they are
+    cells: Int64s  # (n,)   the cell of each
     bits: Uint8s  # (n,)   their facings, as flags
 
     def of(self, chosen: Bools | slice) -> Rows:

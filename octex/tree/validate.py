@@ -18,7 +18,7 @@ from octex.tree.layout import (
     TreeArrays,
 )
 
-#: Cells whose flags are looked at together.
+#: Cells checked at once.
 _PIECE = 1 << 20
 
 
