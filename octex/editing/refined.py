@@ -82,11 +82,7 @@ def _refined_below(texture: OctreeTexture, level: int, task: tuple[Int64s, Uint8
 
 def with_rows(texture: OctreeTexture, parts: Sequence[tuple[Int64s, Below]]) -> OctreeTexture:
     """Return a texture with cells (n,), ascending over all parts, split as their refinement is."""
-    cells = (
-        np.concatenate([numbers[below.is_split] for numbers, below in parts])
-        if parts
-        else np.empty(0, np.int64)
-    )
+    cells = np.concatenate([np.empty(0, np.int64), *(each[below.is_split] for each, below in parts)])
     if not cells.size:
         return texture
     rows = {}

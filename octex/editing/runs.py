@@ -83,9 +83,7 @@ def joined_runs(
 
     Where ``turned``, the first cells change from leaves to nodes, or from nodes to leaves.
     """
-    counts = np.array(
-        [[(each.ends - each.begins).sum() for each in runs] for runs in (cells, nodes)], np.int64
-    )
+    counts = np.array([[(run.ends - run.begins).sum() for run in runs] for runs in (cells, nodes)], np.int64)
     counts = counts[:, : np.count_nonzero(counts[0])]
     level_cells, level_nodes = np.pad(np.cumsum(counts, axis=1), ((0, 0), (1, 0)))
     every, above = (Runs.joined(*runs) for runs in (cells, nodes))

@@ -57,16 +57,12 @@ def with_split(
     Other channels keep existing rows, or take the cells' values.
     """
     tree = texture.tree
-    table, order, inserted_rows = inserted(tree.split, cells, facings, tree.arrays.areas[cells])
-    there = inserted_rows.rows >= 0
+    table, order, new = inserted(tree.split, cells, facings, tree.arrays.areas[cells])
+    there = new.rows >= 0
     stays = ~among(rows_of(tree.split).cells, cells)
     channels = {}
     for name, channel in texture.channels.items():
-        made = (
-            rows[name]
-            if name in rows
-            else _stored_facing(channel, inserted_rows.cells, there, inserted_rows.rows[there])
-        )
+        made = rows[name] if name in rows else _stored_facing(channel, new.cells, there, new.rows[there])
         values = np.concatenate([channel.split_values[stays], made])[order]
         channels[name] = channel._replace(split_values=np.ascontiguousarray(values))
     flags = tree.arrays.flags.copy()

@@ -192,7 +192,7 @@ def _levels_of(widths: Float64s, size: float, depth: int, finer: float) -> Float
     return levels
 
 
-@inlined
+@kernel
 def _level_shares(level: np.float32, depth: int, sharpness: float) -> tuple[int, float, float, float]:
     """Return the coarser of two levels, and the shares of the level before it, of it and of the next.
 
@@ -206,11 +206,6 @@ def _level_shares(level: np.float32, depth: int, sharpness: float) -> tuple[int,
     if lower == 0:
         before, at_lower = 0.0, at_lower + before
     return lower, before, at_lower, upper * (1.0 + excess)
-
-
-@kernel
-def _level_shares_of(level: np.float32, depth: int, sharpness: float) -> tuple[int, float, float, float]:
-    return _level_shares(level, depth, sharpness)
 
 
 @inlined
@@ -364,7 +359,7 @@ def _alike(
     points: Floats, level: np.float32, sharpness: float, depth: int
 ) -> Iterator[tuple[slice, dict[int, Probes]]]:
     """Spread round footprints of one width."""
-    lower, *shares = _level_shares_of(level, depth, sharpness)
+    lower, *shares = _level_shares(level, depth, sharpness)
     room = len(points) if shares.count(0.0) == 2 else _ROOM  # one level alone: nothing to put together
     owners = np.arange(min(room, len(points)), dtype=np.int32)
     for first in range(0, len(points), room):
