@@ -50,8 +50,8 @@ class Blocks(NamedTuple):
         """Return the same as blocks of the cells of a level."""
         return self._replace(bits=depth - self.level)
 
-    def some(self, chosen: Bools) -> Blocks:
-        """Return some of them, the first one if none is chosen."""
+    def chosen(self, chosen: Bools) -> Blocks:
+        """Return the chosen blocks, the first one if none is chosen."""
         chosen[0] |= not chosen.any()
         counts = np.diff(self.starts)
         return self._replace(
@@ -215,7 +215,7 @@ def divided(blocks: Blocks, bits: int = BLOCK_BITS, reached: Reached | None = No
         codes, starts, members = _bin(coarse, int(bounds.sum()), int(bounds.max(initial=0)))
         blocks = Blocks(blocks.grid, blocks.faces, level, depth - level, codes, starts, members)
         if reached is not None and codes.size:
-            blocks = blocks.some(reached(blocks))
+            blocks = blocks.chosen(reached(blocks))
     return blocks
 
 

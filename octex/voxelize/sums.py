@@ -166,7 +166,7 @@ def coverages(level: Sums, alpha: int) -> Float64s:
 
 
 @kernel
-def some_cells(level: Sums, chosen: Int64s) -> Sums:
+def chosen_sums(level: Sums, chosen: Int64s) -> Sums:
     """Return the sums of the cells of a level with the ``chosen``, ascending codes."""
     codes, flags, sums = level
     flags_left = np.empty(chosen.size, np.uint8)

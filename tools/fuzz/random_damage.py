@@ -30,7 +30,7 @@ from damage import Archive, Arrays, Render
 
 import octex
 from octex.cameras.files import read_cameras
-from octex.conversion.voxels import convert_voxels
+from octex.conversion.points import convert_voxels
 from octex.errors import OctexError
 from octex.parallel import at_most
 from octex.source.surface import Surface

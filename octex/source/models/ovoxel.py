@@ -121,7 +121,7 @@ def _dual_mesh(coords: Int64s, vertices: Float64s, arrays: dict[str, Array], nam
     keys = _keys(coords)
     order = np.argsort(keys)
     if (np.diff(keys[order]) == 0).any():
-        raise ModelError(f"{name}: some of its voxels overlap; keep one at each place")
+        raise ModelError(f"{name}: voxels overlap; keep one at each position")
     voxel, axis = np.nonzero(crossed)
     around = _keys((coords[voxel, None] + _AROUND[axis]).reshape(-1, 3))
     found = order[np.minimum(np.searchsorted(keys, around, sorter=order), len(keys) - 1)]
