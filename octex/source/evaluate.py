@@ -100,8 +100,8 @@ def evaluate(
     widths: Float32s,
     values: Float32s,
 ) -> None:
-    """Fill in the values (n, columns) at points of triangles; ``filter`` comes from `filters.told`."""
-    places = np.empty(TAP_ROOM, np.int64)
+    """Fill in the values (n, columns) at points of triangles; ``filter`` is a `filters.kernel_code`."""
+    indices = np.empty(TAP_ROOM, np.int64)
     weights = np.empty(TAP_ROOM, np.float64)
     most_stacks = most_images = 0
     for material in range(tables.first_stacks.size - 1):
@@ -174,10 +174,10 @@ def evaluate(
                 int(stacks[stack, 3]),
                 stacks[stack, 4] != 0,
             )
-            count, cut, scale = find_taps(images, layout, filter, foot, places, weights)
+            count, cut, scale = find_taps(images, layout, filter, foot, indices, weights)
             for image in range(tables.stacks[stack, 5], tables.stacks[stack + 1, 5]):
                 number = int(tables.images[image])
-                gather(images, number, layout, places, weights, count, cut, scale, threshold, lanes, at)
+                gather(images, number, layout, indices, weights, count, cut, scale, threshold, lanes, at)
                 thresholded |= images.covered[number]
                 at += 4
         for column in range(values.shape[1]):
