@@ -15,14 +15,7 @@ from octex.arrays import Bools, Float32s, Uint32s, Uint64s
 from octex.field.splines import QUADRATIC
 from octex.field.weights import View, face_cell, row_of
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, Way, cell_at, follow, place_of
-from octex.jit import (
-    fused_inlined,
-    inlined,
-    kernel,
-    put,
-    spline_at_eight,
-    trailing_zeros,
-)
+from octex.jit import fused_inlined, inlined, kernel, put, spline_at_eight, trailing_zeros
 from octex.jit.vectors import eight, four, four_at, lanes, vector_of
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 

@@ -21,17 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import (
-    Array,
-    Bools,
-    Float32s,
-    Floats,
-    Int8s,
-    Int32s,
-    Int64s,
-    Uint64s,
-    bit_counts,
-)
+from octex.arrays import Array, Bools, Float32s, Floats, Int8s, Int32s, Int64s, Uint64s, bit_counts
 from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion import large
 from octex.conversion.evaluator import NO_KEPT, SPLIT_KIND, is_refined, kind_of

@@ -19,6 +19,7 @@ from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.conversion import large
 from octex.jit import inlined, kernel, popcount
 from octex.source.base import Source
+from octex.source.vectors import Vector, between, cross_product, edges_from, length_of
 from octex.tree.edit import first_not_below
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
@@ -306,28 +307,17 @@ def _choose(flags: Uint8s, entries: Int32s, areas: Float64s) -> Chosen:
 def face_normals(grid: Int32s, corners: Int32s, triangles: Int32s) -> Int8s:
     """Return the unit normals (n, 3) of triangles (n,), in 127ths."""
     normals = np.empty((triangles.size, 3), np.int8)
-    edges = np.empty((2, 3), np.float64)
     for n in range(triangles.size):
         if n > 0 and triangles[n] == triangles[n - 1]:
             for axis in range(3):
                 normals[n, axis] = normals[n - 1, axis]
             continue
-        for side in range(2):
-            for axis in range(3):
-                edges[side, axis] = np.float64(grid[corners[triangles[n], side + 1], axis]) - np.float64(
-                    grid[corners[triangles[n], 0], axis]
-                )
-        x = edges[0, 1] * edges[1, 2] - edges[0, 2] * edges[1, 1]
-        y = edges[0, 2] * edges[1, 0] - edges[0, 0] * edges[1, 2]
-        z = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
-        length = np.sqrt(x * x + y * y + z * z)
-        if length > 0.0:
-            scale = NORMAL_STEPS / length
-            normals[n, 0] = np.int8(np.rint(x * scale))
-            normals[n, 1] = np.int8(np.rint(y * scale))
-            normals[n, 2] = np.int8(np.rint(z * scale))
-        else:
-            normals[n, 0] = normals[n, 1] = normals[n, 2] = np.int8(0)
+        x, y, z = cross_product(*edges_from(grid, corners, int(triangles[n])))
+        length = length_of((x, y, z))
+        scale = NORMAL_STEPS / length if length > 0.0 else 0.0
+        normals[n, 0] = np.int8(np.rint(x * scale))
+        normals[n, 1] = np.int8(np.rint(y * scale))
+        normals[n, 2] = np.int8(np.rint(z * scale))
     return normals
 
 
@@ -339,20 +329,14 @@ def _step(position: float, cell: int) -> int:
 @inlined
 def _centroid(
     grid: Int32s, corners: Int32s, fragments: Fragments, fragment: np.uint64, scale: float
-) -> tuple[float, float, float]:
+) -> Vector:
     """Return the centroid of a fragment, in cells."""
-    triangle = fragments.triangles[fragment]
-    a, b, c = corners[triangle, 0], corners[triangle, 1], corners[triangle, 2]
-    p, q, r = (
+    shares = (
         fragments.barycentric[fragment, 0] * scale,
         fragments.barycentric[fragment, 1] * scale,
         fragments.barycentric[fragment, 2] * scale,
     )
-    return (
-        p * grid[a, 0] + q * grid[b, 0] + r * grid[c, 0],
-        p * grid[a, 1] + q * grid[b, 1] + r * grid[c, 1],
-        p * grid[a, 2] + q * grid[b, 2] + r * grid[c, 2],
-    )
+    return between(grid, corners, int(fragments.triangles[fragment]), shares)
 
 
 @kernel

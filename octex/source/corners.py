@@ -118,9 +118,9 @@ class Polygons(NamedTuple):
         its first triangle corner, 0 … 3·m − 1; and for each triangle corner (m, 3) its polygon corner.
         """
         keys = self.numbers[:, None].astype(np.int64) << 32 | self.corners
-        keys, first, places = np.unique(keys, return_index=True, return_inverse=True)
+        keys, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
         known, sizes = np.unique((keys >> 32).astype(np.int32), return_counts=True)
-        return known, sizes.astype(np.int64), first.astype(np.int64), places.reshape(-1, 3)
+        return known, sizes.astype(np.int64), first.astype(np.int64), inverse.reshape(-1, 3)
 
     def of(self, triangles: Int32s) -> Polygons:
         """Return the polygons of chosen triangles (k,); they keep their numbers."""

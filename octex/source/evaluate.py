@@ -39,7 +39,7 @@ class Tables(NamedTuple):
     coordinates: Float32s  # (rows, 2)   v down
     coordinate_rows: Int32s  # (slots, triangles, 3)
     frames: Frames  # at rest; no rows if no channel is a direction
-    # The first column of the channels that are more than offset + gain × lane; −1 for none.
+    # The first columns of the channels that need more than offset + gain × lane; −1 if missing.
     base_color: int
     alpha: int
     normal: int
@@ -112,7 +112,7 @@ def evaluate(
     lanes = np.empty(1 + 4 * most_images, np.float32)
     for lane in range(lanes.size):
         lanes[lane] = np.float32(1.0)
-    # Consecutive points of one triangle share its data, which is loaded once: a quarter off each read.
+    # Consecutive points of one triangle share its data: this saves a quarter of the time.
     shared = np.empty((most_stacks, 11), np.float64)
     last = -1
     material = first = end = mode = 0
