@@ -46,19 +46,31 @@ def load_triangle(grid: Int32s, triangles: Int32s, triangle: int, corners: Int64
     """
     a, b, c = triangles[triangle, 0], triangles[triangle, 1], triangles[triangle, 2]
     ax, ay, az = np.int64(grid[a, 0]), np.int64(grid[a, 1]), np.int64(grid[a, 2])
-    bx, by, bz = grid[b, 0] - ax, grid[b, 1] - ay, grid[b, 2] - az
-    cx, cy, cz = grid[c, 0] - ax, grid[c, 1] - ay, grid[c, 2] - az
-    normals = (by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx)
-    sx, sy, sz = abs(normals[0]), abs(normals[1]), abs(normals[2])
+    bx, by, bz = np.int64(grid[b, 0]), np.int64(grid[b, 1]), np.int64(grid[b, 2])
+    cx, cy, cz = np.int64(grid[c, 0]), np.int64(grid[c, 1]), np.int64(grid[c, 2])
+    nx = (by - ay) * (cz - az) - (bz - az) * (cy - ay)
+    ny = (bz - az) * (cx - ax) - (bx - ax) * (cz - az)
+    nz = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    sx, sy, sz = abs(nx), abs(ny), abs(nz)
     if sx == 0 and sy == 0 and sz == 0:
         return -1
-    w = 0 if sx >= sy and sx >= sz else 1 if sy >= sz else 2
-    u, v = (w + 1) % 3, (w + 2) % 3
-    for i in range(3):
-        vertex = triangles[triangle, i]
-        corners[i, 0], corners[i, 1], corners[i, 2] = grid[vertex, u], grid[vertex, v], grid[vertex, w]
-    normal[0], normal[1], normal[2] = normals[u], normals[v], normals[w]
-    return w
+    if sx >= sy and sx >= sz:
+        corners[0, 0], corners[0, 1], corners[0, 2] = ay, az, ax
+        corners[1, 0], corners[1, 1], corners[1, 2] = by, bz, bx
+        corners[2, 0], corners[2, 1], corners[2, 2] = cy, cz, cx
+        normal[0], normal[1], normal[2] = ny, nz, nx
+        return 0
+    if sy >= sz:
+        corners[0, 0], corners[0, 1], corners[0, 2] = az, ax, ay
+        corners[1, 0], corners[1, 1], corners[1, 2] = bz, bx, by
+        corners[2, 0], corners[2, 1], corners[2, 2] = cz, cx, cy
+        normal[0], normal[1], normal[2] = nz, nx, ny
+        return 1
+    corners[0, 0], corners[0, 1], corners[0, 2] = ax, ay, az
+    corners[1, 0], corners[1, 1], corners[1, 2] = bx, by, bz
+    corners[2, 0], corners[2, 1], corners[2, 2] = cx, cy, cz
+    normal[0], normal[1], normal[2] = nx, ny, nz
+    return 2
 
 
 @inlined
