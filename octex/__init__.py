@@ -69,8 +69,8 @@ if TYPE_CHECKING:
     from octex.cameras.files import read_cameras as read_cameras
     from octex.cameras.files import write_cameras as write_cameras
     from octex.cleaning.repair import repair as repair
-    from octex.conversion.apart import separate as separate
     from octex.conversion.convert import convert as convert
+    from octex.conversion.convert import separate as separate
     from octex.conversion.sets import convert_set as convert_set
     from octex.drawing.compare import difference as difference
     from octex.drawing.environment import Environment as Environment
@@ -130,8 +130,7 @@ _EXPORTS = {
     "cameras.camera": "Camera",
     "cameras.files": "read_cameras write_cameras",
     "cleaning.repair": "repair",
-    "conversion.apart": "separate",
-    "conversion.convert": "convert",
+    "conversion.convert": "convert separate",
     "conversion.sets": "convert_set",
     "drawing.compare": "difference",
     "drawing.environment": "Environment",

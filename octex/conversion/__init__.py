@@ -1,14 +1,13 @@
 """From a surface to an octree texture.
 
-convert     all of it; sets: textures of a model's parts; points, voxels: without a surface
-apart       parts moved off each other
-levels      the surface voxelized block by block: means of all cells, and the tree of these, as stored
-gaps        cells that a source knows nothing of
-samples     points of the surface in each cell, with what the source shows there
-fit, solve  leaves whose field meets the samples; numbering: which these are; cubes: all are finest cells
-sides       a value for each side of a leaf
-detail      how deep to go where; prune: trees with nodes as leaves
-adapt       leaves merged where the field stays near; differences: how near between samples, by evaluator;
-            measure: in codes
+convert     the whole way; parts moved apart
+sets        a texture for each part of a model
+points      points and voxels, without a surface
+levels      voxelizes the surface block by block: the means of all cells, and their tree
+samples     points of the surface in each cell, with the source's values
+fit         leaf values that fit the field to the samples: lookups finds the taps, solve the values
+detail      the depth in places
+adapt       merges leaves where the field stays near: prune makes the trees, differences measures the errors,
+            evaluator evaluates the field
 large       arrays in files
 """

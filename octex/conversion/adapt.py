@@ -1,8 +1,8 @@
-"""Adaptive trees: which cells become leaves, so that the field stays near that of the full tree.
+"""Adaptive trees: merges leaves where the field stays near that of the full tree.
 
-The full tree's field is what leaves are judged by, not the source: two fields differ smoothly within a finest
-cell, so that a few points in each bound how far they are apart everywhere in it. Where the source has more
-detail than that, a leaf that meets it at some points can be far off at others.
+The reference is the full tree's field, not the source. Two fields differ smoothly within a finest cell, so a
+few points bound their distance in all of it. A source may have more detail than a cell: a leaf that matches
+it at a few points can be far off between them.
 """
 
 from __future__ import annotations
@@ -27,11 +27,10 @@ from octex.conversion.differences import (
     values_at_samples,
 )
 from octex.conversion.evaluator import Coefficients
-from octex.conversion.fit import Fitter
+from octex.conversion.fit import Fitter, with_sides
 from octex.conversion.levels import Filled
 from octex.conversion.prune import Channels, Finest, Pruned, grafted, limits_of, prune
 from octex.conversion.samples import Samples
-from octex.conversion.sides import with_sides
 from octex.errors import ArgumentError
 from octex.field.weights import facings_of
 from octex.parallel import Progress, ordered_map, sharing
@@ -41,10 +40,10 @@ from octex.tree.octree import Octree, distinct
 
 #: Finest cells, or nodes, that are tested at once.
 _BLOCK = 1 << 14
-#: What the fields are rounded by at most, in codes.
+#: Bound of the fields' rounding, in codes.
 _ROUNDING = 1 / 16
-#: Leaves that fail are split by a level; by one more after each so many rounds, since neighbours may fail in
-#: turn.
+#: Leaves that fail are split by one level; by one level more after every two rounds, since neighbours may
+#: fail in turn.
 _PATIENCE = 2
 
 
@@ -59,21 +58,18 @@ def as_max_error(max_error: float) -> float:
 def adapted(
     filled: Filled, *, fit: bool, max_error: float | None, executor: Executor, progress: Progress
 ) -> tuple[Octree, dict[str, Channel]]:
-    """Return a tree with fewer leaves, as deep as wanted, and its channels.
+    """Return a tree no deeper than wanted, and its channels; fitted with ``fit`` and samples.
 
-    With ``fit`` and samples, leaves are fitted and have rows for their sides. Without samples none can merge.
-
-    With ``max_error``, in 8-bit codes of what is encoded (see `measure`), leaves merge upward from there.
-    Then the quadratic field differs from that of the tree without ``max_error`` by at most that and 1/16
-    (what both are rounded by) at every sample, looked up without normals and with the samples' own; and by at
-    most one code more where the plane of the surface at a sample goes through its finest cell, with the
-    difference taken for a quadratic polynomial on each of the triangles that ``samples.lay_out`` makes of
-    that. Leaves that do not merge have the values that they have without it.
+    With ``max_error``, in 8-bit codes (see `differences`), and samples, leaves merge upward from there. At
+    every sample, with its normal and without, the quadratic field then differs from that of the tree without
+    ``max_error`` by at most that and 1/16, the rounding. On the patch around the sample (see
+    ``samples.lay_out``) it differs by one code more at most, if the difference is a quadratic polynomial on
+    each of the patch's triangles. Leaves that do not merge keep their values.
     """
     tree, channels, samples, wanted, has_gaps = filled
     finest, limits, pruned, fitter = None, None, None, None
     if fit and samples is not None:
-        # With a fitted alpha, what is covered would not seem to be beside gaps, nor opaque paint be opaque.
+        # A fitted alpha would differ from 1 next to gaps, and opaque paint would not stay opaque.
         fitter = Fitter(samples, executor, progress, (ALPHA.name,) if has_gaps else ())
     if wanted is not None and wanted.min(initial=tree.max_depth) < tree.max_depth:
         finest = Finest.of(tree)
@@ -97,7 +93,7 @@ def adapted(
 
 
 class _Merger:
-    """Merges leaves and splits them again until the field is near that of the full tree."""
+    """Merges leaves, and splits them again until the field is near the full tree's."""
 
     def __init__(
         self,
@@ -122,14 +118,14 @@ class _Merger:
         self._wanted = large.joined(self._by_runs(partial(values_at_samples, self._reference)))
 
     def merged(self, fitter: Fitter | None) -> tuple[Octree, dict[str, Channel]]:
-        """Return the tree of fewest leaves that was found, and its channels."""
+        """Return the tree with merged leaves, and its channels."""
         depth = self._finest.tree.max_depth
         depths = self._limits.copy()
         for done, level in enumerate(range(depth - 1, -1, -1)):
             self._progress("adapt", done, depth + 3)
             self._merge(level, depths)
         self._progress("adapt", depth, depth + 3)
-        # What was judged on even trees is judged again on the tree of many depths.
+        # Nodes were tested on trees of one depth: test the tree of many depths.
         self._split(depths)
         self._progress("adapt", depth + 1, depth + 3)
         if fitter is not None:
@@ -141,13 +137,12 @@ class _Merger:
         return pruned.tree, pruned.carried(self._known)
 
     def _fit(self, fitter: Fitter, depths: Uint8s) -> None:
-        """Give merged leaves fitted values."""
+        """Give merged leaves, which have means so far, fitted values."""
         pruned = prune(self._finest, depths)
         cells, is_merged = pruned.leaf_cells(depths), (depths < self._limits)[pruned.starts]
         merged = cells[is_merged]
         if not merged.size:
             return
-        # Merged leaves are known by their means as yet.
         values = fitter.fit(pruned.tree, pruned.carried(self._known), is_merged)
         whole, cells, end = self._whole, pruned.cells[merged], 0
         rows = whole.rows.reshape(-1, (whole.components + 4) // 4 * 4)
@@ -158,28 +153,28 @@ class _Merger:
             rows[cells, start:end] = decode(values[form.name].values[merged], form.space)
 
     def _merge(self, level: int, depths: Uint8s) -> None:
-        """Make leaves of the nodes of a level all of whose children are, where that seems to be near enough.
+        """Merge the leaves below nodes of a level, all of whose children are leaves, where they seem near.
 
-        Either the averages of this level, as a field, are near the full tree's in the node, or the node's own
-        average is: beside an edge the former are not, but finer leaves on the edge will keep it.
+        Either the field of this level's averages is near the full tree's in the node, or the node's average
+        is: next to an edge that field is not near, but finer leaves on the edge will keep the edge.
         """
         finest, firsts = self._finest, self._finest.firsts[level]
         candidates = np.flatnonzero(np.maximum.reduceat(depths, firsts) == level + 1)
         if not candidates.size:
             return
         even = self._whole._replace(arrays=finest.tree.truncated(level).arrays)
-        # What is small, finer levels have seen: one of the finest cells in each child will do.
+        # Finer levels have tested details: one finest cell in each child suffices.
         children = np.append(np.arange(depths.size)[finest.first(level + 1)], depths.size)
         firsts = np.append(firsts, depths.size)
         nodes = firsts, np.searchsorted(children, firsts), children
-        own = int(finest.tree.arrays.level_cells[level])
-        work = partial(near_nodes, even, self._reference, self._wanted, self._most, nodes, own)
+        first = int(finest.tree.arrays.level_cells[level])
+        work = partial(near_nodes, even, self._reference, self._wanted, self._most, nodes, first)
         merges = np.zeros(firsts.size - 1, np.bool_)
         merges[candidates] = np.concatenate(self._mapped(work, candidates))
         depths[finest.spread(level, merges)] = level
 
     def _settle(self, depths: Uint8s) -> None:
-        """Split merged leaves until the field is near everywhere, looked up with normals too."""
+        """Split merged leaves until the field is near everywhere, with and without normals."""
         self._split(depths)
         cells = np.arange(depths.size)
         for attempt in count():
@@ -192,44 +187,44 @@ class _Merger:
                 break
 
     def _split(self, depths: Uint8s) -> None:
-        """Split merged leaves by a level where the field is not near the full tree's at samples."""
+        """Split merged leaves by a level where the field is far off at samples."""
         pruned = prune(self._finest, depths)
         work = partial(far_at_samples, self._field(pruned), self._reference, self._wanted, self._most)
         self._refined(np.concatenate(self._by_runs(work)), pruned, depths, 1)
 
     def _mapped(self, work: Callable[[Int64s], Bools], items: Int64s) -> list[Bools]:
-        """Do work on items, many at once."""
+        """Call ``work`` with blocks of items."""
         blocks = [items[begin : begin + _BLOCK] for begin in range(0, items.size, _BLOCK)]
-        with sharing(self._executor) as pool:  # all samples are read, which do not travel
+        with sharing(self._executor) as pool:  # tasks read all samples, too many to send to processes
             return list(ordered_map(pool, work, blocks))
 
     def _by_runs(self, work: Callable[[int, int], Array]) -> list[Array]:
-        """Do work on runs of all finest cells."""
+        """Call ``work`` with the bounds of runs of all finest cells."""
         size = self._limits.size
         runs = [(begin, min(begin + _BLOCK, size)) for begin in range(0, size, _BLOCK)]
         with sharing(self._executor) as pool:
             return list(ordered_map(pool, lambda run: work(*run), runs))
 
     def _refined(self, failing: Bools, pruned: Pruned, depths: Uint8s, steps: int) -> Bools:
-        """Split leaves by some levels for cells that fail; changes ``depths``.
+        """Split merged leaves by ``steps`` levels, in ``depths``, and return the cells that this can change.
 
-        These are the merged leaves that hold them; where the leaf there has not merged, those whose values
-        reach it. Returns the cells that this reaches.
+        These are the leaves that hold failing cells. For a failing cell in a leaf that has not merged, all
+        merged leaves are split whose values reach it.
         """
         may, codes = depths < self._limits, self._finest.codes
         splits, others = failing & may, codes[failing & ~may]
         for level in np.unique(depths[may]).tolist() if others.size else ():
-            splits |= self._beside(others, level) & may & (depths == level)
+            splits |= self._around(others, level) & may & (depths == level)
         splits = np.repeat(np.logical_or.reduceat(splits, pruned.starts), pruned.sizes)
         starts = pruned.starts[splits[pruned.starts]]
         reached = np.zeros(depths.size, np.bool_)
-        for level in np.unique(depths[starts]).tolist():  # in these leaves, and in cells of their size around
-            reached |= self._beside(codes[starts[depths[starts] == level]], level)
+        for level in np.unique(depths[starts]).tolist():
+            reached |= self._around(codes[starts[depths[starts] == level]], level)
         depths[splits] = np.minimum(depths[splits] + steps, self._limits[splits])
         return reached
 
-    def _beside(self, codes: Int64s, level: int) -> Bools:
-        """Mark the finest cells in the cells of a level that hold some of them, or beside these."""
+    def _around(self, codes: Int64s, level: int) -> Bools:
+        """Mark the finest cells in the cells of a level that hold ``codes``, and in the cells around them."""
         shift = 3 * (self._finest.tree.max_depth - level)
         cells = self._finest.codes[self._finest.firsts[level]] >> shift
         return self._finest.spread(level, near(cells, distinct(codes >> shift), level))
@@ -247,7 +242,7 @@ class _Merger:
 
 
 def _varies(channel: Channel, form: ChannelFormat) -> bool:
-    """Say whether a channel is not the same everywhere; what covers others counts as if it was not."""
+    """Say whether a channel has several values, or is alpha, which weighs the others."""
     first = channel.values[:1]
     return form.name == ALPHA.name or bool(
         (channel.values != first).any() or (channel.split_values != first).any()

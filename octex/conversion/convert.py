@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
@@ -10,41 +11,52 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import numpy.typing as npt
 
 import octex
 from octex.channels import ChannelFormat
 from octex.checks import (
+    as_depth,
     as_entries,
     as_flag,
     as_memory,
     as_names,
+    as_number,
     as_path,
+    as_positive,
     is_path,
     is_several,
 )
-from octex.conversion import apart, large
+from octex.conversion import large
 from octex.conversion.adapt import adapted, as_max_error
-from octex.conversion.detail import DetailFunction, Wanted, channel_of, wanted_levels
-from octex.conversion.gaps import without_opaque
-from octex.conversion.levels import assemble, cell_levels, memory_needed
-from octex.conversion.points import convert_points
-from octex.conversion.voxels import convert_voxels
+from octex.conversion.detail import STRETCH, DetailFunction, Wanted, wanted_levels
+from octex.conversion.levels import assemble, cell_levels, memory_needed, without_opaque
+from octex.conversion.points import convert_points, convert_voxels
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, ModelError, OutputError
 from octex.parallel import Progress, Run, as_run, folder_of, shares_memory, workers
 from octex.source.cloud import PointCloud, is_cloud
 from octex.source.load import at_rest, load_surface
-from octex.source.surface import Surface
+from octex.source.parts import Overlaps
+from octex.source.surface import Surface, as_surface
 from octex.source.voxels import Voxels, is_voxels
 from octex.texture import Channel, OctreeTexture, open_texture
 from octex.texture.channel import Dtypes, formats_as
 from octex.texture.file import ENDING
 from octex.tree.placement import Placement
 
-DEFAULT_FILTER = "ewa"
-#: How many times the least that a conversion needs it takes at its peak: 3 to 6 times were measured.
-_MOST_TAKEN = 6
+DEFAULT_DEPTH = 10
+#: Parts this many cells apart share none, and no lookup at the finest level reads both: the widest filter
+#: reads two cells to each side.
+CELLS_APART = 3.0
+_RANGE_APART = (1.0, 1e6)
+# Surfaces n cells apart along no axis may be √3 times as far from each other.
+_DIAGONAL = math.sqrt(3.0)
+# With a margin of this many times the surface's extent, cells grow as fast as the margin.
+_LARGEST_MARGIN = 4.0
+#: A conversion's peak memory, as a multiple of `memory_needed`: 3 to 6 were measured.
+_PEAK = 6
 
 
 def convert(
@@ -111,9 +123,11 @@ def convert(
     if run.memory is not None and target is None:
         raise ArgumentError("memory needs a path: where the texture is written, NAME.octex")
     most = None if max_error is None else as_max_error(max_error)
-    depth, cell = apart.as_fineness(depth, cell)
+    depth, cell = as_fineness(depth, cell)
     fit = as_flag(fit, "fit")
-    margin = apart.as_margin(separate)
+    if isinstance(separate, (bool, np.bool_)):
+        separate = CELLS_APART if separate else None
+    margin = None if separate is None else as_number(separate, "separate", *_RANGE_APART)
     if is_path(model):
         path_of_model = as_path(model, "model")
         if is_voxels(path_of_model):
@@ -133,17 +147,13 @@ def convert(
             return convert_points(model, depth, cell=cell, channels=channels, dtype=dtype, report=report)
         if depth is not None or cell is not None:
             raise ArgumentError(f"{model.name}: voxels have their own depth; leave depth and cell out")
-        return convert_voxels(model, channels=channels, dtype=dtype, progress=report)
+        return convert_voxels(model, channels=channels, dtype=dtype, report=report)
     names = None if channels is None else as_names(channels, "channels")
-    steering = channel_of(detail)
-    if names is None or steering is None or steering in names:
-        whole = surface = surface_of(model, rest, names, sources, filter, report)
-    else:
-        whole = surface_of(model, rest, [*names, steering], sources, filter, report)
+    read = with_detail(names, detail)
+    whole = surface = surface_of(model, rest, read, sources, filter, report)
+    if names is not None and read != names:
         surface = whole.with_channels(names)
-    if margin is not None:
-        surface = apart.separate(surface, margin, depth=depth, cell=cell).surface
-    placement, finest = placed(surface, depth, cell)
+    surface, placement, finest = placed(surface, depth, cell, margin)
     plan = Plan(
         surface, formats_as(surface.channels, dtype), placement, finest, cell, fit, most, margin, detail,
         None if detail is None else wanted_levels(detail, whole, finest),
@@ -162,7 +172,7 @@ def convert(
 
 
 class Plan(NamedTuple):
-    """What is converted, and how."""
+    """A surface, and the options of its conversion."""
 
     surface: Surface
     stored: tuple[ChannelFormat, ...]
@@ -171,18 +181,18 @@ class Plan(NamedTuple):
     cell: float | None
     fit: bool
     max_error: float | None
-    margin: float | None  # cells that parts are kept apart by
+    margin: float | None  # between parts, in cells
     detail: DetailFunction | str | None
     wanted: Wanted | None
 
     @property
     def has_samples(self) -> bool:
-        """Say whether samples of the surface are taken."""
+        """Whether the conversion takes samples of the surface."""
         return self.fit or self.max_error is not None
 
 
 def _converted(plan: Plan, pool: Executor, report: Progress) -> OctreeTexture:
-    """Voxelize a surface, build the tree, fit its leaves, give them sides, merge them."""
+    """Voxelize the surface, build the tree, fit its leaves, split them by facing, merge them."""
     surface, placement = plan.surface, plan.placement
     cells = cell_levels(
         surface, surface.source, plan.stored, placement, plan.depth, pool, report,
@@ -197,7 +207,7 @@ def _converted(plan: Plan, pool: Executor, report: Progress) -> OctreeTexture:
     report("build", 0, 1)
     filled = assemble(cells)
     report("build", 1, 1)
-    del cells  # they hold all values once more
+    del cells  # a second copy of all values
     tree, channels = adapted(filled, fit=plan.fit, max_error=plan.max_error, executor=pool, progress=report)
     if surface.source.alpha_is_coverage and not empty:
         channels = without_opaque(channels)
@@ -214,10 +224,8 @@ def _is_mapped(plan: Plan, run: Run) -> bool:
         needed = memory_needed(
             plan.surface, plan.stored, plan.placement, plan.depth, has_samples=plan.has_samples
         )
-        if needed * _MOST_TAKEN <= as_memory(run.memory):
-            return False
-    is_here = run.executor is None or shares_memory(run.executor)
-    if not is_here and (plan.max_error is not None or plan.wanted is not None):
+        return needed * _PEAK > as_memory(run.memory)
+    if not shares_memory(run.executor) and (plan.max_error is not None or plan.wanted is not None):
         raise ArgumentError(
             f"{plan.surface.name}: max_error and detail run on one machine only; leave out path or the "
             "executor"
@@ -226,7 +234,7 @@ def _is_mapped(plan: Plan, run: Run) -> bool:
 
 
 def _metadata(plan: Plan, channels: Mapping[str, Channel], degenerate: int, empty: int) -> dict[str, str]:
-    """Return what a texture remembers of its conversion."""
+    """Return the texture's record of its conversion."""
     detail = plan.detail if isinstance(plan.detail, str) else "function"
     options = {
         **({"depth": plan.depth} if plan.cell is None else {"cell": float(plan.cell)}),
@@ -243,21 +251,38 @@ def _metadata(plan: Plan, channels: Mapping[str, Channel], degenerate: int, empt
 
 
 def _as_target(path: str | os.PathLike[str]) -> Path:
-    """Return where a texture is to be written, or raise ArgumentError, or OutputError where it cannot be."""
     target = as_path(path)
     if target.suffix.lower() != ENDING:
         raise ArgumentError(f"{target}: a texture is converted to NAME{ENDING}")
-    if not os.path.isdir(target.parent):  # noqa: PTH112  # a name too long is none, and no error
+    if not os.path.isdir(target.parent):  # noqa: PTH112  # False, and no error, for a name that is too long
         raise OutputError(f"{target}: there is no folder {target.parent}; make it first")
     return target
 
 
-def placed(surface: Surface, depth: int | None, cell: float | None) -> tuple[Placement, int]:
-    """Return the root cell of a surface and the finest level, for ``depth`` or ``cell`` as in ``convert``."""
+def as_fineness(depth: int | None, cell: float | None) -> tuple[int | None, float | None]:
+    """Return ``depth`` and ``cell`` as numbers, one at most, or raise ArgumentError."""
+    if depth is not None and cell is not None:
+        raise ArgumentError("give depth or cell, not both")
+    return None if depth is None else as_depth(depth), None if cell is None else as_positive(cell, "cell")
+
+
+def with_detail(names: list[str] | None, detail: DetailFunction | str | None) -> list[str] | None:
+    """Return the channels to read: ``names``, and the channel that ``detail`` names."""
+    if names is None or not isinstance(detail, str) or detail == STRETCH or detail in names:
+        return names
+    return [*names, detail]
+
+
+def placed(
+    surface: Surface, depth: int | None, cell: float | None, margin: float | None = None
+) -> tuple[Surface, Placement, int]:
+    """Return a surface, its parts ``margin`` cells apart, with its root cell and finest level."""
+    if margin is not None:
+        surface = separate(surface, margin, depth=depth, cell=cell).surface
     if cell is not None:
-        return Placement.with_cell(surface.bounds, cell)
-    depth = apart.DEFAULT_DEPTH if depth is None else depth
-    return Placement.around(surface.bounds, depth), depth
+        return surface, *Placement.with_cell(surface.bounds, cell)
+    depth = DEFAULT_DEPTH if depth is None else depth
+    return surface, Placement.around(surface.bounds, depth), depth
 
 
 def surface_of(
@@ -268,29 +293,74 @@ def surface_of(
     filter: str | None,
     report: Progress,
 ) -> Surface:
-    """Return what is to be converted, with the wanted channels alone."""
+    """Return the surface to convert, with only ``channels``."""
     sources = {} if sources is None else as_entries(sources, "sources")
-    if not is_path(model) and not isinstance(model, Surface):
-        given = list(model) if is_several(model) else [model]
-        for each in given:
-            if not is_path(each) and not isinstance(each, Surface):
-                raise ArgumentError(
-                    "a model must be a file, a Surface, a PointCloud or Voxels, or a list of files and "
-                    f"Surfaces; not {'a list with ' if is_several(model) else ''}{each!r}"
-                )
-        surfaces = [each if isinstance(each, Surface) else load_surface(as_path(each)) for each in given]
-        model = Surface.joined(surfaces)
-    if not isinstance(model, Surface):
+    if is_path(model):
         report("read", 0, 1)
         surface = load_surface(
             as_path(model, "model"),
             rest,
             channels=channels,
             sources=sources,
-            filter=DEFAULT_FILTER if filter is None else filter,
+            filter="ewa" if filter is None else filter,
         )
         report("read", 1, 1)
         return surface
+    if not isinstance(model, Surface):
+        models = list(model) if is_several(model) else [model]
+        for each in models:
+            if not is_path(each) and not isinstance(each, Surface):
+                raise ArgumentError(
+                    "a model must be a file, a Surface, a PointCloud or Voxels, or a list of files and "
+                    f"Surfaces; not {'a list with ' if is_several(model) else ''}{each!r}"
+                )
+        model = Surface.joined(
+            [each if isinstance(each, Surface) else load_surface(as_path(each)) for each in models]
+        )
     surface = model if rest is None else at_rest(model, rest)
     surface = surface.completed(sources, channels)
     return surface if filter is None else surface.with_filter(filter)
+
+
+class Separated(NamedTuple):
+    """A surface with its parts moved apart, and the overlaps that it had before."""
+
+    surface: Surface
+    found: Overlaps
+
+
+def separate(
+    surface: Surface, cells: float = CELLS_APART, *, depth: int | None = None, cell: float | None = None
+) -> Separated:
+    """Move parts of a surface apart that come nearer to each other than ``cells`` finest cells.
+
+    ``depth`` or ``cell`` is the texture's resolution, as for ``convert``. Afterwards at least ``cells`` empty
+    cells lie between such parts along some axis. Coarse levels still mix parts, over twice the distance with
+    every level. See ``Surface.separated``.
+
+    Raises ArgumentError for numbers out of range, and for a depth with too few cells for all parts.
+    """
+    as_surface(surface)
+    cells = as_number(cells, "cells", *_RANGE_APART)
+    depth, cell = as_fineness(depth, cell)
+    depth = DEFAULT_DEPTH if depth is None else depth
+
+    def margin_in(placed: Surface) -> float:
+        edge = Placement.around(placed.bounds, depth).size / 2**depth if cell is None else cell
+        return _DIAGONAL * cells * edge
+
+    margin = margin_in(surface)
+    most = max(margin, _LARGEST_MARGIN * float((surface.bounds[1] - surface.bounds[0]).max()))
+    overlaps = surface.overlapping_parts(margin)
+    while margin <= most:
+        if overlaps.margin < margin:
+            overlaps = surface.overlapping_parts(2.0 * margin)
+        made = surface.separated(margin, overlaps)
+        # The whole has grown, and with it the cells.
+        if margin_in(made) <= margin * (1.0 + 1e-9):
+            return Separated(made, overlaps)
+        margin = 1.01 * margin_in(made)
+    raise ArgumentError(
+        f"{surface.name}: {overlaps.n_parts} parts do not fit {cells:g} cells apart into depth {depth}; "
+        "use a larger depth"
+    )

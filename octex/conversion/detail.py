@@ -1,4 +1,4 @@
-"""How deep to go where: by hand, by a painted channel, or by how a pose stretches the surface."""
+"""The depth in places: by a function, by a channel, or by how a pose stretches the surface."""
 
 from __future__ import annotations
 
@@ -17,37 +17,31 @@ from octex.source.corners import at_corners
 from octex.source.surface import Surface
 from octex.voxelize.fragments import Fragments
 
-#: Says how deep to go at rest positions (n, 3): levels (n,), fractions allowed.
+#: Returns levels (n,), fractions allowed, at rest positions (n, 3).
 DetailFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]
-#: Gives wanted levels (n,), 0 to the tree's depth, at points of triangles with barycentric coordinates (n, 3)
-#: and footprints of given widths (n,) in rest units.
+#: Returns wanted levels (n,), 0 to the tree's depth, at points of triangles (n,) by barycentric coordinates
+#: (n, 3), under footprints of these widths (n,) in rest units.
 Wanted: TypeAlias = Callable[[Int32s, Float64s, Float32s], Float64s]
 
 STRETCH = "stretch"
-#: Neither a channel nor a stretch makes cells wider than 2⁸ of the finest: the least that 8 bits can say.
+#: A channel or a stretch coarsens by 2⁸ at most: the smallest step of 8 bits.
 MOST_LEVELS = 8
-#: By so much the level of a leaf may fall short: 128, a half in 8 bits, must not take a whole level more.
+#: A leaf may be coarser than wanted by this part of a level: 128, a half in 8 bits, must not cost a level.
 _SLACK = 0.05
-#: The part of the posed surface that is stretched less than what gets the full depth. The largest stretch of
-#: all is often a sliver's, beside which everything else would be coarse.
+#: This part of the posed area is stretched at most as far as full depth allows. The largest stretch is often
+#: a sliver's: compared with it, everything else would be coarse.
 _REFERENCE_SHARE = 0.99
 
 
-def channel_of(detail: DetailFunction | str | None) -> str | None:
-    """Return the name of the channel that ``detail`` reads, if it reads one."""
-    return detail if isinstance(detail, str) and detail != STRETCH else None
-
-
 def wanted_levels(detail: DetailFunction | str, surface: Surface, depth: int) -> Wanted:
-    """Return what says how deep to go on a surface, in a tree of ``depth`` levels.
+    """Return a function of surface points that returns the wanted levels, in a tree of ``depth`` levels.
 
-    ``detail`` is a function of rest positions (n, 3) in the model's units that returns levels (n,), cut to
-    0 … depth; it is called from any number of threads. Or the name of a channel of one component in 0 … 1:
-    the resolution relative to the finest, so that 1 goes to ``depth``, 1/2 a level less, 1/4 two less, and
-    what is below 1/256 eight less. Or "stretch": the resolution on the posed surface is evened out. The
-    largest singular value of a triangle's map from rest to pose is its stretch (the sizing of Ptex's faces);
-    ``depth`` goes to the stretch that 99 % of the posed area does not exceed, and elsewhere a level less for
-    each half of it, at most eight.
+    ``detail`` is a function of rest positions (n, 3) in the model's units that returns levels (n,), clipped
+    to 0 … depth; any thread may call it. Or the name of a channel of one component in 0 … 1, the resolution
+    relative to the finest: 1 means ``depth``, 1/2 a level less, 1/4 two less, and below 1/256 eight less. Or
+    "stretch", which evens out the resolution on the posed surface: a triangle's stretch is the largest
+    singular value of its map from rest to pose (the sizing of Ptex's faces). 99 % of the posed area is
+    stretched at most as far as ``depth`` allows; each half of that stretch costs a level, at most eight.
 
     Raises ArgumentError for another type, a channel that is not there or has more than one component, and,
     when called, for a function that returns another shape or NaN; ModelError for a surface whose pose has no
@@ -66,8 +60,33 @@ def wanted_levels(detail: DetailFunction | str, surface: Surface, depth: int) ->
     return partial(_by_channel, surface.with_channels([detail]).source, detail, depth)
 
 
+# These are partial functions of a module, so that processes can receive them.
+
+
+def _by_function(
+    function: DetailFunction, rest: Float64s, faces: Int32s, depth: int,
+    triangles: Int32s, barycentric: Float64s, _widths: Float32s,
+) -> Float64s:  # fmt: skip
+    points = at_corners(rest, faces[triangles], barycentric)
+    levels = answer(function, [points], [(len(points),)], "detail", points.__getitem__)
+    return np.asarray(np.clip(levels, 0.0, depth))
+
+
+def _by_channel(
+    source: Source, name: str, depth: int, triangles: Int32s, barycentric: Float64s, widths: Float32s
+) -> Float64s:
+    values = by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
+    return _levels(values[name][:, 0].astype(np.float64), depth)
+
+
+def _by_stretch(
+    resolutions: Float64s, depth: int, triangles: Int32s, _barycentric: Float64s, _widths: Float32s
+) -> Float64s:
+    return _levels(resolutions[triangles], depth)
+
+
 def deepest_wanted(wanted: Wanted, fragments: Fragments, widths: Float32s) -> Uint8s:
-    """Return the whole level (cells,) that the middles of the fragments in each cell want to go to."""
+    """Return the deepest whole level (cells,) that is wanted at a centroid of the fragments in each cell."""
     levels = np.maximum(np.ceil(wanted(fragments.triangles, fragments.barycentric, widths) - _SLACK), 0.0)
     counts = bit_counts(fragments.flags).astype(np.int64)
     of_entries = np.zeros(counts.sum(), np.uint8)
@@ -76,55 +95,19 @@ def deepest_wanted(wanted: Wanted, fragments: Fragments, widths: Float32s) -> Ui
     return deepest
 
 
-def _by_function(
-    function: DetailFunction,
-    rest: Float64s,
-    faces: Int32s,
-    depth: int,
-    triangles: Int32s,
-    barycentric: Float64s,
-    _widths: Float32s,
-) -> Float64s:
-    points = at_corners(rest, faces[triangles], barycentric)
-    levels = answer(function, [points], [(len(points),)], "detail", points.__getitem__)
-    clipped: Float64s = np.clip(levels, 0.0, depth)
-    return clipped
-
-
-def _by_channel(
-    source: Source,
-    name: str,
-    depth: int,
-    triangles: Int32s,
-    barycentric: Float64s,
-    widths: Float32s,
-) -> Float64s:
-    values = by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
-    return _levels(values[name][:, 0].astype(np.float64), depth)
-
-
-def _by_stretch(
-    resolutions: Float64s,
-    depth: int,
-    triangles: Int32s,
-    _barycentric: Float64s,
-    _widths: Float32s,
-) -> Float64s:
-    return _levels(resolutions[triangles], depth)
-
-
 def _levels(resolutions: Float64s, depth: int) -> Float64s:
-    """Return levels for resolutions relative to the finest."""
-    known = np.fmax(np.fmin(resolutions, 1.0), 2.0**-MOST_LEVELS)  # the finest for what is not a number
-    levels: Float64s = np.maximum(depth + np.log2(known), 0.0)
-    return levels
+    """Return levels for resolutions relative to the finest; NaN gets the finest."""
+    known = np.fmax(np.fmin(resolutions, 1.0), 2.0**-MOST_LEVELS)
+    return np.asarray(np.maximum(depth + np.log2(known), 0.0))
 
 
 def _resolutions(surface: Surface) -> Float64s:
-    """Return the stretch of each triangle (m,), relative to what gets the full depth."""
+    """Return the stretch of each triangle (m,), relative to the stretch at full depth."""
     rest, pose = (positions[surface.triangles] for positions in (surface.rest, surface.vertices))
     along, beside = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):  # at rest without area: stretched without end
+    with np.errstate(
+        divide="ignore", invalid="ignore"
+    ):  # a triangle without rest area is stretched infinitely
         base = np.linalg.norm(along, axis=1)[:, None]
         shift = np.sum(along * beside, axis=1)[:, None] / base
         rise = np.linalg.norm(np.cross(along, beside), axis=1)[:, None] / base
@@ -141,5 +124,4 @@ def _resolutions(surface: Surface) -> Float64s:
     reference = stretches[order[np.searchsorted(totals, _REFERENCE_SHARE * totals[-1])]]
     if not 0.0 < reference < np.inf:
         raise ModelError(f'{surface.name}: its rest mesh has no area, which detail="stretch" needs')
-    resolutions: Float64s = stretches / reference
-    return resolutions
+    return np.asarray(stretches / reference)

@@ -1,18 +1,23 @@
 """How far two trees' fields are apart in finest cells, at samples and all over the surface around them.
 
-On a finest cell both fields are rational functions. Their coefficients are gathered once a cell, and serve
-all points in it, eight at a time. The same leaves in both say enough.
+On a finest cell both fields are rational functions. Their coefficients are gathered once a cell and serve all
+points in it, eight at a time. Where both trees have the same leaves, nothing is computed.
+
+Errors are in 8-bit codes of encoded values: light on sRGB's curve, and above 1 by ratio, however it is
+stored; fractions in 1/255; each component of a direction in 1/127.5. Errors under an alpha weigh by it.
+Directions are compared as stored, and as unit vectors, as lookups return them.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int8s, Int64s, Uint16s
-from octex.channels import ChannelFormat, decode
+from octex.channels import ChannelFormat, decode, linear_to_srgb
 from octex.conversion import large
 from octex.conversion.evaluator import (
     Coefficients,
@@ -23,44 +28,185 @@ from octex.conversion.evaluator import (
     is_refined,
     new_windows,
 )
-from octex.conversion.measure import (
-    ErrorColumns,
-    are_apart_by_less,
-    are_near,
-    are_near_between,
-    subtract,
-)
-from octex.conversion.samples import MOST_POINTS, PLACE_STEPS, Samples, lay_out
+from octex.conversion.samples import MOST_POINTS, POSITION_STEPS, Samples, lay_out
+from octex.editing.split import SLOPE
 from octex.field.weights import View, facings_of, view_of
 from octex.field.windows import Walk, new_walk
-from octex.jit import chosen, inlined, kernel, part, put
-from octex.jit.vectors import eight, eight_at
+from octex.jit import chosen, inlined, kernel, mask_bits, part, put
+from octex.jit.vectors import eight, eight_at, lanes
 from octex.texture.channel import Channel
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.morton import decode as decode_cell
 from octex.tree.octree import Octree
 
 #: A finest cell, and its level.
-Place: TypeAlias = tuple[int, int, int, int]
-_ZERO = np.float32(0)
+Cell: TypeAlias = tuple[int, int, int, int]
 #: Rows that are decoded at once.
 _BLOCK = 1 << 18
-#: Cosine from which on lookups take what faces so in full (see `field.taps`), and what it is rounded by.
+#: From this cosine on, rounding included, lookups give a facing its full weight (see `field.weights`).
 _FULL = 0.52
-#: How many codes more fields may be apart between samples than at them. In random trials (60,000 points each,
-#: edges, dots and light up to 20) none then went beyond it.
+#: How much larger errors may be between samples than at them, in codes. In random trials (60,000 points each,
+#: edges, dots and light up to 20) no error was larger.
 BETWEEN = 1.0
-#: By the facings that are taken in full: the kinds of cells that have none of them, and of split ones.
-#: Lookups with a normal that find none of these kinds find the same as those without.
+#: By the facings of full weight: the kinds of cells without any of them, and the split kind. A normal changes
+#: no lookup among other kinds.
 _HIDDEN = np.array(
     [sum(1 << kind for kind in range(64) if kind & facings == 0) for facings in range(64)], np.uint64
 )
+_LIGHT, _FRACTION, _DIRECTION = 0, 1, 2
+_KINDS = {"srgb": _LIGHT, "linear": _LIGHT, "data": _FRACTION, "direction": _DIRECTION}
+#: sRGB's curve over the square root of light: linear interpolation errs by 3·10⁻⁴ codes at most.
+_STEPS = 4096
+_CURVE = 255.0 * linear_to_srgb((np.arange(_STEPS + 2) / _STEPS) ** 2)
+#: The slope of sRGB's curve at 0, and its upper bounds from the light in the first column on.
+_STEEPEST = np.float32(12.93)
+_STEEP = np.array([[0.01, 6.5], [0.05, 2.55], [0.2, 1.14]], np.float32)
+
+
+class ErrorColumns(NamedTuple):
+    """How the errors of components are measured, channel after channel."""
+
+    kinds: Int64s  # (components,)
+    vectors: Int64s  # (components,)   the first component of its direction, or −1
+    alpha: int  # the component that weighs all others, or −1
+    curve: Float64s
+
+    @classmethod
+    def of(cls, channels: Sequence[ChannelFormat]) -> ErrorColumns:
+        """List the components of channels."""
+        kinds: list[int] = []
+        vectors: list[int] = []
+        alpha = -1
+        for form in channels:
+            alpha = len(kinds) if form.name == "alpha" else alpha
+            vectors += [len(kinds) if form.space == "direction" else -1] * form.components
+            kinds += [_KINDS[form.space]] * form.components
+        return cls(np.array(kinds, np.int64), np.array(vectors, np.int64), alpha, _CURVE)
+
+
+@inlined
+def _code(value: float, kind: int, curve: Float64s) -> float:
+    if kind == _FRACTION:
+        return 255.0 * value
+    if kind == _DIRECTION:
+        return 127.5 * value
+    if value > 1.0:
+        return 255.0 + SLOPE * math.log(value)
+    steps = math.sqrt(max(value, 0.0)) * _STEPS
+    step = int(steps)
+    low, high = float(curve[step]), float(curve[step + 1])
+    return low + (steps - step) * (high - low)
+
+
+@inlined
+def _code_between(low: float, high: float, kind: int, curve: Float64s) -> float:
+    """Return how many codes ``high`` lies above ``low``."""
+    if low == high:
+        return 0.0
+    return _code(high, kind, curve) - _code(low, kind, curve)
+
+
+@inlined
+def subtract(
+    values: Float32s, columns: ErrorColumns, component: int, count: int, differences: Float64s
+) -> None:
+    """Write how many codes a field lies above the full tree's at points.
+
+    ``values`` (2, components, points) are those of both fields. ``differences`` (2, points) become those of
+    the component, and of unit vectors, 0 for a component of no direction.
+    """
+    kind, vector = columns.kinds[component], columns.vectors[component]
+    is_covered = columns.alpha >= 0 and component != columns.alpha
+    end = vector
+    while vector >= 0 and end < columns.kinds.size and columns.vectors[end] == vector:
+        end += 1
+    for point in range(count):
+        coverage = float(values[1, columns.alpha, point]) if is_covered else 1.0
+        value, wanted = float(values[0, component, point]), float(values[1, component, point])
+        differences[0, point] = coverage * _code_between(wanted, value, kind, columns.curve)
+        differences[1, point] = 0.0
+        if vector >= 0:
+            one, other = 0.0, 0.0
+            for each in range(vector, end):
+                one += float(values[0, each, point]) ** 2
+                other += float(values[1, each, point]) ** 2
+            value = value / math.sqrt(one) if one > 0.0 else 0.0
+            wanted = wanted / math.sqrt(other) if other > 0.0 else 0.0
+            differences[1, point] = coverage * _code_between(wanted, value, kind, columns.curve)
+
+
+@inlined
+def are_near(differences: Float64s, count: int, most: float) -> bool:
+    """Say whether all differences at the first ``count`` points are ``most`` codes at most."""
+    near = True
+    for column in range(differences.shape[0]):
+        for point in range(count):
+            near &= abs(differences[column, point]) <= most  # NaN is not near
+    return near
+
+
+@inlined
+def are_near_between(differences: Float64s, count: int, most: float) -> bool:
+    """Say whether differences are ``most`` at most all over a patch of ``count`` points: see `lay_out`.
+
+    On each triangle the difference is taken for the quadratic polynomial through its six points, which lies
+    between its Bézier coefficients.
+    """
+    for column in range(differences.shape[0]):
+        middle = differences[column, 0]
+        near = abs(middle) <= most
+        for corner in range(1, count, 3):
+            here = differences[column, corner]
+            after = differences[column, corner + 3 if corner + 3 < count else 1]
+            near &= abs(here) <= most
+            near &= abs(2.0 * differences[column, corner + 1] - 0.5 * (here + middle)) <= most
+            near &= abs(2.0 * differences[column, corner + 2] - 0.5 * (here + after)) <= most
+        if not near:
+            return False
+    return True
+
+
+@inlined
+def are_surely_near(values: Float32s, columns: ErrorColumns, component: int, count: int, most: float) -> bool:
+    """Bound the error of a component of no direction: False says nothing.
+
+    Of all pairs of lights with one difference, the darkest pair is farthest apart in codes. Rows of
+    ``values`` are filled up to a multiple of eight points.
+    """
+    zero, room = eight(0.0), values.shape[2]
+    one, other = component * room, (columns.kinds.size + component) * room
+    kind = columns.kinds[component]
+    low, apart, invalid = eight(np.inf), zero, zero
+    for first in range(0, count, 8):
+        value, wanted = eight_at(values, one + first), eight_at(values, other + first)
+        difference = value - wanted
+        difference = chosen(difference > zero, difference, zero - difference)
+        apart = chosen(difference > apart, difference, apart)
+        invalid = invalid + difference * zero  # NaN where one is NaN
+        smaller = chosen(value < wanted, value, wanted)
+        low = chosen(smaller < low, smaller, low)
+    slopes = eight(1.0)
+    if kind == _LIGHT:
+        slopes = chosen(low > eight(_STEEP[0, 0]), eight(_STEEP[0, 1]), eight(_STEEPEST))
+        slopes = chosen(low > eight(_STEEP[1, 0]), eight(_STEEP[1, 1]), slopes)
+        slopes = chosen(low > eight(_STEEP[2, 0]), eight(_STEEP[2, 1]), slopes)
+    if mask_bits(apart * slopes + invalid <= eight(most / 255.0)) == np.uint64(255):
+        return True
+    darkest, largest = np.float32(np.inf), np.float32(0)
+    for each in lanes(low):
+        darkest = min(darkest, each)
+    for each in lanes(apart):
+        largest = max(largest, each)
+    for each in lanes(invalid):
+        largest += each
+    dark, light = float(darkest), float(darkest + largest)
+    return _code_between(dark, light, kind, columns.curve) <= most
 
 
 def coefficients(
     tree: Octree, channels: Mapping[str, Channel], forms: Sequence[ChannelFormat]
 ) -> Coefficients:
-    """Return the field of a tree's channels of some formats."""
+    """Return the field of the channels of a tree that have these formats."""
     columns = ErrorColumns.of(forms)
     components, cells = columns.kinds.size, tree.n_cells
     rows = large.zeros((cells + tree.split.areas.size, (components + 4) // 4 * 4), np.float32)
@@ -71,39 +217,39 @@ def coefficients(
         channel = channels[form.name]
         for into, stored in ((rows[:cells], channel.values), (rows[cells:], channel.split_values)):
             for begin in range(0, len(stored), _BLOCK):
-                some = slice(begin, begin + _BLOCK)
-                into[some, start:end] = decode(stored[some], form.space)
+                block = slice(begin, begin + _BLOCK)
+                into[block, start:end] = decode(stored[block], form.space)
     return Coefficients(
         tree.arrays, facings_of(tree).rows, cells, rows.reshape(-1, 4), components, columns.alpha
     )
 
 
 class Reference(NamedTuple):
-    """The full tree's field, and where the samples of its finest cells lie: see `Samples`."""
+    """The full tree's field, and the samples of its finest cells: see `Samples`."""
 
     field: Coefficients
     columns: ErrorColumns
     depth: int
     codes: Int64s
     firsts: Int64s
-    places: Uint16s
+    positions: Uint16s
     normals: Int8s
 
     @classmethod
     def of(cls, field: Coefficients, samples: Samples, forms: Sequence[ChannelFormat]) -> Reference:
-        """Take the full tree's field of some formats."""
+        """Take the full tree's field, and the formats of its components."""
         return cls(field, ErrorColumns.of(forms), samples.depth, *samples[2:6])
 
 
 class Scratch(NamedTuple):
-    """Where the tests of one cell after another work."""
+    """Scratch arrays of the tests, and the windows of the cell tested last."""
 
     walks: tuple[Walk, Walk]  # of both fields
-    windows: Windows  # of both fields; of both looked up with a normal
+    windows: Windows  # of both fields; of both with a normal
     totals: Float32s  # (4 · vectors, points)
     values: Float32s  # (2, components, points)   of both fields
     differences: Float64s  # (2, points)
-    points: Float32s  # (3, points)   in the finest cell, 0 … 1
+    points: Float32s  # (3, points)   positions in the finest cell, 0 … 1
     normal: Float32s  # (1, 3)
 
 
@@ -126,13 +272,13 @@ def values_at_samples(reference: Reference, first: int, end: int) -> Float32s:
     """Return the full tree's values (samples, components) at the samples of a run of finest cells."""
     field, scratch = reference.field, _new_scratch(reference.field.components)
     start = reference.firsts[first]
-    found = np.empty((reference.firsts[end] - start, field.components), np.float32)
+    values = np.empty((reference.firsts[end] - start, field.components), np.float32)
     for cell in range(first, end):
-        count = _look_up_samples(field, reference, scratch, 1, cell)
+        count, row = _look_up_samples(field, reference, scratch, 1, cell), reference.firsts[cell] - start
         for point in range(count):
             for component in range(field.components):
-                found[reference.firsts[cell] - start + point, component] = scratch.values[1, component, point]
-    return found
+                values[row + point, component] = scratch.values[1, component, point]
+    return values
 
 
 @kernel
@@ -142,15 +288,15 @@ def near_nodes(
     wanted: Float32s,
     most: float,
     nodes: tuple[Int64s, Int64s, Int64s],
-    own: int,
+    first_node: int,
     candidates: Int64s,
 ) -> Bools:
-    """Say which nodes (n,), which ascend, may be leaves as far as the samples in them show.
+    """Say which nodes (n,), in ascending order, may become leaves, by their samples.
 
     Either the field of an ``even`` tree, whose leaves they are, is near the full tree's at the samples of a
-    finest cell in each child; or the node's own value is at all samples. ``wanted`` are the full tree's
+    finest cell in each child; or the node's value is near at all samples. ``wanted`` are the full tree's
     values at all samples; ``nodes`` the first finest cell and the first child of each node, and the first
-    finest cell of each child, ends included; ``own`` is the cell of the first node.
+    finest cell of each child, ends included; ``first_node`` is the cell number of the first node.
     """
     firsts, children, child_firsts = nodes
     scratch = _new_scratch(even.components)
@@ -169,7 +315,7 @@ def near_nodes(
         near[n] = True
         vectors = (even.components + 4) // 4
         for component in range(even.components):
-            value = even.rows[(own + node) * vectors + (component >> 2), component & 3]
+            value = even.rows[(first_node + node) * vectors + (component >> 2), component & 3]
             for point in range(MOST_POINTS):
                 scratch.values[0, component, point] = value
         for cell in range(firsts[node], firsts[node + 1]):
@@ -182,13 +328,13 @@ def near_nodes(
 
 @kernel
 def far_at_samples(
-    found: Coefficients, reference: Reference, wanted: Float32s, most: float, first: int, end: int
+    field: Coefficients, reference: Reference, wanted: Float32s, most: float, first: int, end: int
 ) -> Bools:
-    """Say in which finest cells of a run a field is more than ``most`` codes from the full tree's."""
-    scratch = _new_scratch(found.components)
+    """Say in which finest cells of a run a field is more than ``most`` codes off at a sample."""
+    scratch = _new_scratch(field.components)
     far = np.empty(end - first, np.bool_)
     for cell in range(first, end):
-        count = _look_up_samples(found, reference, scratch, 0, cell)
+        count = _look_up_samples(field, reference, scratch, 0, cell)
         far[cell - first] = not _are_near_at(scratch, reference, wanted, cell, count, most)
     return far
 
@@ -210,7 +356,7 @@ def _are_near_at(
 def _look_up_samples(
     field: Coefficients, reference: Reference, scratch: Scratch, side: int, cell: int
 ) -> int:
-    """Write a field's values at the samples of a finest cell, and return how many these are."""
+    """Write a field's values at the samples of a finest cell, and return their number."""
     i, j, k = decode_cell(reference.codes[cell])
     shift = MAX_DEPTH - reference.depth
     walk, windows = scratch.walks[0], scratch.windows
@@ -220,7 +366,8 @@ def _look_up_samples(
     count = reference.firsts[cell + 1] - first
     for point in range(count):
         for axis in range(3):
-            scratch.points[axis, point] = (reference.places[first + point, axis] + 0.5) * (1.0 / PLACE_STEPS)
+            steps = reference.positions[first + point, axis] + 0.5
+            scratch.points[axis, point] = steps * (1.0 / POSITION_STEPS)
     _fill(scratch.points, count)
     _look_up(field, scratch, 0, level, (i, j, k, reference.depth), side, count)
     return int(count)
@@ -228,23 +375,23 @@ def _look_up_samples(
 
 @inlined
 def _fill(points: Float32s, count: int) -> None:
-    """Repeat the first of some points up to a multiple of eight."""
+    """Repeat the first point up to a multiple of eight points."""
     for point in range(count, -(-count // 8) * 8):
         for axis in range(3):
             points[axis, point] = points[axis, 0]
 
 
 @kernel
-def far_all_over(found: Coefficients, reference: Reference, most: float, cells: Int64s) -> Bools:
-    """Say in which finest cells (n,), which ascend, a field is too far from the full tree's somewhere.
+def far_all_over(field: Coefficients, reference: Reference, most: float, cells: Int64s) -> Bools:
+    """Say in which finest cells (n,), in ascending order, a field is too far off anywhere.
 
-    That is, at a sample by more than ``most`` codes; or in the plane of the surface there, as far as it lies
-    in the cell (see `lay_out`), by more than one code more; both without a normal and with the sample's own.
+    That is by more than ``most`` codes at a sample, or by one code more on the patch around it (see
+    `lay_out`), without a normal or with the sample's normal.
     """
-    scratch = _new_scratch(found.components)
+    scratch = _new_scratch(field.components)
     far = np.empty(cells.size, np.bool_)
     for n in range(cells.size):
-        far[n] = _is_far_all_over((found, reference.field), reference, scratch, cells[n], most)
+        far[n] = _is_far_all_over((field, reference.field), reference, scratch, cells[n], most)
     return far
 
 
@@ -262,11 +409,11 @@ def _is_far_all_over(
     normal = scratch.normal
     view = view_of(normal, 0)
     for sample in range(reference.firsts[cell], reference.firsts[cell + 1]):
-        count = lay_out(reference.places, reference.normals, sample, scratch.points)
+        count = lay_out(reference.positions, reference.normals, sample, scratch.points)
         _fill(scratch.points, count)
-        for look in range(2):  # without a normal, then with it
+        for with_normal in range(2):
             one, other = 0, 1
-            if look == 1:
+            if with_normal == 1:
                 is_new = False
                 for axis in range(3):
                     is_new |= normal[0, axis] != reference.normals[sample, axis]
@@ -282,8 +429,8 @@ def _is_far_all_over(
             find_coefficients(fields[1], walks[1], windows, other, full, other == 3, view)
             find_coefficients(fields[0], walks[0], windows, one, level, one == 2, view)
             for side in range(2):
-                which, own = (one, level) if side == 0 else (other, full)
-                _look_up(fields[0], scratch, which, own, (i, j, k, reference.depth), side, count)
+                which, from_level = (one, level) if side == 0 else (other, full)
+                _look_up(fields[0], scratch, which, from_level, (i, j, k, reference.depth), side, count)
             if not _are_near(scratch, columns, count, most, most + BETWEEN, True):
                 return True
     return False
@@ -291,10 +438,10 @@ def _is_far_all_over(
 
 @inlined
 def _look_up(
-    field: Coefficients, scratch: Scratch, which: int, level: int, place: Place, side: int, count: int
+    field: Coefficients, scratch: Scratch, which: int, level: int, cell: Cell, side: int, count: int
 ) -> None:
-    """Write a field's values at points of a finest cell; ``field`` says what they are."""
-    i, j, k, depth = place
+    """Write a field's values at points of a finest cell."""
+    i, j, k, depth = cell
     points, totals, values, room = scratch.points, scratch.totals, scratch.values, MOST_POINTS
     last, scale = (1 << depth - level) - 1, eight(1.0 / (1 << depth - level))
     a, b, c = eight(i & last), eight(j & last), eight(k & last)
@@ -309,8 +456,8 @@ def _look_up(
             by = components if alpha < 0 or component == alpha else alpha
             total, divisor = eight_at(totals, component * room + first), eight_at(totals, by * room + first)
             is_any = divisor > none
-            found = chosen(is_any, total / chosen(is_any, divisor, one), none)
-            put(values, (side * components + component) * room + first, found)
+            value = chosen(is_any, total / chosen(is_any, divisor, one), none)
+            put(values, (side * components + component) * room + first, value)
 
 
 @inlined
@@ -319,13 +466,13 @@ def _are_near(
 ) -> bool:
     """Say whether the values of both fields are near at points; or all over a patch, see `lay_out`.
 
-    Bézier coefficients between the points of a patch are three times as large as differences at most.
+    The Bézier coefficients of a patch are at most three times the largest difference at its points.
     """
     values, differences = scratch.values, scratch.differences
     surely = min(most, between / 3.0) if is_patch else most
     for component in range(columns.kinds.size):
         is_plain = columns.vectors[component] < 0
-        if is_plain and are_apart_by_less(values, columns, component, count, surely):
+        if is_plain and are_surely_near(values, columns, component, count, surely):
             continue
         subtract(values, columns, component, count, differences)
         if not are_near(differences, 1 if is_patch else count, most):
@@ -337,7 +484,7 @@ def _are_near(
 
 @inlined
 def _full_facings(view: View) -> int:
-    """Return the facings that lookups with a normal take in full."""
+    """Return the facings of full weight in lookups with a normal."""
     x, y, z, signs = view
     full = int(x >= _FULL) << (signs & 1)
     full |= int(y >= _FULL) << (2 + (signs >> 1 & 1))

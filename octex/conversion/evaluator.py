@@ -1,9 +1,8 @@
-"""The quadratic field by coefficients, for points that lie close together one after another.
+"""The quadratic field by coefficients, for many points in one cell after another.
 
-A window's coefficients (`windows`) are those of its leaves, and below leaves what the window above refines
-to; they are written once for all points in it. A value is their sum under the spline's weights. Looked up
-with a normal, coefficients are those of the rows that face it, and what faces away weighs next to nothing:
-see `field.taps`.
+A window (`field.windows`) has the coefficients of its leaves; below coarser leaves, those of the window
+above, refined by subdivision. They are written once for all points in the window. A value is their sum under
+the spline's weights. With a normal, they are those of the facing rows, weighted as `field.weights` does.
 """
 
 from __future__ import annotations
@@ -14,17 +13,9 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Uint32s, Uint64s
 from octex.field.splines import QUADRATIC
-from octex.field.weights import View, face_cell
+from octex.field.weights import View, face_cell, row_of
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, Way, cell_at, follow, place_of
-from octex.jit import (
-    fused_inlined,
-    inlined,
-    kernel,
-    popcount,
-    put,
-    spline_at_eight,
-    trailing_zeros,
-)
+from octex.jit import fused_inlined, inlined, kernel, put, spline_at_eight, trailing_zeros
 from octex.jit.vectors import eight, four, four_at, lanes, vector_of
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 
@@ -32,32 +23,32 @@ _PLACES = 27
 _LEVELS = MAX_DEPTH + 1
 NO_KEPT = np.empty(0, np.uint32)
 _ZERO = np.float32(0)
-#: For kinds of cells, a bit for each of the 2⁶ sets of facings: split cells have that of the empty set.
+#: A cell's *kind* is one of 64 bits, for its set of facings; split cells have the bit of the empty set.
 SPLIT_KIND = np.uint64(1)
 
 
 class Coefficients(NamedTuple):
-    """A tree without kept coefficients, and its channels as windows read them."""
+    """A tree without kept nodes, and its channels as windows read them."""
 
     arrays: TreeArrays
-    splits: Uint32s  # (cells,) or (0,)   the first of a split cell's rows in the split table
-    first_row: int  # that table's first, among the rows
+    splits: Uint32s  # (cells,) or (0,)   a split cell's first row in the split table
+    first_row: int  # the number of cells: the split table's first row among `rows`
     rows: Float32s  # (rows · vectors, 4)   of a cell or a facing: components, a one, zeros
     components: int
-    alpha: int  # the component that covers all others, or −1
+    alpha: int  # the component that weighs all others, or −1
 
 
 class Windows(NamedTuple):
-    """What is known of the windows around the latest point, of several fields of as many vectors a row."""
+    """The windows around the latest point, of several fields with equally many vectors a row."""
 
-    rows: Float32s  # (fields · vectors · levels · places, 4)   coefficients; zeros where there is none
+    rows: Float32s  # (fields · vectors · levels · places, 4)   coefficients; zeros where there is no cell
     known: Bools  # (fields, levels)   whether the level's coefficients are written
-    kinds: Uint64s  # (fields, levels)   the kinds of cells that they are made of
+    kinds: Uint64s  # (fields, levels)   the kinds of their cells
 
 
 @kernel
 def new_windows(fields: int, vectors: int) -> Windows:
-    """Return windows of which nothing is known."""
+    """Return empty windows."""
     return Windows(
         np.zeros((fields * vectors * _LEVELS * _PLACES, 4), np.float32),
         np.zeros((fields, _LEVELS), np.bool_),
@@ -67,11 +58,11 @@ def new_windows(fields: int, vectors: int) -> Windows:
 
 @inlined
 def enter(field: Coefficients, walk: Walk, windows: Windows, which: int, i: int, j: int, k: int) -> int:
-    """Return the level whose window is read around a cell of MAX_DEPTH; forget the windows that it left.
+    """Return the level whose window is read around a cell of MAX_DEPTH, and drop the windows that change.
 
-    Those of each second field from ``which`` on belong to the walk.
+    Every second field from ``which`` on belongs to the walk.
     """
-    walk.previous[5] = MAX_DEPTH  # becomes the last level whose window is that of the point before
+    walk.previous[5] = MAX_DEPTH  # becomes the last level whose window did not change
     level = follow(Way(field.arrays, NO_KEPT, walk, QUADRATIC, 2, 1, False), i, j, k)
     for changed in range(walk.previous[5] + 1, level + 1):
         for each in range(which, windows.known.shape[0], 2):
@@ -81,7 +72,7 @@ def enter(field: Coefficients, walk: Walk, windows: Windows, which: int, i: int,
 
 @inlined
 def is_refined(walk: Walk, level: int) -> bool:
-    """Say whether a window has cells below leaves, or below nothing beside these."""
+    """Say whether a window has coefficients of a coarser level."""
     if level == 0 or walk.levels[level - 1, CONTENT] == 0:
         return False
     return bool(INSIDE[0, walk.levels[level, BEGIN], 0] & ~walk.real[level, 0] != 0)
@@ -89,7 +80,7 @@ def is_refined(walk: Walk, level: int) -> bool:
 
 @inlined
 def kind_of(flags: np.uint8) -> np.uint64:
-    """Return the kind of a cell as a bit: its facings, or that it is split."""
+    """Return a cell's kind."""
     if flags & np.uint8(SPLIT) != 0:
         return SPLIT_KIND
     facings = flags & np.uint8(FACING_FLAGS)
@@ -100,7 +91,7 @@ def kind_of(flags: np.uint8) -> np.uint64:
 def find_coefficients(
     field: Coefficients, walk: Walk, windows: Windows, which: int, level: int, is_facing: bool, view: View
 ) -> None:
-    """Write the coefficients of a level's window, and before it of those that it is refined from."""
+    """Write the coefficients of a level's window, after those of the windows that it is refined from."""
     top = level
     while not windows.known[which, top] and is_refined(walk, top):
         top -= 1
@@ -119,19 +110,19 @@ def add_up(
     totals: Float32s,
     first: int,
 ) -> None:
-    """Write the sums of coefficients under the spline's weights at eight points in the middle cell, 0 … 1.
+    """Write the spline's sums of coefficients at eight points in the middle cell, 0 … 1.
 
     They go to columns of ``totals`` (4 · vectors, MOST_POINTS), from ``first`` on.
     """
     of_x, of_y, of_z = _weights(points[0]), _weights(points[1]), _weights(points[2])
     for vector in range(vectors):
         row = ((which * vectors + vector) * _LEVELS + level) * _PLACES
-        found = spline_at_eight(windows.rows, row, of_x, of_y, of_z)
+        sums = spline_at_eight(windows.rows, row, of_x, of_y, of_z)
         at = 4 * vector * totals.shape[1] + first
-        put(totals, at, found[0])
-        put(totals, at + totals.shape[1], found[1])
-        put(totals, at + 2 * totals.shape[1], found[2])
-        put(totals, at + 3 * totals.shape[1], found[3])
+        put(totals, at, sums[0])
+        put(totals, at + totals.shape[1], sums[1])
+        put(totals, at + 2 * totals.shape[1], sums[2])
+        put(totals, at + 3 * totals.shape[1], sums[3])
 
 
 @fused_inlined
@@ -146,7 +137,7 @@ def _weights(t: Any) -> Any:
 def _gather(
     field: Coefficients, walk: Walk, windows: Windows, which: int, level: int, is_facing: bool, view: View
 ) -> None:
-    """Write the coefficients of a level's window, and what they are made of."""
+    """Write the coefficients of a level's window, and their kinds."""
     vectors = (field.components + 4) // 4
     begin = walk.levels[level, BEGIN]
     inside = INSIDE[0, begin, 0]
@@ -172,57 +163,51 @@ def _gather(
         flags = field.arrays.flags[cell]
         if is_facing:
             for vector in range(vectors):
-                shown = _faced(field, cell, flags, view, vectors, vector)
-                put(windows.rows, 4 * (at + vector * stride), shown)
+                faced = _faced(field, cell, flags, view, vectors, vector)
+                put(windows.rows, 4 * (at + vector * stride), faced)
             continue
         kinds |= kind_of(flags)
         for vector in range(vectors):
-            put(windows.rows, 4 * (at + vector * stride), _covered(field, cell, vectors, vector))
+            put(windows.rows, 4 * (at + vector * stride), _weighted(field, cell, vectors, vector))
     windows.kinds[which, level] = kinds
     windows.known[which, level] = True
 
 
 @inlined
 def _faced(field: Coefficients, cell: int, flags: np.uint8, view: View, vectors: int, vector: int) -> Any:
-    """Return a part of what a cell shows to a normal."""
+    """Return a vector of a cell's value for a normal."""
     part, x, y, z = face_cell(flags, view)
     if not (x + y + z > _ZERO and field.splits.size > 0):
-        return four(0.0) + four(part) * _covered(field, cell, vectors, vector)
-    found = four(0.0)
+        return four(0.0) + four(part) * _weighted(field, cell, vectors, vector)
+    total = four(0.0)
     for axis in range(3):
         share = x if axis == 0 else (y if axis == 1 else z)
         if share > _ZERO:
-            row = _row_of(field, cell, flags, 2 * axis + (view[3] >> axis & 1))
-            found = found + four(part * share) * _covered(field, row, vectors, vector)
-    return found
+            first = int(field.first_row + np.int64(field.splits[cell]))
+            row = row_of(first, flags, axis, view[3])
+            total = total + four(part * share) * _weighted(field, row, vectors, vector)
+    return total
 
 
 @inlined
-def _row_of(field: Coefficients, cell: int, flags: np.uint8, facing: int) -> int:
-    """Return the row of a split cell's facing."""
-    below = np.uint64(flags) & ((np.uint64(1) << np.uint64(facing)) - np.uint64(1))
-    return int(field.first_row + np.int64(field.splits[cell]) + popcount(below))
-
-
-@inlined
-def _covered(field: Coefficients, row: int, vectors: int, vector: int) -> Any:
-    """Return a part of a row, times its alpha."""
+def _weighted(field: Coefficients, row: int, vectors: int, vector: int) -> Any:
+    """Return a vector of a row, times the row's alpha."""
     stored, alpha = four_at(field.rows, 4 * (row * vectors + vector)), field.alpha
     if alpha < 0:
         return stored
     a, b, c, d = lanes(stored)
     coverage = field.rows[row * vectors + (alpha >> 2), alpha & 3]
-    own, one = alpha - 4 * vector, field.components - 4 * vector
-    a = a if own == 0 or one == 0 else a * coverage
-    b = b if own == 1 or one == 1 else b * coverage
-    c = c if own == 2 or one == 2 else c * coverage
-    d = d if own == 3 or one == 3 else d * coverage
+    lane, one = alpha - 4 * vector, field.components - 4 * vector
+    a = a if lane == 0 or one == 0 else a * coverage
+    b = b if lane == 1 or one == 1 else b * coverage
+    c = c if lane == 2 or one == 2 else c * coverage
+    d = d if lane == 3 or one == 3 else d * coverage
     return vector_of((a, b, c, d))
 
 
 @inlined
 def _refine(rows: Float32s, first: int, upper: int) -> None:
-    """Refine the window above into that from row ``first`` on; ``upper`` is the half of its parent."""
+    """Subdivide the window above into that from row ``first`` on, the ``upper`` half of its parent."""
     step, near, far = 4, four(0.75), four(0.25)
     first, places = 4 * first, 4 * _PLACES
     for axis in range(3):

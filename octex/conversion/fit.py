@@ -1,9 +1,14 @@
-"""Leaf values fitted to the source: a spline smooths, and averages that it smooths once more are dull.
+"""Leaf values fitted to the source: a spline smooths, so that smoothed averages would look dull.
 
-The field is linear in the leaf values, so the best ones are a least squares over the samples (see `samples`
-and `solve`). It is solved brick by brick: a run of leaves in Morton order with a halo around it, found by
-following what the lookups touch; leaves beyond the halo stay at their means. A brick's result depends on
-nothing else, so that of the whole does not depend on threads.
+The field is linear in the leaf values, so the best ones solve a least-squares problem over the samples (see
+`samples` and `solve`). It is solved brick by brick: a run of leaves in Morton order with a halo around it.
+Leaves beyond the halo stay at their means. A brick's result depends on nothing else, so the whole does not
+depend on threads.
+
+A leaf is fitted together with all leaves around it. Next to leaves that face another way, as in a thin wall
+or along a crease, its value suits lookups without normals, but not lookups with normals. Such leaves are
+split: each facing has a row, fitted to lookups with the samples' normals. Rows that equal their leaf are
+dropped.
 """
 
 from __future__ import annotations
@@ -16,14 +21,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float32s, Floats, Int32s, Int64s
+from octex.arrays import Array, Bools, Float32s, Floats, Int8s, Int32s, Int64s, Uint64s, bit_counts
 from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion import large
-from octex.conversion.cubes import CubeLookups, Heads
-from octex.conversion.numbering import Leaves, Outside, members_of, number
+from octex.conversion.evaluator import NO_KEPT, SPLIT_KIND, is_refined, kind_of
+from octex.conversion.lookups import CubeLookups, Heads, Leaves, Outside, members_of, number
 from octex.conversion.prune import Channels
 from octex.conversion.samples import SHARE_STEPS, UNIT, Samples, sample_points
 from octex.conversion.solve import (
+    NO_ROUNDING,
     Codes,
     Equations,
     approach,
@@ -34,26 +40,38 @@ from octex.conversion.solve import (
     transpose,
     weigh,
 )
+from octex.editing.split import split_in_vain, with_split, without_split
+from octex.field.blend import listed
 from octex.field.field import Field
-from octex.jit import kernel
-from octex.parallel import Progress, ordered_map
-from octex.texture.channel import Channel
+from octex.field.splines import QUADRATIC
+from octex.field.windows import BEGIN, INSIDE, Way, cell_at, follow, new_walk
+from octex.jit import kernel, trailing_zeros
+from octex.parallel import Progress, ordered_map, sharing
+from octex.texture import Channel, OctreeTexture
+from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
+from octex.tree.morton import decode as decode_cell
 from octex.tree.octree import Octree
 
-#: Samples in a brick, whose lists take some 400 bytes for each. Half as many take up to 8 % longer.
+#: Samples in a brick; each takes about 400 bytes. With half as many a fit takes up to 8 % longer.
 BRICK_SAMPLES = 100_000
-#: Little work is cut into so many bricks, of no fewer samples than this.
+#: Little work is cut into this many bricks, of at least this many samples.
 _BRICKS, _LEAST_SAMPLES = 4, 20_000
-#: Rings of leaves around a brick that are solved with it. Two are not nearer to the source (0.00 dB).
+#: Rings of leaves around a brick that are solved with it. Two bring nothing (0.00 dB).
 RINGS = 1
-#: Samples that one leaf is fitted to at most, of those in it. 64 are not nearer.
+#: Most samples in a leaf that it is fitted to. 64 bring nothing.
 LEAF_SAMPLES = 8
 #: Sweeps over the leaves, back and forth; for 8 bits those after the first two round. One more wins 0.04 dB.
 SWEEPS, FREE_SWEEPS = 4, 2
-#: Light by so much above 1 is 1, rounded.
+#: Light above 1 by less than this counts as 1: it is rounding.
 LEAST_BRIGHT = 2.0**-10
-#: What samples that nothing covers still weigh.
+#: Least weight of a sample, however small its coverage.
 LEAST_COVERAGE = 2.0**-10
+#: A leaf of a smaller weight in a lookup is not split for it.
+_LEAST_WEIGHT = 0.03
+#: Samples that are looked up at once.
+_BLOCK = 1 << 16
+#: Finest cells that are tested at once, and the levels above them at which facings are tested first.
+_RUN, _COARSER = 1 << 17, 2
 
 
 class Group(NamedTuple):
@@ -63,10 +81,7 @@ class Group(NamedTuple):
     format: ChannelFormat
 
     def range(self, samples: Samples) -> tuple[float, float]:
-        """Return the least and the largest value that can be stored, or that such a channel can have.
-
-        Floats can hold any light, but what is nowhere above 1 is fitted in 0 … 1, as integers are.
-        """
+        """Return the least and the largest value that a leaf may take: 0 … 1 for light nowhere above 1."""
         space, dtype = self.format.space, self.format.dtype
         if space == "direction":
             return -1.0, 1.0
@@ -80,57 +95,52 @@ class Group(NamedTuple):
 
 
 class Job(NamedTuple):
-    """All that a brick needs."""
+    """The input that all bricks share."""
 
     field: Field
-    channels: list[Channel]  # that the samples have
+    channels: list[Channel]  # those of the samples
     samples: Samples
     leaves: Leaves
     heads: Heads | None  # if the leaves are all finest cells
     unfitted: Collection[str]  # channels whose means stay
-    is_facing: bool  # whether lookups are those with the samples' normals
+    is_facing: bool  # whether lookups use the samples' normals
     groups: list[Group]
     ranges: list[tuple[float, float]]  # of each group
 
 
 class Lookups(NamedTuple):
-    """The samples of a brick and its halo, and the taps of the field there."""
+    """The samples of a brick and its halo, and the field's taps there."""
 
     samples: Int64s  # (n,)
-    strides: Float32s  # (n,)   how many samples each stands for
+    strides: Float32s  # (n,)   the number of samples that each stands for
     starts: Int64s  # (n + 1,)   the first tap of each
     leaves: Int32s  # (taps,)   rows of `cells`
     weights: Float32s  # (taps,)
-    cells: Int64s  # (m,)   numbers of the cells in reach: the brick's own, the halo's, the rest
-    unknowns: int  # how many of them are solved for
+    cells: Int64s  # (m,)   cell numbers: the brick's, the halo's, the rest
+    unknowns: int  # how many of the cells are solved for
 
     def residuals(
-        self,
-        values: Float32s,
-        targets: Float32s,
-        shares: Float32s,
-        components: int,
-        is_light: int,
+        self, values: Float32s, targets: Float32s, shares: Float32s, components: int, is_light: int
     ) -> Float32s:
         """Return the residuals of values. See `solve.residuals`."""
-        task = values, targets, shares, components, is_light
-        return residuals(self.starts, self.leaves, self.weights, *task)
+        taps = self.starts, self.leaves, self.weights
+        return residuals(*taps, values, targets, shares, components, is_light)
 
     def equations(self) -> Equations:
-        """List by unknown what lookups blend."""
+        """List the lookups by unknown."""
         return transpose(self.starts, self.leaves, self.weights, self.unknowns)
 
     def covered(self, coverage: Float32s) -> Lookups:
-        """Return the same with cells (m,) that weigh by their coverage."""
+        """Return the same lookups with cells (m,) weighted by coverage."""
         return self._replace(weights=covered(self.starts, self.leaves, self.weights, coverage))
 
 
 class Fitter(NamedTuple):
-    """Makes the leaves of trees meet samples, whose finest cells they are, or cells above them.
+    """Fits the leaves of trees, the samples' finest cells or cells above them, to the samples.
 
-    Colours are fitted on sRGB's curve, light above 1 by ratio, directions as vectors; what alpha does not
-    cover counts for alpha alone. Values stay inside their types' ranges. Channels that are ``unfitted`` keep
-    their values after they served the others. The result does not depend on the executor.
+    Colours are fitted on sRGB's curve, light above 1 by ratio, directions as vectors; each sample weighs by
+    its alpha. Values stay inside their types' ranges. ``unfitted`` channels keep their values, which still
+    weigh the others. The result does not depend on the executor.
     """
 
     samples: Samples
@@ -139,22 +149,22 @@ class Fitter(NamedTuple):
     unfitted: Collection[str] = ()
 
     def fit(self, tree: Octree, channels: Channels, chosen: Bools | None = None) -> Channels:
-        """Return channels whose leaves make the quadratic field meet the samples; all else keeps its values.
+        """Return channels whose leaves fit the quadratic field to the samples; other cells stay.
 
-        The leaves' values in ``channels``, which hold what the samples hold, are means. With ``chosen``
-        (leaves,), in Morton order, these leaves alone are fitted, to the samples in them.
+        The leaves' values in ``channels``, those of the samples, are means. With ``chosen`` (leaves,), in
+        Morton order, only these leaves are fitted, to the samples in them.
         """
         samples, leaves = self.samples, Leaves.of(tree, self.samples)
         if chosen is not None:
             finest = np.searchsorted(samples.firsts, leaves.firsts)  # the first finest cell of each leaf
             samples = samples.of(np.flatnonzero(np.repeat(chosen, np.diff(finest))))
-            leaves = leaves.some(chosen, tree.n_cells)
+            leaves = leaves.chosen(chosen, tree.n_cells)
         return self._fitted(tree, channels, samples, leaves, is_facing=False)
 
     def fit_rows(self, tree: Octree, channels: Channels, samples: Samples, rows: Leaves) -> Channels:
-        """Return channels some ``rows`` of whose split leaves make the field meet ``samples``.
+        """Return channels whose ``rows`` of split leaves fit lookups with normals to ``samples``.
 
-        These are all samples in these leaves, and looked up with their normals. All else is as in ``fit``.
+        These are all samples in these leaves. See `fit`.
         """
         return self._fitted(tree, channels, samples, rows, is_facing=True)
 
@@ -166,24 +176,24 @@ class Fitter(NamedTuple):
             field.facings  # noqa: B018 (built before threads share it)
         elif field.tiles is not None and not leaves.cells.size:
             heads = Heads.of(field.tiles, samples.codes)
-        given = [channels[form.name] for form in samples.channels]
+        known = [channels[form.name] for form in samples.channels]
         groups = _groups(samples.channels)
         ranges = [group.range(samples) for group in groups]
-        job = Job(field, given, samples, leaves, heads, self.unfitted, is_facing, groups, ranges)
-        size = min(max(len(samples.places) // _BRICKS, _LEAST_SAMPLES), BRICK_SAMPLES)
+        job = Job(field, known, samples, leaves, heads, self.unfitted, is_facing, groups, ranges)
+        size = min(max(len(samples.positions) // _BRICKS, _LEAST_SAMPLES), BRICK_SAMPLES)
         bricks = list(pairwise(_cuts(leaves.firsts, size, LEAF_SAMPLES).tolist()))
-        found = ordered_map(
+        fitted = ordered_map(
             self.executor, partial(_fit_brick, job), bricks, stage="fit", progress=self.progress
         )
         table, first_row = ("split_values", tree.n_cells) if is_facing else ("values", 0)
-        stored = [large.copied(getattr(channel, table)) for channel in given]
-        for brick, parts in zip(bricks, found, strict=True):
+        stored = [large.copied(getattr(channel, table)) for channel in known]
+        for brick, parts in zip(bricks, fitted, strict=True):
             rows = leaves.numbers(*brick) - first_row
             for whole, part in zip(stored, parts, strict=True):
                 whole[rows] = part
         made = {
             channel.format.name: channel._replace(**{table: each})  # type: ignore[arg-type]
-            for channel, each in zip(given, stored, strict=True)
+            for channel, each in zip(known, stored, strict=True)
             if channel.format.name not in self.unfitted
         }
         return {**channels, **made}
@@ -191,7 +201,7 @@ class Fitter(NamedTuple):
 
 @kernel
 def _cuts(firsts: Int64s, brick: int, most: int) -> Int64s:
-    """Cut leaves into runs of about ``brick`` samples, of which a leaf has ``most`` at most."""
+    """Cut leaves into runs of about ``brick`` samples, counting ``most`` at most of each leaf."""
     cuts = np.zeros(firsts[firsts.size - 1] // brick + 3, np.int64)
     n_cuts = 1
     size = 0
@@ -205,7 +215,7 @@ def _cuts(firsts: Int64s, brick: int, most: int) -> Int64s:
 
 
 def _groups(channels: Sequence[ChannelFormat]) -> list[Group]:
-    """Put components together that weigh alike; alpha first, since lookups of the others depend on it."""
+    """Group components with equal weights; alpha first, since lookups of the others depend on it."""
     groups: list[Group] = []
     end = 0
     for form in channels:
@@ -225,7 +235,7 @@ def _groups(channels: Sequence[ChannelFormat]) -> list[Group]:
 
 
 def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
-    """Fit a run of leaves; return each channel's values of them, as stored."""
+    """Fit a run of leaves; return their stored values, by channel."""
     lookups: Lookups | CubeLookups
     if job.heads is None:
         lookups = _look_up(job, *brick)
@@ -240,42 +250,41 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
         components = group.columns.stop - group.columns.start
         is_light = int(group.format.space in ("srgb", "linear"))
         wanted = _four(targets[:, group.columns])
-        is_even = _is_even(wanted) and _is_even(values[:, group.columns])  # then means are the best values
+        is_even = _is_even(wanted) and _is_even(values[:, group.columns])  # then means are best
         if group.format.name not in job.unfitted and not is_even:
             means = _four(values[:, group.columns])
-            found = means.copy()
-            rows = lookups.residuals(found, wanted, shares, components, 0)
+            fitted = means.copy()
+            rows = lookups.residuals(fitted, wanted, shares, components, 0)
             equations = equations or lookups.equations()
-            approach(equations, rows, found)
-            found[: lookups.unknowns][is_fixed] = means[: lookups.unknowns][is_fixed]
-            rows = lookups.residuals(found, wanted, shares, components, is_light)
+            approach(equations, rows, fitted)
+            fitted[: lookups.unknowns][is_fixed] = means[: lookups.unknowns][is_fixed]
+            rows = lookups.residuals(fitted, wanted, shares, components, is_light)
             if is_light:
                 weigh(equations, rows, wanted, shares, components)
             sums, is_flat = diagonal(equations, rows, wanted)
             sums[is_fixed] = 0.0
             is_rounded = group.format.dtype == "uint8"
-            to_codes = Codes.of_bytes(group.format.space) if is_rounded else Codes.none()
+            to_codes = Codes.of_bytes(group.format.space) if is_rounded else NO_ROUNDING
             for turn in range(SWEEPS):
-                codes = to_codes if turn >= FREE_SWEEPS else Codes.none()
-                sweep(equations, rows, sums, is_flat, means, components, *limits, codes, turn % 2, found)
-            values[:, group.columns] = found[:, :components]
+                codes = to_codes if turn >= FREE_SWEEPS else NO_ROUNDING
+                sweep(equations, rows, sums, is_flat, means, components, *limits, codes, turn % 2, fitted)
+            values[:, group.columns] = fitted[:, :components]
         if group.format.name == "alpha":
             coverage = values[:, group.columns.start].copy()
             if (coverage < 1.0).any():
                 lookups, equations = lookups.covered(coverage), None
             shares = shares * np.maximum(wanted[:, 0], np.float32(LEAST_COVERAGE))
-    own = values[: brick[1] - brick[0]]
+    values = values[: brick[1] - brick[0]]
     ends = np.cumsum([channel.format.components for channel in job.channels])
     return [
         encode(part, channel.format.dtype, channel.format.space)
-        for channel, part in zip(job.channels, np.split(own, ends[:-1], axis=1), strict=True)
+        for channel, part in zip(job.channels, np.split(values, ends[:-1], axis=1), strict=True)
     ]
 
 
 def _look_up(job: Job, first: int, end: int) -> Lookups:
     """Look the field up at the samples of leaves ``first`` … ``end`` − 1 and around them."""
     leaves = job.leaves
-    own = leaves.numbers(first, end)
     outside = Outside.of(0)
     ring = leaves.with_samples(np.arange(first, end))
     samples, strides, starts = [], [], [np.zeros(1, np.int64)]
@@ -283,7 +292,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
     n_taps = unknowns = 0
     for _ in range(RINGS + 1):
         known = int(outside.total[0])
-        unknowns = len(own) + known
+        unknowns = end - first + known
         members, stride = members_of(leaves.firsts, ring, LEAF_SAMPLES)
         samples.append(members)
         strides.append(stride)
@@ -293,13 +302,13 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
             room = int((taps.ends - taps.starts).sum())
             outside = outside.with_room(room)
             ends = np.empty(taps.starts.size, np.int64)
-            some, shares = np.empty(room, np.int32), np.empty(room, np.float32)
-            found = number(taps, leaves, first, end, outside, ends, some, shares)
+            rows, shares = np.empty(room, np.int32), np.empty(room, np.float32)
+            count = number(taps, leaves, first, end, outside, ends, rows, shares)
             starts.append(ends + n_taps)
-            numbers.append(some[:found])
-            weights.append(shares[:found])
-            n_taps += found
-        ranks = leaves.ranks_of(outside.found()[known:])
+            numbers.append(rows[:count])
+            weights.append(shares[:count])
+            n_taps += count
+        ranks = leaves.ranks_of(outside.numbered()[known:])
         ring = leaves.with_samples(ranks[ranks >= 0])
     return Lookups(
         np.concatenate(samples),
@@ -307,13 +316,13 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         np.concatenate(starts),
         np.concatenate(numbers),
         np.concatenate(weights),
-        np.concatenate([own, outside.found()]),
+        np.concatenate([leaves.numbers(first, end), outside.numbered()]),
         unknowns,
     )
 
 
 def _is_even(rows: Float32s) -> bool:
-    """Say whether all rows are the same."""
+    """Say whether all rows are equal."""
     return bool((rows[-1:] == rows[:1]).all() and (rows == rows[:1]).all())
 
 
@@ -325,14 +334,131 @@ def _four(columns: Floats) -> Float32s:
 
 
 def _values(channels: Sequence[Channel], rows: Int64s, n_cells: int, *, is_facing: bool) -> Float32s:
-    """Return the decoded values (rows, components) of cells, and after them of rows or kept coefficients."""
+    """Return the decoded values (rows, components) of cells; numbers beyond are split rows or kept nodes."""
     beyond = np.flatnonzero(rows >= n_cells)
     cells = np.minimum(rows, n_cells - 1) if beyond.size else rows
-    found = np.empty((len(rows), sum(channel.format.components for channel in channels)), np.float32)
+    values = np.empty((len(rows), sum(channel.format.components for channel in channels)), np.float32)
     end = 0
     for channel in channels:
         start, end = end, end + channel.format.components
         more, space = channel.split_values if is_facing else channel.kept_values, channel.format.space
-        found[:, start:end] = decode(channel.values.take(cells, axis=0), space)
-        found[beyond, start:end] = decode(more[rows[beyond] - n_cells], space)
-    return found
+        values[:, start:end] = decode(channel.values.take(cells, axis=0), space)
+        values[beyond, start:end] = decode(more[rows[beyond] - n_cells], space)
+    return values
+
+
+def with_sides(fitter: Fitter, tree: Octree, means: Channels, values: Channels) -> tuple[Octree, Channels]:
+    """Split leaves where lookups with normals fit better; return the tree and its channels.
+
+    ``means`` and the fitted ``values`` differ only in leaves, which keep the fitted values.
+    """
+    samples = fitter.samples
+    leaves = Leaves.of(tree, samples)
+    with sharing(fitter.executor) as threads:
+        chosen = _facing_apart(tree, leaves, samples, threads)
+    if not chosen.any():
+        return tree, values
+    whole = np.sort(leaves.numbers_of(chosen))
+    whole = whole[tree.arrays.flags[whole] & SPLIT == 0]
+    tried = OctreeTexture(tree, means, UNIT, np.zeros((2, 3)))
+    tried = with_split(tried, whole, tree.arrays.flags[whole] & np.uint8(FACING_FLAGS), {})
+    start = {name: channel._replace(values=values[name].values) for name, channel in tried.channels.items()}
+    finest = chosen
+    if leaves.cells.size:
+        in_chosen = np.repeat(chosen, np.diff(leaves.firsts))
+        finest = np.logical_or.reduceat(in_chosen, samples.firsts[:-1])
+    rows = leaves.rows_of(tried.tree, chosen)
+    fitted = fitter.fit_rows(tried.tree, start, samples.of(np.flatnonzero(finest)), rows)
+    made = OctreeTexture(tried.tree, fitted, UNIT, tried.bounds)
+    made = without_split(made, split_in_vain(made, whole))
+    return made.tree, made.channels
+
+
+def _facing_apart(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor) -> Bools:
+    """Say which leaves, in order, weigh in lookups that a normal changes."""
+    field, depth, count = Field(tree), samples.depth, len(leaves.firsts) - 1
+    owners = np.repeat(tree.split.cells, bit_counts(tree.split.facings)).astype(np.int64)
+    reached = np.zeros(tree.n_cells, np.bool_)  # threads write nothing but True
+    level = max(depth - _COARSER, 0)
+    coarse = tree.truncated(min(level, tree.max_depth)).arrays
+
+    def reach(first: int) -> None:
+        codes = samples.codes[first : first + _RUN]
+        # Mostly all leaves around a coarser cell face the same way: then so do those around cells in it.
+        above = codes >> 3 * (depth - level)
+        starts = np.flatnonzero(np.diff(above, prepend=-1))
+        is_mixed = _face_opposite(_kinds_around(coarse, above[starts], level))
+        cells = np.flatnonzero(np.repeat(is_mixed, np.diff(starts, append=codes.size))) + first
+        around = _kinds_around(tree.arrays, samples.codes[cells], depth)
+        is_mixed = _face_opposite(around)
+        cells, around = cells[is_mixed], around[is_mixed]
+        mixed, counts = samples.rows(cells), samples.firsts[cells + 1] - samples.firsts[cells]
+        facings = _facings_of(samples.normals[mixed])
+        mixed = mixed[np.repeat(around, counts) & _OPPOSITE[facings] != 0]
+        for begin in range(0, mixed.size, _BLOCK):
+            block = mixed[begin : begin + _BLOCK]
+            normals = samples.normals[block].astype(np.float32)
+            for each in field.runs(sample_points(samples, block, UNIT), UNIT, normals=normals):
+                taps = listed(each, 1.0)
+                used = slice(0, taps.starts[-1])
+                rows = taps.rows[used][taps.weights[used] >= _LEAST_WEIGHT].astype(np.int64)
+                in_table = rows >= tree.n_cells
+                rows[in_table] = owners[rows[in_table] - tree.n_cells]
+                reached[rows] = True
+
+    for _ in ordered_map(executor, reach, range(0, samples.codes.size, _RUN)):
+        pass
+    order = leaves.numbers(0, count)
+    chosen: Bools = reached[order] & (tree.arrays.flags[order] & FACING_FLAGS > 0)
+    return chosen
+
+
+@kernel
+def _kinds_around(arrays: TreeArrays, codes: Int64s, depth: int) -> Uint64s:
+    """Return the kinds of all leaves that lookups in ascending cells of a level (n,) may read."""
+    walk, kinds = new_walk(), np.empty(codes.size, np.uint64)
+    way = Way(arrays, NO_KEPT, walk, QUADRATIC, 2, 1, False)
+    of_levels = np.zeros(MAX_DEPTH + 1, np.uint64)
+    shift = MAX_DEPTH - depth
+    for n in range(codes.size):
+        i, j, k = decode_cell(codes[n])
+        walk.previous[5] = MAX_DEPTH  # becomes the last level whose window is that of the cell before
+        last = follow(way, i << shift, j << shift, k << shift)
+        for level in range(walk.previous[5] + 1, last + 1):
+            around = of_levels[level - 1] if is_refined(walk, level) else np.uint64(0)
+            inside = INSIDE[0, walk.levels[level, BEGIN], 0]
+            leaves = (walk.cells[level, 0] ^ walk.nodes[level, 0]) & inside
+            while leaves != 0:
+                cell = cell_at(arrays, walk, level, 0, trailing_zeros(leaves))
+                leaves &= leaves - np.uint64(1)
+                around |= kind_of(arrays.flags[cell])
+            of_levels[level] = around
+        kinds[n] = of_levels[last]
+    return kinds
+
+
+def _face_opposite(kinds: Uint64s) -> Bools:
+    """Say which sets of kinds (n,) face both ways along an axis, or have a split cell."""
+    mixed = kinds & SPLIT_KIND > 0
+    for axis in range(3):
+        mixed |= (kinds & _HAVING[2 * axis] > 0) & (kinds & _HAVING[2 * axis + 1] > 0)
+    return mixed
+
+
+#: By the number of a facing: the kinds of cells that have it.
+_HAVING = np.array([sum(1 << kind for kind in range(64) if kind >> f & 1) for f in range(6)], np.uint64)
+
+
+#: By the number of a facing: the kinds that have the opposite facing and not this one, and the split kind.
+_OPPOSITE = np.array(
+    [1 | sum(1 << kind for kind in range(64) if kind >> (f ^ 1) & ~(kind >> f) & 1) for f in range(6)],
+    np.uint64,
+)
+
+
+def _facings_of(normals: Int8s) -> Int64s:
+    """Return the numbers of the facings nearest to normals (n, 3)."""
+    normals = normals.astype(np.int16)
+    axes = np.abs(normals).argmax(axis=1)
+    facings: Int64s = 2 * axes + (np.take_along_axis(normals, axes[:, None], 1)[:, 0] < 0)
+    return facings

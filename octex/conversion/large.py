@@ -1,8 +1,7 @@
 """Large arrays, in memory or in mapped files, and tasks that return them in files.
 
-Inside a ``scratch`` block what is made here lies in files of its folder, whose pages the system writes out
-when memory is scarce. The same code runs on the same values either way. A file loses its name as soon as it
-is mapped, so that its space is free when the array is.
+Inside a ``scratch`` block these arrays lie in files of its folder, whose pages the system writes out when
+memory is scarce. A file loses its name as soon as it is mapped, so that its space is freed with the array.
 """
 
 from __future__ import annotations
@@ -27,13 +26,13 @@ from octex.arrays import Array, Int64s, zeros_in
 from octex.errors import ArgumentError, OctexError, OutputError
 from octex.files import scratch_folder
 
-#: How often a task is given out again that its worker did not live to finish.
+#: How often a task is started again after its worker died.
 _ATTEMPTS = 3
-#: A file of what was pickled: the arrays; the pickle and where they are, pickled; where that is, in 8 bytes.
+#: A pickled file has its arrays, aligned; the pickle and their offsets, pickled; that offset in 8 bytes.
 _ALIGNED = 64
 #: Rows that are taken at once.
 _ROWS = 1 << 20
-#: Errors of a folder that is full, or cannot be written to.
+#: Errors of a folder that is full or read-only.
 _NO_PLACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM}
 
 _folder: ContextVar[Path | None] = ContextVar("scratch", default=None)
@@ -41,9 +40,9 @@ _folder: ContextVar[Path | None] = ContextVar("scratch", default=None)
 
 @contextmanager
 def scratch(parent: Path) -> Iterator[Path]:
-    """Have large arrays lie in files of a folder beside others until the end of the block.
+    """Put large arrays into files of a new folder in ``parent`` until the end of the block.
 
-    Raises OutputError if they have no place there.
+    Raises OutputError without room for them.
     """
     try:
         with scratch_folder(parent) as folder:
@@ -70,7 +69,7 @@ def _new_path(folder: Path) -> Path:
 
 
 def empty(shape: int | tuple[int, ...], dtype: npt.DTypeLike) -> Array:
-    """Return an array that is still to be filled; in a file it is zeros."""
+    """Return an array without values; in a file it has zeros."""
     folder, sizes = _folder.get(), shape if isinstance(shape, tuple) else (shape,)
     size = int(np.prod(sizes)) * np.dtype(dtype).itemsize
     if folder is None or not size:
@@ -84,7 +83,7 @@ def empty(shape: int | tuple[int, ...], dtype: npt.DTypeLike) -> Array:
 
 
 def _forget(path: Path) -> None:
-    """Remove the name of a mapped file; where the system keeps it, it goes with the folder."""
+    """Remove the name of a mapped file; where the system refuses, the folder's end removes it."""
     with suppress(OSError):
         path.unlink()
 
@@ -95,22 +94,22 @@ def zeros(shape: int | tuple[int, ...], dtype: npt.DTypeLike) -> Array:
 
 
 def joined(arrays: Sequence[Array]) -> Array:
-    """Lay arrays of alike rows end to end."""
+    """Concatenate arrays."""
     if not is_mapped():
         return np.concatenate(arrays)
-    found = empty((sum(map(len, arrays)), *arrays[0].shape[1:]), arrays[0].dtype)
-    return np.concatenate(arrays, out=found)
+    whole = empty((sum(map(len, arrays)), *arrays[0].shape[1:]), arrays[0].dtype)
+    return np.concatenate(arrays, out=whole)
 
 
 def taken(array: Array, rows: Int64s) -> Array:
-    """Return some rows of an array."""
+    """Return rows (n,) of an array."""
     if not is_mapped():
         return array[rows]
-    found = empty((rows.size, *array.shape[1:]), array.dtype)
+    result = empty((rows.size, *array.shape[1:]), array.dtype)
     for begin in range(0, rows.size, _ROWS):
-        some = slice(begin, begin + _ROWS)
-        found[some] = array[rows[some]]
-    return found
+        block = slice(begin, begin + _ROWS)
+        result[block] = array[rows[block]]
+    return result
 
 
 def copied(array: Array) -> Array:
@@ -118,29 +117,29 @@ def copied(array: Array) -> Array:
     return joined([array])
 
 
-def moved(given: Any) -> Any:
-    """Return the same, with its arrays in a file inside a ``scratch`` block."""
+def moved(content: Any) -> Any:
+    """Return an equal object; inside a ``scratch`` block its arrays lie in a file."""
     folder = _folder.get()
     if folder is None:
-        return given
+        return content
     path = _new_path(folder)
-    _dump(given, path)
-    found = _load(path)
+    _dump(content, path)
+    copy = _load(path)
     _forget(path)
-    return found
+    return copy
 
 
-def _dump(given: Any, path: Path) -> int:
-    """Write anything to a file, whole or not at all; return its checksum."""
+def _dump(content: Any, path: Path) -> int:
+    """Write an object to a file, whole or not at all; return its checksum."""
     checksum = 0
     places: list[tuple[int, int]] = []
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(4)}")
     with temporary.open("xb") as file:
 
-        def put(content: bytes | memoryview) -> None:
+        def put(part: bytes | memoryview) -> None:
             nonlocal checksum
-            file.write(content)
-            checksum = zlib.crc32(content, checksum)
+            file.write(part)
+            checksum = zlib.crc32(part, checksum)
 
         def put_array(buffer: pickle.PickleBuffer) -> None:
             raw = buffer.raw()
@@ -148,7 +147,7 @@ def _dump(given: Any, path: Path) -> int:
             put(raw)
             put(b"\0" * (-raw.nbytes % _ALIGNED))
 
-        text = pickle.dumps(given, protocol=5, buffer_callback=put_array)
+        text = pickle.dumps(content, protocol=5, buffer_callback=put_array)
         begin = file.tell()
         put(pickle.dumps((text, places)))
         put(begin.to_bytes(8, "little"))
@@ -157,22 +156,21 @@ def _dump(given: Any, path: Path) -> int:
 
 
 def _load(path: str | Path, checksum: int | None = None) -> Any:
-    """Read what was written to a file, whose arrays are views of it; raises OSError for another checksum."""
+    """Read an object, whose arrays are views of the file; raises OSError for another checksum."""
     with Path(path).open("rb") as file:
         mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
     if checksum is not None and zlib.crc32(mapping) != checksum:
-        raise OSError(f"{path} came damaged")
+        raise OSError(f"{path} is damaged")
     text, places = pickle.loads(mapping[int.from_bytes(mapping[-8:], "little") : -8])
     whole = memoryview(mapping)
     return pickle.loads(text, buffers=[whole[begin : begin + size] for begin, size in places])
 
 
 class Tasks(Executor):
-    """Gives tasks to an executor; their results come back in files of a scratch folder.
+    """Gives tasks to an executor, and takes their results from files of a scratch folder.
 
-    What is called is written there once, and read there once by each process; ``is_here`` says that the
-    executor works in this process, and needs neither. A task whose worker ends is given out again, and done
-    here in the end.
+    A function is written there once, and each process reads it once, unless the executor's threads are in
+    this process (``is_here``). A task whose worker dies is started again, and at last runs here.
     """
 
     def __init__(self, executor: Executor, folder: Path, *, is_here: bool) -> None:
@@ -180,15 +178,18 @@ class Tasks(Executor):
         self.here = executor if is_here else None  # as `parallel.sharing` asks
         self._written: dict[int, tuple[Any, str]] = {}
 
-    def submit(self, function: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+    def submit(self, function: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
         """Start a task."""
         if named:
             function = partial(function, **named)
         task = function if self.here else self._file_of(function)
-        return _Task(lambda: self._start(task, given), partial(function, *given))
+        folder = self._folder
+        return _Task(
+            lambda: self._executor.submit(_work, task, arguments, str(_new_path(folder))),
+            partial(function, *arguments),
+        )
 
     def _file_of(self, function: Callable[..., Any]) -> str:
-        """Return the file that a function is in."""
         if id(function) not in self._written:
             path = _new_path(self._folder)
             try:
@@ -200,17 +201,14 @@ class Tasks(Executor):
             self._written[id(function)] = function, str(path)
         return self._written[id(function)][1]
 
-    def _start(self, task: Callable[..., Any] | str, given: tuple[Any, ...]) -> Future[Any]:
-        return self._executor.submit(_work, task, given, str(_new_path(self._folder)))
-
 
 class _Task(Future[Any]):
-    """A task that is given out; its result is read when it is asked for."""
+    """A task of an executor; its result is read when it is asked for."""
 
     def __init__(self, start: Callable[[], Future[Any]], call: Callable[[], Any]) -> None:
         super().__init__()
         self._start, self._call = start, call
-        self._given = self._begin()
+        self._started = self._begin()
 
     def _begin(self) -> Future[Any] | None:
         try:
@@ -221,25 +219,25 @@ class _Task(Future[Any]):
             return None
 
     def result(self, timeout: float | None = None) -> Any:
-        """Return what the task returns; raises what it raises."""
+        """Return the task's result, or raise its error."""
         for _ in range(_ATTEMPTS):
-            if self._given is None:
+            if self._started is None:
                 break
             try:
-                path, checksum, error = self._given.result(timeout)
-                found = None if error else _load(path, checksum)
-            except (Exception, CancelledError):  # the worker's end, not the task's
-                self._given = self._begin()
+                path, checksum, error = self._started.result(timeout)
+                result = None if error else _load(path, checksum)
+            except (Exception, CancelledError):  # of the worker, not of the task
+                self._started = self._begin()
                 continue
             if error is not None:
                 raise error
             _forget(Path(path))
-            return found
+            return result
         return self._call()
 
     def cancel(self) -> bool:
         """Drop the task if it has not begun."""
-        return self._given is not None and self._given.cancel()
+        return self._started is not None and self._started.cancel()
 
 
 @lru_cache(4)
@@ -248,12 +246,12 @@ def _read(path: str) -> Any:
 
 
 def _work(
-    task: Callable[..., Any] | str, given: tuple[Any, ...], place: str
+    task: Callable[..., Any] | str, arguments: tuple[Any, ...], path: str
 ) -> tuple[str, int, Exception | None]:
-    """Do a task; return where its result is, and its checksum; or what it raises."""
+    """Run a task, and write its result to a file; return the path and its checksum, or the task's error."""
     function = _read(task) if isinstance(task, str) else task
     try:
-        found = function(*given)
+        result = function(*arguments)
     except Exception as error:
-        return place, 0, error
-    return place, _dump(found, Path(place)), None
+        return path, 0, error
+    return path, _dump(result, Path(path)), None

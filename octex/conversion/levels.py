@@ -1,9 +1,13 @@
-"""The pass over a surface: the means of all cells, block by block, and the samples of the finest."""
+"""Voxelizes a surface: the means of all cells, block by block, and the samples of the finest cells.
+
+A *gap* is a finest cell in which the source has no value. It is left out of the tree, but its area counts as
+transparent in the means above it.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from functools import partial
 from typing import Any, NamedTuple
@@ -11,18 +15,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts, in_runs
-from octex.channels import ALPHA, ChannelFormat, check_range, encode
+from octex.channels import ALPHA, ONE, ChannelFormat, check_range, decode, encode
 from octex.conversion import large
 from octex.conversion.detail import Wanted, deepest_wanted
-from octex.conversion.gaps import average_transparent, with_bare_as_means
 from octex.conversion.prune import Channels
-from octex.conversion.samples import Samples, Taken, join, take_samples
+from octex.conversion.samples import UNIT, Samples, SamplesOfRun, join, take_samples
+from octex.editing.averages import average
+from octex.editing.nodes import nodes_at
 from octex.editing.split import differ
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, memory_size, ordered_map
 from octex.source.base import Source
 from octex.source.surface import Surface
-from octex.texture.channel import Channel
+from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, GRID_BITS, MAX_CELLS, SPLIT, SplitTable
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement, on_grid
@@ -42,28 +47,27 @@ from octex.voxelize.sums import (
     SumColumns,
     Sums,
     by_channel,
+    chosen_sums,
     coverages,
     level_means,
-    some_cells,
     sum_children,
     sum_fragments,
 )
 
-#: Bytes of memory that a conversion takes at least for each cell, and for each byte of the cell's values
-#: (measured at its peak: 27 bytes for 3 of values, 41 for 11, 113 for 44); and with samples more for each
-#: (58 bytes for 3).
+#: Least bytes of memory for each cell, and for each byte of its values (at the peak 27 bytes were measured
+#: for 3 of values, 41 for 11, 113 for 44); and more where samples are taken (58 bytes for 3).
 CELL_MEMORY, VALUE_MEMORY = 18, 2
 SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
-
-#: So few blocks are cut into those of 8³ cells, of which only those are converted that are reached.
+#: This many blocks or fewer are cut into blocks of 8³ cells, of which only the reached ones are converted.
 _FEW_BLOCKS, _SMALL_BITS = 1024, 3
-
-#: Files of parts that are joined to one.
+#: Files of parts that are joined into one.
 _JOINED = 16
+#: A smaller alpha weighs hardly more than gaps: their sum loses it in float32's rounding.
+_TRANSPARENT = 2.0**-20
 
 
 class LevelCells(NamedTuple):
-    """What is kept of one level's cells: means, encoded."""
+    """The encoded means of one level's cells."""
 
     flags: Uint8s  # normal flags, and SPLIT
     areas: Uint8s
@@ -73,14 +77,14 @@ class LevelCells(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A run of blocks, converted."""
+    """A converted run of blocks."""
 
     codes: Int64s  # of the leaves
-    gaps: Int64s  # of the cells that were left out
-    levels: list[LevelCells]  # from the leaves' level up to below the blocks' own
+    gaps: Int64s
+    levels: list[LevelCells]  # from the leaves' level up to below the blocks' level
     top: Sums  # of the blocks themselves
-    taken: Taken | None
-    wanted: Uint8s | None  # (leaves,)   the levels wanted there
+    samples: SamplesOfRun | None
+    wanted: Uint8s | None  # (leaves,)   levels
 
 
 class CellLevels(NamedTuple):
@@ -90,25 +94,25 @@ class CellLevels(NamedTuple):
     depth: int
     codes: Int64s  # of the finest cells
     levels: list[list[LevelCells]]  # from the root down, each in parts
-    taken: list[Taken] | None  # samples in the finest cells, in parts
-    wanted: Uint8s | None  # (finest cells,)   the levels wanted there
+    samples: list[SamplesOfRun] | None  # in parts
+    wanted: Uint8s | None  # (finest cells,)   levels
     degenerate: int  # triangles without area
     has_gaps: bool
-    gaps: Int64s  # finest cells in what was left out
+    gaps: Int64s
 
 
 class Filled(NamedTuple):
-    """A tree all of whose leaves are of one level, filled."""
+    """A tree all of whose leaves are of one level, and its values."""
 
     tree: Octree
     channels: Channels  # means
     samples: Samples | None
-    wanted: Uint8s | None  # (leaves,)   the levels wanted there
-    has_gaps: bool  # whether cells of the surface may be missing
+    wanted: Uint8s | None  # (leaves,)   levels
+    has_gaps: bool
 
 
 class Job(NamedTuple):
-    """All that a task needs."""
+    """The input that all tasks share."""
 
     name: str  # of the surface
     source: Source | None
@@ -118,13 +122,8 @@ class Job(NamedTuple):
     cell: float  # edge of a leaf in rest units
     has_samples: bool
     has_gaps: bool
-    coverage: Source | None  # says where gaps are; None: alpha does
+    coverage: Source | None  # whose alpha is 0 in gaps; None: that of `source` is
     wanted: Wanted | None
-
-    @property
-    def depth(self) -> int:
-        """The level of the leaves."""
-        return self.blocks.level + self.blocks.bits
 
 
 def cell_levels(
@@ -144,9 +143,8 @@ def cell_levels(
     """Convert a surface into the means of all cells down to ``depth``, and samples if it ``has_samples``.
 
     ``channels`` are the source's, as they are stored. Without a source there are cells, facings and areas.
-    ``root`` has the triangles that count; by default all of the surface. What lies in blocks that are not
-    ``reached`` is left out, and does not count for cells above these; but one block there always is. Cells
-    that are gaps of the source alone are left out too, and do count.
+    ``root`` has the triangles to convert (default: all). Blocks that are not ``reached`` are left out, and do
+    not count for cells above them; one block is always converted.
 
     Raises ModelError for a surface without area, ArgumentError for more cells than memory can hold.
     """
@@ -159,8 +157,9 @@ def cell_levels(
             f"{surface.name}: all {degenerate} triangles are degenerate (without area in steps of "
             f"{placement.size / 2**GRID_BITS:.3g}); there is nothing to convert"
         )
-    least, per_cell = _least_cells(area, depth), _cell_memory(channels, has_samples)
-    if least > min(MAX_CELLS, math.inf if large.is_mapped() else memory_size() / per_cell):
+    least = _least_cells(area, depth)
+    room = math.inf if large.is_mapped() else memory_size() / _cell_memory(channels, has_samples)
+    if least > min(MAX_CELLS, room):
         raise ArgumentError(
             f"depth {depth} needs about {least:.2g} cells for {surface.name}, more than fit into memory "
             "or can be numbered; use a smaller depth or a larger cell"
@@ -174,7 +173,7 @@ def cell_levels(
     if reached is not None and blocks.level and blocks.codes.size <= _FEW_BLOCKS:
         coarse, smaller = blocks, divided(blocks, _SMALL_BITS)
         is_reached = reached(smaller)
-        blocks = smaller.some(is_reached)
+        blocks = smaller.chosen(is_reached)
         outside = _outside(coarse.of_cells(blocks.level), ~is_reached, columns) if has_gaps else None
     for each in (source, coverage):
         if each is not None:
@@ -192,20 +191,20 @@ def cell_levels(
     if outside is not None:
         gaps = np.concatenate([gaps, outside.codes << 3 * blocks.bits])
         tops = _interleaved(tops, outside)
-    left = distinct(codes >> 3 * blocks.bits) if gaps.size else None
-    upper, _ = climb(tops, blocks.level, channels, columns, left)
+    filled = distinct(codes >> 3 * blocks.bits) if gaps.size else None
+    upper, _ = climb(tops, blocks.level, channels, columns, filled)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
-    taken = [part.taken for part in parts if part.taken is not None] if has_samples else None
+    samples = [part.samples for part in parts if part.samples is not None] if has_samples else None
     levels_wanted = [part.wanted for part in parts if part.wanted is not None]
     deepest = np.concatenate(levels_wanted) if wanted is not None else None
-    return CellLevels(channels, depth, codes, levels, taken, deepest, degenerate, has_gaps, gaps)
+    return CellLevels(channels, depth, codes, levels, samples, deepest, degenerate, has_gaps, gaps)
 
 
 def _outside(blocks: Blocks, chosen: Bools, columns: SumColumns) -> Sums:
-    """Return the sums of some cells in blocks, of all that the surface meets; nothing is known of them."""
+    """Return the areas of chosen cells, whose values are unknown."""
     run = BlockRange(0, blocks.codes.size, int(most_fragments(blocks).sum()))
-    pieces, _ = _some_fragments(cut(blocks, run), chosen)
+    pieces, _ = _fragments_in(cut(blocks, run), chosen)
     values = np.zeros((pieces.entries.size, columns.first.size), np.float32)
     n_entries = int(bit_counts(pieces.flags).sum())
     sums = sum_fragments(pieces.entries, pieces.areas, values, columns.alpha, n_entries)
@@ -213,7 +212,7 @@ def _outside(blocks: Blocks, chosen: Bools, columns: SumColumns) -> Sums:
 
 
 def _interleaved(one: Sums, other: Sums) -> Sums:
-    """Return the sums of two sets of cells that have none in common."""
+    """Return the sums of two disjoint sets of cells in Morton order."""
     codes, flags, sums = _end_to_end([one, other], np.concatenate)
     counts = bit_counts(flags).astype(np.int64)
     order = np.argsort(codes, kind="stable")
@@ -230,103 +229,97 @@ def memory_needed(
     has_samples: bool,
 ) -> float:
     """Return how many bytes of memory a conversion takes at least."""
-    _, faces = count_degenerate(on_grid(surface.rest, placement), surface.triangles)
-    return _least_cells(faces, depth) * _cell_memory(channels, has_samples)
+    _, area = count_degenerate(on_grid(surface.rest, placement), surface.triangles)
+    return _least_cells(area, depth) * _cell_memory(channels, has_samples)
 
 
-def _least_cells(faces: float, depth: int) -> float:
-    """Bound the cells that a surface meets from below: as many as its area, in square grid steps, has faces.
-
-    It meets fewer only if it is folded within them.
-    """
-    return float(min(faces * 4.0 ** (depth - GRID_BITS), 8.0**depth))
+def _least_cells(area: float, depth: int) -> float:
+    """Bound the number of cells from below by a surface's area in cell faces; it ignores folds in a cell."""
+    return float(min(area * 4.0 ** (depth - GRID_BITS), 8.0**depth))
 
 
 def _cell_memory(channels: tuple[ChannelFormat, ...], has_samples: bool) -> int:
-    """Return how many bytes of memory a conversion takes for each cell."""
     row = sum(channel.components * np.dtype(channel.dtype).itemsize for channel in channels)
     per_sample = SAMPLE_MEMORY + SAMPLE_VALUE_MEMORY * row if has_samples else 0
     return CELL_MEMORY + VALUE_MEMORY * row + per_sample
 
 
 def _gathered(parts: Iterable[Part]) -> list[Part]:
-    """Return all parts; where they come as files, many are joined, as each keeps its file open."""
+    """Return all parts; parts in files are joined, since each keeps its file open."""
     if not large.is_mapped():
         return list(parts)
-    found, some = [], []
+    gathered, latest = [], []
     for part in parts:
-        some.append(part)
-        if len(some) == _JOINED:
-            found.append(large.moved(_end_to_end(some, np.concatenate)))
-            some = []
-    return found + some
+        latest.append(part)
+        if len(latest) == _JOINED:
+            gathered.append(large.moved(_end_to_end(latest, np.concatenate)))
+            latest = []
+    return gathered + latest
 
 
 def _end_to_end(parts: Sequence[Any], join: Callable[[Sequence[Array]], Array]) -> Any:
-    """Join arrays that follow one another, or those in tuples and lists of them; None stays None."""
+    """Join arrays, or those in tuples and lists of them; None stays None."""
     first = parts[0]
     if first is None or isinstance(first, np.ndarray):
         return first if first is None else join(parts)
-    each = [_end_to_end(some, join) for some in zip(*parts, strict=True)]
+    each = [_end_to_end(column, join) for column in zip(*parts, strict=True)]
     return each if isinstance(first, list) else type(first)(*each)
 
 
 def _convert_run(job: Job, run: BlockRange) -> Part:
     """Convert a run of blocks."""
-    source = job.source
+    source, alpha = job.source, job.columns.alpha
     fragments = cut(job.blocks, run)
-    # A fragment is read with a footprint of its own size: a cell's mean is then that of all that lies in it.
+    # A fragment is read with a footprint of its size, so that a cell's mean covers everything in the cell.
     widths = (np.sqrt(fragments.areas) * job.cell).astype(np.float32)
     values = np.empty((widths.size, 0), np.float32)
     if source is not None:
         values = source.evaluate(fragments.triangles, fragments.barycentric, widths)
     end = 0
-    for given, stored in zip(() if source is None else source.channels, job.channels, strict=True):
-        start, end = end, end + given.components
-        check_range(values[:, start:end], given, stored.dtype, job.name)
+    for form, stored in zip(() if source is None else source.channels, job.channels, strict=True):
+        start, end = end, end + form.components
+        check_range(values[:, start:end], form, stored.dtype, job.name)
     n_entries = int(bit_counts(fragments.flags).sum())
-    sums = sum_fragments(fragments.entries, fragments.areas, values, job.columns.alpha, n_entries)
+    sums = sum_fragments(fragments.entries, fragments.areas, values, alpha, n_entries)
     leaves = Sums(fragments.codes, fragments.flags, sums)
-    codes, left, gaps = fragments.codes, None, fragments.codes[:0]
+    codes, filled, gaps = fragments.codes, None, fragments.codes[:0]
     if job.has_gaps:
-        form = next((channel for channel in job.channels if channel.name == ALPHA.name), ALPHA)
-        covered, alpha = leaves, job.columns.alpha
-        if job.coverage is not None:
-            form, alpha = ALPHA, 0
+        form, covered, column = ALPHA, leaves, 0
+        if job.coverage is None:
+            column = alpha
+            form = next((channel for channel in job.channels if channel.name == ALPHA.name), ALPHA)
+        else:
             known = job.coverage.evaluate(fragments.triangles, fragments.barycentric, widths)
-            sums = sum_fragments(fragments.entries, fragments.areas, known, alpha, n_entries)
+            sums = sum_fragments(fragments.entries, fragments.areas, known, column, n_entries)
             covered = leaves._replace(sums=sums)
-        is_left = encode(coverages(covered, alpha), form.dtype, form.space) > 0
-        if not is_left.all():
-            codes, gaps = codes[is_left], codes[~is_left]
-            left = codes
+        is_filled = encode(coverages(covered, column), form.dtype, form.space) > 0
+        if not is_filled.all():
+            codes, gaps = codes[is_filled], codes[~is_filled]
+            filled = codes
             if job.has_samples or job.wanted is not None:
-                fragments, chosen = _some_fragments(fragments, is_left)
+                fragments, chosen = _fragments_in(fragments, is_filled)
                 widths, values = widths[chosen], values[chosen]
-    levels, top = climb(leaves, job.blocks.bits, job.channels, job.columns, left)
+    levels, top = climb(leaves, job.blocks.bits, job.channels, job.columns, filled)
     levels.pop()  # the blocks themselves: in top
     wanted = None if job.wanted is None else deepest_wanted(job.wanted, fragments, widths)
-    taken = None
+    samples = None
     if job.has_samples and source is not None:
-        taken = take_samples(
-            source, job.blocks, fragments, widths, values, job.cell, job.channels, job.columns.alpha
-        )
-    return Part(codes, gaps, levels, top, taken, wanted)
+        samples = take_samples(source, job.blocks, fragments, widths, values, job.cell, job.channels, alpha)
+    return Part(codes, gaps, levels, top, samples, wanted)
 
 
-def _some_fragments(fragments: Fragments, cells: Bools) -> tuple[Fragments, Bools]:
-    """Return the fragments of some cells, and say which they are."""
-    owned = np.repeat(cells, bit_counts(fragments.flags))
-    chosen = owned[fragments.entries]
-    some = Fragments(
+def _fragments_in(fragments: Fragments, cells: Bools) -> tuple[Fragments, Bools]:
+    """Return the fragments of chosen cells (cells,), and which fragments these are."""
+    entries = np.repeat(cells, bit_counts(fragments.flags))
+    chosen = entries[fragments.entries]
+    return Fragments(
         fragments.codes[cells],
         fragments.flags[cells],
-        (np.cumsum(owned, dtype=np.int32) - np.int32(1))[fragments.entries[chosen]],
+        (np.cumsum(entries, dtype=np.int32) - np.int32(1))[fragments.entries[chosen]],
         fragments.triangles[chosen],
         fragments.barycentric[chosen],
         fragments.areas[chosen],
-    )
-    return some, chosen
+    ), chosen
 
 
 def climb(
@@ -334,36 +327,34 @@ def climb(
     steps: int,
     channels: Sequence[ChannelFormat],
     columns: SumColumns,
-    left: Int64s | None = None,
+    codes: Int64s | None = None,
 ) -> tuple[list[LevelCells], Sums]:
-    """Store a level and the ``steps`` levels above it; return them, and the sums of the last.
+    """Encode a level and the ``steps`` levels above it; return them, and the sums of the last.
 
-    ``left`` are the codes, ascending, of the cells that are stored, with those above them; None: of all.
+    Only the cells with ascending ``codes`` are encoded, and the cells above them; None: all.
     """
-    levels = [sums if left is None else some_cells(sums, left)]
+    levels = [sums if codes is None else chosen_sums(sums, codes)]
     for _ in range(steps):
         sums = sum_children(sums)
-        left = None if left is None else distinct(left >> 3)
-        levels.append(sums if left is None else some_cells(sums, left))
+        codes = None if codes is None else distinct(codes >> 3)
+        levels.append(sums if codes is None else chosen_sums(sums, codes))
     finest, *above = levels  # the others are encoded at once: a call takes as long as some hundred cells
-    return [_stored(finest, channels, columns), *_stored_levels(above, channels, columns)], sums
+    return [_encoded(finest, channels, columns), *_encoded_levels(above, channels, columns)], sums
 
 
-def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> LevelCells:
-    """Encode a level's means; split the cells whose facings show something else than the whole."""
+def _encoded(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns) -> LevelCells:
+    """Encode a level's means; split the cells in which a facing's mean differs from the cell's."""
     means = level_means(level, columns)
     cells, facing_areas = means.two_sided, means.facing_areas
-    values = [
-        encode(each, channel.dtype, channel.space)
-        for channel, each in zip(channels, by_channel(means.values, channels), strict=True)
-    ]
+
+    def encoded(rows: Array) -> list[Array]:
+        each = zip(channels, by_channel(rows, channels), strict=True)
+        return [encode(values, channel.dtype, channel.space) for channel, values in each]
+
+    values, flags = encoded(means.values), level.flags
     facing_values = [np.empty((0, channel.components), channel.dtype) for channel in channels]
-    flags = level.flags
     if len(cells):
-        facing_values = [
-            encode(each, channel.dtype, channel.space)
-            for channel, each in zip(channels, by_channel(means.facing_values, channels), strict=True)
-        ]
+        facing_values = encoded(means.facing_values)
         counts = bit_counts(flags[cells]).astype(np.int64)
         owners = np.repeat(cells, counts)
         differs = np.zeros(len(owners), np.bool_)
@@ -378,50 +369,87 @@ def _stored(level: Sums, channels: Sequence[ChannelFormat], columns: SumColumns)
     return LevelCells(flags, means.areas, values, facing_areas, facing_values)
 
 
-def _stored_levels(
+def _encoded_levels(
     levels: Sequence[Sums], channels: Sequence[ChannelFormat], columns: SumColumns
 ) -> Iterator[LevelCells]:
-    """Encode the means of several levels together."""
     if not levels:
         return
-    flags, areas, values, split_areas, split_values = _stored(
+    flags, areas, values, split_areas, split_values = _encoded(
         Sums(*map(np.concatenate, zip(*levels, strict=True))), channels, columns
     )
     rows = np.cumsum(np.where(flags & SPLIT, bit_counts(flags & np.uint8(FACING_FLAGS)), 0))
     cell = row = 0
     for level in levels:
-        own = slice(cell, cell := cell + level.codes.size)
+        cells = slice(cell, cell := cell + level.codes.size)
         split = slice(row, row := int(rows[cell - 1]) if cell else 0)
         yield LevelCells(
-            flags[own], areas[own], [each[own] for each in values],
+            flags[cells], areas[cells], [each[cells] for each in values],
             split_areas[split], [each[split] for each in split_values],
         )  # fmt: skip
 
 
-def assemble(filled: CellLevels) -> Filled:
-    """Build the tree, and lay the parts of each level, and of the samples, end to end; they are given up.
+def assemble(levels: CellLevels) -> Filled:
+    """Build the tree, and lay the parts of each level, and of the samples, end to end.
 
-    Raises ArgumentError for more cells than can be numbered.
+    This empties the samples' parts, which saves memory. Raises ArgumentError for more cells than can be
+    numbered.
     """
-    channels = filled.channels
-    cells: LevelCells = _end_to_end([part for level in filled.levels for part in level], large.joined)
+    channels = levels.channels
+    cells: LevelCells = _end_to_end([part for level in levels.levels for part in level], large.joined)
     split_cells = np.flatnonzero(cells.flags & SPLIT).astype(np.uint32)
     facings = cells.flags[split_cells] & np.uint8(FACING_FLAGS)
     split = SplitTable(split_cells, facings, cells.split_areas)
-    tree = Octree.from_leaves(filled.codes, filled.depth).with_cell_data(cells.flags, cells.areas, split)
+    tree = Octree.from_leaves(levels.codes, levels.depth).with_cell_data(cells.flags, cells.areas, split)
     values = {
-        form.name: Channel(form, own, rows, np.empty((0, form.components), form.dtype))
-        for form, own, rows in zip(channels, cells.values, cells.split_values, strict=True)
+        form.name: Channel(form, each, rows, np.empty((0, form.components), form.dtype))
+        for form, each, rows in zip(channels, cells.values, cells.split_values, strict=True)
     }
-    samples = None if filled.taken is None else join(filled.depth, channels, filled.codes, filled.taken)
-    if filled.gaps.size:
-        average_transparent(tree, values, filled.gaps)
-    if filled.has_gaps and samples is not None:
-        samples = with_bare_as_means(samples, values)
-    return Filled(tree, values, samples, filled.wanted, filled.has_gaps)
+    samples = None if levels.samples is None else join(levels.depth, channels, levels.codes, levels.samples)
+    if levels.gaps.size:
+        _average_transparent(tree, values, levels.gaps)
+    if levels.has_gaps and samples is not None:
+        samples = _with_means_where_bare(samples, values)
+    return Filled(tree, values, samples, levels.wanted, levels.has_gaps)
 
 
-def is_degenerate(surface: Surface, placement: Placement) -> bool:
-    """Say whether a surface has no area in a root cell, so that there is nothing to convert."""
-    count, _ = count_degenerate(on_grid(surface.rest, placement), surface.triangles)
-    return count == len(surface.triangles)
+def _average_transparent(tree: Octree, channels: Mapping[str, Channel], gaps: Int64s) -> None:
+    """Recompute, in place, the colours of transparent nodes above gaps, from their children.
+
+    A gap weighs as much as transparent surface, so it has a part in such a node's colour.
+    """
+    cells = np.flatnonzero(decode(channels[ALPHA.name].values[:, 0], "data") < _TRANSPARENT)
+    if not cells.size:
+        return
+    texture = OctreeTexture(tree, channels, UNIT, np.zeros((2, 3)))
+    gaps, codes_of_levels = np.sort(gaps, kind="stable"), []
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        first, end = np.searchsorted(cells, tree.arrays.level_cells[level : level + 2]).tolist()
+        rows = cells[first:end] - tree.arrays.level_cells[level]
+        codes, shift = codes[rows[is_node[rows]]], 3 * (tree.max_depth - level)
+        begins, ends = np.searchsorted(gaps, [codes << shift, codes + 1 << shift])
+        codes_of_levels.append(codes[begins < ends])
+    nodes = nodes_at(tree, codes_of_levels)
+    for name, channel in channels.items():
+        if name != ALPHA.name and nodes.cells.size:
+            average(texture, channel, nodes=nodes)
+
+
+def _with_means_where_bare(samples: Samples, channels: Mapping[str, Channel]) -> Samples:
+    """Give samples of alpha 0 the means of their cells: as black they would darken the rim of a gap."""
+    columns = np.cumsum([0, *(form.components for form in samples.channels)]).tolist()
+    names = [form.name for form in samples.channels]
+    bare = np.flatnonzero(samples.values[:, columns[names.index(ALPHA.name)]] == 0)
+    cells = np.repeat(np.arange(samples.codes.size), np.diff(samples.firsts))[bare]
+    values = large.copied(samples.values)
+    for name, first, end in zip(names, columns[:-1], columns[1:], strict=True):
+        if name != ALPHA.name:
+            finest = channels[name].values[-samples.codes.size :]
+            values[bare, first:end] = decode(finest[cells], channels[name].format.space)
+    return samples._replace(values=values)
+
+
+def without_opaque(channels: Mapping[str, Channel]) -> dict[str, Channel]:
+    """Leave out a channel ``alpha`` that is 1 everywhere."""
+    alpha = channels[ALPHA.name]
+    is_opaque = (alpha.values == ONE[alpha.format.dtype]).all()
+    return {name: channel for name, channel in channels.items() if not (is_opaque and name == ALPHA.name)}

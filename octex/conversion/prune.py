@@ -1,7 +1,6 @@
-"""Trees with some nodes as leaves.
+"""Trees pruned at nodes that become leaves.
 
-Everything here counts in the finest cells, those of the tree that a conversion fills: the state is the depth
-of the leaf that each of them lies in.
+All arrays count the finest cells of the full tree: a state is the depth of the leaf that holds each of them.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Channels: TypeAlias = Mapping[str, Channel]
 
 
 class Finest(NamedTuple):
-    """The finest cells of a full tree, and which of them the cells above hold."""
+    """The finest cells of a full tree, and the cells above them."""
 
     tree: Octree
     codes: Int64s  # (n,)   Morton codes, ascending
@@ -43,27 +42,27 @@ class Finest(NamedTuple):
         return cls(tree, codes, firsts[::-1])
 
     def first(self, level: int) -> Int64s | slice:
-        """Return what picks the first finest cell in each cell of a level."""
+        """Return an index of the first finest cell in each cell of a level."""
         return self.firsts[level] if level < self.tree.max_depth else slice(None)
 
     def spread(self, level: int, values: Bools) -> Bools:
-        """Give each finest cell what the cell of ``level`` that holds it has."""
+        """Give each finest cell the value of the cell of ``level`` that holds it."""
         return np.repeat(values, np.diff(self.firsts[level], append=self.codes.size))
 
 
 class Pruned(NamedTuple):
-    """A tree with some nodes as leaves, and where its cells were."""
+    """A pruned tree, and its cells in the full tree."""
 
     tree: Octree
-    cells: Int64s  # (cells,)   their numbers in the full tree
+    cells: Int64s  # (cells,)   numbers in the full tree
     leaves: Bools  # (cells,)
     starts: Int64s  # (leaves,)   the first finest cell of each leaf, in Morton order
-    split_rows: Bools  # (rows of the full tree's split table,)   those that are left
-    n_finest: int  # finest cells
+    split_rows: Bools  # (rows of the full tree's split table,)   those of this tree
+    n_finest: int
 
     @property
     def sizes(self) -> Int64s:
-        """How many finest cells each leaf (leaves,) holds, in Morton order."""
+        """The number of finest cells in each leaf (leaves,), in Morton order."""
         return np.diff(self.starts, append=self.n_finest)
 
     def leaf_cells(self, depths: Uint8s) -> Int64s:
@@ -76,7 +75,7 @@ class Pruned(NamedTuple):
         return cells
 
     def carried(self, channels: Channels) -> dict[str, Channel]:
-        """Return the values of the full tree's channels in this tree."""
+        """Return the full tree's channels for this tree's cells."""
         return {
             name: channel._replace(
                 values=large.taken(channel.values, self.cells),
@@ -87,7 +86,7 @@ class Pruned(NamedTuple):
 
 
 def prune(finest: Finest, depths: Uint8s) -> Pruned:
-    """Make leaves of the nodes at ``depths`` (n,) above the finest cells; flags and areas are taken over."""
+    """Prune a tree at ``depths`` (n,), those of the finest cells' leaves; cells keep flags and areas."""
     tree = finest.tree
     starts, codes = _leaves_of(finest.codes, depths, tree.max_depth)
     full = tree.arrays
@@ -110,17 +109,17 @@ def grafted(
 ) -> tuple[Octree, dict[str, Channel]]:
     """Return a tree and its channels with the split rows and the leaves' values of a pruned one.
 
-    ``grown`` is the pruned tree, perhaps with more leaves split; ``values`` are its channels. Cells below its
-    leaves are not split.
+    ``grown`` is the pruned tree, perhaps with more split leaves; ``values`` are its channels. Cells below its
+    leaves become unsplit.
     """
     flags = tree.arrays.flags & np.uint8(~SPLIT & 0xFF)
     flags[pruned.cells] = grown.arrays.flags
     split = grown.split._replace(cells=pruned.cells[grown.split.cells].astype(np.uint32))
     made = {}
     for name, channel in channels.items():
-        found = large.copied(channel.values)
-        found[pruned.cells[pruned.leaves]] = values[name].values[pruned.leaves]
-        made[name] = channel._replace(values=found, split_values=values[name].split_values)
+        copy = large.copied(channel.values)
+        copy[pruned.cells[pruned.leaves]] = values[name].values[pruned.leaves]
+        made[name] = channel._replace(values=copy, split_values=values[name].split_values)
     return tree.with_cell_data(flags, tree.arrays.areas, split), made
 
 
@@ -142,10 +141,7 @@ def _leaves_of(codes: Int64s, depths: Uint8s, depth: int) -> tuple[Int64s, Int64
 
 
 def limits_of(finest: Finest, wanted: Uint8s | None) -> Uint8s:
-    """Return the depth that each finest cell's leaf must not go below, for the depths wanted in them.
-
-    A node becomes a leaf if no cell in it wants to go deeper.
-    """
+    """Return the deepest level of each finest cell's leaf: that of the highest node without a deeper wish."""
     depth = finest.tree.max_depth
     limits = np.full(finest.codes.size, depth, np.uint8)
     if wanted is not None:

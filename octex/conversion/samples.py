@@ -1,9 +1,9 @@
-"""Points of the surface with the source's values: what leaves are fitted to, and fields are measured against.
+"""Points of the surface with the source's values, for fitting leaves and measuring errors.
 
-A finest cell gives points for each facing of the surface in it: the middle of the largest fragment that
-faces so, and the middle of all other fragments, with their mean. So samples have the cell's mean, also where
-the source differs from fragment to fragment. More are not worth their time where cells are small (0.3 dB for
-eight, in trials); fewer miss what folds in a cell, where that is many texels (0.8 dB).
+A finest cell gives points for each facing of the surface in it: the centroid of the largest fragment of that
+facing, and the centroid of its other fragments, with their mean. So the samples' mean is the cell's mean.
+More samples are not worth their time where cells are small (0.3 dB for eight, in trials). Fewer miss folds in
+a cell of many texels (0.8 dB).
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.conversion import large
 from octex.jit import inlined, kernel, popcount
 from octex.source.base import Source
+from octex.source.vectors import Vector, between, cross_product, edges_from, length_of
 from octex.tree.edit import first_not_below
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
@@ -26,23 +27,22 @@ from octex.tree.placement import Placement
 from octex.tree.search import Origin
 from octex.voxelize.fragments import Blocks, Fragments
 
-#: Places in a cell are stored in steps of this part of its edge, shares of its area in steps of that, unit
-#: normals in steps of that.
-PLACE_STEPS, SHARE_STEPS, NORMAL_STEPS = 65536, 255, 127
-#: Room for the points of a patch, which come by eights: a sample and three for each corner of a polygon that
-#: has six, two of them twice. No cell has more samples.
+#: Stored steps: of positions in a cell, over its edge; of shares, over the cell's area; of unit normals.
+POSITION_STEPS, SHARE_STEPS, NORMAL_STEPS = 65536, 255, 127
+#: Room for the points of a patch, a multiple of eight: a sample, and three for each corner of a polygon of at
+#: most six corners, two of which may occur twice. No cell has more samples.
 MOST_POINTS = 32
-#: The least width over which the source is read, in cells. Half a cell costs 0.1 dB to points, and wins
-#: 1 dB against the source filtered to the cell.
+#: Least width over which the source is read, in cells. Compared with points, half a cell costs 0.1 dB; it
+#: wins 1 dB where the source itself is filtered to the cell.
 LEAST_WIDTH = 0.5
-#: The largest fragment and the others are two samples if neither is smaller than this part of the other. Else
-#: the largest is the only sample, or the mean of all fragments is.
+#: The largest fragment and the others become two samples if neither has less than this share of the other's
+#: area. Else there is one sample: the largest fragment, or the mean of all.
 LEAST_PART = 0.1
-#: Widths that differ by less than this factor count as one.
+#: Widths that differ by less than this factor count as equal.
 SAME_WIDTH = 1.2
 #: Cells whose samples are counted at once.
 _RUN = 1 << 20
-#: Of positions in the root cell, 0 … 1.
+#: The root cell itself: positions from 0 to 1.
 UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 
 
@@ -50,50 +50,50 @@ class Samples(NamedTuple):
     """Samples of the surface in the finest cells, cell by cell in Morton order."""
 
     depth: int  # of the finest cells
-    channels: tuple[ChannelFormat, ...]  # what the values' columns are, as they are stored
+    channels: tuple[ChannelFormat, ...]  # of the values' columns, as they are stored
     codes: Int64s  # (cells,)   Morton codes, ascending
     firsts: Int64s  # (cells + 1,)   the first sample of each cell
-    places: Uint16s  # (n, 3)   in the cell, (place + ½) / 65536 of its edge
+    positions: Uint16s  # (n, 3)   in the cell, (position + ½) / 65536 of its edge
     normals: Int8s  # (n, 3)   of the surface at rest, in 127ths
     shares: Uint8s  # (n,)   of the area in the cell, in 255ths
     values: npt.NDArray[np.float16 | np.float32]  # (n, components)   linear light, −1 … 1 for directions
 
     def rows(self, cells: Int64s) -> Int64s:
-        """Return the numbers of the samples of some cells, cell by cell."""
+        """Return the numbers of the samples of cells (k,), cell by cell."""
         return in_runs(self.firsts[cells], self.firsts[cells + 1] - self.firsts[cells])
 
     def of(self, cells: Int64s) -> Samples:
-        """Return the samples of some cells, in order."""
+        """Return only the samples of cells (k,), in order."""
         rows = self.rows(cells)
         return self._replace(
             codes=self.codes[cells],
             firsts=np.concatenate([[0], np.cumsum(np.diff(self.firsts)[cells])]),
-            places=large.taken(self.places, rows),
+            positions=large.taken(self.positions, rows),
             normals=large.taken(self.normals, rows),
             shares=large.taken(self.shares, rows),
             values=large.taken(self.values, rows),
         )
 
 
-class Taken(NamedTuple):
-    """The samples of a run of blocks; ``counts`` (cells,) says how many each cell has."""
+class SamplesOfRun(NamedTuple):
+    """The samples of a run of blocks, cell by cell."""
 
-    counts: Uint8s
-    places: Uint16s
+    counts: Uint8s  # (cells,)
+    positions: Uint16s
     normals: Int8s
     shares: Uint8s
     values: npt.NDArray[np.float16 | np.float32]
 
 
 class Chosen(NamedTuple):
-    """The fragments that samples are taken from, in the order in which a source is read fastest."""
+    """The fragments that become samples, in the order in which a source is read fastest."""
 
-    counts: Uint8s  # (cells,)   how many samples each has
+    counts: Uint8s  # (cells,)   number of samples
     shares: Uint8s  # (n,)   of the samples, cell by cell
     order: Int32s  # (n,)   the sample of each fragment below
     fragments: Int64s  # (n,)
-    is_mean: Bools  # (n,)   whether the sample is a mean of other fragments too
-    means: Int64s  # (entries, 2)   the mean's row, and the fragment that it leaves out; −1: there is none
+    is_mean: Bools  # (n,)   whether the sample is the mean of several fragments
+    means: Int64s  # (entries, 2)   the mean's row, and the fragment that it leaves out; −1: none
 
 
 def take_samples(
@@ -105,84 +105,71 @@ def take_samples(
     cell: float,
     channels: Sequence[ChannelFormat],
     alpha: int,
-) -> Taken:
+) -> SamplesOfRun:
     """Take the samples of a run's fragments, whose ``values`` were read over ``widths``.
 
-    ``cell`` is the edge of a cell in rest units, ``channels`` are as they are stored. ``alpha``
-    is the column that holds coverage, or −1.
+    ``cell`` is the edge of a cell in rest units; ``alpha`` is the column of coverage, or −1.
 
     A sample is read over a width w with w² = cell² − texel², but half a cell at least: the field is as wide
-    as a cell, and the source already as wide as a texel. What a fragment was read over will do if it, and the
-    texel with it, is nearly as wide. Means are of what their fragments were read over.
+    as a cell, and the source already as wide as a texel. If the fragment's width is nearly that, its value is
+    taken instead. Means are made of the fragments' values.
     """
     chosen = _choose(fragments.flags, fragments.entries, fragments.areas)
     triangles = fragments.triangles.take(chosen.fragments)
     texels = source.texel_edges(triangles).astype(np.float64) ** 2
     wanted = np.maximum(cell * cell - texels, (LEAST_WIDTH * cell) ** 2)
-    found, given = (
-        values.take(chosen.fragments, axis=0),
-        widths.take(chosen.fragments).astype(np.float64) ** 2,
-    )
-    places = np.empty((len(triangles), 3), np.uint16)
-    _place(blocks, fragments, chosen, values, alpha, found, places)
-    same, one, other = SAME_WIDTH**2, given + texels, wanted + texels
+    samples = values.take(chosen.fragments, axis=0)
+    read = widths.take(chosen.fragments).astype(np.float64) ** 2
+    positions = np.empty((len(triangles), 3), np.uint16)
+    _place(blocks, fragments, chosen, values, alpha, samples, positions)
+    same, one, other = SAME_WIDTH**2, read + texels, wanted + texels
     differ = np.flatnonzero(((one * same < other) | (one > same * other)) & ~chosen.is_mean)
-    found[differ] = source.evaluate(
+    samples[differ] = source.evaluate(
         triangles[differ],
         fragments.barycentric.take(chosen.fragments[differ], axis=0),
         np.sqrt(wanted[differ]).astype(np.float32),
     )
     is_fine = any(channel.dtype in ("uint16", "float32") for channel in channels)
-    rows = np.empty(found.shape, np.float32 if is_fine else np.float16)
+    rows = np.empty(samples.shape, np.float32 if is_fine else np.float16)
     most = np.finfo(rows.dtype).max
-    if not (np.abs(found) <= most).all():
-        found = np.clip(np.nan_to_num(found), -most, most)
-    rows[chosen.order] = found
+    if not (np.abs(samples) <= most).all():
+        samples = np.clip(np.nan_to_num(samples), -most, most)
+    rows[chosen.order] = samples
     faces = face_normals(blocks.grid, blocks.faces, triangles)
     normals = np.empty_like(faces)
     normals[chosen.order] = faces
-    return Taken(chosen.counts, places, normals, chosen.shares, rows)
+    return SamplesOfRun(chosen.counts, positions, normals, chosen.shares, rows)
 
 
-def join(
-    depth: int,
-    channels: tuple[ChannelFormat, ...],
-    codes: Int64s,
-    taken: list[Taken],
-) -> Samples:
-    """Lay the samples of all runs end to end; ``taken`` is emptied, which saves memory."""
-    columns = [list(arrays) for arrays in zip(*taken, strict=True)]
-    taken.clear()
-    counts, places, normals, shares, values = (large.joined(columns.pop(0)) for _ in Taken._fields)
+def join(depth: int, channels: tuple[ChannelFormat, ...], codes: Int64s, runs: list[SamplesOfRun]) -> Samples:
+    """Lay the samples of all runs end to end, and empty ``runs``, which saves memory."""
+    columns = [list(arrays) for arrays in zip(*runs, strict=True)]
+    runs.clear()
+    counts, *arrays = (large.joined(columns.pop(0)) for _ in SamplesOfRun._fields)
     firsts = large.zeros(len(codes) + 1, np.int64)
-    for begin in range(0, len(codes), _RUN):  # a sum over all of them would be made in memory first
+    for begin in range(0, len(codes), _RUN):  # one sum over all cells would lie in memory first
         end = min(begin + _RUN, len(codes))
         firsts[begin + 1 : end + 1] = firsts[begin] + np.cumsum(counts[begin:end], dtype=np.int64)
-    return Samples(depth, channels, codes, firsts, places, normals, shares, values)
+    return Samples(depth, channels, codes, firsts, *arrays)
 
 
 def sample_points(samples: Samples, chosen: Int64s, placement: Placement) -> Float64s:
     """Return the rest positions (n, 3) of ``chosen`` samples; fastest if they ascend."""
     edge = placement.size / 2**samples.depth
-    return _points(samples.codes, samples.firsts, samples.places, placement.origin, edge, chosen)
+    return _points(samples.codes, samples.firsts, samples.positions, placement.origin, edge, chosen)
 
 
 @inlined
-def lay_out(
-    places: Uint16s,
-    normals: Int8s,
-    sample: int,
-    points: Float32s,
-) -> int:
-    """Write where a sample lies in its cell, 0 … 1, and points of the patch around it; return how many.
+def lay_out(positions: Uint16s, normals: Int8s, sample: int, points: Float32s) -> int:
+    """Write a sample's position in its cell, 0 … 1, and points of the patch around it; return their number.
 
     The patch is the polygon in which the plane of the surface cuts the cell. For each corner c, in order
-    around, there are c, the middle between c and the sample, and that between c and the next corner: the
-    triangles from the sample to the sides have a point at each corner and in the middle of each side. Points
+    around, there are c, the middle between c and the sample, and the middle between c and the next corner. So
+    each triangle from the sample to a side has points at its corners and in the middles of its sides. Points
     are columns of ``points`` (3, MOST_POINTS).
     """
     for axis in range(3):
-        points[axis, 0] = (places[sample, axis] + 0.5) / PLACE_STEPS
+        points[axis, 0] = (positions[sample, axis] + 0.5) / POSITION_STEPS
     count = _cut(normals[sample, 0], normals[sample, 1], normals[sample, 2], points)
     for corner in range(count):
         at = 1 + 3 * corner
@@ -195,10 +182,10 @@ def lay_out(
 
 @inlined
 def _cut(x: float, y: float, z: float, points: Float32s) -> int:
-    """Write the corners of the polygon in which a plane cuts a cell, and return how many it has.
+    """Write the corners of the polygon in which a plane cuts a cell, and return their number.
 
     The plane goes through the first of ``points``, which lies in the cell, and has the normal x, y, z. The
-    corners go around, to each third point.
+    corners, in order, become every third point.
     """
     normal = (float(x), float(y), float(z))
     up = 0 if abs(x) >= max(abs(y), abs(z)) else (1 if abs(y) >= abs(z) else 2)
@@ -211,7 +198,7 @@ def _cut(x: float, y: float, z: float, points: Float32s) -> int:
         c, d = 1.0 - b, a
         begin = points[up, 0] - slope * (a - points[along, 0]) - other * (b - points[across, 0])
         end = points[up, 0] - slope * (c - points[along, 0]) - other * (d - points[across, 0])
-        low, high = 0.0, 1.0  # of the side, what lies in the cell
+        low, high = 0.0, 1.0  # the side's part in the cell
         if begin != end:
             bottom, top = -begin / (end - begin), (1.0 - begin) / (end - begin)
             low, high = max(low, min(bottom, top)), min(high, max(bottom, top))
@@ -228,15 +215,10 @@ def _cut(x: float, y: float, z: float, points: Float32s) -> int:
 
 @kernel
 def _points(
-    codes: Int64s,
-    firsts: Int64s,
-    places: Uint16s,
-    origin: Origin,
-    edge: float,
-    chosen: Int64s,
+    codes: Int64s, firsts: Int64s, positions: Uint16s, origin: Origin, edge: float, chosen: Int64s
 ) -> Float64s:
     points = np.empty((chosen.size, 3), np.float64)
-    step = 1.0 / PLACE_STEPS
+    step = 1.0 / POSITION_STEPS
     cell = np.int64(0)
     for n in range(chosen.size):
         sample = chosen[n]
@@ -245,9 +227,9 @@ def _points(
             if cell >= codes.size or not (firsts[cell] <= sample < firsts[cell + 1]):
                 cell = np.int64(first_not_below(firsts, int(sample) + 1, int(cell)) - 1)
         i, j, k = decode(codes[cell])
-        points[n, 0] = origin[0] + (i + (places[sample, 0] + 0.5) * step) * edge
-        points[n, 1] = origin[1] + (j + (places[sample, 1] + 0.5) * step) * edge
-        points[n, 2] = origin[2] + (k + (places[sample, 2] + 0.5) * step) * edge
+        points[n, 0] = origin[0] + (i + (positions[sample, 0] + 0.5) * step) * edge
+        points[n, 1] = origin[1] + (j + (positions[sample, 1] + 0.5) * step) * edge
+        points[n, 2] = origin[2] + (k + (positions[sample, 2] + 0.5) * step) * edge
     return points
 
 
@@ -325,53 +307,36 @@ def _choose(flags: Uint8s, entries: Int32s, areas: Float64s) -> Chosen:
 def face_normals(grid: Int32s, corners: Int32s, triangles: Int32s) -> Int8s:
     """Return the unit normals (n, 3) of triangles (n,), in 127ths."""
     normals = np.empty((triangles.size, 3), np.int8)
-    edges = np.empty((2, 3), np.float64)
     for n in range(triangles.size):
         if n > 0 and triangles[n] == triangles[n - 1]:
             for axis in range(3):
                 normals[n, axis] = normals[n - 1, axis]
             continue
-        for side in range(2):
-            for axis in range(3):
-                edges[side, axis] = np.float64(grid[corners[triangles[n], side + 1], axis]) - np.float64(
-                    grid[corners[triangles[n], 0], axis]
-                )
-        x = edges[0, 1] * edges[1, 2] - edges[0, 2] * edges[1, 1]
-        y = edges[0, 2] * edges[1, 0] - edges[0, 0] * edges[1, 2]
-        z = edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0]
-        length = np.sqrt(x * x + y * y + z * z)
-        if length > 0.0:
-            scale = NORMAL_STEPS / length
-            normals[n, 0] = np.int8(np.rint(x * scale))
-            normals[n, 1] = np.int8(np.rint(y * scale))
-            normals[n, 2] = np.int8(np.rint(z * scale))
-        else:
-            normals[n, 0] = normals[n, 1] = normals[n, 2] = np.int8(0)
+        x, y, z = cross_product(*edges_from(grid, corners, int(triangles[n])))
+        length = length_of((x, y, z))
+        scale = NORMAL_STEPS / length if length > 0.0 else 0.0
+        normals[n, 0] = np.int8(np.rint(x * scale))
+        normals[n, 1] = np.int8(np.rint(y * scale))
+        normals[n, 2] = np.int8(np.rint(z * scale))
     return normals
 
 
 @inlined
 def _step(position: float, cell: int) -> int:
-    return min(max(int((position - cell) * PLACE_STEPS), 0), PLACE_STEPS - 1)
+    return min(max(int((position - cell) * POSITION_STEPS), 0), POSITION_STEPS - 1)
 
 
 @inlined
-def _middle(
+def _centroid(
     grid: Int32s, corners: Int32s, fragments: Fragments, fragment: np.uint64, scale: float
-) -> tuple[float, float, float]:
-    """Return the middle of a fragment, in cells."""
-    triangle = fragments.triangles[fragment]
-    a, b, c = corners[triangle, 0], corners[triangle, 1], corners[triangle, 2]
-    p, q, r = (
+) -> Vector:
+    """Return the centroid of a fragment, in cells."""
+    shares = (
         fragments.barycentric[fragment, 0] * scale,
         fragments.barycentric[fragment, 1] * scale,
         fragments.barycentric[fragment, 2] * scale,
     )
-    return (
-        p * grid[a, 0] + q * grid[b, 0] + r * grid[c, 0],
-        p * grid[a, 1] + q * grid[b, 1] + r * grid[c, 1],
-        p * grid[a, 2] + q * grid[b, 2] + r * grid[c, 2],
-    )
+    return between(grid, corners, int(fragments.triangles[fragment]), shares)
 
 
 @kernel
@@ -381,10 +346,10 @@ def _place(
     chosen: Chosen,
     values: Float32s,
     alpha: int,
-    found: Float32s,
-    places: Uint16s,
+    samples: Float32s,
+    positions: Uint16s,
 ) -> None:
-    """Write the samples' places in their cells, and the means of several fragments over what one has."""
+    """Write the samples' positions in their cells, and the means of several fragments to ``samples``."""
     cells = np.empty(chosen.order.size, np.int32)
     n = 0
     for cell in range(chosen.counts.size):
@@ -393,11 +358,12 @@ def _place(
             n += 1
     grid, corners = blocks.grid, blocks.faces
     scale = 1.0 / (1 << (GRID_BITS - blocks.level - blocks.bits))
-    middles = np.empty((chosen.order.size, 3), np.float64)
+    centroids = np.empty((chosen.order.size, 3), np.float64)
     totals = np.empty((chosen.order.size, 2), np.float64)  # the areas of means, and their coverage
     for n in range(chosen.order.size):
         fragment = np.uint64(chosen.fragments[n])
-        middles[n, 0], middles[n, 1], middles[n, 2] = _middle(grid, corners, fragments, fragment, scale)
+        x, y, z = _centroid(grid, corners, fragments, fragment, scale)
+        centroids[n, 0], centroids[n, 1], centroids[n, 2] = x, y, z
         totals[n, 0] = totals[n, 1] = fragments.areas[fragment]
         if alpha >= 0:
             totals[n, 1] *= max(np.float64(values[fragment, alpha]), LEAST_COVERAGE)
@@ -412,16 +378,17 @@ def _place(
         totals[row, 1] += weight
         area /= totals[row, 0]
         weight /= totals[row, 1]
-        x, y, z = _middle(grid, corners, fragments, fragment, scale)
-        middles[row, 0] += area * (x - middles[row, 0])
-        middles[row, 1] += area * (y - middles[row, 1])
-        middles[row, 2] += area * (z - middles[row, 2])
+        x, y, z = _centroid(grid, corners, fragments, fragment, scale)
+        centroids[row, 0] += area * (x - centroids[row, 0])
+        centroids[row, 1] += area * (y - centroids[row, 1])
+        centroids[row, 2] += area * (z - centroids[row, 2])
         for k in range(values.shape[1]):
-            part = area if k == alpha else weight  # a difference of infinities would be no number
-            found[row, k] = (1.0 - part) * np.float64(found[row, k]) + part * np.float64(values[fragment, k])
+            part = area if k == alpha else weight  # a difference of infinities would be NaN
+            value, more = np.float64(samples[row, k]), np.float64(values[fragment, k])
+            samples[row, k] = (1.0 - part) * value + part * more
     for n in range(chosen.order.size):
         row = chosen.order[n]
         u, v, w = decode(fragments.codes[cells[row]])
-        places[row, 0] = _step(middles[n, 0], u)
-        places[row, 1] = _step(middles[n, 1], v)
-        places[row, 2] = _step(middles[n, 2], w)
+        positions[row, 0] = _step(centroids[n, 0], u)
+        positions[row, 1] = _step(centroids[n, 1], v)
+        positions[row, 2] = _step(centroids[n, 2], w)

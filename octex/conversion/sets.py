@@ -1,4 +1,4 @@
-"""Parts of a model converted into textures of their own (Benson & Davis 2002, 4.3.1)."""
+"""Parts of a model converted into a texture each (Benson & Davis 2002, 4.3.1)."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ import numpy.typing as npt
 
 from octex.channels import check_range, encode
 from octex.checks import as_entries, as_names, as_path, is_path
-from octex.conversion.apart import as_fineness
-from octex.conversion.convert import convert, placed, surface_of
-from octex.conversion.detail import DetailFunction, channel_of
-from octex.conversion.levels import is_degenerate
+from octex.conversion.convert import as_fineness, convert, placed, surface_of, with_detail
+from octex.conversion.detail import DetailFunction
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.base import by_channel
@@ -25,7 +23,8 @@ from octex.source.voxels import Voxels, is_voxels
 from octex.texture import Channel, OctreeTexture, TextureSet
 from octex.texture.channel import Dtypes, formats_as
 from octex.tree.octree import Octree
-from octex.tree.placement import Placement
+from octex.tree.placement import Placement, on_grid
+from octex.voxelize.grid import count_degenerate
 
 
 def convert_set(
@@ -45,7 +44,7 @@ def convert_set(
     progress: Progress | None = None,
     run: Run | None = None,
 ) -> TextureSet:
-    """Convert each part of a model into a texture of its own, so that nothing bleeds between parts.
+    """Convert each part of a model into its own texture, so that nothing bleeds between parts.
 
     parts   models by name; or one model file or Surface. Its parts are those of ``Surface.parts``, named
             part-0, part-1 …; triangle t belongs to texture ``surface.parts[t]``
@@ -74,31 +73,30 @@ def convert_set(
     else:
         if isinstance(parts, PointCloud):
             raise ArgumentError(f"{parts.name} is points, which have no parts; convert takes it")
-        steering = channel_of(detail)
-        wanted = names if names is None or steering is None else [*names, steering]
-        surface = surface_of(parts, rest, wanted, sources, filter, run.report)
-        sources = filter = None  # they are in it
+        surface = surface_of(parts, rest, with_detail(names, detail), sources, filter, run.report)
+        sources = filter = None  # the surface has them
         metadata |= surface.provenance
-        for name, part in _taken_apart(surface):
+        for name, part in _parts_of(surface):
             models[name] = part
-            placement, _ = placed(part, depth, cell)
-            if is_degenerate(part, placement):
+            _, placement, _ = placed(part, depth, cell)
+            count, _ = count_degenerate(on_grid(part.rest, placement), part.triangles)
+            if count == len(part.triangles):
                 made[name] = _single_cell(part, placement, names, dtype)
         if len(made) == len(models):
             raise ModelError(f"{surface.name}: none of its parts has an area; there is nothing to convert")
     run.report("convert", len(made), len(models))
     with workers(run) as pool:
         points = [name for name, model in models.items() if _is_points(model)]
-        # What is for surfaces does nothing to points beside them.
+        # Next to surfaces, points ignore the options that only surfaces have.
         is_mixed = len(points) < len(models)
         for name in [name for name in models if name not in made]:
-            own: dict[str, Any] = {"filter": filter, "fit": fit, "run": Run(executor=pool)}
+            options: dict[str, Any] = {"filter": filter, "fit": fit, "run": Run(executor=pool)}
             if name in points:
-                own = {} if is_mixed else own | {"run": replace(run, progress=None)}
+                options = {} if is_mixed else options | {"run": replace(run, progress=None)}
             made[name] = convert(
                 models[name], depth,
                 cell=cell, channels=names, sources=sources, dtype=dtype, max_error=max_error, detail=detail,
-                **own,
+                **options,
             )  # fmt: skip
             run.report("convert", len(made), len(models))
     return TextureSet({name: made[name] for name in models}, metadata)
@@ -110,8 +108,7 @@ def _is_points(model: object) -> bool:
     return isinstance(model, (PointCloud, Voxels))
 
 
-def _taken_apart(surface: Surface) -> Iterator[tuple[str, Surface]]:
-    """Yield the names of a surface's parts, and the parts."""
+def _parts_of(surface: Surface) -> Iterator[tuple[str, Surface]]:
     order = np.argsort(surface.parts, kind="stable")
     starts = np.flatnonzero(np.diff(surface.parts[order])) + 1
     for number, triangles in enumerate(np.split(order, starts)):
@@ -125,15 +122,15 @@ def _taken_apart(surface: Surface) -> Iterator[tuple[str, Surface]]:
 def _single_cell(
     surface: Surface, placement: Placement, channels: Sequence[str] | None, dtype: Dtypes
 ) -> OctreeTexture:
-    """Return a texture of one cell, with the mean over the middles of all triangles."""
+    """Return a texture of one cell, with the mean over the centres of all triangles."""
     surface = surface.completed({}, channels)
     count = len(surface.triangles)
     thirds = np.full((count, 3), 1 / 3)
-    found = surface.evaluate_all(np.arange(count, dtype=np.int32), thirds, np.zeros(count, np.float32))
-    means = by_channel(surface.channels, found.mean(axis=0, keepdims=True))
+    rows = surface.evaluate_all(np.arange(count, dtype=np.int32), thirds, np.zeros(count, np.float32))
+    means = by_channel(surface.channels, rows.mean(axis=0, keepdims=True))
     made = {}
-    for given, form in zip(surface.channels, formats_as(surface.channels, dtype), strict=True):
-        check_range(means[form.name], given, form.dtype, surface.name)
+    for known, form in zip(surface.channels, formats_as(surface.channels, dtype), strict=True):
+        check_range(means[form.name], known, form.dtype, surface.name)
         values = encode(means[form.name], form.dtype, form.space)
         made[form.name] = Channel(form, values, values[:0], values[:0])
     return OctreeTexture(Octree.from_leaves([0], 0), made, placement, surface.bounds, surface.provenance)

@@ -1,10 +1,10 @@
-"""The least squares of a brick: leaf values with which the field meets the samples, in the type's range.
+"""The least-squares problem of a brick: the leaf values that fit the samples best, in the type's range.
 
-Minimizes Σ wₛ (F(xₛ) − bₛ)² + λ Σ dᵢ (cᵢ − meanᵢ)², dᵢ = Σ wₛ aₛᵢ², by coordinate descent: the best value of
-one leaf with all others as they are, clamped, then the next leaf. A step costs the samples that the leaf
-weighs in, whose residuals are kept up to date; clamped step by step the minimum is that inside the range,
-which clamping afterwards misses by up to 3 dB. In the last sweeps a value goes to the nearest *stored*
-number: what one leaf is rounded by, the next ones make good (5 dB in 8 bits, where the source is smooth).
+It minimizes Σ wₛ (F(xₛ) − bₛ)² + λ Σ dᵢ (cᵢ − meanᵢ)², dᵢ = Σ wₛ aₛᵢ², by coordinate descent: the best value
+of one leaf with all others fixed, clamped, then the next leaf. A step updates the residuals of the samples
+that the leaf weighs in. Clamping in each step finds the minimum inside the range; clamping afterwards misses
+it by up to 3 dB. In the last sweeps values are rounded to *stored* numbers, and the next leaves make up for a
+leaf's rounding (5 dB in 8 bits, where the source is smooth).
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ from octex.channels import ColorSpace, decode_table
 from octex.jit import add_to_rows, inlined, kernel, part, weighted_rows
 from octex.jit.vectors import eight, eight_at, lanes
 
-#: λ: holds what the samples hardly see near its mean.
+#: λ: keeps leaves that hardly weigh in the samples near their means.
 SHRINK = np.float32(0.01)
-#: Samples of whose variance less than the first part remains are shown; of more than the second, hidden.
+#: Leaves can show their samples below the first share of remaining variance; they cannot above the second.
 _SHOWN, _HIDDEN = np.float32(0.05), np.float32(0.15)
-#: Smaller weights are left out of the steps, but not of the residuals that they start from: of 13 a sample
-#: six are left, which hold 99.7 % of the squares.
+#: Steps ignore smaller weights, the first residuals do not: 6 of 13 weights a sample remain, with 99.7 % of
+#: the squares.
 LEAST_WEIGHT = np.float32(0.03)
 #: sRGB's curve is nearly √(light + 0.0015): the slopes at 0 are equal, at 1 they are 0.50 and 0.44.
 _DARK = np.float32(0.0015)
-#: Samples of a leaf that differ by less, relative to the largest, are one value: two steps of float16.
+#: Samples of a leaf count as equal below this difference relative to the largest: two steps of float16.
 _SAME = np.float32(2.0**-10)
 _BINS = 4096
 _ZERO = np.float32(0)
 
 
 class Equations(NamedTuple):
-    """Which samples each unknown leaf weighs in, and how much."""
+    """The samples that each unknown leaf weighs in, and its weights there."""
 
     starts: Int64s  # (unknowns + 1,)
     samples: Int32s
@@ -43,7 +43,7 @@ class Equations(NamedTuple):
 
 
 class Codes(NamedTuple):
-    """The stored numbers that values go to in the last sweeps."""
+    """The stored numbers that the last sweeps round to."""
 
     values: Float32s  # (256,)   decoded, rising; none: values are not rounded
     middles: Float32s  # (256,)   between each and the next, infinity at the end
@@ -58,64 +58,63 @@ class Codes(NamedTuple):
         edges = values[0] + np.arange(_BINS + 1) * ((values[-1] - values[0]) / np.float32(_BINS))
         return cls(values, middles, np.searchsorted(middles, edges, side="right").astype(np.uint8))
 
-    @classmethod
-    def none(cls) -> Codes:
-        """Return what does not round."""
-        return cls(np.empty(0, np.float32), np.empty(0, np.float32), np.empty(0, np.uint8))
+
+#: Leaves values as they are.
+NO_ROUNDING = Codes(np.empty(0, np.float32), np.empty(0, np.float32), np.empty(0, np.uint8))
 
 
 @kernel
 def transpose(starts: Int64s, leaves: Int32s, weights: Float32s, unknowns: int) -> Equations:
-    """List by unknown what ``starts`` lists by sample, without small weights and leaves not solved for."""
-    kept_starts = np.zeros(starts.size, np.int64)
-    kept_leaves = np.empty(leaves.size, np.int32)
-    kept_weights = np.empty(leaves.size, np.float32)
-    kept = 0
+    """List taps by unknown instead of by sample, without small weights and leaves that are not unknowns."""
+    large_starts = np.zeros(starts.size, np.int64)
+    large_leaves = np.empty(leaves.size, np.int32)
+    large_weights = np.empty(leaves.size, np.float32)
+    count = 0
     for sample in range(starts.size - 1):
         for i in range(starts[sample], starts[sample + 1]):
-            kept_leaves[kept] = leaves[i]
-            kept_weights[kept] = weights[i]
-            kept += (leaves[i] < unknowns) & (weights[i] >= LEAST_WEIGHT)
-        kept_starts[sample + 1] = kept
-    return by_unknown(kept_starts, kept_leaves[:kept], kept_weights[:kept], unknowns)
+            large_leaves[count] = leaves[i]
+            large_weights[count] = weights[i]
+            count += (leaves[i] < unknowns) & (weights[i] >= LEAST_WEIGHT)
+        large_starts[sample + 1] = count
+    return by_unknown(large_starts, large_leaves[:count], large_weights[:count], unknowns)
 
 
 @part
 def by_unknown(starts: Int64s, leaves: Int32s, weights: Float32s, unknowns: int) -> Equations:
-    """List by unknown what ``starts`` lists by sample, in the samples' order."""
+    """List taps by unknown, in the samples' order, instead of by sample."""
     firsts = np.zeros(unknowns + 2, np.int64)
     for i in range(leaves.size):
         firsts[np.uint64(leaves[np.uint64(i)]) + np.uint64(2)] += 1
     for i in range(unknowns):
         firsts[i + 2] += firsts[i + 1]
     samples = np.empty(leaves.size, np.int32)
-    found = np.empty(leaves.size, np.float32)
+    sorted_weights = np.empty(leaves.size, np.float32)
     for sample in range(starts.size - 1):
         for i in range(np.uint64(starts[sample]), np.uint64(starts[sample + 1])):
             after = np.uint64(leaves[i]) + np.uint64(1)
-            place = np.uint64(firsts[after])
+            row = np.uint64(firsts[after])
             firsts[after] += 1
-            samples[place] = sample
-            found[place] = weights[i]
-    return Equations(firsts[: unknowns + 1], samples, found)
+            samples[row] = sample
+            sorted_weights[row] = weights[i]
+    return Equations(firsts[: unknowns + 1], samples, sorted_weights)
 
 
 @inlined
-def _secant(target: np.float32, found: np.float32) -> np.float32:
-    """Weight with which (found − target)² has the gradient of the square on sRGB's curve.
+def _secant(target: np.float32, value: np.float32) -> np.float32:
+    """Weight with which (value − target)² has the gradient of the square on sRGB's curve.
 
-    It is the curve's slope at what is found, times that of the secant to the target; from 1 on, where the
-    curve becomes a logarithm, less. (Slopes at the target alone misjudge a hard edge by up to 8 dB.)
+    It is the curve's slope at the value, times the slope of the secant to the target; less from 1 on, where
+    the curve becomes a logarithm. (Slopes at the target alone misjudge a hard edge by up to 8 dB.)
     """
-    target, found = np.float32(max(target, _ZERO)), np.float32(max(found, _ZERO))
-    root = np.sqrt(found + _DARK)
+    target, value = np.float32(max(target, _ZERO)), np.float32(max(value, _ZERO))
+    root = np.sqrt(value + _DARK)
     slopes = np.float32(0.5) / (root * (root + np.sqrt(target + _DARK)))
     return np.float32(slopes * min(np.float32(1), np.float32(4) * slopes))
 
 
 @inlined
 def write_residual(
-    found: tuple[np.float32, np.float32, np.float32],
+    value: tuple[np.float32, np.float32, np.float32],
     targets: Float32s,
     weight: np.float32,
     components: int,
@@ -123,8 +122,8 @@ def write_residual(
     sample: int,
     rows: Float32s,
 ) -> None:
-    """Write a sample's row of `residuals`, of whose share ``weight`` is."""
-    x, y, z = found
+    """Write a sample's row of `residuals`; ``weight`` is its share."""
+    x, y, z = value
     a, b, c = targets[sample, 0], targets[sample, 1], targets[sample, 2]
     if is_light:
         slope = _secant(x, x)
@@ -166,13 +165,13 @@ def residuals(
 def weigh(equations: Equations, rows: Float32s, targets: Float32s, shares: Float32s, components: int) -> None:
     """Weigh light as on sRGB's curve, in the ``rows`` of residuals whose weights are its slope's square.
 
-    What the leaves around a sample can show weighs by the curve between it and the field. What they cannot
-    show must keep its mean light, which it does if dark and bright samples near each other weigh alike: by
-    the mean weight around these leaves. What remains of the variance of the samples tells how much is which.
+    A sample that the leaves around it can show weighs by the curve between it and the field. Detail that they
+    cannot show must keep its mean light: there dark and bright samples get equal weights, the mean weight
+    around these leaves. The share of the samples' variance that remains decides between the two.
     """
     starts, samples, weights = equations
-    given = np.empty((shares.size, 8), np.float32)  # weight, share; share times missed, square, light
-    sums = np.empty((shares.size, 4), np.float32)  # of mean weights, of what remains, of the leaves' own; 1
+    inputs = np.empty((shares.size, 8), np.float32)  # weight, share; share times missed, square, light
+    sums = np.empty((shares.size, 4), np.float32)  # of mean weights, of remaining parts, of leaf weights; 1
     for n in range(shares.size):
         share, weight = shares[n], rows[n, 3]
         inverse = np.float32(1) / weight if weight > _ZERO else _ZERO
@@ -181,17 +180,17 @@ def weigh(equations: Equations, rows: Float32s, targets: Float32s, shares: Float
             target = targets[n, column]
             square += target * target
             missed += rows[n, column] * rows[n, column]
-            given[n, 4 + column] = share * target
+            inputs[n, 4 + column] = share * target
             sums[n, column] = _ZERO
         missed *= inverse * inverse
-        given[n, 0], given[n, 1], given[n, 7] = weight, share, _ZERO
-        given[n, 2], given[n, 3] = share * missed, share * square
+        inputs[n, 0], inputs[n, 1], inputs[n, 7] = weight, share, _ZERO
+        inputs[n, 2], inputs[n, 3] = share * missed, share * square
         sums[n, 3] = np.float32(1)
     for leaf in range(starts.size - 1):
         first, end = starts[leaf], starts[leaf + 1]
         total = eight(_ZERO)
         for i in range(first, end):
-            total = total + eight(weights[i]) * eight_at(given, np.int64(samples[i]) << 3)
+            total = total + eight(weights[i]) * eight_at(inputs, np.int64(samples[i]) << 3)
         weight, share, missed, square, x, y, z, _ = lanes(total)
         if share > _ZERO:
             variance = square - (x * x + y * y + z * z) / share
@@ -203,18 +202,18 @@ def weigh(equations: Equations, rows: Float32s, targets: Float32s, shares: Float
             continue
         part = (sums[n, 1] / total - _SHOWN) / (_HIDDEN - _SHOWN)
         part = min(max(part, _ZERO), np.float32(1))
-        own = _ZERO
+        slope = _ZERO
         for column in range(components):
             target = targets[n, column]
-            own += _secant(target, target + rows[n, column] / weight)
-        factor = shares[n] * (own + part * (sums[n, 0] / total - own)) / weight
+            slope += _secant(target, target + rows[n, column] / weight)
+        factor = shares[n] * (slope + part * (sums[n, 0] / total - slope)) / weight
         for column in range(4):
             rows[n, column] *= factor
 
 
 @kernel
 def diagonal(equations: Equations, rows: Float32s, targets: Float32s) -> tuple[Float32s, Bools]:
-    """Return dᵢ of each unknown, and whether all its samples have one value."""
+    """Return dᵢ of each unknown, and whether all its samples are equal."""
     starts, samples, weights = equations
     sums = np.empty(starts.size - 1, np.float32)
     is_flat = np.empty(starts.size - 1, np.bool_)
@@ -240,10 +239,10 @@ def diagonal(equations: Equations, rows: Float32s, targets: Float32s) -> tuple[F
 
 @kernel
 def approach(equations: Equations, rows: Float32s, values: Float32s) -> None:
-    """Move each unknown's ``values`` (leaves, 4) by the mean of what its samples miss.
+    """Move each unknown's ``values`` (leaves, 4) by its samples' mean residual.
 
-    Means are stored rounded. Sweeps that start with a share of that error in every leaf overshoot in the
-    first and need several more to calm down; this takes it away at once.
+    This removes the rounding of stored means at once. Sweeps that start with this error in every leaf
+    overshoot first, and need several more sweeps to settle.
     """
     starts, samples, weights = equations
     for leaf in range(starts.size - 1):
@@ -282,8 +281,8 @@ def sweep(
 ) -> None:
     """Improve each unknown's ``values`` (leaves, 4) in turn, and ``rows`` with them.
 
-    With ``codes`` they become stored numbers. Leaves whose samples have one value then stay at their means if
-    they are less than two codes away: what others are rounded by is no reason to stir them.
+    With ``codes`` they become stored numbers. Then leaves with equal samples stay at their means if these are
+    less than two codes away: other leaves' rounding must not disturb them.
     """
     starts, samples, weights = equations
     is_rounding = codes.values.size > 0
@@ -321,16 +320,13 @@ def sweep(
 
 @kernel
 def covered(starts: Int64s, leaves: Int32s, weights: Float32s, coverage: Float32s) -> Float32s:
-    """Return the weights multiplied by the leaves' coverage, each sample's sum made 1 again.
-
-    Samples without coverage keep theirs.
-    """
-    found = np.empty(weights.size, np.float32)
+    """Return the weights times the leaves' coverage, scaled to sum 1 for each sample with coverage."""
+    scaled = np.empty(weights.size, np.float32)
     for sample in range(starts.size - 1):
         total = np.float32(0)
         for i in range(starts[sample], starts[sample + 1]):
-            found[i] = weights[i] * coverage[leaves[i]]
-            total += found[i]
+            scaled[i] = weights[i] * coverage[leaves[i]]
+            total += scaled[i]
         for i in range(starts[sample], starts[sample + 1]):
-            found[i] = found[i] / total if total > np.float32(0) else weights[i]
-    return found
+            scaled[i] = scaled[i] / total if total > np.float32(0) else weights[i]
+    return scaled

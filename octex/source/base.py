@@ -1,6 +1,6 @@
-"""Sources: they compute the values of surface points. A new kind of source is one more subclass of `Source`.
+"""Sources compute the values of surface points. A new kind of source is one more subclass of `Source`.
 
-A spatial source computes values from rest positions. A placeable becomes a source once it is on a surface.
+A spatial source computes values from rest positions. A placeable becomes a source when put on a surface.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ class Source(ABC):
 
     @property
     def has_gaps(self) -> bool:
-        """Whether some points may have no value: there the channel ``alpha`` is 0."""
+        """Whether the surface may have gaps, points without a value: there the channel ``alpha`` is 0."""
         return any(source.has_gaps for source in self._inputs)
 
     @property
     def alpha_is_coverage(self) -> bool:
-        """Whether ``alpha`` only marks gaps: it is 1 wherever there is a value."""
+        """Whether ``alpha`` only marks gaps: it is 1 everywhere else."""
         return False
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
@@ -69,7 +69,7 @@ class Source(ABC):
         return self._changed(_inputs=tuple(inputs))
 
     def _changed(self, *stale: str, **attributes: Any) -> Self:
-        """Return a copy with other attributes. Cached properties named in ``stale`` are computed anew."""
+        """Return a copy with other attributes, without the cached properties named in ``stale``."""
         other = copy.copy(self)
         for name in stale:
             vars(other).pop(name, None)
@@ -78,7 +78,7 @@ class Source(ABC):
 
 
 class OfAnother(Source):
-    """Forwards to another source, with other triangle numbers. Channels and gaps are that source's."""
+    """Forwards to another source, with other triangle numbers, and has its channels and gaps."""
 
     def __init__(self, source: Source) -> None:
         self._inputs = (source,)
@@ -99,7 +99,7 @@ class OfAnother(Source):
 
 
 class Picked(OfAnother):
-    """The source of a surface with ``rest`` (n, 3), for some of its ``triangles`` and ``vertices``."""
+    """The source of a surface with ``rest`` (n, 3), for chosen ``triangles`` and their ``vertices``."""
 
     def __init__(self, source: Source, triangles: Int32s, vertices: Int32s, rest: Float64s) -> None:
         super().__init__(source)
@@ -142,12 +142,12 @@ class Combined(Source):
 
     def __init__(self, sources: Mapping[str, Source], others: Sequence[Source] = ()) -> None:
         self._inputs = tuple({id(source): source for source in [*sources.values(), *others]}.values())
-        #: Index of each channel's source, and indices of the sources with gaps.
-        self._places = {name: self._inputs.index(sources[name]) for name in in_order(list(sources))}
-        self._gaps = [place for place, source in enumerate(self._inputs) if source.has_gaps]
+        #: The index of each channel's source, and the indices of the sources with gaps.
+        self._owners = {name: self._inputs.index(sources[name]) for name in in_order(list(sources))}
+        self._gaps = [index for index, source in enumerate(self._inputs) if source.has_gaps]
         forms = {
-            name: next(form for form in self._inputs[place].channels if form.name == name)
-            for name, place in self._places.items()
+            name: next(form for form in self._inputs[index].channels if form.name == name)
+            for name, index in self._owners.items()
         }
         if self._gaps:
             forms.setdefault(ALPHA.name, ALPHA)
@@ -159,18 +159,18 @@ class Combined(Source):
             by_channel(source.channels, source.evaluate(triangles, barycentric, widths))
             for source in self._inputs
         ]
-        columns = {name: values[place][name] for name, place in self._places.items()}
-        for place in self._gaps:
+        columns = {name: values[index][name] for name, index in self._owners.items()}
+        for index in self._gaps:
             alpha = columns.get(ALPHA.name, np.float32(1.0))
-            columns[ALPHA.name] = alpha * (values[place][ALPHA.name] > 0)
+            columns[ALPHA.name] = alpha * (values[index][ALPHA.name] > 0)
         nothing = np.empty((len(triangles), 0), np.float32)
         return np.hstack([nothing, *(columns[form.name] for form in self._channels)])
 
     @property
     def alpha_is_coverage(self) -> bool:
         """Whether ``alpha`` only marks the gaps of the sources."""
-        place = self._places.get(ALPHA.name)
-        return self.has_gaps and (place is None or self._inputs[place].alpha_is_coverage)
+        owner = self._owners.get(ALPHA.name)
+        return self.has_gaps and (owner is None or self._inputs[owner].alpha_is_coverage)
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of the finest source's texel."""
@@ -184,17 +184,16 @@ class Combined(Source):
 
         Without names, and for an ``alpha`` without a source, all sources stay because all of them have gaps.
         """
-        wanted = {name: place for name, place in self._places.items() if name in names}
-        asks_for_gaps = not names or (ALPHA.name in names and ALPHA.name not in self._places)
-        places = dict.fromkeys([*wanted.values(), *(self._gaps if asks_for_gaps else [])])
+        wanted = {name: index for name, index in self._owners.items() if name in names}
+        asks_for_gaps = not names or (ALPHA.name in names and ALPHA.name not in self._owners)
         sources = {
-            place: self._inputs[place].only([name for name, each in wanted.items() if each == place])
-            for place in places
+            index: self._inputs[index].only([name for name, each in wanted.items() if each == index])
+            for index in dict.fromkeys([*wanted.values(), *(self._gaps if asks_for_gaps else [])])
         }
-        return Combined({name: sources[place] for name, place in wanted.items()}, list(sources.values()))
+        return Combined({name: sources[index] for name, index in wanted.items()}, list(sources.values()))
 
     def _reading(self, inputs: Sequence[Source]) -> Combined:
-        return Combined({name: inputs[place] for name, place in self._places.items()}, inputs)
+        return Combined({name: inputs[index] for name, index in self._owners.items()}, inputs)
 
 
 #: Default value of a channel that a material does not define (glTF 2.0), where it is not 1.
@@ -208,13 +207,9 @@ class Joined(Source):
     """
 
     def __init__(
-        self,
-        sources: Sequence[Source],
-        vertices: Sequence[int],
-        faces: Sequence[int],
-        rest: Float64s,
+        self, sources: Sequence[Source], vertices: Sequence[int], faces: Sequence[int], rest: Float64s,
         triangles: Int32s,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self._inputs, self._vertices, self._faces = tuple(sources), vertices, faces
         self._rest, self._triangles = rest, triangles
         forms: dict[str, ChannelFormat] = {}
@@ -235,12 +230,10 @@ class Joined(Source):
         values = np.empty((len(triangles), sum(form.components for form in self._channels)), np.float32)
         for source, rows, within in self._by_source(triangles):
             columns = by_channel(source.channels, source.evaluate(within, barycentric[rows], widths[rows]))
-            values[rows] = np.hstack(
-                [
-                    columns[form.name] if form.name in columns else self._default(form, triangles[rows])
-                    for form in self._channels
-                ]
-            )
+            for form in self._channels:
+                if form.name not in columns:
+                    columns[form.name] = self._default(form, triangles[rows])
+            values[rows] = np.hstack([columns[form.name] for form in self._channels])
         return values
 
     def _by_source(self, triangles: Int32s) -> Iterator[tuple[Source, Int64s, Int32s]]:
@@ -287,7 +280,7 @@ _COSINE_ROUNDING = 1e-6
 
 
 class Placeable(ABC):
-    """Becomes a channel's source when it is put on a surface: see ``Surface.with_sources``."""
+    """Becomes a channel's source on a surface: see ``Surface.with_sources``."""
 
     _latest: tuple[Float64s, Int32s, Source] | None = None
 
@@ -307,7 +300,7 @@ class Placeable(ABC):
 
 
 def least_cosine(degrees: float) -> float:
-    """Return the cosine of the largest angle between normals that agree, less its rounding."""
+    """Return the cosine of the largest angle between matching normals, minus its rounding."""
     return float(np.cos(np.radians(degrees))) - _COSINE_ROUNDING
 
 

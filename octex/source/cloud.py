@@ -27,7 +27,7 @@ from octex.source.models.reading import npz_arrays, parse_numbers
 #: The endings of files of points; .ply too, if it has no faces.
 CLOUD_ENDINGS = (".xyz", ".npz", ".ply")
 _LEAST_POINTS = 3
-# The mean of more points than this takes too long.
+# A mean of more points takes too long.
 _MOST_AROUND = 30_000
 _HEADER = 1 << 16
 _FARTHEST = 1e100
@@ -45,8 +45,8 @@ class PointCloud(Placeable):
     colors     (n, 3 or 4): uint8 or uint16 sRGB, or floats in linear light, 0 … 1; a fourth column is alpha
     normals    (n, 3) of any length, or None; a zero normal matches every angle
     radius     average all points within this distance, in the model's units, weighted (1 − d²/r²)²; surface
-               without such points stays empty. At least the width of the footprint. None: that width, or the
-               nearest point
+               without any stays empty. At least the width of the footprint. None: that width, or the nearest
+               point
     distance   without ``radius``: how far the nearest point may be; surface farther away stays empty
     max_angle  largest angle in degrees between the surface's normal and a point's
 
@@ -174,7 +174,7 @@ class _FromPoints(SpatialSource):
 
     @property
     def has_gaps(self) -> bool:
-        """Whether the surface may have points that are too far from all points of the cloud."""
+        """Whether parts of the surface may be too far from all points of the cloud."""
         return self._is_faced or self._nearest is None or bool(np.isfinite(self._nearest))
 
     @property
@@ -197,7 +197,7 @@ class _FromPoints(SpatialSource):
 
 
 def is_cloud(path: Path) -> bool:
-    """Return whether a file holds points: ``.xyz``, ``.npz``, or ``.ply`` whose header has no faces."""
+    """Return whether a file holds points: ``.xyz``, ``.npz``, or a ``.ply`` without faces in its header."""
     if path.suffix.lower() != ".ply":
         return path.suffix.lower() in CLOUD_ENDINGS
     try:

@@ -29,23 +29,18 @@ def linear_colors(colors: npt.ArrayLike, rows: int, name: str) -> Float32s:
     elif array.dtype.kind == "f":
         with np.errstate(over="ignore"):
             linear[:, : array.shape[1]] = array
-        _check_light(linear, name)
+        finite = np.isfinite(linear).all(axis=1)
+        fits = ((linear >= 0.0) & (linear <= 1.0 + _ROUNDING)).all(axis=1)
+        if not finite.all():
+            raise ModelError(f"{name}: colour {int(np.argmin(finite))} is not finite")
+        if not fits.all():
+            raise ModelError(
+                f"{name}: colour {int(np.argmin(fits))} is not from 0 to 1, as linear light is; give sRGB "
+                "codes as uint8 or uint16"
+            )
     else:
         raise ArgumentError(f"{name} must be uint8 or uint16 (sRGB) or floats (linear), not {array.dtype}")
     return np.minimum(linear, np.float32(1.0))
-
-
-def _check_light(light: Float32s, name: str) -> None:
-    """Refuse colours (n, 4) that are not finite or not in 0 … 1."""
-    finite = np.isfinite(light).all(axis=1)
-    fits = ((light >= 0.0) & (light <= 1.0 + _ROUNDING)).all(axis=1)
-    if not finite.all():
-        raise ModelError(f"{name}: colour {int(np.argmin(finite))} is not finite")
-    if not fits.all():
-        bad = int(np.argmin(fits))
-        raise ModelError(
-            f"{name}: colour {bad} is not from 0 to 1, as linear light is; give sRGB codes as uint8 or uint16"
-        )
 
 
 def guessed_colors(values: Float64s) -> Float32s:

@@ -31,7 +31,7 @@ class Corners(NamedTuple):
         return cls(values, np.stack(rows)[numbers, np.arange(len(numbers))])
 
     def of(self, triangles: Int32s) -> Corners:
-        """Return the attribute of only some triangles (k,)."""
+        """Return the attribute of chosen triangles (k,)."""
         return Corners(self.values, self.rows[triangles])
 
     def at(self, triangles: Int32s, barycentric: Float64s) -> Float64s:
@@ -51,7 +51,7 @@ def area_vectors(corners: Float64s) -> Float64s:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-#: Triangles whose doubled area is less than this part of the square of their longest edge have none.
+#: Least doubled area of a triangle, over the square of its longest edge.
 _THINNEST = 1e-12
 
 
@@ -74,8 +74,7 @@ def unit(vectors: Float64s) -> Float64s:
 
 def at_corners(values: Array, rows: Integers, barycentric: Float64s) -> Float64s:
     """Interpolate (n, components) between the values in the rows (n, 3) of three corners."""
-    between: Float64s = np.einsum("nc,ncx->nx", barycentric, values[rows])
-    return between
+    return np.asarray(np.einsum("nc,ncx->nx", barycentric, values[rows]))
 
 
 def scattered(areas: Float64s, count: int, seed: int) -> tuple[Int64s, Float64s]:
@@ -96,7 +95,7 @@ class Polygons(NamedTuple):
 
     @classmethod
     def of_triangles(cls, count: int) -> Polygons:
-        """Return polygons of ``count`` triangles, each a polygon of its own."""
+        """Return polygons of ``count`` triangles, each its own polygon."""
         corners = np.broadcast_to(np.arange(3, dtype=np.int32), (count, 3))
         return cls(np.arange(count, dtype=np.int32), corners)
 
@@ -115,16 +114,16 @@ class Polygons(NamedTuple):
     def loops(self) -> tuple[Int32s, Int64s, Int64s, Int64s]:
         """Return the polygons and their corners, concatenated.
 
-        That is the number of each polygon (k,); how many corners it has (k,); for each polygon corner (c,)
+        That is the numbers of the polygons (k,); their numbers of corners (k,); for each polygon corner (c,)
         its first triangle corner, 0 … 3·m − 1; and for each triangle corner (m, 3) its polygon corner.
         """
         keys = self.numbers[:, None].astype(np.int64) << 32 | self.corners
-        keys, first, places = np.unique(keys, return_index=True, return_inverse=True)
+        keys, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
         known, sizes = np.unique((keys >> 32).astype(np.int32), return_counts=True)
-        return known, sizes.astype(np.int64), first.astype(np.int64), places.reshape(-1, 3)
+        return known, sizes.astype(np.int64), first.astype(np.int64), inverse.reshape(-1, 3)
 
     def of(self, triangles: Int32s) -> Polygons:
-        """Return the polygons of only some triangles (k,); they keep their numbers."""
+        """Return the polygons of chosen triangles (k,); they keep their numbers."""
         return Polygons(self.numbers[triangles], self.corners[triangles])
 
 
@@ -150,7 +149,7 @@ class Frames(NamedTuple):
     tangents: Corners  # x, y, z, and the handedness w: the bitangent is w · (normal × tangent)
 
     def of(self, triangles: Int32s) -> Frames:
-        """Return the attribute of only some triangles (k,)."""
+        """Return the attribute of chosen triangles (k,)."""
         return Frames(self.normals.of(triangles), self.tangents.of(triangles))
 
 
@@ -160,7 +159,7 @@ def across(normals: Float64s) -> Float64s:
 
 
 def frames_of(normals: Float64s, rows: Int32s) -> Frames:
-    """Return unit normals (n, 3), by corner, as frames whose tangents follow no texture coordinates."""
+    """Return frames of unit normals (n, 3), by corner, with tangents of any direction."""
     tangents = np.ones((len(normals), 4), np.float32)
     tangents[:, :3] = across(normals)
     return Frames(Corners(normals.astype(np.float32), rows), Corners(tangents, rows))

@@ -39,7 +39,7 @@ class Tables(NamedTuple):
     coordinates: Float32s  # (rows, 2)   v down
     coordinate_rows: Int32s  # (slots, triangles, 3)
     frames: Frames  # at rest; no rows if no channel is a direction
-    # The first column of the channels that are more than offset + gain × lane; −1 for none.
+    # The first columns of the channels that need more than offset + gain × lane; −1 if missing.
     base_color: int
     alpha: int
     normal: int
@@ -100,8 +100,8 @@ def evaluate(
     widths: Float32s,
     values: Float32s,
 ) -> None:
-    """Fill in the values (n, columns) at points of triangles; ``filter`` comes from `filters.told`."""
-    places = np.empty(TAP_ROOM, np.int64)
+    """Fill in the values (n, columns) at points of triangles; ``filter`` is a `filters.kernel_code`."""
+    indices = np.empty(TAP_ROOM, np.int64)
     weights = np.empty(TAP_ROOM, np.float64)
     most_stacks = most_images = 0
     for material in range(tables.first_stacks.size - 1):
@@ -112,7 +112,7 @@ def evaluate(
     lanes = np.empty(1 + 4 * most_images, np.float32)
     for lane in range(lanes.size):
         lanes[lane] = np.float32(1.0)
-    # Consecutive points of one triangle share its data, which is loaded once: a quarter off each read.
+    # Consecutive points of one triangle share its data: this saves a quarter of the time.
     shared = np.empty((most_stacks, 11), np.float64)
     last = -1
     material = first = end = mode = 0
@@ -174,10 +174,10 @@ def evaluate(
                 int(stacks[stack, 3]),
                 stacks[stack, 4] != 0,
             )
-            count, cut, scale = find_taps(images, layout, filter, foot, places, weights)
+            count, cut, scale = find_taps(images, layout, filter, foot, indices, weights)
             for image in range(tables.stacks[stack, 5], tables.stacks[stack + 1, 5]):
                 number = int(tables.images[image])
-                gather(images, number, layout, places, weights, count, cut, scale, threshold, lanes, at)
+                gather(images, number, layout, indices, weights, count, cut, scale, threshold, lanes, at)
                 thresholded |= images.covered[number]
                 at += 4
         for column in range(values.shape[1]):

@@ -14,13 +14,13 @@ from octex.checks import answer, as_number, as_points, as_positive
 from octex.errors import ArgumentError, ModelError
 from octex.parallel import memory_size
 
-#: Gives a value (n,) for each of positions (n, 3).
+#: Returns values (n,) at positions (n, 3).
 ImplicitFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]
 
 _BATCH = 1 << 18
 # Nodes of the grid in a cube of the edge length, and bytes for each.
 _NODES, _NODE_MEMORY = 2.1, 64
-# Newton's method doubles the digits with each step: after a step this short, in edges, all digits are right.
+# Newton's method doubles the digits with each step: after a step this short, in edges, all are right.
 _STEPS, _NEAR = 8, 1e-7
 # Step of finite differences, as a part of the edge length.
 _DIFFERENCE = 1e-4
@@ -71,20 +71,20 @@ def _polygonized(
 ) -> tuple[Float64s, Int32s]:
     """Polygonize the zero set of ``inside`` by marching tetrahedra.
 
-    manifold3d evaluates one point at a time, in an order that does not depend on values. So a first run
-    lists the points, and a second reads their values. That is 10 times as fast as single calls of ``inside``.
+    manifold3d evaluates one point at a time, in an order that does not depend on values. So a first run lists
+    the points, and a second reads their values: 10 times as fast as single calls of ``inside``.
     """
     from manifold3d import Manifold
 
     box = [*low.tolist(), *high.tolist()]
-    heard = array("d")
+    points = array("d")
 
-    def hear(x: float, y: float, z: float) -> float:
-        heard.extend((x, y, z))
+    def note(x: float, y: float, z: float) -> float:
+        points.extend((x, y, z))
         return -1.0
 
-    Manifold.level_set(hear, box, edge)
-    values = iter(array("d", inside(np.frombuffer(heard).reshape(-1, 3))))
+    Manifold.level_set(note, box, edge)
+    values = iter(array("d", inside(np.frombuffer(points).reshape(-1, 3))))
     mesh = Manifold.level_set(lambda _x, _y, _z: next(values), box, edge).to_mesh64()
     assert next(values, None) is None
     return np.array(mesh.vert_properties[:, :3], np.float64), np.array(mesh.tri_verts, np.int32)
@@ -105,9 +105,9 @@ def _moved_onto(inside: Callable[[Float64s], Float64s], start: Float64s, edge: f
         gradients /= 2.0 * _DIFFERENCE * edge
         squares = (gradients**2).sum(axis=1)
         steps = shares[moving] * values[moving] / np.where(squares > 0.0, squares, np.inf)
-        ways = here - steps[:, None] * gradients - start[moving]
-        lengths = np.linalg.norm(ways, axis=1)
-        trial = start[moving] + ways * np.minimum(1.0, edge / np.maximum(lengths, 1e-300))[:, None]
+        moves = here - steps[:, None] * gradients - start[moving]
+        lengths = np.linalg.norm(moves, axis=1)
+        trial = start[moving] + moves * np.minimum(1.0, edge / np.maximum(lengths, 1e-300))[:, None]
         tried = inside(trial)
         is_better = np.abs(tried) < np.abs(values[moving])
         better = moving[is_better]

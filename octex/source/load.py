@@ -105,8 +105,8 @@ def load_surface(
 def load_motion(path: str | os.PathLike[str], rate: float = 30.0) -> Motion | None:
     """Return the animations of a model, of ``rate`` frames a second; None if it has none.
 
-    Vertices are those of ``load_surface``, in its order. Raises ModelError for skins and morph targets that
-    are broken; animations that are stand in the motion's ``faults``.
+    Vertices are those of ``load_surface``, in its order. Raises ModelError for broken skins and morph
+    targets; the motion's ``faults`` list broken animations.
     """
     file = as_path(path)
     if file.suffix.lower() not in _GLTF:
@@ -154,7 +154,7 @@ def _read(path: Path, options: Options) -> Surface:
 
 @contextmanager
 def _parsing(path: Path) -> Iterator[None]:
-    """Turn any exception of the parsers into one line."""
+    """Turn any exception of a parser into one line."""
     try:
         with reading(path):
             yield

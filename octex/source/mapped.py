@@ -23,7 +23,7 @@ from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
 from octex.source.base import Placeable, Source, SpatialSource, placed
 from octex.source.images.decode import read_image
-from octex.source.images.filters import FILTERS, LEVELS_OF, MOST_VARIANCE, find_taps, footprint, told
+from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint, kernel_code, levels_of
 from octex.source.images.pyramid import MIRROR, REPEAT, WRAPS, Images, Picture, as_wraps, store
 from octex.source.images.taps import TAP_ROOM, Footprint, gather
 from octex.source.materials import light_format, unit_directions
@@ -32,7 +32,7 @@ from octex.source.tangents import carried
 from octex.source.vectors import Vector, cross_product, dot_product, length_of, minus, row_of, times
 
 _X, _Y, _Z = np.eye(3)
-#: The directions right and up for a viewer on each axis who looks at the origin.
+#: The directions right and up for a viewer on each axis, facing the origin.
 FRAMES = {"x": (-_Z, _Y), "-x": (_Z, _Y), "y": (_X, -_Z), "-y": (_X, _Z), "z": (_X, _Y), "-z": (-_X, _Y)}
 _FARTHEST = 1e30
 #: The kinds of mappings.
@@ -46,12 +46,12 @@ _TIE = 1e-6
 
 
 class MappedImage(Placeable):
-    """An image that is placed on a surface by rest positions instead of texture coordinates.
+    """An image projected onto a surface by rest positions instead of texture coordinates.
 
     image       a file, a Pillow image or an array, as for ``Surface.with_sources``
-    kind        "planar": along the axis, through the whole surface; faces that look away see it mirrored.
+    kind        "planar": along the axis, through the whole surface; on faces turned away it is mirrored.
                 "box": six sides, chosen by the largest component of a face's normal, unfolded like a cross.
-                "cylindrical": once around the axis; faces within 45° of the axis see it as on a box.
+                "cylindrical": once around the axis; on faces within 45° of the axis as on a box.
                 "spherical": longitude and latitude, its top row at the pole that the axis points to
     axis        "x", "y", "z", "-x", "-y" or "-z". The front is −y; for y it is +z, for −y −z
     center      (x, y, z): the image's centre, or that of the shape (default: of the bounds at rest)
@@ -91,7 +91,7 @@ class MappedImage(Placeable):
         self._is_flat = as_choice(mag_filter, ("linear", "nearest"), "mag_filter") == "nearest"
 
     def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:
-        """Return the image placed on a surface by its rest positions, and its entries of provenance.
+        """Return the image projected onto a surface by rest positions, and its entries of provenance.
 
         Raises ImageError for an image that cannot be used.
         """
@@ -102,7 +102,7 @@ class MappedImage(Placeable):
         if size is None:
             extents = most - least
             largest = float(extents.max()) or 1.0
-            # An image is not squeezed along an axis on which the model has no extent.
+            # Where the model has no extent, the image keeps its aspect.
             is_squeezed = (extents <= 1e-9 * largest) | (self._kind == BOX)
             size = np.where(is_squeezed, largest, extents)
         right, up = FRAMES[self._axis]
@@ -112,10 +112,10 @@ class MappedImage(Placeable):
             texels = unit_directions(texels, (1.0, 1.0, 1.0))
         elif form.space == "srgb" and texels.dtype == np.float32:
             form = light_format(form, float(texels[..., : form.components].max()))
-        # The image's numbers have the meaning that they have in the file, whatever the channel's type.
+        # How codes are decoded depends on the channel's colour space, not on its stored type.
         picture = Picture(texels, form.space in ("srgb", "linear"))
         source = MappedSource(form, mapping, picture, self._is_flat, filter, mesh)
-        said = {
+        record = {
             **origin,
             "mapping": KINDS[self._kind],
             "axis": self._axis,
@@ -124,7 +124,7 @@ class MappedImage(Placeable):
             "wrap": [WRAPS[wrap] for wrap in self._wraps],
             "mag_filter": "nearest" if self._is_flat else "linear",
         }
-        return source, {f"source_{form.name}": json.dumps(said)}
+        return source, {f"source_{form.name}": json.dumps(record)}
 
 
 class MappedSource(SpatialSource):
@@ -138,8 +138,8 @@ class MappedSource(SpatialSource):
         self._picture = picture
         self._flat = flat
         self._frames = mesh.frames if form.space == "direction" else None
-        self._filter = FILTERS.index(filter)
-        self._images, _ = store([picture], LEVELS_OF[self._filter])
+        self._filter = kernel_code(filter)
+        self._images, _ = store([picture], levels_of(self._filter))
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
@@ -158,7 +158,7 @@ class MappedSource(SpatialSource):
         [form] = self.channels
         values = np.empty((len(points), form.components), np.float32)
         read_mapped(
-            self._mapping, self._images, told(self._filter), self._flat, form.space == "direction",
+            self._mapping, self._images, self._filter, self._flat, form.space == "direction",
             points, normals, shading, widths, values,
         )  # fmt: skip
         return values
@@ -179,10 +179,10 @@ class MappedSource(SpatialSource):
 
     def with_filter(self, name: str) -> MappedSource:
         """Return the same source with its image read by another filter."""
-        number, images = FILTERS.index(as_choice(name, FILTERS, "filter")), self._images
-        if LEVELS_OF[number] != LEVELS_OF[self._filter]:
-            images, _ = store([self._picture], LEVELS_OF[number])
-        return self._changed(_filter=number, _images=images)
+        code, images = kernel_code(name), self._images
+        if levels_of(code) != levels_of(self._filter):
+            images, _ = store([self._picture], levels_of(code))
+        return self._changed(_filter=code, _images=images)
 
 
 def _three(values: float | Sequence[float], name: str, least: float) -> Float64s:
@@ -191,7 +191,7 @@ def _three(values: float | Sequence[float], name: str, least: float) -> Float64s
 
 
 class Mapping(NamedTuple):
-    """The numbers of a mapping, for kernels."""
+    """A mapping, for kernels."""
 
     kind: int
     wrap_u: int
@@ -242,7 +242,7 @@ def map_point(
 
 @inlined
 def _length(x: float, y: float) -> float:
-    """Return the length of (x, y); the least number above zero if they are zeros."""
+    """Return the length of (x, y), but at least 10⁻¹⁵⁰."""
     return max(math.sqrt(x * x + y * y), 1e-150)
 
 
@@ -279,7 +279,7 @@ def read_mapped(
 
     ``normals`` (n, 3) are face normals. Normal maps refer to the shading normals ``shading``.
     """
-    places, weights = np.empty(TAP_ROOM, np.int64), np.empty(TAP_ROOM, np.float64)
+    indices, weights = np.empty(TAP_ROOM, np.int64), np.empty(TAP_ROOM, np.float64)
     lanes = np.empty(4, np.float32)
     level = images.layouts[0, 0]
     across, down = images.levels[level, 1], images.levels[level, 2]
@@ -292,7 +292,7 @@ def read_mapped(
         if is_around:
             wrap_u = REPEAT
             if mapping.kind == SPHERICAL:
-                wrap_v = MIRROR  # beyond a pole a wide footprint finds what it comes from
+                wrap_v = MIRROR  # a footprint reaches back across a pole
         xx = xy = yy = least = most = 0.0
         if width > 0.0:
             uu, uv, vv = _covariance(u_slope, v_slope, normal, width * width)
@@ -301,8 +301,8 @@ def read_mapped(
                 part = MOST_VARIANCE / most
                 xx, xy, yy, least, most = xx * part, xy * part, yy * part, least * part, MOST_VARIANCE
         foot = Footprint(u, v, xx, xy, yy, least, most, wrap_u, wrap_v, flat)
-        count, cut, scale = find_taps(images, 0, filter, foot, places, weights)
-        gather(images, 0, 0, places, weights, count, cut, scale, -1.0, lanes, 0)
+        count, cut, scale = find_taps(images, 0, filter, foot, indices, weights)
+        gather(images, 0, 0, indices, weights, count, cut, scale, -1.0, lanes, 0)
         if is_direction:
             _turn(mapping, lanes, u_slope, v_slope, row_of(shading, i), width == 0.0, values, i)
         else:

@@ -10,7 +10,6 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s, Uint16s
 from octex.channels import CHANNELS, ONE, ChannelFormat
-from octex.checks import as_choice
 from octex.errors import ModelError
 from octex.jit import kernel
 from octex.parallel import built_once
@@ -18,7 +17,7 @@ from octex.source.base import DEFAULTS, Source, in_order
 from octex.source.corners import Corners, Frames, stacked
 from octex.source.evaluate import Tables, evaluate, measure, texel_edges
 from octex.source.images.decode import is_translucent
-from octex.source.images.filters import FILTERS, LEVELS_OF, told
+from octex.source.images.filters import kernel_code, levels_of
 from octex.source.images.pyramid import REPEAT, Images, Picture, Texels, store
 from octex.source.tangents import carried
 
@@ -28,26 +27,26 @@ ALPHA_MODES: tuple[AlphaMode, ...] = ("opaque", "mask", "blend")
 
 
 class Texture(NamedTuple):
-    """An image, with its wraps, its magnification filter and its set of texture coordinates."""
+    """An image, its wraps, its magnification filter and its set of texture coordinates."""
 
     texels: Texels  # (height, width, 4)   as images.decode_image
     wrap_u: int = REPEAT
     wrap_v: int = REPEAT
     nearest: bool = False  # magnified without interpolation
-    slot: int = 0  # which of the surface's sets of texture coordinates
+    slot: int = 0  # the number of its set of texture coordinates
 
 
 class Input(NamedTuple):
     """One channel of a material. Each component is offset + factor × texel."""
 
     factor: tuple[float, ...]  # linear light for colours
-    texture: Texture | None = None  # without one the texel is 1
+    texture: Texture | None = None  # None: the texel is 1
     lanes: tuple[int, ...] = (0, 1, 2)  # the texel's components, 0 red … 3 alpha
-    offset: tuple[float, ...] = ()  # () for zeros
+    offset: tuple[float, ...] = ()  # (): zeros
 
 
 class Material(NamedTuple):
-    """One material of a model file, with the inputs of the channels that it defines.
+    """A material of a model file: an input for each channel that it defines.
 
     Texels of ``normal`` are scaled by the factor and normalized before they are averaged.
     """
@@ -81,7 +80,7 @@ class Material(NamedTuple):
 
     @property
     def normal_slot(self) -> int | None:
-        """The set of texture coordinates of its normal map; None without a normal map."""
+        """The number of its normal map's set of texture coordinates; None without a normal map."""
         entry = self.inputs.get("normal")
         return None if entry is None or entry.texture is None else entry.texture.slot
 
@@ -95,10 +94,10 @@ class MaterialSource(Source):
 
     ``triangle_materials`` (m,) is the material of each triangle. ``colors`` at corners, linear light and
     alpha (rows, 4), multiply ``base_color`` and ``alpha``. ``coordinates`` (rows, 2), by slot, have v down.
-    The channels are ``base_color``, ``alpha`` if a material uses it, and all others that a material in use
-    defines, as far as they are in ``channels``. Without ``frames``, in the space of ``rest``, there is no
-    ``normal``. An averaged mask compares texels, times the material's mean vertex alpha, with the cutoff;
-    a point uses its vertex alpha.
+    The channels, as far as they are in ``channels``, are ``base_color``, ``alpha`` if a material uses it, and
+    all others that a material in use defines. Without ``frames``, in the space of ``rest``, there is no
+    ``normal``. An averaged mask compares texels times the material's mean vertex alpha with the cutoff; a
+    point uses its vertex alpha.
 
     Raises ModelError for colours, or texture coordinates in use, that are not finite, and unknown channels.
     """
@@ -126,7 +125,7 @@ class MaterialSource(Source):
         self.coordinates = list(coordinates)
         self._frames = frames
         self._name = name
-        self._filter = FILTERS.index(as_choice(filter, FILTERS, "filter"))
+        self._filter = kernel_code(filter)
 
         self._check()
         names = {"base_color"}.union(*(material.inputs for material in self._used)) - {"alpha"}
@@ -146,7 +145,7 @@ class MaterialSource(Source):
         """Return values (n, components): light not multiplied by alpha, fractions, mean directions."""
         (tables, images), (footprints, _) = self._tables, self._footprints
         values = np.empty((len(triangles), tables.gains.shape[1]), np.float32)
-        evaluate(tables, images, footprints, told(self._filter), triangles, barycentric, widths, values)
+        evaluate(tables, images, footprints, self._filter, triangles, barycentric, widths, values)
         return values
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
@@ -167,19 +166,18 @@ class MaterialSource(Source):
 
     def with_filter(self, name: str) -> MaterialSource:
         """Return the same source with its images read by another filter."""
-        number = FILTERS.index(as_choice(name, FILTERS, "filter"))
-        stale = [] if LEVELS_OF[number] == LEVELS_OF[self._filter] else ["_tables"]
-        return self._changed(*stale, _filter=number)
+        code = kernel_code(name)
+        stale = [] if levels_of(code) == levels_of(self._filter) else ["_tables"]
+        return self._changed(*stale, _filter=code)
 
     def only(self, names: Sequence[str]) -> MaterialSource:
-        """Return the same source with only these channels. Other images are not cached."""
+        """Return the same source with only these channels, and only their images."""
         chosen = tuple(channel for channel in self._channels if channel.name in names)
         if chosen == self._channels:
             return self
         return self._changed("_tables", "_footprints", _channels=chosen)
 
     def _format(self, name: str) -> ChannelFormat:
-        """Return the storage format of a channel: floats for light that may exceed 1."""
         form = CHANNELS[name]
         if form.space != "srgb":
             return form
@@ -193,11 +191,10 @@ class MaterialSource(Source):
 
     def _check(self) -> None:
         """Refuse missing coordinates, and colours and coordinates in use that are not finite."""
-        numbers = [
-            n for m in self.materials for each in m.inputs.values() for n in (*each.factor, *each.offset)
-        ]
-        if not np.isfinite(numbers).all() or not (
-            self.colors is None or np.isfinite(self.colors.values).all()
+        inputs = [each for material in self.materials for each in material.inputs.values()]
+        colors = np.empty(0) if self.colors is None else self.colors.values
+        if not all(np.isfinite((*each.factor, *each.offset)).all() for each in inputs) or not (
+            np.isfinite(colors).all()
         ):
             raise ModelError(f"{self._name}: colours are not all finite; repair the model")
         last = max((each.slot for material in self._used for each in material.textures), default=-1)
@@ -215,7 +212,7 @@ class MaterialSource(Source):
 
     @built_once
     def _footprints(self) -> tuple[Float64s, Float32s]:
-        """Return the footprints of a width of 1 (slots, triangles, 3), and texels' edges on triangles."""
+        """Return the footprints of width 1 (slots, triangles, 3), and the texels' edges on triangles."""
         tables, images = self._tables
         footprints = np.zeros((*tables.coordinate_rows.shape[:2], 3))
         measure(tables.coordinates, tables.coordinate_rows, self._rest, self._triangles, footprints)
@@ -243,12 +240,12 @@ class MaterialSource(Source):
                 elif entry is None:
                     gains[number, columns] = DEFAULTS.get(form.name, 1.0)
                 else:
-                    # The kernel multiplies alpha by its factor, and by vertex colours, before thresholds.
+                    # The kernel multiplies alpha by its factor and by vertex colours before thresholds.
                     gains[number, columns] = 1.0 if form.name == "alpha" else entry.factor
                     offsets[number, columns] = entry.offset or 0.0
                 if entry is not None and entry.texture is not None:
                     lanes[number, columns] = lane_of[form.name] + np.array(entry.lanes[: form.components])
-        images, layout_of = store(shelf.pictures, LEVELS_OF[self._filter])
+        images, layout_of = store(shelf.pictures, levels_of(self._filter))
         stacks = [(layout_of[image], *rest) for image, *rest in shelf.stacks]
         stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
         nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
@@ -274,7 +271,7 @@ class MaterialSource(Source):
         return tables, images
 
     def _threshold(self, number: int) -> float:
-        """Return the least texel alpha that a mask keeps, at the mean vertex alpha; −1 without a mask."""
+        """Return the least texel alpha that passes a mask, at the mean vertex alpha; −1 without a mask."""
         material = self.materials[number]
         if material.alpha_mode != "mask":
             return -1.0
@@ -292,12 +289,12 @@ class _Shelf:
         self._numbers: dict[tuple[object, ...], int] = {}
         self.pictures: list[Picture] = []
         self.first_stacks = [0]
-        # An image of the stack's size, slot, wraps of u and v, flat texels, first image.
+        # The first image, whose size all have; slot, wraps of u and v, flat texels; first row of `images`.
         self.stacks: list[tuple[int, int, int, int, int, int]] = []
         self.images: list[int] = []
 
     def add(self, material: Material, names: Sequence[str], threshold: float) -> dict[str, int]:
-        """Add the images of a material for some channels; return the first lane of each channel's image."""
+        """Add a material's images of these channels; return the first lane of each channel's image."""
         stacks: dict[tuple[object, int, int, bool, int], dict[int, list[str]]] = {}
         for name in names:
             entry = material.inputs.get(name)
@@ -313,13 +310,12 @@ class _Shelf:
                 self._numbers[key] = len(self.pictures)
                 stored = unit_directions(texels, entry.factor) if is_direction else texels
                 self.pictures.append(Picture(stored, is_light, is_covered, cut))
-            way = texels.shape[:2], wrap_u, wrap_v, nearest, slot
-            stacks.setdefault(way, {}).setdefault(self._numbers[key], []).append(name)
+            stack = texels.shape[:2], wrap_u, wrap_v, nearest, slot
+            stacks.setdefault(stack, {}).setdefault(self._numbers[key], []).append(name)
         lane_of: dict[str, int] = {}
         lane = 1
         for (_, wrap_u, wrap_v, nearest, slot), readers in stacks.items():
-            some = next(iter(readers))
-            self.stacks.append((some, slot, wrap_u, wrap_v, int(nearest), len(self.images)))
+            self.stacks.append((next(iter(readers)), slot, wrap_u, wrap_v, int(nearest), len(self.images)))
             for image, channels in readers.items():
                 self.images.append(image)
                 lane_of |= dict.fromkeys(channels, lane)
@@ -329,7 +325,7 @@ class _Shelf:
 
 
 def light_format(form: ChannelFormat, most: float) -> ChannelFormat:
-    """Return the storage format of a channel of light up to ``most``: floats if that exceeds 1."""
+    """Return the storage format of light up to ``most``: floats if that exceeds 1."""
     if most <= 1.0 + 1e-6:
         return form
     return form._replace(space="linear", dtype="float16" if most <= MOST_IN_FLOAT16 else "float32")
@@ -343,7 +339,7 @@ def _brightest(entry: Input) -> float:
 
 
 def unit_directions(texels: Texels, scale: tuple[float, ...]) -> Uint16s:
-    """Return the texels of a normal map, scaled along x, y and z, normalized, and stored as integers."""
+    """Return a normal map's texels, scaled along x, y and z and normalized, as integers."""
     directions = np.empty(texels.shape, np.uint16)
     _make_unit(texels, 2.0 / ONE[texels.dtype.name], np.array(scale, np.float64), directions)
     return directions

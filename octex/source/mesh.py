@@ -52,12 +52,12 @@ class Mesh:
     rest       (n, 3) rest positions: the vertices themselves if None
     uv         texture coordinates at corners, v running down; or None
     frames     shading normals and tangents at corners, at rest; or None
-    polygons   the polygons that the triangles were cut from; None where each triangle is one
-    creases    where a subdivision surface of it is sharp; or None
+    polygons   the polygons that the triangles were cut from; None if each triangle is one
+    creases    sharp edges and corners for subdivision; or None
     bounds     (2, 3) the lowest and the highest rest position that triangles use
 
     Arrays are copied, and those of the mesh are read-only. Raises ModelError for positions that are not
-    finite, triangles that use vertices that are not there, no triangles, or rest positions of another shape.
+    finite, triangles that use missing vertices, no triangles, or rest positions of another shape.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class Mesh:
         return self._at(posed, self.rest)
 
     def posed_frames(self, chosen: Int32s | None = None) -> Frames | None:
-        """Return the frames where the mesh is posed, each moved with its triangle; None if there are none.
+        """Return the frames of the posed mesh, each moved with its triangle; None if there are none.
 
         With ``chosen`` triangles (k,), return only their frames.
         """
@@ -144,7 +144,7 @@ class Mesh:
         )  # fmt: skip
 
     def picked(self, triangles: npt.ArrayLike) -> tuple[Mesh, Int32s, Int32s]:
-        """Return some triangles (k,) as a mesh with only their vertices, and the old numbers of both.
+        """Return chosen triangles (k,) as a mesh with only their vertices, and the old numbers of both.
 
         Raises ArgumentError for unknown triangles, ModelError for an empty list.
         """
@@ -192,10 +192,10 @@ class Mesh:
         return parts_of(self.triangles, first_equal(self.rest))
 
     def loops(self) -> tuple[Int32s, Int32s, Int32s]:
-        """Return the polygons by their numbers: numbers and corners of each (k,), and vertices one by one.
+        """Return the polygons' numbers (k,), their numbers of corners (k,), and their vertices, concatenated.
 
         The vertices of a polygon are in the file's order, from its first corner on, and wind as its triangles
-        do. Of a polygon some of whose triangles were left out, these are the corners of the others.
+        do. If triangles of a polygon were left out, only the other triangles' corners are listed.
         """
         known, sizes, first, _ = (self.polygons or Polygons.of_triangles(len(self.triangles))).loops()
         return known, sizes.astype(np.int32), self.triangles.ravel()[first]
@@ -203,10 +203,10 @@ class Mesh:
     def overlapping_parts(self, margin: float = 0.0) -> Overlaps:
         """Find the parts that intersect at rest, or come nearer than ``margin`` (in the model's units).
 
-        In an octree texture such parts share cells, and their colours run together (Benson & Davis 2002,
-        4.3.1 and 6.2). Each pair has the smallest distance of the surfaces and, of two solids, the volume
-        that both fill, by an exact boolean. ``unchecked`` are parts that are no solids: what lies inside them
-        is not known. A part that intersects itself is not found.
+        In an octree texture such parts share cells, and their colours bleed (Benson & Davis 2002, 4.3.1 and
+        6.2). Each pair has the smallest distance of the surfaces and, for two solids, the volume of their
+        intersection, by an exact boolean. ``unchecked`` lists parts that are no solids: parts inside them are
+        not found. A part that intersects itself is not found.
 
         Raises ArgumentError for a negative margin.
         """
@@ -252,7 +252,7 @@ class Mesh:
 
 
 def as_positions(positions: npt.ArrayLike, what: str) -> Float64s:
-    """Return a read-only copy of positions (n, 3), or raise ModelError that names them ``what``."""
+    """Return a read-only copy of positions (n, 3), or raise ModelError, which calls them ``what``."""
     array = as_array(positions)
     if array.dtype.kind not in "fiu":
         raise ModelError(f"{what} must be numbers of shape (n, 3)")
@@ -283,14 +283,14 @@ def as_triangles(array_like: npt.ArrayLike, vertices: int, name: str) -> Int32s:
 
 
 def check_below(numbers: Integers, count: int, what: str) -> None:
-    """Raise ModelError that begins with ``what`` unless numbers are from 0 on and below a count."""
+    """Raise ModelError, which begins with ``what``, unless all numbers are from 0 on and below ``count``."""
     low, high = int(numbers.min(initial=0)), int(numbers.max(initial=0))
     if numbers.size and not 0 <= low <= high < count:
         raise damaged(f"{what} {low if low < 0 else high}, but there are {count}")
 
 
 def _owned(array_like: npt.ArrayLike, dtype: type) -> Array:
-    """Return a read-only array that nobody else can write to: a copy, unless it is one already."""
+    """Return a private read-only array: a copy, unless it is one already."""
     if isinstance(array_like, np.ndarray) and array_like.base is None and not array_like.flags.writeable:
         return np.asarray(array_like, dtype, order="C")
     array: Array = np.array(array_like, dtype, order="C")
@@ -299,7 +299,7 @@ def _owned(array_like: npt.ArrayLike, dtype: type) -> Array:
 
 
 def as_creases(creases: Creases, vertices: int, name: str) -> Creases:
-    """Return creases that nobody else can change, or raise ModelError."""
+    """Return a read-only copy of creases, or raise ArgumentError."""
     if not isinstance(creases, Creases):
         raise ArgumentError(f"{name}: creases must be Creases, or None")
     edges = as_reals(creases.edges, f"{name}: edges of creases", (-1, 2), most=vertices - 1)

@@ -10,7 +10,7 @@ from octex.arrays import Float64s, Int64s
 
 
 class Links(NamedTuple):
-    """The bones, or morph targets, of vertices: those of v are entries ``first[v]`` to ``first[v + 1]``."""
+    """The bones, or morph targets, of vertices; vertex v has entries ``first[v]`` to ``first[v + 1]``."""
 
     first: Int64s  # (n + 1,)
     numbers: Int64s  # (entries,)   of bones, or of targets
@@ -23,7 +23,7 @@ class Links(NamedTuple):
 
 
 class Animation(NamedTuple):
-    """Bones and weights of targets at frames, which are evenly spaced in time from 0 on."""
+    """Bones and weights of targets at frames, evenly spaced in time from 0 on."""
 
     name: str
     length: float  # seconds
@@ -37,7 +37,7 @@ class Motion(NamedTuple):
     At a frame, vertex v is at Σ share · bone · (position + Σ weight · offset).
     """
 
-    positions: Float64s  # (n, 3)   as modelled: without animations, skins and targets
+    positions: Float64s  # (n, 3)   as modelled, without animations, skins and targets
     bones: Links
     targets: Links
     turns: Float64s  # (entries, 3)   offsets of the vertices' unit normals by targets
@@ -61,14 +61,14 @@ class Motion(NamedTuple):
         """
         chosen = self.animations[animation]
         last = len(chosen.bones) - 1
-        place = min(max(time / chosen.length, 0.0), 1.0) * last if chosen.length > 0 else 0.0
-        before = min(int(place), max(last - 1, 0))
-        after, share = min(before + 1, last), place - before
+        frame = min(max(time / chosen.length, 0.0), 1.0) * last if chosen.length > 0 else 0.0
+        before = min(int(frame), max(last - 1, 0))
+        after, share = min(before + 1, last), frame - before
         bones, weights = (
             (1.0 - share) * each[before] + share * each[after] for each in (chosen.bones, chosen.weights)
         )
-        found = self.positions.copy()
-        np.add.at(found, self.targets.owners, weights[self.targets.numbers, None] * self.targets.shares)
-        moves = np.zeros((len(found), 3, 4))
+        shape = self.positions.copy()
+        np.add.at(shape, self.targets.owners, weights[self.targets.numbers, None] * self.targets.shares)
+        moves = np.zeros((len(shape), 3, 4))
         np.add.at(moves, self.bones.owners, self.bones.shares[:, None, None] * bones[self.bones.numbers])
-        return np.asarray(np.einsum("nij,nj->ni", moves[..., :3], found) + moves[..., 3])
+        return np.asarray(np.einsum("nij,nj->ni", moves[..., :3], shape) + moves[..., 3])

@@ -24,15 +24,15 @@ _ROUNDING = 1e-6
 
 
 class FunctionSource(SpatialSource):
-    """One channel that a function gives: ``function(points)`` or ``function(points, normals)``.
+    """One channel computed by a function: ``function(points)`` or ``function(points, normals)``.
 
     It is called with rest positions (n, 3) and, if it requires a second argument, the faces' unit normals
     (n, 3), in batches, from several threads at once. It returns (n, components), or (n,) for one component:
-    linear light, 0 … 1 (0 … 65504 for ``emissive``), or vectors in rest space for ``normal``, which are made
-    unit vectors. It is read at points, whatever the footprint.
+    linear light, 0 … 1 (0 … 65504 for ``emissive``), or vectors of any length in rest space for ``normal``.
+    It is read at points, without averaging over footprints.
 
-    Raises ArgumentError for a function that takes other arguments; and when it is read, if it raises (the
-    cause is kept), returns another shape, or anything that is not a finite number in the range.
+    Raises ArgumentError for a function that takes other arguments; and, when it is read, if it raises an
+    error, which is chained, or returns another shape, or anything but finite numbers in the range.
     """
 
     def __init__(
@@ -60,8 +60,8 @@ class FunctionSource(SpatialSource):
         if form.space == "direction":
             lengths = np.linalg.norm(values, axis=1, keepdims=True)
             if not lengths.all():
-                place = ", ".join(f"{x:.6g}" for x in points[int(np.argmin(lengths))])
-                raise ArgumentError(f"{self._what} returned all zeros at ({place}), which is not a direction")
+                point = ", ".join(f"{x:.6g}" for x in points[int(np.argmin(lengths))])
+                raise ArgumentError(f"{self._what} returned all zeros at ({point}), which is not a direction")
             values = values / lengths
         return np.clip(values, self._least, self._most).astype(np.float32)
 
@@ -103,17 +103,15 @@ def override_source(mesh: Mesh, channel: str, value: object, filter: str) -> tup
 
 
 def _factor(form: ChannelFormat, value: Any) -> tuple[float, ...]:
-    """Return a value with a number for each component."""
+    """Return one number for each component."""
     if form.space == "direction":
         raise ArgumentError(f"{form.name} must be an image or a Source, not {value!r}")
     numbers = tuple(value) if isinstance(value, (tuple, list)) else (value,)
     if len(numbers) == 1:
         numbers *= form.components
     most = float(np.finfo(np.float64).max) if form.name == "emissive" else 1.0
-    if len(numbers) != form.components or not all(
-        isinstance(number, Real) and 0 <= number <= most  # type: ignore[operator]
-        for number in numbers
-    ):
+    fits = [isinstance(number, Real) and 0 <= number <= most for number in numbers]  # type: ignore[operator]
+    if len(numbers) != form.components or not all(fits):
         range_text = "from 0 on" if most > 1.0 else "in 0 … 1"
         wanted = f"{form.components} numbers" if form.components > 1 else "a number"
         divide = "; divide numbers up to 255 by 255" if most == 1.0 else ""

@@ -1,6 +1,6 @@
-"""The parts of a surface: which of them intersect or nearly touch, and these moved apart at rest.
+"""The parts of a surface: finds parts that intersect or nearly touch, and moves them apart at rest.
 
-Near parts share cells of a texture, and their colours run together (Benson & Davis 2002, 4.3.1 and 6.2).
+Such parts share cells of a texture, and their colours bleed (Benson & Davis 2002, 4.3.1 and 6.2).
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ Why = Literal["open", "not manifold", "without volume"]
 
 #: The key of the moved parts in provenance.
 SEPARATION = "separation"
-#: Up to this many parts are placed one by one; more are also moved as groups.
+#: At most this many parts are also placed one by one, besides in groups.
 _SINGLY = 300
-#: Solids that share a smaller fraction of the smaller one's volume only touch.
+#: Solids that share less than this fraction of the smaller one's volume only touch.
 _SHARED = 1e-9
-#: Pairs of boxes searched at a time.
+#: Pairs of boxes that are tested at once.
 _BLOCK = 1 << 22
 
 
@@ -43,11 +43,11 @@ class Overlap(NamedTuple):
     a: int
     b: int
     volume: float | None  # of their intersection, in cubic units; None unless both are solid
-    gap: float  # smallest distance of their surfaces; 0 where they cross, infinite where beyond the margin
+    gap: float  # smallest distance of their surfaces; 0 if they cross, infinity beyond the margin
 
 
 class Unchecked(NamedTuple):
-    """A part that is no solid: only the distance of its surface is known, not what lies inside it."""
+    """A part that is no solid: parts inside it are not found, only parts near its surface."""
 
     part: int
     triangles: int
@@ -55,7 +55,7 @@ class Unchecked(NamedTuple):
 
 
 class Overlaps(NamedTuple):
-    """Which parts of a surface intersect or come nearer than a margin."""
+    """The pairs of a surface's parts that intersect or come nearer than a margin."""
 
     margin: float
     parts: Int32s  # (m,)   the part of each triangle, numbered by their first triangles
@@ -115,8 +115,7 @@ def overlapping_parts(rest: Float64s, triangles: Int32s, margin: float = 0.0) ->
             one, other, volume = solids[a], solids[b], None
             if not (isinstance(one, str) or isinstance(other, str)):
                 shared = 0.0 if is_clear else (one ^ other).volume()
-                only_touch = is_clear or shared <= _SHARED * min(one.volume(), other.volume())
-                volume = 0.0 if only_touch else shared
+                volume = shared if shared > _SHARED * min(one.volume(), other.volume()) else 0.0
             if volume or distance < margin or (distance == 0.0 and volume is None):
                 pairs.append(Overlap(min(a, b), max(a, b), volume, distance))
     unchecked = [
@@ -140,15 +139,15 @@ def boxes_of(rest: Float64s, triangles: Int32s, parts: Int32s) -> tuple[Float64s
 def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:
     """Return the part of each triangle (m,), numbered by their first triangles.
 
-    Triangles are in one part if they share a vertex, or an edge (by position, ``welded``) that no third
-    triangle has. A part that is not closed is then joined with the parts that touch it at a vertex.
+    Triangles are in one part if they share a vertex, or an edge (by position, ``welded``) without a third
+    triangle. An open part is then joined with the parts that touch it at a vertex.
     """
     parents = np.arange(len(welded))
     join(parents, np.repeat(triangles[:, 0], 2).astype(np.int64), triangles[:, 1:].ravel().astype(np.int64))
     corners = welded[triangles]
     pairs = paired_sides(corners.ravel(), np.roll(corners, -1, axis=1).ravel())
     join(parents, *(triangles[sides // 3, 0].astype(np.int64) for sides in pairs))
-    # A part is not closed if an edge has unequal numbers of triangles in both directions.
+    # A part is open if an edge has unequal numbers of triangles in both directions.
     roots = parents[triangles[:, 0]]
     keys, ways = edges_of(triangles, welded)
     owners = np.tile(roots, 3)
@@ -157,8 +156,8 @@ def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:
     starts = np.flatnonzero((np.diff(keys, prepend=-1) != 0) | (np.diff(owners, prepend=-1) != 0))
     is_open = np.isin(roots, owners[starts[np.add.reduceat(ways[order], starts) != 0]])
     loose = triangles[is_open].ravel().astype(np.int64)
-    _, first, places = np.unique(welded[loose], return_index=True, return_inverse=True)
-    join(parents, loose, loose[first[places]])
+    _, first, inverse = np.unique(welded[loose], return_index=True, return_inverse=True)
+    join(parents, loose, loose[first[inverse]])
     _, first, parts = np.unique(parents[triangles[:, 0]], return_index=True, return_inverse=True)
     rank = np.empty(len(first), np.int32)
     rank[np.argsort(first)] = np.arange(len(first), dtype=np.int32)
@@ -166,7 +165,7 @@ def parts_of(triangles: Int32s, welded: Int64s) -> Int32s:
 
 
 def edges_of(triangles: Int32s, welded: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the edges of triangles (3·m,): the number of each, and its direction."""
+    """Return the numbers of the edges of triangles (3·m,), and their directions."""
     corners = welded[triangles]
     a = corners.T.ravel()
     b = corners[:, [1, 2, 0]].T.ravel()
@@ -190,7 +189,7 @@ def join(parents: Int64s, a: Int64s, b: Int64s) -> None:
 
 
 def _solid(rest: Float64s, triangles: Int32s, welded: Int64s) -> Manifold | Why:
-    """Return the solid that triangles enclose, with outward normals, or why they enclose none."""
+    """Return the solid that triangles enclose, with outward normals, or a reason why they enclose none."""
     from manifold3d import Error, Manifold, Mesh64
 
     keys, _ = edges_of(triangles, welded)
@@ -281,7 +280,7 @@ def _digest(parts: Int32s) -> str:
 
 
 def _offsets(low: Float64s, high: Float64s, pairs: Iterable[tuple[int, int]], margin: float) -> Float64s:
-    """Return an offset for each part (parts, 3) that places parts that are too near next to the model."""
+    """Return an offset for each part (parts, 3), which moves parts that are too near next to the model."""
     # Classes of parts that are not near each other, the largest first. Class 0 does not move.
     sizes = np.ptp([low, high], axis=0).max(axis=1)
     neighbours: dict[int, set[int]] = {}
@@ -310,7 +309,7 @@ def _offsets(low: Float64s, high: Float64s, pairs: Iterable[tuple[int, int]], ma
 def _packed(
     low: Float64s, high: Float64s, base: tuple[Float64s, Float64s], groups: list[Int64s], margin: float
 ) -> Float64s:
-    """Return offsets (parts, 3) that put groups of parts next to a base, where the bounds grow least.
+    """Return offsets (parts, 3) that move groups of parts next to a base, where the bounds grow least.
 
     Candidates are the extreme points of Crainic et al. 2008.
     """
@@ -318,18 +317,18 @@ def _packed(
     boxes = [(low[group].min(axis=0), high[group].max(axis=0)) for group in groups]
     sides = [high - low for low, high in boxes]
     placed = [base]
-    beside = margin * np.eye(3)
-    points = base[0] + np.diag(base[1] - base[0]) + beside
+    margins = margin * np.eye(3)
+    points = base[0] + np.diag(base[1] - base[0]) + margins
     for number in sorted(range(len(groups)), key=lambda number: -sides[number].max()):
         side = sides[number]
         lows, highs = (np.array(corners) for corners in zip(*placed, strict=True))
         whole = np.maximum(points + side, highs.max(axis=0)) - lows.min(axis=0)
-        for place in np.lexsort((whole.sum(axis=1), whole.max(axis=1))):
-            point = points[place]
+        for chosen in np.lexsort((whole.sum(axis=1), whole.max(axis=1))):
+            point = points[chosen]
             apart = np.maximum(lows - (point + side), point - highs).max(axis=1)
             if (apart >= margin * (1.0 - 1e-9)).all():
                 break
         offsets[groups[number]] = point - boxes[number][0]
         placed.append((point, point + side))
-        points = np.concatenate([np.delete(points, place, axis=0), point + np.diag(side) + beside])
+        points = np.concatenate([np.delete(points, chosen, axis=0), point + np.diag(side) + margins])
     return offsets

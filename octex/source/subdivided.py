@@ -1,4 +1,4 @@
-"""Subdivision surfaces of meshes, with what the mesh has: polygons in, triangles on the limit surface out."""
+"""Subdivision surfaces of meshes, with their attributes: polygons in, triangles on the limit surface out."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from octex.source.welding import welded
 
 AnyMesh = TypeVar("AnyMesh", Mesh, Surface)
 
-#: What rest positions may be.
+#: The choices of rest positions.
 RESTS = ("hull", "limit")
 _MOST_TRIANGLES = 2**28
 
@@ -36,7 +36,7 @@ def subdivide(
 
     levels    1 to 10; each divides a face in four, the first one into quads
     scheme    "catmull-clark" for polygons, "loop" for triangles (default: the one that suits the cage)
-    creases   sharp edges and corners (default: the mesh's own, from OpenSubdiv's tags in OBJ files).
+    creases   sharp edges and corners (default: those of the mesh, from OpenSubdiv's tags in OBJ files).
               Boundaries and their corners are sharp
     rest      "hull": rest positions of the cage, divided linearly, so that its textures fit; "limit":
               positions on the limit surface of the cage at rest
@@ -93,12 +93,12 @@ def subdivide(
     if not isinstance(mesh, Surface):
         return made
     source = OnCage(mesh.source, parents, shares, hull, made.rest, made.triangles)
-    said = json.dumps({"scheme": scheme, "levels": levels, "rest": rest})
-    return Surface._on(made, source, {**mesh.provenance, "subdivided": said})
+    record = json.dumps({"scheme": scheme, "levels": levels, "rest": rest})
+    return Surface._on(made, source, {**mesh.provenance, "subdivided": record})
 
 
 def _triangles(level: Level, scheme: Scheme, cage: _Cage) -> tuple[Int64s, Int64s]:
-    """Cut faces into triangles, none on two of the cage's: the face of each (m,), and its corners (m, 3)."""
+    """Cut faces into triangles, each on one of the cage's triangles: their faces (m,), and corners (m, 3)."""
     corners = np.arange(len(level.corners)).reshape(len(level.sizes), -1)
     if scheme == "loop":
         return np.arange(len(corners)), corners
@@ -114,8 +114,8 @@ def _triangles(level: Level, scheme: Scheme, cage: _Cage) -> tuple[Int64s, Int64
 class OnCage(OfAnother):
     """The source of a cage, for a mesh whose triangles lie on the cage's.
 
-    ``parents`` (m,) are the cage's triangles that each lies on, ``shares`` (m, 3, 3) its corners' barycentric
-    coordinates there, ``hull`` (n, 3) its vertices on the cage. Widths are measured on ``rest`` (n, 3).
+    ``parents`` (m,) are the cage's triangles under the mesh's, ``shares`` (m, 3, 3) the corners' barycentric
+    coordinates in them, ``hull`` (n, 3) the vertices on the cage. Widths are measured on ``rest`` (n, 3).
     """
 
     def __init__(
@@ -129,14 +129,14 @@ class OnCage(OfAnother):
         self._triangles = triangles
         self._stretch: Float32s = np.ones(len(triangles), np.float32)
         if rest is not hull:
-            here, there = _sizes(hull, triangles), _sizes(rest, triangles)
-            known = (here > 0) & (there > 0)
-            self._stretch[known] = here[known] / there[known]
+            on_cage, at_rest = _sizes(hull, triangles), _sizes(rest, triangles)
+            known = (on_cage > 0) & (at_rest > 0)
+            self._stretch[known] = on_cage[known] / at_rest[known]
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
-        places = np.einsum("nk,nkc->nc", barycentric, self._shares[triangles])
-        return self._inputs[0].evaluate(self._parents[triangles], places, widths * self._stretch[triangles])
+        on_cage = np.einsum("nk,nkc->nc", barycentric, self._shares[triangles])
+        return self._inputs[0].evaluate(self._parents[triangles], on_cage, widths * self._stretch[triangles])
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units."""
@@ -153,18 +153,18 @@ def _sizes(positions: Float64s, triangles: Int32s) -> Float64s:
 
 
 class _Cage:
-    """The polygons of a mesh with vertices at one place as one, and a plane for each."""
+    """The polygons of a mesh, each with a plane; vertices at one position are merged."""
 
     def __init__(self, mesh: Mesh) -> None:
         polygons = mesh.polygons or Polygons.of_triangles(len(mesh.triangles))
         known, self.sizes, first, self._at = polygons.loops()  # a corner of a polygon for each of a triangle
         used = mesh.triangles.ravel()
-        self._places = welded(np.concatenate([mesh.vertices, mesh.rest], axis=1))
-        names, at_places = np.unique(self._places[used], return_index=True)
-        self._vertices = used[at_places]  # one of the mesh's at each place
-        self._names = np.full(int(self._places.max()) + 1, -1, np.int64)
+        self._positions = welded(np.concatenate([mesh.vertices, mesh.rest], axis=1))
+        names, at_positions = np.unique(self._positions[used], return_index=True)
+        self._vertices = used[at_positions]  # one of the mesh's vertices at each position
+        self._names = np.full(int(self._positions.max()) + 1, -1, np.int64)
         self._names[names] = np.arange(len(names))
-        self.corners: Int64s = self._names[self._places[used[first]]]
+        self.corners: Int64s = self._names[self._positions[used[first]]]
         self._rest = mesh.rest[mesh.triangles]
         self._domain = _domain(self.sizes)
         owners = np.searchsorted(known, polygons.numbers)
@@ -182,48 +182,41 @@ class _Cage:
         edges, points = np.empty((0, 2), np.int64), np.empty(0, np.int64)
         sharpness = spikes = np.empty(0)
         if creases is not None:
-            edges = self._names[self._places[creases.edges]]
-            points = self._names[self._places[creases.vertices]]
-            known, there = (edges >= 0).all(axis=1), points >= 0
-            edges, points = edges[known], points[there]
-            sharpness, spikes = (
-                each.astype(np.float64) for each in (creases.sharpness[known], creases.spikes[there])
-            )
-        return base_level(
-            values[self._vertices],
-            self.corners,
-            self.sizes,
-            self._domain,
-            (edges, sharpness),
-            (points, spikes),
-        )
+            edges = self._names[self._positions[creases.edges]]
+            points = self._names[self._positions[creases.vertices]]
+            has_edge, has_point = (edges >= 0).all(axis=1), points >= 0
+            edges, points = edges[has_edge], points[has_point]
+            sharpness = creases.sharpness[has_edge].astype(np.float64)
+            spikes = creases.spikes[has_point].astype(np.float64)
+        vertices, sharp = values[self._vertices], ((edges, sharpness), (points, spikes))
+        return base_level(vertices, self.corners, self.sizes, self._domain, *sharp)
 
     def located(self, faces: Int64s, points: Float64s) -> tuple[Int64s, Float64s, Float64s]:
-        """Find triangles (m, 3, 2), in the planes of faces (m,), on the cage.
+        """Locate triangles (m, 3, 2), in the planes of faces (m,), on the cage.
 
-        Return the cage's triangles (m,), barycentric coordinates there and positions at rest (m, 3, 3).
+        Returns the cage's triangles (m,), barycentric coordinates in them, and rest positions (m, 3, 3).
         """
         parents = self._holding(faces, points.mean(axis=1))
         shares = self._shares(parents[:, None], points)
         positions = np.einsum("mkc,mcx->mkx", shares, self._rest[parents])
-        # Of polygons with more corners some lie on several: their corners are found one by one.
-        some = np.flatnonzero((self.sizes[faces] > 4) & (shares.min(axis=(1, 2)) < -1e-9))
-        if len(some):
-            owners = np.repeat(faces[some], 3)
-            flat = points[some].reshape(-1, 2)
+        # In polygons of more than four corners a triangle may lie on several: locate its corners one by one.
+        across = np.flatnonzero((self.sizes[faces] > 4) & (shares.min(axis=(1, 2)) < -1e-9))
+        if len(across):
+            owners = np.repeat(faces[across], 3)
+            flat = points[across].reshape(-1, 2)
             chosen = self._holding(owners, flat)
             each = np.einsum("nc,ncx->nx", self._shares(chosen, flat), self._rest[chosen]).reshape(-1, 3, 3)
-            positions[some] = each
+            positions[across] = each
             # Barycentric coordinates in the planes of the triangles, where these have area.
-            triangles = self._rest[parents[some]]
+            triangles = self._rest[parents[across]]
             sides = triangles[:, 1:] - triangles[:, :1]
             along = np.einsum("nkx,nxs->nks", each - triangles[:, :1], np.linalg.pinv(sides))
             wide = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 0
-            shares[some[wide], :, 0], shares[some[wide], :, 1:] = 1 - along[wide].sum(axis=2), along[wide]
+            shares[across[wide], :, 0], shares[across[wide], :, 1:] = 1 - along[wide].sum(axis=2), along[wide]
         return parents, shares, positions
 
     def _holding(self, faces: Int64s, points: Float64s) -> Int64s:
-        """Return the triangle of its face that holds each point (n, 2)."""
+        """Return the triangle, of the point's face, that holds each point (n, 2)."""
         parents: Int64s = self._order[self._starts[faces]]
         counts = self._counts[faces]
         best = np.full(len(faces), -np.inf)
@@ -236,7 +229,7 @@ class _Cage:
         return parents
 
     def _shares(self, triangles: Int64s, points: Float64s) -> Float64s:
-        """Return barycentric coordinates (…, 3) in triangles of points (…, 2) of their faces' planes."""
+        """Return barycentric coordinates (…, 3) of points (…, 2), in their faces' planes, in triangles."""
         maps, away = self._maps[triangles], points - self._origins[triangles]
         shares = np.empty((*points.shape[:-1], 3))
         for row in (0, 1):
@@ -246,7 +239,7 @@ class _Cage:
 
 
 def _domain(sizes: Int64s) -> Float64s:
-    """Return the corners of faces in a plane of each (c, 2): those of half a square, a square, a circle."""
+    """Return the corners of faces in each face's plane (c, 2): on half a square, a square, or a circle."""
     firsts = np.repeat(np.cumsum(sizes) - sizes, sizes)
     within, counts = np.arange(len(firsts)) - firsts, np.repeat(sizes, sizes)
     turns = 2 * np.pi * within / counts

@@ -1,4 +1,4 @@
-"""Subdivision surfaces: Catmull–Clark and Loop, with creases, and where their limit is.
+"""Subdivision surfaces: Catmull–Clark and Loop, with creases, and their limits.
 
 Creases, corners and boundaries (edge-and-corner) are OpenSubdiv's (DeRose, Kass & Truong 1998; Hoppe et al.
 1994). Edges of more than two faces are sharp. Limits: Halstead, Kass & DeRose 1993; Loop 1987.
@@ -19,21 +19,21 @@ SCHEMES: tuple[Scheme, ...] = ("catmull-clark", "loop")
 #: Sharpness from which on an edge stays sharp at every level.
 INFINITE = 10.0
 _SMOOTH, _CREASE, _CORNER = 0, 1, 2
-#: Where one sharp edge ends at a vertex, its limit is found by so many more levels around it.
+#: A vertex with a single sharp edge gets its limit by this many more levels around it.
 _ROUNDS = 64
 
 
 class Level(NamedTuple):
-    """A control mesh: faces of v vertices, e edges and c corners, which stand face after face."""
+    """A control mesh: faces of v vertices, e edges and c corners, listed face after face."""
 
-    values: Float64s  # (v, k)   positions, and what else is divided as they are
+    values: Float64s  # (v, k)   positions, and other values that are subdivided like them
     corners: Int64s  # (c,)     the vertex of each corner
     sizes: Int64s  # (f,)     the corners of each face
     sides: Int64s  # (c,)     the edge from each corner to the next one of its face
     edges: Int64s  # (e, 2)   vertices
     sharpness: Float64s  # (e,)     of edges: 0 smooth, from INFINITE on sharp for good
     spikes: Float64s  # (v,)     likewise of vertices
-    domain: Float64s  # (c, 2)   where a corner lies in a plane of its face of the first level
+    domain: Float64s  # (c, 2)   each corner's position in the plane of its face of the first level
     faces: Int64s  # (f,)     that face
 
     @property
@@ -64,7 +64,7 @@ class Level(NamedTuple):
 
 
 class Lines(NamedTuple):
-    """Edges as each of their vertices meets them."""
+    """Edges, seen from each of their vertices."""
 
     at: Int64s  # (n,)   vertices
     values: Float64s  # (…, k)
@@ -72,7 +72,7 @@ class Lines(NamedTuple):
     sharpness: Float64s  # (n,)
 
     def kinds(self, spikes: Float64s) -> tuple[Array, Float64s]:
-        """Return which rule each vertex (v,) follows, and the sum beyond its sharp edges (v, k)."""
+        """Return each vertex's rule (v,), and the sum of the other ends of its sharp edges (v, k)."""
         is_sharp, count = self.sharpness > 0, len(spikes)
         at = self.at[is_sharp]
         n_sharp = np.bincount(at, minlength=count)
@@ -81,13 +81,9 @@ class Lines(NamedTuple):
 
 
 def base_level(
-    values: Float64s,
-    corners: Int64s,
-    sizes: Int64s,
-    domain: Float64s,
-    creases: tuple[Int64s, Float64s],
-    spikes: tuple[Int64s, Float64s],
-) -> Level:
+    values: Float64s, corners: Int64s, sizes: Int64s, domain: Float64s,
+    creases: tuple[Int64s, Float64s], spikes: tuple[Int64s, Float64s],
+) -> Level:  # fmt: skip
     """Return the first level; ``creases`` are edges (k, 2), ``spikes`` vertices (j,), and their sharpness."""
     count, faces = len(values), np.arange(len(sizes))
     nothing = np.empty((0, 2), np.int64), np.empty(0)
@@ -97,9 +93,9 @@ def base_level(
     )
     sharpness = np.zeros(len(keys))
     sharp_keys = _keys(creases[0][:, 0], creases[0][:, 1], count)
-    places = np.minimum(np.searchsorted(keys, sharp_keys), len(keys) - 1)
-    known = keys[places] == sharp_keys
-    np.maximum.at(sharpness, places[known], creases[1][known])
+    edges = np.minimum(np.searchsorted(keys, sharp_keys), len(keys) - 1)
+    known = keys[edges] == sharp_keys
+    np.maximum.at(sharpness, edges[known], creases[1][known])
     sharpness[uses != 2] = INFINITE
     np.maximum.at(level.spikes, spikes[0], spikes[1])
     made = level._replace(
@@ -114,7 +110,7 @@ def _keys(a: Int64s, b: Int64s, count: int) -> Int64s:
 
 
 def _is_apart(level: Level, uses: Int64s) -> Bools:
-    """Say which vertices (v,) are corners: of one face alone, or where faces hang together by no edges."""
+    """Say which vertices (v,) are corners: of a single face, or of faces that no edges join."""
     count = len(level.values)
     ends = level.edges.ravel()
     faces = np.bincount(level.corners, minlength=count)
@@ -126,7 +122,7 @@ def _is_apart(level: Level, uses: Int64s) -> Bools:
 
 
 def _fans(level: Level, uses: Int64s) -> Int64s:
-    """Return into how many fans the faces around each vertex fall (v,): at edges of two faces these join."""
+    """Return the number of fans of faces around each vertex (v,): edges of two faces join these."""
     count = len(level.values)
     sides = np.concatenate([level.sides, level.sides[level.preceding]])
     joining = np.flatnonzero(uses[sides] == 2)
@@ -139,7 +135,7 @@ def _fans(level: Level, uses: Int64s) -> Int64s:
 
 
 def divided(level: Level, scheme: Scheme) -> Level:
-    """Return the next level: its vertices are those of this one, then its edges' and, of faces, theirs."""
+    """Return the next level: its vertices are the moved ones of this level, then one an edge, one a face."""
     count, n_edges = len(level.values), len(level.edges)
     before, owners = level.preceding, level.owners
     values, corners, sides = level.values, level.corners, level.sides
@@ -161,7 +157,7 @@ def divided(level: Level, scheme: Scheme) -> Level:
     softer = _softer(level.sharpness)
     moved = _sharpened(level.lines, level.spikes, values, moved)
 
-    # Edges: both halves of each, then those between the points of edges and of faces, a corner each.
+    # Edges: both halves of each, then one a corner, between the new points.
     halves = 2 * sides + (level.edges[sides, 1] == corners)
     back = 2 * sides[before] + (level.edges[sides[before], 1] == corners)
     across = 2 * n_edges + np.arange(len(corners))
@@ -169,25 +165,25 @@ def divided(level: Level, scheme: Scheme) -> Level:
     first = np.stack([level.edges.ravel(), np.repeat(edge_points, 2)], axis=1)
     domain = level.domain
     between = (domain + domain[level.following]) / 2
-    here, there = count + sides, count + sides[before]
+    after, ahead = count + sides, count + sides[before]
     if scheme == "loop":
-        child_corners = np.stack([corners, here, there], axis=1)
+        child_corners = np.stack([corners, after, ahead], axis=1)
         child_sides = np.stack([halves, across, back], axis=1)
         child_domain = np.stack([domain, between, between[before]], axis=1)
-        inner = here.reshape(-1, 3), across.reshape(-1, 3)[:, [1, 2, 0]], between.reshape(-1, 3, 2)
+        inner = after.reshape(-1, 3), across.reshape(-1, 3)[:, [1, 2, 0]], between.reshape(-1, 3, 2)
         child_corners = np.concatenate([child_corners, inner[0]])
         child_sides = np.concatenate([child_sides, inner[1]])
         child_domain = np.concatenate([child_domain, inner[2]])
         first_faces = np.concatenate([level.faces[owners], level.faces])
-        second = np.stack([here, there], axis=1)
+        second = np.stack([after, ahead], axis=1)
     else:
         centre_points = count + n_edges + owners
-        child_corners = np.stack([corners, here, centre_points, there], axis=1)
+        child_corners = np.stack([corners, after, centre_points, ahead], axis=1)
         child_sides = np.stack([halves, across, across[before], back], axis=1)
         flat = np.add.reduceat(domain, firsts, axis=0) / level.sizes[:, None]
         child_domain = np.stack([domain, between, flat[owners], between[before]], axis=1)
         first_faces = level.faces[owners]
-        second = np.stack([here, centre_points], axis=1)
+        second = np.stack([after, centre_points], axis=1)
     return Level(
         np.concatenate([moved, made, centres]),
         child_corners.ravel(),
@@ -202,7 +198,7 @@ def divided(level: Level, scheme: Scheme) -> Level:
 
 
 def limits(level: Level, scheme: Scheme) -> Float64s:
-    """Return where the vertices of a level go in the limit (v, k); for Catmull–Clark all faces are quads."""
+    """Return the limits of a level's vertices (v, k); for Catmull–Clark all faces are quads."""
     count = len(level.values)
     valences = np.bincount(level.edges.ravel(), minlength=count)
     diagonals = None
@@ -222,7 +218,7 @@ def limits(level: Level, scheme: Scheme) -> Float64s:
 
 
 def _around(level: Level, scheme: Scheme, chosen: Bools) -> Float64s:
-    """Return the limits of chosen vertices, by dividing the faces around each of them again and again."""
+    """Return the limits of chosen vertices, by subdividing the faces around each of them repeatedly."""
     numbers = np.cumsum(chosen) - 1
     count = int(chosen.sum())
     before = level.preceding
@@ -262,16 +258,16 @@ def _around(level: Level, scheme: Scheme, chosen: Bools) -> Float64s:
     return _sharp_limits(Lines(at, rim, spoke, sharpness), spikes, middle, smooth)
 
 
-def _sums(places: Int64s, values: Float64s, count: int, rows: Int64s | None = None) -> Float64s:
-    """Return the sums (count, k) of values (n, k), or of some rows of them (m,), by places."""
+def _sums(owners: Int64s, values: Float64s, count: int, rows: Int64s | None = None) -> Float64s:
+    """Return the sums (count, k) of values (n, k), or of their ``rows`` (m,), by owner."""
     sums = np.empty((count, values.shape[1]))
     for column, each in enumerate(np.ascontiguousarray(values.T)):
-        sums[:, column] = np.bincount(places, each if rows is None else each[rows], count)
+        sums[:, column] = np.bincount(owners, each if rows is None else each[rows], count)
     return sums
 
 
 def _ring_sums(level: Level) -> Float64s:
-    """Return for each vertex the sum of those at the other ends of its edges (v, k)."""
+    """Return for each vertex the sum of the other ends of its edges (v, k)."""
     ends = level.edges.ravel()
     return _sums(ends, level.values, len(level.values), level.edges[:, ::-1].ravel())
 
@@ -291,9 +287,9 @@ def _by_kind(kinds: Array, values: Float64s, creased: Float64s, smooth: Float64s
 
 
 def _sharpened(lines: Lines, spikes: Float64s, values: Float64s, smooth: Float64s) -> Float64s:
-    """Return moved vertices (v, k): smooth ones, but where creases and corners have their own rule.
+    """Return moved vertices (v, k): the ``smooth`` ones, except on creases and corners.
 
-    Where the next level has another rule, this one's counts by the mean of what is left of sharpnesses.
+    If the next level has another rule, this one weighs by the mean of the remaining sharpness.
     """
     if not (lines.sharpness > 0).any() and not (spikes > 0).any():
         return smooth
@@ -301,8 +297,8 @@ def _sharpened(lines: Lines, spikes: Float64s, values: Float64s, smooth: Float64
     (kinds, sums), (later, later_sums) = lines.kinds(spikes), lines._replace(sharpness=softer).kinds(blunter)
     chosen = np.flatnonzero((kinds != _SMOOTH) | (later != _SMOOTH))
     now, then = (
-        _by_kind(kind[chosen], values[chosen], 0.75 * values[chosen] + 0.125 * beside[chosen], smooth[chosen])
-        for kind, beside in ((kinds, sums), (later, later_sums))
+        _by_kind(kind[chosen], values[chosen], 0.75 * values[chosen] + 0.125 * ends[chosen], smooth[chosen])
+        for kind, ends in ((kinds, sums), (later, later_sums))
     )
     ending, blunt = (lines.sharpness > 0) & (softer <= 0), (spikes > 0) & (blunter <= 0)
     at = lines.at[ending]
@@ -326,6 +322,6 @@ def _smooth_limits(
 
 
 def _sharp_limits(lines: Lines, spikes: Float64s, values: Float64s, smooth: Float64s) -> Float64s:
-    """Return limits of vertices (v, k): smooth ones, but on creases and corners."""
-    kinds, beside = lines.kinds(spikes)
-    return _by_kind(kinds, values, (4 * values + beside) / 6, smooth)
+    """Return limits of vertices (v, k): the ``smooth`` ones, except on creases and corners."""
+    kinds, ends = lines.kinds(spikes)
+    return _by_kind(kinds, values, (4 * values + ends) / 6, smooth)

@@ -31,17 +31,17 @@ from octex.source.parts import SEPARATION, Overlaps, separated_rest, separation_
 if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
-#: The entry of provenance that counts triangles left out as they have vertices that are not finite.
+#: The entry of provenance that counts the triangles left out because their vertices are not finite.
 NOT_FINITE = "not_finite"
-#: The level whose cells say whether a surface and a texture share points.
+#: The level at which a surface and a texture are tested for shared points.
 _COARSE = 6
 
 
 class Surface(Mesh):
     """A triangle mesh with a source of values: materials, images, functions.
 
-    ``source`` gives values at points of triangles; ``uv`` and ``frames`` serve images of your own.
-    ``provenance`` is stored in textures made of the surface. Raises ModelError as ``Mesh`` does.
+    ``source`` gives values at points of triangles; ``uv`` and ``frames`` are for images that you add.
+    ``provenance`` is stored in textures of the surface. Raises ModelError as ``Mesh`` does.
     """
 
     def __init__(
@@ -59,15 +59,9 @@ class Surface(Mesh):
         provenance: Mapping[str, str] | None = None,
     ) -> None:
         super().__init__(
-            vertices,
-            triangles,
-            rest=rest,
-            uv=uv,
-            frames=frames,
-            polygons=polygons,
-            creases=creases,
+            vertices, triangles, rest=rest, uv=uv, frames=frames, polygons=polygons, creases=creases,
             name=name,
-        )
+        )  # fmt: skip
         if not isinstance(source, Source):
             raise ArgumentError(f"{name}: source must be a Source, not {source!r}")
         self.source = source
@@ -76,7 +70,7 @@ class Surface(Mesh):
 
     @classmethod
     def _on(cls, mesh: Mesh, source: Source, provenance: Mapping[str, str] | None = None) -> Surface:
-        made = cls.__new__(cls)  # a mesh has checked what it holds
+        made = cls.__new__(cls)  # the mesh has checked its arrays
         vars(made).update(vars(mesh), source=source, provenance=dict(provenance or {}), _single={})
         return made
 
@@ -208,7 +202,7 @@ class Surface(Mesh):
         bounds       lowest and highest corner (2, 3); they close the shape where they cut it
         edge_length  of the triangles, about. Vertices lie on the surface (Newton's method); a triangle is off
                      by up to edge_length² / 4r, r the radius of curvature. Thinner shapes may be lost
-        sources      channels, as for ``with_sources`` (default: middle grey)
+        sources      channels, as for ``with_sources`` (default: mid-grey)
 
         The library manifold3d makes the triangles. Raises ArgumentError for a function that raises an error
         or returns NaN or another shape, and for bounds and lengths out of range; ModelError if there
@@ -288,8 +282,9 @@ class Surface(Mesh):
         cannot be used, ModelError if the surface lacks the texture coordinates for it.
         """
         sources = as_entries(sources, "sources")
-        given_filter = self.provenance.get("filter", "ewa") if filter is None else filter
-        filter = as_choice(given_filter, FILTERS, "filter")
+        if filter is None:
+            filter = self.provenance.get("filter", "ewa")
+        as_choice(filter, FILTERS, "filter")
         replaced = {*sources, *(["alpha"] if self.source.alpha_is_coverage else [])}
         remaining = [form.name for form in self.channels if form.name not in replaced]
         parts: dict[str, Source] = dict.fromkeys(remaining, self.source.only(remaining))
@@ -322,10 +317,10 @@ class Surface(Mesh):
         return Surface._on(mesh or self, source, self.provenance)
 
     def part(self, triangles: npt.ArrayLike, source: Source | None = None) -> Surface:
-        """Return some triangles (k,) of the surface, in that order, with the vertices that they use.
+        """Return chosen triangles (k,) of the surface, in that order, with only their vertices.
 
-        ``source`` gives their values; by default they keep theirs. Raises ArgumentError for unknown
-        triangles, ModelError for an empty list.
+        ``source`` gives their values (default: the surface's). Raises ArgumentError for unknown triangles,
+        ModelError for an empty list.
         """
         if not isinstance(source, (Source, NoneType)):
             raise ArgumentError(f"source must be a Source, not {source!r}")
@@ -352,7 +347,7 @@ class Surface(Mesh):
         This is the surface itself, unless the texture was made from a ``separated`` surface. Raises
         ArgumentError if the parts are not those of the texture's surface.
         """
-        metadata = getattr(texture, "metadata", None)  # whatever a texture is, its provenance says it
+        metadata = getattr(texture, "metadata", None)  # this room does not know the class of textures
         if not isinstance(metadata, Mapping):
             raise ArgumentError(f"texture must be an octex.OctreeTexture, not {texture!r}")
         separation = metadata.get(SEPARATION)
@@ -389,7 +384,7 @@ class Surface(Mesh):
         return self.placed_in(texture).rest
 
     def _separated(self, separation: str | None) -> Surface:
-        """Return the surface with its parts moved as provenance says; its source reads where it did."""
+        """Return the surface with its parts moved by an entry of provenance; values do not change."""
         if separation is None:
             return self
         made = self._with(self.source, self.moved(separated_rest(self, separation)))
@@ -399,7 +394,7 @@ class Surface(Mesh):
     def evaluate(
         self, samples: SurfaceSamples, channel: str = "base_color", width: float | None = None
     ) -> Float32s:
-        """Return the source's own values (n, components) of one channel at samples; colours in linear light.
+        """Return the source's values (n, components) of one channel at samples; colours in linear light.
 
         ``width``, in rest units, averages over a square of that side; None or 0 reads at the points.
         Colours are not multiplied by alpha; averaged directions are shorter than 1. Raises ArgumentError for
@@ -415,7 +410,7 @@ class Surface(Mesh):
             raise ArgumentError(f"samples have barycentric coordinates that are not below {FARTHEST:g}")
         side = 0.0 if width is None else as_number(width, "width", 0.0, np.finfo(np.float64).max)
         widths = np.full(len(triangles), min(side, FARTHEST), np.float32)
-        if channel not in self._single:  # kept ready for the next time
+        if channel not in self._single:
             needs_all = channel == ALPHA.name and self.source.has_gaps
             self._single[channel] = self.source if needs_all else self.source.only([channel])
         source = self._single[channel]
@@ -445,9 +440,9 @@ def _rows_of(values: Floats, faces: Int32s) -> Int32s:
 
 
 def flip_v(uv: Floats) -> Float32s:
-    """Return coordinates (n, 2) with v down of such with v up."""
+    """Turn coordinates (n, 2) with v up into coordinates with v down, or back."""
     flipped = np.empty(uv.shape, np.float32)
-    with np.errstate(over="ignore"):  # what becomes infinite is refused where it is used
+    with np.errstate(over="ignore"):  # infinite coordinates are refused where they are used
         flipped[:, 0] = uv[:, 0]
         flipped[:, 1] = 1.0 - uv[:, 1].astype(np.float64)
     return flipped

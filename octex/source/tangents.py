@@ -1,7 +1,7 @@
-"""Frames of normals and tangents at the corners of triangles: the space in which normal maps are painted.
+"""Frames of normals and tangents at the corners of triangles: the tangent space of normal maps.
 
-Missing tangents are made as MikkTSpace makes them (M. S. Mikkelsen, "Simulation of Wrinkled Surfaces
-Revisited", 2008, and its mikktspace.c), which glTF 2.0 asks for (3.7.2.1).
+Missing tangents are computed as MikkTSpace does (M. S. Mikkelsen, "Simulation of Wrinkled Surfaces
+Revisited", 2008, and its mikktspace.c), as glTF 2.0 asks (3.7.2.1).
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ def corner_frames(
     """Return unit normals, and unit tangents with their handedness, at the corners of triangles.
 
     ``positions`` (n, 3), ``triangles`` (m, 3); ``normals`` (rows, 3), ``tangents`` (rows, 4) and
-    ``coordinates`` (rows, 2), v running down. The bitangent, along which v falls, is normal × tangent times
-    the handedness, 1 or −1. Without normals triangles are flat, and tangents do not count (3.7.2.1). Missing
-    tangents point along u: corners of equal position, normal and coordinates share the mean of their
-    triangles' directions, weighted by angles; mirrored images keep apart. Triangles without area take their
-    neighbours'. Unlike in mikktspace.c, corners need no chain of edges between them to share a tangent.
+    ``coordinates`` (rows, 2), v running down. The bitangent, along which v decreases, is normal × tangent
+    times the handedness, 1 or −1. Without normals triangles are flat, and tangents are ignored (3.7.2.1).
+    Missing tangents point along u: corners of equal position, normal and coordinates share the mean of their
+    triangles' directions, weighted by angles; mirrored triangles have separate means. Triangles without area
+    take their neighbours'. Unlike in mikktspace.c, such corners need not be connected by edges.
     """
     flat = area_vectors(positions[triangles])
     flat = _unit(flat, np.broadcast_to([0.0, 0.0, 1.0], flat.shape))
@@ -79,7 +79,7 @@ def corner_frames(
 def carried(frames: Frames, triangles: Integers, before: Float64s, after: Float64s) -> Frames:
     """Return frames moved from one set of vertex positions (n, 3) to another, each corner by its triangle.
 
-    A normal is stretched by the root of the ratio of areas, so that what is only scaled keeps its angles.
+    Normals are scaled by the root of the ratio of areas, so that scaling alone keeps angles.
     """
     count = 3 * len(triangles)
     normals, tangents = np.empty((count, 3), np.float32), np.empty((count, 4), np.float32)
@@ -89,13 +89,13 @@ def carried(frames: Frames, triangles: Integers, before: Float64s, after: Float6
 
 
 def transformed(frames: Frames, linear: Float64s) -> Frames:
-    """Return frames of what a linear map (3, 3) is applied to; a mirror turns the handedness.
+    """Return frames under a linear map (3, 3); one that mirrors inverts the handedness.
 
-    Tangent and normal stay at right angles, as in glTF; where the map leaves no direction, the old one stays.
+    Tangent and normal stay at right angles, as in glTF; a direction that becomes zero stays as it was.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         x, y, z = linear / np.abs(linear).max()
-        # Cofactors rather than the inverse, which is not there when a scale is zero.
+        # Cofactors instead of the inverse, which does not exist if a scale is zero.
         cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)])
         side = -1.0 if cofactors[0] @ x < 0 else 1.0
         normals, tangents = frames.normals.values, frames.tangents.values.copy()
@@ -106,24 +106,24 @@ def transformed(frames: Frames, linear: Float64s) -> Frames:
 
 
 def _unit(vectors: Floats, fallback: Floats) -> Float64s:
-    """Return vectors (…, 3) at length 1; those without a direction as in ``fallback``."""
+    """Return vectors (…, 3) at length 1; ``fallback`` for those without a direction."""
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         wide = vectors.astype(np.float64)
         largest = np.abs(wide).max(axis=-1, keepdims=True)
-        wide /= largest  # so that no square leaves the range of the numbers
+        wide /= largest  # squares must not overflow
         wide /= np.linalg.norm(wide, axis=-1, keepdims=True)
     return np.where(np.isfinite(wide).all(axis=-1, keepdims=True), wide, fallback)
 
 
 def _perpendicular(normals: Floats) -> Float64s:
     """Return a unit vector at right angles to each unit normal (…, 3)."""
-    # The axis that a normal leans least towards, less what it leans.
+    # The axis farthest from the normal, minus its component along the normal.
     axis = np.eye(3)[np.abs(normals).argmin(axis=-1)]
     return _unit(axis - normals * (axis * normals).sum(axis=-1, keepdims=True), axis)
 
 
 def _mended(corners: Corners, fallback: Floats) -> Corners:
-    """Return unit vectors (rows, 3 or 4), of rows without direction their corners' ``fallback`` (m, 3, 3)."""
+    """Return unit vectors (rows, 3 or 4), or their corners' ``fallback`` (m, 3, 3) without direction."""
     values = np.ones(corners.values.shape, np.float32)
     unit = _unit(corners.values[:, :3], np.full(3, np.nan))
     broken = np.isnan(unit[:, 0])
@@ -154,9 +154,8 @@ def _sum(a: Vector, b: Vector, c: Vector) -> Vector:
 
 @inlined
 def _in_plane(vector: Vector, normal: Vector) -> Vector:
-    """Return the direction of a vector as seen along a normal: a unit vector, or zeros."""
-    lean = dot_product(vector, normal)
-    along = minus(vector, times(normal, lean))
+    """Project a vector along a normal, and return a unit vector, or zeros."""
+    along = minus(vector, times(normal, dot_product(vector, normal)))
     length = length_of(along)
     if not 0.0 < length < math.inf:
         return 0.0, 0.0, 0.0
@@ -173,9 +172,9 @@ def _sum_tangents(
     sums: Float64s,
     rows: Int32s,
 ) -> None:
-    """Add up directions of u, one row for mirrored, one for other triangles of each group of corners.
+    """Sum the directions of u, one row for mirrored, one for other triangles of each group of corners.
 
-    ``rows`` becomes the row of each corner, −1 for those of triangles that have no such direction.
+    ``rows`` receives the row of each corner, −1 for triangles without such a direction.
     """
     for triangle in range(len(triangles)):
         e, f = edges_from(positions, triangles, triangle)
@@ -186,7 +185,7 @@ def _sum_tangents(
         fu, fv = float(uv[c, 0]) - u0, float(uv[c, 1]) - v0
         area = eu * fv - fu * ev
         sign = 1.0 if area > 0.0 else -1.0
-        # The directions of u and v: the inverse of the map from the edges to the image, but for its scale.
+        # The directions of u and v: the inverse of the map from the edges to the image, up to its scale.
         s = (sign * (fv * e[0] - ev * f[0]), sign * (fv * e[1] - ev * f[1]), sign * (fv * e[2] - ev * f[2]))
         t = (eu * f[0] - fu * e[0], eu * f[1] - fu * e[1], eu * f[2] - fu * e[2])
         distinct = (
@@ -216,7 +215,7 @@ def _sum_tangents(
 def _finish_tangents(
     normals: Corners, groups: Int32s, sums: Float64s, rows: Int32s, values: Float32s
 ) -> None:
-    """Turn sums into unit tangents with handedness; give triangles without rows those of their neighbours."""
+    """Turn sums into unit tangents with handedness; triangles without rows get their neighbours' rows."""
     for triangle in range(len(rows)):
         if rows[triangle, 0] < 0:
             side = -1
@@ -270,9 +269,9 @@ def _carry(
             tangent = row_of(frames.tangents.values, source)
             moved_normal, moved_tangent = normal, tangent
             if usable:
-                # With a normal as long as the root of the area, the edges are a basis. A tangent keeps its
-                # components, which are products with the dual basis; a shading normal keeps its products with
-                # the basis, and so its right angle to tangents. Both are a power of an area too long.
+                # The edges, and a normal as long as the root of the area, are a basis. A tangent keeps its
+                # components, its products with the dual basis; a shading normal keeps its products with the
+                # basis, and so its right angle to tangents. Both are too long by a power of an area.
                 root = 1.0 / (math.sqrt(area) * math.sqrt(new_area))
                 moved_tangent = _sum(
                     times(new_e, dot_product(tangent, cross_product(f, cross)) / area),

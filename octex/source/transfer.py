@@ -1,4 +1,4 @@
-"""Values of another model, taken from the point of its surface that is nearest."""
+"""Values of another model, from the nearest point of its surface."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from octex.source.surface import Surface, as_surface
 
 
 class Transfer(Placeable):
-    """Another model's channels, taken at the nearest point of its surface, between rest positions.
+    """Another model's channels, from the nearest point of its surface, both at rest.
 
     model      a file, or a Surface
     distance   how far away the other surface may be, in the model's units (None: any distance); surface
@@ -28,7 +28,7 @@ class Transfer(Placeable):
     max_angle  largest angle in degrees between the normals of the two faces. Below 180, the two sides of
                a thin wall keep their own colours
 
-    Use it for one channel, ``{"base_color": transfer}``, or for all that the other model has, ``sources``.
+    Use it for one channel, ``{"base_color": transfer}``, or for all channels of the other model, ``sources``.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class Transfer(Placeable):
             raise ModelError(f"{self._surface.name}: {error}") from None
 
     def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
-        """Return the source of a channel, the same for all channels on the same surface.
+        """Return the source of a channel. All channels share it on the same mesh.
 
         Raises ArgumentError for a channel that the other model lacks, ModelError if it has no area.
         """
@@ -84,12 +84,12 @@ class _Transferred(SpatialSource):
 
     @property
     def has_gaps(self) -> bool:
-        """Whether points may be too far from the other surface or face another way, or it has gaps itself."""
+        """Whether points may be too far from the other surface or face another way, or that has gaps."""
         return bool(np.isfinite(self._distance) or np.isfinite(self._least_cosine)) or super().has_gaps
 
     @property
     def alpha_is_coverage(self) -> bool:
-        """Whether the other has no ``alpha``, or one that says no more than where it knows something."""
+        """Whether ``alpha`` only marks gaps."""
         return self.has_gaps and (self._adds_alpha or self._inputs[0].alpha_is_coverage)
 
     @property
@@ -104,15 +104,15 @@ class _Transferred(SpatialSource):
             distance=self._distance,
             least_cosine=self._least_cosine,
         )
-        there = np.flatnonzero(nearest.triangles >= 0)
-        others = self._inputs[0].evaluate(nearest.triangles[there], nearest.barycentric[there], widths[there])
+        rows = np.flatnonzero(nearest.triangles >= 0)
+        others = self._inputs[0].evaluate(nearest.triangles[rows], nearest.barycentric[rows], widths[rows])
         values = np.zeros((len(points), others.shape[1] + self._adds_alpha), np.float32)
-        values[there, : others.shape[1]] = others
-        values[there, others.shape[1] :] = 1.0
+        values[rows, : others.shape[1]] = others
+        values[rows, others.shape[1] :] = 1.0
         return values
 
     def only(self, names: Sequence[str]) -> _Transferred:
-        """Return the same source with these of its channels alone, and ``alpha`` if it has gaps."""
+        """Return the same source with only these channels, and ``alpha`` if it has gaps."""
         [other] = self._inputs
         wanted = [form.name for form in other.channels if form.name in names]
         return self._reading([other.only(wanted) if wanted or other.has_gaps else Combined({})])

@@ -1,10 +1,10 @@
-"""Vectors of three numbers in kernels, and those of triangles."""
+"""Vectors of three numbers in kernels, and edges and points of triangles."""
 
 from __future__ import annotations
 
 import math
 
-from octex.arrays import Float64s, Floats, Int32s
+from octex.arrays import Array, Int32s
 from octex.jit import inlined
 
 Vector = tuple[float, float, float]
@@ -48,13 +48,13 @@ def unit(a: Vector) -> Vector:
 
 
 @inlined
-def row_of(values: Floats, row: int) -> Vector:
+def row_of(values: Array, row: int) -> Vector:
     """Return a row of an array."""
     return float(values[row, 0]), float(values[row, 1]), float(values[row, 2])
 
 
 @inlined
-def edges_from(positions: Float64s, triangles: Int32s, triangle: int) -> tuple[Vector, Vector]:
+def edges_from(positions: Array, triangles: Int32s, triangle: int) -> tuple[Vector, Vector]:
     """Return the edges of a triangle from its first corner, whose cross product is its normal."""
     origin = row_of(positions, triangles[triangle, 0])
     second, third = row_of(positions, triangles[triangle, 1]), row_of(positions, triangles[triangle, 2])
@@ -62,8 +62,8 @@ def edges_from(positions: Float64s, triangles: Int32s, triangle: int) -> tuple[V
 
 
 @inlined
-def between(values: Floats, rows: Int32s, triangle: int, shares: Vector) -> Vector:
-    """Return what lies between the rows of a triangle's corners."""
+def between(values: Array, rows: Int32s, triangle: int, shares: Vector) -> Vector:
+    """Interpolate between the rows of a triangle's corners."""
     a, b, c = rows[triangle, 0], rows[triangle, 1], rows[triangle, 2]
     return (
         shares[0] * values[a, 0] + shares[1] * values[b, 0] + shares[2] * values[c, 0],

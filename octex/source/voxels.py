@@ -1,4 +1,4 @@
-"""Sparse voxels: values in the cells of a grid, which are a texture by themselves."""
+"""Sparse voxels: values in the cells of a grid, which convert into a texture without a surface."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ _DEEPEST = 21
 _COORDS = ("coords", "coord", "coordinates", "ijk", "voxels", "indices")
 _DEPTHS = ("depths", "depth")
 _COLORS = ("base_color", "colors", "color", "rgb", "rgba", "values")
-# What files have beside values, octex's own and O-Voxel's.
+# The arrays of octex's and O-Voxel's files that are no channels.
 _OTHERS = {"points", "normals", "areas", "origin", "size", "voxel_size", "vertices", "faces"}
 _OTHERS |= {"dual_vertices", "intersected", "split_weight"}
 #: The columns of ``attrs``, as TRELLIS.2's pipeline has them, and where each channel begins.
 _ATTRIBUTES, _FIRSTS = ("base_color", "metallic", "roughness", "alpha"), (3, 4, 5)
 _N_ATTRIBUTES = 6
-# Colours may be above 1 by so much, and are then 1.
+# Colours may exceed 1 by this much; they are clipped to 1.
 _ROUNDING = 1e-5
 
 
 class Values(NamedTuple):
-    """A channel's values, one row a voxel."""
+    """A channel's values, one row for each voxel."""
 
-    form: ChannelFormat  # how it is stored by default
-    rows: Array  # (n, components)   uint8 or uint16 codes as the form has them, or floats, linear light
+    form: ChannelFormat  # the default storage
+    rows: Array  # (n, components)   uint8 or uint16 codes of the form, or floats, linear light
 
 
 class Voxels:
     """Values in the cells of a grid of 2ᵈ cells a side, or of several such grids of the same size.
 
-    coords     (n, 3) integers, 0 … 2ᵈ − 1: a cell's indices along x, y and z; or (n, 4), the first column the
-               same for all
+    coords     (n, 3) integers, 0 … 2ᵈ − 1: a cell's indices along x, y and z; or (n, 4) with a constant first
+               column
     channels   by name (n, components), 1 to 4, or (n,): uint8 or uint16, sRGB for colours; or floats, linear
                light. A fourth column of ``base_color`` is alpha. Unknown names become data channels
     depth      d, one or (n,) (default: the least that fits)
@@ -97,8 +97,8 @@ class Voxels:
         arrays that octex writes. ``coord``, ``ijk``, ``indices`` and ``voxels`` are coords as well;
         ``colors``, ``rgb`` and ``values`` of three or four columns are base_color. ``attrs`` (n, 6) are
         TRELLIS.2's: base colour (sRGB, also as floats), metallic, roughness and alpha.
-        ``.vxz``: O-Voxel's, of the cube from −0.5 to 0.5. The file does not say how many voxels that cube is
-        wide: octex takes the least of 2ᵏ and 3 · 2ᵏ that all coords are below.
+        ``.vxz``: O-Voxel's, in the cube from −0.5 to 0.5. The file does not have the cube's width in voxels:
+        octex takes the least of 2ᵏ and 3 · 2ᵏ that all coords are below.
 
         Raises ModelError, with the file's name, for a file that is missing, damaged or has other contents.
         """
@@ -170,7 +170,7 @@ class Voxels:
 
 
 def voxels_of(arrays: Mapping[str, Array], name: str) -> Voxels:
-    """Return the voxels of what ``voxel_arrays`` returned of a file with this name."""
+    """Return the voxels of a file's arrays, from ``voxel_arrays``."""
     coords = arrays["coords"]
     size = arrays.get("size")
     channels = {
@@ -201,7 +201,7 @@ def voxels_of(arrays: Mapping[str, Array], name: str) -> Voxels:
 
 
 def is_voxels(path: Path) -> bool:
-    """Say whether a file is one of voxels: ``.vxz``, or ``.npz`` with an array of coords."""
+    """Say whether a file has voxels: ``.vxz``, or ``.npz`` with an array of coords."""
     if path.suffix.lower() != ".npz":
         return path.suffix.lower() == ".vxz"
     try:
@@ -214,7 +214,7 @@ def is_voxels(path: Path) -> bool:
 def voxel_arrays(path: Path) -> dict[str, Array]:
     """Return the arrays of a file of voxels by name, ``coords`` among them, and attributes as channels.
 
-    Raises ModelError for a file without coords, and what reading the file raises.
+    Raises ModelError for a file without coords, or that cannot be read.
     """
     with reading(path):
         if path.suffix.lower() == ".vxz":
@@ -222,17 +222,17 @@ def voxel_arrays(path: Path) -> dict[str, Array]:
             arrays["coords"] = coords
         else:
             arrays = npz_arrays(path)
-    place = next((each for each in _COORDS if each in arrays), None)
-    if place is None:
+    key = next((each for each in _COORDS if each in arrays), None)
+    if key is None:
         raise ModelError(f"{path.name} has no array 'coords'; save it with np.savez(…, coords=…)")
-    coords = arrays["coords"] = arrays.pop(place)
+    coords = arrays["coords"] = arrays.pop(key)
     if "attrs" in arrays:
         arrays |= _channels_of(arrays.pop("attrs"), len(coords), path.name)
     is_cube = path.suffix.lower() == ".vxz" or "intersected" in arrays
     if is_cube and not {"origin", "size", "voxel_size"} & arrays.keys() and coords.dtype.kind in "iu":
         highest = max(int(coords.max(initial=0)), 0)
         depth = highest.bit_length()
-        # TRELLIS.2 makes 512, 1024 and 1536 voxels a side.
+        # TRELLIS.2 makes grids of 512, 1024 and 1536 voxels a side.
         side = 3 << (depth - 2) if depth > 1 and highest < 3 << (depth - 2) else 1 << depth
         arrays["origin"], arrays["size"] = np.full(3, -0.5), np.array((1 << depth) / side)
     return arrays

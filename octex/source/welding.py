@@ -1,4 +1,4 @@
-"""Equal rows of arrays, which are vertices at one place, or equal directions and coordinates."""
+"""Equal rows of arrays: vertices at one position, or equal directions and coordinates."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ def welded(rows: npt.NDArray[np.floating | np.integer]) -> Int32s:
 
 
 @kernel
-def _weld(words: Uint32s, places: Int64s, table: Int32s, numbers: Int32s) -> None:
-    """Give equal rows equal numbers: a table of rows with linear probing, its size a power of two."""
+def _weld(words: Uint32s, slots: Int64s, table: Int32s, numbers: Int32s) -> None:
+    """Give equal rows equal numbers, by a hash table with linear probing, its size a power of two."""
     count = 0
     for row in range(len(words)):
-        place = places[row]
+        slot = slots[row]
         while True:
-            other = table[place]
+            other = table[slot]
             if other < 0:
-                table[place] = row
+                table[slot] = row
                 numbers[row] = count
                 count += 1
                 break
@@ -61,11 +61,11 @@ def _weld(words: Uint32s, places: Int64s, table: Int32s, numbers: Int32s) -> Non
             if same:
                 numbers[row] = numbers[other]
                 break
-            place = (place + 1) & (len(table) - 1)
+            slot = (slot + 1) & (len(table) - 1)
 
 
 def paired_sides(starts: Int64s, ends: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the pairs of sides, from vertices to others (n,), that share an edge with no third side."""
+    """Return the pairs of sides, from ``starts`` to ``ends`` (n,), that share an edge with no third side."""
     low, high = np.minimum(starts, ends), np.maximum(starts, ends)
     keys = low * (int(high.max(initial=0)) + 1) + high
     order = np.argsort(keys, kind="stable")
@@ -75,7 +75,7 @@ def paired_sides(starts: Int64s, ends: Int64s) -> tuple[Int64s, Int64s]:
 
 
 def sides_across(starts: Int64s, ends: Int64s) -> Int64s:
-    """Return for each side, from a vertex to another (n,), the one side that runs back there; −1 for none."""
+    """Return for each side (n,) the one side in the reverse direction; −1 for none."""
     a, b = paired_sides(starts, ends)
     is_sound = (starts[a] == ends[b]) & (starts[a] != ends[a])
     across = np.full(starts.size, -1, np.int64)

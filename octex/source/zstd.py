@@ -9,9 +9,9 @@ from octex.errors import MissingExtraError
 
 
 def unpack_zstd(data: bytes | memoryview, most: int, name: str) -> tuple[bytes, bool]:
-    """Return what is packed, at most so many bytes, and whether that is all. Raises ValueError for damage.
+    """Return the unpacked bytes, ``most`` of them at most, and whether these are all.
 
-    MissingExtraError, which names the file, where zstd is missing.
+    Raises ValueError for damaged data; MissingExtraError, which names the file, if zstd is missing.
     """
     module = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
     try:

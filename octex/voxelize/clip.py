@@ -1,6 +1,6 @@
 """The fragment of a triangle inside each cell: its area and centroid.
 
-Polygons are projected along w (see `cells`), in cell units from the block's corner. Positions stay small, and
+Polygons are projected along w (see `grid`), in cell units from the block's corner. Positions stay small, and
 exact differences become floating point only once. A triangle is cut into strips along u, a strip into columns
 along v, a column into cells along w: one cut for each fragment but the last.
 """
@@ -11,18 +11,11 @@ import numpy as np
 
 from octex.arrays import Float64s, Int64s
 from octex.jit import inlined
-from octex.voxelize.grid import (
-    COLUMN_FIRST,
-    COLUMN_INSIDE,
-    COLUMN_LAST,
-    COLUMN_U,
-    COLUMN_V,
-)
+from octex.voxelize.grid import COLUMN_FIRST, COLUMN_INSIDE, COLUMN_LAST, COLUMN_U, COLUMN_V
 
-#: A triangle has three vertices, and each of the up to six planes that bound a cell adds one; with room to
-#: spare.
+#: A triangle has three vertices, and each of the six planes around a cell adds one at most.
 MAX_VERTICES = 12
-#: Weight of a contact without area, in cell faces: negligible next to any area, everything when alone.
+#: Weight of a contact without area, in cell faces: negligible next to any area.
 CONTACT = 2.0**-70
 
 POLYGONS = 6
@@ -86,12 +79,7 @@ def area_and_center(polygons: Float64s, row: int, count: int) -> tuple[float, fl
 
 @inlined
 def _store_fragment(
-    b: float,
-    c: float,
-    area: float,
-    barycentric: Float64s,
-    areas: Float64s,
-    fragment: int,
+    b: float, c: float, area: float, barycentric: Float64s, areas: Float64s, fragment: int
 ) -> None:
     b = min(max(b, 0.0), 1.0)
     c = min(max(c, 0.0), 1.0 - b)

@@ -1,4 +1,4 @@
-"""Cuts a surface into fragments, one for each pair of triangle and cell, block of cells by block of cells.
+"""Cuts a surface into fragments, one for each pair of triangle and cell, block by block.
 
 A mask has one byte for each cell of a block, whose bits are the facings of the surface in it: the cell's
 normal flags. The rank of a bit among all set bits numbers the *entry* (cell, facing) in Morton order.
@@ -29,7 +29,7 @@ from octex.voxelize.grid import (
     load_triangle,
 )
 
-#: Largest number of fragments a task: enough to hide the overhead, few enough to stay in the cache.
+#: Most fragments of a task: enough to hide the overhead, few enough to stay in the cache.
 TASK_FRAGMENTS = 400_000
 #: Small work is cut into this many tasks, with at least this many fragments each.
 _TASKS, _LEAST_FRAGMENTS = 8, 250_000
@@ -41,17 +41,17 @@ class Blocks(NamedTuple):
     grid: Int32s  # (n, 3)   vertices in steps of 2⁻³⁰ of the root's edge
     faces: Int32s  # (m, 3)   triangles
     level: int
-    bits: int  # a block's edge is 2 to the power of so many cells
+    bits: int  # a block has 2 to the power of this many cells along an edge
     codes: Int64s  # (blocks,)   Morton codes at the blocks' level
     starts: Int64s  # (blocks + 1,)   each block's first row of `members`
     members: Int32s  # (pairs,)   triangles, ascending within a block
 
     def of_cells(self, depth: int) -> Blocks:
-        """Return the same as blocks of the cells of a level."""
+        """Return the blocks with cells of another level."""
         return self._replace(bits=depth - self.level)
 
-    def some(self, chosen: Bools) -> Blocks:
-        """Return some of them, the first one if none is chosen."""
+    def chosen(self, chosen: Bools) -> Blocks:
+        """Return the chosen blocks, the first one if none is chosen."""
         chosen[0] |= not chosen.any()
         counts = np.diff(self.starts)
         return self._replace(
@@ -61,7 +61,7 @@ class Blocks(NamedTuple):
         )
 
 
-#: Says which blocks are to be cut.
+#: Returns which blocks are to be cut.
 Reached: TypeAlias = Callable[[Blocks], Bools]
 
 
@@ -137,7 +137,7 @@ def most_fragments(blocks: Blocks) -> Int64s:
 
 @kernel
 def _bin(blocks: Blocks, most: int, most_in_block: int) -> tuple[Int64s, Int64s, Int32s]:
-    """Cut blocks into their cells, and return the codes, starts and members of these as blocks.
+    """Cut blocks into their cells, and return the cells' codes, starts and members.
 
     ``most`` is the sum, ``most_in_block`` the largest of the bounds that `most_fragments` returns.
     """
@@ -198,7 +198,7 @@ def _bin(blocks: Blocks, most: int, most_in_block: int) -> tuple[Int64s, Int64s,
 
 
 def whole(grid: Int32s, faces: Int32s, depth: int, members: Int32s | None = None) -> Blocks:
-    """Return the root as one block of cells of ``depth``, with all triangles or some ``members``."""
+    """Return the root as one block of cells of ``depth``, with the triangles ``members`` (default: all)."""
     if members is None:
         members = np.arange(len(faces), dtype=np.int32)
     starts = np.array([0, len(members)], np.int64)
@@ -206,7 +206,7 @@ def whole(grid: Int32s, faces: Int32s, depth: int, members: Int32s | None = None
 
 
 def divided(blocks: Blocks, bits: int = BLOCK_BITS, reached: Reached | None = None) -> Blocks:
-    """Cut blocks, in steps, into those of 2 to the power of ``bits`` cells; only such as are reached."""
+    """Cut blocks, in steps, into blocks of 2^``bits`` cells along an edge; keep only those reached."""
     depth = blocks.level + blocks.bits
     while blocks.bits > bits:
         level = min(blocks.level + BLOCK_BITS, depth - bits)
@@ -215,7 +215,7 @@ def divided(blocks: Blocks, bits: int = BLOCK_BITS, reached: Reached | None = No
         codes, starts, members = _bin(coarse, int(bounds.sum()), int(bounds.max(initial=0)))
         blocks = Blocks(blocks.grid, blocks.faces, level, depth - level, codes, starts, members)
         if reached is not None and codes.size:
-            blocks = blocks.some(reached(blocks))
+            blocks = blocks.chosen(reached(blocks))
     return blocks
 
 

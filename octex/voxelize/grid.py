@@ -1,4 +1,4 @@
-"""The cells that a triangle meets, exactly.
+"""Finds the cells that a triangle meets, exactly.
 
 Vertices are rounded once to a grid of 2³⁰ steps along the root cell's edge. 2D cross products then fit 64
 bits and the plane's test 128, and all further arithmetic is in integers. A half-open cell [a, b)³ is met if
@@ -39,13 +39,7 @@ COLUMN_U, COLUMN_V, COLUMN_FIRST, COLUMN_LAST, COLUMN_INSIDE = range(5)
 
 
 @inlined
-def load_triangle(
-    grid: Int32s,
-    triangles: Int32s,
-    triangle: int,
-    corners: Int64s,
-    normal: Int64s,
-) -> int:
+def load_triangle(grid: Int32s, triangles: Int32s, triangle: int, corners: Int64s, normal: Int64s) -> int:
     """Load a triangle's corners (3, 3) and normal (3,) with axes in the order u, v, w; return w.
 
     Returns −1 for a triangle that is degenerate after rounding.
@@ -216,7 +210,7 @@ def columns_met(
             if first < last and not inside and not has_sides:
                 _set_sides(corners, normal, cell, sides)
                 has_sides = True
-            # The triangle does meet the column, so the last remaining candidate needs no test.
+            # The triangle meets the column, so the last remaining candidate needs no test.
             while first < last and not (
                 (inside or _meets_sides(sides, u, v, first << shift))
                 and (

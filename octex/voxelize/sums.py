@@ -75,13 +75,7 @@ def by_channel(values: Float64s, channels: Sequence[ChannelFormat]) -> Iterator[
 
 
 @kernel
-def sum_fragments(
-    entries: Int32s,
-    areas: Float64s,
-    values: Float32s,
-    alpha: int,
-    n_entries: int,
-) -> Float64s:
+def sum_fragments(entries: Int32s, areas: Float64s, values: Float32s, alpha: int, n_entries: int) -> Float64s:
     """Sum the fragments of each entry. ``alpha`` is the column of coverage, or −1."""
     components = values.shape[1]
     sums = np.empty((n_entries, components + 1), np.float64)
@@ -166,7 +160,7 @@ def coverages(level: Sums, alpha: int) -> Float64s:
 
 
 @kernel
-def some_cells(level: Sums, chosen: Int64s) -> Sums:
+def chosen_sums(level: Sums, chosen: Int64s) -> Sums:
     """Return the sums of the cells of a level with the ``chosen``, ascending codes."""
     codes, flags, sums = level
     flags_left = np.empty(chosen.size, np.uint8)
@@ -187,12 +181,7 @@ def some_cells(level: Sums, chosen: Int64s) -> Sums:
 
 @inlined
 def _store_mean(
-    sums: Float64s,
-    entry: int,
-    columns: SumColumns,
-    starts: Int64s,
-    values: Float64s,
-    row: int,
+    sums: Float64s, entry: int, columns: SumColumns, starts: Int64s, values: Float64s, row: int
 ) -> None:
     components = sums.shape[1] - 1
     alpha = columns.alpha

@@ -308,7 +308,7 @@ def test_a_preview_is_drawn_of_models_and_of_textures(
 
 
 def test_the_help_names_the_librarys_default_depth() -> None:
-    from octex.conversion.apart import DEFAULT_DEPTH
+    from octex.conversion.convert import DEFAULT_DEPTH
 
     assert f"(default {DEFAULT_DEPTH})" in " ".join(
         Parser("octex convert", COMMANDS["convert"], COMMANDS).help().split()

@@ -84,7 +84,7 @@ def sampled(tree: Octree, channels: Mapping[str, Channel]) -> Samples:
         channels=forms,
         codes=tree.level_codes(tree.max_depth),
         firsts=np.arange(n + 1),
-        places=np.full((n, 3), 1 << 15, np.uint16),
+        positions=np.full((n, 3), 1 << 15, np.uint16),
         normals=np.tile(np.array([[0, 0, 127]], np.int8), (n, 1)),
         shares=np.full(n, 255, np.uint8),
         values=np.hstack(values).astype(np.float16),

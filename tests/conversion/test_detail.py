@@ -10,7 +10,8 @@ import pytest
 
 import octex
 from octex.channels import ChannelFormat
-from octex.conversion.detail import channel_of, deepest_wanted, wanted_levels
+from octex.conversion.convert import with_detail
+from octex.conversion.detail import deepest_wanted, wanted_levels
 from octex.errors import ArgumentError, ModelError
 from octex.source.base import Source
 from octex.voxelize.fragments import Fragments
@@ -129,9 +130,11 @@ def test_detail_must_be_a_function_or_a_name(detail: object):
         levels(detail, square())
 
 
-def test_only_names_of_channels_are_channels():
-    assert channel_of("wear") == "wear"
-    assert channel_of("stretch") is channel_of(None) is channel_of(lambda points: points[:, 0]) is None
+def test_a_channel_that_detail_names_is_read_with_the_others():
+    assert with_detail(["a"], "wear") == ["a", "wear"]
+    for detail in ("stretch", "a", None, lambda points: points[:, 0]):
+        assert with_detail(["a"], detail) == ["a"]
+    assert with_detail(None, "wear") is None
 
 
 def test_without_a_pose_stretch_goes_to_the_full_depth_everywhere():

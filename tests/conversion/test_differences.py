@@ -23,7 +23,7 @@ from octex.conversion.differences import (
 )
 from octex.conversion.evaluator import Coefficients
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
-from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, PLACE_STEPS, Samples, lay_out
+from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, POSITION_STEPS, Samples, lay_out
 from octex.jit import DISABLED, kernel, put, spline_at_eight, spline_box
 from octex.jit.vectors import eight_at
 from octex.texture import Channel, OctreeTexture
@@ -90,7 +90,7 @@ def scene(seed: int, smooth: float) -> Scene:
     normals *= NORMAL_STEPS / np.linalg.norm(normals, axis=1, keepdims=True)
     samples = Samples(
         DEPTH, tuple(forms), finest.codes, np.append(0, np.cumsum(counts)),
-        random.integers(0, PLACE_STEPS, (counts.sum(), 3)).astype(np.uint16),
+        random.integers(0, POSITION_STEPS, (counts.sum(), 3)).astype(np.uint16),
         np.rint(normals).astype(np.int8), np.zeros(0, np.uint8), np.zeros((0, 0), np.float32),
     )  # fmt: skip
     box = [[0, 0, 0], [1, 1, 1]]
@@ -146,7 +146,7 @@ def polygon(middle: Floats, normal: Floats) -> Floats:
 
 def patches(samples: Samples) -> list[Floats]:
     """The points (n, 3) of each sample's patch, in its cell: itself, corners, middles of spokes and sides."""
-    middles, normals = (samples.places + 0.5) / PLACE_STEPS, samples.normals.astype(np.float64)
+    middles, normals = (samples.positions + 0.5) / POSITION_STEPS, samples.normals.astype(np.float64)
     found = []
     for middle, normal in zip(middles, normals, strict=True):
         ends = polygon(middle, normal)
@@ -219,7 +219,7 @@ def test_cells_and_nodes_are_near_where_their_samples_are(seed: int, smooth: flo
     made = scene(seed, smooth)
     samples, names, level = made.samples, list(made.full.channels), 2
     owned = owners(samples)
-    points = (decode_cells(samples.codes)[owned] + (samples.places + 0.5) / PLACE_STEPS) / (1 << DEPTH)
+    points = (decode_cells(samples.codes)[owned] + (samples.positions + 0.5) / POSITION_STEPS) / (1 << DEPTH)
     found, reference = fields(made)
     count = samples.codes.size
     values = values_at_samples(reference, 0, count)
@@ -264,16 +264,18 @@ def test_a_patch_covers_what_the_plane_of_a_sample_has_in_its_cell(seed: int):
     normal = random.integers(-2, 3, 3) if seed % 2 else random.normal(size=3)
     normal = normal if np.any(normal) else np.array([0, 0, 1])
     normal = np.rint(NORMAL_STEPS * normal / np.linalg.norm(normal)).astype(np.int8)
-    place = random.choice([0, PLACE_STEPS // 2, PLACE_STEPS - 1, int(random.integers(PLACE_STEPS))], 3)
+    place = random.choice(
+        [0, POSITION_STEPS // 2, POSITION_STEPS - 1, int(random.integers(POSITION_STEPS))], 3
+    )
     points = np.zeros((3, MOST_POINTS), np.float32)
     count = _points_of(place.astype(np.uint16)[None], normal[None], points)
     points = points[:, :count].T
     middle, corners, spokes, sides = points[0], points[1::3], points[2::3], points[3::3]
     assert 3 <= len(corners) <= 8
-    np.testing.assert_allclose(middle, (place + 0.5) / PLACE_STEPS, atol=1e-6)
+    np.testing.assert_allclose(middle, (place + 0.5) / POSITION_STEPS, atol=1e-6)
     np.testing.assert_allclose(spokes, (corners + middle) / 2, atol=1e-6)
     np.testing.assert_allclose(sides, (corners + np.roll(corners, -1, axis=0)) / 2, atol=1e-6)
-    for expected in polygon((place + 0.5) / PLACE_STEPS, normal.astype(np.float64)):
+    for expected in polygon((place + 0.5) / POSITION_STEPS, normal.astype(np.float64)):
         assert np.abs(corners - expected).max(axis=1).min() < 1e-4
     # They go around: each side turns the same way.
     turns = np.cross(np.roll(corners, -1, axis=0) - middle, corners - middle) @ normal

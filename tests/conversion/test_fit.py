@@ -25,8 +25,8 @@ from octex.channels import (
 )
 from octex.conversion import fit
 from octex.conversion.levels import CellLevels, assemble, cell_levels
-from octex.conversion.numbering import Leaves, members_of
-from octex.conversion.samples import PLACE_STEPS, SHARE_STEPS, sample_points
+from octex.conversion.lookups import Leaves, members_of
+from octex.conversion.samples import POSITION_STEPS, SHARE_STEPS, sample_points
 from octex.conversion.solve import SHRINK
 from octex.errors import ArgumentError
 from octex.field.field import Field
@@ -426,7 +426,7 @@ def test_every_cell_has_a_sample_for_each_way_its_surface_faces() -> None:
     assert np.array_equal(sample_points(samples, chosen[::-1].copy(), placement), points[::-1])
     # They lie on the faces, and hold what the faces show there.
     apart = np.stack([_distances(points, TETRAHEDRON[face]) for face in FACES])
-    assert apart.min(axis=0).max() < placement.size / 16 / PLACE_STEPS
+    assert apart.min(axis=0).max() < placement.size / 16 / POSITION_STEPS
     weights = np.linalg.solve(
         np.vstack([TETRAHEDRON.T, np.ones(4)]), np.vstack([points.T, np.ones(len(points))])
     )

@@ -18,11 +18,11 @@ from octex.channels import (
     linear_to_srgb,
     srgb_to_linear,
 )
-from octex.conversion.measure import (
+from octex.conversion.differences import (
     ErrorColumns,
-    are_apart_by_less,
     are_near,
     are_near_between,
+    are_surely_near,
     subtract,
 )
 from octex.jit import kernel
@@ -41,7 +41,7 @@ def _near(values: Array, columns: ErrorColumns, most: float, differences: Array)
 
 @kernel
 def _apart_by_less(values: Array, columns: ErrorColumns, component: int, count: int, most: float) -> bool:
-    return are_apart_by_less(values, columns, component, count, most)
+    return are_surely_near(values, columns, component, count, most)
 
 
 @kernel

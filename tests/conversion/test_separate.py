@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import octex
 from octex.channels import CHANNELS, ChannelFormat, linear_to_srgb
-from octex.conversion.apart import separate
+from octex.conversion.convert import separate
 from octex.drawing import draw_difference, draw_preview
 from octex.drawing.compare import difference
 from octex.errors import ArgumentError

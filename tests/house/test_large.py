@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import octex
-from octex.conversion import large, sides
+from octex.conversion import fit, large
 from octex.errors import ArgumentError, InputError, OutputError
 from octex.parallel import sharing
 from octex.source import materials
@@ -189,7 +189,7 @@ def test_sides_are_told_apart_in_parallel_as_in_one_thread(
     octex.convert(SURFACES[name], 6, threads=1).save(tmp_path / "one.octex")
     assert octex.open(tmp_path / "one.octex").tree.split.cells.size
     for name_of_size in ("_RUN", "_BLOCK"):
-        monkeypatch.setattr(sides, name_of_size, 50)
+        monkeypatch.setattr(fit, name_of_size, 50)
     octex.convert(SURFACES[name], 6, threads=3).save(tmp_path / "three.octex")
     assert (tmp_path / "one.octex").read_bytes() == (tmp_path / "three.octex").read_bytes()
 

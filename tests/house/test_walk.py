@@ -1,4 +1,4 @@
-"""What ``sample`` enters: a value goes down through few functions of few files."""
+"""What ``sample`` and ``convert`` enter: a value goes down through few functions of few files."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ import pytest
 
 import octex
 from octex.channels import ChannelFormat
-from octex.jit import DISABLED
 from octex.texture import Channel, OctreeTexture
+from tests.conftest import needs_jit
+from tests.make.painted import ball
 from tests.make.small_textures import shell, unit
 
 ROOT = Path(octex.__file__).parent
@@ -82,7 +83,7 @@ TEXTURES = {
 }
 
 
-@pytest.mark.skipif(DISABLED, reason="kernels are then functions like others")
+@needs_jit
 @pytest.mark.parametrize("question", QUESTIONS)
 @pytest.mark.parametrize("kind", TEXTURES)
 def test_sample_enters_at_most_40_functions_of_6_files(kind: str, question: str) -> None:
@@ -91,3 +92,12 @@ def test_sample_enters_at_most_40_functions_of_6_files(kind: str, question: str)
     files = {code.co_filename for code in found}
     assert len(found) <= 40, sorted(code.co_qualname for code in found)
     assert len(files) <= 6, sorted(files)
+
+
+@needs_jit
+def test_convert_enters_at_most_200_functions_of_30_files() -> None:
+    surface = ball(rings=8)
+    found = entered(lambda: octex.convert(surface, 6, threads=1))
+    files = {code.co_filename for code in found}
+    assert len(found) <= 200, sorted(code.co_qualname for code in found)
+    assert len(files) <= 30, sorted(files)

@@ -163,7 +163,7 @@ def test_trellis_arrays_with_a_mesh_beside(tmp_path: Path) -> None:
         ({"intersected": CROSSED * 0.5}, "intersected must be whole numbers of shape"),
         ({"intersected": CROSSED & False}, "has no surface: no edge that is crossed"),
         ({"split_weight": np.ones(3)}, "split_weight must be numbers of shape"),
-        ({"coords": COORDS[np.r_[0, 0, 2 : len(COORDS)]]}, "some of its voxels overlap"),
+        ({"coords": COORDS[np.r_[0, 0, 2 : len(COORDS)]]}, "voxels overlap"),
         ({"coords": COORDS * 10**9}, "coords from .* do not fit a grid"),
         ({"attrs": np.ones((len(COORDS), 5))}, r"attrs must have shape \(\d+, 6\): base_color, metallic"),
         ({"attrs": np.full((len(COORDS), 6), np.nan)}, "attrs are not all finite"),

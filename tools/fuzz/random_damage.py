@@ -30,9 +30,9 @@ from damage import Archive, Arrays, Render
 
 import octex
 from octex.cameras.files import read_cameras
-from octex.conversion.voxels import convert_voxels
+from octex.conversion.points import convert_voxels
 from octex.errors import OctexError
-from octex.parallel import at_most
+from octex.parallel import at_most, silent
 from octex.source.surface import Surface
 from octex.source.voxels import Voxels
 from octex.texture import FILTERS, OctreeTexture
@@ -227,7 +227,7 @@ def _use_arrays(path: Path, kind: str, chance: Random) -> str:
         elif kind == "voxels":
             voxels = Voxels.load(path)
             if chance.random() < 0.25:
-                convert_voxels(voxels).validate()
+                convert_voxels(voxels, report=silent).validate()
         else:
             for frame in read_cameras(path):
                 frame.camera().project(np.eye(3))

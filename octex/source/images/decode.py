@@ -1,7 +1,7 @@
-"""Image files and arrays as texels, RGBA with unassociated alpha and nothing lost: of two kinds.
+"""Image files and arrays as texels: RGBA with unassociated alpha, without loss.
 
-uint16 codes, fractions of 65535, sRGB or data as their use says; or float32 values, linear. Colour profiles,
-gamma chunks and orientation tags are ignored, as glTF asks (3.9.2). AVIF of 10 and 12 bits is read as of 8.
+Texels are uint16 codes, sRGB or data by their use, or linear float32 values. Colour profiles, gamma chunks
+and orientation tags are ignored, as glTF asks (3.9.2). AVIF of 10 and 12 bits is read as 8 bits.
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ from octex.source.images.pyramid import Texels
 
 Code = TypeVar("Code", bound=np.generic)
 
-#: EXIF's tag of the orientation (CIPA DC-008, 4.6.5), and the first and last of its values.
+#: EXIF's tag of the orientation (CIPA DC-008, 4.6.5), and its first and last values.
 _TAG, _UPRIGHT, _MOST = 0x0112, 1, 8
-#: The formats that octex opens with Pillow, by its names. Others are seldom of textures, and some are traps:
-#: an icon's images may be larger than it says, and for EPS Pillow runs a program.
+#: The formats that octex opens with Pillow, by Pillow's names. Others are rarely textures, and several are
+#: traps: an icon's images may be larger than its header states, and for EPS Pillow runs a program.
 FORMATS = (
     "AVIF", "BMP", "DDS", "GIF", "JPEG", "JPEG2000", "PNG", "PPM", "PSD", "QOI", "SGI", "TGA", "TIFF", "WEBP",
 )  # fmt: skip
 _LISTED = "PNG, JPEG, WebP, AVIF, TIFF, EXR, HDR"
-# Plain images of 8192 × 8192 take a byte for 30,000 texels in these, as Pillow writes them.
+# Pillow writes plain images of 8192 × 8192 in these formats with 30,000 texels a byte.
 _DENSEST = ("WEBP", "AVIF", "JPEG2000")
 _MOST_PER_BYTE_DENSEST = 65536
-# What Pillow logs of damaged files, the errors here say.
+# Keeps Pillow's messages about damaged files off the screen: errors report them.
 logging.getLogger("PIL").addHandler(logging.NullHandler())
 
 
@@ -79,7 +79,7 @@ def decode_image(data: bytes, name: str) -> Texels:
     """Return the texels (height, width, 4) of an image file: uint16 codes, or float32 linear values.
 
     Raises ImageError, with ``name``, for a damaged file, a format that octex does not read, more texels than
-    16384 × 16384 or than the file can hold, or one that is not finite; MissingExtraError for a missing extra.
+    16384 × 16384 or than the file can hold, or infinite ones; MissingExtraError for a missing extra.
     """
     try:
         if data.startswith(ktx2.SIGNATURE):
@@ -87,7 +87,7 @@ def decode_image(data: bytes, name: str) -> Texels:
         with global_settings():
             warnings.simplefilter("ignore")
             image = deep_format(data) or _open(io.BytesIO(data))
-        # Outside of the lock threads decode side by side.
+        # Outside of the lock, threads decode in parallel.
         if isinstance(image, str):
             return _finite(decode_deep(data, image, name), name)
         with image:
@@ -141,7 +141,7 @@ def read_image_file(path: Path) -> tuple[Texels, bytes]:
 
 
 def _finite(texels: Texels, name: str) -> Texels:
-    """Return texels, alpha of floats from 0 to 1, or refuse what is infinite or no number."""
+    """Return texels, floats with alpha clipped to 0 … 1, or refuse infinite values and NaN."""
     if texels.dtype == np.float32:
         bad = texels.size - np.count_nonzero(np.isfinite(texels))
         if bad:
@@ -162,19 +162,19 @@ def image_size(path: Path) -> tuple[int, int]:
             warnings.simplefilter("ignore")
             with _open(file) as image:
                 return image.size
-    except Exception:  # Pillow's plugins raise nearly anything, and do not know all that octex reads
+    except Exception:  # Pillow's plugins raise nearly anything, and octex reads more formats
         height, width = read_image_file(path)[0].shape[:2]
         return width, height
 
 
 def _open(file: BinaryIO) -> PIL.Image.Image:
-    # Pillow's own limit on sizes is lower, and global, as that on AVIF's threads is.
+    # Pillow's limit on sizes is lower, and global, like that on AVIF's threads.
     settings: list[tuple[ModuleType, str, object]] = [(PIL.Image, "MAX_IMAGE_PIXELS", None)]
     with suppress(ImportError):  # from Pillow 11.3 on
         settings.append((import_module("PIL.AvifImagePlugin"), "DEFAULT_MAX_THREADS", cpu_count()))
     before = [getattr(module, name) for module, name, _ in settings]
     PIL.Image.init()
-    known = [name for name in FORMATS if name in PIL.Image.OPEN]  # Pillow may be built without some
+    known = [name for name in FORMATS if name in PIL.Image.OPEN]  # a build of Pillow may lack formats
     try:
         for module, name, value in settings:
             setattr(module, name, value)
@@ -186,7 +186,7 @@ def _open(file: BinaryIO) -> PIL.Image.Image:
 
 @contextmanager
 def _silent_libtiff() -> Iterator[None]:
-    """Keep libtiff, by which Pillow decodes TIFF images, from printing what the errors here say."""
+    """Keep libtiff, which Pillow uses, from printing: errors report damaged images."""
     library = ctypes.CDLL(PIL._imaging.__file__)
     set_handler = getattr(library, "TIFFSetErrorHandler", None)
     if set_handler is None:  # hidden in Pillow, as on Windows
@@ -204,7 +204,7 @@ def _silent_libtiff() -> Iterator[None]:
 def _texels(image: PIL.Image.Image, data: bytes, name: str) -> Texels:
     most = _MOST_PER_BYTE_DENSEST if image.format in _DENSEST else MOST_PER_BYTE
     check_size(*image.size, len(data) or None, name, most)
-    if image.format == "JPEG2000":  # what is decoded is as large as the codestream says
+    if image.format == "JPEG2000":  # the codestream's size counts
         check_size(*jpeg2000_header(data)[:2], len(data), name, most)
     if image.format == "TIFF":
         with _silent_libtiff():
@@ -226,21 +226,21 @@ def _texels(image: PIL.Image.Image, data: bytes, name: str) -> Texels:
 
 
 def orientation_of(data: bytes) -> int:
-    """Return the EXIF orientation of an image file, 1 … 8; 1 if it says none."""
+    """Return the EXIF orientation of an image file, 1 … 8; 1 without the tag."""
     try:
         with global_settings():
             warnings.simplefilter("ignore")
             with PIL.Image.open(io.BytesIO(data), formats=["JPEG", "PNG", "TIFF", "WEBP", "AVIF"]) as image:
-                found = image.getexif().get(_TAG, _UPRIGHT)
-    except Exception:  # Pillow's plugins raise nearly anything; what is no such file has no orientation
+                tag = image.getexif().get(_TAG, _UPRIGHT)
+    except Exception:  # Pillow's plugins raise nearly anything; other files have no orientation
         return _UPRIGHT
-    return found if isinstance(found, int) and _UPRIGHT <= found <= _MOST else _UPRIGHT
+    return tag if isinstance(tag, int) and _UPRIGHT <= tag <= _MOST else _UPRIGHT
 
 
 def turned(texels: npt.NDArray[Code], orientation: int) -> npt.NDArray[Code]:
-    """Return texels (height, width, …), stored as an orientation says, upright."""
+    """Return texels (height, width, …), stored in an orientation, upright."""
     bits = orientation - _UPRIGHT
-    if bits & 4:  # rows are the picture's columns
+    if bits & 4:  # rows are columns
         texels = texels.swapaxes(0, 1)
     if bits & 3 in (1, 2):
         texels = texels[:, ::-1]

@@ -1,9 +1,9 @@
 """Image filters: a footprint in, weighted texels out.
 
-Every filter lists *taps*, places of stored texels, and their weights; images of one size under one footprint
-share the list. Nearest, bilinear and bicubic read at points. The others add the footprint to what the image
-is, bilinear patches or flat texels, and match that sum's variance: w²/12 for a width of w texels, and 1/6 for
-bilinear texels, 1/12 for flat ones. A texel of level l is a mean of 2ˡ texels, of variance (4ˡ − 1) / 12.
+Every filter lists *taps*, indices of stored texels and their weights; images of one size under one footprint
+share the list. Nearest, bilinear and bicubic read at points. The others match a variance: that of the
+footprint, w²/12 for a width of w texels, plus that of the texels, 1/6 if bilinear, 1/12 if flat. A texel of
+level l is a mean of 2ˡ texels, of variance (4ˡ − 1) / 12.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 from octex.arrays import Float64s, Int64s
+from octex.checks import as_choice
 from octex.jit import inlined
 from octex.source.images.classic import areas, bicubic, mixed_levels
 from octex.source.images.pyramid import AREAS, MIPS, RIPS, WHOLE, Images
@@ -32,34 +33,39 @@ from octex.source.vectors import Vector
 #: ellipses: Greene & Heckbert 1986.
 FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa")
 NEAREST, BILINEAR, BICUBIC, TRILINEAR, RIPMAP, SAT, EWA = range(7)
-#: The levels that each reads.
-LEVELS_OF = (WHOLE, WHOLE, WHOLE, MIPS, RIPS, AREAS, MIPS)
+_LEVELS_OF = (WHOLE, WHOLE, WHOLE, MIPS, RIPS, AREAS, MIPS)
 
-#: Footprints must have at most this variance, in texels², so that their ends fit integers.
+#: Largest variance of a footprint, in texels²: its ends must fit integers.
 MOST_VARIANCE = 1e24
-# What is more than so many times as long as wide is read wider.
+# Footprints longer than this many times their width are widened.
 _LONGEST = 16.0
 #: Footprints of up to two texels are read as boxes if their covariance, in texels², is at most this.
 SKEW = 0.1
-#: The level is read at which the kernel's least variance, in texels², is at least this and less than four
-#: times this (and a twelfth).
+#: EWA reads the level at which the kernel's least variance, in texels², is from this to four times this, plus
+#: a twelfth.
 LEAST = 0.2
-#: A coarser level is read if the product of a kernel's variances is above this: 6 π times its root are taps.
+#: A coarser level is read if the product of a kernel's variances exceeds this: taps are 6 π times its root.
 LARGEST = 7.0
 #: A kernel 1 − q over the ellipse q < 1 has a variance of a sixth of its radius squared.
 RADIUS = 6.0
-#: At the coarsest level of an image a footprint reaches no farther than this many texels.
+#: At an image's coarsest level a footprint reaches this many texels at most.
 FARTHEST = 24.0
 
 
-def told(filter: int) -> int | None:
-    """Return how kernels are told a filter: the default by None, for which the others are not compiled."""
-    return None if filter == EWA else filter
+def kernel_code(filter: str) -> int | None:
+    """Return a filter's number for kernels: None for the default, which compiles without the others."""
+    number = FILTERS.index(as_choice(filter, FILTERS, "filter"))
+    return None if number == EWA else number
+
+
+def levels_of(code: int | None) -> int:
+    """Return which levels the filter of a kernel code reads."""
+    return _LEVELS_OF[EWA if code is None else code]
 
 
 @inlined
 def find_taps(
-    images: Images, layout: int, filter: int | None, foot: Footprint, places: Int64s, weights: Float64s
+    images: Images, layout: int, filter: int | None, foot: Footprint, indices: Int64s, weights: Float64s
 ) -> tuple[int, int, float]:
     """List the taps of a footprint; return how many, NEVER, EACH or SUM, and what to scale sums by."""
     row = images.layouts[layout, 0]
@@ -70,24 +76,24 @@ def find_taps(
     if filter is None:
         if 12.0 * max(xx, yy) <= 1.0:
             if foot.flat:
-                return flat_texels(images, row, foot, xx, yy, places, weights), SUM, 1.0
-            # Thresholding does not commute with averaging, but for tiny footprints.
+                return flat_texels(images, row, foot, xx, yy, indices, weights), SUM, 1.0
+            # Thresholding does not commute with averaging, except under tiny footprints.
             cut = SUM if 12.0 * max(xx, yy) < 0.25 else EACH
-            return _small(images, row, foot, places, weights), cut, 1.0
+            return _small(images, row, foot, indices, weights), cut, 1.0
         if not foot.flat and 12.0 * max(xx, yy) <= 4.0 and abs(xy) <= SKEW:
-            return _wide(images, row, foot, places, weights), EACH, 1.0
-        return _ellipse(images, layout, foot, places, weights)
+            return _wide(images, row, foot, indices, weights), EACH, 1.0
+        return _ellipse(images, layout, foot, indices, weights)
     cut = SUM
     if filter in (TRILINEAR, RIPMAP):
-        count, cut = mixed_levels(images, layout, foot, filter == RIPMAP, places, weights)
+        count, cut = mixed_levels(images, layout, foot, filter == RIPMAP, indices, weights)
     elif filter == SAT:
-        count, cut = areas(images, row, foot, places, weights), NEVER
+        count, cut = areas(images, row, foot, indices, weights), NEVER
     elif filter == BICUBIC:
-        count = bicubic(images, row, foot, places, weights)
+        count = bicubic(images, row, foot, indices, weights)
     elif filter == NEAREST or foot.flat:
-        count = flat_texels(images, row, foot, 0.0, 0.0, places, weights)
+        count = flat_texels(images, row, foot, 0.0, 0.0, indices, weights)
     else:
-        count = bilinear(images, row, foot, 1.0, places, weights, 0)
+        count = bilinear(images, row, foot, 1.0, indices, weights, 0)
     return count, cut, 1.0
 
 
@@ -110,20 +116,20 @@ def footprint(
 
 
 @inlined
-def _small(images: Images, row: int, foot: Footprint, places: Int64s, weights: Float64s) -> int:
+def _small(images: Images, row: int, foot: Footprint, indices: Int64s, weights: Float64s) -> int:
     """List the texels of bilinear patches under a footprint of at most a texel.
 
     The mean over its box is exact; a skew adds the patch's mixed slope times the covariance.
     """
     xx, xy, yy = foot.xx, foot.xy, foot.yy
     if 12.0 * max(xx, yy) < 1e-4:
-        return bilinear(images, row, foot, 1.0, places, weights, 0)
+        return bilinear(images, row, foot, 1.0, indices, weights, 0)
 
     x, y = foot.u * images.levels[row, 1] - 0.5, foot.v * images.levels[row, 2] - 0.5
     near_x, near_y = math.floor(x + 0.5), math.floor(y + 0.5)
     part_x, part_y = x - near_x, y - near_y
     across, down = _thirds(part_x, math.sqrt(12.0 * xx)), _thirds(part_y, math.sqrt(12.0 * yy))
-    count = window(images, row, foot, near_x - 1, near_y - 1, across, down, places, weights, 0)
+    count = window(images, row, foot, near_x - 1, near_y - 1, across, down, indices, weights, 0)
     a = (0 if part_y < 0.0 else 3) + (0 if part_x < 0.0 else 1)  # the patch's first texel
     _skew(weights, a, a + 3, xy)
     return count
@@ -131,7 +137,7 @@ def _small(images: Images, row: int, foot: Footprint, places: Int64s, weights: F
 
 @inlined
 def _thirds(part: float, width: float) -> Vector:
-    """Return the weights of the nearest texel and of those beside it, in a box of a width up to 1."""
+    """Return the weights of the nearest texel and its two neighbours, in a box of a width up to 1."""
     half = 0.5 * max(width, 1e-3)
     a, b = max(half - part, 0.0), max(-half - part, 0.0)
     c, d = max(half + part, 0.0), max(part - half, 0.0)
@@ -140,13 +146,13 @@ def _thirds(part: float, width: float) -> Vector:
 
 
 @inlined
-def _wide(images: Images, row: int, foot: Footprint, places: Int64s, weights: Float64s) -> int:
+def _wide(images: Images, row: int, foot: Footprint, indices: Int64s, weights: Float64s) -> int:
     """List the texels of bilinear patches under a footprint of one to two texels, as ``_small`` does."""
     x, y = foot.u * images.levels[row, 1] - 0.5, foot.v * images.levels[row, 2] - 0.5
     width, height = math.sqrt(12.0 * foot.xx), math.sqrt(12.0 * foot.yy)
     left, top = math.ceil(x - 0.5 * width - 1.0), math.ceil(y - 0.5 * height - 1.0)
     across, down = _quarters(x, width, left), _quarters(y, height, top)
-    count = window(images, row, foot, left, top, across, down, places, weights, 0)
+    count = window(images, row, foot, left, top, across, down, indices, weights, 0)
     a = 4 * min(max(math.floor(y) - top, 0), 2) + min(max(math.floor(x) - left, 0), 2)
     _skew(weights, a, a + 4, foot.xy)
     return count
@@ -166,7 +172,7 @@ def _quarters(middle: float, width: float, first: int) -> tuple[float, float, fl
 
 @inlined
 def _skew(weights: Float64s, upper: int, lower: int, shift: float) -> None:
-    """Shift weight between the corners of a patch, two of which each row begins with; none goes below 0."""
+    """Shift weight between the corners of a patch, from its first texels in both rows; none goes below 0."""
     if shift > 0.0:
         shift = min(shift, weights[upper + 1], weights[lower])
     else:
@@ -186,11 +192,11 @@ def _tent(distance: float) -> float:
 
 @inlined
 def _ellipse(
-    images: Images, layout: int, foot: Footprint, places: Int64s, weights: Float64s
+    images: Images, layout: int, foot: Footprint, indices: Int64s, weights: Float64s
 ) -> tuple[int, int, float]:
-    """List the texels in an ellipse, each with 1 − its squared distance from the middle."""
+    """List the texels in an ellipse, each weighted by 1 − its squared distance from the middle."""
     base, coarsest = images.layouts[layout, 0], images.layouts[layout, 1] - 1
-    texel = 1.0 / 6.0 if foot.flat else 0.25  # of the texels, with the twelfth that a mean over one has
+    texel = 1.0 / 6.0 if foot.flat else 0.25  # the texels' variance, plus a twelfth for a mean over one texel
     level = 0
     narrow, long = foot.least + texel, foot.most + texel
     floor = LEAST + 1.0 / 12.0
@@ -222,8 +228,7 @@ def _ellipse(
     tries = int(2.0 * extent) + 1
     total = 0.0
     count = 0
-    # Every row tries as many texels, as if the ellipse were as wide as in its middle: branches that depend
-    # on each row's width cost more.
+    # Every row tries as many texels as the middle row: branches that depend on a row's width cost more.
     for j in range(math.ceil(y - reach), math.floor(y + reach) + 1):
         dy = j - y
         start = first + wrapped(j, high, foot.wrap_v) * (wide + 2)
@@ -236,10 +241,10 @@ def _ellipse(
         for i in range(i0, i0 + tries):
             weight = rest - dx * dx * per_column
             dx += 1.0
-            place = i if is_inside else wrapped(i, wide, foot.wrap_u)
-            places[count], weights[count] = start + place, weight
+            column = i if is_inside else wrapped(i, wide, foot.wrap_u)
+            indices[count], weights[count] = start + column, weight
             total += max(weight, 0.0)
             count += weight > 0.0
     if not total > 0.0:
-        return bilinear(images, row, foot, 1.0, places, weights, 0), NEVER, 1.0
+        return bilinear(images, row, foot, 1.0, indices, weights, 0), NEVER, 1.0
     return count, EACH if level == 0 else NEVER, 1.0 / total

@@ -1,6 +1,6 @@
 """KTX2 textures (KTX File Format 2.0, Khronos) of plain texels, or in Basis Universal's codes.
 
-The largest mip is read. Whether its texels are sRGB or data the use says, as of other images, not vkFormat.
+The largest mip is read. As for other images, the use decides whether texels are sRGB, not vkFormat.
 """
 
 from __future__ import annotations
@@ -16,12 +16,10 @@ from octex.source.images.pyramid import Texels
 from octex.source.zstd import unpack_zstd
 
 SIGNATURE = b"\xabKTX 20\xbb\r\n\x1a\n"
-#: zstd packs 128 kB of equal bytes, so many texels of one lane, into four.
+#: zstd packs 128 kB of equal bytes, as many texels of one lane, into four.
 _MOST_PER_BYTE = 65536
-
-
-#: The type and the lanes, as they are stored, of the values of VkFormat that are read: UNORM and SRGB of 8
-#: bits, UNORM of 16, and SFLOAT.
+#: The type and the stored lanes of the values of VkFormat that are read: UNORM and SRGB of 8 bits, UNORM of
+#: 16, and SFLOAT.
 _FORMATS = {
     **{first + 7 * n: ("u1", lanes) for first in (9, 15)
        for n, lanes in enumerate(("r", "rg", "rgb", "bgr", "rgba", "bgra"))},
@@ -35,10 +33,10 @@ _PLAIN, _ZSTD, _ZLIB = 0, 2, 3  # schemes of supercompression
 def decode_ktx2(data: bytes, name: str) -> Texels:
     """Return the texels (height, width, 4) of the largest image of a KTX2 texture.
 
-    Of plain texels, lanes that the file lacks are 0, alpha is 1. Raises ImageError, and MissingExtraError
-    where codes need the extra ``ktx2``.
+    In plain texels, missing lanes are 0, a missing alpha is 1. Raises ImageError, and MissingExtraError if
+    codes need the extra ``ktx2``.
     """
-    # Of the data format descriptor and the metadata, where they are; of the largest level, its sizes too.
+    # With the offsets of the data format descriptor, the metadata and the largest level, and its sizes.
     (
         vk_format, _, width, height, depth, layers, faces, _, scheme, descriptor, _, entries, entries_size,
         _, _, level, packed, unpacked,
@@ -71,13 +69,13 @@ def decode_ktx2(data: bytes, name: str) -> Texels:
     values = values[:: -1 if orientation[1:2] == b"u" else 1, :: -1 if orientation[:1] == b"l" else 1]
     one = np.iinfo(dtype).max if values.dtype.kind == "u" else 1
     every = np.zeros((height, width, 4), dtype)
-    for place, lane in enumerate(metadata.get(b"KTXswizzle", b"rgba").decode("ascii")[:4]):
-        every[..., place] = values[..., lanes.index(lane)] if lane in lanes else one * (lane in "1a")
+    for column, lane in enumerate(metadata.get(b"KTXswizzle", b"rgba").decode("ascii")[:4]):
+        every[..., column] = values[..., lanes.index(lane)] if lane in lanes else one * (lane in "1a")
     return spread(every)
 
 
 def _unpacked(data: bytes, scheme: int, size: int, name: str, what: str) -> bytes:
-    """Return what was packed, at most a byte more than ``size``; nothing of what is cut off."""
+    """Return the unpacked bytes, at most one more than ``size``; none of truncated data."""
     if scheme == _PLAIN:
         return data
     if scheme not in (_ZLIB, _ZSTD):
@@ -93,7 +91,7 @@ def _unpacked(data: bytes, scheme: int, size: int, name: str, what: str) -> byte
 
 
 def _metadata(data: bytes) -> dict[bytes, bytes]:
-    """Return the values of keys, without the zero at their ends."""
+    """Return the values of keys, without their final zeros."""
     entries = {}
     at = 0
     while at + 4 <= len(data):

@@ -1,6 +1,6 @@
 """Images that Pillow would cut to eight bits or cannot open, read by OpenImageIO: the extra ``images``.
 
-Which file needs it is told by its first bytes. JPEG 2000 alone takes memory by its header, which is checked.
+A file's first bytes decide. Only JPEG 2000 allocates memory by its header, which is checked.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from octex.source.images.pyramid import Texels
 #: The largest image that is read.
 MAX_TEXELS = 16384 * 16384
 
-# Deflate packs at most 1032 bytes into one, and a byte eight texels. JPEG 2000 has no such bound: a picture
-# takes far more than 1/32 bit a texel.
+# Deflate packs at most 1032 bytes into one, and a byte has eight texels at most. JPEG 2000 has no such bound:
+# real images take far more than 1/32 bit a texel.
 MOST_PER_BYTE = 8256
 _MOST_PER_BYTE_JPEG2000 = 256
 
@@ -36,7 +36,7 @@ _PHOTOMETRIC = (_WHITE_IS_ZERO, 1, 2, 5)
 
 
 def deep_format(data: bytes) -> str | None:
-    """Return the format of an image file that Pillow would not keep whole, as a file ending; else None."""
+    """Return the ending of an image file that Pillow would read with loss or not at all; None for others."""
     if data.startswith(b"\x76\x2f\x31\x01"):
         return "exr"
     if data.startswith(b"#?"):
@@ -76,9 +76,9 @@ def jpeg2000_header(data: bytes) -> tuple[int, int, bytes]:
 def decode_deep(data: bytes, ending: str, name: str) -> Texels:
     """Return the texels (height, width, 4) of an image file of a format named by ``deep_format``.
 
-    Associated alpha (EXR always, TIFF by its tag) is divided out. The first part with colour is taken, and in
-    it R, G, B or Y, with A, of no layer or else of the first that has them; a lone channel is grey. EXR's
-    display window is filled with black and transparent. Radiance HDR's EXPOSURE is not divided out.
+    Associated alpha (EXR always, TIFF by its tag) is divided out. The first part with colour is read: R, G, B
+    or Y, with A, without a layer or else of the first layer that has them; a single channel is grey. EXR's
+    display window is filled with transparent black. Radiance HDR's EXPOSURE is not divided out.
     """
     try:
         import OpenImageIO
@@ -100,7 +100,7 @@ def decode_deep(data: bytes, ending: str, name: str) -> Texels:
 
 
 def check_size(width: int, height: int, size: int | None, name: str, most: int = MOST_PER_BYTE) -> None:
-    """Refuse more than MAX_TEXELS, and what ``size`` bytes cannot hold at ``most`` texels a byte."""
+    """Refuse more than MAX_TEXELS, or more than ``size`` bytes can hold at ``most`` texels a byte."""
     if width * height > MAX_TEXELS:
         raise ImageError(
             f"{name} has {width} × {height} texels; octex reads up to {MAX_TEXELS}: scale it down"
@@ -110,8 +110,8 @@ def check_size(width: int, height: int, size: int | None, name: str, most: int =
 
 
 def _read(library: Any, file: Any, size: int, ending: str, name: str) -> Texels:
-    part, spec, places = _find(file, name)
-    kinds = {str(spec.channelformats[place] if spec.channelformats else spec.format) for place in places}
+    part, spec, indices = _find(file, name)
+    kinds = {str(spec.channelformats[index] if spec.channelformats else spec.format) for index in indices}
     integers = not kinds <= {"half", "float", "double"}
     if spec.getattribute("tiff:PhotometricInterpretation") not in (*_PHOTOMETRIC, None):
         raise ImageError(f"{name} has colours in a form that octex does not read; save it as RGB")
@@ -119,38 +119,38 @@ def _read(library: Any, file: Any, size: int, ending: str, name: str) -> Texels:
         raise ImageError(f"{name} has texels of {', '.join(sorted(kinds))}, which are not colours")
     check_size(spec.width, spec.height, size, name)
     check_size(spec.full_width, spec.full_height, size, name)
-    first, last = min(places), max(places) + 1
+    first, last = min(indices), max(indices) + 1
     check_size(spec.width, spec.height * (last - first), 4 * size, name)
     kind = library.UINT16 if integers else library.FLOAT
     values = file.read_image(part, 0, first, last, kind)
     if values is None:
         _refuse(name, file.geterror())
-    values = values.reshape(spec.height, spec.width, -1)[..., [place - first for place in places]]
+    values = values.reshape(spec.height, spec.width, -1)[..., [index - first for index in indices]]
     if ending == "tif" and spec.getattribute("tiff:PhotometricInterpretation") == _WHITE_IS_ZERO:
         values[..., 0] = (65535 if integers else np.float32(1)) - values[..., 0]
-    if ending == "hdr":  # rows and columns may run backwards (1 to 4 as in TIFF's tag of that name)
+    if ending == "hdr":  # rows and columns may be reversed (1 to 4 as in TIFF's tag of that name)
         orientation = spec.getattribute("Orientation")
         if orientation not in (None, 1, 2, 3, 4):
             raise ImageError(f"{name} is stored column by column; save it again, row by row")
         values = values[:: -1 if orientation in (3, 4) else 1, :: -1 if orientation in (2, 3) else 1]
     texels = spread(values)
     is_associated = ending == "exr" or (ending == "tif" and not spec.getattribute("oiio:UnassociatedAlpha"))
-    if len(places) in (2, 4) and is_associated:
+    if len(indices) in (2, 4) and is_associated:
         _divide_by_alpha(texels)
     return _placed(texels, spec, name) if ending == "exr" else texels
 
 
 def _find(file: Any, name: str) -> tuple[int, Any, list[int]]:
-    """Return the first part that has colour, its description, and the places of its colours and alpha."""
+    """Return the first part that has colour, its description, and the indices of its colours and alpha."""
     names: list[str] = []
     part = 0
     while file.seek_subimage(part, 0):
         spec = file.spec()
-        places = _color_channels(spec.channelnames)
-        if places and spec.deep:
+        indices = _color_channels(spec.channelnames)
+        if indices and spec.deep:
             raise ImageError(f"{name} is a deep image, of several layers at a pixel; flatten it")
-        if places:
-            return part, spec, places
+        if indices:
+            return part, spec, indices
         names += spec.channelnames
         part += 1
     if part == len(names) == 1 and not spec.deep and file.seek_subimage(0, 0):
@@ -160,18 +160,18 @@ def _find(file: Any, name: str) -> tuple[int, Any, list[int]]:
 
 
 def _color_channels(names: Sequence[str]) -> list[int]:
-    """Return the places of R, G, B or of Y, then of A, among the names; none: no colour."""
+    """Return the indices of R, G, B or of Y, then of A, among the names; none without colour."""
     split = [name.upper().rpartition(".")[::2] for name in names]
     for layer in dict.fromkeys(["", *(layer for layer, _ in split)]):
-        places = {channel: place for place, (of, channel) in enumerate(split) if of == layer}
+        indices = {channel: index for index, (of, channel) in enumerate(split) if of == layer}
         for color in ("RGB", "Y", "L"):
-            if all(channel in places for channel in color) and not {"RY", "BY"} & places.keys():
-                return [places[channel] for channel in [*color, "A"] if channel in places]
+            if all(channel in indices for channel in color) and not {"RY", "BY"} & indices.keys():
+                return [indices[channel] for channel in [*color, "A"] if channel in indices]
     return []
 
 
 def spread(values: Array) -> Texels:
-    """Return texels (height, width, 4) of 1 to 4 lanes: codes of eight bits times 257, floats as float32."""
+    """Return texels (height, width, 4) of 1 to 4 lanes: 8-bit codes times 257, floats as float32."""
     channels = values.shape[2]
     integers = values.dtype.kind == "u"
     if not integers:
@@ -181,8 +181,8 @@ def spread(values: Array) -> Texels:
     if channels == 4:
         texels[...] = values
     else:
-        for place in range(3):  # one at a time: twice as fast as rows of three
-            texels[..., place] = values[..., place if channels == 3 else 0]
+        for lane in range(3):  # one at a time: twice as fast as rows of three
+            texels[..., lane] = values[..., lane if channels == 3 else 0]
         opaque = np.iinfo(values.dtype).max if integers else 1
         texels[..., 3] = values[..., 1] if channels == 2 else opaque
     if values.dtype == np.uint8:
@@ -191,7 +191,7 @@ def spread(values: Array) -> Texels:
 
 
 def _divide_by_alpha(texels: Texels) -> None:
-    """Make associated alpha unassociated, in place; colour of no coverage stays."""
+    """Make associated alpha unassociated, in index; colours of alpha 0 stay."""
     alpha = texels[..., 3:]
     most = 65535.0 if texels.dtype == np.uint16 else 1.0
     partial = (alpha > 0) & (alpha != most)
@@ -205,7 +205,7 @@ def _divide_by_alpha(texels: Texels) -> None:
 
 
 def _placed(texels: Array, spec: Any, name: str) -> Array:
-    """Return the display window of an image whose texels are those of the data window."""
+    """Return the display window of an image, from the texels of its data window."""
     down, right = spec.y - spec.full_y, spec.x - spec.full_x
     height, width = spec.full_height, spec.full_width
     if (down, right, height, width) == (0, 0, *texels.shape[:2]):

@@ -1,8 +1,8 @@
 """Images as filters read them: whole, as mip pyramids, as ripmaps, or as summed-area tables.
 
-Every level is made from decoded texels, each the exact mean over its area; colours that an alpha covers are
-averaged with it as weight and stored unmultiplied. Around each level lies a rim, one texel wide: the border
-texels, averaged along the border only, for what lies beyond a clamped image.
+Every level has the exact means of decoded texels over its texels' areas; colours under an alpha are averaged
+with it as weight and stored unmultiplied. Around each level lies a rim, one texel wide: the border texels,
+averaged along the border only, which a clamped image repeats.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ WRAPS = ("repeat", "mirror", "clamp")
 
 
 def as_wraps(wrap: str | tuple[str, str]) -> tuple[int, int]:
-    """Return the wraps of u and v of one name, or one for each; raises ArgumentError for anything else."""
+    """Return the wraps of u and v, of one name or one for each; raises ArgumentError for anything else."""
     names = (wrap, wrap) if isinstance(wrap, str) else wrap
     if not isinstance(names, (tuple, list)) or len(names) != 2:
         raise ArgumentError(f"wrap must be one name, or one for u and one for v, not {wrap!r}")
@@ -37,28 +37,28 @@ def as_wraps(wrap: str | tuple[str, str]) -> tuple[int, int]:
 
 #: How an image is stored: 16-bit codes of sRGB or of fractions, floats, or sums of floats.
 SRGB, DATA, FLOAT, SUMS = range(4)
-#: Which levels of an image are stored.
+#: The stored levels of an image.
 WHOLE, MIPS, RIPS, AREAS = range(4)
 
-#: Weight of a texel that covers nothing: its colour counts only where no other does.
+#: Weight of a texel of alpha 0: its colour counts only where all have alpha 0.
 FAINT = 2.0**-40
 
-_BAND = 128  # rows of the second level that are made at a time
+_BAND = 128  # rows of the second level that are made at once
 
 
 class Picture(NamedTuple):
     """An image as one material reads it."""
 
     texels: Texels  # (height, width, 4)
-    is_light: bool  # its codes are sRGB; else fractions
-    covered: bool = False  # its alpha weighs its colours; else all lanes are alike
-    threshold: float = -1.0  # averages take alpha as 1 where it reaches this and else 0; negative: as it is
+    is_light: bool  # its codes are sRGB, or else fractions
+    covered: bool = False  # whether its alpha weighs its colours
+    threshold: float = -1.0  # averages count alpha as 1 from this on, else as 0; negative: no threshold
 
 
 class Images(NamedTuple):
-    """All images of a model with their levels, as kernels see them; those of one size share a layout.
+    """All images of a model with their levels, for kernels; images of one size share a layout.
 
-    A level's rows are ``width + 2`` texels apart; ``first`` is the place of texel (0, 0) in the image.
+    A level's rows are ``width + 2`` texels apart; ``first`` is the index of texel (0, 0) in the image.
     """
 
     kinds: Uint8s  # (images,)   SRGB, DATA, FLOAT or SUMS
@@ -72,15 +72,15 @@ class Images(NamedTuple):
     linear: Float32s  # (65536,)   linear light of an sRGB code
 
 
-def store(pictures: Sequence[Picture], what: int) -> tuple[Images, list[int]]:
-    """Store images with the levels of ``what``, WHOLE, MIPS, RIPS or AREAS; return the layout of each too."""
+def store(pictures: Sequence[Picture], kind: int) -> tuple[Images, list[int]]:
+    """Store images with the levels of ``kind``: WHOLE, MIPS, RIPS or AREAS; return the layout of each too."""
     sizes = list(dict.fromkeys(picture.texels.shape[:2] for picture in pictures))
     layouts: list[tuple[int, int, int]] = []
     levels: list[tuple[int, int, int]] = []
     rows_of: list[int] = []  # of an image, by layout
-    rim = 0 if what == AREAS else 1
+    rim = 0 if kind == AREAS else 1
     for height, width in sizes:
-        shapes, across, down = _shapes(width, height, what)
+        shapes, across, down = _shapes(width, height, kind)
         layouts.append((len(levels), across, down))
         first = 0
         for wide, high in shapes:
@@ -89,23 +89,14 @@ def store(pictures: Sequence[Picture], what: int) -> tuple[Images, list[int]]:
             first += stride * (high + 1 + rim)
         rows_of.append(first)
     layout_of = [sizes.index(picture.texels.shape[:2]) for picture in pictures]
-    kinds = [
-        SUMS
-        if what == AREAS
-        else FLOAT
-        if each.texels.dtype == np.float32
-        else SRGB
-        if each.is_light
-        else DATA
-        for each in pictures
-    ]
-    bases, ends = [], {SRGB: 0, FLOAT: 0, SUMS: 0}
-    for kind, layout in zip(kinds, layout_of, strict=True):
-        held = SRGB if kind == DATA else kind
-        bases.append(ends[held])
-        ends[held] += rows_of[layout]
+    bases, storage, ends = [], [], {SRGB: 0, FLOAT: 0, SUMS: 0}
+    for each, layout in zip(pictures, layout_of, strict=True):
+        array = SUMS if kind == AREAS else FLOAT if each.texels.dtype == np.float32 else SRGB
+        storage.append(DATA if array == SRGB and not each.is_light else array)
+        bases.append(ends[array])
+        ends[array] += rows_of[layout]
     images = Images(
-        np.array(kinds, np.uint8),
+        np.array(storage, np.uint8),
         np.array([picture.covered for picture in pictures], np.bool_),
         np.array(bases, np.int64),
         np.array(layouts, np.int64).reshape(-1, 3),
@@ -118,31 +109,31 @@ def store(pictures: Sequence[Picture], what: int) -> tuple[Images, list[int]]:
 
     def fill(number: int) -> None:
         rows = slice(bases[number], bases[number] + rows_of[layout_of[number]])
-        if kinds[number] == SUMS:
+        if storage[number] == SUMS:
             _add_up(pictures[number], images.sums[rows])
-        elif kinds[number] == FLOAT:
-            _fill(pictures[number], what, images.floats[rows])
+        elif storage[number] == FLOAT:
+            _fill(pictures[number], kind, images.floats[rows])
         else:
-            _fill(pictures[number], what, images.codes[rows].view(np.uint16).reshape(-1, 4))
+            _fill(pictures[number], kind, images.codes[rows].view(np.uint16).reshape(-1, 4))
 
     with pool_of(cpu_count()) as pool:
         list(pool.map(fill, range(len(pictures))))
     return images, layout_of
 
 
-def _shapes(width: int, height: int, what: int) -> tuple[list[tuple[int, int]], int, int]:
+def _shapes(width: int, height: int, kind: int) -> tuple[list[tuple[int, int]], int, int]:
     """Return (width, height) of each level in order, and how many there are across and down."""
     wides, highs = ([size >> level for level in range(size.bit_length())] for size in (width, height))
-    if what == RIPS:
+    if kind == RIPS:
         return [(wide, high) for high in highs for wide in wides], len(wides), len(highs)
-    count = max(len(wides), len(highs)) if what == MIPS else 1
+    count = max(len(wides), len(highs)) if kind == MIPS else 1
     wides += [1] * (count - len(wides))
     highs += [1] * (count - len(highs))
     return list(zip(wides, highs, strict=False))[:count], count, count
 
 
 def _add_up(picture: Picture, sums: Float64s) -> None:
-    """Fill in a summed-area table (rows, 4), one wider and higher than the image."""
+    """Fill in a summed-area table (rows, 4), a texel wider and higher than the image."""
     height, width = picture.texels.shape[:2]
     table = sums.reshape(height + 1, width + 1, 4)
     table[0], table[:, 0] = 0.0, 0.0
@@ -150,9 +141,9 @@ def _add_up(picture: Picture, sums: Float64s) -> None:
     np.cumsum(table[1:, 1:], axis=1, out=table[1:, 1:])
 
 
-def _fill(picture: Picture, what: int, rows: Texels) -> None:
+def _fill(picture: Picture, kind: int, rows: Texels) -> None:
     height, width = picture.texels.shape[:2]
-    shapes, across, _ = _shapes(width, height, what)
+    shapes, across, _ = _shapes(width, height, kind)
     finest = _take(rows, 0, width, height)
     finest[1:-1, 1:-1] = picture.texels
     finest[0, 1:-1], finest[-1, 1:-1] = picture.texels[0], picture.texels[-1]
@@ -165,8 +156,8 @@ def _fill(picture: Picture, what: int, rows: Texels) -> None:
     rims = {0: [_decoded(picture._replace(texels=border)) for border in borders]}
     first = finest.shape[0] * finest.shape[1]
     for number, (wide, high) in enumerate(shapes[1:], 1):
-        # From the level of half the reduction: one step down, or for ripmaps one across.
-        below = number - 1 if what == MIPS or number % across else number - across
+        # Each level halves one before it: down, or for ripmaps also across.
+        below = number - 1 if kind == MIPS or number % across else number - across
         done[number] = resized(done[below], high, wide) if below else _shrunk(picture, high, wide)
         sizes = (high, 1), (high, 1), (1, wide), (1, wide), (2, 2)
         rims[number] = [resized(part, *size) for part, size in zip(rims[below], sizes, strict=True)]
@@ -176,12 +167,12 @@ def _fill(picture: Picture, what: int, rows: Texels) -> None:
         sides = target[1:-1, :1], target[1:-1, -1:], target[:1, 1:-1], target[-1:, 1:-1], corners
         for part, values in zip((target[1:-1, 1:-1], *sides), (done[number], *rims[number]), strict=True):
             part[...] = _encoded(values, picture, target.dtype == np.float32)
-        if what == MIPS:
+        if kind == MIPS:
             done.pop(below, None)
 
 
 def _shrunk(picture: Picture, height: int, width: int) -> Float32s:
-    """Return an image's values at a smaller size, decoded some rows at a time if they fall together."""
+    """Return an image's values at a smaller size; if rows align, bands of them are decoded in turn."""
     values = np.empty((height, width, 4), np.float32)
     rows, left_over = divmod(picture.texels.shape[0], height)
     band = height if left_over else _BAND

@@ -1,4 +1,4 @@
-"""Taps, weighted texels of one image's levels: how filters list them, and what they add up to."""
+"""Taps, weighted texels of one image's levels: how filters list them, and how they are summed."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from octex.source.images.pyramid import CLAMP, DATA, FAINT, FLOAT, MIRROR, REPEA
 #: How a threshold acts on alpha: not at all, on each texel of the finest level, on their sum.
 NEVER, EACH, SUM = 0, 1, 2
 
-#: The most taps that a footprint can have; beside them lie the spans of summed-area tables. Places and
-#: weights are two arrays: a tuple of them costs EWA up to a tenth of its time.
+#: Most taps of a footprint; the spans of summed-area tables lie behind them. Indices and weights are two
+#: arguments: a tuple of them costs EWA up to a tenth of its time.
 MOST_TAPS = 4096
 TAP_ROOM = MOST_TAPS + 16
 
@@ -26,7 +26,7 @@ _CODE, _GREEN, _BLUE, _ALPHA = np.uint64(65535), np.uint64(16), np.uint64(32), n
 
 
 class Footprint(NamedTuple):
-    """A point in texture coordinates, a covariance about it in texels², and how they meet an image."""
+    """A point in texture coordinates, a covariance around it in texels², and how the image is read."""
 
     u: float
     v: float
@@ -37,18 +37,18 @@ class Footprint(NamedTuple):
     most: float  # and along the long one
     wrap_u: int
     wrap_v: int
-    flat: bool  # whether texels are flat; else bilinear patches lie between them
+    flat: bool  # whether texels are flat, or else joined by bilinear patches
 
 
 @inlined
 def unwrapped(coordinate: float, mode: int, variance: float, size: int) -> float:
-    """Bring a coordinate to where the image, its mirror image, or no more than its border is in reach."""
+    """Move a coordinate by whole periods, or of a clamped image toward its border."""
     if mode == CLAMP:
         if -4.0 <= coordinate <= 5.0:
             return coordinate
         far = 4.0 + min(math.sqrt(12.0 * variance) / size, 1e9)
         return min(max(coordinate, -far), 1.0 + far)
-    # math.floor makes an integer, which coordinates may exceed.
+    # Coordinates may exceed the integers that math.floor returns.
     if mode == MIRROR:
         return float(coordinate - 2.0 * np.floor(coordinate * 0.5))
     return float(coordinate - np.floor(coordinate))
@@ -56,7 +56,7 @@ def unwrapped(coordinate: float, mode: int, variance: float, size: int) -> float
 
 @inlined
 def wrapped(index: int, size: int, mode: int) -> int:
-    """Return the texel that stands for one anywhere; −1 and ``size`` are the rim of clamped images."""
+    """Return the texel at an index beyond the image; −1 and ``size`` are the rim of clamped images."""
     if 0 <= index < size:
         return index
     if mode == CLAMP:
@@ -70,41 +70,41 @@ def wrapped(index: int, size: int, mode: int) -> int:
 @inlined
 def window(
     images: Images, row: int, foot: Footprint, left: int, top: int, across: tuple[float | np.float32, ...],
-    down: tuple[float | np.float32, ...], places: Int64s, weights: Float64s, count: int,
+    down: tuple[float | np.float32, ...], indices: Int64s, weights: Float64s, count: int,
 ) -> int:  # fmt: skip
-    """Add a window of a level's texels, whose columns and rows have these weights."""
+    """Add a window of a level's texels, with the weights of its columns and rows."""
     first, width, height = images.levels[row, 0], images.levels[row, 1], images.levels[row, 2]
     is_inside = left >= 0 and left + len(across) <= width
     for j in range(len(down)):
         start = first + wrapped(top + j, height, foot.wrap_v) * (width + 2)
         for i in range(len(across)):
             x = left + i if is_inside else wrapped(left + i, width, foot.wrap_u)
-            places[count], weights[count] = start + x, across[i] * down[j]
+            indices[count], weights[count] = start + x, across[i] * down[j]
             count += 1
     return count
 
 
 @inlined
 def bilinear(
-    images: Images, row: int, foot: Footprint, weight: float, places: Int64s, weights: Float64s, count: int
+    images: Images, row: int, foot: Footprint, weight: float, indices: Int64s, weights: Float64s, count: int
 ) -> int:
-    """Add the four texels of a level around a point, with a weight in all."""
+    """Add the four texels of a level around a point, whose weights sum to ``weight``."""
     x, y = foot.u * images.levels[row, 1] - 0.5, foot.v * images.levels[row, 2] - 0.5
     left, top = math.floor(x), math.floor(y)
     right, down = x - left, y - top
     across = (weight * (1.0 - right), weight * right)
-    return window(images, row, foot, left, top, across, (1.0 - down, down), places, weights, count)
+    return window(images, row, foot, left, top, across, (1.0 - down, down), indices, weights, count)
 
 
 @inlined
 def flat_texels(
-    images: Images, row: int, foot: Footprint, xx: float, yy: float, places: Int64s, weights: Float64s
+    images: Images, row: int, foot: Footprint, xx: float, yy: float, indices: Int64s, weights: Float64s
 ) -> int:
-    """List the flat texels under a footprint of at most a texel: they meet in ramps of its own width."""
+    """List the flat texels under a footprint of at most a texel: they meet in ramps of its width."""
     x, y = foot.u * images.levels[row, 1] - 0.5, foot.v * images.levels[row, 2] - 0.5
     left, top = math.floor(x), math.floor(y)
     right, down = _ramp(x - left, math.sqrt(12.0 * xx)), _ramp(y - top, math.sqrt(12.0 * yy))
-    return window(images, row, foot, left, top, (1.0 - right, right), (1.0 - down, down), places, weights, 0)
+    return window(images, row, foot, left, top, (1.0 - right, right), (1.0 - down, down), indices, weights, 0)
 
 
 @inlined
@@ -117,19 +117,10 @@ def _ramp(part: float, width: float) -> float:
 
 @inlined
 def gather(
-    images: Images,
-    image: int,
-    layout: int,
-    places: Int64s,
-    weights: Float64s,
-    count: int,
-    cut: int,
-    scale: float,
-    threshold: float,
-    lanes: Float32s,
-    at: int,
-) -> None:
-    """Add up an image's texels at taps into four lanes; colours unmultiplied."""
+    images: Images, image: int, layout: int, indices: Int64s, weights: Float64s, count: int, cut: int,
+    scale: float, threshold: float, lanes: Float32s, at: int,
+) -> None:  # fmt: skip
+    """Sum an image's texels at taps into four lanes; colours unmultiplied."""
     kind, base, covered = images.kinds[image], images.bases[image], images.covered[image]
     linear, codes = images.linear, images.codes
     red = green = blue = alpha = _NONE
@@ -137,7 +128,7 @@ def gather(
     opacity = factor
     if kind == SRGB and not covered:
         for i in range(count):
-            word, weight = codes[base + places[i]], np.float32(weights[i])
+            word, weight = codes[base + indices[i]], np.float32(weights[i])
             red += weight * linear[word & _CODE]
             green += weight * linear[(word >> _GREEN) & _CODE]
             blue += weight * linear[(word >> _BLUE) & _CODE]
@@ -145,7 +136,7 @@ def gather(
         opacity = factor / _CODES
     elif kind == DATA:
         for i in range(count):
-            word, weight = codes[base + places[i]], np.float32(weights[i])
+            word, weight = codes[base + indices[i]], np.float32(weights[i])
             red += weight * np.float32(np.int64(word & _CODE))
             green += weight * np.float32(np.int64((word >> _GREEN) & _CODE))
             blue += weight * np.float32(np.int64((word >> _BLUE) & _CODE))
@@ -159,13 +150,13 @@ def gather(
         for i in range(count):
             weight = np.float32(weights[i])
             if kind == SRGB:
-                word = codes[base + places[i]]
+                word = codes[base + indices[i]]
                 r, g = linear[word & _CODE], linear[(word >> _GREEN) & _CODE]
                 b, a = linear[(word >> _BLUE) & _CODE], np.float32(np.int64(word >> _ALPHA)) / _CODES
             else:
-                floats, place = images.floats, base + places[i]
-                r, g, b, a = floats[place, 0], floats[place, 1], floats[place, 2], floats[place, 3]
-            if covered and cut == EACH and threshold >= 0.0 and places[i] < fine:
+                floats, texel = images.floats, base + indices[i]
+                r, g, b, a = floats[texel, 0], floats[texel, 1], floats[texel, 2], floats[texel, 3]
+            if covered and cut == EACH and threshold >= 0.0 and indices[i] < fine:
                 a = _ALL if a >= threshold else _NONE
             alpha += weight * a
             if covered:  # bicubic weights may be negative, but no coverage is
@@ -184,13 +175,13 @@ def gather(
         sums = images.sums
         total_red = total_green = total_blue = total_alpha = 0.0
         for i in range(count):
-            place = base + places[i]
-            total_red += weights[i] * sums[place, 0]
-            total_green += weights[i] * sums[place, 1]
-            total_blue += weights[i] * sums[place, 2]
-            total_alpha += weights[i] * sums[place, 3]
+            entry = base + indices[i]
+            total_red += weights[i] * sums[entry, 0]
+            total_green += weights[i] * sums[entry, 1]
+            total_blue += weights[i] * sums[entry, 2]
+            total_alpha += weights[i] * sums[entry, 3]
         if covered:
-            total_alpha = max(total_alpha, 0.0)  # but for rounding it is
+            total_alpha = max(total_alpha, 0.0)  # only rounding makes it negative
             factor = np.float32(1.0 / (total_alpha + FAINT))
         red, green, blue = np.float32(total_red), np.float32(total_green), np.float32(total_blue)
         alpha = np.float32(total_alpha)

@@ -1,6 +1,6 @@
 """glTF 2.0 and GLB models: meshes, the scene's transforms and instances, materials and their images.
 
-A channel is stated by a factor or a map that stands in the file. trimesh is not asked: it skips triangle fans
+A material has a channel if the file has its factor or its map. trimesh does not serve: it skips triangle fans
 and drops samplers, texture transforms and all texture coordinates but the first (see also `octex.gltf`).
 """
 
@@ -44,10 +44,10 @@ _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 _WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
 _NEAREST = 9728
-#: Where vertices rest, which primitives of models that carry an octree may say.
+#: The attribute of rest positions in models that carry an octree.
 _REST = f"{OCTREE_EXTENSION}:REST"
 _IMAGE_EXTENSIONS = ("EXT_texture_avif", "EXT_texture_webp", "KHR_texture_basisu")
-# Extensions that a file may require: those that are read, and those that change nothing octex reads.
+# Extensions that a file may require: octex reads them, or they change nothing that octex reads.
 _KNOWN_EXTENSIONS = {
     DRACO, *MESHOPT, *_IMAGE_EXTENSIONS, "EXT_mesh_gpu_instancing", "KHR_animation_pointer",
     "KHR_lights_punctual", "KHR_mesh_quantization", "KHR_texture_transform", "KHR_xmp_json_ld",
@@ -59,16 +59,16 @@ _FARTHEST = 1e18
 def load_gltf(path: Path, options: Options) -> Surface:
     """Read the scene of a .gltf or .glb file.
 
-    Rest positions are the mesh as it is modelled, without morph targets and skins, or what EXT_octree_texture
-    says; ``options.pose`` moves the positions, as ``gltf_motion`` says. ``uv`` is TEXCOORD_0, where all
-    primitives with textures have it.
+    Rest positions are the mesh as modelled, without morph targets and skins, or those of EXT_octree_texture;
+    ``options.pose`` moves only the positions (see `gltf_motion`). ``uv`` is TEXCOORD_0, if all primitives
+    with textures have it.
     """
     document = Document(path)
     shown = _shown(document, options)
     if not shown:
         raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
     known = _materials(document, (each.primitive.material for each in shown), options)
-    numbers = {number: place for place, number in enumerate(known)}
+    numbers = {number: index for index, number in enumerate(known)}
     is_mapped = any(each.material.normal_slot is not None for each in known.values())
     is_smooth = any("NORMAL" in each.primitive.attributes for each in shown)
     has_frames = is_mapped or (options.normals and is_smooth)
@@ -104,7 +104,7 @@ def load_gltf(path: Path, options: Options) -> Surface:
 
 
 def load_gltf_motion(path: Path, rate: float) -> Motion | None:
-    """Return how all vertices move, ``rate`` frames a second or more; None without animations."""
+    """Return the motion of all vertices, at ``rate`` frames a second or more; None without animations."""
     document = Document(path)
     return motion_of(document, _shown(document, Options(materials=False)), rate)
 
@@ -194,7 +194,7 @@ def _check_indices(indices: Array, count: int, name: str) -> None:
 
 
 def _bound(part: Part, primitive: Primitive, known: Description, has_frames: bool) -> Part:
-    """Read what a primitive's material needs, and what may be of use without one."""
+    """Read the attributes that a primitive's material needs, and those that other sources may need."""
     positions, triangles = part.positions, part.triangles
 
     def bound(rows: Floats | None) -> Corners | None:
@@ -208,17 +208,19 @@ def _bound(part: Part, primitive: Primitive, known: Description, has_frames: boo
     for slot in known.slots:
         read = uv if slot.name == "TEXCOORD_0" else primitive.attribute(slot.name, (2,))
         if read is None:
-            what = f"{primitive.document.name}: a textured material is of meshes without {slot.name}"
-            warn(f"{what}, which read one texel; give them coordinates")
+            warn(
+                f"{primitive.document.name}: meshes with a textured material have no {slot.name}, so they "
+                "read one texel; give them coordinates"
+            )
             read = np.zeros((len(positions), 2))
-        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused in use
+        with np.errstate(over="ignore", invalid="ignore"):  # the source refuses infinite coordinates
             coordinates.append(Corners(slot.applied(read).astype(np.float32), triangles))
     frames = None
     if has_frames:
-        normals, place = bound(primitive.attribute("NORMAL", (3,))), known.material.normal_slot
+        normals, index = bound(primitive.attribute("NORMAL", (3,))), known.material.normal_slot
         tangents = mapped = None
-        if place is not None:  # tangents mean something only below a normal map
-            tangents, mapped = bound(primitive.attribute("TANGENT", (4,))), coordinates[place]
+        if index is not None:  # only normal maps need tangents
+            tangents, mapped = bound(primitive.attribute("TANGENT", (4,))), coordinates[index]
         frames = corner_frames(positions, triangles, normals, tangents, mapped)
     return part._replace(
         colors=bound(colors), coordinates=coordinates, uv=bound(uv), frames=frames,
@@ -227,7 +229,7 @@ def _bound(part: Part, primitive: Primitive, known: Description, has_frames: boo
 
 
 def _triangles(indices: Int64s, mode: int) -> Int64s:
-    """Return the triangles (m, 3) of a list, a strip or a fan (3.7.2.1); what is left over is dropped."""
+    """Return the triangles (m, 3) of a list, a strip or a fan (3.7.2.1), without incomplete ones."""
     if mode == _TRIANGLES:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3)
     count = max(len(indices) - 2, 0)
@@ -243,12 +245,12 @@ class _Record(NamedTuple):
     name: str
 
     def part(self, key: str) -> _Record:
-        """Return an object inside, an empty one if it is not there."""
+        """Return an inner object; an empty one if it is missing."""
         name = f"{self.name}.{key}"
         return _Record(as_object(self.entry.get(key, {}), name), name)
 
     def states(self, *keys: str) -> bool:
-        """Say whether any of the keys stands in the file."""
+        """Say whether the file has any of the keys."""
         return any(key in self.entry for key in keys)
 
     def number(self, key: str, default: float) -> float:
@@ -284,15 +286,15 @@ def _materials(
         for name in uses:
             if (number, name) in textures:
                 file, wrap_u, wrap_v, nearest, slot = textures[number, name]
-                place = slots.setdefault(slot, len(slots))
-                texture = Texture(texels[file], wrap_u, wrap_v, nearest, place)
+                index = slots.setdefault(slot, len(slots))
+                texture = Texture(texels[file], wrap_u, wrap_v, nearest, index)
                 inputs[name] = inputs[name]._replace(texture=texture)
         known[number] = Description(material._replace(inputs=inputs), tuple(slots))
     return known
 
 
 def _described(document: Document, number: int | None) -> tuple[Material, dict[str, _Record]]:
-    """Return a material without textures, and by channel the file's references to them."""
+    """Return a material without textures, and the file's references to these, by channel."""
     record = _Record(
         {} if number is None else document.item("materials", number), f"{document.name}: materials[{number}]"
     )
@@ -364,9 +366,9 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
 def _texture(
     document: Document, use: _Record, files: dict[str | int, tuple[bytes, str]]
 ) -> tuple[str | int, int, int, bool, Slot]:
-    """Return what a reference to a texture means: its image, wraps of u and v, flat texels, coordinates.
+    """Return the image, wraps of u and v, flat texels and coordinates of a reference to a texture.
 
-    ``files`` gets the image's content, by its place in the file, and its name in errors.
+    ``files`` gets the image's content and its name in errors, by its uri or buffer view.
     """
     number = use.entry.get("index")
     entry = document.item("textures", number)
@@ -395,11 +397,11 @@ def _texture(
             content = bytes(document.view(file)[0])
         files[file] = content, name
     transform = use.part("extensions").part("KHR_texture_transform")
-    place = transform.entry.get("texCoord", use.entry.get("texCoord", 0))
-    if isinstance(place, bool) or not isinstance(place, int) or place < 0:
-        raise damaged(f"{use.name}.texCoord must be a whole number, not {reprlib.repr(place)}")
+    number = transform.entry.get("texCoord", use.entry.get("texCoord", 0))
+    if isinstance(number, bool) or not isinstance(number, int) or number < 0:
+        raise damaged(f"{use.name}.texCoord must be a whole number, not {reprlib.repr(number)}")
     slot = Slot(
-        f"TEXCOORD_{place}",
+        f"TEXCOORD_{number}",
         transform.numbers("scale", (1.0, 1.0)),
         transform.number("rotation", 0.0),
         transform.numbers("offset", (0.0, 0.0)),

@@ -1,4 +1,4 @@
-"""How glTF models move: animations, skins and morph targets (glTF 2.0, 3.7, 3.11 and appendix C)."""
+"""The motion of glTF models: animations, skins and morph targets (glTF 2.0, 3.7, 3.11 and appendix C)."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from octex.source.motion import Animation, Links, Motion
 
 _COMPONENTS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 1}
 _INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
-#: By how much weights may miss 1 together: four of them, rounded to bytes.
+#: Rounding of the sum of four weights in bytes.
 _ROUNDING = 2 / 255
-#: Frames are a multiple of this, and one, so that every second and every fourth of them begin and end alike.
+#: Frames are a multiple of this plus one, so that every second and every fourth include the first and last.
 _MULTIPLE = 4
-#: Matrices of all frames of an animation; a longer one has fewer frames a second.
+#: Most matrices of an animation's frames; longer animations have fewer frames a second.
 _MOST_MATRICES = 1 << 20
 
 
 class Sampler(NamedTuple):
-    """Values at keys in time, and what lies between them."""
+    """Values at keys in time, and their interpolation."""
 
     times: Float64s  # (keys,)   ascending
     values: Float64s  # (keys, components), or of CUBICSPLINE (keys, 3, components): tangent, value, tangent
@@ -33,7 +33,7 @@ class Sampler(NamedTuple):
     turns: bool  # whether values are quaternions
 
     def at(self, time: float) -> Float64s:
-        """Return the value (components,) at a time; before the first key and after the last it stays."""
+        """Return the value (components,) at a time, constant before the first key and after the last."""
         times = self.times
         is_cubic = self.interpolation == "CUBICSPLINE"
         if not times[0] < time < times[-1]:
@@ -56,7 +56,7 @@ class Sampler(NamedTuple):
             return _unit(mixed, self.turns)
         if not self.turns:
             return np.asarray((1 - t) * a + t * b)
-        a, b = _unit(a, True), _unit(b, True)  # the shorter way round, at an even speed (C.3)
+        a, b = _unit(a, True), _unit(b, True)  # along the shorter arc, at constant speed (C.3)
         dot = float(a @ b)
         if dot < 0:
             b, dot = -b, -dot
@@ -67,13 +67,13 @@ class Sampler(NamedTuple):
 
 
 def _unit(values: Float64s, turns: bool) -> Float64s:
-    """Return quaternions at length 1, other values as they are."""
+    """Return a value that ``turns``, a quaternion, at length 1; other values unchanged."""
     length = float(np.linalg.norm(values))
     return values / length if turns and length else values
 
 
 class Moves:
-    """What an animation changes over time. Raises ModelError for a broken one."""
+    """The fields of nodes that an animation changes over time. Raises ModelError for a broken animation."""
 
     def __init__(self, document: Document, number: int) -> None:
         animation = document.item("animations", number)
@@ -83,7 +83,7 @@ class Moves:
         for index, channel in enumerate(animation["channels"]):
             target = as_object(channel["target"], f"{what}.channels[{index}].target")
             path = target["path"]
-            if "node" not in target or path not in _COMPONENTS:  # as extensions have them
+            if "node" not in target or path not in _COMPONENTS:  # of an extension
                 continue
             node, chosen = target["node"], channel["sampler"]
             if "matrix" in document.item("nodes", node) and path != "weights":
@@ -93,16 +93,15 @@ class Moves:
             if not isinstance(chosen, int) or not 0 <= chosen < len(animation["samplers"]):
                 raise damaged(f"{what} refers to samplers[{chosen}], which it does not have")
             if chosen not in samplers:
-                place = f"{what}.samplers[{chosen}]"
-                samplers[chosen] = _sampler(
-                    document, as_object(animation["samplers"][chosen], place), path, place
-                )
+                name = f"{what}.samplers[{chosen}]"
+                entry = as_object(animation["samplers"][chosen], name)
+                samplers[chosen] = _sampler(document, entry, path, name)
             self._channels[node, path] = samplers[chosen]
-        #: How long it takes, in seconds.
+        #: In seconds.
         self.length = max((float(each.times[-1]) for each in self._channels.values()), default=0.0)
 
     def fields_at(self, time: float) -> dict[int, Json]:
-        """Return fields of animated nodes, by their numbers: translation, rotation, scale and weights."""
+        """Return the fields of animated nodes, by number: translation, rotation, scale and weights."""
         fields: dict[int, Json] = {}
         for (node, path), sampler in self._channels.items():
             fields.setdefault(node, {})[path] = sampler.at(time).tolist()
@@ -147,7 +146,7 @@ def pose_of(document: Document, pose: str) -> Pose:
     else:
         moves = Moves(document, number)
         try:
-            time = float(np.float32(seconds))  # in which files keep times
+            time = float(np.float32(seconds))  # the files' precision
         except ValueError:
             time = np.nan
         if 0.0 <= time <= moves.length:
@@ -160,7 +159,7 @@ def pose_of(document: Document, pose: str) -> Pose:
 
 
 class Primitive(NamedTuple):
-    """The triangles of a mesh primitive, and where the file keeps the rest of it."""
+    """The triangles of a mesh primitive, and references to its other data in the file."""
 
     document: Document
     name: str  # in errors
@@ -168,11 +167,11 @@ class Primitive(NamedTuple):
     triangles: Int32s
     material: int | None
     attributes: Json
-    decoded: dict[str, Array]  # what of them an extension has
-    targets: list[Any]  # of morphs
+    decoded: dict[str, Array]  # the attributes that an extension stores
+    targets: list[Any]  # morph targets
 
     def attribute(self, name: str, components: tuple[int, ...]) -> Float64s | None:
-        """Return a vertex attribute of so many components, None if there is none of this name."""
+        """Return a vertex attribute with this number of components; None if it is missing."""
         if name not in self.attributes:
             return None
         rows = self.document.accessor(self.attributes[name], components, self.decoded.get(name))
@@ -183,7 +182,7 @@ class Primitive(NamedTuple):
         return rows
 
     def offsets(self, attribute: str) -> Iterator[Array | None]:
-        """Yield what each of the targets adds to the vertices' attribute (n, 3), or None."""
+        """Yield each target's offsets of a vertex attribute (n, 3), or None."""
         for number, target in enumerate(self.targets):
             offsets = None
             if attribute in target:
@@ -194,11 +193,11 @@ class Primitive(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A mesh primitive as a node of the scene shows it."""
+    """A mesh primitive of a node of the scene."""
 
     node: int
-    copy: Float64s  # (4, 4)   of the mesh below the node (EXT_mesh_gpu_instancing)
-    matrix: Float64s  # (4, 4)   to the world, as it rests
+    copy: Float64s  # (4, 4)   of an instance to the node (EXT_mesh_gpu_instancing)
+    matrix: Float64s  # (4, 4)   to the world, at rest
     primitive: Primitive
 
 
@@ -214,7 +213,7 @@ class Pose:
         self._joints: dict[int, Float64s] = {}
 
     def positions(self, placed: Placed) -> Float64s:
-        """Return where the vertices (n, 3) are: moved by targets, then by a skin or the node."""
+        """Return the vertices (n, 3), moved by targets, then by a skin or the node."""
         bones = self.bones(placed)
         moved = placed.primitive.positions
         for weight, offsets in zip(self.weights(placed), placed.primitive.offsets("POSITION"), strict=True):
@@ -232,16 +231,16 @@ class Pose:
             return sums
 
     def skin(self, placed: Placed) -> int | None:
-        """Return the skin that moves a primitive; None where its node alone does."""
+        """Return the skin that moves a primitive; None if only its node moves it."""
         return self._nodes[placed.node].get("skin")
 
     def bones(self, placed: Placed) -> Float64s:
-        """Return what takes a primitive's vertices to the scene (b, 4, 4): its skin's joints, or its node."""
+        """Return the matrices (b, 4, 4), of joints or of the node, that move vertices to the scene."""
         skin = self.skin(placed)
         with np.errstate(over="ignore", invalid="ignore"):
             if skin is None:
                 return (self._matrices[placed.node] @ placed.copy)[None]
-            # What a skin moves stands where its joints are, wherever its own node is (3.7.3.3).
+            # A skinned mesh is placed by its joints, not by its node (3.7.3.3).
             return np.asarray(placed.copy @ self._joints_of(skin))
 
     def weights(self, placed: Placed) -> list[float]:
@@ -257,14 +256,14 @@ class Pose:
         return weights
 
     def _joints_of(self, number: int) -> Float64s:
-        """Return what takes vertices at rest to where a skin's joints (j, 4, 4) have them."""
+        """Return the matrices of a skin's joints (j, 4, 4), from vertices at rest to the scene."""
         if number not in self._joints:
             skin = self._document.item("skins", number)
             what = f"{self._document.name}: skins[{number}]"
             nodes = skin["joints"]
-            lacking = [each for each in nodes if each not in self._matrices]
-            if lacking:
-                raise damaged(f"{what} has joint nodes[{lacking[0]}], which the scene does not show")
+            missing = [each for each in nodes if each not in self._matrices]
+            if missing:
+                raise damaged(f"{what} has joint nodes[{missing[0]}], which the scene does not show")
             if not nodes:
                 raise damaged(f"{what} has no joints")
             inverses = np.broadcast_to(np.eye(4), (len(nodes), 4, 4))
@@ -278,9 +277,9 @@ class Pose:
 
 
 def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
-    """Return the joints (n, k) that move vertices, of all sets of four, and weights (n, k) with sums of 1.
+    """Return the joints (n, k) that move vertices, of all sets of four, and their weights (n, k).
 
-    Weights with another sum are normalized, as viewers do; where all are 0 the first joint has all.
+    Weights are scaled to sum 1, as viewers do; if all are 0, the first joint gets 1.
     """
     what = primitive.name
     joints: list[Array] = []
@@ -318,9 +317,9 @@ def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
 
 
 def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Motion | None:
-    """Return how the vertices of primitives move, one after another; None if the file has no animations.
+    """Return the motion of the vertices of all primitives in turn; None if the file has no animations.
 
-    ``rate`` is how many frames a second has at least. Broken animations are listed in ``faults``.
+    A second has at least ``rate`` frames. ``faults`` lists broken animations.
     """
     names = _names(document)
     if not names:
@@ -345,7 +344,7 @@ def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Moti
 
 
 class _Bones:
-    """The bones and targets that move primitives: those of a skin are shared by whatever rests alike."""
+    """The bones and targets that move primitives; primitives with one skin and rest matrix share bones."""
 
     def __init__(self, document: Document, placed: Sequence[Placed]) -> None:
         self._document, self._placed = document, placed
@@ -353,7 +352,7 @@ class _Bones:
         self._first: list[int] = []  # the first bone of each primitive
         self._owners: dict[tuple[object, bytes, bytes], tuple[int, Placed]] = {}
         self._weights: dict[int, tuple[int, Placed]] = {}  # the first target of each node
-        self._skins: list[int] = []  # how many bones the skin of each primitive has, 0 without one
+        self._skins: list[int] = []  # each primitive's number of bones, 0 without a skin
         self.count, n_targets = 0, 0
         for each in placed:
             n_bones, skin = len(self._rest.bones(each)), self._rest.skin(each)
@@ -380,7 +379,7 @@ class _Bones:
         return bones, weights
 
     def links(self) -> tuple[Links, Links, Float64s]:
-        """Return what bones move the vertices, and what targets add to them and to their normals."""
+        """Return the vertices' links to bones and to targets, and the targets' offsets of normals."""
         joints, targets, turns = [], [], []
         for each, first, n_bones in zip(self._placed, self._first, self._skins, strict=True):
             primitive = each.primitive
@@ -406,7 +405,7 @@ class _Bones:
 
 
 def _entries(chosen: Bools, numbers: Int64s, shares: Float64s) -> tuple[Int64s, Int64s, Float64s]:
-    """Return how many entries (n, k) each vertex (n,) has, their numbers and their shares."""
+    """Return each vertex's number of entries (n,), and the chosen entries' numbers and shares."""
     return chosen.sum(axis=1), numbers[chosen], shares[chosen]
 
 

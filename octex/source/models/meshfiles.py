@@ -1,6 +1,6 @@
-"""OFF and STL models: shapes, at most with colours.
+"""OFF and STL models: shapes, perhaps with colours.
 
-trimesh reads STL. Of OFF files and 3MF packages it drops the colours, and 3MF takes it lxml and networkx.
+trimesh reads STL. It drops the colours of OFF files and 3MF packages, and needs lxml and networkx for 3MF.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from octex.source.models.reading import (
 )
 from octex.source.surface import Surface
 
-# Keeps traces of damaged normals off the screen where no program asks for logs.
+# Keeps trimesh's messages about damaged normals off the screen.
 _quiet = logging.NullHandler()
 
 
@@ -45,11 +45,11 @@ def load_stl(path: Path, options: Options) -> Surface:
     else:
         if b"endsolid" not in data.lower():
             raise damaged(f"{path.name} is truncated, or not an STL file")
-        # For text that is not UTF-8 trimesh asks a package that need not be there.
+        # For text that is not UTF-8 trimesh needs a package that may be missing.
         data = data.decode("latin-1").encode()
     with global_settings():
         warnings.simplefilter("ignore")
-        # Else trimesh leaves out all that follows the first word that is no number.
+        # Without this trimesh drops everything after the first word that is no number.
         warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
         try:
             mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl", process=False)
@@ -62,10 +62,10 @@ def load_stl(path: Path, options: Options) -> Surface:
 
 
 def _stl_colors(data: bytes) -> Float32s | None:
-    """Return the linear colours of a binary STL file's facets, 5 bits a component; None where it has none.
+    """Return the linear colours of a binary STL file's facets, 5 bits a component; None without colours.
 
-    In Magics' files the header has the colour of facets whose bit 15 is set, and red is the lowest component.
-    In VisCAM's bit 15 marks facets with a colour, and red is the highest.
+    In Magics' files facets with bit 15 have the header's colour, and red is the lowest component. In VisCAM's
+    files bit 15 marks facets with a colour, and red is the highest component.
     """
     words = np.frombuffer(data, np.uint8, offset=84).reshape(-1, 50)[:, 48:].copy().view("<u2")
     is_marked = words >= 1 << 15
@@ -89,7 +89,7 @@ def load_off(path: Path, options: Options) -> Surface:
         raise ModelError(f"{name} is not an OFF file: its first word is not OFF")
     if head[4] or head[5] or "BINARY" in first:
         raise ModelError(f"{name} is a kind of OFF file that octex does not read; convert it to PLY")
-    # Some files have no blank behind the first word.
+    # A blank may be missing after the first word.
     words = [head[6], *first[1:]][not head[6] :] or (lines.pop(0).split() if lines else [])
     try:
         n_vertices, n_faces = int(words[0]), int(words[1])
@@ -114,7 +114,7 @@ def load_off(path: Path, options: Options) -> Surface:
 
 
 def _whole_faces(lines: list[str], count: int) -> list[str]:
-    """Return a line a face; of a file that goes on to the next line within a face, joined ones."""
+    """Return one line for each face; lines are joined if faces run over several."""
     if all(len(line.split()) > int(line.split()[0]) for line in lines[:count] if line.split()[0].isdigit()):
         return lines[:count]
     words = iter(" ".join(lines).split())
@@ -123,7 +123,7 @@ def _whole_faces(lines: list[str], count: int) -> list[str]:
 
 
 def _rows(lines: list[str], name: str) -> tuple[Float64s, Int64s, Int64s]:
-    """Return the numbers of all lines, where each line's start, and how many it has."""
+    """Return the numbers of all lines, and each line's first index and count."""
     counts = np.array([len(line.split()) for line in lines], np.int64)
     values = parse_numbers(" ".join(lines))
     if values is None or values.size != counts.sum():
@@ -132,7 +132,7 @@ def _rows(lines: list[str], name: str) -> tuple[Float64s, Int64s, Int64s]:
 
 
 def _off_colors(values: Float64s, starts: Int64s, counts: Int64s) -> Float32s | None:
-    """Return linear colours of so many numbers each, white where there are fewer than three; or None."""
+    """Return linear colours of ``counts`` numbers each, white for fewer than three; None without colours."""
     colored = counts >= 3
     if not colored.any():
         return None

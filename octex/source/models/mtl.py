@@ -1,7 +1,7 @@
 """MTL files: the materials of OBJ models.
 
-The specification (Alias|Wavefront, 1995) leaves open what numbers mean; the field's practice is followed, as
-the documentation's page on models says. Colours and the other values are as they look on a screen.
+The specification (Alias|Wavefront, 1995) leaves open what numbers mean; octex follows the field's practice
+(see `octex help models`). Colours are sRGB values.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from octex.source.images.pyramid import CLAMP, REPEAT, Texels
 from octex.source.materials import Input, Material, Texture
 from octex.source.models.reading import Description, Options, Slot, parse_numbers
 
-# How many words follow an option of a texture map; up to three numbers follow the last three.
+# Number of words after an option of a texture map; up to three numbers follow the last three.
 _OPTION_WORDS = {
     "-blendu": 1, "-blendv": 1, "-boost": 1, "-bm": 1, "-cc": 1, "-clamp": 1, "-colorspace": 1,
     "-imfchan": 1, "-mm": 2, "-texres": 1, "-type": 1, "-o": 3, "-s": 3, "-t": 3,
@@ -31,11 +31,11 @@ _LANES = {"r": 0, "g": 1, "b": 2, "m": 3}
 
 # Grey images that went through JPEG differ by a few codes of 255; normal maps by about a hundred.
 _GREY = 8 / 255
-_ROWS = 256  # how many rows of an image are in work at a time
+_ROWS = 256  # rows of an image that are processed at once
 
 
 class Library(NamedTuple):
-    """Materials by name, the SHA-256 of each file read, by its name beside the model, and what is missing."""
+    """Materials by name, the SHA-256 of each file read, by its path from the model, and missing files."""
 
     materials: dict[str, Description]
     files: dict[str, str]
@@ -45,7 +45,7 @@ class Library(NamedTuple):
 def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: Options) -> Library:
     """Read the ``wanted`` materials of the mtllib ``lines`` of the OBJ file ``path``.
 
-    Each line names one file, whose name may hold blanks, or several. A missing file is named in the result.
+    Each line names one file, whose name may have blanks, or several. The result lists missing files.
     """
     images = ImageFiles(path.parent)
     materials: dict[str, Description] = {}
@@ -90,7 +90,7 @@ def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
         text = text.replace("\t", " ")
     for line in text.splitlines():
         line = line.strip()
-        if "#" in line:  # names may hold it: after one, a comment has blanks on both sides of the sign
+        if "#" in line:  # names may have it: after a name, a comment has blanks around the sign
             named = line.startswith(("usemtl", "newmtl", "mtllib", "map_", "norm", "bump"))
             line = line.partition(" # " if named else "#")[0]
         if line:
@@ -121,7 +121,7 @@ class _Map(NamedTuple):
 
 
 class _Describer:
-    """Turns the lines of one material into what is read from it."""
+    """Turns the lines of one material into its description."""
 
     def __init__(
         self, entries: dict[str, str], name: str, path: Path, images: ImageFiles, options: Options
@@ -156,7 +156,7 @@ class _Describer:
         return Description(material, tuple(self._slots), frozenset(assumed))
 
     def _color(self, channel: str, key: str, *maps: str) -> Input | None:
-        """Return a colour and its map; None where the material has neither, or no emission."""
+        """Return a colour and its map; None if the material has neither, or no emission."""
         image, text = self._map(*maps), self._entries.get(key.lower())
         if image is None and text is None:
             return None
@@ -177,7 +177,7 @@ class _Describer:
         return Input(factor, None if image is None else self._texture(image))
 
     def _scalar(self, channel: str, key: str, *maps: str) -> Input | None:
-        """Return a map of single values, else a number; None where the material has neither."""
+        """Return a map of single values, or else a number; None if the material has neither."""
         image = self._map(*maps)
         if image is None and key.lower() not in self._entries:
             return None
@@ -194,7 +194,7 @@ class _Describer:
         if "d" in self._entries:
             opacity = self._numbers("d", 1)[0]
         elif "tr" in self._entries:
-            # MeshLab and others write opacity here: of what would not be seen at all, they mean all.
+            # MeshLab and others write opacity here: an invisible material is meant to be opaque.
             opacity = (1.0 - self._numbers("Tr", 1)[0]) or 1.0
         opacity = min(max(opacity, 0.0), 1.0)
         image = self._map("map_d")
@@ -224,7 +224,7 @@ class _Describer:
         return Input((image.bump, image.bump, 1.0), self._texture(image))
 
     def _lane(self, image: _Map) -> tuple[Texture, int]:
-        """Return the texture of a map of single values, and the component that holds them."""
+        """Return the texture of a map of single values, and their component."""
         texture = self._texture(image)
         if image.lane == "l":
             return texture._replace(texels=self._images.luminance(texture.texels)), 0
@@ -234,8 +234,8 @@ class _Describer:
         return self._placed(self._texels(image, image.base, image.gain), image)
 
     def _placed(self, texels: Texels, image: _Map) -> Texture:
-        place = self._slots.setdefault(image.slot, len(self._slots))
-        return Texture(texels, image.wrap, image.wrap, slot=place)
+        slot = self._slots.setdefault(image.slot, len(self._slots))
+        return Texture(texels, image.wrap, image.wrap, slot=slot)
 
     def _texels(self, image: _Map, base: float = 0.0, gain: float = 1.0) -> Texels:
         path = beside(self._path.parent, image.file)
@@ -249,13 +249,13 @@ class _Describer:
         return _floats(self._entries[key.lower()].replace("-halo", ""), most, f"{self._where}: {key}")
 
     def _map(self, *keys: str) -> _Map | None:
-        """Return the first of some texture maps, without reading its image."""
+        """Return the first texture map among the keys, without reading its image."""
         key = next((key for key in keys if key.lower() in self._entries), None)
         return None if key is None else _parse_map(self._entries[key.lower()], f"{self._where}: {key}")
 
 
 def _parse_map(text: str, where: str) -> _Map | None:
-    """Split a texture map's line into the file, whose name may hold blanks, and the options before it."""
+    """Split a texture map's line into the options and the file, whose name may have blanks."""
     options: dict[str, str] = {}
     rest = text
     while rest.split(" ", 1)[0].lower() in _OPTION_WORDS:
@@ -292,7 +292,7 @@ def _floats(text: str, most: int, what: str) -> list[float]:
 
 
 class ImageFiles:
-    """The images of a model's materials, each read and changed once, and the digests of what was read."""
+    """The images of a model's materials, each read and converted once, and the digests of all files read."""
 
     def __init__(self, folder: Path) -> None:
         self.files: dict[str, str] = {}
@@ -300,13 +300,13 @@ class ImageFiles:
         self._texels: dict[tuple[object, ...], Texels] = {}
 
     def note(self, path: Path, data: bytes) -> None:
-        """Remember that a file was read."""
+        """Record that a file was read."""
         inside = path.is_relative_to(self._folder)
         name = path.relative_to(self._folder).as_posix() if inside else path.name
         self.files[name] = hashlib.sha256(data).hexdigest()
 
     def read(self, path: Path, what: str, base: float = 0.0, gain: float = 1.0) -> Texels:
-        """Return texels whose values t are made base + gain · t, kept in 0 … 1; light above 1 stays."""
+        """Return texels with values t as base + gain · t, clipped to 0 … 1; light above 1 stays."""
         if (path, base, gain) not in self._texels:
             texels: Texels
             if (base, gain) == (0.0, 1.0):
@@ -322,7 +322,7 @@ class ImageFiles:
         return self._texels[path, base, gain]
 
     def luminance(self, texels: Texels) -> Texels:
-        """Return an image whose red is another's luminance, taken of stored values, which are no light."""
+        """Return an image whose red is another's luma, from stored values."""
         key = ("luminance", id(texels))
         if key not in self._texels:
             grey = texels[..., :3].astype(np.float32) @ LUMINANCE.astype(np.float32)
@@ -340,7 +340,7 @@ class ImageFiles:
 
 
 def is_grey(texels: Texels) -> bool:
-    """Say whether red, green and blue are the same all over an image."""
+    """Say whether red, green and blue are equal all over an image."""
     limit = _GREY * (65535.0 if texels.dtype.kind == "u" else 1.0)
     for first in range(0, len(texels), _ROWS):
         block = texels[first : first + _ROWS, :, :3].astype(np.float32)

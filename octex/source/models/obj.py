@@ -1,7 +1,7 @@
 """Wavefront OBJ models.
 
-trimesh is not asked: it counts relative indices from the end of the file, cuts concave polygons into
-overlapping fans, and loses which face had which material. Colours appended to vertices are sRGB values.
+trimesh does not serve: it counts relative indices from the end of the file, cuts concave polygons into
+overlapping fans, and loses the faces' materials. Colours appended to vertices are sRGB values.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _LISTED = 5
 
 
 def load_obj(path: Path, options: Options) -> Surface:
-    """Read an OBJ model, without lines, points, curves and groups; materials that are missing are white."""
+    """Read an OBJ model, without lines, points, curves and groups; missing materials are white."""
     text = _Text(path)
     name = path.name
     vertices = _numbers(text.vertices, 3, name, "v")
@@ -75,8 +75,8 @@ class _Text:
     def __init__(self, path: Path) -> None:
         lines: dict[str, list[str]] = {key: [] for key in ("f", "v", "vt", "vn", "mtllib", "t")}
         self.faces, self.vertices, self.coordinates, self.normals, self.libraries, self.tags = lines.values()
-        # Numbers of faces, vertices, coordinates and normals read where faces begin to follow other lines:
-        # what relative indices count from.
+        # The numbers of faces, vertices, coordinates and normals before each run of faces: relative indices
+        # count from them.
         self.runs: list[list[int]] = []
         self.uses: list[tuple[int, str]] = []  # first face, material
         moved = True
@@ -95,11 +95,11 @@ class _Text:
 
 
 def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
-    """Return what OpenSubdiv's tags say of sharp edges and vertices, counted from 0; None for nothing.
+    """Return the sharp edges and vertices, counted from 0, of OpenSubdiv's tags; None without any.
 
-    A tag is its kind, how many whole numbers, fractions and words it has, like 2/1/0, and these.
+    A tag has its kind, its counts of whole numbers, fractions and words, like 2/1/0, and these.
     """
-    edges: list[tuple[list[int], float]] = []  # vertices, and how sharp they are
+    edges: list[tuple[list[int], float]] = []  # vertices, and their sharpness
     points: list[tuple[list[int], float]] = []
     for tag in tags:
         kind, *words = tag.split() or [""]
@@ -126,7 +126,7 @@ def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
 
 
 def _numbers(rows: list[str], least: int, name: str, key: str) -> Float64s:
-    """Parse rows of numbers; rows that are shorter than others end in NaN. At least ``least`` a row."""
+    """Parse rows of at least ``least`` numbers; shorter rows are filled with NaN."""
     if not rows:
         return np.empty((0, least), np.float64)
     columns = len(rows[0].split())
@@ -161,7 +161,7 @@ def _faces(text: _Text, name: str) -> tuple[Int64s, Int64s]:
         raise ModelError(f"{name}: a line 'f {line[:40]}' is not a face; export the model again")
     corners = corners[:count]
     for column, listed in ((1, text.coordinates), (2, text.normals)):
-        if not listed:  # some exporters count what they leave out
+        if not listed:  # several exporters refer to coordinates or normals that they do not write
             corners[:, column] = -1
     _check(corners[:, 1], len(text.coordinates), name, "texture coordinate")
     return corners, sizes
@@ -174,9 +174,9 @@ def _check(used: Int64s, limit: int, name: str, what: str) -> None:
 
 @kernel
 def _parse_corners(text: Uint8s, bases: Int64s, corners: Int64s, sizes: Int64s) -> int:
-    """Parse ``vertex[/[coordinates][/[normal]]]`` words; return how many, or −1 − the first bad line.
+    """Parse ``vertex[/[coordinates][/[normal]]]`` words; return their number, or −1 − the first bad line.
 
-    Negative indices count back from ``bases``. −1 stands for none, −2 for an index that cannot be.
+    Negative indices count back from ``bases``. −1 means none, −2 an impossible index.
     """
     count = line = size = at = 0
     while at < len(text):
@@ -221,16 +221,16 @@ def _bind(
     uses = [(first, end, name) for (first, name), end in zip(text.uses, ends, strict=True) if first < end]
     numbers = np.zeros(faces, np.int32)
     known = [Description()]
-    if not text.libraries:  # no materials are promised
+    if not text.libraries:
         return known, numbers[polygons], {}
     names = list(dict.fromkeys(material for _, _, material in uses))
     libraries = [line.strip() for line in text.libraries]
     library = load_materials(path, libraries, set(names), options)
-    lost = [name for name in names if name not in library.materials]
-    if lost:
-        more = f" and {len(lost) - _LISTED} more" if len(lost) > _LISTED else ""
-        listing = ", ".join(each or "without a name" for each in lost[:_LISTED]) + more
-        what, are = (f"material {listing}", "is") if len(lost) == 1 else (f"materials {listing}", "are")
+    missing = [name for name in names if name not in library.materials]
+    if missing:
+        more = f" and {len(missing) - _LISTED} more" if len(missing) > _LISTED else ""
+        listing = ", ".join(each or "without a name" for each in missing[:_LISTED]) + more
+        what, are = (f"material {listing}", "is") if len(missing) == 1 else (f"materials {listing}", "are")
         lie, them = ("are", "them") if len(library.missing) > 1 else ("is", "it")
         fault = f"{', '.join(libraries)} does not define the {what}, which {are} white; add what is missing"
         if library.missing:
@@ -244,10 +244,7 @@ def _bind(
 
 
 def _white_below_images(part: Part, known: list[Description]) -> Part:
-    """Return a part without colours of vertices where its materials have images of colour.
-
-    What programs write beside an image is the same again, or a grey that means nothing.
-    """
+    """Drop vertex colours under images of colour: programs repeat these, or write a meaningless grey."""
     textured = np.array([each.material.inputs["base_color"].texture is not None for each in known])
     is_white = textured[part.materials]
     if part.colors is None or not is_white.any():
@@ -261,27 +258,27 @@ def _coordinates(
     text: _Text, known: list[Description], numbers: Int32s, rows: Int64s, name: str
 ) -> tuple[Float64s, Int32s]:
     textured = np.array([bool(each.slots) for each in known])[numbers]
-    lacking = int((rows[textured] < 0).any(axis=1).sum())
-    if lacking:
-        what = f"{name} has {lacking} textured triangles without texture coordinates"
+    missing = int((rows[textured] < 0).any(axis=1).sum())
+    if missing:
+        what = f"{name} has {missing} textured triangles without texture coordinates"
         warn(f"{what}: they read one texel; give them some")
     plain = _numbers(text.coordinates, 1, name, "vt")
     if plain.shape[1] == 1:
         plain = np.append(plain, np.zeros_like(plain), axis=1)
     plain = np.where(np.isnan(plain), 0.0, plain)[:, :2]
-    if lacking:  # as elsewhere, at (0, 0)
+    if missing:  # they read at (0, 0)
         plain = np.append(plain, np.zeros((1, 2)), axis=0)
     return plain, np.where(rows < 0, max(len(plain) - 1, 0), rows).astype(np.int32)
 
 
 def _normals(text: _Text, rows: Int64s, name: str) -> Corners | None:
-    """Return the normals at corners, not numbers where there are none."""
+    """Return the normals at corners, NaN where there are none."""
     _check(rows, len(text.normals), name, "normal")
     listed = _numbers(text.normals, 3, name, "vn")[:, :3]
-    lacking = (rows < 0).any(axis=1)
-    if lacking.all():
+    missing = (rows < 0).any(axis=1)
+    if missing.all():
         return None
-    count = int(lacking.sum())
+    count = int(missing.sum())
     bound = rows.astype(np.int32)
-    bound[lacking] = len(listed) + np.arange(count, dtype=np.int32)[:, None]
+    bound[missing] = len(listed) + np.arange(count, dtype=np.int32)[:, None]
     return Corners(np.concatenate([listed, np.full((count, 3), np.nan)]).astype(np.float32), bound)

@@ -1,8 +1,8 @@
-"""Read voxels as a surface: O-Voxel's dual grid, or the mesh that lies beside them in the file.
+"""Read voxels as a surface: O-Voxel's dual grid, or a mesh in the same file.
 
-Each voxel of a dual grid has a vertex, and says whether the surface crosses three of its edges: those along
-x, y and z that end at its highest corner. The four voxels around such an edge make a quad (Ju et al., "Dual
-Contouring of Hermite Data", 2002; Xiang et al., "Native and Compact Structured Latents", 2025).
+Each voxel of a dual grid has a vertex, and flags for whether the surface crosses three of its edges: those
+along x, y and z that end at its highest corner. The four voxels around such an edge make a quad (Ju et al.,
+"Dual Contouring of Hermite Data", 2002; Xiang et al., "Native and Compact Structured Latents", 2025).
 """
 
 from __future__ import annotations
@@ -33,34 +33,29 @@ _AROUND = np.array(
     ]
 )
 _AXES = 3
-#: So many of a mesh's vertices must lie in a voxel, or beside one.
+#: Least share of a mesh's vertices in or next to a voxel.
 _LEAST_NEAR = 0.5
-#: Coords have so many bits at most.
+#: Most bits of coords.
 _BITS = 21
 
 
 class VertexValues(Source):
-    """Values of vertices (n, columns), as they are stored linearly, and what lies between them."""
+    """Values of vertices (n, columns), linear and interpolated."""
 
     def __init__(self, voxels: Voxels, values: Float32s, triangles: Int32s, names: list[str]) -> None:
         self._channels = tuple(voxels.values[name].form for name in names)
         self._corners = Corners(values, triangles)
 
-    def evaluate(
-        self,
-        triangles: Int32s,
-        barycentric: Float64s,
-        widths: Float32s,  # noqa: ARG002
-    ) -> Float32s:
-        """Return values (n, components) at points of triangles, whatever the width."""
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:  # noqa: ARG002
+        """Return values (n, components) at points of triangles; widths do not count."""
         return self._corners.at(triangles, barycentric).astype(np.float32)
 
 
 def load_voxel_surface(path: Path, options: Options) -> Surface:
-    """Read a .vxz or .npz file of voxels as a surface that has their channels.
+    """Read a .vxz or .npz file of voxels as a surface with their channels.
 
     The mesh is that of ``vertices`` and ``faces``, or else of ``dual_vertices`` and ``intersected``. Raises
-    ModelError for a file without either, and for one whose mesh and voxels do not lie on each other.
+    ModelError for a file without either, or if mesh and voxels do not lie on each other.
     """
     arrays = voxel_arrays(path)
     voxels = voxels_of(arrays, path.name)
@@ -80,10 +75,10 @@ def load_voxel_surface(path: Path, options: Options) -> Surface:
             "faces; use the mesh of another file"
         )
     names = in_order([name for name in voxels.values if options.wants(name)])
-    lacking = [each for each in options.channels or () if each not in voxels.values]
-    if lacking and options.materials:
+    missing = [each for each in options.channels or () if each not in voxels.values]
+    if missing and options.materials:
         known = ", ".join(in_order(list(voxels.values)))
-        raise ModelError(f"{path.name} has no channel {', '.join(lacking)}; it has {known}")
+        raise ModelError(f"{path.name} has no channel {', '.join(missing)}; it has {known}")
     columns = [_linear(voxels, name) for name in names] or [np.empty((len(voxels), 0), np.float32)]
     values = np.concatenate(columns, axis=1)
     if is_meshed:
@@ -105,7 +100,7 @@ def _linear(voxels: Voxels, name: str) -> Float32s:
 
 
 def _within(dual: Array, count: int, name: str) -> Float64s:
-    """Return where the vertices lie within their voxels (n, 3), 0 to 1: bytes are parts of 255."""
+    """Return the vertices' positions within their voxels (n, 3), 0 to 1: bytes are in 1/255."""
     if dual.shape != (count, _AXES) or (dual.dtype != np.uint8 and dual.dtype.kind != "f"):
         what = f"{dual.dtype} {dual.shape}"
         raise ModelError(f"{name}: dual_vertices must be bytes or floats of shape ({count}, 3), not {what}")
@@ -116,16 +111,16 @@ def _within(dual: Array, count: int, name: str) -> Float64s:
 
 
 def _dual_mesh(coords: Int64s, vertices: Float64s, arrays: dict[str, Array], name: str) -> Int32s:
-    """Return the triangles (m, 3) of a dual grid, which wind the same way where they hang together."""
+    """Return the triangles (m, 3) of a dual grid, consistently wound in each part."""
     crossed = _crossed(arrays["intersected"], len(coords), name)
     keys = _keys(coords)
     order = np.argsort(keys)
     if (np.diff(keys[order]) == 0).any():
-        raise ModelError(f"{name}: some of its voxels overlap; keep one at each place")
+        raise ModelError(f"{name}: voxels overlap; keep one at each position")
     voxel, axis = np.nonzero(crossed)
     around = _keys((coords[voxel, None] + _AROUND[axis]).reshape(-1, 3))
-    found = order[np.minimum(np.searchsorted(keys, around, sorter=order), len(keys) - 1)]
-    quads = found.reshape(-1, 4)[(keys[found] == around).reshape(-1, 4).all(axis=1)]
+    corners = order[np.minimum(np.searchsorted(keys, around, sorter=order), len(keys) - 1)]
+    quads = corners.reshape(-1, 4)[(keys[corners] == around).reshape(-1, 4).all(axis=1)]
     if not len(quads):
         raise ModelError(f"{name} has no surface: no edge that is crossed has a voxel on all sides")
     # From corner 0 to corner 2, as O-Voxel cuts quads, unless the first triangle has no area.
@@ -145,7 +140,7 @@ def _dual_mesh(coords: Int64s, vertices: Float64s, arrays: dict[str, Array], nam
 
 
 def _crossed(intersected: Array, count: int, name: str) -> Bools:
-    """Return whether the surface crosses a voxel's edges (n, 3), of flags, or of bits in a byte."""
+    """Return whether the surface crosses voxels' edges (n, 3), from flags or from bits of a byte."""
     flags = intersected[:, None] if intersected.ndim == 1 else intersected
     if flags.shape not in ((count, 1), (count, _AXES)) or flags.dtype.kind not in "bui":
         raise ModelError(
@@ -158,16 +153,16 @@ def _crossed(intersected: Array, count: int, name: str) -> Bools:
 
 
 def _keys(coords: Int64s) -> Int64s:
-    """Return a number for each place; −1 beyond any grid."""
+    """Return a number for each cell; −1 beyond any grid."""
     keys = (coords[:, 0] << _BITS | coords[:, 1]) << _BITS | coords[:, 2]
     return np.where((coords >> _BITS != 0).any(axis=1), -1, keys)
 
 
 @kernel
 def _turn(others: Int64s, vertices: Float64s, quads: Int64s) -> None:
-    """Turn quads so that those beside each other wind the same way, and each part has its volume inside.
+    """Turn quads so that neighbours wind the same way, and each part has a positive volume.
 
-    ``others`` (n · 4,) is for each side the one other along the same edge, −1 for none or several.
+    ``others`` (n · 4,) has for each side the one other side of its edge, −1 for none or several.
     """
     part = np.full(len(quads), -1, np.int64)
     is_turned = np.zeros(len(quads), np.bool_)

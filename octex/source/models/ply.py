@@ -1,6 +1,6 @@
 """PLY models and points.
 
-Read here and not by trimesh, which knows no binary faces of mixed sizes and drops what colours faces.
+trimesh does not serve: it reads no binary faces of mixed sizes, and drops the colours of faces.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _COLORS = (("red", "green", "blue", "alpha"), ("diffuse_red", "diffuse_green", "
 
 
 class _Property(NamedTuple):
-    """A property of a PLY element: its values' type, and for a list the type of its length."""
+    """A property of a PLY element; ``count_type`` is the type of a list's length, None for single values."""
 
     name: str
     type: str
@@ -53,7 +53,7 @@ class _Property(NamedTuple):
 
 
 class _Values(NamedTuple):
-    """A property of all elements: values, and for a list how many belong to each."""
+    """A property of all elements: values, and the lengths of lists."""
 
     values: Array
     sizes: Int64s | None
@@ -113,9 +113,9 @@ class Ply:
         elements: dict[str, dict[str, _Values]] = {}
         at = 0
         for element, count, properties in self._elements:
-            if not properties:  # however many there are, they take no place
+            if not properties:  # such elements take no bytes
                 continue
-            # In an ASCII file every number takes one place, whatever its type.
+            # In an ASCII file every number has width 1.
             widths = [1 if self._ascii else np.dtype(p.type).itemsize for p in properties]
             kinds = [np.dtype(p.count_type) if p.count_type else None for p in properties]
             heads = [0 if k is None else 1 if self._ascii else k.itemsize for k in kinds]
@@ -154,7 +154,7 @@ class Ply:
         return _Values(values, sizes if is_list else None, kind.type)
 
     def _numbers(self, element: str) -> dict[str, _Values]:
-        """Return the properties of an element that are a number each, not a list."""
+        """Return the properties of an element that are single numbers."""
         return {name: each for name, each in self.data.get(element, {}).items() if each.sizes is None}
 
     def _positions(self) -> Float64s:
@@ -199,7 +199,7 @@ class Ply:
             what = f"{self.name} names the image {self.images[0]} but has no texture coordinates"
             warn(f"{what} to read it at, so it is left out; give it some")
             return colored_surface(self.name, options, part)
-        # What programs write beside an image is the same again, or a grey that means nothing.
+        # Next to an image, programs repeat its colours or write a meaningless grey.
         part = part._replace(colors=None)
         textures = [Texture(self._image(image)) for image in self.images]
         if "texnumber" in face:
@@ -212,7 +212,7 @@ class Ply:
         return colored_surface(self.name, options, part, textures)
 
     def _indices(self, element: str) -> tuple[Int64s, Int64s]:
-        """Return the vertices of all of an element, and how many belong to each."""
+        """Return the vertices of all faces or strips, and the number of each one's vertices."""
         lists = self.data.get(element, {})
         listed = lists.get("vertex_indices", lists.get("vertex_index"))
         if listed is None or listed.sizes is None:
@@ -248,15 +248,15 @@ def _element_colors(element: dict[str, _Values]) -> Float32s | None:
 
 
 def _of_strips(indices: Int64s, sizes: Int64s) -> Int64s:
-    """Return the triangles, vertex after vertex, of strips of so many indices, which −1 also ends."""
+    """Return the triangles, vertex after vertex, of strips of these sizes; an index −1 ends a strip too."""
     strip = np.repeat(np.arange(len(sizes)), sizes) + np.cumsum(indices < 0)
     begins = np.ones(len(indices), np.bool_)
     begins[1:] = (strip[1:] != strip[:-1]) | (indices[:-1] < 0)
-    place = np.arange(len(indices))
-    place -= np.maximum.accumulate(np.where(begins, place, 0))
-    first = np.flatnonzero((place >= 2) & (indices >= 0)) - 2
-    # Every other triangle of a strip is listed the other way round.
-    odd = place[first] % 2
+    within = np.arange(len(indices))
+    within -= np.maximum.accumulate(np.where(begins, within, 0))
+    first = np.flatnonzero((within >= 2) & (indices >= 0)) - 2
+    # Every other triangle of a strip is listed in reverse order.
+    odd = within[first] % 2
     triangles = np.stack([indices[first + odd], indices[first + 1 - odd], indices[first + 2]], axis=1)
     whole: Int64s = triangles[(triangles != np.roll(triangles, 1, axis=1)).all(axis=1)]
     return whole.ravel()
@@ -264,19 +264,12 @@ def _of_strips(indices: Int64s, sizes: Int64s) -> Int64s:
 
 @kernel
 def _walk(
-    numbers: Float64s,
-    raw: Uint8s,
-    at: int,
-    available: int,
-    layout: Int64s,
-    big_endian: bool,
-    ascii: bool,
-    starts: Int64s,
-    sizes: Int64s,
-) -> int:
-    """Find where each property of each row starts, and the sizes of lists; return the end, −1 if data lack.
+    numbers: Float64s, raw: Uint8s, at: int, available: int, layout: Int64s, big_endian: bool, ascii: bool,
+    starts: Int64s, sizes: Int64s,
+) -> int:  # fmt: skip
+    """Find the start of each row's properties, and the sizes of lists; return the end, −1 for missing data.
 
-    ``layout`` holds the width of a value and of a list's length, 0 if it is no list.
+    ``layout`` has the widths of values, and of the lengths of lists, 0 for single values.
     """
     for row in range(starts.shape[0]):
         for column in range(starts.shape[1]):

@@ -1,4 +1,4 @@
-"""What readers of models share: what is wanted, numbers in text, coordinates of images, and parts as one."""
+"""Shared by the readers of models: options, numbers in text, texture coordinates, and joining parts."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from octex.source.vectors import Vector, cross_product, dot_product, minus, row_
 
 
 class Options(NamedTuple):
-    """What to read of a model besides its geometry, and how its images are filtered."""
+    """What to read of a model, and how to filter its images."""
 
-    materials: bool = True  # without them a surface is white, and no image is read
-    channels: tuple[str, ...] | None = None  # None: every channel that the materials state
+    materials: bool = True  # False: the surface is white, and no image is read
+    channels: tuple[str, ...] | None = None  # None: every channel of the materials
     filter: str = "ewa"
-    without: tuple[str, ...] = ()  # channels whose images are not read, as they come from elsewhere
-    normals: bool = False  # the model's own, also where no normal map needs them
-    pose: str | None = None  # NAME@SECONDS of an animation; None: as it rests
-    finite: bool = False  # leave out triangles with vertices that are not finite, do not refuse them
+    without: tuple[str, ...] = ()  # overridden channels, whose images are not read
+    normals: bool = False  # keep shading normals even without a normal map
+    pose: str | None = None  # NAME@SECONDS of an animation; None: at rest
+    finite: bool = False  # leave out triangles with vertices that are not finite, instead of refusing them
 
     def wants(self, channel: str) -> bool:
         """Say whether a channel is to be read."""
@@ -42,18 +42,18 @@ class Options(NamedTuple):
         return self.materials and is_named and channel not in self.without
 
     def wants_image(self, channel: str) -> bool:
-        """Say whether a channel's image is to be read; colour is averaged by coverage: alpha comes along."""
+        """Say whether to read a channel's image: colour and alpha together, since alpha weighs colour."""
         pair = ("base_color", "alpha")
         return any(map(self.wants, pair)) if channel in pair else self.wants(channel)
 
 
 def warn(text: str) -> None:
-    """Warn of what a model lacks, or what was mended."""
+    """Warn about missing or repaired content of a model."""
     warnings.warn(text, ModelWarning, stacklevel=3)
 
 
 def parse_numbers(text: str) -> Float64s | None:
-    """Return the numbers of a text that blanks and line ends part; None if there is anything else."""
+    """Return the numbers of a text, separated by white space; None if it has anything else."""
     with global_settings():
         warnings.simplefilter("error", DeprecationWarning)
         try:
@@ -63,7 +63,7 @@ def parse_numbers(text: str) -> Float64s | None:
 
 
 def npz_arrays(path: Path, names: Container[str] | None = None) -> dict[str, Array]:
-    """Return the arrays of an .npz file, or those of some names. Raises ModelError."""
+    """Return the arrays of an .npz file, or only those with ``names``. Raises ModelError."""
     with open_file(path) as file:
         try:
             return read_npz(file, names)
@@ -72,21 +72,21 @@ def npz_arrays(path: Path, names: Container[str] | None = None) -> dict[str, Arr
 
 
 def whole_numbers(values: Array) -> Int64s:
-    """Return values as indices; −1 for those that are none."""
+    """Return values as indices; −1 for values that are no whole numbers."""
     numbers = values.astype(np.float64)
     return np.where((np.abs(numbers) < 2**31) & (numbers == np.floor(numbers)), numbers, -1).astype(np.int64)
 
 
 class Slot(NamedTuple):
-    """A set of texture coordinates, and what is done to it before an image is read."""
+    """A set of texture coordinates, and its transform."""
 
-    name: str = ""  # "" where a model has one set
+    name: str = ""  # "" for models with one set
     scale: tuple[float, ...] = (1.0, 1.0)
-    rotation: float = 0.0  # radians, counter-clockwise on an image whose v runs down
+    rotation: float = 0.0  # radians, counter-clockwise on an image with v down
     offset: tuple[float, ...] = (0.0, 0.0)
 
     def applied(self, coordinates: Array) -> Array:
-        """Return coordinates (n, 2) scaled, turned, then moved."""
+        """Return coordinates (n, 2) scaled, rotated, then translated."""
         if self == Slot(self.name):
             return coordinates
         scaled = coordinates * np.array(self.scale)
@@ -97,26 +97,26 @@ class Slot(NamedTuple):
 
 
 class Description(NamedTuple):
-    """A material, and the coordinates of each slot that its textures name."""
+    """A material, and the sets of coordinates of its textures' slots."""
 
     material: Material = Material({"base_color": Input((1.0, 1.0, 1.0))})
     slots: tuple[Slot, ...] = ()
-    assumed: frozenset[str] = frozenset()  # of MTL: channels that only Ks or Ns speaks for
-    reads_color: bool = False  # of USD: vertex colours, and their alpha
+    assumed: frozenset[str] = frozenset()  # MTL: channels that only Ks or Ns implies
+    reads_color: bool = False  # USD: vertex colours, and their alpha
     reads_opacity: bool = False
 
 
 def slot_coordinates(
     known: Mapping[int, Description], numbers: Int32s, read: Callable[[str], tuple[Array, Int32s]]
 ) -> list[Corners]:
-    """Bind coordinates slot by slot, v down, to each triangle (m,) as the material of its number reads them.
+    """Return coordinates slot by slot, v down, for triangles with materials of these ``numbers`` (m,).
 
-    ``read`` gives a set of coordinates (n, 2), v up, by its name, and the row of each corner (m, 3).
+    ``read`` returns a set of coordinates (n, 2), v up, by its name, and the row of each corner (m, 3).
     """
     bound = []
-    for place in range(max(len(each.slots) for each in known.values())):
+    for index in range(max(len(each.slots) for each in known.values())):
         values, rows, first = [np.zeros((1, 2), np.float32)], np.zeros((len(numbers), 3), np.int32), 1
-        reading = {number: each.slots[place] for number, each in known.items() if place < len(each.slots)}
+        reading = {number: each.slots[index] for number, each in known.items() if index < len(each.slots)}
         for slot in dict.fromkeys(reading.values()):
             chosen = np.isin(numbers, [number for number, read_slot in reading.items() if read_slot == slot])
             if chosen.any():
@@ -129,11 +129,11 @@ def slot_coordinates(
 
 
 class Part(NamedTuple):
-    """A mesh in its own space, what is bound to its corners, and where a scene shows it."""
+    """A mesh in local coordinates, the attributes of its corners, and its matrix in a scene."""
 
     positions: Float64s
     triangles: Int32s
-    materials: Int32s  # (m,)   the number of each triangle's
+    materials: Int32s  # (m,)   the number of each triangle's material
     colors: Corners | None = None
     coordinates: Sequence[Corners] = ()  # by slot
     uv: Corners | None = None
@@ -147,7 +147,7 @@ class Part(NamedTuple):
         if self.matrix is None:
             return self
         linear, rows = self.matrix[:3, :3], self.triangles
-        with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses what is not finite
+        with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses infinite positions
             positions = self.positions @ linear.T + self.matrix[:3, 3]
             order = winding(linear)
         turned = self.triangles[:, order]
@@ -169,7 +169,7 @@ class Part(NamedTuple):
 def with_frames(
     part: Part, known: Mapping[int, Description], normals: Corners | None, otherwise: Corners | None
 ) -> Part:
-    """Return a part with frames: along the coordinates of normal maps, along ``otherwise`` without one."""
+    """Return a part with frames along the coordinates of normal maps, without one along ``otherwise``."""
     slots = np.full(max(known) + 1, -1)
     for number, each in known.items():
         slots[number] = -1 if each.material.normal_slot is None else each.material.normal_slot
@@ -181,7 +181,7 @@ def with_frames(
 
 
 def winding(linear: Float64s) -> slice:
-    """Return the order of corners below a transform (3, 3): a mirroring one turns triangles inside out."""
+    """Return the order of corners under a transform (3, 3): reversed by one that mirrors."""
     return slice(None, None, -1 if np.linalg.det(linear) < 0 else 1)
 
 
@@ -195,9 +195,9 @@ def assembled(
     posed: Float64s | None = None,
     creases: Creases | None = None,
 ) -> Surface:
-    """Return the parts of a scene as one surface; ``posed`` are other positions of its vertices (n, 3).
+    """Return the parts of a scene as one surface; ``posed`` are its posed positions (n, 3), if they differ.
 
-    Parts without colours or coordinates that others have are white, and read images at (0, 0).
+    If only other parts have colours or coordinates, a part is white, and reads images at (0, 0).
     """
     parts = [part.placed() for part in parts]
     firsts = np.cumsum([0, *(len(part.positions) for part in parts)])
@@ -266,9 +266,9 @@ def assembled(
 
 
 def cut_part(name: str, positions: Float64s, indices: Int64s, sizes: Int64s) -> tuple[Part, Int64s, Int64s]:
-    """Cut polygons, of so many of the vertices ``indices`` each, into triangles of one material.
+    """Cut polygons of ``sizes`` vertices, concatenated in ``indices``, into triangles of one material.
 
-    Returns which of ``indices`` each corner (m, 3) is, and the polygon of each triangle (m,), too.
+    Also returns each corner's row of ``indices`` (m, 3), and each triangle's polygon (m,).
     """
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
         text = f"{name}: a face uses a vertex that is not among the {len(positions)}; export it again"
@@ -311,7 +311,7 @@ def colored_surface(
 
 
 def opaque(colors: Float32s, name: str) -> Float32s:
-    """Return colours with alpha 1: such as some programs write with 0 throughout, and show all the same."""
+    """Return colours with alpha 1, and warn: several programs write 0 throughout but ignore it."""
     what = f"{name}: all its colours have alpha 0, which would show nothing"
     warn(f"{what}, so it is left out; export them with 255")
     return np.insert(colors[:, :3], 3, np.float32(1.0), axis=1)
@@ -327,10 +327,10 @@ def triangulate(positions: Float64s, corners: Int64s, sizes: Int64s) -> tuple[In
         return np.arange(len(corners)).reshape(-1, 3), np.arange(len(sizes))
     counts = np.maximum(sizes - 2, 0)
     triangles = np.empty((int(counts.sum()), 3), np.int64)
-    lacking = np.zeros(len(sizes), np.bool_)
-    _fans(positions, corners, sizes, triangles, lacking)
+    is_hard = np.zeros(len(sizes), np.bool_)
+    _fans(positions, corners, sizes, triangles, is_hard)
     firsts, ends = np.cumsum(sizes) - sizes, np.cumsum(counts)
-    for polygon in np.flatnonzero(lacking).tolist():
+    for polygon in np.flatnonzero(is_hard).tolist():
         first, size, end = firsts[polygon], sizes[polygon], ends[polygon]
         cut = _ears(positions[corners[first : first + size]])
         if len(cut) == size - 2:
@@ -339,7 +339,7 @@ def triangulate(positions: Float64s, corners: Int64s, sizes: Int64s) -> tuple[In
 
 
 def cut_polygons(corners: Int64s, polygons: Int64s, sizes: Int64s) -> Polygons | None:
-    """Return what ``triangulate`` returned as a mesh keeps it; None where each polygon was a triangle."""
+    """Return the polygons of triangles from ``triangulate``; None if each polygon was a triangle."""
     if (sizes == 3).all():
         return None
     within = corners - (np.cumsum(sizes) - sizes)[polygons, None]
@@ -347,7 +347,7 @@ def cut_polygons(corners: Int64s, polygons: Int64s, sizes: Int64s) -> Polygons |
 
 
 def _ears(outline: Float64s) -> Int64s:
-    """Return the triangles (m, 3) of a polygon (n, 3), by its area vector; none if it has no extent."""
+    """Cut a polygon (n, 3) into triangles (m, 3), projected along its area vector; none without extent."""
     from manifold3d import triangulate  # takes 6 ms
 
     low = outline.min(axis=0)
@@ -357,7 +357,7 @@ def _ears(outline: Float64s) -> Int64s:
         normal = np.cross(outline, after).sum(axis=0)
     if not np.isfinite(outline).all():
         return np.empty((0, 3), np.int64)
-    # Without one axis the coordinates stay as they are: corners at one place stay at one.
+    # Dropping an axis leaves coordinates exact: equal corners stay equal.
     axis = int(np.abs(normal).argmax())
     across, up = (axis + 1) % 3, (axis + 2) % 3
     plane = [across, up] if normal[axis] >= 0 else [up, across]
@@ -365,8 +365,8 @@ def _ears(outline: Float64s) -> Int64s:
 
 
 @kernel
-def _fans(positions: Float64s, corners: Int64s, sizes: Int64s, triangles: Int64s, lacking: Bools) -> None:
-    """Cut each polygon into a fan; say in ``lacking`` where that may cover what is outside of it.
+def _fans(positions: Float64s, corners: Int64s, sizes: Int64s, triangles: Int64s, is_hard: Bools) -> None:
+    """Cut each polygon into a fan; ``is_hard`` marks polygons that a fan may exceed.
 
     A polygon with one reflex corner is the union of two convex ones that share it: a fan from there is right.
     """
@@ -377,7 +377,7 @@ def _fans(positions: Float64s, corners: Int64s, sizes: Int64s, triangles: Int64s
         apex = 0
         if size > 3:
             apex = _apex(positions, corners, first, size)
-            lacking[polygon] = apex < 0
+            is_hard[polygon] = apex < 0
             apex = max(apex, 0)
         for i in range(size - 2):
             triangles[done + i, 0] = first + apex
@@ -408,7 +408,7 @@ def _apex(positions: Float64s, corners: Int64s, first: int, size: int) -> int:
     reflex = 0
     for i in range(size):
         to = _edge(positions, corners, first, size, i)
-        if to[0] == to[1] == to[2] == 0.0:  # two corners at one place turn once
+        if to[0] == to[1] == to[2] == 0.0:  # equal corners count once
             continue
         turn = dot_product(cross_product(edge, to), normal)
         if turn < 0.0:
@@ -422,6 +422,6 @@ def _apex(positions: Float64s, corners: Int64s, first: int, size: int) -> int:
 
 @inlined
 def _edge(positions: Float64s, corners: Int64s, first: int, size: int, i: int) -> Vector:
-    """Return the way from a corner of a polygon to the next."""
+    """Return the edge from a corner of a polygon to the next."""
     next_one = row_of(positions, corners[first + (i + 1) % size])
     return minus(next_one, row_of(positions, corners[first + i]))

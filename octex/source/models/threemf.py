@@ -1,7 +1,7 @@
 """3MF packages: meshes as the build places them, with their colours.
 
-Core Specification 1.3, Materials and Properties 1.2, Production 1.1. Positions are in the file's own unit. Of
-composites and multi-properties the material with the largest share and the last layer are read.
+Core Specification 1.3, Materials and Properties 1.2, Production 1.1. Positions are in the file's unit. A
+composite has the colour of its material with the largest share, a multi-property that of its last layer.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from octex.source.surface import Surface, flip_v
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
 _MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _NESTED = 64
-#: Parts are so many times as large as the package at most; text of meshes packs to a twentieth.
+#: Largest size of a part over that of the package; text of meshes packs to a twentieth.
 _UNPACKED = 200
-#: What is placed takes so many bytes beside as many times those of the package at most: components that share
-#: components multiply. A placement takes so much by itself.
+#: Most bytes of placed meshes, in all and per byte of the package: components that share components multiply.
+#: Bytes of a placement by itself.
 _PLACED, _TIMES, _PLACEMENT = 2**28, 1000, 4096
 
 
 def load_3mf(path: Path, options: Options) -> Surface:
-    """Read what the build of a 3MF package places. Raises ModelError or ImageError."""
+    """Read the meshes that the build of a 3MF package places. Raises ModelError or ImageError."""
     data = read_bytes(path)
     try:
         package = zipfile.ZipFile(io.BytesIO(data))
@@ -49,7 +49,7 @@ def load_3mf(path: Path, options: Options) -> Surface:
 
 
 class _Group(NamedTuple):
-    """Consecutive rows of the tables, and the number of the image that they are places in, 0 for none."""
+    """Consecutive rows of the tables, and the number of their image, 0 for none."""
 
     first: int
     size: int
@@ -60,12 +60,12 @@ class _Group(NamedTuple):
 class _Mesh(NamedTuple):
     positions: Float64s
     triangles: Int64s  # (m, 3)
-    rows: Int64s  # (m, 3)   of the tables, of each corner
-    images: Int32s  # (m,)   the number of each triangle's, 0 for none
+    rows: Int64s  # (m, 3)   each corner's row of the tables
+    images: Int32s  # (m,)   each triangle's image, 0 for none
 
 
 class _Package:
-    """Collects the meshes of a package; corners have rows of two tables: colours, and places in images."""
+    """Collects the meshes of a package; corners have rows of two tables: colours and coordinates."""
 
     def __init__(self, package: zipfile.ZipFile, name: str, options: Options, size: int) -> None:
         self._package, self._name, self._options = package, name, options
@@ -73,13 +73,13 @@ class _Package:
         self._groups: dict[tuple[str, str], _Group] = {}
         self._objects: dict[tuple[str, str], Element] = {}
         self._images: list[Texture | None] = [None]
-        self._colors: list[Float32s] = [np.ones((1, 4), np.float32)]  # row 0 is of what has none
-        self._places: list[Float64s] = [np.zeros((1, 2))]
+        self._colors: list[Float32s] = [np.ones((1, 4), np.float32)]  # row 0: without colour
+        self._coordinates: list[Float64s] = [np.zeros((1, 2))]
         self._parts: dict[str, Element] = {}
-        self._meshes: dict[tuple[str, str], list[_Mesh]] = {}  # of objects, as they stand there
+        self._meshes: dict[tuple[str, str], list[_Mesh]] = {}  # of objects, not placed
 
     def surface(self) -> Surface:
-        """Return all that the build places."""
+        """Return all placed meshes as one surface."""
         root = "3D/3dmodel.model"
         if "_rels/.rels" in self._package.namelist():
             models = (each for each in self._parsed("_rels/.rels") if each.get("Type") == _MODEL)
@@ -100,7 +100,7 @@ class _Package:
         part = part._replace(
             materials=images,
             colors=Corners(np.concatenate(self._colors), rows) if rows.any() else None,
-            uv=Corners(flip_v(np.concatenate(self._places)), rows) if images.any() else None,
+            uv=Corners(flip_v(np.concatenate(self._coordinates)), rows) if images.any() else None,
         )
         return colored_surface(self._name, self._options, part, self._images)
 
@@ -118,7 +118,7 @@ class _Package:
 
     def _parsed(self, part: str) -> Element:
         data = self._read(part)
-        if b"<!DOCTYPE" in data:  # the specification has none, and they may blow up
+        if b"<!DOCTYPE" in data:  # the specification forbids them, and entities may blow up
             raise damaged(f"{self._name}: {part} has a document type, which 3MF forbids")
         try:
             return ElementTree.fromstring(data)
@@ -126,7 +126,7 @@ class _Package:
             raise damaged(f"{self._name}: {part} is damaged ({error})") from None
 
     def _part(self, part: str) -> Element:
-        """Return a model part, whose objects and groups are known from then on."""
+        """Return a model part, and list its objects and groups."""
         if part not in self._parts:
             self._parts[part] = root = self._parsed(part)
             textures = {each.get("id", ""): each for each in _within(root, "resources", "texture2d")}
@@ -143,7 +143,7 @@ class _Package:
         """Add the rows of a group to the tables."""
         kind, rows = _tag(group), list(group)
         count, image = len(rows), 0
-        colors, places = np.ones((count, 4), np.float32), np.zeros((count, 2))
+        colors, coordinates = np.ones((count, 4), np.float32), np.zeros((count, 2))
         if kind in ("colorgroup", "basematerials"):
             word = "color" if kind == "colorgroup" else "displaycolor"
             codes = [_color(each.get(word, "#FFFFFFFF")) for each in rows]
@@ -153,33 +153,34 @@ class _Package:
             if number not in textures:
                 raise damaged(f"{self._name}: texture {number!r} is missing")
             texture = textures[number]
-            place = texture.get("path", "")
-            texels = decode_image(self._read(place), f"{self._name}: {place}")
+            path = texture.get("path", "")
+            texels = decode_image(self._read(path), f"{self._name}: {path}")
             texels[..., 3] = ONE[texels.dtype.name]
             u, v = (_WRAPS.get(texture.get(f"tilestyle{axis}", "wrap"), CLAMP) for axis in "uv")
             image = len(self._images)
             self._images.append(Texture(texels, u, v))
-            places = np.array([[each.get("u"), each.get("v")] for each in rows], np.float64).reshape(-1, 2)
+            listed = [[each.get("u"), each.get("v")] for each in rows]
+            coordinates = np.array(listed, np.float64).reshape(-1, 2)
         elif kind in ("multiproperties", "compositematerials"):
             try:
                 other, chosen = _chosen(group)
             except (IndexError, ValueError):
                 raise damaged(f"{self._name}: {kind} {key[1]!r} lacks what it blends") from None
-            of = self._groups.get((key[0], other))
-            if of is None:
+            blended = self._groups.get((key[0], other))
+            if blended is None:
                 return
-            taken = of.first + self._checked(chosen, of.size)
-            image = of.image
-            colors, places = np.concatenate(self._colors)[taken], np.concatenate(self._places)[taken]
+            taken = blended.first + self._checked(chosen, blended.size)
+            image, colors = blended.image, np.concatenate(self._colors)[taken]
+            coordinates = np.concatenate(self._coordinates)[taken]
         elif kind != "texture2dgroup":
             return
         is_blended = kind in ("multiproperties", "compositematerials")
         self._groups[key] = _Group(sum(map(len, self._colors)), count, image, is_blended)
         self._colors.append(colors)
-        self._places.append(places)
+        self._coordinates.append(coordinates)
 
     def _placed(self, part: str, item: Element, depth: int) -> list[_Mesh]:
-        """Return the meshes of an item of the build, or of a component, in the space that it is placed in."""
+        """Return the meshes of an item of the build, or of a component, transformed by it."""
         self._part(part)
         number = item.get("objectid", "")
         if depth > _NESTED or (part, number) not in self._objects:
@@ -227,9 +228,9 @@ class _Package:
             if group is not None:
                 if group.is_blended:
                     warn(f"{self._name}: of materials that are blended one is read; bake them to a texture")
-                its = groups == number
-                rows[its] = group.first + self._checked(chosen[its], group.size)
-                images[its] = group.image
+                members = groups == number
+                rows[members] = group.first + self._checked(chosen[members], group.size)
+                images[members] = group.image
         count = len(corners)
         if triangles.size and not 0 <= triangles.min() <= triangles.max() < count:
             raise ModelError(f"{self._name}: a triangle uses a vertex that is not among the {count}")
@@ -242,7 +243,7 @@ class _Package:
 
 
 def _chosen(group: Element) -> tuple[str, Int64s]:
-    """Return the one group that counts of those that a group blends, and which of its rows (n,)."""
+    """Return the group that octex reads of those that a group blends, and the chosen rows (n,)."""
     if _tag(group) == "multiproperties":
         others = group.get("pids", "").split()
         layer = len(others) - 1
@@ -254,12 +255,12 @@ def _chosen(group: Element) -> tuple[str, Int64s]:
 
 
 def _tag(element: Element) -> str:
-    """Return an element's name without its namespace: files differ in these."""
+    """Return an element's name without its namespace, in which files differ."""
     return element.tag.rpartition("}")[2]
 
 
 def _within(element: Element, *names: str) -> list[Element]:
-    """Return the elements that a path of names leads to."""
+    """Return the elements at a path of names."""
     elements = [element]
     for name in names:
         elements = [each for one in elements for each in one if _tag(each) == name]
@@ -267,7 +268,7 @@ def _within(element: Element, *names: str) -> list[Element]:
 
 
 def _path(element: Element, part: str) -> str:
-    """Return the part that an item or a component names, else its own (Production Extension)."""
+    """Return the part that an item or a component names, by default its own (Production Extension)."""
     paths = [value for key, value in element.items() if key.rpartition("}")[2] == "path"]
     return paths[0].lstrip("/") if paths else part
 

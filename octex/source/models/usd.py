@@ -1,8 +1,8 @@
 """USD stages, .usd, .usda, .usdc and .usdz: meshes, shapes, transforms, and UsdPreviewSurface materials.
 
-OpenUSD (the extra ``usd``) composes the stage. It is read in metres with y up, as glTF has it. Meshes are
-taken as they are modelled: polygons of a subdivision surface are its cage, at the earliest time sampled.
-An image's colour space is that of the channel which it is read for, unless the file says the other one.
+OpenUSD (the extra ``usd``) composes the stage. It is read in metres with y up, as in glTF, at the earliest
+time sampled. A subdivision surface is read as its cage. An image's colour space is that of its channel,
+unless the file names the other one.
 """
 
 from __future__ import annotations
@@ -44,31 +44,31 @@ from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"repeat": REPEAT, "mirror": MIRROR}
 _LANES = {"r": (0,), "g": (1,), "b": (2,), "a": (3,), "rgb": (0, 1, 2)}
-#: What UsdPreviewSurface calls channels.
+#: The inputs of UsdPreviewSurface, by channel.
 INPUTS = {
     "base_color": "diffuseColor", "emissive": "emissiveColor", "specular": "specularColor",
     "metallic": "metallic", "roughness": "roughness", "occlusion": "occlusion", "normal": "normal",
     "alpha": "opacity",
 }  # fmt: skip
-#: What inputs may be connected to: images, and primvars that readers of them read for a channel.
+#: Connections of inputs that are read: images, and the primvars of two channels.
 _READ = ("UsdUVTexture", "base_color displayColor", "alpha displayOpacity")
 _GREY = (0.18, 0.18, 0.18)
-#: Point instancers place so many meshes at most: those within prototypes of others multiply.
+#: Most meshes that point instancers may place: nested instancers multiply.
 _PLACEMENTS = 2**20
-#: How a primvar's values are spread; as in UsdGeom's tokens.
+#: The interpolations of primvars (UsdGeom's tokens).
 _SPREADS = ("constant", "uniform", "vertex", "varying", "faceVarying")
 
 
 def load_usd(path: Path, options: Options) -> Surface:
-    """Read the meshes and shapes of a USD stage that are shown, with their materials.
+    """Read the visible meshes and shapes of a USD stage, with their materials.
 
     Curves, points and materials other than UsdPreviewSurface are left out, with ModelWarning; without
-    coordinates images are read at (0, 0). ``uv`` is ``st`` or the first read.
+    coordinates images are read at (0, 0). ``uv`` is the first set of coordinates that is read, or ``st``.
     """
-    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # keeps off the screen what OpenUSD prints while it lives
+    quiet = UsdUtils.CoalescingDiagnosticDelegate()  # while it lives, OpenUSD prints nothing
     try:
         stage = Usd.Stage.Open(str(path.absolute()))
-        # It may be given away to name others' files.
+        # A file from elsewhere must not make octex read other files.
         for layer in stage.GetUsedLayers():
             for each in filter(is_absolute, layer.GetCompositionAssetDependencies()):
                 raise ModelError(
@@ -91,14 +91,14 @@ class _Scene:
     def __init__(self, stage: Any, name: str, options: Options) -> None:
         self._stage, self._name, self._options = stage, name, options
         self._time = Usd.TimeCode.EarliestTime()
-        self._places = UsdGeom.XformCache(self._time)
+        self._transforms = UsdGeom.XformCache(self._time)
         self._materials = _Materials(name, options)
         self._left = _PLACEMENTS
-        # Meshes without coordinates that are asked for, by the coordinates' name.
-        self._lacking: dict[str, dict[str, None]] = {}
+        # Meshes without a set of coordinates that is read, by the set's name.
+        self._missing: dict[str, dict[str, None]] = {}
 
     def surface(self) -> Surface:
-        """Return all that is shown."""
+        """Return all visible meshes and shapes as one surface."""
         shown = self._shown()
         bound = {prim: self._materials_of(prim) for prim, _ in shown}
         has_frames = self._options.normals or any(
@@ -106,7 +106,7 @@ class _Scene:
         )
         every = {prim: self._part(prim, *each, has_frames=has_frames) for prim, each in bound.items()}
         parts = [every[prim]._replace(matrix=matrix) for prim, matrix in shown if len(every[prim].triangles)]
-        for name, meshes in self._lacking.items():
+        for name, meshes in self._missing.items():
             more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
             what = f"{self._name}: {next(iter(meshes))}{more} lack the primvar {name}"
             warn(f"{what}: images are read at (0, 0) there")
@@ -119,14 +119,11 @@ class _Scene:
         )  # fmt: skip
 
     def _shown(self) -> list[tuple[Any, Float64s]]:
-        """List the meshes and shapes that are shown, with the matrix (4, 4) that takes each to the world.
-
-        The world is in metres with y up.
-        """
+        """List the visible meshes and shapes, each with its matrix (4, 4) to a world in metres with y up."""
         world = np.eye(4)
         if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z:
             world = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
-        # Some programs write single precision, which UsdGeom's own function refuses.
+        # UsdGeom's function refuses single precision, which several programs write.
         world[:3] *= float(self._stage.GetMetadata("metersPerUnit"))
         others: Counter[str] = Counter()
         shown = list(self._within(self._stage.GetPseudoRoot(), world, others))
@@ -138,7 +135,7 @@ class _Scene:
     def _within(
         self, root: Any, outer: Float64s, others: Counter[str], above: tuple[Any, ...] = ()
     ) -> Iterator[tuple[Any, Float64s]]:
-        """Yield what is shown of a prim, placed by ``outer``; ``above`` are the instancers that place it."""
+        """Yield the visible meshes below a prim, placed by ``outer``; ``above`` are its instancers."""
         every = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
         for prim in every:
             is_instancer = prim.IsA(UsdGeom.PointInstancer)
@@ -146,10 +143,10 @@ class _Scene:
                 every.PruneChildren()
             elif not prim.IsA(UsdGeom.Gprim):
                 continue
-            seen = UsdGeom.Imageable(prim)
+            imageable = UsdGeom.Imageable(prim)
             purposes = UsdGeom.Tokens.default_, UsdGeom.Tokens.render
-            is_hidden = seen.ComputeVisibility(self._time) == UsdGeom.Tokens.invisible
-            if is_hidden or seen.ComputePurpose() not in purposes:
+            is_hidden = imageable.ComputeVisibility(self._time) == UsdGeom.Tokens.invisible
+            if is_hidden or imageable.ComputePurpose() not in purposes:
                 continue
             matrix = outer @ self._placed(prim, root)
             if is_instancer:
@@ -162,27 +159,29 @@ class _Scene:
                 others[prim.GetTypeName()] += 1
 
     def _placed(self, prim: Any, root: Any) -> Float64s:
-        """Return the matrix (4, 4) that takes a prim to the space of one above it."""
+        """Return the matrix (4, 4) of a prim relative to one above it."""
         if root.IsPseudoRoot():
-            return np.array(self._places.GetLocalToWorldTransform(prim), np.float64).T
-        return np.array(self._places.ComputeRelativeTransform(prim, root)[0], np.float64).T
+            return np.array(self._transforms.GetLocalToWorldTransform(prim), np.float64).T
+        return np.array(self._transforms.ComputeRelativeTransform(prim, root)[0], np.float64).T
 
     def _instances(
         self, prim: Any, outer: Float64s, others: Counter[str], above: tuple[Any, ...]
     ) -> Iterator[tuple[Any, Float64s]]:
-        """Yield what each instance of a point instancer shows, placed by ``outer``."""
+        """Yield the meshes of each instance of a point instancer, placed by ``outer``."""
         api, now = UsdGeom.PointInstancer, self._time
         instancer = api(prim)
         roots = [self._stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
         chosen = _rows(instancer.GetProtoIndicesAttr().Get(now)).astype(np.int64)
         check_below(chosen, len(roots), f"{self._name}: {prim.GetPath()} uses a prototype")
-        places = instancer.ComputeInstanceTransformsAtTime(now, now, api.IncludeProtoXform, api.IgnoreMask)
-        if len(places) != len(chosen):
-            raise damaged(f"{self._name}: {prim.GetPath()} has {len(chosen)} instances, places {len(places)}")
+        matrices = instancer.ComputeInstanceTransformsAtTime(now, now, api.IncludeProtoXform, api.IgnoreMask)
+        if len(matrices) != len(chosen):
+            raise damaged(
+                f"{self._name}: {prim.GetPath()} has {len(chosen)} instances, places {len(matrices)}"
+            )
         is_shown = instancer.ComputeMaskAtTime(now) or [True] * len(chosen)
         within = [list(self._within(root, np.eye(4), others, above)) if root else [] for root in roots]
-        for number, place, shown in zip(chosen.tolist(), places, is_shown, strict=True):
-            matrix = outer @ np.array(place, np.float64).T
+        for number, each_matrix, shown in zip(chosen.tolist(), matrices, is_shown, strict=True):
+            matrix = outer @ np.array(each_matrix, np.float64).T
             for each, inner in within[number] if shown else ():
                 self._left -= 1
                 if self._left < 0:
@@ -190,7 +189,7 @@ class _Scene:
                 yield each, matrix @ inner
 
     def _materials_of(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, Description]]:
-        """Return the faces of a mesh by their materials' numbers, and these; the mesh's own comes first."""
+        """Return the faces of a mesh by material number, and the materials, the mesh's first."""
         api = UsdShade.MaterialBindingAPI(prim)
         both = bool(UsdGeom.Gprim(prim).GetDoubleSidedAttr().Get(self._time))
         default = self._materials.number(api.ComputeBoundMaterial()[0], both)
@@ -241,7 +240,7 @@ class _Scene:
         def read(name: str) -> Corners:
             read = primvars.corners(name, 2)
             if read is None:
-                self._lacking.setdefault(name, {})[str(prim.GetPath())] = None
+                self._missing.setdefault(name, {})[str(prim.GetPath())] = None
             return read or nowhere
 
         coordinates = slot_coordinates(known, part.materials, read)
@@ -254,7 +253,7 @@ class _Scene:
         return with_frames(part, known, primvars.normals(), nowhere) if has_frames else part
 
     def _colors(self, numbers: Int32s, known: dict[int, Description], primvars: _Primvars) -> Corners | None:
-        """Return displayColor and displayOpacity where a material reads them; white elsewhere."""
+        """Return displayColor and displayOpacity for materials that read them; white for others."""
         lanes = [primvars.corners("displayColor", 3), primvars.corners("displayOpacity", 1)]
         values = np.ones((len(numbers), 3, 4), np.float32)
         for columns, corners, reads in zip(
@@ -271,7 +270,7 @@ class _Scene:
 
 
 class _Primvars:
-    """What is bound to a mesh by name, at the corners of its triangles."""
+    """The primvars of a mesh, at the corners of its triangles."""
 
     def __init__(
         self, prim: Any, time: Any, what: str, corners: Int64s, sizes: Int64s, triangles: Int64s
@@ -287,7 +286,7 @@ class _Primvars:
         self._rows["varying"] = self._rows["vertex"]
 
     def corners(self, name: str, width: int) -> Corners | None:
-        """Return a primvar with so many components, inherited ones too; None if there is none."""
+        """Return a primvar of ``width`` components, which may be inherited; None if it is missing."""
         primvar = self._api.FindPrimvarWithInheritance(name)
         if not primvar or not primvar.HasValue():
             return None
@@ -296,7 +295,7 @@ class _Primvars:
         return self._spread(name, values, width, primvar.GetInterpolation(), indices)
 
     def normals(self) -> Corners | None:
-        """Return the normals, of which those that are a primvar come first."""
+        """Return the normals; a primvar overrides the mesh's attribute."""
         primvar = self.corners("normals", 3)
         if not self._mesh:  # a shape
             return primvar
@@ -329,7 +328,7 @@ def _rows(values: Any, width: int | None = None) -> Array:
 
 
 class _Materials:
-    """The materials of a stage, numbered as they are met; each image is decoded once."""
+    """The materials of a stage, numbered as they occur; each image is decoded once."""
 
     def __init__(self, name: str, options: Options) -> None:
         self._name, self._options = name, options
@@ -339,12 +338,12 @@ class _Materials:
         self.files: dict[str, str] = {}
 
     def number(self, material: Any, double_sided: bool) -> int:
-        """Return the number of a material of the stage, of none the same: what it has is displayColor."""
-        place = str(material.GetPath()) if material and self._options.materials else ""
-        key = place, double_sided
+        """Return a material's number; without a material it is that of displayColor."""
+        path = str(material.GetPath()) if material and self._options.materials else ""
+        key = path, double_sided
         if key not in self._numbers:
-            described = self._described(material) if place else _plain()
-            name = material.GetPrim().GetName() if place else ""
+            described = self._described(material) if path else _plain()
+            name = material.GetPrim().GetName() if path else ""
             made = described.material._replace(name=name, double_sided=double_sided)
             self._numbers[key] = len(self.known)
             self.known.append(described._replace(material=made))
@@ -391,7 +390,7 @@ class _Materials:
         return Description(material, tuple(slots), reads_color=reads_color, reads_opacity=reads_opacity)
 
     def _textured(self, channel: str, node: Any, output: str, slots: dict[Slot, int]) -> Input | None:
-        """Return what a channel that reads an image is made of; None for normals of no image."""
+        """Return the input of a channel that reads an image; None for normals without an image."""
         scale = np.array(_value(node, "scale", (1.0,) * 4), np.float64)
         bias = np.array(_value(node, "bias", (0.0,) * 4), np.float64)
         lanes = _LANES.get(output, (0, 1, 2))
@@ -405,7 +404,7 @@ class _Materials:
             fallback = np.array(_value(node, "fallback", (0.0, 0.0, 0.0, 1.0)), np.float64)
             return None if channel == "normal" else Input(tuple(fallback[list(lanes)].tolist()))
         factor, offset = tuple(scale[list(lanes)].tolist()), tuple(bias[list(lanes)].tolist())
-        if channel == "normal":  # 2t − 1 of the texel t is what the factor scales
+        if channel == "normal":  # the factor scales 2t − 1 of a texel t
             plain = (scale == 1.0).all() and (bias == 0.0).all()
             factor, offset = (1.0,) * 3 if plain else tuple((scale[:3] / 2.0).tolist()), ()
         made = Input(factor, None, lanes, offset if any(offset) else ())
@@ -413,54 +412,53 @@ class _Materials:
             return made
         texels = self._image(node, asset, _value(node, "sourceColorSpace", "auto"), channel)
         wraps = [_WRAPS.get(_value(node, axis, "useMetadata"), CLAMP) for axis in ("wrapS", "wrapT")]
-        place = slots.setdefault(_slot(node), len(slots))
-        return made._replace(texture=Texture(texels, wraps[0], wraps[1], False, place))
+        slot = slots.setdefault(_slot(node), len(slots))
+        return made._replace(texture=Texture(texels, wraps[0], wraps[1], False, slot))
 
     def _image(self, node: Any, asset: Any, space: str, channel: str) -> Texels:
-        """Return an image as codes in the space of a channel."""
+        """Return an image's codes in the colour space of a channel."""
         what = f"{self._name}: {node.GetPath()}"
         if is_absolute(asset.path):
             raise ImageError(
                 f"{what} names {asset.path}; absolute paths are not followed; name it from the model's folder"
             )
-        place = asset.resolvedPath
-        if not place:  # some programs write paths as Windows does
+        path = asset.resolvedPath
+        if not path:  # it may be a Windows path
             resolver, root = Ar.GetResolver(), node.GetPrim().GetStage().GetRootLayer()
             relative = asset.path.replace("\\", "/")
-            place = str(resolver.Resolve(resolver.CreateIdentifier(relative, root.resolvedPath)))
+            path = str(resolver.Resolve(resolver.CreateIdentifier(relative, root.resolvedPath)))
         is_light = CHANNELS[channel].space == "srgb" or channel == "alpha"
-        change = {"raw": "to sRGB" if is_light else "", "sRGB": "" if is_light else "to linear"}.get(
-            space, ""
-        )
-        if (place, "") not in self._texels:
-            file = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(place)) if place else None
+        changes = {"raw": "to sRGB" if is_light else "", "sRGB": "" if is_light else "to linear"}
+        change = changes.get(space, "")
+        if (path, "") not in self._texels:
+            file = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path)) if path else None
             if file is None:
                 raise ImageError(f"{what}: its image {asset.path} is missing; put it next to the model")
             data = bytes(file.GetBuffer())
             self.files[asset.path] = hashlib.sha256(data).hexdigest()
-            self._texels[place, ""] = decode_image(data, f"{what} ({asset.path})")
-        if (place, change) not in self._texels:
-            texels = self._texels[place, ""]
-            if texels.dtype.kind != "f":  # light of floats stays
-                codes = np.arange(65536) / 65535.0
-                is_light = change == "to sRGB"
-                table = encode(
-                    codes if is_light else srgb_to_linear(codes), "uint16", "srgb" if is_light else "data"
-                )
+            self._texels[path, ""] = decode_image(data, f"{what} ({asset.path})")
+        if (path, change) not in self._texels:
+            texels = self._texels[path, ""]
+            if texels.dtype.kind != "f":  # floats are linear
+                table = np.arange(65536) / 65535.0
+                if change == "to sRGB":
+                    table = encode(table, "uint16", "srgb")
+                else:
+                    table = encode(srgb_to_linear(table), "uint16", "data")
                 alpha, texels = texels[..., 3], np.asarray(table[texels], np.uint16)
                 texels[..., 3] = alpha
-            self._texels[place, change] = texels
-        return self._texels[place, change]
+            self._texels[path, change] = texels
+        return self._texels[path, change]
 
 
 def _plain() -> Description:
-    """Return the material of what has none: its displayColor, or white."""
+    """Return the material of a mesh without one: displayColor, or white."""
     material = Material({"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))})
     return Description(material, reads_color=True)
 
 
 def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
-    """Return the shader and output that an input is connected to, or None, "" and its value; or None."""
+    """Return an input's shader and output, or else None, "" and its value; None for a missing input."""
     entry = shader.GetInput(name)
     if not entry:
         return None
@@ -479,7 +477,7 @@ def _value(shader: Any, name: str, default: Any) -> Any:
 
 
 def _slot(node: Any) -> Slot:
-    """Return the coordinates that an image is read at."""
+    """Return the set of coordinates of an image."""
     producer = _producer(node, "st")
     scale: tuple[float, ...] = (1.0, 1.0)
     translation: tuple[float, ...] = (0.0, 0.0)

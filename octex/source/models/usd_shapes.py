@@ -1,6 +1,6 @@
-"""The shapes of USD that are no meshes, as polygons: cubes, planes and solids of revolution.
+"""USD's basic shapes as polygons: cubes, planes and solids of revolution.
 
-Round ones have ``_AROUND`` sides: they stay within 0.12 % of the radius of what is meant.
+Round shapes have ``_AROUND`` sides, within 0.12 % of their radius.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from pxr import UsdGeom
 from octex.arrays import Array, Float64s, Int64s
 
 _AROUND = 64
-#: Where the z axis of a shape is turned to: columns of coordinates, and their signs.
+#: The columns of coordinates, and their signs, that turn a shape's z axis to another one.
 _AXES = {"X": ([2, 1, 0], [1, 1, -1]), "Y": ([0, 2, 1], [1, 1, -1]), "Z": ([0, 1, 2], [1, 1, 1])}
 _CUBE = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
 
 
 def shape_polygons(prim: Any, time: Any) -> tuple[Float64s, Int64s, Int64s] | None:
-    """Return the points (n, 3), the faces' sizes and their corners, of a shape; None for other prims.
+    """Return a shape's points (n, 3), face sizes and corners; None for other prims.
 
-    Faces are counter-clockwise from outside. Capsules and cylinders are as wide at the top as at the bottom.
+    Faces are counter-clockwise from outside.
     """
     kind = prim.GetTypeName()
     if kind not in ("Cube", "Sphere", "Plane", "Cylinder", "Cone", "Capsule"):

@@ -1,9 +1,9 @@
 """Read .vxz files: sparse voxels with attributes of bytes, as O-Voxel writes them.
 
-The layout is that of Microsoft's TRELLIS.2, o-voxel/o_voxel/io/vxz.py, version 0: "VXZ", the version, where
-the binary part starts (big endian), a header of JSON, and chunks. The octree of a chunk has a byte for each
-node, depth first, whose bit 4x + 2y + z says that there is a child. The leaves' attributes follow in that
-order, or differences: at each node from the child before ("parent"), or from a voxel beside ("neighbor").
+The layout is that of Microsoft's TRELLIS.2, o-voxel/o_voxel/io/vxz.py, version 0: "VXZ", the version, the
+offset of the binary part (big endian), a JSON header, and chunks. The octree of a chunk has a byte for each
+node, depth first: bit 4x + 2y + z marks a child. The leaves' attributes follow in that order, or differences:
+at each node from the child before ("parent"), or from a neighbouring voxel ("neighbor").
 """
 
 from __future__ import annotations
@@ -25,16 +25,18 @@ from octex.source.zstd import unpack_zstd
 _LZMA = [{"id": lzma.FILTER_LZMA2, "preset": 9}]
 _DEEPEST_CHUNK = 10
 _MOST_COLUMNS = 64
-#: Chunks lie so far from the first one at most: beyond it no grid reaches.
+#: Largest index of a chunk: that of the largest grid.
 _FARTHEST = 1 << 21
-#: Where the voxel lies that a difference was taken from: the last of these that is there.
-_BESIDE = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]], np.int64)
+#: Offsets to the voxel that a difference was taken from: the last of these that is stored.
+_NEIGHBOURS = np.array(
+    [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]], np.int64
+)
 
 
 def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
     """Return the coords (n, 3) of a file's voxels, and their values (n, components), uint8, by name.
 
-    Raises ModelError, with ``name``, for what is damaged or unknown, MissingExtraError for zstd without it.
+    Raises ModelError, with ``name``, for damaged or unknown data, MissingExtraError if zstd is missing.
     """
     if data[:3] != b"VXZ" or len(data) < 8:
         raise ModelError(f"{name} is not a .vxz file, or is damaged")
@@ -110,17 +112,17 @@ def _chunk(
         codes = (coords[:, 2] * edge + coords[:, 1]) * edge + coords[:, 0]
         order = np.argsort(codes)
         rows = np.ascontiguousarray(rows[order])
-        _add_beside(coords[order], codes[order], edge, rows)
+        _add_neighbours(coords[order], codes[order], edge, rows)
         rows[order] = rows.copy()
     columns = np.split(rows, np.cumsum([*widths.values()])[:-1], axis=1)
-    place = np.array(chunk["idx"], np.int64).reshape(3)
-    if (np.abs(place) > _FARTHEST).any():
-        raise ValueError(f"a chunk at {place.tolist()}")
-    return coords + place * edge, dict(zip(widths, columns, strict=True))
+    index = np.array(chunk["idx"], np.int64).reshape(3)
+    if (np.abs(index) > _FARTHEST).any():
+        raise ValueError(f"a chunk at {index.tolist()}")
+    return coords + index * edge, dict(zip(widths, columns, strict=True))
 
 
 def _unpacker(compression: str, name: str) -> Callable[[memoryview, int], bytes]:
-    """Return what unpacks bytes to so many at most."""
+    """Return a function that unpacks bytes, up to a number of them."""
     if compression == "none":
         return lambda data, most: bytes(data[:most])
     if compression == "zstd":
@@ -132,12 +134,12 @@ def _unpacker(compression: str, name: str) -> Callable[[memoryview, int], bytes]
 
 @kernel
 def _walk(masks: Uint8s, depth: int, steps: Uint8s, coords: Int64s, values: Uint8s) -> int:
-    """Write the leaves' coords (n, 3), depth first; return how many there are, −1 for a damaged octree.
+    """Write the leaves' coords (n, 3), depth first; return their number, −1 for a damaged octree.
 
-    With columns of steps, write values too: the first row is the root's, a first child has its parent's, and
-    each other child that of the one before plus the next row.
+    With columns of steps, write values too: the root has the first row, a first child its parent's value, and
+    each other child the value of the child before plus the next row.
     """
-    # Cells to come, the first on top: level, x, y and z; and their values.
+    # A stack of cells: level, x, y and z; and their values.
     stack = np.zeros((7 * depth + 1, 4), np.int64)
     known = np.zeros((7 * depth + 1, steps.shape[1]), np.uint8)
     if len(steps) > 0:
@@ -161,28 +163,28 @@ def _walk(masks: Uint8s, depth: int, steps: Uint8s, coords: Int64s, values: Uint
         end = above
         for octant in range(8):
             end += int(mask >> octant & 1)
-        place = end
+        child = end
         for octant in range(8):
             if mask >> octant & 1 == 0:
                 continue
-            place -= 1
-            stack[place, 0], stack[place, 1] = level + 1, 2 * x + (octant >> 2)
-            stack[place, 2], stack[place, 3] = 2 * y + (octant >> 1 & 1), 2 * z + (octant & 1)
-            is_first = place == end - 1
+            child -= 1
+            stack[child, 0], stack[child, 1] = level + 1, 2 * x + (octant >> 2)
+            stack[child, 2], stack[child, 3] = 2 * y + (octant >> 1 & 1), 2 * z + (octant & 1)
+            is_first = child == end - 1
             for k in range(known.shape[1]):
                 step = np.uint8(0) if is_first else steps[row, k]
-                known[place, k] = known[above if is_first else place + 1, k] + step
+                known[child, k] = known[above if is_first else child + 1, k] + step
             row += 0 if is_first else 1
         above = end
     return count if at == masks.size else -1
 
 
 @kernel
-def _add_beside(coords: Int64s, codes: Int64s, edge: int, values: Uint8s) -> None:
-    """Add to voxels, sorted by z, y and x, the value of one beside, which has its own by then."""
+def _add_neighbours(coords: Int64s, codes: Int64s, edge: int, values: Uint8s) -> None:
+    """Add to each voxel, sorted by z, y and x, the value of a neighbour, which is complete by then."""
     for n in range(codes.size):
-        for number in range(len(_BESIDE) - 1, -1, -1):
-            step = _BESIDE[number]
+        for number in range(len(_NEIGHBOURS) - 1, -1, -1):
+            step = _NEIGHBOURS[number]
             x, y, z = coords[n, 0] - step[0], coords[n, 1] - step[1], coords[n, 2] - step[2]
             code = (z * edge + y) * edge + x
             if min(x, min(y, z)) < 0:
