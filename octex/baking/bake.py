@@ -1,4 +1,4 @@
-"""Baking: an octree texture and a surface in; the surface with images at texture coordinates out."""
+"""Bakes an octree texture to images at the texture coordinates of a surface."""
 
 from __future__ import annotations
 
@@ -33,24 +33,23 @@ from octex.texture import OctreeTexture, as_texture
 from octex.tree.order import put_rows
 from octex.view.shading import corner_normals
 
-#: The smallest and the largest maps, and what their sizes are multiples of.
+#: The smallest and the largest side of maps in texels, and the step between sizes.
 _SMALLEST, _MOST, _STEP = 64, 16384, 8
 #: Most lookups along a side of a texel.
 _MOST_LOOKUPS = 8
 #: Rows of texels in one task.
 _BAND = 32
-#: How far gutters reach, in paddings: charts are two paddings apart, and what lies between is nearer to one.
+#: Reach of gutters in paddings: charts are two paddings apart, so every texel between is nearer than 1.5.
 _REACH = 1.5
-#: Texels that differ by no more than this part in size see alike.
+#: Texels whose sizes differ by at most this part share their lookups.
 _ALIKE = 0.25
 #: Texels of gutters in one task.
 _GUTTER = 1 << 16
-#: Twice the area of triangles that are flat in a map, at most, in texels; those of low-poly models lie on a
-#: palette's texels.
+#: Largest doubled area, in texels, of triangles that are flat in the map, as on the palettes of low-poly models.
 _FLAT = 1e-9
-#: The least cosine between the normals of a triangle and of what it shows, where that is near.
+#: Least cosine between the normals of a triangle and of a near point that it shows.
 _SAME_SIDE = 0.5
-#: Points on one, and more for each texel of its length; those on all, at most, beside the former.
+#: Points on a flat triangle, more per texel of its length, and most points on all of them beyond the first.
 _POINTS, _ALONG, _MOST_POINTS = 16, 4, 1 << 22
 
 
@@ -161,22 +160,22 @@ def bake(
 
 
 def _bake_sheet(job: _Job, sheet: Sheet, pool: Executor, progress: Progress) -> tuple[list[Material], bool]:
-    """Return the materials of a sheet, with its maps, and whether these show anything."""
+    """Return the materials of a sheet with its maps, and whether the maps show anything."""
     layout = sheet.layout
     shown = layout._replace(faces=sheet.triangles[layout.faces])
     maps = Values.of(job.names, layout.height, layout.width)
-    taken = np.zeros(maps.areas.shape, np.bool_)
+    drawn = np.zeros(maps.areas.shape, np.bool_)
     ends = [*range(0, layout.height, _BAND), layout.height]
     drawing = Drawing.of(shown.sized(job.supersample * layout.width))
-    tasks = [(job, drawing, slice(*each), maps, taken) for each in pairwise(ends)]
+    tasks = [(job, drawing, slice(*each), maps, drawn) for each in pairwise(ends)]
     for _ in ordered_map(pool, _bake_band, tasks, stage="bake", progress=progress):
         pass
     is_flat = np.abs(doubled_areas(shown.corners)) <= _FLAT
     if is_flat.any():
-        _bake_flat(job, shown.of(is_flat), taken, maps)
-    if layout.padding and not taken.all():
+        _bake_flat(job, shown.of(is_flat), drawn, maps)
+    if layout.padding and not drawn.all():
         charts = shown.of(~is_flat)
-        parts = Borders.of(charts, taken, math.ceil(_REACH * layout.padding)).parts(_GUTTER)
+        parts = Borders.of(charts, drawn, math.ceil(_REACH * layout.padding)).parts(_GUTTER)
         list(ordered_map(pool, lambda borders: _bake_beside(job, charts, borders, maps), parts))
     shows_any = bool(maps.areas.any())
     if not maps.areas.all():
@@ -213,17 +212,17 @@ def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None, has_nor
 
 
 class _Other(NamedTuple):
-    """Another surface of the same object, which the texture was made of."""
+    """Another surface of the same object, from which the texture was made."""
 
-    surface: Surface  # at rest where the texture has it
-    nearest: Triangles  # at rest where the baked surface is
-    normals: Float64s  # (m, 3)   of its triangles where the texture has them
-    shading: Corners  # its shading normals where the baked surface is
+    surface: Surface  # with the texture's rest positions
+    nearest: Triangles  # with the baked surface's rest positions
+    normals: Float64s  # (m, 3)   of its triangles, in the texture's space
+    shading: Corners  # its shading normals, in the baked surface's space
     distance: float
 
     @classmethod
     def of(cls, surface: Surface, texture: OctreeTexture, distance: float) -> _Other:
-        """Make a surface ready."""
+        """Prepare a surface."""
         try:
             nearest = Triangles.of(surface.rest, surface.triangles)
         except ModelError as error:
@@ -238,7 +237,7 @@ class _Other(NamedTuple):
         return cls(placed, nearest, flat, shading, distance)
 
     def facing(self, points: Float64s, normals: Float64s, squares: Float64s) -> Nearest:
-        """Find the nearest points on the same side of creases; on any if none is within ``squares`` (n,)."""
+        """Return the nearest points on the same side of creases; on any side if farther than ``squares``."""
         found = self.nearest.nearest(points, normals, distance=self.distance, least_cosine=_SAME_SIDE)
         far = np.flatnonzero(found.squares > squares)
         if far.size:
@@ -250,7 +249,7 @@ class _Other(NamedTuple):
 
 
 class _Job:
-    """Everything that is the same for all texels, and the lookups."""
+    """The data that all texels share, and the lookups."""
 
     def __init__(
         self, texture: OctreeTexture, surface: Surface, other: _Other | None, sheets: list[Sheet],
@@ -260,12 +259,12 @@ class _Job:
         self.bits = bits
         self.supersample = supersample  # lookups along each side of a texel
         self.has_modes = any(each.alpha_mode != "opaque" for sheet in sheets for each in sheet.materials)
-        #: (m, 3)   the triangles beyond the sides of each, and which side it is there
+        #: (m, 3)   the triangle beyond each side, and the number of the side there
         self.others, self.sides = neighbors(surface)
         rest, flat = surface.rest[surface.triangles], coordinates.values[coordinates.rows].astype(np.float64)
         for sheet in sheets:
             flat[sheet.triangles] *= supersample * sheet.layout.width, supersample * sheet.layout.height
-        #: (m, 3)   how rest positions change from a lookup to the next at the right, and below
+        #: (m, 3)   the steps of rest positions from a lookup to the next one right and below
         self.dPdx, self.dPdy = steps_between(rest, flat)
         leaf = cell_of(texture)
         #: (m,)   whether a lookup averages over no more than a leaf
@@ -284,7 +283,7 @@ class _Job:
     def sampled(
         self, triangles: Int32s, rest: Float64s, derivatives: tuple[Float64s, Float64s] | None
     ) -> tuple[Float32s, Bools | None]:
-        """Return the channels side by side at points of triangles (n,), and which have any; None for all."""
+        """Return the channels side by side at points of triangles (n,), and which points have any; None: all."""
         normals, there = self.normals[triangles], None
         barycentric = np.empty((0, 3))
         if self.other is not None:

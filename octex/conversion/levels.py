@@ -88,13 +88,18 @@ class CellLevels(NamedTuple):
 
     channels: tuple[ChannelFormat, ...]  # as they are stored
     depth: int
-    codes: Int64s  # of the finest cells
+    codes: list[Int64s]  # of the finest cells, in parts
     levels: list[list[LevelCells]]  # from the root down, each in parts
     taken: list[Taken] | None  # samples in the finest cells, in parts
     wanted: Uint8s | None  # (finest cells,)   the levels wanted there
     degenerate: int  # triangles without area
     has_gaps: bool
     gaps: Int64s  # finest cells in what was left out
+
+    @property
+    def n_leaves(self) -> int:
+        """The number of finest cells."""
+        return sum(map(len, self.codes))
 
 
 class Filled(NamedTuple):
@@ -186,13 +191,13 @@ def cell_levels(
     runs = even_runs(most_fragments(blocks))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = _gathered(converted)
-    codes = large.joined([part.codes for part in parts])
     gaps = np.concatenate([part.gaps for part in parts])
     tops = _end_to_end([part.top for part in parts], np.concatenate)
     if outside is not None:
         gaps = np.concatenate([gaps, outside.codes << 3 * blocks.bits])
         tops = _interleaved(tops, outside)
-    left = distinct(codes >> 3 * blocks.bits) if gaps.size else None
+    codes = [part.codes for part in parts]  # joined later: a source of pictures takes much of the memory here
+    left = np.concatenate([distinct(each >> 3 * blocks.bits) for each in codes]) if gaps.size else None
     upper, _ = climb(tops, blocks.level, channels, columns, left)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
@@ -408,12 +413,13 @@ def assemble(filled: CellLevels) -> Filled:
     split_cells = np.flatnonzero(cells.flags & SPLIT).astype(np.uint32)
     facings = cells.flags[split_cells] & np.uint8(FACING_FLAGS)
     split = SplitTable(split_cells, facings, cells.split_areas)
-    tree = Octree.from_leaves(filled.codes, filled.depth).with_cell_data(cells.flags, cells.areas, split)
+    codes = large.joined(filled.codes)
+    tree = Octree.from_leaves(codes, filled.depth).with_cell_data(cells.flags, cells.areas, split)
     values = {
         form.name: Channel(form, own, rows, np.empty((0, form.components), form.dtype))
         for form, own, rows in zip(channels, cells.values, cells.split_values, strict=True)
     }
-    samples = None if filled.taken is None else join(filled.depth, channels, filled.codes, filled.taken)
+    samples = None if filled.taken is None else join(filled.depth, channels, codes, filled.taken)
     if filled.gaps.size:
         average_transparent(tree, values, filled.gaps)
     if filled.has_gaps and samples is not None:

@@ -66,7 +66,7 @@ def convert_points(
     leaves = _leaves(cloud, placement, depth, [form.name for form in stored])
     levels, _ = climb(leaves, depth, stored, columns)
     stored_levels = [[level] for level in reversed(levels)]
-    filled = CellLevels(stored, depth, leaves.codes, stored_levels, None, None, 0, False, leaves.codes[:0])
+    filled = CellLevels(stored, depth, [leaves.codes], stored_levels, None, None, 0, False, leaves.codes[:0])
     tree, values, *_ = assemble(filled)
     if cloud.normals is None:
         flags = tree.arrays.flags & np.uint8(0xFF ^ FACING_FLAGS)
