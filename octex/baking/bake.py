@@ -45,7 +45,7 @@ _REACH = 1.5
 _ALIKE = 0.25
 #: Texels of gutters in one task.
 _GUTTER = 1 << 16
-#: Largest doubled area, in texels, of triangles that are flat in the map, as on the palettes of low-poly models.
+#: Largest doubled area, in texels, of triangles flat in the map, as on the palettes of low-poly models.
 _FLAT = 1e-9
 #: Least cosine between the normals of a triangle and of a near point that it shows.
 _SAME_SIDE = 0.5
@@ -176,7 +176,7 @@ def _bake_sheet(job: _Job, sheet: Sheet, pool: Executor, progress: Progress) -> 
     if layout.padding and not drawn.all():
         charts = shown.of(~is_flat)
         parts = Borders.of(charts, drawn, math.ceil(_REACH * layout.padding)).parts(_GUTTER)
-        list(ordered_map(pool, lambda borders: _bake_beside(job, charts, borders, maps), parts))
+        list(ordered_map(pool, lambda borders: _bake_gutter(job, charts, borders, maps), parts))
     shows_any = bool(maps.areas.any())
     if not maps.areas.all():
         fill_up(maps.values, (maps.areas > 0).astype(np.float32))
@@ -283,7 +283,7 @@ class _Job:
     def sampled(
         self, triangles: Int32s, rest: Float64s, derivatives: tuple[Float64s, Float64s] | None
     ) -> tuple[Float32s, Bools | None]:
-        """Return the channels side by side at points of triangles (n,), and which points have any; None: all."""
+        """Return the channels side by side at points of triangles (n,), and which points have any."""
         normals, there = self.normals[triangles], None
         barycentric = np.empty((0, 3))
         if self.other is not None:
@@ -306,7 +306,7 @@ class _Job:
         self, places: Int32s, triangles: Int32s, rest: Float64s,
         derivatives: tuple[Float64s, Float64s] | None, values: Float32s, areas: Float32s,
     ) -> None:  # fmt: skip
-        """Write the channels at points to texels ``places`` (n,); texels without any get the area 0."""
+        """Write the channels at points to texels ``places`` (n,); texels without any get area 0."""
         found, there = self.sampled(triangles, rest, derivatives)
         if there is not None:
             areas[places[~there]] = 0.0
@@ -315,7 +315,7 @@ class _Job:
 
 
 def _blur(job: _Job, shown: Layout) -> float:
-    """Return how much of a mean's variance lookups show: those no wider than a leaf show the field itself."""
+    """Return the part of a mean's variance in lookups; those up to a leaf wide return the field itself."""
     corners = shown.corners
     areas = np.abs(doubled_areas(corners))
     leaf = job.supersample * cell_of(job.texture)
@@ -324,11 +324,11 @@ def _blur(job: _Job, shown: Layout) -> float:
 
 
 def _bake_band(task: tuple[_Job, Drawing, slice, Values, Bools]) -> None:
-    """Write the channels at the texels of some rows, and how much of these is covered."""
-    job, drawing, band, maps, taken = task
+    """Write the channels at the texels of a band of rows, and the covered part of each texel."""
+    job, drawing, band, maps, is_drawn = task
     n, lanes = job.supersample, maps.values.shape[2]
     which, drawn = drawing.rows(n * band.start, n * band.stop)
-    taken[band] = (drawn.triangles >= 0).reshape(-1, n, maps.areas.shape[1], n).any(axis=(1, 3))
+    is_drawn[band] = (drawn.triangles >= 0).reshape(-1, n, maps.areas.shape[1], n).any(axis=(1, 3))
     values, areas = maps.values[band], maps.areas[band]
     if n == 1:
         areas[:] = drawn.areas
@@ -338,15 +338,15 @@ def _bake_band(task: tuple[_Job, Drawing, slice, Values, Bools]) -> None:
     _bake_drawn(job, drawing, which, drawn, n * band.start, maps.lanes, fine, drawn.areas)
     average(fine.reshape(*drawn.areas.shape, lanes), drawn.areas, n, values, areas)
     if NORMAL.name in maps.lanes:
-        own = values[..., maps.lanes[NORMAL.name]]
-        own[:] = unit(own.reshape(-1, 3).astype(np.float64)).reshape(own.shape)
+        normals = values[..., maps.lanes[NORMAL.name]]
+        normals[:] = unit(normals.reshape(-1, 3).astype(np.float64)).reshape(normals.shape)
 
 
 def _bake_drawn(
     job: _Job, drawing: Drawing, which: Int64s, drawn: Texels, first: int, lanes: Mapping[str, slice],
     values: Float32s, areas: Float32s,
 ) -> None:  # fmt: skip
-    """Write the channels of rows from ``first`` on; where nothing is there, ``areas`` become 0."""
+    """Write the channels of rows from ``first`` on; texels without a value get area 0."""
     layout, surface = drawing.layout, job.surface
     shown = texel_points(
         layout.corners[which], layout.faces[which], drawn, first, surface.rest, surface.triangles
@@ -368,43 +368,43 @@ def _bake_drawn(
         values[shown.places, normals] = in_tangent_space(directions, job.frames, triangles, shown.barycentric)
 
 
-def _bake_flat(job: _Job, layout: Layout, taken: Bools, maps: Values) -> None:
-    """Write the channels of flat triangles where these are read from and nothing else is, in place."""
-    own, barycentric = _points_on(layout)
-    triangles = layout.faces[own]
+def _bake_flat(job: _Job, layout: Layout, is_drawn: Bools, maps: Values) -> None:
+    """Write the channels of flat triangles to the texels that they read and no other triangle covers."""
+    rows, barycentric = _points_on(layout)
+    triangles = layout.faces[rows]
     values, there = job.sampled(triangles, job.surface.rest_at(triangles, barycentric), None)
     if there is not None:
-        own, barycentric, triangles = own[there], barycentric[there], triangles[there]
+        rows, barycentric, triangles = rows[there], barycentric[there], triangles[there]
     if job.frames is not None:
         normals = maps.lanes[NORMAL.name]
         values[:, normals] = in_tangent_space(values[:, normals], job.frames, triangles, barycentric)
     corners = job.surface.rest[job.surface.triangles[layout.faces]]
     areas = np.linalg.norm(area_vectors(corners), axis=1)
-    texels, means = _means_at_texels(layout, own, barycentric, values, areas)
-    is_free = ~taken.reshape(-1)[texels]
+    texels, means = _means_at_texels(layout, rows, barycentric, values, areas)
+    is_free = ~is_drawn.reshape(-1)[texels]
     put_rows(means[is_free], texels[is_free], maps.values.reshape(-1, means.shape[1]))
     maps.areas.reshape(-1)[texels[is_free]] = 1.0
-    taken.reshape(-1)[texels] = True
+    is_drawn.reshape(-1)[texels] = True
 
 
 def _points_on(layout: Layout) -> tuple[Int64s, Float64s]:
-    """Return points that follow each other evenly on flat triangles: of which they are, and barycentric."""
+    """Return evenly spread points on flat triangles: the triangle of each, and barycentric coordinates."""
     lengths = np.ptp(layout.corners, axis=1).max(axis=1)
     along = _ALONG * lengths * min(1.0, _MOST_POINTS / max(_ALONG * float(lengths.sum()), 1.0))
     counts = _POINTS + along.astype(np.int64)
-    own = np.repeat(np.arange(counts.size), counts)
-    number = np.arange(own.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    rows = np.repeat(np.arange(counts.size), counts)
+    number = np.arange(rows.size) - np.repeat(np.cumsum(counts) - counts, counts)
     # The sequence R2: whole multiples of two powers of the plastic number's inverse.
     root, part = np.sqrt(number * 0.7548776662466927 % 1.0), number * 0.5698402909980532 % 1.0
-    return own, np.stack([1.0 - root, root * (1.0 - part), root * part], axis=1)
+    return rows, np.stack([1.0 - root, root * (1.0 - part), root * part], axis=1)
 
 
 def _means_at_texels(
-    layout: Layout, own: Int64s, barycentric: Float64s, values: Float32s, areas: Float64s
+    layout: Layout, triangles: Int64s, barycentric: Float64s, values: Float32s, areas: Float64s
 ) -> tuple[Int32s, Float32s]:
-    """Return the four texels that points (n,) read, and the texels' means by area (t, lanes)."""
+    """Return the texels that points (n,) read bilinearly, and the means there, by area (t, lanes)."""
     corners = layout.corners.reshape(-1, 2)
-    rows = 3 * own[:, None] + np.arange(3)
+    rows = 3 * triangles[:, None] + np.arange(3)
     columns, lines = np.floor(at_corners(corners, rows, barycentric) - 0.5).astype(np.int64).T
     read = [
         np.clip(lines + down, 0, layout.height - 1) * layout.width
@@ -412,14 +412,14 @@ def _means_at_texels(
         for down, right in np.ndindex(2, 2)
     ]
     texels, which = np.unique(np.concatenate(read), return_inverse=True)
-    weights = np.tile((areas / np.maximum(np.bincount(own, minlength=areas.size), 1))[own], 4)
+    weights = np.tile((areas / np.maximum(np.bincount(triangles, minlength=areas.size), 1))[triangles], 4)
     totals = np.maximum(np.bincount(which, weights), 1e-300)
     lanes = [np.bincount(which, weights * np.tile(lane, 4)) / totals for lane in values.T]
     return texels.astype(np.int32), np.stack(lanes, axis=1).astype(np.float32)
 
 
-def _bake_beside(job: _Job, layout: Layout, borders: Borders, maps: Values) -> None:
-    """Write the channels of gutter texels, as large as texels of the chart, in its triangle's plane."""
+def _bake_gutter(job: _Job, layout: Layout, borders: Borders, maps: Values) -> None:
+    """Write the channels of gutter texels, as large as the chart's texels, in the plane of their triangle."""
     mesh = job.surface
     gutter = gutter_of(borders, layout, mesh.rest, mesh.triangles, job.others, job.sides)
     places = gutter.places

@@ -1,4 +1,4 @@
-"""Whether texture coordinates that a model has can show a texture: no texel may show places that differ."""
+"""Checks whether a model's texture coordinates can show a texture: no texel may cover differing places."""
 
 from __future__ import annotations
 
@@ -17,31 +17,30 @@ from octex.source.corners import area_vectors, at_corners, scattered
 from octex.source.mesh import Mesh
 from octex.texture import OctreeTexture
 
-#: Coordinates of which more than this part shows what differs in one texel are not kept.
+#: Coordinates are refused if more than this part of the texels cover differing places.
 _MOST = 0.01
-#: Texels a side of the maps in which that is looked for; places where it is; and what looks alike,
-#: of 1, as stored.
-PROBE, _TRIED, _LOOKS_ALIKE = 1024, 20_000, 0.1
-#: Coordinates that cover more maps than this look otherwise somewhere.
+#: Size of the map that is checked, number of points, and largest difference, of 1, that counts as alike.
+PROBE, _TRIED, _ALIKE = 1024, 20_000, 0.1
+#: Coordinates that overlap more than this often on average are refused at once.
 _MOST_DRAWN = 8.0
-#: Triangles are squeezed whose texels are so many cells long, and so many times as long as those of a map
-#: that shows all of the mesh evenly.
+#: A triangle is squeezed if its texels are this many cells long, and this many times longer than in a map
+#: that shows the mesh evenly.
 _LONG, _UNEVEN = 4.0, 16.0
 #: Rows of texels in one task.
 _ROWS = 128
-#: Points at which sizes of texels are tried, and how many times finer than a leaf texels may be chosen.
+#: Points at which sizes of texels are compared; factors by which texels may be finer than a leaf.
 _COMPARED, _FINER = 5_000, (1, 2, 4)
-#: Root mean square, of 1, of what reading between texels may miss where the texture varies; the worst 1 % of
-#: points are left out, which also lie at the surface's rims, beyond which there is no texture to read.
+#: Largest error (RMS, of 1) of bilinear reading where the texture varies. The worst 1 % of points do not
+#: count: they include the surface's rims, beyond which there is no texture.
 _READ = 3.0 / 255.0
-#: The texture varies where averaging over so many leaves changes it by more than this, of 1.
+#: The texture varies where averaging over this many leaves changes it by more than this, of 1.
 _AVERAGED, _VARIES = 4.0, 2.0 / 255.0
 
 
 def check_overlaps(
     texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor
 ) -> None:
-    """Raise ModelError if places of a mesh that look otherwise share its texture coordinates."""
+    """Raise ModelError if differing places of a mesh share its texture coordinates."""
     whole = unit_area(layout)
     shared = 1.0 - 1.0 / whole if whole > _MOST_DRAWN else 0.0
     if 0.0 < whole <= _MOST_DRAWN:
@@ -143,7 +142,7 @@ def _look_otherwise(
         rows = mesh.triangles[triangles]
         normals, places = area_vectors(mesh.rest[rows]), at_corners(mesh.rest, rows, weights)
         codes.append(_stored(texture.sample(places, names, normals=normals, width=width, threads=1)))
-    return np.asarray((np.abs(codes[0] - codes[1]) > _LOOKS_ALIKE).any(axis=1))
+    return np.asarray((np.abs(codes[0] - codes[1]) > _ALIKE).any(axis=1))
 
 
 def fineness(
