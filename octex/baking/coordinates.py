@@ -58,20 +58,20 @@ def check_overlaps(
 
 
 def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: int) -> None:
-    """Raise ModelError if texels of a map of a size are so long that they show what looks otherwise."""
+    """Raise ModelError if texels of a map are so long that they cover differing places."""
     is_squeezed = squeezed(texture, mesh, size)
     if not is_squeezed.any():
         return
     stretch, along = stretches_of(mesh, size)
-    own, weights = scattered(areas_of(mesh), _TRIED, 0)
-    own, weights = own[is_squeezed[own]], weights[is_squeezed[own]]
-    # As far as the triangle goes each way, and at most as the texel does.
-    steps = along[own]
+    rows, weights = scattered(areas_of(mesh), _TRIED, 0)
+    rows, weights = rows[is_squeezed[rows]], weights[is_squeezed[rows]]
+    # Offsets stay within the triangle, and within half a texel.
+    steps = along[rows]
     reach = np.where(steps < 0.0, weights / np.maximum(-steps, 1e-300), np.inf).min(axis=1)
-    reach = np.minimum(reach, 0.5 / np.maximum(stretch[own], 1e-300))
-    part = np.random.default_rng(1).random((own.size, 1))
+    reach = np.minimum(reach, 0.5 / np.maximum(stretch[rows], 1e-300))
+    part = np.random.default_rng(1).random((rows.size, 1))
     moved = np.clip(weights + part * reach[:, None] * steps, 0.0, 1.0)
-    differs = _look_otherwise(texture, mesh, names, (own, weights), (own, moved), width=cell_of(texture))
+    differs = _differ(texture, mesh, names, (rows, weights), (rows, moved), width=cell_of(texture))
     spread = float(differs.sum()) / _TRIED
     if spread > _MOST:
         raise ModelError(
@@ -81,23 +81,23 @@ def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: 
 
 
 def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Texels) -> float:
-    """Return the part of a map's triangles at which its texels show other places that look otherwise."""
+    """Return the part of a map's triangles whose texels show another, differing place."""
     corners = layout.corners
     areas = np.abs(doubled_areas(corners))
-    own, weights = scattered(areas, _TRIED, 0)
-    places = np.einsum("nk,nkx->nx", weights, corners[own])
+    chosen, weights = scattered(areas, _TRIED, 0)
+    places = np.einsum("nk,nkx->nx", weights, corners[chosen])
     columns, rows = np.clip(places.astype(np.int64), 0, (layout.width - 1, layout.height - 1)).T
     shown = drawn.triangles[rows, columns]
-    other = (shown >= 0) & (layout.charts[shown] != layout.charts[own])
-    own, shown, weights = own[other], shown[other], weights[other]
+    other = (shown >= 0) & (layout.charts[shown] != layout.charts[chosen])
+    chosen, shown, weights = chosen[other], shown[other], weights[other]
     theirs = barycentric_at(corners, shown, places[other])
     width = np.sqrt(areas_of(mesh).sum() / max(float(areas.sum()) / 2, 1e-300))
-    one, two = (layout.faces[own], weights), (layout.faces[shown], theirs)
-    return float(_look_otherwise(texture, mesh, names, one, two, width=width).sum()) / _TRIED
+    one, two = (layout.faces[chosen], weights), (layout.faces[shown], theirs)
+    return float(_differ(texture, mesh, names, one, two, width=width).sum()) / _TRIED
 
 
 def squeezed(texture: OctreeTexture, mesh: Mesh, size: int) -> Bools:
-    """Say on which triangles (m,) texels of a map are far too long; on none if these are few."""
+    """Return the triangles (m,) whose texels are far too long; none if they cover little area."""
     stretch, _ = stretches_of(mesh, size)
     areas = areas_of(mesh)
     even = size / np.sqrt(max(float(areas.sum()), 1e-300))
@@ -107,7 +107,7 @@ def squeezed(texture: OctreeTexture, mesh: Mesh, size: int) -> Bools:
 
 
 def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
-    """Return texels a unit where least stretched (m,), and that way in barycentrics (m, 3)."""
+    """Return texels per unit along the least stretched direction (m,), and it in barycentrics (m, 3)."""
     assert mesh.uv is not None
     rest = mesh.rest[mesh.triangles]
     first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
@@ -115,28 +115,28 @@ def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
     heights = np.linalg.norm(np.cross(first, second), axis=1)
     has_area = heights > 0.0
     length, heights = np.where(has_area, length, 1.0), np.where(has_area, heights, 1.0)
-    # What a unit along the first edge, and one beside it, add to the two edges; and to coordinates.
-    along, beside = 1.0 / length, length / heights
+    # Barycentric steps of a unit along the first edge, and perpendicular to it; then in coordinates.
+    along, across = 1.0 / length, length / heights
     slant = -(first * second).sum(axis=1) / (length * heights)
     corners = size * mesh.uv.values[mesh.uv.rows].astype(np.float64)
     one, two = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
-    (x, y), (z, w) = one * along, one * slant + two * beside
-    # The least singular value, and its vector: the eigenvector of the least eigenvalue of a symmetric matrix.
+    (x, y), (z, w) = one * along, one * slant + two * across
+    # The least singular value and its vector: of a symmetric matrix' least eigenvalue.
     a, b, c = x * x + y * y, x * z + y * w, z * z + w * w
     most = (a + c) / 2 + np.hypot((a - c) / 2, b)
     least = np.abs(x * w - y * z) / np.sqrt(np.maximum(most, 1e-300))
     right, up = np.where(a > c, -b, most - a), np.where(a > c, most - c, -b)
     norm = np.hypot(right, up)
-    right, up = np.where(norm > 0.0, [right, up], [np.ones_like(norm), up])  # any way if alike all ways
+    right, up = np.where(norm > 0.0, [right, up], [np.ones_like(norm), up])  # equal in all directions
     norm = np.where(norm > 0.0, norm, 1.0)
-    steps = np.stack([along * right + slant * up, beside * up], axis=1) * (has_area / norm)[:, None]
+    steps = np.stack([along * right + slant * up, across * up], axis=1) * (has_area / norm)[:, None]
     return least, np.concatenate([-steps.sum(axis=1, keepdims=True), steps], axis=1)
 
 
-def _look_otherwise(
+def _differ(
     texture: OctreeTexture, mesh: Mesh, names: list[str], *ends: tuple[Int64s, Float64s], width: float
 ) -> Bools:
-    """Say where two places, each given by triangles (n,) and barycentric coordinates, look otherwise."""
+    """Return where two places, each as triangles (n,) and barycentric coordinates, differ."""
     codes = []
     for triangles, weights in ends:
         rows = mesh.triangles[triangles]
@@ -149,12 +149,12 @@ def fineness(
     texture: OctreeTexture, mesh: Mesh, names: list[str], leaf: float, areas: Float64s,
     steps: tuple[Float64s, Float64s],
 ) -> int:  # fmt: skip
-    """Return how many times finer texels must be, 1, 2 or 4, to read like the texture where it varies.
+    """Return the factor, 1, 2 or 4, by which texels must be finer to read like the texture where it varies.
 
-    Triangles weigh their ``areas`` (m,); ``steps`` (m, 3) go from a texel to the next, right and down.
+    Triangles weigh by ``areas`` (m,); ``steps`` (m, 3) lead from a texel to the next one right and down.
     """
-    own, weights = scattered(areas, _COMPARED, 0)
-    rows = mesh.triangles[own]
+    triangles, weights = scattered(areas, _COMPARED, 0)
+    rows = mesh.triangles[triangles]
     places, normals = at_corners(mesh.rest, rows, weights), area_vectors(mesh.rest[rows])
 
     def look(places: Float64s, width: float = 0.0) -> dict[str, Float32s]:
@@ -166,7 +166,7 @@ def fineness(
     if varies.mean() <= _MOST:
         return 1
     wanted, places, normals = wanted[varies], places[varies], normals[varies]
-    right, down = (each[own[varies]] for each in steps)
+    right, down = (each[triangles[varies]] for each in steps)
     x, y = np.random.default_rng(1).random((2, len(places), 1))
     for finer in _FINER[:-1]:
         read: dict[str, Float32s] = {}
@@ -181,7 +181,7 @@ def fineness(
 
 
 def _stored(values: dict[str, Float32s]) -> Float64s:
-    """Return channels side by side (n, components) as they are stored, from 0 to 1; not directions."""
+    """Return channels side by side (n, components) as stored, 0 to 1, without directions."""
     known = [each for each in values.items() if CHANNELS[each[0]].space != "direction"]
     if not known:
         return np.zeros((len(next(iter(values.values()))), 1))
@@ -193,7 +193,7 @@ def _stored(values: dict[str, Float32s]) -> Float64s:
 
 
 def _drawn(layout: Layout, pool: Executor) -> Texels:
-    """Draw a layout, parts of it side by side; ``triangles`` are those of the layout."""
+    """Draw a layout in parallel; ``triangles`` are those of the layout."""
     drawing = Drawing.of(layout)
 
     def draw(rows: tuple[int, int]) -> Texels:
@@ -220,9 +220,9 @@ def cell_of(texture: OctreeTexture) -> float:
 
 
 def leaf_of(texture: OctreeTexture, mesh: Mesh) -> float:
-    """Return the width of the finest leaves that hold 1 % of a mesh; of finest cells if none hold it."""
-    own, weights = scattered(areas_of(mesh), _TRIED, 0)
-    places = at_corners(mesh.rest, mesh.triangles[own], weights)
+    """Return the width of the finest leaves that hold at least 1 % of a mesh; else of finest cells."""
+    triangles, weights = scattered(areas_of(mesh), _TRIED, 0)
+    places = at_corners(mesh.rest, mesh.triangles[triangles], weights)
     places = places[texture.contains(places, threads=1)]
     if not len(places):
         return cell_of(texture)
