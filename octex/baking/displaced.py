@@ -105,8 +105,8 @@ def displace(
     frames = carried(frames_of(bent, parts.triangles), parts.triangles, moved, rest)
     uv = None
     if surface.uv is not None:
-        uv = surface.uv.values[surface.uv.rows[parts.parents]]
-        values = np.einsum("mkc,mcx->mkx", parts.shares, uv).reshape(-1, 2).astype(np.float32)
+        old = surface.uv.values[surface.uv.rows[parts.parents]]
+        values = np.einsum("mkc,mcx->mkx", parts.shares, old).reshape(-1, 2).astype(np.float32)
         uv = Corners(values, np.arange(len(values), dtype=np.int32).reshape(-1, 3))
     source = OnCage(surface.source, parts.parents, parts.shares, rest, rest, parts.triangles)
     said = json.dumps({"channel": channel, "scale": scale, "middle": middle})

@@ -1,4 +1,4 @@
-"""Writing .ptx files."""
+"""Writes .ptx files."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from octex.formats.ptex.layout import Faces
 from octex.formats.ptex.reduction import colors, halved, multiply, stored
 from octex.parallel import ordered_map, start
 
-#: Blocks of less bytes are encoded as they promise to be smaller, without a try: zlib takes 8 µs for each.
+#: Smaller blocks, in bytes, choose their encoding by an estimate, not by trial: zlib takes 8 µs per call.
 _TRIED = 512
-#: Faces that are encoded together have about so many bytes.
+#: Bytes of faces that are encoded together.
 _TOGETHER = 1 << 20
-#: Faces of less bytes are encoded by one thread: between blocks so short others would wait for each other.
+#: Smaller faces, in bytes, are encoded by one thread: parallel tasks would wait for each other.
 _SHARED = 4096
-#: By how many bits that promise may err; differences are the better guess.
+#: Uncertainty of the estimate in bits, in favour of differences.
 _UNSURE = 32
 
 
 class Contents(NamedTuple):
-    """What a .ptx file is to hold."""
+    """The contents of a .ptx file."""
 
     mesh_type: str
     faces: Faces
@@ -45,9 +45,9 @@ class Contents(NamedTuple):
 def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     """Write a .ptx file with all levels.
 
-    Of each block the smaller encoding is kept: texels or their differences, or one pixel. Faces of 128 KB and
-    more are tiled, so that readers need not decode all of one. Averages are rounded, and multiplied by alpha.
-    Raises OutputError if the file cannot be written.
+    Each block gets the smaller encoding: texels, their differences, or one pixel. Faces of 128 KB and more
+    are tiled, so that readers can decode parts. Averages are rounded, and multiplied by alpha. Raises
+    OutputError if the file cannot be written.
     """
     faces, texels = contents.faces, contents.texels
     is_constant = _constant(texels, faces.counts)
@@ -97,7 +97,7 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
 
 
 def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple[list[list[bytes]], Array]:
-    """Return all levels, a header and blocks each, and the average of each face (n, channels)."""
+    """Return all levels, each a header and blocks, and the average of each face (n, channels)."""
     faces, texels, alpha = contents.faces, contents.texels, contents.alpha_channel
     dtype, is_triangle = texels.dtype, contents.mesh_type == layout.MESH_TYPES[layout.TRIANGLE]
     order, counts = layout.reduced_order(faces.log2, is_constant)
@@ -145,8 +145,8 @@ def _groups(log2: Int8s, firsts: Int64s, wanted: Bools, pixel: int) -> Iterator[
         chosen = np.flatnonzero(wanted & (key == each))
         step = max(_TOGETHER // (pixel << u + v), 1)
         for begin in range(0, len(chosen), step):
-            some = chosen[begin : begin + step]
-            yield _Group(some, firsts[some], u, v)
+            part = chosen[begin : begin + step]
+            yield _Group(part, firsts[part], u, v)
 
 
 def _encoded_group(
@@ -227,7 +227,7 @@ def _blocks(values: Array) -> tuple[Uint32s, list[bytes]]:
 
 
 def _promise(rows: Array) -> Int64s:
-    """Estimate zlib's bits for rows of bytes (n, k): 8, 9 from 144 on, 1 in runs of equal bytes."""
+    """Estimate zlib's bits for rows of bytes (n, k): 8, from 144 on 9, in runs of equal bytes 1."""
     bits = (rows >= 144) + np.uint8(8)
     is_same = rows[:, 1:] == rows[:, :-1]
     bits[:, 3:][is_same[:, 2:] & is_same[:, 1:-1] & is_same[:, :-2]] = 1
@@ -236,21 +236,21 @@ def _promise(rows: Array) -> Int64s:
 
 
 def _constant(texels: Array, counts: Int64s) -> Bools:
-    """Say which faces have one value all over (n,)."""
+    """Return which faces have a single value (n,)."""
     firsts = np.cumsum(counts) - counts
     raw = np.ascontiguousarray(texels).view(np.uint8).reshape(len(texels), -1)
     differs = (raw[1:] != raw[:-1]).any(axis=1)
     differs = np.concatenate([[False], differs])
-    differs[firsts] = False  # from the face before
+    differs[firsts] = False  # compared with the face before
     constant: Bools = ~np.logical_or.reduceat(differs, firsts)
     return constant
 
 
-def _metadata(given: Mapping[str, str | Array]) -> tuple[list[bytes], list[tuple[bytes, bytes]]]:
+def _metadata(entries: Mapping[str, str | Array]) -> tuple[list[bytes], list[tuple[bytes, bytes]]]:
     """Return the entries of metadata, and those of large metadata with their values."""
     small: list[bytes] = []
     large: list[tuple[bytes, bytes]] = []
-    for name, value in given.items():
+    for name, value in entries.items():
         if isinstance(value, str):
             kind, data = 0, value.encode() + b"\0"
         else:
