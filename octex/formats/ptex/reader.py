@@ -39,7 +39,7 @@ class PtexFile:
     border_modes   at the mesh's borders along u and v: "clamp", "black" or "periodic"
     edge_filter    "none"; "tangent": values are vectors in the face's tangent space
 
-    Opening reads the headers and appended edits; texels are read on demand. Raises ModelError, which names the
+    Opening reads the headers and appended edits; texels are read on demand. Raises ModelError, naming the
     file, for files that cannot be read, and for damage whenever it is found.
     """
 
