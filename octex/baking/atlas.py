@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Floats, Int32s, Int64s
-from octex.baking.charts import Flat, laid_flat
+from octex.baking.charts import Flattened, laid_flat
 from octex.baking.layout import Layout, charts_of, doubled_areas
 from octex.baking.unfold import SIDE
 from octex.errors import ModelError
@@ -81,8 +81,8 @@ def atlas_layout(
             if best is not None:
                 break
         if best is not None:
-            scale, places, turns = best
-            placed = scale * (flat @ turns[charts]) + places[charts][:, None]
+            scale, shifts, turns = best
+            placed = scale * (flat @ turns[charts]) + shifts[charts][:, None]
             faces = np.arange(len(charts), dtype=np.int32)
             points = (placed / size).reshape(-1, 2).astype(np.float32)
             rows = welded(points)
@@ -145,7 +145,7 @@ def _fitted(
     return low, *placed
 
 
-def _by_xatlas(mesh: Mesh) -> Flat:
+def _by_xatlas(mesh: Mesh) -> Flattened:
     """Flatten a mesh by xatlas; its longest side becomes `SIDE`.
 
     Raises ModelError without the extra, and for a mesh that would take long.
@@ -172,7 +172,7 @@ def _by_xatlas(mesh: Mesh) -> Flat:
         needs = (time.perf_counter() - began) * len(triangles) / done
         if needs > _PATIENCE and done < len(triangles):
             raise ModelError(f'{mesh.name}: xatlas would take about {needs:.0f} seconds; choose uv="atlas"')
-    return Flat(corners, *charts_of(mesh, corners))
+    return Flattened(corners, *charts_of(mesh, corners))
 
 
 def _pieces(middles: Floats, rows: Int64s) -> list[Int64s]:
@@ -243,7 +243,7 @@ def _packed(
         return None
     free, longest = np.ones((blocks, blocks), np.bool_), np.full(blocks, blocks, np.int64)
     tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # position of the last mask of each shape
-    places, turned = np.empty((len(areas), 2)), turns.copy()
+    shifts, turned = np.empty((len(areas), 2)), turns.copy()
     for n, chart in enumerate(order.tolist()):
         outline = scale * sides[starts[chart] : starts[chart + 1]]
         best: tuple[int, ...] = ()
@@ -261,13 +261,13 @@ def _packed(
                 row, column = divmod(at, blocks)
                 best, chosen = (row + len(mask), column), mask
                 turned[chart] = turns[chart] @ spin
-                places[chart] = np.array([column, row]) * block - begin - scale * lows[chart] @ spin
+                shifts[chart] = np.array([column, row]) * block - begin - scale * lows[chart] @ spin
         if not best:
             return None
         row = best[0] - len(chosen)
         tried[chosen.shape] = row * blocks + best[1], chosen
         _take(free[row : best[0]], longest[row : best[0]], chosen, best[1])
-    return places, turned
+    return shifts, turned
 
 
 @kernel

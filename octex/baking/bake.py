@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from octex.baking.blocks import Blocks
+from octex.baking.blocks import TexelBlocks
 from octex.baking.coordinates import cell_of
 from octex.baking.directions import in_tangent_space, turned
 from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbors, steps_between
 from octex.baking.maps import BITS, Bits, Values, alpha_mode, average, inputs_of, lacking
 from octex.baking.sheets import Sheet, coordinates_of, sheets_of
-from octex.baking.texels import Drawing, Shown, Texels, texel_points
+from octex.baking.texels import Drawing, Drawn, Shown, texel_points
 from octex.channels import ALPHA, CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
@@ -274,7 +274,7 @@ class _Job:
         self.normals, self.areas = unit(crosses), np.linalg.norm(crosses, axis=1) / 2.0
         self.blocks = None
         if other is None:
-            self.blocks = Blocks.of(texture, names, self.normals, self.dPdx, self.dPdy)
+            self.blocks = TexelBlocks.of(texture, names, self.normals, self.dPdx, self.dPdy)
         self.frames = None
         if NORMAL.name in names:
             normals = None if surface.frames is None else surface.frames.normals
@@ -303,15 +303,15 @@ class _Job:
         return np.concatenate([values[name] for name in self.names], axis=1), there
 
     def write(
-        self, places: Int32s, triangles: Int32s, rest: Float64s,
+        self, texels: Int32s, triangles: Int32s, rest: Float64s,
         derivatives: tuple[Float64s, Float64s] | None, values: Float32s, areas: Float32s,
     ) -> None:  # fmt: skip
-        """Write the channels at points to texels ``places`` (n,); texels without any get area 0."""
+        """Write the channels at points to texels ``texels`` (n,); texels without any get area 0."""
         found, there = self.sampled(triangles, rest, derivatives)
         if there is not None:
-            areas[places[~there]] = 0.0
-            places = places[there]
-        put_rows(found, places, values)
+            areas[texels[~there]] = 0.0
+            texels = texels[there]
+        put_rows(found, texels, values)
 
 
 def _blur(job: _Job, shown: Layout) -> float:
@@ -343,7 +343,7 @@ def _bake_band(task: tuple[_Job, Drawing, slice, Values, Bools]) -> None:
 
 
 def _bake_drawn(
-    job: _Job, drawing: Drawing, which: Int64s, drawn: Texels, first: int, lanes: Mapping[str, slice],
+    job: _Job, drawing: Drawing, which: Int64s, drawn: Drawn, first: int, lanes: Mapping[str, slice],
     values: Float32s, areas: Float32s,
 ) -> None:  # fmt: skip
     """Write the channels of rows from ``first`` on; texels without a value get area 0."""
@@ -351,9 +351,9 @@ def _bake_drawn(
     shown = texel_points(
         layout.corners[which], layout.faces[which], drawn, first, surface.rest, surface.triangles
     )
-    if not shown.places.size:
+    if not shown.texels.size:
         return
-    missed = np.arange(shown.places.size)
+    missed = np.arange(shown.texels.size)
     if job.blocks is not None:
         missed = job.blocks.look_up(shown, values)
     triangles = shown.each()
@@ -361,11 +361,11 @@ def _bake_drawn(
         on, derivatives = triangles[missed], None
         if not job.is_fine[on].all():
             derivatives = job.dPdx[on], job.dPdy[on]
-        job.write(shown.places[missed], on, shown.rest[missed], derivatives, values, areas.reshape(-1))
+        job.write(shown.texels[missed], on, shown.rest[missed], derivatives, values, areas.reshape(-1))
     if job.frames is not None:
         normals = lanes[NORMAL.name]
-        directions = np.take(values[:, normals], shown.places, axis=0)
-        values[shown.places, normals] = in_tangent_space(directions, job.frames, triangles, shown.barycentric)
+        directions = np.take(values[:, normals], shown.texels, axis=0)
+        values[shown.texels, normals] = in_tangent_space(directions, job.frames, triangles, shown.barycentric)
 
 
 def _bake_flat(job: _Job, layout: Layout, is_drawn: Bools, maps: Values) -> None:
@@ -422,15 +422,15 @@ def _bake_gutter(job: _Job, layout: Layout, borders: Borders, maps: Values) -> N
     """Write the channels of gutter texels, as large as the chart's texels, in the plane of their triangle."""
     mesh = job.surface
     gutter = gutter_of(borders, layout, mesh.rest, mesh.triangles, job.others, job.sides)
-    places = gutter.places
+    texels = gutter.texels
     values, areas = maps.values.reshape(-1, maps.values.shape[2]), maps.areas.reshape(-1)
     rest = mesh.rest_at(gutter.triangles, gutter.barycentric)
-    areas[places] = 1.0
-    left = np.arange(places.size)
+    areas[texels] = 1.0
+    left = np.arange(texels.size)
     if job.blocks is not None and job.supersample == 1:
         starts = np.flatnonzero(np.diff(gutter.triangles, prepend=-1)).astype(np.int32)
-        ends = np.append(starts, np.int32(places.size))
-        shown = Shown(places, rest, gutter.barycentric, ends, gutter.triangles[starts])
+        ends = np.append(starts, np.int32(texels.size))
+        shown = Shown(texels, rest, gutter.barycentric, ends, gutter.triangles[starts])
         sizes = job.sizes[gutter.beside] / np.maximum(job.sizes[gutter.triangles], 1e-300)
         is_unlike = np.abs(sizes - 1.0) > _ALIKE
         is_unlike[job.blocks.look_up(shown, values)] = True
@@ -438,10 +438,10 @@ def _bake_gutter(job: _Job, layout: Layout, borders: Borders, maps: Values) -> N
     if left.size:
         on, size = gutter.triangles[left], job.sizes[gutter.beside[left]]
         wide = across(job.normals[on]) * size[:, None]
-        job.write(places[left], on, rest[left], (wide, np.cross(job.normals[on], wide)), values, areas)
+        job.write(texels[left], on, rest[left], (wide, np.cross(job.normals[on], wide)), values, areas)
     if job.frames is not None:
         both = ((gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges))
         shading = [unit(job.frames.normals.at(*each)) for each in both]
         normals = maps.lanes[NORMAL.name]
-        directions = turned(values[places, normals], *shading)
-        values[places, normals] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)
+        directions = turned(values[texels, normals], *shading)
+        values[texels, normals] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)

@@ -19,7 +19,7 @@ from octex.baking.unfold import (
     SIDE,
     TINY,
     TINY_PART,
-    Pieces,
+    ChartMesh,
     axes_of,
     connected,
     grow,
@@ -51,7 +51,7 @@ _AVERAGED, _MOST_AVERAGED = 0.02, 25
 _SHARP = 2
 
 
-class Flat(NamedTuple):
+class Flattened(NamedTuple):
     """Flattened triangles."""
 
     corners: Float64s  # (m, 3, 2)   y down; charts overlap each other
@@ -59,7 +59,7 @@ class Flat(NamedTuple):
     edges: Bools  # (m, 3)   sides that are edges of charts
 
 
-def laid_flat(mesh: Mesh) -> Flat:
+def laid_flat(mesh: Mesh) -> Flattened:
     """Flatten a mesh whose longest side becomes `SIDE`."""
     low, high = mesh.bounds
     rows = first_equal(mesh.rest)[mesh.triangles]
@@ -71,21 +71,21 @@ def laid_flat(mesh: Mesh) -> Flat:
     side = max(float(np.sqrt(areas @ areas / max(areas.sum(), 1e-300))), 1e-9)  # of a typical triangle
     facings = normals.copy()
     _average(normals, areas, others, min(int((_AVERAGED / side) ** 2), _MOST_AVERAGED), facings)
-    pieces = Pieces(corners, others, areas, normals, facings)
+    pieces = ChartMesh(corners, others, areas, normals, facings)
     flat, charts = unfolded(pieces, rows, positions, _clustered(pieces))
     flat, charts = without_overlaps(pieces, flat, charts)
     charts = connected(others, charts)
-    return Flat(flat, charts.astype(np.int32), (others < 0) | (charts[others] != charts[:, None]))
+    return Flattened(flat, charts.astype(np.int32), (others < 0) | (charts[others] != charts[:, None]))
 
 
-def _clustered(pieces: Pieces) -> Int64s:
+def _clustered(mesh: ChartMesh) -> Int64s:
     """Return the chart of each triangle."""
-    _, others, areas, _, facings = pieces
+    _, others, areas, _, facings = mesh
     charts = np.full(len(areas), -1, np.int64)
     count = grow(others, facings, areas, np.argsort(-areas, kind="stable"), LEAST, 0, charts)
-    middles = pieces.corners.mean(axis=1)
+    middles = mesh.corners.mean(axis=1)
     for _ in range(_ROUNDS):
-        axes = axes_of(pieces, charts)
+        axes = axes_of(mesh, charts)
         weights = np.maximum(np.bincount(charts, areas, count), 1e-300)
         centers = sums_of(charts, middles * areas[:, None]) / weights[:, None]
         apart = ((middles - centers[charts]) ** 2).sum(axis=1)
@@ -97,19 +97,19 @@ def _clustered(pieces: Pieces) -> Int64s:
         charts[is_taken] = numbered(charts[is_taken])
         first = int(charts.max()) + 1
         count = grow(others, facings, areas, np.flatnonzero(~is_taken), LEAST, first, charts)
-    return _merged(pieces, charts)
+    return _merged(mesh, charts)
 
 
-def _merged(pieces: Pieces, charts: Int64s) -> Int64s:
+def _merged(mesh: ChartMesh, charts: Int64s) -> Int64s:
     """Merge charts across their longest borders while their triangles face roughly one way."""
-    _, others, areas, _, facings = pieces
+    _, others, areas, _, facings = mesh
     sums, sizes = sums_of(charts, facings * areas[:, None]), np.bincount(charts, areas)
     bins, directions = _binned(facings)
     counts = np.bincount(charts * len(directions) + bins, areas > 0.0, sizes.size * len(directions))
     shares = counts.reshape(sizes.size, -1) > 0.0  # directions that each chart faces
     triangles, sides = np.nonzero((others >= 0) & (charts[others] != charts[:, None]))
     one, two = charts[triangles], charts[others[triangles, sides]]  # both ways
-    ends = pieces.corners[triangles, sides], pieces.corners[triangles, (sides + 1) % 3]
+    ends = mesh.corners[triangles, sides], mesh.corners[triangles, (sides + 1) % 3]
     borders = np.linalg.norm(ends[1] - ends[0], axis=1)
     whole = connected(others, np.zeros_like(charts))
     tiny = np.empty(sizes.size)

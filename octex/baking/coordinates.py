@@ -1,4 +1,4 @@
-"""Checks whether a model's texture coordinates can show a texture: no texel may cover differing places."""
+"""Checks whether a model's texture coordinates can show a texture: no texel may cover differing areas."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int64s
 from octex.baking.layout import Layout, doubled_areas, unit_area
-from octex.baking.texels import Drawing, Texels, barycentric_at
+from octex.baking.texels import Drawing, Drawn, barycentric_at
 from octex.channels import CHANNELS, linear_to_srgb
 from octex.errors import ModelError
 from octex.parallel import ordered_map
@@ -17,7 +17,7 @@ from octex.source.corners import area_vectors, at_corners, scattered
 from octex.source.mesh import Mesh
 from octex.texture import OctreeTexture
 
-#: Coordinates are refused if more than this part of the texels cover differing places.
+#: Coordinates are refused if more than this part of the texels cover differing areas.
 _MOST = 0.01
 #: Size of the map that is checked, number of points, and largest difference, of 1, that counts as alike.
 PROBE, _TRIED, _ALIKE = 1024, 20_000, 0.1
@@ -40,7 +40,7 @@ _AVERAGED, _VARIES = 4.0, 2.0 / 255.0
 def check_overlaps(
     texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor
 ) -> None:
-    """Raise ModelError if differing places of a mesh share its texture coordinates."""
+    """Raise ModelError if differing areas of a mesh share its texture coordinates."""
     whole = unit_area(layout)
     shared = 1.0 - 1.0 / whole if whole > _MOST_DRAWN else 0.0
     if 0.0 < whole <= _MOST_DRAWN:
@@ -58,7 +58,7 @@ def check_overlaps(
 
 
 def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: int) -> None:
-    """Raise ModelError if texels of a map are so long that they cover differing places."""
+    """Raise ModelError if texels of a map are so long that they cover differing areas."""
     is_squeezed = squeezed(texture, mesh, size)
     if not is_squeezed.any():
         return
@@ -80,17 +80,17 @@ def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: 
         )
 
 
-def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Texels) -> float:
-    """Return the part of a map's triangles whose texels show another, differing place."""
+def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Drawn) -> float:
+    """Return the part of a map's triangles whose texels show another, differing area."""
     corners = layout.corners
     areas = np.abs(doubled_areas(corners))
     chosen, weights = scattered(areas, _TRIED, 0)
-    places = np.einsum("nk,nkx->nx", weights, corners[chosen])
-    columns, rows = np.clip(places.astype(np.int64), 0, (layout.width - 1, layout.height - 1)).T
+    points = np.einsum("nk,nkx->nx", weights, corners[chosen])
+    columns, rows = np.clip(points.astype(np.int64), 0, (layout.width - 1, layout.height - 1)).T
     shown = drawn.triangles[rows, columns]
     other = (shown >= 0) & (layout.charts[shown] != layout.charts[chosen])
     chosen, shown, weights = chosen[other], shown[other], weights[other]
-    theirs = barycentric_at(corners, shown, places[other])
+    theirs = barycentric_at(corners, shown, points[other])
     width = np.sqrt(areas_of(mesh).sum() / max(float(areas.sum()) / 2, 1e-300))
     one, two = (layout.faces[chosen], weights), (layout.faces[shown], theirs)
     return float(_differ(texture, mesh, names, one, two, width=width).sum()) / _TRIED
@@ -136,12 +136,12 @@ def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
 def _differ(
     texture: OctreeTexture, mesh: Mesh, names: list[str], *ends: tuple[Int64s, Float64s], width: float
 ) -> Bools:
-    """Return where two places, each as triangles (n,) and barycentric coordinates, differ."""
+    """Return where two points, each as triangles (n,) and barycentric coordinates, differ."""
     codes = []
     for triangles, weights in ends:
         rows = mesh.triangles[triangles]
-        normals, places = area_vectors(mesh.rest[rows]), at_corners(mesh.rest, rows, weights)
-        codes.append(_stored(texture.sample(places, names, normals=normals, width=width, threads=1)))
+        normals, points = area_vectors(mesh.rest[rows]), at_corners(mesh.rest, rows, weights)
+        codes.append(_stored(texture.sample(points, names, normals=normals, width=width, threads=1)))
     return np.asarray((np.abs(codes[0] - codes[1]) > _ALIKE).any(axis=1))
 
 
@@ -155,24 +155,24 @@ def fineness(
     """
     triangles, weights = scattered(areas, _COMPARED, 0)
     rows = mesh.triangles[triangles]
-    places, normals = at_corners(mesh.rest, rows, weights), area_vectors(mesh.rest[rows])
+    points, normals = at_corners(mesh.rest, rows, weights), area_vectors(mesh.rest[rows])
 
-    def look(places: Float64s, width: float = 0.0) -> dict[str, Float32s]:
-        return texture.sample(places, names, normals=normals, width=width, threads=1)
+    def look(points: Float64s, width: float = 0.0) -> dict[str, Float32s]:
+        return texture.sample(points, names, normals=normals, width=width, threads=1)
 
-    wanted, width = _stored(look(places)), _AVERAGED * leaf
-    varies = (np.abs(wanted - _stored(look(places, width))) > _VARIES).any(axis=1)
-    varies &= texture.contains(places, threads=1)
+    wanted, width = _stored(look(points)), _AVERAGED * leaf
+    varies = (np.abs(wanted - _stored(look(points, width))) > _VARIES).any(axis=1)
+    varies &= texture.contains(points, threads=1)
     if varies.mean() <= _MOST:
         return 1
-    wanted, places, normals = wanted[varies], places[varies], normals[varies]
+    wanted, points, normals = wanted[varies], points[varies], normals[varies]
     right, down = (each[triangles[varies]] for each in steps)
-    x, y = np.random.default_rng(1).random((2, len(places), 1))
+    x, y = np.random.default_rng(1).random((2, len(points), 1))
     for finer in _FINER[:-1]:
         read: dict[str, Float32s] = {}
         for i, j in np.ndindex(2, 2):
             share = np.float32((x if i else 1.0 - x) * (y if j else 1.0 - y))
-            for name, values in look(places + ((i - x) * right + (j - y) * down) / finer).items():
+            for name, values in look(points + ((i - x) * right + (j - y) * down) / finer).items():
                 read[name] = read.get(name, np.float32(0.0)) + share * values
         missed = np.sort(((_stored(read) - wanted) ** 2).max(axis=1))[: -int(_MOST * _COMPARED)]
         if missed.mean() <= _READ**2:
@@ -192,11 +192,11 @@ def _stored(values: dict[str, Float32s]) -> Float64s:
     return np.concatenate(columns, axis=1, dtype=np.float64)
 
 
-def _drawn(layout: Layout, pool: Executor) -> Texels:
+def _drawn(layout: Layout, pool: Executor) -> Drawn:
     """Draw a layout in parallel; ``triangles`` are those of the layout."""
     drawing = Drawing.of(layout)
 
-    def draw(rows: tuple[int, int]) -> Texels:
+    def draw(rows: tuple[int, int]) -> Drawn:
         which, drawn = drawing.rows(*rows)
         if not which.size:
             return drawn
@@ -205,7 +205,7 @@ def _drawn(layout: Layout, pool: Executor) -> Texels:
         )
 
     parts = list(ordered_map(pool, draw, list(pairwise([*range(0, layout.height, _ROWS), layout.height]))))
-    return Texels(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    return Drawn(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
 def areas_of(mesh: Mesh) -> Float64s:
@@ -222,11 +222,11 @@ def cell_of(texture: OctreeTexture) -> float:
 def leaf_of(texture: OctreeTexture, mesh: Mesh) -> float:
     """Return the width of the finest leaves that hold at least 1 % of a mesh; else of finest cells."""
     triangles, weights = scattered(areas_of(mesh), _TRIED, 0)
-    places = at_corners(mesh.rest, mesh.triangles[triangles], weights)
-    places = places[texture.contains(places, threads=1)]
-    if not len(places):
+    points = at_corners(mesh.rest, mesh.triangles[triangles], weights)
+    points = points[texture.contains(points, threads=1)]
+    if not len(points):
         return cell_of(texture)
-    cells = texture.taps(places, next(iter(texture.channels)), "nearest", threads=1).rows
+    cells = texture.taps(points, next(iter(texture.channels)), "nearest", threads=1).rows
     levels = np.searchsorted(texture.tree.arrays.level_cells, cells, side="right") - 1
     level = int(np.sort(levels)[::-1][int(_MOST * levels.size)])
     return float(texture.placement.size / 2**level)

@@ -73,8 +73,8 @@ def displace(
     cell = finest if cell is None else as_positive(cell, "cell")
     most = as_whole(most_triangles, "most_triangles", 1, 2**31 - 1)
     resting = surface.placed_in(texture).rest
-    places = welded(np.concatenate([surface.vertices, surface.rest, resting], axis=1)).astype(np.int64)
-    triangles = places[surface.triangles]
+    vertex_of = welded(np.concatenate([surface.vertices, surface.rest, resting], axis=1)).astype(np.int64)
+    triangles = vertex_of[surface.triangles]
     parts = _parts(triangles, resting, surface, cell, most)
     corners, rest_corners = surface.vertices[surface.triangles], resting[surface.triangles]
     normals = _normals(surface, triangles)

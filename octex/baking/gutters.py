@@ -20,7 +20,7 @@ _FLAT = 1e-9
 class Borders(NamedTuple):
     """Texels around charts, and the chart edges nearest to them."""
 
-    places: Int32s  # (n,)   texels, counted row by row
+    texels: Int32s  # (n,)   counted row by row
     drawn: Int64s  # (n,)   the drawn triangle of the edge
     sides: Int64s  # (n,)   the edge's side
 
@@ -31,20 +31,20 @@ class Borders(NamedTuple):
         border = np.full(taken.shape, -1, np.int32)
         drawn, sides = np.nonzero(layout.edges)
         find_nearest(layout.corners, drawn, sides, taken, float(padding), nearest, border)
-        places = np.flatnonzero(border >= 0)
-        chosen = border.reshape(-1)[places]
-        return cls(places.astype(np.int32), drawn[chosen], sides[chosen])
+        texels = np.flatnonzero(border >= 0)
+        chosen = border.reshape(-1)[texels]
+        return cls(texels.astype(np.int32), drawn[chosen], sides[chosen])
 
     def parts(self, count: int) -> list[Borders]:
         """Return the texels in runs of ``count``."""
-        firsts = range(0, self.places.size, count)
+        firsts = range(0, self.texels.size, count)
         return [Borders._make(each[first : first + count] for each in self) for first in firsts]
 
 
 class Gutter(NamedTuple):
     """The points of a surface that gutter texels show, ordered by triangle."""
 
-    places: Int32s  # (n,)   texels, counted row by row
+    texels: Int32s  # (n,)   counted row by row
     triangles: Int32s  # (n,)
     barycentric: Float64s  # (n, 3)
     beside: Int32s  # (n,)   the triangle of the nearest chart edge
@@ -55,14 +55,14 @@ def gutter_of(
     borders: Borders, layout: Layout, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s
 ) -> Gutter:
     """Find the points that gutter texels show: on the surface across the edge, unfolded, or at its end."""
-    count = borders.places.size
+    count = borders.texels.size
     found = np.empty(count, np.int32)
     barycentric, edges = np.zeros((2, count, 3))
     drawn = layout.corners, layout.faces, layout.width
     _follow(*drawn, rest, faces, others, sides, borders, edges, found, barycentric)
     order = np.sort(found.astype(np.int64) << 32 | np.arange(count)) & 0xFFFFFFFF
     beside = layout.faces[borders.drawn[order]]
-    return Gutter(borders.places[order], found[order], barycentric[order], beside, edges[order])
+    return Gutter(borders.texels[order], found[order], barycentric[order], beside, edges[order])
 
 
 @inlined
@@ -130,7 +130,7 @@ def _follow(
         drawn, side = borders.drawn[n], int(borders.sides[n])
         triangle = int(owners[drawn])
         a, b, c = corners[drawn, side], corners[drawn, (side + 1) % 3], corners[drawn, (side + 2) % 3]
-        row, column = borders.places[n] // width, borders.places[n] % width
+        row, column = borders.texels[n] // width, borders.texels[n] % width
         t, dx, dy = _nearest_on(a[0], a[1], b[0], b[1], column + 0.5, row + 0.5)
         edges[n, side], edges[n, (side + 1) % 3] = 1.0 - t, t
         barycentric[n] = edges[n]

@@ -19,13 +19,13 @@ class Tessellation(NamedTuple):
     shares: Float64s  # (m, 3, 3)   barycentric coordinates of the corners in the parent
     points: Int64s  # (p,)   the vertex of each point
     owners: Int64s  # (p,)   its parent
-    places: Float64s  # (p, 3)   its barycentric coordinates there
+    barycentric: Float64s  # (p, 3)   its barycentric coordinates there
     vertices: int  # number of vertices
 
     def spread(self, corners: Float64s) -> Float64s:
         """Interpolate values at the corners of parents (t, 3, k) to the vertices (vertices, k)."""
         made = np.empty((self.vertices, corners.shape[2]))
-        a, b, c = (self.places[:, n, None] * corners[self.owners, n] for n in range(3))
+        a, b, c = (self.barycentric[:, n, None] * corners[self.owners, n] for n in range(3))
         made[self.points] = a + b + c
         return made
 
@@ -52,7 +52,7 @@ def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s])
         inner = int(inside.sum())
         numbers[:, inside] = count + np.arange(len(group) * inner).reshape(len(group), inner)
         count += len(group) * inner
-        places = np.broadcast_to(grid / n, (len(group), *grid.shape)).copy()
+        barycentric = np.broadcast_to(grid / n, (len(group), *grid.shape)).copy()
         for side in range(3):
             a, b, c = side, (side + 1) % 3, (side + 2) % 3
             rim = np.flatnonzero(grid[:, c] == 0)
@@ -66,12 +66,12 @@ def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s])
             numbers[:, rim] = np.where(
                 along == 0, corners[:, a, None], np.where(along == most, corners[:, b, None], between)
             )
-            places[:, rim, b] = along * step / n
-            places[:, rim, a] = 1 - places[:, rim, b]
+            barycentric[:, rim, b] = along * step / n
+            barycentric[:, rim, a] = 1 - barycentric[:, rim, b]
         room = len(group) * len(fine)
         made, parents = np.empty((room, 3), np.int32), np.empty(room, np.int64)
         shares = np.empty((room, 3, 3))
-        wide = _divide(group, numbers, places, fine, made, parents, shares)
+        wide = _divide(group, numbers, barycentric, fine, made, parents, shares)
         parts.append(
             (
                 made[:wide],
@@ -79,7 +79,7 @@ def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s])
                 shares[:wide],
                 numbers.ravel(),
                 np.repeat(group, len(grid)),
-                places.reshape(-1, 3),
+                barycentric.reshape(-1, 3),
             )
         )
     joined = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
@@ -90,7 +90,7 @@ def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s])
 def _divide(
     group: Int64s,
     numbers: Int64s,
-    places: Float64s,
+    barycentric: Float64s,
     fine: Int64s,
     made: Int32s,
     parents: Int64s,
@@ -107,7 +107,7 @@ def _divide(
             parents[count] = group[t]
             for corner in range(3):
                 for k in range(3):
-                    shares[count, corner, k] = places[t, fine[f, corner], k]
+                    shares[count, corner, k] = barycentric[t, fine[f, corner], k]
             count += 1
     return count
 

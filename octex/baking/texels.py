@@ -20,7 +20,7 @@ _NEAR = 1e-9
 _ON_EDGE = 1e-6
 
 
-class Texels(NamedTuple):
+class Drawn(NamedTuple):
     """What the texels of a band of rows show."""
 
     triangles: Int32s  # (rows, width)   −1: none
@@ -41,7 +41,7 @@ class Drawing(NamedTuple):
         rows = layout.corners[..., 1]
         return cls(layout, rows.min(axis=1), rows.max(axis=1))
 
-    def rows(self, first: int, end: int) -> tuple[Int64s, Texels]:
+    def rows(self, first: int, end: int) -> tuple[Int64s, Drawn]:
         """Draw rows; ``triangles`` of the result index the returned numbers (t,)."""
         which = np.flatnonzero((self.tops <= end) & (self.bottoms >= first))
         layout = self.layout
@@ -49,7 +49,7 @@ class Drawing(NamedTuple):
         return which, draw_texels(*chosen, first, end)
 
 
-def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, first: int, end: int) -> Texels:
+def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, first: int, end: int) -> Drawn:
     """Draw rows ``first`` to ``end`` of a map.
 
     ``corners`` (m, 3, 2) are triangles in texels, x to the right and y down; ``charts`` (m,) their charts;
@@ -68,7 +68,7 @@ def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, fir
     _list_pieces(corners, first, cut, pieces)
     flat = cut.ravel(), triangles.ravel(), areas.ravel(), centroids.reshape(-1, 2)
     _settle(corners, charts, first, width, pieces, *flat)
-    return Texels(triangles, centroids, areas)
+    return Drawn(triangles, centroids, areas)
 
 
 class _Pieces(NamedTuple):
@@ -273,11 +273,11 @@ def _barycentric(corners: Float64s, triangle: int, x: float, y: float) -> tuple[
 
 
 @kernel
-def barycentric_at(corners: Float64s, triangles: Int32s, places: Float64s) -> Float64s:
+def barycentric_at(corners: Float64s, triangles: Int32s, points: Float64s) -> Float64s:
     """Return barycentric coordinates (n, 3) of map positions (n, 2), clamped to triangles (n,)."""
     found = np.empty((triangles.size, 3))
     for n in range(triangles.size):
-        p, q, r = _barycentric(corners, int(triangles[n]), places[n, 0], places[n, 1])
+        p, q, r = _barycentric(corners, int(triangles[n]), points[n, 0], points[n, 1])
         p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
         total = p + q + r
         found[n, 0], found[n, 1], found[n, 2] = p / total, q / total, r / total
@@ -333,7 +333,7 @@ def _inside(
 class Shown(NamedTuple):
     """Points that texels show, by tile and triangle; within a triangle by squares of 8² in Morton order."""
 
-    places: Int32s  # (t,)   texels, counted row by row
+    texels: Int32s  # (t,)   counted row by row
     rest: Float64s  # (t, 3)   rest positions
     barycentric: Float64s  # (t, 3)   on the drawn triangle
     starts: Int32s  # (runs + 1,)   a run's texels lie in one tile and show one triangle
@@ -345,7 +345,7 @@ class Shown(NamedTuple):
 
 
 def texel_points(
-    corners: Float64s, faces: Int32s, drawn: Texels, first: int, rest: Float64s, triangles: Int32s
+    corners: Float64s, faces: Int32s, drawn: Drawn, first: int, rest: Float64s, triangles: Int32s
 ) -> Shown:
     """Return the points that a map's texels show, from row ``first`` on.
 
@@ -390,10 +390,10 @@ def _find_points(
         sx, sy, sz = rest[b, 0] - ax, rest[b, 1] - ay, rest[b, 2] - az
         tx, ty, tz = rest[c, 0] - ax, rest[c, 1] - ay, rest[c, 2] - az
         for n in range(shown.starts[run], shown.starts[run + 1]):
-            place = shown.places[n]
-            row = np.int32(np.float64(place) * over)
-            row -= np.int32(row * width > place)
-            column = place - row * width
+            texel = shown.texels[n]
+            row = np.int32(np.float64(texel) * over)
+            row -= np.int32(row * width > texel)
+            column = texel - row * width
             x = column + np.float64(centroids[np.uint64(row), np.uint64(column), 0]) - left
             y = first + row + np.float64(centroids[np.uint64(row), np.uint64(column), 1]) - top
             q, r = x * cy - y * cx, bx * y - by * x

@@ -36,7 +36,7 @@ _FEW = 64
 _MOST_HALVED = 8
 
 
-class Pieces(NamedTuple):
+class ChartMesh(NamedTuple):
     """The triangles to flatten; the model's longest side is 1."""
 
     corners: Float64s  # (m, 3, 3)
@@ -46,9 +46,9 @@ class Pieces(NamedTuple):
     facings: Float64s  # (m, 3)   normals averaged over neighbours
 
 
-def axes_of(pieces: Pieces, charts: Int64s) -> Float64s:
+def axes_of(mesh: ChartMesh, charts: Int64s) -> Float64s:
     """Return the mean normals of charts (n, 3)."""
-    return unit(sums_of(charts, pieces.normals * pieces.areas[:, None]))
+    return unit(sums_of(charts, mesh.normals * mesh.areas[:, None]))
 
 
 def sums_of(charts: Int64s, values: Float64s) -> Float64s:
@@ -73,13 +73,13 @@ def _folded(corners: Float64s, flat: Float64s) -> Bools:
     return found
 
 
-def unfolded(pieces: Pieces, rows: Int64s, positions: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
+def unfolded(mesh: ChartMesh, rows: Int64s, positions: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
     """Flatten charts by projection. Where they fold, smooth the surface first; cut out what still folds.
 
     Triangles that fold move to a neighbour's chart if that shows them.
     """
-    corners, others, areas = pieces.corners, pieces.others, pieces.areas
-    axes = axes_of(pieces, charts)
+    corners, others, areas = mesh.corners, mesh.others, mesh.areas
+    axes = axes_of(mesh, charts)
     flat = _projected(corners, axes[charts])
     folded = _folded(corners, flat)
     for n in range(_PASSED):
@@ -97,16 +97,16 @@ def unfolded(pieces: Pieces, rows: Int64s, positions: Float64s, charts: Int64s) 
         near_rows, _ = _around(rows, folded, len(positions), n + 1)
         keys = charts[near_rows, None] * len(positions) + rows[near_rows]
         known, numbers = np.unique(keys, return_inverse=True)
-        places = np.empty((known.size, 2))
+        moved = np.empty((known.size, 2))
         numbers = numbers.reshape(-1, 3)
-        places[numbers] = flat[near_rows]
+        moved[numbers] = flat[near_rows]
         _, near = _around(numbers, folded[near_rows], known.size, n)
         joined = np.where(charts[others[near_rows]] == charts[near_rows, None], others[near_rows], -1)
-        _smooth(numbers, joined, near, 4, places)
-        flat[near_rows] = places[numbers]
+        _smooth(numbers, joined, near, 4, moved)
+        flat[near_rows] = moved[numbers]
         folded[near_rows] = _folded(corners[near_rows], flat[near_rows])
-    folded = _cut(pieces, flat, folded, charts)
-    flat[folded] = _projected(corners[folded], axes_of(pieces, charts)[charts[folded]])
+    folded = _cut(mesh, flat, folded, charts)
+    flat[folded] = _projected(corners[folded], axes_of(mesh, charts)[charts[folded]])
     return flat, charts
 
 
@@ -119,12 +119,12 @@ def _around(rows: Int64s, chosen: Bools, count: int, rings: int) -> tuple[Int64s
     return np.flatnonzero(near[rows].any(axis=1)), near
 
 
-def _cut(pieces: Pieces, flat: Float64s, folded: Bools, charts: Int64s) -> Bools:
+def _cut(mesh: ChartMesh, flat: Float64s, folded: Bools, charts: Int64s) -> Bools:
     """Make charts of folded triangles and part of their surroundings; return the triangles in new charts.
 
     Small edge-on triangles stay.
     """
-    _, others, areas, normals, _ = pieces
+    _, others, areas, normals, _ = mesh
     upside = folded & (doubled_areas(flat) >= -_LEAST_SHOWN * SIDE**2 * areas)
     groups = connected(others, folded.astype(np.int64))
     is_cut = folded & ((np.bincount(groups, areas)[groups] >= TINY) | upside)
@@ -178,9 +178,9 @@ def _pass_on(others: Int32s, normals: Float64s, axes: Float64s, chosen: Int64s, 
     charts[chosen[is_better]] = nearby[every, best][is_better]
 
 
-def without_overlaps(pieces: Pieces, flat: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
+def without_overlaps(mesh: ChartMesh, flat: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
     """Halve charts that overlap themselves until none does; at last separate their triangles."""
-    charts = connected(pieces.others, charts)
+    charts = connected(mesh.others, charts)
     order = np.argsort(charts, kind="stable")
     starts = np.append(np.flatnonzero(np.diff(charts[order], prepend=-1)), charts.size)
     doubted = [order[first:end] for first, end in pairwise(starts.tolist())]
@@ -192,10 +192,10 @@ def without_overlaps(pieces: Pieces, flat: Float64s, charts: Int64s) -> tuple[Fl
             if n == _MOST_HALVED:
                 charts[chart[1:]] = count + np.arange(chart.size - 1)
                 count += chart.size - 1
-                flat[chart] = _projected(pieces.corners[chart], pieces.normals[chart])
+                flat[chart] = _projected(mesh.corners[chart], mesh.normals[chart])
                 continue
-            _farthest_last(pieces.others, charts, chart)
-            _farthest_last(pieces.others, charts, chart[::-1])
+            _farthest_last(mesh.others, charts, chart)
+            _farthest_last(mesh.others, charts, chart[::-1])
             half = chart.size // 2
             charts[chart[:half]] = count
             count += 1

@@ -39,7 +39,7 @@ class _Points(NamedTuple):
     facing: Float64s  # (n, 3)   normals of the triangles there, at rest, for lookups
     shading: Float64s  # (n, 3)   the surface's shading normals at rest; zero without
     colors: Float32s  # (n, 4)   linear light, and alpha
-    places: Int64s  # (n,)     equal for vertices at the same position
+    positions: Int64s  # (n,)     equal for vertices at the same position
 
     def between(self, ends: Int64s, texture: OctreeTexture, shares: Sequence[float]) -> Float32s:
         """Return the texture's colours between vertices ``ends`` (k, 2 or 3), mixed by ``shares``."""
@@ -48,7 +48,7 @@ class _Points(NamedTuple):
     def with_middles(self, ends: Int64s, texture: OctreeTexture) -> _Points:
         """Return these points, followed by the midpoints of edges (k, 2)."""
         made = [_mixed(each, ends, _MIDDLE) for each in self[:4]]
-        numbers = welded(in_order(self.places[ends])) + int(self.places.max()) + 1
+        numbers = welded(in_order(self.positions[ends])) + int(self.positions.max()) + 1
         added = (*made, self.between(ends, texture, _MIDDLE), numbers)
         return _Points._make(np.concatenate([a, b]) for a, b in zip(self, added, strict=True))
 
@@ -95,7 +95,7 @@ def bake_vertices(
     for _ in range(0 if subdivide is None else _MOST_ROUNDS):
         edges, sides = edges_of(triangles)
         lengths = np.linalg.norm(points.rest.take(edges[:, 0], 0) - points.rest.take(edges[:, 1], 0), axis=1)
-        is_new = _any(points.places[edges] >= first)
+        is_new = _any(points.positions[edges] >= first)
         if longest is not None:
             halved = is_new & (lengths > max(longest, shortest))
         else:
@@ -108,12 +108,12 @@ def bake_vertices(
             inside[inside] = _is_off(points, triangles[inside], texture, error, _ON_TRIANGLES)
             chosen = sides[inside].reshape(-1)
             halved[chosen] |= lengths[chosen] > shortest
-        places = in_order(points.places[edges[halved]])
-        near = _have_two(settled, points.places, places[places[:, 1] < first])
-        ends, cut, others = _cut_at(np.concatenate([triangles, settled[near]]), points.places, places)
+        positions = in_order(points.positions[edges[halved]])
+        near = _have_two(settled, points.positions, positions[positions[:, 1] < first])
+        ends, cut, others = _cut_at(np.concatenate([triangles, settled[near]]), points.positions, positions)
         if not len(ends) or len(triangles) + len(settled) + int((cut[1] >= 0).sum()) > most:
             break
-        first = int(points.places.max()) + 1
+        first = int(points.positions.max()) + 1
         points = points.with_middles(ends, texture)
         settled = np.concatenate([settled[~near], others])
         triangles = _divided(*cut, points.rest)
@@ -145,14 +145,14 @@ def _undivided(texture: OctreeTexture, surface: Surface) -> tuple[_Points, Int64
     vertices, triangles = distinct_rows(corners)
     triangles = triangles.reshape(-1, 3)
     posed, rest = surface.vertices[vertices[:, 0]], surface.rest[vertices[:, 0]]
-    places = welded(np.concatenate([posed, rest], axis=1)).astype(np.int64)
+    positions = welded(np.concatenate([posed, rest], axis=1)).astype(np.int64)
     crosses = area_vectors(rest[triangles])
     facing, shading = np.zeros_like(rest), np.zeros_like(rest)
     for corner in range(3):
         np.add.at(facing, triangles[:, corner], crosses)
         if surface.frames is not None:
             shading[triangles[:, corner]] = normals.values[normals.rows[:, corner]]
-    return _Points(posed, rest, facing, shading, _colors(texture, rest, facing), places), triangles
+    return _Points(posed, rest, facing, shading, _colors(texture, rest, facing), positions), triangles
 
 
 def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float32s:
@@ -166,11 +166,11 @@ def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float3
 
 
 def _is_off(
-    points: _Points, ends: Int64s, texture: OctreeTexture, error: float, places: Sequence[Sequence[float]]
+    points: _Points, ends: Int64s, texture: OctreeTexture, error: float, positions: Sequence[Sequence[float]]
 ) -> Bools:
     """Return the edges or triangles (k, 2 or 3) whose interpolated colours are off by more than an error."""
     found = np.zeros(len(ends), np.bool_)
-    for shares in places:
+    for shares in positions:
         left = np.flatnonzero(~found)
         exact = points.between(ends[left], texture, shares)
         mixed = _mixed(points.colors, ends[left], shares)
@@ -191,32 +191,32 @@ def _codes(colors: Floats) -> Int32s:
 
 
 def _cut_at(
-    triangles: Int64s, places: Int64s, halved: Int64s
+    triangles: Int64s, positions: Int64s, halved: Int64s
 ) -> tuple[Int64s, tuple[Int64s, Int64s], Int64s]:
-    """Return the edges (k, 2) between ``halved`` places, the triangles that they cut, and the others.
+    """Return the edges (k, 2) between ``halved`` positions, the triangles that they cut, and the others.
 
     The cut ones (m, 3) come with the vertices at the midpoints of their sides (m, 3), −1 for none.
     """
-    near = _have_two(triangles, places, halved)
+    near = _have_two(triangles, positions, halved)
     touched = triangles[near]
     edges, sides = edges_of(touched)
-    ordered = in_order(places[edges])
+    ordered = in_order(positions[edges])
     is_cut = np.isin(ordered[:, 0] << 32 | ordered[:, 1], halved[:, 0] << 32 | halved[:, 1])
     numbers = np.full(len(edges), -1, np.int64)
-    numbers[is_cut] = len(places) + np.arange(int(is_cut.sum()))
+    numbers[is_cut] = len(positions) + np.arange(int(is_cut.sum()))
     middles = numbers[sides]
     divided = _any(middles >= 0)
     cut = touched[divided], middles[divided]
     return edges[is_cut], cut, np.concatenate([triangles[~near], touched[~divided]])
 
 
-def _have_two(triangles: Int64s, places: Int64s, ends: Int64s) -> Bools:
+def _have_two(triangles: Int64s, positions: Int64s, ends: Int64s) -> Bools:
     """Return the triangles (m, 3) with at least two corners at ends of edges (j, 2)."""
     if not len(ends):
         return np.zeros(len(triangles), np.bool_)
-    is_end = np.zeros(int(places.max()) + 1, np.bool_)
+    is_end = np.zeros(int(positions.max()) + 1, np.bool_)
     is_end[ends] = True
-    a, b, c = is_end[places][triangles.T]
+    a, b, c = is_end[positions][triangles.T]
     return np.asarray((a & b) | (b & c) | (c & a))
 
 

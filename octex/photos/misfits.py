@@ -124,7 +124,7 @@ def _seen_on(surface: Surface, small: Sequence[Projection], executor: Executor) 
     return painted.projected(shots, BASE_COLOR, terms_of(_MAX_ANGLE, 0.0, False))
 
 
-class Samples(NamedTuple):
+class LightSamples(NamedTuple):
     """Points of a surface, and the pictures' light there."""
 
     triangles: Int32s  # (n,)
@@ -156,14 +156,14 @@ class Samples(NamedTuple):
         return np.array([self.agreement(number, light) for number, light in enumerate(self.light)])
 
 
-def read_points(source: Projected, surface: Surface) -> Samples:
+def read_points(source: Projected, surface: Surface) -> LightSamples:
     """Read all pictures at points of the surface."""
     points = surface.scatter(_POINTS)
     where = points.triangles, points.barycentric
     widths = source.widths(*where)
     widths[~np.isfinite(widths)] = 0.0
     paint, weights = source.each(*where, widths)
-    return Samples(*where, widths, _light(paint), weights > 0)
+    return LightSamples(*where, widths, _light(paint), weights > 0)
 
 
 def _light(paint: Float32s) -> Float32s:
@@ -171,7 +171,7 @@ def _light(paint: Float32s) -> Float32s:
     return found
 
 
-def _strange(source: Projected, samples: Samples, small: Sequence[Projection]) -> dict[int, int]:
+def _strange(source: Projected, samples: LightSamples, small: Sequence[Projection]) -> dict[int, int]:
     """Return pictures that disagree with the others, and the degrees of a turn that mends it; 0 for none."""
     found: dict[int, int] = {}
     while True:
