@@ -50,10 +50,9 @@ CONSTANT, ZIPPED, DIFFERENCED, TILED = range(4)
 BLOCK_BITS = 30  # of a block's size; the two bits above hold its encoding
 EDIT_FACE, EDIT_METADATA = 0, 1
 
-#: Types of metadata by number; 0 is text.
-METADATA_TYPES = ("S", "<i1", "<i2", "<i4", "<f4", "<f8")
-#: Larger values, in bytes, are large metadata.
-MOST_SMALL_METADATA = 1024
+#: Types of metadata: text, int8, int16, int32, float32 and float64.
+METADATA_TYPES = 6
+TEXT = 0
 #: Least bytes of a tile.
 TILE_BYTES = 65536
 BARRIER = 8

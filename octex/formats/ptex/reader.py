@@ -22,8 +22,6 @@ from octex.formats.ptex.layout import Faces
 _MOST_PER_BYTE = 1032
 _ROOM = 64
 
-Metadata = dict[str, "str | Array"]
-
 
 class PtexFile:
     """An open .ptx file.
@@ -123,9 +121,8 @@ class PtexFile:
             at += size
         has_metadata = header["metadata_zipped"] > 0 or extended["large_zipped"] > 0
         self._metadata_at = at, int(header["metadata_zipped"]), int(header["metadata"])
-        barred = at + self._metadata_at[1] + layout.BARRIER
-        self._large_at = barred, int(extended["large_zipped"]), int(extended["large"])
-        self._large_end = barred + self._large_at[1] + int(extended["large_data"])
+        large = int(extended["large_zipped"]) + int(extended["large_data"])
+        self._large_end = at + self._metadata_at[1] + layout.BARRIER + large
         if max(at, self._large_end if has_metadata else 0) > self._size:
             raise self._refusal("it ends early")
         self._constants_at = places["constants"]
@@ -300,47 +297,23 @@ class PtexFile:
         return whole
 
     @cached_property
-    def metadata(self) -> Metadata:
-        """Values by name: text, or arrays (k,) of int8, int16, int32, float32 or float64."""
-        found: Metadata = {}
-        if self._metadata_at[2]:
-            at, zipped, size = self._metadata_at
-            self._read_entries(self._inflated(at, zipped, size), found)
-        if self._large_at[2]:
-            at, zipped, size = self._large_at
-            self._read_entries(self._inflated(at, zipped, size), found, at + zipped)
-        for at, zipped, size in self._metadata_edits:
-            self._read_entries(self._inflated(at, zipped, size), found)
+    def metadata(self) -> dict[str, str]:
+        """The stored texts by name, without large metadata."""
+        found: dict[str, str] = {}
+        for at, zipped, size in (self._metadata_at, *self._metadata_edits):
+            data, place = self._inflated(at, zipped, size) if size else b"", 0
+            while place < len(data):
+                after = place + 1 + data[place]
+                if not data[place] or after + 5 > len(data):
+                    raise self._refusal("an entry of the metadata ends early")
+                key, kind = data[place + 1 : after], data[after]
+                place = after + 5 + int.from_bytes(data[after + 1 : after + 5], "little")
+                if place > len(data) or kind >= layout.METADATA_TYPES:
+                    raise self._refusal("an entry of the metadata ends early or is of an unknown type")
+                if kind == layout.TEXT:
+                    name, value = (each.split(b"\0", 1)[0] for each in (key, data[after + 5 : place]))
+                    found[name.decode("utf-8", "replace")] = value.decode("utf-8", "replace")
         return found
-
-    def _read_entries(self, data: bytes, found: Metadata, values_at: int | None = None) -> None:
-        """Read entries; large metadata has its values as streams from ``values_at`` on."""
-        place = 0
-        while place < len(data):
-            after = place + 1 + data[place]
-            key, fixed = data[place + 1 : after], 5 if values_at is None else 9
-            if not data[place] or after + fixed > len(data):
-                raise self._refusal("an entry of the metadata ends early")
-            kind, size = data[after], int.from_bytes(data[after + 1 : after + 5], "little")
-            place = after + fixed
-            if values_at is None:
-                value = data[place : place + size]
-                place += size
-            else:
-                zipped = int.from_bytes(data[after + 5 : after + 9], "little")
-                if values_at + zipped > self._large_end:
-                    raise self._refusal("large metadata ends early")
-                value = self._inflated(values_at, zipped, size)
-                values_at += zipped
-            if place > len(data) or kind >= len(layout.METADATA_TYPES):
-                raise self._refusal("an entry of the metadata ends early or is of an unknown type")
-            name = key.split(b"\0", 1)[0].decode("utf-8", "replace")
-            if layout.METADATA_TYPES[kind] == "S":
-                found[name] = value.split(b"\0", 1)[0].decode("utf-8", "replace")
-            else:
-                form = np.dtype(layout.METADATA_TYPES[kind])
-                array = np.frombuffer(value, form, len(value) // form.itemsize)
-                found[name] = locked(array.astype(form.newbyteorder("=")))
 
     def _read(self, at: int, size: int) -> bytes:
         if at + size > self._size:

@@ -39,7 +39,7 @@ class Contents(NamedTuple):
     alpha_channel: int | None = None
     border_modes: tuple[str, str] = ("clamp", "clamp")
     edge_filter: str = "none"
-    metadata: Mapping[str, str | Array] = {}
+    metadata: Mapping[str, str] = {}
 
 
 def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
@@ -59,11 +59,11 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     info["faces"] = [len(level) - 1 for level in levels]
     packed = packing.result()
     averages = zlib.compress(constants.tobytes(), 9)
-    small, large = _metadata(contents.metadata)
-    entries = b"".join(small)
+    entries = b""
+    for name, text in contents.metadata.items():
+        key, data = name.encode() + b"\0", text.encode() + b"\0"
+        entries += bytes([len(key)]) + key + b"\0" + len(data).to_bytes(4, "little") + data
     zipped = zlib.compress(entries) if entries else b""
-    heads = b"".join(head for head, _ in large)
-    zipped_heads = zlib.compress(heads) if heads else b""
 
     header = np.zeros(1, layout.HEADER)
     header["magic"], header["version"], header["minor_version"] = (
@@ -82,10 +82,8 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     extended = np.zeros(1, layout.EXTENDED_HEADER)
     extended["u_border"], extended["v_border"] = map(layout.BORDER_MODES.index, contents.border_modes)
     extended["edge_filter"] = layout.EDGE_FILTERS.index(contents.edge_filter)
-    extended["large_zipped"], extended["large"] = len(zipped_heads), len(heads)
-    extended["large_data"] = sum(len(value) for _, value in large)
     before = [header.tobytes(), extended.tobytes(), packed, averages, info.tobytes()]
-    after = [zipped, bytes(layout.BARRIER), zipped_heads, *(value for _, value in large)]
+    after = [zipped, bytes(layout.BARRIER)]
     length = sum(map(len, [*before, *after])) + int(info["bytes"].sum())
     extended["edits_at"] = length
     before[1] = extended.tobytes()
@@ -244,24 +242,3 @@ def _constant(texels: Array, counts: Int64s) -> Bools:
     differs[firsts] = False  # compared with the face before
     constant: Bools = ~np.logical_or.reduceat(differs, firsts)
     return constant
-
-
-def _metadata(entries: Mapping[str, str | Array]) -> tuple[list[bytes], list[tuple[bytes, bytes]]]:
-    """Return the entries of metadata, and those of large metadata with their values."""
-    small: list[bytes] = []
-    large: list[tuple[bytes, bytes]] = []
-    for name, value in entries.items():
-        if isinstance(value, str):
-            kind, data = 0, value.encode() + b"\0"
-        else:
-            form = value.dtype.newbyteorder("<")
-            kind = layout.METADATA_TYPES.index("|i1".replace("|", "<") if form.itemsize == 1 else form.str)
-            data = value.astype(form).tobytes()
-        key = name.encode() + b"\0"
-        head = bytes([len(key)]) + key + bytes([kind]) + len(data).to_bytes(4, "little")
-        if len(data) > layout.MOST_SMALL_METADATA:
-            zipped = zlib.compress(data)
-            large.append((head + len(zipped).to_bytes(4, "little"), zipped))
-        else:
-            small.append(head + data)
-    return small, large
