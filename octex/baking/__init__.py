@@ -1,19 +1,21 @@
-"""From octree textures to images for other tools (Benson & Davis 2002, 6.3).
+"""Bakes octree textures to images, vertex colours and displaced surfaces (Benson & Davis 2002, 6.3).
 
-layout        where triangles lie in a map, at their own coordinates; the edges of charts
-atlas         coordinates for any surface: charts, flattened and packed
-coordinates   whether a model's own coordinates can show a texture
+layout        where triangles lie in a map; the edges of charts
+unfold        flattens charts: mends folds and overlaps
+charts        divides a surface into charts
+atlas         packs charts into a map
+coordinates   whether a model's texture coordinates can show a texture
 sheets        which triangles share maps: those of a material, or all
 texels        the point of the surface that each texel shows
-blocks        the field at texels, some of a triangle at a time
-flat          triangles without area in the map
+blocks        the field at the texels of a triangle, many at a time
 gutters       the texels around charts
-fit           texels that read like the field between them
-directions    normals, tangents and directions relative to them
+directions    tangent space
 maps          channels at texels, as images of a material
-bake          all of it: a texture and a surface in, a surface with images out
+bake          all of these: a texture and a surface in, a surface with images out
 
-tessellation  triangles divided so that neighbours meet at the same vertices
-vertices      colours at vertices instead
-displaced     surfaces moved along their normals
+tessellation  divides triangles so that neighbours share the new vertices
+vertices      vertex colours
+displaced     moves a surface along its normals
+simplify      meshes of fewer triangles
+finish        a light mesh with images from any mesh
 """

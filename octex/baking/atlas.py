@@ -1,4 +1,4 @@
-"""An atlas for any surface: cut into charts, flattened, packed."""
+"""Makes an atlas for any surface: cuts it into charts, flattens and packs them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float64s, Floats, Int32s, Int64s
-from octex.baking.charts import Flat, laid_flat
+from octex.baking.charts import Flattened, laid_flat
 from octex.baking.layout import Layout, charts_of, doubled_areas
 from octex.baking.unfold import SIDE
 from octex.errors import ModelError
@@ -18,27 +18,27 @@ from octex.source.corners import Corners
 from octex.source.mesh import Mesh
 from octex.source.welding import first_equal, welded
 
-#: Triangles that xatlas cuts into charts at once: of ten times as many each takes some four times as long.
+#: Triangles that xatlas gets at once: with ten times as many, each takes about four times as long.
 _PIECE = 4_000
-#: Charts in the order of their sizes fit at their scale, and not at one that is more than so much larger.
+#: Charts sorted by size fit at the final scale, and do not at one this much larger.
 _CLOSE = 1.02
-#: Then other orders, in which sizes count so many times as much, are tried at a scale so much larger: as
-#: often as so many charts can be placed in so many blocks a side, and at most so often.
+#: Then shuffled orders, with sizes times a random factor, are tried at slightly larger scales: as often as
+#: _TRIED charts fit into maps of _TRIED_BLOCKS blocks a side, at most _MOST_TRIED times.
 _CLOSER, _SHUFFLED = 1.005, (0.7, 1.4)
 _TRIED, _TRIED_BLOCKS, _MOST_TRIED = 2_000, 256, 30
-#: Of so many of the largest charts the best of four ways to lie is taken.
+#: The largest charts, this many, are placed in the best of four rotations.
 _MOST_TURNED = 100
-#: How much of a map charts fill at best, usually, and at least where padding is chosen.
+#: Part of a map that charts fill at best, typically, and at least where the padding is chosen.
 _FULL, _USUAL, _ENOUGH = 0.92, 0.6, 0.25
-#: How much of a map padding takes at most where charts fill what they usually do.
+#: Largest part of a map for padding, where charts fill the typical part.
 _GUTTERS = 0.2
-#: Paddings to choose from, the widest first: in the last size, and where the map can be larger instead.
+#: Paddings to choose from, widest first: in the last size, and where the map may still grow.
 _PADDINGS, _WIDE_PADDINGS = (8, 4, 2, 1, 0), (8, 4, 2)
-#: Charts start at multiples of so many texels. With 8 no texel of three smaller levels has parts of two.
+#: Charts start at multiples of these texels. With 8, texels of the next three mips never mix two charts.
 _ALIGNMENTS = (8, 4, 2, 1)
-#: Blocks of texels along a side of a map, at most, where charts start at multiples of less than 8.
+#: Most blocks of texels along a side of a map, where charts start at multiples below 8.
 _MOST_BLOCKS = 1024
-#: Turns by quarters.
+#: Rotations by quarter turns.
 _QUARTERS = np.array(
     [
         [[1.0, 0.0], [0.0, 1.0]],
@@ -56,10 +56,10 @@ def atlas_layout(
 ) -> Layout:
     """Lay a surface out in a square map of charts with ``padding`` texels around each.
 
-    Charts are those of `charts.laid_flat`, or of xatlas. The map has the first of ``sizes`` whose texels are
-    at most ``texel`` wide, in rest units, or the last. Without a ``padding`` it is the widest, 8 to 2, with
-    which texels are that small; in the last size the widest, 8 to 0, that takes at most a fifth of the map.
-    Raises ModelError if that size is too small for so many charts.
+    Charts are those of `charts.laid_flat`, or of xatlas. The map gets the first of ``sizes`` whose texels are
+    at most ``texel`` wide, in rest units, or the last one. Without ``padding`` it is the widest,
+    8 to 2, that keeps texels this small; in the last size the widest, 8 to 0, that takes at most a fifth.
+    Raises ModelError if the charts do not fit.
     """
     flat, charts, edges = _by_xatlas(mesh) if by_xatlas else laid_flat(mesh)
     outlines = _outlines(flat, charts, edges)
@@ -81,8 +81,8 @@ def atlas_layout(
             if best is not None:
                 break
         if best is not None:
-            scale, places, turns = best
-            placed = scale * (flat @ turns[charts]) + places[charts][:, None]
+            scale, shifts, turns = best
+            placed = scale * (flat @ turns[charts]) + shifts[charts][:, None]
             faces = np.arange(len(charts), dtype=np.int32)
             points = (placed / size).reshape(-1, 2).astype(np.float32)
             rows = welded(points)
@@ -97,7 +97,7 @@ def atlas_layout(
 
 
 def _spacings(size: int, padding: int | None, is_last: bool) -> list[tuple[int, int]]:
-    """Return paddings, and the multiples of texels that charts start at with each, the widest first."""
+    """Return paddings, widest first, each with the multiples of texels at which charts start."""
     least = min(1 << ((size - 1) // _MOST_BLOCKS).bit_length(), _ALIGNMENTS[0])
     if padding is not None:
         return [(padding, each) for each in _ALIGNMENTS if each >= least]
@@ -105,7 +105,7 @@ def _spacings(size: int, padding: int | None, is_last: bool) -> list[tuple[int, 
 
 
 def _gutters(outlines: _Outlines, size: int, padding: int) -> float:
-    """Return about how much of a map padding takes where charts fill what they usually do."""
+    """Estimate the part of a map that padding takes, where charts fill the typical part."""
     area = max(float(outlines.areas.sum()), 1e-300)
     around = 2.0 * float(outlines.reaches.sum()) * size * np.sqrt(_USUAL / area)
     return float(around * padding + 4.0 * padding**2 * len(outlines.areas)) / size**2
@@ -114,9 +114,9 @@ def _gutters(outlines: _Outlines, size: int, padding: int) -> float:
 def _fitted(
     outlines: _Outlines, size: int, spacing: tuple[int, int], least: float
 ) -> tuple[float, Float64s, Float64s] | None:
-    """Place charts in a square map, about as large as they fit; None if not at the ``least`` scale.
+    """Pack charts in a square map at nearly the largest scale that fits; None if below the ``least`` scale.
 
-    Returns the scale, what is added to each chart (n, 2), and how each is turned before (n, 2, 2).
+    Returns the scale, the shift of each chart (n, 2), and the rotation before that (n, 2, 2).
     """
     area = float(outlines.areas.sum())
     sizes = outlines.reaches.max(axis=1)
@@ -145,10 +145,10 @@ def _fitted(
     return low, *placed
 
 
-def _by_xatlas(mesh: Mesh) -> Flat:
-    """Lay a mesh flat by xatlas, `SIDE` for its longest side.
+def _by_xatlas(mesh: Mesh) -> Flattened:
+    """Flatten a mesh by xatlas; its longest side becomes `SIDE`.
 
-    Raises ModelError without the extra, and where it would take long.
+    Raises ModelError without the extra, and for a mesh that would take long.
     """
     try:
         import xatlas
@@ -172,28 +172,28 @@ def _by_xatlas(mesh: Mesh) -> Flat:
         needs = (time.perf_counter() - began) * len(triangles) / done
         if needs > _PATIENCE and done < len(triangles):
             raise ModelError(f'{mesh.name}: xatlas would take about {needs:.0f} seconds; choose uv="atlas"')
-    return Flat(corners, *charts_of(mesh, corners))
+    return Flattened(corners, *charts_of(mesh, corners))
 
 
-def _pieces(middles: Floats, some: Int64s) -> list[Int64s]:
-    """Cut triangles, by their middles (m, 3), into pieces that xatlas is quick with: halves of halves."""
-    if some.size <= _PIECE:
-        return [some]
-    axis = int(np.argmax(np.ptp(middles[some], axis=0)))
-    order = some[np.argsort(middles[some, axis], kind="stable")]
+def _pieces(middles: Floats, rows: Int64s) -> list[Int64s]:
+    """Split triangles, by their centres (m, 3), into halves until xatlas is fast on each."""
+    if rows.size <= _PIECE:
+        return [rows]
+    axis = int(np.argmax(np.ptp(middles[rows], axis=0)))
+    order = rows[np.argsort(middles[rows, axis], kind="stable")]
     return [
-        *_pieces(middles, np.sort(order[: some.size // 2])),
-        *_pieces(middles, np.sort(order[some.size // 2 :])),
+        *_pieces(middles, np.sort(order[: rows.size // 2])),
+        *_pieces(middles, np.sort(order[rows.size // 2 :])),
     ]
 
 
 class _Outlines(NamedTuple):
-    """The borders of charts, turned until their boxes are small and wide; each begins at 0."""
+    """The borders of charts, rotated until their boxes are small and wide; each starts at 0."""
 
     sides: Float64s  # (k, 2, 2)   from a point to the next, chart by chart
-    starts: Int64s  # (n + 1,)   where those of each chart begin
-    turns: Float64s  # (n, 2, 2)   what turned them
-    lows: Float64s  # (n, 2)   what was taken off then
+    starts: Int64s  # (n + 1,)   the first side of each chart
+    turns: Float64s  # (n, 2, 2)   the rotation of each chart
+    lows: Float64s  # (n, 2)   subtracted after the rotation
     reaches: Float64s  # (n, 2)   the largest coordinates
     areas: Float64s  # (n,)
 
@@ -201,14 +201,14 @@ class _Outlines(NamedTuple):
 def _outlines(flat: Float64s, charts: Int32s, edges: Bools) -> _Outlines:
     areas = np.bincount(charts, np.abs(doubled_areas(flat)) / 2.0).astype(np.float64)
     is_closed = np.bincount(charts, edges.any(axis=1)) == 0
-    triangles, sides = np.nonzero(edges | is_closed[charts][:, None])  # what is closed has no area
+    triangles, sides = np.nonzero(edges | is_closed[charts][:, None])  # closed charts have no area
     order = np.argsort(charts[triangles], kind="stable")
     triangles, sides = triangles[order], sides[order]
     borders = np.stack([flat[triangles, sides], flat[triangles, (sides + 1) % 3]], axis=1)
     starts = np.append(np.flatnonzero(np.diff(charts[triangles], prepend=-1)), len(triangles))
     turns = np.array([_turn(angle) for angle in np.radians(np.arange(0.0, 180.0, 5.0))])
     least, best = np.full(len(areas), np.inf), np.zeros(len(areas), np.int64)
-    quarter = len(turns) // 2  # where sides change places
+    quarter = len(turns) // 2  # a turn that swaps width and height
     for n, turn in enumerate(turns[:quarter]):
         points = borders[:, 0] @ turn
         low, high = np.minimum.reduceat(points, starts[:-1]), np.maximum.reduceat(points, starts[:-1])
@@ -231,21 +231,21 @@ def _turn(angle: float) -> Float64s:
 def _packed(
     outlines: _Outlines, order: Int64s, scale: float, size: int, padding: int, block: int
 ) -> tuple[Float64s, Float64s] | None:
-    """Place charts in a square map of texels, in an order, by blocks of texels; return None without room.
+    """Place charts in a square map in the order given, on a grid of blocks; return None if they do not fit.
 
-    Returns what is added to each chart (n, 2), after it was turned (n, 2, 2) and scaled.
+    Returns the shift of each chart (n, 2), after it was rotated (n, 2, 2) and scaled.
     """
     sides, starts, turns, lows, reaches, areas = outlines
     blocks = size // block
-    # Padding adds at least as much to a chart as to a disc of its area (Brunn and Minkowski).
+    # Padding enlarges a chart at least as much as a disc of its area (Brunn and Minkowski).
     needed = (scale * np.sqrt(areas) + np.sqrt(np.pi) * padding) ** 2
     if (scale * reaches + 2 * padding > size).any() or needed.sum() > size**2:
         return None
     free, longest = np.ones((blocks, blocks), np.bool_), np.full(blocks, blocks, np.int64)
-    tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # where masks are that were placed last, by shape
-    places, turned = np.empty((len(areas), 2)), turns.copy()
+    tried: dict[tuple[int, ...], tuple[int, Bools]] = {}  # position of the last mask of each shape
+    shifts, turned = np.empty((len(areas), 2)), turns.copy()
     for n, chart in enumerate(order.tolist()):
-        own = scale * sides[starts[chart] : starts[chart + 1]]
+        outline = scale * sides[starts[chart] : starts[chart + 1]]
         best: tuple[int, ...] = ()
         for spin in _QUARTERS if n < _MOST_TURNED else _QUARTERS[:1]:
             reach = scale * reaches[chart] @ spin
@@ -254,25 +254,25 @@ def _packed(
             if max(across, down) > blocks:
                 continue
             mask = np.zeros((int(down), int(across)), np.bool_)
-            _mark((own @ spin - begin) / block, padding / block, mask)
+            _mark((outline @ spin - begin) / block, padding / block, mask)
             last, before = tried.get(mask.shape, (-1, mask))
             at = _place(free, longest, mask, last + 1 if mask[before].all() else 0)
             if at >= 0 and (not best or (at // blocks + len(mask), at % blocks) < best):
                 row, column = divmod(at, blocks)
                 best, chosen = (row + len(mask), column), mask
                 turned[chart] = turns[chart] @ spin
-                places[chart] = np.array([column, row]) * block - begin - scale * lows[chart] @ spin
+                shifts[chart] = np.array([column, row]) * block - begin - scale * lows[chart] @ spin
         if not best:
             return None
         row = best[0] - len(chosen)
         tried[chosen.shape] = row * blocks + best[1], chosen
         _take(free[row : best[0]], longest[row : best[0]], chosen, best[1])
-    return places, turned
+    return shifts, turned
 
 
 @kernel
 def _mark(sides: Float64s, around: float, mask: Bools) -> None:
-    """Mark the blocks that an outline (k, 2, 2), in blocks, encloses, and what is so near ``around`` it."""
+    """Mark the blocks inside an outline (k, 2, 2), in blocks, and those within ``around`` of it."""
     height, width = mask.shape
     winding = np.zeros((height, width + 1), np.int32)
     for n in range(sides.shape[0]):
@@ -297,8 +297,8 @@ def _mark(sides: Float64s, around: float, mask: Bools) -> None:
 
 @part
 def _is_near(x: float, y: float, right: float, down: float, squared: float, around: float) -> bool:
-    """Say whether a side comes so near ``around`` the unit square, from a point by so much."""
-    first, last = 0.0, 1.0  # which part of it lies within the square
+    """Return whether a side comes within ``around`` of the unit square; x, y is its start."""
+    first, last = 0.0, 1.0  # the part of the side within the square
     for at, step in ((x, right), (y, down)):
         if step == 0.0:
             if at < 0.0 or at > 1.0:
@@ -325,10 +325,10 @@ def _is_near(x: float, y: float, right: float, down: float, squared: float, arou
 
 @kernel
 def _place(free: Bools, longest: Int64s, mask: Bools, start: int) -> int:
-    """Put a mask into the first free blocks from ``start`` on; ``longest`` are rows' free runs."""
+    """Put a mask into the first free blocks from ``start`` on; ``longest`` are the rows' free runs."""
     height, width = mask.shape
     blocks = free.shape[0]
-    runs = np.zeros((height, width), np.int64)  # how many blocks of a run there are up to each
+    runs = np.zeros((height, width), np.int64)  # length of the free run that ends at each block
     for y in range(height):
         for x in range(width):
             if mask[y, x]:
@@ -357,7 +357,7 @@ def _place(free: Bools, longest: Int64s, mask: Bools, start: int) -> int:
 
 @kernel
 def _take(free: Bools, longest: Int64s, mask: Bools, column: int) -> None:
-    """Take a mask's blocks from rows, and find the longest runs of what is free in these anew."""
+    """Occupy a mask's blocks of rows, and update the rows' longest free runs."""
     for y in range(mask.shape[0]):
         for x in range(mask.shape[1]):
             if mask[y, x]:

@@ -1,4 +1,4 @@
-"""Baking: an octree texture and a surface in; the surface with images at texture coordinates out."""
+"""Bakes an octree texture to images at the texture coordinates of a surface."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from octex.baking.blocks import Blocks
+from octex.baking.blocks import TexelBlocks
 from octex.baking.coordinates import cell_of
 from octex.baking.directions import in_tangent_space, turned
 from octex.baking.gutters import Borders, fill_up, gutter_of
 from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbors, steps_between
 from octex.baking.maps import BITS, Bits, Values, alpha_mode, average, inputs_of, lacking
 from octex.baking.sheets import Sheet, coordinates_of, sheets_of
-from octex.baking.texels import Drawing, Shown, Texels, texel_points
+from octex.baking.texels import Drawing, Drawn, Shown, texel_points
 from octex.channels import ALPHA, CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
@@ -33,24 +33,23 @@ from octex.texture import OctreeTexture, as_texture
 from octex.tree.search import put_rows
 from octex.view.shading import corner_normals
 
-#: The smallest and the largest maps, and what their sizes are multiples of.
+#: The smallest and the largest side of maps in texels, and the step between sizes.
 _SMALLEST, _MOST, _STEP = 64, 16384, 8
 #: Most lookups along a side of a texel.
 _MOST_LOOKUPS = 8
 #: Rows of texels in one task.
 _BAND = 32
-#: How far gutters reach, in paddings: charts are two paddings apart, and what lies between is nearer to one.
+#: Reach of gutters in paddings: charts are two paddings apart, so every texel between is nearer than 1.5.
 _REACH = 1.5
-#: Texels that differ by no more than this part in size see alike.
+#: Texels whose sizes differ by at most this part share their lookups.
 _ALIKE = 0.25
 #: Texels of gutters in one task.
 _GUTTER = 1 << 16
-#: Twice the area of triangles that are flat in a map, at most, in texels; those of low-poly models lie on a
-#: palette's texels.
+#: Largest doubled area, in texels, of triangles flat in the map, as on the palettes of low-poly models.
 _FLAT = 1e-9
-#: The least cosine between the normals of a triangle and of what it shows, where that is near.
+#: Least cosine between the normals of a triangle and of a near point that it shows.
 _SAME_SIDE = 0.5
-#: Points on one, and more for each texel of its length; those on all, at most, beside the former.
+#: Points on a flat triangle, more per texel of its length, and most points on all of them beyond the first.
 _POINTS, _ALONG, _MOST_POINTS = 16, 4, 1 << 22
 
 
@@ -161,23 +160,23 @@ def bake(
 
 
 def _bake_sheet(job: _Job, sheet: Sheet, pool: Executor, progress: Progress) -> tuple[list[Material], bool]:
-    """Return the materials of a sheet, with its maps, and whether these show anything."""
+    """Return the materials of a sheet with its maps, and whether the maps show anything."""
     layout = sheet.layout
     shown = layout._replace(faces=sheet.triangles[layout.faces])
     maps = Values.of(job.names, layout.height, layout.width)
-    taken = np.zeros(maps.areas.shape, np.bool_)
+    drawn = np.zeros(maps.areas.shape, np.bool_)
     ends = [*range(0, layout.height, _BAND), layout.height]
     drawing = Drawing.of(shown.sized(job.supersample * layout.width))
-    tasks = [(job, drawing, slice(*each), maps, taken) for each in pairwise(ends)]
+    tasks = [(job, drawing, slice(*each), maps, drawn) for each in pairwise(ends)]
     for _ in ordered_map(pool, _bake_band, tasks, stage="bake", progress=progress):
         pass
     is_flat = np.abs(doubled_areas(shown.corners)) <= _FLAT
     if is_flat.any():
-        _bake_flat(job, shown.of(is_flat), taken, maps)
-    if layout.padding and not taken.all():
+        _bake_flat(job, shown.of(is_flat), drawn, maps)
+    if layout.padding and not drawn.all():
         charts = shown.of(~is_flat)
-        parts = Borders.of(charts, taken, math.ceil(_REACH * layout.padding)).parts(_GUTTER)
-        list(ordered_map(pool, lambda borders: _bake_beside(job, charts, borders, maps), parts))
+        parts = Borders.of(charts, drawn, math.ceil(_REACH * layout.padding)).parts(_GUTTER)
+        list(ordered_map(pool, lambda borders: _bake_gutter(job, charts, borders, maps), parts))
     shows_any = bool(maps.areas.any())
     if not maps.areas.all():
         fill_up(maps.values, (maps.areas > 0).astype(np.float32))
@@ -213,17 +212,17 @@ def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None, has_nor
 
 
 class _Other(NamedTuple):
-    """Another surface of the same object, which the texture was made of."""
+    """Another surface of the same object, from which the texture was made."""
 
-    surface: Surface  # at rest where the texture has it
-    nearest: Triangles  # at rest where the baked surface is
-    normals: Float64s  # (m, 3)   of its triangles where the texture has them
-    shading: Corners  # its shading normals where the baked surface is
+    surface: Surface  # with the texture's rest positions
+    nearest: Triangles  # with the baked surface's rest positions
+    normals: Float64s  # (m, 3)   of its triangles, in the texture's space
+    shading: Corners  # its shading normals, in the baked surface's space
     distance: float
 
     @classmethod
     def of(cls, surface: Surface, texture: OctreeTexture, distance: float) -> _Other:
-        """Make a surface ready."""
+        """Prepare a surface."""
         try:
             nearest = Triangles.of(surface.rest, surface.triangles)
         except ModelError as error:
@@ -238,7 +237,7 @@ class _Other(NamedTuple):
         return cls(placed, nearest, flat, shading, distance)
 
     def facing(self, points: Float64s, normals: Float64s, squares: Float64s) -> Nearest:
-        """Find the nearest points on the same side of creases; on any if none is within ``squares`` (n,)."""
+        """Return the nearest points on the same side of creases; on any side if farther than ``squares``."""
         found = self.nearest.nearest(points, normals, distance=self.distance, least_cosine=_SAME_SIDE)
         far = np.flatnonzero(found.squares > squares)
         if far.size:
@@ -250,7 +249,7 @@ class _Other(NamedTuple):
 
 
 class _Job:
-    """Everything that is the same for all texels, and the lookups."""
+    """The data that all texels share, and the lookups."""
 
     def __init__(
         self, texture: OctreeTexture, surface: Surface, other: _Other | None, sheets: list[Sheet],
@@ -260,12 +259,12 @@ class _Job:
         self.bits = bits
         self.supersample = supersample  # lookups along each side of a texel
         self.has_modes = any(each.alpha_mode != "opaque" for sheet in sheets for each in sheet.materials)
-        #: (m, 3)   the triangles beyond the sides of each, and which side it is there
+        #: (m, 3)   the triangle beyond each side, and the number of the side there
         self.others, self.sides = neighbors(surface)
         rest, flat = surface.rest[surface.triangles], coordinates.values[coordinates.rows].astype(np.float64)
         for sheet in sheets:
             flat[sheet.triangles] *= supersample * sheet.layout.width, supersample * sheet.layout.height
-        #: (m, 3)   how rest positions change from a lookup to the next at the right, and below
+        #: (m, 3)   the steps of rest positions from a lookup to the next one right and below
         self.dPdx, self.dPdy = steps_between(rest, flat)
         leaf = cell_of(texture)
         #: (m,)   whether a lookup averages over no more than a leaf
@@ -275,7 +274,7 @@ class _Job:
         self.normals, self.areas = unit(crosses), np.linalg.norm(crosses, axis=1) / 2.0
         self.blocks = None
         if other is None:
-            self.blocks = Blocks.of(texture, names, self.normals, self.dPdx, self.dPdy)
+            self.blocks = TexelBlocks.of(texture, names, self.normals, self.dPdx, self.dPdy)
         self.frames = None
         if NORMAL.name in names:
             normals = None if surface.frames is None else surface.frames.normals
@@ -284,7 +283,7 @@ class _Job:
     def sampled(
         self, triangles: Int32s, rest: Float64s, derivatives: tuple[Float64s, Float64s] | None
     ) -> tuple[Float32s, Bools | None]:
-        """Return the channels side by side at points of triangles (n,), and which have any; None for all."""
+        """Return the channels side by side at points of triangles (n,), and which points have any."""
         normals, there = self.normals[triangles], None
         barycentric = np.empty((0, 3))
         if self.other is not None:
@@ -304,19 +303,19 @@ class _Job:
         return np.concatenate([values[name] for name in self.names], axis=1), there
 
     def write(
-        self, places: Int32s, triangles: Int32s, rest: Float64s,
+        self, texels: Int32s, triangles: Int32s, rest: Float64s,
         derivatives: tuple[Float64s, Float64s] | None, values: Float32s, areas: Float32s,
     ) -> None:  # fmt: skip
-        """Write the channels at points to texels ``places`` (n,); texels without any get the area 0."""
+        """Write the channels at points to texels ``texels`` (n,); texels without any get area 0."""
         found, there = self.sampled(triangles, rest, derivatives)
         if there is not None:
-            areas[places[~there]] = 0.0
-            places = places[there]
-        put_rows(found, places, values)
+            areas[texels[~there]] = 0.0
+            texels = texels[there]
+        put_rows(found, texels, values)
 
 
 def _blur(job: _Job, shown: Layout) -> float:
-    """Return how much of a mean's variance lookups show: those no wider than a leaf show the field itself."""
+    """Return the part of a mean's variance in lookups; those up to a leaf wide return the field itself."""
     corners = shown.corners
     areas = np.abs(doubled_areas(corners))
     leaf = job.supersample * cell_of(job.texture)
@@ -325,11 +324,11 @@ def _blur(job: _Job, shown: Layout) -> float:
 
 
 def _bake_band(task: tuple[_Job, Drawing, slice, Values, Bools]) -> None:
-    """Write the channels at the texels of some rows, and how much of these is covered."""
-    job, drawing, band, maps, taken = task
+    """Write the channels at the texels of a band of rows, and the covered part of each texel."""
+    job, drawing, band, maps, is_drawn = task
     n, lanes = job.supersample, maps.values.shape[2]
     which, drawn = drawing.rows(n * band.start, n * band.stop)
-    taken[band] = (drawn.triangles >= 0).reshape(-1, n, maps.areas.shape[1], n).any(axis=(1, 3))
+    is_drawn[band] = (drawn.triangles >= 0).reshape(-1, n, maps.areas.shape[1], n).any(axis=(1, 3))
     values, areas = maps.values[band], maps.areas[band]
     if n == 1:
         areas[:] = drawn.areas
@@ -339,22 +338,22 @@ def _bake_band(task: tuple[_Job, Drawing, slice, Values, Bools]) -> None:
     _bake_drawn(job, drawing, which, drawn, n * band.start, maps.lanes, fine, drawn.areas)
     average(fine.reshape(*drawn.areas.shape, lanes), drawn.areas, n, values, areas)
     if NORMAL.name in maps.lanes:
-        own = values[..., maps.lanes[NORMAL.name]]
-        own[:] = unit(own.reshape(-1, 3).astype(np.float64)).reshape(own.shape)
+        normals = values[..., maps.lanes[NORMAL.name]]
+        normals[:] = unit(normals.reshape(-1, 3).astype(np.float64)).reshape(normals.shape)
 
 
 def _bake_drawn(
-    job: _Job, drawing: Drawing, which: Int64s, drawn: Texels, first: int, lanes: Mapping[str, slice],
+    job: _Job, drawing: Drawing, which: Int64s, drawn: Drawn, first: int, lanes: Mapping[str, slice],
     values: Float32s, areas: Float32s,
 ) -> None:  # fmt: skip
-    """Write the channels of rows from ``first`` on; where nothing is there, ``areas`` become 0."""
+    """Write the channels of rows from ``first`` on; texels without a value get area 0."""
     layout, surface = drawing.layout, job.surface
     shown = texel_points(
         layout.corners[which], layout.faces[which], drawn, first, surface.rest, surface.triangles
     )
-    if not shown.places.size:
+    if not shown.texels.size:
         return
-    missed = np.arange(shown.places.size)
+    missed = np.arange(shown.texels.size)
     if job.blocks is not None:
         missed = job.blocks.look_up(shown, values)
     triangles = shown.each()
@@ -362,50 +361,50 @@ def _bake_drawn(
         on, derivatives = triangles[missed], None
         if not job.is_fine[on].all():
             derivatives = job.dPdx[on], job.dPdy[on]
-        job.write(shown.places[missed], on, shown.rest[missed], derivatives, values, areas.reshape(-1))
+        job.write(shown.texels[missed], on, shown.rest[missed], derivatives, values, areas.reshape(-1))
     if job.frames is not None:
         normals = lanes[NORMAL.name]
-        directions = np.take(values[:, normals], shown.places, axis=0)
-        values[shown.places, normals] = in_tangent_space(directions, job.frames, triangles, shown.barycentric)
+        directions = np.take(values[:, normals], shown.texels, axis=0)
+        values[shown.texels, normals] = in_tangent_space(directions, job.frames, triangles, shown.barycentric)
 
 
-def _bake_flat(job: _Job, layout: Layout, taken: Bools, maps: Values) -> None:
-    """Write the channels of flat triangles where these are read from and nothing else is, in place."""
-    own, barycentric = _points_on(layout)
-    triangles = layout.faces[own]
+def _bake_flat(job: _Job, layout: Layout, is_drawn: Bools, maps: Values) -> None:
+    """Write the channels of flat triangles to the texels that they read and no other triangle covers."""
+    rows, barycentric = _points_on(layout)
+    triangles = layout.faces[rows]
     values, there = job.sampled(triangles, job.surface.rest_at(triangles, barycentric), None)
     if there is not None:
-        own, barycentric, triangles = own[there], barycentric[there], triangles[there]
+        rows, barycentric, triangles = rows[there], barycentric[there], triangles[there]
     if job.frames is not None:
         normals = maps.lanes[NORMAL.name]
         values[:, normals] = in_tangent_space(values[:, normals], job.frames, triangles, barycentric)
     corners = job.surface.rest[job.surface.triangles[layout.faces]]
     areas = np.linalg.norm(area_vectors(corners), axis=1)
-    texels, means = _means_at_texels(layout, own, barycentric, values, areas)
-    is_free = ~taken.reshape(-1)[texels]
+    texels, means = _means_at_texels(layout, rows, barycentric, values, areas)
+    is_free = ~is_drawn.reshape(-1)[texels]
     put_rows(means[is_free], texels[is_free], maps.values.reshape(-1, means.shape[1]))
     maps.areas.reshape(-1)[texels[is_free]] = 1.0
-    taken.reshape(-1)[texels] = True
+    is_drawn.reshape(-1)[texels] = True
 
 
 def _points_on(layout: Layout) -> tuple[Int64s, Float64s]:
-    """Return points that follow each other evenly on flat triangles: of which they are, and barycentric."""
+    """Return evenly spread points on flat triangles: the triangle of each, and barycentric coordinates."""
     lengths = np.ptp(layout.corners, axis=1).max(axis=1)
     along = _ALONG * lengths * min(1.0, _MOST_POINTS / max(_ALONG * float(lengths.sum()), 1.0))
     counts = _POINTS + along.astype(np.int64)
-    own = np.repeat(np.arange(counts.size), counts)
-    number = np.arange(own.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    rows = np.repeat(np.arange(counts.size), counts)
+    number = np.arange(rows.size) - np.repeat(np.cumsum(counts) - counts, counts)
     # The sequence R2: whole multiples of two powers of the plastic number's inverse.
     root, part = np.sqrt(number * 0.7548776662466927 % 1.0), number * 0.5698402909980532 % 1.0
-    return own, np.stack([1.0 - root, root * (1.0 - part), root * part], axis=1)
+    return rows, np.stack([1.0 - root, root * (1.0 - part), root * part], axis=1)
 
 
 def _means_at_texels(
-    layout: Layout, own: Int64s, barycentric: Float64s, values: Float32s, areas: Float64s
+    layout: Layout, triangles: Int64s, barycentric: Float64s, values: Float32s, areas: Float64s
 ) -> tuple[Int32s, Float32s]:
-    """Return the four texels that points (n,) read, and the texels' means by area (t, lanes)."""
+    """Return the texels that points (n,) read bilinearly, and the means there, by area (t, lanes)."""
     corners = layout.corners.reshape(-1, 2)
-    rows = 3 * own[:, None] + np.arange(3)
+    rows = 3 * triangles[:, None] + np.arange(3)
     columns, lines = np.floor(at_corners(corners, rows, barycentric) - 0.5).astype(np.int64).T
     read = [
         np.clip(lines + down, 0, layout.height - 1) * layout.width
@@ -413,25 +412,25 @@ def _means_at_texels(
         for down, right in np.ndindex(2, 2)
     ]
     texels, which = np.unique(np.concatenate(read), return_inverse=True)
-    weights = np.tile((areas / np.maximum(np.bincount(own, minlength=areas.size), 1))[own], 4)
+    weights = np.tile((areas / np.maximum(np.bincount(triangles, minlength=areas.size), 1))[triangles], 4)
     totals = np.maximum(np.bincount(which, weights), 1e-300)
     lanes = [np.bincount(which, weights * np.tile(lane, 4)) / totals for lane in values.T]
     return texels.astype(np.int32), np.stack(lanes, axis=1).astype(np.float32)
 
 
-def _bake_beside(job: _Job, layout: Layout, borders: Borders, maps: Values) -> None:
-    """Write the channels of gutter texels, as large as texels of the chart, in its triangle's plane."""
+def _bake_gutter(job: _Job, layout: Layout, borders: Borders, maps: Values) -> None:
+    """Write the channels of gutter texels, as large as the chart's texels, in the plane of their triangle."""
     mesh = job.surface
     gutter = gutter_of(borders, layout, mesh.rest, mesh.triangles, job.others, job.sides)
-    places = gutter.places
+    texels = gutter.texels
     values, areas = maps.values.reshape(-1, maps.values.shape[2]), maps.areas.reshape(-1)
     rest = mesh.rest_at(gutter.triangles, gutter.barycentric)
-    areas[places] = 1.0
-    left = np.arange(places.size)
+    areas[texels] = 1.0
+    left = np.arange(texels.size)
     if job.blocks is not None and job.supersample == 1:
         starts = np.flatnonzero(np.diff(gutter.triangles, prepend=-1)).astype(np.int32)
-        ends = np.append(starts, np.int32(places.size))
-        shown = Shown(places, rest, gutter.barycentric, ends, gutter.triangles[starts])
+        ends = np.append(starts, np.int32(texels.size))
+        shown = Shown(texels, rest, gutter.barycentric, ends, gutter.triangles[starts])
         sizes = job.sizes[gutter.beside] / np.maximum(job.sizes[gutter.triangles], 1e-300)
         is_unlike = np.abs(sizes - 1.0) > _ALIKE
         is_unlike[job.blocks.look_up(shown, values)] = True
@@ -439,10 +438,10 @@ def _bake_beside(job: _Job, layout: Layout, borders: Borders, maps: Values) -> N
     if left.size:
         on, size = gutter.triangles[left], job.sizes[gutter.beside[left]]
         wide = across(job.normals[on]) * size[:, None]
-        job.write(places[left], on, rest[left], (wide, np.cross(job.normals[on], wide)), values, areas)
+        job.write(texels[left], on, rest[left], (wide, np.cross(job.normals[on], wide)), values, areas)
     if job.frames is not None:
         both = ((gutter.triangles, gutter.barycentric), (gutter.beside, gutter.edges))
         shading = [unit(job.frames.normals.at(*each)) for each in both]
         normals = maps.lanes[NORMAL.name]
-        directions = turned(values[places, normals], *shading)
-        values[places, normals] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)
+        directions = turned(values[texels, normals], *shading)
+        values[texels, normals] = in_tangent_space(directions, job.frames, gutter.beside, gutter.edges)

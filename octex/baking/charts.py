@@ -1,8 +1,8 @@
-"""Charts for meshes that nobody has modelled: pieces that face about one way, laid flat by projection.
+"""Charts for arbitrary meshes: regions that face roughly one way, flattened by projection.
 
-Normals are averaged over neighbours first, so that noise does not tear charts apart. Charts grow within a
-cone of normals from one triangle after the other, then all at once from their middles, as those of
-Cohen-Steiner, Alliez and Desbrun (2004) do. Neighbours are merged while they face about one way.
+Normals are first averaged over neighbours, so that noise does not split charts. Charts grow one by one within
+a cone of normals, then all at once from their centres (Cohen-Steiner, Alliez & Desbrun 2004). Neighbours
+merge while the result still faces roughly one way.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from octex.baking.unfold import (
     SIDE,
     TINY,
     TINY_PART,
-    Pieces,
+    ChartMesh,
     axes_of,
     connected,
     grow,
@@ -32,35 +32,35 @@ from octex.source.corners import area_vectors, unit
 from octex.source.mesh import Mesh
 from octex.source.welding import first_equal
 
-#: Charts are merged while their axis shows so much of their area, or one of them has less than this doubled
-#: area, and triangles lie within this angle.
+#: Charts merge if their common axis shows this part of their area, or one has less than this doubled area,
+#: and all triangles lie within this angle.
 _SHOWN, _SMALL, _MERGED = 0.8, 2.0 * 256.0 / SIDE**2, np.radians(65.0)
-#: Directions are counted in so many bins a side of a cube's faces.
+#: Bins of directions along a side of a cube's faces.
 _BINS = 6
-#: Pairs of charts of which angles are found at once.
+#: Pairs of charts that are tested at once.
 _PAIRS = 16_384
-#: The least cosine between averaged normals and a chart's axis, where charts grow at once.
+#: Least cosine between averaged normals and a chart's axis, where charts grow at once.
 _WIDEST = 0.5
-#: How often charts grow from their middles.
+#: Rounds in which charts grow from their centres.
 _ROUNDS = 2
-#: How much longer the way to a triangle is that faces at right angles to the chart's axis.
+#: Extra length of the path to a triangle at right angles to the chart's axis.
 _BEND = 2.0
-#: Normals are averaged over this part of the model's longest side, in at most so many rounds.
+#: Normals are averaged over this part of the model's longest side, in at most this many rounds.
 _AVERAGED, _MOST_AVERAGED = 0.02, 25
-#: The power of the cosine between normals with which they average.
+#: Power of the cosine between normals that weighs their average.
 _SHARP = 2
 
 
-class Flat(NamedTuple):
-    """Triangles laid flat."""
+class Flattened(NamedTuple):
+    """Flattened triangles."""
 
-    corners: Float64s  # (m, 3, 2)   y down; charts lie over each other
-    charts: Int32s  # (m,)   connected, counting from 0
-    edges: Bools  # (m, 3)   which sides are edges of charts
+    corners: Float64s  # (m, 3, 2)   y down; charts overlap each other
+    charts: Int32s  # (m,)   connected, from 0
+    edges: Bools  # (m, 3)   sides that are edges of charts
 
 
-def laid_flat(mesh: Mesh) -> Flat:
-    """Lay a mesh flat, `SIDE` for its longest side."""
+def laid_flat(mesh: Mesh) -> Flattened:
+    """Flatten a mesh whose longest side becomes `SIDE`."""
     low, high = mesh.bounds
     rows = first_equal(mesh.rest)[mesh.triangles]
     positions = (mesh.rest - low) / (float((high - low).max()) or 1.0)
@@ -68,48 +68,48 @@ def laid_flat(mesh: Mesh) -> Flat:
     crosses = area_vectors(corners)
     areas, normals = np.linalg.norm(crosses, axis=1), unit(crosses)
     others, _ = neighbors_of(rows)
-    side = max(float(np.sqrt(areas @ areas / max(areas.sum(), 1e-300))), 1e-9)  # of triangles, by area
+    side = max(float(np.sqrt(areas @ areas / max(areas.sum(), 1e-300))), 1e-9)  # of a typical triangle
     facings = normals.copy()
     _average(normals, areas, others, min(int((_AVERAGED / side) ** 2), _MOST_AVERAGED), facings)
-    pieces = Pieces(corners, others, areas, normals, facings)
+    pieces = ChartMesh(corners, others, areas, normals, facings)
     flat, charts = unfolded(pieces, rows, positions, _clustered(pieces))
     flat, charts = without_overlaps(pieces, flat, charts)
     charts = connected(others, charts)
-    return Flat(flat, charts.astype(np.int32), (others < 0) | (charts[others] != charts[:, None]))
+    return Flattened(flat, charts.astype(np.int32), (others < 0) | (charts[others] != charts[:, None]))
 
 
-def _clustered(pieces: Pieces) -> Int64s:
+def _clustered(mesh: ChartMesh) -> Int64s:
     """Return the chart of each triangle."""
-    _, others, areas, _, facings = pieces
+    _, others, areas, _, facings = mesh
     charts = np.full(len(areas), -1, np.int64)
     count = grow(others, facings, areas, np.argsort(-areas, kind="stable"), LEAST, 0, charts)
-    middles = pieces.corners.mean(axis=1)
+    middles = mesh.corners.mean(axis=1)
     for _ in range(_ROUNDS):
-        axes = axes_of(pieces, charts)
+        axes = axes_of(mesh, charts)
         weights = np.maximum(np.bincount(charts, areas, count), 1e-300)
         centers = sums_of(charts, middles * areas[:, None]) / weights[:, None]
         apart = ((middles - centers[charts]) ** 2).sum(axis=1)
         apart += np.where(areas > 0.0, 1e-3 * (1.0 - (facings * axes[charts]).sum(axis=1)), np.inf)
         order = np.lexsort((apart, charts))
-        seeds = order[np.flatnonzero(np.diff(charts[order], prepend=-1))]  # nearest the middle of each
+        seeds = order[np.flatnonzero(np.diff(charts[order], prepend=-1))]  # nearest to each centre
         _grow_at_once(others, facings, areas, middles, axes, seeds, charts)
         is_taken = charts >= 0
         charts[is_taken] = numbered(charts[is_taken])
         first = int(charts.max()) + 1
         count = grow(others, facings, areas, np.flatnonzero(~is_taken), LEAST, first, charts)
-    return _merged(pieces, charts)
+    return _merged(mesh, charts)
 
 
-def _merged(pieces: Pieces, charts: Int64s) -> Int64s:
-    """Merge charts with the neighbour along the longest border while their triangles face about one way."""
-    _, others, areas, _, facings = pieces
+def _merged(mesh: ChartMesh, charts: Int64s) -> Int64s:
+    """Merge charts across their longest borders while their triangles face roughly one way."""
+    _, others, areas, _, facings = mesh
     sums, sizes = sums_of(charts, facings * areas[:, None]), np.bincount(charts, areas)
     bins, directions = _binned(facings)
     counts = np.bincount(charts * len(directions) + bins, areas > 0.0, sizes.size * len(directions))
-    shares = counts.reshape(sizes.size, -1) > 0.0  # which ways each chart faces
+    shares = counts.reshape(sizes.size, -1) > 0.0  # directions that each chart faces
     triangles, sides = np.nonzero((others >= 0) & (charts[others] != charts[:, None]))
     one, two = charts[triangles], charts[others[triangles, sides]]  # both ways
-    ends = pieces.corners[triangles, sides], pieces.corners[triangles, (sides + 1) % 3]
+    ends = mesh.corners[triangles, sides], mesh.corners[triangles, (sides + 1) % 3]
     borders = np.linalg.norm(ends[1] - ends[0], axis=1)
     whole = connected(others, np.zeros_like(charts))
     tiny = np.empty(sizes.size)
@@ -123,15 +123,15 @@ def _merged(pieces: Pieces, charts: Int64s) -> Int64s:
         is_shown = np.linalg.norm(both, axis=1) >= _SHOWN * (sizes[one] + sizes[two])
         is_small = np.minimum(sizes[one], sizes[two]) < _SMALL
         fits = (sizes < tiny)[one] | (sizes < tiny)[two]
-        some = np.flatnonzero((is_shown | is_small) & ~fits)
-        fits[some] = _widest(unit(both[some]), shares, one[some], two[some], directions) <= _MERGED
+        tested = np.flatnonzero((is_shown | is_small) & ~fits)
+        fits[tested] = _widest(unit(both[tested]), shares, one[tested], two[tested], directions) <= _MERGED
         if not fits.any():
             return made[charts]
         ways = np.concatenate([np.stack([one, two], axis=1)[fits], np.stack([two, one], axis=1)[fits]])
         order = np.lexsort((ways[:, 1], -np.tile(borders[fits], 2), ways[:, 0]))
         firsts = order[np.flatnonzero(np.diff(ways[order, 0], prepend=-1))]
         best = np.full(sizes.size, -1)
-        best[ways[firsts, 0]] = ways[firsts, 1]  # two choose each other: those with the longest border of all
+        best[ways[firsts, 0]] = ways[firsts, 1]  # two charts merge if each is the other's best
         numbers = np.arange(sizes.size)
         is_mutual = (best >= 0) & (best[best] == numbers) & (numbers > best)
         numbers[is_mutual] = best[is_mutual]
@@ -150,7 +150,7 @@ def _merged(pieces: Pieces, charts: Int64s) -> Int64s:
 
 
 def _binned(directions: Float64s) -> tuple[Int64s, Float64s]:
-    """Return the bin of each direction (m,), and the middle of each bin (n, 3): squares on a cube's faces."""
+    """Return the bin of each direction (m,), and the bins' centres (n, 3): squares on a cube's faces."""
     axes = np.abs(directions).argmax(axis=1)
     along = np.take_along_axis(directions, axes[:, None], axis=1)[:, 0]
     scale = _BINS / 2.0 / np.maximum(np.abs(along), 1e-300)
@@ -171,18 +171,18 @@ def _binned(directions: Float64s) -> tuple[Int64s, Float64s]:
 
 
 def _widest(axes: Float64s, shares: Bools, one: Int64s, two: Int64s, directions: Float64s) -> Float64s:
-    """Return the angle from an axis each (n, 3) within which two charts (n,) face."""
+    """Return the largest angle between axes (n, 3) and the directions of two charts each (n,)."""
     found = np.empty(one.size)
     for first in range(0, one.size, _PAIRS):
-        some = slice(first, first + _PAIRS)
-        dots = np.where(shares[one[some]] | shares[two[some]], axes[some] @ directions.T, 1.0)
-        found[some] = np.arccos(np.clip(dots.min(axis=1), -1.0, 1.0))
+        pairs = slice(first, first + _PAIRS)
+        dots = np.where(shares[one[pairs]] | shares[two[pairs]], axes[pairs] @ directions.T, 1.0)
+        found[pairs] = np.arccos(np.clip(dots.min(axis=1), -1.0, 1.0))
     return found
 
 
 @kernel
 def _average(normals: Float64s, areas: Float64s, others: Int32s, rounds: int, averaged: Float64s) -> None:
-    """Average normals (m, 3) over neighbours, by area and less across sharp edges, so many times."""
+    """Average normals (m, 3) over neighbours ``rounds`` times, by area, and less across sharp edges."""
     before, sums = normals.copy(), np.empty(3)
     for _ in range(rounds):
         for triangle in range(areas.size):
@@ -216,7 +216,7 @@ def _grow_at_once(
     seeds: Int64s,
     charts: Int64s,
 ) -> None:
-    """Grow charts from a triangle each, by the shortest ways that do not turn from their axes; −1 is left."""
+    """Grow charts from one triangle each along shortest paths; triangles off their axes keep −1."""
     charts[:] = -1
     costs = np.full(charts.size, np.inf)
     waiting = [(0.0, seeds[0], 0)]

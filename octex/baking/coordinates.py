@@ -1,4 +1,4 @@
-"""Whether texture coordinates that a model has can show a texture: no texel may show places that differ."""
+"""Checks whether a model's texture coordinates can show a texture: no texel may cover differing areas."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int64s
 from octex.baking.layout import Layout, doubled_areas, unit_area
-from octex.baking.texels import Drawing, Texels, barycentric_at
+from octex.baking.texels import Drawing, Drawn, barycentric_at
 from octex.channels import CHANNELS, linear_to_srgb
 from octex.errors import ModelError
 from octex.parallel import ordered_map
@@ -17,31 +17,30 @@ from octex.source.corners import area_vectors, at_corners, scattered
 from octex.source.mesh import Mesh
 from octex.texture import OctreeTexture
 
-#: Coordinates of which more than this part shows what differs in one texel are not kept.
+#: Coordinates are refused if more than this part of the texels cover differing areas.
 _MOST = 0.01
-#: Texels a side of the maps in which that is looked for; places where it is; and what looks alike,
-#: of 1, as stored.
-PROBE, _TRIED, _LOOKS_ALIKE = 1024, 20_000, 0.1
-#: Coordinates that cover more maps than this look otherwise somewhere.
+#: Size of the map that is checked, number of points, and largest difference, of 1, that counts as alike.
+PROBE, _TRIED, _ALIKE = 1024, 20_000, 0.1
+#: Coordinates that overlap more than this often on average are refused at once.
 _MOST_DRAWN = 8.0
-#: Triangles are squeezed whose texels are so many cells long, and so many times as long as those of a map
-#: that shows all of the mesh evenly.
+#: A triangle is squeezed if its texels are this many cells long, and this many times longer than in a map
+#: that shows the mesh evenly.
 _LONG, _UNEVEN = 4.0, 16.0
 #: Rows of texels in one task.
 _ROWS = 128
-#: Points at which sizes of texels are tried, and how many times finer than a leaf texels may be chosen.
+#: Points at which sizes of texels are compared; factors by which texels may be finer than a leaf.
 _COMPARED, _FINER = 5_000, (1, 2, 4)
-#: Root mean square, of 1, of what reading between texels may miss where the texture varies; the worst 1 % of
-#: points are left out, which also lie at the surface's rims, beyond which there is no texture to read.
+#: Largest error (RMS, of 1) of bilinear reading where the texture varies. The worst 1 % of points do not
+#: count: they include the surface's rims, beyond which there is no texture.
 _READ = 3.0 / 255.0
-#: The texture varies where averaging over so many leaves changes it by more than this, of 1.
+#: The texture varies where averaging over this many leaves changes it by more than this, of 1.
 _AVERAGED, _VARIES = 4.0, 2.0 / 255.0
 
 
 def check_overlaps(
     texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, pool: Executor
 ) -> None:
-    """Raise ModelError if places of a mesh that look otherwise share its texture coordinates."""
+    """Raise ModelError if differing areas of a mesh share its texture coordinates."""
     whole = unit_area(layout)
     shared = 1.0 - 1.0 / whole if whole > _MOST_DRAWN else 0.0
     if 0.0 < whole <= _MOST_DRAWN:
@@ -59,20 +58,20 @@ def check_overlaps(
 
 
 def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: int) -> None:
-    """Raise ModelError if texels of a map of a size are so long that they show what looks otherwise."""
+    """Raise ModelError if texels of a map are so long that they cover differing areas."""
     is_squeezed = squeezed(texture, mesh, size)
     if not is_squeezed.any():
         return
     stretch, along = stretches_of(mesh, size)
-    own, weights = scattered(areas_of(mesh), _TRIED, 0)
-    own, weights = own[is_squeezed[own]], weights[is_squeezed[own]]
-    # As far as the triangle goes each way, and at most as the texel does.
-    steps = along[own]
+    rows, weights = scattered(areas_of(mesh), _TRIED, 0)
+    rows, weights = rows[is_squeezed[rows]], weights[is_squeezed[rows]]
+    # Offsets stay within the triangle, and within half a texel.
+    steps = along[rows]
     reach = np.where(steps < 0.0, weights / np.maximum(-steps, 1e-300), np.inf).min(axis=1)
-    reach = np.minimum(reach, 0.5 / np.maximum(stretch[own], 1e-300))
-    part = np.random.default_rng(1).random((own.size, 1))
+    reach = np.minimum(reach, 0.5 / np.maximum(stretch[rows], 1e-300))
+    part = np.random.default_rng(1).random((rows.size, 1))
     moved = np.clip(weights + part * reach[:, None] * steps, 0.0, 1.0)
-    differs = _look_otherwise(texture, mesh, names, (own, weights), (own, moved), width=cell_of(texture))
+    differs = _differ(texture, mesh, names, (rows, weights), (rows, moved), width=cell_of(texture))
     spread = float(differs.sum()) / _TRIED
     if spread > _MOST:
         raise ModelError(
@@ -81,24 +80,24 @@ def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: 
         )
 
 
-def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Texels) -> float:
-    """Return the part of a map's triangles at which its texels show other places that look otherwise."""
+def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Drawn) -> float:
+    """Return the part of a map's triangles whose texels show another, differing area."""
     corners = layout.corners
     areas = np.abs(doubled_areas(corners))
-    own, weights = scattered(areas, _TRIED, 0)
-    places = np.einsum("nk,nkx->nx", weights, corners[own])
-    columns, rows = np.clip(places.astype(np.int64), 0, (layout.width - 1, layout.height - 1)).T
+    chosen, weights = scattered(areas, _TRIED, 0)
+    points = np.einsum("nk,nkx->nx", weights, corners[chosen])
+    columns, rows = np.clip(points.astype(np.int64), 0, (layout.width - 1, layout.height - 1)).T
     shown = drawn.triangles[rows, columns]
-    other = (shown >= 0) & (layout.charts[shown] != layout.charts[own])
-    own, shown, weights = own[other], shown[other], weights[other]
-    theirs = barycentric_at(corners, shown, places[other])
+    other = (shown >= 0) & (layout.charts[shown] != layout.charts[chosen])
+    chosen, shown, weights = chosen[other], shown[other], weights[other]
+    theirs = barycentric_at(corners, shown, points[other])
     width = np.sqrt(areas_of(mesh).sum() / max(float(areas.sum()) / 2, 1e-300))
-    one, two = (layout.faces[own], weights), (layout.faces[shown], theirs)
-    return float(_look_otherwise(texture, mesh, names, one, two, width=width).sum()) / _TRIED
+    one, two = (layout.faces[chosen], weights), (layout.faces[shown], theirs)
+    return float(_differ(texture, mesh, names, one, two, width=width).sum()) / _TRIED
 
 
 def squeezed(texture: OctreeTexture, mesh: Mesh, size: int) -> Bools:
-    """Say on which triangles (m,) texels of a map are far too long; on none if these are few."""
+    """Return the triangles (m,) whose texels are far too long; none if they cover little area."""
     stretch, _ = stretches_of(mesh, size)
     areas = areas_of(mesh)
     even = size / np.sqrt(max(float(areas.sum()), 1e-300))
@@ -108,7 +107,7 @@ def squeezed(texture: OctreeTexture, mesh: Mesh, size: int) -> Bools:
 
 
 def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
-    """Return texels a unit where least stretched (m,), and that way in barycentrics (m, 3)."""
+    """Return texels per unit along the least stretched direction (m,), and it in barycentrics (m, 3)."""
     assert mesh.uv is not None
     rest = mesh.rest[mesh.triangles]
     first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
@@ -116,64 +115,64 @@ def stretches_of(mesh: Mesh, size: int) -> tuple[Float64s, Float64s]:
     heights = np.linalg.norm(np.cross(first, second), axis=1)
     has_area = heights > 0.0
     length, heights = np.where(has_area, length, 1.0), np.where(has_area, heights, 1.0)
-    # What a unit along the first edge, and one beside it, add to the two edges; and to coordinates.
-    along, beside = 1.0 / length, length / heights
+    # Barycentric steps of a unit along the first edge, and perpendicular to it; then in coordinates.
+    along, across = 1.0 / length, length / heights
     slant = -(first * second).sum(axis=1) / (length * heights)
     corners = size * mesh.uv.values[mesh.uv.rows].astype(np.float64)
     one, two = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 0]).T
-    (x, y), (z, w) = one * along, one * slant + two * beside
-    # The least singular value, and its vector: the eigenvector of the least eigenvalue of a symmetric matrix.
+    (x, y), (z, w) = one * along, one * slant + two * across
+    # The least singular value and its vector: of a symmetric matrix' least eigenvalue.
     a, b, c = x * x + y * y, x * z + y * w, z * z + w * w
     most = (a + c) / 2 + np.hypot((a - c) / 2, b)
     least = np.abs(x * w - y * z) / np.sqrt(np.maximum(most, 1e-300))
     right, up = np.where(a > c, -b, most - a), np.where(a > c, most - c, -b)
     norm = np.hypot(right, up)
-    right, up = np.where(norm > 0.0, [right, up], [np.ones_like(norm), up])  # any way if alike all ways
+    right, up = np.where(norm > 0.0, [right, up], [np.ones_like(norm), up])  # equal in all directions
     norm = np.where(norm > 0.0, norm, 1.0)
-    steps = np.stack([along * right + slant * up, beside * up], axis=1) * (has_area / norm)[:, None]
+    steps = np.stack([along * right + slant * up, across * up], axis=1) * (has_area / norm)[:, None]
     return least, np.concatenate([-steps.sum(axis=1, keepdims=True), steps], axis=1)
 
 
-def _look_otherwise(
+def _differ(
     texture: OctreeTexture, mesh: Mesh, names: list[str], *ends: tuple[Int64s, Float64s], width: float
 ) -> Bools:
-    """Say where two places, each given by triangles (n,) and barycentric coordinates, look otherwise."""
+    """Return where two points, each as triangles (n,) and barycentric coordinates, differ."""
     codes = []
     for triangles, weights in ends:
         rows = mesh.triangles[triangles]
-        normals, places = area_vectors(mesh.rest[rows]), at_corners(mesh.rest, rows, weights)
-        codes.append(_stored(texture.sample(places, names, normals=normals, width=width, threads=1)))
-    return np.asarray((np.abs(codes[0] - codes[1]) > _LOOKS_ALIKE).any(axis=1))
+        normals, points = area_vectors(mesh.rest[rows]), at_corners(mesh.rest, rows, weights)
+        codes.append(_stored(texture.sample(points, names, normals=normals, width=width, threads=1)))
+    return np.asarray((np.abs(codes[0] - codes[1]) > _ALIKE).any(axis=1))
 
 
 def fineness(
     texture: OctreeTexture, mesh: Mesh, names: list[str], leaf: float, areas: Float64s,
     steps: tuple[Float64s, Float64s],
 ) -> int:  # fmt: skip
-    """Return how many times finer texels must be, 1, 2 or 4, to read like the texture where it varies.
+    """Return the factor, 1, 2 or 4, by which texels must be finer to read like the texture where it varies.
 
-    Triangles weigh their ``areas`` (m,); ``steps`` (m, 3) go from a texel to the next, right and down.
+    Triangles weigh by ``areas`` (m,); ``steps`` (m, 3) lead from a texel to the next one right and down.
     """
-    own, weights = scattered(areas, _COMPARED, 0)
-    rows = mesh.triangles[own]
-    places, normals = at_corners(mesh.rest, rows, weights), area_vectors(mesh.rest[rows])
+    triangles, weights = scattered(areas, _COMPARED, 0)
+    rows = mesh.triangles[triangles]
+    points, normals = at_corners(mesh.rest, rows, weights), area_vectors(mesh.rest[rows])
 
-    def look(places: Float64s, width: float = 0.0) -> dict[str, Float32s]:
-        return texture.sample(places, names, normals=normals, width=width, threads=1)
+    def look(points: Float64s, width: float = 0.0) -> dict[str, Float32s]:
+        return texture.sample(points, names, normals=normals, width=width, threads=1)
 
-    wanted, width = _stored(look(places)), _AVERAGED * leaf
-    varies = (np.abs(wanted - _stored(look(places, width))) > _VARIES).any(axis=1)
-    varies &= texture.contains(places, threads=1)
+    wanted, width = _stored(look(points)), _AVERAGED * leaf
+    varies = (np.abs(wanted - _stored(look(points, width))) > _VARIES).any(axis=1)
+    varies &= texture.contains(points, threads=1)
     if varies.mean() <= _MOST:
         return 1
-    wanted, places, normals = wanted[varies], places[varies], normals[varies]
-    right, down = (each[own[varies]] for each in steps)
-    x, y = np.random.default_rng(1).random((2, len(places), 1))
+    wanted, points, normals = wanted[varies], points[varies], normals[varies]
+    right, down = (each[triangles[varies]] for each in steps)
+    x, y = np.random.default_rng(1).random((2, len(points), 1))
     for finer in _FINER[:-1]:
         read: dict[str, Float32s] = {}
         for i, j in np.ndindex(2, 2):
             share = np.float32((x if i else 1.0 - x) * (y if j else 1.0 - y))
-            for name, values in look(places + ((i - x) * right + (j - y) * down) / finer).items():
+            for name, values in look(points + ((i - x) * right + (j - y) * down) / finer).items():
                 read[name] = read.get(name, np.float32(0.0)) + share * values
         missed = np.sort(((_stored(read) - wanted) ** 2).max(axis=1))[: -int(_MOST * _COMPARED)]
         if missed.mean() <= _READ**2:
@@ -182,7 +181,7 @@ def fineness(
 
 
 def _stored(values: dict[str, Float32s]) -> Float64s:
-    """Return channels side by side (n, components) as they are stored, from 0 to 1; not directions."""
+    """Return channels side by side (n, components) as stored, 0 to 1, without directions."""
     known = [each for each in values.items() if CHANNELS[each[0]].space != "direction"]
     if not known:
         return np.zeros((len(next(iter(values.values()))), 1))
@@ -193,11 +192,11 @@ def _stored(values: dict[str, Float32s]) -> Float64s:
     return np.concatenate(columns, axis=1, dtype=np.float64)
 
 
-def _drawn(layout: Layout, pool: Executor) -> Texels:
-    """Draw a layout, parts of it side by side; ``triangles`` are those of the layout."""
+def _drawn(layout: Layout, pool: Executor) -> Drawn:
+    """Draw a layout in parallel; ``triangles`` are those of the layout."""
     drawing = Drawing.of(layout)
 
-    def draw(rows: tuple[int, int]) -> Texels:
+    def draw(rows: tuple[int, int]) -> Drawn:
         which, drawn = drawing.rows(*rows)
         if not which.size:
             return drawn
@@ -206,7 +205,7 @@ def _drawn(layout: Layout, pool: Executor) -> Texels:
         )
 
     parts = list(ordered_map(pool, draw, list(pairwise([*range(0, layout.height, _ROWS), layout.height]))))
-    return Texels(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+    return Drawn(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
 def areas_of(mesh: Mesh) -> Float64s:
@@ -221,13 +220,13 @@ def cell_of(texture: OctreeTexture) -> float:
 
 
 def leaf_of(texture: OctreeTexture, mesh: Mesh) -> float:
-    """Return the width of the finest leaves that hold 1 % of a mesh; of finest cells if none hold it."""
-    own, weights = scattered(areas_of(mesh), _TRIED, 0)
-    places = at_corners(mesh.rest, mesh.triangles[own], weights)
-    places = places[texture.contains(places, threads=1)]
-    if not len(places):
+    """Return the width of the finest leaves that hold at least 1 % of a mesh; else of finest cells."""
+    triangles, weights = scattered(areas_of(mesh), _TRIED, 0)
+    points = at_corners(mesh.rest, mesh.triangles[triangles], weights)
+    points = points[texture.contains(points, threads=1)]
+    if not len(points):
         return cell_of(texture)
-    cells = texture.taps(places, next(iter(texture.channels)), "nearest", threads=1).rows
+    cells = texture.taps(points, next(iter(texture.channels)), "nearest", threads=1).rows
     levels = np.searchsorted(texture.tree.arrays.level_cells, cells, side="right") - 1
     level = int(np.sort(levels)[::-1][int(_MOST * levels.size)])
     return float(texture.placement.size / 2**level)

@@ -1,4 +1,4 @@
-"""Directions of a surface: unit vectors, normals with tangents, and directions relative to these."""
+"""Turns directions, and expresses them in tangent space."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from octex.source.corners import Frames
 from octex.source.tangents import axes_at
 from octex.source.vectors import dot_product, row_of, times, unit
 
-#: Directions shorter than this point nowhere; squared.
+#: Squared length below which a direction counts as missing.
 NOWHERE = 1e-12
 
 
 def turned(directions: Float32s, before: Float64s, after: Float64s) -> Float32s:
-    """Return directions (n, 3), turned as unit vectors ``before`` (n, 3) turn straight to ``after``."""
+    """Rotate directions (n, 3) by the shortest rotation from unit vectors ``before`` to ``after`` (n, 3)."""
     cosines = np.einsum("nx,nx->n", before, after)[:, None]
     axes = np.cross(before, after)
     along = np.einsum("nx,nx->n", axes, directions)[:, None]
@@ -26,7 +26,7 @@ def turned(directions: Float32s, before: Float64s, after: Float64s) -> Float32s:
 def in_tangent_space(
     directions: Float32s, frames: Frames, triangles: Int32s, barycentric: Float64s
 ) -> Float32s:
-    """Return unit directions at rest (n, 3) in triangles' frames (MikkTSpace)."""
+    """Return directions at rest (n, 3) as unit vectors in the triangles' tangent frames (MikkTSpace)."""
     found = np.empty((triangles.size, 3), np.float32)
     _turn_in(directions, frames, triangles, barycentric, found)
     return found

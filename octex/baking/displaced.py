@@ -1,4 +1,4 @@
-"""Displacement: a surface divided to a texture's cells, and moved along its normals by a channel."""
+"""Displaces a surface along its normals by a channel, subdivided to the size of the cells."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ from octex.source.welding import welded
 from octex.texture import OctreeTexture, as_texture
 from octex.view.shading import corner_normals
 
-#: What the field has at vertices is evened out over their neighbours, each time by this part: leaves are
-#: fitted, and where the surface passes from layer to layer of them the field is off by a tenth of what it
-#: changes by from cell to cell. Slopes are then sharpened. Without, normals of a sphere in steep relief are
-#: off by up to 10 degrees instead of 1, positions by four times as much.
+#: Part and number of smoothing rounds of the field at vertices. Leaves are fitted, so where the surface
+#: passes from layer to layer of cells, the field is off by a tenth of its change per cell. Slopes are then
+#: sharpened.
+#: Without, normals of a sphere in steep relief are off by up to 10 degrees instead of 1, positions by four
+#: times as much.
 _PART, _ROUNDS = 0.9, 10
-#: Cotangents of angles are between these: lower ones would make what is evened out grow on some meshes,
-#: higher ones move means off their vertices where triangles are obtuse.
+#: Bounds of the angles' cotangents: below, smoothing diverges on some meshes; above, means move off their
+#: vertices at obtuse triangles.
 _LEAST, _LARGEST = -0.2, 1e3
-#: An edge is divided at most so often.
+#: Most halvings of an edge.
 _MOST_LEVELS = 10
 
 
@@ -52,7 +53,7 @@ def displace(
     cell            longest edge at rest (default: the texture's finest cell)
     most_triangles  refuse to make more than this
 
-    Normals are the surface's shading normals (``frames``), or else means of the triangles around, in the
+    Normals are the surface's shading normals (``frames``), or else means of the adjacent triangles', in the
     pose. Neighbours divide a shared edge alike. Rest positions, texture coordinates and the source do not
     change. New normals, ``posed_frames()``, follow from the field's gradient. Heights are smoothed over about
     two cells: relief finer than 8 cells loses a tenth of its slope.
@@ -72,8 +73,8 @@ def displace(
     cell = finest if cell is None else as_positive(cell, "cell")
     most = as_whole(most_triangles, "most_triangles", 1, 2**31 - 1)
     resting = surface.placed_in(texture).rest
-    places = welded(np.concatenate([surface.vertices, surface.rest, resting], axis=1)).astype(np.int64)
-    triangles = places[surface.triangles]
+    vertex_of = welded(np.concatenate([surface.vertices, surface.rest, resting], axis=1)).astype(np.int64)
+    triangles = vertex_of[surface.triangles]
     parts = _parts(triangles, resting, surface, cell, most)
     corners, rest_corners = surface.vertices[surface.triangles], resting[surface.triangles]
     normals = _normals(surface, triangles)
@@ -104,8 +105,8 @@ def displace(
     frames = carried(frames_of(bent, parts.triangles), parts.triangles, moved, rest)
     uv = None
     if surface.uv is not None:
-        own = surface.uv.values[surface.uv.rows[parts.parents]]
-        values = np.einsum("mkc,mcx->mkx", parts.shares, own).reshape(-1, 2).astype(np.float32)
+        old = surface.uv.values[surface.uv.rows[parts.parents]]
+        values = np.einsum("mkc,mcx->mkx", parts.shares, old).reshape(-1, 2).astype(np.float32)
         uv = Corners(values, np.arange(len(values), dtype=np.int32).reshape(-1, 3))
     source = OnCage(surface.source, parts.parents, parts.shares, rest, rest, parts.triangles)
     said = json.dumps({"channel": channel, "scale": scale, "middle": middle})
@@ -116,7 +117,7 @@ def displace(
 
 
 def _parts(triangles: Int64s, rest: Float64s, surface: Surface, cell: float, most: int) -> Tessellation:
-    """Divide triangles (m, 3) of places until no edge is longer than a cell."""
+    """Divide triangles (m, 3) until no edge is longer than a cell."""
     at = np.empty((int(triangles.max()) + 1, 3))
     at[triangles] = rest[surface.triangles]
     edges, sides = edges_of(triangles)
@@ -134,39 +135,39 @@ def _parts(triangles: Int64s, rest: Float64s, surface: Surface, cell: float, mos
 
 
 def _normals(surface: Surface, triangles: Int64s) -> Float64s:
-    """Return posed unit normals at the corners of triangles (m, 3, 3), one for each place."""
+    """Return posed unit normals at the corners of triangles (m, 3, 3), one per place."""
     frames = surface.posed_frames()
     if frames is None:
         return corner_normals(surface.vertices, surface.triangles, 180.0).astype(np.float64)
-    given = frames.normals.values[frames.normals.rows].reshape(-1, 3)
-    sums = np.stack([np.bincount(triangles.ravel(), column) for column in given.T], axis=1)
+    normals = frames.normals.values[frames.normals.rows].reshape(-1, 3)
+    sums = np.stack([np.bincount(triangles.ravel(), column) for column in normals.T], axis=1)
     return unit(sums.astype(np.float64))[triangles]
 
 
 def _heights(
     texture: OctreeTexture, form: ChannelFormat, rest: Float64s, facing: Float64s, scale: float, middle: float
 ) -> tuple[Float64s, Float64s]:
-    """Return how far vertices move (n,), and how that changes by rest position (n, 3)."""
+    """Return the displacements of vertices (n,), and their derivatives by rest position (n, 3)."""
     values, gradients = texture.sample(rest, form.name, normals=facing, gradient=True)
     weights = LUMINANCE if form.components == 3 else np.eye(form.components)[0]
-    with np.errstate(over="ignore", invalid="ignore"):  # refused where it is used
+    with np.errstate(over="ignore", invalid="ignore"):  # refused by the caller
         heights = scale * (values.astype(np.float64) @ weights - middle)
         return heights, scale * np.einsum("ncx,c->nx", gradients.astype(np.float64), weights)
 
 
 def _even(triangles: Int32s, positions: Float64s, heights: Float64s, slopes: Float64s) -> None:
-    """Even out heights (n,) and slopes (n, 3) of vertices at ``positions`` (n, 3), in place."""
+    """Smooth heights (n,) and slopes (n, 3) of vertices at ``positions`` (n, 3), in place."""
     cotangents, sums = np.empty((len(triangles), 3)), np.empty((len(heights), 5))
     _cotangents(triangles, positions, cotangents)
     for _ in range(_ROUNDS):
         _even_out(triangles, cotangents, positions, heights, slopes, sums, _PART, _PART)
-    # What the rounds took of long waves, to first order.
+    # Restores what smoothing took from long waves, to first order.
     _even_out(triangles, cotangents, positions, heights, slopes, sums, -_ROUNDS * _PART, 0.0)
 
 
 @kernel
 def _cotangents(triangles: Int32s, positions: Float64s, cotangents: Float64s) -> None:
-    """Fill in those of the angles that face the sides of triangles (m, 3)."""
+    """Write the cotangents of the angles opposite the sides of triangles (m, 3)."""
     for t in range(len(triangles)):
         for side in range(3):
             a, b, c = triangles[t, side], triangles[t, (side + 1) % 3], triangles[t, (side + 2) % 3]
@@ -191,10 +192,10 @@ def _even_out(
     part: float,
     lift: float,
 ) -> None:
-    """Move slopes (n, 3) by a part toward the means of their neighbours, and heights (n,) by a part ``lift``.
+    """Move slopes (n, 3) by ``part`` toward their neighbours' means, and heights (n,) by ``lift``.
 
-    Weighed by cotangents these means are at the vertices themselves, so that what is linear stays. A
-    neighbour's height is taken with what the slopes make of the way from there, so that parabolas stay.
+    The means are weighted by cotangents, so linear functions stay. A neighbour's height is extrapolated by
+    the slopes on the way, so parabolas stay.
     """
     sums[:] = 0.0
     for t in range(len(triangles)):
@@ -249,7 +250,7 @@ def _bend(
 def _moved(
     slope: Vector, rest: Float64s, corners: Float64s, normals: Float64s, k: int, turn: float, normal: Vector
 ) -> Vector:
-    """Return a side of a parent (3, 3), from corner 0 to k, moved with the surface at a vertex."""
+    """Return a displaced side of a parent (3, 3), from corner 0 to k, at a vertex."""
     first = row_of(normals, 0)
     side = minus(row_of(corners, k), row_of(corners, 0))
     change = minus(row_of(normals, k), first)

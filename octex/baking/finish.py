@@ -1,4 +1,4 @@
-"""The whole way from a mesh of any size, and its colours, to a light one with images."""
+"""Makes a light mesh with images from any coloured mesh: repair, convert, simplify, bake."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from octex.source.voxels import is_voxels
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
 
-#: The usual depth, and the least and the largest for images of a size.
+#: Default depth, and its bounds if the size of the images decides.
 _DEPTH, _LEAST, _LARGEST = 10, 4, 12
-#: How much of an atlas charts cover, about.
+#: Typical part of an atlas that charts cover.
 _COVERED = 0.6
 
 
@@ -39,15 +39,15 @@ def finish(
     """Return a light mesh with images from any mesh with colours, for ``write_model``.
 
     model         a model file, a .vxz or .npz file of voxels, or a Surface
-    texture       an octree texture of the model. None: convert the model's own colours
-    triangles     how many the result has (``simplify``); it gets a normal map of what it lacks. None: all
-    depth         of the octree that is made (default: its cells are about as wide as texels, or 10). Voxels
-                  have their own
+    texture       its octree texture. None: convert the model's colours
+    triangles     largest number in the result (``simplify``), with a normal map of the lost detail. None: all
+    depth         of the octree (default: cells are about as wide as texels, or 10). Voxels define it
     texture_size  width of the images in texels, as for ``bake``
+    repair        first remove copies and inner triangles, and close cracks (``octex.repair``)
     repair        first leave out copies and inner triangles, and close cracks (``octex.repair``)
     run           how to work (octex.Run)
 
-    The images lie in a new atlas if the mesh gets fewer triangles, and otherwise where ``bake`` puts them.
+    A mesh with fewer triangles gets a new atlas; otherwise ``bake`` chooses the texture coordinates.
 
     Raises what ``load_surface``, ``repair``, ``convert``, ``simplify`` and ``bake`` raise.
     """
@@ -83,9 +83,9 @@ def finish(
 def own_texture(
     model: Any, surface: Surface, depth: int | None, texture_size: int | None, run: Run
 ) -> OctreeTexture:
-    """Return the texture of a model's own colours: a file of voxels, or a surface.
+    """Convert the colours of a model: a file of voxels, or a surface.
 
-    Without a depth, the cells of a surface are about as wide as the texels of an atlas of a size.
+    By default a surface's cells are about as wide as the texels of an atlas of ``texture_size``.
     """
     if model is not surface:
         return convert(model, run=run)

@@ -1,4 +1,4 @@
-"""What stands around charts: what lies across their edges on the surface, then whatever is smooth."""
+"""Fills the texels around charts: with the surface across the chart's edge, then smoothly."""
 
 from __future__ import annotations
 
@@ -11,63 +11,63 @@ from octex.baking.layout import Layout
 from octex.jit import inlined, kernel
 from octex.source.vectors import Vector, dot_product, length_of, minus, row_of, times
 
-#: Most triangles that a way across the surface crosses.
+#: Most triangles that a path over the surface crosses.
 _MOST_CROSSED = 64
-#: Triangles whose height is less than this part of a side count as without area.
+#: Triangles lower than this part of a side count as without area.
 _FLAT = 1e-9
 
 
 class Borders(NamedTuple):
-    """Texels beside charts, and the edges of these that they are nearest to."""
+    """Texels around charts, and the chart edges nearest to them."""
 
-    places: Int32s  # (n,)   the texels, counted row by row
-    drawn: Int64s  # (n,)   the triangles that the edges are of, as the layout draws them
-    sides: Int64s  # (n,)   which of their sides
+    texels: Int32s  # (n,)   counted row by row
+    drawn: Int64s  # (n,)   the drawn triangle of the edge
+    sides: Int64s  # (n,)   the edge's side
 
     @classmethod
     def of(cls, layout: Layout, taken: Bools, padding: int) -> Borders:
-        """Find the texels that are not ``taken`` (height, width), up to ``padding`` texels from charts."""
+        """Find the texels within ``padding`` texels of charts that are not ``taken`` (height, width)."""
         nearest = np.full(taken.shape, np.inf, np.float32)
         border = np.full(taken.shape, -1, np.int32)
         drawn, sides = np.nonzero(layout.edges)
         find_nearest(layout.corners, drawn, sides, taken, float(padding), nearest, border)
-        places = np.flatnonzero(border >= 0)
-        chosen = border.reshape(-1)[places]
-        return cls(places.astype(np.int32), drawn[chosen], sides[chosen])
+        texels = np.flatnonzero(border >= 0)
+        chosen = border.reshape(-1)[texels]
+        return cls(texels.astype(np.int32), drawn[chosen], sides[chosen])
 
     def parts(self, count: int) -> list[Borders]:
-        """Return the texels in runs of so many."""
-        firsts = range(0, self.places.size, count)
+        """Return the texels in runs of ``count``."""
+        firsts = range(0, self.texels.size, count)
         return [Borders._make(each[first : first + count] for each in self) for first in firsts]
 
 
 class Gutter(NamedTuple):
-    """The points of a surface that texels beside charts show, ordered by triangle."""
+    """The points of a surface that gutter texels show, ordered by triangle."""
 
-    places: Int32s  # (n,)   the texels, counted row by row
+    texels: Int32s  # (n,)   counted row by row
     triangles: Int32s  # (n,)
     barycentric: Float64s  # (n, 3)
-    beside: Int32s  # (n,)   the triangle whose edge they are nearest to in the map
-    edges: Float64s  # (n, 3)   where on that
+    beside: Int32s  # (n,)   the triangle of the nearest chart edge
+    edges: Float64s  # (n, 3)   the nearest point on that edge, barycentric
 
 
 def gutter_of(
     borders: Borders, layout: Layout, rest: Float64s, faces: Int32s, others: Int32s, sides: Int32s
 ) -> Gutter:
-    """Find what texels beside charts show: the surface beyond the edge, unfolded, or its end."""
-    count = borders.places.size
+    """Find the points that gutter texels show: on the surface across the edge, unfolded, or at its end."""
+    count = borders.texels.size
     found = np.empty(count, np.int32)
     barycentric, edges = np.zeros((2, count, 3))
     drawn = layout.corners, layout.faces, layout.width
     _follow(*drawn, rest, faces, others, sides, borders, edges, found, barycentric)
     order = np.sort(found.astype(np.int64) << 32 | np.arange(count)) & 0xFFFFFFFF
     beside = layout.faces[borders.drawn[order]]
-    return Gutter(borders.places[order], found[order], barycentric[order], beside, edges[order])
+    return Gutter(borders.texels[order], found[order], barycentric[order], beside, edges[order])
 
 
 @inlined
 def _nearest_on(ax: float, ay: float, bx: float, by: float, x: float, y: float) -> tuple[float, float, float]:
-    """Return how far along an edge, 0 … 1, it is nearest to a point, and the way from there to the point."""
+    """Return where on an edge, 0 … 1, a point is nearest, and the vector from there to the point."""
     ex, ey = bx - ax, by - ay
     square = ex * ex + ey * ey
     t = 0.0 if square == 0.0 else min(max(((x - ax) * ex + (y - ay) * ey) / square, 0.0), 1.0)
@@ -79,7 +79,7 @@ def find_nearest(
     corners: Float64s, triangles: Int64s, sides: Int64s, taken: Bools, padding: float,
     nearest: Float32s, border: Int32s,
 ) -> None:  # fmt: skip
-    """Write the border that is nearest to each texel's centre, of those within ``padding``."""
+    """Write the border nearest to each texel's centre, of those within ``padding``."""
     height, width = taken.shape
     for n in range(triangles.size):
         a = corners[triangles[n], sides[n]]
@@ -125,12 +125,12 @@ def _follow(
     corners: Float64s, owners: Int32s, width: int, rest: Float64s, faces: Int32s, others: Int32s,
     sides: Int32s, borders: Borders, edges: Float64s, found: Int32s, barycentric: Float64s,
 ) -> None:  # fmt: skip
-    """Walk straight over the surface from charts' edges to texels' middles (n,)."""
+    """Walk straight over the surface from chart edges to texels' centres (n,)."""
     for n in range(found.size):
         drawn, side = borders.drawn[n], int(borders.sides[n])
         triangle = int(owners[drawn])
         a, b, c = corners[drawn, side], corners[drawn, (side + 1) % 3], corners[drawn, (side + 2) % 3]
-        row, column = borders.places[n] // width, borders.places[n] % width
+        row, column = borders.texels[n] // width, borders.texels[n] % width
         t, dx, dy = _nearest_on(a[0], a[1], b[0], b[1], column + 0.5, row + 0.5)
         edges[n, side], edges[n, (side + 1) % 3] = 1.0 - t, t
         barycentric[n] = edges[n]
@@ -140,13 +140,13 @@ def _follow(
         doubled = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
         if other < 0 or length == 0.0 or doubled == 0.0:
             continue
-        # The way in the map, as parts of the sides a → b and a → c, then along and away from the edge.
+        # The vector in the map, as parts of the sides a → b and a → c, then along and away from the edge.
         s = (dx * (c[1] - a[1]) - dy * (c[0] - a[0])) / doubled
         u = ((b[0] - a[0]) * dy - (b[1] - a[1]) * dx) / doubled
         forward, away = s * length + u * tip_along, max(-u * tip_away, 0.0)
         place = t * length
         for _ in range(_MOST_CROSSED):
-            # Across the edge, which is run through the other way there.
+            # Across the edge, whose direction is reversed there.
             triangle, side = other, int(sides[triangle, side])
             along, inward, length, tip_along, tip_away = _edge_frame(rest, faces, triangle, side)
             if length == 0.0:
@@ -162,7 +162,7 @@ def _follow(
                 barycentric[n, (side + 1) % 3] = max(q, 0.0)
                 barycentric[n, (side + 2) % 3] = r
                 break
-            # Which of the other two sides the way leaves by: where p or q falls to 0 first.
+            # The path leaves by the side whose coordinate, p or q, reaches 0 first.
             p0, q0 = 1.0 - place / length, place / length
             part_p = p0 / (p0 - p) if p < 0.0 else 2.0
             part_q = q0 / (q0 - q) if q < 0.0 else 2.0
@@ -178,7 +178,7 @@ def _follow(
             other = int(others[triangle, out])
             if other < 0:
                 break
-            # The rest of the way, in the frame of the side that it leaves by.
+            # The rest of the path, in the frame of the side that it crosses.
             rest_along, rest_away = forward * (1.0 - part), away * (1.0 - part)
             way = (
                 rest_along * along[0] + rest_away * inward[0],
@@ -194,7 +194,7 @@ def _follow(
 
 
 def fill_up(values: Float32s, weights: Float32s) -> None:
-    """Fill texels of weight 0 from those around, in place: push–pull (Gortler et al. 1996, 3.4)."""
+    """Fill texels of weight 0 from their surroundings, in place: push–pull (Gortler et al. 1996, 3.4)."""
     height, width = weights.shape
     if max(height, width) == 1:
         return
@@ -208,13 +208,13 @@ def fill_up(values: Float32s, weights: Float32s) -> None:
 
 @kernel
 def _push(values: Float32s, weights: Float32s, coarse: Float32s, above: Float32s) -> bool:
-    """Average texels two by two, with weights up to 1; say whether some have no weight, and not all."""
-    none = some = False
+    """Average texels two by two, with weights up to 1; return whether part of the texels have no weight."""
+    none = known = False
     for row in range(weights.shape[0]):
         for column in range(weights.shape[1]):
             weight = weights[row, column]
             none |= weight <= 0.0
-            some |= weight > 0.0
+            known |= weight > 0.0
             above[row >> 1, column >> 1] += weight
             for k in range(values.shape[2]):
                 coarse[row >> 1, column >> 1, k] += weight * values[row, column, k]
@@ -224,12 +224,12 @@ def _push(values: Float32s, weights: Float32s, coarse: Float32s, above: Float32s
                 for k in range(coarse.shape[2]):
                     coarse[row, column, k] /= above[row, column]
                 above[row, column] = min(above[row, column], np.float32(1.0))
-    return none and some
+    return none and known
 
 
 @kernel
 def _pull(coarse: Float32s, weights: Float32s, values: Float32s) -> None:
-    """Write what lies between coarse values to texels of weight 0."""
+    """Interpolate coarse values at texels of weight 0."""
     for row in range(values.shape[0]):
         for column in range(values.shape[1]):
             if weights[row, column] > 0.0:

@@ -1,4 +1,4 @@
-"""Where triangles lie in a map: at coordinates of their own, or packed anew as an atlas."""
+"""Where triangles lie in a map, and which of their sides are edges of charts."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from octex.source.mesh import Mesh
 from octex.source.parts import join
 from octex.source.welding import first_equal, sides_across
 
-#: Where texture coordinates come from.
+#: Where texture coordinates come from: the model, or an atlas.
 Layouts = Literal["auto", "keep", "atlas", "xatlas"]
 LAYOUTS: tuple[Layouts, ...] = get_args(Layouts)
-#: Coordinates nearer to whole numbers than this are these.
+#: Coordinates within this distance of whole numbers are rounded.
 BEYOND = 1e-4
-#: Texels around charts that are filled, where no number is given.
+#: Default texels around charts that are filled.
 PADDING = 8
-#: A triangle may repeat the map so often.
+#: Most repetitions of the map within a triangle.
 _MOST_REPEATS = 16
-#: Ends of edges are one point of a map if they are so near, in texels.
+#: Ends of edges within this distance, in texels, are one point of the map.
 _SAME = 1e-3
 
 
 class Layout(NamedTuple):
     """Where triangles lie in a map.
 
-    Coordinates that leave the unit square repeat: what lies in several squares is drawn in each.
+    Coordinates outside the unit square repeat: a triangle is drawn in each square that it reaches.
     """
 
     uv: Corners  # texture coordinates of the surface's triangles, v down
-    corners: Float64s  # (k, 3, 2)   what is drawn, in texels, x to the right and y down
-    faces: Int32s  # (k,)   the surface's triangle that each is
+    corners: Float64s  # (k, 3, 2)   drawn triangles, in texels, x to the right and y down
+    faces: Int32s  # (k,)   the surface's triangle of each
     charts: Int32s  # (k,)
-    edges: Bools  # (k, 3)   which sides are edges of charts; side n goes from corner n to the next
+    edges: Bools  # (k, 3)   sides that are edges of charts; side n goes from corner n to the next
     width: int
     height: int
     padding: int = PADDING  # texels around charts
 
     def of(self, chosen: Bools) -> Layout:
-        """Return the same of some of what is drawn."""
+        """Return the layout of the chosen drawn triangles."""
         return self._replace(
             corners=self.corners[chosen],
             faces=self.faces[chosen],
@@ -51,18 +51,18 @@ class Layout(NamedTuple):
         )
 
     def sized(self, size: int) -> Layout:
-        """Return the same layout in square maps of another size."""
+        """Return the same layout for square maps of another size."""
         return self._replace(corners=self.corners * (size / self.width), width=size, height=size)
 
 
 def unit_area(layout: Layout) -> float:
-    """Return the area of the triangles in a map, as a part of it, what overlaps counted as often."""
+    """Return the area of the triangles in a map, as a part of it; overlaps count each time."""
     corners = layout.uv.values[layout.uv.rows].astype(np.float64)
     return float(np.abs(doubled_areas(corners)).sum() / 2)
 
 
 def kept_layout(mesh: Mesh, size: int, padding: int = PADDING) -> Layout:
-    """Lay a surface out by its own coordinates, if it has some that repeat the map rarely."""
+    """Lay a surface out by its texture coordinates, unless a triangle repeats the map often."""
     if mesh.uv is None:
         raise ModelError(f"{mesh.name} has no texture coordinates to keep; let octex make an atlas")
     uv = mesh.uv.values[mesh.uv.rows].astype(np.float64)
@@ -91,14 +91,14 @@ def kept_layout(mesh: Mesh, size: int, padding: int = PADDING) -> Layout:
 
 
 def charts_of(mesh: Mesh, corners: Float64s) -> tuple[Int32s, Bools]:
-    """Return charts (m,), connected on the surface and in the map, and which sides (m, 3) are their edges."""
-    beside = neighbors(mesh)
-    are_joined = _joined(corners, *beside)
-    return pieces_of(beside[0], are_joined).astype(np.int32), ~are_joined
+    """Return charts (m,), connected on the surface and in the map, and the sides (m, 3) that are edges."""
+    others, sides = neighbors(mesh)
+    are_joined = _joined(corners, others, sides)
+    return pieces_of(others, are_joined).astype(np.int32), ~are_joined
 
 
 def pieces_of(others: Int32s, are_joined: Bools) -> Int64s:
-    """Return the piece, counting from 0, that each triangle (m,) is in with those joined to it (m, 3)."""
+    """Return the connected piece of each triangle (m,), from 0, of triangles joined across sides (m, 3)."""
     parents = np.arange(len(others))
     triangles, sides = np.nonzero(are_joined)
     join(parents, triangles, others[triangles, sides].astype(np.int64))
@@ -106,27 +106,27 @@ def pieces_of(others: Int32s, are_joined: Bools) -> Int64s:
 
 
 def numbered(groups: Int64s) -> Int64s:
-    """Return numbers for groups (m,) from 0 up, in their order."""
+    """Renumber groups (m,) from 0 up, in their order."""
     numbers: Int64s = (np.cumsum(np.bincount(groups) > 0) - 1)[groups]
     return numbers
 
 
 def neighbors(mesh: Mesh) -> tuple[Int32s, Int32s]:
-    """Return the triangle beyond each side (m, 3), −1 for none or several, and which side it is there."""
+    """Return the triangle across each side (m, 3), −1 for none or several, and the side's number there."""
     return neighbors_of(first_equal(mesh.rest)[mesh.triangles])
 
 
 def neighbors_of(faces: Int64s) -> tuple[Int32s, Int32s]:
-    """Return the same for the vertices of triangles (m, 3), where each position is one vertex."""
+    """Like `neighbors`, of triangles (m, 3) in which each position is one vertex."""
     found = sides_across(faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1))
     others = np.where(found < 0, -1, found // 3).astype(np.int32).reshape(-1, 3)
     return others, np.where(found < 0, -1, found % 3).astype(np.int32).reshape(-1, 3)
 
 
 def _joined(corners: Float64s, others: Int32s, sides: Int32s) -> Bools:
-    """Say beyond which sides (m, 3) the map goes on as the surface does; ``corners`` (m, 3, 2) in texels."""
+    """Return the sides (m, 3) across which the map continues like the surface; ``corners`` in texels."""
     there = np.maximum(others, 0), np.maximum(sides, 0)
-    starts = corners[there[0], (there[1] + 1) % 3]  # run through the other way
+    starts = corners[there[0], (there[1] + 1) % 3]  # the neighbour's side runs the other way
     same = np.abs(starts - corners).max(axis=-1) < _SAME
     same &= np.abs(corners[there] - np.roll(corners, -1, axis=1)).max(axis=-1) < _SAME
     found: Bools = same & (others >= 0)
@@ -141,7 +141,7 @@ def doubled_areas(corners: Float64s) -> Float64s:
 
 
 def steps_between(rest: Float64s, flat: Float64s) -> tuple[Float64s, Float64s]:
-    """Return how rest positions of triangles change (m, 3) with x and with y in a map."""
+    """Return the derivatives (m, 3) of triangles' rest positions by x and by y in a map."""
     first, second = rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]
     one, two = flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]
     doubled = doubled_areas(flat)

@@ -1,4 +1,4 @@
-"""Channels of a texture at the texels of a map, as the images of a material (glTF 2.0, 3.9)."""
+"""Turns channels at the texels of a map into the images of a material (glTF 2.0, 3.9)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from octex.parallel import ordered_map
 from octex.source.images.pyramid import Texels
 from octex.source.materials import AlphaMode, Input, Texture
 
-#: The images of a material, by the channel that names each: the channels in red, green and blue, and alpha.
+#: The images of a material, each named by a channel: the channels in red, green and blue, and alpha.
 IMAGES = {
     "base_color": ("base_color", "alpha"),
     "roughness": ("occlusion", "roughness", "metallic"),
@@ -24,32 +24,31 @@ IMAGES = {
     "specular": ("specular",),
     "normal": ("normal",),
 }
-#: Alpha that is hardly anywhere between these is a mask.
+#: Alpha is a mask if at most this part of its translucent texels lies between the two values.
 _CLEAR, _SOLID, _MOST_BETWEEN = 0.05, 0.95, 0.1
 #: Rows of texels that are encoded at once.
 _ENCODED = 8
-#: Bits of numbers in maps; those of floats.
+#: Bits per number in maps; 32 are floats.
 Bits = Literal[8, 16, 32]
 BITS: tuple[Bits, ...] = (8, 16, 32)
 _FLOAT = 32
-#: Texels that differ by no more than this are alike, by the bits of a number: cells of 8 bits are rounded.
+#: Texels that differ by at most this are equal, by bits: 8-bit cells are rounded.
 _ALIKE = {8: 1.001 / 255, 16: 0.0, _FLOAT: 1e-6}
-#: What texels lack of the nearest map that is linear in between, of their second differences along each axis,
-#: where they are the values at their middles; and what means over texels lack beyond that. Of a parabola,
-#: exactly.
+#: Parts of second differences that a map needs on top of its texels, along each axis, to read bilinearly like
+#: the field: of point samples, and additionally of means over texels. Exact for parabolas.
 _LACKING, _OF_MEANS = 1.0 / 12.0, 1.0 / 24.0
 
 
 class Values(NamedTuple):
-    """Channels at the texels of a map, side by side, linear."""
+    """Linear channels at the texels of a map, side by side."""
 
     lanes: Mapping[str, slice]
     values: Float32s  # (height, width, lanes)
-    areas: Float32s  # (height, width)   0 where nothing is shown
+    areas: Float32s  # (height, width)   0 where nothing is drawn
 
     @classmethod
     def of(cls, names: list[str], height: int, width: int) -> Values:
-        """Return zeros."""
+        """Allocate zeros."""
         ends = np.cumsum([0, *(CHANNELS[name].components for name in names)]).tolist()
         lanes = {name: slice(*each) for name, each in zip(names, pairwise(ends), strict=True)}
         return cls(
@@ -62,7 +61,7 @@ class Values(NamedTuple):
 
 
 def average(fine: Float32s, covered: Float32s, n: int, values: Float32s, areas: Float32s) -> None:
-    """Write the means of n² texels, by how much of each is ``covered``, and how much is of all."""
+    """Write the means of n² texels, weighted by ``covered``, and the covered part of the texel."""
     for row, column in np.ndindex(n, n):
         part = covered[row::n, column::n]
         areas += part
@@ -72,20 +71,19 @@ def average(fine: Float32s, covered: Float32s, n: int, values: Float32s, areas: 
 
 
 def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executor) -> dict[str, Input]:
-    """Return the inputs of materials whose images are maps of channels, with numbers of 8, 16 or 32 bits.
+    """Return the inputs of materials, read from images of channels with 8, 16 or 32 bits.
 
-    Texels are fitted to bilinear reading: ``part`` is what they lack (`lacking`). ``wrap`` is how
-    coordinates beyond the unit square meet the images. A channel that does not vary is a number, and 1 in an
-    image of others.
+    Texels are fitted to bilinear reading; ``part`` is as in `lacking`. ``wrap`` is the images' wrap mode. A
+    constant channel becomes a number, and 1 in an image of other channels.
     """
     inputs: dict[str, Input] = {}
     images: list[tuple[Texels, dict[str, Input]]] = []
     for channels in IMAGES.values():
-        given = [name for name in channels if name in maps.lanes]
-        if not given:
+        present = [name for name in channels if name in maps.lanes]
+        if not present:
             continue
         texels: Texels = np.empty((*maps.areas.shape, 4), np.float32 if bits == _FLOAT else np.uint16)
-        for name in given:
+        for name in present:
             form = CHANNELS[name]
             first = 3 if name == ALPHA.name else channels.index(name)
             lanes = tuple(range(first, first + form.components))
@@ -93,7 +91,7 @@ def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executo
             if form.space == "srgb" and bits != _FLOAT:
                 strength = max(1.0, float(maps.channel(name).max(initial=0.0)))
             inputs[name] = Input((strength,) * form.components, Texture(texels, wrap, wrap), lanes)
-        images.append((texels, {name: inputs[name] for name in given}))
+        images.append((texels, {name: inputs[name] for name in present}))
     firsts = range(0, len(maps.areas), _ENCODED)
     list(ordered_map(executor, lambda first: _encode(maps, bits, part, images, first), firsts))
     for texels, made in images:
@@ -105,9 +103,9 @@ def inputs_of(maps: Values, bits: int, part: float, wrap: int, executor: Executo
     return inputs
 
 
-def _number(name: str, given: Input, texels: Texels, alike: float) -> Input | None:
-    """Return a channel's input without its image; None if texels differ, or glTF has no such number."""
-    one, lanes = _one(texels), list(given.lanes)
+def _number(name: str, read: Input, texels: Texels, alike: float) -> Input | None:
+    """Return a constant channel's input, a number; None if texels differ, or glTF has no such number."""
+    one, lanes = _one(texels), list(read.lanes)
     fixed = {"normal": (0.5, 0.5, 1.0), "occlusion": (1.0,)}.get(name)
     first = texels[0, 0, lanes] / one if fixed is None else np.array(fixed)
     if not all((np.abs(rows[:, lanes] / one - first) <= alike).all() for rows in texels):
@@ -118,50 +116,50 @@ def _number(name: str, given: Input, texels: Texels, alike: float) -> Input | No
     if texels.dtype == np.float32:
         return Input(tuple(mean.tolist()))
     values = decode(np.rint(mean).astype(np.uint16), CHANNELS[name].space)
-    return Input(tuple((values * given.factor).tolist()))
+    return Input(tuple((values * read.factor).tolist()))
 
 
 def _one(texels: Texels) -> float:
-    """Return what texels have where a channel is 1."""
+    """Return the texel value that stands for 1."""
     return 1.0 if texels.dtype == np.float32 else 65535.0
 
 
 def _encode(
     maps: Values, bits: int, part: float, images: Sequence[tuple[Texels, Mapping[str, Input]]], first: int
 ) -> None:
-    """Write rows of images, from one on, that inputs read: fitted, as codes of so many bits or floats."""
+    """Write rows of images from ``first`` on: fitted texels as integers of ``bits`` bits, or as floats."""
     end = min(first + _ENCODED, len(maps.areas))
     fitted = np.empty((end - first, *maps.values.shape[1:]), np.float32)
     fit_rows(maps.values, maps.areas, part, first, fitted)
     for texels, inputs in images:
         rows = texels[first:end]
         used = set()
-        for name, given in inputs.items():
-            space, strength, own = CHANNELS[name].space, given.factor[0], maps.lanes[name]
-            lanes = slice(given.lanes[0], given.lanes[0] + len(given.lanes))
-            used |= {*given.lanes}
+        for name, read in inputs.items():
+            space, strength, columns = CHANNELS[name].space, read.factor[0], maps.lanes[name]
+            lanes = slice(read.lanes[0], read.lanes[0] + len(read.lanes))
+            used |= {*read.lanes}
             if bits == 8:
-                codes = encode(np.float64(1.0 / strength) * fitted[..., own], "uint8", space)
+                codes = encode(np.float64(1.0 / strength) * fitted[..., columns], "uint8", space)
                 np.multiply(codes, np.uint16(257), out=rows[..., lanes])
             elif bits == 16:
-                rows[..., lanes] = encode(fitted[..., own] / strength, "uint16", space)
+                rows[..., lanes] = encode(fitted[..., columns] / strength, "uint16", space)
             elif space == "direction":
-                rows[..., lanes] = 0.5 * fitted[..., own] + 0.5
+                rows[..., lanes] = 0.5 * fitted[..., columns] + 0.5
             else:
-                rows[..., lanes] = np.maximum(fitted[..., own], 0.0)
+                rows[..., lanes] = np.maximum(fitted[..., columns], 0.0)
         for lane in {*range(4)} - used:
             rows[..., lane] = _one(texels)
 
 
 def lacking(supersample: int, blur: float) -> float:
-    """Return the part of second differences that texels, means of lookups blurred by ``blur``, lack."""
+    """Return the part of second differences to add to texels, means of lookups blurred by ``blur``."""
     part = 1.0 / supersample**2
     return _LACKING + _OF_MEANS * (1.0 - part + part * blur)
 
 
 @kernel
 def fit_rows(values: Float32s, areas: Float32s, part: float, first: int, fitted: Float32s) -> None:
-    """Write rows of a map (height, width, lanes) fitted to bilinear reading; rims stay. See `lacking`."""
+    """Write rows of a map (height, width, lanes) fitted to bilinear reading, except rims; see `lacking`."""
     height, width, lanes = values.shape
     numbers, lacks, across = values.reshape(-1), np.float32(part), width * lanes
     for row in range(fitted.shape[0]):
@@ -184,7 +182,7 @@ def fit_rows(values: Float32s, areas: Float32s, part: float, first: int, fitted:
 
 
 def alpha_mode(alpha: Float32s) -> AlphaMode:
-    """Return how alpha counts: not at all if it is 1 all over, as a mask if hardly any is between."""
+    """Return the alpha mode: opaque if all are 1, mask if few texels lie between, else blend."""
     if float(alpha.min(initial=1.0)) > 254 / 255:
         return "opaque"
     translucent = alpha < 1.0

@@ -1,4 +1,4 @@
-"""Sheets: triangles that share a set of maps, with where they lie in it and the materials that show it."""
+"""Decides which triangles share a set of maps, and where they lie in it."""
 
 from __future__ import annotations
 
@@ -28,33 +28,33 @@ from octex.source.mesh import Mesh
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 
-#: The sizes of maps that are chosen by themselves.
+#: Smallest and largest size of maps that is chosen automatically.
 _SMALLEST, _LARGEST = 64, 8192
-#: Texels are about as large as leaves if they are at most so much wider.
+#: Texels up to this much wider than leaves count as the same size.
 _ABOUT = 1.15
-#: Most UDIM tiles that a material may have.
+#: Most UDIM tiles of a material.
 _MOST_TILES = 100
 
 
 class Sheet(NamedTuple):
     """Triangles that share a set of maps."""
 
-    mesh: Mesh  # the triangles alone
+    mesh: Mesh  # these triangles only
     triangles: Int32s  # (k,)   their numbers in the whole surface
     layout: Layout
-    materials: list[Material]  # the model's, of which names, sides and alpha modes are kept
-    owners: Int32s  # (k,)   which of these each triangle has
+    materials: list[Material]  # the model's; names, sidedness and alpha modes count
+    owners: Int32s  # (k,)   the material of each triangle
 
 
 def sheets_of(
     texture: OctreeTexture, surface: Surface, names: list[str], uv: Layouts, size: int | None,
     padding: int | None, pool: Executor,
 ) -> list[Sheet]:  # fmt: skip
-    """Lay a surface out in maps of a size, or of sizes that keep the texture's leaves.
+    """Lay a surface out in maps of a given size, or of sizes that match the texture's leaves.
 
-    Materials that read the same image share maps, others have their own; those without coordinates get an
-    atlas each. Otherwise all triangles share one atlas, and materials that differ in nothing but their names
-    are one there. Raises ModelError for coordinates that cannot be kept, and for an atlas that has no room.
+    Materials that read the same image share maps; others get separate ones; those without coordinates get an
+    atlas each. Otherwise all triangles share one atlas, where materials that differ only by name are joined.
+    Raises ModelError for coordinates that cannot be kept, and for an atlas without room.
     """
     materials, owners = [Material()], np.zeros(len(surface.triangles), np.int32)
     if isinstance(surface.source, MaterialSource):
@@ -94,7 +94,7 @@ def _kept(
     texture: OctreeTexture, surface: Surface, names: list[str], size: int | None, padding: int | None,
     materials: list[Material], owners: Int32s, pool: Executor,
 ) -> Iterator[Sheet]:  # fmt: skip
-    """Yield the sheets of a surface at its own coordinates; raises ModelError if they cannot be kept."""
+    """Yield the sheets of a surface at its texture coordinates; raises ModelError if they cannot be kept."""
     around = PADDING if padding is None else padding
     groups: dict[object, list[int]] = {}
     for number in np.unique(owners).tolist():
@@ -104,15 +104,15 @@ def _kept(
     coordinates = [_coordinates(surface, materials[alike[0]]) for alike in groups.values()]
     if all(each is None for each in coordinates):
         raise ModelError(f"{surface.name} has no texture coordinates to keep; let octex make an atlas")
-    for own, alike in zip(coordinates, groups.values(), strict=True):
+    for corners, alike in zip(coordinates, groups.values(), strict=True):
         chosen = np.flatnonzero(np.isin(owners, alike)).astype(np.int32)
         shown = [materials[number] for number in alike]
         numbers = np.searchsorted(alike, owners[chosen]).astype(np.int32)
         mesh = surface.picked(chosen)[0]
-        if own is None:
+        if corners is None:
             yield Sheet(mesh, chosen, _atlas(texture, mesh, names, size, padding), shown, numbers)
             continue
-        mesh.uv = own.of(chosen)
+        mesh.uv = corners.of(chosen)
         layout = kept_layout(mesh, size or PROBE, around)
         try:
             check_overlaps(texture, mesh, names, layout, pool)
@@ -132,7 +132,7 @@ def _kept(
 
 
 def _coordinates(surface: Surface, material: Material) -> Corners | None:
-    """Return the coordinates that a material's images are read at, else the surface's, if it has any."""
+    """Return the coordinates at which a material reads its images, else the surface's, if any."""
     slots = [each.texture.slot for each in material.inputs.values() if each.texture is not None]
     if slots and isinstance(surface.source, MaterialSource):
         return surface.source.coordinates[slots[0]]
@@ -140,7 +140,7 @@ def _coordinates(surface: Surface, material: Material) -> Corners | None:
 
 
 def _tiles(mesh: Mesh) -> list[tuple[int, Mesh, Int32s]]:
-    """Cut a mesh by UDIM tiles: numbers, meshes, triangles; empty if a triangle lies in several."""
+    """Split a mesh by UDIM tiles: numbers, meshes, triangles; empty if a triangle lies in several tiles."""
     assert mesh.uv is not None
     uv = mesh.uv.values[mesh.uv.rows].astype(np.float64)
     squares = np.floor(uv.mean(axis=1))
@@ -164,7 +164,7 @@ def _atlas(
     texture: OctreeTexture, mesh: Mesh, names: list[str], size: int | None, padding: int | None,
     *, by_xatlas: bool = False,
 ) -> Layout:  # fmt: skip
-    """Return an atlas of a size, or of the first that keeps the texture's leaves and reads like it."""
+    """Return an atlas of a given size, or of the first that matches the texture's leaves and detail."""
     leaf, sizes = leaf_of(texture, mesh), [size or _LARGEST]
     texel = _ABOUT * leaf
     if size is None:
@@ -181,7 +181,7 @@ def _fitted(
     texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, size: int | None,
     materials: list[Material],
 ) -> Layout:  # fmt: skip
-    """Return a layout of a size, or of one that keeps leaves and materials' texels and reads like them."""
+    """Return a layout of a given size, or of one that matches leaves, detail and the materials' images."""
     if size is not None:
         return layout.sized(size)
     leaf = leaf_of(texture, mesh)
@@ -194,13 +194,13 @@ def _fitted(
     size = min(size * fineness(texture, mesh, names, leaf, areas * chosen, steps), _LARGEST)
     if is_squeezed.any():
         read = [each.texture for material in materials for each in material.inputs.values()]
-        own = max((max(each.texels.shape[:2]) for each in read if each is not None), default=_SMALLEST)
-        size = max(size, _power_above(own))
+        finest = max((max(each.texels.shape[:2]) for each in read if each is not None), default=_SMALLEST)
+        size = max(size, _power_above(finest))
     return layout.sized(size)
 
 
 def _size_for(texel: float, area: float, part: float) -> int:
-    """Return the size of maps of which a ``part`` shows an area with texels of this width."""
+    """Return the size of maps of which a ``part`` shows ``area`` with texels this wide."""
     return _power_above(np.sqrt(area / max(part, 1e-6)) / texel)
 
 
@@ -209,7 +209,7 @@ def _power_above(side: float) -> int:
 
 
 def coordinates_of(sheets: list[Sheet], count: int) -> Corners:
-    """Return the texture coordinates of all of so many triangles, each in its sheet's map."""
+    """Return the texture coordinates of all ``count`` triangles, each in its sheet's map."""
     if len(sheets) == 1 and len(sheets[0].triangles) == count:
         return sheets[0].layout.uv
     values, rows, first = [], np.empty((count, 3), np.int32), 0

@@ -1,4 +1,4 @@
-"""Meshes of fewer triangles, by quadric errors (Garland & Heckbert 1997)."""
+"""Simplifies meshes by quadric errors (Garland & Heckbert 1997)."""
 
 from __future__ import annotations
 
@@ -16,26 +16,25 @@ from octex.source.surface import Surface, as_surface
 from octex.source.welding import welded
 from octex.view.shading import corner_normals
 
-#: How boldly edges collapse, and whether borders stay: first so that hardly a triangle turns over, then until
-#: few enough are left.
+#: Aggressiveness of the collapses, and whether borders stay: mild first, so that hardly a triangle flips.
 _ROUNDS = (3.0, True), (7.0, True), (3.0, False), (5.0, False), (7.0, False), (9.0, False)
-#: A result may have so many times the triangles that were asked for.
+#: A result may have this multiple of the requested triangles.
 _ENOUGH = 1.02
-#: Triangles that each loose part keeps at least.
+#: Least triangles of each loose part.
 _LEAST = 12
-#: Degrees between triangles up to which an edge is smooth: normal maps hold what is sharp.
+#: Largest angle in degrees at a smooth edge: normal maps hold the sharp ones.
 _SMOOTH = 180.0
 
 
 def simplify(surface: Surface, triangles: int) -> Surface:
-    """Return a mesh of fewer triangles near a surface at rest, without colours: ``bake`` gives it these.
+    """Return a mesh of fewer triangles near a surface at rest, without colours, for ``bake``.
 
-    triangles  how many are left, 4 or more; a surface with no more of them is only welded
+    triangles  their number in the result, at least 4; a surface with no more is only welded
 
-    Vertices at one position count as one, and triangles without area are left out. Edges whose collapse
-    changes the surface least go first; borders stay in place as far as the number allows. Shading normals are
-    smooth everywhere: ``bake`` with ``source`` makes a normal map of what they lack. Each loose part keeps
-    some triangles: a model of very many of them may stay above ``triangles``, which a ModelWarning says.
+    Vertices at one position are welded, and triangles without area are removed. Edges whose collapse changes
+    the surface least go first; borders stay as far as the number allows. Shading normals are smooth
+    everywhere: ``bake`` with ``source`` makes a normal map of the lost detail. Each loose part keeps a few
+    triangles, so a model of very many parts may stay above ``triangles``; a ModelWarning reports that.
 
     Raises ArgumentError for a number out of range, MissingExtraError without the extra ``simplify``, and
     ModelError if no triangle has an area.
@@ -66,7 +65,7 @@ def check_simplifier() -> None:
 
 
 def _welded(surface: Surface) -> tuple[Float64s, Int32s]:
-    """Return rest positions, each once, and the triangles on them that have an area."""
+    """Return the distinct rest positions, and the triangles on them that have an area."""
     numbers = welded(surface.rest)
     vertices = np.empty((int(numbers.max()) + 1, 3))
     vertices[numbers] = surface.rest
@@ -78,7 +77,7 @@ def _welded(surface: Surface) -> tuple[Float64s, Int32s]:
 
 
 def _parts_collapsed(points: Float64s, faces: Int32s, count: int) -> tuple[Float64s, Int32s]:
-    """Collapse edges until about ``count`` triangles are left, and some of each loose part."""
+    """Collapse edges until about ``count`` triangles are left, a few of them in each loose part."""
     parts = parts_of(faces, np.arange(len(points)))
     is_small = (np.bincount(parts) * (count / len(faces)) < _LEAST)[parts]
     order = np.flatnonzero(is_small)
@@ -95,7 +94,7 @@ def _parts_collapsed(points: Float64s, faces: Int32s, count: int) -> tuple[Float
 
 
 def _collapsed(points: Float64s, faces: Int32s, count: int) -> tuple[Float64s, Int32s]:
-    """Collapse edges until about ``count`` triangles are left; return these, and the points they use."""
+    """Collapse edges until about ``count`` triangles are left; return these and their points."""
     from fast_simplification import simplify as collapsed
 
     points, faces = _used(points, faces)

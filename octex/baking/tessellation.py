@@ -1,4 +1,4 @@
-"""Triangles divided into smaller ones, each edge by itself, so that neighbours meet at the same vertices."""
+"""Divides triangles edge by edge, so that neighbours share the new vertices."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from octex.source.welding import distinct_rows
 
 
 class Tessellation(NamedTuple):
-    """Triangles in others, their parents. Points are listed once for each parent that they lie on."""
+    """Triangles that divide others, their parents. Points are listed once per parent that they lie on."""
 
     triangles: Int32s  # (m, 3)   vertices
     parents: Int64s  # (m,)
-    shares: Float64s  # (m, 3, 3)   barycentric coordinates of their corners there
+    shares: Float64s  # (m, 3, 3)   barycentric coordinates of the corners in the parent
     points: Int64s  # (p,)   the vertex of each point
-    owners: Int64s  # (p,)   the parent that it lies on
-    places: Float64s  # (p, 3)   and its barycentric coordinates there
-    vertices: int  # how many
+    owners: Int64s  # (p,)   its parent
+    barycentric: Float64s  # (p, 3)   its barycentric coordinates there
+    vertices: int  # number of vertices
 
     def spread(self, corners: Float64s) -> Float64s:
-        """Return values (vertices, k) of those at the corners of parents (t, 3, k), in the middle between."""
+        """Interpolate values at the corners of parents (t, 3, k) to the vertices (vertices, k)."""
         made = np.empty((self.vertices, corners.shape[2]))
-        a, b, c = (self.places[:, n, None] * corners[self.owners, n] for n in range(3))
+        a, b, c = (self.barycentric[:, n, None] * corners[self.owners, n] for n in range(3))
         made[self.points] = a + b + c
         return made
 
@@ -33,9 +33,9 @@ class Tessellation(NamedTuple):
 def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s]) -> Tessellation:
     """Divide triangles (t, 3) so that each edge has 2ˡ parts.
 
-    ``edges`` are those of triangles, (e, 2) vertices, and which of them are each triangle's sides (t, 3);
-    ``levels`` (e,) are their l. A triangle is divided as its finest edge says; along coarser ones the
-    vertices of finer rows meet at the nearest of theirs.
+    ``edges`` are the (e, 2) vertices of edges, and the edges that are each triangle's sides (t, 3);
+    ``levels`` (e,) are their l. A triangle is divided like its finest edge; along coarser ones the vertices
+    of finer rows snap to the nearest vertex.
     """
     ends, sides = edges
     count = int(triangles.max()) + 1
@@ -44,42 +44,42 @@ def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s])
     depth = levels[sides].max(axis=1)
     parts = []
     for level in np.unique(depth).tolist():
-        own = np.flatnonzero(depth == level)
+        group = np.flatnonzero(depth == level)
         n = 2**level
         grid, fine = _grid(n)
-        numbers = np.empty((len(own), len(grid)), np.int64)
+        numbers = np.empty((len(group), len(grid)), np.int64)
         inside = (grid > 0).all(axis=1)
         inner = int(inside.sum())
-        numbers[:, inside] = count + np.arange(len(own) * inner).reshape(len(own), inner)
-        count += len(own) * inner
-        places = np.broadcast_to(grid / n, (len(own), *grid.shape)).copy()
+        numbers[:, inside] = count + np.arange(len(group) * inner).reshape(len(group), inner)
+        count += len(group) * inner
+        barycentric = np.broadcast_to(grid / n, (len(group), *grid.shape)).copy()
         for side in range(3):
             a, b, c = side, (side + 1) % 3, (side + 2) % 3
             rim = np.flatnonzero(grid[:, c] == 0)
-            edge = sides[own, side]
+            edge = sides[group, side]
             step = (n >> levels[edge])[:, None]  # rows of the grid a part of the edge
             along = (grid[rim, b] + step // 2) // step
             most = (2 ** levels[edge])[:, None]
-            is_turned = (ends[edge, 0] != triangles[own, a])[:, None]
+            is_turned = (ends[edge, 0] != triangles[group, a])[:, None]
             between = firsts[edge][:, None] - 1 + np.where(is_turned, most - along, along)
-            corners = triangles[own]
+            corners = triangles[group]
             numbers[:, rim] = np.where(
                 along == 0, corners[:, a, None], np.where(along == most, corners[:, b, None], between)
             )
-            places[:, rim, b] = along * step / n
-            places[:, rim, a] = 1 - places[:, rim, b]
-        room = len(own) * len(fine)
+            barycentric[:, rim, b] = along * step / n
+            barycentric[:, rim, a] = 1 - barycentric[:, rim, b]
+        room = len(group) * len(fine)
         made, parents = np.empty((room, 3), np.int32), np.empty(room, np.int64)
         shares = np.empty((room, 3, 3))
-        wide = _divide(own, numbers, places, fine, made, parents, shares)
+        wide = _divide(group, numbers, barycentric, fine, made, parents, shares)
         parts.append(
             (
                 made[:wide],
                 parents[:wide],
                 shares[:wide],
                 numbers.ravel(),
-                np.repeat(own, len(grid)),
-                places.reshape(-1, 3),
+                np.repeat(group, len(grid)),
+                barycentric.reshape(-1, 3),
             )
         )
     joined = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
@@ -88,44 +88,44 @@ def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s])
 
 @kernel
 def _divide(
-    own: Int64s,
+    group: Int64s,
     numbers: Int64s,
-    places: Float64s,
+    barycentric: Float64s,
     fine: Int64s,
     made: Int32s,
     parents: Int64s,
     shares: Float64s,
 ) -> int:
-    """Write the triangles of parents' grids, but those that coarser edges leave without area; count them."""
+    """Write the triangles of the parents' grids that have area; return how many there are."""
     count = 0
-    for t in range(len(own)):
+    for t in range(len(group)):
         for f in range(len(fine)):
             a, b, c = numbers[t, fine[f, 0]], numbers[t, fine[f, 1]], numbers[t, fine[f, 2]]
             if a == b or b == c or c == a:
                 continue
             made[count, 0], made[count, 1], made[count, 2] = a, b, c
-            parents[count] = own[t]
+            parents[count] = group[t]
             for corner in range(3):
                 for k in range(3):
-                    shares[count, corner, k] = places[t, fine[f, corner], k]
+                    shares[count, corner, k] = barycentric[t, fine[f, corner], k]
             count += 1
     return count
 
 
 def edges_of(triangles: Int64s) -> tuple[Int64s, Int64s]:
-    """Return the edges (k, 2) of triangles, each once, and which of them are each triangle's sides (m, 3)."""
+    """Return the distinct edges (k, 2) of triangles, and the edges that are each triangle's sides (m, 3)."""
     ends = np.stack([triangles, triangles[:, [1, 2, 0]]], axis=-1).reshape(-1, 2)
     edges, sides = distinct_rows(in_order(ends))
     return edges, sides.reshape(-1, 3)
 
 
 def in_order(pairs: Int64s) -> Int64s:
-    """Return pairs (k, 2) with the lower number first; a sort takes ten times as long."""
+    """Return pairs (k, 2) with the lower number first; np.sort takes ten times as long."""
     return np.stack([np.minimum(pairs[:, 0], pairs[:, 1]), np.maximum(pairs[:, 0], pairs[:, 1])], axis=1)
 
 
 def _grid(n: int) -> tuple[Int64s, Int64s]:
-    """Return the points (k, 3) of a triangle in n rows, barycentric in nths, and its triangles (n², 3)."""
+    """Return the points (k, 3) of a triangle in n rows, barycentric in 1/n, and its triangles (n², 3)."""
     i, j = np.mgrid[: n + 1, : n + 1].reshape(2, -1)
     known = i + j <= n
     i, j = i[known], j[known]

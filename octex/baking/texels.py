@@ -1,4 +1,4 @@
-"""Which points of a surface the texels of a map show: triangles drawn at their texture coordinates."""
+"""Finds the point of the surface that each texel shows: draws triangles at their texture coordinates."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.baking.layout import Layout
 from octex.jit import inlined, kernel
 
-#: Texels of which charts cover less than this part count as gutter.
+#: Texels covered by less than this part count as gutter.
 _LEAST = 1e-4
-#: Edge of the tiles in which texels of a triangle come together.
+#: Side of the tiles in which the texels of a triangle are listed together.
 _TILE = 32
-#: What is as near as this to a texel touches it.
+#: Edges this close to a texel touch it.
 _NEAR = 1e-9
-#: Middles of texels as near as this to a triangle's edge are on it.
+#: Centres of texels this close to an edge are on it.
 _ON_EDGE = 1e-6
 
 
-class Texels(NamedTuple):
-    """What the texels of some rows of a map show."""
+class Drawn(NamedTuple):
+    """What the texels of a band of rows show."""
 
     triangles: Int32s  # (rows, width)   −1: none
-    centroids: Float32s  # (rows, width, 2)   of the covered part, right and down of the texel's corner, 0 … 1
+    centroids: Float32s  # (rows, width, 2)   of the covered part, right and down from the texel's corner
     areas: Float32s  # (rows, width)   the covered part, 0 … 1
 
 
 class Drawing(NamedTuple):
-    """A layout that is drawn row by row."""
+    """A layout that is drawn in bands of rows."""
 
     layout: Layout
     tops: Float64s  # (k,)   of the triangles
@@ -37,25 +37,25 @@ class Drawing(NamedTuple):
 
     @classmethod
     def of(cls, layout: Layout) -> Drawing:
-        """Make a layout ready."""
+        """Prepare a layout."""
         rows = layout.corners[..., 1]
         return cls(layout, rows.min(axis=1), rows.max(axis=1))
 
-    def rows(self, first: int, end: int) -> tuple[Int64s, Texels]:
-        """Find what the texels of rows show; ``triangles`` are numbers of those returned (t,)."""
+    def rows(self, first: int, end: int) -> tuple[Int64s, Drawn]:
+        """Draw rows; ``triangles`` of the result index the returned numbers (t,)."""
         which = np.flatnonzero((self.tops <= end) & (self.bottoms >= first))
         layout = self.layout
-        given = layout.corners[which], layout.charts[which], layout.edges[which], layout.width
-        return which, draw_texels(*given, first, end)
+        chosen = layout.corners[which], layout.charts[which], layout.edges[which], layout.width
+        return which, draw_texels(*chosen, first, end)
 
 
-def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, first: int, end: int) -> Texels:
-    """Find what the texels of rows ``first`` to ``end`` show.
+def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, first: int, end: int) -> Drawn:
+    """Draw rows ``first`` to ``end`` of a map.
 
-    ``corners`` (m, 3, 2) are triangles in texels, x to the right and y down, ``charts`` (m,) the charts that
-    they belong to, and ``edges`` (m, 3) says which of their sides are edges of these. A texel belongs to the
-    chart whose triangle covers most of it. It shows the centroid of what that chart covers, on the triangle
-    that lies there, or comes nearest.
+    ``corners`` (m, 3, 2) are triangles in texels, x to the right and y down; ``charts`` (m,) their charts;
+    ``edges`` (m, 3) the sides that are edges of charts. A texel belongs to the chart whose triangle covers
+    most of it. It shows the centroid of the part that this chart covers, on the triangle there or nearest to
+    it.
     """
     shape = end - first, width
     triangles, areas = np.full(shape, -1, np.int32), np.zeros(shape, np.float32)
@@ -68,15 +68,15 @@ def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, fir
     _list_pieces(corners, first, cut, pieces)
     flat = cut.ravel(), triangles.ravel(), areas.ravel(), centroids.reshape(-1, 2)
     _settle(corners, charts, first, width, pieces, *flat)
-    return Texels(triangles, centroids, areas)
+    return Drawn(triangles, centroids, areas)
 
 
 class _Pieces(NamedTuple):
-    """Triangles in texels that edges of charts cut, and in some that they only come near."""
+    """Parts of triangles in texels that edges of charts cut or nearly touch."""
 
     texels: Int64s  # (n,)   counted row by row
     triangles: Int32s  # (n,)
-    covered: Float64s  # (n, 3)   the area, and that times its centroid relative to the texel
+    covered: Float64s  # (n, 3)   the area, and the area times the centroid relative to the texel
 
 
 @inlined
@@ -89,7 +89,7 @@ def _reach(corners: Float64s, triangle: int, axis: int, low: int, high: int) -> 
 
 @inlined
 def _cut(polygon: Float64s, count: int, axis: int, limit: float, sign: float, found: Float64s) -> int:
-    """Cut a polygon along an axis: what has sign · (coordinate − limit) ≥ 0 stays."""
+    """Clip a polygon along an axis to sign · (coordinate − limit) ≥ 0."""
     made = 0
     for n in range(count):
         m = n + 1 if n + 1 < count else 0
@@ -107,7 +107,7 @@ def _cut(polygon: Float64s, count: int, axis: int, limit: float, sign: float, fo
 
 @inlined
 def _lines(corners: Float64s, triangle: int, lines: Float64s) -> bool:
-    """Write a triangle's sides (3, 3) as a x + b y + c, above 0 inside; say whether it has area."""
+    """Write a triangle's sides (3, 3) as a x + b y + c, positive inside; return whether it has area."""
     ax, ay = corners[triangle, 0, 0], corners[triangle, 0, 1]
     doubled = (corners[triangle, 1, 0] - ax) * (corners[triangle, 2, 1] - ay)
     doubled -= (corners[triangle, 1, 1] - ay) * (corners[triangle, 2, 0] - ax)
@@ -124,7 +124,7 @@ def _lines(corners: Float64s, triangle: int, lines: Float64s) -> bool:
 def _enter(
     corners: Float64s, triangle: int, first: int, shape: tuple[int, int], lines: Float64s
 ) -> tuple[int, int, int, int]:
-    """Write a triangle's sides; return the range of its rows, empty without area, and columns."""
+    """Write a triangle's sides; return its ranges of rows (empty without area) and columns."""
     top, bottom = _reach(corners, triangle, 1, first, first + shape[0])
     left, right = _reach(corners, triangle, 0, 0, shape[1])
     if top >= bottom or left >= right or not _lines(corners, triangle, lines):
@@ -134,7 +134,7 @@ def _enter(
 
 @inlined
 def _middles(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
-    """Narrow the texels of a row to those whose middles a triangle covers; edges belong to both sides."""
+    """Narrow a row's range to texels whose centres a triangle covers; edges belong to both sides."""
     low, high = float(left), float(right)
     for k in range(3):
         across, at = lines[k, 0], lines[k, 1] * (row + 0.5) + lines[k, 2]
@@ -149,7 +149,7 @@ def _middles(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int
 
 @inlined
 def _span(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
-    """Narrow the texels of a row to those that a triangle may meet."""
+    """Narrow a row's range to texels that a triangle may meet."""
     low, high = float(left), float(right)
     for k in range(3):
         across, down = lines[k, 0], lines[k, 1]
@@ -163,7 +163,7 @@ def _span(lines: Float64s, row: int, left: int, right: int) -> tuple[int, int]:
 
 @inlined
 def _meets(lines: Float64s, column: int, row: int) -> bool:
-    """Say whether a triangle meets a texel that its box meets."""
+    """Return whether a triangle meets a texel that meets its box."""
     meets = True
     for k in range(3):
         across, down = lines[k, 0], lines[k, 1]
@@ -197,7 +197,7 @@ def _mark_cut(corners: Float64s, edges: Bools, first: int, cut: Bools) -> None:
 def _fill(
     corners: Float64s, first: int, cut: Bools, triangles: Int32s, areas: Float32s, centroids: Float32s
 ) -> None:
-    """Write the texels that no edge of a chart cuts, by their middles: a chart covers each whole, or not."""
+    """Write the texels that no edge cuts, by their centres: a chart covers each wholly or not at all."""
     lines = np.empty((3, 3))
     for triangle in range(corners.shape[0]):
         top, bottom, left, right = _enter(corners, triangle, first, triangles.shape, lines)
@@ -214,7 +214,7 @@ def _fill(
 def _covered(
     corners: Float64s, triangle: int, column: int, row: int, one: Float64s, two: Float64s
 ) -> tuple[float, float, float]:
-    """Return the area of a triangle in a texel, and that times its centroid relative to the texel."""
+    """Return the area of a triangle in a texel, and the area times its centroid relative to the texel."""
     for k in range(3):
         one[k, 0], one[k, 1] = corners[triangle, k, 0] - column, corners[triangle, k, 1] - row
     doubled = (one[1, 0] - one[0, 0]) * (one[2, 1] - one[0, 1])
@@ -260,7 +260,7 @@ def _list_pieces(corners: Float64s, first: int, cut: Bools, pieces: _Pieces) -> 
 
 @inlined
 def _barycentric(corners: Float64s, triangle: int, x: float, y: float) -> tuple[float, float, float]:
-    """Return the barycentric coordinates of a point of the map on a triangle; thirds if it has no area."""
+    """Return the barycentric coordinates of a map position on a triangle; thirds without area."""
     ax, ay = corners[triangle, 0, 0], corners[triangle, 0, 1]
     bx, by = corners[triangle, 1, 0] - ax, corners[triangle, 1, 1] - ay
     cx, cy = corners[triangle, 2, 0] - ax, corners[triangle, 2, 1] - ay
@@ -273,11 +273,11 @@ def _barycentric(corners: Float64s, triangle: int, x: float, y: float) -> tuple[
 
 
 @kernel
-def barycentric_at(corners: Float64s, triangles: Int32s, places: Float64s) -> Float64s:
+def barycentric_at(corners: Float64s, triangles: Int32s, points: Float64s) -> Float64s:
     """Return barycentric coordinates (n, 3) of map positions (n, 2), clamped to triangles (n,)."""
     found = np.empty((triangles.size, 3))
     for n in range(triangles.size):
-        p, q, r = _barycentric(corners, int(triangles[n]), places[n, 0], places[n, 1])
+        p, q, r = _barycentric(corners, int(triangles[n]), points[n, 0], points[n, 1])
         p, q, r = max(p, 0.0), max(q, 0.0), max(r, 0.0)
         total = p + q + r
         found[n, 0], found[n, 1], found[n, 2] = p / total, q / total, r / total
@@ -289,7 +289,7 @@ def _settle(
     corners: Float64s, charts: Int32s, first: int, width: int, pieces: _Pieces, cut: Bools,
     triangles: Int32s, areas: Float32s, centroids: Float32s,
 ) -> None:  # fmt: skip
-    """Write what ``cut`` texels show of the chart whose triangle covers most, and how much of that."""
+    """Assign ``cut`` texels to the chart whose triangle covers most, with the part that it covers."""
     at, of, covered = pieces
     for n in range(at.size):
         if covered[n, 0] > max(np.float64(areas[at[n]]), _LEAST):
@@ -311,7 +311,7 @@ def _settle(
                 centroids[texel, axis] = min(max(middle, np.float32(0.0)), np.float32(1.0))
             areas[texel] = min(areas[texel], np.float32(1.0))
             nearest[texel] = _inside(corners, int(triangles[texel]), first, width, texel, centroids)
-    # The triangle of the chart that lies at the centroid, or comes nearest.
+    # The chart's triangle that contains the centroid, or comes nearest.
     for n in range(at.size):
         texel = at[n]
         if nearest[texel] < 0.0 and charts[triangles[texel]] == charts[of[n]]:
@@ -331,12 +331,12 @@ def _inside(
 
 
 class Shown(NamedTuple):
-    """Points that texels show, by tile and triangle; those of a triangle by squares of 8² in Morton order."""
+    """Points that texels show, by tile and triangle; within a triangle by squares of 8² in Morton order."""
 
-    places: Int32s  # (t,)   the texels, counted row by row
+    texels: Int32s  # (t,)   counted row by row
     rest: Float64s  # (t, 3)   rest positions
-    barycentric: Float64s  # (t, 3)   on what was drawn
-    starts: Int32s  # (runs + 1,)   the texels of a run lie in one tile, and show one triangle
+    barycentric: Float64s  # (t, 3)   on the drawn triangle
+    starts: Int32s  # (runs + 1,)   a run's texels lie in one tile and show one triangle
     triangles: Int32s  # (runs,)   of the surface
 
     def each(self) -> Int32s:
@@ -345,12 +345,12 @@ class Shown(NamedTuple):
 
 
 def texel_points(
-    corners: Float64s, faces: Int32s, drawn: Texels, first: int, rest: Float64s, triangles: Int32s
+    corners: Float64s, faces: Int32s, drawn: Drawn, first: int, rest: Float64s, triangles: Int32s
 ) -> Shown:
-    """Return what texels of a map show, from row ``first`` on.
+    """Return the points that a map's texels show, from row ``first`` on.
 
-    ``corners`` (k, 3, 2) were drawn, ``faces`` (k,) are the surface's triangles that they show, of which
-    ``triangles`` (m, 3) has the rows of ``rest`` (n, 3).
+    ``corners`` (k, 3, 2) were drawn for the surface's triangles ``faces`` (k,); ``triangles`` (m, 3) index
+    ``rest`` (n, 3).
     """
     row, column = np.nonzero(drawn.triangles >= 0)
     width = drawn.triangles.shape[1]
@@ -375,7 +375,7 @@ def _find_points(
     corners: Float64s, runs: Int32s, centroids: Float32s, first: int, rest: Float64s, triangles: Int32s,
     shown: Shown,
 ) -> None:  # fmt: skip
-    """Write the points of texels, run by run of those that show what was drawn as number ``runs`` (n,)."""
+    """Write the points of texels; ``runs`` (n,) are the drawn triangles of the runs."""
     width, over = centroids.shape[1], (1.0 + 1e-12) / centroids.shape[1]
     for run in range(runs.size):
         of, owner = runs[run], shown.triangles[run]
@@ -390,10 +390,10 @@ def _find_points(
         sx, sy, sz = rest[b, 0] - ax, rest[b, 1] - ay, rest[b, 2] - az
         tx, ty, tz = rest[c, 0] - ax, rest[c, 1] - ay, rest[c, 2] - az
         for n in range(shown.starts[run], shown.starts[run + 1]):
-            place = shown.places[n]
-            row = np.int32(np.float64(place) * over)
-            row -= np.int32(row * width > place)
-            column = place - row * width
+            texel = shown.texels[n]
+            row = np.int32(np.float64(texel) * over)
+            row -= np.int32(row * width > texel)
+            column = texel - row * width
             x = column + np.float64(centroids[np.uint64(row), np.uint64(column), 0]) - left
             y = first + row + np.float64(centroids[np.uint64(row), np.uint64(column), 1]) - top
             q, r = x * cy - y * cx, bx * y - by * x

@@ -1,4 +1,4 @@
-"""Charts laid flat by projection: folds are smoothed, passed on or cut out, overlaps halved."""
+"""Flattens charts by projection: folds are smoothed, passed on or cut out, overlapping charts halved."""
 
 from __future__ import annotations
 
@@ -12,43 +12,43 @@ from octex.baking.layout import doubled_areas, pieces_of, steps_between
 from octex.jit import kernel, part
 from octex.source.corners import area_vectors, unit
 
-#: The longest side of the model in the map that charts are laid flat in.
+#: Length of the model's longest side in the map in which charts are flattened.
 SIDE = 1024.0
-#: The least cosine between averaged normals and a chart's axis, where charts grow one by one.
+#: Least cosine between averaged normals and a chart's axis, where charts grow one by one.
 LEAST = 0.6
-#: Charts of less than this doubled area, and this part of their connected mesh, are merged anyhow.
+#: Charts below this doubled area, and below this part of their connected mesh, always merge.
 TINY, TINY_PART = 2.0 * 16.0 / SIDE**2, 0.01
-#: Around folds the surface is smoothed so often, then the chart.
+#: Rounds of smoothing around folds: of the surface, then of the chart.
 _PASSED, _RELAXED = 3, 4
-#: What shows less than this part of its area is on edge; where that is little, it may show so much less.
+#: Triangles that show less than this part of their area are edge-on; small ones may show this much less.
 _ON_EDGE, _LEAST_SHOWN = 0.25, 0.02
-#: What is cut out takes in so many rings of triangles around, while it is tiny.
+#: A tiny cut-out chart grows by at most this many rings of triangles.
 _WIDENED = 4
-#: How far a position moves to the mean of its neighbours at once.
+#: Part of the way to its neighbours' mean that a position moves at once.
 _STEP = 0.6
-#: Overlaps are looked for at so many points a side, and are there if a chart covers so much twice.
+#: Overlaps are probed at this many points a side; a chart overlaps if it covers this part twice.
 _PROBE, _OVERLAPPING = 256, 0.01
-#: Where these points lie in their squares.
+#: Position of the probes in their squares.
 _ASIDE = 0.4142135, 0.7320508
-#: Triangles of a chart up to which every two of them are compared first.
+#: Charts of at most this many triangles are first tested pair by pair.
 _FEW = 64
-#: Charts that overlap themselves are halved so often; then their triangles lie apart.
+#: Overlapping charts are halved this often; then their triangles are separated.
 _MOST_HALVED = 8
 
 
-class Pieces(NamedTuple):
-    """The triangles to lay flat; the model's longest side is 1."""
+class ChartMesh(NamedTuple):
+    """The triangles to flatten; the model's longest side is 1."""
 
     corners: Float64s  # (m, 3, 3)
-    others: Int32s  # (m, 3)   the triangle beyond each side; −1
+    others: Int32s  # (m, 3)   the triangle across each side; −1: none
     areas: Float64s  # (m,)   doubled
     normals: Float64s  # (m, 3)   of triangles
     facings: Float64s  # (m, 3)   normals averaged over neighbours
 
 
-def axes_of(pieces: Pieces, charts: Int64s) -> Float64s:
+def axes_of(mesh: ChartMesh, charts: Int64s) -> Float64s:
     """Return the mean normals of charts (n, 3)."""
-    return unit(sums_of(charts, pieces.normals * pieces.areas[:, None]))
+    return unit(sums_of(charts, mesh.normals * mesh.areas[:, None]))
 
 
 def sums_of(charts: Int64s, values: Float64s) -> Float64s:
@@ -57,7 +57,7 @@ def sums_of(charts: Int64s, values: Float64s) -> Float64s:
 
 
 def _projected(corners: Float64s, directions: Float64s) -> Float64s:
-    """Project triangles (m, 3, 3) along directions (m, 3): to the right and down, seen from their tips."""
+    """Project triangles (m, 3, 3) along directions (m, 3), to the right and down as seen from their tips."""
     helper = np.where(np.abs(directions[:, 1:2]) < 0.9, (0.0, 1.0, 0.0), (1.0, 0.0, 0.0))
     right = unit(np.cross(helper, directions))
     down = np.cross(right, directions)
@@ -66,52 +66,52 @@ def _projected(corners: Float64s, directions: Float64s) -> Float64s:
 
 
 def _folded(corners: Float64s, flat: Float64s) -> Bools:
-    """Say which triangles (m, 3, 3) lie upside down, or are stretched like what is seen nearly on edge."""
+    """Return the triangles (m, 3, 3) that are upside down, or stretched as if seen nearly edge-on."""
     right, down = steps_between(SIDE * corners, flat)
     is_stretched = (right**2 + down**2).sum(axis=1) > 1.0 + _ON_EDGE**-2.0
     found: Bools = ((doubled_areas(flat) >= 0.0) | is_stretched) & area_vectors(corners).any(axis=1)
     return found
 
 
-def unfolded(pieces: Pieces, rows: Int64s, positions: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
-    """Project charts, laid flat where they fold as a smoother surface lies; what folds even then is cut out.
+def unfolded(mesh: ChartMesh, rows: Int64s, positions: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
+    """Flatten charts by projection. Where they fold, smooth the surface first; cut out what still folds.
 
-    Triangles that fold change to a neighbour's chart if that shows them.
+    Triangles that fold move to a neighbour's chart if that shows them.
     """
-    corners, others, areas = pieces.corners, pieces.others, pieces.areas
-    axes = axes_of(pieces, charts)
+    corners, others, areas = mesh.corners, mesh.others, mesh.areas
+    axes = axes_of(mesh, charts)
     flat = _projected(corners, axes[charts])
     folded = _folded(corners, flat)
     for n in range(_PASSED):
-        own = np.flatnonzero(folded)
+        rows_folded = np.flatnonzero(folded)
         before = charts.copy()
-        _pass_on(others, unit(area_vectors(positions[rows[own]])), axes, own, charts)
+        _pass_on(others, unit(area_vectors(positions[rows[rows_folded]])), axes, rows_folded, charts)
         _absorb(others, areas, charts)
-        some, near = _around(rows, folded | (charts != before), len(positions), n)
-        _smooth(rows[some], others[some], near, 2, positions)
-        flat[some] = _projected(positions[rows[some]], axes[charts[some]])
-        folded[some] = _folded(corners[some], flat[some])
+        near_rows, near = _around(rows, folded | (charts != before), len(positions), n)
+        _smooth(rows[near_rows], others[near_rows], near, 2, positions)
+        flat[near_rows] = _projected(positions[rows[near_rows]], axes[charts[near_rows]])
+        folded[near_rows] = _folded(corners[near_rows], flat[near_rows])
     for n in range(_RELAXED):
         if not folded.any():
             break
-        some, _ = _around(rows, folded, len(positions), n + 1)
-        keys = charts[some, None] * len(positions) + rows[some]
+        near_rows, _ = _around(rows, folded, len(positions), n + 1)
+        keys = charts[near_rows, None] * len(positions) + rows[near_rows]
         known, numbers = np.unique(keys, return_inverse=True)
-        places = np.empty((known.size, 2))
+        moved = np.empty((known.size, 2))
         numbers = numbers.reshape(-1, 3)
-        places[numbers] = flat[some]
-        _, near = _around(numbers, folded[some], known.size, n)
-        joined = np.where(charts[others[some]] == charts[some, None], others[some], -1)
-        _smooth(numbers, joined, near, 4, places)
-        flat[some] = places[numbers]
-        folded[some] = _folded(corners[some], flat[some])
-    folded = _cut(pieces, flat, folded, charts)
-    flat[folded] = _projected(corners[folded], axes_of(pieces, charts)[charts[folded]])
+        moved[numbers] = flat[near_rows]
+        _, near = _around(numbers, folded[near_rows], known.size, n)
+        joined = np.where(charts[others[near_rows]] == charts[near_rows, None], others[near_rows], -1)
+        _smooth(numbers, joined, near, 4, moved)
+        flat[near_rows] = moved[numbers]
+        folded[near_rows] = _folded(corners[near_rows], flat[near_rows])
+    folded = _cut(mesh, flat, folded, charts)
+    flat[folded] = _projected(corners[folded], axes_of(mesh, charts)[charts[folded]])
     return flat, charts
 
 
 def _around(rows: Int64s, chosen: Bools, count: int, rings: int) -> tuple[Int64s, Bools]:
-    """Return the vertices (n,) of chosen triangles and of so many rings around, and all triangles there."""
+    """Return the triangles within ``rings`` rings of the chosen ones, and the vertices there."""
     near = np.zeros(count, np.bool_)
     near[rows[chosen]] = True
     for _ in range(rings):
@@ -119,12 +119,12 @@ def _around(rows: Int64s, chosen: Bools, count: int, rings: int) -> tuple[Int64s
     return np.flatnonzero(near[rows].any(axis=1)), near
 
 
-def _cut(pieces: Pieces, flat: Float64s, folded: Bools, charts: Int64s) -> Bools:
-    """Make charts of what folds, and of some of what lies around; return what these are of.
+def _cut(mesh: ChartMesh, flat: Float64s, folded: Bools, charts: Int64s) -> Bools:
+    """Make charts of folded triangles and part of their surroundings; return the triangles in new charts.
 
-    Few triangles on edge stay.
+    Small edge-on triangles stay.
     """
-    _, others, areas, normals, _ = pieces
+    _, others, areas, normals, _ = mesh
     upside = folded & (doubled_areas(flat) >= -_LEAST_SHOWN * SIDE**2 * areas)
     groups = connected(others, folded.astype(np.int64))
     is_cut = folded & ((np.bincount(groups, areas)[groups] >= TINY) | upside)
@@ -134,23 +134,23 @@ def _cut(pieces: Pieces, flat: Float64s, folded: Bools, charts: Int64s) -> Bools
     for _ in range(_WIDENED):
         is_new = cut >= count
         sizes = np.bincount(cut[is_new] - count, areas[is_new], end - count)
-        own = np.flatnonzero(~is_new & ((others >= 0) & is_new[others]).any(axis=1))
-        if not own.size:
+        ring = np.flatnonzero(~is_new & ((others >= 0) & is_new[others]).any(axis=1))
+        if not ring.size:
             break
         axes = unit(sums_of(cut[is_new] - count, normals[is_new] * areas[is_new, None]))
-        nearby = np.where(others[own] >= 0, cut[others[own]], -1) - count
+        nearby = np.where(others[ring] >= 0, cut[others[ring]], -1) - count
         is_none, nearby = nearby < 0, np.maximum(nearby, 0)
-        shown = np.einsum("mx,mkx->mk", normals[own], axes[nearby])
+        shown = np.einsum("mx,mkx->mk", normals[ring], axes[nearby])
         shown[is_none | (sizes[nearby] >= TINY)] = -1.0
         best = shown.argmax(axis=1)
         joins = np.take_along_axis(shown, best[:, None], axis=1)[:, 0] > LEAST
-        cut[own[joins]] = nearby[joins, best[joins]] + count
+        cut[ring[joins]] = nearby[joins, best[joins]] + count
     charts[:] = cut
     return cut >= count
 
 
 def _absorb(others: Int32s, areas: Float64s, charts: Int64s) -> None:
-    """Give tiny pieces of charts to the chart that they have most sides with."""
+    """Merge tiny pieces of charts into the chart that they share most sides with."""
     groups = connected(others, charts)
     is_tiny = (np.bincount(groups, areas) < TINY)[groups]
     nearby = charts[others]
@@ -167,45 +167,45 @@ def _absorb(others: Int32s, areas: Float64s, charts: Int64s) -> None:
     charts[is_moved] = chosen[groups[is_moved]]
 
 
-def _pass_on(others: Int32s, normals: Float64s, axes: Float64s, own: Int64s, charts: Int64s) -> None:
-    """Give some triangles, of these normals, to the neighbour's chart that shows them best."""
-    nearby = charts[others[own]]
+def _pass_on(others: Int32s, normals: Float64s, axes: Float64s, chosen: Int64s, charts: Int64s) -> None:
+    """Move the triangles ``chosen``, of these normals, to the neighbour's chart that shows them best."""
+    nearby = charts[others[chosen]]
     shown = np.einsum("mx,mkx->mk", normals, axes[nearby])
-    shown[others[own] < 0] = -1.0
+    shown[others[chosen] < 0] = -1.0
     best = shown.argmax(axis=1)
-    every = np.arange(own.size)
-    is_better = shown[every, best] > np.einsum("mx,mx->m", normals, axes[charts[own]])
-    charts[own[is_better]] = nearby[every, best][is_better]
+    every = np.arange(chosen.size)
+    is_better = shown[every, best] > np.einsum("mx,mx->m", normals, axes[charts[chosen]])
+    charts[chosen[is_better]] = nearby[every, best][is_better]
 
 
-def without_overlaps(pieces: Pieces, flat: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
-    """Halve charts that overlap themselves until none does; in the end their triangles lie apart."""
-    charts = connected(pieces.others, charts)
+def without_overlaps(mesh: ChartMesh, flat: Float64s, charts: Int64s) -> tuple[Float64s, Int64s]:
+    """Halve charts that overlap themselves until none does; at last separate their triangles."""
+    charts = connected(mesh.others, charts)
     order = np.argsort(charts, kind="stable")
     starts = np.append(np.flatnonzero(np.diff(charts[order], prepend=-1)), charts.size)
     doubted = [order[first:end] for first, end in pairwise(starts.tolist())]
     count = len(doubted)
     for n in range(_MOST_HALVED + 1):
-        doubted = [own for own in doubted if _overlaps(flat[own])]
+        doubted = [chart for chart in doubted if _overlaps(flat[chart])]
         halves = []
-        for own in doubted:
+        for chart in doubted:
             if n == _MOST_HALVED:
-                charts[own[1:]] = count + np.arange(own.size - 1)
-                count += own.size - 1
-                flat[own] = _projected(pieces.corners[own], pieces.normals[own])
+                charts[chart[1:]] = count + np.arange(chart.size - 1)
+                count += chart.size - 1
+                flat[chart] = _projected(mesh.corners[chart], mesh.normals[chart])
                 continue
-            _farthest_last(pieces.others, charts, own)
-            _farthest_last(pieces.others, charts, own[::-1])
-            half = own.size // 2
-            charts[own[:half]] = count
+            _farthest_last(mesh.others, charts, chart)
+            _farthest_last(mesh.others, charts, chart[::-1])
+            half = chart.size // 2
+            charts[chart[:half]] = count
             count += 1
-            halves += [own[:half], own[half:]]
+            halves += [chart[:half], chart[half:]]
         doubted = halves
     return flat, charts
 
 
 def _overlaps(flat: Float64s) -> bool:
-    """Say whether a chart's triangles (m, 3, 2) overlap."""
+    """Return whether a chart's triangles (m, 3, 2) overlap."""
     if len(flat) < 2 or (len(flat) <= _FEW and not _cross(flat)):
         return False
     corners = flat - flat.min(axis=(0, 1))
@@ -215,7 +215,7 @@ def _overlaps(flat: Float64s) -> bool:
 
 @kernel
 def _twice(corners: Float64s) -> int:
-    """Return how many points of a grid are covered again by triangles (m, 3, 2)."""
+    """Return how many points of a grid triangles (m, 3, 2) cover again."""
     is_covered = np.zeros((_PROBE + 1, _PROBE + 1), np.bool_)
     count = 0
     for triangle in range(corners.shape[0]):
@@ -236,7 +236,7 @@ def _twice(corners: Float64s) -> int:
 
 @kernel
 def _cross(flat: Float64s) -> bool:
-    """Say whether two of some triangles (m, 3, 2) overlap: no side of either parts them."""
+    """Return whether any two triangles (m, 3, 2) overlap: no side of either separates them."""
     for one in range(len(flat)):
         for other in range(one):
             if not (_parts(flat[one], flat[other]) or _parts(flat[other], flat[one])):
@@ -246,7 +246,7 @@ def _cross(flat: Float64s) -> bool:
 
 @part
 def _parts(triangle: Float64s, other: Float64s) -> bool:
-    """Say whether another triangle lies beyond a side of a triangle."""
+    """Return whether a side of ``triangle`` separates it from ``other``."""
     for side in range(3):
         start, end, last = triangle[side], triangle[(side + 1) % 3], triangle[(side + 2) % 3]
         right, down = end[0] - start[0], end[1] - start[1]
@@ -262,7 +262,7 @@ def _parts(triangle: Float64s, other: Float64s) -> bool:
 
 @kernel
 def _smooth(rows: Int64s, others: Int32s, near: Bools, rounds: int, positions: Float64s) -> None:
-    """Move positions (n, 3 or 2) that are ``near`` toward the means of their neighbours; borders stay."""
+    """Move positions (n, 3 or 2) that are ``near`` toward their neighbours' means; borders stay."""
     for triangle in range(len(rows)):
         for side in range(3):
             if others[triangle, side] < 0:
@@ -287,29 +287,29 @@ def _smooth(rows: Int64s, others: Int32s, near: Bools, rounds: int, positions: F
 
 
 def connected(others: Int32s, charts: Int64s) -> Int64s:
-    """Return the connected piece of a chart that each triangle (m,) is in, counting from 0."""
+    """Return the connected piece of its chart that each triangle (m,) is in, from 0."""
     return pieces_of(others, (others >= 0) & (charts[others] == charts[:, None]))
 
 
 @kernel
-def _farthest_last(others: Int32s, charts: Int64s, own: Int64s) -> None:
-    """Put a chart's triangles into the order of their steps from the first one."""
-    chart, end = charts[own[0]], 0
-    for start in own.copy():
+def _farthest_last(others: Int32s, charts: Int64s, rows: Int64s) -> None:
+    """Sort a chart's triangles by their number of steps from the first one."""
+    chart, end = charts[rows[0]], 0
+    for start in rows.copy():
         if charts[start] != chart:
             continue
         charts[start] = -1
-        own[end] = start
+        rows[end] = start
         first, end = end, end + 1
         while first < end:
             for side in range(3):
-                other = others[own[first], side]
+                other = others[rows[first], side]
                 if other >= 0 and charts[other] == chart:
                     charts[other] = -1
-                    own[end] = other
+                    rows[end] = other
                     end += 1
             first += 1
-    charts[own] = chart
+    charts[rows] = chart
 
 
 @kernel
@@ -322,7 +322,7 @@ def grow(
     count: int,
     charts: Int64s,
 ) -> int:
-    """Grow charts from triangles in order, nearest first, over those that face about as their mean does."""
+    """Grow charts from triangles in order, nearest first, over triangles that face like the chart's mean."""
     queue = np.empty(charts.size, np.int64)
     for n in range(order.size):
         if charts[order[n]] >= 0:

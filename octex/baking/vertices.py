@@ -1,4 +1,4 @@
-"""Vertex colours of an octree texture, on a mesh that is divided until they follow it."""
+"""Bakes vertex colours, on a mesh that is subdivided until they match the texture."""
 
 from __future__ import annotations
 
@@ -20,35 +20,35 @@ from octex.source.surface import Surface, as_surface
 from octex.source.welding import distinct_rows, welded
 from octex.texture import OctreeTexture, as_texture
 
-#: Edges are not divided below this part of the finest cells ...
+#: Edges are not halved below this part of the finest cells ...
 _FINEST = 0.5
-#: ... nor oftener than so.
+#: ... and in at most this many rounds.
 _MOST_ROUNDS = 16
-#: Where colours are compared: shares of the corners. On edges first in the middle. The field is a quadratic
-#: spline over the cells: the middle alone tells how far an edge of one of them is off.
+#: Barycentric positions where colours are compared, on edges first the middle: the field is a quadratic
+#: spline over the cells, so the middle tells how far an edge of one cell is off.
 _MIDDLE = (0.5, 0.5)
 _ON_EDGES = ((0.75, 0.25), (0.25, 0.75))
 _ON_TRIANGLES = ((1 / 3, 1 / 3, 1 / 3), (0.6, 0.2, 0.2), (0.2, 0.6, 0.2), (0.2, 0.2, 0.6))
 
 
 class _Points(NamedTuple):
-    """Vertices of a mesh that is being divided."""
+    """Vertices of a mesh that is being subdivided."""
 
     posed: Float64s  # (n, 3)
     rest: Float64s  # (n, 3)
-    facing: Float64s  # (n, 3)   of the triangles there, at rest: what lookups take
-    shading: Float64s  # (n, 3)   the surface's own normals at rest; of length 0 without
+    facing: Float64s  # (n, 3)   normals of the triangles there, at rest, for lookups
+    shading: Float64s  # (n, 3)   the surface's shading normals at rest; zero without
     colors: Float32s  # (n, 4)   linear light, and alpha
-    places: Int64s  # (n,)     the same number for vertices at one place
+    positions: Int64s  # (n,)     equal for vertices at the same position
 
     def between(self, ends: Int64s, texture: OctreeTexture, shares: Sequence[float]) -> Float32s:
-        """Return the colours between vertices, given by their numbers (k, 2 or 3), with shares of each."""
+        """Return the texture's colours between vertices ``ends`` (k, 2 or 3), mixed by ``shares``."""
         return _colors(texture, _mixed(self.rest, ends, shares), _mixed(self.facing, ends, shares))
 
     def with_middles(self, ends: Int64s, texture: OctreeTexture) -> _Points:
-        """Return these points, and after them those in the middles of edges (k, 2)."""
+        """Return these points, followed by the midpoints of edges (k, 2)."""
         made = [_mixed(each, ends, _MIDDLE) for each in self[:4]]
-        numbers = welded(in_order(self.places[ends])) + int(self.places.max()) + 1
+        numbers = welded(in_order(self.positions[ends])) + int(self.positions.max()) + 1
         added = (*made, self.between(ends, texture, _MIDDLE), numbers)
         return _Points._make(np.concatenate([a, b]) for a, b in zip(self, added, strict=True))
 
@@ -61,7 +61,7 @@ def bake_vertices(
     max_error: float = 8.0,
     most_triangles: int = 5_000_000,
 ) -> Surface:
-    """Return a surface with the base colour and alpha of a texture at its vertices.
+    """Return a surface with a texture's base colour and alpha at its vertices.
 
     subdivide       None: keep the triangles. A length in units of rest positions: halve edges until none is
                     longer. "auto": halve edges where colours between their ends differ from the field by more
@@ -69,8 +69,8 @@ def bake_vertices(
     max_error       in 1/255 of sRGB
     most_triangles  stop before there are more triangles than this
 
-    Neighbours divide a shared edge alike, so there are no cracks. Shading normals are kept if the surface has
-    them (``frames``).
+    Neighbours halve a shared edge alike, so there are no cracks. The surface's shading normals (``frames``)
+    are interpolated.
 
     Raises ArgumentError for numbers out of range, and for a texture without base_color.
     """
@@ -90,12 +90,12 @@ def bake_vertices(
     points, triangles = _undivided(texture, surface)
     cell = cell_of(texture)
     shortest = _FINEST * cell
-    first = 0  # the first place that was made last: edges without one there are divided no more of themselves
+    first = 0  # the first place of the last round: only edges with a newer end can still be halved
     settled = np.empty((0, 3), np.int64)
     for _ in range(0 if subdivide is None else _MOST_ROUNDS):
         edges, sides = edges_of(triangles)
         lengths = np.linalg.norm(points.rest.take(edges[:, 0], 0) - points.rest.take(edges[:, 1], 0), axis=1)
-        is_new = _any(points.places[edges] >= first)
+        is_new = _any(points.positions[edges] >= first)
         if longest is not None:
             halved = is_new & (lengths > max(longest, shortest))
         else:
@@ -108,12 +108,12 @@ def bake_vertices(
             inside[inside] = _is_off(points, triangles[inside], texture, error, _ON_TRIANGLES)
             chosen = sides[inside].reshape(-1)
             halved[chosen] |= lengths[chosen] > shortest
-        places = in_order(points.places[edges[halved]])
-        near = _have_two(settled, points.places, places[places[:, 1] < first])
-        ends, cut, others = _cut_at(np.concatenate([triangles, settled[near]]), points.places, places)
+        positions = in_order(points.positions[edges[halved]])
+        near = _have_two(settled, points.positions, positions[positions[:, 1] < first])
+        ends, cut, others = _cut_at(np.concatenate([triangles, settled[near]]), points.positions, positions)
         if not len(ends) or len(triangles) + len(settled) + int((cut[1] >= 0).sum()) > most:
             break
-        first = int(points.places.max()) + 1
+        first = int(points.positions.max()) + 1
         points = points.with_middles(ends, texture)
         settled = np.concatenate([settled[~near], others])
         triangles = _divided(*cut, points.rest)
@@ -136,7 +136,7 @@ def bake_vertices(
 
 
 def _undivided(texture: OctreeTexture, surface: Surface) -> tuple[_Points, Int64s]:
-    """Return a surface's vertices, apart where their shading normals differ, and its triangles (m, 3)."""
+    """Return a surface's vertices, split where shading normals differ, and its triangles (m, 3)."""
     corners = np.zeros((3 * len(surface.triangles), 2), np.int64)
     corners[:, 0] = surface.triangles.reshape(-1)
     if surface.frames is not None:
@@ -145,14 +145,14 @@ def _undivided(texture: OctreeTexture, surface: Surface) -> tuple[_Points, Int64
     vertices, triangles = distinct_rows(corners)
     triangles = triangles.reshape(-1, 3)
     posed, rest = surface.vertices[vertices[:, 0]], surface.rest[vertices[:, 0]]
-    places = welded(np.concatenate([posed, rest], axis=1)).astype(np.int64)
+    positions = welded(np.concatenate([posed, rest], axis=1)).astype(np.int64)
     crosses = area_vectors(rest[triangles])
     facing, shading = np.zeros_like(rest), np.zeros_like(rest)
     for corner in range(3):
         np.add.at(facing, triangles[:, corner], crosses)
         if surface.frames is not None:
             shading[triangles[:, corner]] = normals.values[normals.rows[:, corner]]
-    return _Points(posed, rest, facing, shading, _colors(texture, rest, facing), places), triangles
+    return _Points(posed, rest, facing, shading, _colors(texture, rest, facing), positions), triangles
 
 
 def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float32s:
@@ -166,70 +166,70 @@ def _colors(texture: OctreeTexture, rest: Float64s, normals: Float64s) -> Float3
 
 
 def _is_off(
-    points: _Points, ends: Int64s, texture: OctreeTexture, error: float, places: Sequence[Sequence[float]]
+    points: _Points, ends: Int64s, texture: OctreeTexture, error: float, positions: Sequence[Sequence[float]]
 ) -> Bools:
-    """Say between which ends, of edges or triangles (k, 2 or 3), colours differ by more than an error."""
+    """Return the edges or triangles (k, 2 or 3) whose interpolated colours are off by more than an error."""
     found = np.zeros(len(ends), np.bool_)
-    for shares in places:
+    for shares in positions:
         left = np.flatnonzero(~found)
-        own = points.between(ends[left], texture, shares)
+        exact = points.between(ends[left], texture, shares)
         mixed = _mixed(points.colors, ends[left], shares)
-        found[left] = _any(np.abs(_codes(own) - _codes(mixed)) > 65535.0 * error)
+        found[left] = _any(np.abs(_codes(exact) - _codes(mixed)) > 65535.0 * error)
     return found
 
 
 def _mixed(values: Array, ends: Int64s, shares: Sequence[float]) -> Float64s:
-    """Return shares (j,) of values (n, components) at their ends (k, j), added up."""
+    """Return the sum of values (n, components) at ``ends`` (k, j), weighted by ``shares`` (j,)."""
     parts = [share * values.take(ends[:, n], 0) for n, share in enumerate(shares)]
     return np.asarray(sum(parts[1:], start=parts[0]), np.float64)
 
 
 def _codes(colors: Floats) -> Int32s:
-    """Return colours (n, 4) as codes of 16 bits, sRGB and coverage."""
+    """Return colours (n, 4) as 16-bit integers: sRGB and coverage."""
     alpha = encode(colors[:, 3:], "uint16", "data")
     return np.concatenate([encode(colors[:, :3], "uint16", "srgb"), alpha], axis=1).astype(np.int32)
 
 
 def _cut_at(
-    triangles: Int64s, places: Int64s, halved: Int64s
+    triangles: Int64s, positions: Int64s, halved: Int64s
 ) -> tuple[Int64s, tuple[Int64s, Int64s], Int64s]:
-    """Return the edges (k, 2) between ``halved`` vertices, the triangles that they cut, and the others.
+    """Return the edges (k, 2) between ``halved`` positions, the triangles that they cut, and the others.
 
-    With those cut (m, 3) are the vertices in the middles of their sides (m, 3), −1 for none.
+    The cut ones (m, 3) come with the vertices at the midpoints of their sides (m, 3), −1 for none.
     """
-    near = _have_two(triangles, places, halved)
-    some = triangles[near]
-    edges, sides = edges_of(some)
-    own = in_order(places[edges])
-    is_cut = np.isin(own[:, 0] << 32 | own[:, 1], halved[:, 0] << 32 | halved[:, 1])
+    near = _have_two(triangles, positions, halved)
+    touched = triangles[near]
+    edges, sides = edges_of(touched)
+    ordered = in_order(positions[edges])
+    is_cut = np.isin(ordered[:, 0] << 32 | ordered[:, 1], halved[:, 0] << 32 | halved[:, 1])
     numbers = np.full(len(edges), -1, np.int64)
-    numbers[is_cut] = len(places) + np.arange(int(is_cut.sum()))
+    numbers[is_cut] = len(positions) + np.arange(int(is_cut.sum()))
     middles = numbers[sides]
     divided = _any(middles >= 0)
-    cut = some[divided], middles[divided]
-    return edges[is_cut], cut, np.concatenate([triangles[~near], some[~divided]])
+    cut = touched[divided], middles[divided]
+    return edges[is_cut], cut, np.concatenate([triangles[~near], touched[~divided]])
 
 
-def _have_two(triangles: Int64s, places: Int64s, ends: Int64s) -> Bools:
-    """Say which triangles (m, 3) have two corners or more where edges between places (j, 2) end."""
+def _have_two(triangles: Int64s, positions: Int64s, ends: Int64s) -> Bools:
+    """Return the triangles (m, 3) with at least two corners at ends of edges (j, 2)."""
     if not len(ends):
         return np.zeros(len(triangles), np.bool_)
-    is_end = np.zeros(int(places.max()) + 1, np.bool_)
+    is_end = np.zeros(int(positions.max()) + 1, np.bool_)
     is_end[ends] = True
-    a, b, c = is_end[places][triangles.T]
+    a, b, c = is_end[positions][triangles.T]
     return np.asarray((a & b) | (b & c) | (c & a))
 
 
 def _any(flags: Bools) -> Bools:
-    """Say in which rows (m, k) any is set; numpy's own takes ten times as long for few columns."""
+    """Return np.any over the columns of flags (m, k), ten times as fast for few columns."""
     return np.asarray(np.logical_or.reduce(list(flags.T)))
 
 
 def _divided(triangles: Int64s, middles: Int64s, rest: Float64s) -> Int64s:
-    """Divide triangles (m, 3) at the middles of their sides (m, 3), −1 for none, in two, three or four."""
+    """Divide triangles (m, 3) at the midpoints of their sides (m, 3), −1 for none, in two, three or four."""
     counts = (middles >= 0).sum(axis=1)
     made = [triangles[counts == 0]]
-    # Turned so that what is divided comes first: one side, two that follow each other, or all.
+    # Rotated so that halved sides come first: one, two consecutive ones, or all.
     first = np.where(counts == 1, np.argmax(middles >= 0, axis=1), 0)
     first = np.where(counts == 2, (np.argmax(middles < 0, axis=1) + 1) % 3, first)
     turns = (first[:, None] + np.arange(3)) % 3
@@ -239,13 +239,13 @@ def _divided(triangles: Int64s, middles: Int64s, rest: Float64s) -> Int64s:
     made += [_faces(a, p, c)[one], _faces(p, b, c)[one]]
     made += [_faces(*each)[three] for each in ((a, p, r), (p, b, q), (r, q, c), (p, q, r))]
     made.append(_faces(p, b, q)[two])
-    # The rest is a, p, q, c: cut along its shorter diagonal.
-    own = np.flatnonzero(two)
-    short = np.linalg.norm(rest[a[own]] - rest[q[own]], axis=1) < np.linalg.norm(
-        rest[p[own]] - rest[c[own]], axis=1
+    # The remaining quad a, p, q, c is cut along its shorter diagonal.
+    quads = np.flatnonzero(two)
+    short = np.linalg.norm(rest[a[quads]] - rest[q[quads]], axis=1) < np.linalg.norm(
+        rest[p[quads]] - rest[c[quads]], axis=1
     )
-    made += [_faces(a, p, q)[own[short]], _faces(a, q, c)[own[short]]]
-    made += [_faces(a, p, c)[own[~short]], _faces(p, q, c)[own[~short]]]
+    made += [_faces(a, p, q)[quads[short]], _faces(a, q, c)[quads[short]]]
+    made += [_faces(a, p, c)[quads[~short]], _faces(p, q, c)[quads[~short]]]
     return np.concatenate(made)
 
 

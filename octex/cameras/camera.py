@@ -17,16 +17,7 @@ import numpy.typing as npt
 from octex.arrays import Float64s
 from octex.cameras.differentials import differentials
 from octex.cameras.lens import COUNTS, DISTORTION_MODELS, DistortionModel, distort, lens_numbers, undistort
-from octex.checks import (
-    as_choice,
-    as_number,
-    as_points,
-    as_positive,
-    as_reals,
-    as_whole,
-    is_several,
-    locked,
-)
+from octex.checks import as_choice, as_number, as_points, as_positive, as_reals, as_whole, is_several, locked
 from octex.errors import ArgumentError
 
 #: Meaning of a pose matrix. ``opengl``: camera-to-world; the camera looks along −z, +y is up (glTF, Blender,

@@ -140,12 +140,7 @@ def _slopes(lens: Float64s, x: float, y: float) -> tuple[float, float, float, fl
     bxy = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y + 2.0 * sx * y
     byx = slope * x * y + 2.0 * p1 * x + 2.0 * p2 * y + 2.0 * sy * x
     byy = radial + slope * y * y + 6.0 * p1 * y + 2.0 * p2 * x + 2.0 * sy * y
-    return (
-        bxx * axx + bxy * axy,
-        bxx * axy + bxy * ayy,
-        byx * axx + byy * axy,
-        byx * axy + byy * ayy,
-    )
+    return (bxx * axx + bxy * axy, bxx * axy + bxy * ayy, byx * axx + byy * axy, byx * axy + byy * ayy)
 
 
 @kernel

@@ -198,7 +198,7 @@ def _converted(plan: Plan, pool: Executor, report: Progress) -> OctreeTexture:
         surface, surface.source, plan.stored, placement, plan.depth, pool, report,
         has_samples=plan.has_samples, wanted=plan.wanted,
     )  # fmt: skip
-    if not cells.codes.size:
+    if not cells.n_leaves:
         raise ModelError(
             f"{surface.name}: its source has no value anywhere on it: it is too far away, or faces another "
             "way; allow more distance, or a larger angle"

@@ -92,13 +92,18 @@ class CellLevels(NamedTuple):
 
     channels: tuple[ChannelFormat, ...]  # as they are stored
     depth: int
-    codes: Int64s  # of the finest cells
+    codes: list[Int64s]  # of the finest cells, in parts
     levels: list[list[LevelCells]]  # from the root down, each in parts
     samples: list[SamplesOfRun] | None  # in parts
     wanted: Uint8s | None  # (finest cells,)   levels
     degenerate: int  # triangles without area
     has_gaps: bool
     gaps: Int64s
+
+    @property
+    def n_leaves(self) -> int:
+        """The number of finest cells."""
+        return sum(map(len, self.codes))
 
 
 class Filled(NamedTuple):
@@ -185,13 +190,13 @@ def cell_levels(
     runs = even_runs(most_fragments(blocks))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
     parts = _gathered(converted)
-    codes = large.joined([part.codes for part in parts])
     gaps = np.concatenate([part.gaps for part in parts])
     tops = _end_to_end([part.top for part in parts], np.concatenate)
     if outside is not None:
         gaps = np.concatenate([gaps, outside.codes << 3 * blocks.bits])
         tops = _interleaved(tops, outside)
-    filled = distinct(codes >> 3 * blocks.bits) if gaps.size else None
+    codes = [part.codes for part in parts]  # joined later: a source of pictures takes much of the memory here
+    filled = np.concatenate([distinct(each >> 3 * blocks.bits) for each in codes]) if gaps.size else None
     upper, _ = climb(tops, blocks.level, channels, columns, filled)
     levels = [[stored] for stored in reversed(upper)]
     levels += ([part.levels[step] for part in parts] for step in reversed(range(len(parts[0].levels))))
@@ -399,12 +404,13 @@ def assemble(levels: CellLevels) -> Filled:
     split_cells = np.flatnonzero(cells.flags & SPLIT).astype(np.uint32)
     facings = cells.flags[split_cells] & np.uint8(FACING_FLAGS)
     split = SplitTable(split_cells, facings, cells.split_areas)
-    tree = Octree.from_leaves(levels.codes, levels.depth).with_cell_data(cells.flags, cells.areas, split)
+    codes = large.joined(levels.codes)
+    tree = Octree.from_leaves(codes, levels.depth).with_cell_data(cells.flags, cells.areas, split)
     values = {
         form.name: Channel(form, each, rows, np.empty((0, form.components), form.dtype))
         for form, each, rows in zip(channels, cells.values, cells.split_values, strict=True)
     }
-    samples = None if levels.samples is None else join(levels.depth, channels, levels.codes, levels.samples)
+    samples = None if levels.samples is None else join(levels.depth, channels, codes, levels.samples)
     if levels.gaps.size:
         _average_transparent(tree, values, levels.gaps)
     if levels.has_gaps and samples is not None:

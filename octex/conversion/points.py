@@ -67,7 +67,7 @@ def convert_points(
     levels, _ = climb(leaves, depth, forms, SumColumns.of(forms))
     stored = [[level] for level in reversed(levels)]
     tree, values, *_ = assemble(
-        CellLevels(forms, depth, leaves.codes, stored, None, None, 0, False, leaves.codes[:0])
+        CellLevels(forms, depth, [leaves.codes], stored, None, None, 0, False, leaves.codes[:0])
     )
     if cloud.normals is None:
         flags = tree.arrays.flags & np.uint8(0xFF ^ FACING_FLAGS)

@@ -1,4 +1,4 @@
-"""glTF 2.0: a surface with images as .glb, one file, or as .gltf with its files beside it."""
+"""Writes glTF 2.0: a surface with images as .glb, one file, or as .gltf with separate files."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ _ARRAYS, _ELEMENTS = 34962, 34963
 _WRAPS = {REPEAT: 10497, MIRROR: 33648, CLAMP: 33071}
 _NEAREST, _LINEAR, _MIPMAPS = 9728, 9729, 9987
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
-#: What a dielectric reflects where KHR_materials_specular says 1.
+#: Reflectance of a dielectric whose specular colour is 1 in KHR_materials_specular.
 _DIELECTRIC = 0.04
 
 
 def write(surface: Surface, target: Target) -> Written:
-    """Write a surface with images as glTF 2.0; raises ModelError for values that its materials cannot hold.
+    """Write a surface with images as glTF 2.0; raises ModelError for values that glTF materials cannot hold.
 
     A model far from the origin is moved by a translation of its node. Without ``frames``, viewers shade flat.
     """
@@ -73,7 +73,7 @@ def write(surface: Surface, target: Target) -> Written:
 
 
 class _Content:
-    """What a file says, and the bytes that it refers to."""
+    """The JSON of a file, and the bytes that it refers to."""
 
     def __init__(self, images: ImageFormat, octree: OctreeTexture | None) -> None:
         self._format, self._octree = images, octree
@@ -112,7 +112,7 @@ class _Content:
             self.json["extensionsRequired"] = ["EXT_texture_webp"]
 
     def _primitive(self, surface: Surface, source: MaterialSource, chosen: Integers) -> dict[str, Any]:
-        """Add some triangles with what is bound to their corners; corners that are alike are one vertex."""
+        """Add triangles with the data of their corners; equal corners become one vertex."""
         bound = {f"TEXCOORD_{slot}": each for slot, each in enumerate(source.coordinates)}
         if source.colors is not None:
             bound["COLOR_0"] = source.colors
@@ -136,7 +136,7 @@ class _Content:
         return {"attributes": attributes, "indices": self._accessor(accessor), **at_rest}
 
     def _at_rest(self, surface: Surface, vertices: Integers) -> dict[str, Any]:
-        """Return the extension that says where vertices rest in the octree's root cell, if there is one."""
+        """Return the extension for the vertices' rest positions in the octree's root cell, if they differ."""
         if self._octree is None:
             return {}
         origin, size = self._octree.placement
@@ -176,9 +176,9 @@ class _Content:
         self.arrays.append(data + bytes(-len(data) % 4))
         return len(self._views) - 1
 
-    def _texture(self, given: Input) -> dict[str, Any]:
-        """Return what names a texture, which is added if it is new."""
-        texture = given.texture
+    def _texture(self, item: Input) -> dict[str, Any]:
+        """Return the reference to a texture, which is added if it is new."""
+        texture = item.texture
         assert texture is not None
         key = (id(texture.texels), *texture[1:])
         if key not in self._textures:
@@ -204,11 +204,11 @@ class _Content:
         return {**info, "texCoord": texture.slot} if texture.slot else info
 
     def _material(self, material: Material) -> dict[str, Any]:
-        """Return a material in glTF's words; raises ModelError for what these cannot say."""
+        """Return a material as glTF has it; raises ModelError for values that it cannot hold."""
         inputs = material.inputs
-        for name, given in inputs.items():
-            lanes = _LANES.get(name, given.lanes)
-            if any(given.offset) or (given.texture is not None and given.lanes[: len(lanes)] != lanes):
+        for name, item in inputs.items():
+            lanes = _LANES.get(name, item.lanes)
+            if any(item.offset) or (item.texture is not None and item.lanes[: len(lanes)] != lanes):
                 raise ModelError(f"glTF cannot hold the source of channel {name!r}; bake it first")
         color, alpha = inputs.get("base_color", Input((1.0,) * 3)), inputs.get("alpha", Input((1.0,)))
         pbr: dict[str, Any] = {"baseColorFactor": [*color.factor, *alpha.factor]}
@@ -258,7 +258,7 @@ class _Content:
         return made
 
     def finish(self, buffer: Mapping[str, Any], place: Callable[[int], dict[str, Any]]) -> bytes:
-        """Return the JSON; ``place`` says where the image with a number is."""
+        """Return the JSON; ``place`` returns where the image with a number is."""
         if self.images:
             self.json["images"] = [place(number) for number in range(len(self.images))]
         self.json["buffers"] = [{**buffer, "byteLength": sum(map(len, self.arrays))}]
@@ -270,7 +270,7 @@ class _Content:
         return image_names(self._used, stem, self.images)
 
     def embed(self, number: int) -> dict[str, Any]:
-        """Put an image into the buffer, and return what names it."""
+        """Put an image into the buffer, and return the reference to it."""
         data, ending = self.images[number]
         return {"bufferView": self.view(data), "mimeType": f"image/{ending}"}
 
@@ -278,17 +278,17 @@ class _Content:
 def _in_one_image(inputs: Mapping[str, Input], pair: tuple[str, str]) -> Input | None:
     """Return an input with the image of two channels, in which a number is 1; None if both are numbers."""
     plain = {"base_color": Input((1.0,) * 3)}
-    given = {name: each for name, each in {**plain, **inputs}.items() if name in pair}
-    read = [each for each in given.values() if each.texture is not None]
+    present = {name: each for name, each in {**plain, **inputs}.items() if name in pair}
+    read = [each for each in present.values() if each.texture is not None]
     texels = [each.texture.texels for each in read if each.texture is not None]
-    numbers = [name for name, each in given.items() if each.texture is None and name != "alpha"]
+    numbers = [name for name, each in present.items() if each.texture is None and name != "alpha"]
     is_one = all(each is texels[0] for each in texels)
     if texels and not (is_one and all((texels[0][..., _LANES[name]] == 65535).all() for name in numbers)):
         raise ModelError(f"glTF needs {pair[0]} and {pair[1]} in one image; bake them first")
     return read[0] if read else None
 
 
-#: Where glTF reads a channel in its texture.
+#: Lanes in which glTF reads a channel from its texture.
 _LANES = {
     "base_color": (0, 1, 2), "alpha": (3,), "occlusion": (0,), "roughness": (1,), "metallic": (2,),
     "emissive": (0, 1, 2), "specular": (0, 1, 2), "normal": (0, 1, 2),
@@ -296,5 +296,5 @@ _LANES = {
 
 
 def _named(file: str) -> dict[str, Any]:
-    """Return what names a file beside the .gltf."""
+    """Return the reference to a file next to the .gltf."""
     return {"uri": urllib.parse.quote(os.fsencode(file))}

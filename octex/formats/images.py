@@ -1,4 +1,4 @@
-"""Images of materials as files for other tools."""
+"""Encodes images of materials as files."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ from octex.source.images.decode import PNG_SIGNATURE
 from octex.source.materials import Material
 
 FileFormat = Literal["png", "jpeg", "webp", "exr"]
-#: How a model's images are stored; with "jpeg" its colours, with "jpeg-all" numbers and directions too.
+#: How a model's images are stored; "jpeg" only for colours, "jpeg-all" also for numbers and directions.
 ImageFormat = Literal["png", "jpeg", "jpeg-all", "webp", "exr"]
 IMAGE_FORMATS: tuple[ImageFormat, ...] = ("png", "jpeg", "jpeg-all", "webp", "exr")
-#: How Pillow writes them. zlib's level 3 takes a third of the time of its own choice, for a tenth more bytes.
+#: Pillow's settings. zlib level 3 takes a third of the time of the default, for a tenth more bytes.
 _SETTINGS: dict[FileFormat, dict[str, Any]] = {
     "png": {"compress_level": 3},
     "jpeg": {"quality": 95, "subsampling": 0},
     "webp": {"lossless": True, "exact": True},
     "exr": {},
 }
-#: zlib's level for what is packed here.
+#: zlib level of 16-bit PNG and OpenEXR files.
 _LEVEL = 3
 #: Numbers of UDIM tiles: 1001 to 1010 to the right, the next ten above.
 _TILE = re.compile(r"[1-9]\d{3}")
-#: Rows of an OpenEXR image that are packed together.
+#: Rows of an OpenEXR image that are compressed together.
 _EXR_ROWS = 16
 
 
 def encoded_images(
     materials: Sequence[Material], form: ImageFormat
 ) -> tuple[list[tuple[bytes, FileFormat]], dict[int, int]]:
-    """Return the files of materials' images, and their numbers by ids of texels; alpha if it is used."""
+    """Return the files of materials' images, with alpha if it is used, and their numbers by id of texels."""
     texels: dict[int, Array] = {}
     channels: dict[int, set[str]] = {}
     for material in materials:
-        for name, given in material.inputs.items():
-            if given.texture is not None:
-                key = id(given.texture.texels)
-                texels[key] = given.texture.texels
+        for name, item in material.inputs.items():
+            if item.texture is not None:
+                key = id(item.texture.texels)
+                texels[key] = item.texture.texels
                 read = channels.setdefault(key, set())
                 if name != "alpha" or material.alpha_mode != "opaque":
                     read.add(name)
@@ -64,7 +64,7 @@ def encoded_images(
 
 
 def file_format(form: ImageFormat, channels: Iterable[str]) -> FileFormat:
-    """Return the format of the file of an image that holds channels."""
+    """Return the file format of an image that holds these channels."""
     if form == "jpeg-all":
         return "jpeg"
     is_color = all(CHANNELS[name].space == "srgb" for name in channels)
@@ -74,10 +74,10 @@ def file_format(form: ImageFormat, channels: Iterable[str]) -> FileFormat:
 def image_file(
     texels: Array, lanes: slice | tuple[int, ...], form: FileFormat = "png"
 ) -> tuple[bytes, FileFormat]:
-    """Return an image file of some lanes of texels (height, width, 4), and its format.
+    """Return an image file of lanes of texels (height, width, 4), and its format.
 
-    A PNG has 16 bits where eight are not enough. With alpha "jpeg" gives a PNG. Raises ModelError for floats
-    in anything but "exr", and for that of anything but floats.
+    A PNG has 16 bits where eight do not suffice. "jpeg" with alpha gives a PNG. Raises ModelError for floats
+    in any format but "exr", and for integers in that.
     """
     if (texels.dtype == np.float32) != (form == "exr"):
         raise ModelError("only exr holds images of floats; bake with 32 bits for exr, else with fewer")
@@ -98,14 +98,14 @@ def image_file(
 
 @kernel
 def _bytes_of(texels: Uint16s, codes: Uint8s) -> bool:
-    """Write codes of 16 bits as codes of 8; say whether any lies between these."""
+    """Write 16-bit integers as 8-bit ones; return whether any lies between two of these."""
     between = False
     for row in range(codes.shape[0]):
         for column in range(codes.shape[1]):
             for lane in range(codes.shape[2]):
-                given = np.uint32(texels[row, column, lane])
-                code = (given + np.uint32(128)) // np.uint32(257)
-                between |= code * np.uint32(257) != given
+                code16 = np.uint32(texels[row, column, lane])
+                code = (code16 + np.uint32(128)) // np.uint32(257)
+                between |= code * np.uint32(257) != code16
                 codes[row, column, lane] = code
     return between
 
@@ -115,7 +115,7 @@ def _png16_file(texels: Uint16s) -> bytes:
     height, width, lanes = texels.shape
     rows = np.ascontiguousarray(texels, ">u2").view(np.uint8).reshape(height, -1)
     filtered = np.empty((height, 1 + rows.shape[1]), np.uint8)
-    filtered[:, 0], filtered[0, 1:] = 2, rows[0]  # less the byte above
+    filtered[:, 0], filtered[0, 1:] = 2, rows[0]  # filter 2: subtract the byte above
     filtered[1:, 1:] = rows[1:] - rows[:-1]
     header = struct.pack(">IIBBBBB", width, height, 16, {1: 0, 3: 2, 4: 6}[lanes], 0, 0, 0)
     chunks = (b"IHDR", header), (b"IDAT", zlib.compress(filtered.tobytes(), _LEVEL)), (b"IEND", b"")
@@ -130,9 +130,9 @@ def _exr_file(texels: Float32s) -> bytes:
     height, width, lanes = texels.shape
     if lanes == 4:
         texels = np.concatenate([texels[..., :3] * texels[..., 3:], texels[..., 3:]], axis=2)
-    order = {1: (0,), 3: (2, 1, 0), 4: (3, 2, 1, 0)}[lanes]  # channels by name
+    order = {1: (0,), 3: (2, 1, 0), 4: (3, 2, 1, 0)}[lanes]  # channels sorted by name
     names = [b"Y"] if lanes == 1 else [b"RGBA"[lane : lane + 1] for lane in order]
-    entry = struct.pack("<iB3xii", 2, 0, 1, 1)  # floats, in each pixel
+    entry = struct.pack("<iB3xii", 2, 0, 1, 1)  # float32, in each pixel
     window = struct.pack("<4i", 0, 0, width - 1, height - 1)
     attributes = [
         (b"channels", b"chlist", b"".join(name + b"\0" + entry for name in names) + b"\0"),
@@ -153,7 +153,7 @@ def _exr_file(texels: Float32s) -> bytes:
         lines = texels[first : first + _EXR_ROWS, :, order].transpose(0, 2, 1)
         raw = np.ascontiguousarray(lines, "<f4").view(np.uint8).reshape(-1)
         apart = np.concatenate([raw[0::2], raw[1::2]]).astype(np.int16)
-        apart[1:] = apart[1:] - apart[:-1] + 128  # differences, about the middle
+        apart[1:] = apart[1:] - apart[:-1] + 128  # differences around 128
         packed = zlib.compress((apart & 255).astype(np.uint8).tobytes(), _LEVEL)
         data = packed if len(packed) < raw.size else raw.tobytes()
         blocks.append(struct.pack("<iI", first, len(data)) + data)
@@ -162,18 +162,18 @@ def _exr_file(texels: Float32s) -> bytes:
 
 
 def image_names(materials: Sequence[Material], stem: str, files: Sequence[tuple[bytes, str]]) -> list[str]:
-    """Return the names of files of images that materials read, in the order of `encoded_images`."""
+    """Return the file names of the images that materials read, in the order of `encoded_images`."""
     named: dict[int, str] = {}
     for material in materials:
-        for channel, given in material.inputs.items():
-            if given.texture is not None:
-                key, number = id(given.texture.texels), str(len(named))
+        for channel, item in material.inputs.items():
+            if item.texture is not None:
+                key, number = id(item.texture.texels), str(len(named))
                 named.setdefault(key, image_name(stem, material, channel, number))
     return [f"{name}.{ending}" for name, (_, ending) in zip(named.values(), files, strict=True)]
 
 
 def image_name(stem: str, material: Material, channel: str, otherwise: str) -> str:
-    """Return an image's file name without its ending: of a UDIM tile, its channel and number."""
+    """Return an image's file name without ending; for a UDIM tile its channel and number."""
     name, _, tile = material.name.rpartition(".")
     if not _TILE.fullmatch(tile):
         return f"{stem}-{otherwise}"

@@ -1,4 +1,4 @@
-"""Models written for other tools, by the endings of their files, and what their writers share."""
+"""Writes models for other tools, by the endings of their files; helpers that the writers share."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Unit = Literal["meter", "centimeter", "millimeter", "inch", "foot"]
 METERS: dict[Unit, float] = {
     "meter": 1.0, "centimeter": 0.01, "millimeter": 0.001, "inch": 0.0254, "foot": 0.3048,
 }  # fmt: skip
-#: Models that reach no farther from the origin than so many times their size are written as they are:
-#: float32 moves no vertex by more than 4·10⁻⁶ of that.
+#: Models that reach no farther from the origin than this multiple of their size keep their positions: float32
+#: moves no vertex by more than 4·10⁻⁶ of the size.
 _FAR = 64.0
-#: Significant digits of an origin: as many as all files hold.
+#: Significant digits of an origin, so that every format stores it exactly.
 _DIGITS = 5
-#: The modules that write models, by the endings of the files. Those of USD and 3MF import optional packages.
+#: Modules that write models, by file ending. Those of USD and 3MF import optional packages.
 _WRITERS = {
     ".glb": "gltf",
     ".gltf": "gltf",
@@ -38,38 +38,38 @@ _WRITERS = {
     ".ply": "ply",
     ".3mf": "threemf",
 }
-#: What some writers need: a module, its package, and the extra of it.
+#: Writers that need a module, its package, and the extra with it.
 _EXTRAS = {"threemf": ("lib3mf", "lib3mf", "3mf"), "usd": ("pxr", "usd-core", "usd")}
 
-#: The endings of model files that octex writes.
+#: File endings of models that octex writes.
 WRITTEN_ENDINGS = tuple(_WRITERS)
 
 
 class Target(NamedTuple):
-    """Where a model is written to, and how."""
+    """Where and how a model is written."""
 
     path: Path
     images: ImageFormat
-    unit: Unit  # the length that 1 stands for
-    octree: OctreeTexture | None = None  # what the model carries
+    unit: Unit  # the length of 1
+    octree: OctreeTexture | None = None  # embedded in the model
 
 
 class Written(NamedTuple):
     """The files of a model."""
 
-    files: list[Path]  # the model's own first
-    image_bytes: int  # how many bytes its images take, inside the model's file or beside it
+    files: list[Path]  # the model first
+    image_bytes: int  # size of its images, inside the model's file or next to it
 
 
 def materials_of(surface: Surface) -> MaterialSource:
-    """Return the materials that a surface's values come from; raises ModelError if they do not."""
+    """Return the materials of a surface; raises ModelError if its source has none."""
     if not isinstance(surface.source, MaterialSource):
         raise ModelError(f"{surface.name}: its values do not come from materials; bake it first")
     return surface.source
 
 
 def colors_of_vertices(surface: Surface) -> Float32s | None:
-    """Return linear colours and alpha (n, 4) of vertices, or None; refuse several at one vertex."""
+    """Return linear colours and alpha (n, 4) of vertices, or None; ModelError for several at one vertex."""
     colors = materials_of(surface).colors
     if colors is None:
         return None
@@ -79,7 +79,7 @@ def colors_of_vertices(surface: Surface) -> Float32s | None:
 
 
 def needed_colors(surface: Surface, ending: str) -> Float32s:
-    """Return colours of vertices, or raise ModelError: files of this ending hold nothing else."""
+    """Return colours of vertices, or raise ModelError: files with this ending hold nothing else."""
     colors = colors_of_vertices(surface)
     if colors is None:
         raise ModelError(
@@ -89,13 +89,13 @@ def needed_colors(surface: Surface, ending: str) -> Float32s:
 
 
 def codes_of(colors: Float32s) -> Uint8s:
-    """Return colours (n, 4), linear light and alpha, as codes of 8 bits: sRGB and coverage."""
+    """Return colours (n, 4), linear light and alpha, as 8-bit integers: sRGB and coverage."""
     codes = [encode(colors[:, :3], "uint8", "srgb"), encode(colors[:, 3:], "uint8", "data")]
     return np.concatenate(codes, axis=1)
 
 
 def origin_of(vertices: Float64s) -> Float64s:
-    """Return the origin (3,) that float32 positions are written from, (0, 0, 0) unless it is far away."""
+    """Return the origin (3,) that float32 positions are relative to: (0, 0, 0) unless that is far away."""
     low, high = vertices.min(axis=0, initial=np.inf), vertices.max(axis=0, initial=-np.inf)
     if not np.maximum(-low, high).max() > _FAR * (high - low).max():
         return np.zeros(3)
@@ -103,7 +103,7 @@ def origin_of(vertices: Float64s) -> Float64s:
 
 
 def check_extra(path: Path) -> None:
-    """Raise MissingExtraError if a package is not installed that writes files of this ending."""
+    """Raise MissingExtraError if the package that writes files with this ending is not installed."""
     module, package, extra = _EXTRAS.get(_WRITERS.get(path.suffix.lower(), ""), ("", "", ""))
     if module and find_spec(module) is None:
         raise MissingExtraError.needed(f"to write {path.name}", package, extra)
@@ -127,7 +127,7 @@ def write_model(
     unit    what a length of 1 means in .3mf and USD
     octree  the texture itself, which a .glb or .gltf then carries with 8 bits, by EXT_octree_texture. Viewers
             that know the extension show it, and ``octex.open`` reads it; others show the images or vertex
-            colours. A .gltf has it in NAME.octw beside it
+            colours. For a .gltf it is the separate file NAME.octw
 
     Positions are the posed ones, normals the surface's ``frames``. Images of UDIM tiles are named
     NAME-base_color.1001.png.

@@ -1,4 +1,4 @@
-"""NPZ: the leaves of a texture as plain arrays of numpy's."""
+"""Writes the leaves of a texture as NumPy arrays, .npz."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ if TYPE_CHECKING:
 def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = silent) -> None:
     """Write the leaves of a texture, in Morton order, as arrays that ``numpy.load`` reads.
 
-    coords      (n, 3) int32     which cell of its depth a leaf is, along x, y and z, from 0
-    depths      (n,) uint8       cells have 2⁻ᵈ of the root cell's edge
+    coords      (n, 3) int32     the leaf's cell at its depth, along x, y and z, from 0
+    depths      (n,) uint8       a cell's edge is 2⁻ᵈ of the root cell's
     points      (n, 3) float64   the leaf's centre, in rest units
-    normals     (n, 3) float32   the surface's, estimated from the tree (octex.tree.normals)
-    areas       (n,) float32     how much surface is in the leaf, rest units squared, to 5 %
+    normals     (n, 3) float32   of the surface, estimated from the tree (octex.tree.normals)
+    areas       (n,) float32     area of the surface in the leaf, rest units squared, to 5 %
     origin      (3,) float64     the root cell's lowest corner, in rest units
-    size        () float64       its edge
-    NAME        (n, components) float32   for each channel what ``sample`` gives at the centre; linear light
+    size        () float64       the root cell's edge
+    NAME        (n, components) float32   for each channel the value of ``sample`` at the centre; linear light
 
     ``octex.PointCloud.load`` reads such a file. Raises OutputError if it cannot be written, ArgumentError for
     a channel that has the name of another array, and TextureFileError if the tree is damaged.
@@ -52,7 +52,7 @@ def write_arrays(texture: OctreeTexture, path: str | Path, progress: Progress = 
         "origin": np.array(texture.placement.origin, np.float64),
         "size": np.array(texture.placement.size, np.float64),
     }
-    taken = {*arrays, "file", "allow_pickle"} & texture.channels.keys()  # the last two are words of numpy's
+    taken = {*arrays, "file", "allow_pickle"} & texture.channels.keys()  # the last two are numpy's parameters
     if taken:
         raise ArgumentError(
             f"{path}: a .npz file uses the name {min(taken)!r} itself; leave that channel out "

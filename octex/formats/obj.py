@@ -1,4 +1,4 @@
-"""Wavefront OBJ: a surface with images as .obj, with .mtl and the images beside it."""
+"""Writes Wavefront OBJ: a surface with images as .obj, with .mtl and image files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from octex.formats.models import Target, Written, colors_of_vertices, materials_
 from octex.source.materials import Material
 from octex.source.surface import Surface
 
-#: What names the image of a channel in a .mtl, and its factor.
+#: Keywords of a channel's image and of its factor in a .mtl.
 _MAPS = {
     "base_color": ("map_Kd", "Kd"),
     "alpha": ("map_d", "d"),
@@ -30,7 +30,7 @@ _MAPS = {
 
 
 def write(surface: Surface, target: Target) -> Written:
-    """Write a surface with images as OBJ and .mtl; refuse values above 1, and several sets of coordinates."""
+    """Write a surface as OBJ and .mtl; ModelError for factors above 1 and several sets of coordinates."""
     path, images, _ = target[:3]
     source = materials_of(surface)
     used = np.unique(source.triangle_materials).tolist()
@@ -46,7 +46,7 @@ def write(surface: Surface, target: Target) -> Written:
         file.write("\n".join([*materials, ""]).encode(errors="surrogateescape"))
     positions = surface.vertices
     colors = colors_of_vertices(surface)
-    if colors is not None:  # as many programs write them; in sRGB
+    if colors is not None:  # sRGB after the position, a common extension
         positions = np.column_stack([positions, linear_to_srgb(colors[:, :3]).round(6)])
     lines += ["v " + " ".join(map(repr, each)) for each in positions.tolist()]
     columns = [surface.triangles]
@@ -71,10 +71,10 @@ def write(surface: Surface, target: Target) -> Written:
 
 
 def _names(materials: Mapping[int, Material]) -> dict[int, str]:
-    """Return a name for each material by its number: its own, where that is one word and not taken."""
+    """Return a distinct name for each material: its name in the model, as one word."""
     names: dict[int, str] = {}
     for number, material in materials.items():
-        # Many readers end a name at a blank, and none reads zeros or halves of surrogate pairs.
+        # Many readers end a name at a blank, and none reads zeros or unpaired surrogates.
         name = re.sub(r"[\s\0\ud800-\udfff]", "_", material.name) or f"material{number}"
         while name in names.values():
             name += "_"
@@ -85,26 +85,26 @@ def _names(materials: Mapping[int, Material]) -> dict[int, str]:
 def _described(
     material: Material, path: Path, number: int, images: ImageFormat, written: dict[tuple[object, ...], str]
 ) -> Iterator[str]:
-    """Yield the lines of a material, and write its images; ``written`` are the names of those there are."""
-    for channel, given in material.inputs.items():
+    """Yield the lines of a material, and write its images; ``written`` are the names of finished images."""
+    for channel, item in material.inputs.items():
         if channel not in _MAPS or (channel == "alpha" and material.alpha_mode == "opaque"):
             continue
-        if any(given.offset) or max(given.factor) > 1.0:
+        if any(item.offset) or max(item.factor) > 1.0:
             raise ModelError(f"an .mtl file cannot scale {channel!r} above 1, or add to it; write a .glb")
         word, factor = _MAPS[channel]
-        if given.texture is not None:
-            if given.texture.slot != 0:
+        if item.texture is not None:
+            if item.texture.slot != 0:
                 raise ModelError("an .obj file has one set of texture coordinates; write a .glb")
-            key = id(given.texture.texels), given.lanes
+            key = id(item.texture.texels), item.lanes
             if key not in written:
-                data, ending = image_file(given.texture.texels, given.lanes, file_format(images, [channel]))
+                data, ending = image_file(item.texture.texels, item.lanes, file_format(images, [channel]))
                 stem = image_name(path.stem, material, channel, f"{number}-{channel}")
                 written[key] = f"{stem}.{ending}"
                 with replacing(path.with_name(written[key])) as file:
                     file.write(data)
             yield f"{word} {written[key]}"
         if factor:
-            values = np.array(given.factor)
+            values = np.array(item.factor)
             if CHANNELS[channel].space == "srgb":
                 values = linear_to_srgb(values)
             yield f"{factor} " + " ".join(f"{each:.7g}" for each in values)

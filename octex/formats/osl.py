@@ -30,11 +30,11 @@ from octex.tree.split import counts_of
 ENDING = ".osl"
 #: Texels in a row of the image.
 _WIDTH = 4096
-#: Cells that the image's numbers of 24 bits can name.
+#: Most cells that the image's 24-bit numbers can index.
 _MOST_CELLS = 1 << 24
-#: Part of the root's edge by which positions below a plane of cells count as on it: float32 is no finer.
+#: Positions below a plane of cells by this part of the root's edge count as on it, the precision of float32.
 _ROUNDED = 2.0**-22
-#: Words that OSL keeps to itself (OSL 1.12, 3.2), its variables and the shader's inputs.
+#: Reserved words of OSL (OSL 1.12, 3.2), its variables and the shader's inputs.
 _RESERVED = """
 and break closure color continue do else emit float for if illuminance illuminate int matrix normal
 not or output point public return string struct vector void while bool case catch char class const
@@ -43,12 +43,12 @@ signed sizeof static switch template this throw true try typedef uniform union u
 virtual volatile P I N Ng u v Position Normal Filter ZUp File
 """
 _WORDS = _RESERVED.split()
-#: Rows of the image that are packed together.
+#: Rows of the image that are compressed together.
 _ROWS = 64
 
 
 class Plane(NamedTuple):
-    """Channels whose components, three at most, lie in the same texels."""
+    """Channels whose components, at most three, share texels."""
 
     channels: list[str]
     components: int
@@ -57,17 +57,17 @@ class Plane(NamedTuple):
 def write_osl(
     texture: OctreeTexture, path: str | os.PathLike[str], *, channels: Sequence[str] | None = None
 ) -> None:
-    """Write a texture as NAME.osl, a shader of Open Shading Language, and NAME.osl.tif, which that reads.
+    """Write a texture as NAME.osl, a shader of Open Shading Language, and its image NAME.osl.tif.
 
     channels  names of the channels that the shader has outputs for (default: all with at most 3 components)
 
-    The shader's outputs are named as the channels, that of ``normal`` is ``normal_``. A colour is linear
-    light; a direction is a normal in the renderer's world. Its inputs:
+    The shader's outputs are named like the channels, except ``normal_``. A colour is linear light; a
+    direction is a normal in the renderer's world. Its inputs:
 
-    Position  where the point rests, in the object's axes (default: where it is rendered)
+    Position  the rest position, in the object's axes (default: the rendered position)
     Normal    the shading normal there (default: as rendered); surface that faces away has no weight
     Filter    0 nearest, 1 linear, 2 quadratic (default), as in ``sample``
-    ZUp       1: the object's axes have z up, as in Blender, and are turned to the texture's, which have y up
+    ZUp       1: the object's axes have z up, as in Blender, and are turned to the texture's y up
     File      the image
 
     Where all leaves have one depth, a lookup on the surface agrees with ``sample`` with normals to 1/255.
@@ -111,7 +111,7 @@ def write_osl(
 
 
 def _chosen(texture: OctreeTexture, path: os.PathLike[str], channels: Sequence[str] | None) -> list[str]:
-    """Return the names of the channels that are written."""
+    """Return the names of the channels to write."""
     known = texture.channels
     if channels is None:
         names = [name for name, each in known.items() if each.format.components <= 3]
@@ -146,7 +146,7 @@ def _of_one_depth(texture: OctreeTexture, path: os.PathLike[str]) -> OctreeTextu
 
 
 def _planes(formats: Sequence[ChannelFormat]) -> Iterator[Plane]:
-    """Share channels out among planes: those of one component lie together."""
+    """Distribute channels to planes; those of one component share planes."""
     single = [each.name for each in formats if each.components == 1]
     for each in formats:
         if each.components > 1:
@@ -167,13 +167,13 @@ def _nodes(texture: OctreeTexture) -> Uint16s:
 def _fill(
     texels: Uint16s, texture: OctreeTexture, plane: Plane, ranges: dict[str, tuple[float, float]]
 ) -> None:
-    """Write the texels of a plane: of cells, then of split cells and their facings."""
+    """Write the texels of a plane: first cells, then split cells with their facings."""
     tree = texture.tree
     split, n_cells = tree.split, tree.n_cells
     counts = counts_of(split.facings)
     firsts = n_cells + np.cumsum(counts + 1) - counts - 1
-    own = np.ones(len(texels) - n_cells, np.bool_)  # rows that are facings'
-    own[firsts - n_cells] = False
+    is_facing = np.ones(len(texels) - n_cells, np.bool_)
+    is_facing[firsts - n_cells] = False
     lane = 0
     for name in plane.channels:
         channel = texture.channels[name]
@@ -181,12 +181,12 @@ def _fill(
         lanes = slice(lane, lane + channel.format.components)
         texels[:n_cells, lanes] = values[:n_cells]
         texels[firsts, lanes] = values[split.cells]
-        texels[n_cells:, lanes][own] = values[n_cells:]
+        texels[n_cells:, lanes][is_facing] = values[n_cells:]
         lane = lanes.stop
     alpha = np.full(len(texels), 255, np.uint16)
     if ALPHA.name in texture.channels:
         codes = (_codes(texture.channels[ALPHA.name])[0][:, 0].astype(np.uint32) + 128) // 257
-        alpha[:n_cells], alpha[firsts], alpha[n_cells:][own] = (
+        alpha[:n_cells], alpha[firsts], alpha[n_cells:][is_facing] = (
             codes[:n_cells],
             codes[split.cells],
             codes[n_cells:],
@@ -198,7 +198,7 @@ def _fill(
 
 
 def _codes(channel: Channel) -> tuple[Uint16s, tuple[float, float]]:
-    """Return values of cells and split rows in 16 bits, and what 0 and 1 stand for."""
+    """Return the values of cells and split rows in 16 bits, and the values that 0 and 1 stand for."""
     form = channel.format
     low, high = (-1.0, 1.0) if form.space == "direction" else (0.0, 1.0)
     values = [decode(each, form.space) for each in (channel.values, channel.split_values)]
@@ -216,7 +216,7 @@ def _shader(
     name: str,
     image: str,
 ) -> str:
-    """Return the shader itself, whose outputs are the channels."""
+    """Return the shader, whose outputs are the channels."""
     outputs, lines = [], []
     for number, plane in enumerate(planes):
         lines.append(f"  color o_values{number};")
@@ -261,20 +261,20 @@ def _shader(
 
 
 def output_name(channel: str) -> str:
-    """Return the name of the shader's output for a channel: OSL's own words, like "normal", get a "_"."""
+    """Return the name of the shader's output for a channel; reserved words, like "normal", get a "_"."""
     name = re.sub(r"\W", "_", channel)
     return f"{name}_" if name in _WORDS else name
 
 
 def _tiff_file(texels: Array) -> bytes:
-    """Return a TIFF of texels (height, width, 4) of 16 bits, deflated; the last is no alpha (TIFF 6.0)."""
+    """Return a deflated TIFF of texels (height, width, 4) with 16 bits; the last lane is data (TIFF 6.0)."""
     height, width, lanes = texels.shape
     strips = [
         zlib.compress(texels[row : row + _ROWS].astype("<u2").tobytes(), 1) for row in range(0, height, _ROWS)
     ]
     short, long = 3, 4
     sizes = np.array([len(each) for each in strips], "<u4")
-    # Behind the header and the table: bits of the lanes, then where strips begin, and their sizes.
+    # After the header and the table: the lanes' bits, then the offsets and the sizes of the strips.
     tags = 12
     behind = 8 + 2 + 12 * tags + 4
     at_strips = behind + 2 * lanes

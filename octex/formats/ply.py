@@ -1,4 +1,4 @@
-"""PLY: a texture as coloured points, one a leaf; and a surface with coloured vertices."""
+"""Writes PLY: a texture as coloured points, one per leaf; a surface with coloured vertices."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 _PLY_TYPES = {"f4": "float", "f8": "double", "u1": "uchar"}
 #: Channels that are written, and the names of their components.
 _SHOWN = {"base_color": ("red", "green", "blue"), "alpha": ("alpha",)}
-# Positions are written in float32 if that moves none by more than this part of a finest cell.
+# Positions are float32 if that moves none by more than this part of a finest cell.
 _PRECISION = 1 / 64
 
 
 def write_points(texture: OctreeTexture, path: str | Path, progress: Progress = silent) -> None:
-    """Write a texture as a binary PLY point cloud: one vertex a leaf, in Morton order.
+    """Write a texture as a binary PLY point cloud: one vertex per leaf, in Morton order.
 
     ``x y z``: the leaf's centre, in rest units; float, or double where float would move it by more than 1/64
     of a finest cell. ``nx ny nz``: the surface's normal, float, estimated from the tree (octex.tree.normals).
@@ -59,7 +59,7 @@ class LeafPoints(NamedTuple):
 
 
 def leaf_points(texture: OctreeTexture, path: str | Path, progress: Progress) -> Iterator[LeafPoints]:
-    """Yield a texture's leaves in Morton order; raises TextureFileError if some are missing."""
+    """Yield a texture's leaves in Morton order; raises TextureFileError for missing ones."""
     tree, done = texture.tree, 0
     progress("write", 0, tree.n_leaves)
     for leaves in walk_leaves(tree.arrays):
@@ -77,14 +77,14 @@ def leaf_points(texture: OctreeTexture, path: str | Path, progress: Progress) ->
 def write(surface: Surface, target: Target) -> Written:
     """Write a surface with vertex colours as a binary PLY mesh; raises ModelError for one with images.
 
-    ``x y z`` are posed positions, double; ``nx ny nz`` shading normals, float, if it has any; ``red green
-    blue alpha`` are sRGB and coverage, 0 … 255.
+    ``x y z`` are posed positions, double; ``nx ny nz`` shading normals, float, if the surface has them;
+    ``red green blue alpha`` are sRGB and coverage, 0 … 255.
     """
     colors = needed_colors(surface, ".ply")
     frames = surface.posed_frames()
     columns = [*surface.vertices.T]
     fields = [(axis, "<f8") for axis in "xyz"]
-    if frames is not None:  # those of vertices are the means of their corners'
+    if frames is not None:  # a vertex gets the mean of its corners' normals
         sums = np.zeros(surface.vertices.shape)
         for corner in range(3):
             shading = frames.normals.values[frames.normals.rows[:, corner]]
@@ -124,7 +124,7 @@ def _vertex_lines(count: int, form: np.dtype[np.void]) -> list[str]:
 
 
 def _vertex_type(texture: OctreeTexture) -> np.dtype[np.void]:
-    """Return what one vertex is in the file."""
+    """Return the data type of one vertex in the file."""
     placement = texture.placement
     finest = placement.size / 2**texture.tree.max_depth
     farthest = max(abs(corner) + placement.size for corner in placement.origin)

@@ -1,4 +1,4 @@
-"""What the page's data is made of: whole numbers as planes of bytes, deflated."""
+"""Integers as deflated planes of bytes, for web files and pages."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from octex.arrays import Array, Int64s
 
 
 def zigzag(numbers: Array) -> Int64s:
-    """Return whole numbers as such that are not negative: 0, −1, 1, −2 become 0, 1, 2, 3."""
+    """Map integers to non-negative ones: 0, −1, 1, −2 become 0, 1, 2, 3."""
     numbers = numbers.astype(np.int64)
     return (numbers << 1) ^ (numbers >> 63)
 
 
 def planes(numbers: Array) -> bytes:
-    """Return whole numbers (n,), 0 to 2³² − 1, as four planes of bytes, the lowest first."""
+    """Return integers (n,), 0 to 2³² − 1, as four planes of bytes, the lowest first."""
     return np.ascontiguousarray(numbers.astype("<u4").view(np.uint8).reshape(-1, 4).T).tobytes()
 
 

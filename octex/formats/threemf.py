@@ -1,4 +1,4 @@
-"""3MF: a surface with coloured vertices, for printing (3MF Core 1.3; Materials and Properties 1.2)."""
+"""Writes 3MF: a surface with coloured vertices, for printing (3MF Core 1.3; Materials and Properties 1.2)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from octex.formats.models import Target, Unit, Written, codes_of, needed_colors,
 from octex.source.surface import Surface
 from octex.source.welding import welded
 
-#: What lib3mf calls units.
+#: lib3mf's names of units.
 _UNITS: dict[Unit, str] = {
     "meter": "Meter", "centimeter": "CentiMeter", "millimeter": "MilliMeter", "inch": "Inch", "foot": "Foot",
 }  # fmt: skip
@@ -56,12 +56,12 @@ def write(surface: Surface, target: Target) -> Written:
     mesh.SetAllTriangleProperties(_items(lib3mf.TriangleProperties, properties))
     mesh.SetObjectLevelProperty(group.GetResourceID(), added[0])
     model.AddBuildItem(mesh, wrapper.GetTranslationTransform(*origin.tolist()))
-    with scratch_folder() as folder:  # the library writes to paths only
+    with scratch_folder() as folder:  # lib3mf writes only to paths
         made = folder / "model.3mf"
         before = locale.setlocale(locale.LC_ALL)
         try:
             model.QueryWriter("3mf").WriteToFile(str(made))
-        finally:  # the library leaves the process with another, whose texts are ASCII
+        finally:  # lib3mf changes the process's locale to one with ASCII text
             locale.setlocale(locale.LC_ALL, before)
         with replacing(target.path) as file:
             file.write(made.read_bytes())
@@ -69,7 +69,7 @@ def write(surface: Surface, target: Target) -> Written:
 
 
 def _items(kind: Any, rows: Array) -> Any:
-    """Return rows of numbers of 4 bytes as an array of the library's structures."""
+    """Return rows of 4-byte numbers as an array of lib3mf's structures."""
     data = np.ascontiguousarray(rows, np.float32 if rows.dtype.kind == "f" else np.uint32)
     assert ctypes.sizeof(kind) == data.dtype.itemsize * data.shape[1]
     return (kind * len(data)).from_buffer_copy(data)

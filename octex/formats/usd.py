@@ -1,4 +1,4 @@
-"""USD: a surface with images or vertex colours as .usdz, one file, or .usd, .usda or .usdc, images beside it.
+"""Writes USD: a surface with images or vertex colours as .usdz, or as .usd, .usda, .usdc with image files.
 
 Materials are UsdPreviewSurface (specification 2.6); usdz packages are made by OpenUSD itself.
 """
@@ -27,7 +27,7 @@ _TYPES = Sdf.ValueTypeNames
 #: The primvars of vertex colours, and the shaders that read them.
 _OF_VERTICES = {"base_color": ("displayColor", "float3"), "alpha": ("displayOpacity", "float")}
 
-#: The path of the scope that holds the materials.
+#: Path of the scope that holds the materials.
 _MATERIALS = "/model/materials"
 
 
@@ -47,7 +47,7 @@ def write(surface: Surface, target: Target) -> Written:
     files, numbers = encoded_images(materials, images)
     is_package = path.suffix.lower() == ".usdz"
     names = image_names(materials, path.stem, files)
-    with scratch_folder() as folder:  # the library writes to paths only
+    with scratch_folder() as folder:  # OpenUSD writes only to paths
         places = [f"./textures/{number}.{ending}" for number, (_, ending) in enumerate(files)]
         if is_package:
             (folder / "textures").mkdir()
@@ -77,12 +77,12 @@ def write(surface: Surface, target: Target) -> Written:
                     file.write(data)
         with replacing(path) as file:
             file.write(made.read_bytes())
-    beside = [] if is_package else [path.with_name(name) for name in names]
-    return Written([path, *beside], sum(len(data) for data, _ in files))
+    separate = [] if is_package else [path.with_name(name) for name in names]
+    return Written([path, *separate], sum(len(data) for data, _ in files))
 
 
 def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
-    """Define the mesh, with what is bound to its corners."""
+    """Define the mesh, with the data of its corners."""
     mesh = UsdGeom.Mesh.Define(stage, _free_path(stage, "/model", Path(surface.name).stem))
     origin = origin_of(surface.vertices)
     if origin.any():
@@ -119,8 +119,8 @@ def _mesh(stage: Any, surface: Surface, source: MaterialSource) -> Any:
 
 
 def _free_path(stage: Any, parent: str, name: str) -> str:
-    """Return the path of a prim that is not there yet, below ``parent``, by a name made valid."""
-    # A half of a surrogate pair is no text for OpenUSD.
+    """Return the path of a new prim below ``parent``, with the name made valid."""
+    # OpenUSD refuses unpaired surrogates.
     path = f"{parent}/{Tf.MakeValidIdentifier(name.encode(errors='replace').decode())}"
     while stage.GetPrimAtPath(path):
         path += "_"
@@ -141,7 +141,7 @@ class _Materials:
         self._shaders: dict[tuple[object, ...], Any] = {}
 
     def bind(self, mesh: Any, material: Any, faces: Any) -> None:
-        """Bind a material to a mesh, or to some of its faces."""
+        """Bind a material to a mesh, or to a subset of its faces."""
         prim = mesh.GetPrim()
         if faces is not None:
             indices = Vt.IntArray.FromNumpy(faces.astype(np.int32))
@@ -181,29 +181,29 @@ class _Materials:
         return shader
 
     def _feed(self, at: str, surface: Any, name: str, inputs: Mapping[str, Input]) -> None:
-        """Give a material's surface what one channel is made of."""
-        given, is_scalar = inputs[name], CHANNELS[name].components == 1
+        """Connect or set a channel's input of a material's surface."""
+        item, is_scalar = inputs[name], CHANNELS[name].components == 1
         kind = "Float" if is_scalar else "Normal3f" if name == "normal" else "Color3f"
         entry = surface.CreateInput(INPUTS[name], getattr(_TYPES, kind))
         shader, output = None, "result"
         if name in _OF_VERTICES and self._source.colors is not None:
-            if given.texture is not None or set(given.factor) != {1.0}:
+            if item.texture is not None or set(item.factor) != {1.0}:
                 raise ModelError("a USD material has vertex colours or an image, not both; bake it first")
             shader = self._reader(at, *_OF_VERTICES[name])
-        elif given.texture is not None:
+        elif item.texture is not None:
             shader = self._texture(at, name, inputs)
-            output = "rgba"[given.lanes[0]] if is_scalar else "rgb"
+            output = "rgba"[item.lanes[0]] if is_scalar else "rgb"
         if shader is not None:
             outlet = shader.CreateOutput(output, _TYPES.Float if is_scalar else _TYPES.Float3)
             entry.ConnectToSource(outlet)
         elif name == "normal":
             entry.Set(Gf.Vec3f(0.0, 0.0, 1.0))
         else:
-            values = [sum(each) for each in zip_longest(given.factor, given.offset, fillvalue=0.0)]
+            values = [sum(each) for each in zip_longest(item.factor, item.offset, fillvalue=0.0)]
             entry.Set(values[0] if is_scalar else Gf.Vec3f(*values))
 
     def _reader(self, at: str, primvar: str, kind: str) -> Any:
-        """Return the shader of a material that reads a primvar."""
+        """Return a material's shader that reads a primvar."""
         key = (at, primvar)
         if key not in self._shaders:
             shader = self._shader(f"{at}/{primvar}", f"UsdPrimvarReader_{kind}")
@@ -212,12 +212,12 @@ class _Materials:
         return self._shaders[key]
 
     def _texture(self, at: str, name: str, inputs: Mapping[str, Input]) -> Any:
-        """Return the shader of a material that reads a channel's image."""
+        """Return a material's shader that reads a channel's image."""
         texture = inputs[name].texture
         assert texture is not None
         scale, bias = _affine(name, inputs)
         number = self._numbers[id(texture.texels)]
-        # Floats are linear. Alpha is in the base colour's image, and itself never encoded.
+        # Floats are linear. Alpha shares the base colour's image and is never encoded.
         is_coded = texture.texels.dtype != np.float32 and (CHANNELS[name].space == "srgb" or name == "alpha")
         space = "sRGB" if is_coded else "raw"
         key = (at, number, space, *texture[1:], scale, bias)
@@ -239,22 +239,22 @@ class _Materials:
 
 
 def _affine(name: str, inputs: Mapping[str, Input]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return by what the four components of a channel's texel are multiplied, and what is added."""
+    """Return the factors and the offsets of the four components of a channel's texels."""
     if name == "normal":
         x, y, z = inputs[name].factor
         return (2.0 * x, 2.0 * y, 2.0 * z, 1.0), (-x, -y, -z, 0.0)
     scale, bias = np.ones(4), np.zeros(4)
     for each in ("base_color", "alpha") if name in ("base_color", "alpha") else (name,):
-        given = inputs.get(each)
-        if given is not None and given.texture is not None:
-            lanes = list(given.lanes[: len(given.factor)])
-            scale[lanes], bias[lanes] = given.factor, given.offset or 0.0
+        item = inputs.get(each)
+        if item is not None and item.texture is not None:
+            lanes = list(item.lanes[: len(item.factor)])
+            scale[lanes], bias[lanes] = item.factor, item.offset or 0.0
     return tuple(scale.tolist()), tuple(bias.tolist())
 
 
-def _most(given: Input) -> float:
-    """Return the most that an input of one component gives."""
+def _most(item: Input) -> float:
+    """Return the largest value of an input of one component."""
     texel = 1.0
-    if given.texture is not None:
-        texel = float(given.texture.texels[..., given.lanes[0]].max())
-    return given.factor[0] * texel + sum(given.offset)
+    if item.texture is not None:
+        texel = float(item.texture.texels[..., item.lanes[0]].max())
+    return item.factor[0] * texel + sum(item.offset)

@@ -1,17 +1,16 @@
 """Web files, .octw: textures of 8 bits, coarse levels first; FORMAT.md draws their bytes.
 
-Pages are sent the same streams. Each chunk holds some levels, as one stream of raw deflate. Of each of its
-levels come:
+Pages get the same streams. Each chunk holds one or more levels as one stream of raw deflate. Per level:
 
     node masks, leaf masks   a byte for each node of the level above
-    areas                    a byte for each cell that is a node, less its parent's
-    flags                    a byte for each cell, exclusive or with its parent's
-    values                   of each channel, component after component, a byte for each cell, less its
-                             parent's; of colours red and blue are stored less green
+    areas                    a byte for each cell that is a node, minus its parent's
+    flags                    a byte for each cell, XOR its parent's
+    values                   of each channel, component after component, a byte for each cell, minus its
+                             parent's; red and blue of colours are stored minus green
 
-Numbers of cells and nodes follow from the masks, as in octex.tree.layout. Values are 8-bit codes; other types
-are cast, floats from the range that they have. The last chunk holds the rows of kept nodes and of split
-cells, if there are any. octex.archive.web reads all that.
+Numbers of cells and nodes follow from the masks, as in octex.tree.layout. Values are 8-bit; other types are
+cast, floats from their range. A last chunk holds the rows of kept nodes and of split cells, if there are any.
+octex.archive.web reads the file.
 """
 
 from __future__ import annotations
@@ -35,21 +34,21 @@ from octex.tree.children import masks_of
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.split import rows_of
 
-#: Cells that the page's numbers, of 24 bits, can name; of a deeper tree the finest levels are left out.
+#: Most cells that the page's 24-bit numbers can index; deeper trees lose their finest levels.
 MOST_CELLS = 1 << 24
-#: Cells that come in the first chunk.
+#: Cells in the first chunk.
 _FIRST = 8_000
 
 
 class Prepared(NamedTuple):
-    """A texture as the page has it, of 8 bits, and what a part's header says of that."""
+    """A texture with 8 bits for a page, and its part of the header."""
 
     texture: OctreeTexture
     header: dict[str, Any]
 
 
 def prepared(texture: OctreeTexture) -> Prepared:
-    """Return a texture as pages and web files have it."""
+    """Return a texture as pages and web files store it."""
     texture, ranges, notes = _with_bytes(texture)
     tree = texture.tree
     formats = [each.format for each in texture.channels.values()]
@@ -84,7 +83,7 @@ def prepared(texture: OctreeTexture) -> Prepared:
 
 
 def _chunks(texture: OctreeTexture) -> Iterator[tuple[list[int] | None, bytes]]:
-    """Yield streams and the levels that are in them, the first and one beyond the last; None for tables."""
+    """Yield streams with the range of their levels, first and end; None for the tables."""
     tree = texture.tree
     cells = tree.arrays.level_cells.tolist()
     starts = [0, *(k for k in range(1, tree.max_depth + 1) if cells[k + 1] > _FIRST), tree.max_depth + 1]
@@ -96,7 +95,7 @@ def _chunks(texture: OctreeTexture) -> Iterator[tuple[list[int] | None, bytes]]:
 
 
 def _with_bytes(texture: OctreeTexture) -> tuple[OctreeTexture, dict[str, list[float]], list[str]]:
-    """Return a texture of 8 bits that a page can show, what 0 and 1 stand for in it, and what differs."""
+    """Return an 8-bit texture that a page can show, the channels' ranges, and notes on what differs."""
     notes: list[str] = []
     ranges: dict[str, list[float]] = {}
     channels = dict(texture.channels)
@@ -120,7 +119,7 @@ def _with_bytes(texture: OctreeTexture) -> tuple[OctreeTexture, dict[str, list[f
 
 
 def _in_range(channel: Channel) -> tuple[Channel, list[float]]:
-    """Return a channel of floats from 0 to 1, and what these stand for: 0 and 1, or its least and largest."""
+    """Return a channel of floats scaled to 0 … 1, and the values that 0 and 1 stand for."""
     low, high = 0.0, 1.0
     for values in channel[1:]:
         if values.size:
@@ -133,7 +132,7 @@ def _in_range(channel: Channel) -> tuple[Channel, list[float]]:
 
 
 def _tables(texture: OctreeTexture) -> bytes:
-    """Return the last chunk: the rows of kept nodes and of split cells, less the values of their cells."""
+    """Return the last chunk: the rows of kept nodes and of split cells, minus the values of their cells."""
     split, kept = texture.tree.split, texture.tree.kept
     facings = split.facings & np.uint8(FACING_FLAGS)
     owners = np.concatenate([kept.cells, rows_of(split).cells])
@@ -172,11 +171,11 @@ def _slots(formats: list[ChannelFormat]) -> dict[str, Any]:
 
 
 def _levels(texture: OctreeTexture) -> Iterator[bytes]:
-    """Yield what comes of each level."""
+    """Yield the stream of each level."""
     arrays = texture.tree.arrays
     n_nodes = texture.tree.n_nodes
     node_masks, leaf_masks = (masks_of(arrays.groups, word)[:n_nodes] for word in range(2))
-    above = np.zeros(1, np.int64)  # the cells that are nodes of the level above
+    above = np.zeros(1, np.int64)  # nodes of the level above
     for level, (_, is_node) in enumerate(texture.tree.walk()):
         first, end = arrays.level_cells[level : level + 2].tolist()
         parts: list[Array] = []
@@ -197,7 +196,7 @@ def _levels(texture: OctreeTexture) -> Iterator[bytes]:
 
 
 def packed_levels(texture: OctreeTexture, level: int) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """Return a part's header, with its chunks, and their streams by name; deflate's ``level`` is 1 to 9."""
+    """Return a part's header, with its chunks, and their streams by name; ``level`` 1 to 9 is deflate's."""
     texture, header = prepared(texture)
     streams: dict[str, bytes] = {}
     header["chunks"] = []

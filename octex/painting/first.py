@@ -101,6 +101,7 @@ def _united(task: Merge, lacking: Sequence[Leaves]) -> tuple[OctreeTexture, Bool
     layer, name = task.layer, task.target
     leaves = [codes[~is_node] for codes, is_node in layer.tree.walk()]
     every = [distinct(np.concatenate([own, more.codes])) for own, more in zip(leaves, lacking, strict=True)]
+    del leaves
     edited = rebuilt(layer.tree, every)
     tree, channel = edited.tree, carried(layer, edited)[name]
     flags, areas, added = tree.arrays.flags.copy(), tree.arrays.areas.copy(), []

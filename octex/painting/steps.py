@@ -134,7 +134,7 @@ def rasterize_surface(
         wanted=None if depths.is_even else partial(_wanted, source, placement.size, cells, depths),
         root=root, reached=partial(source.reaches, placement=placement, rest=surface.rest),
     )  # fmt: skip
-    return Raster(channels, placement, surface.bounds, filled if filled.codes.size else None)
+    return Raster(channels, placement, surface.bounds, filled if filled.n_leaves else None)
 
 
 def layer_from(raster: Raster, executor: Executor, progress: Progress) -> OctreeTexture:

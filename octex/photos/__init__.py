@@ -1,11 +1,12 @@
-"""What only several photographs need, before painting begins.
+"""Work that only several photographs need, before painting begins.
 
-Photographs and cameras go in; masks, gains and weights of each picture come out, or cameras that fit better.
+Input: photographs and cameras. Output: masks, gains and weights of each photograph, or better cameras.
 
-    balance       gains, white balance and vignetting by which pictures agree
-    overexposed   masks where a picture is clipped and another one is not
-    agreement     masks where only one of at least three pictures shows a thing
-    sharpness     blurred pictures weigh less
-    best          one picture for each part of the surface; `labels` chooses them
-    refine        cameras turned, moved and zoomed a little until their pictures agree
+    misfits       finds photographs that cannot be right
+    balance       gains, white balance, vignetting; masks where a photograph is clipped
+    agreement     masks where only one of at least three photographs shows a thing
+    sharpness     blurred photographs weigh less
+    labels        chooses one photograph for each patch of the surface
+    weigh         applies all of these to one source of paint
+    refine        turns, moves and zooms cameras until their photographs agree
 """

@@ -1,18 +1,16 @@
-"""Which pictures agree where several see the surface: masks without what only one of them saw.
+"""Masks of what only one picture saw, where several pictures see the surface.
 
-A picture is looked at in patches. At each the colours of all pictures that see that place, as wide as the
-patch, have a mode: the colour that most of them are near to. A picture whose colour is far from all between
-that mode and those of the next patches saw something else, a passer-by or a reflection: detail that is a
-little out of place lies between them. It is masked where enough patches say so, and in all that hangs
-together with them; where no more than two see, as it is around. What is masked in all of them no picture has
-seen.
+Each picture is cut into patches. The pictures that see a patch's point vote on its mode, the colour that most
+of them are near to; all are read as wide as the patch. A patch saw something else, a passer-by or a
+reflection, if its colour is far from all lines between its mode and its neighbours' modes: detail that is a
+little displaced lies on these lines. A picture is masked where enough patches saw something else, and in all
+patches connected to them. Where at most two pictures see the surface, the surroundings decide.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from functools import partial
 
 import numpy as np
 
@@ -22,43 +20,49 @@ from octex.jit import inlined, kernel
 from octex.painting.project import Projected
 from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import ordered_map, sharing
-from octex.photos.patches import batches, beside, masked, patches_of, seen_at, sums_around, widths_of
+from octex.photos.patches import batches, grown, masked, patches_of, seen_at, sums_around, widths_of
 from octex.source.surface import Surface
 
-#: A picture is compared with no more than so many, itself among them: those that see most of what it sees,
-#: of so many points of the surface. Of a hundred, all would take six times as long.
+#: A picture is compared with at most _MOST, itself included: those that share most of the surface with it, by
+#: _POINTS points. Comparing all of a hundred would take six times as long.
 _MOST, _POINTS = 17, 4000
-#: Of how many pictures the mode is sought at least: of two none is right.
+#: Least number of pictures for a mode: two alone cannot decide.
 _LEAST = 3
-#: A picture's vote grows with its weight, by this power: three that see a place aslant outvote one ahead.
+#: A picture votes with this power of its weight, so that three oblique views outvote a frontal one.
 _VOTE = 0.5
-#: Pictures differ by noise, and by what is out of place: more than so many times this quantile of their
-#: differences is another thing, which lies in this range of codes.
+#: Noise and displacement limit the differences: this multiple of their quantile, within these bounds in
+#: 1/255, separates them from other objects.
 _TIMES, _QUANTILE, _LEAST_FAR, _MOST_FAR = 3.0, 0.9, 16.0, 40.0
-#: So far apart, in codes, colours support each other by a fourth.
+#: Distance in 1/255 at which colours support each other by a fourth.
 _APART = 10.0
-#: A mode is none unless others vote so too: this much of the picture's own vote.
+#: A mode needs support from others: this part of the picture's own vote.
 _SUPPORT = 0.5
-#: Patches are unlike the others where so much of what is around is far off; where that is not known,
-#: where so much of it is filled in.
+#: A patch differs if this part of its surroundings is far off; where its own difference is unknown, this part
+#: of the filled-in value.
 _MAJORITY, _FILLED = 0.5, 0.3
-#: They are masked if most of the 5 × 5 patches around one of them, and at least so many, are far off.
+#: Differing patches are masked if most of the 5 × 5 around one of them, and at least this many, are far off.
 _CERTAIN = 8
 
 
 def agreeing(
     source: Projected, surface: Surface, executor: Executor, stages: Stages = NOT_STORED
 ) -> Projected:
-    """Mask the pictures of ``source``, in its list, where they do not agree with the others; return it."""
+    """Mask the pictures of ``source``, in its list, where they disagree with the others; return it."""
     numbers, compared = range(len(source.shots)), _compared(source, surface)
+
+    def differences(number: int) -> Float32s:
+        stored = stages.of(lambda: [number])
+        made = stored.arrays("differences", lambda: {"codes": _differences(source, compared[number], number)})
+        return made["codes"]
+
     with sharing(executor) as pool:
-        found = list(ordered_map(pool, partial(_stored_differences, source, compared, stages), numbers))
+        found = list(ordered_map(pool, differences, numbers))
     known = np.concatenate([each[np.isfinite(each)] for each in found])
     if not known.size:
         return source
     far = float(np.clip(_TIMES * np.quantile(known, _QUANTILE), _LEAST_FAR, _MOST_FAR))
 
-    for number in numbers:  # one after the other: masked and as they were, all would take twice the memory
+    for number in numbers:  # one by one: old and masked pictures together would take twice the memory
         shot, mask = source.shots[number], _mask(found[number], far)
         if not mask.all():
             source.shots[number] = shot._replace(mips=large.moved(masked(shot.mips, mask)))
@@ -66,7 +70,7 @@ def agreeing(
 
 
 def _compared(source: Projected, surface: Surface) -> list[list[int]]:
-    """Return which pictures each is compared with, itself among them: those that share most with it."""
+    """Return the pictures to compare each one with, itself included: those that share most with it."""
     count = len(source.shots)
     if count <= _MOST:
         return [list(range(count))] * count
@@ -77,44 +81,35 @@ def _compared(source: Projected, surface: Surface) -> list[list[int]]:
     shared = sees @ sees.T
     np.fill_diagonal(shared, np.inf)
     nearest = np.argsort(-shared, axis=1, kind="stable")[:, :_MOST]
-    return [sorted(own[shared[number, own] > 0.0].tolist()) for number, own in enumerate(nearest)]
-
-
-def _stored_differences(
-    source: Projected, compared: Sequence[Sequence[int]], stages: Stages, number: int
-) -> Float32s:
-    own = stages.of(lambda: [number])
-    return own.arrays("differences", lambda: {"codes": _differences(source, compared[number], number)})[
-        "codes"
-    ]
+    return [sorted(row[shared[number, row] > 0.0].tolist()) for number, row in enumerate(nearest)]
 
 
 def _differences(source: Projected, compared: Sequence[int], number: int) -> Float32s:
-    """Return by how many codes a picture is off what most say, per patch; NaN where that is not known."""
-    shot, own = source.shots[number], compared.index(number)
+    """Return the difference of a picture from the modes, per patch in 1/255; NaN where unknown."""
+    shot, row = source.shots[number], compared.index(number)
     rows, columns = patches_of(shot)
     codes, modes = np.full((2, rows * columns, 3), np.nan, np.float32)
     patches, triangles, barycentric = seen_at(source, shot, np.ones((rows, columns), np.bool_))
     alone = source.with_shots([shot])
     source = source.with_shots([source.shots[each] for each in compared])
-    for some in batches(len(patches), len(compared)):
-        where = triangles[some], barycentric[some]
+    for batch in batches(len(patches), len(compared)):
+        where = triangles[batch], barycentric[batch]
         colors, weights = source.each(*where, widths_of(alone, *where))
-        found = np.empty_like(colors[own])
-        find_modes(colors, weights, own, found)
-        codes[patches[some]], modes[patches[some]] = as_codes(colors[own]), found
+        found = np.empty_like(colors[row])
+        find_modes(colors, weights, row, found)
+        codes[patches[batch]], modes[patches[batch]] = as_codes(colors[row]), found
     return off_modes(codes.reshape(rows, columns, 3), modes.reshape(rows, columns, 3))
 
 
 def as_codes(colors: Float32s) -> Float32s:
-    """Return codes, of a square root of light."""
+    """Return 255 times the square root of light."""
     found: Float32s = np.float32(255.0) * np.sqrt(np.maximum(colors, np.float32(0.0)))
     return found
 
 
 @kernel
 def off_modes(codes: Float32s, modes: Float32s) -> Float32s:
-    """Return how far codes are from the lines between a patch's mode and its neighbours' (rows, columns)."""
+    """Return the distances of codes from the lines between a patch's mode and its neighbours' modes."""
     rows, columns = modes.shape[:2]
     found = np.full((rows, columns), np.float32(np.nan))
     for row in range(rows):
@@ -137,7 +132,7 @@ def off_modes(codes: Float32s, modes: Float32s) -> Float32s:
 
 @inlined
 def _apart(codes: Float32s, i: int, j: int) -> float:
-    """Return by how many codes two colours differ in their worst component."""
+    """Return the largest difference of two colours' components, in codes."""
     most = np.float32(0.0)
     for component in range(3):
         most = max(most, abs(codes[i, component] - codes[j, component]))
@@ -146,19 +141,19 @@ def _apart(codes: Float32s, i: int, j: int) -> float:
 
 @inlined
 def nearness_of(codes: float) -> float:
-    """Return how much colours so many codes apart support each other: 1 … 0 (Geman & McClure 1985)."""
+    """Return how much colours this many codes apart support each other: 1 … 0 (Geman & McClure 1985)."""
     share = codes / _APART
     return float(1.0 / (1.0 + share * share) ** 2)
 
 
 @kernel
-def find_modes(colors: Float32s, weights: Float32s, own: int, found: Float32s) -> None:
-    """Write the codes (n, 3) of each point's mode, the colour that most votes support; NaN if unknown."""
+def find_modes(colors: Float32s, weights: Float32s, picture: int, found: Float32s) -> None:
+    """Write the codes (n, 3) of each point's mode, the colour with the most support; NaN if unknown."""
     count = len(weights)
     codes, votes, supports = np.empty((count, 3), np.float32), np.empty(count), np.empty(count)
     for n in range(len(found)):
         found[n] = np.nan
-        if not weights[own, n] > 0.0:
+        if not weights[picture, n] > 0.0:
             continue
         several = 0
         largest = np.float32(0.0)
@@ -189,7 +184,7 @@ def find_modes(colors: Float32s, weights: Float32s, own: int, found: Float32s) -
 
 
 def _mask(differences: Float32s, far: float) -> Float32s:
-    """Return a mask (rows, columns), 0 or 1, of patches that are near what most say."""
+    """Return a mask (rows, columns), 1 on patches that agree with the others, else 0."""
     known = np.isfinite(differences)
     if not known.any():
         return np.ones(differences.shape, np.float32)
@@ -202,13 +197,13 @@ def _mask(differences: Float32s, far: float) -> Float32s:
     count = -1
     while count < group.sum():  # all that hangs together
         count = group.sum()
-        group = beside(group) & unlike
-    found: Float32s = (~beside(group)).astype(np.float32)
+        group = grown(group) & unlike
+    found: Float32s = (~grown(group)).astype(np.float32)
     return found
 
 
 def _filled(values: Float32s, known: Bools) -> Float32s:
-    """Fill what is not known by push and pull (Gortler et al., "The Lumigraph", 1996)."""
+    """Fill unknown values by push and pull (Gortler et al., "The Lumigraph", 1996)."""
     if known.all() or min(values.shape) < 2:
         return values if known.all() else np.where(known, values, values[known].mean() if known.any() else 0)
     rows, columns = values.shape

@@ -1,4 +1,4 @@
-"""Pictures that overlap made to agree: gains, white balance and vignetting of each."""
+"""Makes overlapping pictures agree: gains, white balance, vignetting; masks where a picture is clipped."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ from octex.painting.project import Projected
 from octex.painting.sight import Shot
 from octex.photos.agreement import as_codes
 from octex.photos.consensus import agreed_step, medians, robust_weights
-from octex.photos.patches import batches, beside, masked, patch_of, patches_of, seen_at, widths_of
+from octex.photos.patches import batches, grown, masked, patch_of, patches_of, seen_at, widths_of
 from octex.source.surface import Surface
 
-#: Points of the surface that pictures are compared at.
+#: Points of the surface at which pictures are compared.
 _POINTS = 10_000
-#: Over how many pixels they are read there: what is a pixel out of place matters less.
+#: Width of the samples in pixels: a displacement of a pixel then matters less.
 _WIDTH = 6.0
-#: Values that tell of no gain: too dark, or cut off.
+#: Values below and above say nothing about gains: too dark, or clipped.
 _DARKEST, _LIGHTEST = 0.004, 0.97
-#: Rounds of least squares, and from what difference of logarithms on a picture may count for less.
+#: Rounds of least squares; difference of logarithms from which a picture counts for less.
 _ROUNDS, _FAR = 10, 0.02
-#: No lens makes corners darker, or brighter, by more than three stops: that much is what the pictures show.
+#: No lens changes the corners by more than three stops: more belongs to the scene.
 _MOST = np.log(8.0)
-#: How strongly, for each point, vignetting is held at none, and gains at one.
+#: Weights, per point, that hold vignetting at zero and gains at one.
 _HOLD, _HOLD_GAIN = 1e-4, 1e-9
-#: From this light on a picture may be cut off: 250 of 255 codes.
+#: Light from which a picture may be clipped: 250/255.
 _CUT = 0.955
-#: By how many codes others must be lighter.
+#: Others must be lighter by this much, in 1/255.
 _LIGHTER = 2.0
 
 
 def balanced(
     source: Projected, surface: Surface, balance: Balance, reference: int | None, executor: Executor
 ) -> Projected:
-    """Return the same paint with gains by which pictures agree: robust least squares of logarithms of light.
+    """Return the same paint with gains for which pictures agree: robust least squares of log light.
 
-    The shot ``reference``, and pictures that overlap no other, keep theirs; else the median gain is 1.
+    The shot ``reference``, and pictures that overlap no other, do not change; else the median gain is 1.
     """
     numbers = exposures(source, surface, balance, reference)
     gains = np.stack([shot.gains for shot in source.shots]) * np.exp(numbers[:, :3]).astype(np.float32)
@@ -56,7 +56,7 @@ def balanced(
 
 
 def exposures(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Float64s:
-    """Return what to add to logarithms of light (pictures, 5): components; by r², r⁴, r = 1 in corners."""
+    """Return the changes of log light (pictures, 5): components; times r², r⁴ with r = 1 in the corners."""
     samples = surface.scatter(_POINTS)
     where = samples.triangles, samples.barycentric
     widths = source.widths(*where)
@@ -65,7 +65,7 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     seen = np.flatnonzero((weights > 0).sum(axis=0) > 1)
     paint, weights = paint[:, seen], weights[:, seen]
     points = source.positions(samples.triangles[seen], samples.barycentric[seen])
-    radii = []  # from pictures' middles, 1 in their corners
+    radii = []  # from the pictures' centres, 1 in the corners
     for shot in source.shots:
         half = shot.mips.sizes[0, 1:] / 2
         radii.append(
@@ -96,7 +96,7 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
 
 
 def _agreed(logs: Float64s, counted: Float64s, slopes: Float64s, hold: Float64s) -> Float64s:
-    """Return the numbers by which logarithms of pictures agree best; those held infinitely are 0."""
+    """Return the numbers for which the pictures' logarithms agree best; those held infinitely are 0."""
     found = np.zeros_like(hold)
     for _ in range(_ROUNDS):
         values = logs + (slopes @ found[:, :, None])[..., 0]
@@ -106,7 +106,7 @@ def _agreed(logs: Float64s, counted: Float64s, slopes: Float64s, hold: Float64s)
 
 
 def _slopes(squares: Float64s, balance: Balance) -> Float64s:
-    """Return how logarithms (pictures, points · 3) change with each number."""
+    """Return the derivatives of logarithms (pictures, points · 3) by each number."""
     if balance == "gain":
         return np.ones((*squares.shape, 1))
     component = np.arange(squares.shape[1]) % 3
@@ -140,7 +140,7 @@ def evened(mips: Mips, vignetting: Float64s) -> Mips:
 
 
 @kernel
-def _even(given: Float32s, sizes: Int64s, a: float, b: float, found: Float32s) -> Float32s:
+def _even(pixels: Float32s, sizes: Int64s, a: float, b: float, evened: Float32s) -> Float32s:
     """Write pixels times exp(a·r² + b·r⁴); return the least and the largest of these factors."""
     ends = np.array([np.inf, -np.inf], np.float32)
     corner = 0.25 * (sizes[0, 1] ** 2 + sizes[0, 2] ** 2)
@@ -154,37 +154,37 @@ def _even(given: Float32s, sizes: Int64s, a: float, b: float, found: Float32s) -
                 factor = np.float32(np.exp(square * (a + b * square)))
                 at = first + i * across + j
                 for component in range(3):
-                    found[at, component] = given[at, component] * factor
-                found[at, 3] = given[at, 3]
+                    evened[at, component] = pixels[at, component] * factor
+                evened[at, 3] = pixels[at, 3]
                 ends[0], ends[1] = min(ends[0], factor), max(ends[1], factor)
     return ends
 
 
-def without_overexposed(given: Projected, evened: Projected, executor: Executor) -> Projected:
-    """Return ``evened`` paint, its pictures masked where clipped in ``given`` and lighter in others."""
-    return evened.with_mips(partial(_masked, given, evened), executor)
+def without_overexposed(before: Projected, evened: Projected, executor: Executor) -> Projected:
+    """Return ``evened`` paint, its pictures masked where clipped in ``before`` and lighter in others."""
+    return evened.with_mips(partial(_masked, before, evened), executor)
 
 
-def _masked(given: Projected, evened: Projected, number: int) -> Mips:
-    """Return a picture that is evened out, masked where it is cut off and next to that, if others see it."""
-    shot, mips = given.shots[number], evened.shots[number].mips
+def _masked(before: Projected, evened: Projected, number: int) -> Mips:
+    """Return an evened picture, masked where it is clipped, and next to that, if others see the surface."""
+    shot, mips = before.shots[number], evened.shots[number].mips
     if not _is_limited(shot.mips):
         return mips
     rows, columns = patches_of(shot)
-    patches, triangles, barycentric = seen_at(given, shot, beside(_cut_off(shot)))
-    widths = widths_of(given.with_shots([shot]), triangles, barycentric)
+    patches, triangles, barycentric = seen_at(before, shot, grown(_clipped(shot)))
+    widths = widths_of(before.with_shots([shot]), triangles, barycentric)
     is_wrong = np.zeros(rows * columns, np.bool_)
-    others_see = np.ones(rows * columns, np.bool_)  # where no middle sees the surface, too
-    for some in batches(len(patches), len(given.shots)):
-        where = triangles[some], barycentric[some], widths[some]
-        is_wrong[patches[some]], others_see[patches[some]] = _compared(given, evened, number, *where)
-    mask = ~beside(is_wrong.reshape(rows, columns)) | ~others_see.reshape(rows, columns)
+    others_see = np.ones(rows * columns, np.bool_)  # also where no centre sees the surface
+    for batch in batches(len(patches), len(before.shots)):
+        where = triangles[batch], barycentric[batch], widths[batch]
+        is_wrong[patches[batch]], others_see[patches[batch]] = _compared(before, evened, number, *where)
+    mask = ~grown(is_wrong.reshape(rows, columns)) | ~others_see.reshape(rows, columns)
     return mips if mask.all() else masked(mips, mask.astype(np.float32))
 
 
-def _cut_off(shot: Shot) -> Bools:
-    """Say which patches (rows, columns) of a picture are cut off, as a level of it shows them."""
-    level = patch_of(shot).bit_length() - 1  # whose pixels are patches
+def _clipped(shot: Shot) -> Bools:
+    """Return the clipped patches (rows, columns) of a picture, read from the mip whose pixels are patches."""
+    level = patch_of(shot).bit_length() - 1
     first, width, height = shot.mips.sizes[min(level, len(shot.mips.sizes) - 1)].tolist()
     pixels = shot.mips.pixels[first : first + width * height].reshape(height, width, 4)
     light = pixels[..., :3].max(axis=2) > _CUT * pixels[..., 3]
@@ -194,18 +194,18 @@ def _cut_off(shot: Shot) -> Bools:
 
 
 def _compared(
-    given: Projected,
+    before: Projected,
     evened: Projected,
     number: int,
     triangles: Int32s,
     barycentric: Float64s,
     widths: Float32s,
 ) -> tuple[Bools, Bools]:
-    """Say at which points (n,) a picture is cut off and others are lighter; and at which others are not."""
+    """Say where (n,) a picture is clipped and others are lighter, and where the others are not clipped."""
     where = triangles, barycentric, widths
-    before, (after, weights) = given.each(*where)[0], evened.each(*where)
-    limited = np.array([_is_limited(shot.mips) for shot in given.shots])
-    is_cut = limited[:, None, None] & (before > _CUT)
+    dark, (after, weights) = before.each(*where)[0], evened.each(*where)
+    limited = np.array([_is_limited(shot.mips) for shot in before.shots])
+    is_cut = limited[:, None, None] & (dark > _CUT)
     tells = (weights > 0)[..., None] & ~is_cut
     tells[number] = False
     codes = as_codes(after).astype(np.float64)
@@ -218,5 +218,5 @@ def _compared(
 
 
 def _is_limited(mips: Mips) -> bool:
-    """Say whether a picture may be cut off: one that holds light beyond 1 is not."""
+    """Return whether a picture may be clipped; one with light above 1 is not."""
     return bool((mips.range[1] <= 1.0).all() and (mips.range[1] > _CUT).any())

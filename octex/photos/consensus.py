@@ -1,4 +1,4 @@
-"""What pictures say of the same points, each by numbers of its own: those by which they agree best."""
+"""Robust statistics of values that several pictures have at the same points."""
 
 from __future__ import annotations
 
@@ -7,19 +7,22 @@ import numpy as np
 from octex.arrays import Float64s
 from octex.jit import kernel
 
-#: Residuals beyond this much of their scale count for less and less; the scale is that of the half nearest.
+#: Residuals beyond this multiple of their scale weigh less; the scale is the median residual.
 _SCALES = 2.0
 
 
 def consensus(values: Float64s, weights: Float64s) -> Float64s:
-    """Return the weighted mean of each point (n,) over pictures (pictures, n); 0 where none has a weight."""
+    """Return the weighted mean of each point (n,) over pictures (pictures, n); 0 without any weight."""
     totals = weights.sum(axis=0)
     mean: Float64s = (weights * values).sum(axis=0) / np.maximum(totals, 1e-300)
     return mean
 
 
 def robust_weights(values: Float64s, weights: Float64s, least: float) -> tuple[Float64s, float]:
-    """Return weights (pictures, n), less far from the median (Geman & McClure 1985), and their scale."""
+    """Return weights (pictures, n) that fall with the distance from the median, and their scale.
+
+    (Geman & McClure 1985.)
+    """
     middle = medians(values, weights)
     several = (weights > 0).sum(axis=0) > 1
     far = np.abs(values - middle)
@@ -31,10 +34,10 @@ def robust_weights(values: Float64s, weights: Float64s, least: float) -> tuple[F
 
 @kernel
 def medians(values: Float64s, weights: Float64s) -> Float64s:
-    """Return the weighted median of each point (n,), between two values where it lies there; 0 for none."""
+    """Return the weighted median of each point (n,), two values' mean if between; 0 if none."""
     pictures, count = values.shape
     found = np.zeros(count)
-    ranked, own = np.empty(pictures), np.empty(pictures)
+    ranked, weight_of = np.empty(pictures), np.empty(pictures)
     for n in range(count):
         seen, total = 0, 0.0
         for i in range(pictures):
@@ -43,14 +46,14 @@ def medians(values: Float64s, weights: Float64s) -> Float64s:
                 continue
             at = seen
             while at > 0 and ranked[at - 1] > value:
-                ranked[at], own[at] = ranked[at - 1], own[at - 1]
+                ranked[at], weight_of[at] = ranked[at - 1], weight_of[at - 1]
                 at -= 1
-            ranked[at], own[at] = value, weight
+            ranked[at], weight_of[at] = value, weight
             seen += 1
             total += weight
         part, half, low = 0.0, 0.5 * total, -1
         for at in range(seen):
-            part += own[at]
+            part += weight_of[at]
             if low < 0 and part >= half * (1.0 - 1e-9):
                 low = at
             if part > half * (1.0 + 1e-9) or at == seen - 1:
@@ -64,8 +67,8 @@ def agreed_step(
 ) -> Float64s:
     """Return the changes (pictures, numbers) by which values agree best with each point's consensus.
 
-    Least squares of weights · (values + slopes · changes − consensus)²: slopes (pictures, n, numbers). A
-    change is held at 0 by ``ridge``, infinite for one that stays; ``pull`` is half the slope of other costs.
+    Least squares of weights · (values + slopes · changes − consensus)²; slopes (pictures, n, numbers).
+    ``ridge`` holds changes at 0; an infinite one keeps them there. ``pull`` is half the slope of other costs.
     """
     pictures, _, numbers = slopes.shape
     size = pictures * numbers
@@ -84,7 +87,7 @@ def agreed_step(
 def _add_points(
     slopes: Float64s, values: Float64s, weights: Float64s, matrix: Float64s, right: Float64s
 ) -> None:
-    """Add what points say to the normal equations: the lower half of the matrix, and the right side."""
+    """Add the points to the normal equations: the lower half of the matrix, and the right side."""
     pictures, count, numbers = slopes.shape
     which = np.empty(pictures, np.int64)
     for n in range(count):

@@ -1,8 +1,9 @@
-"""One picture for each patch of the surface: a labelling of its sheets, and what levels its borders.
+"""Chooses one photograph for each patch of the surface, and levels the colours at the patches' borders.
 
-A sheet's labels are the pictures that see it. A label costs what the picture lacks in quality there; two
-neighbours with other labels cost what the pictures differ by at both (Lempitsky & Ivanov, "Seamless
-Mosaicing of Image-Based Texture Maps", 2007), and a little for the border itself.
+The labels of a sheet, a cell's part of the surface, are the photographs that see it. A label costs what the
+photograph lacks in quality there. Two neighbours with different labels cost the difference of the two
+photographs at both, and a little for the border itself (Lempitsky & Ivanov, "Seamless Mosaicing of
+Image-Based Texture Maps", 2007).
 """
 
 from __future__ import annotations
@@ -16,31 +17,31 @@ from octex.jit import inlined, kernel
 from octex.painting.multigrid import Graph, added, coarser, graph_of, solve
 from octex.painting.sheets import Sheets
 
-#: What a sheet of a cell face's area costs by the best picture's quality, and if its picture does not see it.
+#: Costs of a sheet with the area of a cell face: per loss of quality, and if its photograph does not see it.
 _QUALITY, _UNSEEN = 3.0, 1.0
-#: What a border costs that is a cell long: by itself, and where pictures differ by all the range.
+#: Costs of a border one cell long: by itself, and where photographs differ by the whole range.
 _BORDER, _DIFFERENCE = 0.5, 10.0
-#: Labels are sought so many levels above the sheets, and of so many pictures for each: the cheapest ones.
+#: Labels are first chosen this many levels above the sheets, among this many of the cheapest photographs.
 _ABOVE, _CANDIDATES = 2, 8
-#: Passes over all sheets, forward and backward; and of local moves at most.
+#: Passes over all sheets, forward and backward; most rounds of local moves.
 _PASSES, _MOVES = 12, 8
-#: Light that is as dark as noise; and from what difference of logarithms on pictures tell less.
+#: Light as dark as noise; difference of logarithms from which photographs count for less.
 DARK, _FAR = 0.02, 0.3
-#: How often labels fade into those beside them.
+#: Rounds in which labels fade into their neighbours.
 _FEATHER = 3
-#: How strongly what levels the borders is held at none: it fades over so many cells as the root's inverse.
+#: Weight that holds the levelling at zero: it fades over 1/√_HOLD cells.
 _HOLD = 1e-3
 
 
 class LabelCosts(NamedTuple):
-    """What it costs to take sheets from pictures."""
+    """Costs of the labels."""
 
-    colors: Float32s  # (n, pictures, 3)   roots of light; where one does not see it the mean of those that do
-    costs: Float32s  # (n, pictures)   infinite where one does not see it
+    colors: Float32s  # (n, pictures, 3)   roots of light; the mean of the others where a picture sees nothing
+    costs: Float32s  # (n, pictures)   infinite where a picture sees nothing
 
 
 def costs_of(paint: Float32s, weights: Float32s, areas: Float64s) -> LabelCosts:
-    """Return the costs of labels of paint (pictures, n, 3); weights rise with the quality."""
+    """Return the costs of labels from paint (pictures, n, 3) and weights that rise with quality."""
     seen = weights > 0
     most = np.maximum(weights.max(axis=0), np.float32(1e-30))
     costs = areas * _QUALITY * (1 - weights / most)
@@ -58,7 +59,7 @@ def _completed(colors: Float32s, costs: Float64s) -> LabelCosts:
 
 
 def _coarser_costs(views: LabelCosts, areas: Float64s, above: Int64s, count: int) -> LabelCosts:
-    """Return what pictures say of the ``count`` sheets that sheets are part of."""
+    """Return the costs for ``count`` coarser sheets, of which ``above`` holds each sheet's number."""
     seen = np.isfinite(views.costs)
     costs = np.where(seen, views.costs, _UNSEEN * areas[:, None]) * seen.any(axis=1, keepdims=True)
     sums = np.zeros((count, seen.shape[1], 5))
@@ -69,9 +70,9 @@ def _coarser_costs(views: LabelCosts, areas: Float64s, above: Int64s, count: int
 
 
 def labelled(graph: Graph, codes: Int64s, areas: Float64s, views: LabelCosts) -> Int32s:
-    """Return the picture (n,) of each sheet, −1 for what none sees.
+    """Return the picture (n,) of each sheet, −1 where none sees it.
 
-    Some levels above by sequential tree-reweighted message passing (Kolmogorov 2006), then moved at borders.
+    First sequential tree-reweighted message passing (Kolmogorov 2006) on a coarser level, then local moves.
     """
     levels = [(graph, views)]
     steps = []
@@ -82,17 +83,17 @@ def labelled(graph: Graph, codes: Int64s, areas: Float64s, views: LabelCosts) ->
         levels.append((graph, views))
         steps.append(above)
     labels = passed(graph, views)
-    for above, (finer, own) in zip([np.arange(codes.size), *steps[::-1]], levels[::-1], strict=True):
+    for above, (finer, costs) in zip([np.arange(codes.size), *steps[::-1]], levels[::-1], strict=True):
         labels = labels[above]
-        labels[~np.isfinite(own.costs).any(axis=1)] = -1
+        labels[~np.isfinite(costs.costs).any(axis=1)] = -1
         for _ in range(_MOVES):
-            if not _move(finer, own, labels):
+            if not _move(finer, costs, labels):
                 break
     return labels
 
 
 def passed(graph: Graph, views: LabelCosts) -> Int32s:
-    """Return labels by message passing, the best of all passes; −1 for what no picture sees."""
+    """Return the best labels of all message passes; −1 where no picture sees the sheet."""
     order = np.argsort(views.costs, axis=1, kind="stable")[:, :_CANDIDATES].astype(np.int32)
     order[~np.isfinite(np.take_along_axis(views.costs, order, axis=1))] = -1
     count = graph.starts.size - 1
@@ -110,7 +111,7 @@ def passed(graph: Graph, views: LabelCosts) -> Int32s:
 
 @inlined
 def _between(views: LabelCosts, i: int, j: int, p: int, q: int) -> float:
-    """Return what a border one cell long costs between sheets i and j of pictures p and q."""
+    """Return the cost of a border one cell long between sheet i of picture p and sheet j of picture q."""
     if p == q:
         return 0.0
     total = 0.0
@@ -124,7 +125,7 @@ def _between(views: LabelCosts, i: int, j: int, p: int, q: int) -> float:
 
 @kernel
 def energy(graph: Graph, views: LabelCosts, labels: Int32s) -> float:
-    """Return what labels cost, those of what no picture sees, −1, nothing."""
+    """Return the cost of labels; unseen sheets, −1, cost nothing."""
     total = 0.0
     for n in range(labels.size):
         if labels[n] < 0:
@@ -147,7 +148,7 @@ def _pass(
     backward: int,
     labels: Int32s,
 ) -> None:
-    """Send ``messages`` (rows, candidates), to the rows' sheets, onward; forward, choose labels too."""
+    """Send ``messages`` (rows, candidates) onward from sheet to sheet; a forward pass also chooses labels."""
     count, most = candidates.shape
     sums, costs = np.empty(most, np.float64), np.empty(most, np.float64)
     for step in range(count):
@@ -239,10 +240,10 @@ def _move(graph: Graph, views: LabelCosts, labels: Int32s) -> int:
 
 
 def levelling(sheets: Sheets, labels: Int32s, paint: Float32s, weights: Float32s) -> Float64s:
-    """Return the exposures (n, 3) of sheets, for `exposed`, by which pictures meet at their borders.
+    """Return the exposures (n, 3) of sheets, for `exposed`, that level the steps at borders.
 
-    Least squares of steps across borders and of changes from sheet to sheet; the farther two pictures differ
-    at a border that one of the sheets shows in both, the less that counts.
+    Least squares of the steps across borders and of the changes from sheet to sheet. A border weighs less the
+    more its two pictures differ on a sheet that both see.
     """
     pairs, (one, other), codes = sheets.pairs, sheets.pairs.T, sheets.codes
     p, q = labels[one], labels[other]
@@ -268,18 +269,18 @@ def levelling(sheets: Sheets, labels: Int32s, paint: Float32s, weights: Float32s
 def feathered(
     graph: Graph, labels: Int32s, exposures: Float64s, weights: Float32s
 ) -> tuple[Float32s, Float32s]:
-    """Return sheets' shares of pictures (n, pictures), and exposures (n, pictures, 3), faded into others."""
+    """Return sheets' shares of pictures (n, pictures), and exposures (n, pictures, 3), both feathered."""
     count, pictures = labels.size, len(weights)
     rows = np.repeat(np.arange(count), np.diff(graph.starts))
     totals = np.maximum(added(rows, graph.weights, count), 1e-12)
     shares = np.zeros((count, pictures), np.float32)
     found = np.zeros((count, pictures, 3), np.float32)
     for number in range(pictures):
-        own = labels == number
-        values = np.column_stack([own, own[:, None] * exposures])
+        is_here = labels == number
+        values = np.column_stack([is_here, is_here[:, None] * exposures])
         for _ in range(_FEATHER):
-            beside = [added(rows, graph.weights * column[graph.others], count) for column in values.T]
-            values = (values + np.stack(beside, axis=1) / totals[:, None]) / 2
+            around = [added(rows, graph.weights * column[graph.others], count) for column in values.T]
+            values = (values + np.stack(around, axis=1) / totals[:, None]) / 2
         shares[:, number] = values[:, 0] * (weights[number] > 0)
         found[:, number] = values[:, 1:] / np.maximum(values[:, :1], 1e-12)
     shares /= np.maximum(shares.sum(axis=1, keepdims=True), np.float32(1e-12))
@@ -287,6 +288,6 @@ def feathered(
 
 
 def exposed(light: Float32s, exposures: Floats) -> Float32s:
-    """Return light (n, 3) times the exponentials of exposures; what is nearly dark changes less."""
+    """Return light (n, 3) times exp(exposures); nearly dark light changes less."""
     found = (np.maximum(light, 0) + DARK) * np.exp(exposures) - DARK
     return np.maximum(found, 0).astype(np.float32)

@@ -1,8 +1,7 @@
-"""Photographs that cannot be right: found on small copies of them, before anything is painted.
+"""Finds photographs that cannot be right, on small copies of them, before anything is painted.
 
-Points of the surface are read in all pictures that see them. Whatever their exposure, light changes from
-point to point much the same in all. A picture in which it does not shows something else, or lies the wrong
-way round.
+All photographs are read at points of the surface. Whatever their exposure, light changes from point to point
+much alike in all of them. A photograph in which it does not shows another scene, or is turned.
 """
 
 from __future__ import annotations
@@ -26,31 +25,31 @@ from octex.painting.surface import PaintedSurface, key_of
 from octex.parallel import ordered_map, sharing
 from octex.source.surface import Surface
 
-#: Small copies have no more pixels each way, and are compared at so many points.
+#: Side of the small copies in pixels, at most; points at which they are compared.
 _PIXELS, _POINTS = 256, 8000
-#: What is seen at such an angle to the surface's normal, in degrees, or more, is not compared.
+#: Surfaces tilted from the camera by this many degrees or more are not compared.
 _MAX_ANGLE = 75.0
-#: Pictures are compared with two others or more, at so many points or more, unless light differs less.
+#: Least numbers of other photographs and of shared points for a comparison; least range of light there.
 _OTHERS, _SHARED, _PLAIN = 2, 200, 1e-3
-#: Pictures agree from the first correlation on; one below the second shows something else. Ten of a castle
-#: have 0.69 to 0.96; one turned, or of another scene, -0.1 to 0.14.
+#: A photograph agrees above the first correlation, and shows another scene below the second. Ten of a castle
+#: have 0.69 to 0.96; turned ones, or of another scene, -0.1 to 0.14.
 _AGREES, _STRANGE = 0.5, 0.2
-#: Below this mean of all, another unit and other axes are tried; they are told if the mean grows by so much.
+#: Below this mean correlation other units and axes are tried; they are reported if the mean grows by _GAIN.
 _FITS, _GAIN = 0.8, 0.15
-#: Meshes may be in such units of others' (metres, millimetres, inches, feet).
+#: Ratios of units that meshes come in: metres, millimetres, inches, feet.
 _FACTORS = (1.0, 0.001, 0.01, 0.1, 10.0, 100.0, 1000.0, 0.0254, 1 / 0.0254, 0.3048, 1 / 0.3048)
-#: So many points, in boxes each way of a picture, tell how a mesh fills it; so many pictures are asked, and
-#: so many placings tried. Less than such a part of points times boxes is no view of it.
+#: How well a mesh fills photographs: points, boxes along each side, photographs; how many of the best
+#: placements are compared; below _FILLED a photograph does not show the mesh.
 _FILLING, _BOXES, _FEW, _TRIED, _FILLED = 1000, 8, 8, 8, 0.05
 
 
 def misfits(
     surface: Surface, projections: Sequence[Projection], executor: Executor
 ) -> tuple[dict[int, str], str | None]:
-    """Return the numbers of pictures that should not be painted, and why; and how the mesh would fit better.
+    """Return the numbers of pictures that should not be painted, with reasons; and a better fit of the mesh.
 
-    These are files that are damaged, pictures given twice, also with another camera, those whose cameras see
-    nothing of the surface, those that are turned, and those that show something else than most others do.
+    Reasons: a damaged file, a duplicate (also with another camera), a camera that sees nothing of the
+    surface, a turned picture, another scene.
     """
     found: dict[int, str] = {}
     first: dict[bytes, int] = {}
@@ -68,7 +67,7 @@ def misfits(
     rest = [number for number in rest if number not in found]
     small = [copy for copy in read if isinstance(copy, Projection)]
     if not small:
-        return {}, None  # painting says what is wrong
+        return {}, None  # painting reports the error
     source = _seen_on(surface, small, executor)
     is_blind = [bool((shot.seen.rows < 0).all()) for shot in source.shots]
     if all(is_blind):
@@ -79,8 +78,8 @@ def misfits(
     samples = read_points(source, surface)
     agreed = samples.agreements()
     now = float(np.nan_to_num(agreed).mean())
-    # Pictures of a mesh that lies otherwise may share nothing of it: how they agree is not known then.
-    if now < _FITS and (len(small) > _OTHERS or _filled_by(surface, small) < _FILLED):
+    # Pictures of a misplaced mesh may share no point: then their agreement is unknown.
+    if now < _FITS and (len(small) > _OTHERS or _filling_of(surface, small) < _FILLED):
         better = better_placed(surface, small, now, executor)
         if better is not None:
             return found, better
@@ -93,8 +92,8 @@ def misfits(
             if turn
             else "it differs from all others there: another scene, or the camera of another picture"
         )
-    best: dict[bytes, int] = {}  # of those that are the same picture, the one that agrees best
-    for index in np.argsort(-agreed, kind="stable").tolist():  # what is not known comes last
+    best: dict[bytes, int] = {}  # of equal pictures the one that agrees best
+    for index in np.argsort(-agreed, kind="stable").tolist():  # unknown agreements come last
         number = rest[index]
         before = best.setdefault(contents[number], number)
         if before != number and number not in found and np.isfinite(agreed[index]):
@@ -103,7 +102,7 @@ def misfits(
 
 
 def _small(projection: Projection) -> Projection | ImageError:
-    """Return a small copy of a picture, with its camera; or why it cannot be read."""
+    """Return a small copy of a picture with its camera, or the error of reading it."""
     camera = cast(Camera, projection.camera)
     try:
         texels = texels_of(projection.image, "the image", (camera.width, camera.height))
@@ -118,15 +117,15 @@ def _small(projection: Projection) -> Projection | ImageError:
 
 
 def _seen_on(surface: Surface, small: Sequence[Projection], executor: Executor) -> Projected:
-    """Return pictures projected onto a surface."""
+    """Project pictures onto a surface."""
     painted = PaintedSurface(surface)
     sights = painted.sights([cast(Camera, each.camera) for each in small], 0.0, executor)
     shots = [sight.shot(mips_of(each, BASE_COLOR)) for sight, each in zip(sights, small, strict=True)]
     return painted.projected(shots, BASE_COLOR, terms_of(_MAX_ANGLE, 0.0, False))
 
 
-class Samples(NamedTuple):
-    """Points of a surface, and the light that pictures have there."""
+class LightSamples(NamedTuple):
+    """Points of a surface, and the pictures' light there."""
 
     triangles: Int32s  # (n,)
     barycentric: Float64s  # (n, 3)
@@ -135,36 +134,36 @@ class Samples(NamedTuple):
     seen: Bools  # (pictures, n)
 
     def of(self, source: Projected) -> Float32s:
-        """Return the light of the first picture of another source at the points (n,)."""
+        """Return the light of another source's first picture at the points (n,)."""
         paint, _ = source.each(self.triangles, self.barycentric, self.widths)
         return _light(paint[0])
 
-    def agreement(self, number: int, own: Float32s) -> float:
-        """Return the correlation of light (n,) with the others' median; NaN where few share points."""
+    def agreement(self, number: int, light: Float32s) -> float:
+        """Return the correlation of light (n,) with the others' median; NaN if few points are shared."""
         others = self.seen.copy()
         others[number] = False
         shared = self.seen[number] & (others.sum(axis=0) >= _OTHERS)
         if shared.sum() < _SHARED:
             return np.nan
         theirs = np.where(others[:, shared], self.light[:, shared], np.nan)[others[:, shared].any(axis=1)]
-        middle, here = np.nanmedian(theirs, axis=0), own[shared]
+        middle, here = np.nanmedian(theirs, axis=0), light[shared]
         if min(np.ptp(here), np.ptp(middle)) < _PLAIN:
             return np.nan
         return float(np.corrcoef(here, middle)[0, 1])
 
     def agreements(self) -> Float64s:
         """Return the agreement of each picture with the others (pictures,)."""
-        return np.array([self.agreement(number, own) for number, own in enumerate(self.light)])
+        return np.array([self.agreement(number, light) for number, light in enumerate(self.light)])
 
 
-def read_points(source: Projected, surface: Surface) -> Samples:
+def read_points(source: Projected, surface: Surface) -> LightSamples:
     """Read all pictures at points of the surface."""
     points = surface.scatter(_POINTS)
     where = points.triangles, points.barycentric
     widths = source.widths(*where)
     widths[~np.isfinite(widths)] = 0.0
     paint, weights = source.each(*where, widths)
-    return Samples(*where, widths, _light(paint), weights > 0)
+    return LightSamples(*where, widths, _light(paint), weights > 0)
 
 
 def _light(paint: Float32s) -> Float32s:
@@ -172,8 +171,8 @@ def _light(paint: Float32s) -> Float32s:
     return found
 
 
-def _strange(source: Projected, samples: Samples, small: Sequence[Projection]) -> dict[int, int]:
-    """Return pictures that do not agree with the others, and by how many degrees they then do; 0 for none."""
+def _strange(source: Projected, samples: LightSamples, small: Sequence[Projection]) -> dict[int, int]:
+    """Return pictures that disagree with the others, and the degrees of a turn that mends it; 0 for none."""
     found: dict[int, int] = {}
     while True:
         agreed = samples.agreements()
@@ -194,12 +193,12 @@ def _strange(source: Projected, samples: Samples, small: Sequence[Projection]) -
 def better_placed(
     surface: Surface, small: Sequence[Projection], now: float, executor: Executor
 ) -> str | None:
-    """Return the factor and the turn of a mesh by which pictures agree, in words; None if there is none.
+    """Return the factor and turn of the mesh for which pictures agree, in words; None if there is none.
 
-    Tried are units of length and turns of the axes: those that fill the pictures best, one after the other.
+    It tries units of length and turns of the axes; of these it compares those that fill the pictures best.
     """
-    some = small[:: -(-len(small) // _FEW)]
-    cameras = [cast(Camera, each.camera) for each in some]
+    few = small[:: -(-len(small) // _FEW)]
+    cameras = [cast(Camera, each.camera) for each in few]
     points = surface.scatter(_FILLING).points
     turns = [turn for turn in _turns() if np.linalg.det(turn) > 0]
     placings = [(factor, turn) for factor in _FACTORS for turn in turns]
@@ -209,7 +208,7 @@ def better_placed(
     for number in ranked:
         factor, turn = placings[number]
         moved = Surface.from_arrays(factor * surface.vertices @ turn.T, surface.triangles)
-        found = read_points(_seen_on(moved, some, executor), moved).agreements()
+        found = read_points(_seen_on(moved, few, executor), moved).agreements()
         agreed.append(float(np.nan_to_num(found).mean()))
     if max(agreed) >= max(_AGREES, now + _GAIN):
         return f"pictures agree if {_in_words(*placings[ranked[int(np.argmax(agreed))]])}"
@@ -217,13 +216,12 @@ def better_placed(
     return None if is_seen else f"the cameras see the model if {_in_words(*placings[ranked[0]])}"
 
 
-def _filled_by(surface: Surface, small: Sequence[Projection]) -> float:
-    """Return how well a surface as it is fills pictures; see `_filling`."""
+def _filling_of(surface: Surface, small: Sequence[Projection]) -> float:
     return _filling([cast(Camera, each.camera) for each in small], surface.scatter(_FILLING).points)
 
 
 def _turns() -> Iterator[Float64s]:
-    """Yield axes permuted and mirrored: those as they are first."""
+    """Yield all permutations and reflections of the axes, the identity first."""
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             yield np.eye(3)[list(order)] * np.array(signs)[:, None]
@@ -237,7 +235,7 @@ def _in_words(factor: float, turn: Float64s) -> str:
 
 
 def _filling(cameras: Sequence[Camera], points: Float64s) -> float:
-    """Return how well pictures hold points, and points fill them: the mean of both parts' product."""
+    """Return, averaged over pictures, the part of the points inside times the part of the picture filled."""
     total = 0.0
     for camera in cameras:
         pixels, depths = camera.project(points)

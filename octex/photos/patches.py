@@ -1,4 +1,4 @@
-"""Patches: squares of pixels of a picture, each looked at where its middle sees the surface."""
+"""Patches: squares of a picture's pixels, each represented by the point of the surface at its centre."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from octex.painting.picture import Mips
 from octex.painting.project import Projected
 from octex.painting.sight import Shot
 
-#: So many points of all pictures are read together.
+#: Points read at once, summed over pictures.
 _POINTS = 1 << 20
-#: Pixels of a patch, each way; twice as many until a picture has no more patches than so many.
+#: Side of a patch in pixels; it doubles until a picture has at most _MOST patches.
 _PATCH, _MOST = 4, 1 << 17
 
 
 def patch_of(shot: Shot) -> int:
-    """Return how many pixels a picture's patches have each way, a power of two."""
+    """Return the side of a picture's patches in pixels, a power of two."""
     width, height = shot.mips.sizes[0, 1:].tolist()
     patch = _PATCH
     while width * height > _MOST * patch**2:
@@ -30,23 +30,23 @@ def patch_of(shot: Shot) -> int:
 
 
 def patches_of(shot: Shot) -> tuple[int, int]:
-    """Return how many rows and columns of patches a picture has."""
+    """Return the rows and columns of a picture's patches."""
     width, height = shot.mips.sizes[0, 1:].tolist()
     patch = patch_of(shot)
     return -(-height // patch), -(-width // patch)
 
 
 def widths_of(source: Projected, triangles: Int32s, barycentric: Float64s) -> Float32s:
-    """Return how wide the patches of a source's only picture are at points of the surface, at rest."""
+    """Return the width, at rest, of the patches of a source's only picture at points of the surface."""
     widths = source.widths(triangles, barycentric)
     patch = patch_of(source.shots[0])
     return np.where(np.isfinite(widths), patch * widths, np.float32(0)).astype(np.float32)
 
 
-def seen_at(source: Projected, shot: Shot, among: Bools) -> tuple[Int64s, Int32s, Float64s]:
-    """Return which patches of some (rows, columns) see the surface in their middle, and what they see."""
-    chosen = np.flatnonzero(among)
-    y, x = np.divmod(chosen, among.shape[1])
+def seen_at(source: Projected, shot: Shot, chosen: Bools) -> tuple[Int64s, Int32s, Float64s]:
+    """Return the ``chosen`` patches (rows, columns) whose centres see the surface, and the points seen."""
+    patches = np.flatnonzero(chosen)
+    y, x = np.divmod(patches, chosen.shape[1])
     places = np.column_stack([x + 0.5, y + 0.5]) * patch_of(shot)
     places = np.minimum(places, shot.mips.sizes[0, 1:] - 0.5)
     if is_bent(shot.lens):
@@ -62,11 +62,11 @@ def seen_at(source: Projected, shot: Shot, among: Bools) -> tuple[Int64s, Int32s
     found = found[np.argsort(triangles[found], kind="stable")]
     seen = triangles[found]
     middles = np.column_stack([i[found], j[found]]) + 0.5
-    return chosen[found], seen, _barycentric_at(source, shot, seen, middles)
+    return patches[found], seen, _barycentric_at(source, shot, seen, middles)
 
 
 def _barycentric_at(source: Projected, shot: Shot, triangles: Int32s, pixels: Float64s) -> Float64s:
-    """Return where on triangles (n,) a shot's camera without distortion sees them at pixels (n, 2)."""
+    """Return the points of triangles (n,) that a shot's undistorted camera sees at pixels (n, 2)."""
     view = shot.camera
     corners = source.vertices[source.triangles[triangles]] @ view.world_to_camera[:3, :3].T
     corners += view.world_to_camera[:3, 3]
@@ -82,19 +82,19 @@ def _barycentric_at(source: Projected, shot: Shot, triangles: Int32s, pixels: Fl
 
 
 def batches(count: int, pictures: int) -> Iterator[slice]:
-    """Yield slices of points, so many that all pictures are read there together."""
+    """Yield slices of points, small enough to read all pictures there at once."""
     step = max(_POINTS // pictures, 1)
     for first in range(0, count, step):
         yield slice(first, first + step)
 
 
-def beside(some: Bools) -> Bools:
-    """Say which patches are some, or next to them."""
-    return sums_around(some.astype(np.float32)) > 0
+def grown(chosen: Bools) -> Bools:
+    """Return the chosen patches and their eight neighbours."""
+    return sums_around(chosen.astype(np.float32)) > 0
 
 
 def sums_around(values: Float32s, reach: int = 1) -> Float32s:
-    """Return the sums of 3 × 3 patches, or of others as far as ``reach``."""
+    """Return the sums over squares of patches that reach ``reach`` patches each way."""
     rows, columns = values.shape
     wide = np.pad(values, reach)
     steps = range(2 * reach + 1)
@@ -104,14 +104,14 @@ def sums_around(values: Float32s, reach: int = 1) -> Float32s:
 
 
 def masked(mips: Mips, mask: Float32s) -> Mips:
-    """Return a picture with its alpha multiplied by a mask of any size, 0 … 1, read linearly."""
+    """Return a picture with its alpha multiplied by a mask of any size, 0 … 1, bilinear in between."""
     pixels = np.empty_like(mips.pixels)
     _mask_mips(mips.pixels, mips.sizes, mask, pixels)
     return mips._replace(pixels=pixels)
 
 
 @kernel
-def _mask_mips(given: Float32s, sizes: Int64s, mask: Float32s, found: Float32s) -> None:
+def _mask_mips(pixels: Float32s, sizes: Int64s, mask: Float32s, masked: Float32s) -> None:
     rows, columns = mask.shape
     width, height = sizes[0, 1], sizes[0, 2]
     step = max((height + rows - 1) // rows, (width + columns - 1) // columns)
@@ -134,4 +134,4 @@ def _mask_mips(given: Float32s, sizes: Int64s, mask: Float32s, found: Float32s) 
                 factor = upper + (lower - upper) * low
                 at = first + i * across + j
                 for component in range(4):
-                    found[at, component] = given[at, component] * factor
+                    masked[at, component] = pixels[at, component] * factor

@@ -1,10 +1,10 @@
-"""Cameras that are a little off, improved until their pictures agree on the surface.
+"""Refines cameras that are slightly off, until their pictures agree on the surface.
 
-Points of the surface are read in all pictures that see them, from coarse to fine. Each camera turns, moves
-and zooms a little (Gauss-Newton steps), so that pictures differ least from what all say of a point; what is
-far off counts for less, and what only one of them saw, such as a passer-by, is left out once the coarsest
-agree (Zhou & Koltun, "Color Map Optimization", 2014, solved for all cameras at once, with steps undone that
-make it worse). A camera of which pictures tell too little stays as it was given.
+All pictures are read at points of the surface, from coarse to fine. Each camera turns, moves and zooms a
+All pictures are read at points of the surface, from coarse to fine. Each camera turns, moves and zooms
+a little (Gauss-Newton steps), so that pictures differ least from the consensus at each point. Outliers weigh
+Koltun, "Color Map Optimization", 2014, for all cameras at once, undoing steps that make it worse). A camera
+stays if its picture has too little detail.
 """
 
 from __future__ import annotations
@@ -39,31 +39,29 @@ from octex.view.visibility import straight, view_of
 
 #: Numbers of a camera that change: turns about three axes, moves along them, zoom.
 NUMBERS = 7
-#: By how many pixels cameras are moved to see what changes.
+#: Step in pixels of the numerical derivatives.
 _TRIAL = 1e-3
-#: Points of the surface that are looked at. At the coarsest level so many of these are compared; at finer
-#: ones, and to judge what is found, those where a picture tells most: so many of each, and of all.
+#: Points of the surface. The coarsest level compares _COARSE of them. Finer levels, and the final check, use
+#: those where a picture has the most detail: _TELLING per picture, _MOST in all.
 _POINTS, _COARSE, _TELLING, _MOST = 240_000, 10_000, 3_200, 80_000
-#: Of more pictures than so many there are fewer points: of twice as many half, and no less than this part.
+#: More pictures than this use fewer points, in inverse proportion, but at least this part.
 _FEW, _LEAST = 12, 0.25
-#: Mips of pictures, each twice as coarse, that are read one after the other, and tries on each.
+#: Mip levels, coarse to fine, and tries on each.
 _LEVELS, _TRIES = (2, 1, 0), 24
-#: A step in which no number of a camera changes by so many pixels is the last of its level.
+#: A level ends with a step in which no number changes by this many pixels.
 _STILL = 0.005
-#: From what difference of square roots of light on a picture may count for less: at the finest level, and so
-#: much more at each coarser one, where pictures that are off differ most at the edges that tell of it.
+#: Difference of square roots of light from which a picture weighs less: at the finest level, and more at
+#: each coarser one, where misplaced pictures differ most at the edges that show it.
 _FAR = 0.1
-#: Within so many pixels of a level of where the surface ends, pictures are mixed with what is behind it.
+#: Within this many pixels of the surface's end pictures mix with the background.
 _RIM = 2.0
-#: By how many pixels cameras are expected to be off, by what a square root of light is off besides, and what
-#: share of the points tells something of its own.
+#: Expected error of cameras in pixels, of square roots of light, and the part of points that are informative.
 _OFF, _NOISE, _OWN = 4.0, 0.02, 0.01
-#: How much a step is damped, of what there is; what becomes of that after a step that was right, and wrong.
+#: Relative damping of a step, and its factors after a good and a bad step.
 _DAMPING, _RIGHT, _WRONG = 1e-4, 0.2, 10.0
-#: A camera is moved where what its picture differs by from the others, 0 to 1, falls to so much of what it
-#: was, and by so much.
+#: A camera changes if its picture's difference from the others, 0 to 1, falls to this part and by this much.
 _BETTER, _BY = 0.7, 0.002
-#: What is seen at such an angle to the surface's normal, in degrees, or more, is not compared.
+#: Surfaces tilted from the camera by this many degrees or more are not compared.
 _MAX_ANGLE = 75.0
 
 
@@ -103,7 +101,7 @@ def refine_cameras(
     if len(shown) == 1:
         return cameras
     stages = stages_in(run.resume)
-    own = stages.of(
+    stored = stages.of(
         lambda: [painted.content, [*map(content_of, shown), *map(key_of, cameras)], balance, reference]
     )
     with workers(run) as pool, room_for(shown, run):
@@ -115,7 +113,7 @@ def refine_cameras(
                 "K": np.stack([each.K for each in found]),
             }
 
-        found = own.arrays("cameras", refined)
+        found = stored.arrays("cameras", refined)
         return [
             replace(camera, world_to_camera=matrix, K=K)
             for camera, matrix, K in zip(cameras, found["world_to_camera"], found["K"], strict=True)
@@ -132,13 +130,13 @@ def _refined(
     report: Progress,
     stages: Stages,
 ) -> list[Camera]:
-    """Refine cameras, checked, as `refine_cameras` does."""
+    """Refine cameras as `refine_cameras` does, of checked arguments."""
     surface = painted.surface
     decode = partial(mips_of, form=BASE_COLOR, stages=stages)
     mips = [stages.placed(each) for each in ordered_map(pool, decode, shown, window=most_ahead())]
     keys = [
-        order_key(view_of(straight(camera)), camera.K, camera.lens, own)
-        for camera, own in zip(cameras, mips, strict=True)
+        order_key(view_of(straight(camera)), camera.K, camera.lens, each)
+        for camera, each in zip(cameras, mips, strict=True)
     ]
     order = sorted(range(len(shown)), key=keys.__getitem__)
     fixed = None if reference is None else order.index(reference)
@@ -161,20 +159,20 @@ def _refined(
 
     for done, level in enumerate(_LEVELS):
         report("refine", done, len(_LEVELS))
-        given = observed(cameras, level, balance)
+        seen = observed(cameras, level, balance)
         if not stays.any():
-            stays[np.argmax((given.weights * (given.weights > 0).sum(axis=0)).sum(axis=1))] = True
+            stays[np.argmax((seen.weights * (seen.weights > 0).sum(axis=0)).sum(axis=1))] = True
         far = _FAR * (level + 1)
         every = np.arange(0, len(samples.points), len(samples.points) // _COARSE)
-        some = _telling(given, numbers, far) if done else every
-        numbers = _agreeing(given.at(some), numbers, stays, far)
+        chosen = _telling(seen, numbers, far) if done else every
+        numbers = _agreeing(seen.at(chosen), numbers, stays, far)
         cameras = [adjusted(*each) for each in zip(began, scales, numbers, strict=True)]
-        if done == 0:  # now pictures lie well enough on each other to tell what only one of them saw
+        if done == 0:  # only now pictures lie well enough on each other to mask what one of them saw
             mips = [shot.mips for shot in agreeing(lit(cameras, balance), surface, pool).shots]
     light: Balance | None = balance and "full"
     before, after = observed(began, 0, light), observed(cameras, 0, light)
-    some = np.union1d(_telling(before, 0 * numbers, _FAR), _telling(after, numbers, _FAR))
-    is_better = _better(before.at(some), after.at(some), numbers) & ~stays
+    chosen = np.union1d(_telling(before, 0 * numbers, _FAR), _telling(after, numbers, _FAR))
+    is_better = _better(before.at(chosen), after.at(chosen), numbers) & ~stays
     cameras = [each[1 if moves else 0] for *each, moves in zip(began, cameras, is_better, strict=True)]
     report("refine", len(_LEVELS), len(_LEVELS))
     found = dict(zip(order, cameras, strict=True))
@@ -185,17 +183,17 @@ def _source(
     painted: PaintedSurface, cameras: Sequence[Camera], mips: Sequence[Mips], executor: Executor
 ) -> Projected:
     sights = painted.sights(cameras, _RIM * 2 ** max(_LEVELS), executor)
-    shots = [sight.shot(own) for sight, own in zip(sights, mips, strict=True)]
+    shots = [sight.shot(each) for sight, each in zip(sights, mips, strict=True)]
     return painted.projected(shots, BASE_COLOR, terms_of(_MAX_ANGLE, 0.0, False))
 
 
 def _share(pictures: int) -> float:
-    """Return what part of the points so many pictures are compared at."""
+    """Return the part of the points that this many pictures are compared at."""
     return max(min(_FEW / pictures, 1.0), _LEAST)
 
 
 def _telling(observed: Observations, numbers: Float64s, far: float) -> Int64s:
-    """Return the points where pictures that agree tell most of where cameras are: of each picture as many."""
+    """Return the points that tell most about the cameras, equally many for each picture that agrees."""
     values, steep = np.full((2, *observed.weights.shape, 3), np.nan)
     for n, sees in enumerate(observed.weights > 0):
         values[n, sees], slopes = observed.seen_by(n, numbers[n])
@@ -211,7 +209,7 @@ def _telling(observed: Observations, numbers: Float64s, far: float) -> Int64s:
 
 
 def _agreeing(observed: Observations, numbers: Float64s, stays: Bools, far: float) -> Float64s:
-    """Return numbers of cameras by which what pictures hold agrees best (Levenberg-Marquardt)."""
+    """Return the cameras' numbers for which pictures agree best (Levenberg-Marquardt)."""
     values, slopes = observed.seen(numbers)
     weights = np.repeat(observed.weights, 3, axis=1) * np.isfinite(values)
     _, far = robust_weights(np.nan_to_num(values), weights, far)
@@ -240,18 +238,18 @@ def _agreeing(observed: Observations, numbers: Float64s, stays: Bools, far: floa
 
 
 def _robust(values: Float64s, weights: Float64s, far: float) -> Float64s:
-    """Return how much pictures count: the less the farther they are from what most say (Geman & McClure)."""
+    """Return weights that fall with the distance from the consensus (Geman & McClure)."""
     return weights / (1.0 + ((values - _middle(values, weights, far)) / far) ** 2) ** 2
 
 
 def _middle(values: Float64s, weights: Float64s, far: float) -> Float64s:
-    """Return what most pictures say of points (n,)."""
+    """Return the robust consensus of points (n,)."""
     robust, _ = robust_weights(values, weights, far)
     return consensus(values, robust)
 
 
 def _apart(values: Float64s, weights: Float64s, far: float) -> Float64s:
-    """Return how far pictures are from what most say, 0 to 1 (pictures, n); 1 where they show no more."""
+    """Return the distances from the consensus, 0 to 1 (pictures, n); 1 outside the picture."""
     known = np.isfinite(values)
     values = np.where(known, values, 0.0)
     apart = ((values - _middle(values, weights * known, far)) / far) ** 2
@@ -259,10 +257,10 @@ def _apart(values: Float64s, weights: Float64s, far: float) -> Float64s:
 
 
 def _better(before: Observations, after: Observations, numbers: Float64s) -> Bools:
-    """Say which pictures agree clearly better with the others where their cameras have numbers than without.
+    """Return which pictures agree clearly better with the others after refinement than before.
 
-    A point counts by how its colour changes with the numbers. First come cameras that are better beside all
-    others refined, and than all were before; then those that are better beside these.
+    A point weighs by the derivative of its colour. First come cameras that improve among refined others and
+    on the state before; then those that improve among these.
     """
     (old, old_slopes), (new, new_slopes) = before.seen(np.zeros_like(numbers)), after.seen(numbers)
     weights = np.repeat(np.minimum(before.weights, after.weights), 3, axis=1) * np.isfinite(old)
@@ -273,14 +271,14 @@ def _better(before: Observations, after: Observations, numbers: Float64s) -> Boo
         return float((tells[number] * _apart(values, weights, _FAR)[number]).sum())
 
     found = np.zeros(len(numbers), np.bool_)
-    others = np.ones_like(found)  # whose cameras have their numbers
+    others = np.ones_like(found)  # cameras taken as refined
     while True:
         better = found.copy()
         for n in np.flatnonzero(~found).tolist():
-            given = np.where((others | found)[:, None], new, old)
-            refined = given.copy()
-            given[n], refined[n] = old[n], new[n]
-            least = apart(given, n) if found.any() else min(apart(given, n), apart(old, n))
+            values = np.where((others | found)[:, None], new, old)
+            refined = values.copy()
+            values[n], refined[n] = old[n], new[n]
+            least = apart(values, n) if found.any() else min(apart(values, n), apart(old, n))
             better[n] = apart(refined, n) < min(_BETTER * least, least - _BY * float(tells[n].sum()))
         if (better == found).all():
             return found
@@ -299,7 +297,7 @@ def _weights_at(source: Projected, triangles: Int32s, barycentric: Float64s, rim
 
 
 def _margins(shot: Shot, points: Float64s) -> Float64s:
-    """Return how many pixels points (n, 3) are from where the surface ends, as a shot knows it."""
+    """Return the distances in pixels of points (n, 3) from the surface's end."""
     height, width = shot.margins.shape
     x, y, z = shot.camera.world_to_camera[:3, :3] @ points.T + shot.camera.world_to_camera[:3, 3:]
     if not shot.camera.is_pinhole:
@@ -313,28 +311,28 @@ def _margins(shot: Shot, points: Float64s) -> Float64s:
 
 
 class Observations(NamedTuple):
-    """Pictures at a level, and who sees which points."""
+    """Pictures at a mip level, and which points each sees."""
 
-    cameras: Sequence[Camera]  # as given
+    cameras: Sequence[Camera]  # unrefined
     scales: Sequence[float]  # see `pixel_at`
     points: Float64s  # (n, 3)
     pictures: Sequence[Mips]
-    level: int  # that is read
+    level: int
     gains: Float32s  # (pictures, 3)
     weights: Float64s  # (pictures, n)   how well a picture sees a point
 
-    def at(self, some: Int64s) -> Observations:
-        """Return the same at some of the points."""
-        return self._replace(points=self.points[some], weights=self.weights[:, some])
+    def at(self, chosen: Int64s) -> Observations:
+        """Keep only the chosen points."""
+        return self._replace(points=self.points[chosen], weights=self.weights[:, chosen])
 
     def seen_by(self, n: int, numbers: Float64s) -> tuple[Float64s, Float64s]:
-        """Return what a picture shows of the points that it sees (k, 3), and how that changes."""
-        some = self.points[self.weights[n] > 0]
+        """Return a picture's values at the points that it sees (k, 3), and their derivatives."""
+        points = self.points[self.weights[n] > 0]
         picture, camera, scale = self.pictures[n], self.cameras[n], self.scales[n]
-        return _seen(picture, self.level, camera, some, scale, numbers, self.gains[n])
+        return _seen(picture, self.level, camera, points, scale, numbers, self.gains[n])
 
     def seen(self, numbers: Float64s) -> tuple[Float64s, Float64s]:
-        """Return what pictures show (pictures, n · 3), and how that changes with numbers of cameras."""
+        """Return the pictures' values (pictures, n · 3), and their derivatives by the cameras' numbers."""
         values = np.full((*self.weights.shape, 3), np.nan)
         slopes = np.zeros((*values.shape, NUMBERS))
         for n, sees in enumerate(self.weights > 0):
@@ -351,7 +349,7 @@ def _seen(
     numbers: Float64s,
     gains: Float32s,
 ) -> tuple[Float64s, Float64s]:
-    """Return what a picture shows of points (n, 3), and how that changes with the camera's numbers."""
+    """Return a picture's values at points (n, 3), and their derivatives by the camera's numbers."""
     level = min(level, len(picture.sizes) - 1)
     size = picture.sizes[level, 1:] / [camera.width, camera.height]
     pixels, _ = adjusted(camera, scale, numbers).project(points)
@@ -370,7 +368,7 @@ def _seen(
 
 @kernel
 def _read(pixels: Float32s, size: Int64s, places: Float64s, found: Float64s) -> None:
-    """Write roots of light at places (n, 2), bilinear, and slopes (n, 9); NaN outside and without paint."""
+    """Write square roots of light at places (n, 2), bilinear, and slopes (n, 9); NaN outside or unpainted."""
     first, width, height = size[0], size[1], size[2]
     light = np.empty((4, 4, 3))
     for n in range(len(places)):
@@ -400,14 +398,14 @@ def _read(pixels: Float32s, size: Int64s, places: Float64s, found: Float64s) -> 
 
 
 def pixel_at(camera: Camera, points: Float64s) -> float:
-    """Return how wide a camera's pixel is in the middle of points (n, 3)."""
+    """Return the width of a camera's pixel at the median depth of points (n, 3)."""
     focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1]))
     depths = points @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
     return (abs(float(np.median(depths))) if camera.projection == "pinhole" else 1.0) / focal
 
 
 def adjusted(camera: Camera, scale: float, numbers: Float64s) -> Camera:
-    """Return a camera turned, moved and zoomed so that points shift by so many pixels of width ``scale``."""
+    """Turn, move and zoom a camera so that points shift by ``numbers`` pixels of width ``scale``."""
     size = max(camera.width, camera.height)
     view = camera.world_to_camera.copy()
     focal = float(np.sqrt(camera.K[0, 0] * camera.K[1, 1])) if camera.projection == "pinhole" else size
@@ -419,7 +417,7 @@ def adjusted(camera: Camera, scale: float, numbers: Float64s) -> Camera:
 
 
 def _rotation(angles: Float64s) -> Float64s:
-    """Return the matrix (3, 3) of a rotation about a vector, by its length in radians (Rodrigues)."""
+    """Return the matrix (3, 3) of a rotation about a vector whose length is its angle (Rodrigues)."""
     angle = float(np.linalg.norm(angles))
     x, y, z = angles / max(angle, 1e-300)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -1,8 +1,8 @@
-"""How sharp pictures are beside others: a blurred one counts as if its pixels were as wide as the blur.
+"""Measures how sharp pictures are: a blurred picture counts as if its pixels were as wide as the blur.
 
-Read at two widths, a picture tells of detail between them. What of a picture's detail the others show too is
-the surface's: noise, and what only one of them saw, sums to nothing. A picture that shows less of it than
-others do of theirs at the same points is blurred, or lies out of place.
+A picture read at two widths shows the detail between them. Detail that other pictures show too belongs to the
+surface: noise, and things that only one picture saw, cancel on average. A picture that shows less detail than
+others at the same points is blurred or misplaced.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from octex.painting.project import Projected
 from octex.photos.patches import batches
 from octex.source.surface import Surface
 
-#: Points of the surface that are looked at.
+#: Points of the surface that are read.
 _POINTS = 40_000
-#: Detail is what lies between so many pixels and twice that, of the coarsest picture that counts.
+#: Detail lies between this many pixels and twice that, of the coarsest picture that counts.
 _WIDTH = 2.0
-#: With how many others a picture is compared at least: of two none is right.
+#: Least number of other pictures to compare with: two alone cannot decide.
 _OTHERS = 2
-#: What counts for less at a point than so much of what counts most is left out: pixels 1.8 times as wide.
+#: A picture counts at a point if it has this part of the largest weight: pixels up to 1.8 times as wide.
 _LEAST_WEIGHT = 0.3
-#: What shows so much of the detail is sharp: the surface is seen from other sides.
+#: A picture that shows this part of the detail is sharp: directions of view differ.
 _SHARP = 0.7
-#: What shows more detail than so many times the others' mean sees something else there.
+#: Detail above this multiple of the others' mean is another object, and is limited to it.
 _MOST = 2.0
-#: Detail of less than a code tells of little: smooth things are shaded otherwise from elsewhere.
+#: Detail below 1/255 does not count: shading of smooth surfaces changes with direction.
 _LITTLE = 1.0 / 255.0
-#: Standard errors by which a picture must show less detail than others to be blurred.
+#: A blurred picture shows less detail than others by this many standard errors.
 _ERRORS = 2.0
-#: A Gaussian blur of s pixels leaves exp(−s² / 3) of the detail, as measured at s = 1 and 2.
+#: A Gaussian blur of s pixels leaves exp(−s² / 3) of the detail, measured at s = 1 and 2.
 _FALL = 3.0
-#: Rounds in which pictures that are not sharp are left out of what others are compared with.
+#: Rounds in which blurred pictures are removed from the comparison.
 _ROUNDS = 4
 
 
 class Details(NamedTuple):
-    """What pictures show at points that several of them see."""
+    """The pictures' detail at points that several of them see."""
 
     shots: Int64s  # (n,)   the picture
     points: Int64s  # (n,)   the point
@@ -47,7 +47,7 @@ class Details(NamedTuple):
 
 
 def weighed_by_sharpness(source: Projected, surface: Surface) -> Projected:
-    """Return the same paint, blurred pictures counting by their variance; a sharp pixel's is 1/12."""
+    """Return the same paint with blurred pictures weighted by their variance; a sharp pixel's is 1/12."""
     if len(source.shots) <= _OTHERS:
         return source
     shown = shown_of(details_of(source, surface), len(source.shots))
@@ -59,11 +59,11 @@ def weighed_by_sharpness(source: Projected, surface: Surface) -> Projected:
 
 
 def shown_of(details: Details, count: int) -> Float64s:
-    """Return how much of the sharp pictures' detail each of ``count`` shows; 1 where that is not known."""
+    """Return which part of the sharp pictures' detail each of ``count`` shows; 1 if unknown."""
     details = _within_others(details)
     is_sharp = np.ones(count, np.bool_)
     for _ in range(_ROUNDS):
-        shown = _beside(details, is_sharp)
+        shown = _compared(details, is_sharp)
         before, is_sharp = is_sharp, shown >= _SHARP
         if (is_sharp == before).all():
             break
@@ -71,7 +71,7 @@ def shown_of(details: Details, count: int) -> Float64s:
 
 
 def _within_others(details: Details) -> Details:
-    """Return details no larger than `_MOST` times the mean of what the others show at the point."""
+    """Limit each detail to `_MOST` times the mean of the other pictures' at the point."""
     _, points, values = details
     lengths = np.linalg.norm(values.astype(np.float64), axis=1)
     others = np.bincount(points)[points] - 1
@@ -80,21 +80,22 @@ def _within_others(details: Details) -> Details:
     return details._replace(values=(values * factors[:, None]).astype(np.float32))
 
 
-def _beside(details: Details, is_sharp: Bools) -> Float64s:
-    """Return how much of the detail that the sharp others show each picture shows (shots,)."""
+def _compared(details: Details, is_sharp: Bools) -> Float64s:
+    """Return which part of the sharp others' detail each picture shows (shots,)."""
     shots, points, values = details
     weights = is_sharp[shots].astype(np.float64)
     others = np.bincount(points, weights)[points] - weights
     share = np.maximum(others, 1.0)
-    own = np.zeros(shots.size)
+    shared = np.zeros(shots.size)
     for value in values.T:
-        own += value * (np.bincount(points, weights * value)[points] - weights * value) / share
-    their = (np.bincount(points, weights * own)[points] - weights * own) / share
-    some = others >= _OTHERS
+        shared += value * (np.bincount(points, weights * value)[points] - weights * value) / share
+    theirs = (np.bincount(points, weights * shared)[points] - weights * shared) / share
+    known = others >= _OTHERS
     sums, squares, of_others, their_squares = (
-        np.bincount(shots[some], each[some], len(is_sharp)) for each in (own, own**2, their, their**2)
+        np.bincount(shots[known], each[known], len(is_sharp))
+        for each in (shared, shared**2, theirs, theirs**2)
     )
-    little = np.bincount(shots[some], minlength=len(is_sharp)) * _LITTLE**2
+    little = np.bincount(shots[known], minlength=len(is_sharp)) * _LITTLE**2
     most = np.maximum(sums + _ERRORS * np.sqrt(squares) + little, 0.0)
     least = of_others - _ERRORS * np.sqrt(their_squares) + little
     found: Float64s = np.divide(most, least, out=np.ones(len(is_sharp)), where=least > 0.0)
@@ -102,12 +103,12 @@ def _beside(details: Details, is_sharp: Bools) -> Float64s:
 
 
 def details_of(source: Projected, surface: Surface) -> Details:
-    """Return what pictures show at points of the surface."""
+    """Read pictures at points of the surface."""
     samples = surface.scatter(_POINTS)
     parts = []
-    for some in batches(_POINTS, len(source.shots)):
-        part = _details_at(source, samples.triangles[some], samples.barycentric[some])
-        parts.append(part._replace(points=part.points + some.start))
+    for batch in batches(_POINTS, len(source.shots)):
+        part = _details_at(source, samples.triangles[batch], samples.barycentric[batch])
+        parts.append(part._replace(points=part.points + batch.start))
     return Details(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 

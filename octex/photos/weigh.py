@@ -1,15 +1,13 @@
-"""Several photographs made one source of paint: balanced, masked, weighed, or chosen from."""
+"""Combines several photographs into one source of paint: balanced, masked, weighed, or chosen from."""
 
 from __future__ import annotations
 
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
-from octex.channels import ChannelFormat
-from octex.painting.layer import PaintSource
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.painting.multigrid import graph_of
 from octex.painting.options import PaintOptions
 from octex.painting.project import Projected
@@ -23,64 +21,44 @@ from octex.source.surface import Surface
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.placement import Placement
 from octex.view.shading import face_normals
-from octex.voxelize.fragments import Blocks
 
-#: Pictures are chosen for cells so many levels above the finest; at most for so many by their own number.
+#: Pictures are chosen this many levels above the finest, for at most this many pairs of cell and picture.
 _ABOVE, _MOST_VIEWS = 1, 1 << 22
-#: Pixels up to so many cells wide count alike in a mean.
+#: Pixels up to this many cells wide weigh alike in a mean.
 _ENOUGH = 2.0
 
 
 @dataclass(eq=False)
-class BestPaint(PaintSource):
-    """Paint from the pictures that sheets have shares of, levelled; from all where these see nothing."""
+class BestPaint(Projected):
+    """Paint from the pictures chosen for each sheet, levelled; from all pictures where these see nothing."""
 
-    source: Projected
-    sheets: Sheets
-    shares: Float32s  # (sheets, shots)   of 1
-    exposures: Float32s  # (sheets, shots, 3)   see `exposed`
+    sheets: Sheets = field(kw_only=True)
+    shares: Float32s = field(kw_only=True)  # (sheets, shots)   sum 1
+    exposures: Float32s = field(kw_only=True)  # (sheets, shots, 3)   see `exposed`
 
     @property
-    def form(self) -> ChannelFormat:  # type: ignore[override]
-        """The channel that is painted."""
-        return self.source.form
-
-    def touched(self) -> Int32s:
-        """Return the triangles that own a pixel of a shot."""
-        return self.source.touched()
-
-    def near(self, triangles: Int32s) -> BestPaint:
-        """Return the same paint, with the normals of some triangles alone."""
-        return replace(self, source=self.source.near(triangles))
-
-    def reaches(self, blocks: Blocks, placement: Placement, rest: Float64s) -> Bools:
-        """Say of which blocks a shot may see something."""
-        return self.source.reaches(blocks, placement, rest)
-
-    def widths(self, triangles: Int32s, barycentric: Float64s) -> Float32s:
-        """Return how wide the finest pixel is at points."""
-        return self.source.widths(triangles, barycentric)
+    def color(self) -> None:
+        """Levelled paint may have several values."""
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return paint, linear for colours, and coverage (n, components + 1); zeros where there is none."""
         sheets = self.sheets.at(triangles, barycentric)
-        found = self.source.evaluate(triangles, barycentric, widths)
+        found = super().evaluate(triangles, barycentric, widths)
         components = found.shape[1] - 1
-        is_seen = (found[:, -1] > 0) & (sheets >= 0)  # no sheet: from all pictures
+        is_seen = (found[:, -1] > 0) & (sheets >= 0)  # points on no sheet take all pictures
         shares = np.where(is_seen[:, None], self.shares[sheets], np.float32(0))
         sums, totals = np.zeros((len(found), components), np.float32), np.zeros(len(found), np.float32)
-        for number, shot in enumerate(self.source.shots):
-            own = np.flatnonzero(shares[:, number] > 0)
-            if not own.size:
+        for number, shot in enumerate(self.shots):
+            rows = np.flatnonzero(shares[:, number] > 0)
+            if not rows.size:
                 continue
-            where = triangles[own], barycentric[own], widths[own]
-            paint, weights = self.source.with_shots([shot]).each(*where)
-            share = np.where(weights[0] > 0, shares[own, number], np.float32(0))
-            light = exposed(paint[0], self.exposures[sheets[own], number])
-            sums[own] += share[:, None] * light[:, :components]
-            totals[own] += share
-        some = totals > 0
-        found[some, :components] = sums[some] / totals[some, None]
+            paint, weights = self.with_shots([shot]).each(triangles[rows], barycentric[rows], widths[rows])
+            share = np.where(weights[0] > 0, shares[rows, number], np.float32(0))
+            light = exposed(paint[0], self.exposures[sheets[rows], number])
+            sums[rows] += share[:, None] * light[:, :components]
+            totals[rows] += share
+        is_chosen = totals > 0
+        found[is_chosen, :components] = sums[is_chosen] / totals[is_chosen, None]
         return found
 
 
@@ -90,7 +68,7 @@ def best(
     """Return the same paint, from one picture for each patch of the surface."""
     most = _MOST_VIEWS // len(source.shots)
     area = face_normals(surface.rest, surface.triangles)[1].sum() / placement.size**2
-    expected = np.log(most / max(area, 1e-30)) / np.log(4.0)  # the level that has so many cells
+    expected = np.log(most / max(area, 1e-30)) / np.log(4.0)  # the level with that many cells
     level = min(max(depth - _ABOVE, 0), int(np.clip(expected, 0, MAX_DEPTH)))
     sheets = sheets_of(surface, placement, level, executor)
     where = sheets.triangles, sheets.barycentric
@@ -100,7 +78,8 @@ def best(
     labels = labelled(graph, sheets.codes, sheets.areas, costs_of(paint, weights, sheets.areas))
     exposures = levelling(sheets, labels, paint, weights)
     shares, feathers = feathered(graph, labels, exposures, weights)
-    return BestPaint(source, sheets, shares, feathers)
+    taken = {each.name: getattr(source, each.name) for each in fields(source)}
+    return BestPaint(**taken, sheets=sheets, shares=shares, exposures=feathers)
 
 
 def weighed(
@@ -112,15 +91,15 @@ def weighed(
     depth: int,
     executor: Executor,
     stages: Stages,
-) -> PaintSource:
-    """Return the paint of several shots as ``octex.paint`` is told to combine them."""
+) -> Projected:
+    """Combine the paint of several shots as the options say."""
     balance, pictures = options.balance, options.pictures
     if balance is not None:
         evened = balanced(source, surface, balance, reference, executor)
         source = without_overexposed(source, evened, executor)
     if pictures in ("robust", "best") or (pictures is None and len(source.shots) > 2):
         source = agreeing(source, surface, executor, stages)
-        if balance is not None:  # again, without what only one of them saw
+        if balance is not None:  # again, without what only one picture saw
             source = balanced(source, surface, balance, reference, executor)
     source = weighed_by_sharpness(source, surface)
     if pictures == "best":

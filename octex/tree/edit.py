@@ -229,12 +229,14 @@ def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
         is_node[here] = nodes & (built.n_leaves > 0)  # a root without children keeps nothing
         at = places(codes, old_codes)
         old[here] = np.where(at >= 0, at + old_starts[level], -1)
+    del codes, nodes, old_codes, at  # at the deepest level as large as half of the arrays below
     flags, areas = np.zeros((2, built.n_cells), np.uint8)
-    there = old >= 0
-    flags[there], areas[there] = tree.arrays.flags[old[there]], tree.arrays.areas[old[there]]
-    flags[there & ~is_node] &= np.uint8(0xFF ^ KEPT)
+    there = np.flatnonzero(old >= 0)
+    before = old[there]
+    flags[there], areas[there] = tree.arrays.flags[before], tree.arrays.areas[before]
+    flags[there[~is_node[there]]] &= np.uint8(0xFF ^ KEPT)
     new = np.full(n_old, -1, np.int64)
-    new[old[there]] = np.flatnonzero(there)
+    new[before] = there
     split, rows = taken(tree.split, new[tree.split.cells])
     kept_cells = new[tree.kept.cells]
     kept_rows = (kept_cells >= 0) & is_node[kept_cells]

@@ -119,8 +119,8 @@ def test_triangles_of_a_chart_share_texels_and_charts_do_not() -> None:
     flat = np.concatenate([corners.reshape(-1, 2), np.zeros((9, 1))], axis=1)
     faces = np.arange(9, dtype=np.int32).reshape(-1, 3)
     shown = texel_points(corners, np.arange(3, dtype=np.int32), drawn, 0, flat, faces)
-    rows, columns = shown.places // 6, shown.places % 6
-    np.testing.assert_array_equal(np.sort(shown.places), np.flatnonzero(drawn.triangles >= 0))
+    rows, columns = shown.texels // 6, shown.texels % 6
+    np.testing.assert_array_equal(np.sort(shown.texels), np.flatnonzero(drawn.triangles >= 0))
     np.testing.assert_array_equal(shown.each(), drawn.triangles[rows, columns])
     np.testing.assert_allclose(
         shown.rest[:, :2] - np.stack([columns, rows], axis=1), drawn.centroids[rows, columns], atol=1e-6
@@ -148,14 +148,14 @@ def test_beyond_an_edge_the_surface_goes_on_as_if_unfolded() -> None:
     taken = drawn.areas > 0
     borders = Borders.of(layout, taken, 6)
     gutter = gutter_of(borders, layout, surface.rest, surface.triangles, others, sides)
-    assert gutter.places.size > 6 * 4 * 50
+    assert gutter.texels.size > 6 * 4 * 50
     rest = surface.rest_at(gutter.triangles, gutter.barycentric)
     edges = surface.rest_at(gutter.beside, gutter.edges)
     texel = 1 / 64
     flat = np.array([layout.corners[t] for t in gutter.beside])
     at_edge = np.einsum("nk,nkx->nx", gutter.edges, flat)
     away = np.linalg.norm(
-        np.stack([gutter.places % 256 + 0.5, gutter.places // 256 + 0.5], axis=1) - at_edge, axis=1
+        np.stack([gutter.texels % 256 + 0.5, gutter.texels // 256 + 0.5], axis=1) - at_edge, axis=1
     )
     # Straight beyond a side, not around a corner: as far from the edge as in the map, on the face beyond.
     straight = gutter.edges.min(axis=1) == 0.0

@@ -16,7 +16,7 @@ from octex.baking import atlas
 from octex.baking.charts import _merged, laid_flat
 from octex.baking.layout import doubled_areas, neighbors_of
 from octex.baking.texels import draw_texels
-from octex.baking.unfold import SIDE, Pieces
+from octex.baking.unfold import SIDE, ChartMesh
 from octex.errors import ModelError
 from octex.source.corners import area_vectors, unit
 from octex.source.mesh import Mesh
@@ -138,7 +138,7 @@ def test_charts_with_borders_of_one_length_are_merged(seed: int) -> None:
     normals = unit(crosses)
     areas = np.linalg.norm(crosses, axis=1)
     others, _ = neighbors_of(triangles)
-    pieces = Pieces(points[triangles], others, areas, normals, normals)
+    pieces = ChartMesh(points[triangles], others, areas, normals, normals)
     assert not _merged(pieces, charts.astype(np.int64)).any()
 
 

@@ -90,14 +90,13 @@ def test_what_is_written_is_read_by_a_simple_reader_and_by_octex(seed: int, tmp_
         assert np.array_equal(file.faces.edges[:, :sides], contents.faces.edges[:, :sides])
         for face, (end, count) in enumerate(zip(ends, contents.faces.counts, strict=True)):
             wanted = contents.texels[end - count : end]
-            assert np.array_equal(texels[face].reshape(count, -1), wanted)
+            assert np.array_equal(texels[0][face].reshape(count, -1), wanted)
             assert np.array_equal(file.texels(face).reshape(count, -1), wanted)
             assert tuple(records[face][4:8]) == tuple(file.faces.neighbors[face])
         assert file.metadata.keys() == metadata.keys() == contents.metadata.keys()
         for name, value in contents.metadata.items():
-            assert np.array_equal(file.metadata[name], value)
-            data = value.encode() + b"\0" if isinstance(value, str) else value.tobytes()
-            assert metadata[name] == data
+            assert file.metadata[name] == value
+            assert metadata[name] == value.encode() + b"\0"
 
 
 @pytest.mark.parametrize("mesh_type", ["quad", "triangle"])
@@ -113,19 +112,20 @@ def test_reductions_and_averages_are_means_of_texels_to_rounding(mesh_type: str,
     path = tmp_path / "made.ptx"
     with workers(Run(threads=1)) as executor:
         write_contents(peer.Contents(mesh_type, faces, texels), path, executor)
+    _, levels, _ = naive_ptex.read(path)
     with PtexFile(path) as file:
-        assert file.n_levels == 4
+        assert file.n_levels == len(levels) == 4
         for face in range(3):
             whole = file.texels(face).astype(float)
             mean = whole.mean(axis=(0, 1))
             assert abs(file.constants[face] - mean).max() <= 0.5 + 1e-9
-            for level in range(1, 6):
-                part = file.texels(face, level).astype(float)
+            for level in range(1, 4):
+                part = levels[level][face].astype(float)
                 assert part.shape == (32 >> level, 32 >> level, 3)
                 assert abs(part.mean(axis=(0, 1)) - mean).max() < 0.7
             if mesh_type == "quad":
                 wanted = whole.reshape(8, 4, 8, 4, 3).mean(axis=(1, 3))
-                assert abs(file.texels(face, 2) - wanted).max() <= 0.5 + 1e-9
+                assert abs(levels[2][face] - wanted).max() <= 0.5 + 1e-9
 
 
 def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:

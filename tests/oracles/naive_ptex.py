@@ -12,8 +12,8 @@ import numpy as np
 TYPES = ("<u1", "<u2", "<f2", "<f4")
 
 
-def read(path: Path) -> tuple[list[Any], list[np.ndarray], dict[str, bytes]]:
-    """Return of each face its record, and its texels (v, u, channels); and metadata, as bytes."""
+def read(path: Path) -> tuple[list[Any], list[dict[int, np.ndarray]], dict[str, bytes]]:
+    """Return the faces' records, their texels (v, u, channels) by level and face, and metadata as bytes."""
     data = path.read_bytes()
     head = struct.unpack("<4sIIIiHHIIIIIIQII", data[:64])
     kind, channels, levels, count = np.dtype(TYPES[head[3]]), head[5], head[6], head[7]
@@ -27,21 +27,26 @@ def read(path: Path) -> tuple[list[Any], list[np.ndarray], dict[str, bytes]]:
     averages = zlib.decompress(data[at : at + constants])
     at += constants
     assert sizes == 16 * levels
-    _, header, n = struct.unpack("<QII", data[at : at + 16])
+    infos = list(struct.iter_unpack("<QII", data[at : at + sizes]))
     at += sizes
-    assert n == count == len(faces)
-    words = struct.unpack(f"<{n}I", zlib.decompress(data[at : at + header]))
-    place = at + header
-    found = []
-    for face, word in enumerate(words):
-        u, v, _, flags = faces[face][:4]
-        block = data[place : place + (word & 0x3FFFFFFF)]
-        place += len(block)
-        if flags & 1:
-            one = np.frombuffer(averages[face * pixel :][:pixel], kind)
-            found.append(np.broadcast_to(one, (1 << v, 1 << u, channels)))
-        else:
-            found.append(decoded(block, word >> 30, u, v, channels, kind))
+    assert infos[0][2] == count == len(faces)
+    place = at
+    found: list[dict[int, np.ndarray]] = []
+    shortest = [1 if flags & 1 else min(u, v) for u, v, _, flags, *_ in faces]
+    for level, (_, header, n) in enumerate(infos):
+        words = struct.unpack(f"<{n}I", zlib.decompress(data[place : place + header]))
+        place += header
+        order = sorted(range(count), key=lambda face: -shortest[face]) if level else range(count)
+        found.append({})
+        for face, word in zip(order, words, strict=False):
+            u, v, _, flags = faces[face][:4]
+            block = data[place : place + (word & 0x3FFFFFFF)]
+            place += len(block)
+            if flags & 1:
+                one = np.frombuffer(averages[face * pixel :][:pixel], kind)
+                found[level][face] = np.broadcast_to(one, (1 << v, 1 << u, channels))
+            else:
+                found[level][face] = decoded(block, word >> 30, u - level, v - level, channels, kind)
     at += leveldata
     metadata: dict[str, bytes] = {}
     entries = zlib.decompress(data[at : at + head[14]]) if head[14] else b""

@@ -209,7 +209,7 @@ def test_what_no_picture_sees_is_left_out_without_a_difference(kind: str) -> Non
 
     def counted(*given: Any, **options: Any) -> CellLevels:
         found = cell_levels(*given, **options)
-        cells.append(found.codes.size + found.gaps.size)
+        cells.append(found.n_leaves + found.gaps.size)
         return found
 
     def whole(*given: Any, reached: Any, **options: Any) -> CellLevels:

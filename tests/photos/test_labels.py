@@ -153,23 +153,12 @@ def test_each_patch_comes_from_one_picture_and_no_border_shows() -> None:
     assert np.sqrt(((found - truth)[seen] ** 2).mean()) < 10
 
 
-class _TwoPictures:
-    """Stands for the shots of a paint source: one paints 0.2, the other 0.8, all of them 0.5."""
+class _TwoPictures(BestPaint):
+    """Paint from shots that stand for their light: each of them covers all points alike."""
 
-    form = BASE_COLOR
-    shots = (0.2, 0.8)
-
-    def evaluate(self, triangles: Array, barycentric: Array, widths: Array) -> Array:  # noqa: ARG002
-        return np.tile(np.float32([0.5, 0.5, 0.5, 1.0]), (len(triangles), 1))
-
-    def with_shots(self, shots: list[float]) -> _TwoPictures:
-        alone = _TwoPictures()
-        alone.shots = tuple(shots)  # type: ignore[assignment]
-        return alone
-
-    def each(self, triangles: Array, barycentric: Array, widths: Array) -> tuple[Array, Array]:  # noqa: ARG002
-        count = len(triangles)
-        return np.full((1, count, 3), self.shots[0], np.float32), np.ones((1, count), np.float32)
+    def _sums(self, shots: Any, triangles: Array, *_: Array) -> tuple[Array, Array]:
+        sums = np.tile([*3 * [sum(shots)], float(len(shots))], (len(triangles), 1))
+        return sums, np.zeros(len(triangles))
 
 
 class _Sheets:
@@ -181,10 +170,12 @@ class _Sheets:
 
 def test_points_on_no_sheet_are_painted_from_all_pictures() -> None:
     shares = np.array([[1, 0], [0, 1]], np.float32)
-    source: Any = _TwoPictures()
     sheets: Any = _Sheets()
+    none: Any = None
     own = np.arange(3, dtype=np.int32)
-    paint = BestPaint(source, sheets, shares, np.zeros((2, 2, 3), np.float32))
+    shots: Any = [0.2, 0.8]
+    exposures = np.zeros((2, 2, 3), np.float32)
+    paint = _TwoPictures(shots, BASE_COLOR, *5 * [none], sheets=sheets, shares=shares, exposures=exposures)
     found = paint.evaluate(own, np.zeros((3, 3)), np.zeros(3, np.float32))
     np.testing.assert_allclose(found[2], [0.5, 0.5, 0.5, 1.0])
     assert (found[0, :3] < 0.4).all() and (found[1, :3] > 0.6).all()

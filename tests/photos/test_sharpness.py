@@ -79,7 +79,7 @@ def test_what_a_picture_shows_is_what_a_loop_over_pairs_says() -> None:
         values = (values + random.normal(0, 0.2, values.shape)) * sees[..., None]
         sharp = np.array(is_sharp, np.bool_)
         numbers, at = np.nonzero(sees)
-        found = sharpness._beside(Details(numbers, at, values[sees].astype(np.float32)), sharp)
+        found = sharpness._compared(Details(numbers, at, values[sees].astype(np.float32)), sharp)
         np.testing.assert_allclose(found, naive_beside(values, sees, sharp), rtol=1e-4)
 
 

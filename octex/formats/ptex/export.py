@@ -1,4 +1,4 @@
-"""A texture's values as texels of faces."""
+"""Samples a texture at the texels of faces, and writes them as a .ptx file."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ from octex.texture import OctreeTexture, as_texture
 from octex.tree.search import Positions, nearest_cells
 
 ENDING = ".ptx"
-#: Texels that are looked up together.
+#: Texels that are sampled at once.
 _TOGETHER = 1 << 19
-#: Where on a face, along u and v, the octree's cells are looked at.
+#: Positions on a face, along u and v, where the octree's cells are measured.
 _LOOKED_AT = (0.02, 0.25, 0.5, 0.75, 0.98)
 _MOST_TEXELS = 2**34
-#: How far along a texel's sides it is looked up: a quad's in its middle, a triangle's in the thirds that are
+#: Positions of samples along a texel's sides: the centre of a quad; of a triangle the thirds on which it is
 #: linear (`triangles`), to which it is then fitted ...
 _CENTRE = np.full((1, 2), 1 / 2)
 _THIRDS = np.array([[4, 4], [4, 1], [1, 4]]) / 9
-#: ... so many times: noise comes back with 3.5 dB more, as by least squares. Quads would gain 0.3 dB.
+#: ... in this many rounds: with noise 3.5 dB better, as by least squares. Quads would gain 0.3 dB.
 _ROUNDS = 2
-#: Texels that are so many times as wide as the octree's cells hold averages; others the field at their
-#: centres, which a spline between them meets better.
+#: Texels at least this many cells wide hold averages. Others hold the field at their centres, which a spline
+#: between them matches better.
 _WIDE = 2.0
 
 
@@ -133,7 +133,7 @@ def _dtype(texture: OctreeTexture, names: Sequence[str], dtype: str | None) -> s
 
 
 def _limit_lengths(surface: Surface, patches: Patches) -> Float64s:
-    """Return greatest derivatives (faces, 2) on the limit surface, by chords of ¼ of a side."""
+    """Return the greatest derivatives (faces, 2) on the limit surface, from chords of ¼ of a side."""
     if patches.is_triangle:
         return stretches(patches, surface.vertices)
     divided = subdivide(surface, 2)
@@ -141,7 +141,7 @@ def _limit_lengths(surface: Surface, patches: Patches) -> Float64s:
     corners = divided.vertices[vertices].reshape(-1, 4, 3)
     sides = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
     along = np.maximum(sides[:, :2], sides[:, 2:])
-    # A level has a face for each corner of the one before, which is its first; those of quads turn with it.
+    # A level has a face per corner of the previous one, which is its first; u and v of quads alternate.
     number = np.arange(len(along))
     corner = number // 4
     polygon = np.searchsorted(patches.first_corners, corner, side="right") - 1
@@ -158,7 +158,7 @@ def _limit_lengths(surface: Surface, patches: Patches) -> Float64s:
 def _sizes(
     texture: OctreeTexture, surface: Surface, patches: Patches, lengths: Float64s, texels: int | None
 ) -> Int8s:
-    """Return log2 of faces' texels along u and v (faces, 2) for derivatives of ``lengths``."""
+    """Return log2 of the faces' texels along u and v (faces, 2), from derivatives ``lengths``."""
     finest = np.full(patches.n_faces, np.inf)
     numbers = np.arange(patches.n_faces, dtype=np.int32)
     for v in _LOOKED_AT:
@@ -201,7 +201,7 @@ def _placed(patches: Patches, faces: Int32s, uv: Float64s) -> tuple[Int32s, Floa
 
 
 def _cell_edges(texture: OctreeTexture, rest: Float64s) -> Float64s:
-    """Return the edge of the cell at or next to rest positions (n,), in rest units."""
+    """Return the edge of the cell at, or nearest to, rest positions (n,), in rest units."""
     cells, held = np.empty(len(rest), np.int64), np.empty(len(rest), np.bool_)
     placement, arrays = texture.placement, texture.tree.arrays
     nearest_cells(arrays, Positions.of(rest), placement.origin, placement.size, cells, held)
@@ -211,7 +211,7 @@ def _cell_edges(texture: OctreeTexture, rest: Float64s) -> Float64s:
 
 
 class _Samples(NamedTuple):
-    """Where texels are looked up: on their faces, so many times each."""
+    """The samples of texels on their faces."""
 
     surface: Surface
     patches: Patches
@@ -219,7 +219,7 @@ class _Samples(NamedTuple):
 
     @property
     def per_texel(self) -> Float64s:
-        """How far along a texel's sides its samples are (k, 2)."""
+        """Positions of a texel's samples along its sides (k, 2)."""
         return _THIRDS if self.patches.is_triangle else _CENTRE
 
     def points(self, begin: int, end: int) -> tuple[Int32s, Int32s, Float64s]:
@@ -237,7 +237,7 @@ class _Samples(NamedTuple):
 def _looked_up(
     texture: OctreeTexture, samples: _Samples, names: Sequence[str], executor: Executor, report: Progress
 ) -> Float32s:
-    """Return what the texture has at the samples of all texels (texels, samples, components)."""
+    """Sample the texture for all texels (texels, samples, components)."""
     surface, log2 = samples.surface, samples.faces.log2
     components = [texture.channels[name].format.components for name in names]
     count, each = int(samples.faces.counts.sum()), len(samples.per_texel)
@@ -262,10 +262,10 @@ def _looked_up(
 def _fitted(
     wanted: Float32s, samples: _Samples, forms: Sequence[ChannelFormat], report: Progress
 ) -> Float32s:
-    """Return texels (texels, components) that read back as what is wanted at their samples.
+    """Return texels (texels, components) that reproduce the values ``wanted`` at their samples.
 
-    Those of one sample are that. Others start as means of theirs; round by round they take what the field
-    between them lacks, on average over each (Van Cittert's iteration), of colours by how much is covered.
+    With one sample that is the value. Otherwise texels start as means; each round adds the mean error of the
+    field over the texel (Van Cittert's iteration), with colours weighted by coverage.
     """
     if wanted.shape[1] == 1:
         return wanted[:, 0]

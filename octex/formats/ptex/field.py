@@ -1,4 +1,4 @@
-"""The field between texels of faces, by position on their mesh."""
+"""Interpolates texels of faces, by position on their mesh."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ from octex.source.images.taps import catmull_rom
 from octex.source.mesh import Mesh
 from octex.source.welding import first_equal
 
-#: A box as wide as w texels varies as much as linear reading among texels of w / √3.
+#: A box w texels wide has the variance of linear interpolation between texels w / √3 wide.
 _FINER = 3.0
-#: Colours are multiplied by no less alpha.
+#: Least alpha by which colours are multiplied.
 _LEAST = 2.0**-20
 
 
 class TexelField:
-    """Texels (n, components) of a mesh's faces, and what lies between them.
+    """Texels (n, components) of a mesh's faces, and the values between them.
 
-    Between those of quads lies a spline (Catmull and Rom) that goes on across edges; triangles are linear
-    between the centres and the corners of texels. Where one of the channels is alpha, the others are
-    averaged by that.
+    Quads use a spline (Catmull and Rom) that continues across edges; triangles are linear between the centres
+    and the corners of texels. If a channel is alpha, it weighs the averages of the others.
     """
 
     def __init__(
@@ -44,7 +43,7 @@ class TexelField:
         ends = np.cumsum([0, *(form.components for form in forms)])
         spans = list(zip(forms, ends.tolist(), ends.tolist()[1:], strict=False))
         alpha = [a for form, a, _ in spans if form.name == ALPHA.name]
-        # Colours are averaged by coverage: what is stored is that times them.
+        # Colours are stored times coverage, which weighs their averages.
         self._alpha = alpha[0] if alpha else -1
         self._weighted = np.zeros(values.shape[1], np.bool_)
         if alpha:
@@ -53,7 +52,7 @@ class TexelField:
             for form, a, b in spans:
                 self._weighted[a:b] = form.name != ALPHA.name
             values[:, self._weighted] *= np.maximum(values[:, self._alpha, None], _LEAST)
-        self._range = values.min(axis=0), values.max(axis=0)  # which the spline may leave
+        self._range = values.min(axis=0), values.max(axis=0)  # the spline may overshoot it
         self._patches = patches
         self._pyramid = pyramid_of(values, faces.log2, patches.is_triangle)
         if patches.is_triangle:
@@ -80,7 +79,7 @@ class TexelField:
         return finest
 
     def measured_on(self, rest: Float64s) -> TexelField:
-        """Return the same texels with widths measured on other rest positions (n, 3)."""
+        """Return the same texels, with widths measured at other rest positions (n, 3)."""
         other = copy.copy(self)
         other._lengths = stretches(self._patches, rest)
         return other

@@ -47,17 +47,16 @@ EDGE_FILTERS = ("none", "tangent")
 
 IS_CONSTANT, HAS_EDITS, IS_SUBFACE = 1, 2, 8
 CONSTANT, ZIPPED, DIFFERENCED, TILED = range(4)
-BLOCK_BITS = 30  # of the size of a block; its encoding is in the two above
+BLOCK_BITS = 30  # of a block's size; the two bits above hold its encoding
 EDIT_FACE, EDIT_METADATA = 0, 1
 
-#: Types of metadata, by their numbers; text is the first.
-METADATA_TYPES = ("S", "<i1", "<i2", "<i4", "<f4", "<f8")
-#: Values of more bytes are large metadata.
-MOST_SMALL_METADATA = 1024
-#: What a tile has of a face's bytes, at least.
+#: Types of metadata: text, int8, int16, int32, float32 and float64.
+METADATA_TYPES = 6
+TEXT = 0
+#: Least bytes of a tile.
 TILE_BYTES = 65536
 BARRIER = 8
-#: Longest side of a face, as a power of two.
+#: log2 of the longest side of a face.
 LONGEST_LOG2 = 20
 
 HEADER = np.dtype(
@@ -92,20 +91,20 @@ assert (HEADER.itemsize, EXTENDED_HEADER.itemsize, FACE_INFO.itemsize, LEVEL_INF
 class Faces(NamedTuple):
     """The faces of a .ptx file."""
 
-    log2: Int8s  # (n, 2)        texels along u and v, as powers of two
+    log2: Int8s  # (n, 2)        log2 of the texels along u and v
     neighbors: Int32s  # (n, 4)   the face across each edge, −1 for none; a triangle's fourth is −1
-    edges: Uint8s  # (n, 4)       which edge that is there
-    subfaces: Bools  # (n,)       parts of polygons that are no quads
+    edges: Uint8s  # (n, 4)       the number of that edge there
+    subfaces: Bools  # (n,)       parts of polygons that are not quads
 
     @property
     def counts(self) -> Int64s:
-        """How many texels each face has (n,)."""
+        """The number of texels of each face (n,)."""
         counts: Int64s = np.int64(1) << self.log2.sum(axis=1, dtype=np.int64)
         return counts
 
 
 def packed_faces(faces: Faces, is_constant: Bools) -> np.ndarray:
-    """Return faces as a file has them."""
+    """Return faces in the file's format."""
     made = np.zeros(len(faces.log2), FACE_INFO)
     made["u_log2"], made["v_log2"] = faces.log2.T
     made["neighbors"] = faces.neighbors
@@ -117,7 +116,7 @@ def packed_faces(faces: Faces, is_constant: Bools) -> np.ndarray:
 
 
 def unpacked_faces(info: np.ndarray) -> Faces:
-    """Return faces (n,) of a file."""
+    """Return the faces (n,) of a file."""
     return Faces(
         np.stack([info["u_log2"], info["v_log2"]], axis=1),
         info["neighbors"].astype(np.int32),
@@ -127,12 +126,12 @@ def unpacked_faces(info: np.ndarray) -> Faces:
 
 
 def sizes_of(words: Uint32s) -> tuple[Int64s, Uint32s]:
-    """Return the sizes and the encodings of blocks (n,), of which a file has a word each."""
+    """Return the sizes and the encodings of blocks from their words (n,)."""
     return (words & np.uint32((1 << BLOCK_BITS) - 1)).astype(np.int64), words >> np.uint32(BLOCK_BITS)
 
 
 def reduced_order(log2: Int8s, is_constant: Bools) -> tuple[Int64s, Int64s]:
-    """Return the order of faces in the levels above 0 (n,), and how many each level has, level 0 first."""
+    """Return the order of faces in the levels above 0 (n,), and the number of each level's, from level 0."""
     key = np.where(is_constant, 1, log2.min(axis=1))
     order = np.argsort(-key, kind="stable")
     deepest = int(key.max(initial=2))
@@ -142,7 +141,7 @@ def reduced_order(log2: Int8s, is_constant: Bools) -> tuple[Int64s, Int64s]:
 
 
 def tile_log2(u_log2: int, v_log2: int, pixel: int) -> tuple[int, int]:
-    """Return the sides of a face's tiles, as powers of two; ``pixel`` bytes are a texel."""
+    """Return log2 of the sides of a face's tiles; a texel has ``pixel`` bytes."""
     tiles = max(((pixel << u_log2 + v_log2) // TILE_BYTES).bit_length() - 1, 0)
     left = u_log2 + v_log2 - tiles
     u = min((left + 1) // 2, u_log2)

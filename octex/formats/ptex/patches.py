@@ -1,4 +1,4 @@
-"""A mesh's polygons as Ptex has them: its faces, their neighbours, and where points of them lie."""
+"""A mesh's polygons as Ptex faces: their neighbours, and the points on them."""
 
 from __future__ import annotations
 
@@ -16,38 +16,38 @@ from octex.source.welding import first_equal, sides_across
 
 
 class Patches(NamedTuple):
-    """The faces that Ptex makes of a mesh, as kernels read them.
+    """The Ptex faces of a mesh, in the form that kernels read.
 
-    A polygon's *plane* is two of the three axes: those that its area vector is not the longest along. On it
-    faces are bilinear, and the triangles that a polygon was cut into lie where they do at rest.
+    A polygon's *plane* is spanned by two axes, without the one along which its area vector is longest. In it
+    faces are bilinear, and the polygon's triangles lie as at rest.
     """
 
     is_triangle: bool  # the mesh type; else faces are quads
     first_corners: Int64s  # (polygons + 1,)
     corners: Int32s  # (corners,)      vertices
-    plane: Float64s  # (corners, 2)    where they are on the polygon's plane
-    quads: Float64s  # (faces, 4, 2)   where the corners of faces are on that plane
+    plane: Float64s  # (corners, 2)    their positions in the polygon's plane
+    quads: Float64s  # (faces, 4, 2)   positions of faces' corners in that plane
     first_faces: Int64s  # (polygons + 1,)
     owners: Int32s  # (faces,)         the polygon of each face
     polygons: Int32s  # (triangles,)   the polygon of each triangle
-    cut: Int32s  # (triangles, 3)      the corners of the polygon that it has
+    cut: Int32s  # (triangles, 3)      the polygon's corners of each triangle
     first_cut: Int64s  # (polygons + 1,)
-    triangles: Int32s  # (triangles,)  those of each polygon
+    triangles: Int32s  # (triangles,)  sorted by polygon
 
     @property
     def n_faces(self) -> int:
-        """How many faces there are."""
+        """The number of faces."""
         return int(self.first_faces[-1])
 
 
 def patches_of(mesh: Mesh, mesh_type: str | None = None) -> Patches:
-    """Return the faces of a mesh at rest.
+    """Return the Ptex faces of a mesh at rest.
 
-    ``mesh_type`` None stands for triangles if all polygons are, else for quads: then another polygon is a
-    face for each corner. Raises ModelError if triangles are wanted and others there.
+    ``mesh_type`` None means triangles if all polygons are, else quads, where every other polygon becomes a
+    face per corner. Raises ModelError if a triangle mesh is wanted and there are other polygons.
     """
     known, counts, vertices = mesh.loops()
-    sizes = np.full(int(known[-1]) + 1, 4, np.int64)  # of those that have no triangles
+    sizes = np.full(int(known[-1]) + 1, 4, np.int64)  # for polygons without triangles
     sizes[known] = counts
     if mesh_type is None:
         mesh_type = MESH_TYPES[TRIANGLE if (counts == 3).all() else QUAD]
@@ -86,7 +86,7 @@ def patches_of(mesh: Mesh, mesh_type: str | None = None) -> Patches:
 
 
 def _at_corners(values: Float64s, first_corners: Int64s, first_faces: Int64s, owners: Int32s) -> Float64s:
-    """Return values at faces' corners (faces, 4, k), from those at polygons' corners."""
+    """Return values at the corners of faces (faces, 4, k), from those at the corners of polygons."""
     sizes, within = np.diff(first_corners), np.arange(len(owners)) - first_faces[owners]
     polygons = np.repeat(np.arange(len(sizes)), sizes)
     sums = np.stack([np.bincount(polygons, column, len(sizes)) for column in values.T], axis=1)
@@ -96,16 +96,16 @@ def _at_corners(values: Float64s, first_corners: Int64s, first_faces: Int64s, ow
     for corner in range(4):
         found[is_whole, corner] = values[begin + np.minimum(corner, size - 1)]
     parts = np.flatnonzero(np.diff(first_faces)[owners] > 1)
-    begin, size, own = first_corners[owners[parts]], sizes[owners[parts]], within[parts]
-    here = values[begin + own]
+    begin, size, corner_number = first_corners[owners[parts]], sizes[owners[parts]], within[parts]
+    here = values[begin + corner_number]
     found[parts, 0], found[parts, 2] = here, sums[owners[parts]] / size[:, None]
     for corner, step in ((1, 1), (3, size - 1)):
-        found[parts, corner] = 0.5 * (here + values[begin + (own + step) % size])
+        found[parts, corner] = 0.5 * (here + values[begin + (corner_number + step) % size])
     return found
 
 
 def _sides(first_corners: Int64s) -> tuple[Int64s, Int64s, Int64s]:
-    """Return the polygon of each corner (n,), its number there, and the number of the corner after it."""
+    """Return each corner's polygon (n,), its number there, and the number of the next corner."""
     sizes = np.diff(first_corners)
     polygons = np.repeat(np.arange(len(sizes)), sizes)
     within = np.arange(len(polygons)) - first_corners[polygons]
@@ -113,7 +113,7 @@ def _sides(first_corners: Int64s) -> tuple[Int64s, Int64s, Int64s]:
 
 
 def _planes(positions: Float64s, first_corners: Int64s) -> Float64s:
-    """Return where corners lie on the planes of their polygons (n, 2)."""
+    """Return the positions of corners in the planes of their polygons (n, 2)."""
     polygons, _, after = _sides(first_corners)
     first = first_corners[polygons]
     steps = positions - positions[first + after]
@@ -126,10 +126,10 @@ def _planes(positions: Float64s, first_corners: Int64s) -> Float64s:
 
 
 def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
-    """Return the face across each edge of each face (faces, 4), −1 for none, and which edge that is there.
+    """Return the face across each edge of each face (faces, 4), −1 for none, and the edge's number there.
 
-    Vertices at one place at rest are one. An edge that other than two polygons share, or that two go along
-    the same way, is a border: no neighbour turns it over.
+    Vertices at one rest position are one. An edge of one polygon, of more than two, or of two that run along
+    it in the same direction is a border.
     """
     place = first_equal(mesh.rest)[patches.corners]
     polygon, within, after = _sides(patches.first_corners)
@@ -138,14 +138,14 @@ def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
     whole = np.diff(patches.first_faces)[polygon] == 1
     neighbors = np.full((patches.n_faces, 4), -1, np.int32)
     edges = np.zeros((patches.n_faces, 4), np.uint8)
-    # The face and its edge along the first half of a polygon's side, and along the second.
+    # The face and its edge along the first half of a polygon's side, and along the second half.
     halves = (
         (np.where(whole, base, base + within), np.where(whole, within, 0)),
         (np.where(whole, base, base + after), np.where(whole, within, 3)),
     )
     here = np.flatnonzero(across >= 0)
     there = across[here]
-    for half in (1, 0):  # a face along a whole side meets the first half beyond it, which is written last
+    for half in (1, 0):  # last the first half, which is the neighbour of a face along the whole side
         (face, edge), (other, beyond) = halves[half], halves[1 - half]
         neighbors[face[here], edge[here]] = other[there]
         edges[face[here], edge[here]] = beyond[there]
@@ -156,7 +156,7 @@ def neighbors_of(mesh: Mesh, patches: Patches) -> tuple[Int32s, Uint8s]:
 
 
 def faces_of(mesh: Mesh, patches: Patches, log2: Int8s) -> Faces:
-    """Return the faces of a mesh with so many texels (faces, 2), as powers of two."""
+    """Return the faces of a mesh with log2 texels (faces, 2)."""
     subfaces = (np.diff(patches.first_faces) > 1)[patches.owners]
     return Faces(log2, *neighbors_of(mesh, patches), subfaces)
 
@@ -179,14 +179,14 @@ def check_fit(mesh: Mesh, patches: Patches, faces: Faces, name: str) -> None:
 
 @inlined
 def _inverse(patches: Patches, face: int, x: float, y: float) -> tuple[float, float]:
-    """Return (u, v) of a point on the plane of a quad: what bilinear interpolation makes it of."""
+    """Return (u, v) of a point in the plane of a quad: the inverse of bilinear interpolation."""
     ax, ay = patches.quads[face, 0, 0], patches.quads[face, 0, 1]
     bx, by = patches.quads[face, 1, 0], patches.quads[face, 1, 1]
     cx, cy = patches.quads[face, 2, 0], patches.quads[face, 2, 1]
     dx, dy = patches.quads[face, 3, 0], patches.quads[face, 3, 1]
     ex, ey, fx, fy = bx - ax, by - ay, dx - ax, dy - ay
     gx, gy, hx, hy = ax - bx + cx - dx, ay - by + cy - dy, x - ax, y - ay
-    # h = u·e + v·f + u·v·g: without u that is a quadratic in v.
+    # h = u·e + v·f + u·v·g; eliminating u leaves a quadratic in v.
     k2 = gx * fy - gy * fx
     k1 = ex * fy - ey * fx + hx * gy - hy * gx
     k0 = hx * ey - hy * ex
@@ -207,7 +207,7 @@ def _inverse(patches: Patches, face: int, x: float, y: float) -> tuple[float, fl
 
 @inlined
 def locate(patches: Patches, triangle: int, p: float, q: float, r: float) -> tuple[int, float, float]:
-    """Return the face of a point of a triangle, by its barycentric coordinates, and (u, v) there."""
+    """Return the face of a point of a triangle, by barycentric coordinates, and (u, v) there."""
     polygon = int(patches.polygons[triangle])
     face = int(patches.first_faces[polygon])
     if patches.is_triangle:
@@ -253,7 +253,7 @@ def _bilinear(patches: Patches, face: int, u: float, v: float) -> tuple[float, f
 
 @kernel
 def place(patches: Patches, faces: Int32s, uv: Float64s, triangles: Int32s, barycentric: Float64s) -> None:
-    """Fill in triangles (n,), −1 for none, and points of them, of faces (n,) at (u, v) (n, 2)."""
+    """Write triangles (n,), −1 for none, and barycentric points of faces (n,) at (u, v) (n, 2)."""
     for n in range(faces.size):
         face = int(faces[n])
         polygon = int(patches.owners[face])
@@ -301,7 +301,7 @@ def place(patches: Patches, faces: Int32s, uv: Float64s, triangles: Int32s, bary
 
 
 def stretches(patches: Patches, positions: Float64s) -> Float64s:
-    """Return faces' longest edges along u and v (faces, 2); of triangles the longest, twice."""
+    """Return the faces' longest edges along u and v (faces, 2); for triangles the longest, twice."""
     first_corners, first_faces, owners = patches.first_corners, patches.first_faces, patches.owners
     corners = _at_corners(positions[patches.corners], first_corners, first_faces, owners)
     steps = (corners[:, [1, 2, 3, 2]] - corners[:, [0, 3, 0, 1]]) ** 2

@@ -1,4 +1,4 @@
-"""Texels of faces and their means, level by level, with what lies across the faces' edges."""
+"""Texels of faces and their means, level by level, with rims from across the faces' edges."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ _BLACK, _PERIODIC = BORDER_MODES.index("black"), BORDER_MODES.index("periodic")
 class Pyramid(NamedTuple):
     """Texels of all faces at all levels, each face with a rim.
 
-    Level i has both sides halved i times, as far as they can be. The rim of a quad is what lies across its
-    edges, that of a triangle what its corners of texels along its edges have (`triangles.fill_corners`).
+    Level i has both sides halved i times, down to 1. A quad's rim holds the texels across its edges; a
+    triangle's the corners of texels along its edges (`triangles.fill_corners`).
     """
 
     pixels: Float32s  # (texels, columns)
     firsts: Int64s  # (levels, faces)   the first texel of the rim's first row
     log2: Int8s  # (levels, faces, 2)
-    faces: Int32s  # (faces,)   the level from which on a face is one texel
+    faces: Int32s  # (faces,)   the first level at which a face is one texel
 
 
 def pyramid_of(values: Float32s, log2: Int8s, is_triangle: bool) -> Pyramid:
-    """Return texels (n, columns) of faces and their means; rims are empty. ``log2`` (faces, 2)."""
+    """Return the pyramid of texels (n, columns), with empty rims; ``log2`` (faces, 2)."""
     levels = int(log2.max()) + 1
     sides = np.maximum(log2[None] - np.arange(levels)[:, None, None], 0).astype(np.int8)
     counts = ((np.int64(1) << sides.astype(np.int64)) + 2).prod(axis=2)
     lasts = log2.max(axis=1).astype(np.int32)
-    counts[np.arange(levels)[:, None] > lasts] = 0  # once it is one texel, a face stays that
+    counts[np.arange(levels)[:, None] > lasts] = 0  # a face ends with its level of one texel
     firsts = (np.cumsum(counts) - counts.ravel()).reshape(counts.shape)
     pixels = np.zeros((int(counts.sum()), values.shape[1]), np.float32)
     made = Pyramid(pixels, firsts, sides, lasts)
@@ -43,7 +43,7 @@ def pyramid_of(values: Float32s, log2: Int8s, is_triangle: bool) -> Pyramid:
 
 @kernel
 def _fill(values: Float32s, starts: Int64s, pyramid: Pyramid, is_triangle: bool) -> None:
-    """Fill in the texels of all levels, each from the one before."""
+    """Write the texels of all levels, each from the one before."""
     columns = values.shape[1]
     for face in range(starts.size):
         for level in range(pyramid.faces[face] + 1):
@@ -75,7 +75,7 @@ def _fill(values: Float32s, starts: Int64s, pyramid: Pyramid, is_triangle: bool)
 
 @kernel
 def fill_rims(pyramid: Pyramid, neighbors: Int32s, edges: Uint8s, subfaces: Bools, modes: Int64s) -> None:
-    """Fill in texels across quads' edges, and corners; ``modes`` are of borders along u and v."""
+    """Write the rims of quads: texels across edges, and corners; ``modes`` are those of borders."""
     for face in range(neighbors.shape[0]):
         for level in range(pyramid.faces[face] + 1):
             u, v = 1 << pyramid.log2[level, face, 0], 1 << pyramid.log2[level, face, 1]
@@ -108,7 +108,7 @@ def fill_rims(pyramid: Pyramid, neighbors: Int32s, edges: Uint8s, subfaces: Bool
 
 @inlined
 def _rim(edge: int, i: int, u: int, v: int, width: int, inside: int) -> int:
-    """Return the i-th texel of the rim along an edge, or with ``inside`` 1 the face's own beside it."""
+    """Return the i-th texel of the rim along an edge, or with ``inside`` 1 the face's texel next to it."""
     if edge == 0:
         return inside * width + 1 + i
     if edge == 1:
@@ -129,12 +129,12 @@ def _across(
     edge: int,
     along: float,
 ) -> int:
-    """Return the texel across an edge at a part of its length, −1 if nothing is there."""
+    """Return the texel across an edge at a fraction of its length, −1 for none."""
     other, there = int(neighbors[face, edge]), int(edges[face, edge])
     if other < 0:
         return -1
     if subfaces[other] and not subfaces[face]:
-        if along >= 0.5:  # beside the second of two subfaces
+        if along >= 0.5:  # the second of two subfaces
             turn = (there + 3) % 4
             second = int(neighbors[other, turn])
             if second < 0:

@@ -1,4 +1,4 @@
-"""Reading .ptx files: what is asked for is read and decoded, and no more."""
+"""Reads .ptx files lazily."""
 
 from __future__ import annotations
 
@@ -17,13 +17,10 @@ from octex.errors import ModelError
 from octex.files import open_file
 from octex.formats.ptex import layout
 from octex.formats.ptex.layout import Faces
-from octex.formats.ptex.reduction import halved, premultiplied
 
-#: A byte of a zlib stream stands for so many at most.
+#: Most bytes that a byte of a zlib stream can hold.
 _MOST_PER_BYTE = 1032
 _ROOM = 64
-
-Metadata = dict[str, "str | Array"]
 
 
 class PtexFile:
@@ -31,18 +28,17 @@ class PtexFile:
 
     mesh_type      "quad" or "triangle"
     dtype          of the texels: uint8, uint16, float16 or float32
-    n_channels     numbers a texel
-    alpha_channel  which of them is alpha; None if none is
-    n_faces        faces
-    n_levels       levels that are stored: the texels, and reductions of them
+    n_channels     components of a texel
+    alpha_channel  the component that is alpha, or None
+    n_faces        number of faces
+    n_levels       stored levels: the texels, and reductions of them
     faces          their resolutions and neighbours
     is_constant    (n_faces,) whether a face is one colour
-    border_modes   beyond the mesh's borders along u and v: "clamp", "black" or "periodic"
+    border_modes   at the mesh's borders along u and v: "clamp", "black" or "periodic"
     edge_filter    "none"; "tangent": values are vectors in the face's tangent space
 
-    What is opened is the headers; texels are read when they are asked for. Edits that were appended count.
-    Raises ModelError, which names the file, for what cannot be read and what is damaged, whenever that is
-    found.
+    Opening reads the headers and appended edits; texels are read on demand. Raises ModelError, naming the
+    file, for files that cannot be read, and for damage whenever it is found.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -67,7 +63,7 @@ class PtexFile:
         self.close()
 
     def __del__(self) -> None:
-        """Close a file that nobody closed."""
+        """Close the file."""
         if hasattr(self, "_file"):
             self._file.close()
 
@@ -77,11 +73,11 @@ class PtexFile:
 
     @property
     def most_bytes(self) -> int:
-        """How many bytes of texels a file of this size can hold."""
+        """The most bytes of texels that a file of this size can hold."""
         return self._size * _MOST_PER_BYTE
 
     def close(self) -> None:
-        """Close the file; what was read stays."""
+        """Close the file; arrays already read stay valid."""
         self._file.close()
 
     def _open(self) -> None:
@@ -96,12 +92,10 @@ class PtexFile:
         if header["mesh_type"] >= len(layout.MESH_TYPES) or header["data_type"] >= len(layout.DTYPES):
             raise self._refusal("an unknown kind of mesh or of numbers")
         self.mesh_type = layout.MESH_TYPES[header["mesh_type"]]
-        self._is_triangle = self.mesh_type == layout.MESH_TYPES[layout.TRIANGLE]
         self.dtype = np.dtype(layout.DTYPES[header["data_type"]])
         self._stored = self.dtype.newbyteorder("<")
         self.n_channels, self.n_faces = int(header["channels"]), int(header["faces"])
         self.n_levels = int(header["levels"])
-        self.minor_version = int(header["minor_version"])
         alpha = int(header["alpha_channel"])
         self.alpha_channel = alpha if 0 <= alpha < self.n_channels else None
         if not self.n_channels or not self.n_faces or not self.n_levels:
@@ -127,13 +121,12 @@ class PtexFile:
             at += size
         has_metadata = header["metadata_zipped"] > 0 or extended["large_zipped"] > 0
         self._metadata_at = at, int(header["metadata_zipped"]), int(header["metadata"])
-        barred = at + self._metadata_at[1] + layout.BARRIER
-        self._large_at = barred, int(extended["large_zipped"]), int(extended["large"])
-        self._large_end = barred + self._large_at[1] + int(extended["large_data"])
+        large = int(extended["large_zipped"]) + int(extended["large_data"])
+        self._large_end = at + self._metadata_at[1] + layout.BARRIER + large
         if max(at, self._large_end if has_metadata else 0) > self._size:
             raise self._refusal("it ends early")
         self._constants_at = places["constants"]
-        self._levels = self._placed_levels(*places["level_info"], *places["level_data"])
+        self._level = self._level_in(*places["level_info"], *places["level_data"])
         self._info = np.frombuffer(
             self._inflated(*places["face_info"], self.n_faces * layout.FACE_INFO.itemsize), layout.FACE_INFO
         ).copy()
@@ -142,25 +135,19 @@ class PtexFile:
         log2, neighbors, across, subfaces = layout.unpacked_faces(self._info)
         self.faces = Faces(locked(log2), locked(neighbors), locked(across), locked(subfaces))
         self.is_constant: Bools = locked(self._info["flags"] & layout.IS_CONSTANT != 0)
-        self._headers: dict[int, tuple[Int64s, Int64s, Uint32s]] = {}
 
-    def _placed_levels(self, at: int, size: int, first: int, room: int) -> list[tuple[int, int, int, int]]:
-        """Return where each level begins, its bytes, those of its header, and its faces."""
-        info = np.frombuffer(self._read(at, size), layout.LEVEL_INFO)
-        if info[0]["faces"] != self.n_faces or (info["faces"] > self.n_faces).any():
+    def _level_in(self, at: int, size: int, first: int, room: int) -> tuple[int, int, int]:
+        """Return where the first level begins, its bytes, and those of its header."""
+        length, header, faces = np.frombuffer(self._read(at, size), layout.LEVEL_INFO)[0].tolist()
+        if faces != self.n_faces:
             raise self._refusal("its levels have another number of faces than it has")
-        placed, end = [], first + room
-        for level in info.tolist():
-            length, header, faces = level
-            if header > length or first + length > end:
-                raise self._refusal("a level is larger than all of them")
-            placed.append((first, length, header, faces))
-            first += length
-        return placed
+        if header > length or length > room:
+            raise self._refusal("a level is larger than all of them")
+        return first, length, header
 
     def _read_edits(self, extended: np.void, end: int) -> None:
-        """Note where edits of faces and metadata are; those of faces replace what is known of them."""
-        self._edited: dict[int, tuple[int, int]] = {}  # face: where its header and pixel are, the edit's end
+        """Note the positions of edits; those of faces replace the face's record."""
+        self._edited: dict[int, tuple[int, int]] = {}  # face: start of the header and pixel, end of the edit
         self._metadata_edits: list[tuple[int, int, int]] = []
         at = max(int(extended["edits_at"]), end)
         stop = self._size
@@ -168,7 +155,7 @@ class PtexFile:
             stop = at + int(extended["edits"])
             if stop > self._size:
                 raise self._refusal("it ends early")
-        elif end < self._size:  # files without these fields have edits up to the end, behind the barrier
+        elif end < self._size:  # older files have edits from the barrier to the end
             at = max(at, self._large_end)
         data = self._read(at, stop - at) if at < stop else b""
         place = 0
@@ -199,10 +186,11 @@ class PtexFile:
     def _check_faces(self) -> None:
         info = self._info
         u, v, neighbors = info["u_log2"], info["v_log2"], info["neighbors"]
-        sides = 3 if self._is_triangle else 4
+        is_triangle = self.mesh_type == layout.MESH_TYPES[layout.TRIANGLE]
+        sides = 3 if is_triangle else 4
         if min(u.min(), v.min()) < 0 or max(u.max(), v.max()) > layout.LONGEST_LOG2:
             raise self._refusal(f"a face's side is not of 1 to 2^{layout.LONGEST_LOG2} texels")
-        if self._is_triangle and (u != v).any():
+        if is_triangle and (u != v).any():
             raise self._refusal("a triangle has another number of texels along u than along v")
         if (neighbors[:, :sides] < -1).any() or (neighbors[:, :sides] >= self.n_faces).any():
             raise self._refusal(f"a face has a neighbour that is not among the {self.n_faces}")
@@ -210,28 +198,23 @@ class PtexFile:
 
     @cached_property
     def constants(self) -> Array:
-        """The average of each face (n_faces, n_channels), as it is stored."""
+        """The average of each face (n_faces, n_channels), in the stored type."""
         data = self._inflated(*self._constants_at, self.n_faces * self._pixel)
         values = np.frombuffer(data, self._stored).reshape(self.n_faces, -1).astype(self.dtype)
         for face, (at, _) in self._edited.items():
             values[face] = np.frombuffer(self._read(at + 4, self._pixel), self._stored)
         return locked(values)
 
-    def texels(self, face: int, level: int = 0) -> Array:
+    def texels(self, face: int) -> Array:
         """Return the texels (v, u, n_channels) of a face, the row of v = 0 first, as numbers of ``dtype``.
 
-        ``level`` halves both sides so many times; such texels are multiplied by alpha. What the file does not
-        store of that is averaged here. Of a triangle the array is the square that the layout describes.
-        Raises ArgumentError for a face or a level that is not there.
+        For a triangle the array is the square that the layout describes. Raises ArgumentError for a face out
+        of range.
         """
         face = as_whole(face, "face", 0, self.n_faces - 1)
         u, v = self.faces.log2[face].tolist()
-        level = as_whole(level, "level", 0, min(u, v))
         if self.is_constant[face]:
-            pixel = self.constants[face]
-            if level and self.alpha_channel is not None:
-                pixel = premultiplied(pixel, self.alpha_channel)
-            return np.broadcast_to(pixel, (1 << v - level, 1 << u - level, self.n_channels))
+            return np.broadcast_to(self.constants[face], (1 << v, 1 << u, self.n_channels))
         if face in self._edited:
             at, end = self._edited[face]
             words = np.frombuffer(self._read(at, 4), "<u4")
@@ -239,18 +222,12 @@ class PtexFile:
             begin = at + 4 + self._pixel
             if begin + size > end:
                 raise self._refusal("an edit of a face is too short")
-            return self._halved(self._block(begin, size, encoding, u, v), level, is_multiplied=False)
-        for stored in range(min(level, self.n_levels - 1), -1, -1):
-            number = int(self._numbers[face]) if stored else face
-            if number < self._levels[stored][3] and (stored == 0 or min(u, v) > stored):
-                begin, size, encoding = (int(each[number]) for each in self._level(stored))
-                if stored == 0 or size:
-                    found = self._block(begin, size, encoding, u - stored, v - stored)
-                    return self._halved(found, level - stored, is_multiplied=stored > 0)
-        raise self._refusal(f"face {face} is not in it")
+        else:
+            begin, size, encoding = (int(each[face]) for each in self._blocks)
+        return self._decoded(self._read(begin, size), encoding, u, v, is_tile=False)
 
     def all_texels(self) -> tuple[Array, Int8s]:
-        """Return texels (k, channels) of all faces, one of constant ones, and log2 of sides (faces, 2)."""
+        """Return texels (k, channels) of all faces, one for constant faces, and log2 of sides (faces, 2)."""
         log2 = np.where(self.is_constant[:, None], np.int8(0), self.faces.log2)
         counts = np.int64(1) << log2.sum(axis=1, dtype=np.int64)
         if counts.sum(dtype=np.float64) * self._pixel > self.most_bytes:
@@ -263,34 +240,14 @@ class PtexFile:
             )
         return texels, log2
 
-    def _halved(self, texels: Array, times: int, *, is_multiplied: bool) -> Array:
-        if times and not is_multiplied and self.alpha_channel is not None:
-            texels = premultiplied(texels, self.alpha_channel)
-        for _ in range(times):
-            texels = halved(texels[None], self._is_triangle)[0]
-        return texels
-
     @cached_property
-    def _numbers(self) -> Int64s:
-        """The number (n_faces,) of each face in the levels above 0."""
-        order, _ = layout.reduced_order(self.faces.log2, self.is_constant)
-        numbers = np.empty_like(order)
-        numbers[order] = np.arange(len(order))
-        return numbers
-
-    def _level(self, level: int) -> tuple[Int64s, Int64s, Uint32s]:
-        """Return where the blocks of a level begin, their sizes and their encodings."""
-        if level not in self._headers:
-            at, length, header, faces = self._levels[level]
-            sizes, encodings = layout.sizes_of(np.frombuffer(self._inflated(at, header, 4 * faces), "<u4"))
-            if header + int(sizes.sum()) > length:
-                raise self._refusal("the blocks of a level are larger than it")
-            self._headers[level] = at + header + np.cumsum(sizes) - sizes, sizes, encodings
-        return self._headers[level]
-
-    def _block(self, at: int, size: int, encoding: int, u: int, v: int) -> Array:
-        """Return the texels (v, u, channels) of a block."""
-        return self._decoded(self._read(at, size), encoding, u, v, is_tile=False)
+    def _blocks(self) -> tuple[Int64s, Int64s, Uint32s]:
+        """The start of each face's block (n_faces,), its size and its encoding."""
+        at, length, header = self._level
+        sizes, encodings = layout.sizes_of(np.frombuffer(self._inflated(at, header, 4 * self.n_faces), "<u4"))
+        if header + int(sizes.sum()) > length:
+            raise self._refusal("the blocks of a level are larger than it")
+        return at + header + np.cumsum(sizes) - sizes, sizes, encodings
 
     def _decoded(self, data: bytes, encoding: int, u: int, v: int, *, is_tile: bool) -> Array:
         shape = 1 << v, 1 << u, self.n_channels
@@ -340,47 +297,23 @@ class PtexFile:
         return whole
 
     @cached_property
-    def metadata(self) -> Metadata:
-        """What is stored by name: text, or arrays (k,) of int8, int16, int32, float32 or float64."""
-        found: Metadata = {}
-        if self._metadata_at[2]:
-            at, zipped, size = self._metadata_at
-            self._read_entries(self._inflated(at, zipped, size), found)
-        if self._large_at[2]:
-            at, zipped, size = self._large_at
-            self._read_entries(self._inflated(at, zipped, size), found, at + zipped)
-        for at, zipped, size in self._metadata_edits:
-            self._read_entries(self._inflated(at, zipped, size), found)
+    def metadata(self) -> dict[str, str]:
+        """The stored texts by name, without large metadata."""
+        found: dict[str, str] = {}
+        for at, zipped, size in (self._metadata_at, *self._metadata_edits):
+            data, place = self._inflated(at, zipped, size) if size else b"", 0
+            while place < len(data):
+                after = place + 1 + data[place]
+                if not data[place] or after + 5 > len(data):
+                    raise self._refusal("an entry of the metadata ends early")
+                key, kind = data[place + 1 : after], data[after]
+                place = after + 5 + int.from_bytes(data[after + 1 : after + 5], "little")
+                if place > len(data) or kind >= layout.METADATA_TYPES:
+                    raise self._refusal("an entry of the metadata ends early or is of an unknown type")
+                if kind == layout.TEXT:
+                    name, value = (each.split(b"\0", 1)[0] for each in (key, data[after + 5 : place]))
+                    found[name.decode("utf-8", "replace")] = value.decode("utf-8", "replace")
         return found
-
-    def _read_entries(self, data: bytes, found: Metadata, values_at: int | None = None) -> None:
-        """Read entries; those of large metadata have their values, each a stream, from ``values_at`` on."""
-        place = 0
-        while place < len(data):
-            after = place + 1 + data[place]
-            key, fixed = data[place + 1 : after], 5 if values_at is None else 9
-            if not data[place] or after + fixed > len(data):
-                raise self._refusal("an entry of the metadata ends early")
-            kind, size = data[after], int.from_bytes(data[after + 1 : after + 5], "little")
-            place = after + fixed
-            if values_at is None:
-                value = data[place : place + size]
-                place += size
-            else:
-                zipped = int.from_bytes(data[after + 5 : after + 9], "little")
-                if values_at + zipped > self._large_end:
-                    raise self._refusal("large metadata ends early")
-                value = self._inflated(values_at, zipped, size)
-                values_at += zipped
-            if place > len(data) or kind >= len(layout.METADATA_TYPES):
-                raise self._refusal("an entry of the metadata ends early or is of an unknown type")
-            name = key.split(b"\0", 1)[0].decode("utf-8", "replace")
-            if layout.METADATA_TYPES[kind] == "S":
-                found[name] = value.split(b"\0", 1)[0].decode("utf-8", "replace")
-            else:
-                form = np.dtype(layout.METADATA_TYPES[kind])
-                array = np.frombuffer(value, form, len(value) // form.itemsize)
-                found[name] = locked(array.astype(form.newbyteorder("=")))
 
     def _read(self, at: int, size: int) -> bytes:
         if at + size > self._size:
@@ -399,7 +332,7 @@ class PtexFile:
         return self._unzipped(self._read(at, zipped), size)
 
     def _unzipped(self, data: bytes, size: int) -> bytes:
-        """Return what a zlib stream holds; nothing is allocated for what it cannot hold."""
+        """Return the content of a zlib stream, without allocating for sizes that it cannot hold."""
         if size > len(data) * _MOST_PER_BYTE + _ROOM:
             raise self._refusal("a stream is too short for what it should hold")
         stream = zlib.decompressobj()

@@ -1,18 +1,10 @@
-"""Halving the texels of faces."""
+"""Halves the texels of faces."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from octex.arrays import Array, Floats
-from octex.channels import ONE
-
-
-def premultiplied(texels: Array, alpha: int) -> Array:
-    """Return texels (…, channels) multiplied by their alpha, rounded if they are whole numbers."""
-    values = texels.astype(np.float64)
-    multiply(values, alpha, ONE[texels.dtype.name])
-    return stored(values, texels.dtype)
 
 
 def multiply(values: Floats, alpha: int, one: float) -> None:

@@ -19,7 +19,7 @@ from octex.source.base import Placeable, Source
 from octex.source.materials import light_format
 from octex.source.mesh import Mesh
 
-#: The metadata in which octex notes the channels that the numbers of a texel are, as JSON.
+#: Metadata key of octex's JSON that names the channels of a texel's components.
 CHANNELS_KEY = "octex:channels"
 
 
@@ -58,7 +58,7 @@ class Ptex(Placeable):
 
 
 def _forms_of(file: PtexFile) -> list[tuple[ChannelFormat, list[int]]]:
-    """Return the channels of a file, and which numbers of a texel they are."""
+    """Return the channels of a file, each with its components of a texel."""
     noted = file.metadata.get(CHANNELS_KEY)
     if isinstance(noted, str):
         return _noted(file, noted)

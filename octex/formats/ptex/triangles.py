@@ -1,9 +1,9 @@
-"""Values between the texels of triangular faces: linear, and continuous across their edges.
+"""Interpolates triangular faces: linear within texels, continuous across edges.
 
-A texel is a triangle; its corners lie on a grid, each among six texels, or along an edge among three of the
-face and three of the one across. A corner has their mean. Where faces of other resolutions meet, the coarser
-one's corners count: its finer neighbour has the mean at its level of the same size, and is linear in between.
-A vertex of the mesh has the mean of all faces around it, at the coarsest one's resolution.
+A texel is a triangle. Its corners lie on a grid, each among six texels, or on an edge among three of the face
+and three of the one across; a corner has their mean. Where resolutions differ, the coarser face's corners
+count: the finer one takes its mean at the level of equal size, and is linear in between. A vertex of the mesh
+has the mean of all faces around it, at the coarsest one's resolution.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from octex.jit import inlined, kernel
 
 
 def fill_corners(pyramid: Pyramid, neighbors: Int32s, edges: Uint8s, vertices: Int64s) -> None:
-    """Fill rims with values at texels' corners along edges; ``vertices`` (faces, 3)."""
+    """Write the values at texels' corners along edges to the rims; ``vertices`` (faces, 3)."""
     log2 = pyramid.log2[0, :, 0].astype(np.int64)
     coarsest = np.full(int(vertices.max()) + 1, np.iinfo(np.int64).max)
     np.minimum.at(coarsest, vertices, log2[:, None])
     coarsest[np.setdiff1d(np.arange(len(coarsest)), vertices)] = 0
-    firsts = np.cumsum(coarsest + 1) - (coarsest + 1)  # of each vertex's values, by the size of faces
+    firsts = np.cumsum(coarsest + 1) - (coarsest + 1)  # of each vertex's values, by size
     values = np.zeros((int((coarsest + 1).sum()), pyramid.pixels.shape[1]), np.float32)
     counts = np.bincount(vertices.ravel(), minlength=len(coarsest))
     _fill_corners(pyramid, neighbors, edges, vertices, coarsest, firsts, counts, values)
@@ -84,7 +84,7 @@ def _fill_corners(
 
 @inlined
 def _on_edge(side: int, edge: int, along: int) -> tuple[int, int]:
-    """Return the corner of cells so far along an edge."""
+    """Return the corner of cells at a distance along an edge."""
     if edge == 0:
         return along, 0
     if edge == 1:
@@ -94,7 +94,7 @@ def _on_edge(side: int, edge: int, along: int) -> tuple[int, int]:
 
 @inlined
 def _rim(side: int, a: int, b: int) -> int:
-    """Return where a corner of cells that lies on an edge is in the rim."""
+    """Return the position in the rim of a corner of cells on an edge."""
     if b == 0:
         return a
     if a == 0:
@@ -119,7 +119,7 @@ def _add_around(
 
 @inlined
 def _triangle_texel(side: int, i: int, j: int, is_tip: bool) -> tuple[int, int]:
-    """Return the column and the row of a texel of a triangle's cell."""
+    """Return the column and the row where a texel of a triangle's cell is stored."""
     if is_tip:
         return side - 1 - j, side - 1 - i
     return i, j
@@ -131,22 +131,22 @@ def add_triangle(
 ) -> None:
     """Add the value at (x, y) in cells, linear between texels' centres and corners."""
     i, j = min(int(x), side - 1), min(int(y), side - 1)
-    if i + j > side - 1:  # beyond the slanted edge by rounding
+    if i + j > side - 1:  # rounded beyond the slanted edge
         i = side - 1 - j
     f, g = min(max(x - i, 0.0), 1.0), min(max(y - j, 0.0), 1.0)
     is_tip = f + g > 1.0 and i + j < side - 1
     if f + g > 1.0 and not is_tip:
         f, g = f / (f + g), g / (f + g)
-    # Barycentric in the texel; the least says which corner is not of the third that holds the point.
+    # Barycentric in the texel; the corner with the least coordinate is not in the third that holds the point.
     p, q, r = 1.0 - f - g, f, g
     if is_tip:
         p, q, r = f + g - 1.0, 1.0 - f, 1.0 - g
     least = min(p, min(q, r))
     column, row = _triangle_texel(side, i, j, is_tip)
-    own = share * np.float32(3.0 * least)
+    centre = share * np.float32(3.0 * least)
     at = first + (row + 1) * (side + 2) + column + 1
     for k in range(to.size):
-        to[k] += own * pixels[at, k]
+        to[k] += centre * pixels[at, k]
     for corner in range(3):
         weight = (p if corner == 0 else (q if corner == 1 else r)) - least
         if weight <= 0.0:
@@ -173,7 +173,7 @@ def add_triangle(
 
 @inlined
 def _around(side: int, a: int, b: int, each: int) -> tuple[int, int]:
-    """Return the column and row of one of six texels around a corner of cells, −1 if it is not there."""
+    """Return the column and row of one of six texels around a corner of cells, −1 if it is missing."""
     i, j, is_tip = a, b, False
     if each == 1:
         i = a - 1

@@ -1,4 +1,4 @@
-"""Writing .ptx files."""
+"""Writes .ptx files."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from octex.formats.ptex.layout import Faces
 from octex.formats.ptex.reduction import colors, halved, multiply, stored
 from octex.parallel import ordered_map, start
 
-#: Blocks of less bytes are encoded as they promise to be smaller, without a try: zlib takes 8 µs for each.
+#: Smaller blocks, in bytes, choose their encoding by an estimate, not by trial: zlib takes 8 µs per call.
 _TRIED = 512
-#: Faces that are encoded together have about so many bytes.
+#: Bytes of faces that are encoded together.
 _TOGETHER = 1 << 20
-#: Faces of less bytes are encoded by one thread: between blocks so short others would wait for each other.
+#: Smaller faces, in bytes, are encoded by one thread: parallel tasks would wait for each other.
 _SHARED = 4096
-#: By how many bits that promise may err; differences are the better guess.
+#: Uncertainty of the estimate in bits, in favour of differences.
 _UNSURE = 32
 
 
 class Contents(NamedTuple):
-    """What a .ptx file is to hold."""
+    """The contents of a .ptx file."""
 
     mesh_type: str
     faces: Faces
@@ -39,15 +39,15 @@ class Contents(NamedTuple):
     alpha_channel: int | None = None
     border_modes: tuple[str, str] = ("clamp", "clamp")
     edge_filter: str = "none"
-    metadata: Mapping[str, str | Array] = {}
+    metadata: Mapping[str, str] = {}
 
 
 def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     """Write a .ptx file with all levels.
 
-    Of each block the smaller encoding is kept: texels or their differences, or one pixel. Faces of 128 KB and
-    more are tiled, so that readers need not decode all of one. Averages are rounded, and multiplied by alpha.
-    Raises OutputError if the file cannot be written.
+    Each block gets the smaller encoding: texels, their differences, or one pixel. Faces of 128 KB and more
+    are tiled, so that readers can decode parts. Averages are rounded, and multiplied by alpha. Raises
+    OutputError if the file cannot be written.
     """
     faces, texels = contents.faces, contents.texels
     is_constant = _constant(texels, faces.counts)
@@ -59,11 +59,11 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     info["faces"] = [len(level) - 1 for level in levels]
     packed = packing.result()
     averages = zlib.compress(constants.tobytes(), 9)
-    small, large = _metadata(contents.metadata)
-    entries = b"".join(small)
+    entries = b""
+    for name, text in contents.metadata.items():
+        key, data = name.encode() + b"\0", text.encode() + b"\0"
+        entries += bytes([len(key)]) + key + b"\0" + len(data).to_bytes(4, "little") + data
     zipped = zlib.compress(entries) if entries else b""
-    heads = b"".join(head for head, _ in large)
-    zipped_heads = zlib.compress(heads) if heads else b""
 
     header = np.zeros(1, layout.HEADER)
     header["magic"], header["version"], header["minor_version"] = (
@@ -82,10 +82,8 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     extended = np.zeros(1, layout.EXTENDED_HEADER)
     extended["u_border"], extended["v_border"] = map(layout.BORDER_MODES.index, contents.border_modes)
     extended["edge_filter"] = layout.EDGE_FILTERS.index(contents.edge_filter)
-    extended["large_zipped"], extended["large"] = len(zipped_heads), len(heads)
-    extended["large_data"] = sum(len(value) for _, value in large)
     before = [header.tobytes(), extended.tobytes(), packed, averages, info.tobytes()]
-    after = [zipped, bytes(layout.BARRIER), zipped_heads, *(value for _, value in large)]
+    after = [zipped, bytes(layout.BARRIER)]
     length = sum(map(len, [*before, *after])) + int(info["bytes"].sum())
     extended["edits_at"] = length
     before[1] = extended.tobytes()
@@ -97,7 +95,7 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
 
 
 def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple[list[list[bytes]], Array]:
-    """Return all levels, a header and blocks each, and the average of each face (n, channels)."""
+    """Return all levels, each a header and blocks, and the average of each face (n, channels)."""
     faces, texels, alpha = contents.faces, contents.texels, contents.alpha_channel
     dtype, is_triangle = texels.dtype, contents.mesh_type == layout.MESH_TYPES[layout.TRIANGLE]
     order, counts = layout.reduced_order(faces.log2, is_constant)
@@ -145,8 +143,8 @@ def _groups(log2: Int8s, firsts: Int64s, wanted: Bools, pixel: int) -> Iterator[
         chosen = np.flatnonzero(wanted & (key == each))
         step = max(_TOGETHER // (pixel << u + v), 1)
         for begin in range(0, len(chosen), step):
-            some = chosen[begin : begin + step]
-            yield _Group(some, firsts[some], u, v)
+            part = chosen[begin : begin + step]
+            yield _Group(part, firsts[part], u, v)
 
 
 def _encoded_group(
@@ -227,7 +225,7 @@ def _blocks(values: Array) -> tuple[Uint32s, list[bytes]]:
 
 
 def _promise(rows: Array) -> Int64s:
-    """Estimate zlib's bits for rows of bytes (n, k): 8, 9 from 144 on, 1 in runs of equal bytes."""
+    """Estimate zlib's bits for rows of bytes (n, k): 8, from 144 on 9, in runs of equal bytes 1."""
     bits = (rows >= 144) + np.uint8(8)
     is_same = rows[:, 1:] == rows[:, :-1]
     bits[:, 3:][is_same[:, 2:] & is_same[:, 1:-1] & is_same[:, :-2]] = 1
@@ -236,32 +234,11 @@ def _promise(rows: Array) -> Int64s:
 
 
 def _constant(texels: Array, counts: Int64s) -> Bools:
-    """Say which faces have one value all over (n,)."""
+    """Return which faces have a single value (n,)."""
     firsts = np.cumsum(counts) - counts
     raw = np.ascontiguousarray(texels).view(np.uint8).reshape(len(texels), -1)
     differs = (raw[1:] != raw[:-1]).any(axis=1)
     differs = np.concatenate([[False], differs])
-    differs[firsts] = False  # from the face before
+    differs[firsts] = False  # compared with the face before
     constant: Bools = ~np.logical_or.reduceat(differs, firsts)
     return constant
-
-
-def _metadata(given: Mapping[str, str | Array]) -> tuple[list[bytes], list[tuple[bytes, bytes]]]:
-    """Return the entries of metadata, and those of large metadata with their values."""
-    small: list[bytes] = []
-    large: list[tuple[bytes, bytes]] = []
-    for name, value in given.items():
-        if isinstance(value, str):
-            kind, data = 0, value.encode() + b"\0"
-        else:
-            form = value.dtype.newbyteorder("<")
-            kind = layout.METADATA_TYPES.index("|i1".replace("|", "<") if form.itemsize == 1 else form.str)
-            data = value.astype(form).tobytes()
-        key = name.encode() + b"\0"
-        head = bytes([len(key)]) + key + bytes([kind]) + len(data).to_bytes(4, "little")
-        if len(data) > layout.MOST_SMALL_METADATA:
-            zipped = zlib.compress(data)
-            large.append((head + len(zipped).to_bytes(4, "little"), zipped))
-        else:
-            small.append(head + data)
-    return small, large
