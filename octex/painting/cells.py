@@ -36,16 +36,24 @@ class SurfaceCells(NamedTuple):
 
 
 def some(paint: Paint, chosen: Bools | Int64s | slice) -> Paint:
-    """Return the paint on some of the cells."""
+    """Return the paint on chosen cells."""
     codes, values, coverage, cells, flags = paint
+    if not isinstance(chosen, slice):  # of rows, `take` is 4 × as fast as indexing
+        chosen = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
+        return Paint(
+            codes[chosen], values.take(chosen, axis=0), coverage[chosen], cells[chosen], flags[chosen]
+        )
     return Paint(codes[chosen], values[chosen], coverage[chosen], cells[chosen], flags[chosen])
 
 
 def joined(*parts: Paint) -> Paint:
     """Return all of the paint, on cells of one level."""
-    codes, *columns = (np.concatenate(column) for column in zip(*parts, strict=True))
+    filled = [part for part in parts if part.codes.size] or parts
+    if len(filled) == 1:
+        return filled[0]
+    codes, *columns = (np.concatenate(column) for column in zip(*filled, strict=True))
     order = np.argsort(codes, kind="stable")
-    return Paint(codes[order], *(column[order] for column in columns))
+    return Paint(codes[order], *(column.take(order, axis=0) for column in columns))
 
 
 def channel_of(layer: OctreeTexture) -> ChannelFormat:

@@ -464,7 +464,9 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
         bare: Int64s | None = None,
     ) -> None:
         """Blend rows of a kind; fresh ones without paint have the values of cells ``bare``."""
-        old = {name: decode(getattr(own, kind)[rows], own.format.space) for name, own in met.items()}
+        old = {
+            name: decode(getattr(own, kind).take(rows, axis=0), own.format.space) for name, own in met.items()
+        }
         for name, (new, part) in mixed(task.blend, task.target, old, values, coverage, fresh).items():
             form = channels[name].format
             if bare is not None and alpha_of(name) is not None:
