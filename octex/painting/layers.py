@@ -13,27 +13,28 @@ from octex.checks import as_flag, as_whole
 from octex.editing.draft import Change, as_change, change_of_values, with_alpha
 from octex.errors import ArgumentError
 from octex.painting.beneath import Stacked
-from octex.painting.cells import painted_channel
-from octex.painting.history import Stroke
+from octex.painting.layer import painted_channel
 from octex.painting.merge import merged
-from octex.painting.painter import Painter
+from octex.painting.painter import Painter, Stroke
 from octex.painting.picture import Blend
 from octex.painting.restore import ERASED, restored, without_erased
 from octex.painting.stack import (
+    Keep,
     Layer,
     LayerBlend,
     Stack,
+    as_file,
     bottom_names,
     check_layer,
     composite_name,
     composited,
+    from_file,
     shown,
     shown_names,
     united,
     with_composite,
     with_layer_channels,
 )
-from octex.painting.stack_file import Keep, as_file, from_file
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress
 from octex.source.surface import Surface

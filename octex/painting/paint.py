@@ -16,15 +16,14 @@ from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_flag
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
-from octex.painting.first import started
-from octex.painting.holes import with_coverage
+from octex.painting.first import started, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
 from octex.painting.merge import merged
 from octex.painting.options import HOLES, Balance, Holes, PaintOptions, Pictures, format_of
 from octex.painting.picture import Blend, Projection, check_projections, content_of, room_for
-from octex.painting.reading import terms_of
+from octex.painting.project import AROUND, in_fixed_order, take_shots
+from octex.painting.reading import Shot, terms_of
 from octex.painting.resume import NOT_STORED, Stages, stages_in
-from octex.painting.sight import AROUND, Shot, in_fixed_order, take_shots
 from octex.painting.steps import Raster, layer_from, rasterize_surface
 from octex.painting.surface import PaintedSurface, key_of, laid_flat
 from octex.parallel import Progress, Run, as_run, workers

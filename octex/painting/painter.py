@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import pickle
+import tempfile
+import weakref
+import zlib
+from collections.abc import Iterator, Sequence
 from os import PathLike
+from pathlib import Path
+from typing import IO, Any
 
 import numpy.typing as npt
 
@@ -11,7 +17,6 @@ from octex.channels import BASE_COLOR
 from octex.checks import as_path
 from octex.editing.draft import Change, as_change
 from octex.errors import OutputError
-from octex.painting.history import History, Stroke
 from octex.painting.merge import merged
 from octex.painting.options import Balance, PaintOptions, Pictures
 from octex.painting.paint import Job, Merging, painted
@@ -21,6 +26,70 @@ from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
+
+#: What a call has changed: a Change for each layer, in order.
+Stroke = tuple[Change, ...]
+
+#: Strokes that stay in memory.
+_IN_MEMORY = 4
+
+
+class History:
+    """A stack of strokes."""
+
+    def __init__(self) -> None:
+        self._strokes: list[Any] = []  # the last ones; `Layers` has changes of its stack among them
+        self._ends: list[int] = [0]  # where in the file each of those before them ends
+        self._file: IO[bytes] | None = None
+
+    def __len__(self) -> int:
+        return len(self._ends) - 1 + len(self._strokes)
+
+    def __iter__(self) -> Iterator[Any]:
+        yield from (self._stored(number) for number in range(len(self._ends) - 1))
+        yield from self._strokes
+
+    @property
+    def last(self) -> Any:
+        """The last stroke; an empty one if there is none."""
+        if self._strokes:
+            return self._strokes[-1]
+        return self._stored(len(self._ends) - 2) if len(self._ends) > 1 else ()
+
+    def append(self, stroke: Any) -> None:
+        """Put a stroke on the stack."""
+        self._strokes.append(stroke)
+
+    def pop(self) -> Any:
+        """Take the last stroke from the stack."""
+        stroke = self.last
+        (self._strokes or self._ends).pop()
+        return stroke
+
+    def clear(self) -> None:
+        """Take all strokes from the stack."""
+        self._strokes.clear()
+        del self._ends[1:]
+
+    def store(self, folder: Path | None) -> None:
+        """Write strokes but the last few to a temporary file. Raises OSError, and is then as before."""
+        while len(self._strokes) > _IN_MEMORY:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
+                weakref.finalize(self, self._file.close)
+            self._file.seek(self._ends[-1])
+            self._file.write(zlib.compress(pickle.dumps(self._strokes[0], 5), 1))
+            self._file.flush()
+            self._ends.append(self._file.tell())
+            self._file.truncate()
+            del self._strokes[0]
+
+    def _stored(self, number: int) -> Any:
+        """Return a stroke that is in the file."""
+        assert self._file is not None
+        begin, end = self._ends[number : number + 2]
+        self._file.seek(begin)
+        return pickle.loads(zlib.decompress(self._file.read(end - begin)))
 
 
 class Painter:

@@ -14,6 +14,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s, bit_counts
 from octex.jit import kernel
+from octex.painting.layer import among_at
 from octex.parallel import ordered_map
 from octex.source.corners import at_corners
 from octex.source.parts import edges_of, join
@@ -52,10 +53,8 @@ class Region(NamedTuple):
     codes: Int64s  # (n,)   Morton codes, ascending
 
     def reaches(self, blocks: Blocks) -> Bools:
-        """Say which blocks the region reaches into."""
-        if blocks.level < self.level:
-            return among(blocks.codes, distinct(self.codes >> 3 * (self.level - blocks.level)))
-        return self.holds(blocks.codes, blocks.level)
+        """Return which blocks meet the region."""
+        return among_at(blocks.codes, blocks.level, self.codes, self.level)
 
     def holds(self, codes: Int64s, level: int) -> Bools:
         """Say which cells of a level, its own or a finer one, lie in the region."""

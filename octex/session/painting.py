@@ -21,12 +21,12 @@ from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
 from octex.errors import ArgumentError, ModelError, OctexError, OutputError
 from octex.nearest.triangles import Triangles
-from octex.painting.alike import alike
 from octex.painting.beneath import Stacked
 from octex.painting.layers import Layers
 from octex.painting.options import format_of
 from octex.painting.painter import Painter
 from octex.painting.picture import Blend, Projection
+from octex.painting.region import alike
 from octex.painting.unwrap import Patch
 from octex.session.commands import (
     Command,

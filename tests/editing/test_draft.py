@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import octex
 from octex.editing.draft import Change, Tiles, cut_out, put_back, tiles_around
 from octex.painting import merge as tilewise
-from octex.painting.holes import with_coverage
+from octex.painting.first import with_coverage
 from octex.painting.picture import BLENDS, Blend
 from octex.texture import OctreeTexture
 from octex.tree.octree import distinct
