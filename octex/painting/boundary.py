@@ -49,17 +49,19 @@ def find_finer(
         refined = stored = absent = np.empty(0, np.int64)
         if each.codes.size and shallowest < level:
             around = boundary(each.codes, level)
-            beside = locate(tree, around, level)
-            flags = tree.arrays.flags[beside.cells]
-            is_old = beside.is_leaf & is_skirt[beside.cells]  # see `with_old_skirts`
-            is_refined = (beside.levels < level) & (beside.is_leaf | (flags & KEPT != 0)) & ~is_old
+            where_around = locate(tree, around, level)
+            flags = tree.arrays.flags[where_around.cells]
+            is_old = where_around.is_leaf & is_skirt[where_around.cells]  # see `with_old_skirts`
+            is_refined = (
+                (where_around.levels < level) & (where_around.is_leaf | (flags & KEPT != 0)) & ~is_old
+            )
             refined = around[is_refined]
-            stored = around[(beside.levels == level) & ~is_old]
+            stored = around[(where_around.levels == level) & ~is_old]
             if is_all_painted:
-                is_absent = (beside.levels < level - 1) & ~beside.is_leaf & (flags & KEPT == 0)
+                is_absent = (where_around.levels < level - 1) & ~where_around.is_leaf & (flags & KEPT == 0)
                 absent = around[is_absent & near(around, below, level)]
-            in_leaf = is_refined & beside.is_leaf
-            found.leaves.extend(_leaves_above(around[in_leaf], beside.of(in_leaf), level))
+            in_leaf = is_refined & where_around.is_leaf
+            found.leaves.extend(_leaves_above(around[in_leaf], where_around.of(in_leaf), level))
         found.below.append(below)
         found.added.append(each.codes[is_missing & ~where.is_leaf])
         found.refined.append(refined)

@@ -1,4 +1,4 @@
-"""Paint without a picture: one value over a region of the surface."""
+"""Paint without a picture: one value over a region of the surface, or over the leaves of one colour."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement, on_grid
 
-#: Says how much of rest positions (n, 3) a region covers: (n,), 0 … 1.
+#: Returns the coverage (n,), 0 … 1, of a region at rest positions (n, 3).
 RegionFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]
 
 _DEPTH = 10
@@ -136,48 +136,45 @@ def fill(
     as_surface(surface)
     run = as_run(run, threads, progress)
     painted = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
-    wanted = Fill(region, color, channel, opacity, blend, max_depth)
     with workers(run) as pool:
-        base, change = filled(Job(painted, pool, run.report), texture, surface, wanted)
+        job = Job(painted, pool, run.report)
+        base, change = filled(job, texture, surface, region, color, channel, opacity, blend, max_depth)
     return base if change is None else change.put_into(base)
 
 
-class Fill(NamedTuple):
-    """What is filled; see `fill`."""
-
-    region: Region
-    color: npt.ArrayLike | str
-    channel: str
-    opacity: float
-    blend: Blend
-    max_depth: int | None
-
-
 def filled(
-    job: Job, texture: OctreeTexture | None, surface: Surface, wanted: Fill
+    job: Job,
+    texture: OctreeTexture | None,
+    surface: Surface,
+    region: Region,
+    color: npt.ArrayLike | str,
+    channel: str,
+    opacity: float,
+    blend: Blend,
+    max_depth: int | None,
 ) -> tuple[OctreeTexture, Change | None]:
-    """Return the texture, a new one for None, and the change of a fill of a region of ``surface``."""
-    painted, opacity = job.surface, as_number(wanted.opacity, "opacity", 0.0, 1.0)
-    as_choice(wanted.blend, BLENDS, "blend")
-    form = format_of(texture, wanted.channel)
-    value = _value(wanted.color, form)
-    if wanted.max_depth is not None:
-        depth = as_depth(wanted.max_depth, "max_depth")
+    """Return the texture, a new one for None, and the change of a fill; see `fill`."""
+    painted, opacity = job.surface, as_number(opacity, "opacity", 0.0, 1.0)
+    as_choice(blend, BLENDS, "blend")
+    form = format_of(texture, channel)
+    value = _value(color, form)
+    if max_depth is not None:
+        depth = as_depth(max_depth, "max_depth")
     else:
         depth = _DEPTH if texture is None or not texture.tree.n_leaves else texture.tree.max_depth
     placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
-    source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(wanted.region, surface))
+    source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
     check_inside(painted.surface, placement)
     raster = rasterize_surface(
         painted, source, placement, Depths(depth, depth), job.executor, job.progress, fit=False
     )
     layer = layer_from(raster, job.executor, job.progress)
     base = texture or empty_texture([form], placement, painted.surface.bounds, painted.surface)
-    return base, job.merge(base, layer, painted, opacity, wanted.blend, job.executor, job.progress)
+    return base, job.merge(base, layer, painted, opacity, blend, job.executor, job.progress)
 
 
 def _value(color: npt.ArrayLike | str, form: ChannelFormat) -> Float32s:
-    """Return a colour as numbers (components,) of a channel, or raise ArgumentError."""
+    """Return a colour as a channel's values (components,), or raise ArgumentError."""
     if isinstance(color, str):
         return color_in_light(color, form)
     shapes = [(form.components,), *([()] if form.components == 1 else [])]
@@ -201,11 +198,11 @@ class RegionSource(PaintSource):
     value: Float32s  # (components,)
     rest: Float64s  # (n, 3)
     triangles: Int32s  # (m, 3)
-    chosen: Bools  # (m,)   the triangles that it may cover
+    chosen: Bools  # (m,)   triangles that it may cover
     covers: RegionFunction
 
     def touched(self) -> Int32s:
-        """Return the triangles that may be covered."""
+        """Return the triangles that the region may cover."""
         return np.flatnonzero(self.chosen).astype(np.int32)
 
     def evaluate(
@@ -217,18 +214,18 @@ class RegionSource(PaintSource):
         """Return the value and its coverage (n, components + 1)."""
         found = np.zeros((len(triangles), len(self.value) + 1), np.float32)
         found[:, :-1] = self.value
-        own = np.flatnonzero(self.chosen[triangles])
-        if own.size:
-            points = at_corners(self.rest, self.triangles[triangles[own]], barycentric[own])
+        rows = np.flatnonzero(self.chosen[triangles])
+        if rows.size:
+            points = at_corners(self.rest, self.triangles[triangles[rows]], barycentric[rows])
             shape = (len(points),)
-            found[own, -1] = answer(
+            found[rows, -1] = answer(
                 self.covers, [points], [shape], "region", points.__getitem__, least=0.0, most=1.0
             )
         return found
 
 
 def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:
-    """Return which triangles a region may cover, and what it covers of positions."""
+    """Return the triangles that a region may cover, and its coverage of positions."""
     count = len(surface.triangles)
     if isinstance(region, (Sphere, Box)):
         region = region.checked()
@@ -256,9 +253,9 @@ def alike(
 ) -> RegionFunction:
     """Return the region of the leaves whose base colour is nearly that of a point at rest.
 
-    The colours of leaves are those of lookups in their middles. ``tolerance`` is the largest difference of a
-    component, in 8-bit sRGB codes, 0 … 255. With ``connected``, the region has only leaves that hang together
-    with the point's through the faces of leaves. It is empty if the point is in no leaf.
+    A leaf's colour is a lookup in its centre. ``tolerance`` is the largest difference of a component in 1/255
+    of sRGB, 0 … 255. ``connected`` limits the region to leaves that connect to the point's through faces. It
+    is empty if the point is in no leaf.
 
     Raises ArgumentError for numbers out of range.
     """
@@ -274,7 +271,7 @@ def alike(
             is_chosen[cells] = np.abs(_codes(texture, middles) - wanted).max(axis=1) <= most
         is_chosen[first] = True
         if connected:
-            is_chosen = _hanging_together(texture, is_chosen, first)
+            is_chosen = _connected(texture, is_chosen, first)
 
     def covers(points: Float64s) -> Bools:
         cells = _leaf_at(texture, points)
@@ -284,7 +281,7 @@ def alike(
 
 
 def _codes(texture: OctreeTexture, points: Array) -> Array:
-    """Return base colours of points (n, 3) in sRGB codes, not rounded."""
+    """Return base colours of points (n, 3) in 1/255 of sRGB, not rounded."""
     return 255.0 * linear_to_srgb(np.clip(texture.sample(points, BASE_COLOR.name), 0.0, 1.0))
 
 
@@ -298,7 +295,7 @@ def _leaf_at(texture: OctreeTexture, points: Array) -> Int64s:
 
 
 def _leaf_of(tree: Octree, codes: Int64s, level: int, among: Bools) -> Int64s:
-    """Return the leaf that is, or holds, each cell (n,) of a level; −1 for none and for others than some."""
+    """Return the leaf that is, or contains, each cell (n,) of a level; −1 for none and outside ``among``."""
     found = locate(tree, codes, level)
     is_leaf = found.is_leaf & among & (tree.n_leaves > 0)
     return np.where(is_leaf, found.cells, -1)
@@ -313,19 +310,19 @@ def _leaves(texture: OctreeTexture) -> list[tuple[int, Int64s, Int64s]]:
     ]
 
 
-def _hanging_together(texture: OctreeTexture, is_chosen: Bools, first: int) -> Bools:
-    """Return of the leaves that are chosen those that hang together with the first one by faces."""
+def _connected(texture: OctreeTexture, is_chosen: Bools, first: int) -> Bools:
+    """Return the chosen leaves that connect to the first one through faces."""
     pairs = []
     for level, cells, codes in _leaves(texture):
-        own = is_chosen[cells]
-        cells, places = cells[own], decode_cells(codes[own])
+        is_here = is_chosen[cells]
+        cells, places = cells[is_here], decode_cells(codes[is_here])
         for axis in range(3):
-            for step in (-1, 1):  # the finer of two leaves finds the other, which is as large or larger
-                beside = places.copy()
-                beside[:, axis] += step
-                is_inside = (beside[:, axis] >= 0) & (beside[:, axis] < 2**level)
-                beside[~is_inside] = 0
-                others = _leaf_of(texture.tree, encode_cells(beside), level, is_inside)
+            for step in (-1, 1):  # the smaller of two leaves finds the other
+                neighbours = places.copy()
+                neighbours[:, axis] += step
+                is_inside = (neighbours[:, axis] >= 0) & (neighbours[:, axis] < 2**level)
+                neighbours[~is_inside] = 0
+                others = _leaf_of(texture.tree, encode_cells(neighbours), level, is_inside)
                 both = (others >= 0) & is_chosen[others]
                 pairs.append(np.stack([cells[both], others[both]]))
     parents = np.arange(len(is_chosen))
