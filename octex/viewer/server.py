@@ -11,7 +11,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from octex.editing.draft import joined_change
@@ -166,9 +165,6 @@ class Viewer:
         with self._news:
             self._news.notify_all()
 
-    def _is_after(self, calls: int) -> bool:
-        return self._calls != calls
-
     def packed(self) -> Packed:
         """Return the packed content: read again if its file has changed and is readable."""
         with self._lock:
@@ -213,8 +209,10 @@ class Viewer:
                 self._changes.clear()
             else:
                 self._changes.append((before.version, change))
-                while len(self._changes) > 1 and sum(map(_size_of, self._changes)) > _MOST_BYTES:
+                sizes = [sum(map(len, each.streams.values())) for _, each in self._changes]
+                while len(sizes) > 1 and sum(sizes) > _MOST_BYTES:
                     self._changes.popleft()
+                    del sizes[0]
         return self._state
 
     def _read(self, stamp: str) -> _State:
@@ -262,7 +260,7 @@ class Viewer:
                 else:
                     send(": alive\n\n")
                 with self._news:
-                    self._news.wait_for(partial(self._is_after, calls), _BEAT)
+                    self._news.wait_for(lambda calls=calls: self._calls != calls, _BEAT)
         except OSError:
             pass
         finally:
@@ -297,7 +295,3 @@ def _change(before: _State, after: _State) -> Packed | None:
         entries = {"header": fields, "counts": counts, "touched": touched, "isOther": is_other}
         header["parts"].append(entries)
     return Packed(header, streams)
-
-
-def _size_of(change: tuple[str, Packed]) -> int:
-    return sum(map(len, change[1].streams.values()))

@@ -16,6 +16,7 @@ import octex
 from octex.channels import ChannelFormat
 from octex.jit import DISABLED
 from octex.texture import Channel, OctreeTexture
+from tests.make.painted import ball
 from tests.make.small_textures import shell, unit
 
 ROOT = Path(octex.__file__).parent
@@ -91,3 +92,23 @@ def test_sample_enters_at_most_40_functions_of_6_files(kind: str, question: str)
     files = {code.co_filename for code in found}
     assert len(found) <= 40, sorted(code.co_qualname for code in found)
     assert len(files) <= 6, sorted(files)
+
+
+@pytest.mark.skipif(DISABLED, reason="kernels are then functions like others")
+def test_a_stroke_enters_at_most_410_functions_of_50_files() -> None:
+    surface = ball()
+    texture = octex.convert(surface, 6)
+    camera = octex.Camera.fitted(surface.vertices, (0.3, 0.5, 1.0), size=(64, 64))
+    image = np.full((64, 64, 4), 200, np.uint8)
+    image[:24, :, 3] = image[:, :24, 3] = 0
+    painter = octex.Painter(texture, surface)
+
+    def stroke() -> None:
+        painter.paint(octex.Projection(image, camera), max_depth=6, threads=1)
+        painter.undo()
+
+    found = entered(stroke)
+    files = {code.co_filename for code in found}
+    assert painter.redo()
+    assert len(found) <= 410, len(found)
+    assert len(files) <= 50, len(files)
