@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from octex.editing.draft import joined_change
@@ -165,6 +166,9 @@ class Viewer:
         with self._news:
             self._news.notify_all()
 
+    def _is_after(self, calls: int) -> bool:
+        return self._calls != calls
+
     def packed(self) -> Packed:
         """Return the packed content: read again if its file has changed and is readable."""
         with self._lock:
@@ -260,7 +264,7 @@ class Viewer:
                 else:
                     send(": alive\n\n")
                 with self._news:
-                    self._news.wait_for(lambda calls=calls: self._calls != calls, _BEAT)
+                    self._news.wait_for(partial(self._is_after, calls), _BEAT)
         except OSError:
             pass
         finally:
