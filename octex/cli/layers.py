@@ -118,7 +118,7 @@ class Painting:
             except ArgumentError as error:
                 raise ArgumentError(f"{files[number]}: {error}" if files else str(error)) from None
         if self._options.coverage and any(layer.tree.n_leaves for layer in layers):
-            from octex.painting.holes import with_coverage
+            from octex.painting.first import with_coverage
 
             texture = with_coverage(texture, layers)
         return texture

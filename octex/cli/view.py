@@ -94,7 +94,7 @@ def _session(
     progress: Reporter,
 ) -> Session:
     """Return the session that paints the texture."""
-    from octex.painting.stack_file import settled
+    from octex.painting.stack import settled
     from octex.session.painting import Session
 
     assert surface is not None and not isinstance(texture, octex.TextureSet)

@@ -1,19 +1,18 @@
 """Paint: images projected through cameras onto a surface, and merged into a texture (paper 4).
 
-paint       pictures to a texture; options: what people may ask; painter: a session of strokes
-region      spheres, boxes, functions and triangles filled with one value
-steps       the seven steps of the paper: a layer rasterized, and merged into a texture
+paint       pictures to a texture; options: checked; painter: a session of strokes, with undo
+region      spheres, boxes, functions, triangles and leaves of one colour, filled with one value
+steps       the seven steps of the paper: a layer is rasterized, and merged into a texture
 picture     images with cameras, decoded to mips; sharpened: as values at points
-surface     what is painted, and which of its triangles are near paint
-unwrap      a disc of the surface laid flat, for a camera; conformal: so that angles change least
-sight       what cameras see of the surface
-project     pictures as a source of paint; reading: what one of them paints at points; layer: any such source
-boundary    cells around paint, on the surface and off it; cells: paint as it lies on them
-blend       each cell blended once, and averages above
-merge       a layer merged into a texture, in drafts; first: made the leaves of a new texture
-holes       what no picture saw, filled: multigrid on the graph of sheets, the surface in cells
-layers      strokes into layers above a texture; stack: the layers and their composite; stack_file: saved;
-            beneath: what a page shows of a stroke below others; restore: an eraser on the bottom
-history     strokes that can be undone; alike: the leaves of one colour
+surface     the painted surface, and a grid that finds its triangles near paint
+unwrap      a disc of the surface laid flat, for a camera
+project     pictures as a source of paint, and the surface that cameras see; reading: its kernels
+layer       any source of paint, its depth, and paint on cells of a level
+boundary    cells around paint, on the surface and off it
+blend       each cell is blended once, and the nodes above are averaged
+merge       a layer is merged into a texture, in one draft or in pieces
+first       a new texture: filled where no picture sees, by multigrid on a graph of sheets
+layers      strokes into layers above a texture; stack: the layers, their composite and file;
+            beneath: the composite that strokes below others lead to; restore: an eraser on the bottom
 resume      finished stages, stored in a folder for the next call
 """

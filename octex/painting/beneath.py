@@ -1,20 +1,26 @@
-"""What a stack would show if a layer had other paint: what pages show of a stroke before it is painted.
+"""The composites that strokes lead to, which pages show before a stroke is painted; and the bottom's eraser.
 
-A stroke takes a composite a part of the way, its coverage, to the one in which all of the layer has the
-stroke's paint: that is exact, as layers blend linearly. An eraser goes to the one without the layer.
+Layers blend linearly, so a stroke mixes the composite with another one, by its coverage: that in which all of
+the layer has the stroke's paint, or for an eraser that without the layer.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from octex.channels import ALPHA, BASE_COLOR, ONE, alpha_of
+from octex.arrays import Float32s, Int64s, Uint8s
+from octex.channels import ALPHA, BASE_COLOR, ONE, alpha_of, channel_in, decode, encode
 from octex.checks import as_choice
+from octex.editing.averages import Residuals, average, residuals
 from octex.editing.draft import change_of_values, places_in
+from octex.editing.nodes import Nodes, all_children, nodes_at
+from octex.editing.refined import refined_rows, refined_values
+from octex.editing.split import rows_facing
+from octex.painting.blend import writable
 from octex.painting.layer import COVERAGE
-from octex.painting.restore import restored
 from octex.painting.stack import (
     Layer,
     Stack,
@@ -24,12 +30,17 @@ from octex.painting.stack import (
     with_layer_channels,
 )
 from octex.texture import Channel, OctreeTexture
+from octex.tree.children import node_cells
+from octex.tree.edit import locate, with_all_above
+from octex.tree.layout import KEPT
+from octex.tree.morton import decode_cells
+from octex.tree.octree import Octree, distinct
 from octex.tree.split import rows_of
 
-#: What a stroke leads to: the layer erased, its mask without anything hidden, or painted.
+#: The kinds of strokes: the layer is erased, its mask hides nothing, or it is painted.
 Leads = Literal["erased", "unmasked", "painted"]
 _LEADS: tuple[Leads, ...] = get_args(Leads)
-#: The channel of the composite with white paint, beside that with black paint.
+#: The channel of the composite with white paint.
 WHITE = "white"
 
 
@@ -44,9 +55,9 @@ class Stacked(NamedTuple):
 def beneath(stacked: Stacked, number: int | None, leads: Leads) -> OctreeTexture | None:
     """Return the base colour of the composite to which strokes in a layer lead; None is the bottom.
 
-    Of paint it is that of black, and beside it as ``white`` that of white. Alpha is 0 in cells that are not
-    known, where nothing is painted that a stroke meets. None if there is no such paint at all, for textures
-    with alpha of their own, and for a layer that is not there: a page may ask while the layer is undone.
+    For paint it is the composite with black paint, and channel ``white`` that with white. Alpha is 0 in
+    unknown cells, which no layer above covers. Returns None if no paint matters, for textures with alpha, and
+    for an unknown layer: a page may ask while the layer is undone.
     """
     as_choice(leads, _LEADS, "leads")
     texture, stack, opened = stacked
@@ -75,8 +86,8 @@ def beneath(stacked: Stacked, number: int | None, leads: Leads) -> OctreeTexture
     if leads == "painted":
         colors = {name: _composite(_painted(draft, layer, value), stack) for name, value in _PAINTS.items()}
     else:
-        own = () if leads == "erased" or layer is None else (layer._replace(has_mask=False),)
-        colors = {BASE_COLOR.name: _composite(draft, (*stack[:place], *own, *stack[place + 1 :]))}
+        left = () if leads == "erased" or layer is None else (layer._replace(has_mask=False),)
+        colors = {BASE_COLOR.name: _composite(draft, (*stack[:place], *left, *stack[place + 1 :]))}
     tree, rows = draft.tree, rows_of(draft.tree.split).cells
     alphas = (np.where(known[at], ONE[ALPHA.dtype], 0) for at in (slice(None), rows, tree.kept.cells))
     alpha = Channel(ALPHA, *(each.astype(ALPHA.dtype)[:, None] for each in alphas))
@@ -88,19 +99,15 @@ _PAINTS = {BASE_COLOR.name: 0, WHITE: 1}
 
 
 def _composite(texture: OctreeTexture, stack: Stack) -> Channel:
-    """Return the base colour of a stack's composite."""
-    made = with_composite(texture.with_cells(texture.tree, _bare(texture)), stack)
+    """Return the base colour of a stack's composite, made from its layers."""
+    old = composite_name(BASE_COLOR.name)
+    channels = {name: channel for name, channel in texture.channels.items() if name != old}
+    made = with_composite(texture.with_cells(texture.tree, channels), stack)
     return made.channels[shown_names(made)[BASE_COLOR.name]]
 
 
-def _bare(texture: OctreeTexture) -> dict[str, Channel]:
-    """Return a stack's channels without its composite."""
-    own = composite_name(BASE_COLOR.name)
-    return {name: channel for name, channel in texture.channels.items() if name != own}
-
-
 def _painted(texture: OctreeTexture, layer: Layer | None, value: int) -> OctreeTexture:
-    """Return a stack's texture with all of a layer, or of the bottom, painted black or white."""
+    """Return a stack's texture with a layer, or the bottom, all black (0) or white (1)."""
     color = BASE_COLOR.name if layer is None else layer.paints(BASE_COLOR.name)
     cover = None if layer is None else alpha_of(color)
     texture = with_layer_channels(texture, [each for each in (color, cover) if each])
@@ -112,3 +119,140 @@ def _painted(texture: OctreeTexture, layer: Layer | None, value: int) -> OctreeT
 
 def _filled(texture: OctreeTexture, channel: Channel, value: int) -> Channel:
     return Channel.full(channel.format, texture.tree, value * ONE[channel.format.dtype])
+
+
+#: The channel with the erased part of cells, while an eraser works.
+ERASED = channel_in("eraser", ALPHA.name)
+
+
+def without_erased(texture: OctreeTexture) -> OctreeTexture:
+    """Return a texture without the channel ERASED."""
+    channels = {name: channel for name, channel in texture.channels.items() if name != ERASED}
+    return texture.with_cells(texture.tree, channels)
+
+
+def restored(texture: OctreeTexture, opened: OctreeTexture, erased: Channel) -> OctreeTexture:
+    """Blend a texture with an ``opened`` one of no finer cells, by the ``erased`` part of cells.
+
+    Values blend in linear light. Nodes are averages, with the residuals of both.
+    """
+    tree = texture.tree
+    is_leaf = np.ones(tree.n_cells, np.bool_)
+    is_leaf[node_cells(tree.arrays)] = False
+    rows = rows_of(tree.split)
+    places = [
+        np.flatnonzero(is_leaf & (erased.values[:, 0] > 0)),
+        np.flatnonzero(is_leaf[rows.cells] & (erased.split_values[:, 0] > 0)),
+        np.flatnonzero(erased.kept_values[:, 0]),
+    ]
+    cells = places[0], rows.cells[places[1]], tree.kept.cells[places[2]].astype(np.int64)
+    names = [name for name in opened.channels if name in texture.channels]
+    names += [ALPHA.name for name in (ALPHA.name,) if name in texture.channels and name not in names]
+    channels = writable(texture, names)
+    for kind, (at, owners, covers) in enumerate(zip(places, cells, erased[1:], strict=True)):
+        part = decode(covers[at], "data")
+        before = _values(opened, tree, owners, rows.bits[at] if kind == 1 else None, kind == 2)
+        for name in names:
+            form, stored = channels[name].format, list(channels[name][1:])[kind]
+            now = decode(stored[at], form.space)
+            new = (1 - part) * now + part * before.get(name, np.ones_like(now))
+            stored[at] = encode(new, form.dtype, form.space)
+    made = texture.with_cells(tree, channels)
+    levels = [tree.level_codes(level)[each] for level, each in _by_level(tree, places[0])]
+    above = [distinct(codes >> 3) for codes in with_all_above(levels)[1:]]
+    nodes = nodes_at(tree, above)
+    split = rows_of(tree.split, nodes.cells)
+    part, row_part = (
+        decode(each, "data") for each in (erased.values[nodes.cells], erased.split_values[split.rows])
+    )
+    whole = _laid_on(opened, made, names, nodes)
+    for name in sorted(names, key=lambda name: alpha_of(name) is not None):
+        ours, theirs = residuals(texture, name, nodes), residuals(whole, name, nodes)
+        left = Residuals(
+            ours.nodes * (1 - part) + theirs.nodes * part,
+            ours.rows * (1 - row_part) + theirs.rows * row_part,
+        )
+        average(made, channels[name], left, nodes)
+    return made
+
+
+def _laid_on(opened: OctreeTexture, texture: OctreeTexture, names: list[str], nodes: Nodes) -> OctreeTexture:
+    """Return ``opened`` on the tree of another texture; only nodes and their children get values.
+
+    Nodes that were leaves keep their values, since lookups with a width read these.
+    """
+    tree = texture.tree
+    cells = distinct(np.concatenate([nodes.cells, all_children(tree, nodes.numbers)[0]]))
+    rows = rows_of(tree.split, cells)
+    channels = writable(texture, names)
+    for kind, at, owners, bits in ((0, cells, cells, None), (1, rows.rows, rows.cells, rows.bits)):
+        found = _values(opened, tree, owners, bits, are_nodes=True)
+        for name in names:
+            form, stored = channels[name].format, list(channels[name][1:])[kind]
+            stored[at] = encode(found[name], form.dtype, form.space) if name in found else ONE[form.dtype]
+    made = texture.with_cells(tree, {name: channels[name] for name in names})
+    had = [
+        locate(opened.tree, tree.level_codes(level)[at], level).levels == level
+        for level, at in _by_level(tree, nodes.cells)
+    ]
+    for name in sorted(names, key=lambda name: alpha_of(name) is not None):
+        average(made, channels[name], None, nodes.of(~np.concatenate(had)))
+    return made
+
+
+def _by_level(tree: Octree, cells: Int64s) -> Iterator[tuple[int, Int64s]]:
+    """Yield each level of a tree, and the places in it of the given cells, ascending."""
+    ends = np.searchsorted(cells, tree.arrays.level_cells)
+    for level in range(tree.max_depth + 1):
+        yield level, cells[ends[level] : ends[level + 1]] - int(tree.arrays.level_cells[level])
+
+
+def _values(
+    opened: OctreeTexture,
+    tree: Octree,
+    cells: Int64s,
+    bits: Uint8s | None,
+    are_kept: bool = False,
+    are_nodes: bool = False,
+) -> dict[str, Float32s]:
+    """Return a texture's decoded values in cells (n,) of another tree, ascending: stored, refined or sampled.
+
+    They are those of facings, if ``bits`` (n,) are given; else of leaves, of kept nodes, or of any nodes.
+    """
+    names = list(opened.channels)
+    found = {
+        name: np.zeros((cells.size, channel.format.components), np.float32)
+        for name, channel in opened.channels.items()
+    }
+    begin = 0
+    for level, at in _by_level(tree, cells):
+        if not at.size:
+            continue
+        codes = tree.level_codes(level)[at]
+        where = locate(opened.tree, codes, level)
+        is_kept = opened.tree.arrays.flags[where.cells] & KEPT != 0
+        is_stored = where.is_leaf | (is_kept & are_kept) | are_nodes
+        is_same = (where.levels == level) & is_stored
+        is_below = (where.levels < level) & (where.is_leaf | is_kept)
+        same, below, other = (
+            begin + np.flatnonzero(each) for each in (is_same, is_below, ~is_same & ~is_below)
+        )
+        begin += at.size
+        if bits is None:
+            refined = refined_values(opened.tree, opened.channels, codes[is_below], level)
+        else:
+            refined = refined_rows(opened, codes[is_below], level, bits[below])
+        centres = opened.placement.to_rest((decode_cells(codes[~is_same & ~is_below]) + 0.5) / 2**level)
+        sampled = opened.sample(centres, names, normalize=False)
+        for name, channel in opened.channels.items():
+            if bits is not None:
+                found[name][same] = rows_facing(opened, channel, where.cells[is_same], bits[same])
+            else:
+                stored = channel.values[where.cells[is_same]]
+                kept = np.flatnonzero(is_kept[is_same] & (not are_nodes))
+                rows = np.searchsorted(opened.tree.kept.cells, where.cells[is_same][kept].astype(np.uint32))
+                stored[kept] = channel.kept_values[rows]
+                found[name][same] = decode(stored, channel.format.space)
+            found[name][below] = refined[name]
+            found[name][other] = sampled[name]
+    return found

@@ -1,6 +1,6 @@
-"""Paint blended with what is there, and averages made anew above it.
+"""Blends paint with a texture, and averages the nodes above.
 
-Of a node's residual the part that is not painted stays, and paint brings its own for the part that is: so
+A node's residual is weighted: the texture's for the part without paint, the layer's for the painted part. So
 averages stay those of the source where nothing changed, and become those of the paint where all did.
 """
 
@@ -17,7 +17,7 @@ from octex.channels import ALPHA, ChannelFormat, alpha_of, plain_name
 from octex.editing.averages import Residuals, average, average_rows, residuals_at
 from octex.editing.nodes import Nodes, nodes_at
 from octex.editing.split import rows_facing, split_in_vain, with_split, without_split
-from octex.painting.cells import Paint, leave_bare, painted_channel
+from octex.painting.layer import Paint, leave_bare, painted_channel
 from octex.painting.picture import Blend
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress
@@ -28,32 +28,32 @@ from octex.tree.layout import FACING_FLAGS, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import Rows, rows_of
 
-#: Paint of this coverage or more hides what is below: less than half a step of 8 bits shows through.
+#: Least coverage of paint that hides the texture: less than half a step of 8 bits shows through.
 _HIDING = 1.0 - 1.0 / 512.0
 
 
 class Merge(NamedTuple):
-    """A layer to be merged into a texture."""
+    """A layer to merge into a texture."""
 
     texture: OctreeTexture
-    layer: OctreeTexture  # of a draft: the part of it that is there
+    layer: OctreeTexture  # for a piece, the layer around it
     surface: PaintedSurface
-    target: str  # the channel that is painted
+    target: str  # the painted channel
     blend: Blend
     opacity: float
     executor: Executor
     progress: Progress
-    coarsest: int  # the level of the largest leaf or kept node that the layer is in or beside
+    coarsest: int  # the level of the largest leaf or kept node in or next to which the layer lies
 
     @property
     def is_all_painted(self) -> bool:
-        """Whether the texture has no other channels than those that are painted."""
+        """Whether the texture has only painted channels."""
         painted = {self.target, alpha_of(self.target)} if self.blend == "over" else {self.target}
         return painted >= self.texture.channels.keys()
 
     @property
     def hiding(self) -> float:
-        """The coverage from which on paint hides what was there."""
+        """The least coverage of paint that hides the texture."""
         least = {"over": _HIDING, "erase": _HIDING, "replace": 0.0}
         return least.get(self.blend, np.inf) if self.is_all_painted else np.inf
 
@@ -62,45 +62,45 @@ class Raised(NamedTuple):
     """A texture raised to paint."""
 
     texture: OctreeTexture
-    old: Int64s  # (cells,)   each cell's number in the texture as it was; −1: it was not there
-    is_fresh: Bools  # (cells,)   where the texture had nothing
-    is_skirt: Bools  # (cells,)   leaves that no surface is in
-    added: list[Int64s]  # cells of the layer where the texture had nothing, by level
+    old: Int64s  # (cells,)   each cell's number in the texture before; −1 for new cells
+    is_fresh: Bools  # (cells,)   cells where the texture had none
+    is_skirt: Bools  # (cells,)   leaves without surface
+    added: list[Int64s]  # cells of the layer where the texture had none, by level
 
 
 class Merged(NamedTuple):
     """A texture with paint merged into it."""
 
     texture: OctreeTexture
-    parts: OctreeTexture  # the same cells; how much of the channels that are painted is paint, 0 … 1
-    is_fresh: Bools  # (cells,)   where the texture had nothing
-    is_new: Bools  # (cells,)   where it had no cell
-    painted: list[Int64s]  # the leaves that paint is on, by level
-    averages_rows: bool  # of all channels, for cells that are split or faced otherwise
-    added: list[Int64s]  # cells of the layer where the texture had nothing, by level
+    parts: OctreeTexture  # the same cells; the painted part of the painted channels, 0 … 1
+    is_fresh: Bools  # (cells,)   cells where the texture had no cell, nor a larger leaf
+    is_new: Bools  # (cells,)   cells that the texture did not have
+    painted: list[Int64s]  # the painted leaves, by level
+    averages_rows: bool  # whether split rows of all channels are averaged
+    added: list[Int64s]  # cells of the layer where the texture had none, by level
 
 
 class Above(NamedTuple):
-    """The nodes above paint, and where they are in other trees; see `nodes_at`."""
+    """The nodes above paint, and their numbers in other trees; see `nodes_at`."""
 
     nodes: Nodes
-    before: Nodes  # of the texture before it was raised
-    layer: Nodes  # of the paint octree
+    before: Nodes  # in the texture before it was raised
+    layer: Nodes  # in the paint octree
 
 
 class Blended(NamedTuple):
-    """A texture's channels with paint in its leaves, and how much of each cell is paint; to be averaged."""
+    """A texture whose leaves have paint; its nodes are not averaged yet."""
 
-    base: OctreeTexture  # without the paint; cells whose facings may come to differ are split
+    base: OctreeTexture  # before paint; with split cells where paint may make facings differ
     channels: dict[str, Channel]
-    parts: dict[str, Channel]
+    parts: dict[str, Channel]  # the painted part of channels
     above: Above
-    may_split: Int64s  # these cells
+    may_split: Int64s  # the split cells
     averages_rows: bool = False
 
 
 def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -> Float32s:
-    """Return paint (n, components) of some coverage (n,) over what is there; see BLENDS."""
+    """Blend paint (n, components) of a coverage (n,) with ``base`` values; see BLENDS."""
     if blend == "replace":
         coverage = (coverage > 0).astype(np.float32)
     part = coverage[:, None]
@@ -112,11 +112,11 @@ def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -
         paint = 1 - (1 - base) * (1 - paint)
     elif blend == "erase":
         paint = np.zeros_like(base)
-    return (1 - part) * base + part * paint  # all of the paint where it is opaque, however bright the base is
+    return (1 - part) * base + part * paint  # exactly the paint where it is opaque, however bright the base
 
 
 def covers(blend: Blend, target: str) -> bool:
-    """Say whether paint on a channel adds to its coverage: in layers in each mode, else laid over alone."""
+    """Return whether paint on a channel adds to its alpha: in layers in each mode, else only ``over``."""
     return blend == "over" or (blend in ("multiply", "screen", "add") and target != plain_name(target))
 
 
@@ -128,7 +128,7 @@ def mixed(
     coverage: Float32s,
     is_fresh: Bools,
 ) -> dict[str, tuple[Float32s, Float32s]]:
-    """Return what paint makes of channels' ``old`` values (n, components), and its part of each (n,)."""
+    """Return channels' values after paint (n, components), and its part of each (n,)."""
     ones = np.ones((len(paint), 1), np.float32)
     alpha = alpha_of(target)
     if blend == "erase":
@@ -137,7 +137,7 @@ def mixed(
         paint = ones
     found = {target: (paint, (coverage > 0).astype(np.float32) if blend == "replace" else coverage)}
     if blend != "over" and alpha is not None and covers(blend, target):
-        # In a layer, paint is as it is where there was none, and covers as much in each mode.
+        # In a layer, paint on nothing keeps its colour, and covers as much in each mode.
         there = np.where(is_fresh, np.float32(0), old[alpha][:, 0])
         full = blended(old[target], paint, np.ones_like(coverage), blend)
         paint, blend = blended(paint, full, there, "over"), "over"
@@ -149,9 +149,9 @@ def mixed(
         found = {target: (paint, part), alpha: (ones, coverage)}
     elif alpha is not None and alpha in old and is_fresh.any():
         found[alpha] = ones, np.zeros_like(coverage)
-    for name, (own, part) in found.items():
-        new = blended(old[name], own, part, "over" if name == alpha else blend)
-        new[is_fresh] = own[is_fresh] if name == target else coverage[is_fresh, None]
+    for name, (values, part) in found.items():
+        new = blended(old[name], values, part, "over" if name == alpha else blend)
+        new[is_fresh] = values[is_fresh] if name == target else coverage[is_fresh, None]
         found[name] = new, np.where(is_fresh, np.float32(1), part)
     return found
 
@@ -161,7 +161,7 @@ def facings_of_paint(
 ) -> tuple[Float32s, Float32s]:
     """Return the paint on facings (n,) of cells (n,), and its coverage.
 
-    A facing that the paint octree's cell lacks has the paint of the whole cell, if that tells none apart.
+    A facing that the layer's cell lacks gets the paint of the whole cell, unless that has SPLIT.
     """
     values = rows_facing(layer, layer.channels[painted_channel(layer)], paint.cells, bits)
     coverage = rows_facing(layer, layer.channels[ALPHA.name], paint.cells, bits)[:, 0] * np.float32(opacity)
@@ -173,24 +173,24 @@ def facings_of_paint(
 
 
 def no_parts(tree: Octree, names: Iterable[str]) -> dict[str, Channel]:
-    """Return how much of the cells of channels is paint: nothing."""
+    """Return painted parts of channels, by name: 0 in all cells."""
     return {name: Channel.full(ChannelFormat(name, 1, "data", "float32"), tree) for name in names}
 
 
 def with_split_cells(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
-    """Return a texture some of whose cells, ascending, are split."""
+    """Return a texture with these cells, ascending, split."""
     if not cells.size:
         return texture
     return with_split(texture, cells, texture.tree.arrays.flags[cells] & np.uint8(FACING_FLAGS), {})
 
 
 def writable(texture: OctreeTexture, names: Collection[str]) -> dict[str, Channel]:
-    """Return a texture's channels, of which some can be written to."""
-    return {name: own.copied() if name in names else own for name, own in texture.channels.items()}
+    """Return a texture's channels, with copies of those of these names."""
+    return {name: each.copied() if name in names else each for name, each in texture.channels.items()}
 
 
 def may_differ(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> Int64s:
-    """Return cells, ascending, whose facings paint, of flags (n,) ``painted`` on leaves, may make differ."""
+    """Return the cells, ascending, whose facings may differ after paint with flags (n,) on leaves."""
     flags = tree.arrays.flags
     facings = flags & np.uint8(FACING_FLAGS)
     leaves = cells[((flags[cells] | painted) & SPLIT != 0) & (facings[cells] != 0)]
@@ -201,19 +201,19 @@ def may_differ(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> In
 
 
 def nodes_above(tree: Octree, codes: Sequence[Int64s], is_new: Bools, before: Octree, layer: Octree) -> Above:
-    """Find the nodes above leaves, given by level, and split old nodes above new cells."""
-    above = [distinct(own >> 3) for own in with_all_above(codes)[1:]]
+    """Find the nodes above leaves, listed by level, and split old nodes above new cells."""
+    above = [distinct(each >> 3) for each in with_all_above(codes)[1:]]
     has_turned = bool(is_new.any() and before.split.cells.size)
     over_new = np.empty(0, np.int64)
-    for level, (own, is_node) in reversed(list(enumerate(tree.walk())) if has_turned else []):
+    for level, (cells, is_node) in reversed(list(enumerate(tree.walk())) if has_turned else []):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
-        split = own[is_node & (tree.arrays.flags[here] & SPLIT != 0)]
+        split = cells[is_node & (tree.arrays.flags[here] & SPLIT != 0)]
         split = split[among(split, over_new)]
         where = locate(before, split, level)
         if level < len(above):
             was_node = (where.levels == level) & ~where.is_leaf
             above[level] = distinct(np.concatenate([above[level], split[was_node]]))
-        over_new = distinct(np.concatenate([over_new, own[is_new[here]]]) >> 3)
+        over_new = distinct(np.concatenate([over_new, cells[is_new[here]]]) >> 3)
     nodes = nodes_at(tree, above)
     is_same = tree.arrays.groups is before.arrays.groups
     return Above(nodes, nodes if is_same else nodes_at(before, above), nodes_at(layer, above))
@@ -222,7 +222,7 @@ def nodes_above(tree: Octree, codes: Sequence[Int64s], is_new: Bools, before: Oc
 def averaged(
     task: Merge, draft: OctreeTexture, raised: Raised, made: Blended, painted: list[Int64s]
 ) -> Merged:
-    """Average anew, in place, above paint that has been blended; keep cells split that need it."""
+    """Average the nodes above blended paint, in place; join split cells whose facings agree."""
     base, channels, parts, above, may_split, averages_rows = made
     is_new, is_fresh = raised.old < 0, raised.is_fresh
     after = base.with_cells(base.tree, channels)
@@ -263,7 +263,7 @@ def averaged(
 
 
 def averaged_with(channels: Iterable[str], changed: Collection[str]) -> list[str]:
-    """Return those of channels that have changed, or that weigh by an alpha that has."""
+    """Return the channels that changed, or whose alpha did."""
     return [name for name in channels if name in changed or alpha_of(name) in changed]
 
 
@@ -272,7 +272,7 @@ def _after_alpha(name: str) -> bool:
 
 
 def _residuals_before(draft: OctreeTexture, raised: Raised, name: str, above: Above, rows: Rows) -> Residuals:
-    """Return the residuals that nodes, and ``rows`` of them, had; none where the texture had nothing."""
+    """Return the residuals of nodes and their ``rows`` before the merge; 0 where the texture had no cell."""
     nodes, was = above.nodes, above.before.numbers >= 0
     owners = np.searchsorted(nodes.cells, rows.cells)
     numbers = np.where(was | raised.is_fresh[nodes.cells], -1, nodes.numbers)
@@ -290,10 +290,10 @@ def _with_paint(
     before: Residuals,
     layer: OctreeTexture | None,
 ) -> Residuals:
-    """Return the residuals of nodes of which ``part`` is paint, and those of the layer's paint, if given."""
-    own = part._replace(format=form._replace(components=1, space="data", dtype="float32"))
-    average(texture, own, nodes=above.nodes)
-    covered, row_covered = own.values[above.nodes.cells], own.split_values[rows.rows]
+    """Weight residuals by the part that is not paint; add the layer's, if given, by its ``part``."""
+    part = part._replace(format=form._replace(components=1, space="data", dtype="float32"))
+    average(texture, part, nodes=above.nodes)
+    covered, row_covered = part.values[above.nodes.cells], part.split_values[rows.rows]
     left = Residuals(before.nodes * (1 - covered), before.rows * (1 - row_covered))
     if layer is None:
         return left
@@ -303,13 +303,13 @@ def _with_paint(
 
 
 def averaged_above(task: Merge, draft: OctreeTexture, made: Merged) -> Merged:
-    """Average anew above painted cells without children; neither ``draft`` nor the layer has any there."""
+    """Average the nodes above painted tiles, which are leaves here, in ``draft`` and in the layer."""
     texture = made.texture
     old = np.where(made.is_new, -1, 0)
     raised = Raised(texture, old, made.is_fresh, np.zeros(old.size, np.bool_), [])
     above = nodes_above(texture.tree, made.painted, made.is_new, draft.tree, task.layer.tree)
     may_split = may_differ(texture.tree, np.empty(0, np.int64), np.empty(0, np.uint8), above)
     base, parts = (with_split_cells(each, may_split) for each in (texture, made.parts))
-    channels, own = writable(base, base.channels), writable(parts, parts.channels)
-    blended = Blended(base, channels, own, above, may_split, made.averages_rows)
+    channels, part = writable(base, base.channels), writable(parts, parts.channels)
+    blended = Blended(base, channels, part, above, may_split, made.averages_rows)
     return averaged(task, draft, raised, blended, made.painted)

@@ -1,4 +1,4 @@
-"""The boundary around paint: skirts off the surface, and what only paint is near (paper 4.1, step 3; 4.2)."""
+"""The boundary around paint: neighbours on the surface, and skirts off it (paper 4.1, step 3; 4.2)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Int64s
 from octex.editing.nodes import all_children
 from octex.jit import kernel
-from octex.painting.cells import Paint, SurfaceCells, among_at, joined, leave_bare, paint_at, some
+from octex.painting.layer import Paint, SurfaceCells, among_at, joined, leave_bare, paint_at
 from octex.parallel import ordered_map, sharing
 from octex.tree import morton
 from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
@@ -20,25 +20,25 @@ from octex.tree.edit import Located, among, first_not_below, locate, places, wit
 from octex.tree.layout import FACING_FLAGS, KEPT, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree, distinct
 
-#: Cells of a skirt that are painted at once.
+#: Cells of a skirt that are painted in one task.
 _BLOCK = 1 << 13
 
 
 class Finer(NamedTuple):
-    """Where paint, or the boundary around it, is finer than a texture; lists are by level."""
+    """Where paint or its neighbours are finer than a texture; lists are by level."""
 
     below: list[Int64s]  # paint in leaves
-    added: list[Int64s]  # paint where the texture has nothing
-    refined: list[Int64s]  # beside paint, refined from what is above
-    stored: list[Int64s]  # beside paint, stored
-    absent: list[Int64s]  # beside paint in leaves, where the texture has nothing
-    leaves: list[tuple[int, Int64s]]  # the leaves that paint or the boundary is in: levels and codes
+    added: list[Int64s]  # paint where the texture has no cell
+    refined: list[Int64s]  # neighbours in leaves or kept nodes
+    stored: list[Int64s]  # neighbours that are cells
+    absent: list[Int64s]  # neighbours of paint in leaves, where the texture has no cell
+    leaves: list[tuple[int, Int64s]]  # the leaves above paint and neighbours: levels and codes
 
 
 def find_finer(
     tree: Octree, paint: Sequence[Paint], is_skirt: Bools, shallowest: int, is_all_painted: bool
 ) -> Finer:
-    """Find where paint, or the boundary around it, is finer than a tree, of largest leaves ``shallowest``."""
+    """Find where paint or its neighbours are finer than a tree, whose largest leaves are ``shallowest``."""
     found = Finer([], [], [], [], [], [])
     for level, each in enumerate(paint):
         where = locate(tree, each.codes, level)
@@ -49,17 +49,19 @@ def find_finer(
         refined = stored = absent = np.empty(0, np.int64)
         if each.codes.size and shallowest < level:
             around = boundary(each.codes, level)
-            beside = locate(tree, around, level)
-            flags = tree.arrays.flags[beside.cells]
-            is_old = beside.is_leaf & is_skirt[beside.cells]  # see `with_old_skirts`
-            is_refined = (beside.levels < level) & (beside.is_leaf | (flags & KEPT != 0)) & ~is_old
+            where_around = locate(tree, around, level)
+            flags = tree.arrays.flags[where_around.cells]
+            is_old = where_around.is_leaf & is_skirt[where_around.cells]  # see `with_old_skirts`
+            is_refined = (
+                (where_around.levels < level) & (where_around.is_leaf | (flags & KEPT != 0)) & ~is_old
+            )
             refined = around[is_refined]
-            stored = around[(beside.levels == level) & ~is_old]
+            stored = around[(where_around.levels == level) & ~is_old]
             if is_all_painted:
-                is_absent = (beside.levels < level - 1) & ~beside.is_leaf & (flags & KEPT == 0)
+                is_absent = (where_around.levels < level - 1) & ~where_around.is_leaf & (flags & KEPT == 0)
                 absent = around[is_absent & near(around, below, level)]
-            in_leaf = is_refined & beside.is_leaf
-            found.leaves.extend(_leaves_above(around[in_leaf], beside.of(in_leaf), level))
+            in_leaf = is_refined & where_around.is_leaf
+            found.leaves.extend(_leaves_above(around[in_leaf], where_around.of(in_leaf), level))
         found.below.append(below)
         found.added.append(each.codes[is_missing & ~where.is_leaf])
         found.refined.append(refined)
@@ -69,7 +71,7 @@ def find_finer(
 
 
 def _leaves_above(codes: Int64s, where: Located, level: int) -> list[tuple[int, Int64s]]:
-    """Return the leaves above cells of a level, as levels and codes."""
+    """Return the leaves above cells of a level: levels and codes."""
     return [
         (top, distinct(codes[where.levels == top] >> 3 * (level - top)))
         for top in np.flatnonzero(np.bincount(where.levels)).tolist()
@@ -79,7 +81,7 @@ def _leaves_above(codes: Int64s, where: Located, level: int) -> list[tuple[int, 
 def doubted_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[tuple[int, Int64s]]:
     """Return the leaves near paint, by level, that ``resize`` may have made off the surface.
 
-    They are in nodes of more than four like leaves, in or beside kept nodes with paint; see `on_kept`.
+    Their nodes have more than four equal leaves, in or next to kept nodes with paint; see `on_kept`.
     """
     codes = np.empty(0, np.int64)
     doubted: list[tuple[int, Int64s]] = []
@@ -94,20 +96,20 @@ def doubted_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> lis
         if not children.size:
             codes = codes[:0]
             continue
-        looks = tree.arrays.areas[children].astype(np.int64) << 8 | tree.arrays.flags[children] & FACING_FLAGS
+        kinds = tree.arrays.areas[children].astype(np.int64) << 8 | tree.arrays.flags[children] & FACING_FLAGS
         counts = np.diff(starts, append=children.size)
-        own = children - tree.arrays.level_cells[deeper]
-        least, most = np.where(is_node[own], 1 << 16, looks), np.where(is_node[own], -1, looks)
+        at = children - tree.arrays.level_cells[deeper]
+        least, most = np.where(is_node[at], 1 << 16, kinds), np.where(is_node[at], -1, kinds)
         is_filled = np.minimum.reduceat(least, starts) == np.maximum.reduceat(most, starts)
-        is_filled = np.repeat(is_filled & (counts > 4), counts) & ~is_node[own] & ~is_skirt[children]
+        is_filled = np.repeat(is_filled & (counts > 4), counts) & ~is_node[at] & ~is_skirt[children]
         if is_filled.any():
-            doubted.append((deeper, below[own[is_filled]]))
-        codes = below[own]
+            doubted.append((deeper, below[at[is_filled]]))
+        codes = below[at]
     return doubted
 
 
 def skirt_of(outer: Int64s, painted: Sequence[Int64s], ring: Int64s, met: Int64s, level: int) -> Int64s:
-    """Return those cells beside paint, off the surface, that nothing but paint and its boundary is beside."""
+    """Return the cells off the surface, next to paint, whose neighbours are all paint or its boundary."""
     if not outer.size:
         return outer
     bare = met[near(met, outer, level)]
@@ -125,9 +127,9 @@ def skirt_on_nothing(
     level: int,
     top: int,
 ) -> Int64s:
-    """Return those of cells below nothing whose whole surroundings, a cell of level ``top``, are free.
+    """Return the ``absent`` cells whose cell of level ``top`` has no surface in it or next to it.
 
-    Splines reach half a cell beyond leaves: one stored cell makes all others in that cell count for nothing.
+    Splines reach half a cell beyond leaves: one stored cell there would hide the others.
     """
     shift = 3 * (level - top)
     tops = distinct(absent >> shift)
@@ -139,7 +141,7 @@ def skirt_on_nothing(
 
 
 def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: int) -> Bools:
-    """Say which cells (n,) of a level are beside larger leaves of a tree, not counting ``tops``, by level."""
+    """Return which cells (n,) of a level adjoin larger leaves of a tree other than ``tops``, by level."""
     around = boundary(codes, level)
     where = locate(tree, around, level)
     around = around[where.is_leaf & (where.levels < level)]
@@ -150,7 +152,7 @@ def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: in
 def is_beside_old(
     codes: Int64s, level: int, above: Sequence[Int64s], bare: Sequence[Int64s], coarsest: int
 ) -> Bools:
-    """Say which cells (n,) are in or beside painted nodes whose coefficient stays; see `on_kept`."""
+    """Return which cells (n,) lie in or next to painted nodes whose coefficient stays; see `on_kept`."""
     if not codes.size:
         return np.zeros(0, np.bool_)
     cells = codes >> 3 * (level - coarsest)
@@ -167,9 +169,10 @@ def bare_surface(
     tops: Sequence[Int64s],
     met: SurfaceCells,
 ) -> tuple[list[Int64s], list[Int64s]]:
-    """Return the unpainted surface, by level: leaves not among the raised ``tops``, and all cells."""
+    """Return the unpainted surface, by level: leaves other than the raised ``tops``, and all cells."""
     painted = [each.codes for each in paint]
-    unraised = [own[~among(own, tops[level])] for level, own in enumerate(bare_leaves(tree, paint, is_skirt))]
+    leaves = bare_leaves(tree, paint, is_skirt)
+    unraised = [codes[~among(codes, tops[level])] for level, codes in enumerate(leaves)]
     bare = [*unraised, *[np.empty(0, np.int64)] * (len(met.codes) - len(unraised))]
     for level, codes in enumerate(met.codes):
         inside = codes[is_within(codes >> 3, tops[:level], level - 1)] if level else codes[:0]
@@ -177,8 +180,8 @@ def bare_surface(
         there = np.flatnonzero(among(inside, painted[level]))
         start = int(met.tree.arrays.level_cells[level]) if codes.size else 0  # nothing met: no such level
         at = np.searchsorted(codes, inside[there]) + start
-        own = paint[level].flags[np.searchsorted(painted[level], inside[there])]
-        is_bare[there] = leave_bare(met.tree.arrays.flags[at], own)
+        flags = paint[level].flags[np.searchsorted(painted[level], inside[there])]
+        is_bare[there] = leave_bare(met.tree.arrays.flags[at], flags)
         bare[level] = distinct(np.concatenate([bare[level], inside[is_bare]]))
     return unraised, bare
 
@@ -191,33 +194,33 @@ def free_leaves(
     coarsest: int,
     hiding: float,
 ) -> list[Int64s]:
-    """Return those of the raised leaves, ``tops`` by level, that keep no coefficient as nodes.
+    """Return the raised leaves, of ``tops`` by level, that keep no coefficient as nodes.
 
-    Two cells around them, and around larger cells above them that the field reads, all surface is hidden by
-    paint. The largest are of level ``coarsest``.
+    Paint hides all surface within two cells of them, and of the cells above them that the field reads. The
+    largest have level ``coarsest``.
     """
     none = np.empty(0, np.int64)
     shown = [[none, *bare[level : level + 1]] for level in range(len(tops))]
     for level, each in enumerate(paint[: len(tops)]):
         shown[level].append(each.codes[each.coverage < hiding])
-    seen = [distinct(np.concatenate(own)) for own in shown]
+    seen = [distinct(np.concatenate(codes)) for codes in shown]
     held, freed = none, []
     for level, codes in enumerate(with_all_above(tops)):
         is_held = among(codes >> 3, held)
         if level >= coarsest and codes.size:
             around = with_boundary(codes, level)
             where = locate(tree, around, level)
-            has_own = where.is_leaf | (tree.arrays.flags[where.cells] & KEPT != 0)
-            own = around[(where.levels == level) & has_own]
+            is_read = where.is_leaf | (tree.arrays.flags[where.cells] & KEPT != 0)
+            read = around[(where.levels == level) & is_read]
             around = around[are_beside(around, seen, level)]
-            is_held |= near(codes, own, level) & near(codes, around, level)
+            is_held |= near(codes, read, level) & near(codes, around, level)
         held = codes[is_held]
         freed.append(tops[level][~among(tops[level], held)])
     return freed
 
 
 def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
-    """Return leaves that the surface is in and not all of it painted, by level."""
+    """Return the leaves with unpainted surface, by level."""
     found = []
     for level, (codes, is_node) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
@@ -235,7 +238,7 @@ def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[I
 def with_old_skirts(
     tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], is_skirt: Bools, executor: Executor
 ) -> list[Paint]:
-    """Add the skirts of a tree (cells,) that are beside paint, and beside ``bare`` leaves only near paint."""
+    """Add the tree's skirts (cells,) next to paint whose neighbours in ``bare`` all adjoin paint."""
     found = list(paint)
     if not is_skirt.any():
         return found
@@ -249,76 +252,76 @@ def with_old_skirts(
         skirt = skirt[_touch(skirt, painted, level, refined=True)]
         if skirt.size:
             around = boundary(skirt, level)
-            far = [own[among_at(own, at, around, level)] for at, own in enumerate(bare)]
-            far = [own[~_touch(own, painted, at)] for at, own in enumerate(far)]
+            far = [codes[among_at(codes, at, around, level)] for at, codes in enumerate(bare)]
+            far = [codes[~_touch(codes, painted, at)] for at, codes in enumerate(far)]
             added = skirt_paint(skirt, level, executor, paint_at(paint, around, level))
             found[level] = joined(found[level], _unseen(tree, added, far, level))
     return found
 
 
 def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Paint:
-    """Return a skirt's paint without what changes bare leaves ``far`` from paint, given by level.
+    """Remove the paint of a skirt that would show in bare leaves ``far`` from paint, listed by level.
 
-    Beside leaves that all face one way, paint of the opposite facing stays.
+    Next to leaves with one facing only, paint of the opposite facing stays.
     """
-    is_beside = are_beside(skirt.codes, far, level)
-    chosen = ~is_beside
-    for bit in np.unique(skirt.flags[is_beside] & np.uint8(FACING_FLAGS)).tolist():
+    adjoins = are_beside(skirt.codes, far, level)
+    chosen = ~adjoins
+    for bit in np.unique(skirt.flags[adjoins] & np.uint8(FACING_FLAGS)).tolist():
         if bit.bit_count() == 1:
             opposite = bit << 1 if bit & POSITIVE_FACINGS else bit >> 1
-            flags = [tree.arrays.flags[locate(tree, own, at).cells] for at, own in enumerate(far)]
-            seeing = [own[each & FACING_FLAGS != opposite] for own, each in zip(far, flags, strict=True)]
-            own = is_beside & (skirt.flags & FACING_FLAGS == bit)
-            chosen[own] = ~are_beside(skirt.codes[own], seeing, level)
-    skirt.coverage[is_beside] = 0.0
-    skirt.flags[is_beside] |= np.uint8(SPLIT)
-    return some(skirt, chosen)
+            flags = [tree.arrays.flags[locate(tree, codes, at).cells] for at, codes in enumerate(far)]
+            seeing = [codes[each & FACING_FLAGS != opposite] for codes, each in zip(far, flags, strict=True)]
+            has_bit = adjoins & (skirt.flags & FACING_FLAGS == bit)
+            chosen[has_bit] = ~are_beside(skirt.codes[has_bit], seeing, level)
+    skirt.coverage[adjoins] = 0.0
+    skirt.flags[adjoins] |= np.uint8(SPLIT)
+    return skirt.of(chosen)
 
 
 def on_kept(
     tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], is_skirt: Bools, executor: Executor
 ) -> tuple[Int64s, Float32s, Float32s]:
-    """Return the rows of kept nodes without ``bare`` leaves around, and the paint in, or beside them.
+    """Return the rows of kept nodes without ``bare`` neighbours, and the paint in or next to them.
 
-    The field reads their coefficients only off the surface, and from the cells beside them at most.
+    The field reads their coefficients only off the surface, and from neighbours at most.
     """
     found = [(np.empty(0, np.int64), paint[0].values[:0], paint[0].coverage[:0])]
     above = with_all_above([each.codes for each in paint]) if tree.kept.cells.size else []
     leaves = _on_surface(tree, paint, is_skirt) if above else []
     for level, painted in enumerate(above):
-        own = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())
-        if own.start == own.stop:
+        here = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())
+        if here.start == here.stop:
             continue
         first = int(tree.arrays.level_cells[level])
-        codes = tree.level_codes(level)[tree.kept.cells[own].astype(np.int64) - first]
+        codes = tree.level_codes(level)[tree.kept.cells[here].astype(np.int64) - first]
         chosen = among(codes, painted) | _touch(codes, leaves, level, refined=True)
         chosen[chosen] = ~are_beside(codes[chosen], bare, level)
         inside = paint_at(paint, codes[chosen], level)
         off = codes[chosen & ~among(codes, painted)]
-        beside = skirt_paint(off, level, executor, paint_at(paint, boundary(off, level), level))
-        inside = joined(inside, beside)
-        found.append((np.flatnonzero(chosen) + own.start, inside.values, inside.coverage))
+        outside = skirt_paint(off, level, executor, paint_at(paint, boundary(off, level), level))
+        both = joined(inside, outside)
+        found.append((np.flatnonzero(chosen) + here.start, both.values, both.coverage))
     rows, values, coverage = (np.concatenate(column) for column in zip(*found, strict=True))
     return rows, values, coverage
 
 
 def _on_surface(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
-    """Return the cells that have paint and are no skirts, by level."""
+    """Return the painted cells that are no skirts, by level."""
     cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
-    return [each.codes[~is_skirt[own]] for each, own in zip(paint, cells, strict=True)]
+    return [each.codes[~is_skirt[at]] for each, at in zip(paint, cells, strict=True)]
 
 
 def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
-    """Say at a glance which cells (n,) of a level may reach leaves, given by level: by cells four as wide."""
+    """Return which cells (n,) of a level may adjoin leaves, by cells four times as wide: a fast filter."""
     top = max(level - 2, 0)
-    inside = [own >> 3 * (at - top) for at, own in enumerate(leaves) if at >= top]
+    inside = [codes >> 3 * (at - top) for at, codes in enumerate(leaves) if at >= top]
     coarse = [*leaves[:top], distinct(np.concatenate(inside))]
-    around = [with_boundary(own, at) for at, own in enumerate(coarse)]
+    around = [with_boundary(codes, at) for at, codes in enumerate(coarse)]
     return is_within(codes >> 3 * (level - top), around, top)
 
 
 def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, refined: bool = False) -> Bools:
-    """Say which cells (n,) of a level are in or beside leaves, or ``refined`` to cells that are."""
+    """Return which cells (n,) of a level lie in or next to leaves, or are ``refined`` to such cells."""
     if not codes.size:
         return np.zeros(0, np.bool_)
     around = with_boundary(codes, level)
@@ -331,30 +334,30 @@ def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, refined: bool
     return found
 
 
-def skirt_paint(skirt: Int64s, level: int, executor: Executor, beside: Paint) -> Paint:
-    """Return the paint of a skirt: the mean of the paint beside it."""
+def skirt_paint(skirt: Int64s, level: int, executor: Executor, around: Paint) -> Paint:
+    """Return the paint of a skirt: the mean of the paint next to it."""
     if not skirt.size:
-        return some(beside, slice(0))
+        return around.of(slice(0))
     found = Paint(
         skirt,
-        np.zeros((skirt.size, beside.values.shape[1]), np.float32),
+        np.zeros((skirt.size, around.values.shape[1]), np.float32),
         np.zeros(skirt.size, np.float32),
         np.zeros(skirt.size, np.int64),
         np.zeros(skirt.size, np.uint8),
     )
-    parts = [some(found, slice(begin, begin + _BLOCK)) for begin in range(0, skirt.size, _BLOCK)]
+    parts = [found.of(slice(begin, begin + _BLOCK)) for begin in range(0, skirt.size, _BLOCK)]
     with sharing(executor) as pool:
-        list(ordered_map(pool, lambda part: _average_beside(part, level, beside), parts))
+        list(ordered_map(pool, lambda part: _average_around(part, level, around), parts))
     return found
 
 
 @kernel
-def _average_beside(skirt: Paint, level: int, paint: Paint) -> None:
-    """Fill in the mean of the paint beside cells."""
+def _average_around(skirt: Paint, level: int, paint: Paint) -> None:
+    """Set cells to the mean of the paint next to them."""
     components = paint.values.shape[1]
     sums = np.empty(components, np.float64)
-    nearest = np.zeros(64, np.int64)  # of each block of 4³ in reach, where the paint was for the one before
-    around = np.empty((10, 10, 10), np.int64)  # the place of paint in the block and beside it, or −1
+    nearest = np.zeros(64, np.int64)  # the last row of paint found for each block of 4³ in reach
+    around = np.empty((10, 10, 10), np.int64)  # rows of paint in the block and next to it, or −1
     last = np.int64(-1)
     end = ((1 << level) - 1) >> 2
     for n in range(skirt.codes.size):

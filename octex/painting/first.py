@@ -1,25 +1,23 @@
-"""The first layer of a new texture: its leaves become the texture's, over the fill and beside it.
-
-Nothing has to stay as it was, so there are no coefficients to keep and no skirts around the paint, as in
-`merge`. What the layer lacks of the surface becomes leaves with the values that the fill refines to.
-"""
+"""A new texture: the surface that no picture sees is filled, and the first layer is laid over the fill."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Int64s, Uint8s
-from octex.channels import ALPHA, ONE, decode, encode
-from octex.editing.averages import with_summed_areas
-from octex.editing.nodes import nodes_at
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from octex.channels import ALPHA, ONE, ChannelFormat, decode, encode
+from octex.conversion.levels import assemble, cell_levels
+from octex.editing.averages import average, with_summed_areas
+from octex.editing.nodes import all_nodes, nodes_at
 from octex.editing.refined import Below, refined_below, refined_rows, with_rows
 from octex.editing.runs import carried
 from octex.editing.split import refaced, rows_facing
-from octex.errors import own_making
+from octex.errors import ArgumentError, own_making
 from octex.painting.blend import (
     Above,
     Blended,
@@ -33,26 +31,196 @@ from octex.painting.blend import (
     with_split_cells,
     writable,
 )
-from octex.painting.cells import Paint, painted_channel, some
-from octex.painting.holes import begun
-from octex.painting.layer import COVERAGE
+from octex.painting.layer import COVERAGE, Paint, empty_texture, painted_channel
+from octex.painting.merge import paint_by_tiles
+from octex.painting.multigrid import added, graph_of, solve
 from octex.painting.options import Holes
 from octex.painting.picture import Blend
+from octex.painting.sheets import Region, Sheets, sheets_of
 from octex.painting.steps import cull_cells
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress
+from octex.source.base import Source
+from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
+from octex.tree.beside import with_boundary
 from octex.tree.edit import among, locate, rebuilt, with_all_above
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree, distinct
+from octex.tree.placement import on_grid
 from octex.tree.split import rows_of
+from octex.voxelize.fragments import divided, whole
 
-#: Coverage that hides the fill wholly.
+#: The channel with the part of the surface that pictures cover.
+COVERED = "coverage"
+#: Least coverage of a known value.
+_KNOWN = 0.5
+#: Largest number of filled cells, about; beyond it cells are larger.
+_MOST_CELLS = 1 << 21
+#: Levels from the filled cells up to the blocks in which uncovered surface is found.
+_BLOCK = 3
+#: Weight that ties unknown values to the mean of the known ones, which parts without any get.
+_HOLD = 1e-9
+
+
+@dataclass(eq=False)
+class SheetValues(Source):
+    """One value for each sheet of a surface; the last one for all other points."""
+
+    form: ChannelFormat
+    sheets: Sheets
+    values: Float32s  # (sheets + 1, components)
+
+    @property
+    def channels(self) -> tuple[ChannelFormat, ...]:
+        """The channel of the values."""
+        return (self.form,)
+
+    def evaluate(
+        self,
+        triangles: Int32s,
+        barycentric: Float64s,
+        widths: Float32s,  # noqa: ARG002
+    ) -> Float32s:
+        """Return the values of the sheets of points."""
+        found: Float32s = self.values[self.sheets.at(triangles, barycentric)]
+        return found
+
+
+def begun(
+    layer: OctreeTexture,
+    surface: Surface,
+    holes: Holes,
+    executor: Executor,
+    progress: Progress,
+    *,
+    is_hidden: bool = False,
+) -> OctreeTexture:
+    """Return the texture below the first layer: ``smooth`` where the layer has no paint.
+
+    Values that the layer covers by half or more are known, in cells as large as most of its leaves. The rest
+    is harmonic; a part without known values gets the mean. If the layer hides the fill (``is_hidden``), only
+    the surroundings of uncovered surface have cells.
+    """
+    name = painted_channel(layer)
+    form = layer.channels[name].format
+    nothing = empty_texture([form], layer.placement, layer.bounds, surface)
+    if holes == "leave" or not layer.tree.n_leaves:
+        return nothing
+    progress("fill", 0, 1)
+    level, region = _uncovered(layer, surface)
+    if not region.codes.size:
+        return nothing
+    sheets = sheets_of(surface, layer.placement, level, executor, region)
+    where = locate(layer.tree, sheets.codes, level)
+    values = rows_facing(layer, layer.channels[name], where.cells, sheets.bits).astype(np.float64)
+    coverage = rows_facing(layer, layer.channels[ALPHA.name], where.cells, sheets.bits)[:, 0]
+    is_there = where.is_leaf | (where.levels == level)
+    coverage[~is_there | (layer.tree.arrays.flags[where.cells] & sheets.bits == 0)] = 0.0
+    mean = decode(layer.channels[name].values[0], form.space).astype(np.float64)
+    values = np.concatenate([filled(sheets, values, coverage >= _KNOWN, mean), mean[None]])
+    source = SheetValues(form, sheets, values.astype(np.float32))
+    made = cell_levels(
+        surface, source, (form,), layer.placement, level, executor, progress,
+        has_samples=False, reached=region.reaches if is_hidden else None,
+    )  # fmt: skip
+    tree, channels, *_ = assemble(made)
+    progress("fill", 1, 1)
+    return OctreeTexture(tree, channels, layer.placement, layer.bounds, nothing.metadata)
+
+
+def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Region]:
+    """Return the level of most of a layer's leaves, or a coarser one with few cells, and the open blocks."""
+    areas = [np.count_nonzero(~is_node) * 4.0**-level for level, (_, is_node) in enumerate(layer.tree.walk())]
+    level = int(np.argmax(areas))
+    found = _open_blocks(layer, surface, max(level - _BLOCK, 0))
+    many = found.size * 4**_BLOCK / _MOST_CELLS
+    if many > 1:
+        level = max(level - int(np.ceil(np.log(many) / np.log(4))), 0)
+        found = _open_blocks(layer, surface, max(level - _BLOCK, 0))
+    return level, Region(max(level - _BLOCK, 0), found)
+
+
+def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Int64s:
+    """Return the cells of a level in or next to which a layer leaves surface uncovered."""
+    blocks = divided(whole(on_grid(surface.rest, layer.placement), surface.triangles, above), 0)
+    alpha = layer.channels[ALPHA.name]
+    full = np.iinfo(alpha.format.dtype).max
+    is_open = alpha.values[:, 0] < full
+    is_open[rows_of(layer.tree.split).cells[alpha.split_values[:, 0] < full]] = True
+    where = locate(layer.tree, blocks.codes, above)
+    missing = ~where.is_leaf & (where.levels < above)
+    found = [blocks.codes[missing | is_open[where.cells]]]
+    firsts = layer.tree.arrays.level_cells
+    for level, (codes, _) in enumerate(layer.tree.walk()):
+        if level > above:
+            is_here = is_open[firsts[level] : firsts[level + 1]]
+            found.append(codes[is_here] >> 3 * (level - above))
+    return with_boundary(distinct(np.concatenate(found)), above)
+
+
+def filled(sheets: Sheets, values: Float64s, known: Bools, mean: Float64s) -> Float64s:
+    """Return values (n, components) of sheets, harmonic where not ``known``, or the ``mean``."""
+    free = np.flatnonzero(~known)
+    numbers = np.full(known.size, -1, np.int64)
+    numbers[free] = np.arange(free.size)
+    one, other = sheets.pairs.T
+    hold, right = np.full(free.size, _HOLD), np.tile(_HOLD * mean, (free.size, 1))
+    for inner, outer in ((one, other), (other, one)):
+        rim = ~known[inner] & known[outer]
+        rows, ties = numbers[inner[rim]], sheets.ties[rim]
+        hold += added(rows, ties, free.size)
+        for component in range(values.shape[1]):
+            right[:, component] += added(rows, ties * values[outer[rim], component], free.size)
+    inside = ~known[one] & ~known[other]
+    graph = graph_of(numbers[sheets.pairs[inside]], sheets.ties[inside], free.size)
+    found = values.copy()
+    found[free] = solve(graph, sheets.codes[free], sheets.level, hold, right)
+    return found
+
+
+def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> OctreeTexture:
+    """Return a texture with the channel ``coverage``: 1 − (1 − c)(1 − d) for layers that cover c and d."""
+    tree = texture.tree
+    form = COVERAGE._replace(name=COVERED)
+    rows = rows_of(tree.split)
+    leaves = np.ones(tree.n_cells, np.bool_)
+    leaves[all_nodes(tree).cells] = False
+    of_leaves = leaves[rows.cells]
+    if COVERED in texture.channels:
+        had = texture.channels[COVERED]
+        if had.format.components != 1 or had.format.space != "data":
+            raise ArgumentError(f"the texture's channel {COVERED!r} is not a coverage channel")
+        form, kept = had.format, had.kept_values
+        clear, clear_rows = (1 - decode(each[:, 0], "data") for each in (had.values, had.split_values))
+    else:
+        kept = np.zeros((tree.kept.cells.size, 1), form.dtype)
+        clear, clear_rows = np.ones(tree.n_cells, np.float32), np.ones(rows.rows.size, np.float32)
+    for painted, paint in (each for layer in layers for each in paint_by_tiles(texture, layer)):
+        alpha = painted.channels[ALPHA.name]
+        for level, each in enumerate(paint):
+            where = locate(tree, each.codes, level)
+            is_leaf = where.is_leaf & (where.levels == level)
+            cells, sources = where.cells[is_leaf], each.cells[is_leaf]
+            clear[cells] *= 1 - each.coverage[is_leaf]
+            chosen = np.flatnonzero(of_leaves)[among(rows.cells[of_leaves], cells)]
+            at = np.searchsorted(cells, rows.cells[chosen])
+            facing = rows_facing(painted, alpha, sources[at], rows.bits[chosen])[:, 0]
+            facing[painted.tree.arrays.flags[sources[at]] & rows.bits[chosen] == 0] = 0
+            clear_rows[chosen] *= 1 - facing
+    values, split_values = (encode(1 - each[:, None], form.dtype, form.space) for each in (clear, clear_rows))
+    channel = Channel(form, values, split_values, kept)
+    average(texture, channel)
+    channels = {**texture.channels, COVERED: channel}
+    return OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+
+
+#: Coverage that hides the fill.
 _FULL = ONE[COVERAGE.dtype]
 
 
 class Leaves(NamedTuple):
-    """Leaves of one level that a layer lacks."""
+    """Leaves of one level that the layer lacks."""
 
     codes: Int64s  # (n,)   Morton codes, ascending
     flags: Uint8s  # (n,)
@@ -68,9 +236,9 @@ def started(
     executor: Executor,
     progress: Progress,
 ) -> tuple[OctreeTexture, bool]:
-    """Return a new texture for a layer, and whether the layer is in it, or is still to be merged into it.
+    """Return a new texture for a layer, and whether it includes the layer.
 
-    A layer is in it if its paint lies opaque on what there is: nothing, or the fill of ``holes``.
+    It does if the layer is merged "over" with opacity 1; else the texture holds only the fill of ``holes``.
     """
     is_in = opacity == 1.0 and blend == "over" and layer.tree.n_leaves > 0
     fill = begun(layer, surface.surface, holes, executor, progress, is_hidden=is_in)
@@ -80,9 +248,9 @@ def started(
 def _laid_over(
     fill: OctreeTexture, layer: OctreeTexture, surface: PaintedSurface, executor: Executor, progress: Progress
 ) -> OctreeTexture:
-    """Return a texture of a layer's leaves, with its ``fill`` beneath them and where it has none.
+    """Lay a layer over its fill, whose leaves have one level: the layer's leaves, and leaves that it lacks.
 
-    The fill's leaves are of one level, wherever the layer does not hide them; or it has none.
+    No cell existed before, so there are no coefficients to keep and no skirts, as there are in `merge`.
     """
     name = painted_channel(layer)
     if not fill.tree.n_leaves:
@@ -97,58 +265,59 @@ def _laid_over(
 
 
 def _united(task: Merge, lacking: Sequence[Leaves]) -> tuple[OctreeTexture, Bools]:
-    """Return a texture of a layer's leaves and those that it lacks; and say which cells the layer has."""
+    """Return the filled texture with the layer's leaves and those that it lacks, and the layer's cells."""
     layer, name = task.layer, task.target
-    leaves = [codes[~is_node] for codes, is_node in layer.tree.walk()]
-    every = [distinct(np.concatenate([own, more.codes])) for own, more in zip(leaves, lacking, strict=True)]
-    del leaves
-    edited = rebuilt(layer.tree, every)
+    leaves = [
+        distinct(np.concatenate([codes[~is_node], more.codes]))
+        for (codes, is_node), more in zip(layer.tree.walk(), lacking, strict=True)
+    ]
+    edited = rebuilt(layer.tree, leaves)
     tree, channel = edited.tree, carried(layer, edited)[name]
     flags, areas, added = tree.arrays.flags.copy(), tree.arrays.areas.copy(), []
-    for level, own in enumerate(lacking):
-        cells, below = locate(tree, own.codes, level).cells, _filled(task, own.codes, level, own.flags)
-        flags[cells], areas[cells] = own.flags, own.areas
+    for level, each in enumerate(lacking):
+        cells, below = locate(tree, each.codes, level).cells, _filled(task, each.codes, level, each.flags)
+        flags[cells], areas[cells] = each.flags, each.areas
         channel.values[cells] = encode(below.values[name], channel.format.dtype, channel.format.space)
         added.append((cells, below))
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     texture = refaced(with_rows(task.texture.with_cells(tree, {name: channel}), added))
-    above = with_all_above([own.codes for own in lacking])[1:]
+    above = with_all_above([each.codes for each in lacking])[1:]
     tree = with_summed_areas(texture.tree, nodes_at(tree, [distinct(codes >> 3) for codes in above]))
     return texture.with_cells(tree, texture.channels), edited.old >= 0
 
 
 def _with_paint(
-    task: Merge, texture: OctreeTexture, is_own: Bools, paint: Sequence[Paint], lacking: Sequence[Leaves]
+    task: Merge, texture: OctreeTexture, is_painted: Bools, paint: Sequence[Paint], lacking: Sequence[Leaves]
 ) -> OctreeTexture:
-    """Return the texture with paint blended with the fill beneath it, and averages made anew above both."""
+    """Blend paint with the fill below it, and average the nodes above both."""
     name, tree = task.target, texture.tree
     cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
-    beneath = [_filled(task, each.codes, level, each.flags) for level, each in enumerate(paint)]
-    apart = np.concatenate([own[each.is_split] for own, each in zip(cells, beneath, strict=True)])
-    texture = with_split_cells(texture, apart[tree.arrays.flags[apart] & SPLIT == 0])
+    below = [_filled(task, each.codes, level, each.flags) for level, each in enumerate(paint)]
+    split = np.concatenate([at[each.is_split] for at, each in zip(cells, below, strict=True)])
+    texture = with_split_cells(texture, split[tree.arrays.flags[split] & SPLIT == 0])
     changed = [
-        distinct(np.concatenate([own.codes, each.codes])) for own, each in zip(lacking, paint, strict=True)
+        distinct(np.concatenate([bare.codes, each.codes])) for bare, each in zip(lacking, paint, strict=True)
     ]
-    codes = [distinct(own >> 3) for own in with_all_above(changed)[1:]]
+    codes = [distinct(each >> 3) for each in with_all_above(changed)[1:]]
     nodes, none = nodes_at(tree, codes), np.empty(0, np.int64)
     absent = nodes._replace(numbers=np.full_like(nodes.numbers, -1))
     above = Above(nodes, absent, nodes_at(task.layer.tree, codes))
     may_split = may_differ(texture.tree, none, none.astype(np.uint8), above)
     base = with_split_cells(texture, may_split)
     channels, parts = writable(base, [name]), no_parts(base.tree, [name])
-    parts[name].values[is_own] = 1.0
-    parts[name].split_values[is_own[rows_of(base.tree.split).cells]] = 1.0
-    for level, (own, each, below) in enumerate(zip(cells, paint, beneath, strict=True)):
-        _put_paint(task, base.tree, level, own, each, below, channels[name], parts[name])
+    parts[name].values[is_painted] = 1.0
+    parts[name].split_values[is_painted[rows_of(base.tree.split).cells]] = 1.0
+    for level, on_level in enumerate(zip(cells, paint, below, strict=True)):
+        _put_paint(task, base.tree, level, *on_level, channels[name], parts[name])
     is_fresh = np.ones(tree.n_cells, np.bool_)
-    raised = Raised(texture, np.where(is_own, 0, -1), is_fresh, ~is_fresh, [])
+    raised = Raised(texture, np.where(is_painted, 0, -1), is_fresh, ~is_fresh, [])
     return averaged(
         task, task.texture, raised, Blended(base, channels, parts, above, may_split), changed
     ).texture
 
 
 def _lacking(task: Merge) -> list[Leaves]:
-    """Return the leaves that a layer lacks, by level: the fill's, and what finer paint leaves of them."""
+    """Return the leaves that a layer lacks, by level: the fill's, or surface in them next to finer paint."""
     fill, layer, level = task.texture.tree, task.layer.tree, task.texture.tree.max_depth
     none = Leaves(np.empty(0, np.int64), *np.empty((2, 0), np.uint8))
     found = [none] * (layer.max_depth + 1)
@@ -170,14 +339,14 @@ def _lacking(task: Merge) -> list[Leaves]:
 
 
 def _leaves_at(tree: Octree, level: int, chosen: Int64s) -> Leaves:
-    """Return some cells of a level of a tree as leaves."""
+    """Return chosen cells of a level as leaves."""
     cells = chosen + int(tree.arrays.level_cells[level])
     flags = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
     return Leaves(tree.level_codes(level)[chosen], flags, tree.arrays.areas[cells])
 
 
 def _showing(task: Merge) -> list[Paint]:
-    """Return the paint, by level, on leaves that show some of the fill."""
+    """Return the paint, by level, on leaves through which the fill shows."""
     layer, name = task.layer, task.target
     alpha, rows = layer.channels[ALPHA.name], rows_of(layer.tree.split)
     shows = alpha.values[:, 0] < _FULL
@@ -185,18 +354,18 @@ def _showing(task: Merge) -> list[Paint]:
     found = []
     for level, (codes, is_node) in enumerate(layer.tree.walk()):
         first = int(layer.tree.arrays.level_cells[level])
-        own = np.flatnonzero(~is_node & shows[first : first + codes.size])
-        where = locate(task.texture.tree, codes[own], level)
-        own = own[(where.levels == level) | where.is_leaf]
-        cells = own + first
+        chosen = np.flatnonzero(~is_node & shows[first : first + codes.size])
+        where = locate(task.texture.tree, codes[chosen], level)
+        chosen = chosen[(where.levels == level) | where.is_leaf]
+        cells = chosen + first
         values = decode(layer.channels[name].values[cells], layer.channels[name].format.space)
         coverage = decode(alpha.values[cells, 0], "data")
-        found.append(Paint(codes[own], values, coverage, cells, layer.tree.arrays.flags[cells]))
+        found.append(Paint(codes[chosen], values, coverage, cells, layer.tree.arrays.flags[cells]))
     return found
 
 
 def _filled(task: Merge, codes: Int64s, level: int, facings: Uint8s) -> Below:
-    """Return what the fill has in cells (n,) of a level of such facings."""
+    """Return the fill's values in cells (n,) of a level with these facings."""
     fill, name = task.texture, task.target
     if level > fill.tree.max_depth:
         return refined_below(fill, codes, level, facings & np.uint8(FACING_FLAGS), task.executor)
@@ -221,18 +390,18 @@ def _put_paint(
     channel: Channel,
     part: Channel,
 ) -> None:
-    """Blend paint on cells of a level with the fill ``below`` it, and say how much is paint, in place."""
+    """Blend paint on cells of a level with the fill ``below`` it, and record its ``part``, in place."""
     fill, name, form = task.texture, task.target, channel.format
     new = blended(below.values[name], paint.values, paint.coverage, "over")
     channel.values[cells] = encode(new, form.dtype, form.space)
     part.values[cells, 0] = paint.coverage
     rows = rows_of(tree.split, cells)
-    own = some(paint, np.searchsorted(cells, rows.cells))
-    values, coverage = facings_of_paint(task.layer, own, rows.bits, 1.0)
+    paint = paint.of(np.searchsorted(cells, rows.cells))
+    values, coverage = facings_of_paint(task.layer, paint, rows.bits, 1.0)
     if level > fill.tree.max_depth:
-        old = refined_rows(fill, own.codes, level, rows.bits)[name]
+        old = refined_rows(fill, paint.codes, level, rows.bits)[name]
     else:
-        old = rows_facing(fill, fill.channels[name], locate(fill.tree, own.codes, level).cells, rows.bits)
+        old = rows_facing(fill, fill.channels[name], locate(fill.tree, paint.codes, level).cells, rows.bits)
     new = blended(old, values, coverage, "over")
     channel.split_values[rows.rows] = encode(new, form.dtype, form.space)
     part.split_values[rows.rows, 0] = coverage

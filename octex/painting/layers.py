@@ -12,28 +12,28 @@ from octex.channels import ALPHA, BASE_COLOR, alpha_of, plain_name
 from octex.checks import as_flag, as_whole
 from octex.editing.draft import Change, as_change, change_of_values, with_alpha
 from octex.errors import ArgumentError
-from octex.painting.beneath import Stacked
-from octex.painting.cells import painted_channel
-from octex.painting.history import Stroke
+from octex.painting.beneath import ERASED, Stacked, restored, without_erased
+from octex.painting.layer import painted_channel
 from octex.painting.merge import merged
-from octex.painting.painter import Painter
+from octex.painting.painter import Painter, Stroke
 from octex.painting.picture import Blend
-from octex.painting.restore import ERASED, restored, without_erased
 from octex.painting.stack import (
+    Keep,
     Layer,
     LayerBlend,
     Stack,
+    as_file,
     bottom_names,
     check_layer,
     composite_name,
     composited,
+    from_file,
     shown,
     shown_names,
     united,
     with_composite,
     with_layer_channels,
 )
-from octex.painting.stack_file import Keep, as_file, from_file
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress
 from octex.source.surface import Surface
@@ -45,22 +45,22 @@ class Restacked(NamedTuple):
 
     before: Stack
     after: Stack
-    channels: dict[str, Channel]  # of the layers that one of both does not have
+    channels: dict[str, Channel]  # of the layers that one of them lacks
 
 
 class Layers(Painter):
     """A painting session with layers above the texture, each with a name, opacity, blend mode and mask.
 
-    Strokes and fills go into the layer that is chosen; ``None`` is the texture itself, the bottom. With
-    ``blend="erase"`` they take the coverage of the layer away, and bring back the bottom as it was opened.
-    ``texture()`` is the composite. Undo and redo cover strokes and changes of the stack. Only the tiles that
-    a stroke touches are composited anew, so it takes the same time in all layers.
+    Strokes and fills go into the chosen layer; ``None`` is the texture itself, the bottom. ``blend="erase"``
+    removes coverage from a layer, and restores the bottom as it was opened. ``texture()`` is the composite.
+    Undo and redo cover strokes and changes of the stack. A stroke composites only the tiles that it touches,
+    so it takes the same time in all layers.
 
-    All layers have the cells of one tree: fine paint in one makes all of them finer there. What they look
-    like changes by rounding, and a little beside that paint.
+    All layers have the cells of one tree: fine paint in one makes all of them finer there. That changes them
+    by rounding, and a little next to that paint.
 
-    A saved texture whose layers no longer make what it shows was edited since: it raises ArgumentError unless
-    ``keep`` says what to go on with, "shown" or "layers". Edits of what is shown do not reach the layers.
+    A saved texture whose composite was edited since raises ArgumentError, unless ``keep`` names the part to
+    go on with: "shown", the edited composite, or "layers", without the edit.
     """
 
     def __init__(self, texture: OctreeTexture, surface: Surface, *, keep: Keep | None = None) -> None:
@@ -84,7 +84,7 @@ class Layers(Painter):
         return self._shown[1]
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the texture with all layers to a file; it shows the composite to what does not know layers.
+        """Write the texture with all layers to a file; programs without layers show the composite.
 
         ``Layers(octex.open(path), surface)`` goes on with them. Raises OutputError.
         """
@@ -102,13 +102,13 @@ class Layers(Painter):
 
     @property
     def chosen(self) -> int | None:
-        """The number of the layer that is painted; None is the texture itself."""
+        """The number of the chosen layer; None is the texture itself."""
         return self._chosen
 
     def choose(self, layer: int | None, *, mask: bool = False) -> None:
-        """Choose the layer that is painted next, or its mask: paint of any colour shows, "erase" hides.
+        """Choose the layer to paint, or its mask: paint of any colour shows, "erase" hides.
 
-        Raises ArgumentError for a layer that is not there, and for the mask of the bottom.
+        Raises ArgumentError for an unknown layer, and for the mask of the bottom.
         """
         as_flag(mask, "mask")
         if layer is not None:
@@ -142,7 +142,7 @@ class Layers(Painter):
         is_visible: bool | None = None,
         has_mask: bool | None = None,
     ) -> Layer:
-        """Change what is given of a layer, and return it."""
+        """Change properties of a layer, and return it."""
         given = {
             "name": name,
             "opacity": opacity,
@@ -159,30 +159,30 @@ class Layers(Painter):
     def move_layer(self, number: int, place: int) -> None:
         """Move a layer to a place in the stack; 0 is the lowest."""
         as_whole(place, "place", 0, len(self._stack) - 1)
-        own = self.layer(number)
-        others = [each for each in self._stack if each is not own]
-        self._restack((*others[:place], own, *others[place:]))
+        layer = self.layer(number)
+        others = [each for each in self._stack if each is not layer]
+        self._restack((*others[:place], layer, *others[place:]))
 
     def delete_layer(self, number: int) -> None:
-        """Delete a layer with its paint. If it was chosen, the one below it is."""
+        """Delete a layer with its paint. If it was chosen, the one below becomes so."""
         place = self._place_of(number)
         self._restack(self._stack[:place] + self._stack[place + 1 :])
 
     def copy_layer(self, number: int) -> Layer:
         """Add a copy of a layer above it; choose and return the copy."""
         place = self._place_of(number)
-        own = self._stack[place]
-        copied = self._next(own)
-        channels = {name: each for name, each in self._texture.channels.items() if own.owns(name)}
-        made = {copied.of_own(own, name): each for name, each in channels.items()}
+        layer = self._stack[place]
+        copied = self._next(layer)
+        channels = {name: each for name, each in self._texture.channels.items() if layer.owns(name)}
+        made = {copied.of_own(layer, name): each for name, each in channels.items()}
         self._restack((*self._stack[: place + 1], copied, *self._stack[place + 1 :]), made)
         self.choose(copied.number)
         return copied
 
     def merge_layer(self, number: int) -> Layer:
-        """Merge a layer with the one below it, of which both are seen and normal; choose and return it.
+        """Merge a layer with the one below it, both visible and normal; choose and return the result.
 
-        It looks as both did. Raises ArgumentError for the lowest layer and for others that cannot be one.
+        It looks as both did. Raises ArgumentError for the lowest layer, and for layers that cannot be merged.
         """
         place = self._place_of(number)
         if not place:
@@ -211,31 +211,31 @@ class Layers(Painter):
         raise ArgumentError(f"there is no layer {number!r}")
 
     def _restack(self, stack: Stack, made: Mapping[str, Channel] = MappingProxyType({})) -> None:
-        """Put another stack in place; ``made`` are the channels of new layers."""
+        """Replace the stack, as a step that can be undone; ``made`` are the channels of new layers."""
         if stack == self._stack:
             self.changes = ()
             return
         gone = _without(self._stack, stack)
-        removed = {name: own for name, own in self._texture.channels.items() if _is_of(gone, name)}
+        removed = {name: each for name, each in self._texture.channels.items() if _is_of(gone, name)}
         step = Restacked(self._stack, stack, {**removed, **made})
         self._apply(step)
         self._done.append(step)
         self._undone.clear()
 
     def _apply(self, step: Restacked) -> None:
-        """Take the stack and its texture from before a step to after it."""
+        """Apply a step to the stack and its texture."""
         seen, gone = self.texture(), _without(step.before, step.after)
-        channels = {name: own for name, own in self._texture.channels.items() if not _is_of(gone, name)}
+        channels = {name: each for name, each in self._texture.channels.items() if not _is_of(gone, name)}
         come = _without(step.after, step.before)
         channels |= {  # copied, as later strokes write to them and the step stays as it is
-            name: own.copied().named(name) for name, own in step.channels.items() if _is_of(come, name)
+            name: each.copied().named(name) for name, each in step.channels.items() if _is_of(come, name)
         }
         if self._chosen in {layer.number for layer in gone}:
             below = step.before[: step.before.index(gone[0])]
             self._chosen, self._in_mask = below[-1].number if below else None, False
-        looks = [[each._replace(name="") for each in stack] for stack in (step.before, step.after)]
+        before, after = ([each._replace(name="") for each in stack] for stack in step[:2])
         self._stack, self.changes = step.after, ()
-        if looks[0] == looks[1]:
+        if before == after:
             return
         self._texture = with_composite(self._texture.with_cells(self._texture.tree, channels), self._stack)
         change = change_of_values(seen, self.texture())
@@ -254,7 +254,7 @@ class Layers(Painter):
         executor: Executor,
         progress: Progress,
     ) -> Change | None:
-        """Merge paint into the chosen layer; return the change, with the composite and all else it needs."""
+        """Merge paint into the chosen layer; return the change of all channels, with the composite."""
         into = None
         is_restoring = self._chosen is None and blend == "erase"
         if is_restoring:
@@ -283,9 +283,9 @@ class Layers(Painter):
         names = [*shown_names(after).values()]
         names += [
             name
-            for name, own in after.channels.items()
+            for name, channel in after.channels.items()
             if name not in names
-            and any(was is not now for was, now in zip(before.channels[name][1:], own[1:], strict=True))
+            and any(was is not now for was, now in zip(before.channels[name][1:], channel[1:], strict=True))
         ]
         alphas = [alpha_of(name) or name for name in names if name != plain_name(name)]
         names += [name for name in dict.fromkeys(alphas) if name in after.channels and name not in names]
@@ -296,13 +296,13 @@ class Layers(Painter):
         return Change(tiles, *drafts)
 
     def _put(self, change: Change, texture: OctreeTexture) -> OctreeTexture:
-        own = change.after.channels
-        if ALPHA.name in own and ALPHA.name not in texture.channels:
+        names = change.after.channels.keys()
+        if ALPHA.name in names and ALPHA.name not in texture.channels:
             texture = with_alpha(texture)
-        texture = with_layer_channels(texture, own)
+        texture = with_layer_channels(texture, names)
         if not change.has_same_cells:
             return super()._put(change, texture)
-        part = texture.with_cells(texture.tree, {name: texture.channels[name] for name in own})
+        part = texture.with_cells(texture.tree, {name: texture.channels[name] for name in names})
         made = super()._put(change, part)
         made = made.with_cells(made.tree, {**texture.channels, **made.channels})
         if change.tiles is None:
@@ -313,20 +313,21 @@ class Layers(Painter):
         return self._told(super()._did(changes))
 
     def _told(self, changes: Sequence[Change]) -> Stroke:
-        """Keep and return changes as those of the composite."""
+        """Store and return changes as those of the composite."""
         names = dict.fromkeys((*bottom_names(self._texture), ALPHA.name))  # undone, alpha may be gone
 
         def seen(draft: OctreeTexture) -> OctreeTexture:
             stored = {
-                name: [own for own in (composite_name(name), name) if own in draft.channels] for name in names
+                name: [each for each in (composite_name(name), name) if each in draft.channels]
+                for name in names
             }
-            return shown(draft, {name: own[0] for name, own in stored.items() if own})
+            return shown(draft, {name: found[0] for name, found in stored.items() if found})
 
         self.changes = tuple(Change(tiles, *map(seen, drafts)) for tiles, *drafts in changes)
         return self.changes
 
     def put(self, change: Change) -> Stroke:
-        """Put in a change that adds channels to the texture; return it. Raises ArgumentError for another."""
+        """Apply a change that adds channels to the texture; return it. Raises ArgumentError for others."""
         before, after = (each.channels for each in as_change(change)[1:])
         if change.tiles is not None or not before.keys() < after.keys():
             raise ArgumentError("with layers only changes that add channels can be put in")
@@ -336,7 +337,7 @@ class Layers(Painter):
         )
 
     def covered(self, *, erases: bool) -> list[str] | None:
-        """Return the channels whose coverage alone an eraser or a mask paints; None for other paint."""
+        """Return the channels whose coverage an eraser or a mask paints; None for other paint."""
         if not (as_flag(erases, "erases") or self._in_mask):
             return None
         if self._chosen is None or self._in_mask:
@@ -367,7 +368,7 @@ class Layers(Painter):
 
 
 def _without(stack: Stack, other: Stack) -> list[Layer]:
-    """Return the layers of a stack that another one does not have."""
+    """Return the layers of a stack that another one lacks."""
     numbers = {layer.number for layer in other}
     return [layer for layer in stack if layer.number not in numbers]
 

@@ -1,7 +1,7 @@
-"""A layer merged into a texture: in one draft, or piece by piece (paper 4.1, steps 2 to 7; see `steps`).
+"""Merges a layer into a texture: in one draft, or in pieces (paper 4.1, steps 2 to 7; see `steps`).
 
-A piece is some tiles in Morton order. The paint in and beside them is merged into a draft of the texture, as
-if there were no other; of that draft the tiles are kept. What is above the tiles is averaged at the end.
+A piece is a run of tiles in Morton order. The paint in and next to them is merged into a draft of the
+texture, and the draft's tiles go into the result. The nodes above the tiles are averaged at the end.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from octex.editing.runs import carried
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, own_making
 from octex.painting.blend import Merge, Merged, averaged_above, no_parts
-from octex.painting.cells import Paint, channel_of, paint_of, some
+from octex.painting.layer import Paint, channel_of, paint_of
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import delete_paint, merge_draft, refine_paint
 from octex.painting.surface import PaintedSurface
@@ -49,14 +49,16 @@ from octex.tree.beside import with_boundary
 from octex.tree.edit import among, locate, rebuilt, with_all_above
 from octex.tree.octree import distinct
 
-#: Cells of layer and texture that a piece has, about, without those beside it.
+#: Cells of layer and texture up to which one draft has all paint: it takes 600 bytes for each, as the pieces
+#: do that are merged at once, and seven eighths of their time.
+WHOLE = 1 << 22
+#: Cells of layer and texture in a piece, about, without its neighbours.
 PIECE = 1 << 20
-#: Pieces that are merged side by side at most, and where memory is scarce.
+#: Largest number of pieces that are merged at once, usually and where memory is scarce.
 _AT_ONCE, _LEAST_AT_ONCE = 4, 2
-#: If all pieces with what is beside them have more than so many times the cells that there are, they are no
-#: gain.
+#: Largest ratio of the cells of all pieces with their neighbours to the cells without, for pieces to pay.
 MOST = 3.0
-#: Begins the names under which a piece's top has how much of its channels is paint; no other name does.
+#: Prefix of the channels of a piece's top that hold the painted part of its channels.
 _PART = "\0part of "
 
 
@@ -113,9 +115,9 @@ def merged(
     progress: Progress,
     into: str | None = None,
 ) -> Change | None:
-    """Return the change that merging a layer makes, or None for none; see `merge`.
+    """Return the change of merging a layer, or None for none; see `merge`.
 
-    ``into`` is the channel of the texture that is painted, if not that of the layer's name.
+    ``into`` is the texture's channel to paint; by default the layer's.
     """
     as_choice(blend, BLENDS, "blend")
     opacity = as_number(opacity, "opacity", 0.0, 1.0)
@@ -168,15 +170,15 @@ class Pieces(NamedTuple):
 
 class _Piece(NamedTuple):
     tiles: Tiles
-    whole: OctreeTexture  # its tiles, and all above them
-    top: OctreeTexture  # the tiles as leaves, with the parts that are paint
+    whole: OctreeTexture  # the draft of the tiles
+    top: OctreeTexture  # the tiles as leaves, with the painted parts of channels
     averages_rows: bool  # see Merged
-    #: The tiles with paint; with new cells; with cells where the texture had nothing, all and the layer's.
+    #: The tiles with paint; with new cells; with cells where the texture had none: all, and the layer's.
     lists: list[Int64s]
 
 
 def coarsest_near_layer(texture: OctreeTexture, layer: OctreeTexture) -> int:
-    """Return the level of the largest leaf or kept node of a texture that a layer is in or beside."""
+    """Return the level of the texture's largest leaf or kept node in or next to which a layer lies."""
     tree = layer.tree
     largest = next((level for level, (leaves, _) in enumerate(tree.cells_by_depth()) if leaves), 0)
     codes = tree.level_codes(largest)
@@ -186,21 +188,22 @@ def coarsest_near_layer(texture: OctreeTexture, layer: OctreeTexture) -> int:
 def pieces_of(texture: OctreeTexture, layer: OctreeTexture, coarsest: int) -> Pieces | None:
     """Divide a layer for a texture; return None for one that is merged in one draft."""
     tree, painted, level = texture.tree, layer.tree, coarsest - STEPS
-    if painted.n_leaves + tree.n_leaves <= PIECE or not tree.n_leaves or not painted.n_leaves:
+    whole = PIECE if large.is_mapped() else WHOLE
+    if painted.n_leaves + tree.n_leaves <= whole or not tree.n_leaves or not painted.n_leaves:
         return None
     if not 0 < level < tree.max_depth:
         return None
     tiles = Tiles(level, with_boundary(painted.level_codes(level), level))
     counts = cells_in(painted, tiles) + cells_in(tree, tiles)
     numbers = (np.cumsum(counts) - counts) // PIECE
-    if not numbers[-1]:
+    if counts.sum() <= whole:
         return None
-    found = [tiles.codes[numbers == number] for number in distinct(numbers)]
-    around = (Tiles(level, with_boundary(own, level)) for own in found)
-    total = sum(int(cells_in(painted, own).sum() + cells_in(tree, own).sum()) for own in around)
+    pieces = [tiles.codes[numbers == number] for number in distinct(numbers)]
+    wider = (Tiles(level, with_boundary(codes, level)) for codes in pieces)
+    total = sum(int(cells_in(painted, each).sum() + cells_in(tree, each).sum()) for each in wider)
     if total > MOST * counts.sum():
         return None
-    return Pieces(level, found)
+    return Pieces(level, pieces)
 
 
 def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
@@ -214,12 +217,12 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
         layer = cut_out(task.layer, Tiles(level, near))
         paint = _inside(paint_of(layer, task.opacity), near, level)
         with workers(Run(threads=1)) as one_worker:
-            own = task._replace(layer=layer, executor=one_worker, progress=silent)
-            made = merge_draft(own, cut_out(texture, opened), paint)
+            alone = task._replace(layer=layer, executor=one_worker, progress=silent)
+            made = merge_draft(alone, cut_out(texture, opened), paint)
         if made is None:
             return None
         tree, tiles = made.texture.tree, Tiles(level, codes)
-        parts = {_PART + name: own.named(_PART + name) for name, own in made.parts.channels.items()}
+        parts = {_PART + name: part.named(_PART + name) for name, part in made.parts.channels.items()}
         top = made.texture.with_cells(tree, {**made.texture.channels, **parts})
         ends, walk = tree.arrays.level_cells, list(tree.walk())
         new, fresh = (
@@ -240,44 +243,44 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
             all_merged = ordered_map(
                 pool, merge_piece, pieces.tiles, stage="merge", progress=task.progress, window=window
             )
-            found = [large.moved(each) for each in all_merged if each is not None]
-        if not any(each.lists[0].size for each in found):
+            merged_pieces = [large.moved(each) for each in all_merged if each is not None]
+        if not any(each.lists[0].size for each in merged_pieces):
             return None
         before, task = texture.level(level), task._replace(layer=task.layer.level(level))
-        top = averaged_above(task, before, _top(before, task.layer, found))
-        made = put_together(delete_paint(top), texture, [(each.tiles, each.whole) for each in found])
+        top = averaged_above(task, before, _top(before, task.layer, merged_pieces))
+        made = put_together(delete_paint(top), texture, [(each.tiles, each.whole) for each in merged_pieces])
     return change_in(Tiles(level, np.concatenate(pieces.tiles)), texture, made)
 
 
 def paint_by_tiles(
     texture: OctreeTexture, layer: OctreeTexture
 ) -> Iterator[tuple[OctreeTexture, list[Paint]]]:
-    """Yield piece by piece what of a layer is around it, and its paint as it lies on a texture's leaves."""
+    """Yield for each piece the layer around it, and its paint on the texture's leaves."""
     pieces = pieces_of(texture, layer, coarsest_near_layer(texture, layer))
     if pieces is None:
         yield layer, refine_paint(paint_of(layer, 1.0), layer, texture.tree, 1.0)
         return
     level = pieces.level
     for tiles in pieces.tiles:
-        own = cut_out(layer, Tiles(level, with_boundary(tiles, level)))
-        yield own, refine_paint(_inside(paint_of(own, 1.0), tiles, level), own, texture.tree, 1.0)
+        part = cut_out(layer, Tiles(level, with_boundary(tiles, level)))
+        yield part, refine_paint(_inside(paint_of(part, 1.0), tiles, level), part, texture.tree, 1.0)
 
 
 def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:
     """Return the paint on smaller cells in tiles."""
     return [
-        some(each, among(each.codes >> 3 * (at - level), tiles) if at > level else slice(0))
+        each.of(among(each.codes >> 3 * (at - level), tiles) if at > level else slice(0))
         for at, each in enumerate(paint)
     ]
 
 
 def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) -> Merged:
-    """Return the texture down to the tiles, with the values of pieces; nodes are still to be averaged."""
+    """Return the texture down to the tiles, with the pieces' values; its nodes are not averaged yet."""
     level, none = pieces[0].tiles.level, np.empty(0, np.int64)
     leaves = [codes[~is_node] for codes, is_node in before.tree.walk()]
-    own = [next(islice(each.top.tree.walk(), level, None))[0] for each in pieces]
-    own = [codes[among(codes, each.tiles.codes)] for codes, each in zip(own, pieces, strict=True)]
-    leaves[level] = distinct(np.concatenate([leaves[level], *own]))
+    for each in pieces:
+        codes, _ = next(islice(each.top.tree.walk(), level, None))
+        leaves[level] = distinct(np.concatenate([leaves[level], codes[among(codes, each.tiles.codes)]]))
     edited = rebuilt(before.tree, leaves)
     names = sorted({name for each in pieces for name in each.top.channels if name.startswith(_PART)})
     tree = edited.tree
@@ -285,8 +288,8 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
     for at, (codes, _) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[at : at + 2].tolist())
         where = locate(layer.tree, codes, at)
-        is_own = (edited.old[here] < 0) & (where.levels == at)
-        areas[here][is_own] = layer.tree.arrays.areas[where.cells[is_own]]
+        is_painted = (edited.old[here] < 0) & (where.levels == at)
+        areas[here][is_painted] = layer.tree.arrays.areas[where.cells[is_painted]]
     tree = tree.with_cell_data(tree.arrays.flags, areas, tree.split, tree.kept)
     base = before.with_cells(tree, {**carried(before, edited), **no_parts(tree, names)})
     tops = [
@@ -303,7 +306,7 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
     is_new, is_fresh = edited.old < 0, edited.old < 0
     is_new[first:] |= among(codes, new)
     is_fresh[first:] |= among(codes, fresh)
-    channels = {name: own for name, own in made.channels.items() if name not in names}
+    channels = {name: channel for name, channel in made.channels.items() if name not in names}
     parts = {name.removeprefix(_PART): made.channels[name].named(name.removeprefix(_PART)) for name in names}
     return Merged(
         made.with_cells(tree, channels),

@@ -1,7 +1,7 @@
 """Smooth functions on a graph whose nodes lie in cells: the screened Laplace equation, by multigrid.
 
-Conjugate gradients, preconditioned by a W-cycle over the tree: what hangs together of the nodes in a cell is
-one node of the level above (aggregation; Notay 2010), so coarse levels never join what the graph keeps apart.
+Conjugate gradients, preconditioned by a W-cycle over the tree. Connected nodes in a cell become one node of
+the level above (aggregation; Notay 2010), so coarse levels never join separate parts of the graph.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from octex.source.parts import join
 
 Values = TypeVar("Values", Float64s, Complex128s)
 
-#: The error is made less by this, in the norm of the energy; and after so many steps it is taken as it is.
+#: Reduction of the error in the energy norm, and the largest number of steps.
 _LESS, _STEPS = 1e-6, 200
-#: Coarse problems are solved so many times in each step, 2 is a W-cycle; those of so few rows once.
+#: Coarse solves per step, 2 for a W-cycle; and the number of rows up to which there is one.
 _CYCLES, _FEW = 2, 256
 
 
@@ -28,7 +28,7 @@ class Graph(NamedTuple):
 
     starts: Int64s  # (n + 1,)   each node's first row
     others: Int64s  # (rows,)   its neighbours
-    weights: Float64s  # (rows,)   how strongly they are tied
+    weights: Float64s  # (rows,)   of the edges to them
 
 
 class _Level(NamedTuple):
@@ -53,10 +53,10 @@ def added(numbers: Int64s, values: Float64s, count: int) -> Float64s:
 
 
 def coarser(graph: Graph, codes: Int64s) -> tuple[Graph, Int64s, Int64s]:
-    """Return the graph one level up, its nodes' codes, and which of them each node (n,) is part of."""
+    """Return the graph one level up, its nodes' codes, and the coarse node of each node (n,)."""
     rows = np.repeat(np.arange(graph.starts.size - 1), np.diff(graph.starts))
-    own = rows < graph.others  # each edge once
-    pairs, weights = np.column_stack([rows[own], graph.others[own]]), graph.weights[own]
+    once = rows < graph.others
+    pairs, weights = np.column_stack([rows[once], graph.others[once]]), graph.weights[once]
     parents = np.arange(codes.size)
     inside = codes[pairs[:, 0]] >> 3 == codes[pairs[:, 1]] >> 3
     join(parents, *np.ascontiguousarray(pairs[inside].T))
@@ -71,15 +71,15 @@ def solve(graph: Graph, codes: Int64s, level: int, hold: Float64s, right: Float6
     ``codes`` (n,) are the Morton codes of the nodes' cells; each part needs a ``hold`` (n,) above 0.
     """
     levels = []
-    own, cells = graph, codes
+    here, cells = graph, codes
     for _ in range(level + 1):
-        rows = np.repeat(np.arange(hold.size), np.diff(own.starts))
-        diagonal = hold + added(rows, own.weights, hold.size)
-        above_graph, cells, above = coarser(own, cells)
-        levels.append(_Level(own, diagonal, above))
-        if not own.others.size:
-            break  # each node is alone, and solved by itself
-        own, hold = above_graph, added(above, hold, cells.size)
+        rows = np.repeat(np.arange(hold.size), np.diff(here.starts))
+        diagonal = hold + added(rows, here.weights, hold.size)
+        above_graph, cells, above = coarser(here, cells)
+        levels.append(_Level(here, diagonal, above))
+        if not here.others.size:
+            break  # no edges are left: each node is solved by itself
+        here, hold = above_graph, added(above, hold, cells.size)
 
     def left_sides(x: Float64s) -> Float64s:
         found = np.empty_like(x)
@@ -96,7 +96,7 @@ def conjugate_gradients(
     less: float,
     steps: int,
 ) -> Values:
-    """Return x with apply(x) = right, each column by itself; ``eased`` is nearly the inverse of ``apply``."""
+    """Return x with apply(x) = right, for each column; ``eased`` approximates the inverse of ``apply``."""
     x, residual = np.zeros_like(right), right.copy()
     z = eased(residual)
     direction, energy = z.copy(), _products(residual, z)
@@ -121,7 +121,7 @@ def _products(one: Values, other: Values) -> Float64s:
 
 
 def _cycle(levels: list[_Level], at: int, right: Float64s) -> Float64s:
-    """Return what nearly solves the equation of a level."""
+    """Return an approximate solution of a level's equation."""
     graph, diagonal, above = levels[at]
     x = np.zeros_like(right)
     _relax(graph, diagonal, right, x, 0)
@@ -155,7 +155,7 @@ def _relax(graph: Graph, diagonal: Float64s, right: Float64s, x: Float64s, backw
 
 @kernel
 def _apply(graph: Graph, diagonal: Float64s, x: Float64s, found: Float64s) -> None:
-    """Write the left sides of the equations of all nodes."""
+    """Write the left sides of all nodes' equations."""
     for n in range(diagonal.size):
         for component in range(x.shape[1]):
             total = diagonal[n] * x[n, component]
@@ -166,7 +166,7 @@ def _apply(graph: Graph, diagonal: Float64s, x: Float64s, found: Float64s) -> No
 
 @kernel
 def _gather(above: Int64s, values: Float64s, sums: Float64s) -> None:
-    """Add values (n, components) up where they are part of one."""
+    """Sum values (n, components) by coarse node."""
     for n in range(above.size):
         for component in range(values.shape[1]):
             sums[above[n], component] += values[n, component]

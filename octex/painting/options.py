@@ -1,4 +1,4 @@
-"""What people may ask of paint, checked once."""
+"""The options of painting, checked once."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from octex.errors import ArgumentError
 from octex.painting.picture import Projection
 from octex.texture import OctreeTexture, as_texture
 
-#: How several pictures combine that see a place.
+#: Ways to combine pictures that see the same point.
 Pictures = Literal["average", "best", "robust"]
 PICTURES: tuple[Pictures, ...] = get_args(Pictures)
-#: How their exposures are made to agree: by one gain a picture; or one a component, and without vignetting.
+#: Ways to match exposures: by one gain per picture; or per component, with vignetting removed.
 Balance = Literal["gain", "full"]
 BALANCES: tuple[Balance, ...] = get_args(Balance)
 
-#: What a new texture has where no picture saw the surface.
+#: Contents of a new texture where no picture sees the surface.
 Holes = Literal["leave", "smooth"]
 HOLES: tuple[Holes, ...] = get_args(Holes)
 
-#: Degrees beyond which nothing is painted: photographs blur what is seen so flatly, drawings do not.
+#: Largest angles in degrees: photographs blur surface at grazing angles, drawings do not.
 TAKEN_ANGLE, DRAWN_ANGLE = 75.0, 85.0
 
 
@@ -48,7 +48,7 @@ class PaintOptions:
     region: npt.ArrayLike | None = None
 
     def __post_init__(self) -> None:
-        """Check them; the default angle and the reference depend on the pictures."""
+        """Check the options; `of` checks the reference and sets the angle."""
         for name, value in self._checked().items():
             object.__setattr__(self, name, value)
         if self.hidden and (self.balance is not None or self.pictures in ("robust", "best")):
@@ -71,7 +71,7 @@ class PaintOptions:
         }
 
     def of(self, pictures: Sequence[Projection]) -> PaintOptions:
-        """Return them with the largest angle for some pictures; raise ArgumentError for another reference."""
+        """Return the options for these pictures; raise ArgumentError for a reference that is none of them."""
         usual = DRAWN_ANGLE if all(each.since is not None for each in pictures) else TAKEN_ANGLE
         if self.reference is not None:
             as_whole(self.reference, "reference", 0, len(pictures) - 1)
@@ -80,7 +80,7 @@ class PaintOptions:
 
 
 def triangles_of(region: npt.ArrayLike, count: int) -> Bools | None:
-    """Return which of ``count`` triangles a region has, given as numbers or bools; None for another kind."""
+    """Return a region, of numbers or bools, as bools (count,); None for any other kind of region."""
     part = as_array(region)
     if part.dtype == np.bool_ and part.shape == (count,):
         return part
@@ -93,7 +93,7 @@ def triangles_of(region: npt.ArrayLike, count: int) -> Bools | None:
 
 
 def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
-    """Return how a channel is stored, in a texture or in a new one."""
+    """Return the format of a channel, in a texture or in a new one."""
     if texture is not None:
         as_choice(channel, as_texture(texture).channels, "channel of the texture")
         form = texture.channels[channel].format

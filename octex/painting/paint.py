@@ -16,15 +16,14 @@ from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_flag
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
-from octex.painting.first import started
-from octex.painting.holes import with_coverage
+from octex.painting.first import started, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
 from octex.painting.merge import merged
 from octex.painting.options import HOLES, Balance, Holes, PaintOptions, Pictures, format_of
 from octex.painting.picture import Blend, Projection, check_projections, content_of, room_for
-from octex.painting.reading import terms_of
+from octex.painting.project import AROUND, in_fixed_order, take_shots
+from octex.painting.reading import Shot, terms_of
 from octex.painting.resume import NOT_STORED, Stages, stages_in
-from octex.painting.sight import AROUND, Shot, in_fixed_order, take_shots
 from octex.painting.steps import Raster, layer_from, rasterize_surface
 from octex.painting.surface import PaintedSurface, key_of, laid_flat
 from octex.parallel import Progress, Run, as_run, workers
@@ -32,11 +31,10 @@ from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
 
-#: Pictures get no deeper than this on their own: cells of a 16,000th of the model.
+#: Deepest level without ``max_depth``: cells of a 16,000th of the model.
 _DEEPEST = 14
-#: Cells of half a pixel are painted by pixels so far from them at most.
+#: Pixels from the centre to the end of the footprint of cells half a pixel wide.
 _REACH = 4
-
 
 #: Merges a layer into a texture, as `merged` does.
 Merging: TypeAlias = Callable[
@@ -45,7 +43,7 @@ Merging: TypeAlias = Callable[
 
 
 class Job(NamedTuple):
-    """What a call that paints needs throughout."""
+    """The constants of a call that paints."""
 
     surface: PaintedSurface
     executor: Executor
@@ -201,7 +199,7 @@ def project(
 
 
 def layer_of(job: Job, pictures: Sequence[Projection], like: OctreeTexture | None) -> OctreeTexture:
-    """Project pictures of one layer as `project` does, or return the layer that the stages hold."""
+    """Project pictures of one layer as `project` does, or return the stored layer."""
     job = job._replace(options=job.options.of(pictures))
     form = format_of(like, job.options.channel)
 
@@ -219,7 +217,7 @@ def layer_of(job: Job, pictures: Sequence[Projection], like: OctreeTexture | Non
 def _raster_of(
     job: Job, pictures: Sequence[Projection], like: OctreeTexture | None, form: ChannelFormat, stages: Stages
 ) -> Raster:
-    """Project pictures, held no longer than that; ``stages`` are those of what was made from all of them."""
+    """Project pictures, which are released on return; ``stages`` are those of all these pictures."""
     painted, options, surface = job.surface, job.options, job.surface.surface
     is_single = len(pictures) == 1
     around = AROUND if is_single and options.edge_feather < AROUND else None
@@ -238,7 +236,7 @@ def _raster_of(
     finest = wanted_depths(*footprints, size, FINEST_CELLS, is_single=is_single).deepest
     depths = wanted_depths(*footprints, size, cells, most, is_single=is_single)
     depth = depths.deepest
-    # Larger cells look farther around: by as many pixels as they are wide, and those of the mip read.
+    # Footprints of larger cells reach farther.
     reach = _REACH << max(finest - depth, 0)
     if around is not None and reach > around:
         source = source.with_shots(_look(job, form, pictures, None))
@@ -248,9 +246,9 @@ def _raster_of(
         check_inside(surface, placement)
     paint: PaintSource = source
     number = next((number for number, shot in enumerate(shots) if shot is reference), None)
-    del shots, near, reference  # `weighed` gives up pictures that it masks
+    del shots, near, reference  # `weighed` releases pictures that it masks
     if not is_single:
-        from octex.photos.weigh import weighed  # a single picture has none of it
+        from octex.photos.weigh import weighed  # a single picture does not load it
 
         paint = weighed(source, surface, options, number, placement, depth, job.executor, stages)
     return rasterize_surface(
@@ -259,7 +257,7 @@ def _raster_of(
 
 
 def _look(job: Job, form: ChannelFormat, pictures: Sequence[Projection], around: int | None) -> list[Shot]:
-    """Return pictures and what their cameras see, or the part of that within ``around`` pixels of paint."""
+    """Return the shots of pictures, or their parts within ``around`` pixels of paint."""
     cameras = [cast(Camera, each.camera) for each in pictures]
     feather, hidden = job.options.edge_feather, job.options.hidden
     sights = job.surface.sights(cameras, feather, job.executor, job.stages, hidden=hidden)
@@ -275,7 +273,7 @@ def _look(job: Job, form: ChannelFormat, pictures: Sequence[Projection], around:
 
 
 def check_inside(surface: Surface, placement: Placement) -> None:
-    """Raise ArgumentError for a surface that reaches out of a root cell."""
+    """Raise ArgumentError for a surface that exceeds a root cell."""
     low, high = placement.to_texture_space(surface.bounds)
     if (low < 0).any() or (high > 1).any():
         raise ArgumentError(

@@ -1,9 +1,15 @@
-"""Painter: many strokes on one texture, each of which can be undone."""
+"""Painter: strokes on one texture, and the history that undoes them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import pickle
+import tempfile
+import weakref
+import zlib
+from collections.abc import Iterator, Sequence
 from os import PathLike
+from pathlib import Path
+from typing import IO, Any
 
 import numpy.typing as npt
 
@@ -11,23 +17,85 @@ from octex.channels import BASE_COLOR
 from octex.checks import as_path
 from octex.editing.draft import Change, as_change
 from octex.errors import OutputError
-from octex.painting.history import History, Stroke
 from octex.painting.merge import merged
 from octex.painting.options import Balance, PaintOptions, Pictures
 from octex.painting.paint import Job, Merging, painted
 from octex.painting.picture import Blend, Projection, check_projections
-from octex.painting.region import Fill, Region, filled
+from octex.painting.region import Region, filled
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 
+#: The changes of a call, one for each layer, in order.
+Stroke = tuple[Change, ...]
+
+#: Strokes that stay in memory.
+_IN_MEMORY = 4
+
+
+class History:
+    """A stack of strokes: the last ones in memory, earlier ones in a file once they are stored."""
+
+    def __init__(self) -> None:
+        self._strokes: list[Any] = []  # in memory; `Layers` adds changes of its stack
+        self._ends: list[int] = [0]  # the ends of the earlier ones in the file
+        self._file: IO[bytes] | None = None
+
+    def __len__(self) -> int:
+        return len(self._ends) - 1 + len(self._strokes)
+
+    def __iter__(self) -> Iterator[Any]:
+        yield from (self._stored(number) for number in range(len(self._ends) - 1))
+        yield from self._strokes
+
+    @property
+    def last(self) -> Any:
+        """The last stroke; an empty one for none."""
+        if self._strokes:
+            return self._strokes[-1]
+        return self._stored(len(self._ends) - 2) if len(self._ends) > 1 else ()
+
+    def append(self, stroke: Any) -> None:
+        """Put a stroke on the stack."""
+        self._strokes.append(stroke)
+
+    def pop(self) -> Any:
+        """Take the last stroke from the stack."""
+        stroke = self.last
+        (self._strokes or self._ends).pop()
+        return stroke
+
+    def clear(self) -> None:
+        """Take all strokes from the stack."""
+        self._strokes.clear()
+        del self._ends[1:]
+
+    def store(self, folder: Path | None) -> None:
+        """Move all strokes but the last few to a temporary file. Raises OSError, and then keeps the rest."""
+        while len(self._strokes) > _IN_MEMORY:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
+                weakref.finalize(self, self._file.close)
+            self._file.seek(self._ends[-1])
+            self._file.write(zlib.compress(pickle.dumps(self._strokes[0], 5), 1))
+            self._file.flush()
+            self._ends.append(self._file.tell())
+            self._file.truncate()
+            del self._strokes[0]
+
+    def _stored(self, number: int) -> Any:
+        assert self._file is not None
+        begin, end = self._ends[number : number + 2]
+        self._file.seek(begin)
+        return pickle.loads(zlib.decompress(self._file.read(end - begin)))
+
 
 class Painter:
     """A painting session: strokes on a texture of a surface, with undo and redo.
 
-    It caches what does not change between strokes, so a stroke is fast. ``texture()`` equals, bit for bit,
-    what the same calls of ``octex.paint`` and ``octex.fill`` return.
+    It caches data about the surface, so strokes are fast. ``texture()`` equals, bit for bit, the result of
+    the same calls of ``octex.paint`` and ``octex.fill``.
 
     Each stroke returns its changes: the tiles that it touched, before and after, as two small textures. A
     change can be pickled, applied to an equal texture and inverted.
@@ -38,11 +106,11 @@ class Painter:
     def __init__(self, texture: OctreeTexture, surface: Surface) -> None:
         as_surface(surface)
         self._texture = as_texture(texture)
-        self._shared = self._texture  # others have it: its arrays stay as they are, all else is written to
+        self._shared = self._texture  # callers may have it, so its arrays are never written to
         self._surface = surface
         self._merging: Merging = merged
         self._painted = PaintedSurface(surface.placed_in(texture), in_session=True)
-        self._pose: tuple[Surface, PaintedSurface] | None = None  # the last one that was painted
+        self._pose: tuple[Surface, PaintedSurface] | None = None  # the last pose
         self._done, self._undone = History(), History()
 
     def texture(self) -> OctreeTexture:
@@ -52,25 +120,25 @@ class Painter:
 
     @property
     def strokes(self) -> tuple[Stroke, ...]:
-        """The changes of the calls that are not undone, oldest first."""
+        """The changes of all calls in effect, oldest first."""
         return tuple(self._done)
 
     @property
     def last(self) -> Stroke:
-        """The changes of the last call that is not undone; none if there is no such."""
+        """The changes of the last call in effect; empty for none."""
         stroke: Stroke = self._done.last
         return stroke
 
     @property
     def count(self) -> int:
-        """How many calls are not undone."""
+        """The number of calls in effect."""
         return len(self._done)
 
     def store(self, folder: str | PathLike[str] | None = None) -> None:
-        """Move all strokes but the last few from memory to a temporary file; they can be undone as before.
+        """Move all strokes but the last few from memory to a temporary file; they can still be undone.
 
-        ``folder`` is where the file is, by default that of temporary files. Raises OutputError for a full
-        disk; the strokes are then still in memory.
+        ``folder`` holds the file, by default that of temporary files. Raises OutputError for a full disk; the
+        strokes then stay in memory.
         """
         path = None if folder is None else as_path(folder, "folder")
         try:
@@ -102,8 +170,8 @@ class Painter:
         """Paint pictures as ``octex.paint`` does, with its options; return the changes.
 
         ``pose`` is the surface in another pose (``Surface.with_pose``), which the cameras see instead. The
-        changes are empty where nothing is painted. Undone strokes can then no longer be redone. Raises what
-        ``octex.paint`` raises; the texture then stays as it was.
+        changes are empty if nothing is painted; else undone strokes can no longer be redone. Raises the
+        errors of ``octex.paint``; the texture then stays as it was.
         """
         options = PaintOptions(
             channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit,
@@ -139,16 +207,16 @@ class Painter:
         run: Run | None = None,
     ) -> Stroke:
         """Fill a region as ``octex.fill`` does; return the changes, as ``paint`` does."""
-        wanted, run = Fill(region, color, channel, opacity, blend, max_depth), as_run(run, threads, progress)
+        run = as_run(run, threads, progress)
         with workers(run) as pool:
-            job = Job(self._painted, pool, run.report, self._merging)
-            _, change = filled(job, self._texture, self._surface, wanted)
+            job, what = Job(self._painted, pool, run.report, self._merging), (region, color, channel)
+            _, change = filled(job, self._texture, self._surface, *what, opacity, blend, max_depth)
         if change is not None:
             self._texture = self._put(change, self._texture)
         return self._did([change])
 
     def put(self, change: Change) -> Stroke:
-        """Put in a change of the texture as it is now, made elsewhere, as a stroke; return it."""
+        """Apply a change of the current texture, made by other code, as a stroke; return it."""
         self._texture = self._put(as_change(change), self._texture)
         return self._did([change])
 
@@ -182,7 +250,7 @@ class Painter:
 
     def _put(self, change: Change, texture: OctreeTexture) -> OctreeTexture:
         made = change.put_into(texture, self._shared)
-        if change.tiles is None:  # the change has the texture itself
+        if change.tiles is None:  # the change and the Painter share the texture
             self._shared = made
         return made
 

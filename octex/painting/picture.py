@@ -1,4 +1,4 @@
-"""Pictures to paint with, and the mips that paint is read from."""
+"""Pictures to paint with, decoded to mips."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ from octex.source.images.taps import catmull_rom
 
 Image = str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike
 
-#: How paint p of coverage a meets what is there, b, in linear light:
+#: How paint p of coverage a blends with the texture b, in linear light:
 #: ``over`` (1−a)·b + a·p, ``multiply`` and ``screen`` likewise with b·p and 1 − (1−b)(1−p) for p, ``add``
-#: b + a·p; ``erase`` takes a of the texture's alpha away; ``replace`` puts p, whatever its coverage.
+#: b + a·p; ``erase`` removes a of the texture's alpha; ``replace`` is p, whatever its coverage.
 Blend = Literal["over", "multiply", "screen", "add", "erase", "replace"]
 BLENDS: tuple[Blend, ...] = get_args(Blend)
 
-#: What is more opaque than this is so: the spline's weights sum to 1 but for rounding.
+#: Least alpha that counts as 1: the spline's weights sum to 1 but for rounding.
 _OPAQUE = np.float32(1.0 - 1e-6)
-#: Pixels so near to a key, in 8-bit codes of each component, are of its colour.
-_KEY_CODES = 24
-#: Bytes that a pixel takes: its mips, those of them that agree, and what the camera sees in it.
+#: Largest difference of a component from the key's colour, in 1/255.
+_KEY_DIFFERENCE = 24
+#: Bytes of a pixel in memory: its mips, their masked copy, and the visible surface.
 _PIXEL_MEMORY = 64
-#: Codes of images.
-_MOST_CODE = 65535.0
+#: Largest value of a texel.
+_LARGEST = 65535.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,12 +91,12 @@ class Projection:
 
     @property
     def name(self) -> str:
-        """What messages call the picture."""
+        """The picture's name in messages."""
         return _name_of(self.image, "the image")
 
 
 def room_for(projections: Sequence[Projection], run: Run) -> AbstractContextManager[object]:
-    """Have what pictures hold lie in files until the end of the block, beyond the memory of a run."""
+    """Store pictures in files until the end of the block, if they exceed the memory of a run."""
     pixels = sum(each.camera.width * each.camera.height for each in projections)
     if run.memory is None or as_memory(run.memory) >= _PIXEL_MEMORY * pixels:
         return nullcontext()
@@ -108,7 +108,7 @@ class Mips(NamedTuple):
 
     pixels: Float32s  # (pixels of all mips, 4)
     sizes: Int64s  # (mips, 3)   first row, width, height
-    range: Float32s  # (2, 3)   the least and the largest of each component where the picture has any alpha
+    range: Float32s  # (2, 3)   the least and the largest value of each component where alpha is not 0
 
 
 class Window(NamedTuple):
@@ -140,7 +140,7 @@ def window_of(
 ) -> tuple[Mips, Window]:
     """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``.
 
-    With ``around``, of what lies within so many pixels of paint.
+    ``around`` limits it to so many pixels around paint, and the window is that part of the picture.
     """
 
     def decoded() -> dict[str, Array]:
@@ -148,8 +148,8 @@ def window_of(
         return {**mips._asdict(), "window": np.array(window, np.int64)}
 
     size = projection.camera.width, projection.camera.height
-    own = stages.of(lambda: [size, form, scale, around, content_of(projection)])
-    found = own.arrays("picture", decoded)
+    stage = stages.of(lambda: [size, form, scale, around, content_of(projection)])
+    found = stage.arrays("picture", decoded)
     return Mips(found["pixels"], found["sizes"], found["range"]), Window(*found["window"].tolist())
 
 
@@ -194,9 +194,9 @@ def _window_of(
         else:
             colors = (255.0 * linear_to_srgb(np.clip(texels[:, :, :3], 0, 1))).astype(np.float32)
         key = np.asarray(projection.key, np.float32)
-        factor = factor * ~(np.abs(colors - key) <= _KEY_CODES).all(axis=2)
+        factor = factor * ~(np.abs(colors - key) <= _KEY_DIFFERENCE).all(axis=2)
         del colors
-    del texels  # as large as what follows
+    del texels  # as large as the mips
     pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
     limits = _ends(pixels)
     pixels[:, :, :3] *= pixels[:, :, 3:]
@@ -208,12 +208,12 @@ def _window_of(
 
 
 def _is_codes(image: Image, size: tuple[int, int]) -> TypeGuard[Uint8s]:
-    """Say whether an image is an array of 8-bit codes with alpha, of a size: of it a part can be decoded."""
+    """Return whether an image is an 8-bit array of this size with alpha, of which a part can be decoded."""
     return isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.shape == (*size[::-1], 4)
 
 
 def _window_around(has_paint: Bools, around: int) -> Window:
-    """Return the part within ``around`` pixels of paint, in multiples of it: mips keep their pixels."""
+    """Return the part within ``around`` pixels of paint, in multiples of it, which mips divide evenly."""
     ends = []
     for axis in (1, 0):  # of columns, and of rows
         size = has_paint.shape[axis]
@@ -237,7 +237,7 @@ def _sizes(width: int, height: int) -> Int64s:
 
 @kernel
 def _ends(pixels: Float32s) -> Float32s:
-    """Return the least and the largest of each component where there is any alpha; zeros for none."""
+    """Return the range of each component where alpha is not 0; zeros if it is 0 everywhere."""
     ends = np.zeros((2, 3), np.float32)
     is_first = True
     for row in range(pixels.shape[0]):
@@ -256,7 +256,7 @@ def _name_of(image: Image, otherwise: str) -> str:
 
 
 def texels_of(image: Image, otherwise: str, size: tuple[int, int]) -> npt.NDArray[np.uint16 | np.float32]:
-    """Return the texels of an image of a size (width, height), of a file turned upright if that has it."""
+    """Return the texels of an image of a size (width, height); a file is turned upright if that fits."""
     if is_path(image):
         texels, data = read_image_file(as_path(image, "image"))
         upright = turned(texels, orientation_of(data))
@@ -276,7 +276,7 @@ def texels_of(image: Image, otherwise: str, size: tuple[int, int]) -> npt.NDArra
 
 
 def _as_fractions(alpha: npt.NDArray[np.uint16 | np.float32]) -> Float32s:
-    scale = np.float32(1.0 / _MOST_CODE if alpha.dtype == np.uint16 else 1.0)
+    scale = np.float32(1.0 / _LARGEST if alpha.dtype == np.uint16 else 1.0)
     fractions: Float32s = np.clip(alpha.astype(np.float32) * scale, 0.0, 1.0)
     return fractions
 
@@ -284,7 +284,7 @@ def _as_fractions(alpha: npt.NDArray[np.uint16 | np.float32]) -> Float32s:
 def _decoded(
     texels: npt.NDArray[np.uint16 | np.float32], form: ChannelFormat, out: Float32s | None = None
 ) -> Float32s:
-    """Return colours as the channel has them decoded, and alpha (height, width, 4)."""
+    """Return colours decoded for a channel, and alpha (height, width, 4)."""
     pixels = np.empty((*texels.shape[:2], 4), np.float32) if out is None else out
     if texels.dtype == np.uint16:
         table = decode_table("uint16", "srgb" if form.space in ("srgb", "linear") else form.space)
@@ -297,8 +297,8 @@ def _decoded(
 
 @kernel
 def _decode(texels: Uint16s, table: Float32s, pixels: Float32s) -> None:
-    """Write what codes stand for, and alpha as a fraction."""
-    share = np.float32(1.0 / _MOST_CODE)
+    """Decode texels by a table, and alpha to a fraction."""
+    share = np.float32(1.0 / _LARGEST)
     for row in range(texels.shape[0]):
         for column in range(texels.shape[1]):
             for component in range(3):
@@ -307,7 +307,7 @@ def _decode(texels: Uint16s, table: Float32s, pixels: Float32s) -> None:
 
 
 def content_of(projection: Projection) -> bytes:
-    """Return a digest of what a projection's pictures hold, and of what of them is paint."""
+    """Return a digest of a projection's pictures and key."""
     given = projection.image, projection.mask, projection.since
     return digest_of([_content(each) for each in given], projection.key)
 
@@ -319,11 +319,11 @@ def _content(image: Image | None) -> Any:
         with open_file(as_path(image, "image")) as file:
             return hashlib.file_digest(file, "sha256").digest()
     except OSError:
-        return None  # decoding says what is wrong
+        return None  # decoding raises the error
 
 
 def check_projections(projections: Projection | Sequence[Projection]) -> list[Projection]:
-    """Return projections as a list, or raise ArgumentError if there is none or another thing among them."""
+    """Return projections as a list, or raise ArgumentError if it is empty or has other items."""
     return as_items(projections, Projection, "projection to paint")
 
 
@@ -331,10 +331,10 @@ def check_projections(projections: Projection | Sequence[Projection]) -> list[Pr
 def read_paint(
     mips: Mips, x: float, y: float, width: float
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return paint at pixel coordinates as a box of ``width`` pixels sees it: times alpha, and alpha.
+    """Return paint, times alpha, and alpha in a footprint of ``width`` pixels around pixel coordinates.
 
-    Read by Catmull and Rom's spline (bilinear reading loses 5 dB): at the point if the box is a pixel or
-    less; else at four points of the next finer level, so that the variance is the box's.
+    By Catmull and Rom's spline (bilinear filtering loses 5 dB): one sample if the footprint is a pixel or
+    less; else four in the next finer mip, whose variance is the footprint's.
     """
     if not width > 1.0:
         return _bicubic(mips, 0, x, y)
@@ -374,7 +374,7 @@ def _bicubic(
     for row in range(4):
         first = start + min(max(j + row - 1, 0), height - 1) * width
         for column in range(4):
-            at = np.uint64(first + columns[column])  # unsigned, it is not looked at for counting from the end
+            at = np.uint64(first + columns[column])  # unsigned indices need no test for negative ones
             weight = of_y[row] * of_x[column]
             a += weight * mips.pixels[at, 0]
             b += weight * mips.pixels[at, 1]
@@ -387,13 +387,13 @@ def _bicubic(
 def clipped(
     mips: Mips, a: np.float32, b: np.float32, c: np.float32, d: np.float32
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return paint, times alpha, and alpha, brought back into the picture's range, which splines leave."""
+    """Clip paint, times alpha, and alpha to the picture's range, which splines leave."""
     none = np.float32(0.0)
     if not d > none:
         return none, none, none, none
-    if d > _OPAQUE:  # the spline may overshoot; colours have done so with it
+    if d > _OPAQUE:  # if alpha overshoots, colours do so by the same factor
         a, b, c, d = a / d, b / d, c / d, np.float32(1.0)
-    least, most = mips.range[0], mips.range[1]  # it leaves the range of the colours too
+    least, most = mips.range[0], mips.range[1]
     return (
         min(max(a, d * least[0]), d * most[0]),
         min(max(b, d * least[1]), d * most[1]),

@@ -1,31 +1,212 @@
-"""Pictures projected onto a surface: a source of paint, and of how opaque it is."""
+"""Pictures projected onto a surface, which a source of paint reads, and the surface that cameras see."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import hashlib
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from typing import cast
+from itertools import islice
+from typing import NamedTuple, cast
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.arrays import Array, Bools, Float32s, Float64s, Int32s
+from octex.cameras.camera import Camera
 from octex.cameras.lens import is_bent
 from octex.channels import ChannelFormat
 from octex.conversion import large
+from octex.jit import kernel
 from octex.painting.layer import PaintSource
-from octex.painting.picture import Mips
-from octex.painting.reading import Terms, add_paint, finish, mark_seen_blocks, narrow, pixels_under
-from octex.painting.sight import Shot, has_paint, most_ahead, near_paint
-from octex.parallel import built_once, ordered_map, sharing
+from octex.painting.picture import Mips, Projection, Window, window_of
+from octex.painting.reading import (
+    TRUSTED,
+    Shot,
+    Terms,
+    add_paint,
+    finish,
+    mark_seen_blocks,
+    narrow,
+    pixels_under,
+)
+from octex.painting.resume import NOT_STORED, Stages
+from octex.parallel import built_once, ordered_map, sharing, start
 from octex.source.corners import at_corners
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
 from octex.view.shading import face_normals
+from octex.view.visibility import (
+    View,
+    Visibility,
+    distances_to_edges,
+    straight,
+    view_of,
+    visibility_of,
+)
 from octex.voxelize.fragments import Blocks
 from octex.voxelize.grid import BLOCK_BITS
 
-#: Rows and columns of the pixels that are tried for a triangle whose corners and middle no picture shows.
+#: Pixels around its paint within which a single picture is decoded, a power of two.
+AROUND = 64
+
+
+class Sight(NamedTuple):
+    """The surface visible to a camera; see Shot."""
+
+    camera: View
+    K: Float64s
+    lens: Float64s
+    seen: Visibility
+    margins: Float32s
+
+    def within(self, window: Window) -> Sight:
+        """Return the surface visible in a part of the picture, with pixels counted from its corner."""
+        if (window.bottom - window.top, window.right - window.left) == self.margins.shape:
+            return self
+        shift = np.array([[1.0, 0.0, -window.left], [0.0, 1.0, -window.top], [0.0, 0.0, 1.0]])
+        K = shift @ self.camera.K
+        camera = self.camera._replace(K=K, inverse_k=np.linalg.inv(K).astype(np.float64))
+        corner = self.seen.corner + np.array([window.left, window.top])
+        seen = self.seen._replace(rows=np.ascontiguousarray(window.of(self.seen.rows)), corner=corner)
+        margins = np.ascontiguousarray(window.of(self.margins))
+        return Sight(camera, shift @ self.K, self.lens, seen, margins)
+
+    def shot(self, mips: Mips) -> Shot:
+        """Return the shot of a picture from this camera."""
+        return Shot(
+            self.camera, self.K, self.lens, mips, self.seen, self.margins, np.ones(3, np.float32), 1.0
+        )
+
+
+def sight_of(
+    vertices: Float64s,
+    triangles: Int32s,
+    camera: Camera,
+    feather: float,
+    executor: Executor,
+    stages: Stages = NOT_STORED,
+    *,
+    hidden: bool = False,
+) -> Sight:
+    """Find which triangles (m, 3) of vertices (n, 3) a camera sees.
+
+    With ``hidden`` nothing hides anything: all pixels refer to the first triangle.
+    """
+    pinhole = straight(camera)
+    view = view_of(pinhole)
+
+    def seen() -> dict[str, Array]:
+        if hidden:
+            size = pinhole.height, pinhole.width
+            none = np.zeros(1, np.int32), np.zeros((1, 3)), np.zeros(2, np.int64)
+            found = Visibility(np.zeros(size, np.int32), *none)
+        else:
+            found = visibility_of(vertices, triangles, pinhole, executor)
+        return {**found._asdict(), "margins": distances_to_edges(found, view, max(feather, TRUSTED) + 1.0)}
+
+    def is_sound(arrays: Mapping[str, Array]) -> bool:
+        rows, seen = arrays["rows"], arrays["triangles"]
+        is_in = rows.min() >= -1 and rows.max() < len(seen) == len(arrays["planes"])
+        return bool(is_in and ((seen >= 0) & (seen < len(triangles))).all())
+
+    stage = stages.of(lambda: [(pinhole.height, pinhole.width), *view, feather, hidden])
+    found = stage.arrays("sight", seen, is_sound)
+    visibility = Visibility(*(found[name] for name in Visibility._fields))
+    return stages.placed(Sight(view, camera.K, camera.lens, visibility, found["margins"]))
+
+
+def most_ahead() -> int:
+    """Return how many pictures are decoded ahead: few where memory is scarce."""
+    return 2 if large.is_mapped() else 64
+
+
+def take_shots(
+    projections: Sequence[Projection],
+    form: ChannelFormat,
+    scales: Sequence[float],
+    sights: Iterable[Sight],
+    executor: Executor,
+    *,
+    around: int | None = None,
+    stages: Stages = NOT_STORED,
+) -> Iterator[Shot]:
+    """Decode pictures, several ahead, with alpha times ``scales``; see `window_of` for ``around``."""
+    decoded = (
+        start(executor, _decoded, each, form, scale, around, stages)
+        for each, scale in zip(projections, scales, strict=True)
+    )
+    queue = deque(islice(decoded, most_ahead()))
+    for sight in sights:
+        mips, window = queue.popleft().result()
+        yield sight.within(window).shot(stages.placed(mips))
+        queue.extend(islice(decoded, 1))
+
+
+def _decoded(
+    projection: Projection, form: ChannelFormat, scale: float, around: int | None, stages: Stages
+) -> tuple[Mips, Window]:
+    is_straight = isinstance(projection.camera, Camera) and not is_bent(projection.camera.lens)
+    return window_of(projection, form, scale, around if is_straight else None, stages)
+
+
+def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
+    """Sort shots by content, so that sums and fits do not depend on their order."""
+    if len(shots) < 2:
+        return list(shots)
+    return sorted(shots, key=lambda shot: order_key(shot.camera, shot.K, shot.lens, shot.mips))
+
+
+def order_key(camera: View, K: Float64s, lens: Float64s, mips: Mips) -> bytes:
+    """Return a digest of a camera and a picture, by which `in_fixed_order` sorts."""
+    made = hashlib.sha256(bytes([camera.is_pinhole]))
+    for array in (camera.world_to_camera, camera.K, K, lens, mips.pixels):
+        made.update(np.ascontiguousarray(array).data)
+    return made.digest()
+
+
+def near_paint(shot: Shot, reach: int) -> Shot:
+    """Return a shot that sees nothing beyond ``reach`` of its paint; unchanged if its lens distorts."""
+    painted = has_paint(shot)
+    if is_bent(shot.lens) or painted.all():
+        return shot
+    rows = np.where(_spread(painted, reach), shot.seen.rows, np.int32(-1))
+    return shot._replace(seen=shot.seen._replace(rows=large.moved(rows)))
+
+
+def has_paint(shot: Shot) -> Bools:
+    """Return which pixels (height, width) of a shot's picture are not transparent."""
+    width, height = shot.mips.sizes[0, 1:]
+    painted: Bools = shot.mips.pixels[: width * height, 3].reshape(height, width) > 0
+    return painted
+
+
+@kernel
+def _spread(marked: Bools, reach: int) -> Bools:
+    """Mark all pixels in the squares that reach ``reach`` pixels around marked ones."""
+    height, width = marked.shape
+    in_row, found = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
+    for row in range(height):
+        for turn in range(2):
+            last = -1 - reach
+            for step in range(width):
+                column = width - 1 - step if turn else step
+                if marked[row, column]:
+                    last = step
+                in_row[row, column] |= step - last <= reach
+    lasts = np.empty(width, np.int64)
+    for turn in range(2):
+        lasts[:] = -1 - reach
+        for step in range(height):
+            row = height - 1 - step if turn else step
+            for column in range(width):
+                if in_row[row, column]:
+                    lasts[column] = step
+                found[row, column] |= step - lasts[column] <= reach
+    return found
+
+
+#: Rows and columns of pixels that are tried for a triangle whose corners and centroid no picture shows.
 _STEPS = 16
 #: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
 Shading = Callable[[Int32s], Float32s]
@@ -40,24 +221,24 @@ class Projected(PaintSource):
     terms: Terms
     vertices: Float64s  # (n, 3)   posed
     triangles: Int32s  # (m, 3)
-    stretches: Float32s  # (m,)   what is 1 long on a posed triangle is so long at rest
+    stretches: Float32s  # (m,)   length at rest of a length of 1 on the posed triangle
     shading: Shading
-    chosen: Bools | None = None  # (m,)   the triangles that are painted; None for all
-    normals: Float32s | None = None  # (m, 3, 3)   what `shading` gives; None: not asked for yet
+    chosen: Bools | None = None  # (m,)   the triangles to paint; None for all
+    normals: Float32s | None = None  # (m, 3, 3)   cached results of `shading`
 
     @property
     def color(self) -> Float32s | None:
-        """The value that all pixels with paint have, before and after gains; None for several."""
+        """The value of all pixels with paint, if gains do not change it; None for several values."""
         ends = np.concatenate([shot.mips.range for shot in self.shots])
         is_one = (ends == ends[0]).all() and all((shot.gains == 1.0).all() for shot in self.shots)
         return ends[0, : self.form.components] if is_one else None
 
     def with_shots(self, shots: Sequence[Shot]) -> Projected:
-        """Return paint from other shots."""
+        """Return the paint of other shots."""
         return replace(self, shots=list(shots))
 
     def with_mips(self, make: Callable[[int], Mips], executor: Executor) -> Projected:
-        """Return paint from other pictures, made from the numbers of the shots."""
+        """Return the paint of other pictures; ``make`` gets the numbers of the shots."""
         with sharing(executor) as pool:
             every = ordered_map(pool, make, range(len(self.shots)), window=most_ahead())
             return self.with_shots(
@@ -68,7 +249,7 @@ class Projected(PaintSource):
             )
 
     def near_paint(self, reach: int) -> Projected:
-        """Return the same paint; pixels without any as far around as ``reach`` see nothing."""
+        """Return this paint, from pixels within ``reach`` of paint only."""
         return self.with_shots([near_paint(shot, reach) for shot in self.shots])
 
     @built_once
@@ -77,14 +258,14 @@ class Projected(PaintSource):
         return self.shading(every) if self.normals is None else self.normals
 
     def touched(self) -> Int32s:
-        """Return the triangles that own a pixel of a shot, or that may be painted though they are hidden."""
+        """Return the triangles that a shot sees, or that it may paint though they are hidden."""
         is_seen = np.zeros(len(self.triangles), np.bool_)
         for shot in self.shots:
             is_seen |= self._counts(shot) > 0
         return np.flatnonzero(is_seen).astype(np.int32)
 
     def _counts(self, shot: Shot) -> Int32s:
-        """Return how many pixels of a shot triangles (m,) own; or at most, where hidden ones are painted."""
+        """Return the pixels of a shot that see triangles (m,); upper bounds where hidden ones are painted."""
         if self.terms.hidden:
             return pixels_under(shot.camera, _summed(shot), self.vertices, self.triangles)
         counts, seen = np.zeros(len(self.triangles), np.int32), shot.seen
@@ -93,19 +274,18 @@ class Projected(PaintSource):
         return counts
 
     def near(self, triangles: Int32s) -> Projected:
-        """Return the same paint, with the normals of some triangles alone."""
-        # Memory that is not touched costs nothing.
-        normals = np.zeros((len(self.triangles), 3, 3), np.float32)
+        """Return this paint, with the normals of these triangles only."""
+        normals = np.zeros((len(self.triangles), 3, 3), np.float32)  # untouched memory costs nothing
         normals[triangles] = self.shading(triangles)
         return replace(self, normals=normals)
 
     def reaches(self, blocks: Blocks, placement: Placement, rest: Float64s) -> Bools:
-        """Say of which blocks a shot may see something: what is not seen is not painted."""
+        """Return which blocks a shot may see."""
         found, edge = np.zeros(blocks.codes.size, np.bool_), placement.size / 2**blocks.level
         corners = placement.to_rest(decode_cells(blocks.codes) / 2**blocks.level)
         for shot in self.shots:
             seen = _summed(shot)
-            # Large blocks that are left out count for no average: those that are seen do.
+            # Averages need large blocks if they are visible, with paint or without.
             is_coarse = blocks.bits >= BLOCK_BITS or is_bent(shot.lens)
             painted = seen if is_coarse else _sums_of(has_paint(shot))
             mark_seen_blocks(
@@ -114,14 +294,14 @@ class Projected(PaintSource):
         return found
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
-        """Return paint, linear for colours, and coverage (n, components + 1); zeros where there is none."""
+        """Return paint, linear for colours, and coverage (n, components + 1); zeros without paint."""
         sums, clear = self._sums(self.shots, triangles, barycentric, widths)
         found = np.zeros((len(triangles), self.form.components + 1), np.float32)
         finish(sums, clear, found)
         return found
 
     def each(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> tuple[Float32s, Float32s]:
-        """Return what each shot paints (shots, n, 3), and its weight (shots, n), the largest of a point 1."""
+        """Return each shot's paint (shots, n, 3), and its weight (shots, n), the largest of a point 1."""
         paint = np.zeros((len(self.shots), len(triangles), 3), np.float32)
         weights = np.zeros((len(self.shots), len(triangles)))
         for number, shot in enumerate(self.shots):
@@ -134,7 +314,7 @@ class Projected(PaintSource):
     def _sums(
         self, shots: Sequence[Shot], triangles: Int32s, barycentric: Float64s, widths: Float32s
     ) -> tuple[Float64s, Float64s]:
-        """Return weighted sums (n, 4) of what shots paint, and how clear they leave each point (n,)."""
+        """Return weighted sums (n, 4) of the paint of shots, and the transparency (n,) they leave."""
         sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
         mesh = self.vertices, self.triangles, self.stretches, self._normals
         for shot in shots:
@@ -145,45 +325,46 @@ class Projected(PaintSource):
         return sums, clear
 
     def positions(self, triangles: Int32s, barycentric: Float64s) -> Float64s:
-        """Return where points are on the posed surface (n, 3)."""
+        """Return the positions of points on the posed surface (n, 3)."""
         return at_corners(self.vertices, self.triangles[triangles], barycentric)
 
     def footprints(self) -> tuple[Float32s, Float64s]:
-        """Return the finest pixels' edges, ascending, at corners and middles of triangles, and seen areas.
+        """Return the widths of the finest pixels, ascending, and the visible areas that they stand for.
 
-        Of a large triangle that has none of them in a picture, they are taken at its pixels.
+        They are taken at corners and centroids of triangles; of a large triangle with none of these in a
+        picture, at its pixels.
         """
         touched = self.touched()
         if self.chosen is not None:
             touched = touched[self.chosen[touched]]
-        places = np.concatenate([np.eye(3), np.full((1, 3), 1 / 3)])
-        every = [self.widths(touched, np.tile(place, (len(touched), 1))) for place in places]
-        widths = np.stack(every)
+        points = np.concatenate([np.eye(3), np.full((1, 3), 1 / 3)])
+        widths = np.stack([self.widths(touched, np.tile(point, (len(touched), 1))) for point in points])
         outside = np.isinf(widths).all(axis=0)
         _, areas = face_normals(self.vertices, self.triangles[touched])
-        seen_areas = np.zeros(len(touched))  # by the pixels in the triangles' middles
+        seen_areas = np.zeros(len(touched))  # by the pixels at the centroids
         flat = replace(self, stretches=np.ones(len(self.triangles), np.float32))
         for shot in self.shots:
             counts = self._counts(shot)[touched]
             edges = flat.with_shots([shot]).texel_edges(touched)
-            some = np.flatnonzero(outside & (counts >= shot.seen.rows.size / (2 * _STEPS**2)))
-            if some.size:
-                inner = self._inner_places(shot, touched[some])
-                edges[some] = flat.with_shots([shot]).widths(touched[some], inner)
-                inner_widths = self.with_shots([shot]).widths(touched[some], inner)
-                widths[:, some] = np.minimum(widths[:, some], inner_widths)
+            large_ones = np.flatnonzero(outside & (counts >= shot.seen.rows.size / (2 * _STEPS**2)))
+            if large_ones.size:
+                triangles = touched[large_ones]
+                inner = self._inner_points(shot, triangles)
+                edges[large_ones] = flat.with_shots([shot]).widths(triangles, inner)
+                inner_widths = self.with_shots([shot]).widths(triangles, inner)
+                widths[:, large_ones] = np.minimum(widths[:, large_ones], inner_widths)
             edges[counts == 0] = 0.0
             seen_areas += counts * edges.astype(np.float64) ** 2
         areas, widths = np.minimum(areas, seen_areas), widths.ravel()
-        # Numbers that are not negative are in the order of their bits: a fifth of the time of an argsort.
+        # Numbers from 0 sort as their bits do: a fifth of the time of an argsort.
         keys = widths.view(np.uint32).astype(np.uint64) << np.uint64(32)
         keys |= np.arange(widths.size, dtype=np.uint64)
         keys.sort()
         order = (keys & np.uint64(0xFFFFFFFF)).astype(np.int64)
-        return widths[order], np.tile(areas / len(places), len(places))[order]
+        return widths[order], np.tile(areas / len(points), len(points))[order]
 
-    def _inner_places(self, shot: Shot, triangles: Int32s) -> Float64s:
-        """Return barycentric coordinates (n, 3) of the nearest points that some of a shot's pixels see."""
+    def _inner_points(self, shot: Shot, triangles: Int32s) -> Float64s:
+        """Return barycentric coordinates (n, 3) of the nearest points that a grid of pixels sees."""
         height, width = shot.seen.rows.shape
         steps = (np.arange(_STEPS) + 0.5) / _STEPS
         pixels = np.stack([*np.meshgrid(width * steps, height * steps), np.ones((_STEPS, _STEPS))])
@@ -204,11 +385,11 @@ class Projected(PaintSource):
         return cast(Float64s, np.where(np.isfinite(sums), found / sums, 1 / 3))
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
-        """Return the edge of the finest pixel on triangles (n,), at rest; infinity where none is."""
+        """Return the width of the finest pixel on triangles (n,), at rest; infinity for none."""
         return self.widths(triangles, np.full((len(triangles), 3), 1 / 3))
 
     def widths(self, triangles: Int32s, barycentric: Float64s) -> Float32s:
-        """Return the edge of the finest pixel at points (n,), at rest; infinity where no camera looks."""
+        """Return the width of the finest pixel at points (n,), at rest; infinity without a camera."""
         widths = np.full(len(triangles), np.inf, np.float32)
         mesh = self.vertices, self.triangles, self.stretches
         for shot in self.shots:
@@ -217,7 +398,7 @@ class Projected(PaintSource):
 
 
 def _summed(shot: Shot) -> Int32s:
-    """Return how many pixels that see something are above and left of others (height + 1, width + 1)."""
+    """Return the summed-area table (height + 1, width + 1) of pixels that see surface."""
     return _sums_of(shot.seen.rows >= 0)
 
 

@@ -1,4 +1,4 @@
-"""What one picture paints at points of a surface that its camera sees: kernels."""
+"""Reads one picture at points of a surface that its camera sees: kernels."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.cameras.lens import distorted
 from octex.jit import inlined, kernel
-from octex.painting.picture import clipped, read_paint
-from octex.painting.sight import TRUSTED, Shot
+from octex.painting.picture import Mips, clipped, read_paint
 from octex.source.images.taps import catmull_rom
 from octex.source.vectors import Vector
 from octex.view.visibility import (
     View,
+    Visibility,
     nearness,
     parts,
     plane_through,
@@ -24,34 +24,49 @@ from octex.view.visibility import (
 )
 from octex.voxelize.fragments import Blocks
 
-#: By how many degrees before the largest angle paint begins to fade.
+#: Pixels from an edge within which a picture counts for less: edges blur with the background.
+TRUSTED = 4.0
+#: Degrees before the largest angle from which paint fades.
 FADE = 10.0
-#: Of the four pixels around a point, what part must see it (by their weights), and from what part on they
-#: are trusted wholly: beside an edge pixels mix what is before it with what is behind.
+#: Least share, by weight, of the four pixels around a point that must see it, and the share for full weight:
+#: pixels at an edge mix foreground and background.
 _LEAST_SEEN, _WELL_SEEN = 0.5, 1.0
-#: Nearer than this what is read of a picture may reach beyond an edge.
-_BESIDE = 3.0
-#: How much pixels beside an edge, which others than what their middles see may be mixed into, are believed.
+#: Pixels from an edge within which a footprint may reach beyond it.
+_NEAR_EDGE = 3.0
+#: Weight of pixels at an edge, which may be mixed with the background.
 _MIXED = np.float32(0.15)
-#: Where what faces the camera shades as if it did not, it counts for so much of a cosine.
+#: Least cosine for surface that faces the camera but shades as if it did not.
 _LEAST_COSINE = 1e-3
 
 
-class Terms(NamedTuple):
-    """Under which terms paint is put."""
+class Shot(NamedTuple):
+    """A picture and the surface visible to its camera, as kernels read them."""
 
-    fading: float  # cosine of the angle from which on paint fades
-    vanishing: float  # and where it has vanished
+    camera: View  # without distortion
+    K: Float64s  # (3, 3)   of the picture
+    lens: Float64s  # (14,)   see octex.cameras.lens.lens_numbers
+    mips: Mips
+    seen: Visibility
+    margins: Float32s  # (height, width)   pixels to the nearest edge of the surface, limited
+    gains: Float32s  # (3,)   factors of its components
+    weight: float  # among several pictures
+
+
+class Terms(NamedTuple):
+    """Options of painting, for kernels."""
+
+    fading: float  # cosine of the angle from which paint fades
+    vanishing: float  # cosine of the angle beyond which there is none
     feather: float  # pixels over which it fades towards edges
     back_faces: bool
     hidden: bool
-    enough: float = 0.0  # how wide at rest pixels are from which on finer ones count no more; 0: none
+    enough: float = 0.0  # width at rest below which finer pixels count no more; 0: none
 
 
 def terms_of(max_angle: float, feather: float, back_faces: bool, hidden: bool = False) -> Terms:
-    """Return terms for angles in degrees between the surface's normal and what looks at it."""
+    """Return terms; ``max_angle`` is in degrees between the surface's normal and the camera."""
     vanishing, fading = np.radians(max_angle), np.radians(max(max_angle - FADE, 0.0))
-    whole = max_angle >= 90.0  # all that faces the camera, in full
+    whole = max_angle >= 90.0  # no fading
     return Terms(
         -1.0 if whole else float(np.cos(fading)),
         -2.0 if whole else float(np.cos(vanishing)),
@@ -69,13 +84,13 @@ def _smooth(t: float) -> float:
 
 @inlined
 def _slopes(view: View, x: float, y: float, z: float) -> tuple[float, float]:
-    """Return where a point of camera axes is seen, before K: without distortion."""
+    """Project a point in camera axes, without K and distortion."""
     return (x / z, y / z) if view.is_pinhole else (x, y)
 
 
 @inlined
 def _in_picture(shot: Shot, x: float, y: float) -> tuple[float, float]:
-    """Return where the lens puts in the picture what `_slopes` says."""
+    """Return pixel coordinates of `_slopes`, with distortion."""
     K = shot.K
     if shot.camera.is_pinhole:
         x, y = distorted(shot.lens, x, y)
@@ -94,19 +109,18 @@ def _point(a: Vector, b: Vector, c: Vector, barycentric: Float64s, n: int) -> Ve
 
 @inlined
 def _pixels(view: View, z: float) -> float:
-    """Return how many pixels what is 1 wide takes across the view."""
+    """Return the pixels across a width of 1 that faces the camera at a depth."""
     return float(view.focal / z if view.is_pinhole else view.focal)
 
 
 @inlined
 def _length_of(plane: tuple[float, float, float, float]) -> float:
-    """Return how long a plane's normal is."""
     return float(np.sqrt(plane[0] * plane[0] + plane[1] * plane[1] + plane[2] * plane[2]))
 
 
 @inlined
 def _facing(view: View, plane: tuple[float, float, float, float], area: float, far: float) -> float:
-    """Return the cosine between a plane's normal, ``area`` long, and the way to the camera, ``far`` long."""
+    """Return the cosine between a plane's normal, of length ``area``, and the camera, at distance ``far``."""
     if not area > 0.0:
         return 0.0
     return float(-plane[3] / (area * far) if view.is_pinhole else -plane[2] / area)
@@ -133,7 +147,7 @@ def _shaded(
     far: float,
     cosine: float,
 ) -> float:
-    """Return the cosine between the normal that a point shades by and the way to the camera, ``far`` long."""
+    """Return the cosine between a point's shading normal and the camera, at distance ``far``."""
     (u, v, w), (x, y, z) = normal, point
     length = np.sqrt(u * u + v * v + w * w)
     if not length > 0.0:
@@ -144,7 +158,7 @@ def _shaded(
 
 
 @inlined
-def _read_beside(
+def _read_near_edge(
     shot: Shot,
     triangle: int,
     place: tuple[float, float],
@@ -152,9 +166,9 @@ def _read_beside(
     plane: Vector,
     slack: float,
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Return paint at a place as `read_paint` does, but only of pixels that see the same surface.
+    """Return paint at a place as `read_paint` does, but only from pixels that see the same surface.
 
-    Their mean, the nearer the more, replaces others. ``pixel`` is the place before distortion.
+    Their mean, weighted by nearness, replaces others. ``pixel`` is the place before distortion.
     """
     (u, v), (x, y) = place, pixel
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
@@ -178,14 +192,14 @@ def _read_beside(
         ):
             continue
         weight, far = of_y[n // 4] * of_x[n % 4], np.float32(dx * dx + dy * dy + 0.1)
-        own = np.float32(1.0) / (far * far)
+        nearness_weight = np.float32(1.0) / (far * far)
         if shot.margins[i, j] < np.float32(1.0) and not _is_cut_out(shot, row, column, i, j):
-            weight, own = weight * _MIXED, own * _MIXED * _MIXED
-        p = shot.mips.pixels[row * columns + column]
+            weight, nearness_weight = weight * _MIXED, nearness_weight * _MIXED * _MIXED
+        p, w = shot.mips.pixels[row * columns + column], nearness_weight
         a, b, c, d = a + weight * p[0], b + weight * p[1], c + weight * p[2], d + weight * p[3]
-        e, f, g, h = e + own * p[0], f + own * p[1], g + own * p[2], h + own * p[3]
+        e, f, g, h = e + w * p[0], f + w * p[1], g + w * p[2], h + w * p[3]
         share += weight
-        total += own
+        total += w
     if not total > none:
         return read_paint(shot.mips, u, v, 1.0)
     rest = (np.float32(1.0) - share) / total
@@ -194,7 +208,7 @@ def _read_beside(
 
 @inlined
 def _is_cut_out(shot: Shot, row: int, column: int, i: int, j: int) -> bool:
-    """Say whether a pixel, which sees pixel (i, j), is beside background that the picture has transparent."""
+    """Return whether the picture is transparent in the background next to a pixel, of view pixel (i, j)."""
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     height, width = shot.seen.rows.shape
     for side in range(4):
@@ -208,8 +222,15 @@ def _is_cut_out(shot: Shot, row: int, column: int, i: int, j: int) -> bool:
 
 
 @inlined
+def _corners(view: View, vertices: Float64s, faces: Int32s, triangle: int) -> tuple[Vector, Vector, Vector]:
+    """Return a triangle's corners in camera axes."""
+    a, b, c = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
+    return transformed(view, vertices, a), transformed(view, vertices, b), transformed(view, vertices, c)
+
+
+@inlined
 def _box_in(view: View, a: Vector, b: Vector, c: Vector) -> tuple[float, float, float, float, int]:
-    """Return left, top, right and bottom of a triangle in a view, and how many corners are behind it."""
+    """Return left, top, right and bottom of a triangle in a view, and the number of corners behind it."""
     left, top, right, bottom, behind = np.inf, np.inf, -np.inf, -np.inf, 0
     for x, y, z in (a, b, c):
         behind += not z > 0.0
@@ -235,7 +256,7 @@ def add_paint(
     sums: Float64s,
     clear: Float64s,
 ) -> None:
-    """Add a shot's paint to weighted sums (n, 4), and take its coverage from what is ``clear`` (n,)."""
+    """Add a shot's paint to weighted sums (n, 4), and multiply ``clear`` (n,) by 1 − coverage."""
     view = shot.camera
     height, width = shot.seen.rows.shape
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
@@ -248,9 +269,7 @@ def add_paint(
         triangle = int(triangles[n])
         if triangle != last:
             last = triangle
-            a = transformed(view, vertices, faces[triangle, 0])
-            b = transformed(view, vertices, faces[triangle, 1])
-            c = transformed(view, vertices, faces[triangle, 2])
+            a, b, c = _corners(view, vertices, faces, triangle)
             plane = plane_through(a, b, c)
             toward = -plane[3] if view.is_pinhole else -plane[2]
             is_unseen = not (abs(toward) if terms.back_faces else toward) > 0.0
@@ -305,17 +324,16 @@ def add_paint(
         if not coverage > 0.0:
             continue
         wide = np.float64(widths[n]) / stretch * np.sqrt(cosine) * fine
-        if margin < _BESIDE and wide < 2.0 and not terms.hidden:
-            red, green, blue, alpha = _read_beside(
+        if margin < _NEAR_EDGE and wide < 2.0 and not terms.hidden:
+            red, green, blue, alpha = _read_near_edge(
                 shot, triangle, (u, v), (px, py), (near, right, down), slack
             )
         else:
             red, green, blue, alpha = read_paint(shot.mips, u, v, wide)
         if not alpha > 0.0:
             continue
-        # All pixels that are fine enough count alike: where cameras are off by a pixel, a mean of several is
-        # nearer than one. Views of ten photographs gain 0.06 dB beside weights by pixels in a unit of area,
-        # and lose 0.8 dB by the fourth power of fineness in general. Coarser pixels blur what others show.
+        # Fine pixels count alike, since cameras are off by a pixel: weights by density lose 0.06 dB in ten
+        # photographs, the fourth power for all 0.8 dB.
         density = max(shaded, _LEAST_COSINE)
         if terms.enough > 0.0:
             density *= min(fine * terms.enough / stretch, 1.0) ** 4
@@ -331,8 +349,7 @@ def add_paint(
 
 
 @inlined
-def _some_near(counts: Int32s, left: float, top: float, right: float, bottom: float, reach: int) -> bool:
-    """Say whether pixels are counted in a rectangle, or that far around it."""
+def _any_near(counts: Int32s, left: float, top: float, right: float, bottom: float, reach: int) -> bool:
     height, width = counts.shape[0] - 1, counts.shape[1] - 1
     i, j = min(max(int(left) - reach, 0), width), min(max(int(top) - reach, 0), height)
     k, m = min(max(int(right) + reach + 1, i), width), min(max(int(bottom) + reach + 1, j), height)
@@ -354,8 +371,8 @@ def mark_seen_blocks(
 ) -> None:
     """Mark the blocks with triangles that may be painted.
 
-    ``counts`` (height + 1, width + 1) are summed seen pixels: a triangle's part in a block is in a rectangle.
-    ``painted`` likewise are those with paint; what is read of them is near that rectangle.
+    ``counts`` (height + 1, width + 1) are a summed-area table of visible pixels, ``painted`` of those with
+    paint. A triangle's part in a block lies in a rectangle, and its footprints near that.
     """
     cell = edge / (1 << blocks.bits)
     for block in range(found.size):
@@ -364,32 +381,24 @@ def mark_seen_blocks(
                 break
             triangle = blocks.members[row]
             p, q, r = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
-            axis, area = 0, 0.0  # along which the triangle at rest is the largest
+            axis, area = 0, 0.0  # the largest of the projections along an axis, at rest
             for each in range(3):
                 u, v = (each + 1) % 3, (each + 2) % 3
-                own = (rest[q, u] - rest[p, u]) * (rest[r, v] - rest[p, v])
-                own -= (rest[q, v] - rest[p, v]) * (rest[r, u] - rest[p, u])
-                if abs(own) > abs(area):
-                    axis, area = each, own
+                seen = (rest[q, u] - rest[p, u]) * (rest[r, v] - rest[p, v])
+                seen -= (rest[q, v] - rest[p, v]) * (rest[r, u] - rest[p, u])
+                if abs(seen) > abs(area):
+                    axis, area = each, seen
             u, v = (axis + 1) % 3, (axis + 2) % 3
-            a, b, c = (
-                transformed(view, vertices, p),
-                transformed(view, vertices, q),
-                transformed(view, vertices, r),
-            )
+            a, b, c = _corners(view, vertices, faces, triangle)
             left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
             near, far = np.inf, 0.0
             is_known = area != 0.0
             least_u, most_u = min(rest[p, u], rest[q, u], rest[r, u]), max(rest[p, u], rest[q, u], rest[r, u])
             least_v, most_v = min(rest[p, v], rest[q, v], rest[r, v]), max(rest[p, v], rest[q, v], rest[r, v])
-            low_u, high_u = (
-                min(max(corners[block, u], least_u), most_u),
-                min(max(corners[block, u] + edge, least_u), most_u),
-            )
-            low_v, high_v = (
-                min(max(corners[block, v], least_v), most_v),
-                min(max(corners[block, v] + edge, least_v), most_v),
-            )
+            low_u = min(max(corners[block, u], least_u), most_u)
+            high_u = min(max(corners[block, u] + edge, least_u), most_u)
+            low_v = min(max(corners[block, v], least_v), most_v)
+            high_v = min(max(corners[block, v] + edge, least_v), most_v)
             for corner in range(4):
                 across = (high_u if corner & 1 else low_u) - rest[p, u]
                 along = (high_v if corner & 2 else low_v) - rest[p, v]
@@ -410,33 +419,27 @@ def mark_seen_blocks(
             if not (is_known and left > -1e9 and right < 1e9 and top > -1e9 and bottom < 1e9):
                 found[block] = True
                 break
-            # What is painted is seen by some of the four pixels around it.
-            if not _some_near(counts, left, top, right, bottom, 2):
+            # One of the four pixels around a painted point sees it.
+            if not _any_near(counts, left, top, right, bottom, 2):
                 continue
-            # Sixteen pixels are read, of a mip if what is in a cell is wider than two.
+            # A footprint has sixteen pixels, of a mip if a cell is wider than two.
             wide = (right - left) * (bottom - top)
             wide *= min(cell / (high_u - low_u), 1.0) * min(cell / (high_v - low_v), 1.0)
             wide *= (far / near) ** 3 if view.is_pinhole else 1.0  # of the nearest cell
             reach = int(4.0 * np.sqrt(wide)) + 1 if wide > 1.0 else 2
-            found[block] = _some_near(painted, left, top, right, bottom, reach)
+            found[block] = _any_near(painted, left, top, right, bottom, reach)
 
 
 @kernel
 def pixels_under(view: View, counts: Int32s, vertices: Float64s, faces: Int32s) -> Int32s:
-    """Return at most how many pixels triangles (m,) may be painted by, whatever hides them.
+    """Return upper bounds of the pixels that see triangles (m,) or what hides them.
 
     ``counts`` is as in `mark_seen_blocks`.
     """
     height, width = counts.shape[0] - 1, counts.shape[1] - 1
     found = np.empty(faces.shape[0], np.int32)
     for triangle in range(faces.shape[0]):
-        a, b, c = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
-        left, top, right, bottom, behind = _box_in(
-            view,
-            transformed(view, vertices, a),
-            transformed(view, vertices, b),
-            transformed(view, vertices, c),
-        )
+        left, top, right, bottom, behind = _box_in(view, *_corners(view, vertices, faces, triangle))
         i = j = 0
         k, m = width, height
         if behind == 0:
@@ -468,7 +471,7 @@ def narrow(
     barycentric: Float64s,
     widths: Float32s,
 ) -> None:
-    """Lower ``widths`` (n,) to that of a shot's pixels, where it looks toward the points."""
+    """Lower ``widths`` (n,) of points to those of a shot's pixels, where its camera faces them."""
     view = shot.camera
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     last = -1
@@ -479,9 +482,7 @@ def narrow(
         triangle = int(triangles[n])
         if triangle != last:
             last = triangle
-            a = transformed(view, vertices, faces[triangle, 0])
-            b = transformed(view, vertices, faces[triangle, 1])
-            c = transformed(view, vertices, faces[triangle, 2])
+            a, b, c = _corners(view, vertices, faces, triangle)
             plane = plane_through(a, b, c)
             area = _length_of(plane)
         x, y, z = _point(a, b, c, barycentric, n)

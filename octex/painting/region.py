@@ -1,4 +1,4 @@
-"""Paint without a picture: one value over a region of the surface."""
+"""Paint without a picture: one value over a region of the surface, or over the leaves of one colour."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
-from octex.channels import ChannelFormat, color_in_light
+from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
+from octex.channels import BASE_COLOR, ChannelFormat, color_in_light, linear_to_srgb
 from octex.checks import answer, as_choice, as_depth, as_number, as_points, as_positive, as_reals
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
@@ -22,11 +22,16 @@ from octex.painting.steps import layer_from, rasterize_surface
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.corners import at_corners
+from octex.source.parts import join
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
-from octex.tree.placement import Placement
+from octex.tree.edit import locate
+from octex.tree.layout import GRID_BITS
+from octex.tree.morton import decode_cells, encode_cells
+from octex.tree.octree import Octree
+from octex.tree.placement import Placement, on_grid
 
-#: Says how much of rest positions (n, 3) a region covers: (n,), 0 … 1.
+#: Returns the coverage (n,), 0 … 1, of a region at rest positions (n, 3).
 RegionFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]
 
 _DEPTH = 10
@@ -130,48 +135,45 @@ def fill(
     as_surface(surface)
     run = as_run(run, threads, progress)
     painted = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
-    wanted = Fill(region, color, channel, opacity, blend, max_depth)
     with workers(run) as pool:
-        base, change = filled(Job(painted, pool, run.report), texture, surface, wanted)
+        job = Job(painted, pool, run.report)
+        base, change = filled(job, texture, surface, region, color, channel, opacity, blend, max_depth)
     return base if change is None else change.put_into(base)
 
 
-class Fill(NamedTuple):
-    """What is filled; see `fill`."""
-
-    region: Region
-    color: npt.ArrayLike | str
-    channel: str
-    opacity: float
-    blend: Blend
-    max_depth: int | None
-
-
 def filled(
-    job: Job, texture: OctreeTexture | None, surface: Surface, wanted: Fill
+    job: Job,
+    texture: OctreeTexture | None,
+    surface: Surface,
+    region: Region,
+    color: npt.ArrayLike | str,
+    channel: str,
+    opacity: float,
+    blend: Blend,
+    max_depth: int | None,
 ) -> tuple[OctreeTexture, Change | None]:
-    """Return the texture, a new one for None, and the change of a fill of a region of ``surface``."""
-    painted, opacity = job.surface, as_number(wanted.opacity, "opacity", 0.0, 1.0)
-    as_choice(wanted.blend, BLENDS, "blend")
-    form = format_of(texture, wanted.channel)
-    value = _value(wanted.color, form)
-    if wanted.max_depth is not None:
-        depth = as_depth(wanted.max_depth, "max_depth")
+    """Return the texture, a new one for None, and the change of a fill; see `fill`."""
+    painted, opacity = job.surface, as_number(opacity, "opacity", 0.0, 1.0)
+    as_choice(blend, BLENDS, "blend")
+    form = format_of(texture, channel)
+    value = _value(color, form)
+    if max_depth is not None:
+        depth = as_depth(max_depth, "max_depth")
     else:
         depth = _DEPTH if texture is None or not texture.tree.n_leaves else texture.tree.max_depth
     placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
-    source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(wanted.region, surface))
+    source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
     check_inside(painted.surface, placement)
     raster = rasterize_surface(
         painted, source, placement, Depths(depth, depth), job.executor, job.progress, fit=False
     )
     layer = layer_from(raster, job.executor, job.progress)
     base = texture or empty_texture([form], placement, painted.surface.bounds, painted.surface)
-    return base, job.merge(base, layer, painted, opacity, wanted.blend, job.executor, job.progress)
+    return base, job.merge(base, layer, painted, opacity, blend, job.executor, job.progress)
 
 
 def _value(color: npt.ArrayLike | str, form: ChannelFormat) -> Float32s:
-    """Return a colour as numbers (components,) of a channel, or raise ArgumentError."""
+    """Return a colour as a channel's values (components,), or raise ArgumentError."""
     if isinstance(color, str):
         return color_in_light(color, form)
     shapes = [(form.components,), *([()] if form.components == 1 else [])]
@@ -195,11 +197,11 @@ class RegionSource(PaintSource):
     value: Float32s  # (components,)
     rest: Float64s  # (n, 3)
     triangles: Int32s  # (m, 3)
-    chosen: Bools  # (m,)   the triangles that it may cover
+    chosen: Bools  # (m,)   triangles that it may cover
     covers: RegionFunction
 
     def touched(self) -> Int32s:
-        """Return the triangles that may be covered."""
+        """Return the triangles that the region may cover."""
         return np.flatnonzero(self.chosen).astype(np.int32)
 
     def evaluate(
@@ -211,18 +213,18 @@ class RegionSource(PaintSource):
         """Return the value and its coverage (n, components + 1)."""
         found = np.zeros((len(triangles), len(self.value) + 1), np.float32)
         found[:, :-1] = self.value
-        own = np.flatnonzero(self.chosen[triangles])
-        if own.size:
-            points = at_corners(self.rest, self.triangles[triangles[own]], barycentric[own])
+        rows = np.flatnonzero(self.chosen[triangles])
+        if rows.size:
+            points = at_corners(self.rest, self.triangles[triangles[rows]], barycentric[rows])
             shape = (len(points),)
-            found[own, -1] = answer(
+            found[rows, -1] = answer(
                 self.covers, [points], [shape], "region", points.__getitem__, least=0.0, most=1.0
             )
         return found
 
 
 def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:
-    """Return which triangles a region may cover, and what it covers of positions."""
+    """Return the triangles that a region may cover, and its coverage of positions."""
     count = len(surface.triangles)
     if isinstance(region, (Sphere, Box)):
         region = region.checked()
@@ -243,3 +245,86 @@ def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:
 
 def _everywhere(points: Float64s) -> npt.ArrayLike:
     return np.ones(len(points))
+
+
+def alike(
+    texture: OctreeTexture, point: Array, tolerance: float, *, connected: bool = True
+) -> RegionFunction:
+    """Return the region of the leaves whose base colour is nearly that of a point at rest.
+
+    A leaf's colour is a lookup in its centre. ``tolerance`` is the largest difference of a component in 1/255
+    of sRGB, 0 … 255. ``connected`` limits the region to leaves that connect to the point's through faces. It
+    is empty if the point is in no leaf.
+
+    Raises ArgumentError for numbers out of range.
+    """
+    where = as_reals(point, "point", (3,), most=_FARTHEST)[None]
+    most = as_number(tolerance, "tolerance", 0.0, 255.0)
+    tree = texture.tree
+    first = _leaf_at(texture, where)[0]
+    is_chosen = np.zeros(tree.n_cells, np.bool_)
+    if first >= 0:
+        wanted = _codes(texture, where)
+        for level, cells, codes in _leaves(texture):
+            middles = texture.placement.to_rest((decode_cells(codes) + 0.5) / 2**level)
+            is_chosen[cells] = np.abs(_codes(texture, middles) - wanted).max(axis=1) <= most
+        is_chosen[first] = True
+        if connected:
+            is_chosen = _connected(texture, is_chosen, first)
+
+    def covers(points: Float64s) -> Bools:
+        cells = _leaf_at(texture, points)
+        return is_chosen[cells] & (cells >= 0)
+
+    return covers
+
+
+def _codes(texture: OctreeTexture, points: Array) -> Array:
+    """Return base colours of points (n, 3) in 1/255 of sRGB, not rounded."""
+    return 255.0 * linear_to_srgb(np.clip(texture.sample(points, BASE_COLOR.name), 0.0, 1.0))
+
+
+def _leaf_at(texture: OctreeTexture, points: Array) -> Int64s:
+    """Return the leaf that each point at rest (n, 3) is in; −1 for none."""
+    depth = texture.tree.max_depth
+    places = texture.placement.to_texture_space(points)
+    is_inside = np.asarray(((places >= 0) & (places <= 1)).all(axis=1))
+    codes = encode_cells(on_grid(points, texture.placement) >> (GRID_BITS - depth))
+    return _leaf_of(texture.tree, codes, depth, is_inside)
+
+
+def _leaf_of(tree: Octree, codes: Int64s, level: int, among: Bools) -> Int64s:
+    """Return the leaf that is, or contains, each cell (n,) of a level; −1 for none and outside ``among``."""
+    found = locate(tree, codes, level)
+    is_leaf = found.is_leaf & among & (tree.n_leaves > 0)
+    return np.where(is_leaf, found.cells, -1)
+
+
+def _leaves(texture: OctreeTexture) -> list[tuple[int, Int64s, Int64s]]:
+    """Return the levels of a texture, and the cells and Morton codes of their leaves."""
+    first = texture.tree.arrays.level_cells
+    return [
+        (level, first[level] + np.flatnonzero(~is_node), codes[~is_node])
+        for level, (codes, is_node) in enumerate(texture.tree.walk())
+    ]
+
+
+def _connected(texture: OctreeTexture, is_chosen: Bools, first: int) -> Bools:
+    """Return the chosen leaves that connect to the first one through faces."""
+    pairs = []
+    for level, cells, codes in _leaves(texture):
+        is_here = is_chosen[cells]
+        cells, places = cells[is_here], decode_cells(codes[is_here])
+        for axis in range(3):
+            for step in (-1, 1):  # the smaller of two leaves finds the other
+                neighbours = places.copy()
+                neighbours[:, axis] += step
+                is_inside = (neighbours[:, axis] >= 0) & (neighbours[:, axis] < 2**level)
+                neighbours[~is_inside] = 0
+                others = _leaf_of(texture.tree, encode_cells(neighbours), level, is_inside)
+                both = (others >= 0) & is_chosen[others]
+                pairs.append(np.stack([cells[both], others[both]]))
+    parents = np.arange(len(is_chosen))
+    join(parents, *np.concatenate(pairs, axis=1))
+    found: Bools = is_chosen & (parents == parents[first])
+    return found

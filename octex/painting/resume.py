@@ -1,7 +1,7 @@
-"""A folder of finished stages, from which a later call goes on.
+"""A folder of finished stages, which later calls reuse.
 
-A stage lies in a file that is named by a digest of all that it was made from: what has changed has another
-file. A damaged file, or one of another stage, is made anew.
+A stage's file is named after a digest of its inputs, so changed inputs have another file. Damaged files, and
+those of other stages, are replaced.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from octex.texture import OctreeTexture, open_texture
 
 Rows = TypeVar("Rows")
 
-#: Changes with what stages store, beside the version of octex.
+#: Version of the stored stages, in addition to that of octex.
 _VERSION = 5
 
 
 class Stages(NamedTuple):
-    """The stages in a folder that were made from what ``key`` is a digest of; None: nothing is stored."""
+    """The stages in a folder whose inputs have the digest ``key``; without a folder nothing is stored."""
 
     folder: Path | None = None
     key: bytes = b""
 
     def of(self, parts: Callable[[], Sequence[Any]]) -> Stages:
-        """Return the stages that were also made from some parts; see `digest_of`."""
+        """Return the stages with additional inputs; see `digest_of`."""
         return self if self.folder is None else Stages(self.folder, digest_of(self.key, *parts()))
 
     def arrays(
@@ -44,7 +44,7 @@ class Stages(NamedTuple):
         make: Callable[[], Mapping[str, Array]],
         is_sound: Callable[[Mapping[str, Array]], bool] = lambda _: True,
     ) -> Mapping[str, Array]:
-        """Return the arrays of a stage, made if missing or unsound; OutputError if they do not stay."""
+        """Return the arrays of a stage, made if missing or unsound; OutputError if they cannot be stored."""
         if self.folder is None:
             return make()
         name = f"{stage}-{self.key.hex()}"
@@ -62,11 +62,11 @@ class Stages(NamedTuple):
         raise OutputError(f"{path}: lost a file that was written there; choose another folder")
 
     def placed(self, arrays: Rows) -> Rows:
-        """Return arrays of a stage where they stay: in its file, or as `large.moved` puts them."""
+        """Return arrays of a stage, mapped from its file or stored by `large.moved`."""
         return arrays if self.folder is not None else large.moved(arrays)
 
     def texture(self, stage: str, make: Callable[[], OctreeTexture]) -> OctreeTexture:
-        """Return the texture of a stage, mapped; make it if it is not there."""
+        """Return the texture of a stage, mapped; made if missing."""
         if self.folder is None:
             return make()
         path = self.folder / f"{stage}-{self.key.hex()[:32]}.octex"
@@ -77,12 +77,11 @@ class Stages(NamedTuple):
         return open_texture(path)
 
 
-#: Has no folder.
 NOT_STORED = Stages()
 
 
 def stages_in(folder: str | os.PathLike[str] | None) -> Stages:
-    """Return the stages in a folder, which is made; raise OutputError if it cannot be."""
+    """Return the stages in a folder, which is created; raise OutputError if that fails."""
     if folder is None:
         return NOT_STORED
     path = as_path(folder, "resume")

@@ -1,8 +1,7 @@
-"""Pictures sharpened, so that what is read between their pixels' centres has the pixels as its means.
+"""Sharpens pictures, so that interpolated values average to the pixels.
 
-A pixel is the mean of what it covers, in photographs as in what is rendered. Read as if that stood at its
-centre, pictures lose up to 0.6 of their finest detail, and what is painted from them is too soft. Noise would
-be more than half again as strong, and is left as it is.
+A pixel is the average over the area that it covers. Interpolation between such averages loses up to 0.6 of
+the finest detail. Sharpening removes this blur, but would amplify noise by more than half, so noise stays.
 """
 
 from __future__ import annotations
@@ -12,37 +11,37 @@ import numpy as np
 from octex.arrays import Float32s
 from octex.jit import inlined, kernel
 
-#: The inverse of what the mean over a pixel makes of the spline of Catmull and Rom, (−1, 7.2, 64.4, 7.2, −1)
-#: / 76.8, along one axis: what pixels 1, 2 and 3 away count for. What follows sums to 0.0003.
+#: Weights of pixels 1, 2 and 3 away along one axis: the inverse of a pixel's average over the spline of
+#: Catmull and Rom, (−1, 7.2, 64.4, 7.2, −1) / 76.8. The omitted weights sum to 0.0003.
 _TAPS = (-0.14336, 0.03579, -0.00638)
 
 _LIMIT = np.float32(4.0)
 
-#: What noise of 1 in pixels makes of what sharpening adds to one, along one axis.
+#: Deviation of the change along one axis for noise of deviation 1.
 _GAIN = float(np.sqrt(2 * sum(tap**2 for tap in _TAPS) + (2 * sum(_TAPS)) ** 2))
-#: What is added is noise where it is less than so many deviations of that, and partly so where it is more.
+#: Deviations of noise up to which a change is dropped.
 _DEVIATIONS = 3.0
-#: Noise is what is added in the quietest tenth of patches of so many pixels each way, which is 1.2 times less
-#: than the mean; of fewer patches it is not known.
+#: Noise is measured in the quietest tenth of square patches, of so many pixels each way, where it is 1.2
+#: times less than its mean; and the least number of patches.
 _PATCH, _QUIETEST, _LESS, _FEWEST = 8, 0.1, 1.2, 16
-#: No noise is taken to be stronger, of 1: what is as strong all over a picture may be gravel or grass.
+#: Largest noise: stronger variation all over a picture may be gravel or grass.
 _MOST = 5.0 / 255.0
-#: Light outside of this may be cut off: of 2 and 250 of 255 codes.
+#: Range of light, 2/255 to 250/255 in sRGB, outside of which it may be clipped.
 _DARKEST, _LIGHTEST = np.float32(0.0006), np.float32(0.955)
 
 
 def sharpened(pixels: Float32s, is_light: bool = True) -> Float32s:
     """Return pixels (height, width, 4), colours times alpha, as values at their centres.
 
-    Nothing is sharpened across another alpha, nor by more than four times the difference to the more alike
-    neighbour, nor by less than the noise: that of the picture's quietest tenth, 5 of 255 at most.
+    Sharpening stops at changes of alpha. A change is at most four times the smaller difference to a
+    neighbour, and is dropped below the noise of the picture's quietest tenth, 5/255 at most.
     """
     noise = np.float32(min(noise_of(pixels, is_light), _MOST))
     return _sharpened(_sharpened(pixels, 0, 1, noise, is_light), 1, 0, noise, is_light)
 
 
 def noise_of(pixels: Float32s, is_light: bool = True) -> float:
-    """Return the deviation of noise in pixels (height, width, 4), colours times alpha; 0 if not known."""
+    """Return the deviation of noise in pixels (height, width, 4), colours times alpha; 0 if unknown."""
     patches = _loudness(pixels, is_light)
     known = patches[patches >= 0.0]
     if known.size < _FEWEST:
@@ -52,7 +51,7 @@ def noise_of(pixels: Float32s, is_light: bool = True) -> float:
 
 @kernel
 def _loudness(pixels: Float32s, is_light: bool) -> Float32s:
-    """Return the mean square of what sharpening adds to patches (rows, columns, 3); −1 if clipped."""
+    """Return the mean square of the change of patches (rows, columns, 3); −1 for clipped ones."""
     rows, columns = pixels.shape[0] // _PATCH, pixels.shape[1] // _PATCH
     found = np.full((rows, columns, 3), np.float32(-1.0))
     for i in range(rows):
@@ -96,7 +95,7 @@ def _sharpened(pixels: Float32s, down: int, right: int, noise: np.float32, is_li
 
 @inlined
 def _square(here: np.float32, alpha: np.float32, is_light: bool) -> np.float32:
-    """Return the square of what a value times alpha changes by as the value, or a light's root, does by 1."""
+    """Return the squared derivative of a value times alpha by the value, or by the square root of light."""
     return np.float32(4.0) * max(here, np.float32(0.0)) * alpha if is_light else alpha * alpha
 
 
@@ -104,7 +103,7 @@ def _square(here: np.float32, alpha: np.float32, is_light: bool) -> np.float32:
 def _change(
     pixels: Float32s, row: int, column: int, part: int, down: int, right: int
 ) -> tuple[np.float32, np.float32]:
-    """Return what sharpening along one axis adds to a pixel, and the most that it may."""
+    """Return the change of a pixel by sharpening along one axis, and its limit."""
     here, alpha = pixels[row, column, part], pixels[row, column, 3]
     change, most = np.float32(0.0), np.float32(np.inf)
     for step in range(1, 4):

@@ -14,6 +14,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s, bit_counts
 from octex.jit import kernel
+from octex.painting.layer import among_at
 from octex.parallel import ordered_map
 from octex.source.corners import at_corners
 from octex.source.parts import edges_of, join
@@ -35,9 +36,9 @@ from octex.voxelize.fragments import (
     whole,
 )
 
-#: By how much of a cell an edge may miss it and still join what is on both sides: rounding.
+#: Tolerance for rounding, in cells, of edges that join the triangles on both sides.
 _SLACK = 1e-6
-#: Sheets, which are points here, are no nearer to each other than this, in cells.
+#: Least distance of two sheets, in cells.
 _NEAR = 0.2
 
 
@@ -46,19 +47,17 @@ Columns: TypeAlias = tuple[Int64s, Uint8s, Int32s, Float64s, Float64s]
 
 
 class Region(NamedTuple):
-    """A part of space: some of the cells of a level."""
+    """A part of space: cells of a level."""
 
     level: int
     codes: Int64s  # (n,)   Morton codes, ascending
 
     def reaches(self, blocks: Blocks) -> Bools:
-        """Say which blocks the region reaches into."""
-        if blocks.level < self.level:
-            return among(blocks.codes, distinct(self.codes >> 3 * (self.level - blocks.level)))
-        return self.holds(blocks.codes, blocks.level)
+        """Return which blocks meet the region."""
+        return among_at(blocks.codes, blocks.level, self.codes, self.level)
 
     def holds(self, codes: Int64s, level: int) -> Bools:
-        """Say which cells of a level, its own or a finer one, lie in the region."""
+        """Return which cells of the region's level or a finer one lie in it."""
         return among(codes >> 3 * (level - self.level), self.codes)
 
 
@@ -81,12 +80,12 @@ class Sheets(NamedTuple):
     barycentric: Float64s  # (n, 3)   its centroid
     table: Table
     pairs: Int64s  # (k, 2)   neighbours, the smaller number first, ascending
-    ties: Float64s  # (k,)   one over how far apart they are, in cells
+    ties: Float64s  # (k,)   one over their distance in cells
     grid: Int32s  # (v, 3)   the surface's vertices in steps of 2⁻³⁰ of the root's edge
     faces: Int32s  # (m, 3)   its triangles
 
     def at(self, triangles: Int32s, barycentric: Float64s) -> Int64s:
-        """Return the sheets that points (n,) are on: of their triangle, in their cell or beside; else −1."""
+        """Return the sheets of points (n,), in their cell or a neighbour; −1 for none."""
         found = np.empty(len(triangles), np.int64)
         _find(self.table, self.level, self.grid, self.faces, triangles, barycentric, found)
         return found
@@ -95,7 +94,7 @@ class Sheets(NamedTuple):
 def sheets_of(
     surface: Surface, placement: Placement, level: int, executor: Executor, within: Region | None = None
 ) -> Sheets:
-    """Cut a surface at rest into its sheets in cells of a level, those of a region if one is given."""
+    """Cut a surface at rest into its sheets in cells of a level, or of a region of them."""
     grid, faces = on_grid(surface.rest, placement), surface.triangles
     blocks = divided(whole(grid, faces, level), reached=None if within is None else within.reaches)
     runs = even_runs(most_fragments(blocks))
@@ -116,7 +115,7 @@ def sheets_of(
     largest[sheets[by_area]] = by_area  # the last one stays
     chosen = order[largest]
     table = Table(firsts, codes, sheets)
-    keys = distinct(_beside(table, roots.size))
+    keys = distinct(_neighbours(table, roots.size))
     pairs = np.column_stack([keys // roots.size, keys % roots.size])
     places = at_corners(grid * 2.0 ** (level - GRID_BITS), faces[triangles[largest]], barycentric[chosen])
     apart = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
@@ -136,22 +135,22 @@ def sheets_of(
 
 
 def _columns_of(blocks: Blocks, level: int, within: Region | None, run: BlockRange) -> Columns:
-    """Cut what lies in some blocks, and in the region if one is given."""
+    """Cut the surface in a run of blocks, within the region if there is one."""
     pieces = cut(blocks, run)
     owners = np.repeat(np.arange(pieces.codes.size), bit_counts(pieces.flags))[pieces.entries]
-    some = slice(None) if within is None else np.flatnonzero(within.holds(pieces.codes, level)[owners])
-    bits = bits_of(pieces.flags)[pieces.entries[some]]
-    columns = pieces.codes[owners[some]], bits, pieces.triangles[some], pieces.barycentric[some]
-    return *columns, pieces.areas[some]
+    rows = slice(None) if within is None else np.flatnonzero(within.holds(pieces.codes, level)[owners])
+    bits = bits_of(pieces.flags)[pieces.entries[rows]]
+    columns = pieces.codes[owners[rows]], bits, pieces.triangles[rows], pieces.barycentric[rows]
+    return *columns, pieces.areas[rows]
 
 
 def _joined(grid: Int32s, faces: Int32s, firsts: Int64s, codes: Int64s, level: int) -> Int64s:
     """Return pairs (k, 2) of pieces in one cell whose triangles share an edge that is in the cell."""
-    some = np.flatnonzero(np.diff(firsts))  # triangles without area would part what they lie between
-    keys, _ = edges_of(faces[some], welded(grid).astype(np.int64))
+    used = np.flatnonzero(np.diff(firsts))  # triangles without area would part their neighbours
+    keys, _ = edges_of(faces[used], welded(grid).astype(np.int64))
     order = np.argsort(keys, kind="stable")
     same = keys[order[1:]] == keys[order[:-1]]
-    owners, sides = some[order % some.size], order // some.size
+    owners, sides = used[order % used.size], order // used.size
     one, other = owners[:-1][same], owners[1:][same]
     side = sides[:-1][same]
     ends = np.column_stack([faces[one, side], faces[one, (side + 1) % 3], one, other]).astype(np.int64)
@@ -163,7 +162,7 @@ def _joined(grid: Int32s, faces: Int32s, firsts: Int64s, codes: Int64s, level: i
 
 @kernel
 def _pair_up(grid: Int32s, ends: Int64s, firsts: Int64s, codes: Int64s, level: int, found: Int64s) -> int:
-    """Write the pairs of pieces that edges join, given by two vertices and two triangles; return how many."""
+    """Write the pairs of pieces that edges join, of two vertices and two triangles; return their number."""
     scale = 2.0 ** (level - GRID_BITS)
     count = 0
     for edge in range(len(ends)):
@@ -196,8 +195,8 @@ def _pair_up(grid: Int32s, ends: Int64s, firsts: Int64s, codes: Int64s, level: i
 
 
 @kernel
-def _beside(table: Table, count: int) -> Int64s:
-    """Return a · count + b for sheets a < b in cells that share a face, for each triangle that is in both."""
+def _neighbours(table: Table, count: int) -> Int64s:
+    """Return a · count + b for sheets a < b in cells that share a face, once for each triangle in both."""
     firsts, codes, sheets = table
     found = np.empty(3 * codes.size, np.int64)
     size = 0
@@ -241,7 +240,7 @@ def _find(
             cell[axis] = min(max(int(place * scale), 0), most)
         code = morton.encode(cell[0], cell[1], cell[2])
         at = first + first_not_below(table.codes[first:end], code, 0)
-        if at == end or table.codes[at] != code:  # by rounding: one of the triangle's beside it
+        if at == end or table.codes[at] != code:  # by rounding it is the triangle's in a neighbour
             at, nearest = end, 4
             for side in range(27 if end > first else 0):
                 x, y, z = side % 3 - 1, side // 3 % 3 - 1, side // 9 - 1

@@ -1,12 +1,16 @@
-"""A stack of layers in one texture, and its composite.
+"""A stack of layers in one texture, its composite, and its file.
 
-All layers have the cells of one tree. The bottom's channels have their own names. For each channel that a
-layer paints it has that channel, and its coverage as alpha. The composite is stored too, where it may differ
-from the bottom, so that an edit composites only the tiles that it touches.
+All layers have the cells of one tree. The bottom's channels have the usual names. A layer has a channel for
+each one that it paints, and the coverage of each as alpha. The composite is stored where it may differ from
+the bottom, so that an edit composites only the tiles that it touches.
+
+In a file the usual names are the composite's, so that programs without layers show it. The bottom follows
+where it differs; the metadata list the layers, with a digest of the composite that reveals later edits.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple, get_args
 
@@ -20,6 +24,7 @@ from octex.editing.nodes import Nodes
 from octex.errors import ArgumentError
 from octex.painting.blend import mixed
 from octex.painting.layer import COVERAGE
+from octex.painting.resume import digest_of
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
 from octex.tree.children import children_of, node_cells
@@ -29,10 +34,10 @@ from octex.tree.split import rows_of
 LayerBlend = Literal["over", "multiply", "screen", "add"]
 LAYER_BLENDS: tuple[LayerBlend, ...] = get_args(LayerBlend)
 
-#: The layer that stands for all: its channels are the composite's.
+#: The composite's prefix, where layers have a number.
 _ALL = "all"
 _LONGEST_NAME = 40
-#: Cells that are blended at once.
+#: Cells that are blended in one pass.
 _BLOCK = 1 << 16
 #: The kinds of rows that a channel has.
 _KINDS = "values", "split_values", "kept_values"
@@ -63,23 +68,23 @@ class Layer(NamedTuple):
         return channel_in(f"{self.number} mask", ALPHA.name)
 
     def of_own(self, other: Layer, name: str) -> str:
-        """Return what another layer's channel is called in this one."""
+        """Return the name of another layer's channel in this one."""
         if name == other.mask:
             return self.mask
-        own, plain = (channel_in(f"{each.number} ", plain_name(name)) for each in (other, self))
-        return plain + name.removeprefix(own)
+        theirs, ours = (channel_in(f"{each.number} ", plain_name(name)) for each in (other, self))
+        return ours + name.removeprefix(theirs)
 
     def painted(self, names: Sequence[str] | Mapping[str, Channel]) -> list[str]:
-        """Return the channels, of some, that the layer paints."""
+        """Return which channels the layer paints."""
         return [name for name in names if self.paints(name) in names]
 
     def owns(self, name: str) -> bool:
-        """Say whether a channel of a texture is this layer's."""
+        """Return whether a channel of a texture is this layer's."""
         return name.startswith(channel_in(f"{self.number} ", plain_name(name)))
 
 
 def check_layer(layer: Layer) -> Layer:
-    """Return a layer, or raise ArgumentError for what it cannot be."""
+    """Return a checked layer, or raise ArgumentError."""
     name = layer.name
     if not isinstance(name, str) or not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
         raise ArgumentError(f"name must be a line of 1 to {_LONGEST_NAME} characters, not {name!r}")
@@ -95,7 +100,7 @@ Stack = tuple[Layer, ...]  # from the lowest to the highest
 
 
 def composite_name(channel: str) -> str:
-    """Return the name under which a texture stores the composite of a channel."""
+    """Return the name of the composite of a channel."""
     return channel_in(_ALL, channel)
 
 
@@ -112,19 +117,19 @@ def composited(texture: OctreeTexture, stack: Stack) -> list[str]:
 
 
 def shown_names(texture: OctreeTexture) -> dict[str, str]:
-    """Return under which name the composite of each of the bottom's channels is stored."""
+    """Return for each of the bottom's channels the name of its composite: the bottom's where they agree."""
     names = {name: composite_name(name) for name in bottom_names(texture)}
-    return {name: own if own in texture.channels else name for name, own in names.items()}
+    return {name: other if other in texture.channels else name for name, other in names.items()}
 
 
 def shown(texture: OctreeTexture, names: Mapping[str, str]) -> OctreeTexture:
-    """Return the composite of a stack's texture as a texture of its own; it shares the arrays."""
-    channels = {name: texture.channels[own].named(name) for name, own in names.items()}
+    """Return the composite of a stack's texture as a texture, which shares the arrays."""
+    channels = {name: texture.channels[other].named(name) for name, other in names.items()}
     return texture.with_cells(texture.tree, channels)
 
 
 def with_layer_channels(texture: OctreeTexture, names: Iterable[str]) -> OctreeTexture:
-    """Return a stack's texture with channels of layers and of the composite, as they are without paint."""
+    """Return a stack's texture with these channels of layers and of the composite; new ones have no paint."""
     channels = dict(texture.channels)
     for name in names:
         if name in channels or name == plain_name(name):
@@ -139,20 +144,22 @@ def with_layer_channels(texture: OctreeTexture, names: Iterable[str]) -> OctreeT
 
 
 def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> OctreeTexture:
-    """Return a stack's texture with its composite made anew; that of leaves before cell ``first`` stays.
+    """Return a stack's texture with its composite computed; leaves before cell ``first`` keep theirs.
 
-    A node that no child of which differs from the bottom is as the bottom's. Others are the means of their
-    children, and the residuals of the bottom and of the layers, each for the part of it that is seen.
+    Nodes whose children all equal the bottom's do so too. Others are the means of their children, plus the
+    residuals of the bottom and of the layers, each weighted by its visible part.
     """
     tree, names = texture.tree, composited(texture, stack)
     channels = {
-        name: own for name, own in texture.channels.items() if name != composite_name(plain_name(name))
+        name: channel
+        for name, channel in texture.channels.items()
+        if name != composite_name(plain_name(name))
     }
     if not names:
         return texture.with_cells(tree, channels)
-    seen = [each for each in stack if each.is_visible and each.opacity > 0]
-    layers = [each for each in seen if _has_paint(texture, each)]
-    covered = list(_covered(texture, layers)) if seen else []
+    visible = [each for each in stack if each.is_visible and each.opacity > 0]
+    layers = [each for each in visible if _has_paint(texture, each)]
+    covered = list(_covered(texture, layers)) if visible else []
     is_leaf = np.ones(tree.n_cells, np.bool_)
     is_leaf[node_cells(tree.arrays)] = False
     owners = rows_of(tree.split).cells
@@ -161,22 +168,21 @@ def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> Octr
     stays = is_leaf & ~chosen
     made = {}
     for name in names:
-        bottom, own = texture.channels[name], composite_name(name)
+        bottom, composite = texture.channels[name], texture.channels.get(composite_name(name))
         arrays: list[Array] = [*bottom[1:]]
         if covered:
             arrays = [each.copy() for each in arrays]
-            if own in texture.channels:
-                composite = texture.channels[own]
+            if composite is not None:
                 arrays[0][stays] = composite.values[stays]
                 arrays[1][stays[owners]] = composite.split_values[stays[owners]]
-        made[name] = Channel(bottom.format._replace(name=own), *arrays)
-    channels |= {composite_name(name): own for name, own in made.items()}
+        made[name] = Channel(bottom.format._replace(name=composite_name(name)), *arrays)
+    channels |= {channel.format.name: channel for channel in made.values()}
     whole = texture.with_cells(tree, channels)
     if not covered:
         return whole
     every = chosen, chosen[owners], np.ones(tree.kept.cells.size, np.bool_)
-    for kind, covers, is_own in zip(_KINDS, covered, every, strict=True):
-        rows = np.flatnonzero(covers & is_own)
+    for kind, covers, is_chosen in zip(_KINDS, covered, every, strict=True):
+        rows = np.flatnonzero(covers & is_chosen)
         for begin in range(0, rows.size, _BLOCK):
             here = rows[begin : begin + _BLOCK]
             for name, values in _folded(texture, layers, names, kind, here).items():
@@ -187,13 +193,13 @@ def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> Octr
 
 
 def united(texture: OctreeTexture, layers: Stack, into: Layer) -> dict[str, Channel]:
-    """Return the channels of a layer that looks as some do, each over those before it."""
+    """Return the channels of a layer that looks like several, each over those before it."""
     made = {}
     for name in bottom_names(texture):
-        own = [layer.paints(name) for layer in layers if layer.paints(name) in texture.channels]
-        if not own:
+        painted = [layer.paints(name) for layer in layers if layer.paints(name) in texture.channels]
+        if not painted:
             continue
-        used = {*own, *map(alpha_of, own), *(layer.mask for layer in layers)}
+        used = {*painted, *map(alpha_of, painted), *(layer.mask for layer in layers)}
         channels = {each: channel for each, channel in texture.channels.items() if each in used}
         for form in (texture.channels[name].format, COVERAGE._replace(name=ALPHA.name)):
             channels[form.name] = Channel.full(form, texture.tree)
@@ -205,7 +211,7 @@ def united(texture: OctreeTexture, layers: Stack, into: Layer) -> dict[str, Chan
 
 
 def _has_paint(texture: OctreeTexture, layer: Layer) -> bool:
-    """Say whether a layer covers anything; in a draft most do not."""
+    """Return whether a layer covers anything; in a draft most do not."""
     return any(
         array.any()
         for name in layer.painted(texture.channels)
@@ -234,12 +240,12 @@ def _folded(
     kind: str,
     rows: Int64s,
     left: dict[str, Floats] | None = None,
-    own_left: Mapping[str, Floats] | None = None,
+    layers_left: Mapping[str, Floats] | None = None,
 ) -> dict[str, Float32s]:
     """Blend rows of layers over the bottom's, decoded.
 
-    ``left`` are the residuals of the bottom in these rows, ``own_left`` those of the layers; they become
-    those of the composite.
+    ``left`` are the bottom's residuals in these rows, and become the composite's; ``layers_left`` are the
+    layers'.
     """
 
     def stored(name: str) -> Float32s:
@@ -250,19 +256,19 @@ def _folded(
     nowhere = np.zeros(rows.size, np.bool_)
     for layer in layers:
         for name in layer.painted(texture.channels):
-            own = layer.paints(name)
-            part = stored(alpha_of(own) or "")[:, 0] * np.float32(layer.opacity)
+            paint = layer.paints(name)
+            part = stored(alpha_of(paint) or "")[:, 0] * np.float32(layer.opacity)
             if layer.has_mask and layer.mask in texture.channels:
                 part = part * (1 - stored(layer.mask)[:, 0])
             old = {each: found[each] for each in (name, ALPHA.name) if each in found}
-            for each, (new, share) in mixed(layer.blend, name, old, stored(own), part, nowhere).items():
+            for each, (new, share) in mixed(layer.blend, name, old, stored(paint), part, nowhere).items():
                 if not texture.channels[each].format.dtype.startswith("float"):
                     new = np.clip(new, -1.0, 1.0)
                 found[each] = new
-                if left is not None and own_left is not None:
+                if left is not None and layers_left is not None:
                     left[each] = left[each] * (1 - share[:, None])
                     if each == name and layer.blend == "over":
-                        left[each] += own_left[own] * share[:, None]
+                        left[each] += layers_left[paint] * share[:, None]
     return found
 
 
@@ -273,12 +279,12 @@ def _average(texture: OctreeTexture, layers: Sequence[Layer], made: Mapping[str,
     differs = np.zeros(tree.n_cells, np.bool_)
 
     def compare(cells: slice) -> None:
-        own = slice(*np.searchsorted(rows.cells, [cells.start, cells.stop]).tolist())
+        split = slice(*np.searchsorted(rows.cells, [cells.start, cells.stop]).tolist())
         for name, channel in made.items():
             bottom = texture.channels[name]
             differs[cells] |= (channel.values[cells] != bottom.values[cells]).any(axis=1)
-            apart = (channel.split_values[own] != bottom.split_values[own]).any(axis=1)
-            differs[rows.cells[own][apart]] = True
+            apart = (channel.split_values[split] != bottom.split_values[split]).any(axis=1)
+            differs[rows.cells[split][apart]] = True
 
     painted = [layer.paints(name) for layer in layers for name in layer.painted(texture.channels)]
     ends = tree.arrays.level_nodes.tolist()
@@ -305,16 +311,144 @@ def _average_at(
     nodes: Nodes,
 ) -> None:
     """Average the composite, in place, in nodes of one level."""
-    own = {name: residuals(texture, name, nodes) for name in (*made, *painted)}
+    before = {name: residuals(texture, name, nodes) for name in (*made, *painted)}
     of_rows = rows_of(texture.tree.split, nodes.cells).rows
     both: list[dict[str, Floats]] = []
     for number, (kind, rows) in enumerate((("values", nodes.cells), ("split_values", of_rows))):
-        left = {name: own[name][number] for name in made}
-        layers_left = {name: own[name][number] for name in painted}
+        left = {name: before[name][number] for name in made}
+        layers_left = {name: before[name][number] for name in painted}
         _folded(texture, layers, list(made), kind, rows, left, layers_left)
         both.append(left)
     for name in sorted(made, key=lambda name: alpha_of(name) is not None):
-        # How bright light may be must not depend on which part of a texture this is.
+        # The limit of bright light must not depend on the part of the texture in this draft.
         is_light = made[name].format.space in ("srgb", "linear")
         apart = Residuals(both[0][name], both[1][name])
         average(texture, made[name], apart, nodes, (0.0, np.inf) if is_light else None)
+
+
+#: What to keep of a file whose composite was edited after it was saved.
+Keep = Literal["layers", "shown"]
+
+#: The metadata that lists the layers, and infixes and suffixes of their channels.
+LISTED = "layers"
+_IN_LAYER, _IN_BOTTOM = " in layer ", " in the bottom"
+
+
+def as_file(texture: OctreeTexture, stack: Stack) -> OctreeTexture:
+    """Return the texture that a stack's file holds."""
+    channels = {}
+    for name, channel in texture.channels.items():
+        plain = plain_name(name)
+        if name == plain:
+            has_twin = composite_name(name) in texture.channels
+            made = name + _IN_BOTTOM if has_twin else name
+        elif name == composite_name(plain):
+            made = plain
+        else:
+            made = plain + _IN_LAYER + name.removeprefix(channel_in("", plain))
+        channels[made] = channel.named(made)
+    order = sorted(channels, key=_is_of_stack)
+    listed = {
+        "composite": _digest(channels, texture),
+        "channels": [*filter(_is_of_stack, order)],
+        "layers": [layer._asdict() for layer in stack],
+    }
+    metadata = {**texture.metadata, LISTED: json.dumps(listed)}
+    made_of = {name: channels[name] for name in order}
+    return OctreeTexture(texture.tree, made_of, texture.placement, texture.bounds, metadata)
+
+
+def from_file(texture: OctreeTexture, keep: Keep | None = None) -> tuple[OctreeTexture, Stack]:
+    """Return the stack's texture and layers from a file's texture; any other texture has no layers.
+
+    ``keep`` "shown" drops the layers. Raises ArgumentError for an unreadable list of layers, and without
+    ``keep`` for a composite that was edited after it was saved.
+    """
+    if keep is not None:
+        as_choice(keep, get_args(Keep), "keep")
+    if LISTED not in texture.metadata:
+        return texture, ()
+    if keep == "shown":
+        return _flat(texture), ()
+    try:
+        listed = json.loads(texture.metadata[LISTED])
+        digest, names = listed["composite"], {str(name) for name in listed["channels"]}
+        stack = tuple(check_layer(Layer(**each)) for each in listed["layers"])
+        if len({layer.number for layer in stack}) < len(stack) or any(
+            type(layer.number) is not int or layer.number < 1 for layer in stack
+        ):
+            raise ArgumentError("the layers' numbers are not distinct")
+    except (ValueError, TypeError, KeyError, ArgumentError) as error:
+        raise ArgumentError(f"the texture's metadata {LISTED!r} is no list of layers: {error}") from None
+    channels = {}
+    bottoms = {name.removesuffix(_IN_BOTTOM) for name in texture.channels if name.endswith(_IN_BOTTOM)}
+    for name, channel in texture.channels.items():
+        plain, mark, layer = name.partition(_IN_LAYER)
+        made = channel_in(layer, plain) if mark else name.removesuffix(_IN_BOTTOM)
+        if name not in bottoms:
+            channels[made] = channel.named(made)
+    _check(channels, stack)
+    metadata = {name: text for name, text in texture.metadata.items() if name != LISTED}
+    made_of = with_composite(
+        OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata), stack
+    )
+    is_whole = names <= texture.channels.keys()
+    is_same = digest == _digest(texture.channels, texture) or _looks_like(made_of, texture)
+    if keep is None and not (is_whole and is_same):
+        raise ArgumentError(
+            "the texture was edited after its layers were saved, so they no longer make what it shows; "
+            "keep shown leaves the layers out, keep layers leaves the edit out"
+        )
+    return made_of, stack
+
+
+def settled(texture: OctreeTexture, keep: Keep) -> OctreeTexture:
+    """Return a texture whose layers make what it shows. Raises ArgumentError as `from_file`."""
+    texture, stack = from_file(texture, keep)
+    return as_file(texture, stack) if stack else texture
+
+
+def _flat(texture: OctreeTexture) -> OctreeTexture:
+    """Return the composite of a file, without its layers."""
+    channels = {name: channel for name, channel in texture.channels.items() if not _is_of_stack(name)}
+    metadata = {name: text for name, text in texture.metadata.items() if name != LISTED}
+    return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata)
+
+
+def _is_of_stack(name: str) -> bool:
+    return _IN_LAYER in name or _IN_BOTTOM in name
+
+
+def _digest(channels: Mapping[str, Channel], texture: OctreeTexture) -> str:
+    """Return a digest of a file's composite and tree."""
+    tree = texture.tree
+    seen = [(name, *channels[name]) for name in sorted(channels) if not _is_of_stack(name)]
+    return digest_of([*tree.arrays], [*tree.split], [*tree.kept], seen).hex()
+
+
+def _looks_like(made: OctreeTexture, texture: OctreeTexture) -> bool:
+    """Return whether a stack's composite equals a file's in leaves: `crop` changes the nodes."""
+    tree = made.tree
+    is_leaf = np.ones(tree.n_cells, np.bool_)
+    is_leaf[node_cells(tree.arrays)] = False
+    chosen = is_leaf, is_leaf[rows_of(tree.split).cells], np.ones(tree.kept.cells.size, np.bool_)
+    return all(
+        np.array_equal(one[rows], other[rows])
+        for name, channel in shown(made, shown_names(made)).channels.items()
+        if name in texture.channels
+        for one, other, rows in zip(channel[1:], texture.channels[name][1:], chosen, strict=True)
+    )
+
+
+def _check(channels: Mapping[str, Channel], stack: Stack) -> None:
+    """Raise ArgumentError for a layer's paint that lacks coverage, or fits no channel of the bottom."""
+    components = {name: channel.format.components for name, channel in channels.items()}
+    for layer in stack:
+        for name in filter(layer.owns, channels):
+            plain, alpha = plain_name(name), alpha_of(name)
+            wanted = 1 if alpha is None else components.get(plain)
+            if components[name] != wanted or (alpha is not None and components.get(alpha) != 1):
+                raise ArgumentError(
+                    f"layer {layer.name!r} paints {plain} in another way than the texture has it: the file "
+                    "is damaged, or another program has changed its channels"
+                )

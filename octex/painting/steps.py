@@ -1,8 +1,8 @@
 """The steps of painting, named and numbered as in the paper (4.1).
 
-A layer of paint is rasterized (1), and merged into drafts: parts of the texture with all that the paint in
-them reaches. In each, cells that no surface is in are culled before they are made (7), the boundary is formed
-(3), the texture raised (4), the paint brought to its leaves (2), merged (5) and deleted (6).
+A layer of paint is rasterized (1) and merged into drafts, the parts of the texture that it touches. In each,
+cells without surface are culled before they are made (7), the boundary is formed (3), the texture raised (4),
+and the paint refined to its leaves (2), merged (5) and deleted (6).
 """
 
 from __future__ import annotations
@@ -56,18 +56,21 @@ from octex.painting.boundary import (
     skirt_paint,
     with_old_skirts,
 )
-from octex.painting.cells import (
+from octex.painting.layer import (
+    CELLS,
+    Depths,
     Paint,
+    PaintSource,
     SurfaceCells,
-    among_at,
+    blocks_meeting,
+    empty_texture,
     facings_within,
+    is_plain,
     joined,
     paint_on_leaves,
     painted_channel,
-    some,
     with_bare_facings,
 )
-from octex.painting.layer import CELLS, Depths, PaintSource, empty_texture, is_plain
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Progress
 from octex.texture import OctreeTexture
@@ -79,30 +82,29 @@ from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of
-from octex.voxelize.fragments import Blocks
 
 _NONE = np.empty(0, np.int64)
-#: Cells that are blended at once.
+#: Cells that are blended in one pass.
 _BLOCK = 1 << 16
 
 
 class Boundary(NamedTuple):
-    """Paint with the boundary around it, and the cells to raise a tree to; lists are by level."""
+    """Paint with its boundary, and the arguments of `raised`; lists are by level."""
 
-    paint: list[Paint]  # with that of the boundary
-    wanted: list[Int64s]  # cells below leaves
-    stored: list[Int64s]  # all cells below these leaves that there will be
-    added: list[Int64s]  # leaves where the tree has nothing
-    freed: list[Int64s]  # leaves that keep nothing as nodes
+    paint: list[Paint]  # includes the boundary's
+    wanted: list[Int64s]
+    stored: list[Int64s]
+    added: list[Int64s]
+    freed: list[Int64s]
 
 
 class Raster(NamedTuple):
-    """A surface rasterized: means of paint in cells, before a tree is made of them."""
+    """The averages of paint in cells, before a tree is made of them."""
 
     channels: tuple[ChannelFormat, ...]
     placement: Placement
     bounds: Float64s
-    cells: CellLevels | None  # None: no paint is on the surface
+    cells: CellLevels | None  # None: no paint meets the surface
 
 
 def rasterize_surface(
@@ -116,10 +118,10 @@ def rasterize_surface(
     fit: bool,
     cells: float = CELLS,
 ) -> Raster:
-    """1. Rasterize the surface: read paint in all cells; `layer_from` needs the source no more.
+    """1. Rasterize the surface: read the source in all cells, so that `layer_from` needs it no more.
 
-    Leaves have ``cells`` in the width of the paint's detail, as even as ``depths`` say, and samples to
-    ``fit`` their values to. What no paint is on has no cells.
+    Leaves have ``cells`` per width of the paint's detail, within ``depths``, and samples to ``fit`` their
+    values to. Surface without paint has no cells.
     """
     surface, depth = painted.surface, depths.deepest
     channels = tuple(source.channels)
@@ -138,10 +140,7 @@ def rasterize_surface(
 
 
 def layer_from(raster: Raster, executor: Executor, progress: Progress) -> OctreeTexture:
-    """Return the paint octree of a raster: a texture of the painted channel and its coverage.
-
-    Leaves hold means or, where there are samples, what brings the field nearest to the paint.
-    """
+    """Return the paint octree of a raster: a texture of the painted channel and its coverage."""
     channels, placement, bounds, filled = raster
     nothing = empty_texture(channels, placement, bounds)
     if filled is None:
@@ -165,19 +164,19 @@ def _wanted(
 
 
 def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged | None:
-    """Merge paint into a draft of the texture; return None if none of it is there."""
+    """Merge paint into a draft of the texture; return None for none."""
     tree = draft.tree
-    if alpha_of(task.target) is None:  # where nothing is, coverage alone adds nothing
+    if alpha_of(task.target) is None:  # coverage alone adds no cells
         found = [locate(tree, each.codes, level) for level, each in enumerate(paint)] if tree.n_leaves else []
         paint = [
-            some(each, (where.levels == level) | where.is_leaf)
+            each.of((where.levels == level) | where.is_leaf)
             for level, (each, where) in enumerate(zip(paint, found, strict=False))
         ]
     if not any(each.codes.size for each in paint):
         return None
     surface_cells: SurfaceCells | None = None
     if tree.n_leaves:
-        is_skirt = tree.arrays.areas == SKIRT  # leaves that no surface is in
+        is_skirt = tree.arrays.areas == SKIRT  # leaves without surface
         doubted = doubted_leaves(tree, paint, is_skirt) if tree.kept.cells.size else []
         if doubted:
             met = cull_cells(task, doubted, doubted[-1][0])
@@ -198,7 +197,7 @@ def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged
         is_skirt = np.zeros(tree.n_cells, np.bool_)
         paint = paint[: _deepest(paint) + 1]
         edited = rebuilt(tree, [each.codes for each in paint])
-        edited = edited._replace(old=np.full_like(edited.old, -1))  # its root stood for nothing
+        edited = edited._replace(old=np.full_like(edited.old, -1))  # an empty tree's root is no cell
     with own_making():
         made = raise_texture(task, draft, edited, surface_cells, paint, is_skirt)
         paint = refine_paint(paint, task.layer, made.texture.tree, task.opacity)
@@ -210,7 +209,7 @@ def _deepest(paint: Sequence[Paint]) -> int:
 
 
 def cull_cells(task: Merge, within: Sequence[tuple[int, Int64s]], depth: int) -> SurfaceCells:
-    """7. Cull: return the cells down to ``depth`` that the surface meets in some cells, given by level."""
+    """7. Cull: return the cells down to ``depth`` that the surface meets within cells, listed by level."""
     placement, surface = task.texture.placement, task.surface.surface
     none = SurfaceCells(Octree.from_leaves(_NONE, 0), [_NONE] * (depth + 1))
     root = task.surface.grid(placement).touching(within, depth) if within else None
@@ -220,7 +219,7 @@ def cull_cells(task: Merge, within: Sequence[tuple[int, Int64s]], depth: int) ->
     try:
         filled = cell_levels(
             surface, None, (), placement, depth, task.executor, task.progress,
-            has_samples=False, root=root, reached=partial(_are_among, around),
+            has_samples=False, root=root, reached=partial(blocks_meeting, around),
         )  # fmt: skip
     except ModelError:  # no triangle there has an area
         return none
@@ -228,28 +227,20 @@ def cull_cells(task: Merge, within: Sequence[tuple[int, Int64s]], depth: int) ->
     return SurfaceCells(tree, [codes for codes, _ in tree.walk()])
 
 
-def _are_among(cells: Sequence[tuple[int, Int64s]], blocks: Blocks) -> Bools:
-    """Say which blocks meet cells, given by level."""
-    found = np.zeros(blocks.codes.size, np.bool_)
-    for level, codes in cells:
-        found |= among_at(blocks.codes, blocks.level, codes, level)
-    return found
-
-
 def form_boundary(
     task: Merge, tree: Octree, paint: Sequence[Paint], is_skirt: Bools, finer: Finer, met: SurfaceCells
 ) -> Boundary:
-    """3. Form the boundary around paint: cells beside it on the surface, and skirts off the surface.
+    """3. Form the boundary around paint: neighbours on the surface, and skirts off the surface.
 
-    Without a skirt, what kept coefficients refine to would show through. Leaves surrounded by hiding paint
-    keep none. Skirts where nothing was would move other channels, so textures with those have none.
+    Skirts hide the kept coefficients next to paint. Leaves surrounded by opaque paint keep none. New skirts
+    would move other channels, so textures with other channels have none.
     """
     depth = _deepest(paint)
     leaves = [
         distinct(np.concatenate([_NONE, *(codes for at, codes in finer.leaves if at == level)]))
         for level in range(max(tree.max_depth, depth) + 1)
     ]
-    # New cells of paint, and what is above them, count as met: whatever the surface says, no skirt holds any.
+    # New cells of paint and all above them count as met, so that no skirt contains any.
     new = with_all_above(
         [np.concatenate([finer.below[level], finer.added[level]]) for level in range(depth + 1)]
     )
@@ -262,13 +253,13 @@ def form_boundary(
         unraised, bare = bare_surface(tree, is_skirt, paint, above, leaves, met)
     coarsest = task.coarsest
     freed = free_leaves(tree, paint, leaves, bare, coarsest, task.hiding) if hides else []
-    found = Boundary([], [], [], [], freed)
-    skirts: list[Int64s] = []  # none lies in another
+    made = Boundary([], [], [], [], freed)
+    skirts: list[Int64s] = []  # none lies in another one
     for level, each in enumerate(paint[: depth + 1]):
         if not each.codes.size:
-            found.paint.append(each)
-            found.wanted.append(_NONE)
-            found.added.append(finer.added[level])
+            made.paint.append(each)
+            made.wanted.append(_NONE)
+            made.added.append(finer.added[level])
             skirts.append(_NONE)
             continue
         surface_cells = distinct(np.concatenate([met.codes[level], new[level]]))
@@ -281,31 +272,30 @@ def form_boundary(
             faced = tree.level_codes(level)[~is_skirt[first:end]]
             surface_cells = distinct(np.concatenate([surface_cells, faced]))
         kinds = [skirt_of(outer, painted, whole_ring, surface_cells, level)]
-        here = finer.absent[level]
-        here = here[is_beside_old(here, level, above, bare, coarsest)]
-        roots = np.maximum(locate(tree, here, level).levels + 1, coarsest)
+        absent = finer.absent[level]
+        absent = absent[is_beside_old(absent, level, above, bare, coarsest)]
+        roots = np.maximum(locate(tree, absent, level).levels + 1, coarsest)
         for top in distinct(roots).tolist():
-            own = here[roots == top], painted, whole_ring, surface_cells, unraised[:level]
-            kinds.append(skirt_on_nothing(*own, level, top))
+            around = painted, whole_ring, surface_cells, unraised[:level]
+            kinds.append(skirt_on_nothing(absent[roots == top], *around, level, top))
         skirt = np.sort(np.concatenate(kinds), kind="stable")
         skirt = skirt[~is_within(skirt, skirts, level) & ~among(skirt, new[level])]
         where = locate(tree, skirt, level)
-        # What the surface meets in leaves beside kept nodes that are not raised is not known: they might not
-        # stay as they are.
+        # Which cells the surface meets in unraised leaves next to kept nodes is unknown.
         is_below_kept = (where.levels < level) & (tree.arrays.flags[where.cells] & KEPT != 0)
         is_below_kept[is_below_kept] = beside_larger(skirt[is_below_kept], tree, leaves, level)
         skirt, where = skirt[~is_below_kept], where.of(~is_below_kept)
         skirts.append(skirt)
-        is_free = ~is_within(skirt, painted, level)  # others are painted with the larger cells around them
+        is_free = ~is_within(skirt, painted, level)  # the larger cells around the others are painted
         is_new = where.levels < level
-        found.paint.append(joined(each, skirt_paint(skirt[is_free], level, task.executor, each)))
+        made.paint.append(joined(each, skirt_paint(skirt[is_free], level, task.executor, each)))
         added = [finer.added[level], skirt[is_free & is_new & ~where.is_leaf]]
-        found.added.append(np.sort(np.concatenate(added), kind="stable"))
+        made.added.append(np.sort(np.concatenate(added), kind="stable"))
         wanted = [finer.below[level], ring, skirt[is_new & where.is_leaf]]
-        found.wanted.append(distinct(np.concatenate(wanted)))
+        made.wanted.append(distinct(np.concatenate(wanted)))
     every = zip(met.codes, new, with_all_above(skirts), strict=True)
-    found.stored.extend(distinct(np.concatenate(each)) for each in every)
-    return found
+    made.stored.extend(distinct(np.concatenate(each)) for each in every)
+    return made
 
 
 def raise_texture(
@@ -316,7 +306,7 @@ def raise_texture(
     paint: Sequence[Paint],
     is_skirt: Bools,
 ) -> Raised:
-    """4. Raise the texture to where the paint is finer: new cells have what the field refines to.
+    """4. Raise the texture where paint is finer: the field's refinement gives the values of new cells.
 
     Leaves above become nodes that keep their coefficients, so the field does not move.
     """
@@ -328,8 +318,8 @@ def raise_texture(
     flags, areas = tree.arrays.flags.copy(), tree.arrays.areas.copy()
     rows: list[tuple[Int64s, Below]] = []
     added: list[Int64s] = []
-    found: list[tuple[Int64s, Mapping[str, Float32s]]] = []
-    looked_up = [(_NONE, np.empty((0, 3)))]
+    new_values: list[tuple[Int64s, Mapping[str, Float32s]]] = []
+    centres = [(_NONE, np.empty((0, 3)))]  # of cells that are sampled
     shows = _showing(task, draft.tree, edited, paint)
     for level, (codes, is_node) in enumerate(tree.walk()):
         first = int(tree.arrays.level_cells[level])
@@ -346,12 +336,12 @@ def raise_texture(
             _face(flags, areas, cells[is_met], met.tree, at + int(met.tree.arrays.level_cells[level]))
         is_painted = (inside.levels == level) & ~is_met
         _face(flags, areas, cells[is_painted], task.layer.tree, inside.cells[is_painted])
-        is_bare = ~is_met & ~is_painted  # skirts, which face as the paint beside them, and nodes above them
+        is_bare = ~is_met & ~is_painted  # skirts, with the facings of the paint next to them, and nodes above
         flags[cells[is_bare]] |= facings_within(new_codes[is_bare], paint, level)
         areas[cells[is_bare]] = SKIRT
-        is_own = is_painted & ~where.is_leaf
-        added[-1] = new_codes[is_own]
-        is_fresh[cells[~where.is_leaf & (is_own | is_node[new])]] = True
+        is_added = is_painted & ~where.is_leaf
+        added[-1] = new_codes[is_added]
+        is_fresh[cells[~where.is_leaf & (is_added | is_node[new])]] = True
         is_kept = draft.tree.arrays.flags[where.cells] & KEPT != 0
         is_refined = where.is_leaf | is_kept | is_bare & ~is_node[new]
         is_other = ~is_refined & ~is_node[new]  # nodes are averaged
@@ -359,19 +349,19 @@ def raise_texture(
         facings = np.where(where.is_leaf, flags[cells] & np.uint8(FACING_FLAGS), np.uint8(0))
         below = refined_below(draft, new_codes[is_refined], level, facings[is_refined], task.executor)
         rows.append((cells[is_refined], below))
-        found.append((cells[is_refined], below.values))
-        looked_up.append((cells[is_other], (decode_cells(new_codes[is_other]) + 0.5) / 2**level))
-    others, centres = (np.concatenate(column) for column in zip(*looked_up, strict=True))
+        new_values.append((cells[is_refined], below.values))
+        centres.append((cells[is_other], (decode_cells(new_codes[is_other]) + 0.5) / 2**level))
+    others, points = (np.concatenate(column) for column in zip(*centres, strict=True))
     if draft.tree.n_leaves and others.size:
-        points = draft.placement.to_rest(centres)
+        points = draft.placement.to_rest(points)
         sampled = task.texture.sample(points, list(draft.channels), normalize=False)
         for name in sampled.keys() - {task.target, alpha_of(task.target)}:
             if alpha_of(name) is None:
-                sampled[name][:] = 0.0  # no other layer has paint there
-        found.append((others, sampled))
+                sampled[name][:] = 0.0  # other layers have no paint there
+        new_values.append((others, sampled))
     for name, channel in draft.channels.items():
-        for chosen, own in found:
-            values[name][chosen] = encode(own[name], channel.format.dtype, channel.format.space)
+        for chosen, found in new_values:
+            values[name][chosen] = encode(found[name], channel.format.dtype, channel.format.space)
     channels = carried(draft, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     made = refaced(with_rows(draft.with_cells(tree, channels), rows))
@@ -383,7 +373,7 @@ def raise_texture(
 
 
 def _showing(task: Merge, tree: Octree, edited: Edited, paint: Sequence[Paint]) -> Bools:
-    """Say in which leaves of a tree (cells,) something shows through paint on the new cells below them."""
+    """Return the leaves of a tree (cells,) that show through paint on the new cells below them."""
     if not (task.is_all_painted and task.blend in ("over", "replace")):
         return np.ones(tree.n_cells, np.bool_)
     shows = np.zeros(tree.n_cells, np.bool_)
@@ -398,19 +388,19 @@ def _showing(task: Merge, tree: Octree, edited: Edited, paint: Sequence[Paint]) 
 
 
 def _face(flags: Uint8s, areas: Uint8s, cells: Int64s, tree: Octree, sources: Int64s) -> None:
-    """Give cells the facings and areas of cells of another tree, in place."""
+    """Copy facings and areas from cells of another tree, in place."""
     flags[cells] |= tree.arrays.flags[sources] & np.uint8(FACING_FLAGS)
     areas[cells] = tree.arrays.areas[sources]
 
 
 def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opacity: float) -> list[Paint]:
-    """2. Bring paint to the resolution of a tree that is deeper, by the field's refinement.
+    """2. Refine paint to the leaves of a deeper tree, by the field's refinement.
 
-    The paper does so for translucent paint; here for all, as trees of even depth are looked up faster.
+    The paper does so for translucent paint; here for all, since lookups are faster in trees of even depth.
     """
     found = list(paint)
     while len(found) <= tree.max_depth:
-        found.append(some(paint[0], slice(0)))
+        found.append(paint[0].of(slice(0)))
     if all(locate(tree, each.codes, level).is_leaf.all() for level, each in enumerate(paint)):
         return found
     name, walk = painted_channel(layer), list(tree.walk())
@@ -419,8 +409,8 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
         is_above = among(found[level].codes, codes[is_node])
         if not is_above.any():
             continue
-        coarse = some(found[level], is_above)
-        found[level] = some(found[level], ~is_above)
+        coarse = found[level].of(is_above)
+        found[level] = found[level].of(~is_above)
         parents = coarse.codes
         for deeper in range(level + 1, len(walk)):
             codes, is_node = walk[deeper]
@@ -433,13 +423,13 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
                 owners = np.searchsorted(coarse.codes, leaves >> 3 * (deeper - level))
                 values = refined_values(layer.tree, layer.channels, leaves, deeper)
                 coverage = values[ALPHA.name][:, 0] * np.float32(opacity)
-                own = Paint(leaves, values[name], coverage, coarse.cells[owners], coarse.flags[owners])
-                found[deeper] = joined(found[deeper], own)
+                fine = Paint(leaves, values[name], coverage, coarse.cells[owners], coarse.flags[owners])
+                found[deeper] = joined(found[deeper], fine)
     return found
 
 
 def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[Paint]) -> Merged:
-    """5. Merge the paint: blend each leaf, skirt and kept coefficient under it once, and average above."""
+    """5. Merge the paint: blend each leaf, skirt and kept coefficient under it once; average nodes above."""
     tree, is_skirt, is_fresh, is_new = raised.texture.tree, raised.is_skirt, raised.is_fresh, raised.old < 0
     bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size or is_skirt.any() else []
     paint = with_old_skirts(tree, paint, bare, is_skirt, task.executor)
@@ -449,9 +439,9 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     may_split = may_differ(tree, cells, on_leaves.flags, above)
     base = with_split_cells(raised.texture, may_split)
     alpha = alpha_of(task.target)
-    met = {name: own for name, own in base.channels.items() if name in (task.target, alpha)}
+    targets = {name: channel for name, channel in base.channels.items() if name in (task.target, alpha)}
     has_covered = covers(task.blend, task.target) or is_fresh[cells].any()
-    names = [name for name in met if name == task.target or has_covered]
+    names = [name for name in targets if name == task.target or has_covered]
     parts = no_parts(base.tree, names)
     channels = writable(base, base.channels if is_new.any() else averaged_with(base.channels, names))
 
@@ -463,13 +453,16 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
         fresh: Bools,
         bare: Int64s | None = None,
     ) -> None:
-        """Blend rows of a kind; fresh ones without paint have the values of cells ``bare``."""
-        old = {name: decode(getattr(own, kind)[rows], own.format.space) for name, own in met.items()}
+        """Blend rows of a kind; fresh ones without paint get the values of cells ``bare``."""
+        old = {
+            name: decode(getattr(channel, kind).take(rows, axis=0), channel.format.space)
+            for name, channel in targets.items()
+        }
         for name, (new, part) in mixed(task.blend, task.target, old, values, coverage, fresh).items():
             form = channels[name].format
             if bare is not None and alpha_of(name) is not None:
-                some_bare = fresh & (coverage == 0)
-                new[some_bare] = decode(channels[name].values[bare[some_bare]], form.space)
+                is_bare = fresh & (coverage == 0)
+                new[is_bare] = decode(channels[name].values[bare[is_bare]], form.space)
             getattr(channels[name], kind)[rows] = encode(new, form.dtype, form.space)
             if kind != "kept_values":
                 getattr(parts[name], kind)[rows, 0] = part
@@ -481,12 +474,12 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     if kept[0].size:
         blend("kept_values", *kept, np.zeros(kept[0].size, np.bool_))
     rows = rows_of(base.tree.split, cells)
-    owners = some(on_leaves, np.searchsorted(cells, rows.cells))
+    owners = on_leaves.of(np.searchsorted(cells, rows.cells))
     facings = facings_of_paint(task.layer, owners, rows.bits, task.opacity)
     blend("split_values", rows.rows, *facings, is_fresh[rows.cells], rows.cells)
     return averaged(task, draft, raised, Blended(base, channels, parts, above, may_split), painted)
 
 
 def delete_paint(merged: Merged) -> OctreeTexture:
-    """6. Delete the paint: return the texture without what says how much of it is paint."""
+    """6. Delete the paint: return the texture without the record of its painted parts."""
     return merged.texture

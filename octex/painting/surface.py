@@ -1,4 +1,4 @@
-"""The surface that is painted, and which of its triangles lie near paint."""
+"""The painted surface, with cached views of it, and a grid that finds its triangles near paint."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
 from octex.painting.options import triangles_of
 from octex.painting.picture import Projection
-from octex.painting.project import Projected, Shading
-from octex.painting.reading import Terms
+from octex.painting.project import Projected, Shading, Sight, sight_of
+from octex.painting.reading import Shot, Terms
 from octex.painting.resume import NOT_STORED, Stages, digest_of
-from octex.painting.sight import Shot, Sight, sight_of
 from octex.painting.unwrap import Patch
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
@@ -35,7 +34,7 @@ _COARSE = 7
 
 
 class PaintedSurface:
-    """A surface, and what painting reads of it; in a session normals and last sights are cached."""
+    """A surface to paint on; a session caches its normals and its last views."""
 
     def __init__(
         self, surface: Surface, *, in_session: bool = False, other: PaintedSurface | None = None
@@ -45,28 +44,27 @@ class PaintedSurface:
         self._other = other  # the same surface in another pose
         self._grid: tuple[Placement, TriangleGrid] | None = None
         self._sights: dict[bytes, Sight] = {}
-        self._flat: tuple[Surface, PaintedSurface] | None = None  # the last one
+        self._flat: tuple[Surface, PaintedSurface] | None = None  # the last patch
 
     def posed(self, surface: Surface) -> PaintedSurface:
-        """Return another pose of the surface, which shares what is known of it at rest.
+        """Return another pose of the surface, which shares the grid at rest.
 
         Raises ArgumentError for a surface with other triangles or rest positions.
         """
-        mine = self.surface
         for name in "triangles", "rest":
-            if not np.array_equal(getattr(surface, name), getattr(mine, name)):
-                raise ArgumentError(f"{surface.name} is no pose of {mine.name}: it has other {name}")
+            if not np.array_equal(getattr(surface, name), getattr(self.surface, name)):
+                raise ArgumentError(f"{surface.name} is no pose of {self.surface.name}: it has other {name}")
         return PaintedSurface(surface, in_session=self._in_session, other=self)
 
     def flat(self, patch: Patch, texture: OctreeTexture | None) -> PaintedSurface:
-        """Return the surface laid flat, which shares what is known of it at rest."""
+        """Return the surface laid flat, which shares the grid at rest."""
         if self._flat is None or self._flat[0] is not patch.surface or not self._in_session:
             flat = patch.surface if texture is None else patch.surface.placed_in(texture)
             self._flat = patch.surface, PaintedSurface(flat, in_session=self._in_session, other=self)
         return self._flat[1]
 
     def grid(self, placement: Placement) -> TriangleGrid:
-        """Return where the triangles lie in a root cell."""
+        """Return the grid of the triangles in a root cell."""
         if self._other is not None:
             return self._other.grid(placement)
         if self._grid is None or self._grid[0] != placement:
@@ -75,7 +73,7 @@ class PaintedSurface:
 
     @cached_property
     def stretches(self) -> Float32s:
-        """How long on each triangle (m,) at rest is what is 1 long on the posed one, by their areas."""
+        """Each triangle's (m,) length at rest of a length of 1 on the posed one, by their areas."""
         vertices, rest, triangles = self.surface.vertices, self.surface.rest, self.surface.triangles
         if rest is vertices:
             return np.ones(len(triangles), np.float32)
@@ -86,7 +84,7 @@ class PaintedSurface:
 
     @cached_property
     def shading(self) -> Shading:
-        """The normals that angles to cameras are measured to: the surface's own, or `corner_normals`."""
+        """The normals for angles to cameras: the surface's frames, or `corner_normals`."""
         mesh = self.surface.vertices, self.surface.triangles
         if self.surface.frames is not None:
             return partial(_normals_of_frames, self.surface)
@@ -96,7 +94,7 @@ class PaintedSurface:
 
     @cached_property
     def content(self) -> bytes:
-        """A digest of where it is, at rest and posed, and of how it shades."""
+        """A digest of its positions, at rest and posed, and of its normals."""
         surface = self.surface
         frames = () if surface.frames is None else (*surface.frames.normals, *surface.frames.tangents)
         return digest_of(surface.vertices, surface.rest, surface.triangles, frames)
@@ -104,7 +102,7 @@ class PaintedSurface:
     def projected(
         self, shots: Sequence[Shot], form: ChannelFormat, terms: Terms, region: npt.ArrayLike | None = None
     ) -> Projected:
-        """Return the paint of shots of it, or of some of its triangles."""
+        """Return the paint of shots of it, or of the triangles of a region."""
         mesh = self.surface.vertices, self.surface.triangles
         count = len(self.surface.triangles)
         chosen = None if region is None else triangles_of(region, count)
@@ -123,15 +121,15 @@ class PaintedSurface:
         *,
         hidden: bool = False,
     ) -> Iterator[Sight]:
-        """Yield what cameras see of it; see `sight_of`."""
+        """Yield the surface visible to each camera; see `sight_of`."""
         mesh = self.surface.vertices, self.surface.triangles
-        own = stages.of(lambda: [self.content])
+        stages = stages.of(lambda: [self.content])
         before, self._sights = self._sights, {}
         for camera in cameras:
             key = key_of(camera) + np.float64(feather).tobytes() + bytes([hidden])
             sight = before.get(key) or self._sights.get(key)
             if sight is None:
-                sight = sight_of(*mesh, camera, feather, executor, own, hidden=hidden)
+                sight = sight_of(*mesh, camera, feather, executor, stages, hidden=hidden)
             if self._in_session:
                 self._sights[key] = sight
             yield sight
@@ -140,7 +138,7 @@ class PaintedSurface:
 def laid_flat(
     surface: PaintedSurface, projections: list[Projection], texture: OctreeTexture | None
 ) -> tuple[PaintedSurface, list[Projection]]:
-    """Return the surface, laid flat if pictures are through a patch, and the pictures with cameras."""
+    """Return the surface, laid flat if pictures have a patch for a camera, and the pictures with cameras."""
     patch = next((each.camera for each in projections if isinstance(each.camera, Patch)), None)
     if patch is None:
         return surface, projections
@@ -153,7 +151,7 @@ def laid_flat(
 
 
 def key_of(camera: Camera) -> bytes:
-    """Return what tells one camera from another."""
+    """Return bytes that identify a camera."""
     numbers = camera.width, camera.height, camera.projection == "pinhole"
     parts = camera.world_to_camera, camera.K, camera.lens, numbers
     return b"".join(np.asarray(part, np.float64).tobytes() for part in parts)
@@ -166,44 +164,44 @@ def _normals_of_frames(surface: Surface, chosen: Int32s) -> Float32s:
 
 
 class TriangleGrid:
-    """Where the triangles of a surface lie in a root cell: the coarse cells that their boxes reach."""
+    """The coarse cells of a root cell that the boxes of a surface's triangles reach."""
 
     def __init__(self, surface: Surface, placement: Placement) -> None:
         self._grid, self._faces = on_grid(surface.rest, placement), surface.triangles
         self._boxes = _boxes(self._grid, self._faces, GRID_BITS - _COARSE)
 
     def around(self, chosen: Int32s, depth: int) -> Blocks:
-        """Return the triangles in or beside coarse cells, no finer than ``depth``, of ``chosen`` ones."""
+        """Return the triangles in or next to the coarse cells of ``chosen`` ones, of ``depth`` at most."""
         shift = max(_COARSE - depth, 0)
         found = self._sharing(self._boxes[chosen] >> np.uint8(shift), shift, 1)
         return whole(self._grid, self._faces, depth, found)
 
     def touching(self, cells: Sequence[tuple[int, Int64s]], depth: int) -> Blocks:
-        """Return the triangles that may meet cells, given as levels and Morton codes."""
+        """Return the triangles that may meet cells, listed as levels and Morton codes."""
         boxes = []
         for level, codes in cells:
             first = last = decode_cells(codes) >> max(level - _COARSE, 0)
             if level < _COARSE:
                 first, last = first << (_COARSE - level), ((first + 1) << (_COARSE - level)) - 1
             boxes.append(np.concatenate([first, last], axis=1).astype(np.uint8))
-        some = any(map(len, boxes))
-        found = self._sharing(np.concatenate(boxes), 0, 0) if some else np.empty(0, np.int32)
+        has_any = any(map(len, boxes))
+        found = self._sharing(np.concatenate(boxes), 0, 0) if has_any else np.empty(0, np.int32)
         return whole(self._grid, self._faces, depth, found)
 
-    def _sharing(self, boxes: Uint8s, shift: int, beside: int) -> Int32s:
-        """Return the triangles that share coarse cells with boxes (n, 6), or cells so far ``beside`` them."""
+    def _sharing(self, boxes: Uint8s, shift: int, reach: int) -> Int32s:
+        """Return the triangles that share coarse cells with boxes (n, 6), widened by ``reach`` cells."""
         first, last = boxes[:, :3].min(axis=0).astype(np.int64), boxes[:, 3:].max(axis=0).astype(np.int64)
-        first = np.maximum(first - beside, 0)
-        last = np.minimum(last + beside, (1 << (_COARSE - shift)) - 1)
+        first = np.maximum(first - reach, 0)
+        last = np.minimum(last + reach, (1 << (_COARSE - shift)) - 1)
         marked = np.zeros(last - first + 1, np.bool_)
         _mark(boxes, first, marked)
-        for axis in range(3 * beside):
+        for axis in range(3 * reach):
             wide = marked.copy()
             before, after = (np.s_[:],) * axis + (np.s_[:-1],), (np.s_[:],) * axis + (np.s_[1:],)
             wide[after] |= marked[before]
             wide[before] |= marked[after]
             marked = wide
-        # Of marked cells before each along all axes a box has a sum of eight.
+        # A summed-volume table: eight entries give the marked cells of a box.
         counts = np.zeros(np.add(marked.shape, 1), np.int32)
         inner = marked.cumsum(0, np.int32)
         np.cumsum(inner, 1, out=inner)
@@ -213,7 +211,7 @@ class TriangleGrid:
 
 @kernel
 def _boxes(grid: Int32s, triangles: Int32s, shift: int) -> Uint8s:
-    """Return the first and the last coarse cell that triangles reach along each axis (m, 6)."""
+    """Return the first and last coarse cell of triangles along each axis (m, 6)."""
     boxes = np.empty((triangles.shape[0], 6), np.uint8)
     for triangle in range(triangles.shape[0]):
         for axis in range(3):
@@ -227,7 +225,7 @@ def _boxes(grid: Int32s, triangles: Int32s, shift: int) -> Uint8s:
 
 @kernel
 def _mark(boxes: Uint8s, first: Int64s, marked: Bools) -> None:
-    """Mark the coarse cells, from ``first`` on, that boxes reach."""
+    """Mark the coarse cells of boxes; ``marked`` begins at cell ``first``."""
     for n in range(boxes.shape[0]):
         for x in range(np.int64(boxes[n, 0]) - first[0], np.int64(boxes[n, 3]) - first[0] + 1):
             for y in range(np.int64(boxes[n, 1]) - first[1], np.int64(boxes[n, 4]) - first[1] + 1):
@@ -237,7 +235,7 @@ def _mark(boxes: Uint8s, first: Int64s, marked: Bools) -> None:
 
 @kernel
 def _reaching(boxes: Uint8s, shift: int, first: Int64s, counts: Int32s) -> Int32s:
-    """Return the triangles whose boxes reach a coarse cell that is marked, of those from ``first`` on."""
+    """Return the triangles whose boxes reach a marked coarse cell; ``counts`` begin at cell ``first``."""
     found = np.empty(boxes.shape[0], np.int32)
     count = 0
     for triangle in range(boxes.shape[0]):
@@ -265,7 +263,7 @@ def _reaching(boxes: Uint8s, shift: int, first: Int64s, counts: Int32s) -> Int32
 def _within(
     boxes: Uint8s, triangle: int, axis: int, shift: int, first: Int64s, shape: tuple[int, int, int]
 ) -> tuple[int, int]:
-    """Return the rows of counts between which a triangle lies; the same one twice outside."""
+    """Return the rows of counts between which a triangle lies; equal ones if it lies outside."""
     low, high = np.int64(boxes[triangle, axis]) >> shift, np.int64(boxes[triangle, 3 + axis]) >> shift
     end = shape[axis] - 1
     return min(max(low - first[axis], 0), end), min(max(high - first[axis] + 1, 0), end)

@@ -1,9 +1,8 @@
-"""A piece of a surface, laid flat: the discrete exponential map around a point.
+"""Unwraps a disc of a surface: the discrete exponential map around a point.
 
-Distances and directions from the centre spread over triangles like a wave (Novotni and Klein 2002): two
-corners of a triangle say where, in its plane, the centre would lie; the third is as far from there as it is
-from the centre, in the direction between those of the two. Schmidt, Grimm and Wyvill (2006) paint by such
-maps.
+Distances and directions from the centre propagate over triangles (Novotni and Klein 2002). Two corners place
+the centre in a triangle's plane; that gives the third corner's distance, and its direction lies between
+theirs. Schmidt, Grimm and Wyvill (2006) paint with such maps.
 """
 
 from __future__ import annotations
@@ -24,17 +23,17 @@ from octex.painting.multigrid import conjugate_gradients
 from octex.source.surface import Surface, as_surface
 from octex.source.welding import first_equal
 
-#: Triangles that meet those at the centre lie flat enough there if their normals are within so many degrees.
+#: Largest angle in degrees between normals around the centre for surface that counts as flat there.
 _FLAT = 25.0
-#: The wave goes on beyond the radius, so that triangles across the rim have all corners.
+#: Factor of the radius up to which distances propagate, so that triangles across the rim have all corners.
 _BEYOND = 1.5
 METHODS = ("exponential", "conformal")
-#: Triangles that fold lie so much of the radius behind the others.
+#: Distance of folded triangles behind the others, as a part of the radius.
 _BEHIND = 1e-3
-#: The solver ends where what is left of the gradient is so much of the first.
+#: Reduction of the gradient at which the solver ends.
 _LEFT = 1e-7
 _MOST_STEPS = 5000
-#: Triangles of less than this part of the mean area say nothing about angles.
+#: Part of the mean area below which a triangle's angles are ignored.
 _SLIVER = 1e-10
 
 
@@ -73,13 +72,13 @@ class Patch:
 
     @property
     def faults(self) -> list[str]:
-        """What is wrong with the disc, in words: folds, and borders inside it; empty if nothing is."""
-        said = []
+        """Sentences on the disc's faults, folds and borders; empty for none."""
+        faults = []
         if self.folded.size:
-            said.append(f"{self.folded.size:,} of its {self.triangles.size:,} triangles fold over")
+            faults.append(f"{self.folded.size:,} of its {self.triangles.size:,} triangles fold over")
         if self.meets_border:
-            said.append("the surface ends within it")
-        return said
+            faults.append("the surface ends within it")
+        return faults
 
     def __repr__(self) -> str:
         faults = "".join(f"; {each}" for each in self.faults)
@@ -164,7 +163,7 @@ def _spread(
     radius: float,
     up: Float64s | None,
 ) -> tuple[Float64s, Bools]:
-    """Return where vertices lie (n, 2), NaN where the wave did not come, and which are on borders."""
+    """Return flat positions of vertices (n, 2), NaN for unreached ones, and which vertices are on borders."""
     flat = np.full((len(vertices), 2), np.nan)
     normals = np.cross(
         vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
@@ -174,7 +173,7 @@ def _spread(
     near = np.flatnonzero(np.isin(faces, faces[start]).any(axis=1) & (lengths[:, 0] > 0))
     normal = units[start]
     is_flat = bool((units[near] @ normal > np.cos(np.radians(_FLAT))).all())
-    if is_flat:  # as round as what is around: between the corners' normals
+    if is_flat:  # interpolate the corners' normals
         corners = [normals[near[(faces[near] == each).any(axis=1)]].sum(axis=0) for each in faces[start]]
         normal = sum(w * each / np.linalg.norm(each) for w, each in zip(barycentric, corners, strict=True))
         normal /= np.linalg.norm(normal)
@@ -220,7 +219,7 @@ def _propagate(
     distances: Float64s,
     angles: Float64s,
 ) -> None:
-    """Fill in distances and angles from ``known`` vertices on, nearest first; obtuse ones are corrected."""
+    """Propagate distances and angles from ``known`` vertices, nearest first; nearer values replace others."""
     is_given = np.zeros(distances.size, np.bool_)
     waiting = [(distances[known[0]], known[0])]
     for k in range(known.size):
@@ -231,7 +230,7 @@ def _propagate(
         distance, vertex = heappop(waiting)
         if distance > reach:
             break
-        if distance > distances[vertex]:  # it has come nearer meanwhile
+        if distance > distances[vertex]:  # outdated
             continue
         for at in range(first[vertex], first[vertex + 1]):
             face = around[at]
@@ -261,7 +260,7 @@ def _stepped(
     has_two: bool,
     half: float,
 ) -> tuple[float, float]:
-    """Return the distance and the angle of a triangle's third corner, of those of one or two.
+    """Return the distance and the angle of a triangle's third corner, c, from those of a, or of a and b.
 
     ``half`` is the turn from a to b, π or −π, where the centre lies between them.
     """
@@ -292,13 +291,13 @@ def _stepped(
     turn -= 2.0 * np.pi * np.rint(turn / (2.0 * np.pi))
     if abs(turn) > np.pi - 1e-9:
         turn = half
-    low, high, own = np.arctan2(-s, q), np.arctan2(base - s, q), np.arctan2(x - s, y + q)
-    share = (own - low) / (high - low) if high > low else crossing / base
+    low, high, angle_of_c = np.arctan2(-s, q), np.arctan2(base - s, q), np.arctan2(x - s, y + q)
+    share = (angle_of_c - low) / (high - low) if high > low else crossing / base
     return np.sqrt((x - s) ** 2 + (y + q) ** 2), angles[a] + turn * share
 
 
 def _within(faces: Int64s, flat: Float64s, radius: float, start: int) -> Int32s:
-    """Return the triangles from ``start`` on, across edges, that a disc around the origin meets."""
+    """Return the triangles, connected with ``start``, that a disc around the origin meets."""
     known = np.flatnonzero(np.isfinite(flat[:, 0])[faces].all(axis=1))
     corners = flat[faces[known]]
     sides = np.roll(corners, -1, axis=1) - corners
@@ -319,14 +318,14 @@ def _within(faces: Int64s, flat: Float64s, radius: float, start: int) -> Int32s:
 def _flat_surface(
     surface: Surface, faces: Int64s, triangles: Int32s, folded: Int32s, flat: Float64s, behind: float
 ) -> tuple[Surface, Float64s]:
-    """Return the surface with a disc posed flat, folds ``behind``, others shrunk; and where vertices lie."""
+    """Return the surface with a disc posed flat, folds ``behind``, the rest shrunk; and flat coordinates."""
     count = len(surface.vertices)
     made = surface.triangles.copy()
     every: list[Integers] = [np.arange(count)]
     depths = [np.full(count, -1.0)]
-    for some, depth in ((np.setdiff1d(triangles, folded), 0.0), (folded, -behind)):
-        used = np.unique(surface.triangles[some])
-        made[some] = np.searchsorted(used, surface.triangles[some]) + sum(map(len, every))
+    for chosen, depth in ((np.setdiff1d(triangles, folded), 0.0), (folded, -behind)):
+        used = np.unique(surface.triangles[chosen])
+        made[chosen] = np.searchsorted(used, surface.triangles[chosen]) + sum(map(len, every))
         every.append(used)
         depths.append(np.full(len(used), depth))
     vertices = np.concatenate(every)
@@ -344,10 +343,10 @@ def _flat_surface(
 
 
 def _conformal(vertices: Float64s, faces: Int64s, flat: Float64s, start: int) -> Float64s:
-    """Return where vertices (n, 2) of triangles (m, 3) lie in the map that changes angles least.
+    """Return the vertices (n, 2) of triangles (m, 3) in the map that changes angles least.
 
-    It begins with the map ``flat`` (n, 2), keeps the surface's area, and lies like ``flat`` around triangle
-    ``start``. Two far vertices are held, which chooses one of all conformal maps.
+    It begins with the map ``flat`` (n, 2), keeps the surface's area, and agrees with ``flat`` around triangle
+    ``start``. Two far vertices stay fixed, which selects one of all conformal maps.
     """
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     lengths = np.linalg.norm(b - a, axis=1)
@@ -356,7 +355,7 @@ def _conformal(vertices: Float64s, faces: Int64s, flat: Float64s, start: int) ->
     y = np.linalg.norm(c - a - x[:, None] * along, axis=1)
     doubled = lengths * y
     scale = np.where(doubled > _SLIVER * doubled.mean(), 1 / np.sqrt(np.maximum(doubled, 1e-300)), 0.0)
-    # A map is conformal on a triangle whose corners z it takes to w if these sum up to 0.
+    # A map is conformal on a triangle if its weighted corners sum to 0.
     weights = np.stack([x - lengths + 1j * y, -x - 1j * y, lengths + 0j], axis=1) * scale[:, None]
     first = int(np.argmax((flat * flat).sum(axis=1)))
     away = flat - flat[first]
@@ -364,16 +363,16 @@ def _conformal(vertices: Float64s, faces: Int64s, flat: Float64s, start: int) ->
     found = _solved(weights, faces, flat[:, 0] + 1j * flat[:, 1], held)
     one, two, three = found[faces].T
     spread = np.abs(np.imag(np.conj(two - one) * (three - one))).sum()
-    own = flat[faces[start], 0] + 1j * flat[faces[start], 1]
+    begun = flat[faces[start], 0] + 1j * flat[faces[start], 1]
     here = found[faces[start]]
-    turn = np.vdot(here - here.mean(), own - own.mean())
+    turn = np.vdot(here - here.mean(), begun - begun.mean())
     turn /= max(abs(turn), 1e-300)
-    found = (found - here.mean()) * turn * np.sqrt(doubled.sum() / max(spread, 1e-300)) + own.mean()
+    found = (found - here.mean()) * turn * np.sqrt(doubled.sum() / max(spread, 1e-300)) + begun.mean()
     return np.stack([found.real, found.imag], axis=1)
 
 
 def _solved(weights: Complex128s, faces: Int64s, begun: Complex128s, held: Int64s) -> Complex128s:
-    """Return the vertices (n,) that make the sums of weighted corners least, but for those that are held."""
+    """Return the vertices (n,) that minimize the sums of weighted corners; ``held`` ones stay fixed."""
     count, rows = len(begun), faces.ravel()
 
     def gradient(values: Complex128s) -> Complex128s:

@@ -13,7 +13,7 @@ from octex.jit import kernel
 from octex.painting.options import Balance
 from octex.painting.picture import Mips
 from octex.painting.project import Projected
-from octex.painting.sight import Shot
+from octex.painting.reading import Shot
 from octex.photos.agreement import as_codes
 from octex.photos.consensus import agreed_step, medians, robust_weights
 from octex.photos.patches import batches, grown, masked, patch_of, patches_of, seen_at, widths_of

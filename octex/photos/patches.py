@@ -12,7 +12,7 @@ from octex.cameras.lens import is_bent, undistort
 from octex.jit import kernel
 from octex.painting.picture import Mips
 from octex.painting.project import Projected
-from octex.painting.sight import Shot
+from octex.painting.reading import Shot
 
 #: Points read at once, summed over pictures.
 _POINTS = 1 << 20

@@ -25,10 +25,9 @@ from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.painting.options import BALANCES, Balance
 from octex.painting.picture import Mips, Projection, check_projections, content_of, mips_of, room_for
-from octex.painting.project import Projected
-from octex.painting.reading import terms_of
+from octex.painting.project import Projected, most_ahead, order_key
+from octex.painting.reading import Shot, terms_of
 from octex.painting.resume import Stages, stages_in
-from octex.painting.sight import Shot, most_ahead, order_key
 from octex.painting.surface import PaintedSurface, key_of
 from octex.parallel import Progress, Run, as_run, ordered_map, workers
 from octex.photos.agreement import agreeing

@@ -7,6 +7,7 @@ import math
 import re
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -62,15 +63,19 @@ class Command(NamedTuple):
     content: bytes
 
 
+def object_of(text: str | bytes, what: str) -> dict[str, Any]:
+    """Parse a JSON object; raise ArgumentError, which names ``what``, for anything else."""
+    with suppress(ValueError, RecursionError):
+        fields = json.loads(text)
+        if isinstance(fields, dict):
+            return fields
+    raise ArgumentError(f"{what} must be a JSON object")
+
+
 def command_of(body: bytes) -> Command:
     """Parse a line of JSON and the bytes after it. Raises ArgumentError for anything else."""
     line, _, content = body.partition(b"\n")
-    try:
-        fields = json.loads(line)
-    except (ValueError, RecursionError):
-        raise ArgumentError("the command is not a line of JSON") from None
-    if not isinstance(fields, dict):
-        raise ArgumentError("the command is not a JSON object")
+    fields = object_of(line, "the command's line")
     page, kind, name = fields.get("page"), fields.get("kind"), fields.get("name", "")
     if not isinstance(page, str) or not re.fullmatch(r"[0-9a-f-]{8,40}", page):
         raise ArgumentError("page must be hexadecimal digits")

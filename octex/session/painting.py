@@ -21,12 +21,12 @@ from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
 from octex.errors import ArgumentError, ModelError, OctexError, OutputError
 from octex.nearest.triangles import Triangles
-from octex.painting.alike import alike
 from octex.painting.beneath import Stacked
 from octex.painting.layers import Layers
 from octex.painting.options import format_of
 from octex.painting.painter import Painter
-from octex.painting.picture import Projection
+from octex.painting.picture import Blend, Projection
+from octex.painting.region import alike
 from octex.painting.unwrap import Patch
 from octex.session.commands import (
     Command,
@@ -391,11 +391,19 @@ def _stamp_of(path: Path) -> tuple[int, ...] | None:
 
 
 def warm_up(texture: OctreeTexture, surface: Surface) -> None:
-    """Paint a small stroke and discard it, so that compiled code is loaded before the first stroke."""
-    camera = Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(64, 64))
+    """Paint small strokes and discard them, so that compiled code is loaded before the first stroke.
+
+    The first one is coarser than the texture, the others are finer and overlap.
+    """
     image = np.zeros((64, 64, 4), np.uint8)
     image[24:40, 24:40, 3] = 255
-    Painter(texture, surface).paint(Projection(image, camera))
+    painter, toward = Painter(texture, surface), (0.0, 0.0, 1.0)
+    painter.paint(Projection(image, Camera.fitted(surface.vertices, toward, size=(64, 64))))
+    top = surface.vertices[surface.vertices[:, 2].argmax()]
+    width = 40.0 * texture.placement.size / 2**texture.tree.max_depth
+    near = Camera.fitted([top, top + np.array([width, width, 0.0])], toward, size=(64, 64))
+    for blend in cast(tuple[Blend, ...], ("over", "erase")):
+        painter.paint(Projection(image, near, opacity=0.5, blend=blend))
 
 
 def mirrored(projection: Projection, axis: int, middle: float) -> Projection:

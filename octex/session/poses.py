@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from typing import cast
 
@@ -10,7 +9,7 @@ from octex.cameras.camera import Camera
 from octex.errors import ArgumentError
 from octex.painting.picture import Projection
 from octex.painting.unwrap import Patch, unwrap
-from octex.session.commands import Moment, Spot, moment_of, spot_of
+from octex.session.commands import Moment, Spot, moment_of, object_of, spot_of
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 
@@ -58,12 +57,7 @@ class Poses:
 
     def asked(self, asked: str) -> Patch:
         """Return the patch for JSON with the fields of a stroke; raises as ``patch`` does."""
-        try:
-            fields = json.loads(asked)
-        except (ValueError, RecursionError):
-            fields = None
-        if not isinstance(fields, dict):
-            raise ArgumentError("a request for a patch must be a JSON object")
+        fields = object_of(asked, "a request for a patch")
         spot = spot_of(fields)
         if spot is None:
             raise ArgumentError("patch is missing")

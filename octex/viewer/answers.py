@@ -13,9 +13,13 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote, unquote
 
+from octex.checks import as_whole
 from octex.errors import OctexError, OutputError
-from octex.viewer.below import packed_beneath, packed_patch
+from octex.formats.streams import deflated
+from octex.painting.beneath import beneath
 from octex.viewer.export import MODULES, PAINTING, PAINTING_SHADERS, SHADERS, page_text
+from octex.viewer.mesh import packed_mesh
+from octex.viewer.pack import pack
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -46,6 +50,39 @@ _HEADERS = {
 _PATIENCE = 10.0
 #: Longest pause of a browser during a download, in seconds, and bytes sent at once.
 _PAUSE, _PIECE = 600.0, 1 << 20
+
+
+#: Deflate's level: the data stays on this machine.
+_QUICK = 1
+
+
+def packed_patch(session: Session, asked: str) -> bytes:
+    """Return an unwrapped patch of the surface: a line of JSON, and the mesh's stream.
+
+    ``asked`` is JSON with the fields of a stroke. Raises ArgumentError and ModelError.
+    """
+    patch = session.patch(asked)
+    texture = session.shown.texture
+    header, stream = packed_mesh(texture, patch.surface.placed_in(texture).part(patch.triangles))
+    line = json.dumps({"mesh": header, "faults": patch.faults}).encode()
+    return line + b"\n" + deflated(stream, _QUICK)
+
+
+def packed_beneath(session: Session, asked: str) -> bytes:
+    """Return the result of full strokes in a layer (`octex.painting.beneath`): a line of JSON, and streams.
+
+    ``asked`` is JSON with the layer and the kind of stroke. Raises ArgumentError for anything else.
+    """
+    from octex.session.commands import object_of
+
+    fields = object_of(asked, "a request for the texture beneath")
+    layer = fields.get("layer")
+    number = None if layer is None else as_whole(layer, "layer", 1, 2**53)
+    texture = beneath(session.shown.stacked, number, fields.get("leads"))  # type: ignore[arg-type]
+    if texture is None:
+        return b"null\n"
+    header, streams = pack(texture, None, level=_QUICK)
+    return b"\n".join([json.dumps(header).encode(), b"".join(streams.values())])
 
 
 #: Makers of answers from a session.

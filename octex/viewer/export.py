@@ -91,7 +91,11 @@ def write_page(
         if level < deepest:
             note = f"depth {level} of {deepest}, to fit {max_size:,} bytes"
             packed.header["parts"][0]["notes"].insert(0, note)
-        page = _inlined(packed).encode() if is_page else _bare_file(packed)
+        if is_page:
+            page = _inlined(packed).encode()
+        else:
+            streams = {name: stream for name, stream in packed.streams.items() if name != "studio"}
+            page = web_file(packed.header["title"], packed.header["parts"], streams)
         if max_size is None or len(page) <= max_size:
             break
         level = _level_within(packed, len(page) - max_size)
@@ -119,12 +123,6 @@ def _level_within(packed: Packed, excess: int) -> int:
         level = min(level, first - 1 if first else level - 1)
         excess -= chunk["bytes"] * 4 // 3  # base64
     return min(level, deepest - 1)
-
-
-def _bare_file(packed: Packed) -> bytes:
-    """Return a web file of the parts and their meshes."""
-    streams = {name: stream for name, stream in packed.streams.items() if name != "studio"}
-    return web_file(packed.header["title"], packed.header["parts"], streams)
 
 
 def _inlined(packed: Packed) -> str:

@@ -16,7 +16,7 @@ Numbers of columns and corners are planes of bytes, the lowest first.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -77,8 +77,11 @@ def packed_mesh(
     across = sides_across(triangles.ravel(), np.roll(triangles, -1, axis=1).ravel())
     groups = np.repeat(materials[order], 3)
     across[groups[across] != groups] = -1
-    ways = _ways(triangles.ravel(), across, len(rows))
-    of, left, right, opposite = ways.vertices.T
+    corners, edges = np.empty(triangles.size, np.int64), np.empty(triangles.size + 3, np.uint8)
+    vertices = np.zeros((len(rows), 4), np.int64)  # new; an edge's ends, and the vertex opposite
+    n_corners, n_edges = _follow(triangles.ravel(), across, vertices, corners, edges)
+    corners, edges = corners[:n_corners], edges[:n_edges]
+    of, left, right, opposite = vertices.T
     differences = rows[of] - (rows[left] + rows[right] - rows[opposite])
     differences[0] = rows[of[0]]
     differences = differences.astype(np.int32)  # modulo 2³², as readers add them
@@ -88,8 +91,8 @@ def packed_mesh(
     header = {
         "vertices": len(rows),
         "triangles": len(faces),
-        "corners": ways.corners.size,
-        "edges": ways.edges.size,
+        "corners": n_corners,
+        "edges": n_edges,
         "bits": bits,
         "posed": is_posed,
         "coordinates": surface.uv is not None or has_coordinates,
@@ -98,30 +101,14 @@ def packed_mesh(
         "low": low.tolist(),
         "edge": edge,
     }
-    return header, b"".join([planes(ways.corners), ways.edges.tobytes(), *parts])
-
-
-class _Ways(NamedTuple):
-    """How triangles follow one another."""
-
-    vertices: Int64s  # (v, 4)   new ones, and what predicts them: an edge's ends, and the vertex opposite
-    corners: Int64s  # (c,)
-    edges: Uint8s  # (e,)
-
-
-def _ways(triangles: Int64s, across: Int64s, count: int) -> _Ways:
-    """Return how triangles (3 m,) of ``count`` vertices follow one another; edges have others ``across``."""
-    vertices, corners = np.zeros((count, 4), np.int64), np.empty(triangles.size, np.int64)
-    edges = np.empty(triangles.size + 3, np.uint8)
-    n_corners, n_edges = _follow(triangles, across, vertices, corners, edges)
-    return _Ways(vertices, corners[:n_corners], edges[:n_edges])
+    return header, b"".join([planes(corners), edges.tobytes(), *parts])
 
 
 @kernel
 def _follow(
     triangles: Int64s, across: Int64s, vertices: Int64s, corners: Int64s, edges: Uint8s
 ) -> tuple[int, int]:
-    """Visit all triangles, each from one before it where one adjoins it; return how many of each came."""
+    """Visit all triangles, each after one that adjoins it if any does; count corners and edges."""
     ranks = np.full(len(vertices), -1, np.int64)
     is_done = np.zeros(triangles.size // 3, np.bool_)
     waiting = np.empty(triangles.size, np.int64)  # edges of visited triangles, the next one last

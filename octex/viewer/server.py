@@ -213,8 +213,10 @@ class Viewer:
                 self._changes.clear()
             else:
                 self._changes.append((before.version, change))
-                while len(self._changes) > 1 and sum(map(_size_of, self._changes)) > _MOST_BYTES:
+                sizes = [sum(map(len, each.streams.values())) for _, each in self._changes]
+                while len(sizes) > 1 and sum(sizes) > _MOST_BYTES:
                     self._changes.popleft()
+                    del sizes[0]
         return self._state
 
     def _read(self, stamp: str) -> _State:
@@ -297,7 +299,3 @@ def _change(before: _State, after: _State) -> Packed | None:
         entries = {"header": fields, "counts": counts, "touched": touched, "isOther": is_other}
         header["parts"].append(entries)
     return Packed(header, streams)
-
-
-def _size_of(change: tuple[str, Packed]) -> int:
-    return sum(map(len, change[1].streams.values()))

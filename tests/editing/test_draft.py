@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import octex
 from octex.editing.draft import Change, Tiles, cut_out, put_back, tiles_around
 from octex.painting import merge as tilewise
-from octex.painting.holes import with_coverage
+from octex.painting.first import with_coverage
 from octex.painting.picture import BLENDS, Blend
 from octex.texture import OctreeTexture
 from octex.tree.octree import distinct
@@ -161,7 +161,7 @@ def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blen
     how: dict[str, Any] = {"opacity": opacity, "blend": blend}
     whole = octex.merge(texture, layer, surface, **how)
     piece = max(400, layer.tree.n_leaves // 20)
-    with mock.patch.object(tilewise, "PIECE", piece), mock.patch.object(tilewise, "MOST", 1000.0):
+    with mock.patch.multiple(tilewise, WHOLE=piece, PIECE=piece, MOST=1000.0):
         assert tilewise.pieces_of(texture, layer, tilewise.coarsest_near_layer(texture, layer)) is not None
         found = octex.merge(texture, layer, surface, **how)
         covered = with_coverage(found, [layer])
@@ -183,7 +183,7 @@ def test_cells_split_in_one_tile_change_rows_of_all_channels_above_as_at_once() 
     whole = octex.merge(texture, layer, surface, blend="replace")
     rows = (own.channels["alpha"].split_values for own in (texture, whole))
     assert not np.array_equal(*rows)
-    with mock.patch.object(tilewise, "PIECE", 500), mock.patch.object(tilewise, "MOST", 1000.0):
+    with mock.patch.multiple(tilewise, WHOLE=500, PIECE=500, MOST=1000.0):
         assert_same(octex.merge(texture, layer, surface, blend="replace"), whole)
 
 
@@ -194,7 +194,7 @@ def test_a_change_made_tile_by_tile_is_small() -> None:
     sphere = octex.Sphere((1, 0, 0), 0.3)
     at_once = painter.fill(sphere, (1, 0, 0))
     whole = painter.texture()
-    with mock.patch.object(tilewise, "PIECE", 400), mock.patch.object(tilewise, "MOST", 1000.0):
+    with mock.patch.multiple(tilewise, WHOLE=400, PIECE=400, MOST=1000.0):
         painter = octex.Painter(texture, surface)
         by_tiles = painter.fill(sphere, (1, 0, 0))
     assert_same(painter.texture(), whole)

@@ -101,3 +101,23 @@ def test_convert_enters_at_most_200_functions_of_30_files() -> None:
     files = {code.co_filename for code in found}
     assert len(found) <= 200, sorted(code.co_qualname for code in found)
     assert len(files) <= 30, sorted(files)
+
+
+@needs_jit
+def test_a_stroke_enters_at_most_410_functions_of_50_files() -> None:
+    surface = ball()
+    texture = octex.convert(surface, 6)
+    camera = octex.Camera.fitted(surface.vertices, (0.3, 0.5, 1.0), size=(64, 64))
+    image = np.full((64, 64, 4), 200, np.uint8)
+    image[:24, :, 3] = image[:, :24, 3] = 0
+    painter = octex.Painter(texture, surface)
+
+    def stroke() -> None:
+        painter.paint(octex.Projection(image, camera), max_depth=6, threads=1)
+        painter.undo()
+
+    found = entered(stroke)
+    files = {code.co_filename for code in found}
+    assert painter.redo()
+    assert len(found) <= 410, len(found)
+    assert len(files) <= 50, len(files)

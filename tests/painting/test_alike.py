@@ -10,7 +10,7 @@ import pytest
 import octex
 from octex.channels import linear_to_srgb
 from octex.errors import ArgumentError
-from octex.painting.alike import alike
+from octex.painting.region import alike
 from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
 from tests.conftest import needs_jit

@@ -11,7 +11,7 @@ import pytest
 
 import octex
 from octex.errors import ArgumentError
-from octex.painting.holes import filled
+from octex.painting.first import filled
 from octex.painting.multigrid import graph_of, solve
 from octex.painting.sheets import Region, Sheets, sheets_of
 from octex.source.surface import Surface

@@ -16,8 +16,7 @@ import octex
 from octex.channels import decode, encode
 from octex.errors import ArgumentError
 from octex.painting.layers import Layers
-from octex.painting.stack import LAYER_BLENDS, composite_name, shown_names, with_composite
-from octex.painting.stack_file import as_file
+from octex.painting.stack import LAYER_BLENDS, as_file, composite_name, shown_names, with_composite
 from octex.texture import Channel, OctreeTexture
 from tests.editing.test_draft import case
 from tests.make.same import assert_same

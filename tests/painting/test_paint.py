@@ -14,8 +14,7 @@ import octex
 from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.painting.blend import blended
-from octex.painting.cells import paint_of
-from octex.painting.layer import wanted_depths
+from octex.painting.layer import paint_of, wanted_depths
 from octex.painting.picture import BLENDS, Blend
 from octex.parallel import pool_of
 from octex.photos.balance import exposures
@@ -494,8 +493,8 @@ def test_balance_makes_pictures_agree() -> None:
 
 def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
     surface = plain(together(square(), (square()[0] + [5, 0, 0], square()[1])))
+    from octex.painting.project import take_shots
     from octex.painting.reading import terms_of
-    from octex.painting.sight import take_shots
     from octex.painting.surface import PaintedSurface
 
     form = octex.convert(surface, 2).channels["base_color"].format

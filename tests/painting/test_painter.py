@@ -14,10 +14,10 @@ import pytest
 import octex
 from octex.conversion.levels import CellLevels, cell_levels
 from octex.errors import ArgumentError, OutputError
-from octex.painting import history
+from octex.painting import painter as painters
 from octex.painting.merge import merged
 from octex.painting.picture import BLENDS, Blend
-from octex.painting.sight import sight_of
+from octex.painting.project import sight_of
 from octex.painting.surface import TriangleGrid
 from tests.editing.test_draft import case
 from tests.make.painted import ball
@@ -43,7 +43,7 @@ def shots(surface: octex.Surface, random: np.random.Generator) -> list[octex.Pro
 def test_a_session_gives_what_single_calls_give_forth_and_back(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(history, "_IN_MEMORY", seed % 3)
+    monkeypatch.setattr(painters, "_IN_MEMORY", seed % 3)
     random, surface, texture, depth = case(seed)
     painter = octex.Painter(texture, surface)
     states, at = [texture], 0

@@ -17,7 +17,7 @@ import pytest
 
 import octex
 from octex.errors import OutputError
-from octex.painting import paint, picture, sight
+from octex.painting import paint, picture, project
 from octex.painting.resume import digest_of
 from octex.photos import agreement, refine
 from tests.conftest import needs_jit
@@ -26,7 +26,7 @@ from tests.properties.edit_claims import digest
 
 WORK = {
     "decoded": (picture, "_window_of"),
-    "seen": (sight, "visibility_of"),
+    "seen": (project, "visibility_of"),
     "compared": (agreement, "_differences"),
     "projected": (paint, "rasterize_surface"),
     "refined": (refine, "_refined"),

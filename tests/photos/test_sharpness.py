@@ -11,9 +11,8 @@ import pytest
 import octex
 from octex.channels import BASE_COLOR
 from octex.painting.options import Pictures
-from octex.painting.project import Projected
+from octex.painting.project import Projected, take_shots
 from octex.painting.reading import terms_of
-from octex.painting.sight import take_shots
 from octex.painting.surface import PaintedSurface
 from octex.parallel import pool_of
 from octex.photos import sharpness, weigh

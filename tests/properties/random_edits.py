@@ -49,6 +49,7 @@ MOST_AVERAGED = 3_000
 #: much the pieces may have in common.
 SMALL = (
     ("octex.painting.paint.AROUND", 8),
+    ("octex.painting.merge.WHOLE", 500),
     ("octex.painting.merge.PIECE", 500),
     ("octex.painting.merge.MOST", 1000.0),
 )

@@ -11,8 +11,8 @@ import pytest
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.painting.picture import Projection
+from octex.painting.project import _spread, sight_of, take_shots
 from octex.painting.reading import terms_of
-from octex.painting.sight import _spread, sight_of, take_shots
 from octex.painting.surface import PaintedSurface
 from octex.parallel import pool_of
 from octex.source.corners import Corners

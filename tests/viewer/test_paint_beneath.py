@@ -12,7 +12,7 @@ import pytest
 import octex
 from octex.errors import ArgumentError
 from octex.painting.beneath import beneath
-from octex.viewer.below import packed_beneath
+from octex.viewer.answers import packed_beneath
 from tests.conftest import needs_jit
 from tests.make.browser import served
 from tests.make.painted import ball

@@ -15,7 +15,7 @@ import octex
 from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.nearest.triangles import Triangles
-from octex.painting.alike import alike
+from octex.painting.region import alike
 from octex.session.painting import Session, mirrored
 from octex.source.corners import at_corners
 from octex.source.surface import Surface

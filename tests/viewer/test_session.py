@@ -384,10 +384,10 @@ def deflated(content: bytes) -> bytes:
 
 NAN = float("nan")
 BAD: list[tuple[bytes, str]] = [
-    (b"", "not a line of JSON"),
-    (b"\xff\xfe{}\n", "not a line of JSON"),
-    (b"[" * 100_000, "not a line of JSON"),
-    (b"[]\n", "not a JSON object"),
+    (b"", "the command's line must be a JSON object"),
+    (b"\xff\xfe{}\n", "must be a JSON object"),
+    (b"[" * 100_000, "must be a JSON object"),
+    (b"[]\n", "must be a JSON object"),
     (plain("undo", 1, page="../../etc"), "page must be"),
     (plain("undo", 0), "number"),
     (plain("undo", 10**30), "number"),

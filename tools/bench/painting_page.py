@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import product
 from pathlib import Path
 from statistics import median
 
@@ -21,6 +22,8 @@ from tests.make.paint_server import PaintServer, disc
 
 _TOWARD = (0.0, 0.9, 0.35)
 _VIEW = 1200, 800
+#: Cells in the width of a pixel: paint of the texture's depth, and of one more.
+_WIDTHS = {"": 1.1, ", one finer": 0.8}
 
 
 def session(setup: Setup, report: Report) -> None:
@@ -31,31 +34,38 @@ def session(setup: Setup, report: Report) -> None:
     part = octex.crop(texture, (0.3, 0.75, -1.0), (0.75, 2.0, 2.0))
     counts = [each.tree.n_leaves for each in (part, texture)]
     report.title(f"session: strokes on {counts[0]:,} and {counts[1]:,} leaves, from sending to the change")
-    spent: dict[tuple[int, int], Spent] = {}
+    spent: dict[tuple[int, str, int], Spent] = {}
     for name, leaves, each in zip(("part", "whole"), counts, (part, texture), strict=True):
         with _served(setup.folder / name, each, surface) as server:
             cell = texture.placement.size / 2**depth
-            times = list(_strokes(server, surface, cell, [sizes[0], *np.repeat(sizes, setup.repeats)]))
-        report.line(f"the first stroke, {leaves:,} leaves", f"{times[0].wall:.3f} s")
-        for number, size in enumerate(sizes):
-            own = times[1:][number * setup.repeats :][: setup.repeats]
-            spent[leaves, size] = Spent(median(t.cpu for t in own), median(t.wall for t in own))
-            report.line(f"a stroke of {size}² pixels, {leaves:,} leaves", spent[leaves, size])
-    report.at_most("session: the first stroke", times[0].wall, 0.3, "s")
+            strokes = [(_WIDTHS[""], sizes[0])]
+            strokes += [
+                (width, size) for width in _WIDTHS.values() for size in np.repeat(sizes, setup.repeats)
+            ]
+            first, *times = _strokes(server, surface, cell, strokes)
+        report.line(f"the first stroke, {leaves:,} leaves", f"{first.wall:.3f} s")
+        for finer, size in product(_WIDTHS, sizes):
+            own, times = times[: setup.repeats], times[setup.repeats :]
+            spent[leaves, finer, size] = Spent(median(t.cpu for t in own), median(t.wall for t in own))
+            report.line(f"a stroke of {size}² pixels{finer}, {leaves:,} leaves", spent[leaves, finer, size])
+    report.at_most("session: the first stroke", first.wall, 0.3, "s")
     for size, target in zip(sizes, (0.08, 0.15, 0.5), strict=False):
-        small, large = (spent[leaves, size] for leaves in counts)
-        report.at_most(f"session: a stroke of {size}² pixels", large.wall, target, "s")
+        report.at_most(f"session: a stroke of {size}² pixels", spent[counts[1], "", size].wall, target, "s")
+    for finer, size in product(_WIDTHS, sizes):
+        small, large = (spent[leaves, finer, size] for leaves in counts)
         growth = large.cpu / max(small.cpu, 0.01)
-        report.at_most(f"session: {size}² pixels, growth with the texture", growth, 1.2, "×")
+        report.at_most(f"session: {size}² pixels{finer}, growth with the texture", growth, 1.2, "×")
 
 
-def _strokes(server: PaintServer, surface: octex.Surface, cell: float, sizes: list[int]) -> Iterator[Spent]:
-    """Send discs of some sizes, of pixels as wide as 1.1 cells; yield what each takes."""
+def _strokes(
+    server: PaintServer, surface: octex.Surface, cell: float, strokes: list[tuple[float, int]]
+) -> Iterator[Spent]:
+    """Send discs, by the cells in the width of a pixel and the pixels across; yield what each takes."""
     toward = np.array(_TOWARD) / np.linalg.norm(_TOWARD)
     middle = surface.vertices[np.argmax(surface.vertices @ toward)]
-    corners = middle + 0.55 * cell * np.array(_VIEW).min() * np.array([[-1, 0, 0], [1, 0, 0]])
-    camera = octex.Camera.fitted(corners, _TOWARD, size=_VIEW)
-    for number, size in enumerate(sizes, 1):
+    for number, (width, size) in enumerate(strokes, 1):
+        corners = middle + 0.5 * width * cell * _VIEW[0] * np.array([[-1, 0, 0], [1, 0, 0]])
+        camera = octex.Camera.fitted(corners, _TOWARD, size=_VIEW, margin=0.0)
         place = camera.project(middle[None])[0][0] + 3.0 * (number % 5)
         body = disc(number, camera, place, size / 2, [200, 10 * number % 256, 30])
         cpu, wall = _cpu_of(server), time.perf_counter()
@@ -64,7 +74,7 @@ def _strokes(server: PaintServer, surface: octex.Surface, cell: float, sizes: li
         wall = time.perf_counter() - wall
         time.sleep(0.3)  # until it has put the stroke away
         yield Spent(_cpu_of(server) - cpu, wall)
-    assert server.told["done"] == len(sizes), "a stroke has hit nothing"
+    assert server.told["done"] == len(strokes), "a stroke has hit nothing"
 
 
 def _cpu_of(server: PaintServer) -> float:
