@@ -50,8 +50,8 @@ WEBGPU = ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enabl
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started(*WEBGPU) as found:
+def browser(driver: Any) -> Iterator[Any]:
+    with started(driver, *WEBGPU) as found:
         yield found
 
 
