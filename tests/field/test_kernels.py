@@ -44,11 +44,11 @@ def look_up(
 
 
 @numba.njit(nogil=True)
-def interpolate(arrays: Any, points: Doubles, results: Doubles) -> None:
-    """Look points up between cells, as (n, 4)."""
+def find(arrays: Any, points: Doubles, results: Doubles) -> None:
+    """Look points up in their cells, as (n, 4)."""
     scratch = octex.kernels.new_scratch(arrays)
     for n in range(len(points)):
-        a, b, c, d = octex.kernels.linear(arrays, (points[n, 0], points[n, 1], points[n, 2]), scratch)
+        a, b, c, d = octex.kernels.nearest(arrays, (points[n, 0], points[n, 1], points[n, 2]), scratch)
         results[n, 0], results[n, 1], results[n, 2], results[n, 3] = a, b, c, d
 
 
@@ -130,12 +130,12 @@ def test_lookups_in_kernels_are_those_of_arrays_for_every_type(dtype: str) -> No
         channels = {"base_color": Channel(form, *values)}
         texture = OctreeTexture(color.tree, channels, color.placement, color.bounds)
         results, arrays = np.empty((50, 4)), octex.kernels.arrays_of(texture)
-        if dtype == "float32":  # footprints take seconds to compile for a type
+        if dtype == "float32":  # footprints and filters take seconds to compile for a type
             expected = texture.sample(points, width=0.1, normals=normals)
             average(arrays, points, np.full(50, 0.1), normals, results)
         else:
-            expected = texture.sample(points, filter="linear")
-            interpolate(arrays, points, results)
+            expected = texture.sample(points, filter="nearest")
+            find(arrays, points, results)
         scale = max(float(np.abs(expected).max()), 1)
         np.testing.assert_allclose(results[:, :3], expected, rtol=0, atol=2e-6 * scale)
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import math
 import os
 import re
 import shutil
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -127,11 +129,15 @@ def started(driver: Any, *more: str) -> Iterator[Any]:
 
 @contextmanager
 def served(viewer: Viewer) -> Iterator[Viewer]:
-    """Serve a page while the block lasts."""
+    """Serve a page while the block lasts, and until it is closed."""
     thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
     thread.start()
     yield viewer
-    thread.join(30)
+    until = time.monotonic() + 30.0
+    while thread.is_alive() and time.monotonic() < until:
+        if not viewer._pages:
+            viewer._left = -math.inf  # no other page comes
+        thread.join(0.05)
     assert not thread.is_alive()
 
 
