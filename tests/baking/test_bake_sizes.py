@@ -5,7 +5,7 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -24,7 +24,6 @@ from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests.baking.test_bake import cube_with_charts, psnr, two_squares, waves
-from tests.make.command import Cli
 from tests.make.painted import square
 from tests.make.small_surfaces import whole
 from tests.oracles.naive_gltf import Document
@@ -33,18 +32,18 @@ DROID = Path(octex.__file__).parents[1] / "samples" / "droid.glb"
 
 
 @pytest.fixture(scope="module")
-def droid() -> tuple[octex.OctreeTexture, Surface]:
+def droid():
     surface = octex.load_surface(DROID)
     return octex.convert(surface, 8, channels=["base_color"]), surface
 
 
 @pytest.fixture(scope="module")
-def fine_droid(droid: tuple[octex.OctreeTexture, Surface]) -> octex.OctreeTexture:
+def fine_droid(droid):
     """The droid at a depth of which less than a hundredth of the texels overlap."""
     return octex.convert(droid[1], 9, channels=["base_color"])
 
 
-def sizes_of(baked: Surface) -> list[int]:
+def sizes_of(baked):
     """Return the sizes of the base colours' maps."""
     assert isinstance(baked.source, MaterialSource)
     textures = [each.inputs["base_color"].texture for each in baked.source.materials]
@@ -52,9 +51,7 @@ def sizes_of(baked: Surface) -> list[int]:
 
 
 @pytest.mark.parametrize(("uv", "size"), [("atlas", 64), ("atlas", 512), ("xatlas", 64)])
-def test_all_charts_of_the_droid_have_room_in_small_maps(
-    droid: tuple[octex.OctreeTexture, Surface], size: int, uv: Literal["atlas", "xatlas"]
-) -> None:
+def test_all_charts_of_the_droid_have_room_in_small_maps(droid, size, uv):
     if uv == "xatlas":
         pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
     texture, surface = droid
@@ -65,9 +62,7 @@ def test_all_charts_of_the_droid_have_room_in_small_maps(
 
 
 @pytest.mark.parametrize("size", [64, 128, 512, None])
-def test_whether_coordinates_are_kept_does_not_depend_on_the_size(
-    droid: tuple[octex.OctreeTexture, Surface], fine_droid: octex.OctreeTexture, size: int | None
-) -> None:
+def test_whether_coordinates_are_kept_does_not_depend_on_the_size(droid, fine_droid, size):
     _, surface = droid
     with ThreadPoolExecutor(1) as pool:
         sheets = sheets_of(
@@ -82,9 +77,7 @@ def test_whether_coordinates_are_kept_does_not_depend_on_the_size(
 
 
 @pytest.mark.parametrize(("uv", "most"), [("keep", 4.0), ("atlas", 2.5)])
-def test_maps_of_the_default_size_are_as_sharp_as_the_texture(
-    droid: tuple[octex.OctreeTexture, Surface], uv: Any, most: float
-) -> None:
+def test_maps_of_the_default_size_are_as_sharp_as_the_texture(droid, uv, most):
     texture, surface = droid
     baked = octex.bake(texture, surface, uv=uv)
     points = baked.scatter(20_000, seed=1)
@@ -94,7 +87,7 @@ def test_maps_of_the_default_size_are_as_sharp_as_the_texture(
     assert sizes_of(baked)[0] <= 1024
 
 
-def test_maps_of_smooth_colours_are_no_finer_than_the_leaves() -> None:
+def test_maps_of_smooth_colours_are_no_finer_than_the_leaves():
     surface = two_squares()
     slow = octex.convert(surface.with_sources({"base_color": lambda points: 0.5 + 0.1 * np.sin(points)}), 7)
     sharp = octex.convert(
@@ -105,7 +98,7 @@ def test_maps_of_smooth_colours_are_no_finer_than_the_leaves() -> None:
     assert sizes_of(octex.bake(sharp, surface))[0] == 4 * leaves_a_side
 
 
-def scattered_triangles(count: int) -> Surface:
+def scattered_triangles(count):
     """Return triangles that are a chart each."""
     random = np.random.default_rng(0)
     vertices = np.repeat(random.random((count, 3)), 3, axis=0) + 0.05 * random.random((3 * count, 3))
@@ -113,7 +106,7 @@ def scattered_triangles(count: int) -> Surface:
 
 
 @pytest.mark.parametrize(("count", "padding"), [(6, 4), (30, 2), (100, 2), (300, 1), (1200, 0)])
-def test_an_atlas_with_more_charts_has_less_padding(count: int, padding: int) -> None:
+def test_an_atlas_with_more_charts_has_less_padding(count, padding):
     layout = atlas.atlas_layout(scattered_triangles(count), [256], None, 1e-4)
     assert layout.padding == padding
     assert unit_area(layout) >= 0.25
@@ -127,7 +120,7 @@ def test_an_atlas_with_more_charts_has_less_padding(count: int, padding: int) ->
             assert (two[move:] == two[:-move])[both].all()
 
 
-def test_maps_are_as_fine_as_the_leaves_on_their_triangles() -> None:
+def test_maps_are_as_fine_as_the_leaves_on_their_triangles():
     surface = two_squares()
     texture = octex.convert(surface.with_sources({"base_color": waves}), 7)
     fine = octex.fill(texture, surface, octex.Box((-1, -1, -1), (0.9, 2, 2)), (1.0, 0.0, 0.0), max_depth=9)
@@ -139,14 +132,14 @@ def test_maps_are_as_fine_as_the_leaves_on_their_triangles() -> None:
     assert sizes_of(octex.bake(spot, surface)) == [size, size]
 
 
-def test_where_a_texture_is_not_its_finest_cells_count() -> None:
+def test_where_a_texture_is_not_its_finest_cells_count():
     surface = two_squares()
     texture = octex.convert(surface.with_sources({"base_color": waves}), 5)
     away = Surface.from_arrays(surface.rest + 9.0, surface.triangles)
     assert leaf_of(texture, surface) == leaf_of(texture, away) == texture.placement.size / 32
 
 
-def inputs_of(baked: Surface) -> dict[str, Input]:
+def inputs_of(baked):
     assert isinstance(baked.source, MaterialSource)
     return dict(baked.source.materials[0].inputs)
 
@@ -170,7 +163,7 @@ PLAIN: dict[str, Any] = {
     ("plain", "bits"),
     [*((plain, 8) for plain in (*PLAIN, "all")), *product(("alpha", "metallic", "all"), (16, 32))],
 )
-def test_channels_that_do_not_vary_are_numbers(plain: str, bits: Any, tmp_path: Path) -> None:
+def test_channels_that_do_not_vary_are_numbers(plain, bits, tmp_path):
     names = list(PLAIN) if plain == "all" else [plain]
     surface = cube_with_charts().with_sources({**VARIED, **{name: PLAIN[name] for name in names}})
     texture = octex.convert(surface, 4)
@@ -193,7 +186,7 @@ def test_channels_that_do_not_vary_are_numbers(plain: str, bits: Any, tmp_path: 
                 )
 
 
-def test_a_number_between_two_codes_needs_no_image() -> None:
+def test_a_number_between_two_codes_needs_no_image():
     surface = cube_with_charts().with_sources({**VARIED, "roughness": 0.7})
     texture = octex.convert(surface, 4)
     assert np.ptp(texture.channels["roughness"].values) == 1  # cells are rounded either way
@@ -202,7 +195,7 @@ def test_a_number_between_two_codes_needs_no_image() -> None:
     assert given.factor == pytest.approx((0.7,), abs=3e-3)
 
 
-def test_occlusion_that_is_not_1_stays_an_image() -> None:
+def test_occlusion_that_is_not_1_stays_an_image():
     surface = cube_with_charts().with_sources({"base_color": waves, "occlusion": 0.5})
     given = inputs_of(octex.bake(octex.convert(surface, 4), surface, texture_size=64))["occlusion"]
     assert given.texture is not None
@@ -210,7 +203,7 @@ def test_occlusion_that_is_not_1_stays_an_image() -> None:
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.3])
-def test_normals_of_the_surface_need_no_image(tilt: float) -> None:
+def test_normals_of_the_surface_need_no_image(tilt):
     image = np.tile(np.array([tilt, 0.0, 1.0]) / np.hypot(tilt, 1.0), (4, 4, 1))
     codes = np.rint((image + 1) * 32767.5).astype(np.uint16)
     points, triangles = square(side=1.0, steps=2)
@@ -232,7 +225,7 @@ def test_normals_of_the_surface_need_no_image(tilt: float) -> None:
 
 
 @pytest.fixture(scope="module")
-def baked_whole() -> Surface:
+def baked_whole():
     surface = whole()
     channels = ["base_color", "roughness", "normal"]
     return octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=channels)
@@ -248,9 +241,7 @@ def baked_whole() -> Surface:
     ],
 )
 @pytest.mark.parametrize("ending", [".glb", ".gltf", ".obj", ".usdc"])
-def test_jpeg_is_for_colours_unless_all_is_asked_for(
-    baked_whole: Surface, images: Any, kinds: list[str], ending: str, tmp_path: Path
-) -> None:
+def test_jpeg_is_for_colours_unless_all_is_asked_for(baked_whole, images, kinds, ending, tmp_path):
     if ending == ".usdc":
         pytest.importorskip("pxr", reason="the extra octex[usd] is not installed")
         if images == "webp":
@@ -281,16 +272,14 @@ def test_jpeg_is_for_colours_unless_all_is_asked_for(
     )
 
 
-def test_large_images_are_told_and_smaller_formats_offered(
-    tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_images_are_told_and_smaller_formats_offered(tmp_path, cli, monkeypatch):
     surface = cube_with_charts().with_sources({"base_color": waves})
     octex.convert(surface, 4).save(tmp_path / "cube.octex")
     model = octex.bake(octex.open(tmp_path / "cube.octex"), surface, texture_size=64)
     octex.write_model(model, tmp_path / "cube.obj")
     given = ["bake", tmp_path / "cube.octex", tmp_path / "cube.obj"]
 
-    def told(output: str, *options: str) -> str:
+    def told(output, *options):
         return cli.result(*given, tmp_path / output, "--texture-size", 256, *options)
 
     assert "--image-format" not in told("small.glb")
@@ -305,7 +294,7 @@ def test_large_images_are_told_and_smaller_formats_offered(
     assert (tmp_path / "webp.glb").stat().st_size < sum(sizes)
 
 
-def test_a_material_whose_image_gltf_would_multiply_by_its_number_is_refused(tmp_path: Path) -> None:
+def test_a_material_whose_image_gltf_would_multiply_by_its_number_is_refused(tmp_path):
     plain = cube_with_charts()
     assert plain.uv is not None
     texture = Texture(np.full((4, 4, 4), 30000, np.uint16))

@@ -1,8 +1,5 @@
 """Surfaces displaced by a channel of their texture."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +16,7 @@ OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
 FACES = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
 
 
-def ball(levels: int) -> octex.Surface:
+def ball(levels):
     """A sphere of radius 1."""
     edges = edges_of(FACES)
     parts = tessellated(FACES, np.full(len(edges[0]), levels), edges)
@@ -28,12 +25,12 @@ def ball(levels: int) -> octex.Surface:
     return octex.Surface.from_arrays(points, parts.triangles, name="ball")
 
 
-def height(at: np.ndarray) -> np.ndarray:
+def height(at):
     return np.asarray(0.5 + 0.25 * np.sin(5 * at[:, 0]) * np.cos(4 * at[:, 1]))
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_parts_of_triangles_meet_at_vertices_and_fill_their_parents(seed: int) -> None:
+def test_parts_of_triangles_meet_at_vertices_and_fill_their_parents(seed):
     random = np.random.default_rng(seed)
     edges = edges_of(FACES)
     parts = tessellated(FACES, random.integers(0, 4, len(edges[0])), edges)
@@ -54,7 +51,7 @@ def test_parts_of_triangles_meet_at_vertices_and_fill_their_parents(seed: int) -
 @pytest.mark.parametrize(
     ("scale", "degrees"), [(0.1, 1.0), (0.5, 1.0), (1.0, 1.0), (2.0, 1.1)]
 )  # slopes of up to 7, 32, 52 and 71 degrees
-def test_a_displaced_sphere_is_its_formula(scale: float, degrees: float) -> None:
+def test_a_displaced_sphere_is_its_formula(scale, degrees):
     surface = ball(6).with_sources({"occlusion": height})
     texture = octex.convert(surface, 7, dtype="float32")
     cell = texture.placement.size / 2**7
@@ -62,7 +59,7 @@ def test_a_displaced_sphere_is_its_formula(scale: float, degrees: float) -> None
     assert np.linalg.norm(np.diff(made.rest[made.triangles[:, :2]], axis=1), axis=2).max() <= cell
     assert np.linalg.norm(made.rest, axis=1) == pytest.approx(1, abs=1e-3)
 
-    def formula(at: np.ndarray) -> np.ndarray:
+    def formula(at):
         unit = at / np.linalg.norm(at, axis=1, keepdims=True)
         return unit * (1 + scale * (height(unit) - 0.5))[:, None]
 
@@ -84,7 +81,7 @@ def test_a_displaced_sphere_is_its_formula(scale: float, degrees: float) -> None
 
 @needs_jit
 @pytest.mark.parametrize("channel", ["base_color", "roughness"])
-def test_a_flat_sheet_moves_in_its_pose_and_keeps_its_rest(channel: str) -> None:
+def test_a_flat_sheet_moves_in_its_pose_and_keeps_its_rest(channel):
     turned = SQUARE[:, [1, 2, 0]] + 3.0  # faces along x
     given = {"base_color": (0.25, 0.25, 0.25), "roughness": 0.25}
     surface = octex.Surface.from_arrays(turned, SQUARE_TRIANGLES, rest=SQUARE, uv=SQUARE[:, :2]).with_sources(
@@ -103,7 +100,7 @@ def test_a_flat_sheet_moves_in_its_pose_and_keeps_its_rest(channel: str) -> None
 
 
 @needs_jit
-def test_triangles_without_area_are_displaced_beside_others() -> None:
+def test_triangles_without_area_are_displaced_beside_others():
     vertices = np.concatenate([SQUARE, [[2.0, 0, 0], [2, 0, 0], [2, 0, 0]]])
     triangles = np.concatenate([SQUARE_TRIANGLES, [[4, 5, 6]]]).astype(np.int32)
     surface = octex.Surface.from_arrays(vertices, triangles).with_sources({"roughness": 0.25})
@@ -115,7 +112,7 @@ def test_triangles_without_area_are_displaced_beside_others() -> None:
 
 
 @needs_jit
-def test_what_cannot_be_displaced_is_refused() -> None:
+def test_what_cannot_be_displaced_is_refused():
     surface = ball(1).with_sources({"occlusion": height})
     texture = octex.convert(surface, 3, dtype="float16")
     cases: list[tuple[dict[str, Any], str]] = [
@@ -135,11 +132,11 @@ def test_what_cannot_be_displaced_is_refused() -> None:
         with pytest.raises(ArgumentError, match=message):
             octex.displace(texture, surface, **arguments)
     with pytest.raises(ArgumentError, match="surface must be"):
-        octex.displace(texture, texture, "occlusion", 1.0)  # type: ignore[arg-type]
+        octex.displace(texture, texture, "occlusion", 1.0)
 
 
 @needs_jit
-def test_a_channel_that_is_not_finite_is_refused() -> None:
+def test_a_channel_that_is_not_finite_is_refused():
     surface = ball(1).with_sources({"emissive": (1.0, 1.0, 1.0)})
     texture = octex.convert(surface, 2, dtype="float32", channels=["emissive"])
     values = texture.channels["emissive"].values.copy()
@@ -151,7 +148,7 @@ def test_a_channel_that_is_not_finite_is_refused() -> None:
 
 
 @needs_jit
-def test_bake_displaces(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bake_displaces(tmp_path, capsys):
     (tmp_path / "a.obj").write_text(
         "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nf 1/1 2/2 3/3 4/4\n"
     )

@@ -1,10 +1,5 @@
 """Meshes of fewer triangles, and what is baked onto them from the surface that they stand for."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -20,11 +15,11 @@ from tests.make.painted import ball
 pytest.importorskip("fast_simplification", reason="needs the extra simplify")
 
 
-def colors(points: Any) -> Any:
+def colors(points):
     return 0.5 + 0.4 * np.sin(3.0 * points)
 
 
-def bumpy(around: int = 64) -> Surface:
+def bumpy(around=64):
     """A ball with bumps that few triangles cannot follow."""
     surface = ball(around)
     directions = surface.rest / np.linalg.norm(surface.rest, axis=1, keepdims=True)
@@ -32,7 +27,7 @@ def bumpy(around: int = 64) -> Surface:
     return Surface.from_arrays(directions * heights, surface.triangles).with_sources({"base_color": colors})
 
 
-def distances(surface: Surface, other: Surface) -> Any:
+def distances(surface, other):
     """Return how far points scattered over a surface are from another."""
     points = surface.scatter(2000, 1).points
     found = Triangles.of(other.rest, other.triangles).nearest(points)
@@ -40,7 +35,7 @@ def distances(surface: Surface, other: Surface) -> Any:
 
 
 @needs_jit
-def test_fewer_triangles_stay_near_the_surface_and_face_outwards() -> None:
+def test_fewer_triangles_stay_near_the_surface_and_face_outwards():
     surface = bumpy()
     low = octex.simplify(surface, 1000)
     assert 900 <= len(low.triangles) <= 1020
@@ -55,7 +50,7 @@ def test_fewer_triangles_stay_near_the_surface_and_face_outwards() -> None:
 
 
 @needs_jit
-def test_borders_stay_and_few_triangles_are_only_welded() -> None:
+def test_borders_stay_and_few_triangles_are_only_welded():
     across = np.linspace(0, 1, 20)
     x, y = np.meshgrid(across, across, indexing="ij")
     plane = np.stack([x, y, 0.001 * np.sin(9 * x)], axis=2).reshape(-1, 3)
@@ -72,7 +67,7 @@ def test_borders_stay_and_few_triangles_are_only_welded() -> None:
 
 
 @needs_jit
-def test_what_cannot_be_simplified_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_simplified_is_told(monkeypatch):
     tetrahedron = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
     many = np.concatenate([tetrahedron + np.array([3 * n, 0, 0]) for n in range(30)])
@@ -97,7 +92,7 @@ def test_what_cannot_be_simplified_is_told(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @needs_jit
-def test_a_low_mesh_shows_the_colours_and_normals_of_the_surface() -> None:
+def test_a_low_mesh_shows_the_colours_and_normals_of_the_surface():
     surface = bumpy()
     low = octex.finish(surface, triangles=600, depth=7, texture_size=512)
     assert len(low.triangles) <= 612
@@ -124,7 +119,7 @@ def test_a_low_mesh_shows_the_colours_and_normals_of_the_surface() -> None:
 
 
 @needs_jit
-def test_normals_of_the_source_may_be_all_that_is_baked() -> None:
+def test_normals_of_the_source_may_be_all_that_is_baked():
     surface = bumpy(32)
     texture = octex.convert(surface, depth=5)
     baked = octex.bake(texture, octex.simplify(surface, 300), source=surface, channels=["normal"])
@@ -136,7 +131,7 @@ def test_normals_of_the_source_may_be_all_that_is_baked() -> None:
         octex.bake(texture, surface, channels=["normal"])
 
 
-def test_a_triangle_shows_its_own_side_of_a_crease() -> None:
+def test_a_triangle_shows_its_own_side_of_a_crease():
     """A roof whose ridge zigzags, shown by one with a straight ridge: no texel beside it sees beyond."""
     steps = np.arange(21)
     ridge = np.stack([0.03 * (-1.0) ** steps, steps / 20.0, -0.03 * np.ones(21)], axis=1)
@@ -156,13 +151,13 @@ def test_a_triangle_shows_its_own_side_of_a_crease() -> None:
     assert ((shown * points.normals).sum(axis=1) > 0.5).all()
 
 
-def radius(points: Any) -> Any:
+def radius(points):
     directions = points / np.linalg.norm(points, axis=1, keepdims=True)
     return 1.0 + 0.01 * np.sin(20.0 * directions).prod(axis=1)
 
 
 @needs_jit
-def test_the_command_bakes_a_model_without_a_texture(tmp_path: Path, capsys: Any) -> None:
+def test_the_command_bakes_a_model_without_a_texture(tmp_path, capsys):
     surface = bumpy(32)
     model, output = tmp_path / "model.ply", tmp_path / "low.glb"
     octex.write_model(octex.bake_vertices(octex.convert(surface, depth=5), surface), model)
@@ -183,7 +178,7 @@ def test_the_command_bakes_a_model_without_a_texture(tmp_path: Path, capsys: Any
     assert "other.ptx: needs a texture" in capsys.readouterr().err
 
 
-def write_ply(path: Path, vertices: Any, triangles: Any) -> None:
+def write_ply(path, vertices, triangles):
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
     header += [f"property float {axis}" for axis in "xyz"]
     header += [f"element face {len(triangles)}", "property list uchar int vertex_indices", "end_header", ""]
@@ -194,7 +189,7 @@ def write_ply(path: Path, vertices: Any, triangles: Any) -> None:
 
 @needs_jit
 @pytest.mark.parametrize("repairs", [False, True])
-def test_damaged_meshes_have_a_light_model(tmp_path: Path, repairs: bool) -> None:
+def test_damaged_meshes_have_a_light_model(tmp_path, repairs):
     surface = bumpy(24)
     count = len(surface.vertices)
     vertices = np.concatenate([surface.vertices, [[np.nan, 0, 0], [3, 0, 0], [1, 1, 1]], surface.vertices])
@@ -228,7 +223,7 @@ def test_damaged_meshes_have_a_light_model(tmp_path: Path, repairs: bool) -> Non
 
 
 @needs_jit
-def test_thousands_of_parts_have_a_light_model() -> None:
+def test_thousands_of_parts_have_a_light_model():
     octahedron = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
     faces = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
     places = np.stack(np.meshgrid(*[3.0 * np.arange(n) for n in (25, 20, 20)]), axis=-1).reshape(-1, 3)

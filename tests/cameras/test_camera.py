@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -247,15 +245,7 @@ def test_pixels_that_no_point_reaches_have_no_ray():
 
 
 @pytest.mark.parametrize(
-    "lens",
-    [
-        (-0.3, 0.0),
-        (0.0, -0.2),
-        (0.1, -0.2),
-        (-1.0, 0.4),
-        (0.3, 0.1),
-        (-0.3, 0.1),
-    ],
+    "lens", [(-0.3, 0.0), (0.0, -0.2), (0.1, -0.2), (-1.0, 0.4), (0.3, 0.1), (-0.3, 0.1)]
 )
 def test_a_lens_is_used_up_to_its_first_turning_point(lens):
     camera = _pinhole(distortion=lens)

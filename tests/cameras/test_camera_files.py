@@ -1,7 +1,5 @@
 """Files of cameras, each written here by hand from known poses."""
 
-from __future__ import annotations
-
 import json
 import struct
 from io import BytesIO
@@ -299,12 +297,7 @@ def test_a_folder_without_a_model_is_refused(tmp_path):
         ("cameras.txt", "500.0", "-1", "line 2: focal lengths must be above zero"),
         ("cameras.txt", "500.0", "f", "line 2: parameters must be a number, not 'f'"),
         ("images.txt", " dir/im 1.jpg", "", "line 3: must have the columns IMAGE_ID QW"),
-        (
-            "images.txt",
-            " 3.0 1 dir",
-            " 3.0 99 dir",
-            "frame 'dir/im 1.jpg': camera 99 is not in cameras",
-        ),
+        ("images.txt", " 3.0 1 dir", " 3.0 99 dir", "frame 'dir/im 1.jpg': camera 99 is not in cameras"),
         ("images.txt", " 3.0 1 dir", " 3.0 x dir", "CAMERA_ID must be a whole number, not 'x'"),
         ("images.txt", " 3.0 1 dir", " inf 1 dir", "must be a finite number, not inf"),
         ("images.txt", "\n\n", "\n", "each image must have two lines"),

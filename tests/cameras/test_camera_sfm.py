@@ -1,7 +1,5 @@
 """Cameras of OpenSfM and OpenMVG, each written here by hand from known poses."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -22,15 +20,15 @@ LENSES: list[tuple[str, str, list[float]]] = [
 ]
 
 
-def camera_of(model: str, lens: list[float], **options: Any) -> Camera:
+def camera_of(model, lens, **options):
     return Camera.pinhole(
         (640, 480), pose=np.eye(4), convention="opencv", focal=options.pop("focal", 400.0), distortion=lens,
-        distortion_model=model,  # type: ignore[arg-type]
+        distortion_model=model,
     )  # fmt: skip
 
 
 @pytest.mark.parametrize(("name", "model", "lens"), LENSES)
-def test_points_land_where_the_formulas_of_their_model_say(name: str, model: str, lens: list[float]) -> None:
+def test_points_land_where_the_formulas_of_their_model_say(name, model, lens):
     camera = camera_of(model, lens)
     points = np.random.default_rng(0).uniform([-0.8, -0.6, 1], [0.8, 0.6, 1], (200, 3))
     pixels, _ = camera.project(points * 2.5)
@@ -40,7 +38,7 @@ def test_points_land_where_the_formulas_of_their_model_say(name: str, model: str
 
 
 @pytest.mark.parametrize(("_name", "model", "lens"), LENSES)
-def test_rays_lead_back_to_their_pixels(_name: str, model: str, lens: list[float]) -> None:
+def test_rays_lead_back_to_their_pixels(_name, model, lens):
     camera = camera_of(model, lens)
     pixels = np.random.default_rng(1).uniform([0, 0], [640, 480], (500, 2))
     origins, directions = camera.rays(pixels)
@@ -48,7 +46,7 @@ def test_rays_lead_back_to_their_pixels(_name: str, model: str, lens: list[float
     assert np.abs(seen - pixels).max() < 1e-9
 
 
-def test_a_fisheye_lens_reaches_to_where_its_angles_stop_rising() -> None:
+def test_a_fisheye_lens_reaches_to_where_its_angles_stop_rising():
     camera = camera_of("fisheye", [-0.3, 0.0, 0.0, 0.0])  # θ − 0.3 θ³ rises to θ = 1/√0.9
     turn = np.tan(1 / np.sqrt(0.9))
     near, far = camera.distort([[0.999 * turn, 0.0], [1.001 * turn, 0.0]])
@@ -56,7 +54,7 @@ def test_a_fisheye_lens_reaches_to_where_its_angles_stop_rising() -> None:
     assert np.isnan(far).all()
 
 
-def test_a_rational_lens_reaches_to_its_first_turn_or_pole() -> None:
+def test_a_rational_lens_reaches_to_its_first_turn_or_pole():
     radii = np.linspace(1e-3, 4, 40_000)
     points = np.column_stack([radii, np.zeros_like(radii)])
     for lens in ([0.0, 0, 0, 0, 0, -0.25, 0, 0], [-0.1, 0, 0, 0, 0.01, 0.2, -0.02, 0]):
@@ -69,7 +67,7 @@ def test_a_rational_lens_reaches_to_its_first_turn_or_pole() -> None:
         assert abs(np.isfinite(found).sum() - 1 - first) <= 2
 
 
-def test_a_fisheye_without_numbers_still_bends() -> None:
+def test_a_fisheye_without_numbers_still_bends():
     camera = camera_of("fisheye", [0.0] * 4)
     assert camera.is_distorted
     assert not camera.undistorted.is_distorted
@@ -78,19 +76,19 @@ def test_a_fisheye_without_numbers_still_bends() -> None:
 
 
 @pytest.mark.parametrize(("model", "lens"), [("fisheye", [0.1, 0.2]), ("fov", [0.1, 0.2]), ("opencv", [0.1])])
-def test_distortions_of_another_count_are_refused(model: str, lens: list[float]) -> None:
+def test_distortions_of_another_count_are_refused(model, lens):
     with pytest.raises(ArgumentError, match="distortion must"):
         camera_of(model, lens)
 
 
 @pytest.mark.parametrize("angle", [np.pi, -4.0])
-def test_a_lens_whose_angle_is_a_half_circle_or_more_is_refused(angle: float) -> None:
+def test_a_lens_whose_angle_is_a_half_circle_or_more_is_refused(angle):
     camera_of("fov", [3.1])
     with pytest.raises(ArgumentError, match="distortion of fov must be an angle of less than π, not "):
         camera_of("fov", [angle])
 
 
-def test_models_that_are_none_are_refused() -> None:
+def test_models_that_are_none_are_refused():
     with pytest.raises(ArgumentError, match="unknown distortion_model 'equirectangular'; there are: opencv"):
         camera_of("equirectangular", [0.0] * 4)
     with pytest.raises(ArgumentError, match="an orthographic camera must have no distortion"):

@@ -1,7 +1,5 @@
 """Repairs against what is known of a shape beforehand: copies, slivers, cracks, and parts inside others."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 
@@ -19,17 +17,17 @@ CELL = 2.0 / 1021
 Mesh = tuple[Any, Any]
 
 
-def ball(radius: float = 1.0, centre: tuple[float, ...] = (0, 0, 0), fineness: int = 3) -> Mesh:
+def ball(radius=1.0, centre=(0, 0, 0), fineness=3):
     made = trimesh.creation.icosphere(fineness)
     return made.vertices * radius + centre, made.faces
 
 
-def box(low: tuple[float, ...], high: tuple[float, ...]) -> Mesh:
+def box(low, high):
     made = trimesh.creation.box(bounds=[low, high])
     return np.asarray(made.vertices), np.asarray(made.faces)
 
 
-def joined(*parts: Mesh) -> octex.Surface:
+def joined(*parts):
     firsts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     faces = [faces + first for (_, faces), first in zip(parts, firsts, strict=False)]
     return octex.Surface.from_arrays(
@@ -37,7 +35,7 @@ def joined(*parts: Mesh) -> octex.Surface:
     )
 
 
-def n_open(surface: octex.Surface) -> int:
+def n_open(surface):
     """The number of edges that one triangle alone has, by the positions of their ends."""
     seen: dict[tuple[Any, ...], int] = {}
     for corners in surface.rest[surface.triangles]:
@@ -47,7 +45,7 @@ def n_open(surface: octex.Surface) -> int:
     return sum(count == 1 for count in seen.values())
 
 
-def test_copies_and_slivers_are_left_out_and_the_others_keep_what_they_have() -> None:
+def test_copies_and_slivers_are_left_out_and_the_others_keep_what_they_have():
     vertices, faces = ball(fineness=2)
     sliver = [[0, 0, 5], [7, 9, 7], [1, 2, len(vertices)]]  # the last one: three points on a line
     vertices = np.concatenate([vertices, [(vertices[1] + vertices[2]) / 2]])
@@ -74,7 +72,7 @@ def test_copies_and_slivers_are_left_out_and_the_others_keep_what_they_have() ->
     np.testing.assert_array_equal(again.triangles, found.triangles)
 
 
-def test_what_lies_inside_is_left_out_by_the_spheres_formula() -> None:
+def test_what_lies_inside_is_left_out_by_the_spheres_formula():
     """Shells, one thinner than a cell away, and a ball that pokes out of another."""
     parts = [((0, 0, 0), 1.0), ((0, 0, 0), 0.995), ((0.1, 0, 0), 0.4), ((1, 0.1, 0), 0.3)]
     surface = joined(*(ball(radius, centre, 4) for centre, radius in parts))
@@ -98,7 +96,7 @@ def test_what_lies_inside_is_left_out_by_the_spheres_formula() -> None:
     assert octex.repair(surface, inner=False)[1] == (0, 0, 0, 0, 0)
 
 
-def test_what_a_hole_or_a_narrow_slit_shows_stays() -> None:
+def test_what_a_hole_or_a_narrow_slit_shows_stays():
     cup = joined(box((-1, -1, -1), (1, 1, 1)), box((-0.5, -0.5, -0.5), (0.5, 0.5, 0.5)))
     assert octex.repair(cup)[1].inner == 12
     faces = cup.triangles[cup.rest[cup.triangles][:, :, 2].min(axis=1) < 1]  # without its top
@@ -118,7 +116,7 @@ def test_what_a_hole_or_a_narrow_slit_shows_stays() -> None:
 
 
 @pytest.mark.parametrize("part", [0.0, 0.3])
-def test_cracks_are_closed_and_nothing_moves_farther_than_they_are_wide(part: float) -> None:
+def test_cracks_are_closed_and_nothing_moves_farther_than_they_are_wide(part):
     vertices, faces = ball(fineness=3)
     soup = vertices[faces].reshape(-1, 3)  # no two triangles share a vertex
     moved = soup + np.random.default_rng(0).uniform(-part, part, soup.shape) * CELL / 2
@@ -134,12 +132,12 @@ def test_cracks_are_closed_and_nothing_moves_farther_than_they_are_wide(part: fl
     np.testing.assert_array_equal(again.rest, found.rest)
 
 
-def test_wider_cracks_thin_strips_and_borders_stay() -> None:
+def test_wider_cracks_thin_strips_and_borders_stay():
     steps = np.arange(50) * 0.02
     rows = [np.c_[steps, np.full(50, y), np.zeros(50)] for y in (-0.5, 0.0, 0.0015, 0.5)]
     i = np.arange(49)
 
-    def strip(first: int, second: int) -> Any:
+    def strip(first, second):
         a, b = 50 * first + i, 50 * second + i
         return np.concatenate([np.c_[a, a + 1, b], np.c_[a + 1, b + 1, b]])
 
@@ -157,16 +155,16 @@ def test_wider_cracks_thin_strips_and_borders_stay() -> None:
     assert octex.repair(fan, cell=0.002)[1] == (0, 0, 0, 0, 0)
 
 
-def test_what_cannot_be_repaired_is_refused() -> None:
+def test_what_cannot_be_repaired_is_refused():
     vertices, faces = ball(fineness=1)
     surface = octex.Surface.from_arrays(vertices, faces)
     with pytest.raises(ArgumentError, match=r"must be an octex\.Surface"):
-        octex.repair(vertices)  # type: ignore[arg-type]
+        octex.repair(vertices)
     for cell in (0.0, -1.0, np.inf):
         with pytest.raises(ArgumentError, match="cell must be finite and above zero"):
             octex.repair(surface, cell=cell)
     with pytest.raises(ArgumentError, match="inner must be True or False"):
-        octex.repair(surface, inner=1)  # type: ignore[arg-type]
+        octex.repair(surface, inner=1)
     flat = octex.Surface.from_arrays(vertices, np.repeat(faces[:, :1], 3, axis=1))
     with pytest.raises(ModelError, match="has no triangles"):
         octex.repair(flat)

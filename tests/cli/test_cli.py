@@ -1,7 +1,5 @@
 """octree-convert as a stranger meets it: usage, help, and as a process."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import inspect
@@ -17,15 +15,15 @@ import pytest
 import octex
 from octex import ahead
 from octex.cli.options import COMMANDS, OPTIONS
-from octex.cli.parser import Options, Parser
+from octex.cli.parser import Parser
 from octex.cli.values import DTYPES, FILTERS, depth, picture_size
 from octex.errors import ArgumentError, ExitCode
 from tests.conftest import fewer_points, needs_jit
-from tests.make.command import Cli, python
+from tests.make.command import python
 from tests.make.fixtures import OBJ_SQUARE, obj, png, random_image, textured_square
 
 
-def parsed(*words: str, command: str = "convert") -> Options:
+def parsed(*words, command="convert"):
     return Parser(f"octex {command}", COMMANDS[command], COMMANDS).parsed(words)
 
 
@@ -99,7 +97,7 @@ HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.textur
         ("paint a.glb --camera", "--camera needs a value, FILE[#NAME]"),
     ],
 )
-def test_bad_usage_is_refused_with_where_to_read(arguments: str, message: str, cli: Cli) -> None:
+def test_bad_usage_is_refused_with_where_to_read(arguments, message, cli):
     command = arguments.partition(" ")[0]
     program = f"octex {command}" if command in COMMANDS else "octree-convert"
     assert cli.refusal(*arguments.split()) == f"{message}; see {program} --help"
@@ -124,11 +122,11 @@ def test_bad_usage_is_refused_with_where_to_read(arguments: str, message: str, c
         ],
     ],
 )
-def test_bad_usage_is_refused_by_name(arguments: str, message: str, cli: Cli) -> None:
+def test_bad_usage_is_refused_by_name(arguments, message, cli):
     assert cli.refusal(*arguments.split()) == message
 
 
-def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
+def test_the_help_lists_the_types_and_filters_of_the_library():
     from octex.channels import ONE
     from octex.source.images.filters import FILTERS as KNOWN
     from octex.tree.layout import MAX_DEPTH
@@ -152,26 +150,23 @@ def test_the_help_lists_the_types_and_filters_of_the_library() -> None:
         ("alpha=folder=x/0.5.png", ("alpha", Path("folder=x/0.5.png"))),
     ],
 )
-def test_a_source_is_a_file_or_numbers(text: str, meaning: object) -> None:
+def test_a_source_is_a_file_or_numbers(text, meaning):
     assert parsed("a", "b", "--source", text).source == [meaning]
 
 
 @pytest.mark.parametrize(
     ("text", "meaning"),
-    [
-        ("uint16", "uint16"),
-        ("normal=uint16, emissive=float16", {"normal": "uint16", "emissive": "float16"}),
-    ],
+    [("uint16", "uint16"), ("normal=uint16, emissive=float16", {"normal": "uint16", "emissive": "float16"})],
 )
-def test_a_type_is_for_all_or_for_some(text: str, meaning: object) -> None:
+def test_a_type_is_for_all_or_for_some(text, meaning):
     assert parsed("a", "b", "--dtype", text).dtype == meaning
 
 
-def test_version_is_the_packages(cli: Cli) -> None:
+def test_version_is_the_packages(cli):
     assert cli.result("--version") == f"octree-convert {octex.__version__}\n"
 
 
-def test_help_and_refusals_import_nothing_heavy() -> None:
+def test_help_and_refusals_import_nothing_heavy():
     code = f"""
 import sys
 from octex.cli.main import main
@@ -184,9 +179,7 @@ print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
 
 
 @needs_jit
-def test_warming_up_compiles_what_is_listed_and_says_how_long_it_took(
-    cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_warming_up_compiles_what_is_listed_and_says_how_long_it_took(cli, monkeypatch):
     done: list[str] = []
     monkeypatch.setattr("octex.ahead._compile", done.append)
     assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", cli.result("warm-up"))
@@ -195,7 +188,7 @@ def test_warming_up_compiles_what_is_listed_and_says_how_long_it_took(
 
 
 @pytest.fixture(scope="module")
-def called() -> set[str]:
+def called():
     """What Python calls kernels with along every path."""
     from octex.field import lookups
 
@@ -212,13 +205,13 @@ def called() -> set[str]:
 
 
 @needs_jit
-def test_all_that_kernels_are_called_with_is_listed(called: set[str]) -> None:
+def test_all_that_kernels_are_called_with_is_listed(called):
     # Where this fails, `python tools/release/signatures.py` lists anew.
     assert sorted(called - set(ahead.lines(*ahead.SECTIONS))) == []
 
 
 @needs_jit
-def test_every_kernel_that_is_called_from_python_lies_on_a_path(called: set[str]) -> None:
+def test_every_kernel_that_is_called_from_python_lies_on_a_path(called):
     decorators = {"kernel", "inlined", "step", "part"}
     decorators |= {"fused_part", "fused_inlined", "summing_kernel", "fused_kernel"}
     entries = {}
@@ -250,7 +243,7 @@ def test_every_kernel_that_is_called_from_python_lies_on_a_path(called: set[str]
         "--balance=full --mask m.png --camera=c.json -- t.octex m.glb n.octex a.png b.png",
     ],
 )
-def test_options_may_stand_anywhere(arguments: str) -> None:
+def test_options_may_stand_anywhere(arguments):
     given = vars(parsed(*arguments.split(), command="paint"))
     assert sorted(given.pop("words")) == ["--balance", "--camera", "--mask"]
     assert {name: value for name, value in given.items() if value} == {
@@ -264,24 +257,24 @@ def test_options_may_stand_anywhere(arguments: str) -> None:
     }
 
 
-def test_sizes_have_a_comma_or_an_x() -> None:
+def test_sizes_have_a_comma_or_an_x():
     assert {picture_size(text) for text in ("640,480", "640x480", "640×480")} == {(640, 480)}
 
 
-def test_options_given_twice_may_stand_anywhere() -> None:
+def test_options_given_twice_may_stand_anywhere():
     options = parsed("--source", "alpha=1", "a", "--source", "roughness=0", "b", "--json")
     assert [name for name, _ in options.source] == ["alpha", "roughness"]
     assert (options.json, options.INPUT) == (True, Path("a"))
 
 
-def test_values_may_begin_with_a_minus_and_files_after_two() -> None:
+def test_values_may_begin_with_a_minus_and_files_after_two():
     options = parsed("--grid", "-1,0,0,1,1,1,0.1", "a.octex", "--project", "box:axis=-y", "--", "-b.octex")
     assert options.grid == (-1, 0, 0, 1, 1, 1, 0.1)
     assert options.project == {"kind": "box", "axis": "-y"}
     assert [str(path) for path in (options.INPUT, options.OUTPUT)] == ["a.octex", "-b.octex"]
 
 
-def test_a_model_is_converted_with_options_between_its_files(model: Path, tmp_path: Path, cli: Cli) -> None:
+def test_a_model_is_converted_with_options_between_its_files(model, tmp_path, cli):
     cli.result(model, "--depth", 3, tmp_path / "a.octex", "--quiet")
     assert octex.open(tmp_path / "a.octex").tree.max_depth == 3
 
@@ -289,7 +282,7 @@ def test_a_model_is_converted_with_options_between_its_files(model: Path, tmp_pa
 # --- warnings
 
 
-def test_a_warning_is_a_line_on_stderr(tmp_path: Path, cli: Cli) -> None:
+def test_a_warning_is_a_line_on_stderr(tmp_path, cli):
     model = obj(tmp_path / "a.obj", "mtllib gone.mtl\n" + OBJ_SQUARE + "usemtl wood\nf 1 2 3\nf 1 3 4\n")
     cli.result(model, tmp_path / "quiet.octex", "--depth", 3, "--quiet")
     for given in ([], ["--source", "base_color=1,0,0"]):
@@ -311,7 +304,7 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="signals, limits and 
 
 
 @posix
-def test_a_full_disk_leaves_the_old_file_whole(model: Path, tmp_path: Path) -> None:
+def test_a_full_disk_leaves_the_old_file_whole(model, tmp_path):
     out = tmp_path / "box.octex"
     out.write_bytes(b"old")
     filling = """
@@ -337,7 +330,7 @@ sys.exit(octree_convert())
 
 
 @posix
-def test_interruption_ends_with_130_and_leaves_nothing(model: Path, tmp_path: Path) -> None:
+def test_interruption_ends_with_130_and_leaves_nothing(model, tmp_path):
     interrupting = """
 import os, signal, sys
 from octex.cli import convert
@@ -362,7 +355,7 @@ sys.exit(octree_convert())
 
 
 @posix
-def test_a_command_that_is_told_to_end_ends_with_143_and_leaves_nothing(model: Path, tmp_path: Path) -> None:
+def test_a_command_that_is_told_to_end_ends_with_143_and_leaves_nothing(model, tmp_path):
     ending = """
 import os, signal, sys
 from octex import files
@@ -388,7 +381,7 @@ sys.exit(octree_convert())
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="this system does not count threads there")
 @pytest.mark.parametrize("count", [1, 2])
-def test_no_more_threads_are_started_than_asked_for(tmp_path: Path, count: int) -> None:
+def test_no_more_threads_are_started_than_asked_for(tmp_path, count):
     watching = """
 import re, sys, threading
 from pathlib import Path
@@ -417,7 +410,7 @@ sys.exit(code)
 
 
 @posix
-def test_a_broken_pipe_is_harmless_and_a_full_device_is_not(made: Path) -> None:
+def test_a_broken_pipe_is_harmless_and_a_full_device_is_not(made):
     reading, writing = os.pipe()
     os.close(reading)
     with os.fdopen(writing, "wb") as broken:
@@ -434,7 +427,7 @@ def test_a_broken_pipe_is_harmless_and_a_full_device_is_not(made: Path) -> None:
 
 
 @posix
-def test_a_link_that_leads_to_itself_is_no_output(model: Path, tmp_path: Path, cli: Cli) -> None:
+def test_a_link_that_leads_to_itself_is_no_output(model, tmp_path, cli):
     loop, other = tmp_path / "loop.octex", tmp_path / "other.octex"
     loop.symlink_to(loop)
     for force in ([], ["--force"]):

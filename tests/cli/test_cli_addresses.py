@@ -1,16 +1,12 @@
 """Commands read textures at addresses, as they read those in files; what they write lies here."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import pytest
 
 import octex
 from octex.cli.values import Address, texture_file
 from octex.errors import ExitCode
-from tests.make.command import Cli
 from tests.make.fixtures import png, random_image, textured_square
 
 fsspec = pytest.importorskip("fsspec", reason="needs the extra octex[remote]")
@@ -19,7 +15,7 @@ THERE = "memory://octex/a.octex"
 
 
 @pytest.fixture(scope="module")
-def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def square(tmp_path_factory):
     """A model; beside it, and elsewhere, its texture."""
     path = tmp_path_factory.mktemp("square") / "square.glb"
     textured_square(path, png(random_image(8, 8)))
@@ -32,7 +28,7 @@ def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.usefixtures("small_previews")
-def test_commands_read_a_texture_at_an_address_as_in_a_file(cli: Cli, square: Path, tmp_path: Path) -> None:
+def test_commands_read_a_texture_at_an_address_as_in_a_file(cli, square, tmp_path):
     here = square.with_suffix(".octex")
     assert cli.result("info", THERE) == cli.result("info", here)
     assert cli.result("validate", THERE) == "valid\n"
@@ -54,26 +50,17 @@ def test_commands_read_a_texture_at_an_address_as_in_a_file(cli: Cli, square: Pa
     cli.result("draw", THERE, square, *view, "--quiet")
 
 
-def test_what_is_no_texture_or_is_written_has_no_address(cli: Cli, square: Path, tmp_path: Path) -> None:
+def test_what_is_no_texture_or_is_written_has_no_address(cli, square, tmp_path):
     for words, said in (
         (
             ("https://a.b/c.glb", "d.octex"),
             r"https://a.b/c.glb is a URL; octex reads only textures, NAME.octex and",
         ),
         ((THERE, "s3://a/b.octex"), "s3://a/b.octex is a URL, and octex writes to disk only"),
-        (
-            (square, tmp_path / "a.octex", "--rest", "https://a.b/c.glb"),
-            "https://a.b/c.glb is a URL, and",
-        ),
+        ((square, tmp_path / "a.octex", "--rest", "https://a.b/c.glb"), "https://a.b/c.glb is a URL, and"),
         *(
-            (
-                (*command, square, tmp_path / "a.png", word, f"{name}{there}"),
-                f"{word}: {there} is",
-            )
-            for command, word, name in (
-                (("draw",), "--light", ""),
-                ((), "--source", "base_color="),
-            )
+            ((*command, square, tmp_path / "a.png", word, f"{name}{there}"), f"{word}: {there} is")
+            for command, word, name in ((("draw",), "--light", ""), ((), "--source", "base_color="))
             for there in ("https://a.b/sky.hdr",)
         ),
     ):
@@ -91,7 +78,7 @@ def test_what_is_no_texture_or_is_written_has_no_address(cli: Cli, square: Path,
     assert cli.said()[0].startswith("memory://octex/cut.octex: ")
 
 
-def test_addresses_have_the_ending_of_the_file_that_they_name(tmp_path: Path) -> None:
+def test_addresses_have_the_ending_of_the_file_that_they_name(tmp_path):
     for text, name in (
         ("https://a.b/c/d.octex?key=a/b.c#e", "d.octex"),
         ("simplecache::s3://a/d.OCTZ", "d.OCTZ"),

@@ -1,12 +1,9 @@
 """What all commands share."""
 
-from __future__ import annotations
-
 import io
 import os
 import re
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -40,10 +37,8 @@ from octex.errors import ExitCode, InputError, ModelError, OutputError
         ),
     ],
 )
-def test_a_failure_is_one_line_on_stderr_and_an_exit_code(
-    error: BaseException, code: int, line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def body() -> int:
+def test_a_failure_is_one_line_on_stderr_and_an_exit_code(error, code, line, capsys):
+    def body():
         raise error
 
     assert run("octree-x", body) == code
@@ -52,9 +47,7 @@ def test_a_failure_is_one_line_on_stderr_and_an_exit_code(
     assert captured.err == line + "\n"
 
 
-def test_a_defect_shows_its_traceback_if_asked(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_defect_shows_its_traceback_if_asked(monkeypatch, capsys):
     monkeypatch.setenv("OCTEX_TRACEBACK", "1")
     assert run("octree-x", lambda: 1 // 0) == ExitCode.CRASHED
     error = capsys.readouterr().err
@@ -65,33 +58,31 @@ def test_a_defect_shows_its_traceback_if_asked(
 class Broken(io.StringIO):
     """A stream whose reader has gone, or whose disk is full."""
 
-    def __init__(self, error: OSError) -> None:
+    def __init__(self, error):
         super().__init__()
         self.error = error
 
-    def write(self, _text: str, /) -> int:
+    def write(self, _text, /):
         raise self.error
 
-    def isatty(self) -> bool:
+    def isatty(self):
         return False
 
 
-def test_a_reader_that_has_gone_away_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reader_that_has_gone_away_is_no_error(monkeypatch):
     monkeypatch.setattr(sys, "stdout", Broken(BrokenPipeError()))
     say("result")
     assert run("octree-x", lambda: ExitCode.INVALID) == ExitCode.INVALID
 
 
-def test_output_that_cannot_be_written_is_an_error(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_output_that_cannot_be_written_is_an_error(monkeypatch, capsys):
     monkeypatch.setattr(sys, "stdout", Broken(OSError(28, "No space left on device")))
     assert run("octree-x", lambda: ExitCode.DONE) == ExitCode.REFUSED
     expected = "octree-x: error: standard output cannot be written: No space left on device\n"
     assert capsys.readouterr().err == expected
 
 
-def test_closed_streams_are_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closed_streams_are_no_error(monkeypatch):
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
     say("result")
@@ -100,7 +91,7 @@ def test_closed_streams_are_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     assert run("octree-x", lambda: 1 // 0) == ExitCode.CRASHED
 
 
-def test_names_that_are_no_text_can_be_printed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_names_that_are_no_text_can_be_printed(monkeypatch, tmp_path):
     file = (tmp_path / "out").open("w", encoding="ascii")
     with file:
         monkeypatch.setattr(sys, "stdout", file)
@@ -112,11 +103,11 @@ def test_names_that_are_no_text_can_be_printed(monkeypatch: pytest.MonkeyPatch, 
 
 
 class Terminal(io.StringIO):
-    def isatty(self) -> bool:
+    def isatty(self):
         return True
 
 
-def test_on_a_terminal_there_is_a_bar_with_the_stages_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_terminal_there_is_a_bar_with_the_stages_name(monkeypatch):
     terminal = Terminal()
     monkeypatch.setattr(sys, "stderr", terminal)
     with Reporter("octree-x") as progress:
@@ -132,7 +123,7 @@ def test_on_a_terminal_there_is_a_bar_with_the_stages_name(monkeypatch: pytest.M
     assert shown.endswith("\r")  # no bar is left behind
 
 
-def test_elsewhere_a_finished_stage_is_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_elsewhere_a_finished_stage_is_a_line(capsys):
     with Reporter("octree-x") as progress:
         for done in range(100):
             progress("cells", done, 100)
@@ -146,21 +137,21 @@ def test_elsewhere_a_finished_stage_is_a_line(capsys: pytest.CaptureFixture[str]
     ]
 
 
-def test_a_stage_that_fails_is_not_said_to_be_done(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_stage_that_fails_is_not_said_to_be_done(capsys):
     with pytest.raises(ModelError), Reporter("octree-x") as progress:
         progress("cells", 1, 2)
         raise ModelError("bad")
     assert capsys.readouterr().err == ""
 
 
-def test_quiet_says_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_says_nothing(capsys):
     with Reporter("octree-x", quiet=True) as progress:
         progress("cells", 1, 1)
         progress.note("a note")
     assert capsys.readouterr().err == ""
 
 
-def test_nothing_that_happens_to_stderr_stops_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_that_happens_to_stderr_stops_the_work(monkeypatch):
     monkeypatch.setattr(sys, "stderr", Broken(BrokenPipeError()))
     with Reporter("octree-x") as progress:
         for stage in ("cells", "colours", "cells"):
@@ -169,7 +160,7 @@ def test_nothing_that_happens_to_stderr_stops_the_work(monkeypatch: pytest.Monke
     assert run("octree-x", lambda: 1 // 0) == ExitCode.CRASHED
 
 
-def test_compilation_is_announced_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_compilation_is_announced_once(capsys):
     import numba
 
     from octex import jit
@@ -184,7 +175,7 @@ def test_compilation_is_announced_once(capsys: pytest.CaptureFixture[str]) -> No
 # --- checks before any work
 
 
-def test_outputs_are_checked_before_any_work(tmp_path: Path) -> None:
+def test_outputs_are_checked_before_any_work(tmp_path):
     model = tmp_path / "model.glb"
     model.write_bytes(b"model")
     there = tmp_path / "there.octex"
@@ -193,7 +184,7 @@ def test_outputs_are_checked_before_any_work(tmp_path: Path) -> None:
     alias = tmp_path / "alias.octex"
     alias.symlink_to(model)
 
-    def check(*names: str, force: bool = False) -> None:
+    def check(*names, force=False):
         outputs = [(tmp_path / name, (".octex", ".ply"), f"OUTPUT{n}") for n, name in enumerate(names)]
         check_outputs(outputs, [model], force=force)
 
@@ -218,7 +209,7 @@ def test_outputs_are_checked_before_any_work(tmp_path: Path) -> None:
         check("a.octex", "sub/../a.octex" if (tmp_path / "sub").mkdir() is None else "")
 
 
-def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "access", lambda *_: False)
     with pytest.raises(OutputError, match="cannot be written"):
         check_outputs([(tmp_path / "a.octex", (".octex",), "OUTPUT")], [], force=False)
@@ -235,5 +226,5 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path, monkeypatch:
         (5 * 10**15, "5 PB"),
     ],
 )
-def test_bytes_are_readable(count: int, text: str) -> None:
+def test_bytes_are_readable(count, text):
     assert bytes_text(count) == text

@@ -1,10 +1,7 @@
 """Differences at the command line."""
 
-from __future__ import annotations
-
 import json
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,11 +13,11 @@ from octex.drawing import draw_difference
 from octex.drawing.compare import difference
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
-from tests.make.command import Cli, colored_box
+from tests.make.command import colored_box
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A box, its textures of depths 4 and 3, and one of another half box with roughness."""
     folder = tmp_path_factory.mktemp("diff")
     model = colored_box(folder)
@@ -32,7 +29,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_two_textures_are_compared_in_a_table(folder: Path, cli: Cli) -> None:
+def test_two_textures_are_compared_in_a_table(folder, cli):
     first, second = folder / "4.octex", folder / "3.octex"
     lines = cli.result("diff", first, second).splitlines()
     a, b = octex.open(first), octex.open(second)
@@ -48,12 +45,12 @@ def test_two_textures_are_compared_in_a_table(folder: Path, cli: Cli) -> None:
     assert len(lines) == 6
 
 
-def test_the_same_texture_twice_is_exact(folder: Path, cli: Cli) -> None:
+def test_the_same_texture_twice_is_exact(folder, cli):
     text = cli.result("diff", folder / "4.octex", folder / "4.octex")
     assert " 0  exact " in text
 
 
-def test_a_texture_and_its_model_are_compared_at_points(folder: Path, cli: Cli) -> None:
+def test_a_texture_and_its_model_are_compared_at_points(folder, cli):
     model, texture = folder / "box.glb", folder / "4.octex"
     lines = cli.result("diff", texture, model, "--points", 5000).splitlines()
     assert lines[1] == f"B  {model}: a model of 12 triangles"
@@ -69,7 +66,7 @@ def test_a_texture_and_its_model_are_compared_at_points(folder: Path, cli: Cli) 
     assert report["uncovered"] == {"a": None, "b": 0.0}
 
 
-def test_what_cannot_be_compared_is_named(folder: Path, cli: Cli) -> None:
+def test_what_cannot_be_compared_is_named(folder, cli):
     lines = cli.result("diff", folder / "half.octex", folder / "4.octex").splitlines()
     assert "only A has the channel roughness" in lines
     assert any(line.endswith("% of B's surface is not in A; it is left out") for line in lines)
@@ -80,7 +77,7 @@ def test_what_cannot_be_compared_is_named(folder: Path, cli: Cli) -> None:
     assert message == "unknown channel in both 'roughness'; there are: base_color"
 
 
-def test_a_model_is_completed_as_for_a_conversion(folder: Path, cli: Cli) -> None:
+def test_a_model_is_completed_as_for_a_conversion(folder, cli):
     arguments = ["--source", "roughness=0.5", "--channels", "roughness", "--points", "2000", "--json"]
     report = json.loads(cli.result("diff", folder / "half.octex", folder / "box.glb", *arguments))
     assert list(report["channels"]) == ["roughness"]
@@ -88,13 +85,13 @@ def test_a_model_is_completed_as_for_a_conversion(folder: Path, cli: Cli) -> Non
     assert 0.2 < report["uncovered"]["b"] < 0.6
 
 
-def test_nothing_differs_in_json_as_null(folder: Path, cli: Cli) -> None:
+def test_nothing_differs_in_json_as_null(folder, cli):
     report = json.loads(cli.result("diff", folder / "4.octex", folder / "4.octex", "--json"))
     assert report["channels"]["base_color"]["psnr"] is None
     assert report["channels"]["base_color"]["rms"] == 0
 
 
-def test_directions_have_a_row_for_the_angle(tmp_path: Path, cli: Cli) -> None:
+def test_directions_have_a_row_for_the_angle(tmp_path, cli):
     surface = Surface.from_arrays(
         np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0.3]]), np.array([[0, 1, 2]]), uv=np.eye(3)[:, :2]
     )
@@ -113,9 +110,7 @@ def test_directions_have_a_row_for_the_angle(tmp_path: Path, cli: Cli) -> None:
     assert "angle" not in report["channels"]["normal"]["angle"]
 
 
-def test_a_picture_is_drawn_and_named(
-    folder: Path, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_picture_is_drawn_and_named(folder, tmp_path, cli, monkeypatch):
     small = partial(draw_difference, supersample=1)
     monkeypatch.setattr("octex.drawing.draw_difference", small)
     path = tmp_path / "diff.png"
@@ -131,8 +126,8 @@ def test_a_picture_is_drawn_and_named(
 
 @needs_jit
 def test_light_is_compared_and_drawn_times_alpha_also_if_colours_alone_are_asked_for(
-    tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, cli, monkeypatch
+):
     points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     colors = np.array([[1.0, 0, 0, 0], [0, 1, 0, 1], [0, 0, 1, 1], [1, 1, 1, 0]])
     model, texture, path = tmp_path / "clear.ply", tmp_path / "clear.octex", tmp_path / "diff.png"
@@ -168,13 +163,13 @@ def test_light_is_compared_and_drawn_times_alpha_also_if_colours_alone_are_asked
     assert np.abs(left - right).mean() < 12  # colours that the texture weighs by alpha
 
 
-def test_progress_goes_to_stderr(folder: Path, cli: Cli) -> None:
+def test_progress_goes_to_stderr(folder, cli):
     said = cli.errors("diff", folder / "4.octex", folder / "3.octex")
     lines = [line for line in said.splitlines() if "compiling" not in line]
     assert [line.split(":")[1] for line in lines] == [" read", " compare"]
 
 
-def test_missing_files_are_named(folder: Path, cli: Cli) -> None:
+def test_missing_files_are_named(folder, cli):
     for name in ("missing.octex", "missing.glb"):
         assert name in cli.refusal("diff", folder / "4.octex", folder / name)
 
@@ -182,11 +177,11 @@ def test_missing_files_are_named(folder: Path, cli: Cli) -> None:
 @pytest.mark.parametrize(
     ("value", "text"), [(0.0, "0"), (0.5, "0.5"), (1 / 3, "0.3333"), (12.345, "12.3"), (-0.25, "-0.25")]
 )
-def test_numbers_are_short(value: float, text: str) -> None:
+def test_numbers_are_short(value, text):
     assert number(value) == text
 
 
-def test_a_texture_that_is_broken_inside_is_refused(folder: Path, tmp_path: Path, cli: Cli) -> None:
+def test_a_texture_that_is_broken_inside_is_refused(folder, tmp_path, cli):
     data = bytearray((folder / "4.octex").read_bytes())
     data[4096] ^= 0xFF  # the masks of the first nodes follow the header
     broken = tmp_path / "broken.octex"

@@ -1,17 +1,13 @@
 """A look at textures at the command line."""
 
-from __future__ import annotations
-
 import json
 import re
-from pathlib import Path
 
 import octex
 from octex.errors import ExitCode
-from tests.make.command import Cli
 
 
-def test_info_is_text_for_people_and_json_for_machines(made: Path, cli: Cli) -> None:
+def test_info_is_text_for_people_and_json_for_machines(made, cli):
     texture = octex.open(made)
     assert json.loads(cli.result("info", made, "--json")) == texture.info()
     text = cli.result("info", made)
@@ -22,7 +18,7 @@ def test_info_is_text_for_people_and_json_for_machines(made: Path, cli: Cli) -> 
     assert re.search(r"^source +box\.glb$", text, re.MULTILINE)
 
 
-def test_validate_proves_a_texture_or_names_what_is_broken(made: Path, tmp_path: Path, cli: Cli) -> None:
+def test_validate_proves_a_texture_or_names_what_is_broken(made, tmp_path, cli):
     assert cli.result("validate", made) == "valid\n"
     assert cli.result("validate", made, "--quiet") == ""
     assert json.loads(cli.result("validate", made, "--json")) == {
@@ -47,7 +43,7 @@ def test_validate_proves_a_texture_or_names_what_is_broken(made: Path, tmp_path:
     assert cli.said() == ("", "")
 
 
-def test_a_file_that_cannot_be_read_is_not_a_broken_one(tmp_path: Path, cli: Cli) -> None:
+def test_a_file_that_cannot_be_read_is_not_a_broken_one(tmp_path, cli):
     for word in ("validate", "info"):
         assert "missing.octex" in cli.refusal(word, tmp_path / "missing.octex")
         assert str(tmp_path) in cli.refusal(word, tmp_path)

@@ -1,7 +1,5 @@
 """octex, the one command: its first word, its helps and pages, and that it does what octree-convert does."""
 
-from __future__ import annotations
-
 import re
 import sys
 import tomllib
@@ -23,17 +21,17 @@ NAMES = [*COMMANDS]
 class Octex(Cli):
     """Runs octex, with any first word."""
 
-    def run(self, *arguments: object) -> int:
+    def run(self, *arguments):
         return main([str(each) for each in arguments])
 
 
 @pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+def cli(capsys):
     return Octex(capsys)
 
 
 @needs_jit
-def test_the_doors_are_two_of_the_commands(tmp_path: Path, cli: Cli) -> None:
+def test_the_doors_are_two_of_the_commands(tmp_path, cli):
     model, texture, coarse = colored_box(tmp_path), tmp_path / "box.octex", tmp_path / "coarse.octex"
     assert cli.result("convert", "--depth", 4, model, texture, "--quiet") == ""
     assert main(["convert", str(model), str(coarse), "--depth", "4", "--quiet"], "octree-convert") == 0
@@ -47,7 +45,7 @@ def test_the_doors_are_two_of_the_commands(tmp_path: Path, cli: Cli) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_each_commands_help_is_a_screen_with_every_option(name: str, cli: Cli) -> None:
+def test_each_commands_help_is_a_screen_with_every_option(name, cli):
     text = cli.result(name, "--help")
     assert text.startswith(f"usage: octex {name}")
     assert f"\n\n  octex {name}" in text
@@ -58,15 +56,13 @@ def test_each_commands_help_is_a_screen_with_every_option(name: str, cli: Cli) -
     assert len(command.options) <= {"convert": 26, "paint": 28, "bake": 23, "diff": 8}.get(name, 22)
 
 
-def test_every_exit_code_is_explained(cli: Cli) -> None:
+def test_every_exit_code_is_explained(cli):
     text = cli.result("help", "commands")
     assert all(re.search(rf"{code}`? +\| {re.escape(code.meaning)}", text) for code in ExitCode)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_examples_of_helps_are_understood(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
-) -> None:
+def test_the_examples_of_helps_are_understood(name, tmp_path, monkeypatch, cli):
     monkeypatch.chdir(tmp_path)  # without any file
     text = cli.result(name, "--help")
     for example in re.findall(rf"^  octex {name} (.+)$", text.split("\n\n")[2], re.MULTILINE):
@@ -74,7 +70,7 @@ def test_the_examples_of_helps_are_understood(
         assert not re.search("not an option|too many|needs a value|cannot be used|missing", message), message
 
 
-def test_the_overview_names_every_command_and_page(cli: Cli) -> None:
+def test_the_overview_names_every_command_and_page(cli):
     text = cli.result("--help")
     assert text == cli.result("help")
     for name in NAMES:
@@ -84,7 +80,7 @@ def test_the_overview_names_every_command_and_page(cli: Cli) -> None:
 
 
 @pytest.mark.parametrize("name", TOPICS)
-def test_each_page_is_there(name: str, cli: Cli) -> None:
+def test_each_page_is_there(name, cli):
     text = topic(name)
     assert text.startswith("# ")
     assert cli.result("help", name) == text + "\n"
@@ -92,11 +88,11 @@ def test_each_page_is_there(name: str, cli: Cli) -> None:
         assert COMMANDS[command].has(word), (command, word)
 
 
-def test_help_of_a_command_is_all_its_help(cli: Cli) -> None:
+def test_help_of_a_command_is_all_its_help(cli):
     assert cli.result("help", "diff") == cli.result("diff", "--help")
 
 
-def test_what_is_no_command_is_refused_with_those_that_there_are(cli: Cli) -> None:
+def test_what_is_no_command_is_refused_with_those_that_there_are(cli):
     names = "convert, view, draw, paint, bake, edit, info, diff, validate, overlaps, warm-up, help"
     end = f"the commands are {names}; see octex --help"
     assert cli.refused() == f"octex: error: a command is missing: {end}"
@@ -113,7 +109,7 @@ def test_what_is_no_command_is_refused_with_those_that_there_are(cli: Cli) -> No
     assert cli.refused("edit", "a.obj", "b.octex") == message
 
 
-def test_a_model_is_not_converted_to_another_but_baked_to(cli: Cli) -> None:
+def test_a_model_is_not_converted_to_another_but_baked_to(cli):
     for given, file, end in (
         ("a.glb", "b.glb", "baked onto its model: octex bake TEXTURE a.glb b.glb"),
         ("a.octex", "b.ptx", "baked onto its model: octex bake TEXTURE MODEL b.ptx"),
@@ -122,16 +118,16 @@ def test_a_model_is_not_converted_to_another_but_baked_to(cli: Cli) -> None:
         assert cli.refused("convert", given, file).endswith(end)
 
 
-def test_a_file_of_functions_needs_the_name_of_one(tmp_path: Path, cli: Cli) -> None:
+def test_a_file_of_functions_needs_the_name_of_one(tmp_path, cli):
     message = cli.refused("convert", "shapes.py", tmp_path / "a.octex", "--quiet")
     assert message.endswith("shapes.py: name the function in it, like shapes.py:NAME")
 
 
-def test_version_is_the_packages(cli: Cli) -> None:
+def test_version_is_the_packages(cli):
     assert cli.result("--version") == f"octex {octex.__version__}\n"
 
 
-def test_help_and_pages_import_nothing_heavy() -> None:
+def test_help_and_pages_import_nothing_heavy():
     code = """
 import sys
 from octex.cli.main import main
@@ -162,7 +158,7 @@ sys.exit(function())
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
 @pytest.mark.parametrize("module", ["octex.cli.main", "octex.errors", "octex.cli.common", "octex.cli.values"])
-def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(module: str) -> None:
+def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(module):
     scripts = tomllib.loads((Path(octex.__file__).parents[1] / "pyproject.toml").read_text())["project"]
     for command, target in scripts["scripts"].items():
         home, _, function = target.partition(":")
@@ -171,7 +167,7 @@ def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(
         assert (done.returncode, done.stderr) == (130, f"{command}: interrupted\n")
 
 
-def test_a_page_is_not_viewed_again(tmp_path: Path, cli: Cli) -> None:
+def test_a_page_is_not_viewed_again(tmp_path, cli):
     page = tmp_path / "droid.html"
     assert cli.refused("view", str(page)).endswith("error: TEXTURE is missing; see octex view --help")
     page.write_text("<html>")

@@ -1,7 +1,5 @@
 """Painting at the command line."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import json
@@ -13,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from PIL import Image
 
@@ -24,7 +21,7 @@ from octex.cli.parser import Parser
 from octex.cli.values import BALANCES, BLENDS, HOLES, PICTURES, camera
 from octex.errors import ExitCode
 from tests.conftest import needs_jit
-from tests.make.command import OUT, VIEW, Cli, Painting, colored_box, painting, python
+from tests.make.command import OUT, VIEW, Painting, colored_box, painting, python
 from tests.make.same import assert_equal, assert_same
 
 SIZE = 40
@@ -33,7 +30,7 @@ ROOT = Path(octex.__file__).parent.parent
 
 
 @pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+def cli(capsys):
     """Runs octex paint, or octex draw for a view to paint on."""
     return Painting(capsys)
 
@@ -41,7 +38,7 @@ def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
 class Scene:
     """A box with its texture, a camera before it and pictures for that."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.model = colored_box(folder)
         self.surface = octex.load_surface(self.model)
         self.texture = folder / "box.octex"
@@ -57,11 +54,11 @@ class Scene:
         Image.fromarray(np.full((SIZE, SIZE, 3), [0, 0, 255], np.uint8)).save(self.blue)
 
     @property
-    def shot(self) -> list[object]:
+    def shot(self):
         """Arguments to paint the square."""
         return [self.texture, self.model, self.square, "--camera", f"{self.cameras}#square.png"]
 
-    def places(self, beside: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
+    def places(self, beside):
         """Return rest positions that the camera sees, and whether they are so many pixels in the square."""
         samples = self.surface.scatter(4000)
         toward = self.camera.position - samples.points
@@ -72,23 +69,21 @@ class Scene:
 
 
 @pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+def scene(tmp_path_factory):
     return Scene(tmp_path_factory.mktemp("scene"))
 
 
 # --- painting
 
 
-def assert_painted(one: octex.OctreeTexture, other: octex.OctreeTexture) -> None:
+def assert_painted(one, other):
     """Two textures are the same, and lie in the same place; a command's metadata say more."""
     assert_same(one, other)
     assert one.placement == other.placement
     np.testing.assert_array_equal(one.bounds, other.bounds)
 
 
-def test_textures_and_layers_whose_content_is_broken_are_refused(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_textures_and_layers_whose_content_is_broken_are_refused(scene, tmp_path, cli):
     content = bytearray(scene.texture.read_bytes())
     flags = octex.open(scene.texture).tree.arrays.flags.tobytes()
     at = bytes(content).index(flags, 4096)
@@ -103,7 +98,7 @@ def test_textures_and_layers_whose_content_is_broken_are_refused(
 
 
 @needs_jit
-def test_paint_is_where_the_camera_sees_it_and_nowhere_else(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_paint_is_where_the_camera_sees_it_and_nowhere_else(scene, tmp_path, cli):
     out = tmp_path / "out.octex"
     text = cli.result(*scene.shot, OUT, out)
     assert text.startswith(f"{out}: 1 picture painted, {octex.open(out).tree.n_leaves:,} leaves, depth ")
@@ -117,7 +112,7 @@ def test_paint_is_where_the_camera_sees_it_and_nowhere_else(scene: Scene, tmp_pa
 
 
 @needs_jit
-def test_a_picture_that_was_drawn_is_edited_and_painted_back(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_a_picture_that_was_drawn_is_edited_and_painted_back(scene, tmp_path, cli):
     view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
     options = ["--camera", f"{scene.cameras}#square.png", "--threads", 1]
     text = cli.result(scene.texture, scene.model, VIEW, view, "--camera-out", file, *options)
@@ -143,8 +138,8 @@ def test_a_picture_that_was_drawn_is_edited_and_painted_back(scene: Scene, tmp_p
 
 @needs_jit
 def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_painted_back(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+    scene, tmp_path, cli
+):
     erased, view, out = tmp_path / "erased.octex", tmp_path / "square.png", tmp_path / "out.octex"
     cli.result(*scene.shot, "--blend", "erase", "--max-depth", "12", OUT, erased)
     before = octex.open(erased)
@@ -164,18 +159,7 @@ def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_p
     cli.result(*look, "--force")
     points, inside = scene.places(1.5)
     assert (before.sample(points, "alpha")[inside] == 0).all()
-    back = [
-        erased,
-        scene.model,
-        view,
-        "--camera",
-        scene.cameras,
-        "--max-depth",
-        "12",
-        OUT,
-        out,
-        "--force",
-    ]
+    back = [erased, scene.model, view, "--camera", scene.cameras, "--max-depth", "12", OUT, out, "--force"]
     for blend in ("over", "replace"):
         cli.result(*back, "--blend", blend)
         after = octex.open(out)
@@ -187,7 +171,7 @@ def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_p
 
 
 @needs_jit
-def test_a_layer_kept_and_merged_later_is_the_same_paint(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_a_layer_kept_and_merged_later_is_the_same_paint(scene, tmp_path, cli):
     layer = tmp_path / "layer.octex"
     text = cli.result(
         *scene.shot, OUT, tmp_path / "a.octex", "--layer-out", layer, "--opacity", 0.5, "--quiet"
@@ -211,9 +195,7 @@ def test_a_layer_kept_and_merged_later_is_the_same_paint(scene: Scene, tmp_path:
 
 
 @needs_jit
-def test_an_archive_is_painted_on_and_with_force_the_texture_itself_is_replaced(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_an_archive_is_painted_on_and_with_force_the_texture_itself_is_replaced(scene, tmp_path, cli):
     texture, out = tmp_path / "box.octex", tmp_path / "out.octex"
     texture.write_bytes(scene.texture.read_bytes())
     arguments = [texture, scene.model, *scene.shot[2:]]
@@ -228,9 +210,7 @@ def test_an_archive_is_painted_on_and_with_force_the_texture_itself_is_replaced(
     assert_equal(opened, octex.open(scene.texture))  # what is mapped is the old file
 
 
-def test_without_force_and_as_a_layer_the_texture_is_not_replaced(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_without_force_and_as_a_layer_the_texture_is_not_replaced(scene, tmp_path, cli):
     before = scene.texture.read_bytes()
     message = cli.refusal(*scene.shot, OUT, scene.texture)
     assert message == f"{scene.texture}: exists already; --force overwrites it"
@@ -241,7 +221,7 @@ def test_without_force_and_as_a_layer_the_texture_is_not_replaced(
 
 
 @needs_jit
-def test_erasing_takes_alpha_away(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_erasing_takes_alpha_away(scene, tmp_path, cli):
     out = tmp_path / "out.octex"
     cli.result(*scene.shot, OUT, out, "--blend", "erase", "--opacity", 0.5, "--quiet")
     before, after = octex.open(scene.texture), octex.open(out)
@@ -261,9 +241,7 @@ def test_erasing_takes_alpha_away(scene: Scene, tmp_path: Path, cli: Cli) -> Non
 
 
 @needs_jit
-def test_a_machine_reads_one_object_and_the_texture_knows_what_was_painted(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_a_machine_reads_one_object_and_the_texture_knows_what_was_painted(scene, tmp_path, cli):
     first, second = tmp_path / "first.octex", tmp_path / "second.octex"
     cli.result(*scene.shot, OUT, first, "--quiet")
     arguments = [first, scene.model, scene.square, scene.blue, "--camera", scene.cameras]
@@ -298,9 +276,7 @@ def test_a_machine_reads_one_object_and_the_texture_knows_what_was_painted(
 
 
 @needs_jit
-def test_nothing_painted_writes_nothing_and_has_an_exit_code_of_its_own(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_nothing_painted_writes_nothing_and_has_an_exit_code_of_its_own(scene, tmp_path, cli):
     away = replace(
         scene.camera, world_to_camera=np.diag([1.0, -1.0, -1.0, 1.0]) @ scene.camera.world_to_camera
     )
@@ -333,7 +309,7 @@ def test_nothing_painted_writes_nothing_and_has_an_exit_code_of_its_own(
 
 
 @needs_jit
-def test_a_texture_that_is_not_there_is_begun(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_a_texture_that_is_not_there_is_begun(scene, tmp_path, cli):
     out = tmp_path / "out.octex"
     assert "there is no texture yet: painting begins a new one" in cli.errors(*scene.shot[1:], OUT, out)
     made = octex.open(out)
@@ -348,9 +324,7 @@ def test_a_texture_that_is_not_there_is_begun(scene: Scene, tmp_path: Path, cli:
 
 @needs_jit
 @pytest.mark.parametrize("depth", [[], ["--max-depth", 3]])
-def test_a_new_texture_may_have_a_background(
-    depth: list[object], scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_a_new_texture_may_have_a_background(depth, scene, tmp_path, cli):
     out = tmp_path / "out.octex"
     arguments = [*scene.shot[1:], OUT, out, *depth]
     cli.result(*arguments, "--holes", "#204060", "--quiet")
@@ -368,7 +342,7 @@ def test_a_new_texture_may_have_a_background(
     assert octex.open(out).sample(away_points, "roughness") == pytest.approx(0.2, abs=1e-3)
 
 
-def test_a_background_is_one_of_the_channels_values(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_a_background_is_one_of_the_channels_values(scene, tmp_path, cli):
     new = [*scene.shot[1:], OUT, tmp_path / "out.octex"]
     given = [*new, "--holes", "1,2,3", "--channel"]
     assert "give a grey" in cli.refusal(*given, "roughness")
@@ -379,14 +353,14 @@ def test_a_background_is_one_of_the_channels_values(scene: Scene, tmp_path: Path
 
 
 @needs_jit
-def test_pictures_are_matched_to_frames_by_their_file_names(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_pictures_are_matched_to_frames_by_their_file_names(scene, tmp_path, cli):
     out = tmp_path / "out.octex"
     arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, out, "--force"]
     made = json.loads(cli.result(*arguments, scene.blue, scene.square, "--json", "--quiet"))
     assert made["painted"] == ["blue.png", "square.png"]
 
 
-def test_pictures_without_a_frame_are_refused(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_pictures_without_a_frame_are_refused(scene, tmp_path, cli):
     out = tmp_path / "out.octex"
     arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, out]
     (tmp_path / "other.png").write_bytes(scene.blue.read_bytes())
@@ -407,18 +381,14 @@ def test_pictures_without_a_frame_are_refused(scene: Scene, tmp_path: Path, cli:
     assert message == f"{unnamed}: does not name the pictures of its cameras; give IMAGEs"
 
 
-def test_pictures_that_lie_beside_their_cameras_need_not_be_named(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_pictures_that_lie_beside_their_cameras_need_not_be_named(scene, tmp_path, cli):
     arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, tmp_path / "out.octex"]
     made = json.loads(cli.result(*arguments, "--json", "--quiet"))
     assert made["painted"] == ["square.png", "blue.png"]
 
 
 @needs_jit
-def test_a_files_own_pictures_are_painted_and_missing_ones_skipped(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_a_files_own_pictures_are_painted_and_missing_ones_skipped(scene, tmp_path, cli):
     file, names = transforms(scene, tmp_path)
     (tmp_path / "images").mkdir()
     (tmp_path / names[0]).write_bytes(scene.blue.read_bytes())
@@ -431,7 +401,7 @@ def test_a_files_own_pictures_are_painted_and_missing_ones_skipped(
     assert (made["painted"], made["skipped"]) == (["blue.png"], names[1:])
 
 
-def test_a_file_none_of_whose_pictures_is_there_is_refused(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_a_file_none_of_whose_pictures_is_there_is_refused(scene, tmp_path, cli):
     file, names = transforms(scene, tmp_path)
     arguments = [scene.texture, scene.model, "--camera", file, OUT, tmp_path / "out.octex"]
     listing = ", ".join(map(repr, names[:5]))
@@ -440,7 +410,7 @@ def test_a_file_none_of_whose_pictures_is_there_is_refused(scene: Scene, tmp_pat
     )
 
 
-def transforms(scene: Scene, folder: Path) -> tuple[Path, list[str]]:
+def transforms(scene, folder):
     """Write a transforms.json that names eight pictures; return it and their names."""
     flip = np.diag([1.0, -1.0, -1.0, 1.0])
     pose = (np.linalg.inv(scene.camera.world_to_camera) @ flip).tolist()
@@ -454,9 +424,7 @@ def transforms(scene: Scene, folder: Path) -> tuple[Path, list[str]]:
     return file, names
 
 
-def test_pictures_that_cannot_be_used_are_refused_by_file_and_frame(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_pictures_that_cannot_be_used_are_refused_by_file_and_frame(scene, tmp_path, cli):
     out, camera = tmp_path / "out.octex", ["--camera", f"{scene.cameras}#square.png"]
     small, words, missing = tmp_path / "small.png", tmp_path / "words.png", tmp_path / "missing.png"
     Image.new("RGB", (8, 5)).save(small)
@@ -482,7 +450,7 @@ def test_pictures_that_cannot_be_used_are_refused_by_file_and_frame(
 
 
 @needs_jit
-def test_masks_are_one_for_all_or_one_each(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_masks_are_one_for_all_or_one_each(scene, tmp_path, cli):
     out = tmp_path / "out.octex"
     black, white = tmp_path / "black.png", tmp_path / "white.png"
     Image.new("L", (SIZE, SIZE), 0).save(black)
@@ -501,22 +469,18 @@ def test_masks_are_one_for_all_or_one_each(scene: Scene, tmp_path: Path, cli: Cl
     assert cli.run(*both, "--mask", black, "--force") == ExitCode.NOTHING_PAINTED
 
 
-def test_masks_of_another_number_than_the_pictures_are_refused(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_masks_of_another_number_than_the_pictures_are_refused(scene, tmp_path, cli):
     both = [scene.texture, scene.model, scene.square, scene.blue, "--camera", scene.cameras]
     message = cli.refusal(*both, OUT, tmp_path / "out.octex", *["--mask", scene.square] * 3)
     assert message == "--mask gives 3 for 2 IMAGEs; give one for all, or one an IMAGE"
 
 
 @needs_jit
-def test_the_options_of_painting_reach_the_library(
-    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
-) -> None:
+def test_the_options_of_painting_reach_the_library(scene, tmp_path, monkeypatch, cli):
     seen: dict[str, Any] = {}
     project = octex.project
 
-    def projected(*arguments: Any, **options: Any) -> octex.OctreeTexture:
+    def projected(*arguments, **options):
         seen.update(options)
         return project(*arguments, **options)
 
@@ -546,13 +510,11 @@ def test_the_options_of_painting_reach_the_library(
 
 
 @needs_jit
-def test_a_preview_is_drawn_of_what_was_painted(
-    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
-) -> None:
+def test_a_preview_is_drawn_of_what_was_painted(scene, tmp_path, monkeypatch, cli):
     drawn: list[tuple[list[str] | None, list[str]]] = []
     views: list[Any] = []
 
-    def write_preview(_path: Path, texture: Any, surface: Any, **view: Any) -> None:
+    def write_preview(_path, texture, surface, **view):
         names = None if surface is None else [form.name for form in surface.channels]
         drawn.append((names, list(texture.channels)))
         views.append(view)
@@ -571,7 +533,7 @@ def test_a_preview_is_drawn_of_what_was_painted(
 # --- pictures to paint on
 
 
-def test_the_view_is_of_the_channel_alone(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_the_view_is_of_the_channel_alone(scene, tmp_path, cli):
     bright, view, file = tmp_path / "bright.octex", tmp_path / "view.png", tmp_path / "camera.json"
     sources = {"base_color": (0.2, 0.4, 0.6), "emissive": 1.0, "alpha": 0.5, "roughness": 0.2}
     octex.convert(scene.model, 3, sources=sources).save(bright)
@@ -597,7 +559,7 @@ def test_the_view_is_of_the_channel_alone(scene: Scene, tmp_path: Path, cli: Cli
     assert "'normal'" in cli.refusal(*arguments, "--channel", "normal")
 
 
-def test_without_a_texture_the_view_shows_the_form_in_grey(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_without_a_texture_the_view_shows_the_form_in_grey(scene, tmp_path, cli):
     view = tmp_path / "view.png"
     given = [scene.model, VIEW, view, "--camera", f"{scene.cameras}#blue.png"]
     assert "without a texture the model is drawn grey" in cli.errors(*given)
@@ -608,7 +570,7 @@ def test_without_a_texture_the_view_shows_the_form_in_grey(scene: Scene, tmp_pat
     assert seen[:, 0].min() > 100
 
 
-def test_a_view_has_no_lens_distortion(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_a_view_has_no_lens_distortion(scene, tmp_path, cli):
     bent = replace(scene.camera, distortion=(-0.1, 0.01, 0.0, 0.0))
     octex.write_cameras(tmp_path / "bent.json", {"bent": bent})
     given = [scene.texture, scene.model, "--camera", tmp_path / "bent.json", VIEW, tmp_path / "a.png"]
@@ -621,7 +583,7 @@ def test_a_view_has_no_lens_distortion(scene: Scene, tmp_path: Path, cli: Cli) -
     assert np.array_equal(Image.open(tmp_path / "a.png"), Image.open(tmp_path / "square.png"))
 
 
-def test_a_view_needs_a_camera_that_can_be_found_again(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_a_view_needs_a_camera_that_can_be_found_again(scene, tmp_path, cli):
     view = [scene.texture, scene.model, VIEW, tmp_path / "view.png"]
     assert cli.refusal(*view) == (
         "--as paint without --camera needs --camera-out: only with its camera can you paint it back"
@@ -642,9 +604,7 @@ def test_a_view_needs_a_camera_that_can_be_found_again(scene: Scene, tmp_path: P
 
 
 @needs_jit
-def test_an_empty_layer_beside_a_view_is_painted_back_as_it_is(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_an_empty_layer_beside_a_view_is_painted_back_as_it_is(scene, tmp_path, cli):
     view, layer, file = tmp_path / "view.png", tmp_path / "layer.png", tmp_path / "camera.json"
     look = [scene.texture, scene.model, VIEW, view, "--camera", f"{scene.cameras}#square.png"]
     said = cli.result(*look, "--empty-layer", layer, "--camera-out", file)
@@ -678,7 +638,7 @@ def test_an_empty_layer_beside_a_view_is_painted_back_as_it_is(
 
 
 @needs_jit
-def test_a_view_is_from_the_side_and_as_near_as_wanted(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_a_view_is_from_the_side_and_as_near_as_wanted(scene, tmp_path, cli):
     file = tmp_path / "camera.json"
     look = [scene.texture, scene.model, VIEW, tmp_path / "view.png", "--camera-out", file, "--force"]
     cli.result(*look, "--size", "32,24", "--direction=-1,0.5,0", "--up", "0,0,1", "--zoom", 2)
@@ -714,18 +674,14 @@ def test_a_view_is_from_the_side_and_as_near_as_wanted(scene: Scene, tmp_path: P
         ),
     ],
 )
-def test_where_a_picture_is_drawn_from_is_said_once(
-    options: str, message: str, tmp_path: Path, scene: Scene, cli: Cli
-) -> None:
+def test_where_a_picture_is_drawn_from_is_said_once(options, message, tmp_path, scene, cli):
     (tmp_path / "layer").mkdir()
     words = options.replace("c.json", str(tmp_path / "c.json")).replace("v.png", f"{tmp_path}/layer/v.png")
     view = [scene.texture, scene.model, VIEW, tmp_path / "v.png"]
     assert cli.refusal(*view, *words.split()).startswith(message)
 
 
-def test_a_frame_that_is_not_there_is_refused_before_anything_is_read(
-    tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_frame_that_is_not_there_is_refused_before_anything_is_read(tmp_path, cli, monkeypatch):
     document: dict[str, Any] = {"asset": {"version": "2.0"}, "nodes": [{"camera": 0, "name": "front"}]}
     document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.7}}]
     model = tmp_path / "scene.gltf"
@@ -744,7 +700,7 @@ def test_a_frame_that_is_not_there_is_refused_before_anything_is_read(
 
 
 @needs_jit
-def test_of_a_view_only_what_was_drawn_on_it_is_painted(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_of_a_view_only_what_was_drawn_on_it_is_painted(scene, tmp_path, cli):
     view, file = tmp_path / "view.png", tmp_path / "camera.json"
     look = [scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "64,64", "--quiet"]
     cli.result(*look)
@@ -778,9 +734,7 @@ def test_of_a_view_only_what_was_drawn_on_it_is_painted(scene: Scene, tmp_path: 
 
 
 @needs_jit
-def test_all_of_a_view_is_painted_on_request_and_on_a_new_texture(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_all_of_a_view_is_painted_on_request_and_on_a_new_texture(scene, tmp_path, cli):
     view, file = tmp_path / "view.png", tmp_path / "camera.json"
     cli.result(scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "48,48")
     out = tmp_path / "whole.octex"
@@ -792,7 +746,7 @@ def test_all_of_a_view_is_painted_on_request_and_on_a_new_texture(
 
 
 @needs_jit
-def test_a_view_saved_as_jpeg_is_painted_with_a_word(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_a_view_saved_as_jpeg_is_painted_with_a_word(scene, tmp_path, cli):
     view, file, lossy = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "view.jpg"
     cli.result(scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "48,48")
     with Image.open(view) as picture:
@@ -803,7 +757,7 @@ def test_a_view_saved_as_jpeg_is_painted_with_a_word(scene: Scene, tmp_path: Pat
 
 
 @needs_jit
-def test_the_preview_of_a_disc_looks_at_the_disc(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_the_preview_of_a_disc_looks_at_the_disc(scene, tmp_path, cli):
     low, high = scene.surface.bounds
     at = (low + high) / 2
     at[1] = low[1]  # the bottom, which usual views do not show
@@ -818,9 +772,7 @@ def test_the_preview_of_a_disc_looks_at_the_disc(scene: Scene, tmp_path: Path, c
 
 
 @needs_jit
-def test_pictures_and_views_may_be_smaller_or_larger_than_their_cameras(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_pictures_and_views_may_be_smaller_or_larger_than_their_cameras(scene, tmp_path, cli):
     view, file, out = tmp_path / "square.png", tmp_path / "camera.json", tmp_path / "out.octex"
     drawn = [scene.texture, scene.model, "--camera", scene.cameras, "--size", f"{3 * SIZE},{3 * SIZE}"]
     cli.result(*drawn, VIEW, view, "--camera-out", file)
@@ -841,9 +793,7 @@ def test_pictures_and_views_may_be_smaller_or_larger_than_their_cameras(
     cli.result(*back, "--since", "nothing")
 
 
-def test_a_view_in_a_camera_file_that_is_no_picture_is_refused(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_a_view_in_a_camera_file_that_is_no_picture_is_refused(scene, tmp_path, cli):
     file = tmp_path / "camera.json"
     octex.write_cameras(file, {"blue.png": scene.camera}, {"blue.png": b"no picture"})
     shot = [scene.texture, scene.model, scene.blue, "--camera", file, OUT, tmp_path / "out.octex"]
@@ -856,7 +806,7 @@ def test_a_view_in_a_camera_file_that_is_no_picture_is_refused(
 
 
 @needs_jit
-def test_a_picture_may_name_its_frame(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_a_picture_may_name_its_frame(scene, tmp_path, cli):
     out, other = tmp_path / "out.octex", tmp_path / "other.octex"
     picture = tmp_path / "my=picture.png"
     picture.write_bytes(scene.square.read_bytes())
@@ -869,7 +819,7 @@ def test_a_picture_may_name_its_frame(scene: Scene, tmp_path: Path, cli: Cli) ->
 
 
 @needs_jit
-def test_paint_that_more_than_doubles_a_texture_is_announced(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_paint_that_more_than_doubles_a_texture_is_announced(scene, tmp_path, cli):
     arguments = [scene.texture, scene.model, scene.blue, "--camera", scene.cameras]
     assert cli.run(*arguments, OUT, tmp_path / "a.octex", "--max-depth", 7) == 0
     leaves = octex.open(scene.texture).tree.n_leaves
@@ -914,28 +864,17 @@ def test_paint_that_more_than_doubles_a_texture_is_announced(scene: Scene, tmp_p
         ("m.glb o.octex a.png --camera c --reference a.png", "--reference needs --balance"),
         ("m.glb o.octex a.png --camera c --mask 1,2,3 --mask #ffffff", "--mask gives several backdrop"),
         ("m.glb o.octex a.png --camera c --mask {stem}.png --mask a.png", "--mask gives a pattern and more"),
-        (
-            "t.octex m.glb o.octex --camera c --max-depth 22",
-            "--max-depth: 22 is not from 0 to 21",
-        ),
+        ("t.octex m.glb o.octex --camera c --max-depth 22", "--max-depth: 22 is not from 0 to 21"),
         ("t.octex m.glb o.ply --camera c", "o.ply: OUTPUT has the ending '.ply'; octex writes .octex here"),
     ],
 )
-def test_bad_usage_is_refused_by_name(
-    arguments: str,
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    cli: Cli,
-) -> None:
+def test_bad_usage_is_refused_by_name(arguments, message, tmp_path, monkeypatch, cli):
     monkeypatch.chdir(tmp_path)
     assert cli.refusal(*arguments.split()).startswith(message)
 
 
 @needs_jit
-def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(
-    scene: Scene, tmp_path: Path, cli: Cli
-) -> None:
+def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(scene, tmp_path, cli):
     new = [*scene.shot[1:], OUT, tmp_path / "out.octex"]
     picture = octex.Projection(scene.square, scene.camera)
     for words, options in (
@@ -950,14 +889,14 @@ def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(
         assert message == f"{scene.texture} has colours; --holes is for a new texture"
 
 
-def test_a_layer_that_is_none_is_refused_by_name(scene: Scene, tmp_path: Path, cli: Cli) -> None:
+def test_a_layer_that_is_none_is_refused_by_name(scene, tmp_path, cli):
     arguments = [scene.texture, scene.model, OUT, tmp_path / "out.octex"]
     (tmp_path / "box.octex").write_bytes(scene.texture.read_bytes())
     assert cli.refusal(*arguments, tmp_path / "box.octex").startswith(f"{tmp_path / 'box.octex'}: ")
     assert "missing.octex" in cli.refusal(*arguments, tmp_path / "missing.octex")
 
 
-def test_the_name_of_a_camera_comes_after_the_file(tmp_path: Path) -> None:
+def test_the_name_of_a_camera_comes_after_the_file(tmp_path):
     (tmp_path / "a#b.json").touch()
     plain = f"{tmp_path}/a#b.json"
     assert camera(plain) == (Path(plain), None)
@@ -966,7 +905,7 @@ def test_the_name_of_a_camera_comes_after_the_file(tmp_path: Path) -> None:
     assert camera("#a") == (Path("#a"), None)
 
 
-def test_the_help_names_the_librarys_defaults() -> None:
+def test_the_help_names_the_librarys_defaults():
     from octex.painting import options, paint, picture
 
     assert picture.BLENDS == BLENDS
@@ -984,7 +923,7 @@ def test_the_help_names_the_librarys_defaults() -> None:
     assert inspect.signature(paint.paint).parameters["max_depth"].default is None
 
 
-def test_the_help_and_a_refusal_import_nothing_heavy() -> None:
+def test_the_help_and_a_refusal_import_nothing_heavy():
     heavy = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.painting")
     code = f"""
 import sys
@@ -1001,7 +940,7 @@ print(codes, sorted(set({heavy!r}) & set(sys.modules)))
 
 
 @needs_jit
-def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path: Path, cli: Cli) -> None:
+def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path, cli):
     droid, texture = ROOT / "samples" / "droid.glb", tmp_path / "droid.octex"
     octex.convert(droid, 7, channels=["base_color"]).save(texture)
 

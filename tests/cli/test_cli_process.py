@@ -1,30 +1,24 @@
 """octex edit: textures from textures."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import octex
 from tests.conftest import needs_jit
-from tests.make.command import Cli
 from tests.make.same import assert_same
 
 
 @pytest.fixture(scope="module")
-def other(made: Path) -> Path:
+def other(made):
     path = made.with_name("other.octex")
     octex.map(octex.open(made), lambda values: 1 - values).save(path)
     return path
 
 
 @needs_jit
-def test_every_option_is_the_operation_of_that_name(
-    made: Path, other: Path, tmp_path: Path, cli: Cli
-) -> None:
+def test_every_option_is_the_operation_of_that_name(made, other, tmp_path, cli):
     texture, second = octex.open(made), octex.open(other)
     low, high = texture.bounds
     middle = (low + high) / 2
@@ -48,9 +42,7 @@ def test_every_option_is_the_operation_of_that_name(
         assert_same(found, wanted)
 
 
-def test_options_work_in_one_order_however_they_are_given(
-    made: Path, other: Path, tmp_path: Path, cli: Cli
-) -> None:
+def test_options_work_in_one_order_however_they_are_given(made, other, tmp_path, cli):
     out = tmp_path / "all.octex"
     words = ["--dtype", "float16", "--levels", "0,0.9", "--blur", "0.1", "--mix", f"{other}=0.5"]
     cli.result("edit", made, out, *words, "--depth", 3)
@@ -58,7 +50,7 @@ def test_options_work_in_one_order_however_they_are_given(
     assert [each["operation"] for each in done] == ["resize", "mix", "blur", "levels", "cast"]
 
 
-def test_a_coarser_depth_leaves_larger_leaves_as_they_are(model: Path, tmp_path: Path, cli: Cli) -> None:
+def test_a_coarser_depth_leaves_larger_leaves_as_they_are(model, tmp_path, cli):
     adaptive, out = tmp_path / "adaptive.octex", tmp_path / "out.octex"
     octex.convert(model, 4, detail=lambda points: np.where(points[:, 0] > points[:, 0].mean(), 4, 2)).save(
         adaptive
@@ -71,7 +63,7 @@ def test_a_coarser_depth_leaves_larger_leaves_as_they_are(model: Path, tmp_path:
 
 
 @needs_jit
-def test_points_can_be_written_of_what_was_done(made: Path, tmp_path: Path, cli: Cli) -> None:
+def test_points_can_be_written_of_what_was_done(made, tmp_path, cli):
     cli.result("edit", made, tmp_path / "points.ply", "--levels", "0,0.5")
     assert (tmp_path / "points.ply").exists()
 
@@ -79,7 +71,7 @@ def test_points_can_be_written_of_what_was_done(made: Path, tmp_path: Path, cli:
 @pytest.mark.parametrize(
     "words", ["--crop 0,0,0,1,1,1", "--combine b.octex", "--mix b.octex=0.3", "--blur 1", "--levels 0,1"]
 )
-def test_models_are_converted_first(words: str, model: Path, tmp_path: Path, cli: Cli) -> None:
+def test_models_are_converted_first(words, model, tmp_path, cli):
     option = words.split()[0]
     assert cli.refusal(model, tmp_path / "x.octex", *words.split()) == (
         f"{option} is an option of octex edit, not of octree-convert; see octree-convert --help"
@@ -106,14 +98,12 @@ def test_models_are_converted_first(words: str, model: Path, tmp_path: Path, cli
         ("--channels paint", "unknown channel of "),
     ],
 )
-def test_what_cannot_be_done_is_refused_in_one_line(
-    words: str, message: str, made: Path, tmp_path: Path, cli: Cli
-) -> None:
+def test_what_cannot_be_done_is_refused_in_one_line(words, message, made, tmp_path, cli):
     assert message in cli.refusal("edit", made, tmp_path / "x.octex", *words.split())
     assert not (tmp_path / "x.octex").exists()
 
 
-def test_what_is_read_is_not_overwritten(made: Path, other: Path, cli: Cli) -> None:
+def test_what_is_read_is_not_overwritten(made, other, cli):
     before = other.read_bytes()
     for words in (["--combine", other], ["--mix", f"{other}=0.5"]):
         assert "OUTPUT is also an input" in cli.refusal("edit", made, other, *words, "--force")

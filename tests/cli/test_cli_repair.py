@@ -1,11 +1,8 @@
 """--repair at the command line: what is left out is counted in one line."""
 
-from __future__ import annotations
-
 import json
 import re
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,11 +10,10 @@ import trimesh
 
 import octex
 from octex.errors import ModelError
-from tests.make.command import Cli
 
 
 @pytest.fixture
-def messy(tmp_path: Path) -> Path:
+def messy(tmp_path):
     """A box around another, a copy of a triangle, a sliver, and a triangle to nowhere."""
     outer, inner = trimesh.creation.box(), trimesh.creation.box((0.5, 0.5, 0.5))
     points = [*outer.vertices.tolist(), *inner.vertices.tolist(), ["nan", 0, 0]]
@@ -33,7 +29,7 @@ def messy(tmp_path: Path) -> Path:
 COUNTS = {"not_finite": 1, "degenerate": 1, "duplicate": 1, "inner": 12, "moved": 0}
 
 
-def test_convert_and_bake_tell_what_they_left_out(messy: Path, tmp_path: Path, cli: Cli) -> None:
+def test_convert_and_bake_tell_what_they_left_out(messy, tmp_path, cli):
     assert "repair the model" in cli.refusal(messy, tmp_path / "a.octex", "--quiet")
     words = ["--depth", 3, "--repair"]
     facts = json.loads(cli.result(messy, tmp_path / "a.octex", *words, "--quiet", "--json"))
@@ -50,7 +46,7 @@ def test_convert_and_bake_tell_what_they_left_out(messy: Path, tmp_path: Path, c
     assert "12 inner" in cli.result(messy, tmp_path / "parts", *words, "--parts")
 
 
-def test_a_repair_needs_one_mesh(messy: Path, tmp_path: Path, cli: Cli) -> None:
+def test_a_repair_needs_one_mesh(messy, tmp_path, cli):
     said = cli.refusal(messy, tmp_path / "a.octex", "--repair", "--quiet", "--also", messy)
     assert "--repair applies to one model; leave out --also" in said
     (tmp_path / "ball.py").write_text("def ball(p):\n    return (p**2).sum(axis=1) - 1\n")
@@ -61,7 +57,7 @@ def test_a_repair_needs_one_mesh(messy: Path, tmp_path: Path, cli: Cli) -> None:
 
 
 @pytest.mark.parametrize("ending", ["obj", "ply", "off", "stl", "glb"])
-def test_triangles_that_are_not_finite_are_left_out_of_every_format(tmp_path: Path, ending: str) -> None:
+def test_triangles_that_are_not_finite_are_left_out_of_every_format(tmp_path, ending):
     mesh = trimesh.creation.box()
     points = np.concatenate([mesh.vertices, [[-77.25, 0, 0]]])
     faces = np.concatenate([mesh.faces, [[0, 1, 8]], [[2, 8, 3]]])

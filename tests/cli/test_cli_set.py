@@ -1,10 +1,7 @@
 """Parts with textures of their own at the command line."""
 
-from __future__ import annotations
-
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,14 +9,14 @@ import pytest
 import octex
 from octex.errors import ExitCode
 from octex.formats.ply import write_points
-from tests.make.command import Cli, run
+from tests.make.command import run
 
 _CORNERS = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
 _FACES = ["1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"]
 
 
 @pytest.fixture(scope="module")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def model(tmp_path_factory):
     """Two boxes, one in the other's corner, in two colours."""
     path = tmp_path_factory.mktemp("model") / "pair.obj"
     lines = []
@@ -31,13 +28,13 @@ def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def made(model: Path) -> Path:
+def made(model):
     folder = model.with_name("made")
     assert run(model, folder, "--parts", "--depth", "3", "--quiet") == ExitCode.DONE
     return folder
 
 
-def test_parts_become_a_folder_of_textures(model: Path, tmp_path: Path, cli: Cli) -> None:
+def test_parts_become_a_folder_of_textures(model, tmp_path, cli):
     folder = tmp_path / "out"
     options = ("--parts", "--cell", 0.25, "--channels", "base_color", "--dtype", "uint16", "--no-fit")
     text = cli.result(model, folder, *options, "--threads", 1)
@@ -56,7 +53,7 @@ def test_parts_become_a_folder_of_textures(model: Path, tmp_path: Path, cli: Cli
     assert len(list(folder.iterdir())) == 3
 
 
-def test_info_lists_parts_cells_and_bytes(made: Path, cli: Cli) -> None:
+def test_info_lists_parts_cells_and_bytes(made, cli):
     found = octex.TextureSet.open(made)
     assert json.loads(cli.result("info", made, "--json")) == found.info()
     lines = cli.result("info", made).splitlines()
@@ -71,7 +68,7 @@ def test_info_lists_parts_cells_and_bytes(made: Path, cli: Cli) -> None:
     assert len(lines) == 4
 
 
-def test_validate_proves_all_parts_or_names_what_is_broken(made: Path, tmp_path: Path, cli: Cli) -> None:
+def test_validate_proves_all_parts_or_names_what_is_broken(made, tmp_path, cli):
     assert cli.result("validate", made) == "valid\n"
     octex.TextureSet.open(made).save(tmp_path / "copy")
     path = tmp_path / "copy" / "part-1.octex"
@@ -87,13 +84,7 @@ def test_validate_proves_all_parts_or_names_what_is_broken(made: Path, tmp_path:
     assert "is not the folder of a texture set" in cli.refusal("info", tmp_path)
 
 
-def test_what_cannot_be_written_is_refused_before_any_work(
-    model: Path,
-    made: Path,
-    tmp_path: Path,
-    cli: Cli,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_what_cannot_be_written_is_refused_before_any_work(model, made, tmp_path, cli, monkeypatch):
     monkeypatch.setattr(octex, "load_surface", None)
     (tmp_path / "file").write_text("mine")
     before = sorted(made.iterdir())
@@ -113,9 +104,7 @@ def test_what_cannot_be_written_is_refused_before_any_work(
     assert sorted(made.iterdir()) == before
 
 
-def test_options_that_do_not_go_with_parts_are_refused(
-    model: Path, made: Path, tmp_path: Path, cli: Cli
-) -> None:
+def test_options_that_do_not_go_with_parts_are_refused(model, made, tmp_path, cli):
     out = tmp_path / "out"
     for words in (("--separate", "3"), ("--preview", "a.png"), ("--memory", "1GB")):
         message = cli.refusal(model, out, "--parts", *words)
@@ -130,7 +119,7 @@ def test_options_that_do_not_go_with_parts_are_refused(
     assert not out.exists()
 
 
-def test_lookups_by_part_do_not_bleed(model: Path, made: Path) -> None:
+def test_lookups_by_part_do_not_bleed(model, made):
     surface = octex.load_surface(model)
     samples = surface.scatter(500)
     found = octex.TextureSet.open(made).sample(samples.rest, surface.parts[samples.triangles])

@@ -1,22 +1,18 @@
 """Values from other models and from points, at the command line."""
 
-from __future__ import annotations
-
 import json
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import octex
 from tests.conftest import needs_jit
-from tests.make.command import Cli
 from tests.make.fixtures import ply, ply_square
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A red square, the same without colours and twice as wide, and green points on it."""
     folder = tmp_path_factory.mktemp("sources")
     red = {name: ("uchar", [255 * (name == "red")] * 4) for name in ("red", "green", "blue")}
@@ -29,14 +25,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def colors(path: Path) -> np.ndarray:
+def colors(path):
     texture = octex.open(path)
     texture.validate()
     return texture.sample([[0.5, 0.5, 0.0]])[0]
 
 
 @needs_jit
-def test_another_models_colours_are_transferred(folder: Path, tmp_path: Path, cli: Cli) -> None:
+def test_another_models_colours_are_transferred(folder, tmp_path, cli):
     out = tmp_path / "out.octex"
     said = cli.result(folder / "wide.ply", out, "--depth", 5, "--transfer", folder / "red.ply")
     assert np.allclose(colors(out), [1, 0, 0]) and "empty" not in said
@@ -49,7 +45,7 @@ def test_another_models_colours_are_transferred(folder: Path, tmp_path: Path, cl
 
 
 @needs_jit
-def test_points_colour_a_model(folder: Path, tmp_path: Path, cli: Cli) -> None:
+def test_points_colour_a_model(folder, tmp_path, cli):
     out = tmp_path / "out.octex"
     for options in (
         [],
@@ -64,7 +60,7 @@ def test_points_colour_a_model(folder: Path, tmp_path: Path, cli: Cli) -> None:
 
 
 @needs_jit
-def test_points_alone_become_a_texture(folder: Path, tmp_path: Path, cli: Cli) -> None:
+def test_points_alone_become_a_texture(folder, tmp_path, cli):
     out = tmp_path / "out.octex"
     cli.result(folder / "green.npz", out, "--preview", tmp_path / "out.png")
     assert np.allclose(colors(out), [0, 1, 0], atol=1e-3) and (tmp_path / "out.png").exists()
@@ -86,16 +82,14 @@ def test_points_alone_become_a_texture(folder: Path, tmp_path: Path, cli: Cli) -
         (["wide.ply", "--transfer", "red.obj", "--within", "mean:1"], "not a point cloud that octex reads"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(
-    folder: Path, tmp_path: Path, cli: Cli, arguments: list[str], complaint: str
-) -> None:
+def test_options_that_do_not_go_together_are_refused(folder, tmp_path, cli, arguments, complaint):
     given = [folder / word if "." in word else word for word in arguments]
     said = cli.refusal(given[0], tmp_path / "out.octex", *given[1:])
     assert complaint in said
     assert not (tmp_path / "out.octex").exists()
 
 
-def test_what_values_are_taken_from_is_not_overwritten(folder: Path, tmp_path: Path, cli: Cli) -> None:
+def test_what_values_are_taken_from_is_not_overwritten(folder, tmp_path, cli):
     (tmp_path / "red.ply").write_bytes((folder / "red.ply").read_bytes())
     said = cli.refusal(
         folder / "wide.ply", tmp_path / "red.ply", "--transfer", tmp_path / "red.ply", "--force"
@@ -117,7 +111,7 @@ three = 3
 """
 
 
-def test_functions_in_files_are_channels_and_surfaces(folder: Path, tmp_path: Path, cli: Cli) -> None:
+def test_functions_in_files_are_channels_and_surfaces(folder, tmp_path, cli):
     (tmp_path / "shapes.py").write_text(_FUNCTIONS)
     out = tmp_path / "out.octex"
     red = f"base_color={tmp_path / 'shapes.py'}:red"
@@ -154,9 +148,7 @@ def rings(points):
 """
 
 
-def test_functions_in_files_may_have_dataclasses_and_import_files_beside(
-    folder: Path, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_functions_in_files_may_have_dataclasses_and_import_files_beside(folder, tmp_path, cli, monkeypatch):
     monkeypatch.setattr(sys, "path", sys.path.copy())
     (tmp_path / "wood.py").write_text(_DATACLASS)
     (tmp_path / "paints.py").write_text("GREEN = (0.0, 1.0, 0.0)")
@@ -181,13 +173,8 @@ def test_functions_in_files_may_have_dataclasses_and_import_files_beside(
     ],
 )
 def test_functions_and_models_that_cannot_be_used_are_refused(
-    folder: Path,
-    tmp_path: Path,
-    cli: Cli,
-    monkeypatch: pytest.MonkeyPatch,
-    arguments: list[str],
-    complaint: str,
-) -> None:
+    folder, tmp_path, cli, monkeypatch, arguments, complaint
+):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "shapes.py").write_text(_FUNCTIONS)
     (tmp_path / "broken.py").write_text("def red(:\n")

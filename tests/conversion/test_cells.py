@@ -1,47 +1,32 @@
 """The cells that a surface meets, and the pieces in them, against rational arithmetic."""
 
-from __future__ import annotations
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells
-from octex.voxelize.fragments import (
-    BlockRange,
-    Blocks,
-    Fragments,
-    cut,
-    divided,
-    most_fragments,
-    whole,
-)
+from octex.voxelize.fragments import BlockRange, cut, divided, most_fragments, whole
 from tests.conftest import needs_jit
 from tests.oracles import naive_cells
 
 Corner = tuple[int, int, int]
 
 
-def cut_all(triangles: list[list[Corner]], depth: int) -> Fragments:
+def cut_all(triangles, depth):
     grid = np.array(triangles, np.int32).reshape(-1, 3)
     indices = np.arange(len(grid), dtype=np.int32).reshape(-1, 3)
     blocks = divided(whole(grid, indices, depth))
     return cut_blocks(blocks, 0, len(blocks.codes))
 
 
-def cut_blocks(
-    blocks: Blocks,
-    first: int,
-    last: int,
-) -> Fragments:
+def cut_blocks(blocks, first, last):
     most = int(most_fragments(blocks)[first:last].sum())
     return cut(blocks, BlockRange(first, last, most))
 
 
-def check(triangles: list[list[Corner]], depth: int) -> None:
+def check(triangles, depth):
     pieces = cut_all(triangles, depth)
     expected = naive_cells.sums_of(triangles, 1 << (GRID_BITS - depth))
     cells = [tuple(cell) for cell in decode_cells(pieces.codes).tolist()]
@@ -57,7 +42,7 @@ def check(triangles: list[list[Corner]], depth: int) -> None:
             entry += 1
 
 
-def corners(low: int, high: int, step: int) -> st.SearchStrategy[Corner]:
+def corners(low, high, step):
     """Corners on a coarse lattice, so that edges, planes and corners of cells are met exactly, and off it."""
     on_lattice = st.integers(low // step, high // step).map(lambda i: i * step)
     near = st.builds(lambda i, d: min(max(i + d, low), high), on_lattice, st.integers(-1, 1))
@@ -69,37 +54,37 @@ CELL = 1 << (GRID_BITS - 4)
 
 
 @given(st.lists(corners(0, 4 * CELL - 1, CELL // 2), min_size=3, max_size=3))
-def test_a_triangle_meets_exactly_the_cells_of_rational_arithmetic(triangle: list[Corner]) -> None:
+def test_a_triangle_meets_exactly_the_cells_of_rational_arithmetic(triangle):
     check([triangle], 4)
 
 
 @given(st.lists(corners(7 << 25, (7 << 25) + (1 << 12), 1 << 8), min_size=3, max_size=3))
-def test_the_deepest_level_is_as_exact(triangle: list[Corner]) -> None:
+def test_the_deepest_level_is_as_exact(triangle):
     check([triangle], 21)
 
 
 @given(st.lists(st.lists(corners(3 * CELL, 7 * CELL, CELL), min_size=3, max_size=3), min_size=2, max_size=4))
-def test_triangles_that_share_cells_add_up_by_facing(triangles: list[list[Corner]]) -> None:
+def test_triangles_that_share_cells_add_up_by_facing(triangles):
     check(triangles, 5)
 
 
-def test_blocks_do_not_show_in_large_triangles() -> None:
+def test_blocks_do_not_show_in_large_triangles():
     top = (1 << GRID_BITS) - 1
     check([[(5, 9, 3), (top, top // 3, top // 5), (top // 7, top, top - 11)]], 6)
 
 
-def test_a_triangle_in_a_cell_plane_belongs_to_the_cell_above_it() -> None:
+def test_a_triangle_in_a_cell_plane_belongs_to_the_cell_above_it():
     low, high = 2 * CELL, 3 * CELL
     pieces = cut_all([[(low, low, high), (high - 1, low, high), (low, high - 1, high)]], 4)
     assert decode_cells(pieces.codes).tolist() == [[2, 2, 3]]
 
 
-def test_degenerate_triangles_meet_nothing() -> None:
+def test_degenerate_triangles_meet_nothing():
     pieces = cut_all([[(5, 5, 5), (9, 9, 9), (13, 13, 13)], [(7, 7, 7)] * 3], 4)
     assert pieces.codes.size == 0
 
 
-def test_a_contact_takes_its_value_from_the_triangle() -> None:
+def test_a_contact_takes_its_value_from_the_triangle():
     # The corner (0, 0) of the triangle touches the cell at the origin's corner only.
     pieces = cut_all([[(CELL, CELL, CELL), (2 * CELL, CELL, 2 * CELL), (CELL, 2 * CELL, 2 * CELL)]], 4)
     assert (pieces.areas > 0).all()
@@ -107,7 +92,7 @@ def test_a_contact_takes_its_value_from_the_triangle() -> None:
     assert np.allclose(pieces.barycentric.sum(axis=1), 1)
 
 
-def test_centroids_lie_where_the_piece_is() -> None:
+def test_centroids_lie_where_the_piece_is():
     triangle = [(0, 3 * CELL // 2, 7), (3 * CELL, 0, CELL), (CELL // 3, 3 * CELL, 2 * CELL + 5)]
     pieces = cut_all([triangle], 4)
     expected = naive_cells.cells_of(triangle, CELL)
@@ -122,7 +107,7 @@ def test_centroids_lie_where_the_piece_is() -> None:
 
 @needs_jit
 @pytest.mark.parametrize("depth", range(22))
-def test_blocks_are_of_32_cells_and_hold_the_triangles_that_meet_them(depth: int) -> None:
+def test_blocks_are_of_32_cells_and_hold_the_triangles_that_meet_them(depth):
     grid, triangles = bumpy_sphere(12, 8)
     triangles = triangles[:3] if depth > 14 else triangles
     grid = grid >> max(depth - 14, 0)  # small enough to have few cells
@@ -138,7 +123,7 @@ def test_blocks_are_of_32_cells_and_hold_the_triangles_that_meet_them(depth: int
 
 
 @needs_jit
-def test_pieces_tile_a_closed_surface() -> None:
+def test_pieces_tile_a_closed_surface():
     grid, triangles = bumpy_sphere(60, 40)
     blocks = divided(whole(grid, triangles, 9))
     pieces = cut_blocks(blocks, 0, len(blocks.codes))
@@ -148,7 +133,7 @@ def test_pieces_tile_a_closed_surface() -> None:
 
 
 @needs_jit
-def test_the_cut_does_not_depend_on_how_blocks_are_grouped() -> None:
+def test_the_cut_does_not_depend_on_how_blocks_are_grouped():
     grid, triangles = bumpy_sphere(60, 40)
     blocks = divided(whole(grid, triangles, 8))
     every = cut_blocks(blocks, 0, len(blocks.codes))
@@ -161,7 +146,7 @@ def test_the_cut_does_not_depend_on_how_blocks_are_grouped() -> None:
         )
 
 
-def bumpy_sphere(around: int, along: int) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+def bumpy_sphere(around, along):
     """A closed surface on the grid: no two vertices at the poles, no seam."""
     theta = 2 * np.pi * np.arange(around) / around
     phi = np.pi * (np.arange(along) + 1) / (along + 1)

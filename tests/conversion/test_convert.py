@@ -1,27 +1,18 @@
 """Conversion: from a surface to what is stored of it."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
 import octex
-from octex.channels import (
-    BASE_COLOR,
-    ChannelFormat,
-    linear_to_srgb,
-)
+from octex.channels import BASE_COLOR, ChannelFormat, linear_to_srgb
 from octex.conversion import levels
 from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
-from octex.texture import OctreeTexture
 from octex.tree.layout import AREA_ONE, AREA_STEPS, GRID_BITS, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.placement import on_grid
@@ -33,7 +24,7 @@ from tests.oracles import naive_cells
 convert_means = partial(octex.convert, fit=False)
 
 
-def sphere(around: int = 48) -> Surface:
+def sphere(around=48):
     theta = np.linspace(0, 2 * np.pi, around, endpoint=False)
     phi = np.linspace(0, np.pi, around // 2)[1:-1]
     t, p = np.meshgrid(theta, phi, indexing="ij")
@@ -50,14 +41,14 @@ def sphere(around: int = 48) -> Surface:
     return Surface.from_arrays(vertices, triangles, colors=0.5 + 0.5 * vertices)
 
 
-def box(size: tuple[float, float, float]) -> Surface:
+def box(size):
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float) * size
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))]
     return Surface.from_arrays(corners, np.array(triangles, np.int32), colors=corners / max(size))
 
 
-def leaf_means(surface: Surface, texture: OctreeTexture) -> dict[tuple[int, ...], npt.NDArray[np.float64]]:
+def leaf_means(surface, texture):
     """Linear colour and area of each leaf, from rational clipping and vertex colours."""
     depth = texture.tree.max_depth
     grid = on_grid(surface.rest, texture.placement)
@@ -82,7 +73,7 @@ def leaf_means(surface: Surface, texture: OctreeTexture) -> dict[tuple[int, ...]
 
 
 @pytest.mark.parametrize("depth", [0, 1, 2, 4])
-def test_a_leaf_holds_the_area_weighted_mean_of_the_surface_inside(depth: int) -> None:
+def test_a_leaf_holds_the_area_weighted_mean_of_the_surface_inside(depth):
     surface = tetrahedron()
     texture = convert_means(surface, depth=depth)
     texture.validate()
@@ -99,7 +90,7 @@ def test_a_leaf_holds_the_area_weighted_mean_of_the_surface_inside(depth: int) -
 
 
 @needs_jit
-def test_a_node_averages_the_surface_below_it_in_linear_light() -> None:
+def test_a_node_averages_the_surface_below_it_in_linear_light():
     texture = convert_means(sphere(), depth=7)
     texture.validate()
     points = sphere().scatter(200_000)
@@ -123,20 +114,20 @@ def test_a_node_averages_the_surface_below_it_in_linear_light() -> None:
     ids=["sphere", "cube", "box", "slab"],
 )
 @pytest.mark.parametrize("options", [{"depth": 6}, {"depth": 9}, {"cell": 1 / 64}], ids=str)
-def test_no_surface_point_falls_outside_the_stored_cells(surface: Surface, options: dict[str, float]) -> None:
-    texture = octex.convert(surface, **options)  # type: ignore[arg-type]
+def test_no_surface_point_falls_outside_the_stored_cells(surface, options):
+    texture = octex.convert(surface, **options)
     points = surface.scatter(50_000, seed=3).rest
     assert texture.contains(points).all()
     assert texture.contains(surface.rest).all()
 
 
-def test_cell_sets_the_edge_of_the_leaves() -> None:
+def test_cell_sets_the_edge_of_the_leaves():
     texture = octex.convert(tetrahedron(), cell=0.1)
     assert texture.placement.size / 2**texture.tree.max_depth == pytest.approx(0.1, rel=1e-12)
     assert texture.tree.max_depth == 4
 
 
-def test_lookups_on_the_surface_give_its_colours() -> None:
+def test_lookups_on_the_surface_give_its_colours():
     surface = tetrahedron()
     texture = octex.convert(surface, depth=6)
     samples = surface.scatter(500)
@@ -144,7 +135,7 @@ def test_lookups_on_the_surface_give_its_colours() -> None:
     assert np.abs(texture.sample(samples.rest) - surface.evaluate(samples)).max() < 2 * cell + 0.01
 
 
-def test_a_sheet_keeps_a_value_for_each_side() -> None:
+def test_a_sheet_keeps_a_value_for_each_side():
     # Two squares back to back, a tenth of a cell apart: red faces up, blue faces down.
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     vertices = np.vstack([square + np.array([0, 0, 0.002]), square])
@@ -163,7 +154,7 @@ def test_a_sheet_keeps_a_value_for_each_side() -> None:
     assert (texture.channels["base_color"].values == [188, 0, 188]).all()
 
 
-def test_a_sheet_of_one_colour_pays_nothing_for_its_sides() -> None:
+def test_a_sheet_of_one_colour_pays_nothing_for_its_sides():
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     triangles = np.array([[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2]], np.int32)
     texture = octex.convert(Surface.from_arrays(square, triangles, colors=square), depth=4)
@@ -172,7 +163,7 @@ def test_a_sheet_of_one_colour_pays_nothing_for_its_sides() -> None:
     assert texture.tree.split.cells.size == 0
 
 
-def test_colours_are_averaged_with_coverage() -> None:
+def test_colours_are_averaged_with_coverage():
     # One cell sees a red triangle that covers fully and, as large, a green one of coverage ¼.
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     triangles = np.array([[0, 1, 2], [1, 3, 2]], np.int32)
@@ -184,7 +175,7 @@ def test_colours_are_averaged_with_coverage() -> None:
     assert abs(alpha[0] - 0.625 * 255) <= 0.5
 
 
-def test_where_nothing_covers_the_colour_is_still_the_sources() -> None:
+def test_where_nothing_covers_the_colour_is_still_the_sources():
     surface = Surface.from_arrays(TETRAHEDRON, FACES, face_colors=np.tile([0.25, 0.5, 1.0, 0.0], (4, 1)))
     texture = octex.convert(surface, depth=3)
     assert np.abs(texture.sample(TETRAHEDRON) - [0.25, 0.5, 1.0]).max() < 0.01
@@ -192,7 +183,7 @@ def test_where_nothing_covers_the_colour_is_still_the_sources() -> None:
 
 
 @needs_jit
-def test_a_fine_image_does_not_alias_in_coarse_cells() -> None:
+def test_a_fine_image_does_not_alias_in_coarse_cells():
     # A checkerboard of single texels, black and white: grey, code 188, in every cell that holds many of them.
     checkers = np.indices((1024, 1024)).sum(axis=0).astype(np.uint8) % 2 * 255
     square = np.array([[0.0, 0, 0], [1, 0, 0.2], [1, 1, 0.3], [0, 1, 0.1]])
@@ -207,7 +198,7 @@ def test_a_fine_image_does_not_alias_in_coarse_cells() -> None:
 
 
 @pytest.fixture(params=[ThreadPoolExecutor, ProcessPoolExecutor])
-def executor(request: pytest.FixtureRequest) -> Iterator[Executor]:
+def executor(request):
     if request.param is ProcessPoolExecutor:
         import multiprocessing
 
@@ -219,9 +210,7 @@ def executor(request: pytest.FixtureRequest) -> Iterator[Executor]:
 
 
 @needs_jit
-def test_the_same_bytes_come_from_any_executor(
-    executor: Executor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_bytes_come_from_any_executor(executor, tmp_path, monkeypatch):
     with ThreadPoolExecutor(1) as alone:
         octex.convert(sphere(), depth=8, run=octex.Run(executor=alone)).save(tmp_path / "alone.octex")
     monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 5_000)
@@ -231,7 +220,7 @@ def test_the_same_bytes_come_from_any_executor(
 
 @pytest.mark.parametrize("size", [1.0, 0.1, 1.3])
 @pytest.mark.parametrize("cells", [2, 4, 5, 20])
-def test_samples_of_faces_in_cell_planes_are_in_leaves(size: float, cells: int) -> None:
+def test_samples_of_faces_in_cell_planes_are_in_leaves(size, cells):
     # The bounds' centre lies a third of a cell above a plane: so these cells put faces on planes, or nearly.
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)]) * size - 17.77
     faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
@@ -241,7 +230,7 @@ def test_samples_of_faces_in_cell_planes_are_in_leaves(size: float, cells: int) 
     assert texture.contains(surface.scatter(300).rest).all()
 
 
-def test_degenerate_triangles_are_skipped_and_counted() -> None:
+def test_degenerate_triangles_are_skipped_and_counted():
     triangles = np.vstack([FACES, [[0, 0, 1], [2, 2, 2]]]).astype(np.int32)
     surface = Surface.from_arrays(TETRAHEDRON, triangles, colors=np.full((4, 3), 0.5))
     texture = octex.convert(surface, depth=4)
@@ -250,7 +239,7 @@ def test_degenerate_triangles_are_skipped_and_counted() -> None:
     assert np.array_equal(texture.tree.arrays.areas, clean.tree.arrays.areas)
 
 
-def test_a_rest_mesh_gives_the_texture_coordinates() -> None:
+def test_a_rest_mesh_gives_the_texture_coordinates():
     posed = tetrahedron().with_rest(TETRAHEDRON * [2, 1, 1] + 5)
     texture = octex.convert(posed, depth=5)
     samples = posed.scatter(300)
@@ -260,7 +249,7 @@ def test_a_rest_mesh_gives_the_texture_coordinates() -> None:
     assert np.array_equal(same.sample(samples.rest), texture.sample(samples.rest))
 
 
-def test_a_rest_mesh_of_a_surface_may_be_a_file(tmp_path: Path) -> None:
+def test_a_rest_mesh_of_a_surface_may_be_a_file(tmp_path):
     lines = [f"v {x} {y} {z}" for x, y, z in (TETRAHEDRON + 5).tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()]
     (tmp_path / "rest.obj").write_text("\n".join(lines))
@@ -269,7 +258,7 @@ def test_a_rest_mesh_of_a_surface_may_be_a_file(tmp_path: Path) -> None:
     assert texture.metadata["rest"] == "rest.obj"
 
 
-def test_progress_counts_every_stage_to_its_end() -> None:
+def test_progress_counts_every_stage_to_its_end():
     calls: list[tuple[str, int, int]] = []
     octex.convert(tetrahedron(), depth=5, progress=lambda *call: calls.append(call))
     stages = list(dict.fromkeys(stage for stage, _, _ in calls))
@@ -279,31 +268,29 @@ def test_progress_counts_every_stage_to_its_end() -> None:
         assert done == total
 
 
-def test_depth_and_cell_exclude_each_other() -> None:
+def test_depth_and_cell_exclude_each_other():
     with pytest.raises(ArgumentError, match="depth or cell, not both"):
         octex.convert(tetrahedron(), depth=5, cell=0.1)
 
 
 @pytest.mark.parametrize("depth", [-1, 22, 2.5, True])
-def test_depths_out_of_range_are_refused(depth: int) -> None:
+def test_depths_out_of_range_are_refused(depth):
     with pytest.raises(ArgumentError, match="from 0 to 21"):
         octex.convert(tetrahedron(), depth=depth)
 
 
-def test_more_cells_than_fit_into_memory_are_refused_before_the_work(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_more_cells_than_fit_into_memory_are_refused_before_the_work(monkeypatch):
     monkeypatch.setattr(levels, "memory_size", lambda: 2e9)
     with pytest.raises(ArgumentError, match="more than fit into memory"):
         octex.convert(tetrahedron(), depth=14)
 
 
-def test_more_cells_than_can_be_numbered_are_refused_before_the_work() -> None:
+def test_more_cells_than_can_be_numbered_are_refused_before_the_work():
     with pytest.raises(ArgumentError, match="smaller depth or a larger cell"):
         octex.convert(tetrahedron(), depth=20)
 
 
-def test_a_surface_without_area_is_refused() -> None:
+def test_a_surface_without_area_is_refused():
     line = Surface.from_arrays(np.array([[0.0, 0, 0], [1, 1, 1], [2, 2, 2]]), np.array([[0, 1, 2]], np.int32))
     with pytest.raises(ModelError, match="all 1 triangles are degenerate"):
         octex.convert(line, depth=4)
@@ -312,15 +299,15 @@ def test_a_surface_without_area_is_refused() -> None:
 class HeightSource(FaceSource):
     """A colour, and a height that varies over a triangle."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         channels = (BASE_COLOR._replace(dtype="float16"), ChannelFormat("height", 1, "data", "uint16"))
         super().__init__(channels, [[0.5, 0.25, 0.125, 0.0]] * len(FACES))
 
-    def vary(self, values: npt.NDArray[np.float32], barycentric: npt.NDArray[np.float64]) -> None:
+    def vary(self, values, barycentric):
         values[:, 3] = barycentric[:, 1]
 
 
-def test_a_source_of_ones_own_may_have_any_channels_and_types() -> None:
+def test_a_source_of_ones_own_may_have_any_channels_and_types():
     texture = octex.convert(Surface(TETRAHEDRON, FACES, HeightSource()), depth=4)
     values = texture.sample(TETRAHEDRON, channel=["base_color", "height"])
     assert np.allclose(values["base_color"], [0.5, 0.25, 0.125], atol=1e-3)
@@ -329,7 +316,7 @@ def test_a_source_of_ones_own_may_have_any_channels_and_types() -> None:
 
 
 @needs_jit
-def test_real_models_keep_every_surface_point(models: Path) -> None:
+def test_real_models_keep_every_surface_point(models):
     tried = 0
     for path in sorted(models.glob("*/*.gltf")) + sorted(models.glob("*/*.obj")):
         try:

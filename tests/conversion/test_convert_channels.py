@@ -1,31 +1,16 @@
 """Conversion of many channels, of any type."""
 
-from __future__ import annotations
-
 import json
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
-from octex.channels import (
-    ALPHA,
-    BASE_COLOR,
-    METALLIC,
-    NORMAL,
-    ONE,
-    ROUGHNESS,
-    ChannelFormat,
-    decode,
-)
+from octex.channels import ALPHA, BASE_COLOR, METALLIC, NORMAL, ONE, ROUGHNESS, decode
 from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
-from octex.texture import OctreeTexture
 from octex.voxelize import fragments
 from tests.conftest import needs_jit
 from tests.make.small_surfaces import (
@@ -51,9 +36,7 @@ convert_means = partial(octex.convert, fit=False)
         ({"base_color": "uint16", "normal": "uint16"}, 0.005),
     ],
 )
-def test_all_channels_come_back_from_a_file_in_every_type(
-    dtype: str | dict[str, str], precision: float, tmp_path: Path
-) -> None:
+def test_all_channels_come_back_from_a_file_in_every_type(dtype, precision, tmp_path):
     surface = whole()
     convert_means(surface, depth=5, dtype=dtype).save(tmp_path / "a.octex")
     texture = octex.open(tmp_path / "a.octex")
@@ -78,7 +61,7 @@ def test_all_channels_come_back_from_a_file_in_every_type(
         assert (np.abs(found[channel.name] - expected) / scale)[inner].max() < precision, channel.name
 
 
-def test_channels_converted_together_are_as_converted_alone() -> None:
+def test_channels_converted_together_are_as_converted_alone():
     together = octex.convert(whole(), depth=4)
     for channel in WHOLE:
         alone = octex.convert(whole(), depth=4, channels=[channel.name])
@@ -91,9 +74,7 @@ def test_channels_converted_together_are_as_converted_alone() -> None:
 
 
 @needs_jit
-def test_the_same_bytes_of_all_channels_come_from_any_number_of_threads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_same_bytes_of_all_channels_come_from_any_number_of_threads(tmp_path, monkeypatch):
     with ThreadPoolExecutor(1) as alone:
         octex.convert(whole(), depth=7, run=octex.Run(executor=alone)).save(tmp_path / "alone.octex")
     monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 5_000)
@@ -106,7 +87,7 @@ SHEET = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
 BOTH_SIDES = np.array([[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2]], np.int32)
 
 
-def sheet(form: ChannelFormat, front: list[float], back: list[float]) -> OctreeTexture:
+def sheet(form, front, back):
     """A sheet that shows one value from the front and another from the back."""
     source = FaceSource((form,), [front, front, back, back])
     return octex.convert(Surface(SHEET, BOTH_SIDES, source), depth=3)
@@ -119,9 +100,7 @@ def sheet(form: ChannelFormat, front: list[float], back: list[float]) -> OctreeT
     [(BASE_COLOR, 0.2158605, 0.00713), (METALLIC, 0.5, 2 / 255), (NORMAL, 0.0, 4 / 255)],
     ids=["light", "data", "direction"],
 )
-def test_sides_are_kept_where_they_differ_by_more_than_a_code_in_every_type(
-    form: ChannelFormat, value: float, least: float, dtype: str
-) -> None:
+def test_sides_are_kept_where_they_differ_by_more_than_a_code_in_every_type(form, value, least, dtype):
     space = "linear" if form.space == "srgb" and dtype.startswith("float") else form.space
     form = form._replace(dtype=dtype, space=space)
     for difference, splits in ((0.8 * least, False), (2.5 * least, True)):
@@ -134,13 +113,13 @@ def test_sides_are_kept_where_they_differ_by_more_than_a_code_in_every_type(
             assert np.allclose(kept[1::2], sides[1], atol=0.005)
 
 
-def test_sides_of_bright_light_are_compared_by_ratio() -> None:
+def test_sides_of_bright_light_are_compared_by_ratio():
     # Above 1 a code is 0.9 % of the value; from the mean, half the difference counts.
     assert sheet(LIGHT, [100.0] * 3, [101.0] * 3).tree.split.cells.size == 0
     assert sheet(LIGHT, [100.0] * 3, [103.0] * 3).tree.split.cells.size > 0
 
 
-def test_directions_are_averaged_as_vectors_and_keep_the_length_of_the_mean() -> None:
+def test_directions_are_averaged_as_vectors_and_keep_the_length_of_the_mean():
     # A roof of two faces as large, whose normals stand at right angles: their mean has length √½.
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     triangles = np.array([[0, 1, 2], [1, 3, 2]], np.int32)
@@ -152,19 +131,17 @@ def test_directions_are_averaged_as_vectors_and_keep_the_length_of_the_mean() ->
     assert np.allclose(unit, np.array([-0.1, 0.0, 0.7]) / np.sqrt(0.5), atol=1e-6)
 
 
-def translucent() -> Surface:
+def translucent():
     """One cell sees a triangle that covers fully and, as large, one of coverage ¼."""
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     triangles = np.array([[0, 1, 2], [1, 3, 2]], np.int32)
     channels = (BASE_COLOR, ALPHA, ROUGHNESS, NORMAL)
     return Surface(
-        vertices,
-        triangles,
-        FaceSource(channels, [[1, 0, 0, 1, 0, 1, 0, 0], [0, 1, 0, 0.25, 1, 0, 0, 1]]),
+        vertices, triangles, FaceSource(channels, [[1, 0, 0, 1, 0, 1, 0, 0], [0, 1, 0, 0.25, 1, 0, 0, 1]])
     )
 
 
-def test_alpha_weighs_all_channels_where_it_is_among_them() -> None:
+def test_alpha_weighs_all_channels_where_it_is_among_them():
     texture = convert_means(translucent(), depth=0, dtype="float32")
     found = texture.sample([[0.5, 0.5, 0]], list(texture.channels), normalize=False)
     assert np.allclose(found["base_color"], [[0.8, 0.2, 0]])
@@ -177,7 +154,7 @@ def test_alpha_weighs_all_channels_where_it_is_among_them() -> None:
     assert np.allclose(found["roughness"], 0.5)
 
 
-def test_a_texture_holds_nothing_that_is_not_finite() -> None:
+def test_a_texture_holds_nothing_that_is_not_finite():
     source = FaceSource((LIGHT,), [[np.inf, 1e9, -np.inf]] * 4)
     octex.convert(Surface(TETRAHEDRON, FACES, source), depth=3).validate()
 
@@ -200,19 +177,15 @@ def test_a_texture_holds_nothing_that_is_not_finite() -> None:
         ({"sources": {"paint": 0.5}}, "unknown channel 'paint'; there are: base_color, "),
     ],
 )
-def test_names_that_are_not_there_and_types_that_do_not_fit_are_refused(
-    options: dict[str, Any], message: str
-) -> None:
+def test_names_that_are_not_there_and_types_that_do_not_fit_are_refused(options, message):
     with pytest.raises(ArgumentError, match=message):
         octex.convert(whole(), depth=3, **options)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 @pytest.mark.parametrize("fit", [False, True])
-def test_integers_hold_light_that_is_nowhere_above_1_whatever_its_source_could_give(
-    dtype: str, fit: bool
-) -> None:
-    def glow(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def test_integers_hold_light_that_is_nowhere_above_1_whatever_its_source_could_give(dtype, fit):
+    def glow(points):
         return np.clip(2 * points, 0, 1)
 
     texture = octex.convert(tetrahedron(), 5, sources={"emissive": glow}, dtype={"emissive": dtype}, fit=fit)
@@ -227,7 +200,7 @@ def test_integers_hold_light_that_is_nowhere_above_1_whatever_its_source_could_g
         octex.convert(tetrahedron(), 5, sources=bright, dtype={"emissive": dtype}, fit=fit)
 
 
-def test_sources_of_ones_own_replace_channels_and_add_to_them() -> None:
+def test_sources_of_ones_own_replace_channels_and_add_to_them():
     texture = octex.convert(whole(), depth=3, sources={"base_color": (0.25, 0.5, 1.0), "occlusion": 0.4})
     assert list(texture.channels) == [
         "base_color",
@@ -242,7 +215,7 @@ def test_sources_of_ones_own_replace_channels_and_add_to_them() -> None:
     assert np.allclose(found["occlusion"], 0.4, atol=0.002)
 
 
-def test_a_file_is_asked_only_for_the_channels_that_do_not_come_from_elsewhere(tmp_path: Path) -> None:
+def test_a_file_is_asked_only_for_the_channels_that_do_not_come_from_elsewhere(tmp_path):
     lines = [f"v {x} {y} {z}" for x, y, z in TETRAHEDRON.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()]
     (tmp_path / "a.obj").write_text("\n".join(lines))
@@ -255,7 +228,7 @@ def test_a_file_is_asked_only_for_the_channels_that_do_not_come_from_elsewhere(t
 
 
 @needs_jit
-def test_the_filter_is_the_one_that_is_asked_for() -> None:
+def test_the_filter_is_the_one_that_is_asked_for():
     checkers = np.indices((64, 64)).sum(axis=0).astype(np.uint8) % 2 * 255
     surface = Surface.from_arrays(SHEET, BOTH_SIDES[:2], uv=SHEET[:, :2], image=checkers)
     points = [[0.25, 0.6, 0], [0.6, 0.25, 0], [0.75, 0.3, 0], [0.3, 0.8, 0]]
@@ -267,9 +240,9 @@ def test_the_filter_is_the_one_that_is_asked_for() -> None:
     assert np.abs(ewa - 0.5).max() < 0.1
 
 
-def test_the_file_says_what_was_asked_for() -> None:
+def test_the_file_says_what_was_asked_for():
     options = {"channels": ["base_color", "emissive"], "dtype": {"base_color": "uint16"}, "filter": "ewa"}
-    texture = octex.convert(whole(), depth=3, sources={"base_color": 0.5}, rest=TETRAHEDRON + 1, **options)  # type: ignore[arg-type]
+    texture = octex.convert(whole(), depth=3, sources={"base_color": 0.5}, rest=TETRAHEDRON + 1, **options)
     assert json.loads(texture.metadata["convert"]) == {
         "depth": 3,
         "fit": True,

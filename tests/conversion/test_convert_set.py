@@ -1,9 +1,6 @@
 """Parts of a model, taken apart and converted into textures of their own."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +10,7 @@ import pytest
 import octex
 from octex.channels import linear_to_srgb
 from octex.errors import ArgumentError, ModelError
-from octex.source.surface import Surface, SurfaceSamples
+from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests.conftest import needs_jit
 from tests.make.command import colored_box
@@ -25,12 +22,12 @@ from tests.make.solids import colored, cube
 Array = npt.NDArray[Any]
 
 
-def pair(**options: Any) -> Surface:
+def pair(**options):
     """Two boxes, one of which stands in the other's corner."""
     return colored(cube([0, 0, 0]), cube([0.6, 0.3, 0.2], 0.5), **options)
 
 
-def rich() -> Surface:
+def rich():
     """Two squares with an image, a normal map, deformed at rest."""
     points, triangles = together(square(0.0), square(0.5))
     image = random_image(8, 8)
@@ -42,20 +39,20 @@ def rich() -> Surface:
     return surface.with_sources(given)
 
 
-def codes(difference: Array) -> float:
+def codes(difference):
     return float(255 * np.abs(difference).max())
 
 
 # --- some of a surface's triangles
 
 
-def of_part(samples: SurfaceSamples, numbers: Array) -> SurfaceSamples:
+def of_part(samples, numbers):
     """The same points of the whole, whose triangles have these numbers there."""
     return samples._replace(triangles=np.asarray(numbers, np.int32)[samples.triangles])
 
 
 @pytest.mark.parametrize("surface", [pair(), rich(), whole()], ids=["colors", "rich", "faces"])
-def test_a_part_gives_what_the_whole_gives(surface: Surface) -> None:
+def test_a_part_gives_what_the_whole_gives(surface):
     numbers = np.flatnonzero(np.arange(len(surface.triangles)) % 3 == 1)[::-1]
     part = surface.part(numbers)
     assert np.array_equal(part.rest[part.triangles], surface.rest[surface.triangles[numbers]])
@@ -71,7 +68,7 @@ def test_a_part_gives_what_the_whole_gives(surface: Surface) -> None:
     assert np.array_equal(edges, surface.source.texel_edges(numbers.astype(np.int32)))
 
 
-def test_a_part_is_changed_as_the_whole_is() -> None:
+def test_a_part_is_changed_as_the_whole_is():
     surface, rows, image = rich(), np.arange(7, 20, dtype=np.int32), random_image(4, 4)
     part = surface.part(rows)
     used = np.unique(surface.triangles[rows])
@@ -91,14 +88,14 @@ def test_a_part_is_changed_as_the_whole_is() -> None:
             np.testing.assert_allclose(found, other, atol=2e-6)
 
 
-def test_a_part_knows_its_gaps() -> None:
+def test_a_part_knows_its_gaps():
     near = octex.Transfer(tetrahedron(), distance=0.1)
     surface = Surface.from_arrays(TETRAHEDRON, FACES).with_sources(near.sources)
     assert surface.part([0, 2]).source.has_gaps
     assert not pair().part([0]).source.has_gaps
 
 
-def test_frames_stay_with_their_corners() -> None:
+def test_frames_stay_with_their_corners():
     surface = rich()
     frames = corner_frames(surface.rest, surface.triangles, None, None, surface.uv)
     framed = Surface(surface.vertices, surface.triangles, surface.source, uv=surface.uv, frames=frames)
@@ -119,12 +116,12 @@ def test_frames_stay_with_their_corners() -> None:
         ([], ModelError, "parts has no triangles"),
     ],
 )
-def test_triangles_that_are_not_there_are_refused(triangles: Any, error: Any, message: str) -> None:
+def test_triangles_that_are_not_there_are_refused(triangles, error, message):
     with pytest.raises(error, match=message):
         pair().part(triangles)
 
 
-def test_parts_are_numbered_as_those_that_overlap() -> None:
+def test_parts_are_numbered_as_those_that_overlap():
     surface = pair()
     assert surface.parts.dtype == np.int32
     assert np.array_equal(surface.parts, surface.overlapping_parts().parts)
@@ -135,7 +132,7 @@ def test_parts_are_numbered_as_those_that_overlap() -> None:
 
 
 @needs_jit
-def test_parts_that_interpenetrate_keep_their_own_colours() -> None:
+def test_parts_that_interpenetrate_keep_their_own_colours():
     surface = pair()
     samples = surface.scatter(5000)
     wanted = linear_to_srgb(surface.evaluate(samples))
@@ -148,7 +145,7 @@ def test_parts_that_interpenetrate_keep_their_own_colours() -> None:
     assert codes(linear_to_srgb(shared) - wanted) > 50.0
 
 
-def test_each_part_is_converted_as_if_it_were_alone() -> None:
+def test_each_part_is_converted_as_if_it_were_alone():
     surface = rich()
     found = octex.convert_set(surface, 3, dtype={"normal": "uint16"}, max_error=1)
     for number, (name, texture) in enumerate(found.items()):
@@ -164,7 +161,7 @@ def test_each_part_is_converted_as_if_it_were_alone() -> None:
     assert "source_roughness" in found.metadata
 
 
-def test_cells_are_as_deep_in_each_part_or_as_large_in_all() -> None:
+def test_cells_are_as_deep_in_each_part_or_as_large_in_all():
     surface = colored(cube([0, 0, 0]), cube([3, 0, 0], 0.25))
     deep = octex.convert_set(surface, 3, fit=False)
     assert [texture.tree.max_depth for texture in deep.values()] == [3, 3]
@@ -176,7 +173,7 @@ def test_cells_are_as_deep_in_each_part_or_as_large_in_all() -> None:
         octex.convert_set(surface, 3, cell=0.2)
 
 
-def test_options_reach_every_part() -> None:
+def test_options_reach_every_part():
     surface = pair()
     counted: list[tuple[str, int, int]] = []
     found = octex.convert_set(
@@ -201,7 +198,7 @@ def test_options_reach_every_part() -> None:
     assert np.abs(values[:, 0] - samples.rest[:, 0] / 2.0).max() < 0.25
 
 
-def test_models_by_name_are_parts_of_any_kind(tmp_path: Path) -> None:
+def test_models_by_name_are_parts_of_any_kind(tmp_path):
     box = colored_box(tmp_path)
     samples = tetrahedron().scatter(200)
     cloud = octex.PointCloud(samples.rest, tetrahedron().evaluate(samples))
@@ -213,7 +210,7 @@ def test_models_by_name_are_parts_of_any_kind(tmp_path: Path) -> None:
     assert np.array_equal(found.sample(samples.rest, "thing"), alone.sample(samples.rest))
 
 
-def test_a_file_is_taken_apart(tmp_path: Path) -> None:
+def test_a_file_is_taken_apart(tmp_path):
     box = colored_box(tmp_path)
     found = octex.convert_set(box, 2, channels="base_color")
     assert found.names == ("part-0",)
@@ -223,7 +220,7 @@ def test_a_file_is_taken_apart(tmp_path: Path) -> None:
         octex.convert_set(tmp_path / "missing.obj")
 
 
-def test_a_part_without_area_keeps_its_number_and_its_colour(tmp_path: Path) -> None:
+def test_a_part_without_area_keeps_its_number_and_its_colour(tmp_path):
     line = np.array([[5.0, 0, 0], [6.0, 0, 0], [7.0, 0, 0]]), np.array([[0, 1, 2]])
     dot = np.full((3, 3), 9.0), np.array([[0, 1, 2]])
     surface = colored(line, cube([0, 0, 0]), dot)
@@ -247,11 +244,11 @@ def test_a_part_without_area_keeps_its_number_and_its_colour(tmp_path: Path) -> 
         octex.convert_set(colored(line, dot), 2)
 
 
-def test_what_has_no_parts_is_refused() -> None:
+def test_what_has_no_parts_is_refused():
     samples = tetrahedron().scatter(20)
     cloud = octex.PointCloud(samples.rest, tetrahedron().evaluate(samples), name="dots")
     with pytest.raises(ArgumentError, match="dots is points, which have no parts; convert takes it"):
-        octex.convert_set(cloud)  # type: ignore[arg-type]
+        octex.convert_set(cloud)
     with pytest.raises(
         ArgumentError, match="rest is for one model; load each part with its own rest positions"
     ):
@@ -260,7 +257,7 @@ def test_what_has_no_parts_is_refused() -> None:
         octex.convert_set({})
 
 
-def test_a_part_that_cannot_be_converted_is_named() -> None:
+def test_a_part_that_cannot_be_converted_is_named():
     near = octex.Transfer(tetrahedron(), distance=0.1)
     points, triangles = together((TETRAHEDRON, FACES), (TETRAHEDRON + np.array([9.0, 0, 0]), FACES))
     surface = Surface.from_arrays(points, triangles, name="two").with_sources(near.sources)
@@ -269,7 +266,7 @@ def test_a_part_that_cannot_be_converted_is_named() -> None:
 
 
 @needs_jit
-def test_a_real_model_in_parts_looks_as_it_is(models: Path) -> None:
+def test_a_real_model_in_parts_looks_as_it_is(models):
     surface = octex.load_surface(models / "BoomBoxWithAxes/BoomBoxWithAxes.gltf", channels=["base_color"])
     found = octex.convert_set(surface, 6)
     assert len(found) == surface.parts.max() + 1 > 1

@@ -1,13 +1,9 @@
 """Differences between textures and models, measured again in slow and obvious ways."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -31,15 +27,7 @@ UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 DROID = Path(octex.__file__).parents[1] / "samples" / "droid.glb"
 
 
-def sheet(
-    values: dict[ChannelFormat, npt.ArrayLike],
-    depth: int = 3,
-    *,
-    rows: slice = slice(None),
-    placement: Placement = UNIT,
-    layer: int = 0,
-    areas: npt.ArrayLike = AREA_ONE,
-) -> OctreeTexture:
+def sheet(values, depth=3, *, rows=slice(None), placement=UNIT, layer=0, areas=AREA_ONE):
     """A texture of one layer of cells; values per cell broadcast to (rows, columns, components)."""
     width = 1 << depth
     cells = np.stack(np.meshgrid(*[np.arange(width)] * 2, indexing="ij"), axis=-1)[rows].reshape(-1, 2)
@@ -63,15 +51,15 @@ def sheet(
     return OctreeTexture(tree, channels, placement, corners, {})
 
 
-def noise(seed: int, components: int = 3, depth: int = 3) -> npt.NDArray[np.float64]:
+def noise(seed, components=3, depth=3):
     return np.random.default_rng(seed).random((1 << depth, 1 << depth, components))
 
 
-def code(linear: float) -> float:
+def code(linear):
     return 255 * (12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-def test_two_textures_are_compared_leaf_by_leaf() -> None:
+def test_two_textures_are_compared_leaf_by_leaf():
     a, b = sheet({BASE_COLOR: noise(1)}), sheet({BASE_COLOR: noise(2)})
     found = difference(a, b)
     squares, largest = [], []
@@ -100,7 +88,7 @@ def test_two_textures_are_compared_leaf_by_leaf() -> None:
     assert found.uncovered == (0.0, 0.0)
 
 
-def test_textures_are_read_with_the_filter_asked_for() -> None:
+def test_textures_are_read_with_the_filter_asked_for():
     values = np.zeros((8, 8, 1))
     values[2, 5] = 1.0
     a, b = sheet({ROUGHNESS: 0.0}), sheet({ROUGHNESS: values})
@@ -110,7 +98,7 @@ def test_textures_are_read_with_the_filter_asked_for() -> None:
         assert found["roughness"].maximum == pytest.approx(most)  # the spline's weight in the middle
 
 
-def test_a_texture_does_not_differ_from_itself() -> None:
+def test_a_texture_does_not_differ_from_itself():
     texture = sheet({BASE_COLOR: noise(1), ROUGHNESS: noise(2, 1)})
     found = difference(texture, texture)
     assert list(found) == ["base_color", "roughness"]
@@ -119,7 +107,7 @@ def test_a_texture_does_not_differ_from_itself() -> None:
         assert result.a == result.b
 
 
-def test_which_is_first_does_not_matter_but_for_the_names() -> None:
+def test_which_is_first_does_not_matter_but_for_the_names():
     a, b = sheet({BASE_COLOR: noise(1)}), sheet({BASE_COLOR: noise(2)}, rows=slice(2, 8))
     there, back = difference(a, b), difference(b, a)
     assert there["base_color"].rms == pytest.approx(back["base_color"].rms)
@@ -128,7 +116,7 @@ def test_which_is_first_does_not_matter_but_for_the_names() -> None:
     assert there.uncovered == back.uncovered[::-1]
 
 
-def test_leaves_count_by_their_area() -> None:
+def test_leaves_count_by_their_area():
     values, areas = np.zeros((8, 8, 1)), np.full((8, 8), AREA_ONE)
     values[2, 5] = 1.0
     areas[2, 5] += 16  # four times as much
@@ -143,7 +131,7 @@ def test_leaves_count_by_their_area() -> None:
     assert (result.p99, result.maximum) == (0.0, 1.0)  # less than a hundredth of the area
 
 
-def test_textures_of_another_placement_and_depth_are_compared_where_they_are() -> None:
+def test_textures_of_another_placement_and_depth_are_compared_where_they_are():
     # The same colours, once as leaves of depth 3, once shifted by whole cells in a larger root, finer.
     values = noise(3)
     a = sheet({BASE_COLOR: values})
@@ -157,7 +145,7 @@ def test_textures_of_another_placement_and_depth_are_compared_where_they_are() -
     assert found.points == 64 + 16**2
 
 
-def test_what_only_one_texture_covers_is_left_out_and_counted() -> None:
+def test_what_only_one_texture_covers_is_left_out_and_counted():
     a = sheet({ROUGHNESS: 0.0}, rows=slice(0, 6))
     b = sheet({ROUGHNESS: np.full((8, 8, 1), 1.0)}, rows=slice(4, 8))
     found = difference(a, b)
@@ -171,7 +159,7 @@ def test_what_only_one_texture_covers_is_left_out_and_counted() -> None:
         difference(a, sheet({ROUGHNESS: 0.0}, layer=1))
 
 
-def test_channels_that_only_one_has_are_named() -> None:
+def test_channels_that_only_one_has_are_named():
     a = sheet({BASE_COLOR: 0.5, ROUGHNESS: 0.5})
     b = sheet({ROUGHNESS: 0.25, ALPHA: 0.5})
     found = difference(a, b)
@@ -187,12 +175,12 @@ def test_channels_that_only_one_has_are_named() -> None:
         difference(a, b, channels=[])
 
 
-def test_only_the_channels_asked_for_are_compared() -> None:
+def test_only_the_channels_asked_for_are_compared():
     both = sheet({BASE_COLOR: noise(1), ALPHA: noise(2, 1), ROUGHNESS: noise(3, 1)})
     assert list(difference(both, both, channels=["roughness", "base_color"])) == ["roughness", "base_color"]
 
 
-def test_a_channel_that_means_something_else_is_refused() -> None:
+def test_a_channel_that_means_something_else_is_refused():
     light, data = ChannelFormat("own", 3, "linear", "float32"), ChannelFormat("own", 1, "data")
     with pytest.raises(
         ArgumentError,
@@ -201,7 +189,7 @@ def test_a_channel_that_means_something_else_is_refused() -> None:
         difference(sheet({light: 0.5}), sheet({data: 0.5}))
 
 
-def test_light_is_compared_alike_however_it_is_stored() -> None:
+def test_light_is_compared_alike_however_it_is_stored():
     linear = ChannelFormat("base_color", 3, "linear", "float32")
     a, b = sheet({BASE_COLOR: 0.25}), sheet({linear: 0.25})
     assert difference(a, b)["base_color"].maximum < 0.5  # as stored in eight bits
@@ -211,7 +199,7 @@ def test_light_is_compared_alike_however_it_is_stored() -> None:
     assert result.b == pytest.approx((code(16.0),) * 3)
 
 
-def test_light_counts_as_far_as_it_is_covered() -> None:
+def test_light_counts_as_far_as_it_is_covered():
     clear = {ALPHA: 0.0}
     found = difference(sheet({BASE_COLOR: 0.0, **clear}), sheet({BASE_COLOR: 1.0, **clear}))
     assert found["base_color"].maximum == 0.0
@@ -226,7 +214,7 @@ def test_light_counts_as_far_as_it_is_covered() -> None:
     assert found["roughness"].maximum == 1.0
 
 
-def test_directions_are_compared_by_components_and_by_angle() -> None:
+def test_directions_are_compared_by_components_and_by_angle():
     a, b = np.zeros((8, 8, 3)), np.zeros((8, 8, 3))
     a[..., 2] = b[..., 2] = 1.0
     b[3, 4] = [0.0, math.sin(math.radians(10)), math.cos(math.radians(10))]
@@ -244,7 +232,7 @@ def test_directions_are_compared_by_components_and_by_angle() -> None:
     assert angle.a == (0.0, 0.0, 1.0)
 
 
-def test_memory_and_results_do_not_depend_on_the_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_and_results_do_not_depend_on_the_blocks(monkeypatch):
     a, b = sheet({BASE_COLOR: noise(1)}), sheet({BASE_COLOR: noise(2)})
     whole = difference(a, b)
     calls: list[tuple[str, int, int]] = []
@@ -262,7 +250,7 @@ def test_memory_and_results_do_not_depend_on_the_blocks(monkeypatch: pytest.Monk
 # --- a texture and a model
 
 
-def quarters() -> Surface:
+def quarters():
     """A square of four colours, not along the axes."""
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0.3], [0, 1, 0.3]])
     image = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [255, 255, 255]]], np.uint8)
@@ -275,7 +263,7 @@ def quarters() -> Surface:
     )
 
 
-def test_a_texture_is_compared_with_its_model_at_points_on_it() -> None:
+def test_a_texture_is_compared_with_its_model_at_points_on_it():
     surface = quarters()
     texture = octex.convert(surface, 4)
     found = difference(surface, texture, points=2000, width=0.0, seed=5)
@@ -298,11 +286,11 @@ def test_a_texture_is_compared_with_its_model_at_points_on_it() -> None:
     assert swapped.uncovered == (None, 0.0)
 
 
-def _block_seed(seed: int) -> int:
+def _block_seed(seed):
     return int(np.random.SeedSequence([seed, 0]).generate_state(1, np.uint64)[0])
 
 
-def test_a_model_is_averaged_over_the_finest_cells_unless_told_otherwise() -> None:
+def test_a_model_is_averaged_over_the_finest_cells_unless_told_otherwise():
     surface = quarters()
     texture = octex.convert(surface, 4)
     found = difference(texture, surface, points=500)
@@ -312,7 +300,7 @@ def test_a_model_is_averaged_over_the_finest_cells_unless_told_otherwise() -> No
     assert found != difference(texture, surface, points=500, seed=1)
 
 
-def test_both_are_averaged_over_a_wider_footprint() -> None:
+def test_both_are_averaged_over_a_wider_footprint():
     surface = octex.load_surface(DROID, channels=["base_color"])
     texture = octex.convert(surface, 7)
     width = 8 * texture.placement.size / 128
@@ -324,7 +312,7 @@ def test_both_are_averaged_over_a_wider_footprint() -> None:
     assert found < 0.9 * 255 * np.sqrt((apart**2).mean())
 
 
-def test_parts_of_a_model_that_the_texture_lacks_are_counted() -> None:
+def test_parts_of_a_model_that_the_texture_lacks_are_counted():
     surface = quarters()
     texture = octex.convert(surface, 5)
     twice = Surface(
@@ -344,18 +332,18 @@ def test_parts_of_a_model_that_the_texture_lacks_are_counted() -> None:
 class Twice(Source):
     """Two copies of what a source colours."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source):
         self.source = source
 
     @property
-    def channels(self) -> tuple[ChannelFormat, ...]:
+    def channels(self):
         return self.source.channels
 
-    def evaluate(self, triangles: Any, barycentric: Any, widths: Any) -> Any:
+    def evaluate(self, triangles, barycentric, widths):
         return self.source.evaluate(triangles % 2, barycentric, widths)
 
 
-def test_a_model_is_compared_where_it_is_at_rest() -> None:
+def test_a_model_is_compared_where_it_is_at_rest():
     surface = quarters()
     texture = octex.convert(surface, 4)
     posed = Surface(surface.vertices * 3, surface.triangles, surface.source, rest=surface.rest)
@@ -375,18 +363,18 @@ def test_a_model_is_compared_where_it_is_at_rest() -> None:
         ({"filter": "cubic"}, "unknown filter 'cubic'; there are: nearest"),
     ],
 )
-def test_bad_arguments_are_refused_by_name(arguments: dict[str, Any], message: str) -> None:
+def test_bad_arguments_are_refused_by_name(arguments, message):
     surface = quarters()
     with pytest.raises(ArgumentError, match=message):
         difference(surface, octex.convert(surface, 2), **arguments)
 
 
-def test_two_models_are_refused() -> None:
+def test_two_models_are_refused():
     with pytest.raises(ArgumentError, match="two models cannot be compared with each other"):
         difference(quarters(), quarters())
 
 
-def test_every_difference_says_what_it_is_measured_in() -> None:
+def test_every_difference_says_what_it_is_measured_in():
     found = difference(sheet({BASE_COLOR: 0.0, ROUGHNESS: 0.0}), sheet({BASE_COLOR: 1.0, ROUGHNESS: 1.0}))
     assert isinstance(found["roughness"], Difference)
     assert {name: (each.measure, each.psnr) for name, each in found.items()} == {
@@ -395,7 +383,7 @@ def test_every_difference_says_what_it_is_measured_in() -> None:
     }
 
 
-def test_values_that_are_not_finite_are_refused_by_their_channel() -> None:
+def test_values_that_are_not_finite_are_refused_by_their_channel():
     surface = Surface.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
     texture = octex.convert(surface, 3, dtype="float32")
     channel = texture.channels["base_color"]

@@ -1,10 +1,5 @@
 """octex.render: pictures of a texture, a model or both, from a camera or a direction."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -13,9 +8,7 @@ import octex
 from octex.channels import encode
 from octex.drawing import render_leaves, render_surface, source_shader, texture_shader
 from octex.errors import ArgumentError, OutputError
-from octex.source.surface import Surface
 from tests.conftest import needs_jit
-from tests.make.command import Cli
 from tests.make.painted import ball
 
 pytestmark = needs_jit
@@ -27,29 +20,27 @@ COLORS = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
 
 
 @pytest.fixture(scope="module")
-def surface() -> Surface:
+def surface():
     triangles = np.array([[0, 1, 2], [0, 2, 3]])
     made = octex.Surface.from_arrays(CORNERS, triangles, colors=COLORS, name="square")
     return made.with_sources({"roughness": 0.3})
 
 
 @pytest.fixture(scope="module")
-def texture(surface: Surface) -> octex.OctreeTexture:
+def texture(surface):
     return octex.convert(surface, 5)
 
 
 @pytest.fixture(scope="module")
-def camera() -> octex.Camera:
+def camera():
     return octex.Camera.fitted(CORNERS, (0.2, 0.1, 1.0), size=(48, 36))
 
 
-def codes(light: np.ndarray) -> np.ndarray:
+def codes(light):
     return encode(light, "uint8", "srgb")
 
 
-def test_a_picture_is_what_its_shader_shows_as_srgb_codes(
-    surface: Surface, texture: octex.OctreeTexture, camera: octex.Camera
-) -> None:
+def test_a_picture_is_what_its_shader_shows_as_srgb_codes(surface, texture, camera):
     found = octex.render(texture, surface, camera)
     assert (found.dtype, found.shape) == (np.uint8, (36, 48, 3))
     np.testing.assert_array_equal(found, codes(render_surface(surface, camera, texture_shader(texture))))
@@ -69,9 +60,7 @@ def test_a_picture_is_what_its_shader_shows_as_srgb_codes(
     )
 
 
-def test_leaves_are_drawn_without_a_model_and_cubes_also_with_one(
-    surface: Surface, texture: octex.OctreeTexture, camera: octex.Camera
-) -> None:
+def test_leaves_are_drawn_without_a_model_and_cubes_also_with_one(surface, texture, camera):
     np.testing.assert_array_equal(
         octex.render(texture, camera=camera, supersample=1),
         codes(render_leaves(texture, camera, supersample=1)),
@@ -81,9 +70,7 @@ def test_leaves_are_drawn_without_a_model_and_cubes_also_with_one(
         np.testing.assert_array_equal(octex.render(texture, model, camera, level=3, cubes=True), cubes)
 
 
-def test_without_a_camera_the_whole_model_is_seen_and_a_file_is_written(
-    surface: Surface, texture: octex.OctreeTexture, tmp_path: Path
-) -> None:
+def test_without_a_camera_the_whole_model_is_seen_and_a_file_is_written(surface, texture, tmp_path):
     path, way = tmp_path / "a.png", (0.2, 0.1, 1.0)
     found = octex.render(texture, surface, path=path, size=(48, 36), direction=way, zoom=1.5)
     np.testing.assert_array_equal(np.asarray(Image.open(path)), found)
@@ -97,14 +84,14 @@ def test_without_a_camera_the_whole_model_is_seen_and_a_file_is_written(
         octex.render(texture, surface, path=tmp_path / "nowhere" / "a.png", size=(8, 8))
 
 
-def test_nothing_to_draw_is_refused(texture: octex.OctreeTexture) -> None:
+def test_nothing_to_draw_is_refused(texture):
     with pytest.raises(ArgumentError, match="a texture, a surface or both"):
         octex.render(None)
     with pytest.raises(ArgumentError, match="unknown channel 'height'"):
         octex.render(texture, channel="height", size=(8, 8))
 
 
-def test_what_is_of_textures_or_of_smooth_surfaces_is_refused_elsewhere(texture: octex.OctreeTexture) -> None:
+def test_what_is_of_textures_or_of_smooth_surfaces_is_refused_elsewhere(texture):
     box = octex.Surface.from_arrays(np.eye(3), [[0, 1, 2]])
     for options in ({"level": 1}, {"cubes": True}):
         with pytest.raises(ArgumentError, match="level and cubes are for a texture"):
@@ -126,16 +113,12 @@ def test_what_is_of_textures_or_of_smooth_surfaces_is_refused_elsewhere(texture:
         ({"zoom": 0}, "zoom"),
     ],
 )
-def test_what_makes_no_sense_is_refused_by_name(
-    texture: octex.OctreeTexture, options: dict[str, Any], word: str
-) -> None:
+def test_what_makes_no_sense_is_refused_by_name(texture, options, word):
     with pytest.raises(ArgumentError, match=word):
         octex.render(texture, **options)
 
 
-def test_the_command_draws_every_kind(
-    texture: octex.OctreeTexture, camera: octex.Camera, tmp_path: Path, cli: Cli
-) -> None:
+def test_the_command_draws_every_kind(texture, camera, tmp_path, cli):
     stored, model, eye = tmp_path / "a.octex", tmp_path / "a.obj", tmp_path / "eye.json"
     texture.save(stored)
     rows = [f"v {x} {y} {z} {r} {g} {b}" for (x, y, z), (r, g, b) in zip(CORNERS, COLORS, strict=True)]
@@ -143,7 +126,7 @@ def test_the_command_draws_every_kind(
     octex.write_cameras(eye, {"front": camera})
     loaded = octex.load_surface(model)
 
-    def drawn(*words: object) -> np.ndarray:
+    def drawn(*words):
         path = tmp_path / "drawn.png"
         at = next((n for n, word in enumerate(words) if str(word).startswith("--")), len(words))
         cli.result("draw", *words[:at], path, *words[at:], "--force", "--quiet")

@@ -27,7 +27,7 @@ HEIGHT = ChannelFormat("height", 2, "data", "float32")
 seeds = st.integers(0, 2**32 - 1)
 
 
-def reference(tree: Octree) -> naive.Field:
+def reference(tree):
     """The quadratic field of the rows' weights."""
     cells = [
         naive.Cell(level, naive.unmorton(code), not is_node)
@@ -38,9 +38,7 @@ def reference(tree: Octree) -> naive.Field:
     return naive.Field(cells, np.eye(len(cells) + len(kept)), "quadratic", kept)
 
 
-def spread(
-    starts: Codes, rows: npt.NDArray[np.uint32], weights: npt.NDArray[np.float32], n_rows: int
-) -> Floats:
+def spread(starts, rows, weights, n_rows):
     """The weights by cell and row (cells, rows)."""
     found = np.zeros((starts.size - 1, n_rows))
     np.add.at(found, (np.repeat(np.arange(starts.size - 1), np.diff(starts)), rows), weights)
@@ -54,7 +52,7 @@ class Drawn(NamedTuple):
 
 
 @st.composite
-def trees_and_cells(draw: st.DrawFn) -> Drawn:
+def trees_and_cells(draw):
     leaves = draw(leaf_sets())
     keep = draw(st.sampled_from([0.0, 0.3, 1.0]))
     seed = draw(seeds)
@@ -86,7 +84,7 @@ def trees_and_cells(draw: st.DrawFn) -> Drawn:
 
 
 @given(trees_and_cells())
-def test_cells_below_leaves_are_refined_as_by_the_reference(drawn: Drawn) -> None:
+def test_cells_below_leaves_are_refined_as_by_the_reference(drawn):
     field = reference(drawn.tree)
     for level, codes in drawn.codes.items():
         starts, rows, weights = refined_taps(drawn.tree, codes, level)
@@ -100,7 +98,7 @@ def test_cells_below_leaves_are_refined_as_by_the_reference(drawn: Drawn) -> Non
 
 
 @given(trees_and_cells())
-def test_cells_in_empty_places_have_taps_where_leaves_are_near_and_none_elsewhere(drawn: Drawn) -> None:
+def test_cells_in_empty_places_have_taps_where_leaves_are_near_and_none_elsewhere(drawn):
     field = reference(drawn.tree)
     for level, codes in drawn.beside.items():
         starts, rows, weights = refined_taps(drawn.tree, codes, level)
@@ -112,7 +110,7 @@ def test_cells_in_empty_places_have_taps_where_leaves_are_near_and_none_elsewher
 
 
 @given(trees_and_cells(), seeds)
-def test_what_is_refined_to_a_cell_does_not_depend_on_the_cells_before_it(drawn: Drawn, seed: int) -> None:
+def test_what_is_refined_to_a_cell_does_not_depend_on_the_cells_before_it(drawn, seed):
     random = np.random.default_rng(seed)
     for level in drawn.codes:
         codes = random.permutation(np.concatenate([drawn.codes[level], drawn.beside[level]]))
@@ -125,19 +123,19 @@ def test_what_is_refined_to_a_cell_does_not_depend_on_the_cells_before_it(drawn:
             assert np.array_equal(alone[2], weights[here])
 
 
-def test_no_cells_have_no_taps() -> None:
+def test_no_cells_have_no_taps():
     starts, rows, weights = refined_taps(Octree.from_leaves(np.arange(8), 1), np.empty(0, np.int64), 2)
     assert (starts.tolist(), rows.tolist(), weights.tolist()) == ([0], [], [])
 
 
-def test_below_the_root_alone_all_is_the_roots() -> None:
+def test_below_the_root_alone_all_is_the_roots():
     tree = Octree.from_leaves(np.zeros(1, np.int64), 0)
     for level in (1, 2, 21):
         starts, rows, weights = refined_taps(tree, np.array([8**level - 1, 0]), level)
         assert (starts.tolist(), rows.tolist(), weights.tolist()) == ([0, 1, 2], [0, 0], [1.0, 1.0])
 
 
-def test_cells_found_in_several_batches_are_those_found_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cells_found_in_several_batches_are_those_found_at_once(monkeypatch):
     tree = with_random_data(Octree.from_leaves(np.arange(0, 512, 3), 3), 1, 0.3)
     codes = np.random.default_rng(2).permutation(512)
     codes = codes[codes % 3 == 0][:150] * 8 + 5
@@ -152,14 +150,14 @@ def test_cells_found_in_several_batches_are_those_found_at_once(monkeypatch: pyt
 # --- what they are for: raised leaves do not move the field
 
 
-def textured(tree: Octree, seed: int) -> OctreeTexture:
+def textured(tree, seed):
     random = np.random.default_rng(seed)
     rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
     channel = Channel(HEIGHT, *(random.random((count, 2), np.float32) for count in rows))
     return OctreeTexture(tree, {"height": channel}, UNIT, UNIT_BOUNDS)
 
 
-def raise_leaves(texture: OctreeTexture, wanted: list[Codes], met: list[Codes]) -> OctreeTexture:
+def raise_leaves(texture, wanted, met):
     """Raise a texture's tree: new cells have the refined values, nodes that were leaves keep theirs."""
     tree, channel = texture.tree, texture.channels["height"]
     edited = raised(tree, wanted, met, [])
@@ -180,9 +178,7 @@ def raise_leaves(texture: OctreeTexture, wanted: list[Codes], met: list[Codes]) 
     return OctreeTexture(edited.tree, {"height": made}, UNIT, UNIT_BOUNDS)
 
 
-def some_below(
-    tree: Octree, part: float, all_children: bool, random: np.random.Generator
-) -> tuple[list[Codes], list[Codes]]:
+def some_below(tree, part, all_children, random):
     """Wanted cells one or two levels below a part of the leaves, and the cells met: all children, or some."""
     wanted: list[list[int]] = [[] for _ in range(tree.max_depth + 3)]
     met: list[list[int]] = [[] for _ in wanted]
@@ -200,20 +196,18 @@ def some_below(
     return ascending(wanted), ascending(met)
 
 
-def ascending(codes: list[list[int]]) -> list[Codes]:
+def ascending(codes):
     return [np.array(sorted(of_level), np.int64) for of_level in codes]
 
 
-def assert_unmoved(before: OctreeTexture, after: OctreeTexture, points: Floats) -> None:
+def assert_unmoved(before, after, points):
     expected = before.sample(points, "height", "quadratic")
     np.testing.assert_allclose(after.sample(points, "height", "quadratic"), expected, rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize("all_children", [True, False])
 @given(st.data())
-def test_leaves_raised_to_refined_values_do_not_move_the_quadratic_field(
-    all_children: bool, data: st.DataObject
-) -> None:
+def test_leaves_raised_to_refined_values_do_not_move_the_quadratic_field(all_children, data):
     leaves = data.draw(leaf_sets(deepest=6, most=12))
     seed = data.draw(seeds)
     random = np.random.default_rng(seed)
@@ -235,7 +229,7 @@ def test_leaves_raised_to_refined_values_do_not_move_the_quadratic_field(
 @needs_jit
 @pytest.mark.parametrize("keep", [0.0, 0.5])
 @pytest.mark.parametrize("all_children", [True, False])
-def test_a_shell_of_which_half_is_raised_keeps_its_quadratic_field(all_children: bool, keep: float) -> None:
+def test_a_shell_of_which_half_is_raised_keeps_its_quadratic_field(all_children, keep):
     random = np.random.default_rng(4)
     directions = random.normal(size=(4_000, 3))
     points = 0.5 + 0.4 * directions / np.linalg.norm(directions, axis=1)[:, None]

@@ -1,7 +1,5 @@
 """Rows of split cells read and changed, beside dicts of them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -25,17 +23,17 @@ Rows = dict[tuple[int, int], int]  # (cell, facing flag): row
 seeds = st.integers(0, 2**32 - 1)
 
 
-def bits_in(facings: int) -> list[int]:
+def bits_in(facings):
     return [1 << n for n in range(6) if facings >> n & 1]
 
 
-def rows_of(split: SplitTable) -> Rows:
+def rows_of(split):
     pairs = zip(split.cells.tolist(), split.facings.tolist(), strict=True)
     keys = [(cell, bit) for cell, facings in pairs for bit in bits_in(facings)]
     return {key: row for row, key in enumerate(keys)}
 
 
-def assert_stored(found: Array, expected: Array, channel: Channel) -> None:
+def assert_stored(found, expected, channel):
     """Values of sRGB floats pass through linear light, and are as good as before; others are exact."""
     assert found.dtype == expected.dtype
     if channel.format.space == "srgb" and found.dtype.kind == "f":
@@ -44,9 +42,7 @@ def assert_stored(found: Array, expected: Array, channel: Channel) -> None:
         assert np.array_equal(found, expected)
 
 
-def check(
-    made: OctreeTexture, texture: OctreeTexture, given_rows: dict[str, dict[tuple[int, int], Array]]
-) -> None:
+def check(made, texture, given_rows):
     """Rows that are given are there; others are as they were, or like their cells."""
     old, rows = rows_of(texture.tree.split), rows_of(made.tree.split)
     areas = made.tree.arrays.areas
@@ -80,18 +76,18 @@ def check(
 
 
 @given(st.lists(st.integers(0, 63)))
-def test_the_bits_of_facings_come_cell_by_cell_from_the_lowest_on(facings: list[int]) -> None:
+def test_the_bits_of_facings_come_cell_by_cell_from_the_lowest_on(facings):
     found = bits_of(np.array(facings, np.uint8))
     assert found.dtype == np.uint8
     assert found.tolist() == [bit for each in facings for bit in bits_in(each)]
 
 
-def test_flags_that_are_no_facings_have_no_bits() -> None:
+def test_flags_that_are_no_facings_have_no_bits():
     assert bits_of(np.array([0b11000001, 0b11000000], np.uint8)).tolist() == [1]
 
 
 @given(textures(deepest=8), seeds)
-def test_a_cell_shows_each_way_its_row_or_its_value(texture: OctreeTexture, seed: int) -> None:
+def test_a_cell_shows_each_way_its_row_or_its_value(texture, seed):
     random = np.random.default_rng(seed)
     rows = rows_of(texture.tree.split)
     cells = random.integers(0, texture.tree.n_cells, 60)
@@ -106,7 +102,7 @@ def test_a_cell_shows_each_way_its_row_or_its_value(texture: OctreeTexture, seed
             assert np.array_equal(own, split_values[rows[key]] if key in rows else values[key[0]])
 
 
-def test_no_cells_show_nothing() -> None:
+def test_no_cells_show_nothing():
     for texture in (shell(2), eight_colors()):
         channel = texture.channels["base_color"]
         none = rows_facing(texture, channel, np.empty(0, np.int64), np.empty(0, np.uint8))
@@ -114,7 +110,7 @@ def test_no_cells_show_nothing() -> None:
 
 
 @given(textures(deepest=8), seeds)
-def test_cells_that_are_split_have_given_rows_and_others_are_kept(texture: OctreeTexture, seed: int) -> None:
+def test_cells_that_are_split_have_given_rows_and_others_are_kept(texture, seed):
     """Cells that were split before or not, with their own facings or others, in one channel or all."""
     random = np.random.default_rng(seed)
     tree = texture.tree
@@ -151,7 +147,7 @@ def test_cells_that_are_split_have_given_rows_and_others_are_kept(texture: Octre
         made.tree.validate()
 
 
-def test_a_cells_area_is_shared_among_its_facings() -> None:
+def test_a_cells_area_is_shared_among_its_facings():
     texture = eight_colors()
     flags, areas = np.zeros((2, 9), np.uint8)
     flags[[0, 3, 5, 7]] = 0b110011, 0b110000, 0b11, 0b11
@@ -168,14 +164,12 @@ def test_a_cells_area_is_shared_among_its_facings() -> None:
 
 
 @given(textures(deepest=8))
-def test_a_texture_whose_nodes_face_as_their_children_do_is_left_alone(texture: OctreeTexture) -> None:
+def test_a_texture_whose_nodes_face_as_their_children_do_is_left_alone(texture):
     assert refaced(texture) is texture
 
 
 @given(textures(deepest=8), seeds)
-def test_nodes_are_made_to_face_as_their_children_do_and_gain_and_lose_rows(
-    texture: OctreeTexture, seed: int
-) -> None:
+def test_nodes_are_made_to_face_as_their_children_do_and_gain_and_lose_rows(texture, seed):
     """Leaves face other ways than they did."""
     random = np.random.default_rng(seed)
     tree = texture.tree
@@ -197,7 +191,7 @@ def test_nodes_are_made_to_face_as_their_children_do_and_gain_and_lose_rows(
 
 
 @given(textures(deepest=8), seeds)
-def test_a_culled_texture_is_sound_once_it_is_refaced(texture: OctreeTexture, seed: int) -> None:
+def test_a_culled_texture_is_sound_once_it_is_refaced(texture, seed):
     tree = texture.tree
     chosen = np.random.default_rng(seed).random(tree.n_cells) < 0.4
     assume(chosen[tree.leaf_cells()].any())
@@ -218,7 +212,7 @@ def test_a_culled_texture_is_sound_once_it_is_refaced(texture: OctreeTexture, se
 
 
 @pytest.mark.parametrize("facings", [0, 0b1])
-def test_a_split_node_can_come_to_face_no_way_or_one(facings: int) -> None:
+def test_a_split_node_can_come_to_face_no_way_or_one(facings):
     tree = Octree.from_leaves(np.arange(8), 1)
     flags = np.full(9, 0b11, np.uint8)
     flags[0] |= SPLIT

@@ -1,7 +1,5 @@
 """Many points in trees of several depths, looked up in the order of space."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -22,14 +20,14 @@ from tests.properties.random_lookups import random_points, random_texture
 Array = npt.NDArray[Any]
 
 
-def crowded(texture: OctreeTexture, random: np.random.Generator, count: int) -> Array:
+def crowded(texture, random, count):
     """Points in and around cells, many to each."""
     centres = random_points(texture, random, 40)[0]
     chosen = centres[random.integers(0, len(centres), count)]
     return chosen + random.normal(size=(count, 3)) * 0.4 * texture.placement.size / 2**texture.tree.max_depth
 
 
-def walked(monkeypatch: pytest.MonkeyPatch, texture: OctreeTexture, points: Array, name: str) -> Array:
+def walked(monkeypatch, texture, points, name):
     """What the walk alone answers."""
     with monkeypatch.context() as patch:
         patch.setattr(lookups, "_LEAST_SORTED", len(points) + 1)
@@ -38,7 +36,7 @@ def walked(monkeypatch: pytest.MonkeyPatch, texture: OctreeTexture, points: Arra
 
 @needs_jit
 @pytest.mark.parametrize("seed", range(24))
-def test_many_points_are_answered_as_few_are(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_points_are_answered_as_few_are(seed, monkeypatch):
     random = np.random.default_rng(seed)
     texture = random_texture(random, ("uint8",))
     points = crowded(texture, random, 600)
@@ -49,7 +47,7 @@ def test_many_points_are_answered_as_few_are(seed: int, monkeypatch: pytest.Monk
 
 @needs_jit
 @pytest.mark.parametrize("dtype", ["float16", "float32"])
-def test_many_points_of_any_type(dtype: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_points_of_any_type(dtype, monkeypatch):
     for seed in range(12):
         random = np.random.default_rng(1000 + seed)
         texture = random_texture(random, (dtype,))
@@ -61,13 +59,13 @@ def test_many_points_of_any_type(dtype: str, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @kernel
-def refine_and_weigh(rows: Array, weights: Array, sums: Array) -> None:
+def refine_and_weigh(rows, weights, sums):
     refine_rows(rows, 4, 8, 4, 40, 16, 8, 2)
     x, y, z = (weights[0], weights[1], weights[2]), (weights[3], weights[4], weights[5]), weights
     sums[0], sums[1], sums[2], sums[3] = weighted_cube(rows, 3, 4, x, y, (z[6], z[7], z[8]))
 
 
-def test_rows_of_four_are_refined_and_weighed() -> None:
+def test_rows_of_four_are_refined_and_weighed():
     random = np.random.default_rng(0)
     rows, weights, sums = random.random(256), random.random(9), np.zeros(4, np.float32)
     rows, weights = rows.astype(np.float32), weights.astype(np.float32)
@@ -87,7 +85,7 @@ def test_rows_of_four_are_refined_and_weighed() -> None:
     np.testing.assert_allclose(sums, total, rtol=1e-5)
 
 
-def adaptive(depth: int) -> OctreeTexture:
+def adaptive(depth):
     """A shell whose leaves of one half are one level coarser."""
     full = shell(depth, keep=0.0)
     codes = full.tree.level_codes(depth)
@@ -100,12 +98,12 @@ def adaptive(depth: int) -> OctreeTexture:
     return OctreeTexture(tree, channels, full.placement, full.bounds)
 
 
-def on_shell(count: int) -> Array:
+def on_shell(count):
     directions = np.random.default_rng(5).normal(size=(count, 3))
     return np.asarray(0.5 + 0.45 * directions / np.linalg.norm(directions, axis=1)[:, None], np.float32)
 
 
-def painted(depth: int) -> OctreeTexture:
+def painted(depth):
     """A shell of which a part is a level finer below nodes of which most keep coefficients."""
     random = np.random.default_rng(depth)
     full = shell(depth, keep=0.0)
@@ -129,7 +127,7 @@ def painted(depth: int) -> OctreeTexture:
 
 @needs_jit
 @pytest.mark.parametrize("filter", ["linear", "quadratic"])
-def test_beside_finer_paint_tiles_answer_as_the_walk_does(filter: str) -> None:
+def test_beside_finer_paint_tiles_answer_as_the_walk_does(filter):
     texture, walked = painted(5), painted(5)
     assert texture._field.painted is not None
     setattr(walked._field, "painted", None)  # noqa: B010
@@ -140,13 +138,13 @@ def test_beside_finer_paint_tiles_answer_as_the_walk_does(filter: str) -> None:
         np.testing.assert_allclose(found, expected, rtol=0, atol=5e-6 * np.abs(expected).max())
 
 
-def _flat(answer: Any) -> list[Array]:
+def _flat(answer):
     parts = answer if isinstance(answer, tuple) else (answer,)
     return [part.reshape(len(part), -1) for part in parts]
 
 
 @needs_jit
-def test_points_are_answered_in_their_own_order(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_points_are_answered_in_their_own_order(monkeypatch):
     texture, points = adaptive(5), on_shell(2000)
     expected = walked(monkeypatch, texture, points, "base_color")
     monkeypatch.setattr(blocks, "BLOCK", 200)
@@ -158,9 +156,7 @@ def test_points_are_answered_in_their_own_order(monkeypatch: pytest.MonkeyPatch)
 
 
 @needs_jit
-def test_the_first_row_that_is_not_finite_is_named_also_of_sorted_points(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_first_row_that_is_not_finite_is_named_also_of_sorted_points(monkeypatch):
     texture, points = adaptive(5), on_shell(2000)
     monkeypatch.setattr(blocks, "BLOCK", 200)
     points[1800, 1] = points[900, 2] = np.nan

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
 from functools import cache
 from typing import NamedTuple
 
@@ -30,16 +29,16 @@ class Tree(NamedTuple):
     seed: int
 
     @property
-    def rows(self) -> int:
+    def rows(self):
         return len(self.cells) + len(self.kept)
 
-    def field(self, filter: str) -> naive.Field:
+    def field(self, filter):
         values = np.random.default_rng(self.seed).random((self.rows, 2))
         return naive.Field(self.cells, values, filter, self.kept)
 
 
 @st.composite
-def trees(draw: st.DrawFn, deepest: int = 6) -> Tree:
+def trees(draw, deepest=6):
     """Leaves at mixed depths; none, some or all nodes kept; points near leaves, elsewhere and outside."""
     leaves = draw(leaf_sets(deepest))
     cells = naive.cells_of(leaves.places())
@@ -51,10 +50,10 @@ def trees(draw: st.DrawFn, deepest: int = 6) -> Tree:
     return Tree(cells, {node: len(cells) + n for n, node in enumerate(kept)}, points, seed)
 
 
-def sphere(coarse: int, fine: int) -> list[tuple[int, Place]]:
+def sphere(coarse, fine):
     """The leaves of a spherical shell, finer where x, y and z are above the middle."""
 
-    def below(level: int, place: Place) -> Iterator[tuple[int, Place]]:
+    def below(level, place):
         corners = np.array([place, np.add(place, 1)]) / 2**level - 0.5
         nearest = np.linalg.norm(np.maximum(np.maximum(corners[0], -corners[1]), 0))
         farthest = np.linalg.norm(np.abs(corners).max(0))
@@ -68,9 +67,7 @@ def sphere(coarse: int, fine: int) -> list[tuple[int, Place]]:
     return list(below(0, (0, 0, 0)))
 
 
-def crossings(
-    field: naive.Field, leaves: list[naive.Cell], random: np.random.Generator
-) -> Iterator[tuple[np.ndarray, np.ndarray, bool]]:
+def crossings(field, leaves, random):
     """Points in the leaves on faces of their cells and of any cells below, each with a direction through it.
 
     Also says whether the depth changes there.
@@ -88,7 +85,7 @@ def crossings(
                     yield point, direction, changes
 
 
-def jumps(field: naive.Field, point: np.ndarray, direction: np.ndarray, order: int) -> np.ndarray:
+def jumps(field, point, direction, order):
     """How far value and derivatives jump at a point, per cell of the finer side."""
     finest = max(field.stop(point, direction)[0], field.stop(point, -direction)[0])
     after, before = (field.derivatives(point, direction, order, before=side) for side in (False, True))
@@ -96,7 +93,7 @@ def jumps(field: naive.Field, point: np.ndarray, direction: np.ndarray, order: i
 
 
 @cache
-def sphere_field(filter: str) -> tuple[naive.Field, list[tuple[np.ndarray, np.ndarray]]]:
+def sphere_field(filter):
     """An adaptive sphere of random values, and where its leaves meet a change of depth."""
     cells = naive.cells_of(sphere(4, 6))
     field = naive.Field(cells, np.random.default_rng(7).random((len(cells), 1)), filter)
@@ -108,7 +105,7 @@ def sphere_field(filter: str) -> tuple[naive.Field, list[tuple[np.ndarray, np.nd
 @pytest.mark.parametrize("filter", SMOOTH)
 @few
 @given(trees())
-def test_the_field_is_smooth_across_every_face_and_change_of_depth(filter: str, tree: Tree) -> None:
+def test_the_field_is_smooth_across_every_face_and_change_of_depth(filter, tree):
     field = tree.field(filter)
     random = np.random.default_rng(tree.seed)
     leaves = [cell for cell in tree.cells if cell.is_leaf]
@@ -121,7 +118,7 @@ def test_the_field_is_smooth_across_every_face_and_change_of_depth(filter: str, 
 
 
 @pytest.mark.parametrize("filter", SMOOTH)
-def test_the_field_of_an_adaptive_sphere_is_smooth_across_every_change_of_depth(filter: str) -> None:
+def test_the_field_of_an_adaptive_sphere_is_smooth_across_every_change_of_depth(filter):
     field, changes = sphere_field(filter)
     assert len(changes) > 200
     value, *slopes = np.max([jumps(field, *change, SMOOTH[filter]) for change in changes[:400]], 0)
@@ -129,13 +126,13 @@ def test_the_field_of_an_adaptive_sphere_is_smooth_across_every_change_of_depth(
     assert max(slopes) <= 1e-13
 
 
-def test_linear_jumps_by_five_percent_of_the_range_where_the_depth_changes() -> None:
+def test_linear_jumps_by_five_percent_of_the_range_where_the_depth_changes():
     field, changes = sphere_field("linear")
     assert max(jumps(field, *change, 0)[0] for change in changes) > 0.05
 
 
 @pytest.mark.parametrize(("filter", "order"), [("quadratic", 2), ("quartic", 4)])
-def test_the_next_derivative_does_jump_so_that_the_jumps_are_measured(filter: str, order: int) -> None:
+def test_the_next_derivative_does_jump_so_that_the_jumps_are_measured(filter, order):
     field, changes = sphere_field(filter)
     assert max(jumps(field, *change, order)[order] for change in changes[:50]) > 0.1
 
@@ -143,7 +140,7 @@ def test_the_next_derivative_does_jump_so_that_the_jumps_are_measured(filter: st
 @pytest.mark.parametrize("filter", FILTERS)
 @few
 @given(trees(deepest=naive.MAX_DEPTH))
-def test_weights_are_never_negative_and_sum_to_one(filter: str, tree: Tree) -> None:
+def test_weights_are_never_negative_and_sum_to_one(filter, tree):
     rows = naive.Field(tree.cells, np.eye(tree.rows), filter, tree.kept)
     for point in tree.points:
         weights = rows.at(point)
@@ -154,7 +151,7 @@ def test_weights_are_never_negative_and_sum_to_one(filter: str, tree: Tree) -> N
 @pytest.mark.parametrize("filter", FILTERS)
 @few
 @given(trees())
-def test_constants_are_exact(filter: str, tree: Tree) -> None:
+def test_constants_are_exact(filter, tree):
     field = naive.Field(tree.cells, np.full((tree.rows, 1), 0.3), filter, tree.kept)
     assert all(abs(field.at(point) - 0.3) <= 1e-15 for point in tree.points)
 
@@ -162,7 +159,7 @@ def test_constants_are_exact(filter: str, tree: Tree) -> None:
 @pytest.mark.parametrize("filter", FILTERS)
 @few
 @given(trees(deepest=naive.MAX_DEPTH))
-def test_every_stored_leaf_has_weight_throughout(filter: str, tree: Tree) -> None:
+def test_every_stored_leaf_has_weight_throughout(filter, tree):
     field = tree.field(filter)
     random = np.random.default_rng(tree.seed)
     for leaf in [cell for cell in tree.cells if cell.is_leaf][:4]:
@@ -170,7 +167,7 @@ def test_every_stored_leaf_has_weight_throughout(filter: str, tree: Tree) -> Non
             assert field.weight((np.array(leaf.place) + offset) / 2**leaf.level) > 0
 
 
-def split(field: naive.Field, random: np.random.Generator) -> naive.Field:
+def split(field, random):
     """Turn some leaves into kept nodes, whose children, some of them stored, take the refined values."""
     cells = {(cell.level, cell.place): field.values[n, :-1] for n, cell in enumerate(field.cells)}
     coefficients = {field.cells[node][:2]: field.values[row, :-1] for node, row in field.kept.items()}
@@ -197,7 +194,7 @@ def split(field: naive.Field, random: np.random.Generator) -> naive.Field:
 @pytest.mark.parametrize("filter", SMOOTH)
 @few
 @given(trees())
-def test_splitting_leaves_with_kept_coefficients_does_not_move_the_field(filter: str, tree: Tree) -> None:
+def test_splitting_leaves_with_kept_coefficients_does_not_move_the_field(filter, tree):
     before = tree.field(filter)
     random = np.random.default_rng(tree.seed)
     once = split(before, random)
@@ -209,9 +206,7 @@ def test_splitting_leaves_with_kept_coefficients_does_not_move_the_field(filter:
 
 
 @given(trees(), st.integers(0, 5))
-def test_off_the_surface_the_averages_of_the_deepest_level_that_has_any_answer(
-    tree: Tree, level: int
-) -> None:
+def test_off_the_surface_the_averages_of_the_deepest_level_that_has_any_answer(tree, level):
     field = tree.field("quadratic")
     for point in tree.points:
         inside = naive.clamped(point)
@@ -221,7 +216,7 @@ def test_off_the_surface_the_averages_of_the_deepest_level_that_has_any_answer(
             assert (field.at(point) == field.truncated(level).at(point)).all()
 
 
-def plane(normal: tuple[float, ...], fine: int) -> tuple[naive.Field, np.ndarray, np.ndarray]:
+def plane(normal, fine):
     """A plane of cells of depth 4, of depth ``fine`` where x < ½, whose leaves hold the mean position on it.
 
     Also points well within it, and two axes along it.
@@ -252,8 +247,8 @@ def plane(normal: tuple[float, ...], fine: int) -> tuple[naive.Field, np.ndarray
 )
 @pytest.mark.parametrize("normal", [(1, 1, 1), (1, 2, 3), (1, 0.2, 0.1), (1, 1, 0), (1, 0.05, 0.02)])
 def test_a_ramp_along_an_oblique_plane_is_off_by_at_most_a_part_of_a_coarse_cell(
-    normal: tuple[float, ...], fine: int, largest: float, typical: float
-) -> None:
+    normal, fine, largest, typical
+):
     """Means of the ramp as leaf values, not fitted.
 
     Measured at worst, in coarse cells times the ramp's slope: 0.34 (root mean square 0.056) with one depth,

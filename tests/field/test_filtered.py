@@ -1,7 +1,5 @@
 """Filtered lookups: footprints, what faces a normal, and the paper's rule."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -26,14 +24,14 @@ Array = npt.NDArray[Any]
 each_filter = pytest.mark.parametrize("filter", FILTERS)
 
 
-def on_shell(count: int, seed: int = 0) -> tuple[Array, Array]:
+def on_shell(count, seed=0):
     """Points of the shell, and directions."""
     random = np.random.default_rng(seed)
     away, normals = random.normal(size=(2, count, 3))
     return 0.5 + 0.45 * away / np.linalg.norm(away, axis=1)[:, None], normals
 
 
-def as_four(texture: OctreeTexture, points: Array, filter: str, **views: Any) -> Array:
+def as_four(texture, points, filter, **views):
     """What the same colours give as four components."""
     form = texture.channels["base_color"].format._replace(name="other", components=4)
     channel = texture.channels["base_color"]
@@ -47,7 +45,7 @@ def as_four(texture: OctreeTexture, points: Array, filter: str, **views: Any) ->
 
 @each_filter
 @pytest.mark.parametrize("keep", [0.0, 0.3])
-def test_footprints_and_facings_are_those_of_the_reference(filter: str, keep: float) -> None:
+def test_footprints_and_facings_are_those_of_the_reference(filter, keep):
     texture = shell(4, keep)
     points, normals = on_shell(40)
     points[-5:] = 0.5 + 0.2 * (points[-5:] - 0.5)  # off the surface
@@ -65,7 +63,7 @@ def test_footprints_and_facings_are_those_of_the_reference(filter: str, keep: fl
 
 @each_filter
 @given(textures(5), st.integers(0, 2**32 - 1))
-def test_any_texture_is_looked_up_as_by_the_reference(filter: str, texture: OctreeTexture, seed: int) -> None:
+def test_any_texture_is_looked_up_as_by_the_reference(filter, texture, seed):
     random = np.random.default_rng(seed)
     channels = {name: each for name, each in texture.channels.items() if name != "alpha"}
     texture = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds)
@@ -83,7 +81,7 @@ def test_any_texture_is_looked_up_as_by_the_reference(filter: str, texture: Octr
             np.testing.assert_allclose(facing[name][n], expected, rtol=1e-3, atol=3e-4)
 
 
-def test_gradients_of_footprints_are_those_of_what_they_show() -> None:
+def test_gradients_of_footprints_are_those_of_what_they_show():
     texture = shell(4)
     points, normals = on_shell(60)
     for views in ({"width": 0.07}, {"width": 0.2, "normals": normals}, {"normals": normals}):
@@ -101,7 +99,7 @@ def test_gradients_of_footprints_are_those_of_what_they_show() -> None:
 
 
 @pytest.mark.parametrize("filter", ["quadratic", "quartic"])
-def test_gradients_follow_what_footprints_without_normals_leave_to_finer_levels(filter: str) -> None:
+def test_gradients_follow_what_footprints_without_normals_leave_to_finer_levels(filter):
     texture = shell(4, 0.4)
     points, _ = on_shell(300)
     for width in (0.07, 0.2, 0.5):
@@ -120,7 +118,7 @@ def test_gradients_follow_what_footprints_without_normals_leave_to_finer_levels(
 # --- footprints
 
 
-def test_a_width_of_nothing_is_the_field_and_a_great_one_the_roots_average() -> None:
+def test_a_width_of_nothing_is_the_field_and_a_great_one_the_roots_average():
     texture = shell(4, 0.0)
     points, _ = on_shell(50)
     np.testing.assert_allclose(texture.sample(points, width=0.0), texture.sample(points), atol=1e-6)
@@ -128,7 +126,7 @@ def test_a_width_of_nothing_is_the_field_and_a_great_one_the_roots_average() -> 
     np.testing.assert_allclose(texture.sample(points, width=1e30, bleed_threshold=9), whole, atol=1e-6)
 
 
-def test_one_width_and_one_for_each_point_are_alike() -> None:
+def test_one_width_and_one_for_each_point_are_alike():
     texture = shell(4, 0.0)
     points, normals = on_shell(50)
     twice, widths = np.repeat(points, 2, axis=0), np.tile([0.13, 0.3], 50)
@@ -142,7 +140,7 @@ def test_one_width_and_one_for_each_point_are_alike() -> None:
 
 
 @pytest.mark.parametrize("executor", [False, True])
-def test_blocks_and_runs_do_not_change_what_is_found(monkeypatch: pytest.MonkeyPatch, executor: bool) -> None:
+def test_blocks_and_runs_do_not_change_what_is_found(monkeypatch, executor):
     texture = shell(4, 0.3)
     points, normals = on_shell(90)
     right, down = np.random.default_rng(4).normal(size=(2, 90, 3)) * [[[0.3]], [[0.05]]]
@@ -158,7 +156,7 @@ def test_blocks_and_runs_do_not_change_what_is_found(monkeypatch: pytest.MonkeyP
         np.testing.assert_allclose(found, expected[1], atol=1e-6)
 
 
-def wavy(depth: int, frequency: float) -> OctreeTexture:
+def wavy(depth, frequency):
     """A plate in the plane z = ½ whose brightness is a wave along x, exactly averaged."""
     places = np.mgrid[: 2**depth, : 2**depth].reshape(2, -1).T
     codes = np.sort(encode_cells(np.column_stack([places, np.full(len(places), 2 ** (depth - 1))])))
@@ -176,7 +174,7 @@ def wavy(depth: int, frequency: float) -> OctreeTexture:
 
 
 @each_filter
-def test_footprints_have_the_variance_of_a_box(filter: str) -> None:
+def test_footprints_have_the_variance_of_a_box(filter):
     frequency = 2 * np.pi * 3
     texture = wavy(8, frequency)
     x = np.linspace(0.3, 0.7, 400)
@@ -188,12 +186,12 @@ def test_footprints_have_the_variance_of_a_box(filter: str) -> None:
         assert abs((1 - contrast) / (1 - box) - 1) < (1.5 if filter == "nearest" else 0.65)
 
 
-def _waves(x: Array, frequency: float) -> Array:
+def _waves(x, frequency):
     return np.column_stack([np.cos(frequency * x), np.sin(frequency * x), np.ones_like(x)])
 
 
 @pytest.mark.parametrize("filter", ["linear", "quadratic", "quartic"])
-def test_long_footprints_average_along_and_not_across(filter: str) -> None:
+def test_long_footprints_average_along_and_not_across(filter):
     frequency = 2 * np.pi * 6
     texture = wavy(9, frequency)
     x = np.linspace(0.35, 0.65, 200)
@@ -210,7 +208,7 @@ def test_long_footprints_average_along_and_not_across(filter: str) -> None:
         assert np.abs(shown - truth).max() < 0.03, (filter, expected)
 
 
-def test_a_mean_is_a_mean_however_it_is_looked_at() -> None:
+def test_a_mean_is_a_mean_however_it_is_looked_at():
     texture = shell(4, 0.0)
     channel = texture.channels["base_color"]
     plain = channel._replace(
@@ -231,7 +229,7 @@ def test_a_mean_is_a_mean_however_it_is_looked_at() -> None:
             np.testing.assert_allclose(texture.sample(points, filter=filter, **views), expected, atol=1e-6)
 
 
-def test_sharpness_sharpens_what_is_coarser_than_leaves() -> None:
+def test_sharpness_sharpens_what_is_coarser_than_leaves():
     frequency = 2 * np.pi * 3
     texture = wavy(8, frequency)
     x = np.linspace(0.3, 0.7, 200)
@@ -243,7 +241,7 @@ def test_sharpness_sharpens_what_is_coarser_than_leaves() -> None:
     np.testing.assert_array_equal(*fine)
 
 
-def test_blur_is_added_to_widths() -> None:
+def test_blur_is_added_to_widths():
     texture = shell(4, 0.0)
     points, _ = on_shell(50)
     expected = texture.sample(points, width=0.15)
@@ -257,7 +255,7 @@ def test_blur_is_added_to_widths() -> None:
     )
 
 
-def test_anisotropy_widens_what_is_too_long() -> None:
+def test_anisotropy_widens_what_is_too_long():
     texture = shell(5, 0.0)
     points, _ = on_shell(50)
     right, down = unit(np.random.default_rng(0).normal(size=(2, 50, 3)))
@@ -271,7 +269,7 @@ def test_anisotropy_widens_what_is_too_long() -> None:
             assert np.isfinite(found).all()
 
 
-def test_alpha_weighs_levels_too() -> None:
+def test_alpha_weighs_levels_too():
     texture = shell(3, 0.0)
     color = texture.channels["base_color"]
     alpha = color.format._replace(name="alpha", components=1, space="data")
@@ -302,7 +300,7 @@ def test_alpha_weighs_levels_too() -> None:
 # --- levels
 
 
-def test_levels_share_what_is_built_for_them() -> None:
+def test_levels_share_what_is_built_for_them():
     texture = shell(4, 0.0)
     assert texture.level(2)._field is texture.level(2)._field
     assert texture.level(3).level(2).tree.n_cells == texture.level(2).tree.n_cells
@@ -343,12 +341,12 @@ def test_levels_share_what_is_built_for_them() -> None:
         ({"bleed_threshold": 0.5, "width": 0.1, "normals": np.ones((3, 3))}, "and no normals"),
     ],
 )
-def test_views_that_make_no_sense_are_refused(views: dict[str, Any], message: str) -> None:
+def test_views_that_make_no_sense_are_refused(views, message):
     with pytest.raises(ArgumentError, match=message):
         shell(2).sample(np.full((3, 3), 0.5), **views)
 
 
-def test_defaults_may_be_given_where_they_do_nothing() -> None:
+def test_defaults_may_be_given_where_they_do_nothing():
     points, texture = np.full((3, 3), 0.5), shell(2)
     found = texture.sample(points, anisotropy=16, bleed_threshold=1 / 32, blur=0.0, sharpness=0.0)
     assert np.array_equal(found, texture.sample(points))
@@ -356,7 +354,7 @@ def test_defaults_may_be_given_where_they_do_nothing() -> None:
     texture.sample(points, dPdx=points, dPdy=points, anisotropy=np.float32(4), bleed_threshold=0.5)
 
 
-def test_any_finite_number_has_an_answer() -> None:
+def test_any_finite_number_has_an_answer():
     texture = shell(4)
     big, small = np.finfo(np.float64).max, np.finfo(np.float64).tiny
     points = np.full((6, 3), 0.5)
@@ -373,7 +371,7 @@ def test_any_finite_number_has_an_answer() -> None:
         np.testing.assert_allclose(long, up, atol=1e-6)
 
 
-def test_split_tables_that_lie_do_no_harm() -> None:
+def test_split_tables_that_lie_do_no_harm():
     texture = shell(3, 0.0)
     n, arrays = texture.tree.n_cells, texture.tree.arrays
     liars = SplitTable(np.zeros(0, np.uint32), np.zeros(0, np.uint8), np.zeros(0, np.uint8))

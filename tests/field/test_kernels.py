@@ -1,9 +1,6 @@
 """Lookups from one's own kernels, beside those of arrays."""
 
-from __future__ import annotations
-
 import sys
-from typing import Any
 
 import numba
 import numpy as np
@@ -25,9 +22,7 @@ SEEDS = range(3 if jit.DISABLED else 40)
 
 
 @numba.njit(nogil=True)
-def look_up(
-    arrays: Any, points: Doubles, widths: Doubles, normals: Doubles, way: int, results: Doubles
-) -> None:
+def look_up(arrays, points, widths, normals, way, results):
     """Look points up as FILTERS[way], or by their widths and normals."""
     scratch = octex.kernels.new_scratch(arrays)
     for n in range(len(points)):
@@ -44,16 +39,16 @@ def look_up(
 
 
 @numba.njit(nogil=True)
-def interpolate(arrays: Any, points: Doubles, results: Doubles) -> None:
-    """Look points up between cells, as (n, 4)."""
+def find(arrays, points, results):
+    """Look points up in their cells, as (n, 4)."""
     scratch = octex.kernels.new_scratch(arrays)
     for n in range(len(points)):
-        a, b, c, d = octex.kernels.linear(arrays, (points[n, 0], points[n, 1], points[n, 2]), scratch)
+        a, b, c, d = octex.kernels.nearest(arrays, (points[n, 0], points[n, 1], points[n, 2]), scratch)
         results[n, 0], results[n, 1], results[n, 2], results[n, 3] = a, b, c, d
 
 
 @numba.njit(nogil=True)
-def average(arrays: Any, points: Doubles, widths: Doubles, normals: Doubles, results: Doubles) -> None:
+def average(arrays, points, widths, normals, results):
     """Look footprints up, as (n, 4)."""
     scratch = octex.kernels.new_scratch(arrays)
     for n in range(len(points)):
@@ -62,14 +57,7 @@ def average(arrays: Any, points: Doubles, widths: Doubles, normals: Doubles, res
         results[n, 0], results[n, 1], results[n, 2], results[n, 3] = a, b, c, d
 
 
-def found_by(
-    texture: OctreeTexture,
-    name: str,
-    points: Doubles,
-    way: int,
-    widths: Doubles | float = 0.0,
-    normals: Doubles | float = 0.0,
-) -> Doubles:
+def found_by(texture, name, points, way, widths=0.0, normals=0.0):
     results = np.empty((len(points), 4))
     arrays = octex.kernels.arrays_of(texture, name)
     widths = np.broadcast_to(np.asarray(widths, np.float64), len(points)).copy()
@@ -80,7 +68,7 @@ def found_by(
     return results[:, :components]
 
 
-def check_all_ways(texture: OctreeTexture, points: Doubles, random: np.random.Generator, about: str) -> None:
+def check_all_ways(texture, points, random, about):
     n = len(points)
     widths = texture.placement.size * np.where(random.random(n) < 0.2, 0, 2.0 ** random.uniform(-8, 2, n))
     normals = random.normal(size=(n, 3))
@@ -95,13 +83,13 @@ def check_all_ways(texture: OctreeTexture, points: Doubles, random: np.random.Ge
             ({"normals": normals}, (0.0, normals)),
             ({"width": widths, "normals": normals}, (widths, normals)),
         ):
-            expected = texture.sample(points, name, normalize=False, **views)  # type: ignore[arg-type]
-            found = found_by(texture, name, points, 3, *given)  # type: ignore[arg-type]
+            expected = texture.sample(points, name, normalize=False, **views)
+            found = found_by(texture, name, points, 3, *given)
             np.testing.assert_allclose(found, expected, **close, err_msg=f"{about}: {name}, {list(views)}")
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_lookups_in_kernels_are_those_of_arrays(seed: int) -> None:
+def test_lookups_in_kernels_are_those_of_arrays(seed):
     random = np.random.default_rng(seed)
     texture = random_texture(random, ("uint8",))
     points, _ = random_points(texture, random, 8)
@@ -109,7 +97,7 @@ def test_lookups_in_kernels_are_those_of_arrays(seed: int) -> None:
 
 
 @needs_jit
-def test_lookups_in_kernels_are_those_of_arrays_where_the_tree_is_large() -> None:
+def test_lookups_in_kernels_are_those_of_arrays_where_the_tree_is_large():
     random = np.random.default_rng(0)
     directions = random.normal(size=(2000, 3))
     points = 0.5 + 0.45 * directions / np.linalg.norm(directions, axis=1)[:, None]
@@ -120,27 +108,27 @@ def test_lookups_in_kernels_are_those_of_arrays_where_the_tree_is_large() -> Non
 
 @needs_jit
 @pytest.mark.parametrize("dtype", ["uint16", "float16", "float32"])
-def test_lookups_in_kernels_are_those_of_arrays_for_every_type(dtype: str) -> None:
+def test_lookups_in_kernels_are_those_of_arrays_for_every_type(dtype):
     random = np.random.default_rng(3)
     color, points, normals = shell(3), random.random((50, 3)), random.normal(size=(50, 3))
     channel = color.channels["base_color"]
     for space in ("srgb", "linear") if dtype == "float32" else ("srgb",):
-        form = channel.format._replace(dtype=dtype, space=space)  # type: ignore[arg-type]
+        form = channel.format._replace(dtype=dtype, space=space)
         values = [random_values(part.shape, dtype, random) for part in channel[1:]]
         channels = {"base_color": Channel(form, *values)}
         texture = OctreeTexture(color.tree, channels, color.placement, color.bounds)
         results, arrays = np.empty((50, 4)), octex.kernels.arrays_of(texture)
-        if dtype == "float32":  # footprints take seconds to compile for a type
+        if dtype == "float32":  # footprints and filters take seconds to compile for a type
             expected = texture.sample(points, width=0.1, normals=normals)
             average(arrays, points, np.full(50, 0.1), normals, results)
         else:
-            expected = texture.sample(points, filter="linear")
-            interpolate(arrays, points, results)
+            expected = texture.sample(points, filter="nearest")
+            find(arrays, points, results)
         scale = max(float(np.abs(expected).max()), 1)
         np.testing.assert_allclose(results[:, :3], expected, rtol=0, atol=2e-6 * scale)
 
 
-def test_a_position_that_is_no_number_is_taken_for_the_corner() -> None:
+def test_a_position_that_is_no_number_is_taken_for_the_corner():
     texture = eight_colors()
     points = np.array([[np.nan, 0.9, np.nan], [-np.inf, np.inf, 0.0]])
     for way in range(4):
@@ -149,7 +137,7 @@ def test_a_position_that_is_no_number_is_taken_for_the_corner() -> None:
         np.testing.assert_array_equal(found, corner)
 
 
-def test_kernels_leave_mixed_cells_to_finer_levels_by_the_threshold_that_is_given() -> None:
+def test_kernels_leave_mixed_cells_to_finer_levels_by_the_threshold_that_is_given():
     texture, points = shell(3), np.random.default_rng(1).random((20, 3))
     assert texture.tree.split.cells.size
     results = np.empty((20, 4))
@@ -161,7 +149,7 @@ def test_kernels_leave_mixed_cells_to_finer_levels_by_the_threshold_that_is_give
         np.testing.assert_allclose(results[:, :3], expected, atol=2e-6)
 
 
-def test_what_kernels_take_can_be_passed_into_parallel_loops_and_is_left_as_it_was() -> None:
+def test_what_kernels_take_can_be_passed_into_parallel_loops_and_is_left_as_it_was():
     texture = shell(2)  # which has some of the arrays
     arrays = octex.kernels.arrays_of(texture)
     assert all(isinstance(each, (np.ndarray, int, float)) for each in arrays)  # numba takes no others there
@@ -172,9 +160,9 @@ def test_what_kernels_take_can_be_passed_into_parallel_loops_and_is_left_as_it_w
     assert [sys.getrefcount(each) for each in held] == before
 
 
-def test_kernels_take_textures_and_their_channels_only() -> None:
+def test_kernels_take_textures_and_their_channels_only():
     with pytest.raises(ArgumentError, match="must be an octex"):
-        octex.kernels.arrays_of("droid.octex")  # type: ignore[arg-type]
+        octex.kernels.arrays_of("droid.octex")
     with pytest.raises(ArgumentError, match="unknown channel 'gloss'"):
         octex.kernels.arrays_of(eight_colors(), "gloss")
     with pytest.raises(ArgumentError, match="bleed_threshold must be from 0"):
@@ -182,7 +170,7 @@ def test_kernels_take_textures_and_their_channels_only() -> None:
 
 
 @pytest.mark.skipif(jit.DISABLED, reason="plain functions can be called anywhere")
-def test_what_is_for_kernels_says_so() -> None:
+def test_what_is_for_kernels_says_so():
     arrays = octex.kernels.arrays_of(eight_colors())
     with pytest.raises(TypeError, match="quadratic can be called in kernels only"):
         octex.kernels.quadratic(arrays, (0.5, 0.5, 0.5), octex.kernels.new_scratch(arrays))

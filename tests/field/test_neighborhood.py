@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from octex.field import taps as taps_of
 from octex.field.neighborhood import walked_taps
 from octex.field.splines import FILTERS
-from octex.field.windows import MOST_TAPS, Walk, new_walk
-from octex.tree.layout import KEPT, TreeArrays
+from octex.field.windows import MOST_TAPS, new_walk
+from octex.tree.layout import KEPT
 from octex.tree.octree import Octree
 from tests.make.strategies import leaf_sets, points_around, with_random_data
 from tests.oracles import naive
@@ -27,7 +27,7 @@ class Drawn(NamedTuple):
     cells: list[naive.Cell]
     points: npt.NDArray[np.float64]
 
-    def field(self, filter: str) -> naive.Field:
+    def field(self, filter):
         """A field whose values are the weights of the rows."""
         kept_cells = self.tree.kept.cells.tolist()
         n_cells = len(self.cells)
@@ -36,7 +36,7 @@ class Drawn(NamedTuple):
 
 
 @st.composite
-def trees_and_points(draw: st.DrawFn) -> Drawn:
+def trees_and_points(draw):
     leaves = draw(leaf_sets())
     tree = with_random_data(Octree.from_leaves(*leaves), draw(st.integers(0, 2**32 - 1)))
     points = np.array(draw(st.lists(points_around(leaves), min_size=1, max_size=3)))
@@ -50,7 +50,7 @@ class Taps(NamedTuple):
     slopes: npt.NDArray[np.float32]
     covers: npt.NDArray[np.float32]
 
-    def spread(self, n: int, n_rows: int) -> npt.NDArray[np.float64]:
+    def spread(self, n, n_rows):
         """Weight and slopes of every row in point n: (4, rows)."""
         here = slice(self.starts[n], self.starts[n + 1])
         rows = self.rows[here]
@@ -61,16 +61,7 @@ class Taps(NamedTuple):
         return spread
 
 
-def taps(
-    arrays: TreeArrays,
-    kept_cells: npt.NDArray[np.uint32],
-    points: Points,
-    filter: str,
-    walk: Walk | None = None,
-    *,
-    room: int = MOST_TAPS,
-    gradient: bool = True,
-) -> Taps:
+def taps(arrays, kept_cells, points, filter, walk=None, *, room=MOST_TAPS, gradient=True):
     """All points' taps, in blocks with room for the taps of at least one point."""
     walk = walk or new_walk()
     n = len(points)
@@ -93,7 +84,7 @@ def taps(
 
 @each_filter
 @given(trees_and_points())
-def test_taps_are_what_the_field_is_made_of(filter: str, drawn: Drawn) -> None:
+def test_taps_are_what_the_field_is_made_of(filter, drawn):
     found = taps(drawn.tree.arrays, drawn.tree.kept.cells, drawn.points, filter)
     field = drawn.field(filter)
     edge = 2.0**-drawn.tree.max_depth
@@ -107,7 +98,7 @@ def test_taps_are_what_the_field_is_made_of(filter: str, drawn: Drawn) -> None:
 
 @each_filter
 @given(trees_and_points())
-def test_taps_do_not_depend_on_the_points_before_them(filter: str, drawn: Drawn) -> None:
+def test_taps_do_not_depend_on_the_points_before_them(filter, drawn):
     arrays, kept_cells = drawn.tree.arrays, drawn.tree.kept.cells
     together = taps(arrays, kept_cells, drawn.points, filter)
     for n in range(len(drawn.points)):
@@ -119,7 +110,7 @@ def test_taps_do_not_depend_on_the_points_before_them(filter: str, drawn: Drawn)
 
 
 @given(trees_and_points())
-def test_one_walk_serves_all_filters_and_slopes_do_not_change_weights(drawn: Drawn) -> None:
+def test_one_walk_serves_all_filters_and_slopes_do_not_change_weights(drawn):
     walk = new_walk()
     for filter in (*FILTERS[1:], *FILTERS[:0:-1]):
         found = taps(drawn.tree.arrays, drawn.tree.kept.cells, drawn.points, filter, walk, gradient=False)
@@ -134,7 +125,7 @@ def test_one_walk_serves_all_filters_and_slopes_do_not_change_weights(drawn: Dra
 
 
 @given(trees_and_points())
-def test_points_outside_have_the_taps_of_the_nearest_point_of_the_root(drawn: Drawn) -> None:
+def test_points_outside_have_the_taps_of_the_nearest_point_of_the_root(drawn):
     arrays, kept_cells = drawn.tree.arrays, drawn.tree.kept.cells
     outside = drawn.points + np.where(drawn.points == 0, -0.3, 0) + np.where(drawn.points == 1, 0.3, 0)
     for found, expected in zip(
@@ -145,7 +136,7 @@ def test_points_outside_have_the_taps_of_the_nearest_point_of_the_root(drawn: Dr
         np.testing.assert_array_equal(found, expected)
 
 
-def test_points_are_done_until_there_might_be_no_room_for_more() -> None:
+def test_points_are_done_until_there_might_be_no_room_for_more():
     points = np.random.default_rng(5).random((40, 3))
     arrays, kept_cells = Octree.from_leaves(np.arange(64), 2).arrays, np.zeros(0, np.uint32)
     at_once = taps(arrays, kept_cells, points, "quadratic", room=MOST_TAPS + 40 * 27)
@@ -156,7 +147,7 @@ def test_points_are_done_until_there_might_be_no_room_for_more() -> None:
 
 @each_filter
 @given(trees_and_points(), st.integers(0, 2**32 - 1))
-def test_damaged_structures_are_walked_without_harm(filter: str, drawn: Drawn, seed: int) -> None:
+def test_damaged_structures_are_walked_without_harm(filter, drawn, seed):
     arrays = drawn.tree.arrays
     noise = np.random.default_rng(seed)
     damaged = arrays._replace(
@@ -168,7 +159,7 @@ def test_damaged_structures_are_walked_without_harm(filter: str, drawn: Drawn, s
     assert found.rows.max(initial=0) < drawn.tree.n_cells + kept_cells.size
 
 
-def test_a_node_that_is_flagged_but_not_listed_has_no_taps() -> None:
+def test_a_node_that_is_flagged_but_not_listed_has_no_taps():
     tree = Octree.from_leaves(np.arange(16), 2)
     flags = tree.arrays.flags.copy()
     flags[1] |= KEPT

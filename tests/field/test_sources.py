@@ -1,19 +1,14 @@
 """Sources of values in general: one of one's own, and several together."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 import pytest
 
-from octex.channels import CHANNELS, ChannelFormat, srgb_to_linear
+from octex.channels import CHANNELS, srgb_to_linear
 from octex.errors import ArgumentError, ImageError, ModelError
 from octex.source.base import Combined, Source, in_order
 from octex.source.corners import Corners, Frames
@@ -27,20 +22,15 @@ UV_UP = SQUARE_UV * [1, -1] + [0, 1]
 class Ramp(Source):
     """Everything it is asked for, told apart: the channel's number and the triangle's, and the width."""
 
-    def __init__(self, *names: str, scale: float = 1.0, filter: str = "ewa") -> None:
+    def __init__(self, *names, scale=1.0, filter="ewa"):
         self.names, self.scale, self.filter = names, scale, filter
         self.calls = 0
 
     @property
-    def channels(self) -> tuple[ChannelFormat, ...]:
+    def channels(self):
         return tuple(CHANNELS[name] for name in self.names)
 
-    def evaluate(
-        self,
-        triangles: npt.NDArray[np.int32],
-        barycentric: npt.NDArray[np.float64],
-        widths: npt.NDArray[np.float32],
-    ) -> npt.NDArray[np.float32]:
+    def evaluate(self, triangles, barycentric, widths):
         self.calls += 1
         value = triangles + widths * self.scale + barycentric[:, 0]
         columns = [
@@ -49,31 +39,31 @@ class Ramp(Source):
         ]
         return np.hstack(columns).astype(np.float32)
 
-    def with_rest(self, rest: npt.NDArray[np.float64]) -> Ramp:
+    def with_rest(self, rest):
         return Ramp(*self.names, scale=1 / float(np.ptp(rest)), filter=self.filter)
 
-    def with_filter(self, name: str) -> Ramp:
+    def with_filter(self, name):
         return Ramp(*self.names, scale=self.scale, filter=name)
 
 
-def values(source: Source, width: float = 0.5) -> npt.NDArray[np.float32]:
+def values(source, width=0.5):
     barycentric = np.array([[0.25, 0.25, 0.5]] * 2)
     return source.evaluate(np.array([0, 1], np.int32), barycentric, np.full(2, width, np.float32))
 
 
-def square(**options: Any) -> Surface:
+def square(**options):
     return Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, **{"uv": UV_UP, "name": "quad", **options})
 
 
-def one(surface: Surface, channel: str, width: float | None = None) -> npt.NDArray[np.float32]:
+def one(surface, channel, width=None):
     return surface.evaluate(surface.scatter(20), channel, width)
 
 
-def test_a_source_needs_channels_and_values_alone() -> None:
+def test_a_source_needs_channels_and_values_alone():
     class Plain(Source):
         channels = (CHANNELS["metallic"], CHANNELS["emissive"])
 
-        def evaluate(self, triangles: Any, barycentric: Any, widths: Any) -> npt.NDArray[np.float32]:  # noqa: ARG002
+        def evaluate(self, triangles, barycentric, widths):  # noqa: ARG002
             return np.tile(np.float32([1, 2, 3, 4]), (len(triangles), 1))
 
     plain = Plain()
@@ -86,7 +76,7 @@ def test_a_source_needs_channels_and_values_alone() -> None:
     np.testing.assert_array_equal(one(surface.with_channels(["metallic"]), "metallic"), [[1]] * 20)
 
 
-def test_channels_are_in_the_order_of_textures_and_others_last() -> None:
+def test_channels_are_in_the_order_of_textures_and_others_last():
     assert in_order(["glow", "normal", "alpha", "glow", "base_color"]) == [
         "base_color",
         "alpha",
@@ -95,7 +85,7 @@ def test_channels_are_in_the_order_of_textures_and_others_last() -> None:
     ]
 
 
-def test_each_channel_comes_from_the_source_named_for_it() -> None:
+def test_each_channel_comes_from_the_source_named_for_it():
     first, second = Ramp("metallic", "base_color"), Ramp("roughness", "metallic", "emissive", scale=10.0)
     both = Combined({"metallic": second, "base_color": first, "emissive": second})
     assert [form.name for form in both.channels] == ["base_color", "metallic", "emissive"]
@@ -109,7 +99,7 @@ def test_each_channel_comes_from_the_source_named_for_it() -> None:
     assert second.calls == calls[1] + 1
 
 
-def test_other_rest_positions_and_filters_reach_every_source() -> None:
+def test_other_rest_positions_and_filters_reach_every_source():
     first, second = Ramp("metallic"), Ramp("roughness", "emissive")
     both = Combined({"metallic": first, "roughness": second, "emissive": second})
     larger = both.with_rest(SQUARE.astype(float) * 4)
@@ -123,7 +113,7 @@ def test_other_rest_positions_and_filters_reach_every_source() -> None:
     assert first.filter == second.filter == "ewa"
 
 
-def test_values_of_ones_own_are_numbers_or_one_for_each_component() -> None:
+def test_values_of_ones_own_are_numbers_or_one_for_each_component():
     surface = square(image=random_image(4, 4)).with_sources(
         {"emissive": [0.5, 2.0, 0.0], "metallic": 1, "alpha": 0.25, "specular": (0.04,)}
     )
@@ -142,7 +132,7 @@ def test_values_of_ones_own_are_numbers_or_one_for_each_component() -> None:
 
 
 @pytest.mark.parametrize("width", [None, 0.3])
-def test_images_of_ones_own_are_read_at_the_surfaces_coordinates(width: float | None, tmp_path: Path) -> None:
+def test_images_of_ones_own_are_read_at_the_surfaces_coordinates(width, tmp_path):
     codes = random_image(6, 5)
     (tmp_path / "skin.png").write_bytes(png(codes))
     expected = one(square(image=codes), "base_color", width)
@@ -156,7 +146,7 @@ def test_images_of_ones_own_are_read_at_the_surfaces_coordinates(width: float | 
     assert [form.name for form in bare.channels] == ["base_color"]
 
 
-def test_an_image_of_data_is_read_from_red_and_not_as_light() -> None:
+def test_an_image_of_data_is_read_from_red_and_not_as_light():
     codes = random_image(4, 4)
     made = square().with_sources({"roughness": codes, "alpha": codes[..., :1]})
     red = square(image=np.repeat(codes[..., :1], 3, axis=2), mag_filter="nearest")
@@ -174,13 +164,13 @@ def test_an_image_of_data_is_read_from_red_and_not_as_light() -> None:
     np.testing.assert_allclose(red.evaluate(samples)[:, :1], srgb_to_linear(expected), atol=1e-5)
 
 
-def test_vertex_colours_do_not_multiply_what_is_given() -> None:
+def test_vertex_colours_do_not_multiply_what_is_given():
     dark = square(colors=np.zeros((4, 3)))
     np.testing.assert_allclose(one(dark.with_sources({"base_color": 0.5}), "base_color"), [[0.5] * 3] * 20)
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_images_of_ones_own_are_read_by_the_filter_asked_for(filter: str) -> None:
+def test_images_of_ones_own_are_read_by_the_filter_asked_for(filter):
     codes = random_image(8, 8)
     expected = one(square(image=codes, filter=filter), "base_color", 0.3)
     made = square().with_sources({"base_color": codes}, filter)
@@ -189,7 +179,7 @@ def test_images_of_ones_own_are_read_by_the_filter_asked_for(filter: str) -> Non
     np.testing.assert_allclose(one(later, "base_color", 0.3), expected, atol=1e-6)
 
 
-def test_a_normal_map_of_ones_own_stands_on_flat_triangles_or_on_normals_that_were_kept() -> None:
+def test_a_normal_map_of_ones_own_stands_on_flat_triangles_or_on_normals_that_were_kept():
     tilted = np.full((2, 2, 3), [255, 128, 128], np.uint8)
     flat = one(square().with_sources({"normal": tilted}), "normal")
     np.testing.assert_allclose(flat, [[1, 0, 0]] * 20, atol=0.01)
@@ -207,7 +197,7 @@ def test_a_normal_map_of_ones_own_stands_on_flat_triangles_or_on_normals_that_we
     np.testing.assert_allclose(one(turned, "normal"), [turn @ [0, 1, 0]] * 20, atol=0.01)
 
 
-def test_a_source_of_ones_own_gives_the_channels_it_is_named_for() -> None:
+def test_a_source_of_ones_own_gives_the_channels_it_is_named_for():
     ramp = Ramp("metallic", "emissive")
     surface = square().with_sources({"emissive": ramp})
     assert [form.name for form in surface.channels] == ["base_color", "emissive"]
@@ -253,14 +243,12 @@ def test_a_source_of_ones_own_gives_the_channels_it_is_named_for() -> None:
         ),
     ],
 )
-def test_what_cannot_be_a_source_is_refused(
-    channel: str, given: object, error: type[Exception], message: str
-) -> None:
+def test_what_cannot_be_a_source_is_refused(channel, given, error, message):
     with pytest.raises(error, match=re.escape(message)):
         square().with_sources({channel: given})
 
 
-def test_images_need_coordinates_and_filters_names() -> None:
+def test_images_need_coordinates_and_filters_names():
     message = "quad has no texture coordinates for an image of metallic; give a MappedImage (--project box)"
     with pytest.raises(ModelError, match=re.escape(message)):
         square(uv=None).with_sources({"metallic": random_image(2, 2)})
@@ -269,7 +257,7 @@ def test_images_need_coordinates_and_filters_names() -> None:
         square().with_sources({"metallic": 0.5}, "sharp")
 
 
-def test_sources_follow_other_rest_positions_with_the_surface() -> None:
+def test_sources_follow_other_rest_positions_with_the_surface():
     made = square(image=random_image(4, 4)).with_sources({"roughness": random_image(8, 8), "metallic": 0.5})
     larger = made.with_rest(SQUARE * 10.0)
     assert isinstance(larger.scatter(1), SurfaceSamples)

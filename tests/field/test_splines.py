@@ -1,8 +1,3 @@
-from __future__ import annotations
-
-from collections.abc import Callable
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -11,11 +6,11 @@ from octex.jit import kernel
 from tests.oracles import naive
 
 
-def called(function: Callable[..., Any]) -> Callable[..., Any]:
+def called(function):
     """Return a kernel that calls what only kernels can call."""
 
     @kernel
-    def call(*arguments: Any) -> Any:
+    def call(*arguments):
         return function(*arguments)
 
     return call
@@ -30,20 +25,20 @@ refine, send_up = called(splines.refine), called(splines.send_up)
 
 
 @pytest.mark.parametrize("filter", FUNCTIONS)
-def test_weights_and_slopes_are_those_of_the_b_spline(filter: str) -> None:
+def test_weights_and_slopes_are_those_of_the_b_spline(filter):
     weights, slopes = FUNCTIONS[filter]
     for t in np.linspace(0, 1, 33).tolist():
         np.testing.assert_allclose([weights(t), slopes(t)], naive.weights_of(filter, 1, t), atol=1e-15)
 
 
-def test_the_outermost_weights_end_at_exactly_zero() -> None:
+def test_the_outermost_weights_end_at_exactly_zero():
     for weights, _ in FUNCTIONS.values():
         assert weights(0.0)[-1] == weights(1.0)[0] == 0
 
 
 @pytest.mark.parametrize("upper", [0, 1])
 @pytest.mark.parametrize("filter", ["quadratic", "quartic"])
-def test_refined_cells_carry_the_same_spline(filter: str, upper: int) -> None:
+def test_refined_cells_carry_the_same_spline(filter, upper):
     weights, _ = FUNCTIONS[filter]
     cells = 5 if filter == "quartic" else 3
     around = np.pad(np.random.default_rng(3).random(cells), (0, 5 - cells))
@@ -54,7 +49,7 @@ def test_refined_cells_carry_the_same_spline(filter: str, upper: int) -> None:
 
 
 @pytest.mark.parametrize("quartic", [False, True])
-def test_what_is_sent_up_weighs_as_what_is_refined(quartic: bool) -> None:
+def test_what_is_sent_up_weighs_as_what_is_refined(quartic):
     units = np.eye(5)
     down = np.array([refine(quartic, *unit) for unit in units])
     up = np.array([send_up(quartic, *unit) for unit in units])

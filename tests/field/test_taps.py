@@ -1,25 +1,19 @@
 """What lookups blend, as rows and weights; and which bytes of a file they read."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
 from octex import jit
 from octex.errors import ArgumentError
-from octex.texture import FILTERS, OctreeTexture
+from octex.texture import FILTERS
 from tests.make.small_textures import eight_colors, shell
 from tests.properties.random_lookups import random_points, random_texture, random_views
 
 SEEDS = range(4 if jit.DISABLED else 25)
 
 
-def blended(texture: OctreeTexture, points: npt.NDArray[Any], name: str, filter: str, **views: Any) -> Any:
+def blended(texture, points, name, filter, **views):
     """The blend of a channel's rows."""
     taps = texture.taps(points, name, filter, **views)
     values = texture.rows(name).astype(np.float64)
@@ -32,7 +26,7 @@ def blended(texture: OctreeTexture, points: npt.NDArray[Any], name: str, filter:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_taps_blend_to_what_sample_answers(seed: int) -> None:
+def test_taps_blend_to_what_sample_answers(seed):
     random = np.random.default_rng(seed)
     texture = random_texture(random)
     points, _ = random_points(texture, random, 8)
@@ -45,7 +39,7 @@ def test_taps_blend_to_what_sample_answers(seed: int) -> None:
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * max(scale, 1), err_msg=str(views))
 
 
-def test_taps_of_sharpened_footprints_sum_to_one_though_some_are_negative() -> None:
+def test_taps_of_sharpened_footprints_sum_to_one_though_some_are_negative():
     texture = shell(4)
     points = np.random.default_rng(1).random((50, 3))
     taps = texture.taps(points, width=0.2, sharpness=1.0)
@@ -57,7 +51,7 @@ def test_taps_of_sharpened_footprints_sum_to_one_though_some_are_negative() -> N
     )
 
 
-def test_taps_go_over_blocks_of_points_and_are_alike_on_any_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_taps_go_over_blocks_of_points_and_are_alike_on_any_threads(monkeypatch):
     texture, points = shell(3), np.random.default_rng(2).random((40, 3))
     whole = texture.taps(points)
     monkeypatch.setattr("octex.texture.lookup.BLOCK", 7)
@@ -66,7 +60,7 @@ def test_taps_go_over_blocks_of_points_and_are_alike_on_any_threads(monkeypatch:
     assert [len(each) for each in texture.taps(points[:0])] == [1, 0, 0]
 
 
-def test_a_blend_as_a_matrix_of_scipy_is_what_sample_answers() -> None:
+def test_a_blend_as_a_matrix_of_scipy_is_what_sample_answers():
     sparse = pytest.importorskip("scipy.sparse")
     texture, points = shell(3), np.random.default_rng(3).random((30, 3))
     taps, values = texture.taps(points), texture.rows("base_color")
@@ -74,7 +68,7 @@ def test_a_blend_as_a_matrix_of_scipy_is_what_sample_answers() -> None:
     np.testing.assert_allclose(blend @ values, texture.sample(points), atol=1e-6)
 
 
-def test_rows_are_of_cells_then_kept_nodes_then_facings_and_can_be_asked_for_one_by_one() -> None:
+def test_rows_are_of_cells_then_kept_nodes_then_facings_and_can_be_asked_for_one_by_one():
     texture = random_texture(np.random.default_rng(10))
     assert texture.tree.split.cells.size and texture.tree.kept.cells.size
     name = next(iter(texture.channels))
@@ -95,7 +89,7 @@ def test_rows_are_of_cells_then_kept_nodes_then_facings_and_can_be_asked_for_one
             texture.rows(name, wrong)
 
 
-def test_taps_refuse_what_sample_refuses() -> None:
+def test_taps_refuse_what_sample_refuses():
     texture, points = eight_colors(), np.full((3, 3), 0.5)
     with pytest.raises(ArgumentError, match=r"points must be finite, but points\[1\]"):
         texture.taps([[0, 0, 0], [0, np.nan, 0]])
@@ -110,7 +104,7 @@ def test_taps_refuse_what_sample_refuses() -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_file_with_the_listed_blocks_alone_answers_likewise(seed: int, tmp_path: Path) -> None:
+def test_a_file_with_the_listed_blocks_alone_answers_likewise(seed, tmp_path):
     random = np.random.default_rng(seed)
     random_texture(random).save(tmp_path / "whole.octex")
     content = (tmp_path / "whole.octex").read_bytes()
@@ -133,7 +127,7 @@ def test_a_file_with_the_listed_blocks_alone_answers_likewise(seed: int, tmp_pat
             np.testing.assert_array_equal(found[name], expected, err_msg=f"{name}, {filter}, {views}")
 
 
-def test_a_few_lookups_need_little_of_a_file(tmp_path: Path) -> None:
+def test_a_few_lookups_need_little_of_a_file(tmp_path):
     shell(6, keep=0).save(tmp_path / "shell.octex")
     texture = octex.open(tmp_path / "shell.octex")
     total = (tmp_path / "shell.octex").stat().st_size
@@ -145,6 +139,6 @@ def test_a_few_lookups_need_little_of_a_file(tmp_path: Path) -> None:
     assert needed[1] < needed[0]
 
 
-def test_blocks_are_of_files_only() -> None:
+def test_blocks_are_of_files_only():
     with pytest.raises(ArgumentError, match="has no file: save it and open that"):
         eight_colors().blocks([[0.5, 0.5, 0.5]])

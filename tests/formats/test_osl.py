@@ -1,18 +1,13 @@
 """Textures as an image for an OSL shader, read back by another walk; test_blender runs the shader."""
 
-from __future__ import annotations
-
 import re
 import struct
 import zlib
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import octex
-from octex.arrays import Array
 from octex.channels import ChannelFormat, srgb_to_linear
 from octex.errors import ArgumentError
 from octex.formats import osl
@@ -23,12 +18,12 @@ FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
 COLORS = np.array([[0.9, 0.1, 0.2], [0.1, 0.8, 0.3], [0.2, 0.3, 0.7], [0.5, 0.5, 0.1]])
 
 
-def surface(**sources: Any) -> octex.Surface:
+def surface(**sources):
     made = octex.Surface.from_arrays(CORNERS, FACES, colors=COLORS)
     return made.with_sources(sources) if sources else made
 
 
-def texels_of(path: Path) -> Array:
+def texels_of(path):
     """Read a TIFF of deflated strips, of 16-bit texels."""
     data = path.read_bytes()
     assert data[:4] == b"II*\0"
@@ -51,7 +46,7 @@ def texels_of(path: Path) -> Array:
 class Written:
     """A shader file and its image; `nearest` finds a point's cell as the shader does."""
 
-    def __init__(self, texture: octex.OctreeTexture, folder: Path, **options: Any) -> None:
+    def __init__(self, texture, folder, **options):
         self.path = folder / "made.osl"
         osl.write_osl(texture, self.path, **options)
         self.shader = self.path.read_text("utf-8")
@@ -59,10 +54,10 @@ class Written:
         self.n_split = 0  # leaves that were found
         self.numbers = dict(re.findall(r"#define (\w+) (\S.*)", self.shader))
 
-    def number(self, name: str) -> int:
+    def number(self, name):
         return int(self.numbers[name])
 
-    def nearest(self, place: Array, plane: int = 0) -> Array:
+    def nearest(self, place, plane=0):
         """Return the texel of the leaf that holds a point of texture space, and count split ones."""
         cell = node = 0
         for level in range(1, self.number("DEPTH") + 1):
@@ -80,12 +75,12 @@ class Written:
         return self.texels[begin + (texel[1] << 16 | texel[0])] if texel[3] & 128 else texel
 
 
-def points_of(texture: octex.OctreeTexture) -> tuple[Array, Array]:
+def points_of(texture):
     rest = surface().scatter(200, seed=3).points.astype(np.float64)
     return rest, (rest - texture.placement.origin) / texture.placement.size
 
 
-def test_the_image_holds_the_leaves_of_the_tree_in_linear_light(tmp_path: Path) -> None:
+def test_the_image_holds_the_leaves_of_the_tree_in_linear_light(tmp_path):
     texture = octex.convert(surface(), 5)
     written = Written(texture, tmp_path)
     rest, places = points_of(texture)
@@ -97,7 +92,7 @@ def test_the_image_holds_the_leaves_of_the_tree_in_linear_light(tmp_path: Path) 
     assert 0 < written.n_split < len(places)
 
 
-def test_a_split_cell_has_a_row_for_each_facing(tmp_path: Path) -> None:
+def test_a_split_cell_has_a_row_for_each_facing(tmp_path):
     texture = octex.convert(surface(), 5)
     written = Written(texture, tmp_path)
     split = texture.tree.split
@@ -113,7 +108,7 @@ def test_a_split_cell_has_a_row_for_each_facing(tmp_path: Path) -> None:
             row += 1
 
 
-def test_numbers_lie_three_to_a_plane_and_alpha_beside_each_value(tmp_path: Path) -> None:
+def test_numbers_lie_three_to_a_plane_and_alpha_beside_each_value(tmp_path):
     made = surface(base_color=(0.2, 0.4, 0.6), alpha=0.25, roughness=0.5, metallic=0.75, occlusion=1.0)
     texture = octex.convert(made, 4)
     written = Written(texture, tmp_path)
@@ -129,7 +124,7 @@ def test_numbers_lie_three_to_a_plane_and_alpha_beside_each_value(tmp_path: Path
         assert re.search(rf"output (color|float) {name}\b", written.shader)
 
 
-def test_floats_and_directions_are_scaled_to_their_range(tmp_path: Path) -> None:
+def test_floats_and_directions_are_scaled_to_their_range(tmp_path):
     texture = octex.convert(surface(emissive=(4.0, 1.0, 0.0)), 3, dtype="float32")
     written = Written(texture, tmp_path)
     _, places = points_of(texture)
@@ -138,7 +133,7 @@ def test_floats_and_directions_are_scaled_to_their_range(tmp_path: Path) -> None
     np.testing.assert_allclose(written.nearest(places[0], 1)[:3] / 65535 * high, (4, 1, 0), atol=1e-4)
 
 
-def test_leaves_of_several_depths_are_divided(tmp_path: Path) -> None:
+def test_leaves_of_several_depths_are_divided(tmp_path):
     texture = octex.convert(surface(base_color=(0.5, 0.5, 0.5)), 5, max_error=2)
     assert any(leaves for leaves, _ in texture.tree.cells_by_depth()[:5])
     written = Written(texture, tmp_path)
@@ -149,14 +144,14 @@ def test_leaves_of_several_depths_are_divided(tmp_path: Path) -> None:
         np.testing.assert_allclose(written.nearest(place)[:3] / 65535, srgb_to_linear(188 / 255), atol=1e-4)
 
 
-def test_a_root_without_children_is_the_only_cell(tmp_path: Path) -> None:
+def test_a_root_without_children_is_the_only_cell(tmp_path):
     texture = octex.resize(octex.convert(surface(), 3), 0)
     np.testing.assert_allclose(
         Written(texture, tmp_path).nearest(np.zeros(3))[:3] / 65535, texture.sample(CORNERS[:1])[0], atol=1e-5
     )
 
 
-def test_what_cannot_be_written_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_written_is_refused(tmp_path, monkeypatch):
     texture = octex.convert(surface(), 4)
     with pytest.raises(ArgumentError, match=r"an OSL shader is saved as NAME\.osl"):
         octex.write_osl(texture, tmp_path / "made.txt")
@@ -170,7 +165,7 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path, monkeypatch: pytest.M
     assert not list(tmp_path.iterdir())
 
 
-def test_four_components_are_refused_by_name_and_left_out_otherwise(tmp_path: Path) -> None:
+def test_four_components_are_refused_by_name_and_left_out_otherwise(tmp_path):
     texture = octex.convert(surface(), 3)
     rows = texture.tree.n_cells, texture.tree.split.areas.size, texture.tree.kept.cells.size
     glaze = Channel(ChannelFormat("glaze", 4, "data"), *(np.zeros((count, 4), np.uint8) for count in rows))
@@ -181,7 +176,7 @@ def test_four_components_are_refused_by_name_and_left_out_otherwise(tmp_path: Pa
     assert "glaze" not in Written(four, tmp_path).shader
 
 
-def test_convert_and_edit_write_it(tmp_path: Path) -> None:
+def test_convert_and_edit_write_it(tmp_path):
     from octex.cli.main import main
 
     octex.convert(surface(), 4).save(tmp_path / "a.octex")
@@ -192,7 +187,7 @@ def test_convert_and_edit_write_it(tmp_path: Path) -> None:
     assert (tmp_path / "b.osl.tif").exists()
 
 
-def test_outputs_have_names_that_osl_does_not_keep_to_itself(tmp_path: Path) -> None:
+def test_outputs_have_names_that_osl_does_not_keep_to_itself(tmp_path):
     made = surface(normal=lambda points: 0.5 * points, alpha=0.5)
     shader = Written(octex.convert(made, 3), tmp_path).shader
     assert "output normal normal_ = N" in shader

@@ -1,11 +1,8 @@
 """Arrays of .npz files, and files that say more than they hold."""
 
-from __future__ import annotations
-
 import io
 import struct
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,22 +18,22 @@ ARRAYS = {
 }
 
 
-def zipped(name: str, content: bytes) -> io.BytesIO:
+def zipped(name, content):
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w") as archive:
         archive.writestr(name, content)
     return file
 
 
-def npy(head: str, content: bytes = b"", version: bytes = b"\1\0") -> io.BytesIO:
+def npy(head, content=b"", version=b"\1\0"):
     return zipped(
         "a.npy", b"\x93NUMPY" + version + struct.pack("<H", len(head) + 1) + head.encode() + b"\n" + content
     )
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-def test_arrays_come_back_as_numpy_reads_them(save: object, tmp_path: Path) -> None:
-    save(tmp_path / "a.npz", **ARRAYS)  # type: ignore[operator]
+def test_arrays_come_back_as_numpy_reads_them(save, tmp_path):
+    save(tmp_path / "a.npz", **ARRAYS)
     with (tmp_path / "a.npz").open("rb") as file:
         found = read_npz(file)
         some = read_npz(file, {"rows", "else"})
@@ -49,7 +46,7 @@ def test_arrays_come_back_as_numpy_reads_them(save: object, tmp_path: Path) -> N
     assert list(some) == ["rows"]
 
 
-def header(descr: str = "'<f8'", shape: str = "(2,)", order: str = "False") -> str:
+def header(descr="'<f8'", shape="(2,)", order="False"):
     return f"{{'descr': {descr}, 'fortran_order': {order}, 'shape': {shape}}}"
 
 
@@ -69,13 +66,13 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_file_that_says_what_it_does_not_hold_is_refused(name: str) -> None:
+def test_a_file_that_says_what_it_does_not_hold_is_refused(name):
     file, message = BROKEN[name]
     with pytest.raises(ValueError, match=message):
         read_npz(file)
 
 
-def test_a_file_whose_members_share_their_bytes_is_refused() -> None:
+def test_a_file_whose_members_share_their_bytes_is_refused():
     content = zipped("a.npy", bytes(1 << 20)).getvalue()
     at, count = content.index(b"PK\1\2"), 1300
     entries = b"".join(content[at : at + 46] + f"{n:05}".encode() for n in range(count))
@@ -84,7 +81,7 @@ def test_a_file_whose_members_share_their_bytes_is_refused() -> None:
         read_npz(io.BytesIO(content[:at] + entries + end))
 
 
-def test_what_is_encrypted_is_refused() -> None:
+def test_what_is_encrypted_is_refused():
     content = bytearray(zipped("a.npy", bytes(100)).getvalue())
     content[6] |= 1
     content[content.index(b"PK\1\2") + 8] |= 1

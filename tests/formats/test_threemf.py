@@ -1,12 +1,8 @@
 """Vertex colours as 3MF for printing: read back by lib3mf, and as the XML that the file is."""
 
-from __future__ import annotations
-
 import json
 import locale
 import zipfile
-from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -19,7 +15,6 @@ from octex.channels import linear_to_srgb
 from octex.errors import MissingExtraError, ModelError
 from octex.source.surface import Surface
 from tests.make import solids
-from tests.make.command import Cli
 
 Array = npt.NDArray[Any]
 
@@ -27,26 +22,24 @@ MATERIALS = "{http://schemas.microsoft.com/3dmanufacturing/material/2015/02}"
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 
 
-def waves(points: Array) -> Array:
+def waves(points):
     return 0.5 + 0.4 * np.sin(3.0 * points + [0.0, 1.0, 2.0])
 
 
 @pytest.fixture(scope="module")
-def ball() -> tuple[octex.OctreeTexture, Surface]:
+def ball():
     surface = Surface.from_arrays(*solids.sphere([0.0, 0.0, 0.0], 1.0, 16))
     return octex.convert(surface.with_sources({"base_color": waves}), 5), surface
 
 
 @pytest.fixture
-def lib3mf() -> Iterator[Any]:
+def lib3mf():
     before = locale.setlocale(locale.LC_ALL)
     yield pytest.importorskip("lib3mf", reason="the extra octex[3mf] is not installed")
     locale.setlocale(locale.LC_ALL, before)  # reading changes it
 
 
-def test_lib3mf_reads_a_closed_mesh_in_the_fields_colours(
-    ball: tuple[octex.OctreeTexture, Surface], lib3mf: Any, tmp_path: Path
-) -> None:
+def test_lib3mf_reads_a_closed_mesh_in_the_fields_colours(ball, lib3mf, tmp_path):
     texture, surface = ball
     made = octex.bake_vertices(texture, surface, subdivide="auto", max_error=4.0)
     before = locale.setlocale(locale.LC_ALL)
@@ -84,7 +77,7 @@ def test_lib3mf_reads_a_closed_mesh_in_the_fields_colours(
 
 
 @pytest.mark.usefixtures("lib3mf")
-def test_the_file_says_colours_as_the_specification_has_them(tmp_path: Path) -> None:
+def test_the_file_says_colours_as_the_specification_has_them(tmp_path):
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     colors = np.array([[255, 0, 0, 255], [0, 128, 0, 255], [0, 0, 255, 64], [1, 2, 3, 255]], np.uint8)
     # The second triangle has corners of its own in the same places, and one has no area.
@@ -118,7 +111,7 @@ def test_the_file_says_colours_as_the_specification_has_them(tmp_path: Path) -> 
 
 
 @pytest.mark.usefixtures("lib3mf")
-def test_what_has_images_is_to_be_baked_first(tmp_path: Path) -> None:
+def test_what_has_images_is_to_be_baked_first(tmp_path):
     bare = Surface.from_arrays(np.eye(3), [[0, 1, 2]])
     with pytest.raises(ModelError, match=r"\.3mf files hold colours at vertices"):
         octex.write_model(bare, tmp_path / "a.3mf")
@@ -128,9 +121,7 @@ def test_what_has_images_is_to_be_baked_first(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("lib3mf")
-def test_the_command_divides_where_colours_change(
-    ball: tuple[octex.OctreeTexture, Surface], tmp_path: Path, cli: Cli
-) -> None:
+def test_the_command_divides_where_colours_change(ball, tmp_path, cli):
     texture, surface = ball
     texture.save(tmp_path / "ball.octex")
     octex.write_model(octex.bake_vertices(texture, surface), tmp_path / "ball.obj")
@@ -144,9 +135,7 @@ def test_the_command_divides_where_colours_change(
     assert "--unit has no effect on" in refusal
 
 
-def test_a_missing_extra_is_named_before_any_work(
-    ball: tuple[octex.OctreeTexture, Surface], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cli: Cli
-) -> None:
+def test_a_missing_extra_is_named_before_any_work(ball, tmp_path, monkeypatch, cli):
     texture, surface = ball
     made = octex.bake_vertices(texture, surface)
     texture.save(tmp_path / "ball.octex")

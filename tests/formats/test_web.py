@@ -1,7 +1,5 @@
 """Web files, and glTF models that carry them, are read back as the textures that they were made of."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -18,7 +16,6 @@ from octex.cli.main import main
 from octex.errors import ArgumentError, OctexError, TextureFileError
 from octex.formats.web import texture_file
 from octex.processing.mapping import cast
-from octex.texture import OctreeTexture
 from octex.tree.children import node_cells
 from tests.conftest import needs_jit
 from tests.make.painted import ball
@@ -29,15 +26,15 @@ from tests.oracles.web_file import WebFile
 EXTENSION = Path(octex.__file__).parent / "formats" / "EXT_octree_texture"
 
 
-def waves(p: Any) -> Any:
+def waves(p):
     return 0.5 + 0.4 * np.sin(p * [19.0, 13.0, 7.0])
 
 
-def colored() -> octex.Surface:
+def colored():
     return ball(24).with_sources({"base_color": waves, "roughness": lambda p: waves(p)[:, :1]})
 
 
-def with_leaf_areas_of(texture: OctreeTexture, other: OctreeTexture) -> OctreeTexture:
+def with_leaf_areas_of(texture, other):
     """A texture with another's areas of leaves and of split cells' rows, which web files do not store."""
     areas = other.tree.arrays.areas.copy()
     if texture.tree.arrays.level_nodes[-1]:
@@ -49,7 +46,7 @@ def with_leaf_areas_of(texture: OctreeTexture, other: OctreeTexture) -> OctreeTe
 
 
 @pytest.mark.parametrize("depth", range(6))
-def test_a_texture_comes_back_from_its_web_file(depth: int, tmp_path: Path) -> None:
+def test_a_texture_comes_back_from_its_web_file(depth, tmp_path):
     texture = shell(depth) if depth else eight_colors().level(0)
     (tmp_path / "shell.octw").write_bytes(texture_file(texture, "shell"))
     back = octex.open(tmp_path / "shell.octw")
@@ -62,7 +59,7 @@ def test_a_texture_comes_back_from_its_web_file(depth: int, tmp_path: Path) -> N
         np.testing.assert_array_equal(found.values[name], channel.values)
 
 
-def test_leaves_share_what_their_node_leaves_of_its_area(tmp_path: Path) -> None:
+def test_leaves_share_what_their_node_leaves_of_its_area(tmp_path):
     texture = octex.convert(ball(24), depth=5, max_error=8.0)
     (tmp_path / "ball.octw").write_bytes(texture_file(texture, "ball"))
     back = octex.open(tmp_path / "ball.octw")
@@ -74,12 +71,12 @@ def test_leaves_share_what_their_node_leaves_of_its_area(tmp_path: Path) -> None
     assert sums[0] == pytest.approx(sums[1], rel=0.05)
 
 
-def level_of(texture: OctreeTexture, cells: Any) -> Any:
+def level_of(texture, cells):
     return np.searchsorted(texture.tree.arrays.level_cells, cells, side="right") - 1
 
 
 @needs_jit
-def test_floats_come_back_in_their_range(tmp_path: Path) -> None:
+def test_floats_come_back_in_their_range(tmp_path):
     surface = ball(16).with_sources({"base_color": waves, "emissive": lambda p: 2.0 + 2.0 * np.sin(5 * p)})
     texture = octex.convert(surface, depth=4, dtype={"emissive": "float32", "base_color": "uint16"})
     (tmp_path / "ball.octw").write_bytes(texture_file(texture, "ball"))
@@ -98,7 +95,7 @@ def test_floats_come_back_in_their_range(tmp_path: Path) -> None:
 @needs_jit
 @pytest.mark.parametrize("ending", [".glb", ".gltf"])
 @pytest.mark.parametrize("bake", [octex.bake_vertices, octex.bake])
-def test_a_model_carries_its_octree(ending: str, bake: Any, tmp_path: Path) -> None:
+def test_a_model_carries_its_octree(ending, bake, tmp_path):
     surface = colored()
     texture = octex.convert(surface, depth=5)
     options = {"texture_size": 64} if bake is octex.bake else {}
@@ -115,14 +112,14 @@ def test_a_model_carries_its_octree(ending: str, bake: Any, tmp_path: Path) -> N
     assert np.abs(model.evaluate(points) - texture.sample(points.rest)).mean() < 0.1  # the fallback
 
 
-def document_of(path: Path) -> dict[str, Any]:
+def document_of(path):
     content = path.read_bytes()
     found: dict[str, Any] = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
     return found
 
 
 @needs_jit
-def test_places_at_rest_are_those_of_the_root_cell(tmp_path: Path) -> None:
+def test_places_at_rest_are_those_of_the_root_cell(tmp_path):
     """Also of a posed model, and of one so far away that its node is moved."""
     surface = colored()
     texture = octex.convert(surface, depth=4)
@@ -142,7 +139,7 @@ def test_places_at_rest_are_those_of_the_root_cell(tmp_path: Path) -> None:
     np.testing.assert_allclose(places, texture.placement.to_texture_space(read.rest), atol=1e-5)
 
 
-def test_the_command_writes_and_reads_it(tmp_path: Path) -> None:
+def test_the_command_writes_and_reads_it(tmp_path):
     surface = ball(12).with_sources({"base_color": waves})
     octex.convert(surface, depth=3).save(tmp_path / "ball.octex")
     octex.write_model(
@@ -157,7 +154,7 @@ def test_the_command_writes_and_reads_it(tmp_path: Path) -> None:
     assert main(["bake", octex_file, model, str(tmp_path / "web.ply"), "--octree", "--quiet"]) == 2
 
 
-def test_models_of_other_formats_carry_none(tmp_path: Path) -> None:
+def test_models_of_other_formats_carry_none(tmp_path):
     texture, surface = eight_colors(), octex.Surface.from_arrays(np.eye(3), [[0, 1, 2]])
     with pytest.raises(ArgumentError, match=r"model\.obj cannot carry an octree; write a \.glb or \.gltf"):
         octex.write_model(octex.bake_vertices(texture, surface), tmp_path / "model.obj", octree=texture)
@@ -170,13 +167,13 @@ def test_models_of_other_formats_carry_none(tmp_path: Path) -> None:
         octex.open(tmp_path / "bare.glb")
 
 
-def test_damaged_files_are_refused_in_words(tmp_path: Path) -> None:
+def test_damaged_files_are_refused_in_words(tmp_path):
     whole = texture_file(shell(3), "shell")
     path = tmp_path / "shell.octw"
     length = 16 + int.from_bytes(whole[12:16], "little")
     header = json.loads(whole[16:length])
 
-    def with_header(change: Any) -> bytes:
+    def with_header(change):
         made = json.loads(json.dumps(header))
         change(made)
         text = json.dumps(made).encode()
@@ -198,7 +195,7 @@ def test_damaged_files_are_refused_in_words(tmp_path: Path) -> None:
             octex.open(path)
 
 
-def test_bytes_changed_at_random_are_read_or_refused(tmp_path: Path) -> None:
+def test_bytes_changed_at_random_are_read_or_refused(tmp_path):
     random, whole, path = np.random.default_rng(7), texture_file(shell(3), "shell"), tmp_path / "shell.octw"
     refused = 0
     for _ in range(300):
@@ -215,7 +212,7 @@ def test_bytes_changed_at_random_are_read_or_refused(tmp_path: Path) -> None:
     assert 100 < refused < 300
 
 
-def test_the_schema_has_the_fields_that_are_written_and_the_readme_names_them(tmp_path: Path) -> None:
+def test_the_schema_has_the_fields_that_are_written_and_the_readme_names_them(tmp_path):
     texture, surface = eight_colors(), octex.Surface.from_arrays(np.eye(3), [[0, 1, 2]])
     octex.write_model(octex.bake_vertices(texture, surface), tmp_path / "model.glb", octree=texture)
     document = document_of(tmp_path / "model.glb")
@@ -248,7 +245,7 @@ Promise.all(all).then((reports) => console.log(JSON.stringify(reports.map(({ iss
 
 
 @needs_jit
-def test_khronos_validator_has_no_errors(tmp_path: Path) -> None:
+def test_khronos_validator_has_no_errors(tmp_path):
     folder = Path(os.environ.get("OCTEX_TEST_THREE", "")).parent / "gltf-validator"
     if not folder.is_dir() or shutil.which("node") is None:
         pytest.skip("OCTEX_TEST_THREE names no package with gltf-validator beside it, or there is no node")

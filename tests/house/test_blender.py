@@ -1,7 +1,5 @@
 """Blender's extension, used without a window; OCTEX_TEST_BLENDER names a Python with bpy and octex."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -15,7 +13,7 @@ PYTHON = os.environ.get("OCTEX_TEST_BLENDER", "")
 pytestmark = pytest.mark.skipif(not PYTHON, reason="OCTEX_TEST_BLENDER names no Python with bpy and octex")
 
 
-def told_by(tool: str, folder: Path) -> dict[str, Any]:
+def told_by(tool, folder):
     call = [PYTHON, str(TOOLS / tool), str(folder)]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -24,16 +22,16 @@ def told_by(tool: str, folder: Path) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def used(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def used(tmp_path_factory):
     return told_by("try_extension.py", tmp_path_factory.mktemp("blender"))
 
 
 @pytest.fixture(scope="module")
-def kinds(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def kinds(tmp_path_factory):
     return told_by("try_objects.py", tmp_path_factory.mktemp("objects"))
 
 
-def test_objects_that_cannot_be_used_are_refused_in_words(used: dict[str, Any]) -> None:
+def test_objects_that_cannot_be_used_are_refused_in_words(used):
     expected = (
         "Save the .blend file first", "make the texture first", "No camera has a background image",
         "make the texture first", "empty has no faces", "Leave Edit Mode of ball first",
@@ -44,20 +42,20 @@ def test_objects_that_cannot_be_used_are_refused_in_words(used: dict[str, Any]) 
         assert part in said
 
 
-def test_grey_and_the_colours_of_a_material_come_back_to_the_corners(used: dict[str, Any]) -> None:
+def test_grey_and_the_colours_of_a_material_come_back_to_the_corners(used):
     assert used["grey"] <= 0.51  # Blender's bytes hold no half
     assert used["material"]["worst"] <= 2
     assert (used["material"]["kept"], used["material"]["shown"]) == ("own", "painted octree")
     assert used["material"]["scenes"] == 1  # what was exported is gone
 
 
-def test_images_at_new_uvs_show_the_same_colours(used: dict[str, Any]) -> None:
+def test_images_at_new_uvs_show_the_same_colours(used):
     assert (used["atlas"]["size"], used["atlas"]["space"]) == (512, "sRGB")
     assert used["atlas"]["median"] <= 2
 
 
 @pytest.mark.parametrize("name", ["exact", "exact plate", "exact channels"])
-def test_cycles_looks_the_octree_up_as_octex_does(used: dict[str, Any], name: str) -> None:
+def test_cycles_looks_the_octree_up_as_octex_does(used, name):
     assert used[name]["pixels"] > 2000
     for filter in ("nearest", "linear", "quadratic"):
         assert used[name][filter] <= 1
@@ -66,18 +64,18 @@ def test_cycles_looks_the_octree_up_as_octex_does(used: dict[str, Any], name: st
         assert used["exact channels"][channel] <= 1
 
 
-def test_a_photograph_lands_where_the_camera_sees_it(used: dict[str, Any]) -> None:
+def test_a_photograph_lands_where_the_camera_sees_it(used):
     assert used["photograph"]["corners"] > 500
     assert used["photograph"]["worst"] <= 2
 
 
-def test_what_the_page_saves_is_shown(used: dict[str, Any]) -> None:
+def test_what_the_page_saves_is_shown(used):
     assert used["painted"]["is_open"]
     assert used["painted"]["path"] == "//ball-2.octex"
     assert used["painted"]["worst"] <= 0.51
 
 
-def test_images_that_are_unsaved_or_packed_are_read_and_others_refused(kinds: dict[str, Any]) -> None:
+def test_images_that_are_unsaved_or_packed_are_read_and_others_refused(kinds):
     images = kinds["images"]
     assert max(images[kind] for kind in ("unsaved", "packed", "file")) <= 2
     assert "is missing: find or remove it first" in images["missing"]
@@ -85,7 +83,7 @@ def test_images_that_are_unsaved_or_packed_are_read_and_others_refused(kinds: di
 
 
 @pytest.mark.parametrize("layout", ["KEEP", "ATLAS"])
-def test_strokes_on_baked_images_are_taken_over(kinds: dict[str, Any], layout: str) -> None:
+def test_strokes_on_baked_images_are_taken_over(kinds, layout):
     assert "bake to images first" in kinds["strokes"]["not baked"]
     assert "nothing was painted" in kinds["strokes"]["not painted"]
     assert kinds["strokes"][layout]["corners"] > 50
@@ -93,7 +91,7 @@ def test_strokes_on_baked_images_are_taken_over(kinds: dict[str, Any], layout: s
     assert kinds["strokes"][layout]["moved"] <= 1
 
 
-def test_what_is_painted_on_a_drawn_view_is_projected(kinds: dict[str, Any]) -> None:
+def test_what_is_painted_on_a_drawn_view_is_projected(kinds):
     view = kinds["view"]
     assert "The scene has no camera" in view["no camera"]
     assert view["name"] == "ball-camera.png"
@@ -104,24 +102,24 @@ def test_what_is_painted_on_a_drawn_view_is_projected(kinds: dict[str, Any]) -> 
     assert view["grey"] <= 2
 
 
-def test_photographs_of_a_colmap_folder_land_where_its_cameras_see_them(kinds: dict[str, Any]) -> None:
+def test_photographs_of_a_colmap_folder_land_where_its_cameras_see_them(kinds):
     assert "none of its 2 pictures is there" in kinds["colmap"]["missing"]
     assert kinds["colmap"]["worst"] <= 2
 
 
-def test_objects_without_material_and_with_shape_keys_are_coloured(kinds: dict[str, Any]) -> None:
+def test_objects_without_material_and_with_shape_keys_are_coloured(kinds):
     assert kinds["plain"] == {"spread": 0.0, "slots": 1}
     assert kinds["shape_keys"]["worst"] <= 2
 
 
-def test_what_cannot_take_a_texture_says_what_to_do(kinds: dict[str, Any]) -> None:
+def test_what_cannot_take_a_texture_says_what_to_do(kinds):
     assert "apply finer first" in kinds["modifiers"]["photographs"]
     for said in kinds["linked"].values():
         assert "ball is linked from library.blend: make it local first" in said
     assert len(kinds["linked"]) == 3
 
 
-def test_the_texture_of_another_object_is_refused(kinds: dict[str, Any]) -> None:
+def test_the_texture_of_another_object_is_refused(kinds):
     assert len(kinds["another"]) == 5
     for said in kinds["another"].values():
         assert "another model" in said

@@ -1,7 +1,5 @@
 """However a save ends, the old file stands or the new one, and nothing else stays."""
 
-from __future__ import annotations
-
 import os
 import random
 import runpy
@@ -23,7 +21,7 @@ LEFT, LEFT_FOLDER = ".octex-0123456789abcdef", ".octex-fedcba9876543210"
 
 
 @linux
-def test_a_killed_save_leaves_the_old_file_or_the_new_one(tmp_path: Path) -> None:
+def test_a_killed_save_leaves_the_old_file_or_the_new_one(tmp_path):
     killed = runpy.run_path(str(ROOT / "tools" / "fuzz" / "random_kills.py"))["killed"]
     made = [hilly(4), eight_colors()]
     for texture in made:
@@ -48,7 +46,7 @@ for name in sys.argv[2:]:
 
 
 @linux
-def test_a_full_disk_leaves_the_old_file(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_the_old_file(tmp_path):
     hilly(6).save(tmp_path / "a.octex")
     for name in ("b.octex", "b.octz"):
         eight_colors().save(tmp_path / name)
@@ -65,7 +63,7 @@ def test_a_full_disk_leaves_the_old_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
-def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_refused(tmp_path):
     tmp_path.chmod(0o500)
     with pytest.raises(OutputError, match="cannot be written"):
         eight_colors().save(tmp_path / "a.octz")
@@ -75,8 +73,8 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
 @linux
 @pytest.mark.parametrize("named", [False, True])
 def test_what_a_killed_process_left_is_removed_and_what_another_one_writes_is_not(
-    named: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    named, tmp_path, monkeypatch
+):
     if named:
         monkeypatch.setattr(files, "_nameless_file", lambda _folder: None)
     (tmp_path / LEFT).write_bytes(b"half")
@@ -91,7 +89,7 @@ def test_what_a_killed_process_left_is_removed_and_what_another_one_writes_is_no
     assert (tmp_path / "a").read_bytes() == b"first"
 
 
-def test_two_writers_of_one_file_leave_one_of_the_two(tmp_path: Path) -> None:
+def test_two_writers_of_one_file_leave_one_of_the_two(tmp_path):
     path = tmp_path / "a.octex"
     with files.replacing(path) as outer:
         outer.write(b"outer")

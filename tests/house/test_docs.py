@@ -1,13 +1,10 @@
 """The documentation: its commands and Python code run, its links lead somewhere, README stays short."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import re
 import shlex
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -35,16 +32,16 @@ SHOWN = {"console", "text"}
 RINGS = "def rings(positions):\n    return 0.2 + 0.3 * (positions[:, :1] * 9 % 1) * [[1.0, 0.6, 0.3]]\n"
 
 
-def blocks(page: str) -> Iterator[tuple[str, str]]:
+def blocks(page):
     for match in FENCE.finditer(PAGES[page].read_text("utf-8")):
         yield match[1], match[2]
 
 
-def runs(page: str) -> bool:
+def runs(page):
     return any(language not in SHOWN and "pip install" not in code for language, code in blocks(page))
 
 
-def disc(path: Path) -> None:
+def disc(path):
     """Draw on a picture that octex made, or make one."""
     image = PIL.Image.open(path).convert("RGBA") if path.exists() else PIL.Image.new("RGBA", (128, 128))
     middle = image.width // 2
@@ -53,7 +50,7 @@ def disc(path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def files(tmp_path_factory):
     """A folder with every file that a page takes as there."""
     folder = tmp_path_factory.mktemp("docs")
     (folder / "samples").mkdir()
@@ -99,7 +96,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
 AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def whole(camera: octex.Camera) -> np.ndarray:
+def whole(camera):
     return np.vstack([np.asarray(camera.world_to_camera)[:3], [0, 0, 0, 1]])
 
 
@@ -113,14 +110,14 @@ SMALL = {
 }
 
 
-def coarse(code: str) -> str:
+def coarse(code):
     """Return code whose textures and pictures take a moment; arrays stay as large as their cameras."""
     for words, small in [*SMALL.items()][: -1 if "np.zeros((" in code else None]:
         code = re.sub(rf"({words})(?:\(\d+, \d+\)|[\d_]+(?:,\d+)?)", rf"\g<1>{small}", code)
     return re.sub(r"octex\.bake\((\w+), (\w+)\)", r"octex.bake(\1, \2, texture_size=256)", code)
 
 
-def run_command(line: str) -> None:
+def run_command(line):
     words = [
         name
         for word in shlex.split(coarse(line), comments=True)[1:]
@@ -144,9 +141,7 @@ def run_command(line: str) -> None:
 @needs_jit
 @pytest.mark.usefixtures("few_points", "small_previews")
 @pytest.mark.parametrize("page", [name for name in PAGES if runs(name)])
-def test_the_code_of_a_page_runs(
-    page: str, files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_code_of_a_page_runs(page, files, tmp_path, monkeypatch):
     shutil.copytree(files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("octex.viewer.server._FIRST", 0)  # octex view waits for no page
@@ -165,7 +160,7 @@ def test_the_code_of_a_page_runs(
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_links_and_names_of_pages_lead_somewhere(page: str) -> None:
+def test_links_and_names_of_pages_lead_somewhere(page):
     text = PAGES[page].read_text("utf-8")
     for target in re.findall(r"\]\((?!https?:)([^)#]+)", text):
         assert (PAGES[page].parent / target).exists(), target
@@ -175,15 +170,15 @@ def test_links_and_names_of_pages_lead_somewhere(page: str) -> None:
         assert set(re.findall(r"`([a-z-]+)`", line)) <= set(TOPICS), line
 
 
-def test_every_page_is_listed_once() -> None:
+def test_every_page_is_listed_once():
     assert sorted(path.stem for path in DOCS.glob("*.md")) == sorted(TOPICS)
 
 
-def test_readme_is_read_in_minutes() -> None:
+def test_readme_is_read_in_minutes():
     assert len(PAGES["README"].read_text("utf-8").split()) <= 700
 
 
-def public() -> Iterator[tuple[str, object]]:
+def public():
     """Yield what octex exports, and the public methods of that."""
     for name in (*octex.__all__, "map", "open"):
         exported = getattr(octex, name)
@@ -194,17 +189,17 @@ def public() -> Iterator[tuple[str, object]]:
             )
 
 
-def test_docstrings_are_read_in_a_minute() -> None:
+def test_docstrings_are_read_in_a_minute():
     lengths = {name: len((inspect.getdoc(each) or "").splitlines()) for name, each in public()}
     assert {name: length for name, length in lengths.items() if length > 40} == {}
 
 
-def test_every_option_stands_on_a_page() -> None:
+def test_every_option_stands_on_a_page():
     text = " ".join(path.read_text("utf-8") for path in PAGES.values())
     assert {word for word in re.findall(r"--[a-z][a-z-]+", text) if word in OPTIONS} == {*OPTIONS}
 
 
-def test_code_is_indented_where_a_page_is_printed() -> None:
+def test_code_is_indented_where_a_page_is_printed():
     text = topic("page")
     assert "```" not in text
     assert "\n    octex view droid.octex droid.glb\n" in text

@@ -1,14 +1,10 @@
 """The tool that tries broken files tells them apart, and finds nothing bad among the real ones."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -19,7 +15,7 @@ TOOL = Path(__file__).parents[2] / "tools" / "fuzz" / "fragile.py"
 pytestmark = [needs_jit, pytest.mark.skipif(sys.platform != "linux", reason="it forks, and counts as Linux")]
 
 
-def fragile(*arguments: str | Path) -> tuple[int, str]:
+def fragile(*arguments):
     done = subprocess.run(
         [sys.executable, str(TOOL), *map(str, arguments)], capture_output=True, text=True, check=False
     )
@@ -27,12 +23,12 @@ def fragile(*arguments: str | Path) -> tuple[int, str]:
     return done.returncode, done.stdout
 
 
-def by_file(text: str) -> dict[str, Any]:
+def by_file(text):
     return {trial["file"]: trial for trial in json.loads(text)}
 
 
 @pytest.fixture(scope="module")
-def tool() -> ModuleType:
+def tool():
     specification = importlib.util.spec_from_file_location("fragile", TOOL)
     assert specification
     assert specification.loader
@@ -42,7 +38,7 @@ def tool() -> ModuleType:
 
 
 @pytest.fixture(scope="module")
-def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str]:
+def report(tmp_path_factory):
     """What the tool says of a folder of good and broken files and of damaged copies."""
     folder = tmp_path_factory.mktemp("files")
     image = png(random_image(8, 8))
@@ -58,7 +54,7 @@ def report(tmp_path_factory: pytest.TempPathFactory) -> tuple[int, str]:
     return fragile(folder, "--depth", "3", "--damage", "2", "--json")
 
 
-def test_good_and_broken_files_are_told_apart(report: tuple[int, str]) -> None:
+def test_good_and_broken_files_are_told_apart(report):
     code, text = report
     trials = {name: trial for name, trial in by_file(text).items() if " damaged " not in name}
     assert code == 0
@@ -75,13 +71,7 @@ def test_good_and_broken_files_are_told_apart(report: tuple[int, str]) -> None:
     assert all(trial["limit"] == 256 << 20 and trial["bytes"] > 0 for trial in trials.values())
 
 
-def test_the_table_ends_with_a_count_of_each_result(
-    tool: ModuleType,
-    report: tuple[int, str],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_table_ends_with_a_count_of_each_result(tool, report, tmp_path, monkeypatch, capsys):
     trials = [tool.Trial(**trial) for trial in json.loads(report[1])]
     monkeypatch.setattr(tool, "tried", lambda *_: trials)
     assert tool.main([str(tmp_path)]) == 0
@@ -96,15 +86,13 @@ def test_the_table_ends_with_a_count_of_each_result(
     assert lines[-1] == "1 converted although the validator found errors"
 
 
-def test_damaged_copies_are_tried_too_and_are_the_same_each_time(
-    tool: ModuleType, tmp_path: Path, report: tuple[int, str]
-) -> None:
+def test_damaged_copies_are_tried_too_and_are_the_same_each_time(tool, tmp_path, report):
     data = png(random_image(8, 8))
     (tmp_path / "a.png").write_bytes(data)
     obj(tmp_path / "a.obj", OBJ_SQUARE)
     textured_square(tmp_path / "a.glb", data)
 
-    def copies(name: str) -> list[bytes]:
+    def copies(name):
         return [path.read_bytes() for _, path in tool.damaged(name, tmp_path / name, tmp_path, 5)]
 
     assert copies("a.obj") == []
@@ -121,7 +109,7 @@ def test_damaged_copies_are_tried_too_and_are_the_same_each_time(
     }
 
 
-def test_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_is_refused(tmp_path):
     arguments = [sys.executable, str(TOOL), str(tmp_path / "nowhere")]
     done = subprocess.run(arguments, capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -144,7 +132,7 @@ WAYS_TO_END = [
 
 
 @pytest.fixture(scope="module")
-def endings(tool: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+def endings(tool, tmp_path_factory):
     """How those end, forked from a process smaller than this one."""
     works = ", ".join(f"(lambda: {work}, {1 if end == 'HANG' else 100})" for work, end, _ in WAYS_TO_END)
     code = (
@@ -159,14 +147,14 @@ def endings(tool: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> list[
 
 
 @pytest.mark.parametrize("number", range(len(WAYS_TO_END)))
-def test_every_way_to_end_has_its_name(tool: ModuleType, endings: list[Any], number: int) -> None:
+def test_every_way_to_end_has_its_name(tool, endings, number):
     _, expected, message = WAYS_TO_END[number]
     result, said = tool.judged(endings[number], endings[number].peak, 300 << 20)
     assert result == expected
     assert message in said
 
 
-def test_what_a_model_refers_to_counts_as_its_size(tool: ModuleType, tmp_path: Path) -> None:
+def test_what_a_model_refers_to_counts_as_its_size(tool, tmp_path):
     (tmp_path / "unused.png").write_bytes(bytes(5000))
     path = obj(
         tmp_path / "square.obj",
@@ -179,7 +167,7 @@ def test_what_a_model_refers_to_counts_as_its_size(tool: ModuleType, tmp_path: P
     assert tool.bytes_with_references(tmp_path / "unused.png") == 5000
 
 
-def test_nothing_bad_happens_with_the_real_fragile_files(models: Path) -> None:
+def test_nothing_bad_happens_with_the_real_fragile_files(models):
     folder = models / "fragile"
     if not folder.is_dir():
         pytest.skip("no folder of fragile models")

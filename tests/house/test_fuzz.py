@@ -1,12 +1,9 @@
 """Damaged files are refused, or answer; `tools/fuzz/soak.py damage` tries many more."""
 
-from __future__ import annotations
-
 import sys
 from collections import Counter
 from pathlib import Path
 from random import Random
-from types import ModuleType
 
 import pytest
 
@@ -20,7 +17,7 @@ pytestmark = [needs_jit, pytest.mark.skipif(sys.platform != "linux", reason="the
 
 
 @pytest.fixture
-def fuzz(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+def fuzz(monkeypatch):
     monkeypatch.syspath_prepend(str(TOOLS))
     import random_damage
 
@@ -28,7 +25,7 @@ def fuzz(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 @pytest.mark.parametrize("kind", [".octex", ".octz", "points", "voxels", "cameras"])
-def test_files_that_are_sound_answer_in_every_way(kind: str, tmp_path: Path, fuzz: ModuleType) -> None:
+def test_files_that_are_sound_answer_in_every_way(kind, tmp_path, fuzz):
     for number in range(4):
         parts = fuzz.files(number)[kind]
         path = tmp_path / f"good{parts.ending}"
@@ -38,7 +35,7 @@ def test_files_that_are_sound_answer_in_every_way(kind: str, tmp_path: Path, fuz
             assert word == "sound" or kind == "points"  # of which a cloud needs three
 
 
-def test_damaged_files_of_many_seeds_are_refused_or_answer(tmp_path: Path, fuzz: ModuleType) -> None:
+def test_damaged_files_of_many_seeds_are_refused_or_answer(tmp_path, fuzz):
     outcomes = [fuzz.attempt(seed, tmp_path) for seed in range(400)]
     words = Counter(word for word, _ in outcomes)
     assert min(words[word] for word in ("refused", "unsound", "sound")) > 5  # it reaches both ends
@@ -46,7 +43,7 @@ def test_damaged_files_of_many_seeds_are_refused_or_answer(tmp_path: Path, fuzz:
 
 
 @pytest.mark.parametrize("damaged", DAMAGED, ids=lambda path: path.stem)
-def test_what_was_wrong_with_a_file_once_is_mended(damaged: Path, tmp_path: Path, fuzz: ModuleType) -> None:
+def test_what_was_wrong_with_a_file_once_is_mended(damaged, tmp_path, fuzz):
     kind = damaged.stem.partition("_")[0] if damaged.suffix == ".npz" else damaged.suffix
     path = tmp_path / damaged.name
     path.write_bytes(damaged.read_bytes())
@@ -55,9 +52,7 @@ def test_what_was_wrong_with_a_file_once_is_mended(damaged: Path, tmp_path: Path
     assert words <= {"refused", "unsound"}
 
 
-def test_an_archive_that_opens_although_bytes_were_changed_is_a_finding(
-    tmp_path: Path, fuzz: ModuleType, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_archive_that_opens_although_bytes_were_changed_is_a_finding(tmp_path, fuzz, monkeypatch):
     monkeypatch.setattr(fuzz, "KINDS", (".octz",))
     monkeypatch.setattr(fuzz, "damaged", lambda parts, _chance: (parts.content, "blind", True))
     with pytest.raises(AssertionError, match="bytes were changed"):

@@ -6,8 +6,8 @@ import copy
 import inspect
 import multiprocessing
 import pickle
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -38,13 +37,13 @@ POINTS = np.random.default_rng(0).random((40, 3))
 
 
 @pytest.fixture(scope="module")
-def processes() -> Iterator[Executor]:
+def processes():
     """One pool for all tests: its processes take a second to start."""
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         yield pool
 
 
-def adaptive(seed: int) -> OctreeTexture:
+def adaptive(seed):
     """Leaves of two depths, colours and alpha at random."""
     random = np.random.default_rng(seed)
     codes = np.sort(random.choice(64, 40, replace=False))
@@ -62,9 +61,7 @@ def adaptive(seed: int) -> OctreeTexture:
 
 
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda each: pickle.loads(pickle.dumps(each))])
-def test_textures_and_sets_and_fields_are_copied_and_pickled(
-    copied: Callable[[object], object], tmp_path: Path
-) -> None:
+def test_textures_and_sets_and_fields_are_copied_and_pickled(copied, tmp_path):
     texture = adaptive(1)
     texture.sample(POINTS, width=0.2)  # builds what need not travel
     texture.save(tmp_path / "file.octex")
@@ -87,7 +84,7 @@ def test_textures_and_sets_and_fields_are_copied_and_pickled(
     assert np.array_equal(taps_of(field, POINTS, UNIT).rows, taps_of(Field(shell(2).tree), POINTS, UNIT).rows)
 
 
-def test_what_a_file_has_besides_travels_too(tmp_path: Path) -> None:
+def test_what_a_file_has_besides_travels_too(tmp_path):
     from octex import container
 
     path, other = tmp_path / "file.octex", tmp_path / "other.octex"
@@ -103,7 +100,7 @@ def test_what_a_file_has_besides_travels_too(tmp_path: Path) -> None:
     assert container.read(other).metadata["by"] == "others"
 
 
-def painter(run: octex.Run, fills: bool, kind: type[octex.Painter] = octex.Painter) -> OctreeTexture:
+def painter(run, fills, kind=octex.Painter):
     """Return what a stroke of a painter makes, or of one with layers in its highest."""
     made = kind(painted(), SURFACE)
     if isinstance(made, octex.Layers):
@@ -115,7 +112,7 @@ def painter(run: octex.Run, fills: bool, kind: type[octex.Painter] = octex.Paint
     return made.texture()
 
 
-def shots(count: int = 1) -> list[octex.Projection]:
+def shots(count=1):
     """Pictures of a ball, all around; in every other one stands something."""
     found = []
     for number in range(count):
@@ -128,7 +125,7 @@ def shots(count: int = 1) -> list[octex.Projection]:
 
 
 @cache
-def painted() -> OctreeTexture:
+def painted():
     return octex.convert(SURFACE, 4)
 
 
@@ -189,7 +186,7 @@ FUNCTIONS: dict[str, Callable[[octex.Run, Path], Any]] = {
 }  # fmt: skip
 
 
-def numbers_in(made: Any) -> list[npt.NDArray[Any]]:
+def numbers_in(made):
     """Return all numbers of what a function returns."""
     if isinstance(made, OctreeTexture):
         values = [array for channel in made.channels.values() for array in channel[1:]]
@@ -198,7 +195,7 @@ def numbers_in(made: Any) -> list[npt.NDArray[Any]]:
         return [made.K, made.world_to_camera]
     if isinstance(made, octex.Surface):
         assert made.uv is not None
-        inputs = [each for material in made.source.materials for each in material.inputs.values()]  # type: ignore[attr-defined]
+        inputs = [each for material in made.source.materials for each in material.inputs.values()]
         return [made.uv.values, made.uv.rows, *(each.texture.texels for each in inputs if each.texture)]
     if isinstance(made, Mapping):
         return [array for each in made.values() for array in numbers_in(each)]
@@ -207,7 +204,7 @@ def numbers_in(made: Any) -> list[npt.NDArray[Any]]:
     return [np.frombuffer(made, np.uint8) if isinstance(made, bytes) else np.asarray(made)]
 
 
-def test_every_public_function_that_takes_a_run_is_tried_here() -> None:
+def test_every_public_function_that_takes_a_run_is_tried_here():
     found = set()
     for name in [*octex.__all__, "map", "open"]:
         given = getattr(octex, name)
@@ -224,11 +221,11 @@ def test_every_public_function_that_takes_a_run_is_tried_here() -> None:
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_functions_refuse_what_is_no_run_and_what_they_have_no_use_for(name: str, tmp_path: Path) -> None:
+def test_functions_refuse_what_is_no_run_and_what_they_have_no_use_for(name, tmp_path):
     does, function = FUNCTIONS[name], name.partition(",")[0]
     if name != "paint, robust":  # which changes its run
         with pytest.raises(ArgumentError, match=r"run must be an octex\.Run, not 4"):
-            does(4, tmp_path)  # type: ignore[arg-type]
+            does(4, tmp_path)
     if function not in ("paint", "project", "refine_cameras"):
         with pytest.raises(ArgumentError, match="resume of run is not used here; leave it out"):
             does(octex.Run(resume=tmp_path), tmp_path)
@@ -240,9 +237,7 @@ def test_functions_refuse_what_is_no_run_and_what_they_have_no_use_for(name: str
 @needs_jit
 @pytest.mark.usefixtures("few_points")
 @pytest.mark.parametrize("name", FUNCTIONS)
-def test_functions_do_the_same_in_threads_and_in_other_processes(
-    name: str, processes: Executor, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_functions_do_the_same_in_threads_and_in_other_processes(name, processes, tmp_path, monkeypatch):
     monkeypatch.setattr(lookup, "BLOCK", 16)
     made = []
     with ThreadPoolExecutor(2) as threads:
@@ -257,20 +252,20 @@ def test_functions_do_the_same_in_threads_and_in_other_processes(
             np.testing.assert_array_equal(one, same_one)
 
 
-def by_numpy(numbers: npt.NDArray[np.float64]) -> None:
+def by_numpy(numbers):
     numbers[0] = 1
 
 
 @kernel
-def _write(numbers: npt.NDArray[np.float64]) -> None:
+def _write(numbers):
     numbers[0] = 1
 
 
-def by_kernel(numbers: npt.NDArray[np.float64]) -> None:
+def by_kernel(numbers):
     _write(numbers)
 
 
-def test_who_writes_to_arrays_that_are_not_shared_gets_an_error(processes: Executor) -> None:
+def test_who_writes_to_arrays_that_are_not_shared_gets_an_error(processes):
     with workers(octex.Run(executor=processes)) as pool:
         for numbers in (np.zeros(4), np.zeros(8)[::2]):
             with pytest.raises(ValueError, match="read-only"):
@@ -285,9 +280,7 @@ def test_who_writes_to_arrays_that_are_not_shared_gets_an_error(processes: Execu
             assert numbers[0] == 1
 
 
-def test_a_point_that_is_not_finite_is_named_by_another_process(
-    processes: Executor, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_point_that_is_not_finite_is_named_by_another_process(processes, monkeypatch):
     monkeypatch.setattr(lookup, "BLOCK", 16)
     points = POINTS.copy()
     points[33, 1] = np.nan

@@ -1,14 +1,8 @@
 """Nobody changes what textures, surfaces, clouds and cameras hold; kernels take read-only arrays as any."""
 
-from __future__ import annotations
-
 import sys
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -22,7 +16,7 @@ from tests.make.small_surfaces import FACES, TETRAHEDRON, tetrahedron
 from tests.make.small_textures import shell
 
 
-def handed_out(folder: Path) -> dict[str, npt.NDArray[Any]]:
+def handed_out(folder):
     """Return the arrays that callers get, by name."""
     surface = tetrahedron(uv=TETRAHEDRON[:, :2])
     texture = octex.convert(surface, 2, fit=False)
@@ -47,17 +41,17 @@ def handed_out(folder: Path) -> dict[str, npt.NDArray[Any]]:
         for made in (each, each.level(1), octex.map(each, np.sqrt)):
             found |= {f"{name}.{n}": array for n, array in enumerate(made.channels["base_color"][1:])}
             found[f"{name}.bounds"] = made.bounds
-    return found  # type: ignore[return-value]
+    return found
 
 
-def test_arrays_that_are_handed_out_cannot_be_written_to(tmp_path: Path) -> None:
+def test_arrays_that_are_handed_out_cannot_be_written_to(tmp_path):
     for name, array in handed_out(tmp_path).items():
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
         assert not array.flags.writeable, name
 
 
-def test_arrays_that_are_given_may_change_afterwards() -> None:
+def test_arrays_that_are_given_may_change_afterwards():
     vertices, faces, rest = TETRAHEDRON.copy(), FACES.copy(), TETRAHEDRON * 2.0
     bounds, colors = np.array([[0.0] * 3, [1.0] * 3]), np.full((4, 3), 0.5, np.float32)
     K, pose = np.eye(3), np.eye(4)
@@ -78,7 +72,7 @@ def test_arrays_that_are_given_may_change_afterwards() -> None:
     assert np.array_equal(camera.world_to_camera, np.eye(4))
 
 
-def test_what_is_read_only_is_not_copied_once_more(tmp_path: Path) -> None:
+def test_what_is_read_only_is_not_copied_once_more(tmp_path):
     surface = tetrahedron()
     assert surface.with_filter("sat").vertices is surface.vertices
     shell(2).save(tmp_path / "a.octex")
@@ -91,7 +85,7 @@ def test_what_is_read_only_is_not_copied_once_more(tmp_path: Path) -> None:
 
 
 @kernel
-def _total(numbers: npt.NDArray[np.float64], table: KeptTable, more: npt.NDArray[np.float64]) -> float:
+def _total(numbers, table, more):
     total = 0.0
     for n in range(numbers.size):
         total += numbers[n] + np.float64(table.cells[n])
@@ -99,7 +93,7 @@ def _total(numbers: npt.NDArray[np.float64], table: KeptTable, more: npt.NDArray
     return total
 
 
-def test_kernels_take_read_only_arrays_without_being_compiled_anew() -> None:
+def test_kernels_take_read_only_arrays_without_being_compiled_anew():
     arguments = np.arange(5.0), np.arange(5, dtype=np.uint32), np.zeros(1)
     for locked in ([], [0], [1], [0, 1], [0, 1]):
         numbers, cells, more = (array.copy() for array in arguments)
@@ -110,7 +104,7 @@ def test_kernels_take_read_only_arrays_without_being_compiled_anew() -> None:
         assert len(_total.compiled.signatures) == 1
 
 
-def compiled() -> dict[str, str]:
+def compiled():
     """Return what is compiled of octex: the kernels, and the types that they are compiled for."""
     return {
         f"{name}.{own}": str(each.compiled.signatures)
@@ -122,13 +116,13 @@ def compiled() -> dict[str, str]:
 
 
 @needs_jit
-def test_nothing_of_octex_is_compiled_for_read_only_arrays(tmp_path: Path) -> None:
+def test_nothing_of_octex_is_compiled_for_read_only_arrays(tmp_path):
     before = compiled()  # others' kernels, which call those of octex, may be given such arrays
     handed_out(tmp_path)
     texture, points = shell(3), np.random.default_rng(0).random((50, 3))
     points.flags.writeable = False
     for options in ({}, {"width": 0.2}, {"filter": "nearest"}, {"filter": "linear", "normals": points}):
-        texture.sample(points, **options)  # type: ignore[call-overload]
+        texture.sample(points, **options)
     octex.mix(texture, octex.blur(texture, 0.1), 0.4)
     surface = tetrahedron()
     picture = octex.Projection(
@@ -142,7 +136,7 @@ def test_nothing_of_octex_is_compiled_for_read_only_arrays(tmp_path: Path) -> No
     assert {name for name in locked if "readonly" not in before.get(name, "")} == set()
 
 
-def mapped(folder: Path, *arrays: npt.ArrayLike) -> Iterator[npt.NDArray[Any]]:
+def mapped(folder, *arrays):
     """Yield the same arrays in files that are mapped to be read: writing to their memory ends the process."""
     for array in map(np.asarray, arrays):
         path = folder / f"{len(list(folder.iterdir()))}.npy"
@@ -151,7 +145,7 @@ def mapped(folder: Path, *arrays: npt.ArrayLike) -> Iterator[npt.NDArray[Any]]:
 
 
 @needs_jit
-def test_a_view_for_kernels_is_of_the_same_memory_and_lives_by_itself(tmp_path: Path) -> None:
+def test_a_view_for_kernels_is_of_the_same_memory_and_lives_by_itself(tmp_path):
     (numbers,) = mapped(tmp_path, np.arange(12.0).reshape(3, 4))
     for array in (numbers, numbers[::-1, 1:], numbers.T, numbers[:0]):
         found = unlocked((1, KeptTable(array)))[1].cells
@@ -170,7 +164,7 @@ def test_a_view_for_kernels_is_of_the_same_memory_and_lives_by_itself(tmp_path: 
 
 
 @needs_jit
-def test_kernels_write_to_nothing_that_users_have_mapped_to_be_read(tmp_path: Path) -> None:
+def test_kernels_write_to_nothing_that_users_have_mapped_to_be_read(tmp_path):
     texture, random = shell(3), np.random.default_rng(0)
     channel = texture.channels["base_color"]
     channel = channel._replace(**dict(zip(channel._fields[1:], mapped(tmp_path, *channel[1:]), strict=True)))
@@ -189,13 +183,13 @@ def test_kernels_write_to_nothing_that_users_have_mapped_to_be_read(tmp_path: Pa
         texture.taps(points, width=widths)
         for filter in ("nearest", "linear", "quadratic", "quartic"):
             for asked in ({}, {"normals": normals}, {"gradient": filter != "nearest"}):
-                texture.sample(points, filter=filter, **asked)  # type: ignore[call-overload]
+                texture.sample(points, filter=filter, **asked)
         for asked in (
             {"width": widths},
             {"width": widths, "normals": normals},
             {"dPdx": slopes, "dPdy": slopes},
         ):
-            texture.sample(points, **asked)  # type: ignore[call-overload]
+            texture.sample(points, **asked)
     vertices, faces, rest, colors = mapped(
         tmp_path, TETRAHEDRON, FACES, TETRAHEDRON * 2.0, random.random((4, 3))
     )

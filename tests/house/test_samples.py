@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import re
 import runpy
 import sys
@@ -27,34 +25,34 @@ Check = Callable[[Path, str], None]
 class Glb(Document):
     """A .glb read as its specification says, by hand."""
 
-    def attributes(self) -> list[dict[str, np.ndarray]]:
+    def attributes(self):
         primitives = self.json["meshes"][0]["primitives"]
         return [
             {name: self.array(n) for name, n in {**p["attributes"], "INDICES": p["indices"]}.items()}
             for p in primitives
         ]
 
-    def pictures(self) -> dict[str, np.ndarray]:
+    def pictures(self):
         return {entry["name"]: self.image(n)[..., :3] for n, entry in enumerate(self.json["images"])}
 
-    def triangles(self) -> np.ndarray:
+    def triangles(self):
         return np.concatenate(
             [p["POSITION"][p["INDICES"].ravel().astype(int)].reshape(-1, 3, 3) for p in self.attributes()]
         )
 
 
 @pytest.fixture(scope="module")
-def droid() -> Glb:
+def droid():
     return Glb(DROID)
 
 
-def test_the_droid_is_small_and_has_the_maps_of_the_papers_table(droid: Glb) -> None:
+def test_the_droid_is_small_and_has_the_maps_of_the_papers_table(droid):
     assert DROID.stat().st_size < 1_000_000
     assert {name: image.shape[1::-1] for name, image in droid.pictures().items()} == MAP_SIZES
     assert 3_000 < len(droid.triangles()) < 15_000
 
 
-def test_the_droids_attributes_are_sound(droid: Glb) -> None:
+def test_the_droids_attributes_are_sound(droid):
     assert droid.json["buffers"] == [{"byteLength": len(droid.binary)}]
     assert not any(view["byteOffset"] % 4 for view in droid.json["bufferViews"])
     for attributes in droid.attributes():
@@ -68,7 +66,7 @@ def test_the_droids_attributes_are_sound(droid: Glb) -> None:
         assert (facing > 0).mean() > 0.995  # slivers may lean away from what is around them
 
 
-def test_the_droid_is_one_watertight_solid_without_anything_inside(droid: Glb) -> None:
+def test_the_droid_is_one_watertight_solid_without_anything_inside(droid):
     triangles = droid.triangles()
     _, corners = np.unique(triangles.reshape(-1, 3), axis=0, return_inverse=True)
     corners = corners.reshape(-1, 3)
@@ -88,9 +86,7 @@ def test_the_droid_is_one_watertight_solid_without_anything_inside(droid: Glb) -
 
 
 @needs_jit
-def test_make_droid_writes_the_droid(
-    droid: Glb, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_make_droid_writes_the_droid(droid, tmp_path, monkeypatch, capsys):
     path = tmp_path / "droid.glb"
     monkeypatch.syspath_prepend(SAMPLES)
     monkeypatch.setattr(sys, "argv", ["make_droid.py", str(path)])
@@ -113,7 +109,7 @@ def test_make_droid_writes_the_droid(
             assert np.abs(difference).mean() < 4
 
 
-def panels(path: Path, columns: int, rows: int = 1) -> list[np.ndarray]:
+def panels(path, columns, rows=1):
     """Return the parts of a picture, row by row, 0 … 1."""
     picture = np.asarray(PIL.Image.open(path).convert("RGB")) / 255
     height, width = picture.shape[0] // rows, picture.shape[1] // columns
@@ -124,51 +120,51 @@ def panels(path: Path, columns: int, rows: int = 1) -> list[np.ndarray]:
     ]
 
 
-def rms(one: np.ndarray, two: np.ndarray) -> float:
+def rms(one, two):
     return float(np.sqrt(((one - two) ** 2).mean()))
 
 
-def reddish(picture: np.ndarray) -> float:
+def reddish(picture):
     """Return the part of a picture that is red."""
     return float((picture[..., 0] > picture[..., 1:].max(axis=2) + 0.25).mean())
 
 
-def all_differ(pictures: list[np.ndarray]) -> bool:
+def all_differ(pictures):
     return all(rms(one, two) > 0.004 for one, two in combinations(pictures, 2))
 
 
-def numbers(pattern: str, text: str) -> list[float]:
+def numbers(pattern, text):
     return [float(found.replace(",", "")) for found in re.findall(pattern, text)]
 
 
-def looks_up_the_source(_folder: Path, said: str) -> None:
+def looks_up_the_source(_folder, said):
     first, *averages = numbers(r"PSNR ([\d.]+) dB", said)
     assert "every point lies in a leaf: True" in said
     assert averages == sorted(averages)
     assert first > averages[-1] > 10.0
 
 
-def sees_the_model(folder: Path, said: str) -> None:
+def sees_the_model(folder, said):
     model, texture = panels(folder / "droid.png", 2)
     assert 0.0 < rms(model, texture) < 0.08
     leaves = octex.open(folder / "droid.octex").tree.n_leaves
     assert f"{leaves:,} leaves" in said
 
 
-def has_a_point_a_leaf(folder: Path, said: str) -> None:
+def has_a_point_a_leaf(folder, said):
     (count,) = numbers(r"([\d,]+) points in", said)
     cloud = trimesh.load(folder / "droid.ply")
     assert len(cloud.vertices) == count > 100
     assert cloud.visual.vertex_colors[:, :3].std() > 10
 
 
-def is_coarser_at_each_depth(folder: Path, _said: str) -> None:
+def is_coarser_at_each_depth(folder, _said):
     model, *textures = panels(folder / "head.png", 2, 2)
     errors = [rms(model, each) for each in textures]
     assert 0.0 < errors[0] < errors[1] < errors[2] < 0.2
 
 
-def has_shorter_means(folder: Path, said: str) -> None:
+def has_shorter_means(folder, said):
     assert "normals are unit vectors: True" in said
     lengths = numbers(r"means are ([\d.]+) long", said)
     assert lengths == sorted(lengths, reverse=True)
@@ -176,13 +172,13 @@ def has_shorter_means(folder: Path, said: str) -> None:
     assert octex.open(folder / "torus.octex").channels.keys() == {"base_color", "roughness", "normal"}
 
 
-def is_smoother_far_away(folder: Path, _said: str) -> None:
+def is_smoother_far_away(folder, _said):
     alone, averaged = panels(folder / "ray_cast.png", 2)
     steps = [np.abs(np.diff(each, axis=0)).mean() for each in (alone, averaged)]
     assert steps[1] < steps[0]
 
 
-def is_nearest_by_facings(folder: Path, said: str) -> None:
+def is_nearest_by_facings(folder, said):
     errors = np.array(re.findall(r"RMS: ([\d.]+)% ([\d.]+)% ([\d.]+)%", said), float)
     assert len(errors) == 4
     assert (errors[:, 2] < errors[:, :2].min(axis=1) / 2).all()
@@ -190,20 +186,20 @@ def is_nearest_by_facings(folder: Path, said: str) -> None:
     assert all(rms(pictures[4 * n + 2], pictures[4 * n + 3]) < 0.02 for n in range(4))
 
 
-def is_painted(folder: Path, _said: str) -> None:
+def is_painted(folder, _said):
     before, drawn, after = panels(folder / "paint.png", 3)
     assert rms(before, drawn) > 0.1
     assert 0.02 < rms(before, after) < 0.2
 
 
-def is_painted_by_photographs(folder: Path, _said: str) -> None:
+def is_painted_by_photographs(folder, _said):
     picture = np.asarray(PIL.Image.open(folder / "photos.png").convert("RGB")) / 255
     painted, truth = np.hsplit(picture[picture.shape[0] // 2 :], 2)
     assert 0.0 < rms(painted, truth) < 0.15
     assert truth.std() > 0.05
 
 
-def shows_both_sides_of_walls(folder: Path, _said: str) -> None:
+def shows_both_sides_of_walls(folder, _said):
     """Blue and orange walls in the middle below the sky's light, which is grey and brighter above."""
     picture = panels(folder / "path_trace.png", 1)[0]
     red, blue = picture[..., 0], picture[..., 2]
@@ -214,7 +210,7 @@ def shows_both_sides_of_walls(folder: Path, _said: str) -> None:
     assert sky[0].mean() > sky[-1].mean() + 0.1
 
 
-def is_baked(folder: Path, said: str) -> None:
+def is_baked(folder, said):
     texture, read, atlas = panels(folder / "baked.png", 3)
     assert rms(texture, read) < 0.02
     assert atlas.std() > 0.05
@@ -225,7 +221,7 @@ def is_baked(folder: Path, said: str) -> None:
     np.testing.assert_array_equal(*(each.evaluate(points) for each in files))
 
 
-def is_painted_robustly(folder: Path, _said: str) -> None:
+def is_painted_robustly(folder, _said):
     *photos, averaged, painted, truth = panels(folder / "photographs.png", 3, 2)
     assert all_differ(photos)
     assert 0.0 < rms(painted, truth) < 0.8 * rms(averaged, truth)
@@ -234,7 +230,7 @@ def is_painted_robustly(folder: Path, _said: str) -> None:
     assert baked.evaluate(baked.scatter(500)).std() > 0.02
 
 
-def is_fetched_in_parts(folder: Path, said: str) -> None:
+def is_fetched_in_parts(folder, said):
     rows = [numbers(r"[\d,]+", line.split(":")[1]) for line in said.splitlines()]
     size = (folder / "droid.octex").stat().st_size
     came = [row[0] for row in rows]
@@ -242,42 +238,42 @@ def is_fetched_in_parts(folder: Path, said: str) -> None:
     assert 0 < came[0] <= came[1] <= came[2] <= 2 * size
 
 
-def is_displaced(folder: Path, said: str) -> None:
+def is_displaced(folder, said):
     assert all_differ(panels(folder / "displacement.png", 2))
     (count,) = numbers(r"displaced to ([\d,]+) triangles", said)
     assert count >= 8 * 4**5
 
 
-def is_on_the_surface(folder: Path, said: str) -> None:
+def is_on_the_surface(folder, said):
     assert all_differ(panels(folder / "implicit.png", 2))
     assert numbers(r"off by ([\d.e+-]+)", said)[0] < 1e-3
 
 
-def is_painted_flat(folder: Path, _said: str) -> None:
+def is_painted_flat(folder, _said):
     flat, drawn, after = panels(folder / "unwrap.png", 3)
     assert reddish(drawn) > reddish(flat) + 0.05
     assert reddish(after) > 0.02
 
 
-def is_painted_in_all_poses(folder: Path, _said: str) -> None:
+def is_painted_in_all_poses(folder, _said):
     pictures = panels(folder / "poses.png", 3)
     assert all_differ(pictures)
     assert min(map(reddish, pictures)) > 0.005
 
 
-def shows_different_panels(name: str, columns: int, rows: int = 1) -> Check:
+def shows_different_panels(name, columns, rows=1):
     """Return a check that a picture's parts differ from each other."""
 
-    def check(folder: Path, _: str) -> None:
+    def check(folder, _):
         assert all_differ(panels(folder / name, columns, rows))
 
     return check
 
 
-def says(words: str) -> Check:
+def says(words):
     """Return a check of what a script measures and says."""
 
-    def check(_: Path, said: str) -> None:
+    def check(_, said):
         assert words in said
 
     return check
@@ -323,14 +319,7 @@ CARRIED = [f"octree{ending}" for ending in ("-0.png", ".bin", ".glb", ".gltf", "
         ("30_three.py", ["droid.octw", "index.html", "walls.octw", "wood.octw"], says("wood.octw")),
     ],
 )
-def test_the_numbered_scripts_run_from_anywhere(
-    script: str,
-    written: list[str],
-    check: Check,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_numbered_scripts_run_from_anywhere(script, written, check, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(SAMPLES)
     # Three pictures of less than 320² do not outvote a passer-by.
@@ -350,7 +339,7 @@ def test_the_numbered_scripts_run_from_anywhere(
         assert panels(path, 1)[0].std() > 0.03
 
 
-def test_every_numbered_script_is_tested_short_and_says_what_it_shows() -> None:
+def test_every_numbered_script_is_tested_short_and_says_what_it_shows():
     scripts = sorted(SAMPLES.glob("[0-9]*.py"))
     assert [path.name[:2] for path in scripts] == [f"{i:02}" for i in range(1, len(scripts) + 1)]
     assert len(scripts) == 30

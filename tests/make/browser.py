@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import base64
+import math
 import os
 import re
 import shutil
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -96,35 +98,46 @@ UNLIKE = """async () => {
 
 
 @contextmanager
-def started(*more: str) -> Iterator[Any]:
+def driven() -> Iterator[Any]:
+    """Start playwright, which drives browsers: one at a time in a process."""
+    api = pytest.importorskip("playwright.sync_api", reason="playwright drives the browser: pip install it")
+    with api.sync_playwright() as driver:
+        yield driver
+
+
+@contextmanager
+def started(driver: Any, *more: str) -> Iterator[Any]:
     """Start the browser that OCTEX_TEST_BROWSER names, by default chromium; skip where there is none.
 
     ``more`` are options of chromium.
 
     Firefox is driven by WebDriver BiDi. Without a GPU it has WebGL2 on a screen only (Xvfb).
     """
-    api = pytest.importorskip("playwright.sync_api", reason="playwright drives the browser: pip install it")
     name = os.environ.get("OCTEX_TEST_BROWSER", "chromium")
-    program = next(filter(None, map(shutil.which, _PROGRAMS[name])), None)
-    if program is None:
-        pytest.skip(f"there is no browser: none of {', '.join(_PROGRAMS[name])}")
+    kind = getattr(driver, name)
+    program = next(filter(None, map(shutil.which, _PROGRAMS[name])), kind.executable_path)
+    if not Path(program).exists():
+        pytest.skip(f"there is no browser: none of {', '.join(_PROGRAMS[name])}, and none of playwright")
     options: dict[str, Any] = {"args": [*_OPTIONS, *more]}
     if name == "firefox":
         options = {"channel": "moz-firefox", "headless": "DISPLAY" not in os.environ}
         options["firefox_user_prefs"] = {"webgl.force-enabled": True}
-    with api.sync_playwright() as playwright:
-        browser = getattr(playwright, name).launch(executable_path=program, **options)
-        yield browser
-        browser.close()
+    browser = kind.launch(executable_path=program, **options)
+    yield browser
+    browser.close()
 
 
 @contextmanager
 def served(viewer: Viewer) -> Iterator[Viewer]:
-    """Serve a page while the block lasts."""
+    """Serve a page while the block lasts, and until it is closed."""
     thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
     thread.start()
     yield viewer
-    thread.join(30)
+    until = time.monotonic() + 30.0
+    while thread.is_alive() and time.monotonic() < until:
+        if not viewer._pages:
+            viewer._left = -math.inf  # no other page comes
+        thread.join(0.05)
     assert not thread.is_alive()
 
 

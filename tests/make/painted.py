@@ -90,7 +90,7 @@ def centres(surface: Surface, camera: Camera) -> tuple[Array, Array, Array]:
     return tuple(
         np.concatenate([part(pixels, hits) for pixels, hits in found])
         for part in (lambda p, _: p, lambda _, h: h.rest, lambda _, h: h.normals)
-    )  # type: ignore[return-value]
+    )
 
 
 def codes(linear: Array) -> Array:

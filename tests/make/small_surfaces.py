@@ -15,7 +15,7 @@ FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32)
 
 def tetrahedron(**options: object) -> Surface:
     colors = np.array([[0.9, 0.1, 0.2], [0.1, 0.8, 0.3], [0.2, 0.3, 0.7], [0.5, 0.5, 0.1]])
-    return Surface.from_arrays(TETRAHEDRON, FACES, colors=colors, **options)  # type: ignore[arg-type]
+    return Surface.from_arrays(TETRAHEDRON, FACES, colors=colors, **options)
 
 
 class FaceSource(Source):

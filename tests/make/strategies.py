@@ -88,9 +88,7 @@ def with_random_data(tree: Octree, seed: int, keep: float | None = None) -> Octr
     facings = flags[is_split]
     rows = int(bit_counts(facings).sum())
     split = SplitTable(
-        np.flatnonzero(is_split).astype(np.uint32),
-        facings,
-        random.integers(0, 256, rows, dtype=np.uint8),
+        np.flatnonzero(is_split).astype(np.uint32), facings, random.integers(0, 256, rows, dtype=np.uint8)
     )
     flags[is_split] |= SPLIT
     areas = random.integers(0, 256, tree.n_cells, dtype=np.uint8)

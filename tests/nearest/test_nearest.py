@@ -1,7 +1,5 @@
 """Nearest points of triangles and of clouds, beside a look at every one of them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,7 @@ from tests.oracles.naive_nearest import around, nearest_on_triangles
 Array = npt.NDArray[Any]
 
 
-def soup(seed: int, count: int, size: float) -> tuple[Array, Array]:
+def soup(seed, count, size):
     """Triangles at random, some of them slivers or without area."""
     random = np.random.default_rng(seed)
     corners = random.random((count, 1, 3)) + size * random.normal(size=(count, 3, 3))
@@ -26,7 +24,7 @@ def soup(seed: int, count: int, size: float) -> tuple[Array, Array]:
     return corners.reshape(-1, 3), np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
 
 
-def directions(seed: int, count: int) -> Array:
+def directions(seed, count):
     found = np.random.default_rng(seed).normal(size=(count, 3))
     return found / np.linalg.norm(found, axis=1)[:, None]
 
@@ -41,8 +39,8 @@ def directions(seed: int, count: int) -> Array:
     facing=st.booleans(),
 )
 def test_what_is_nearest_on_triangles_is_what_a_look_at_all_of_them_finds(
-    seed: int, count: int, size: float, shift: float, distance: float, facing: bool
-) -> None:
+    seed, count, size, shift, distance, facing
+):
     vertices, faces = soup(seed, count, size)
     random = np.random.default_rng(seed + 1)
     near = vertices[random.integers(len(vertices), size=40)] + 0.01 * random.normal(size=(40, 3))
@@ -63,14 +61,14 @@ def test_what_is_nearest_on_triangles_is_what_a_look_at_all_of_them_finds(
     assert (found.barycentric[there] > -1e-9).all()
 
 
-def test_of_triangles_that_are_equally_near_the_first_is_found() -> None:
+def test_of_triangles_that_are_equally_near_the_first_is_found():
     vertices, _ = soup(0, 1, 1.0)
     faces = np.zeros((20, 3), np.int32) + np.arange(3, dtype=np.int32)
     found = Triangles.of(vertices, faces).nearest(np.random.default_rng(0).random((50, 3)))
     assert (found.triangles == 0).all()
 
 
-def test_triangles_without_any_area_are_refused() -> None:
+def test_triangles_without_any_area_are_refused():
     with pytest.raises(ModelError, match="degenerate"):
         Triangles.of(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
 
@@ -83,9 +81,7 @@ def test_triangles_without_any_area_are_refused() -> None:
     nearest=st.sampled_from([None, 0.1, np.inf]),
     facing=st.booleans(),
 )
-def test_what_is_around_a_place_is_what_a_look_at_all_points_finds(
-    seed: int, count: int, radius: float, nearest: float | None, facing: bool
-) -> None:
+def test_what_is_around_a_place_is_what_a_look_at_all_points_finds(seed, count, radius, nearest, facing):
     random = np.random.default_rng(seed)
     positions, values = random.random((count, 3)), random.random((count, 3)).astype(np.float32)
     normals = directions(seed, count).astype(np.float32)
@@ -99,7 +95,7 @@ def test_what_is_around_a_place_is_what_a_look_at_all_points_finds(
     np.testing.assert_allclose(means, true_means, atol=2e-6)
 
 
-def test_normals_do_not_count_for_clouds_without_them() -> None:
+def test_normals_do_not_count_for_clouds_without_them():
     cloud = Points.of(np.zeros((1, 3)), np.ones((1, 1), np.float32))
     wanted = np.array([[0.0, 0.0, 1.0]])
     means, found = cloud.around(np.ones((1, 3)), np.zeros(1), wanted, nearest=9.0, least_cosine=1.0)
@@ -107,6 +103,6 @@ def test_normals_do_not_count_for_clouds_without_them() -> None:
 
 
 @pytest.mark.parametrize("count", [2, 9, 1000])
-def test_the_spacing_of_a_grid_is_its_step(count: int) -> None:
+def test_the_spacing_of_a_grid_is_its_step(count):
     positions = np.arange(count)[:, None] * np.array([[0.25, 0.0, 0.0]])
     assert Points.of(positions, np.zeros((count, 1), np.float32)).spacing() == pytest.approx(0.25)

@@ -1,7 +1,5 @@
 """Straight lines on polyhedra: each triangle unfolded into the plane of the one before."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """Reflected light, sample by sample: the whole integral over the hemisphere, slow and obvious."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

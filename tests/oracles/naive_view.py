@@ -1,7 +1,5 @@
 """Rays against triangles, one triangle after the other: slow and obvious."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

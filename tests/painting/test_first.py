@@ -1,7 +1,5 @@
 """New textures of one colour: random surfaces, cameras, masks and options leave no other colour anywhere."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -17,7 +15,7 @@ CODES = np.array([200, 100, 50], np.uint8)
 CODE = 0.006
 
 
-def mesh_of(random: np.random.Generator) -> trimesh.Trimesh:
+def mesh_of(random):
     made = [
         lambda: trimesh.creation.box((1.0, random.uniform(0.01, 1.0), 1.0)),
         lambda: trimesh.creation.icosphere(2),
@@ -26,7 +24,7 @@ def mesh_of(random: np.random.Generator) -> trimesh.Trimesh:
     return made[random.integers(len(made))]()
 
 
-def picture_of(surface: octex.Surface, random: np.random.Generator, size: int) -> octex.Projection:
+def picture_of(surface, random, size):
     shape = size, size + int(random.integers(9))
     camera = octex.Camera.fitted(surface.vertices, direction=random.normal(size=3), size=shape)
     camera = camera.zoomed(random.uniform(1.0, 4.0)) if random.random() < 0.4 else camera
@@ -43,7 +41,7 @@ def picture_of(surface: octex.Surface, random: np.random.Generator, size: int) -
 
 @needs_jit
 @pytest.mark.parametrize("seed", range(24))
-def test_one_colour_is_seen_at_all_widths_by_all_filters(seed: int) -> None:
+def test_one_colour_is_seen_at_all_widths_by_all_filters(seed):
     random = np.random.default_rng(seed)
     mesh = mesh_of(random)
     surface = octex.Surface.from_arrays(mesh.vertices, mesh.faces)

@@ -1,7 +1,5 @@
 """Paint lies once on each leaf, whatever tree and paint are; averages above are those of what is there."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +12,7 @@ from octex.channels import decode
 from octex.cli.common import run
 from octex.errors import DefectError, ExitCode
 from octex.painting import steps
-from octex.painting.picture import Blend
 from octex.source.surface import Surface
-from octex.texture import OctreeTexture
 from octex.tree.octree import Octree
 from octex.tree.split import find_rows
 from tests.conftest import needs_jit
@@ -32,12 +28,12 @@ pytestmark = needs_jit
 DROID = Path(octex.__file__).parents[1] / "samples" / "droid.glb"
 
 
-def color_of(texture: OctreeTexture, cell: int, name: str = "base_color") -> Array:
+def color_of(texture, cell, name="base_color"):
     channel = texture.channels[name]
     return decode(channel.values[cell], channel.format.space)
 
 
-def halves(left: tuple[float, ...], right: tuple[float, ...]) -> Surface:
+def halves(left, right):
     """Two squares beside each other, farther apart than two cells of depth 5, of a colour and alpha each."""
     one, other = square(steps=8, side=0.5), square(steps=8, side=0.5)
     points, triangles = together(one, other)
@@ -47,14 +43,14 @@ def halves(left: tuple[float, ...], right: tuple[float, ...]) -> Surface:
     return Surface.from_arrays(points, triangles, colors=colors)
 
 
-def on_the_left(surface: Surface) -> Array:
+def on_the_left(surface):
     return np.asarray(surface.rest[surface.triangles].mean(axis=1)[:, 0] < 0)
 
 
 # --- sound
 
 
-def test_pictures_of_pixels_of_many_sizes_are_painted_onto_a_coarser_texture() -> None:
+def test_pictures_of_pixels_of_many_sizes_are_painted_onto_a_coarser_texture():
     surface = octex.load_surface(DROID)
     texture = octex.convert(surface, depth=4)
     for direction in ((0.4, 0.3, 1), (-1, 0.2, 0.1)):
@@ -63,7 +59,7 @@ def test_pictures_of_pixels_of_many_sizes_are_painted_onto_a_coarser_texture() -
         octex.paint(texture, surface, octex.Projection(image, camera)).validate()
 
 
-def test_what_was_painted_finer_is_painted_again() -> None:
+def test_what_was_painted_finer_is_painted_again():
     surface = octex.load_surface(DROID)
     center = tuple(surface.vertices.mean(axis=0))
     texture = octex.convert(surface, depth=5)
@@ -73,7 +69,7 @@ def test_what_was_painted_finer_is_painted_again() -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_any_paint_makes_a_sound_texture_whose_averages_are_those_of_its_leaves(seed: int) -> None:
+def test_any_paint_makes_a_sound_texture_whose_averages_are_those_of_its_leaves(seed):
     random = np.random.default_rng(seed)
     mesh = ball(8) if seed % 2 else sheet(np.eye(3), 0.01)
     colors = random.random((len(mesh.vertices), 4))
@@ -92,7 +88,7 @@ def test_any_paint_makes_a_sound_texture_whose_averages_are_those_of_its_leaves(
         assert_averages(before, texture, [layer])
 
 
-def test_a_layer_of_another_surface_is_merged_where_it_is() -> None:
+def test_a_layer_of_another_surface_is_merged_where_it_is():
     surface, other = plain(square()), plain(square(height=0.04))
     texture = octex.convert(surface, 3)
     camera = above(3.0, 64, 192.0)
@@ -102,7 +98,7 @@ def test_a_layer_of_another_surface_is_merged_where_it_is() -> None:
 
 
 @pytest.mark.parametrize("blend", ["over", "replace", "erase"])
-def test_a_texture_without_cells_takes_paint_on_the_root_alone(blend: Blend) -> None:
+def test_a_texture_without_cells_takes_paint_on_the_root_alone(blend):
     surface = plain(square())
     found = octex.fill(None, surface, np.arange(9), (1, 0, 0), max_depth=0, blend=blend)
     found.validate()
@@ -114,17 +110,15 @@ def test_a_texture_without_cells_takes_paint_on_the_root_alone(blend: Blend) -> 
         np.testing.assert_array_equal(found.tree.arrays.areas, fresh.tree.arrays.areas)
 
 
-def test_what_octex_itself_gets_wrong_is_not_blamed_on_who_uses_it(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def broken(*_: Any) -> Any:
+def test_what_octex_itself_gets_wrong_is_not_blamed_on_who_uses_it(monkeypatch, capsys):
+    def broken(*_):
         return Octree.from_levels([np.zeros(1, np.int64), np.zeros(1, np.int64)])
 
     monkeypatch.setattr(steps, "raised", broken)
     surface = plain(square())
     texture = octex.convert(surface, depth=4)
 
-    def body() -> int:
+    def body():
         octex.fill(texture, surface, np.arange(9), (1, 0, 0), max_depth=5)
         return 0
 
@@ -138,7 +132,7 @@ def test_what_octex_itself_gets_wrong_is_not_blamed_on_who_uses_it(
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
-def test_the_averages_of_what_is_painted_are_those_of_a_conversion(dtype: str) -> None:
+def test_the_averages_of_what_is_painted_are_those_of_a_conversion(dtype):
     surface = halves((1, 0, 0, 1), (0, 0, 0, 0))
     texture = octex.convert(surface, 5, dtype=dtype)
     found = octex.fill(texture, surface, on_the_left(surface), (0, 0, 1))
@@ -151,7 +145,7 @@ def test_the_averages_of_what_is_painted_are_those_of_a_conversion(dtype: str) -
         assert away[shown].max() <= (1 if dtype == "uint8" else 1e-3)
 
 
-def test_opaque_paint_beside_what_shows_makes_no_negative_light() -> None:
+def test_opaque_paint_beside_what_shows_makes_no_negative_light():
     surface = halves((1, 0, 0, 1), (0, 1, 0, 0))
     texture = octex.convert(surface, 5, dtype="float32")
     found = octex.fill(texture, surface, ~on_the_left(surface), (0, 0, 1))
@@ -160,7 +154,7 @@ def test_opaque_paint_beside_what_shows_makes_no_negative_light() -> None:
     assert_averages(texture, found)
 
 
-def test_what_is_erased_is_in_no_average_of_any_channel() -> None:
+def test_what_is_erased_is_in_no_average_of_any_channel():
     surface = halves((1, 0, 0, 1), (0, 1, 0, 1)).with_sources({"roughness": lambda p: (p[:, 0] > 0) * 0.8})
     texture = octex.convert(surface, 5)
     found = octex.fill(texture, surface, ~on_the_left(surface), (0, 0, 0), blend="erase")
@@ -171,7 +165,7 @@ def test_what_is_erased_is_in_no_average_of_any_channel() -> None:
     np.testing.assert_allclose(wide, np.tile([1.0, 0, 0], (2, 1)), atol=0.02)
 
 
-def test_where_all_is_erased_averages_stay_those_of_what_is_hidden() -> None:
+def test_where_all_is_erased_averages_stay_those_of_what_is_hidden():
     surface = halves((1, 0, 0, 1), (0, 1, 0, 1))
     texture = octex.convert(surface, 5)
     everywhere = np.ones(len(surface.triangles), bool)
@@ -180,7 +174,7 @@ def test_where_all_is_erased_averages_stay_those_of_what_is_hidden() -> None:
     np.testing.assert_allclose(color_of(found, 0), color_of(texture, 0), atol=0.01)
 
 
-def test_each_side_is_averaged_with_the_alpha_that_it_has() -> None:
+def test_each_side_is_averaged_with_the_alpha_that_it_has():
     surface = sheet(np.eye(3), 0.004)
     texture = octex.convert(surface, 5)
     size = float(np.ptp(surface.bounds, axis=0).max())
@@ -195,7 +189,7 @@ def test_each_side_is_averaged_with_the_alpha_that_it_has() -> None:
     assert back == 255
 
 
-def test_nodes_are_split_where_paint_makes_their_sides_differ() -> None:
+def test_nodes_are_split_where_paint_makes_their_sides_differ():
     mesh = sheet(np.eye(3), 0.02)
     surface = plain((mesh.vertices, mesh.triangles), (0.5, 0.5, 0.5))
     texture = octex.convert(surface, 6)
@@ -212,7 +206,7 @@ def test_nodes_are_split_where_paint_makes_their_sides_differ() -> None:
     np.testing.assert_allclose(back_row, [0.5, 0.5, 0.5], atol=0.03)
 
 
-def test_tones_of_alpha_and_colours_at_once_average_by_the_new_alpha() -> None:
+def test_tones_of_alpha_and_colours_at_once_average_by_the_new_alpha():
     surface = halves((1, 0, 0, 0.8), (0, 1, 0, 0.2))
     texture = octex.convert(surface, 4, fit=False)
     found = octex.levels(texture, ["base_color", "alpha"], black=0.3)
@@ -220,7 +214,7 @@ def test_tones_of_alpha_and_colours_at_once_average_by_the_new_alpha() -> None:
     np.testing.assert_allclose(color_of(found, 0), [1, 0, 0], atol=0.01)
 
 
-def test_rows_carried_below_leaves_stay_in_their_range() -> None:
+def test_rows_carried_below_leaves_stay_in_their_range():
     surface = waved("open", 1, ["base_color", "roughness"], 75)
     half = octex.Transfer(surface.part(range(len(surface.triangles) // 2)), distance=0.264)
     texture = octex.convert(surface, 2, fit=False, sources={"base_color": half})
@@ -233,7 +227,7 @@ def test_rows_carried_below_leaves_stay_in_their_range() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 1])  # noise, and patches
-def test_pictures_on_floats_stay_in_the_range_of_their_pixels(seed: int) -> None:
+def test_pictures_on_floats_stay_in_the_range_of_their_pixels(seed):
     surface = plain(square())
     texture = octex.convert(surface, 4, dtype="float32", fit=False)
     image = picture(seed, 32, 32, translucent=True)
@@ -246,7 +240,7 @@ def test_pictures_on_floats_stay_in_the_range_of_their_pixels(seed: int) -> None
 # --- kept coefficients
 
 
-def within(surface: Surface, texture: OctreeTexture, center: Array, low: float, high: float) -> Array:
+def within(surface, texture, center, low, high):
     """Points of a surface that a texture is on, so far from a centre."""
     points = surface.scatter(4000, 1).rest
     away = np.linalg.norm(points - center, axis=1)
@@ -255,7 +249,7 @@ def within(surface: Surface, texture: OctreeTexture, center: Array, low: float, 
 
 
 @pytest.mark.parametrize(("kind", "depth"), [("grown", 5), ("divided", 3)])
-def test_what_is_erased_over_kept_coefficients_leaves_nothing(kind: str, depth: int) -> None:
+def test_what_is_erased_over_kept_coefficients_leaves_nothing(kind, depth):
     if kind == "grown":
         surface = waved("open", 6, ["base_color"], 99)
         texture = octex.fill(None, surface, octex.Sphere(surface.rest[0], 0.387), (0, 0.2, 0.2), max_depth=3)
@@ -270,7 +264,7 @@ def test_what_is_erased_over_kept_coefficients_leaves_nothing(kind: str, depth: 
     np.testing.assert_array_equal(found.sample(points, "alpha"), 0)
 
 
-def test_deep_in_fine_paint_there_is_nothing_but_paint_and_beyond_it_nothing_moves() -> None:
+def test_deep_in_fine_paint_there_is_nothing_but_paint_and_beyond_it_nothing_moves():
     surface = waved("flat", 11, ["base_color"], 19)
     texture = octex.convert(surface, 5, dtype="uint16", fit=False)
     center, radius, edge = np.array([-0.165, 0.283, 0]), 0.4, texture.placement.size / 32
@@ -283,7 +277,7 @@ def test_deep_in_fine_paint_there_is_nothing_but_paint_and_beyond_it_nothing_mov
     np.testing.assert_allclose(found.sample(points), texture.sample(points), atol=1e-4)
 
 
-def test_beside_finer_paint_what_is_seen_with_normals_moves_no_more_than_is_said() -> None:
+def test_beside_finer_paint_what_is_seen_with_normals_moves_no_more_than_is_said():
     surface = waved("sheet", 4, ["base_color"], 7)
     texture = octex.convert(surface, 4, dtype="float32")
     edge = texture.placement.size / 16
@@ -300,7 +294,7 @@ def test_beside_finer_paint_what_is_seen_with_normals_moves_no_more_than_is_said
         assert moved[here].max() <= most
 
 
-def test_half_a_coat_of_fine_paint_is_half_a_coat_on_kept_coefficients_too() -> None:
+def test_half_a_coat_of_fine_paint_is_half_a_coat_on_kept_coefficients_too():
     surface = waved("triangle", 7, ["base_color"], 3)
     texture = octex.resize(octex.convert(surface, 3, dtype="float32"), 4)
     everywhere = np.ones(len(surface.triangles), bool)
@@ -312,7 +306,7 @@ def test_half_a_coat_of_fine_paint_is_half_a_coat_on_kept_coefficients_too() -> 
 
 
 @pytest.mark.parametrize(("radius", "depth"), [(0.3, 4), (0.8, 5)])
-def test_half_erased_over_finer_paint_is_half_everywhere(radius: float, depth: int) -> None:
+def test_half_erased_over_finer_paint_is_half_everywhere(radius, depth):
     surface = waved("overlapping", 14, ["base_color"], 26)
     texture = octex.convert(surface, 3, dtype="float16", fit=False)
     place = octex.Sphere(tuple(surface.rest[0]), radius)
@@ -325,7 +319,7 @@ def test_half_erased_over_finer_paint_is_half_everywhere(radius: float, depth: i
     np.testing.assert_allclose(found, np.full((3000, 1), 0.5), atol=0.003)
 
 
-def test_a_coat_is_on_kept_coefficients_also_where_a_texture_faces_other_ways_than_the_surface() -> None:
+def test_a_coat_is_on_kept_coefficients_also_where_a_texture_faces_other_ways_than_the_surface():
     surface = ball(16)
     colors = 0.5 + 0.4 * surface.vertices
     inside_out = Surface.from_arrays(surface.vertices, surface.triangles[:, ::-1], colors=colors)
@@ -337,7 +331,7 @@ def test_a_coat_is_on_kept_coefficients_also_where_a_texture_faces_other_ways_th
     np.testing.assert_allclose(found.sample(surface.scatter(2000).rest, "alpha"), 0.8, atol=1e-6)
 
 
-def test_a_second_coat_over_part_of_finer_paint_adds_no_cells() -> None:
+def test_a_second_coat_over_part_of_finer_paint_adds_no_cells():
     for surface in (plain(square(steps=8), (0.2, 0.5, 0.7)), ball(16)):
         texture = octex.convert(surface, 3)
         radius = 0.3 * texture.placement.size
@@ -348,7 +342,7 @@ def test_a_second_coat_over_part_of_finer_paint_adds_no_cells() -> None:
         assert found.tree.n_leaves < once.tree.n_leaves == twice.tree.n_leaves
 
 
-def test_nodes_beside_the_surface_are_means_in_all_channels_when_skirts_are_added_below() -> None:
+def test_nodes_beside_the_surface_are_means_in_all_channels_when_skirts_are_added_below():
     surface = waved("open", 9, ["base_color", "normal"], 34)
     texture = octex.convert(surface, 2, dtype="float16", fit=False)
     blue, up, place = (
@@ -362,7 +356,7 @@ def test_nodes_beside_the_surface_are_means_in_all_channels_when_skirts_are_adde
     assert_averages(texture, found)
 
 
-def test_rows_that_nothing_but_skirts_faces_are_means_of_new_ones_too() -> None:
+def test_rows_that_nothing_but_skirts_faces_are_means_of_new_ones_too():
     surface = waved("sphere", 17, ["base_color", "alpha"], 41)
     start = octex.convert(
         surface, 2, dtype="float16", fit=False, detail=lambda points: 1 + points[:, 0] * 3 % 1
@@ -374,7 +368,7 @@ def test_rows_that_nothing_but_skirts_faces_are_means_of_new_ones_too() -> None:
     assert_averages(texture, found)
 
 
-def test_averages_of_hardly_any_surface_are_means_of_new_skirts_too() -> None:
+def test_averages_of_hardly_any_surface_are_means_of_new_skirts_too():
     surface = waved("open", 16, ["base_color", "alpha"], 4)
     start = octex.convert(surface, 4, dtype="float32")
     texture = octex.mix(start, octex.resize(start, 3), beyond(1, 0.226, 0.2))
@@ -388,7 +382,7 @@ def test_averages_of_hardly_any_surface_are_means_of_new_skirts_too() -> None:
 
 @pytest.mark.parametrize(("max_error", "deeper"), [(None, 1), (None, 2), (4, 0), (4, 1)])
 @pytest.mark.parametrize("kind", ["sheet", "open", "cube"])
-def test_finer_paint_moves_no_other_channel(kind: str, max_error: float | None, deeper: int) -> None:
+def test_finer_paint_moves_no_other_channel(kind, max_error, deeper):
     surface = waved(kind, 1, ["base_color", "roughness"], 7)
     texture = octex.convert(surface, 5, dtype="float32", max_error=max_error)
     points = surface.scatter(5000, 0).rest
@@ -403,7 +397,7 @@ def test_finer_paint_moves_no_other_channel(kind: str, max_error: float | None, 
 
 
 @pytest.mark.parametrize("blend", ["multiply", "screen"])
-def test_rows_above_leaves_that_paint_splits_are_means_of_them_in_all_channels(blend: Blend) -> None:
+def test_rows_above_leaves_that_paint_splits_are_means_of_them_in_all_channels(blend):
     surface = waved("overlapping", 18, ["base_color", "alpha"], 92)
     texture = octex.convert(surface, 3, fit=False, dtype="float32")
     green = (0.0, 0.2, 0.0)
@@ -412,7 +406,7 @@ def test_rows_above_leaves_that_paint_splits_are_means_of_them_in_all_channels(b
 
 
 @pytest.mark.parametrize("seed", [1, 2, 5])
-def test_rows_of_colours_weigh_by_the_alpha_that_newly_split_leaves_have(seed: int) -> None:
+def test_rows_of_colours_weigh_by_the_alpha_that_newly_split_leaves_have(seed):
     surface = waved("overlapping", seed, ["base_color", "alpha"], 11 * seed)
     texture = octex.convert(surface, 2)
     place = octex.Sphere(tuple(surface.rest[0]), 0.4)
@@ -421,7 +415,7 @@ def test_rows_of_colours_weigh_by_the_alpha_that_newly_split_leaves_have(seed: i
     assert_averages(texture, found)
 
 
-def test_rows_above_leaves_divided_beside_paint_are_means_of_what_faces_that_way_then() -> None:
+def test_rows_above_leaves_divided_beside_paint_are_means_of_what_faces_that_way_then():
     surface = waved("sheet", 4, ["base_color"], 26)
     texture = octex.convert(cloud(surface, 1), 5, dtype="float32")
     blue = (0.2, 0.7, 1.0)
@@ -434,7 +428,7 @@ def test_rows_above_leaves_divided_beside_paint_are_means_of_what_faces_that_way
 
 @pytest.mark.parametrize("depth", [3, 5, 6])
 @pytest.mark.parametrize("kind", ["triangle", "sphere"])
-def test_paint_over_all_leaves_nothing_of_finer_paint_below(kind: str, depth: int) -> None:
+def test_paint_over_all_leaves_nothing_of_finer_paint_below(kind, depth):
     surface = waved(kind, 11, ["base_color"], 98)
     texture = octex.convert(surface, 4)
     place = octex.Sphere(tuple(surface.rest[surface.triangles[0]].mean(axis=0)), 0.5)
@@ -445,7 +439,7 @@ def test_paint_over_all_leaves_nothing_of_finer_paint_below(kind: str, depth: in
 
 
 @pytest.mark.parametrize("blend", ["over", "replace"])
-def test_paint_over_all_is_seen_with_normals_too_where_there_was_finer_paint(blend: Blend) -> None:
+def test_paint_over_all_is_seen_with_normals_too_where_there_was_finer_paint(blend):
     surface, color = octex.load_surface(DROID), np.array([0.2, 0.7, 0.4])
     texture = octex.convert(surface, 4, channels=["base_color"])
     samples = surface.scatter(3000, 0)
@@ -462,9 +456,7 @@ def test_paint_over_all_is_seen_with_normals_too_where_there_was_finer_paint(ble
 
 
 @pytest.mark.parametrize(("thickness", "depth"), [(0.004, 5), (0.004, 6), (0.03, 6), (0.04, 6)])
-def test_paint_over_one_side_of_a_thin_sheet_is_seen_on_it_where_there_was_finer_paint(
-    thickness: float, depth: int
-) -> None:
+def test_paint_over_one_side_of_a_thin_sheet_is_seen_on_it_where_there_was_finer_paint(thickness, depth):
     surface = sheet(np.eye(3), thickness)
     place = octex.Sphere((0.0, 0.0, 0.0), 0.3)
     red = octex.fill(octex.convert(surface, 4), surface, place, (1, 0, 0), max_depth=depth)
@@ -480,7 +472,7 @@ def test_paint_over_one_side_of_a_thin_sheet_is_seen_on_it_where_there_was_finer
 
 @pytest.mark.parametrize("depth", [4, 5])
 @pytest.mark.parametrize("kind", ["overlapping", "triangle"])
-def test_finer_paint_over_all_changes_the_field_by_its_part_everywhere(kind: str, depth: int) -> None:
+def test_finer_paint_over_all_changes_the_field_by_its_part_everywhere(kind, depth):
     surface = waved(kind, 17, ["base_color", "roughness"], 16)
     texture = octex.convert(surface, 3, dtype="float32")
     whole = octex.Sphere((0, 0, 0), 9.0)
@@ -490,7 +482,7 @@ def test_finer_paint_over_all_changes_the_field_by_its_part_everywhere(kind: str
 
 
 @pytest.mark.parametrize("max_depth", [None, 5, 3])
-def test_a_transparent_picture_paints_what_its_opaque_part_alone_paints(max_depth: int | None) -> None:
+def test_a_transparent_picture_paints_what_its_opaque_part_alone_paints(max_depth):
     surface = ball()
     texture = octex.convert(surface, 5)
     camera = octex.Camera.fitted(surface.vertices, (0.2, 0.1, 1), size=(96, 96))
@@ -515,9 +507,7 @@ def test_a_transparent_picture_paints_what_its_opaque_part_alone_paints(max_dept
 
 
 @pytest.mark.parametrize("deeper", [0, 1])
-def test_nothing_shows_through_paint_on_cells_that_were_divided_off_the_surface_too(
-    deeper: int,
-) -> None:
+def test_nothing_shows_through_paint_on_cells_that_were_divided_off_the_surface_too(deeper):
     """The squares lie in planes of cells, beside cells of a resize that they are not in."""
     surface = waved("planes", 16, ["base_color", "alpha", "roughness"], 52)
     texture = octex.resize(octex.convert(surface, 4, dtype="uint8", max_error=20), 5)
@@ -530,7 +520,7 @@ def test_nothing_shows_through_paint_on_cells_that_were_divided_off_the_surface_
 
 @pytest.mark.parametrize("depth", [5, 6])
 @pytest.mark.parametrize("kind", ["planes", "sheet"])
-def test_paint_over_all_of_a_divided_texture_leaves_nothing(kind: str, depth: int) -> None:
+def test_paint_over_all_of_a_divided_texture_leaves_nothing(kind, depth):
     surface = waved(kind, 0, ["base_color", "roughness"], 0)
     texture = octex.resize(octex.convert(surface, 4, dtype="float32", max_error=20), 5)
     everywhere = np.ones(len(surface.triangles), bool)
@@ -540,7 +530,7 @@ def test_paint_over_all_of_a_divided_texture_leaves_nothing(kind: str, depth: in
 
 @pytest.mark.parametrize("depth", [4, 5])
 @pytest.mark.parametrize("kind", ["cube", "sheet"])
-def test_paint_over_all_leaves_nothing_of_finer_paint_that_was_made_coarser(kind: str, depth: int) -> None:
+def test_paint_over_all_leaves_nothing_of_finer_paint_that_was_made_coarser(kind, depth):
     surface = waved(kind, 16, ["base_color"], 48)
     place = octex.Sphere(tuple(surface.rest[0]), 0.4)
     texture = octex.fill(octex.convert(surface, 5, dtype="float32"), surface, place, (1, 0, 0), max_depth=7)
@@ -550,7 +540,7 @@ def test_paint_over_all_leaves_nothing_of_finer_paint_that_was_made_coarser(kind
 
 
 @pytest.mark.parametrize("kind", ["planes", "sheet"])
-def test_cells_divided_off_the_surface_are_told_also_beside_finer_paint(kind: str) -> None:
+def test_cells_divided_off_the_surface_are_told_also_beside_finer_paint(kind):
     surface = waved(kind, 0, ["base_color", "roughness"], 0)
     texture = octex.resize(octex.convert(cloud(surface, 11), 3, dtype="float32"), 4)
     place = octex.Sphere(tuple(surface.rest[0]), 0.3)
@@ -560,7 +550,7 @@ def test_cells_divided_off_the_surface_are_told_also_beside_finer_paint(kind: st
     assert_one_color(found, surface, "base_color", (0.2, 0.7, 0.4), 0, averages=False)
 
 
-def test_cells_off_the_surface_take_paint_as_far_as_they_are_refined() -> None:
+def test_cells_off_the_surface_take_paint_as_far_as_they_are_refined():
     surface = waved("flat", 17, ["base_color", "alpha"], 22)
     start = octex.convert(surface, 3, dtype="float32", detail=lambda points: 1 + 2 * (points[:, 0] * 3 % 1))
     blue, everything = (0.0, 0.0, 0.7), octex.Box((-2, -2, -2), (2, 2, 2))

@@ -1,7 +1,5 @@
 """Painting reads as the paper tells it: seven steps, and nothing of photographs for a single picture."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -14,7 +12,7 @@ BEFORE_PHOTOS = {
 }  # fmt: skip
 
 
-def test_the_seven_steps_are_named_and_numbered_as_in_the_paper() -> None:
+def test_the_seven_steps_are_named_and_numbered_as_in_the_paper():
     named = (
         steps.rasterize_surface, steps.refine_paint, steps.form_boundary, steps.raise_texture,
         steps.merge_paint, steps.delete_paint, steps.cull_cells,
@@ -23,7 +21,7 @@ def test_the_seven_steps_are_named_and_numbered_as_in_the_paper() -> None:
         assert (step.__doc__ or "").startswith(f"{number}. ")
 
 
-def test_photographs_know_nothing_of_what_is_done_with_their_paint() -> None:
+def test_photographs_know_nothing_of_what_is_done_with_their_paint():
     for module in MODULES:
         names = imports(module)
         if module.startswith("photos/"):
@@ -33,7 +31,7 @@ def test_photographs_know_nothing_of_what_is_done_with_their_paint() -> None:
             assert not any(name.startswith("octex.photos") for name in names), module
 
 
-def test_a_single_picture_never_enters_what_photographs_need() -> None:
+def test_a_single_picture_never_enters_what_photographs_need():
     task = (
         "import sys, octex\n"
         "from tests.make.painted import ball, picture_of\n"

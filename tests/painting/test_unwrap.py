@@ -1,9 +1,5 @@
 """Discs of surfaces, laid flat: against exact exponential maps, and painted on."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
@@ -13,18 +9,18 @@ from octex.channels import linear_to_srgb
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
 from octex.view.zbuffer import z_buffer
-from tests.make.command import OUT, VIEW, Cli
+from tests.make.command import OUT, VIEW
 from tests.make.solids import colored, cube, sphere
 from tests.oracles.naive_geodesics import straight
 
 CENTER = np.array([0.3, 0.5, 0.8]) / np.linalg.norm([0.3, 0.5, 0.8])
 
 
-def ball(segments: int = 96) -> octex.Surface:
+def ball(segments=96):
     return colored(sphere((0, 0, 0), 1.0, segments))
 
 
-def tube(around: int = 96, along: int = 49) -> octex.Surface:
+def tube(around=96, along=49):
     """A cylinder of radius 1 around y, 4 long, without ends."""
     angle, y = np.meshgrid(np.arange(around) / around * 2 * np.pi, np.linspace(-2, 2, along), indexing="ij")
     vertices = np.stack([np.sin(angle), y, np.cos(angle)], axis=-1).reshape(-1, 3)
@@ -35,7 +31,7 @@ def tube(around: int = 96, along: int = 49) -> octex.Surface:
     )
 
 
-def on_ball(points: np.ndarray, center: np.ndarray) -> np.ndarray:
+def on_ball(points, center):
     """Return the sphere's exact map around a point, with y up in the picture."""
     right = np.cross((0, 1, 0), center)
     right /= np.linalg.norm(right)
@@ -46,14 +42,14 @@ def on_ball(points: np.ndarray, center: np.ndarray) -> np.ndarray:
     return flat / np.where(lengths > 0, lengths, 1) * np.arccos(np.clip(units @ center, -1, 1))[:, None]
 
 
-def on_tube(points: np.ndarray, center: np.ndarray) -> np.ndarray:
+def on_tube(points, center):
     """Return the cylinder's exact map around a point."""
     turn = np.arctan2(points[:, 0], points[:, 2]) - np.arctan2(center[0], center[2])
     return np.stack([(turn + np.pi) % (2 * np.pi) - np.pi, points[:, 1] - center[1]], axis=1)
 
 
 @pytest.mark.parametrize("radius", [0.3, 0.8, 1.2])
-def test_a_disc_of_a_sphere_is_its_exponential_map_to_a_hundredth_of_the_radius(radius: float) -> None:
+def test_a_disc_of_a_sphere_is_its_exponential_map_to_a_hundredth_of_the_radius(radius):
     patch = octex.unwrap(ball(), CENTER, radius)
     inside = np.linalg.norm(patch.coordinates, axis=1) <= radius
     exact = on_ball(patch.surface.rest[inside], patch.center / np.linalg.norm(patch.center))
@@ -63,8 +59,8 @@ def test_a_disc_of_a_sphere_is_its_exponential_map_to_a_hundredth_of_the_radius(
 
 @pytest.mark.parametrize("radius", [0.4, 0.8, 1.2])
 def test_on_a_coarse_sphere_the_disc_misses_the_spheres_map_by_what_straight_lines_on_its_triangles_do(
-    radius: float,
-) -> None:
+    radius,
+):
     patch = octex.unwrap(ball(48), CENTER, radius)
     vertices, names = np.unique(ball(48).vertices.round(9), axis=0, return_inverse=True)
     triangles = names.ravel()[ball(48).triangles]
@@ -95,7 +91,7 @@ def test_on_a_coarse_sphere_the_disc_misses_the_spheres_map_by_what_straight_lin
     assert missed < 1.05 * own
 
 
-def test_where_a_disc_meets_itself_behind_a_limb_what_folds_hides_nothing() -> None:
+def test_where_a_disc_meets_itself_behind_a_limb_what_folds_hides_nothing():
     patch = octex.unwrap(tube(), (0.0, 0.0, 1.0), 3.6, size=256)
     assert "fold over" in repr(patch)
     seen = z_buffer(patch.surface.vertices, patch.surface.triangles, patch.camera)
@@ -109,7 +105,7 @@ def test_where_a_disc_meets_itself_behind_a_limb_what_folds_hides_nothing() -> N
     assert np.abs(exact - np.stack([x[clear], -y[clear]], axis=1)).max() < 0.036
 
 
-def stretches(patch: octex.Patch) -> tuple[np.ndarray, np.ndarray]:
+def stretches(patch):
     """Return the greater and the lesser stretch (k,) of a disc's triangles."""
     corners = patch.surface.triangles[patch.triangles]
     at, flat = patch.surface.rest[corners], patch.coordinates[corners]
@@ -118,7 +114,7 @@ def stretches(patch: octex.Patch) -> tuple[np.ndarray, np.ndarray]:
     return lengths[:, 0], lengths[:, 1]
 
 
-def horned(segments: int = 64) -> octex.Surface:
+def horned(segments=64):
     """A ball with a horn along x, three of its radii long."""
     whole = colored(sphere((0, 0, 0), 1.0, segments))
     points = whole.vertices
@@ -128,14 +124,14 @@ def horned(segments: int = 64) -> octex.Surface:
     )
 
 
-def test_a_conformal_disc_of_what_can_be_laid_flat_is_its_exponential_map() -> None:
+def test_a_conformal_disc_of_what_can_be_laid_flat_is_its_exponential_map():
     patch = octex.unwrap(tube(), (0.3, 0.1, 1.0), 0.8, method="conformal")
     known = np.isfinite(patch.coordinates[:, 0])
     exact = on_tube(patch.surface.rest[known], patch.center)
     assert np.linalg.norm(patch.coordinates[known] - exact, axis=1).max() < 0.008
 
 
-def test_a_conformal_disc_of_a_sphere_keeps_angles_and_area() -> None:
+def test_a_conformal_disc_of_a_sphere_keeps_angles_and_area():
     patch = octex.unwrap(ball(), CENTER, 1.2, method="conformal")
     most, least = stretches(patch)
     assert patch.faults == []
@@ -147,7 +143,7 @@ def test_a_conformal_disc_of_a_sphere_keeps_angles_and_area() -> None:
     assert np.nanmax(abs(patch.coordinates)) == pytest.approx(half)
 
 
-def test_a_horn_folds_less_in_a_conformal_disc_and_keeps_its_angles() -> None:
+def test_a_horn_folds_less_in_a_conformal_disc_and_keeps_its_angles():
     surface = horned()
     folds, opens = (
         octex.unwrap(surface, (0.6, 0.6, 0.6), 2.5, method=each) for each in ("exponential", "conformal")
@@ -160,7 +156,7 @@ def test_a_horn_folds_less_in_a_conformal_disc_and_keeps_its_angles() -> None:
 
 
 @pytest.mark.parametrize("radius", [0.4, 1.5])
-def test_a_disc_of_a_cylinder_is_its_exponential_map_to_a_hundredth_of_the_radius(radius: float) -> None:
+def test_a_disc_of_a_cylinder_is_its_exponential_map_to_a_hundredth_of_the_radius(radius):
     patch = octex.unwrap(tube(), (0.3, 0.1, 1.0), radius)
     inside = np.linalg.norm(patch.coordinates, axis=1) <= radius
     exact = on_tube(patch.surface.rest[inside], patch.center)
@@ -168,7 +164,7 @@ def test_a_disc_of_a_cylinder_is_its_exponential_map_to_a_hundredth_of_the_radiu
     assert patch.faults == []
 
 
-def test_a_disc_over_the_edge_of_a_cube_goes_on_straight() -> None:
+def test_a_disc_over_the_edge_of_a_cube_goes_on_straight():
     patch = octex.unwrap(colored(cube((0, 0, 0))), (1.0, 0.5, 0.9), 0.3)
     points = patch.surface.rest[patch.surface.triangles[patch.triangles]].reshape(-1, 3)
     flat = patch.coordinates[patch.surface.triangles[patch.triangles]].reshape(-1, 2)
@@ -181,7 +177,7 @@ def test_a_disc_over_the_edge_of_a_cube_goes_on_straight() -> None:
     assert np.allclose(flat[known, 1], points[known, 1] - 0.5, atol=1e-9)
 
 
-def test_borders_and_folds_are_said() -> None:
+def test_borders_and_folds_are_said():
     patch = octex.unwrap(tube(), (0.0, 1.5, 1.0), 1.0)
     assert patch.meets_border
     assert patch.faults == ["the surface ends within it"]
@@ -190,7 +186,7 @@ def test_borders_and_folds_are_said() -> None:
     assert "fold over" in repr(around)
 
 
-def test_vertices_at_one_place_are_one() -> None:
+def test_vertices_at_one_place_are_one():
     whole = tube()
     torn = octex.Surface.from_arrays(
         whole.vertices[whole.triangles].reshape(-1, 3), np.arange(3 * len(whole.triangles)).reshape(-1, 3)
@@ -202,7 +198,7 @@ def test_vertices_at_one_place_are_one() -> None:
     assert not other.meets_border
 
 
-def test_what_cannot_be_unwrapped_is_refused() -> None:
+def test_what_cannot_be_unwrapped_is_refused():
     with pytest.raises(ModelError, match="farther than the radius"):
         octex.unwrap(ball(12), (5, 0, 0), 1.0)
     with pytest.raises(ArgumentError, match="radius"):
@@ -220,7 +216,7 @@ def test_what_cannot_be_unwrapped_is_refused() -> None:
         octex.project(ball(12), [picture, other])
 
 
-def waves(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def waves(x, y):
     """Return sRGB colours of a flat picture."""
     return np.stack([np.sin(6 * x), np.cos(5 * y + 2 * x), np.sin(7 * (x + y))], axis=-1) * 0.35 + 0.5
 
@@ -229,7 +225,7 @@ def waves(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     ("make", "exact", "center", "depth"),
     [(ball, on_ball, CENTER, 6), (tube, on_tube, (0.3, 0.1, 1.0), 7)],  # cells of one size
 )
-def test_what_is_painted_on_a_disc_lies_there(make, exact, center, depth) -> None:  # type: ignore[no-untyped-def]
+def test_what_is_painted_on_a_disc_lies_there(make, exact, center, depth):
     surface, radius, size = make(), 0.7, 256
     patch = octex.unwrap(surface, center, radius, size=size)
     at = ((np.arange(size) + 0.5) / size * 2 - 1) * radius
@@ -250,9 +246,7 @@ def test_what_is_painted_on_a_disc_lies_there(make, exact, center, depth) -> Non
 
 @pytest.mark.parametrize("center", [(0.5, 0.5, 1.0), (0.45, 0.5, 1.0), (0.7, 0.55, 1.0), (0.5, 0.4, 1.0)])
 @pytest.mark.parametrize(("scale", "size"), [(1.0, 32), (0.05, 16)])
-def test_a_disc_inside_the_side_of_a_box_is_the_whole_disc(
-    center: tuple[float, ...], scale: float, size: int
-) -> None:
+def test_a_disc_inside_the_side_of_a_box_is_the_whole_disc(center, scale, size):
     box = colored(cube((0, 0, 0)))
     patch = octex.unwrap(box, center, 0.3 * scale, size=size)
     assert patch.faults == []
@@ -269,7 +263,7 @@ def test_a_disc_inside_the_side_of_a_box_is_the_whole_disc(
     assert paint.tree.n_leaves * cell**2 == pytest.approx((0.6 * scale) ** 2, rel=0.15)
 
 
-def test_the_command_draws_a_disc_flat_and_paints_it_back(tmp_path: Path, cli: Cli) -> None:
+def test_the_command_draws_a_disc_flat_and_paints_it_back(tmp_path, cli):
     surface = tube(48, 25)
     lines = [f"v {x} {y} {z}" for x, y, z in surface.vertices.tolist()]
     lines += [f"f {a} {b} {c}" for a, b, c in (surface.triangles + 1).tolist()]

@@ -1,16 +1,10 @@
 """Where pictures are painted: on what is hidden, and on some triangles only."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
 import octex
 from octex.errors import ArgumentError
-from octex.source.surface import Surface
-from octex.texture import OctreeTexture
 from tests.conftest import needs_jit
 from tests.make.painted import above, plain, square, together
 from tests.make.same import assert_same
@@ -18,13 +12,13 @@ from tests.make.same import assert_same
 RED = (0.8, 0.1, 0.1)
 
 
-def sheets() -> tuple[OctreeTexture, Surface]:
+def sheets():
     """Two squares, of which the upper one hides the middle of the other."""
     surface = plain(together(square(0.3, 0.5), square(-0.3, 1.0)))
     return octex.convert(surface, depth=5), surface
 
 
-def disc(size: int = 64, radius: float = 20.0) -> Any:
+def disc(size=64, radius=20.0):
     y, x = np.mgrid[:size, :size] + 0.5
     image = np.zeros((size, size, 4), np.float32)
     image[..., :3] = RED
@@ -32,7 +26,7 @@ def disc(size: int = 64, radius: float = 20.0) -> Any:
     return image
 
 
-def painted_points(texture: OctreeTexture, height: float, side: float) -> tuple[Any, Any]:
+def painted_points(texture, height, side):
     """Which points of a square are painted, and how many pixels they are inside of the disc; not its rim."""
     line = np.linspace(-0.45 * side, 0.45 * side, 31)
     x, y = np.meshgrid(line, line)
@@ -44,7 +38,7 @@ def painted_points(texture: OctreeTexture, height: float, side: float) -> tuple[
 
 @needs_jit
 @pytest.mark.parametrize("in_session", [False, True])
-def test_what_is_hidden_is_painted_if_asked_for_as_if_it_were_alone(in_session: bool) -> None:
+def test_what_is_hidden_is_painted_if_asked_for_as_if_it_were_alone(in_session):
     texture, surface = sheets()
     shown = octex.Projection(disc(), above(2.0))
     if in_session:
@@ -66,7 +60,7 @@ def test_what_is_hidden_is_painted_if_asked_for_as_if_it_were_alone(in_session: 
 
 @needs_jit
 @pytest.mark.parametrize("hidden", [False, True])
-def test_only_triangles_of_a_region_are_painted_and_others_still_hide(hidden: bool) -> None:
+def test_only_triangles_of_a_region_are_painted_and_others_still_hide(hidden):
     texture, surface = sheets()
     shown = octex.Projection(disc(), above(2.0))
     for part, height, side in ((0, 0.3, 0.5), (1, -0.3, 1.0)):
@@ -85,24 +79,24 @@ def test_only_triangles_of_a_region_are_painted_and_others_still_hide(hidden: bo
 @pytest.mark.parametrize(
     "region", [[True], [-1], [10**6], [0.5], "all", [[0], [1, 2]], np.zeros((2, 2), int)]
 )
-def test_a_region_of_other_things_than_triangles_is_refused(region: Any) -> None:
+def test_a_region_of_other_things_than_triangles_is_refused(region):
     texture, surface = sheets()
     with pytest.raises(ArgumentError, match="region must be triangles of the surface: numbers from 0 to 63"):
         octex.paint(texture, surface, octex.Projection(disc(), above(2.0)), region=region)
 
 
 @pytest.mark.parametrize("more", [{"balance": "gain"}, {"pictures": "best"}, {"pictures": "robust"}])
-def test_hidden_surface_is_not_painted_with_pictures_that_are_compared(more: dict[str, Any]) -> None:
+def test_hidden_surface_is_not_painted_with_pictures_that_are_compared(more):
     texture, surface = sheets()
     shown = [octex.Projection(disc(), above(2.0))] * 3
     with pytest.raises(ArgumentError, match="hidden cannot be used with balance, or with pictures that"):
         octex.paint(texture, surface, shown, hidden=True, **more)
     with pytest.raises(ArgumentError, match="hidden"):
-        octex.paint(texture, surface, shown, hidden=2)  # type: ignore[arg-type]
+        octex.paint(texture, surface, shown, hidden=2)
 
 
 @needs_jit
-def test_several_pictures_of_hidden_surface_are_averaged() -> None:
+def test_several_pictures_of_hidden_surface_are_averaged():
     texture, surface = sheets()
     shown = [octex.Projection(disc(), above(2.0))] * 3
     one = octex.paint(texture, surface, shown, hidden=True, pictures="average")
@@ -119,9 +113,7 @@ def test_several_pictures_of_hidden_surface_are_averaged() -> None:
         ((0.8, -0.1, -0.5), True),
     ],
 )
-def test_a_picture_of_the_inside_of_one_large_triangle_is_painted_in_its_detail(
-    toward: tuple[float, float, float], hidden: bool
-) -> None:
+def test_a_picture_of_the_inside_of_one_large_triangle_is_painted_in_its_detail(toward, hidden):
     wall = plain(square(0.0, 10.0))
     texture = octex.convert(wall, depth=4)
     position, size = np.array([3.0, -2.0, 0.5]), 96
@@ -133,7 +125,7 @@ def test_a_picture_of_the_inside_of_one_large_triangle_is_painted_in_its_detail(
     K = np.array([[size, 0.0, size / 2], [0.0, size, size / 2], [0.0, 0.0, 1.0]])
     camera = octex.Camera.pinhole((size, size), K=K, pose=pose, convention="opengl")
 
-    def waves(pixels: Any) -> Any:
+    def waves(pixels):
         x, y = pixels[..., 0], pixels[..., 1]
         return 0.5 + 0.4 * np.stack([np.sin(x / 8), np.cos(y / 6), np.sin((x + y) / 11)], axis=-1)
 

@@ -1,10 +1,7 @@
 """What only one picture saw is left out; and pictures of other exposures come to agree."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from itertools import permutations
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -31,7 +28,7 @@ from tests.properties.random_edits import camera, picture, waved
 Array = npt.NDArray[Any]
 
 
-def test_the_mode_is_the_colour_that_most_are_near_to() -> None:
+def test_the_mode_is_the_colour_that_most_are_near_to():
     random = np.random.default_rng(0)
     for count in (2, 3, 5, 9):
         colors = random.uniform(0, 0.6, (count, 300, 3)).astype(np.float32)
@@ -47,7 +44,7 @@ def test_the_mode_is_the_colour_that_most_are_near_to() -> None:
             assert np.isfinite(found).any() == (count > 2)
 
 
-def test_a_picture_differs_by_what_it_is_off_all_between_modes() -> None:
+def test_a_picture_differs_by_what_it_is_off_all_between_modes():
     random = np.random.default_rng(6)
     codes, modes = random.uniform(0, 255, (2, 9, 13, 3)).astype(np.float32)
     modes[random.random((9, 13)) < 0.6] = np.nan
@@ -61,7 +58,7 @@ def test_a_picture_differs_by_what_it_is_off_all_between_modes() -> None:
     assert agreement.off_modes(green, stripes).min() > 25
 
 
-def test_masks_leave_out_what_is_far_off_with_a_rim_and_no_few_patches() -> None:
+def test_masks_leave_out_what_is_far_off_with_a_rim_and_no_few_patches():
     random = np.random.default_rng(1)
     counts = []
     for _ in range(60):
@@ -79,7 +76,7 @@ def test_masks_leave_out_what_is_far_off_with_a_rim_and_no_few_patches() -> None
     assert agreement._mask(few, 20.0).all()
 
 
-def test_what_is_not_known_is_masked_as_it_is_around() -> None:
+def test_what_is_not_known_is_masked_as_it_is_around():
     differences = np.zeros((16, 16), np.float32)
     differences[:, :8] = 50
     differences[3:13, 2:5] = np.nan
@@ -90,7 +87,7 @@ def test_what_is_not_known_is_masked_as_it_is_around() -> None:
     assert agreement._mask(np.full((4, 4), np.nan, np.float32), 20.0).all()
 
 
-def test_a_mask_fades_between_the_middles_of_its_patches() -> None:
+def test_a_mask_fades_between_the_middles_of_its_patches():
     image = np.random.default_rng(2).random((16, 16, 4)).astype(np.float32)
     camera = octex.Camera.pinhole((16, 16), pose=np.eye(4), convention="opencv", focal=9.0)
     mips = mips_of(octex.Projection(image, camera), BASE_COLOR)
@@ -103,7 +100,7 @@ def test_a_mask_fades_between_the_middles_of_its_patches() -> None:
     )
 
 
-def ring(count: int = 8, size: int = 96) -> tuple[octex.Surface, list[octex.Camera], list[Array]]:
+def ring(count=8, size=96):
     surface = ball(rings=32)
     cameras = [
         octex.Camera.fitted(
@@ -114,11 +111,11 @@ def ring(count: int = 8, size: int = 96) -> tuple[octex.Surface, list[octex.Came
     return surface, cameras, [picture_of(surface, camera) for camera in cameras]
 
 
-def projections(images: list[Array], cameras: list[octex.Camera]) -> list[octex.Projection]:
+def projections(images, cameras):
     return [octex.Projection(*pair) for pair in zip(images, cameras, strict=True)]
 
 
-def error(found: octex.OctreeTexture, surface: octex.Surface) -> float:
+def error(found, surface):
     samples = surface.scatter(5000)
     seen = found.contains(samples.rest)
     assert seen.mean() > 0.85
@@ -127,7 +124,7 @@ def error(found: octex.OctreeTexture, surface: octex.Surface) -> float:
 
 
 @needs_jit
-def test_a_passer_by_is_left_out_in_any_order_of_pictures() -> None:
+def test_a_passer_by_is_left_out_in_any_order_of_pictures():
     surface, cameras, images = ring()
     seen = [image.copy() for image in images]
     seen[2][30:60, 40:70, :3] = 0.9, 0.02, 0.02
@@ -141,9 +138,7 @@ def test_a_passer_by_is_left_out_in_any_order_of_pictures() -> None:
     assert np.array_equal(other.channels["base_color"].values, robust.channels["base_color"].values)
 
 
-def test_of_many_pictures_those_are_compared_that_see_most_of_the_same(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_of_many_pictures_those_are_compared_that_see_most_of_the_same(monkeypatch):
     surface, cameras, images = ring()
     monkeypatch.setattr(agreement, "_MOST", 5)
     painted = PaintedSurface(surface)
@@ -163,7 +158,7 @@ def test_of_many_pictures_those_are_compared_that_see_most_of_the_same(
     assert error(robust, surface) < least + 0.25 * (most - least)
 
 
-def test_pixels_finer_than_two_cells_count_alike_and_coarser_ones_little() -> None:
+def test_pixels_finer_than_two_cells_count_alike_and_coarser_ones_little():
     vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     surface = octex.Surface.from_arrays(vertices, [[0, 1, 2], [0, 2, 3]])
     shots = []
@@ -180,7 +175,7 @@ def test_pixels_finer_than_two_cells_count_alike_and_coarser_ones_little() -> No
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
-def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path: Path) -> None:
+def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path):
     surface, cameras, images = ring(5, 48)
     images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02
     shots = [*projections(images[:4], cameras[:4]), octex.Projection(images[4][..., :3], cameras[4])]
@@ -207,7 +202,7 @@ def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path: P
 
 
 @needs_jit
-def test_gains_white_balance_and_vignetting_are_undone_beside_a_reference() -> None:
+def test_gains_white_balance_and_vignetting_are_undone_beside_a_reference():
     surface, cameras, images = ring()
     random = np.random.default_rng(3)
     y, x = (np.mgrid[:96, :96] + 0.5 - 48) / np.hypot(48, 48)
@@ -230,12 +225,12 @@ def test_gains_white_balance_and_vignetting_are_undone_beside_a_reference() -> N
     with pytest.raises(ArgumentError, match="reference must be"):
         octex.paint(None, surface, shots, balance="full", reference=8)
     with pytest.raises(ArgumentError, match="unknown balance 'auto'; there are: gain, full"):
-        octex.paint(None, surface, shots, balance="auto")  # type: ignore[arg-type]
+        octex.paint(None, surface, shots, balance="auto")
     with pytest.raises(ArgumentError, match="unknown pictures 'most'; there are: average, best, robust"):
-        octex.paint(None, surface, shots, pictures="most")  # type: ignore[arg-type]
+        octex.paint(None, surface, shots, pictures="most")
 
 
-def test_a_step_is_that_of_least_squares_with_free_means() -> None:
+def test_a_step_is_that_of_least_squares_with_free_means():
     random = np.random.default_rng(4)
     slopes, values = random.normal(size=(4, 50, 3)), random.normal(size=(4, 50))
     weights = random.uniform(0, 1, (4, 50)) * (random.random((4, 50)) < 0.7)
@@ -258,7 +253,7 @@ def test_a_step_is_that_of_least_squares_with_free_means() -> None:
     assert (found[1] == 0).all()
 
 
-def test_a_weighted_median_halves_the_weight() -> None:
+def test_a_weighted_median_halves_the_weight():
     random = np.random.default_rng(3)
     values = random.integers(0, 6, (7, 200)).astype(np.float64)
     weights = random.integers(0, 4, (7, 200)).astype(np.float64)
@@ -270,7 +265,7 @@ def test_a_weighted_median_halves_the_weight() -> None:
     assert np.allclose(medians(values, weights / 7), found)
 
 
-def test_values_far_from_the_weighted_median_count_for_little() -> None:
+def test_values_far_from_the_weighted_median_count_for_little():
     values = np.array([[0.0, 1.0], [0.02, 1.0], [0.01, 9.0], [7.0, 1.1]])
     weights, scale = robust_weights(values, np.array([[1.0, 1], [1, 1], [1, 1], [1, 0]]), 0.05)
     assert weights[3, 0] < 1e-4
@@ -281,7 +276,7 @@ def test_values_far_from_the_weighted_median_count_for_little() -> None:
     assert not alone.any()
 
 
-def test_vignetting_multiplies_light_by_the_distance_from_the_middle() -> None:
+def test_vignetting_multiplies_light_by_the_distance_from_the_middle():
     image = np.random.default_rng(5).uniform(0.1, 1, (6, 10, 3)).astype(np.float32)
     camera = octex.Camera.pinhole((10, 6), pose=np.eye(4), convention="opencv", focal=9.0)
     mips = mips_of(octex.Projection(image, camera), BASE_COLOR)
@@ -298,7 +293,7 @@ def test_vignetting_multiplies_light_by_the_distance_from_the_middle() -> None:
 
 
 @pytest.mark.parametrize(("kind", "first"), [("cube", 27), ("open", 12)])
-def test_pictures_that_no_lens_took_are_not_evened_towards_their_corners(kind: str, first: int) -> None:
+def test_pictures_that_no_lens_took_are_not_evened_towards_their_corners(kind, first):
     surface = waved(kind, 1, ["base_color"], 0)
     texture = octex.convert(surface, 2, dtype="float32")
     shots = [
@@ -310,7 +305,7 @@ def test_pictures_that_no_lens_took_are_not_evened_towards_their_corners(kind: s
     assert colors.max() < LARGEST_GAIN
 
 
-def test_all_orders_of_three_pictures_give_the_same_bits() -> None:
+def test_all_orders_of_three_pictures_give_the_same_bits():
     surface, cameras, images = ring(3, 24)
     shots = projections(images, cameras)
     found = [octex.paint(None, surface, order, max_depth=3, balance="full") for order in permutations(shots)]
@@ -319,10 +314,10 @@ def test_all_orders_of_three_pictures_give_the_same_bits() -> None:
             assert np.array_equal(other.channels[name].values, channel.values)
 
 
-def test_large_pictures_have_larger_patches() -> None:
+def test_large_pictures_have_larger_patches():
     for size, patch in (((1024, 1024), 4), ((1920, 1080), 4), ((2832, 2128), 8), ((6000, 4000), 16)):
         sizes = np.array([[0, *size]], np.int64)
         shot = SimpleNamespace(mips=SimpleNamespace(sizes=sizes))
-        assert patch_of(shot) == patch  # type: ignore[arg-type]
-        rows, columns = patches_of(shot)  # type: ignore[arg-type]
+        assert patch_of(shot) == patch
+        rows, columns = patches_of(shot)
         assert rows * columns <= 1 << 17

@@ -1,12 +1,9 @@
 """Photographs that cannot be right are found: of another scene, turned, twice, damaged, beside the model."""
 
-from __future__ import annotations
-
 import json
 import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,13 +17,13 @@ from octex.channels import linear_to_srgb
 from octex.painting.picture import Projection
 from octex.photos.misfits import misfits
 from octex.source.surface import Surface
-from tests.make.command import OUT, Cli
+from tests.make.command import OUT
 
 Array = npt.NDArray[Any]
 SIZE = 96
 
 
-def relief() -> tuple[Array, Array]:
+def relief():
     """Vertices and triangles of a hill that faces +z; no turn and no mirroring brings it onto itself."""
     line = np.linspace(-1, 1, 33)
     x, y = np.meshgrid(line, line)
@@ -37,12 +34,12 @@ def relief() -> tuple[Array, Array]:
     return np.column_stack([x.ravel(), y.ravel(), z.ravel()]), np.concatenate([lower, upper])
 
 
-def look(number: int) -> Camera:
+def look(number):
     toward = 0.4 * np.cos(number), 0.4 * np.sin(number), 1.0
     return Camera.fitted(relief()[0], toward, size=(SIZE, SIZE))
 
 
-def picture(camera: Camera, seed: int = 0, gain: float = 1.0) -> Array:
+def picture(camera, seed=0, gain=1.0):
     """What a camera sees of waves over the plane z = 0, near enough to the relief's: 8-bit codes."""
     rows, columns = np.indices((camera.height, camera.width)) + 0.5
     origins, directions = camera.rays(np.column_stack([columns.ravel(), rows.ravel()]))
@@ -54,21 +51,21 @@ def picture(camera: Camera, seed: int = 0, gain: float = 1.0) -> Array:
     return np.repeat(codes.reshape(camera.height, camera.width, 1), 3, axis=2).astype(np.uint8)
 
 
-def ring(count: int = 6) -> list[Projection]:
+def ring(count=6):
     cameras = [look(number) for number in range(count)]
     return [Projection(picture(each, gain=0.6 + 0.1 * n), each) for n, each in enumerate(cameras)]
 
 
-def found(projections: list[Projection], surface: Surface | None = None) -> tuple[dict[int, str], str | None]:
+def found(projections, surface=None):
     with ThreadPoolExecutor(2) as pool:
         return misfits(Surface.from_arrays(*relief()) if surface is None else surface, projections, pool)
 
 
-def test_pictures_of_different_exposures_that_agree_are_all_painted() -> None:
+def test_pictures_of_different_exposures_that_agree_are_all_painted():
     assert found(ring()) == ({}, None)
 
 
-def test_a_picture_of_another_scene_is_found() -> None:
+def test_a_picture_of_another_scene_is_found():
     given = ring()
     given[2] = replace(given[2], image=picture(look(2), seed=7))
     given[5] = replace(given[5], image=picture(look(5), seed=8))
@@ -78,7 +75,7 @@ def test_a_picture_of_another_scene_is_found() -> None:
 
 
 @pytest.mark.parametrize("turn", [90, 180, 270])
-def test_a_turned_picture_is_found_and_the_turn_back_is_told(turn: int) -> None:
+def test_a_turned_picture_is_found_and_the_turn_back_is_told(turn):
     given = ring()
     # Clockwise turns bring it back, as viewers of pictures count them.
     given[1] = replace(given[1], image=np.ascontiguousarray(np.rot90(picture(look(1)), turn // 90)))
@@ -87,7 +84,7 @@ def test_a_turned_picture_is_found_and_the_turn_back_is_told(turn: int) -> None:
     assert f"only when turned by {turn} degrees clockwise" in reasons[1]
 
 
-def test_a_picture_that_is_given_twice_and_one_beside_the_model_are_found() -> None:
+def test_a_picture_that_is_given_twice_and_one_beside_the_model_are_found():
     given = ring()
     away = Camera.fitted(np.add(relief()[0], [0, 0, 99]), (0, 0, -1), size=(SIZE, SIZE))
     reasons, _ = found([*given, given[3], replace(given[0], camera=away)])
@@ -98,7 +95,7 @@ def test_a_picture_that_is_given_twice_and_one_beside_the_model_are_found() -> N
 
 
 @pytest.mark.parametrize("wrong", [1, 4])
-def test_of_a_picture_with_two_cameras_the_one_that_agrees_less_is_found(wrong: int) -> None:
+def test_of_a_picture_with_two_cameras_the_one_that_agrees_less_is_found(wrong):
     given = ring()
     beside = look(3)
     view = beside.world_to_camera.copy()
@@ -109,12 +106,12 @@ def test_of_a_picture_with_two_cameras_the_one_that_agrees_less_is_found(wrong: 
     assert better is None
 
 
-def test_pictures_of_one_colour_tell_nothing() -> None:
+def test_pictures_of_one_colour_tell_nothing():
     given = [replace(each, image=np.full((SIZE, SIZE, 3), 40 * n, np.uint8)) for n, each in enumerate(ring())]
     assert found(given) == ({}, None)
 
 
-def test_the_factor_and_the_turn_of_a_mesh_are_told() -> None:
+def test_the_factor_and_the_turn_of_a_mesh_are_told():
     vertices, triangles = relief()
     lying = 0.001 * vertices[:, [0, 2, 1]] * [1, 1, -1]  # y is up, and it is in metres
     reasons, better = found(ring(), Surface.from_arrays(lying, triangles))
@@ -133,7 +130,7 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told() -> None:
     assert found(ring(), far) == ({}, None)
 
 
-def test_the_command_paints_the_others_and_names_what_it_leaves_out(tmp_path: Path, cli: Cli) -> None:
+def test_the_command_paints_the_others_and_names_what_it_leaves_out(tmp_path, cli):
     vertices, triangles = relief()
     lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in triangles + 1]
     (tmp_path / "hill.obj").write_text("\n".join(lines), encoding="utf-8")

@@ -1,7 +1,5 @@
 """What pictures have cut off counts for nothing where others show that it is lighter."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -21,7 +19,7 @@ Array = npt.NDArray[Any]
 GAINS = (1.0, 1.0, 2.4, 1.8, 1.1, 0.8, 3.0, 2.0, 1.0, 0.9, 1.5, 2.0)
 
 
-def exposed(images: list[Array], gains: tuple[float, ...], dtype: type = np.uint8) -> list[Array]:
+def exposed(images, gains, dtype=np.uint8):
     """Pictures of other exposures, cut off; as floats they are not."""
     made: list[Array] = []
     for image, gain in zip(images, gains, strict=True):
@@ -33,7 +31,7 @@ def exposed(images: list[Array], gains: tuple[float, ...], dtype: type = np.uint
     return made
 
 
-def error(found: octex.OctreeTexture, surface: octex.Surface) -> float:
+def error(found, surface):
     """Root of the mean square, in codes, in the middle: what is above and below some pictures alone see."""
     samples = surface.scatter(5000)
     middle = np.abs(samples.points[:, 1]) < 0.4
@@ -44,9 +42,7 @@ def error(found: octex.OctreeTexture, surface: octex.Surface) -> float:
 @needs_jit
 @pytest.mark.usefixtures("few_points")
 @pytest.mark.parametrize("pictures", ["average", "best", "robust"])
-def test_what_is_cut_off_is_painted_by_others_that_show_it(
-    pictures: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_cut_off_is_painted_by_others_that_show_it(pictures, monkeypatch):
     surface, cameras, images = ring(12, 96)
     given = projections(exposed(images, GAINS), cameras)
     options: dict[str, Any] = {"max_depth": 6, "balance": "gain", "reference": 0, "pictures": pictures}
@@ -58,7 +54,7 @@ def test_what_is_cut_off_is_painted_by_others_that_show_it(
     assert without > as_they_are + 3.0
 
 
-def test_patches_are_wrong_where_most_of_what_is_not_cut_off_is_lighter() -> None:
+def test_patches_are_wrong_where_most_of_what_is_not_cut_off_is_lighter():
     """Beside a loop over points, pictures and components."""
     surface, cameras, images = ring(5, 32)
     source = source_of(surface, projections(exposed(images, (1.0, 2.0, 3.0, 1.6, 1.0)), cameras))
@@ -89,7 +85,7 @@ def test_patches_are_wrong_where_most_of_what_is_not_cut_off_is_lighter() -> Non
     assert counts.min() > 20
 
 
-def test_pictures_that_are_not_cut_off_stay_as_they_are() -> None:
+def test_pictures_that_are_not_cut_off_stay_as_they_are():
     surface, cameras, images = ring(4, 32)
     for shown in (exposed(images, (1.0, 2.0, 3.0, 1.6), np.float32), exposed(images, (0.5,) * 4)):
         source = source_of(surface, projections(shown, cameras))

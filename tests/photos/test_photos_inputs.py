@@ -1,8 +1,5 @@
 """Photographs as they come: turned, masked, cut out, before a backdrop, deep, with cameras in arrays."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,29 +14,29 @@ from octex.painting.picture import Projection, mips_of
 from octex.painting.sharpened import sharpened
 from octex.source.images.decode import PNG_SIGNATURE, orientation_of, turned
 from octex.texture import open_texture
-from tests.make.command import OUT, Cli, run
+from tests.make.command import OUT, run
 from tests.make.painted import above
 
 Array = npt.NDArray[Any]
 
 
-def wide(width: int = 6, height: int = 4) -> Camera:
+def wide(width=6, height=4):
     return Camera.pinhole((width, height), pose=np.eye(4), convention="opencv", focal=8.0)
 
 
-def pixels_of(projection: Projection) -> Array:
+def pixels_of(projection):
     camera = projection.camera
     rows = mips_of(projection, BASE_COLOR).pixels[: camera.width * camera.height]
     return rows.reshape(camera.height, camera.width, 4)
 
 
-def held(light: Array) -> Array:
+def held(light):
     """What the finest level of an opaque picture of so much light holds."""
     return sharpened(np.concatenate([light, np.ones_like(light[..., :1])], axis=2).astype(np.float32))
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_pictures_are_turned_as_pillow_turns_them(tmp_path: Path, orientation: int) -> None:
+def test_pictures_are_turned_as_pillow_turns_them(tmp_path, orientation):
     image = PIL.Image.fromarray(np.random.default_rng(0).integers(0, 256, (4, 6, 3), np.uint8))
     exif = image.getexif()
     exif[0x0112] = orientation
@@ -55,7 +52,7 @@ def test_pictures_are_turned_as_pillow_turns_them(tmp_path: Path, orientation: i
     np.testing.assert_allclose(found, held(srgb_to_linear(upright / 255)), atol=1e-5)
 
 
-def test_a_picture_that_fits_its_camera_only_as_it_is_stored_is_not_turned(tmp_path: Path) -> None:
+def test_a_picture_that_fits_its_camera_only_as_it_is_stored_is_not_turned(tmp_path):
     image = PIL.Image.fromarray(np.random.default_rng(0).integers(0, 256, (4, 6, 3), np.uint8))
     exif = image.getexif()
     exif[0x0112] = 6
@@ -67,11 +64,11 @@ def test_a_picture_that_fits_its_camera_only_as_it_is_stored_is_not_turned(tmp_p
         mips_of(Projection(tmp_path / "a.jpg", wide(5, 5)), BASE_COLOR)
 
 
-def test_what_is_no_photograph_has_no_orientation() -> None:
+def test_what_is_no_photograph_has_no_orientation():
     assert orientation_of(b"nothing") == orientation_of(PNG_SIGNATURE) == 1
 
 
-def test_a_cut_out_is_a_mask_by_its_alpha_whatever_its_colours() -> None:
+def test_a_cut_out_is_a_mask_by_its_alpha_whatever_its_colours():
     random = np.random.default_rng(1)
     cut_out = random.integers(0, 256, (4, 6, 4), np.uint8)
     found = pixels_of(Projection(np.ones((4, 6, 3), np.float32), wide(), mask=cut_out))
@@ -81,7 +78,7 @@ def test_a_cut_out_is_a_mask_by_its_alpha_whatever_its_colours() -> None:
     np.testing.assert_allclose(found[..., 3], grey / 65535, atol=2e-5)
 
 
-def test_a_backdrop_is_keyed_out_as_codes_are_near() -> None:
+def test_a_backdrop_is_keyed_out_as_codes_are_near():
     image = np.full((4, 6, 3), (20, 200, 30), np.uint8)
     image[0, 0], image[1, 1], image[2, 2] = (200, 100, 30), (44, 176, 54), (45, 200, 30)
     linear = srgb_to_linear(image / 255).astype(np.float32)
@@ -92,7 +89,7 @@ def test_a_backdrop_is_keyed_out_as_codes_are_near() -> None:
         Projection(image, wide(), key=(1, 2))
 
 
-def test_pictures_of_16_bits_keep_them_and_floats_are_linear_light(tmp_path: Path) -> None:
+def test_pictures_of_16_bits_keep_them_and_floats_are_linear_light(tmp_path):
     pytest.importorskip("OpenImageIO")
     codes = np.random.default_rng(2).integers(0, 65536, (4, 6, 3), np.uint16)
     write_deep(tmp_path / "a.png", codes)
@@ -103,7 +100,7 @@ def test_pictures_of_16_bits_keep_them_and_floats_are_linear_light(tmp_path: Pat
     np.testing.assert_array_equal(pixels_of(Projection(tmp_path / "a.exr", wide())), held(light))
 
 
-def write_deep(path: Path, values: Array) -> None:
+def write_deep(path, values):
     import OpenImageIO
 
     out = OpenImageIO.ImageOutput.create(str(path))
@@ -116,7 +113,7 @@ def write_deep(path: Path, values: Array) -> None:
 # From the shell
 
 
-def scene(folder: Path, **arrays: Any) -> list[str]:
+def scene(folder, **arrays):
     """Write a square, and cameras above it without names."""
     (folder / "square.obj").write_text(
         "v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\n", encoding="utf-8"
@@ -129,7 +126,7 @@ def scene(folder: Path, **arrays: Any) -> list[str]:
     return [str(folder / "square.obj"), str(folder / "red.png"), str(folder / "blue.png")]
 
 
-def test_masks_are_found_by_the_pictures_names(tmp_path: Path) -> None:
+def test_masks_are_found_by_the_pictures_names(tmp_path):
     files = scene(tmp_path)
     (tmp_path / "masks").mkdir()
     PIL.Image.new("L", (32, 32), 255).save(tmp_path / "masks" / "red.png")
@@ -141,7 +138,7 @@ def test_masks_are_found_by_the_pictures_names(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, [[1, 0, 0]], atol=1e-3)
 
 
-def test_masks_that_are_missing_are_named(tmp_path: Path, cli: Cli) -> None:
+def test_masks_that_are_missing_are_named(tmp_path, cli):
     files = scene(tmp_path)
     words = ["--camera", str(tmp_path / "cameras.npz"), OUT, str(tmp_path / "out.octex")]
     message = cli.errors(*files, *words, "--mask", tmp_path / "{name}.mask.png", code=ExitCode.REFUSED)
@@ -151,7 +148,7 @@ def test_masks_that_are_missing_are_named(tmp_path: Path, cli: Cli) -> None:
     assert "--mask gives a pattern and more masks; give one of them" in message
 
 
-def test_a_key_keeps_a_backdrop_from_being_painted(tmp_path: Path) -> None:
+def test_a_key_keeps_a_backdrop_from_being_painted(tmp_path):
     files = scene(tmp_path, names=["red.png", "blue.png"], width=32, height=32)
     words = ["--camera", str(tmp_path / "cameras.npz"), OUT, str(tmp_path / "out.octex"), "--quiet"]
     assert run(*files, *words, "--mask", "#ff0000") == 0

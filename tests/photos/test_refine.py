@@ -1,9 +1,6 @@
 """Cameras that are a little off find back to where their pictures agree."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,11 +24,11 @@ Array = npt.NDArray[Any]
 pytestmark = needs_jit
 
 
-def off(camera: octex.Camera, number: int, points: Array) -> octex.Camera:
+def off(camera, number, points):
     return adjusted(camera, pixel_at(camera, points), np.random.default_rng(number).normal(0, 0.7, 7))
 
 
-def textured(count: int, size: int) -> tuple[octex.Surface, list[octex.Camera], list[Array]]:
+def textured(count, size):
     """A ball with waves of many lengths, and pictures all around."""
     plain, random = ball(rings=64), np.random.default_rng(5)
     colors = np.full(plain.vertices.shape, 0.5)
@@ -44,7 +41,7 @@ def textured(count: int, size: int) -> tuple[octex.Surface, list[octex.Camera], 
     return surface, cameras, [picture_of(surface, camera) for camera in cameras]
 
 
-def test_points_are_compared_at_the_coarsest_level_too() -> None:
+def test_points_are_compared_at_the_coarsest_level_too():
     surface, cameras, images = textured(5, 96)
     samples = surface.scatter(500)
     with workers(Run(threads=1)) as executor:
@@ -60,7 +57,7 @@ def test_points_are_compared_at_the_coarsest_level_too() -> None:
     assert 0.1 * counts[0] < counts[1] < counts[0]
 
 
-def disturbed(camera: octex.Camera, number: int, pixels: float) -> octex.Camera:
+def disturbed(camera, number, pixels):
     """A camera turned and moved by about so many pixels, its focal length by 0.5 %."""
     random, view, K = np.random.default_rng(number), camera.world_to_camera.copy(), camera.K.copy()
     turn, shift = (each / np.linalg.norm(each) for each in random.normal(size=(2, 3)))
@@ -74,7 +71,7 @@ def disturbed(camera: octex.Camera, number: int, pixels: float) -> octex.Camera:
     return replace(camera, world_to_camera=view, K=K)
 
 
-def shift(camera: octex.Camera, truth: octex.Camera, points: Array) -> float:
+def shift(camera, truth, points):
     """By how many pixels points land elsewhere, of those that a camera sees of the ball (not behind it).
 
     What is painted is where cameras see; how a camera would see the far side, no picture can tell.
@@ -87,13 +84,13 @@ def shift(camera: octex.Camera, truth: octex.Camera, points: Array) -> float:
 
 
 @pytest.fixture(params=[False, True], ids=["all points", "few points"])
-def is_few(request: pytest.FixtureRequest) -> bool:
+def is_few(request):
     if request.param:
         request.getfixturevalue("few_points")
     return bool(request.param)
 
 
-def test_every_camera_gets_better_and_a_textured_ball_brings_them_back(is_few: bool) -> None:
+def test_every_camera_gets_better_and_a_textured_ball_brings_them_back(is_few):
     pixels = 1.0 if is_few else 2.0
     surface, cameras, images = textured(6, 128)
     points = surface.scatter(1000).points
@@ -118,28 +115,28 @@ class _Told:
 
     weights = np.ones((3, 1000))
 
-    def __init__(self, values: Array, tells: Array) -> None:
+    def __init__(self, values, tells):
         self._values, self._tells = values, tells
 
-    def seen(self, _numbers: Array) -> tuple[Array, Array]:
+    def seen(self, _numbers):
         slopes = np.repeat(np.broadcast_to(self._tells, (3, 1000)), 3, axis=1)[..., None]
         return np.repeat(self._values, 3, axis=1), np.repeat(slopes, 7, axis=2)
 
 
-def test_where_a_camera_is_the_edges_in_its_picture_tell_not_the_plain_rest() -> None:
+def test_where_a_camera_is_the_edges_in_its_picture_tell_not_the_plain_rest():
     tells, is_edge = np.full(1000, 0.001), np.arange(1000) < 50
     tells[is_edge] = 1.0
     before, after = np.zeros((2, 3, 1000))
     before[2, is_edge], after[2] = 0.3, np.where(is_edge, 0.02, 0.04)  # the rest in a little other light
     given, found = _Told(before, tells), _Told(after, tells)
     numbers = np.zeros((3, 7))
-    assert _better(given, found, numbers).tolist() == [False, False, True]  # type: ignore[arg-type]
-    assert not _better(found, given, numbers).any()  # type: ignore[arg-type]
-    assert not _better(found, found, numbers).any()  # type: ignore[arg-type]
+    assert _better(given, found, numbers).tolist() == [False, False, True]
+    assert not _better(found, given, numbers).any()
+    assert not _better(found, found, numbers).any()
 
 
 @pytest.mark.usefixtures("few_points")
-def test_the_order_of_pictures_does_not_matter() -> None:
+def test_the_order_of_pictures_does_not_matter():
     _, cameras, images = textured(4, 48)
     surface, order = ball(), [3, 1, 0, 2]
     moved = [disturbed(camera, n, 1.0) for n, camera in enumerate(cameras)]
@@ -153,7 +150,7 @@ def test_the_order_of_pictures_does_not_matter() -> None:
 
 
 @pytest.mark.parametrize("part", [3, 10])
-def test_smooth_colours_make_no_camera_worse(part: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_smooth_colours_make_no_camera_worse(part, monkeypatch):
     fewer_points(monkeypatch, part)
     surface, cameras, images = ring(6, 128)
     points, random = surface.scatter(1000).points, np.random.default_rng(9)
@@ -172,13 +169,13 @@ def test_smooth_colours_make_no_camera_worse(part: int, monkeypatch: pytest.Monk
         assert shift(found, truth, points) <= shift(given, truth, points)
 
 
-def test_one_picture_has_nothing_to_agree_with() -> None:
+def test_one_picture_has_nothing_to_agree_with():
     surface, cameras, images = ring(1, 16)
     assert octex.refine_cameras(surface, octex.Projection(images[0], cameras[0])) == cameras
 
 
 @pytest.mark.parametrize("is_parallel", [False, True])
-def test_a_number_of_a_camera_is_about_a_pixel(is_parallel: bool) -> None:
+def test_a_number_of_a_camera_is_about_a_pixel(is_parallel):
     camera = above(3.0, 64)
     if is_parallel:
         camera = octex.Camera(64, 64, np.diag([50.0, 50, 1]), camera.world_to_camera, "orthographic")
@@ -190,7 +187,7 @@ def test_a_number_of_a_camera_is_about_a_pixel(is_parallel: bool) -> None:
     assert np.array_equal(adjusted(camera, pixel_at(camera, points), np.zeros(7)).K, camera.K)
 
 
-def test_pictures_are_read_with_their_slopes() -> None:
+def test_pictures_are_read_with_their_slopes():
     random = np.random.default_rng(4)
     image = random.uniform(0.1, 1, (6, 9, 4)).astype(np.float32)
     image[..., 3] = 1
@@ -217,7 +214,7 @@ def test_pictures_are_read_with_their_slopes() -> None:
 
 
 @pytest.mark.usefixtures("few_points")
-def test_refined_cameras_are_kept_in_a_file(tmp_path: Path) -> None:
+def test_refined_cameras_are_kept_in_a_file(tmp_path):
     surface, cameras, images = ring(4, 64)
     (tmp_path / "ball.obj").write_text(
         "".join(f"v {x} {y} {z}\n" for x, y, z in surface.vertices.tolist())
@@ -232,15 +229,7 @@ def test_refined_cameras_are_kept_in_a_file(tmp_path: Path) -> None:
         name: off(camera, n, points) for n, (name, camera) in enumerate(zip(names, cameras, strict=True))
     }
     octex.write_cameras(tmp_path / "cameras.json", moved)
-    words = [
-        "--camera",
-        tmp_path / "cameras.json",
-        OUT,
-        tmp_path / "out.octex",
-        "--max-depth",
-        4,
-        "--quiet",
-    ]
+    words = ["--camera", tmp_path / "cameras.json", OUT, tmp_path / "out.octex", "--max-depth", 4, "--quiet"]
     words += ["--refine-cameras", tmp_path / "refined.json"]
     files = [tmp_path / "ball.obj", *(tmp_path / name for name in names)]
     assert run(*files, *words) == 0

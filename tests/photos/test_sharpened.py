@@ -1,7 +1,5 @@
 """Pictures as values at their pixels' centres: the means that they then have, and noise of known strength."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,7 @@ from octex.painting.sharpened import _sharpened, noise_of, sharpened
 Array = npt.NDArray[Any]
 
 
-def test_what_is_read_of_a_picture_has_its_pixels_as_means() -> None:
+def test_what_is_read_of_a_picture_has_its_pixels_as_means():
     image = np.random.default_rng(4).uniform(0.3, 0.7, (20, 16, 4)).astype(np.float32)
     image[..., 3] = 1.0
     pixels = sharpened(image)
@@ -31,20 +29,20 @@ def test_what_is_read_of_a_picture_has_its_pixels_as_means() -> None:
     assert np.sqrt((off**2).mean()) < 0.2 * np.sqrt(((blurred - image[4:16, 4:12, :3]) ** 2).mean())
 
 
-def test_what_has_one_color_is_not_sharpened_up_to_its_edge() -> None:
+def test_what_has_one_color_is_not_sharpened_up_to_its_edge():
     image = np.ones((9, 9, 4), np.float32)
     image[:, :4, :3] = (0.2, 0.5, 0.8)
     assert np.array_equal(sharpened(image), image)
 
 
-def catmull_rom(places: Array, pixel: int) -> Array:
+def catmull_rom(places, pixel):
     """What pixels count for, that many beyond the one whose width is 0 … 1, at places in that."""
     t = np.abs(places - 0.5 - pixel)
     inner, outer = 1.5 * t**3 - 2.5 * t**2 + 1, -0.5 * t**3 + 2.5 * t**2 - 4 * t + 2
     return np.where(t < 1, inner, np.where(t < 2, outer, 0.0))
 
 
-def test_pictures_are_not_sharpened_across_where_they_fade() -> None:
+def test_pictures_are_not_sharpened_across_where_they_fade():
     image = np.zeros((9, 9, 4), np.float32)
     image[:, :4] = (0.2, 0.5, 0.8, 1.0)
     image[:, 4:] = (0.1, 0.0, 0.3, 0.5)
@@ -52,14 +50,14 @@ def test_pictures_are_not_sharpened_across_where_they_fade() -> None:
     assert np.array_equal(sharpened(image), image)
 
 
-def smooth(size: int = 200) -> Array:
+def smooth(size=200):
     """An opaque picture of light without detail."""
     y, x = np.mgrid[:size, :size] / size
     light = 0.3 + 0.1 * np.stack([x, y, x * y], axis=2)
     return np.concatenate([light, np.ones((size, size, 1))], axis=2).astype(np.float32)
 
 
-def noisy(picture: Array, codes: float, is_light: bool = True) -> Array:
+def noisy(picture, codes, is_light=True):
     """Add noise of so many of 255 codes to opaque pixels."""
     noise = np.random.default_rng(1).normal(0, codes / 255, picture[..., :3].shape)
     made = picture.copy()
@@ -72,19 +70,19 @@ def noisy(picture: Array, codes: float, is_light: bool = True) -> Array:
 
 @pytest.mark.parametrize("is_light", [True, False])
 @pytest.mark.parametrize("codes", [1.0, 2.0, 4.0, 8.0])
-def test_noise_is_as_strong_as_it_is(codes: float, is_light: bool) -> None:
+def test_noise_is_as_strong_as_it_is(codes, is_light):
     found = 255 * noise_of(noisy(smooth(), codes, is_light), is_light)
     assert found == pytest.approx(codes, rel=0.12)  # square roots of light are codes but for a tenth
 
 
-def test_detail_in_most_of_a_picture_is_no_noise() -> None:
+def test_detail_in_most_of_a_picture_is_no_noise():
     picture = smooth()
     picture[:, 64:, :3] = np.random.default_rng(2).uniform(0.1, 0.7, (200, 136, 3))
     assert noise_of(picture) < 0.5 / 255
     assert 255 * noise_of(noisy(picture, 4.0)) == pytest.approx(4.0, rel=0.25)
 
 
-def test_noise_of_little_is_not_known() -> None:
+def test_noise_of_little_is_not_known():
     picture = np.random.default_rng(3).random((16, 16, 4)).astype(np.float32)
     assert noise_of(picture) == 0.0  # four patches
     cut_off, hidden = noisy(smooth(), 4.0), noisy(smooth(), 4.0)
@@ -93,14 +91,14 @@ def test_noise_of_little_is_not_known() -> None:
     assert noise_of(cut_off) == noise_of(hidden) == 0.0
 
 
-def test_noise_is_not_sharpened() -> None:
+def test_noise_is_not_sharpened():
     for codes in (2.0, 4.0):
         picture = noisy(smooth(), codes)
         before, after = picture - smooth(), sharpened(picture) - smooth()
         assert np.abs(after[8:-8, 8:-8]).std() < 1.05 * np.abs(before[8:-8, 8:-8]).std()
 
 
-def test_light_below_zero_stays_what_it_is_beside_noise() -> None:
+def test_light_below_zero_stays_what_it_is_beside_noise():
     picture = noisy(smooth(), 2.0)
     picture[100:, :, :3] = -0.01
     found = sharpened(picture)
@@ -108,7 +106,7 @@ def test_light_below_zero_stays_what_it_is_beside_noise() -> None:
     assert np.array_equal(found[104:], picture[104:])
 
 
-def test_detail_all_over_a_picture_is_sharpened() -> None:
+def test_detail_all_over_a_picture_is_sharpened():
     ripples = np.sin(2.4 * np.arange(200))[:, None]
     picture = smooth()
     picture[:, :, :3] += 0.1 * ripples
@@ -117,13 +115,13 @@ def test_detail_all_over_a_picture_is_sharpened() -> None:
     assert amplitude > 0.12
 
 
-def test_detail_is_sharpened_in_noise_as_without() -> None:
+def test_detail_is_sharpened_in_noise_as_without():
     ripples = np.sin(2.4 * np.arange(136))[:, None]
     picture = smooth()
     picture[:, 64:, :3] += 0.1 * ripples
     inside = slice(64 + 8, 200 - 8)
 
-    def strength(of: Array) -> float:
+    def strength(of):
         return float((of[:, inside, :3] * ripples[8:-8]).mean() / (ripples**2).mean())
 
     assert strength(sharpened(picture)) > 1.3 * strength(picture)
@@ -131,7 +129,7 @@ def test_detail_is_sharpened_in_noise_as_without() -> None:
 
 
 @pytest.mark.parametrize("is_light", [True, False])
-def test_pictures_are_sharpened_by_the_formula(is_light: bool) -> None:
+def test_pictures_are_sharpened_by_the_formula(is_light):
     random = np.random.default_rng(5)
     picture = random.uniform(0.1, 0.9, (40, 48, 4)).astype(np.float32)
     picture[..., 3] = random.integers(0, 3, (5, 6)).repeat(8, 0).repeat(8, 1) / 2.0
@@ -144,7 +142,7 @@ def test_pictures_are_sharpened_by_the_formula(is_light: bool) -> None:
     np.testing.assert_allclose(columns, turned.transpose(1, 0, 2), atol=2e-6)
 
 
-def sharpened_along_rows(picture: Array, noise: float, is_light: bool) -> Array:
+def sharpened_along_rows(picture, noise, is_light):
     """Sharpen as `sharpened` says, pixel by pixel."""
     found = picture.astype(np.float64)
     for row, pixels in enumerate(picture.astype(np.float64)):

@@ -1,7 +1,5 @@
 """Two textures in one."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -28,7 +26,7 @@ COLOR = ChannelFormat("base_color", 3, "srgb")
 AMOUNTS = st.sampled_from([0.0, 0.3, 0.5, 1.0])
 
 
-def texture_of(tree: Octree, seed: int, *forms: ChannelFormat) -> OctreeTexture:
+def texture_of(tree, seed, *forms):
     random = np.random.default_rng(seed)
     rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
     channels = {}
@@ -39,7 +37,7 @@ def texture_of(tree: Octree, seed: int, *forms: ChannelFormat) -> OctreeTexture:
 
 
 @st.composite
-def pairs(draw: st.DrawFn) -> tuple[OctreeTexture, OctreeTexture]:
+def pairs(draw):
     """Two textures of one root cell; both, one or none have alpha."""
     found = []
     for _ in range(2):
@@ -50,7 +48,7 @@ def pairs(draw: st.DrawFn) -> tuple[OctreeTexture, OctreeTexture]:
     return found[0], found[1]
 
 
-def assert_mixed(made: OctreeTexture, found: naive.Mixed, name: str) -> None:
+def assert_mixed(made, found, name):
     """Leaves are as the reference has them, and nodes the means of their children."""
     cells = naive.cells_of(made)
     assert list(cells) == found.places
@@ -67,7 +65,7 @@ def assert_mixed(made: OctreeTexture, found: naive.Mixed, name: str) -> None:
 
 
 @given(pairs(), AMOUNTS)
-def test_a_mixture_equals_the_slow_one(both: tuple[OctreeTexture, OctreeTexture], amount: float) -> None:
+def test_a_mixture_equals_the_slow_one(both, amount):
     made = octex.mix(*both, amount)
     made.validate()
     if all(each.tree.n_leaves for each in both):
@@ -76,7 +74,7 @@ def test_a_mixture_equals_the_slow_one(both: tuple[OctreeTexture, OctreeTexture]
 
 
 @given(pairs())
-def test_one_over_the_other_equals_the_slow_one(both: tuple[OctreeTexture, OctreeTexture]) -> None:
+def test_one_over_the_other_equals_the_slow_one(both):
     made = octex.combine(*both, over=True)
     made.validate()
     if all(each.tree.n_leaves for each in both):
@@ -85,7 +83,7 @@ def test_one_over_the_other_equals_the_slow_one(both: tuple[OctreeTexture, Octre
 
 
 @given(pairs())
-def test_to_combine_without_alpha_is_to_mix_wholly(both: tuple[OctreeTexture, OctreeTexture]) -> None:
+def test_to_combine_without_alpha_is_to_mix_wholly(both):
     assert_same(octex.combine(*both), octex.mix(*both, 1.0))
     for texture in both:
         assert_same(octex.combine(texture, texture), texture)
@@ -93,7 +91,7 @@ def test_to_combine_without_alpha_is_to_mix_wholly(both: tuple[OctreeTexture, Oc
             assert_same(octex.mix(texture, texture, 0.3), texture)
 
 
-def test_what_does_not_meet_stays_as_it_was() -> None:
+def test_what_does_not_meet_stays_as_it_was():
     whole = shell(4)
     left = octex.crop(whole, (0, 0, 0), (0.49, 1, 1))
     right = octex.crop(whole, (0.51, 0, 0), (1, 1, 1))
@@ -114,7 +112,7 @@ def test_what_does_not_meet_stays_as_it_was() -> None:
 
 
 @needs_jit
-def test_a_field_that_prevails_alone_stays_as_it_was_among_finer_cells() -> None:
+def test_a_field_that_prevails_alone_stays_as_it_was_among_finer_cells():
     fine = shell(4)
     coarse = octex.map(fine.level(3), lambda values: 1 - values)
     points = np.random.default_rng(0).normal(size=(500, 3))
@@ -127,7 +125,7 @@ def test_a_field_that_prevails_alone_stays_as_it_was_among_finer_cells() -> None
 
 @needs_jit
 @pytest.mark.parametrize("kind", ["sheet", "overlapping"])
-def test_what_prevails_everywhere_is_the_result_also_over_what_is_finer(kind: str) -> None:
+def test_what_prevails_everywhere_is_the_result_also_over_what_is_finer(kind):
     surface = waved(kind, 4, ["base_color"], 7)
     texture = octex.convert(surface, 4)
     place = octex.Sphere(tuple(surface.rest[0]), 0.5)
@@ -141,7 +139,7 @@ def test_what_prevails_everywhere_is_the_result_also_over_what_is_finer(kind: st
     assert_same(octex.mix(texture, finer, 0), texture)
 
 
-def test_rows_are_mixed_facing_by_facing() -> None:
+def test_rows_are_mixed_facing_by_facing():
     one, other = shell(3), octex.map(shell(3), lambda values: 1 - values)
     made = octex.mix(one, other, 0.5)
     assert made.tree.split.cells.size == one.tree.split.cells.size > 0
@@ -150,7 +148,7 @@ def test_rows_are_mixed_facing_by_facing() -> None:
     np.testing.assert_array_equal(made.tree.split.areas, one.tree.split.areas)
 
 
-def test_an_amount_can_differ_from_place_to_place() -> None:
+def test_an_amount_can_differ_from_place_to_place():
     dark = octex.map(eight_colors(), np.zeros_like)
     light = octex.map(eight_colors(), np.ones_like)
     by_function = octex.mix(dark, light, lambda points: 2 * points[:, 0] - 0.5)
@@ -167,7 +165,7 @@ def test_an_amount_can_differ_from_place_to_place() -> None:
     assert json.loads(by_function.metadata["processed"])[-1]["amount"] == "a function"
 
 
-def test_channels_are_those_in_common_as_the_first_stores_them() -> None:
+def test_channels_are_those_in_common_as_the_first_stores_them():
     tree = eight_colors().tree
     first = texture_of(tree, 0, BASE_COLOR, ROUGHNESS)
     second = octex.cast(texture_of(tree, 1, ROUGHNESS, BASE_COLOR, ALPHA), "float32")
@@ -183,7 +181,7 @@ def test_channels_are_those_in_common_as_the_first_stores_them() -> None:
     np.testing.assert_array_equal(octex.combine(second, first).channels["alpha"].values, 1.0)
 
 
-def test_an_empty_texture_adds_nothing() -> None:
+def test_an_empty_texture_adds_nothing():
     full = eight_colors()
     empty_tree = Octree.from_leaves(np.empty(0, np.int64), 0)
     empty = texture_of(empty_tree, 0, BASE_COLOR)
@@ -191,7 +189,7 @@ def test_an_empty_texture_adds_nothing() -> None:
     assert_same(octex.mix(full, empty, 1.0), full)
 
 
-def test_what_cannot_be_put_together_is_refused() -> None:
+def test_what_cannot_be_put_together_is_refused():
     full = eight_colors()
     moved = eight_colors(placement=Placement((1.0, 0.0, 0.0), 1.0))
     with pytest.raises(ArgumentError, match="root cells differ"):
@@ -218,7 +216,7 @@ def test_what_cannot_be_put_together_is_refused() -> None:
 
 
 @needs_jit
-def test_a_part_laid_over_its_whole_leaves_what_nodes_show_each_way() -> None:
+def test_a_part_laid_over_its_whole_leaves_what_nodes_show_each_way():
     points, triangles = cube((0, 0, 0))
     hues = np.random.default_rng(0).random((len(triangles), 3))
     texture = octex.convert(octex.Surface.from_arrays(points, triangles, face_colors=hues), 3, fit=False)
@@ -230,7 +228,7 @@ def test_a_part_laid_over_its_whole_leaves_what_nodes_show_each_way() -> None:
 
 
 @needs_jit
-def test_two_parts_put_together_have_the_areas_of_their_whole_in_rows_too() -> None:
+def test_two_parts_put_together_have_the_areas_of_their_whole_in_rows_too():
     surface = waved("sheet", 4, ["base_color"], 7)
     whole = octex.convert(surface, 4, dtype="float32")
     low, high = whole.bounds
@@ -244,7 +242,7 @@ def test_two_parts_put_together_have_the_areas_of_their_whole_in_rows_too() -> N
 
 @needs_jit
 @pytest.mark.parametrize("kind", ["sheet", "overlapping"])
-def test_cells_below_leaves_show_each_way_what_a_finer_texture_shows(kind: str) -> None:
+def test_cells_below_leaves_show_each_way_what_a_finer_texture_shows(kind):
     texture = octex.convert(waved(kind, 4, ["base_color", "alpha"], 7), 3, dtype="float32")
     finer = octex.resize(texture, 4)
     made = octex.mix(texture, finer, lambda points: np.zeros(len(points)))

@@ -1,7 +1,5 @@
 """Textures of another depth, and parts of textures."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -10,7 +8,7 @@ from hypothesis import strategies as st
 import octex
 from octex.channels import BASE_COLOR, ROUGHNESS, decode, encode
 from octex.errors import ArgumentError
-from octex.texture import Channel, OctreeTexture
+from octex.texture import Channel
 from octex.tree.split import rows_of
 from tests.conftest import needs_jit
 from tests.make.same import assert_same
@@ -25,7 +23,7 @@ CORNERS = st.tuples(*[st.floats(0, 1)] * 3)
 
 
 @given(textures(6), st.integers(0, 6))
-def test_a_coarser_texture_is_a_level(texture: OctreeTexture, depth: int) -> None:
+def test_a_coarser_texture_is_a_level(texture, depth):
     depth = min(depth, texture.tree.max_depth)
     shallow = [leaves for leaves, _ in texture.tree.cells_by_depth()[:depth]]
     assume(not any(shallow))
@@ -36,7 +34,7 @@ def test_a_coarser_texture_is_a_level(texture: OctreeTexture, depth: int) -> Non
 
 @needs_jit
 @pytest.mark.parametrize("more", [1, 2])
-def test_a_finer_texture_has_the_same_field_and_the_same_levels(more: int) -> None:
+def test_a_finer_texture_has_the_same_field_and_the_same_levels(more):
     texture = octex.cast(shell(3), "float32")
     made = octex.resize(texture, 3 + more)
     made.validate()
@@ -50,7 +48,7 @@ def test_a_finer_texture_has_the_same_field_and_the_same_levels(more: int) -> No
 
 @needs_jit
 @pytest.mark.parametrize("more", [1, 2])
-def test_either_side_of_a_thin_sheet_looks_the_same_in_a_finer_texture(more: int) -> None:
+def test_either_side_of_a_thin_sheet_looks_the_same_in_a_finer_texture(more):
     surface = waved("sheet", 4, ["base_color"], 7)
     texture = octex.convert(surface, 4, dtype="float32")
     made = octex.resize(texture, 4 + more)
@@ -64,7 +62,7 @@ def test_either_side_of_a_thin_sheet_looks_the_same_in_a_finer_texture(more: int
 
 
 @given(textures(3))
-def test_leaves_at_any_depth_are_divided_soundly(texture: OctreeTexture) -> None:
+def test_leaves_at_any_depth_are_divided_soundly(texture):
     assume(
         texture.tree.max_depth - min([3, *np.flatnonzero([n for n, _ in texture.tree.cells_by_depth()])]) < 3
     )
@@ -75,7 +73,7 @@ def test_leaves_at_any_depth_are_divided_soundly(texture: OctreeTexture) -> None
 
 
 @given(textures(3))
-def test_what_facings_show_in_divided_leaves_stays_in_range(texture: OctreeTexture) -> None:
+def test_what_facings_show_in_divided_leaves_stays_in_range(texture):
     depth = texture.tree.max_depth
     assume(depth < 3 or not texture.tree.n_leaves)
     made = octex.resize(texture, depth + 1)
@@ -86,7 +84,7 @@ def test_what_facings_show_in_divided_leaves_stays_in_range(texture: OctreeTextu
         assert made.channels["alpha"].split_values.max(initial=0) <= 1
 
 
-def test_a_depth_that_cannot_be_is_refused() -> None:
+def test_a_depth_that_cannot_be_is_refused():
     for depth in (-1, 22):
         with pytest.raises(ArgumentError, match="depth must be a whole number from 0 to 21"):
             octex.resize(eight_colors(), depth)
@@ -95,9 +93,7 @@ def test_a_depth_that_cannot_be_is_refused() -> None:
 
 
 @given(textures(5), CORNERS, CORNERS)
-def test_a_part_has_the_leaves_that_meet_the_box(
-    texture: OctreeTexture, one: tuple[float, ...], other: tuple[float, ...]
-) -> None:
+def test_a_part_has_the_leaves_that_meet_the_box(texture, one, other):
     low, high = texture.placement.to_rest(np.array([np.minimum(one, other), np.maximum(one, other)]))
     box = texture.placement.to_texture_space([low, high])
     texture = naive.unfitted(texture)
@@ -125,7 +121,7 @@ def test_a_part_has_the_leaves_that_meet_the_box(
 
 
 @needs_jit
-def test_a_part_of_a_part_is_the_part_of_both_boxes() -> None:
+def test_a_part_of_a_part_is_the_part_of_both_boxes():
     texture = octex.map(octex.cast(shell(4), "float32"), lambda values: 0.4 + 0.2 * values)  # stays positive
     twice = octex.crop(octex.crop(texture, (0, 0, 0), (0.6, 1, 1)), (0.2, 0.3, 0), (1, 1, 1))
     once = octex.crop(texture, (0.2, 0.3, 0), (0.6, 1, 1))
@@ -136,7 +132,7 @@ def test_a_part_of_a_part_is_the_part_of_both_boxes() -> None:
     assert_same(octex.crop(texture, (0, 0, 0), (1, 1, 1)), texture)
 
 
-def test_areas_of_cut_nodes_are_those_of_what_is_left() -> None:
+def test_areas_of_cut_nodes_are_those_of_what_is_left():
     texture = eight_colors()
     tree = texture.tree.with_cell_data(texture.tree.arrays.flags, np.full(9, 207, np.uint8))
     made = octex.crop(eight_colors(tree=tree), (0, 0, 0), (0.3, 1, 1))
@@ -145,7 +141,7 @@ def test_areas_of_cut_nodes_are_those_of_what_is_left() -> None:
 
 
 @needs_jit
-def test_rows_of_cut_nodes_have_the_areas_of_what_is_left() -> None:
+def test_rows_of_cut_nodes_have_the_areas_of_what_is_left():
     texture = octex.convert(waved("sheet", 4, ["base_color"], 7), 4, dtype="float32")
     low, high = texture.bounds
     made = octex.crop(texture, low, [(low[0] + high[0]) / 2, *high[1:]])
@@ -173,7 +169,7 @@ def test_rows_of_cut_nodes_have_the_areas_of_what_is_left() -> None:
 
 
 @needs_jit
-def test_nodes_that_lose_nothing_stay_to_the_last_bit() -> None:
+def test_nodes_that_lose_nothing_stay_to_the_last_bit():
     surface = waved("overlapping", 10, ["base_color", "alpha"], 99)
     half = octex.Transfer(surface.part(range(len(surface.triangles) // 2)), distance=0.45)
     texture = octex.convert(surface, 3, dtype="float32", fit=False, separate=1.0, sources=half.sources)
@@ -202,12 +198,12 @@ def test_nodes_that_lose_nothing_stay_to_the_last_bit() -> None:
         ((2, 2, 2), (3, 3, 3), "no leaf of the texture meets the box"),
     ],
 )
-def test_a_box_that_is_none_is_refused(low: object, high: object, message: str) -> None:
+def test_a_box_that_is_none_is_refused(low, high, message):
     with pytest.raises(ArgumentError, match=message):
-        octex.crop(eight_colors(), low, high)  # type: ignore[arg-type]
+        octex.crop(eight_colors(), low, high)
 
 
-def test_what_is_left_of_a_node_is_not_darker_than_black() -> None:
+def test_what_is_left_of_a_node_is_not_darker_than_black():
     values = np.array([[0.4], *([[0.0]] * 4 + [[1.0]] * 4)], np.float32)  # the root is darker than its mean
     form = ROUGHNESS._replace(dtype="float32")
     texture = eight_colors(channels={"roughness": Channel(form, values, values[:0], values[:0])})
@@ -217,7 +213,7 @@ def test_what_is_left_of_a_node_is_not_darker_than_black() -> None:
 
 
 @pytest.mark.parametrize("brightest", [1.0, 3.0])
-def test_what_is_left_of_a_node_is_as_bright_as_the_texture_at_most(brightest: float) -> None:
+def test_what_is_left_of_a_node_is_as_bright_as_the_texture_at_most(brightest):
     form = BASE_COLOR._replace(dtype="float32")
     light = np.array([0.9, *([0.0] * 4 + [1.0] * 4)])[:, None] * np.full(3, brightest)
     values = encode(light, form.dtype, form.space)  # the root is brighter than its mean

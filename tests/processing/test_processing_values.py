@@ -1,9 +1,6 @@
 """Textures with other values: mapped, levels, curves, blurred, cast."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +17,6 @@ from octex.channels import (
     EMISSIVE,
     NORMAL,
     ROUGHNESS,
-    ChannelFormat,
     decode,
     encode,
     linear_to_srgb,
@@ -37,14 +33,14 @@ from tests.oracles.naive import unmorton
 Floats = npt.NDArray[np.floating[Any]]
 
 
-def assert_same_values(one: OctreeTexture, other: OctreeTexture) -> None:
+def assert_same_values(one, other):
     assert one.channels.keys() == other.channels.keys()
     for name, channel in one.channels.items():
         for a, b in zip(channel[1:], other.channels[name][1:], strict=True):
             np.testing.assert_array_equal(a, b)
 
 
-def assert_averaged(texture: OctreeTexture) -> None:
+def assert_averaged(texture):
     """Every node is the mean of its children, but for rounding."""
     cells = naive.cells_of(texture)
     for name, channel in texture.channels.items():
@@ -59,7 +55,7 @@ def assert_averaged(texture: OctreeTexture) -> None:
             )
 
 
-def of_channel(values: npt.NDArray[Any], form: ChannelFormat) -> OctreeTexture:
+def of_channel(values, form):
     """Eight leaves and their root."""
     stored = encode(np.broadcast_to(values, (9, form.components)), form.dtype, form.space)
     return eight_colors(channels={form.name: Channel(form, stored, stored[:0], stored[:0])})
@@ -69,7 +65,7 @@ def of_channel(values: npt.NDArray[Any], form: ChannelFormat) -> OctreeTexture:
 
 
 @given(textures(5))
-def test_what_maps_to_itself_stays_as_it_was(texture: OctreeTexture) -> None:
+def test_what_maps_to_itself_stays_as_it_was(texture):
     names = [
         name
         for name, channel in texture.channels.items()
@@ -88,11 +84,11 @@ def test_what_maps_to_itself_stays_as_it_was(texture: OctreeTexture) -> None:
 
 
 @given(textures(4), st.booleans())
-def test_averages_are_the_means_of_what_was_mapped(texture: OctreeTexture, by_position: bool) -> None:
+def test_averages_are_the_means_of_what_was_mapped(texture, by_position):
     texture = naive.unfitted(texture)
     before = [array.copy() for channel in texture.channels.values() for array in channel[1:]]
 
-    def bent(values: Floats, positions: Floats) -> Floats:
+    def bent(values, positions):
         return values**2 * (0.5 + 0.1 * np.sin(positions[:, :1]))
 
     made = octex.map(texture, bent if by_position else lambda values: values**3, list(texture.channels))
@@ -103,7 +99,7 @@ def test_averages_are_the_means_of_what_was_mapped(texture: OctreeTexture, by_po
         np.testing.assert_array_equal(a, b)
 
 
-def test_positions_are_the_centres_of_cells() -> None:
+def test_positions_are_the_centres_of_cells():
     made = octex.map(eight_colors(), lambda values, positions: positions + 0 * values)
     for place, cell in naive.cells_of(made).items():
         if cell.is_leaf:
@@ -113,16 +109,16 @@ def test_positions_are_the_centres_of_cells() -> None:
 
 
 @needs_jit
-def test_an_affine_map_commutes_with_lookups() -> None:
+def test_an_affine_map_commutes_with_lookups():
     texture = octex.cast(shell(4), "float32")
     made = octex.map(texture, lambda values: 0.25 + 0.5 * values)
     points = np.random.default_rng(0).random((500, 3))
     for how in ({}, {"width": 0.1}, {"width": 0.3, "normals": points - 0.5}, {"filter": "nearest"}):
-        found = texture.sample(points, **how)  # type: ignore[call-overload]
-        np.testing.assert_allclose(made.sample(points, **how), 0.25 + 0.5 * found, atol=2e-6)  # type: ignore[call-overload]
+        found = texture.sample(points, **how)
+        np.testing.assert_allclose(made.sample(points, **how), 0.25 + 0.5 * found, atol=2e-6)
 
 
-def test_rows_of_split_nodes_follow_what_their_children_show() -> None:
+def test_rows_of_split_nodes_follow_what_their_children_show():
     texture = octex.cast(shell(3), "float32")
     made = octex.map(texture, lambda values: values**2)
     tree = texture.tree
@@ -147,22 +143,22 @@ def test_rows_of_split_nodes_follow_what_their_children_show() -> None:
         (lambda values: values.astype(str), "must return real numbers, not <U32"),
     ],
 )  # fmt: skip
-def test_a_map_that_fails_is_named_with_the_first_bad_cell(f: Any, message: str) -> None:
+def test_a_map_that_fails_is_named_with_the_first_bad_cell(f, message):
     with pytest.raises(ArgumentError, match=message):
         octex.map(eight_colors(), f)
 
 
-def test_functions_that_tell_nothing_of_their_parameters_get_values() -> None:
+def test_functions_that_tell_nothing_of_their_parameters_get_values():
     class Opaque:
         __signature__ = "none"
 
-        def __call__(self, values: Floats) -> Floats:
+        def __call__(self, values):
             return values
 
     assert_same_values(octex.map(eight_colors(), Opaque()), eight_colors())
 
 
-def test_unknown_channels_are_refused() -> None:
+def test_unknown_channels_are_refused():
     with pytest.raises(ArgumentError, match="unknown channel 'paint'; there are: base_color"):
         octex.map(eight_colors(), np.sqrt, "paint")
 
@@ -172,7 +168,7 @@ def test_unknown_channels_are_refused() -> None:
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float32"])
 @pytest.mark.parametrize("form", [BASE_COLOR, ROUGHNESS])
-def test_levels_are_a_function_of_encoded_values(form: ChannelFormat, dtype: str) -> None:
+def test_levels_are_a_function_of_encoded_values(form, dtype):
     texture = naive.unfitted(octex.cast(shell(3), dtype))
     if form is ROUGHNESS:
         texture = of_channel(np.linspace(0, 1, 9)[:, None], form._replace(dtype=dtype))
@@ -196,7 +192,7 @@ def test_levels_are_a_function_of_encoded_values(form: ChannelFormat, dtype: str
 
 
 @given(textures(5))
-def test_levels_and_curves_that_change_nothing_change_no_byte_of_integers(texture: OctreeTexture) -> None:
+def test_levels_and_curves_that_change_nothing_change_no_byte_of_integers(texture):
     names = [
         name
         for name, channel in texture.channels.items()
@@ -206,7 +202,7 @@ def test_levels_and_curves_that_change_nothing_change_no_byte_of_integers(textur
     assert_same_values(octex.curves(texture, names, [(0, 0), (0.3, 0.3), (1, 1)]), texture)
 
 
-def test_each_component_can_have_levels_of_its_own() -> None:
+def test_each_component_can_have_levels_of_its_own():
     texture = octex.map(eight_colors(), lambda values: np.full_like(values, 0.2))
     made = octex.levels(texture, gamma=(1, 2, 1), out_white=(1, 1, 0))
     code = texture.channels["base_color"].values[1, 0]
@@ -214,7 +210,7 @@ def test_each_component_can_have_levels_of_its_own() -> None:
     np.testing.assert_array_equal(made.channels["base_color"].values[1], expected)
 
 
-def test_light_above_white_goes_on_in_floats() -> None:
+def test_light_above_white_goes_on_in_floats():
     bright = of_channel(np.array([[4.0, 1.0, 0.0]]), EMISSIVE._replace(space="linear", dtype="float16"))
     same = octex.levels(bright, "emissive")
     np.testing.assert_allclose(
@@ -222,7 +218,7 @@ def test_light_above_white_goes_on_in_floats() -> None:
     )
 
 
-def test_a_curve_passes_its_points_and_never_turns_between_them() -> None:
+def test_a_curve_passes_its_points_and_never_turns_between_them():
     points = [(0.0, 0.1), (0.2, 0.15), (0.4, 0.8), (0.6, 0.8), (1.0, 0.9)]
     texture = of_channel(np.linspace(0, 1, 9)[:, None], ROUGHNESS._replace(dtype="float32"))
     for low, high in points:
@@ -236,7 +232,7 @@ def test_a_curve_passes_its_points_and_never_turns_between_them() -> None:
     np.testing.assert_allclose(flat.channels["roughness"].values, 0.25)
 
 
-def test_each_component_can_have_a_curve_of_its_own() -> None:
+def test_each_component_can_have_a_curve_of_its_own():
     texture = octex.map(eight_colors(), lambda values: np.full_like(values, 0.2))
     straight, inverted = [(0, 0), (1, 1)], [(0, 1), (0.5, 0.5), (1, 0)]
     made = octex.curves(texture, "base_color", [straight, inverted, straight])
@@ -260,7 +256,7 @@ def test_each_component_can_have_a_curve_of_its_own() -> None:
         (lambda each: octex.curves(each, "base_color", 3), "pairs of"),
     ],
 )  # fmt: skip
-def test_levels_and_curves_out_of_range_are_refused(change: Any, message: str) -> None:
+def test_levels_and_curves_out_of_range_are_refused(change, message):
     normal = Channel(NORMAL, *(np.zeros((rows, 3), np.uint8) for rows in (9, 0, 0)))
     texture = eight_colors()
     texture = eight_colors(channels={**texture.channels, "normal": normal})
@@ -272,7 +268,7 @@ def test_levels_and_curves_out_of_range_are_refused(change: Any, message: str) -
 
 
 @needs_jit
-def test_the_blur_of_a_constant_is_the_constant() -> None:
+def test_the_blur_of_a_constant_is_the_constant():
     texture = octex.map(shell(4), lambda values: np.full_like(values, 0.3))
     for width in (0.01, 0.1, 1.0):
         made = octex.blur(texture, width)
@@ -281,7 +277,7 @@ def test_the_blur_of_a_constant_is_the_constant() -> None:
 
 
 @needs_jit
-def test_a_blur_of_no_width_changes_nothing_and_one_of_little_next_to_nothing() -> None:
+def test_a_blur_of_no_width_changes_nothing_and_one_of_little_next_to_nothing():
     texture = shell(4)
     assert octex.blur(texture, 0.0) is texture
     fine = octex.cast(texture, "float32")
@@ -291,7 +287,7 @@ def test_a_blur_of_no_width_changes_nothing_and_one_of_little_next_to_nothing() 
 
 
 @needs_jit
-def test_a_blur_is_what_a_lookup_of_that_width_says() -> None:
+def test_a_blur_is_what_a_lookup_of_that_width_says():
     texture = naive.unfitted(octex.cast(shell(4), "float32"))
     made = octex.blur(texture, 0.2)
     made.validate()
@@ -311,7 +307,7 @@ def test_a_blur_is_what_a_lookup_of_that_width_says() -> None:
 
 
 @needs_jit
-def test_nothing_bleeds_through_a_sheet() -> None:
+def test_nothing_bleeds_through_a_sheet():
     rows, columns = 12, 12
     grid = np.stack(np.meshgrid(np.linspace(0, 1, columns), np.linspace(0, 1, rows)), axis=-1).reshape(-1, 2)
     sheet = np.array([[a, a + 1, a + columns + 1, a + columns] for r in range(rows - 1)
@@ -328,7 +324,7 @@ def test_nothing_bleeds_through_a_sheet() -> None:
 
 
 @pytest.mark.parametrize("width", [-1.0, np.inf, np.nan])
-def test_a_width_that_is_none_is_refused(width: float) -> None:
+def test_a_width_that_is_none_is_refused(width):
     with pytest.raises(ArgumentError, match="width must be"):
         octex.blur(eight_colors(), width)
 
@@ -336,7 +332,7 @@ def test_a_width_that_is_none_is_refused(width: float) -> None:
 # --- ranges
 
 
-def light(leaves: Sequence[float], root: float, alphas: Sequence[float], dtype: str) -> OctreeTexture:
+def light(leaves, root, alphas, dtype):
     """Eight grey leaves and their root, with alpha, that of the root first."""
     colors = np.repeat(np.array([root, *leaves])[:, None], 3, axis=1)
     channels = {}
@@ -348,7 +344,7 @@ def light(leaves: Sequence[float], root: float, alphas: Sequence[float], dtype: 
 
 
 @pytest.mark.parametrize("edit", [octex.map, octex.levels])
-def test_alpha_stays_within_0_and_1_in_floats_too(edit: Callable[..., OctreeTexture]) -> None:
+def test_alpha_stays_within_0_and_1_in_floats_too(edit):
     texture = light([0.5] * 8, 0.5, [0.5] * 9, "float32")
     how = {"f": lambda values: 4 * values - 1.5} if edit is octex.map else {"white": 0.3}
     made = edit(texture, channel=["alpha"], **how)
@@ -358,20 +354,20 @@ def test_alpha_stays_within_0_and_1_in_floats_too(edit: Callable[..., OctreeText
     assert lower.channels["alpha"].values.min() >= 0
 
 
-def test_what_was_transparent_does_not_show_once_it_is_opaque() -> None:
+def test_what_was_transparent_does_not_show_once_it_is_opaque():
     texture = light([0.2] * 8, 0.9, [0.0] * 9, "float32")  # a colour that nothing covered
     made = octex.map(texture, lambda alpha: 1 - alpha, "alpha")
     np.testing.assert_allclose(made.channels["base_color"].values[0], 0.2, atol=0.002)
 
 
-def test_a_node_that_gets_less_opaque_keeps_what_it_differs_by() -> None:
+def test_a_node_that_gets_less_opaque_keeps_what_it_differs_by():
     texture = light([0.2] * 8, 0.3, [0.8] * 9, "float32")
     made = octex.map(texture, lambda alpha: alpha / 2, "alpha")
     np.testing.assert_allclose(made.channels["base_color"].values[0], 0.3, atol=1e-6)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
-def test_levels_of_colours_and_alpha_at_once_are_those_of_one_after_the_other(dtype: str) -> None:
+def test_levels_of_colours_and_alpha_at_once_are_those_of_one_after_the_other(dtype):
     alphas = [0.45, *np.linspace(0.1, 0.8, 8)]
     colors = np.linspace(0.0, 1.0, 8)
     mean = np.average(colors, weights=alphas[1:])
@@ -389,7 +385,7 @@ def test_levels_of_colours_and_alpha_at_once_are_those_of_one_after_the_other(dt
 
 
 @given(textures(4))
-def test_integers_come_back_from_wider_types(texture: OctreeTexture) -> None:
+def test_integers_come_back_from_wider_types(texture):
     for name, channel in texture.channels.items():
         dtype, space = channel.format.dtype, channel.format.space
         if dtype.startswith("u") and space != "linear":
@@ -401,7 +397,7 @@ def test_integers_come_back_from_wider_types(texture: OctreeTexture) -> None:
                 assert_same_values(back, one)
 
 
-def test_channels_are_dropped_and_ordered_and_types_given_by_name() -> None:
+def test_channels_are_dropped_and_ordered_and_types_given_by_name():
     tree = eight_colors().tree
     channels = {
         form.name: Channel(form, *(np.zeros((rows, form.components), np.uint8) for rows in (9, 0, 0)))
@@ -428,7 +424,7 @@ def test_channels_are_dropped_and_ordered_and_types_given_by_name() -> None:
 
 
 @pytest.mark.parametrize(("value", "where"), [(1.5, "above 1"), (-0.5, "below 0")])
-def test_integers_do_not_take_what_they_cannot_hold(value: float, where: str) -> None:
+def test_integers_do_not_take_what_they_cannot_hold(value, where):
     form = EMISSIVE._replace(space="linear", dtype="float16")
     bright = of_channel(np.array([[value, 0.0, 0.0]]), form)
     message = f"'emissive' has values {where}, which uint8 cannot hold; give it the dtype float16 or float32"
@@ -437,7 +433,7 @@ def test_integers_do_not_take_what_they_cannot_hold(value: float, where: str) ->
     assert octex.cast(bright, "float32").channels["emissive"].values[0, 0] == value
 
 
-def test_what_was_done_is_noted_after_what_was_done_before() -> None:
+def test_what_was_done_is_noted_after_what_was_done_before():
     made = octex.levels(octex.cast(eight_colors(), "uint16"), gamma=2)
     assert made.metadata["source"] == "eight"
     assert [each["operation"] for each in json.loads(made.metadata["processed"])] == ["cast", "levels"]

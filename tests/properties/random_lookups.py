@@ -34,7 +34,7 @@ def random_texture(random: Random, dtypes: tuple[str, ...] = tuple(sorted(ONE)))
         dtype = str(random.choice(dtypes))
         form = ChannelFormat(
             f"channel {number}", int(random.integers(1, 5)), str(random.choice(COLOR_SPACES)), dtype
-        )  # type: ignore[arg-type]
+        )
         if number == 0 and random.random() < 0.4:
             form = ALPHA._replace(dtype=dtype)
         rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size

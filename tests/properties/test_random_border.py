@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import os
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,12 +17,12 @@ SEEDS = range(300 if jit.DISABLED else 1500)
 
 
 @pytest.mark.parametrize("part", range(10))
-def test_odd_arguments_give_a_result_or_an_error_of_octex(part: int) -> None:
+def test_odd_arguments_give_a_result_or_an_error_of_octex(part):
     for seed in SEEDS[part::10]:
         random_border.check(seed)
 
 
-def test_all_that_octex_exports_is_called() -> None:
+def test_all_that_octex_exports_is_called():
     called = {call.name for call in random_border.calls()}
     for name in {*octex.__all__, "map", "open"} - {"__version__", "OctexError"}:
         exported = getattr(octex, name)
@@ -41,8 +40,8 @@ def test_all_that_octex_exports_is_called() -> None:
         }
 
 
-def test_a_fault_is_told_with_its_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
-    def faulty(depth: object) -> None:
+def test_a_fault_is_told_with_its_arguments(monkeypatch):
+    def faulty(depth):
         raise KeyError(depth)
 
     monkeypatch.setattr(random_border, "calls", lambda: [random_border.Call(faulty, {"depth": 2})])
@@ -68,15 +67,13 @@ REFUSED: list[tuple[Callable[..., object], dict[str, object], str]] = [
 
 
 @pytest.mark.parametrize(("function", "odd", "message"), REFUSED)
-def test_what_is_odd_is_named_in_the_refusal(
-    function: Callable[..., object], odd: dict[str, object], message: str
-) -> None:
+def test_what_is_odd_is_named_in_the_refusal(function, odd, message):
     call = next(each for each in random_border.calls() if each.function is function)
     with pytest.raises(octex.OctexError, match=message):
         function(**{**call.arguments, **odd})
 
 
-def test_numbers_of_numpy_and_paths_of_any_kind_are_taken(tmp_path: Path) -> None:
+def test_numbers_of_numpy_and_paths_of_any_kind_are_taken(tmp_path):
     surface = random_border.world().surface
     one = octex.convert(surface, np.int64(2), fit=np.bool_(False), separate=np.bool_(False))
     one.save(os.fsencode(tmp_path / "one.octex"))

@@ -1,17 +1,13 @@
 """A few random sequences of edits, and that what fails is told. tools/fuzz/soak.py runs them for an hour."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import octex
-from octex.texture import OctreeTexture
 from tests.conftest import needs_jit
 from tests.properties import random_edits
 from tests.properties.random_edits import check
@@ -23,25 +19,25 @@ DTYPES = ("uint8", "float32")
 
 @needs_jit
 @pytest.mark.parametrize("seed", range(8))
-def test_whatever_is_done_to_a_texture_it_stays_sound(seed: int) -> None:
+def test_whatever_is_done_to_a_texture_it_stays_sound(seed):
     check(seed, DTYPES)
 
 
 @pytest.mark.parametrize("seed", range(2))
-def test_whatever_is_done_to_a_tiny_texture_it_stays_sound(seed: int) -> None:
+def test_whatever_is_done_to_a_tiny_texture_it_stays_sound(seed):
     check(seed, DTYPES[:1], small=True)
 
 
 @needs_jit
-def test_a_fault_is_told_as_the_shortest_script_that_has_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(texture: OctreeTexture, depth: int) -> OctreeTexture:
+def test_a_fault_is_told_as_the_shortest_script_that_has_it(monkeypatch):
+    def broken(texture, depth):
         made = texture.level(depth)
         values = made.channels["base_color"].values  # a view of the texture that was given
         values.flags.writeable = True
         values[0] ^= 1
         return made
 
-    def draw(random: np.random.Generator, run: random_edits.Run) -> random_edits.Step:
+    def draw(random, run):
         draws = random_edits.draw_cast, random_edits.draw_cast, random_edits.draw_resize
         return draws[min(len(run.steps) - 1, 2)](random, run)
 
@@ -67,7 +63,7 @@ def test_a_fault_is_told_as_the_shortest_script_that_has_it(monkeypatch: pytest.
 # --- the tool
 
 
-def soak(folder: Path, *arguments: str) -> tuple[int, str, list[dict[str, object]]]:
+def soak(folder, *arguments):
     """Run a copy of the tool beside random tests of its own."""
     tool, tests = folder / "tools" / "fuzz" / "soak.py", folder / "tests" / "properties"
     tool.parent.mkdir(parents=True, exist_ok=True)
@@ -96,13 +92,13 @@ def soak(folder: Path, *arguments: str) -> tuple[int, str, list[dict[str, object
     return done.returncode, done.stdout + done.stderr, found
 
 
-def test_crashes_hangs_and_failures_are_survived_and_grouped(tmp_path: Path) -> None:
+def test_crashes_hangs_and_failures_are_survived_and_grouped(tmp_path):
     code, said, found = soak(tmp_path, "--seeds", "10", "--limit", "2", "--memory", "0.5")
     assert code == 1
     (odd,) = found
     assert odd["kind"] == "odd"
     assert odd["ran"] == 10
-    groups = {each["group"]: sorted(each["seeds"]) for each in odd["failures"]}  # type: ignore[attr-defined]
+    groups = {each["group"]: sorted(each["seeds"]) for each in odd["failures"]}
     assert groups == {
         "AssertionError in random_odd.py:check: seed # is odd": [1, 5, 9],
         "CRASH: SIGABRT": [2],
@@ -114,7 +110,7 @@ def test_crashes_hangs_and_failures_are_survived_and_grouped(tmp_path: Path) -> 
     assert "odd: 10 seeds, 6 failed in 4 ways" in said
 
 
-def test_what_holds_ends_with_0_and_the_time_with_the_minutes(tmp_path: Path) -> None:
+def test_what_holds_ends_with_0_and_the_time_with_the_minutes(tmp_path):
     assert soak(tmp_path, "odd", "--seed", "12", "--seeds", "1")[0] == 0
     code, said, found = soak(tmp_path, "odd", "--minutes", "0")
     assert (code, found) == (0, [])

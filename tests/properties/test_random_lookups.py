@@ -1,7 +1,5 @@
 """Lookups of random textures at random points, and what such lookups have found."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -19,12 +17,12 @@ from tests.properties.random_lookups import check
 
 
 @pytest.mark.parametrize("seed", range(4 if DISABLED else 80))
-def test_random_textures_are_looked_up_as_by_the_references(seed: int) -> None:
+def test_random_textures_are_looked_up_as_by_the_references(seed):
     check(seed)
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_a_level_is_looked_up_as_a_texture_of_its_own(filter: str) -> None:
+def test_a_level_is_looked_up_as_a_texture_of_its_own(filter):
     random = np.random.default_rng(0)
     points, normals = random.random((60, 3)), random.normal(size=(60, 3))
     for whole in (shell(4, 0.0), shell(4, 0.4)):
@@ -36,7 +34,7 @@ def test_a_level_is_looked_up_as_a_texture_of_its_own(filter: str) -> None:
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_points_at_the_rim_of_a_splines_support_have_an_answer(filter: str) -> None:
+def test_points_at_the_rim_of_a_splines_support_have_an_answer(filter):
     tree = Octree.from_leaves(np.array([0, 63]), 2)
     values = np.array([[9] * 3, [40] * 3, [50] * 3, [100] * 3, [200] * 3], np.uint8)
     channel = Channel(BASE_COLOR, values, values[:0], values[:0])
@@ -54,7 +52,7 @@ def test_points_at_the_rim_of_a_splines_support_have_an_answer(filter: str) -> N
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_a_row_that_is_not_finite_is_named_however_it_is_looked_at(filter: str) -> None:
+def test_a_row_that_is_not_finite_is_named_however_it_is_looked_at(filter):
     texture, points = shell(3), np.full((20, 3), 0.4)
     points[7, 1] = np.nan
     right, down, normals = np.random.default_rng(0).normal(size=(3, 20, 3))
@@ -76,20 +74,20 @@ def test_a_row_that_is_not_finite_is_named_however_it_is_looked_at(filter: str) 
     ("origin", "size"),
     [((0.0, 0.0, 0.0), 1e-312), ((0.0, 0.0, 0.0), 1e31), ((1e31, 0.0, 0.0), 1.0), ((0.0, np.nan, 0.0), 1.0)],
 )
-def test_root_cells_out_of_range_are_refused(origin: tuple[float, float, float], size: float) -> None:
+def test_root_cells_out_of_range_are_refused(origin, size):
     texture = shell(2)
     with pytest.raises(ArgumentError, match="size from 1e-30 to 1e\\+30 and a corner"):
         OctreeTexture(texture.tree, texture.channels, Placement(origin, size), UNIT_BOUNDS)
 
 
 @pytest.mark.parametrize("extent", [1e-200, 1e-40, 1e40, 1e200])
-def test_bounds_whose_root_cell_is_out_of_range_are_refused(extent: float) -> None:
+def test_bounds_whose_root_cell_is_out_of_range_are_refused(extent):
     with pytest.raises(ArgumentError, match="the root cell must have a size from"):
         Placement.around(np.array([[0.0] * 3, [extent] * 3]), 5)
 
 
 @pytest.mark.parametrize("rows", [0, 1])
-def test_no_row_beyond_a_split_table_is_read(rows: int) -> None:
+def test_no_row_beyond_a_split_table_is_read(rows):
     values = np.array([[0.0], [5.0], [9.0]], np.float32)
     cells, facings, mixed = np.zeros(1, np.uint32), np.array([3], np.uint8), np.zeros(3, np.uint8)
     mark_mixed(cells, facings, np.empty(0, np.float32), values[:rows], 0, 1e-9, mixed)

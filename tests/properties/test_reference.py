@@ -8,20 +8,17 @@ from __future__ import annotations
 import argparse
 import sys
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
-from octex.channels import ChannelFormat
 from octex.errors import ModelWarning
 from tests.conftest import needs_jit
 from tests.make.fixtures import CLAMP, LINEAR, MIRROR, NEAREST, REPEAT, Gltf, png, random_image
-from tests.oracles.naive_gltf import Floats, Numbers, Reference
+from tests.oracles.naive_gltf import Floats, Reference
 
 CODE = 1 / 255
 
@@ -33,12 +30,12 @@ class Difference(NamedTuple):
     points: int  # that were compared
     given: int
 
-    def __str__(self) -> str:
+    def __str__(self):
         share = "" if self.points == self.given else f" ({100 * self.points / self.given:.0f} %)"
         return f"{self.largest:.1e}{share}"
 
 
-def as_codes(values: npt.NDArray[Any], channel: ChannelFormat) -> Floats:
+def as_codes(values, channel):
     """Light on the sRGB curve, unit vectors as (x + 1) / 2, the rest as it is."""
     values = np.asarray(values, float)
     if channel.name == "normal":
@@ -50,13 +47,13 @@ def as_codes(values: npt.NDArray[Any], channel: ChannelFormat) -> Floats:
     return values
 
 
-def difference(found: Floats, expected: Floats, smooth: npt.NDArray[np.bool_]) -> Difference:
+def difference(found, expected, smooth):
     known = smooth & ~np.isnan(expected).any(axis=1)
     largest = np.abs(found - expected)[known].max(initial=0.0)
     return Difference(float(largest), int(known.sum()), len(found))
 
 
-def differences(path: Path, points: int) -> dict[str, Difference]:
+def differences(path, points):
     """Point lookups beside the reference; points on the edge of a step do not count."""
     surface, reference = octex.load_surface(path), Reference(path)
     np.testing.assert_allclose(reference.positions, surface.vertices[surface.triangles], rtol=1e-6, atol=1e-9)
@@ -74,7 +71,7 @@ def differences(path: Path, points: int) -> dict[str, Difference]:
     return found
 
 
-def converted_differences(path: Path, depth: int, points: int) -> dict[str, Difference]:
+def converted_differences(path, depth, points):
     """An octree beside the reference, at points around which the reference is within a code of itself."""
     surface, reference = octex.load_surface(path), Reference(path)
     texture = octex.convert(surface, depth, fit=False)
@@ -95,9 +92,7 @@ def converted_differences(path: Path, depth: int, points: int) -> dict[str, Diff
     return found
 
 
-def around(
-    corners: Floats, triangles: npt.NDArray[np.int32], points: Floats, centers: Floats, cell: float
-) -> tuple[Numbers, Numbers, Floats]:
+def around(corners, triangles, points, centers, cell):
     """Places in the neighbourhood of cells: the number of the cell, a triangle, barycentric coordinates.
 
     Corners and inside of what is of each triangle in the cell around each centre; and a grid as wide as a
@@ -130,7 +125,7 @@ def around(
     return np.array(owners), np.array(near), np.concatenate(at)
 
 
-def clipped(polygon: Floats, low: Floats, high: Floats) -> Floats:
+def clipped(polygon, low, high):
     """What of a polygon lies in a box (Sutherland and Hodgman)."""
     for axis in range(3):
         for sign, bound in ((1, high[axis]), (-1, -low[axis])):
@@ -147,7 +142,7 @@ def clipped(polygon: Floats, low: Floats, high: Floats) -> Floats:
     return polygon
 
 
-def barycentric_of(positions: Floats, corners: Floats) -> Floats:
+def barycentric_of(positions, corners):
     a, b, c = corners
     second, third = np.linalg.lstsq(np.stack([b - a, c - a], axis=1), (positions - a).T, rcond=None)[0]
     return np.stack([1 - second - third, second, third], axis=1)
@@ -156,7 +151,7 @@ def barycentric_of(positions: Floats, corners: Floats) -> Floats:
 _COMPRESSED = b"KHR_draco_mesh_compression", b"EXT_meshopt_compression"
 
 
-def usable(folder: Path) -> Iterator[Path]:
+def usable(folder):
     """Yield the models that octex takes without a word; what is broken is left to other tests."""
     for path in sorted(folder.rglob("*")):
         if path.suffix in (".gltf", ".glb") and "fragile" not in path.parts:
@@ -176,21 +171,21 @@ def usable(folder: Path) -> Iterator[Path]:
 _WRAPS = (REPEAT, MIRROR, CLAMP)
 
 
-def random_model(path: Path, seed: int, **fixed: Any) -> Path:
+def random_model(path, seed, **fixed):
     """A bumpy patch, placed by two nodes; ``fixed`` decides what chance would (alpha_mode, tangents, …)."""
     random = np.random.default_rng(seed)
     contrast = fixed.get("contrast", 1.0)
     gltf = Gltf()
 
-    def noise(height: int, width: int, channels: int, dtype: str = "uint8") -> npt.NDArray[Any]:
+    def noise(height, width, channels, dtype="uint8"):
         values = random_image(height, width, channels, dtype, int(random.integers(1 << 30)))
         top = np.iinfo(dtype).max
         return (0.8 * top + contrast * (values - 0.8 * top)).astype(dtype)
 
-    def chosen(name: str, *choices: Any) -> Any:
+    def chosen(name, *choices):
         return fixed.get(name, choices[int(random.integers(len(choices)))])
 
-    def info(**more: Any) -> dict[str, Any]:
+    def info(**more):
         height, width = (int(size) for size in random.integers(3, 17, 2))
         channels = int(random.integers(3, 5))
         image = gltf.image(png(noise(height, width, channels)))
@@ -206,7 +201,7 @@ def random_model(path: Path, seed: int, **fixed: Any) -> Path:
                 entry["extensions"]["KHR_texture_transform"]["texCoord"] = int(random.integers(2))
         return entry
 
-    def factors(count: int) -> list[float]:
+    def factors(count):
         return random.uniform(0.3, 1, count).tolist()
 
     kind = chosen("kind", "metallic", "metallic", "specular")
@@ -246,7 +241,7 @@ def random_model(path: Path, seed: int, **fixed: Any) -> Path:
         [corners[:, None] + [0, size, 1], corners[:, None] + [1, size, size + 1]]
     ).astype(np.uint16)
 
-    def unit(count: int) -> npt.NDArray[np.float32]:
+    def unit(count):
         vectors = random.normal([0, 0, 1], 0.3 * contrast, (count, 3))
         return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
 
@@ -273,7 +268,7 @@ def random_model(path: Path, seed: int, **fixed: Any) -> Path:
 
 
 @pytest.mark.parametrize("seed", range(16))
-def test_every_channel_of_random_models_is_the_references(tmp_path: Path, seed: int) -> None:
+def test_every_channel_of_random_models_is_the_references(tmp_path, seed):
     found = differences(random_model(tmp_path / "model.glb", seed), 300)
     assert {"base_color", "roughness", "occlusion", "emissive", "normal"} <= set(found)
     for name, each in found.items():
@@ -283,9 +278,7 @@ def test_every_channel_of_random_models_is_the_references(tmp_path: Path, seed: 
 
 @needs_jit
 @pytest.mark.parametrize("seed", range(4))
-def test_every_channel_of_octrees_of_smooth_random_models_is_the_references(
-    tmp_path: Path, seed: int
-) -> None:
+def test_every_channel_of_octrees_of_smooth_random_models_is_the_references(tmp_path, seed):
     found = converted_differences(random_model(tmp_path / "model.glb", seed, contrast=0.04), 7, 300)
     for name, each in found.items():
         assert each.largest < 1.5 * CODE, (name, each)
@@ -296,7 +289,7 @@ def test_every_channel_of_octrees_of_smooth_random_models_is_the_references(
 
 
 @needs_jit
-def test_every_channel_of_real_models_is_the_references(models: Path) -> None:
+def test_every_channel_of_real_models_is_the_references(models):
     found = {path: differences(path, 300) for path in usable(models)}
     assert found
     assert {
@@ -308,7 +301,7 @@ def test_every_channel_of_real_models_is_the_references(models: Path) -> None:
 
 
 @needs_jit
-def test_every_channel_of_octrees_of_real_models_is_the_references(models: Path) -> None:
+def test_every_channel_of_octrees_of_real_models_is_the_references(models):
     found = {path: converted_differences(path, 9, 200) for path in usable(models)}
     assert found
     assert {
@@ -319,7 +312,7 @@ def test_every_channel_of_octrees_of_real_models_is_the_references(models: Path)
     } == {}
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments=None):
     parser = argparse.ArgumentParser(description="Compare every channel of glTF models with the reference.")
     parser.add_argument("folder", type=Path)
     parser.add_argument("--points", type=int, default=10_000)

@@ -1,7 +1,5 @@
 """Something thin: its sides at any footprint, and what cannot be told apart; averages beside the source."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -19,7 +17,7 @@ from tests.make.small_textures import unit
 @pytest.mark.parametrize("fit", [False, True])
 @pytest.mark.parametrize("thickness", [0.0, 0.004, 0.02, 0.035])  # cells are 0.038 or so wide
 @pytest.mark.parametrize("seed", range(5))
-def test_each_side_of_something_thin_shows_its_own_colour(seed: int, thickness: float, fit: bool) -> None:
+def test_each_side_of_something_thin_shows_its_own_colour(seed, thickness, fit):
     turn = turned(seed)
     surface = sheet(turn, thickness)
     texture = octex.convert(surface, depth=5, fit=fit)
@@ -43,7 +41,7 @@ def test_each_side_of_something_thin_shows_its_own_colour(seed: int, thickness: 
     assert (both[:, 2] < 0.01).all()
 
 
-def test_the_papers_rule_goes_down_to_where_sides_are_apart() -> None:
+def test_the_papers_rule_goes_down_to_where_sides_are_apart():
     surface = sheet(np.eye(3), 0.2)
     texture = octex.convert(surface, depth=6, fit=False)
     samples = surface.scatter(300)
@@ -58,7 +56,7 @@ def test_the_papers_rule_goes_down_to_where_sides_are_apart() -> None:
     np.testing.assert_allclose(blind, [[0.5, 0.5, 0.0]] * 300, atol=0.01)
 
 
-def test_a_front_and_a_back_that_are_nearly_alike_may_mix() -> None:
+def test_a_front_and_a_back_that_are_nearly_alike_may_mix():
     surface = sheet(np.eye(3), 0.2)
     half = len(surface.triangles) // 2
     colors = np.where(np.arange(2 * half)[:, None] < half, 0.5, 0.52) * np.ones(3)
@@ -71,7 +69,7 @@ def test_a_front_and_a_back_that_are_nearly_alike_may_mix() -> None:
     assert (np.abs(apart - 0.51) > 0.006).all()
 
 
-def test_sheets_that_face_the_same_way_cannot_be_told_apart() -> None:
+def test_sheets_that_face_the_same_way_cannot_be_told_apart():
     below, above = sheet(np.eye(3), 0.0), sheet(np.eye(3), 0.0, gap=0.01)
     half = len(below.triangles) // 2
     vertices = np.concatenate([below.vertices, above.vertices])
@@ -83,7 +81,7 @@ def test_sheets_that_face_the_same_way_cannot_be_told_apart() -> None:
     np.testing.assert_allclose(found, [[0.5, 0.0, 0.5]], atol=0.1)
 
 
-def test_the_outside_and_the_inside_of_a_hairpin_cannot_be_told_apart() -> None:
+def test_the_outside_and_the_inside_of_a_hairpin_cannot_be_told_apart():
     upper, lower = sheet(np.eye(3), 0.004, gap=0.01), sheet(np.diag([1.0, -1.0, -1.0]), 0.004, gap=0.01)
     surface = Surface.from_arrays(
         np.concatenate([upper.vertices, lower.vertices]),
@@ -97,7 +95,7 @@ def test_the_outside_and_the_inside_of_a_hairpin_cannot_be_told_apart() -> None:
 
 
 @needs_jit
-def test_a_model_without_thin_places_has_no_leaf_split_and_pays_nothing() -> None:
+def test_a_model_without_thin_places_has_no_leaf_split_and_pays_nothing():
     steps = np.linspace(0, 2 * np.pi, 41)
     u, v = (grid.ravel() for grid in np.meshgrid(steps, np.linspace(0, np.pi, 21)))
     vertices = np.column_stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
@@ -110,12 +108,12 @@ def test_a_model_without_thin_places_has_no_leaf_split_and_pays_nothing() -> Non
 
 
 @needs_jit
-def test_what_is_thin_is_fitted_on_each_of_its_sides() -> None:
+def test_what_is_thin_is_fitted_on_each_of_its_sides():
     surface = bent(0.02)
     samples = surface.scatter(20_000)
     source = linear_to_srgb(surface.evaluate(samples))
 
-    def error(fit: bool, normals: np.ndarray | None) -> float:
+    def error(fit, normals):
         found = octex.convert(surface, depth=6, fit=fit).sample(samples.rest, normals=normals)
         return float(np.sqrt(np.mean((linear_to_srgb(found) - source) ** 2)))
 
@@ -123,13 +121,13 @@ def test_what_is_thin_is_fitted_on_each_of_its_sides() -> None:
     assert error(True, None) < error(False, None)
 
 
-def test_leaves_that_only_look_moved_are_not_split() -> None:
+def test_leaves_that_only_look_moved_are_not_split():
     tree = octex.convert(sheet(np.eye(3), 0.0), depth=4, fit=False).tree
     assert np.array_equal(tree.split.cells, np.arange(tree.n_cells))
 
 
 @needs_jit
-def test_averages_are_the_sources_whether_fitted_or_not() -> None:
+def test_averages_are_the_sources_whether_fitted_or_not():
     random = np.random.default_rng(3)
     surface = sheet(turned(3), 0.3)
     colors = random.random((len(surface.vertices), 3))
@@ -155,7 +153,7 @@ def test_averages_are_the_sources_whether_fitted_or_not() -> None:
 
 @needs_jit
 @pytest.mark.parametrize("facing", [False, True])
-def test_nothing_jumps_along_a_slow_zoom_or_a_slow_path(facing: bool) -> None:
+def test_nothing_jumps_along_a_slow_zoom_or_a_slow_path(facing):
     texture = octex.convert(bent(0.02), depth=5)
     steps = 30_000
     turn = np.linspace(0.3, 2.8, steps)

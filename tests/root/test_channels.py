@@ -1,7 +1,5 @@
 """Channels, the border checks, the compile policy, parallel work and the errors: what all rooms stand on."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import os
@@ -10,13 +8,11 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -35,16 +31,14 @@ from tests.conftest import needs_jit
 
 @pytest.mark.parametrize("space", channels.COLOR_SPACES)
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
-def test_every_code_survives_decoding_and_encoding(dtype: str, space: channels.ColorSpace) -> None:
+def test_every_code_survives_decoding_and_encoding(dtype, space):
     codes = np.arange(int(channels.ONE[dtype]) + 1).astype(dtype)
     np.testing.assert_array_equal(encode(decode(codes, space), dtype, space), codes)
 
 
 @pytest.mark.parametrize("space", channels.COLOR_SPACES)
 @pytest.mark.parametrize(("dtype", "precision"), [("float16", 2e-3), ("float32", 1e-6)])
-def test_floats_survive_encoding_beyond_one_too(
-    dtype: str, precision: float, space: channels.ColorSpace
-) -> None:
+def test_floats_survive_encoding_beyond_one_too(dtype, precision, space):
     values = np.array([[-0.25, 0.0, 1e-3], [0.18, 1.0, 6.5]])
     stored = encode(values, dtype, space)
     assert stored.dtype == dtype
@@ -54,19 +48,19 @@ def test_floats_survive_encoding_beyond_one_too(
 
 
 @given(st.floats(0.0, 1.0))
-def test_the_transfer_curve_and_its_inverse_agree(value: float) -> None:
+def test_the_transfer_curve_and_its_inverse_agree(value):
     assert abs(float(linear_to_srgb(srgb_to_linear(value))) - value) < 1e-7
     assert abs(float(srgb_to_linear(linear_to_srgb(value))) - value) < 1e-7
 
 
-def test_the_transfer_curve_has_the_standards_values() -> None:
+def test_the_transfer_curve_has_the_standards_values():
     # IEC 61966-2-1: code 128 is 21.586 % linear light, code 10 lies on the straight part.
     np.testing.assert_allclose(srgb_to_linear(128 / 255), 0.2158605, rtol=1e-6)
     np.testing.assert_allclose(srgb_to_linear(10 / 255), 10 / 255 / 12.92, rtol=1e-12)
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
-def test_integers_of_srgb_are_the_codes_nearest_on_the_curve(dtype: str) -> None:
+def test_integers_of_srgb_are_the_codes_nearest_on_the_curve(dtype):
     # All bins of the encoders, and both sides of every place where one code gives way to the next.
     one = int(channels.ONE[dtype])
     edges = srgb_to_linear((np.arange(one) + 0.5) / one)
@@ -80,24 +74,21 @@ def test_integers_of_srgb_are_the_codes_nearest_on_the_curve(dtype: str) -> None
     np.testing.assert_array_equal(encode(edges * (1 + 1e-11), dtype, "srgb"), np.arange(1, one + 1))
 
 
-def plainly_encoded(
-    values: npt.NDArray[np.float64], dtype: str, space: channels.ColorSpace
-) -> npt.NDArray[Any]:
+def plainly_encoded(values, dtype, space):
     """Encode by the formulas, step by step."""
     if dtype.startswith("float"):
         encoded = linear_to_srgb(values) if space == "srgb" else values
         largest = np.finfo(dtype).max
         return np.clip(encoded, -largest, largest).astype(dtype)
-    unit = {
-        "srgb": linear_to_srgb(np.clip(values, 0, 1)),
-        "direction": (np.clip(values, -1, 1) + 1) / 2,
-    }.get(space, np.clip(values, 0, 1))
+    unit = {"srgb": linear_to_srgb(np.clip(values, 0, 1)), "direction": (np.clip(values, -1, 1) + 1) / 2}.get(
+        space, np.clip(values, 0, 1)
+    )
     return np.rint(unit * channels.ONE[dtype]).astype(dtype)
 
 
 @pytest.mark.parametrize("space", channels.COLOR_SPACES)
 @pytest.mark.parametrize("dtype", channels.ONE)
-def test_encoding_follows_the_plain_formulas(dtype: str, space: channels.ColorSpace) -> None:
+def test_encoding_follows_the_plain_formulas(dtype, space):
     random = np.random.default_rng(3)
     count = 500 if jit.DISABLED else 50_000
     values = np.concatenate(
@@ -113,7 +104,7 @@ def test_encoding_follows_the_plain_formulas(dtype: str, space: channels.ColorSp
     np.testing.assert_array_equal(encode(values, dtype, space), plainly_encoded(values, dtype, space))
 
 
-def test_directions_are_stored_about_the_middle_of_integers() -> None:
+def test_directions_are_stored_about_the_middle_of_integers():
     np.testing.assert_array_equal(encode(np.array([-1.0, 0.0, 1.0]), "uint8", "direction"), [0, 128, 255])
     np.testing.assert_array_equal(decode(np.array([0, 255], np.uint8), "direction"), [-1.0, 1.0])
     np.testing.assert_array_equal(decode(np.array([0, 65535], np.uint16), "direction"), [-1.0, 1.0])
@@ -123,7 +114,7 @@ def test_directions_are_stored_about_the_middle_of_integers() -> None:
 @pytest.mark.parametrize(
     ("dtype", "space"), [("uint8", "srgb"), ("uint8", "data"), ("uint16", "srgb"), ("uint8", "direction")]
 )
-def test_rounding_is_unbiased(dtype: str, space: channels.ColorSpace) -> None:
+def test_rounding_is_unbiased(dtype, space):
     encoded = np.random.default_rng(5).random(2000 if jit.DISABLED else 100_000)
     values = {"srgb": srgb_to_linear(encoded), "direction": 2 * encoded - 1}.get(space, encoded)
     error = encode(values, dtype, space) / channels.ONE[dtype] - encoded
@@ -134,21 +125,21 @@ def test_rounding_is_unbiased(dtype: str, space: channels.ColorSpace) -> None:
 
 @pytest.mark.parametrize("space", channels.COLOR_SPACES)
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
-def test_integers_clamp_and_take_nan_as_zero(dtype: str, space: channels.ColorSpace) -> None:
+def test_integers_clamp_and_take_nan_as_zero(dtype, space):
     values = np.array([-1.0, -np.inf, np.nan, 1.5, np.inf])
     one = channels.ONE[dtype]
     np.testing.assert_array_equal(encode(values, dtype, space), np.array([0, 0, 0, one, one]))
 
 
 @pytest.mark.parametrize("dtype", ["float16", "float32"])
-def test_floats_stay_finite_whatever_comes(dtype: str) -> None:
+def test_floats_stay_finite_whatever_comes(dtype):
     largest = float(np.finfo(dtype).max)
     values = np.array([1e300, -1e300, np.inf, -np.inf, np.nan, -np.nan])
     expected = [largest, -largest, largest, -largest, 0, 0]
     np.testing.assert_array_equal(encode(values, dtype, "linear"), expected)
 
 
-def test_encoding_takes_any_memory_layout_and_keeps_the_shape() -> None:
+def test_encoding_takes_any_memory_layout_and_keeps_the_shape():
     values = np.random.default_rng(1).random((6, 4, 3)).astype(np.float32)
     for view in (values[::2], values.transpose(1, 0, 2), values[:, :, :1], values[:0]):
         expected = np.rint(linear_to_srgb(view) * 255)
@@ -157,7 +148,7 @@ def test_encoding_takes_any_memory_layout_and_keeps_the_shape() -> None:
         np.testing.assert_array_equal(found, expected)
 
 
-def test_decoding_is_done_by_a_table_that_is_made_once() -> None:
+def test_decoding_is_done_by_a_table_that_is_made_once():
     assert channels.decode_table("uint8", "srgb") is channels.decode_table("uint8", "srgb")
     assert channels.decode_table("uint16", "data")[-1] == 1.0
 
@@ -166,7 +157,7 @@ def test_decoding_is_done_by_a_table_that_is_made_once() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_points_that_fit_are_not_copied(dtype: type[np.floating]) -> None:
+def test_points_that_fit_are_not_copied(dtype):
     points = np.zeros((5, 3), dtype)
     assert checks.as_points(points) is points
 
@@ -183,7 +174,7 @@ def test_points_that_fit_are_not_copied(dtype: type[np.floating]) -> None:
         (np.zeros((0, 3)), np.float64),
     ],
 )
-def test_points_become_contiguous_native_floats(points: Any, dtype: type[np.floating]) -> None:
+def test_points_become_contiguous_native_floats(points, dtype):
     array = checks.as_points(points)
     assert array.dtype == dtype
     assert array.dtype.isnative
@@ -203,24 +194,24 @@ def test_points_become_contiguous_native_floats(points: Any, dtype: type[np.floa
         (None, "^rest must be real numbers, not object$"),
     ],
 )
-def test_other_points_are_refused_by_name(points: Any, message: str) -> None:
+def test_other_points_are_refused_by_name(points, message):
     with pytest.raises(ArgumentError, match=message):
         checks.as_points(points, "rest")
 
 
 @pytest.mark.parametrize("depth", [0, MAX_DEPTH, np.int64(7)])
-def test_a_depth_becomes_a_python_integer(depth: int) -> None:
+def test_a_depth_becomes_a_python_integer(depth):
     assert type(checks.as_depth(depth)) is int
     assert checks.as_depth(depth) == depth
 
 
 @pytest.mark.parametrize("depth", [-1, MAX_DEPTH + 1, 3.0, "3", None, True])
-def test_another_depth_is_refused(depth: Any) -> None:
+def test_another_depth_is_refused(depth):
     with pytest.raises(ArgumentError, match=r"^level must be a whole number from 0 to 21, not "):
         checks.as_depth(depth, "level")
 
 
-def test_a_choice_is_one_of_the_known_ones() -> None:
+def test_a_choice_is_one_of_the_known_ones():
     assert checks.as_choice("b", "abc", "filter") == "b"
     with pytest.raises(ArgumentError, match=r"^unknown filter 'z'; there are: a, b$"):
         checks.as_choice("z", iter(["a", "b"]), "filter")
@@ -228,36 +219,36 @@ def test_a_choice_is_one_of_the_known_ones() -> None:
         checks.as_choice("z", [], "channel")
 
 
-def test_a_positive_number_is_finite_and_above_zero() -> None:
+def test_a_positive_number_is_finite_and_above_zero():
     assert checks.as_positive(np.float32(0.5), "cell") == 0.5
     for value in (0, -1.0, np.inf, np.nan):
         with pytest.raises(ArgumentError, match=r"^cell must be finite and above zero, not "):
             checks.as_positive(value, "cell")
     for value in (None, "wide"):
         with pytest.raises(ArgumentError, match=r"^cell must be a number, not "):
-            checks.as_positive(value, "cell")  # type: ignore[arg-type]
+            checks.as_positive(value, "cell")
 
 
 # --- jit
 
 
 @pytest.mark.parametrize("bits", [1, 0b1000, 0x8000000000000000, 0xFFFFFFFFFFFFFFFF, 0xF0F0_0000_0001_0000])
-def test_bit_counts_agree_with_python(bits: int) -> None:
+def test_bit_counts_agree_with_python(bits):
     assert _bit_counts(np.uint64(bits)) == (bits.bit_count(), (bits & -bits).bit_length() - 1)
 
 
 @jit.kernel
-def _bit_counts(bits: np.uint64) -> tuple[int, int]:
+def _bit_counts(bits):
     return jit.popcount(bits), jit.trailing_zeros(bits)
 
 
 @pytest.mark.parametrize("count", [0, 1, 31, 63])
-def test_low_bits_is_a_mask(count: int) -> None:
+def test_low_bits_is_a_mask(count):
     assert int(jit.low_bits(count)) == (1 << count) - 1
 
 
 @needs_jit
-def test_code_whose_types_are_gone_is_compiled_anew(tmp_path: Path) -> None:
+def test_code_whose_types_are_gone_is_compiled_anew(tmp_path):
     call = [sys.executable, "-c", "from octex import jit; print(jit.low_bits(3))"]
     options: dict[str, Any] = {"env": os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}, "capture_output": True}
     assert subprocess.run(call, **options, check=True).stdout == b"7\n"
@@ -274,10 +265,10 @@ def test_code_whose_types_are_gone_is_compiled_anew(tmp_path: Path) -> None:
 class Eager(Executor):
     """Runs at once, and counts."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.submitted = 0
 
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(self, fn, /, *args, **kwargs):
         self.submitted += 1
         future: Future[Any] = Future()
         try:
@@ -288,15 +279,15 @@ class Eager(Executor):
 
 
 @pytest.fixture
-def pool() -> Iterator[Executor]:
+def pool():
     with ThreadPoolExecutor(3) as executor:
         yield executor
 
 
-def test_results_come_in_the_order_of_the_items_whatever_finishes_first(pool: Executor) -> None:
+def test_results_come_in_the_order_of_the_items_whatever_finishes_first(pool):
     second_is_done = threading.Event()
 
-    def work(item: int) -> int:
+    def work(item):
         if item == 0:
             assert second_is_done.wait(60)
         if item == 1:
@@ -306,7 +297,7 @@ def test_results_come_in_the_order_of_the_items_whatever_finishes_first(pool: Ex
     assert list(parallel.ordered_map(pool, work, range(9), window=4)) == [i * i for i in range(9)]
 
 
-def test_no_more_than_the_window_is_in_flight() -> None:
+def test_no_more_than_the_window_is_in_flight():
     executor = Eager()
     results = parallel.ordered_map(executor, str, range(10), window=3)
     for taken in range(10):
@@ -314,7 +305,7 @@ def test_no_more_than_the_window_is_in_flight() -> None:
         assert executor.submitted <= min(10, taken + 3)
 
 
-def test_progress_counts_every_item_once() -> None:
+def test_progress_counts_every_item_once():
     calls: list[tuple[str, int, int]] = []
     list(
         parallel.ordered_map(
@@ -324,15 +315,15 @@ def test_progress_counts_every_item_once() -> None:
     assert calls == [("cells", 1, 3), ("cells", 2, 3), ("cells", 3, 3)]
 
 
-def test_nothing_to_do_is_done_at_once() -> None:
+def test_nothing_to_do_is_done_at_once():
     assert list(parallel.ordered_map(Eager(), abs, [])) == []
 
 
-def test_the_first_error_ends_the_map_and_cancels_what_has_not_begun() -> None:
+def test_the_first_error_ends_the_map_and_cancels_what_has_not_begun():
     release = threading.Event()
     begun: list[int] = []
 
-    def work(item: int) -> int:
+    def work(item):
         begun.append(item)
         if item == 0:
             raise ZeroDivisionError
@@ -347,11 +338,11 @@ def test_the_first_error_ends_the_map_and_cancels_what_has_not_begun() -> None:
     assert set(begun) <= {0, 1}
 
 
-def test_leaving_the_map_early_cancels_the_rest() -> None:
+def test_leaving_the_map_early_cancels_the_rest():
     release = threading.Event()
     begun: list[int] = []
 
-    def work(item: int) -> int:
+    def work(item):
         begun.append(item)
         if item:
             release.wait(60)
@@ -360,12 +351,12 @@ def test_leaving_the_map_early_cancels_the_rest() -> None:
     with ThreadPoolExecutor(1) as executor:
         results = parallel.ordered_map(executor, work, range(20))
         assert next(results) == 0
-        results.close()  # type: ignore[attr-defined]
+        results.close()
         release.set()
     assert set(begun) <= {0, 1}
 
 
-def test_an_error_in_the_block_drops_the_work_that_has_not_begun() -> None:
+def test_an_error_in_the_block_drops_the_work_that_has_not_begun():
     release = threading.Event()
     futures: list[Future[bool]] = []
     with pytest.raises(KeyboardInterrupt), parallel.pool_of(1) as executor:
@@ -375,22 +366,20 @@ def test_an_error_in_the_block_drops_the_work_that_has_not_begun() -> None:
     assert futures[-1].cancelled()
 
 
-def test_workers_are_the_callers_executor_or_threads_over_all_processors(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_workers_are_the_callers_executor_or_threads_over_all_processors(monkeypatch):
     executor = Eager()
     with parallel.workers(Run(executor=executor)) as given_back:
         assert given_back is executor
     monkeypatch.setattr(parallel, "cpu_count", lambda: 3)
     for threads, tasks, expected in ((None, None, 3), (None, 2, 2), (5, None, 5), (5, 4, 4)):
         with parallel.workers(Run(threads=threads), tasks) as own:
-            assert own._max_workers == expected  # type: ignore[attr-defined]
+            assert own._max_workers == expected
         with pytest.raises(RuntimeError):
             own.submit(print)
 
 
-def test_little_work_and_work_inside_work_stays_in_the_calling_thread() -> None:
-    def who() -> object:
+def test_little_work_and_work_inside_work_stays_in_the_calling_thread():
+    def who():
         with parallel.workers() as inner:
             return inner.submit(threading.current_thread).result(), threading.current_thread()
 
@@ -402,17 +391,17 @@ def test_little_work_and_work_inside_work_stays_in_the_calling_thread() -> None:
         assert inner is outer is not threading.current_thread()
 
 
-def test_more_threads_than_octex_may_start_are_not_started() -> None:
+def test_more_threads_than_octex_may_start_are_not_started():
     with parallel.at_most(2), parallel.workers(Run(threads=5)) as pool:
-        assert pool._max_workers == 2  # type: ignore[attr-defined]
+        assert pool._max_workers == 2
 
 
-def test_what_is_built_once_is_built_by_one_of_the_threads_that_want_it() -> None:
+def test_what_is_built_once_is_built_by_one_of_the_threads_that_want_it():
     class Slow:
         built = 0
 
         @parallel.built_once
-        def value(self) -> object:
+        def value(self):
             self.built += 1
             time.sleep(0.01)
             return object()
@@ -424,13 +413,13 @@ def test_what_is_built_once_is_built_by_one_of_the_threads_that_want_it() -> Non
     assert all(value is values[0] for value in values)
 
 
-def test_who_builds_one_object_waits_for_nobody_who_builds_another() -> None:
+def test_who_builds_one_object_waits_for_nobody_who_builds_another():
     class Slow:
-        def __init__(self) -> None:
+        def __init__(self):
             self.begun, self.may_end = threading.Event(), threading.Event()
 
         @parallel.built_once
-        def value(self) -> int:
+        def value(self):
             self.begun.set()
             assert self.may_end.wait(10)
             return 1
@@ -447,27 +436,27 @@ def test_who_builds_one_object_waits_for_nobody_who_builds_another() -> None:
         assert found.result() == 1
 
 
-def test_processors_are_counted_where_affinity_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processors_are_counted_where_affinity_is_unknown(monkeypatch):
     assert parallel.cpu_count() >= 1
     monkeypatch.delattr(os, "sched_getaffinity", raising=False)
     monkeypatch.setattr(os, "cpu_count", lambda: None)
     assert parallel.cpu_count() == 1
 
 
-def test_memory_is_finite_or_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_is_finite_or_unknown(monkeypatch):
     assert parallel.memory_size() > 1e8
     monkeypatch.delattr(os, "sysconf", raising=False)
     assert parallel.memory_size() == math.inf
 
 
-def test_silence_is_a_progress() -> None:
-    assert parallel.silent("stage", 0, 1) is None  # type: ignore[func-returns-value]
+def test_silence_is_a_progress():
+    assert parallel.silent("stage", 0, 1) is None
 
 
 # --- errors
 
 
-def test_every_error_is_an_octex_error_of_its_kind() -> None:
+def test_every_error_is_an_octex_error_of_its_kind():
     assert issubclass(errors.ArgumentError, (errors.InputError, ValueError))
     assert issubclass(errors.MissingExtraError, (errors.OctexError, ImportError))
     for kind in (errors.ArgumentError, errors.ModelError, errors.ImageError, errors.TextureFileError):
@@ -476,7 +465,7 @@ def test_every_error_is_an_octex_error_of_its_kind() -> None:
         assert issubclass(kind, octex.OctexError)
 
 
-def test_exit_codes_are_the_shells_and_say_what_they_mean() -> None:
+def test_exit_codes_are_the_shells_and_say_what_they_mean():
     assert {code.name: int(code) for code in ExitCode} == {
         "DONE": 0,
         "INVALID": 1,
@@ -491,16 +480,16 @@ def test_exit_codes_are_the_shells_and_say_what_they_mean() -> None:
 
 
 @needs_jit
-def test_compiled_code_on_disk_is_of_this_state_of_all_that_it_is_compiled_from() -> None:
+def test_compiled_code_on_disk_is_of_this_state_of_all_that_it_is_compiled_from():
     # numba alone looks at the kernel's own file, and keeps callers of a function that has changed elsewhere.
-    folder = Path(jit.low_bits.compiled.stats.cache_path).parent  # type: ignore[attr-defined]
+    folder = Path(jit.low_bits.compiled.stats.cache_path).parent
     assert folder == cache._folder_of("octex.jit.instructions")
     others = {cache.digest_behind(f"octex.{name}") for name in ("channels", "checks")}
     assert cache.digest_behind("octex.jit.instructions") not in others
 
 
 @needs_jit
-def test_what_kernels_call_is_in_a_module_behind_theirs() -> None:
+def test_what_kernels_call_is_in_a_module_behind_theirs():
     calls = 0
     for found in pkgutil.walk_packages(octex.__path__, "octex."):
         module = importlib.import_module(found.name)

@@ -3,7 +3,6 @@ from __future__ import annotations
 import json
 import os
 import resource
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ INTEGERS = [f"{sign}int{bits}" for sign in ("u", "") for bits in (8, 16, 32, 64)
 DTYPES = [*INTEGERS, "float16", "float32", "float64"]
 
 
-def some_tensors() -> dict[str, np.ndarray]:
+def some_tensors():
     random = np.random.default_rng(0)
     tensors = {name: (random.random((3, 5)) * 100).astype(name) for name in DTYPES}
     return tensors | {
@@ -28,13 +27,13 @@ def some_tensors() -> dict[str, np.ndarray]:
     }
 
 
-def file_of(entries: Any, data: bytes = b"1234") -> bytes:
+def file_of(entries, data=b"1234"):
     """Return a file with a header of these entries, or of these bytes."""
     text = entries if isinstance(entries, bytes) else json.dumps(entries).encode()
     return len(text).to_bytes(8, "little") + text + data
 
 
-def test_what_is_written_is_read(tmp_path: Path) -> None:
+def test_what_is_written_is_read(tmp_path):
     path = tmp_path / "a.octex"
     container.write(path, some_tensors(), {"name": "Grüße", "empty": ""})
     contents = container.read(path)
@@ -45,7 +44,7 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
         assert np.array_equal(contents.tensors[name], array)
 
 
-def test_the_safetensors_library_reads_it(tmp_path: Path) -> None:
+def test_the_safetensors_library_reads_it(tmp_path):
     path = tmp_path / "a.octex"
     container.write(path, some_tensors(), {"name": "Grüße"})
     for name, array in load_file(path).items():
@@ -54,7 +53,7 @@ def test_the_safetensors_library_reads_it(tmp_path: Path) -> None:
         assert file.metadata() == {"name": "Grüße"}
 
 
-def test_files_of_the_safetensors_library_are_read(tmp_path: Path) -> None:
+def test_files_of_the_safetensors_library_are_read(tmp_path):
     path = tmp_path / "a.safetensors"
     save_file(some_tensors(), path)
     contents = container.read(path)
@@ -63,7 +62,7 @@ def test_files_of_the_safetensors_library_are_read(tmp_path: Path) -> None:
     assert contents.metadata == {}
 
 
-def test_arrays_begin_at_a_page_without_gaps_largest_items_first(tmp_path: Path) -> None:
+def test_arrays_begin_at_a_page_without_gaps_largest_items_first(tmp_path):
     path = tmp_path / "a.octex"
     container.write(path, some_tensors(), {"long": "x" * 5000})
     length = int.from_bytes(path.read_bytes()[:8], "little")
@@ -73,7 +72,7 @@ def test_arrays_begin_at_a_page_without_gaps_largest_items_first(tmp_path: Path)
     assert path.stat().st_size == 8 + length + sum(array.nbytes for array in some_tensors().values())
 
 
-def test_arrays_are_aligned_and_writable_but_changes_stay_in_memory(tmp_path: Path) -> None:
+def test_arrays_are_aligned_and_writable_but_changes_stay_in_memory(tmp_path):
     path = tmp_path / "a.octex"
     container.write(path, some_tensors(), {})
     before = path.read_bytes()
@@ -83,7 +82,7 @@ def test_arrays_are_aligned_and_writable_but_changes_stay_in_memory(tmp_path: Pa
     assert path.read_bytes() == before
 
 
-def test_a_misaligned_array_of_a_foreign_file_is_copied(tmp_path: Path) -> None:
+def test_a_misaligned_array_of_a_foreign_file_is_copied(tmp_path):
     entries = {"a": {"dtype": "F64", "shape": [2], "data_offsets": [0, 16]}}
     text = json.dumps(entries).encode()
     text += b" " * (-(len(text)) % 8 + 1)
@@ -92,30 +91,30 @@ def test_a_misaligned_array_of_a_foreign_file_is_copied(tmp_path: Path) -> None:
     assert array.flags.aligned and array.tolist() == [1.5, 2.5]
 
 
-def test_arrays_of_any_order_are_written_as_c(tmp_path: Path) -> None:
+def test_arrays_of_any_order_are_written_as_c(tmp_path):
     array = np.arange(12, dtype=">i4").reshape(3, 4).T
     container.write(tmp_path / "a", {"a": array}, {})
     assert np.array_equal(container.read(tmp_path / "a").tensors["a"], array)
 
 
 @pytest.mark.parametrize("name", ["", "__metadata__"])
-def test_unusable_names_are_refused(tmp_path: Path, name: str) -> None:
+def test_unusable_names_are_refused(tmp_path, name):
     with pytest.raises(ArgumentError, match="cannot have the name"):
         container.write(tmp_path / "a", {name: np.zeros(1)}, {})
     assert not list(tmp_path.iterdir())
 
 
-def test_types_that_a_file_cannot_hold_are_refused(tmp_path: Path) -> None:
+def test_types_that_a_file_cannot_hold_are_refused(tmp_path):
     with pytest.raises(ArgumentError, match="cannot hold complex128"):
         container.write(tmp_path / "a", {"a": np.zeros(1, complex)}, {})
 
 
-def test_metadata_must_be_strings(tmp_path: Path) -> None:
+def test_metadata_must_be_strings(tmp_path):
     with pytest.raises(ArgumentError, match="strings to strings"):
-        container.write(tmp_path / "a", {}, {"a": 1})  # type: ignore[dict-item]
+        container.write(tmp_path / "a", {}, {"a": 1})
 
 
-def test_text_that_is_not_unicode_does_not_stop_a_save(tmp_path: Path) -> None:
+def test_text_that_is_not_unicode_does_not_stop_a_save(tmp_path):
     container.write(tmp_path / "a", {}, {"source": "caf\udce9.glb"})
     assert container.read(tmp_path / "a").metadata == {"source": "caf?.glb"}
 
@@ -166,9 +165,7 @@ DAMAGED: list[tuple[bytes, str]] = [
 
 
 @pytest.mark.parametrize(("content", "message"), DAMAGED)
-def test_damaged_files_are_refused_in_one_line_that_names_them(
-    tmp_path: Path, content: bytes, message: str
-) -> None:
+def test_damaged_files_are_refused_in_one_line_that_names_them(tmp_path, content, message):
     (tmp_path / "a.octex").write_bytes(content)
     with pytest.raises(TextureFileError, match=message) as error:
         container.read(tmp_path / "a.octex")
@@ -176,13 +173,13 @@ def test_damaged_files_are_refused_in_one_line_that_names_them(
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes among its files")
-def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_pipe_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "a.octex")
     with pytest.raises(TextureFileError, match=r"a\.octex: cannot be read: it is a pipe or a device"):
         container.read(tmp_path / "a.octex")
 
 
-def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
+def test_missing_files_and_folders_are_refused(tmp_path):
     with pytest.raises(TextureFileError, match=r"none\.octex: cannot be read: No such file"):
         container.read(tmp_path / "none.octex")
     with pytest.raises(TextureFileError, match="cannot be read"):
@@ -193,7 +190,7 @@ def test_missing_files_and_folders_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.fixture
-def small_disk() -> Any:
+def small_disk():
     """No file may grow beyond 8 KiB."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (8192, limits[1]))
@@ -202,7 +199,7 @@ def small_disk() -> Any:
 
 
 @pytest.mark.usefixtures("small_disk")
-def test_a_disk_that_fills_up_leaves_the_old_file_whole(tmp_path: Path) -> None:
+def test_a_disk_that_fills_up_leaves_the_old_file_whole(tmp_path):
     path = tmp_path / "a.octex"
     container.write(path, {"a": np.arange(5)}, {})
     before = path.read_bytes()
@@ -213,7 +210,7 @@ def test_a_disk_that_fills_up_leaves_the_old_file_whole(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_save_that_is_interrupted_leaves_the_old_file_whole(tmp_path: Path) -> None:
+def test_a_save_that_is_interrupted_leaves_the_old_file_whole(tmp_path):
     path = tmp_path / "a"
     path.write_bytes(b"old")
     with pytest.raises(KeyboardInterrupt), files.replacing(path) as file:
@@ -223,7 +220,7 @@ def test_a_save_that_is_interrupted_leaves_the_old_file_whole(tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_file_can_be_saved_over_itself_while_it_is_open(tmp_path: Path) -> None:
+def test_a_file_can_be_saved_over_itself_while_it_is_open(tmp_path):
     path = tmp_path / "a"
     container.write(path, {"a": np.arange(5000)}, {})
     contents = container.read(path)
@@ -232,7 +229,7 @@ def test_a_file_can_be_saved_over_itself_while_it_is_open(tmp_path: Path) -> Non
     assert container.read(path).tensors["a"][0] == 4999
 
 
-def test_places_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
+def test_places_that_cannot_be_written_are_refused(tmp_path):
     with pytest.raises(OutputError, match="No such file"):
         container.write(tmp_path / "none" / "a", {}, {})
     with pytest.raises(OutputError, match="is not a file that can be replaced"):
@@ -241,7 +238,7 @@ def test_places_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
         container.write(os.devnull, {}, {})
 
 
-def test_a_link_stays_a_link(tmp_path: Path) -> None:
+def test_a_link_stays_a_link(tmp_path):
     (tmp_path / "real").write_bytes(b"old")
     (tmp_path / "link").symlink_to(tmp_path / "real")
     container.write(tmp_path / "link", {}, {"a": "b"})

@@ -1,15 +1,10 @@
 """Files are read if they are files, and replaced whole or not at all, at whatever moment a signal comes."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
-from typing import Any
 
 import pytest
 
@@ -22,14 +17,14 @@ posix = pytest.mark.skipif(sys.platform == "win32", reason="pipes and signals of
 HAS_NAMELESS = hasattr(os, "O_TMPFILE") and Path("/proc/self/fd").is_dir()
 
 
-def names_in(folder: Path) -> list[str]:
+def names_in(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
 # --- reading
 
 
-def test_what_git_lfs_leaves_is_named(tmp_path: Path) -> None:
+def test_what_git_lfs_leaves_is_named(tmp_path):
     path = tmp_path / "model.obj"
     path.write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 7\n")
     with pytest.raises(OSError, match="it is a Git LFS pointer, not the file; run 'git lfs pull'"):
@@ -37,7 +32,7 @@ def test_what_git_lfs_leaves_is_named(tmp_path: Path) -> None:
 
 
 @posix
-def test_pipes_devices_and_folders_are_not_read(tmp_path: Path) -> None:
+def test_pipes_devices_and_folders_are_not_read(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", Path("/dev/zero")):
         with pytest.raises(OSError, match="it is a pipe or a device, not a file"):
@@ -49,7 +44,7 @@ def test_pipes_devices_and_folders_are_not_read(tmp_path: Path) -> None:
 
 
 @posix
-def test_a_link_to_a_file_is_read(tmp_path: Path) -> None:
+def test_a_link_to_a_file_is_read(tmp_path):
     (tmp_path / "file").write_bytes(b"content")
     (tmp_path / "link").symlink_to("file")
     assert files.read_bytes(tmp_path / "link") == b"content"
@@ -58,12 +53,12 @@ def test_a_link_to_a_file_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "name", ["/etc/passwd", "C:\\a.png", "c:a.png", "\\a.png", "\\\\server\\a.png", "//a/b"]
 )
-def test_absolute_paths_of_any_system_are_not_followed(name: str) -> None:
+def test_absolute_paths_of_any_system_are_not_followed(name):
     with pytest.raises(OSError, match="absolute paths are not followed"):
         files.referred(Path("folder"), name)
 
 
-def test_relative_paths_lead_from_the_folder() -> None:
+def test_relative_paths_lead_from_the_folder():
     for name in ("a.png", "maps/a.png", "../a.png", "a b/c.png"):
         assert files.referred(Path("folder"), name) == Path("folder") / name
 
@@ -72,26 +67,26 @@ def test_relative_paths_lead_from_the_folder() -> None:
 
 
 @pytest.fixture(params=["nameless", "named"])
-def _way_to_write(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def _way_to_write(request, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda _: None)  # which takes most of the time
     if request.param == "named":
         monkeypatch.setattr(files, "_nameless_file", lambda _: None)
 
 
-def interrupted_at(moment: int, number: int, body: Callable[[], None]) -> tuple[int, bool]:
+def interrupted_at(moment, number, body):
     """Run a body as a command does, with a signal before an instruction of octex.files or contextlib.
 
     Return the exit code, and whether it came to that.
     """
     count = 0
 
-    def trace(frame: FrameType, _event: str, _argument: Any) -> Any:
+    def trace(frame, _event, _argument):
         if not frame.f_code.co_filename.endswith(("octex/files.py", "contextlib.py")):
             return None
         frame.f_trace_opcodes = True
         return at_instruction
 
-    def at_instruction(_frame: FrameType, event: str, _argument: Any) -> Any:
+    def at_instruction(_frame, event, _argument):
         nonlocal count
         count += event in ("line", "opcode")
         if count == moment:
@@ -99,7 +94,7 @@ def interrupted_at(moment: int, number: int, body: Callable[[], None]) -> tuple[
             signal.raise_signal(number)
         return at_instruction
 
-    def traced() -> int:
+    def traced():
         sys.settrace(trace)
         try:
             body()
@@ -132,12 +127,10 @@ unclosed = pytest.mark.filterwarnings(
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGTERM, ExitCode.TERMINATED), (signal.SIGINT, ExitCode.INTERRUPTED)]
 )
-def test_a_signal_at_any_moment_of_a_save_leaves_the_old_file_or_the_new(
-    tmp_path: Path, number: int, code: ExitCode
-) -> None:
+def test_a_signal_at_any_moment_of_a_save_leaves_the_old_file_or_the_new(tmp_path, number, code):
     path = tmp_path / "a"
 
-    def save() -> None:
+    def save():
         with files.replacing(path) as file:
             file.write(b"new")
 
@@ -154,12 +147,10 @@ def test_a_signal_at_any_moment_of_a_save_leaves_the_old_file_or_the_new(
 
 @posix
 @unclosed
-def test_a_signal_at_any_moment_leaves_no_scratch_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_signal_at_any_moment_leaves_no_scratch_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(files.tempfile, "gettempdir", lambda: str(tmp_path))
 
-    def work() -> None:
+    def work():
         with files.scratch_folder() as folder:
             (folder / "file").write_bytes(b"content")
 
@@ -182,7 +173,7 @@ with files.scratch_folder(Path(sys.argv[1])) as folder:
 
 
 @posix
-def test_the_scratch_folder_of_a_killed_process_is_removed_and_one_in_use_is_not(tmp_path: Path) -> None:
+def test_the_scratch_folder_of_a_killed_process_is_removed_and_one_in_use_is_not(tmp_path):
     with files.scratch_folder(tmp_path) as used:
         (used / "file").write_bytes(b"content")
         assert python(KILLED_AT_WORK, str(tmp_path)).returncode == -signal.SIGKILL
@@ -214,7 +205,7 @@ sys.exit(run("octree-x", body))
 
 
 @posix
-def test_a_second_signal_ends_the_process_and_leaves_nothing(tmp_path: Path) -> None:
+def test_a_second_signal_ends_the_process_and_leaves_nothing(tmp_path):
     done = python(STUBBORN, str(tmp_path / "a"))
     assert done.returncode == ExitCode.TERMINATED, done.stderr
     assert names_in(tmp_path) == []
@@ -240,7 +231,7 @@ without_name = pytest.mark.skipif(not HAS_NAMELESS, reason="this system has no f
     ("name", "way"),
     [("SIGTERM", "named"), ("SIGTERM", "nameless"), pytest.param("SIGKILL", "nameless", marks=without_name)],
 )
-def test_a_process_that_a_signal_ends_leaves_nothing(tmp_path: Path, name: str, way: str) -> None:
+def test_a_process_that_a_signal_ends_leaves_nothing(tmp_path, name, way):
     done = python(KILLED, str(tmp_path / "a"), name, way)
     assert done.returncode == -getattr(signal, name)
     assert names_in(tmp_path) == []
@@ -262,18 +253,18 @@ sys.exit(run("octree-x", body))
 
 
 @posix
-def test_signals_that_are_ignored_stay_so() -> None:
+def test_signals_that_are_ignored_stay_so():
     assert python(IGNORING).returncode == ExitCode.DONE
 
 
-def test_handlers_are_set_back() -> None:
+def test_handlers_are_set_back():
     before = signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)
     run("octree-x", lambda: ExitCode.DONE)
     assert (signal.getsignal(signal.SIGTERM), signal.getsignal(signal.SIGINT)) == before
 
 
 @pytest.mark.usefixtures("_way_to_write")
-def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
+def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path):
     (tmp_path / "usual").write_bytes(b"")
     with files.replacing(tmp_path / "a") as file:
         file.write(b"new")
@@ -282,7 +273,7 @@ def test_a_new_file_has_the_permissions_of_any_new_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("_way_to_write")
-def test_an_error_leaves_the_old_file(tmp_path: Path) -> None:
+def test_an_error_leaves_the_old_file(tmp_path):
     (tmp_path / "a").write_bytes(b"old")
     with pytest.raises(ZeroDivisionError), files.replacing(tmp_path / "a") as file:
         file.write(b"new")
@@ -291,6 +282,6 @@ def test_an_error_leaves_the_old_file(tmp_path: Path) -> None:
     assert (tmp_path / "a").read_bytes() == b"old"
 
 
-def test_a_name_that_no_file_can_have_is_an_output_error(tmp_path: Path) -> None:
+def test_a_name_that_no_file_can_have_is_an_output_error(tmp_path):
     with pytest.raises(OutputError, match="is not a valid file name"), files.replacing(tmp_path / "a\0b"):
         pass

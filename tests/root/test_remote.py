@@ -5,7 +5,6 @@ from __future__ import annotations
 import pickle
 import re
 import threading
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -40,7 +39,7 @@ class Server(ThreadingHTTPServer):
     requests = 0
 
     @property
-    def address(self) -> str:
+    def address(self):
         return f"http://127.0.0.1:{self.server_address[1]}/a.octex"
 
 
@@ -48,16 +47,16 @@ class Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
     server: Server
 
-    def log_message(self, *_: object) -> None:
+    def log_message(self, *_):
         pass
 
-    def do_HEAD(self) -> None:
+    def do_HEAD(self):
         self.answer(is_head=True)
 
-    def do_GET(self) -> None:
+    def do_GET(self):
         self.answer(is_head=False)
 
-    def answer(self, *, is_head: bool) -> None:
+    def answer(self, *, is_head):
         server = self.server
         server.requests += 1
         if server.is_broken:
@@ -81,7 +80,7 @@ class Handler(BaseHTTPRequestHandler):
 
 
 @pytest.fixture
-def server() -> Iterator[Server]:
+def server():
     pytest.importorskip("aiohttp", reason="needs the extra octex[remote]")
     with Server(("127.0.0.1", 0), Handler) as made:
         made.daemon_threads = True
@@ -92,7 +91,7 @@ def server() -> Iterator[Server]:
 
 
 @pytest.fixture(scope="module")
-def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def large(tmp_path_factory):
     path = tmp_path_factory.mktemp("remote") / "shell.octex"
     shell(8, keep=0).save(path)
     return path
@@ -100,7 +99,7 @@ def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("ending", [".octex", ".octz"])
 @pytest.mark.parametrize("seed", range(4))
-def test_a_texture_elsewhere_answers_as_here(seed: int, ending: str, tmp_path: Path) -> None:
+def test_a_texture_elsewhere_answers_as_here(seed, ending, tmp_path):
     random = np.random.default_rng(seed)
     path, address = tmp_path / f"a{ending}", f"memory://octex/a{ending}"
     random_texture(random, ("uint8",)).save(path)
@@ -135,7 +134,7 @@ def test_a_texture_elsewhere_answers_as_here(seed: int, ending: str, tmp_path: P
     np.testing.assert_array_equal(sent.sample(points, names[0]), here.sample(points, names[0]))
 
 
-def test_a_channel_elsewhere_is_replaced_by_one_here() -> None:
+def test_a_channel_elsewhere_is_replaced_by_one_here():
     files = fsspec.filesystem("memory")
     files.pipe("/octex/a.octz", next(iter(sorted(GOLDEN.glob("*.octz")))).read_bytes())
     channel = octex.open("memory://octex/a.octz").channels["base_color"]
@@ -147,7 +146,7 @@ def test_a_channel_elsewhere_is_replaced_by_one_here() -> None:
 
 
 @pytest.mark.parametrize("path", sorted(GOLDEN.glob("*.octz")), ids=lambda path: path.name)
-def test_archives_of_every_version_are_read_in_part(path: Path) -> None:
+def test_archives_of_every_version_are_read_in_part(path):
     fsspec.filesystem("memory").pipe("/octex/a.octz", path.read_bytes())
     here = octex.open(path)
     for level in range(here.tree.max_depth + 1):
@@ -162,7 +161,7 @@ def test_archives_of_every_version_are_read_in_part(path: Path) -> None:
         np.testing.assert_array_equal(found, expected)
 
 
-def test_damaged_archives_elsewhere_are_named(tmp_path: Path) -> None:
+def test_damaged_archives_elsewhere_are_named(tmp_path):
     shell(5).save(tmp_path / "a.octz")
     content = (tmp_path / "a.octz").read_bytes()
     files = fsspec.filesystem("memory")
@@ -177,7 +176,7 @@ def test_damaged_archives_elsewhere_are_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ending", [".octex", ".octz"])
-def test_what_was_asked_before_does_not_matter(ending: str, tmp_path: Path) -> None:
+def test_what_was_asked_before_does_not_matter(ending, tmp_path):
     surface = octex.load_surface(DROID, channels=["base_color"])
     octex.convert(surface, 8, max_error=3).save(tmp_path / f"a{ending}")
     here = octex.open(tmp_path / f"a{ending}")
@@ -198,7 +197,7 @@ def test_what_was_asked_before_does_not_matter(ending: str, tmp_path: Path) -> N
             np.testing.assert_array_equal(found, expected)
 
 
-def test_a_view_of_an_archive_moves_less_than_one_of_a_file(server: Server, tmp_path: Path) -> None:
+def test_a_view_of_an_archive_moves_less_than_one_of_a_file(server, tmp_path):
     octex.convert(ball(rings=128), 8).save(tmp_path / "a.octex")
     here = octex.open(tmp_path / "a.octex")
     here.save(tmp_path / "a.octz")
@@ -218,7 +217,7 @@ def test_a_view_of_an_archive_moves_less_than_one_of_a_file(server: Server, tmp_
     assert server.sent < len(server.content)
 
 
-def test_a_view_moves_little_of_a_file(server: Server, large: Path, tmp_path: Path) -> None:
+def test_a_view_moves_little_of_a_file(server, large, tmp_path):
     server.content = large.read_bytes()
     here, there = octex.open(large), octex.open(server.address)
     assert server.sent <= 20 * BLOCK
@@ -243,14 +242,14 @@ def test_a_view_moves_little_of_a_file(server: Server, large: Path, tmp_path: Pa
     assert len(list((tmp_path / "cache").iterdir())) == 2
 
 
-def test_a_whole_file_comes_in_pieces(server: Server, large: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_whole_file_comes_in_pieces(server, large, monkeypatch):
     monkeypatch.setattr("octex.remote._MOST", 32 * BLOCK)
     server.content = large.read_bytes()
     np.testing.assert_array_equal(octex.open(server.address).rows(), octex.open(large).rows())
     assert server.largest <= 32 * BLOCK
 
 
-def test_a_cache_without_its_bytes_is_fetched_again(server: Server, large: Path, tmp_path: Path) -> None:
+def test_a_cache_without_its_bytes_is_fetched_again(server, large, tmp_path):
     server.content = large.read_bytes()
     octex.open(server.address, cache=tmp_path).rows()
     (part,) = tmp_path.glob("*.part")
@@ -259,7 +258,7 @@ def test_a_cache_without_its_bytes_is_fetched_again(server: Server, large: Path,
     np.testing.assert_array_equal(again.rows(), octex.open(large).rows())
 
 
-def test_only_what_lies_around_the_points_is_fetched(server: Server, large: Path) -> None:
+def test_only_what_lies_around_the_points_is_fetched(server, large):
     server.content = large.read_bytes()
     here, there = octex.open(large), octex.open(server.address)
     groups = here.tree.arrays.groups.nbytes
@@ -281,13 +280,11 @@ def test_only_what_lies_around_the_points_is_fetched(server: Server, large: Path
     with ThreadPoolExecutor(4) as pool:
         parts = list(pool.map(lambda some: there.sample(some), np.split(far[::-1], 4)))
     np.testing.assert_array_equal(np.concatenate(parts), here.sample(far[::-1]))
-    assert not there.source.file.is_whole  # type: ignore[attr-defined]
+    assert not there.source.file.is_whole
 
 
 @pytest.mark.parametrize("ending", [".octex", ".octz"])
-def test_a_set_of_textures_elsewhere_fetches_no_more_than_they_do_alone(
-    ending: str, server: Server, large: Path, tmp_path: Path
-) -> None:
+def test_a_set_of_textures_elsewhere_fetches_no_more_than_they_do_alone(ending, server, large, tmp_path):
     here = octex.open(large)
     here.save(tmp_path / f"a{ending}")
     server.content = (tmp_path / f"a{ending}").read_bytes()
@@ -321,9 +318,9 @@ def test_a_set_of_textures_elsewhere_fetches_no_more_than_they_do_alone(
         local.sample(points, [0, 1, 0, 1, 1])
 
 
-def test_a_full_disk_under_a_cache_names_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_under_a_cache_names_its_folder(tmp_path, monkeypatch):
     class Full:
-        def seek(self, _begin: int) -> None:
+        def seek(self, _begin):
             raise OSError(28, "No space left on device")
 
     shell(5).save(tmp_path / "a.octex")
@@ -336,10 +333,8 @@ def test_a_full_disk_under_a_cache_names_its_folder(tmp_path: Path, monkeypatch:
         there.rows()
 
 
-def test_a_full_disk_under_an_archive_names_the_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*_: object) -> None:
+def test_a_full_disk_under_an_archive_names_the_folder(tmp_path, monkeypatch):
+    def full(*_):
         raise OSError(28, "No space left on device")
 
     shell(5).save(tmp_path / "a.octz")
@@ -351,10 +346,10 @@ def test_a_full_disk_under_an_archive_names_the_folder(
             octex.open(path)
 
 
-def test_what_goes_wrong_on_the_way_names_the_address(server: Server, large: Path) -> None:
+def test_what_goes_wrong_on_the_way_names_the_address(server, large):
     content = server.content = large.read_bytes()
 
-    def fails(match: str) -> None:
+    def fails(match):
         with pytest.raises(TextureFileError, match=match) as caught:
             octex.open(server.address).validate()
         assert str(caught.value).startswith(server.address)
@@ -380,7 +375,7 @@ def test_what_goes_wrong_on_the_way_names_the_address(server: Server, large: Pat
     fails("is not an octree texture file|safetensors")
 
 
-def test_addresses_that_cannot_be_opened_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_addresses_that_cannot_be_opened_are_refused(tmp_path, monkeypatch):
     with pytest.raises(TextureFileError, match=r"^memory://octex/none: .*no such file"):
         octex.open("memory://octex/none")
     with pytest.raises(TextureFileError, match=r"^nothing://a: .*not known"):
@@ -392,7 +387,7 @@ def test_addresses_that_cannot_be_opened_are_refused(tmp_path: Path, monkeypatch
         octex.open("https://a/b")
 
 
-def test_what_an_archive_has_of_others_is_kept(tmp_path: Path) -> None:
+def test_what_an_archive_has_of_others_is_kept(tmp_path):
     shell(4).save(tmp_path / "a.octex")
     contents = container.read(tmp_path / "a.octex")
     others = {"channels/other": np.arange(7.0), "kept/channels/other": np.ones(3, np.int16)}

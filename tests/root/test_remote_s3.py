@@ -1,10 +1,6 @@
 """Textures in an S3 store: a stand-in of one answers, moto's server."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +14,7 @@ server_of = pytest.importorskip("moto.server", reason="needs moto[server]")
 
 
 @pytest.fixture
-def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
+def store(monkeypatch):
     """The address of a store on this machine, which fsspec uses."""
     import fsspec
     import s3fs
@@ -37,7 +33,7 @@ def store(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     server.stop()
 
 
-def test_a_texture_in_a_store_answers_as_here(store: str, tmp_path: Path) -> None:
+def test_a_texture_in_a_store_answers_as_here(store, tmp_path):
     import fsspec
 
     shell(6, keep=0).save(tmp_path / "a.octex")

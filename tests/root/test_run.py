@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -29,17 +27,17 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("fields", "message"), WRONG)
-def test_a_field_that_cannot_be_used_is_named(fields: dict[str, Any], message: str) -> None:
+def test_a_field_that_cannot_be_used_is_named(fields, message):
     with pytest.raises(ArgumentError, match=message):
         octex.Run(**fields)
 
 
-def test_threads_beside_an_executor_are_refused() -> None:
+def test_threads_beside_an_executor_are_refused():
     with ThreadPoolExecutor(1) as pool, pytest.raises(ArgumentError, match="threads or an executor, not"):
         octex.Run(threads=2, executor=pool)
 
 
-def test_shortcuts_set_the_fields_that_a_run_leaves_open(tmp_path: Path) -> None:
+def test_shortcuts_set_the_fields_that_a_run_leaves_open(tmp_path):
     run = octex.Run(memory="1kB", folder=tmp_path)
     assert as_run(run, 3, print, "memory", "folder") == replace(run, threads=3, progress=print)
     assert as_run(None, 3, print) == octex.Run(threads=3, progress=print)
@@ -56,20 +54,20 @@ def test_shortcuts_set_the_fields_that_a_run_leaves_open(tmp_path: Path) -> None
     with pytest.raises(ArgumentError, match="give progress or a run with progress, not both"):
         as_run(octex.Run(progress=print), None, print)
     with workers(octex.Run(threads=2)) as made:
-        assert made._max_workers == 2  # type: ignore[attr-defined]
+        assert made._max_workers == 2
 
 
-def test_what_a_function_cannot_do_with_a_run_is_refused(tmp_path: Path) -> None:
+def test_what_a_function_cannot_do_with_a_run_is_refused(tmp_path):
     for wrong in (octex.Run(resume="a"), octex.Run(memory=1)):
         with pytest.raises(ArgumentError, match=r"resume of run is not used here|memory needs a path"):
             octex.convert(tetrahedron(), 2, run=wrong)
     with pytest.raises(ArgumentError, match="folder: no/such is not a folder; name an existing one"):
         octex.convert(tetrahedron(), 2, path=tmp_path / "a.octex", run=octex.Run(memory=1, folder="no/such"))
     with pytest.raises(ArgumentError, match=r"run must be an octex\.Run, not 2"):
-        octex.convert(tetrahedron(), 2, run=2)  # type: ignore[arg-type]
+        octex.convert(tetrahedron(), 2, run=2)
 
 
-def functions_with(names: set[str]) -> dict[str, Callable[..., Any]]:
+def functions_with(names):
     """Return the public functions and methods that have parameters of some names."""
     homes = [octex, octex.OctreeTexture, octex.TextureSet, octex.Surface, octex.Painter]
     known = {
@@ -85,7 +83,7 @@ def functions_with(names: set[str]) -> dict[str, Callable[..., Any]]:
     }
 
 
-def test_all_that_works_in_parallel_takes_a_run_and_threads_and_says_so() -> None:
+def test_all_that_works_in_parallel_takes_a_run_and_threads_and_says_so():
     assert not functions_with({"executor", "memory", "resume"})
     functions = functions_with({"run", "threads"})
     assert {name.split(".")[-1] for name in functions} == {

@@ -1,9 +1,5 @@
 """Tensors of other libraries are taken where arrays are, and one on a GPU is refused in one line."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -17,48 +13,48 @@ CORNERS, FACES = torn(cube((0, 0, 0)))
 class ByDlpack:
     """A tensor that is read by ``__dlpack__`` alone."""
 
-    def __init__(self, array: Any) -> None:
+    def __init__(self, array):
         self._array = np.ascontiguousarray(array)
 
-    def __dlpack__(self, **options: Any) -> Any:
+    def __dlpack__(self, **options):
         return self._array.__dlpack__(**options)
 
-    def __dlpack_device__(self) -> tuple[int, int]:
+    def __dlpack_device__(self):
         return self._array.__dlpack_device__()
 
 
 class ByArray:
     """A tensor that is read by ``__array__`` alone."""
 
-    def __init__(self, array: Any) -> None:
+    def __init__(self, array):
         self._array = np.asarray(array)
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+    def __array__(self, dtype=None, copy=None):
         return np.array(self._array, dtype)
 
 
 class OnGpu(ByDlpack):
     """A tensor as torch has it on a GPU, which has both."""
 
-    def __dlpack_device__(self) -> tuple[int, int]:
+    def __dlpack_device__(self):
         return 2, 0
 
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+    def __array__(self, dtype=None, copy=None):
         raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu() ...\nfirst.")
 
 
 class OnGpuByDlpack(ByDlpack):
     """A tensor on a GPU that has ``__dlpack__`` alone."""
 
-    def __dlpack_device__(self) -> tuple[int, int]:
+    def __dlpack_device__(self):
         return 2, 0
 
-    def __dlpack__(self, **options: Any) -> Any:
+    def __dlpack__(self, **options):
         raise BufferError("cannot be exported to the CPU")
 
 
 @pytest.mark.parametrize("tensor", [np.asarray, ByDlpack, ByArray])
-def test_tensors_give_what_arrays_give(tensor: Any) -> None:
+def test_tensors_give_what_arrays_give(tensor):
     codes = np.random.default_rng(0).integers(0, 256, (len(CORNERS), 3), np.uint8)
     plain = octex.Surface.from_arrays(CORNERS, FACES, colors=codes)
     surface = octex.Surface.from_arrays(tensor(CORNERS), tensor(FACES), colors=tensor(codes))
@@ -94,7 +90,7 @@ def test_tensors_give_what_arrays_give(tensor: Any) -> None:
 
 
 @pytest.mark.parametrize("tensor", [OnGpu, OnGpuByDlpack])
-def test_a_tensor_on_a_gpu_is_refused_in_one_line(tensor: Any) -> None:
+def test_a_tensor_on_a_gpu_is_refused_in_one_line(tensor):
     surface = octex.Surface.from_arrays(CORNERS, FACES)
     texture = octex.convert(surface, 2)
     calls = (

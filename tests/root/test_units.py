@@ -20,7 +20,7 @@ from tests.make.same import arrays_of
 UNITS = 2.0**-13, 2.0**22
 
 
-def shots(surface: Surface, count: int, aside: float = 0.0) -> list[octex.Projection]:
+def shots(surface, count, aside=0.0):
     """Pictures from around a surface, whose cameras are said to be ``aside``, in the model's units."""
     found = []
     for angle in np.arange(count) * 2 * np.pi / max(count, 5):
@@ -32,8 +32,8 @@ def shots(surface: Surface, count: int, aside: float = 0.0) -> list[octex.Projec
     return found
 
 
-def painted(surface: Surface, count: int = 5, **options: object) -> OctreeTexture:
-    return octex.paint(None, surface, shots(surface, count), max_depth=4, **options)  # type: ignore[arg-type]
+def painted(surface, count=5, **options):
+    return octex.paint(None, surface, shots(surface, count), max_depth=4, **options)
 
 
 WORKS: dict[str, Callable[[Surface, float], OctreeTexture]] = {
@@ -57,7 +57,7 @@ WORKS: dict[str, Callable[[Surface, float], OctreeTexture]] = {
 
 @needs_jit
 @pytest.mark.parametrize("work", WORKS)
-def test_textures_are_the_same_in_all_units(work: str) -> None:
+def test_textures_are_the_same_in_all_units(work):
     expected, *found = (WORKS[work](ball(12, unit), unit) for unit in (1.0, *UNITS))
     for unit, texture in zip(UNITS, found, strict=True):
         assert texture.placement.size == expected.placement.size * unit
@@ -68,7 +68,7 @@ def test_textures_are_the_same_in_all_units(work: str) -> None:
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
-def test_cameras_are_refined_alike_in_all_units() -> None:
+def test_cameras_are_refined_alike_in_all_units():
     found = []
     for unit in (1.0, *UNITS):
         refined = octex.refine_cameras(

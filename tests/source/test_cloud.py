@@ -1,9 +1,6 @@
 """Coloured points: on a surface, and by themselves."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -48,18 +45,18 @@ end_header
 """
 
 
-def colored(points: Array) -> Array:
+def colored(points):
     return np.asarray((points + 1.2) / 2.5, np.float32)
 
 
-def scanned(count: int = 4000, **options: Any) -> octex.PointCloud:
+def scanned(count=4000, **options):
     """Points of the unit ball that say where they are."""
     samples = ball(40).scatter(count)
     points = samples.rest / np.linalg.norm(samples.rest, axis=1)[:, None]
     return octex.PointCloud(points, colored(points), points * 3.0, **options)
 
 
-def test_on_a_mesh_each_place_takes_the_points_around_it() -> None:
+def test_on_a_mesh_each_place_takes_the_points_around_it():
     surface = ball(30)
     for options in ({}, {"radius": 0.1}, {"distance": 1.0}):
         made = surface.with_sources(scanned(**options).sources)
@@ -67,7 +64,7 @@ def test_on_a_mesh_each_place_takes_the_points_around_it() -> None:
         assert np.abs(made.evaluate(samples) - colored(samples.rest)).max() < 0.06
 
 
-def test_wide_places_average_all_the_points_in_them() -> None:
+def test_wide_places_average_all_the_points_in_them():
     random = np.random.default_rng(0)
     points = np.column_stack([random.random((5000, 2)) - 0.5, np.zeros(5000)])
     cloud = octex.PointCloud(points, random.integers(0, 2, 5000)[:, None].repeat(3, 1).astype(np.float32))
@@ -78,11 +75,11 @@ def test_wide_places_average_all_the_points_in_them() -> None:
     assert np.abs(surface.evaluate(samples, width=0.3)[inner] - 0.5).max() < 0.1
 
 
-def test_beyond_a_radius_or_a_distance_the_surface_stays_empty() -> None:
+def test_beyond_a_radius_or_a_distance_the_surface_stays_empty():
     surface = plain(square())
     points = np.array([[-0.4, -0.4, 0.0], [-0.4, -0.3, 0.0], [-0.3, -0.4, 0.0]])
     for options in ({"radius": 0.2}, {"distance": 0.2}):
-        cloud = octex.PointCloud(points, np.full((3, 3), 128, np.uint8), **options)  # type: ignore[arg-type]
+        cloud = octex.PointCloud(points, np.full((3, 3), 128, np.uint8), **options)
         texture = octex.convert(surface, 5, sources=cloud.sources)
         samples = surface.scatter(1000)
         apart = np.linalg.norm(samples.rest[:, None] - points, axis=2).min(axis=1)
@@ -90,7 +87,7 @@ def test_beyond_a_radius_or_a_distance_the_surface_stays_empty() -> None:
         assert not texture.contains(samples.rest[apart > 0.3]).any()
 
 
-def test_points_that_face_another_way_do_not_count() -> None:
+def test_points_that_face_another_way_do_not_count():
     surface = plain(square())
     points = np.repeat(surface.vertices, 2, axis=0) + np.tile([[0, 0, 0.0], [0, 0, 0.01]], (25, 1))
     normals = np.tile([[0.0, 0, -1], [0, 0, 1]], (25, 1))
@@ -101,7 +98,7 @@ def test_points_that_face_another_way_do_not_count() -> None:
     assert not np.allclose(blind.evaluate(made.scatter(50)), [0, 1, 0])
 
 
-def test_translucent_points_weigh_by_alpha() -> None:
+def test_translucent_points_weigh_by_alpha():
     surface = plain(square())
     points = np.array([[0.0, 0, 0], [0.01, 0, 0], [0, 0.01, 0]])
     colors = np.array([[1.0, 0, 0, 1.0], [0, 1.0, 0, 0.0], [0, 0, 1.0, 0.0]])
@@ -111,7 +108,7 @@ def test_translucent_points_weigh_by_alpha() -> None:
     assert np.allclose(made.evaluate(samples, "alpha"), 1 / 3, atol=0.01)
 
 
-def test_alone_the_cells_are_those_of_the_points_and_hold_their_means() -> None:
+def test_alone_the_cells_are_those_of_the_points_and_hold_their_means():
     cloud = scanned(500)
     texture = octex.convert(cloud, 3)
     texture.validate()
@@ -125,7 +122,7 @@ def test_alone_the_cells_are_those_of_the_points_and_hold_their_means() -> None:
         assert np.abs(encode(mean, "uint8", "srgb").astype(int) - stored[row].astype(int)).max() <= 1
 
 
-def test_alone_points_tell_the_sides_of_a_thin_sheet_apart_by_their_normals() -> None:
+def test_alone_points_tell_the_sides_of_a_thin_sheet_apart_by_their_normals():
     grid = np.stack(np.meshgrid(np.linspace(0, 1, 40), np.linspace(0, 1, 40)), -1).reshape(-1, 2)
     points = np.concatenate([np.column_stack([grid, np.full(1600, z)]) for z in (0.0, 0.001)])
     normals = np.repeat([[0.0, 0, -1], [0, 0, 1]], 1600, axis=0)
@@ -138,7 +135,7 @@ def test_alone_points_tell_the_sides_of_a_thin_sheet_apart_by_their_normals() ->
         assert np.allclose(seen, colors[row], atol=0.02)
 
 
-def test_without_normals_cells_face_no_way_and_are_seen_from_everywhere() -> None:
+def test_without_normals_cells_face_no_way_and_are_seen_from_everywhere():
     cloud = scanned(3000)
     texture = octex.convert(octex.PointCloud(cloud.points, cloud.colors))
     texture.validate()
@@ -150,7 +147,7 @@ def test_without_normals_cells_face_no_way_and_are_seen_from_everywhere() -> Non
     assert texture.tree.max_depth == 4  # cells of about twice 0.05
 
 
-def test_alone_types_cells_and_channels_are_as_asked_for() -> None:
+def test_alone_types_cells_and_channels_are_as_asked_for():
     cloud = scanned(100)
     made = octex.convert(cloud, cell=0.1, dtype="float32")
     assert made.channels["base_color"].format.dtype == "float32"
@@ -164,7 +161,7 @@ def test_alone_types_cells_and_channels_are_as_asked_for() -> None:
     refused |= {"filter": "ewa", "fit": False}
     for name, given in refused.items():
         with pytest.raises(ArgumentError, match=f"{name} needs a surface"):
-            octex.convert(cloud, 3, **{name: given})  # type: ignore[arg-type]
+            octex.convert(cloud, 3, **{name: given})
     with ThreadPoolExecutor(1) as pool:
         with pytest.raises(ArgumentError, match=r"executor needs a surface, .* leave it out"):
             octex.convert(cloud, 3, run=octex.Run(executor=pool))
@@ -175,12 +172,12 @@ def test_alone_types_cells_and_channels_are_as_asked_for() -> None:
     octex.convert(cloud, 3, filter=None, fit=True, run=None, separate=False)
 
 
-def test_points_in_one_place_make_one_cell() -> None:
+def test_points_in_one_place_make_one_cell():
     texture = octex.convert(octex.PointCloud(np.ones((3, 3)), np.ones((3, 3))))
     assert texture.tree.n_leaves == 1
 
 
-def test_files_of_every_kind_hold_the_same_points(tmp_path: Path) -> None:
+def test_files_of_every_kind_hold_the_same_points(tmp_path):
     random = np.random.default_rng(0)
     points, normals = random.random((20, 3)), random.normal(size=(20, 3))
     codes = random.integers(0, 256, (20, 3), np.uint8)
@@ -225,16 +222,14 @@ def test_files_of_every_kind_hold_the_same_points(tmp_path: Path) -> None:
         ("a.ply", _LISTED % (b"float x", b"list int uchar red"), "without colours"),
     ],
 )
-def test_what_is_no_cloud_is_refused_in_a_line(
-    name: str, content: bytes, complaint: str, tmp_path: Path
-) -> None:
+def test_what_is_no_cloud_is_refused_in_a_line(name, content, complaint, tmp_path):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(ModelError, match=complaint) as refused:
         octex.PointCloud.load(tmp_path / name)
     assert name in str(refused.value) and "\n" not in str(refused.value)
 
 
-def test_arrays_that_are_not_there_are_named(tmp_path: Path) -> None:
+def test_arrays_that_are_not_there_are_named(tmp_path):
     np.savez(tmp_path / "a.npz", points=np.zeros((3, 3)))
     with pytest.raises(ModelError, match="no array 'colors'"):
         octex.PointCloud.load(tmp_path / "a.npz")
@@ -260,27 +255,25 @@ def test_arrays_that_are_not_there_are_named(tmp_path: Path) -> None:
         ((np.zeros((3, 3)), np.zeros((3, 3))), {"radius": -1.0}, "radius"),
     ],
 )
-def test_arrays_and_numbers_that_do_not_fit_are_refused(
-    arguments: Any, options: dict[str, float], complaint: str
-) -> None:
+def test_arrays_and_numbers_that_do_not_fit_are_refused(arguments, options, complaint):
     with pytest.raises((ArgumentError, ModelError), match=complaint):
-        octex.PointCloud(*arguments, **options)  # type: ignore[arg-type]
+        octex.PointCloud(*arguments, **options)
 
 
-def test_points_have_no_roughness() -> None:
+def test_points_have_no_roughness():
     with pytest.raises(ArgumentError, match="not roughness"):
         ball().with_sources({"roughness": scanned(10)})
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_points_at_random_leave_few_holes_by_default(seed: int) -> None:
+def test_points_at_random_leave_few_holes_by_default(seed):
     points = np.random.default_rng(seed).random((4000, 3)) * [1.0, 1.0, 0.0]
     texture = octex.convert(octex.PointCloud(points, np.full((4000, 3), 0.5)))
     places = np.random.default_rng(9).random((2000, 3)) * [0.98, 0.98, 0.0] + [0.01, 0.01, 0.0]
     assert texture.contains(places).mean() > 0.9
 
 
-def test_a_point_without_a_normal_counts_from_everywhere() -> None:
+def test_a_point_without_a_normal_counts_from_everywhere():
     surface = plain(square())
     normals = np.zeros_like(surface.vertices)
     colors = np.full((len(surface.vertices), 3), 0.25)
@@ -289,14 +282,14 @@ def test_a_point_without_a_normal_counts_from_everywhere() -> None:
     assert np.allclose(made.evaluate(made.scatter(20)), 0.25)
 
 
-def test_a_radius_that_holds_far_too_many_points_is_refused() -> None:
+def test_a_radius_that_holds_far_too_many_points_is_refused():
     points = np.random.default_rng(0).random((40_000, 3)) * [1, 1, 0]
     cloud = octex.PointCloud(points, points, radius=10.0)
     with pytest.raises(ArgumentError, match="holds about 40,000 points"):
         plain(square()).with_sources(cloud.sources)
 
 
-def test_cells_of_the_deepest_level_half_a_root_apart_stay_apart() -> None:
+def test_cells_of_the_deepest_level_half_a_root_apart_stay_apart():
     half = Placement.around([[0.0] * 3, [1.0] * 3], 21).size / 2
     points = [[0.0, 0.0, 0.0], [0.3, 0.3, 0.3], [0.3, 0.3 + half, 0.3], [1.0, 1.0, 1.0]]
     colors = np.linspace(0.1, 0.9, 12).reshape(4, 3)
@@ -306,7 +299,7 @@ def test_cells_of_the_deepest_level_half_a_root_apart_stay_apart() -> None:
     np.testing.assert_allclose(texture.sample(points, filter="nearest"), colors, atol=0.01)
 
 
-def test_points_are_in_the_cells_that_lookups_find_also_next_to_their_borders() -> None:
+def test_points_are_in_the_cells_that_lookups_find_also_next_to_their_borders():
     corners = [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
     placement = Placement.around(corners, 6)
     places = np.array([[20, 30, 24], [30, 20, 33], [24, 33, 40]]) / 64

@@ -1,8 +1,5 @@
 """Image filters against weights written out in the open, and against dense sampling."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -27,7 +24,7 @@ AVERAGING = ("trilinear", "ripmap", "sat", "ewa")
 COUNT = 3 if jit.DISABLED else 12
 
 
-def corners_of(uv: npt.ArrayLike, jacobians: npt.ArrayLike) -> npt.NDArray[np.float32]:
+def corners_of(uv, jacobians):
     """Coordinates (n, 3, 2) of right triangles with sides of 1 around points (n, 2).
 
     ``jacobians`` (n, 2, 2) hold the change of coordinates along each side, one in each column.
@@ -38,22 +35,13 @@ def corners_of(uv: npt.ArrayLike, jacobians: npt.ArrayLike) -> npt.NDArray[np.fl
     return np.stack(np.broadcast_arrays(*corners), axis=1).astype(np.float32)
 
 
-def footprints_of(corners: npt.NDArray[np.float32]) -> tuple[Floats, Floats]:
+def footprints_of(corners):
     """The points and Jacobians that corners hold after rounding."""
     exact = corners.astype(float)
     return exact.mean(axis=1), np.stack([exact[:, 1] - exact[:, 0], exact[:, 2] - exact[:, 0]], axis=2)
 
 
-def read(
-    texels: npt.NDArray[Any],
-    corners: npt.NDArray[np.float32],
-    filter: str,
-    wraps: tuple[str, str] = ("repeat", "repeat"),
-    *,
-    nearest: bool = False,
-    alpha: Any = "opaque",
-    cutoff: float = 0.5,
-) -> npt.NDArray[np.float32]:
+def read(texels, corners, filter, wraps=("repeat", "repeat"), *, nearest=False, alpha="opaque", cutoff=0.5):
     """The colours, and alpha unless it is opaque, of an image under unit squares of surfaces."""
     count = len(corners)
     if texels.dtype != np.float32 and texels.dtype != np.uint16:
@@ -75,13 +63,11 @@ def read(
     return source.evaluate(np.arange(count, dtype=np.int32), third, np.ones(count, np.float32))
 
 
-def turned(angle: float) -> Floats:
+def turned(angle):
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
-def some_footprints(
-    random: np.random.Generator, count: int, size: tuple[int, int], *, straight_up_to: float = 0.0
-) -> npt.NDArray[np.float32]:
+def some_footprints(random, count, size, *, straight_up_to=0.0):
     """Footprints of 0 to 16 texels, up to 8 times as long as wide; those that reach less are not turned."""
     jacobians = np.zeros((count, 2, 2))
     for i in range(1, count):
@@ -93,14 +79,7 @@ def some_footprints(
     return corners_of(random.uniform(-2, 3, (count, 2)), jacobians)
 
 
-def naively(
-    values: Floats,
-    corners: npt.NDArray[np.float32],
-    filter: str,
-    wraps: tuple[str, str],
-    flat: bool = False,
-    covered: bool = False,
-) -> Floats:
+def naively(values, corners, filter, wraps, flat=False, covered=False):
     height, width = values.shape[:2]
     across, down = Axis(width, wraps[0]), Axis(height, wraps[1])
     found = []
@@ -113,7 +92,7 @@ def naively(
 
 @pytest.mark.parametrize("flat", [False, True], ids=["patches", "flat"])
 @pytest.mark.parametrize("filter", FILTERS)
-def test_every_filter_is_its_weighted_mean_of_texels(filter: str, flat: bool) -> None:
+def test_every_filter_is_its_weighted_mean_of_texels(filter, flat):
     random = np.random.default_rng(3)
     for height, width in ((8, 8), (5, 7), (16, 3), (1, 6), (1, 1)):
         image = random_image(height, width, 4, "uint16")
@@ -126,7 +105,7 @@ def test_every_filter_is_its_weighted_mean_of_texels(filter: str, flat: bool) ->
 
 
 @pytest.mark.parametrize("filter", AVERAGING)
-def test_colours_are_weighed_by_alpha(filter: str) -> None:
+def test_colours_are_weighed_by_alpha(filter):
     image = random_image(8, 6, 4, "uint16", seed=1)
     image[1:4, 2:5, 3] = 0
     values = np.concatenate([srgb_to_linear(image[..., :3] / 65535), image[..., 3:] / 65535], axis=2)
@@ -139,7 +118,7 @@ def test_colours_are_weighed_by_alpha(filter: str) -> None:
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_what_covers_nothing_lends_no_colour(filter: str) -> None:
+def test_what_covers_nothing_lends_no_colour(filter):
     image = np.zeros((8, 8, 4), np.uint8)
     image[..., 0] = 255
     image[2:5, 3:7] = [0, 255, 0, 255]
@@ -153,7 +132,7 @@ def test_what_covers_nothing_lends_no_colour(filter: str) -> None:
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_where_nothing_covers_the_colour_is_still_that_of_the_texels(filter: str) -> None:
+def test_where_nothing_covers_the_colour_is_still_that_of_the_texels(filter):
     image = np.zeros((4, 4, 4), np.uint8)
     image[..., 2] = 255
     values = read(image, some_footprints(np.random.default_rng(0), COUNT, (4, 4)), filter, alpha="blend")
@@ -162,9 +141,7 @@ def test_where_nothing_covers_the_colour_is_still_that_of_the_texels(filter: str
 
 @pytest.mark.parametrize("flat", [False, True], ids=["patches", "flat"])
 @pytest.mark.parametrize("filter", FILTERS)
-def test_masked_alpha_is_0_or_1_at_points_and_a_share_of_texels_in_footprints(
-    filter: str, flat: bool
-) -> None:
+def test_masked_alpha_is_0_or_1_at_points_and_a_share_of_texels_in_footprints(filter, flat):
     image = random_image(16, 16, 4)
     options: Any = {"alpha": "mask", "nearest": flat}
     random = np.random.default_rng(0)
@@ -189,14 +166,14 @@ def test_masked_alpha_is_0_or_1_at_points_and_a_share_of_texels_in_footprints(
 
 @needs_jit
 @pytest.mark.parametrize("width", [0.6, 1.0, 1.5, 1.9, 2.2, 4.0])
-def test_masks_cover_as_much_on_average_at_any_footprint(width: float) -> None:
+def test_masks_cover_as_much_on_average_at_any_footprint(width):
     image = random_image(64, 64, 4)
     uv = np.random.default_rng(1).random((4000, 2))
     found = read(image, corners_of(uv, np.eye(2) * width / 64), "ewa", alpha="mask")[:, 3]
     assert abs(found.mean() - (image[..., 3] >= 128).mean()) < 0.03
 
 
-def test_bicubic_colours_of_what_hardly_covers_stay_colours() -> None:
+def test_bicubic_colours_of_what_hardly_covers_stay_colours():
     image = random_image(16, 16, 4)
     image[..., 3] = np.random.default_rng(2).choice([0, 1, 255], (16, 16))
     values = read(
@@ -210,7 +187,7 @@ def test_bicubic_colours_of_what_hardly_covers_stay_colours() -> None:
 
 
 @pytest.mark.parametrize("filter", AVERAGING)
-def test_footprints_longer_than_16_widths_are_read_wider(filter: str) -> None:
+def test_footprints_longer_than_16_widths_are_read_wider(filter):
     image = random_image(8, 6, 3, "uint16")
     random = np.random.default_rng(4)
     jacobians = [turned(angle) @ np.diag([12.0, 0.1]) / [[6], [8]] for angle in random.uniform(0, 6, COUNT)]
@@ -228,9 +205,7 @@ def test_footprints_longer_than_16_widths_are_read_wider(filter: str) -> None:
     st.integers(1, 7),
     st.integers(1, 7),
 )
-def test_a_plain_image_stays_plain_at_every_footprint(
-    filter: str, wrap: str, flat: bool, width: float, stretch: float, rows: int, columns: int
-) -> None:
+def test_a_plain_image_stays_plain_at_every_footprint(filter, wrap, flat, width, stretch, rows, columns):
     image = np.full((rows, columns, 3), 100, np.uint8)
     jacobian = turned(stretch) @ np.diag([width, width * stretch])
     corners = corners_of(np.random.default_rng(0).uniform(-9, 9, (COUNT, 2)), jacobian)
@@ -244,9 +219,7 @@ def test_a_plain_image_stays_plain_at_every_footprint(
     st.floats(0.1, 10),
     st.integers(0, 99),
 )
-def test_averages_stay_between_the_least_and_the_largest_texel(
-    filter: str, width: float, stretch: float, seed: int
-) -> None:
+def test_averages_stay_between_the_least_and_the_largest_texel(filter, width, stretch, seed):
     image = random_image(6, 5, 4, seed=seed)
     jacobian = turned(seed) @ np.diag([width, width * stretch])
     corners = corners_of(np.random.default_rng(seed).uniform(-2, 2, (COUNT, 2)), jacobian)
@@ -258,7 +231,7 @@ def test_averages_stay_between_the_least_and_the_largest_texel(
     assert (values <= texels.max((0, 1)) + room).all()
 
 
-def test_bicubic_overshoots_and_goes_through_the_texels() -> None:
+def test_bicubic_overshoots_and_goes_through_the_texels():
     image = random_image(6, 8, 3, "uint16")
     x, y = np.meshgrid((np.arange(8) + 0.5) / 8, (np.arange(6) + 0.5) / 6)
     corners = corners_of(np.stack([x.ravel(), y.ravel()], axis=1), np.zeros((2, 2)))
@@ -272,7 +245,7 @@ def test_bicubic_overshoots_and_goes_through_the_texels() -> None:
 
 @pytest.mark.parametrize("filter", FILTERS)
 @pytest.mark.parametrize("width", [0.0, 0.01, 0.1, 0.5, 1.0, 3.0, 10.0, 30.0, 100.0])
-def test_beyond_the_border_of_a_clamped_image_is_its_border_alone(filter: str, width: float) -> None:
+def test_beyond_the_border_of_a_clamped_image_is_its_border_alone(filter, width):
     image = np.zeros((16, 12, 3), np.uint8)
     image[..., 1] = 255
     image[:, 0] = [255, 0, 0]
@@ -288,7 +261,7 @@ def test_beyond_the_border_of_a_clamped_image_is_its_border_alone(filter: str, w
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_repeated_images_repeat_and_mirrored_ones_are_symmetric(filter: str) -> None:
+def test_repeated_images_repeat_and_mirrored_ones_are_symmetric(filter):
     image = random_image(6, 8)
     # In eighths and powers of two, so that coordinates are exact.
     random = np.random.default_rng(2)
@@ -304,7 +277,7 @@ def test_repeated_images_repeat_and_mirrored_ones_are_symmetric(filter: str) -> 
 
 
 @pytest.mark.parametrize("filter", AVERAGING)
-def test_footprints_of_many_images_are_the_mean_of_an_image(filter: str) -> None:
+def test_footprints_of_many_images_are_the_mean_of_an_image(filter):
     for size in ((16, 8), (5, 7), (1, 9)):
         image = random_image(*size)
         mean = srgb_to_linear(image / 255.0).mean((0, 1))
@@ -316,7 +289,7 @@ def test_footprints_of_many_images_are_the_mean_of_an_image(filter: str) -> None
 
 @pytest.mark.parametrize("wrap", WRAPS)
 @pytest.mark.parametrize("filter", FILTERS)
-def test_far_coordinates_stay_inside_the_image(filter: str, wrap: str) -> None:
+def test_far_coordinates_stay_inside_the_image(filter, wrap):
     image = np.full((3, 5, 3), 77, np.uint8)
     for far in (1e6, 1e15, 1e30, -1e30):
         uv = np.array([[far, 0.3], [0.6, -far], [far, far]])
@@ -326,7 +299,7 @@ def test_far_coordinates_stay_inside_the_image(filter: str, wrap: str) -> None:
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_light_above_1_is_not_cut_off(filter: str) -> None:
+def test_light_above_1_is_not_cut_off(filter):
     random = np.random.default_rng(7)
     image = (100 * random.random((6, 5, 4)) ** 8).astype(np.float32)
     image[..., 3] = 1.0
@@ -336,13 +309,7 @@ def test_light_above_1_is_not_cut_off(filter: str) -> None:
     np.testing.assert_allclose(found, expected, atol=2e-3)
 
 
-def errors_of(
-    codes: npt.NDArray[np.uint8],
-    corners: npt.NDArray[np.float32],
-    filters: Sequence[str],
-    wrap: str,
-    flat: bool = False,
-) -> list[float]:
+def errors_of(codes, corners, filters, wrap, flat=False):
     """The RMS difference of filters from dense means over footprints of a grey image, in codes of 255."""
     linear = srgb_to_linear(codes[..., None] / 255)
     steps = (np.arange(40) + 0.5) / 40 - 0.5
@@ -358,7 +325,7 @@ def errors_of(
 
 @needs_jit
 @pytest.mark.parametrize("wrap", WRAPS)
-def test_ewa_is_three_times_as_near_to_stretched_footprints_as_mipmaps(wrap: str) -> None:
+def test_ewa_is_three_times_as_near_to_stretched_footprints_as_mipmaps(wrap):
     # Footprints 8 times as long as wide in noise of equal power in all octaves, across borders too.
     random = np.random.default_rng(0)
     size = 128
@@ -379,7 +346,7 @@ def test_ewa_is_three_times_as_near_to_stretched_footprints_as_mipmaps(wrap: str
 @needs_jit
 @pytest.mark.parametrize("flat", [False, True], ids=["patches", "flat"])
 @pytest.mark.parametrize("stretch", [1.0, 6.0, 9.0])
-def test_footprints_are_averaged_like_boxes_square_or_long(stretch: float, flat: bool) -> None:
+def test_footprints_are_averaged_like_boxes_square_or_long(stretch, flat):
     # Widths of 0.2 to 4 texels across and up to 36 along, turned, in waves of 16 texels and more. A long
     # footprint's soft ellipse does not end at the edges of flat texels as a box does.
     random = np.random.default_rng(5)

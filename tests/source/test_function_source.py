@@ -1,13 +1,9 @@
 """Channels that functions of position give."""
 
-from __future__ import annotations
-
 import json
 import re
 import threading
-from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,31 +18,31 @@ from tests.source.test_surface import CUBE, CUBE_TRIANGLES
 Floats = npt.NDArray[np.float64]
 
 
-def cube(**options: Any) -> Surface:
+def cube(**options):
     return Surface.from_arrays(CUBE, CUBE_TRIANGLES, **options)
 
 
-def ramp(points: Floats) -> Floats:
+def ramp(points):
     return points * [1, 0.5, 0.25]
 
 
-def height(points: Floats, normals: Floats) -> Floats:
+def height(points, normals):
     return np.asarray(points[:, 2] * (normals[:, 0] > 0.5))
 
 
-def values(function: Callable[..., Any], channel: str = "base_color", **options: Any) -> tuple[Floats, Any]:
+def values(function, channel="base_color", **options):
     surface = cube(**options).with_sources({channel: function})
     samples = surface.scatter(50)
     return surface.evaluate(samples, channel, 0.1), samples
 
 
-def test_a_function_is_read_at_rest_positions() -> None:
+def test_a_function_is_read_at_rest_positions():
     found, samples = values(ramp, rest=CUBE / 2)
     np.testing.assert_allclose(found, ramp(samples.rest), rtol=1e-6)
     assert found.dtype == np.float32
 
 
-def test_a_function_of_two_arguments_gets_the_normals_of_faces_at_rest() -> None:
+def test_a_function_of_two_arguments_gets_the_normals_of_faces_at_rest():
     found, samples = values(height, "roughness", rest=CUBE[:, [1, 2, 0]])
     assert found.shape == (50, 1)
     turned = samples.normals[:, [1, 2, 0]]
@@ -54,16 +50,16 @@ def test_a_function_of_two_arguments_gets_the_normals_of_faces_at_rest() -> None
     assert found.any()
 
 
-def test_one_component_may_be_a_column() -> None:
+def test_one_component_may_be_a_column():
     found, samples = values(lambda points: points[:, :1], "metallic")
     np.testing.assert_allclose(found, samples.rest[:, :1], rtol=1e-6)
 
 
 class Thing:
-    def __call__(self, points: Floats) -> Floats:
+    def __call__(self, points):
         return ramp(points)
 
-    def method(self, points: Floats, normals: Floats) -> Floats:
+    def method(self, points, normals):
         return ramp(points) + 0 * normals
 
 
@@ -80,20 +76,20 @@ class Thing:
         np.ndarray.copy,
     ],
 )
-def test_whatever_can_be_called_with_positions_is_a_function(function: Callable[..., Any]) -> None:
+def test_whatever_can_be_called_with_positions_is_a_function(function):
     found, samples = values(function)
     expected = samples.rest if function in (np.abs, np.ndarray.copy) else ramp(samples.rest)
     np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
-def test_integers_are_numbers_too_and_what_rounding_does_is_forgiven() -> None:
+def test_integers_are_numbers_too_and_what_rounding_does_is_forgiven():
     found, _ = values(lambda points: np.ones(points.shape, np.uint8))
     assert (found == 1).all()
     found, _ = values(lambda points: np.full(points.shape, 1.0 + 1e-12))
     assert (found == 1).all()
 
 
-def test_emissive_light_may_be_above_1_and_normals_are_made_unit_vectors() -> None:
+def test_emissive_light_may_be_above_1_and_normals_are_made_unit_vectors():
     surface = cube().with_sources({"emissive": lambda points: points * 50, "normal": lambda p: 0.3 * p - 0.2})
     samples = surface.scatter(50)
     assert [(form.name, form.space, form.dtype) for form in surface.channels[1:]] == [
@@ -106,8 +102,8 @@ def test_emissive_light_may_be_above_1_and_normals_are_made_unit_vectors() -> No
     np.testing.assert_allclose(surface.evaluate(samples, "normal"), directions, atol=1e-6)
 
 
-def test_a_function_may_write_to_what_it_is_given() -> None:
-    def greedy(points: Floats, normals: Floats) -> Floats:
+def test_a_function_may_write_to_what_it_is_given():
+    def greedy(points, normals):
         points *= 0.5
         normals[:] = 7
         return points
@@ -116,12 +112,12 @@ def test_a_function_may_write_to_what_it_is_given() -> None:
     np.testing.assert_allclose(found, samples.rest / 2, rtol=1e-6)
 
 
-def test_no_points_are_not_asked_for() -> None:
+def test_no_points_are_not_asked_for():
     surface = cube().with_sources({"base_color": lambda _: 1 / 0})
     assert surface.evaluate(surface.scatter(0)).shape == (0, 3)
 
 
-def test_other_rest_positions_and_filters_are_followed() -> None:
+def test_other_rest_positions_and_filters_are_followed():
     surface = cube().with_sources({"base_color": ramp}).with_filter("sat").with_rest(CUBE / 4)
     samples = surface.scatter(20)
     np.testing.assert_allclose(surface.evaluate(samples), ramp(samples.rest), rtol=1e-6)
@@ -129,10 +125,10 @@ def test_other_rest_positions_and_filters_are_followed() -> None:
 
 
 @needs_jit
-def test_a_function_is_converted_in_batches_from_worker_threads() -> None:
+def test_a_function_is_converted_in_batches_from_worker_threads():
     seen: list[tuple[int, int]] = []
 
-    def gradient(points: Floats) -> Floats:
+    def gradient(points):
         seen.append((len(points), threading.get_ident()))
         return ramp(points)
 
@@ -144,18 +140,18 @@ def test_a_function_is_converted_in_batches_from_worker_threads() -> None:
 
 
 @needs_jit
-def test_what_a_function_does_wrong_stops_a_conversion_with_one_error() -> None:
-    def holes(points: Floats) -> Floats:
+def test_what_a_function_does_wrong_stops_a_conversion_with_one_error():
+    def holes(points):
         return np.where(points[:, :1] > 0.7, np.nan, points)
 
     with pytest.raises(ArgumentError, match="the function holes of base_color returned nan, nan, nan at"):
         octex.convert(cube(), 6, sources={"base_color": holes})
 
 
-def at(index: int, value: Any) -> Callable[[Floats], Floats]:
+def at(index, value):
     """A function that gives a value in one row."""
 
-    def patched(points: Floats) -> Floats:
+    def patched(points):
         result = np.full(points.shape, 0.5)
         result[index] = value
         return result
@@ -197,9 +193,7 @@ def at(index: int, value: Any) -> Callable[[Floats], Floats]:
         (at(5, 0), "normal", "returned all zeros at {5}, which is not a direction"),
     ],
 )
-def test_what_a_function_must_not_return_is_named(
-    function: Callable[..., Any], channel: str, message: str
-) -> None:
+def test_what_a_function_must_not_return_is_named(function, channel, message):
     surface = cube().with_sources({channel: function})
     samples = surface.scatter(50)
     places = ["({})".format(", ".join(f"{x:.6g}" for x in point)) for point in samples.rest]
@@ -207,11 +201,11 @@ def test_what_a_function_must_not_return_is_named(
         surface.evaluate(samples, channel)
 
 
-def test_what_a_function_raises_is_told_and_kept() -> None:
-    def broken(_: Floats) -> Floats:
+def test_what_a_function_raises_is_told_and_kept():
+    def broken(_):
         raise KeyError("wood")
 
-    def silent(_: Floats) -> Floats:
+    def silent(_):
         raise ZeroDivisionError
 
     samples = cube().scatter(8)
@@ -233,6 +227,6 @@ def test_what_a_function_raises_is_told_and_kept() -> None:
     "function",
     [lambda: 0, lambda a, b, c: a + b + c, lambda points, *, scale: scale * points, lambda *, points: points],
 )
-def test_a_function_must_take_positions_or_positions_and_normals(function: Callable[..., Any]) -> None:
+def test_a_function_must_take_positions_or_positions_and_normals(function):
     with pytest.raises(ArgumentError, match="must take positions, or positions and normals, not \\("):
         cube().with_sources({"base_color": function})

@@ -1,12 +1,9 @@
 """glTF and GLB against an independent reader: what is shown, and where."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
 import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,18 +11,10 @@ import pytest
 from octex.errors import ModelError
 from octex.source.load import load_surface
 from tests.make.agreement import assert_agrees
-from tests.make.fixtures import (
-    SQUARE,
-    SQUARE_TRIANGLES,
-    SQUARE_UV,
-    Gltf,
-    png,
-    random_image,
-    textured_square,
-)
+from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, Gltf, png, random_image, textured_square
 
 
-def test_transforms_apply_down_the_tree_and_meshes_may_be_shown_often(tmp_path: Path) -> None:
+def test_transforms_apply_down_the_tree_and_meshes_may_be_shown_often(tmp_path):
     gltf = Gltf()
     material = gltf.material(gltf.texture(gltf.image(png(random_image(4, 4)))))
     mesh = gltf.add("meshes", primitives=[gltf.primitive(uv=SQUARE_UV, material=material)])
@@ -39,7 +28,7 @@ def test_transforms_apply_down_the_tree_and_meshes_may_be_shown_often(tmp_path: 
     assert len(surface.triangles) == 6
 
 
-def test_a_mirroring_transform_keeps_normals_outward(tmp_path: Path) -> None:
+def test_a_mirroring_transform_keeps_normals_outward(tmp_path):
     gltf = Gltf()
     gltf.show(gltf.primitive(), scale=[-1, 1, 1])
     assert_agrees(gltf.save(tmp_path / "a.glb"))
@@ -47,7 +36,7 @@ def test_a_mirroring_transform_keeps_normals_outward(tmp_path: Path) -> None:
     np.testing.assert_allclose(normals, [[0, 0, 1]] * 10)
 
 
-def test_instances_of_the_extension_are_placed(tmp_path: Path) -> None:
+def test_instances_of_the_extension_are_placed(tmp_path):
     gltf = Gltf()
     node = gltf.show(gltf.primitive(), translation=[0, 0, 10])
     places = np.array([[1, 0, 0], [5, 0, 0]], np.float32)
@@ -65,7 +54,7 @@ def test_instances_of_the_extension_are_placed(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("mode", [4, 5, 6])
 @pytest.mark.parametrize("indexed", [True, False])
-def test_lists_strips_and_fans_become_triangles(tmp_path: Path, mode: int, indexed: bool) -> None:
+def test_lists_strips_and_fans_become_triangles(tmp_path, mode, indexed):
     ring = np.array([[0, 0, 0], [2, 0, 0], [2, 1, 0], [1, 2, 0], [0, 1, 0]], np.float32)
     zigzag = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0], [0, 2, 0], [1, 2, 0]], np.float32)
     positions = ring if mode == 6 else zigzag
@@ -78,13 +67,13 @@ def test_lists_strips_and_fans_become_triangles(tmp_path: Path, mode: int, index
         np.testing.assert_allclose(surface.scatter(20).normals, [[0, 0, 1]] * 20)
 
 
-def test_points_and_lines_beside_triangles_are_left_out(tmp_path: Path) -> None:
+def test_points_and_lines_beside_triangles_are_left_out(tmp_path):
     gltf = Gltf()
     gltf.show(gltf.primitive(mode=0), gltf.primitive(mode=1), gltf.primitive())
     assert len(load_surface(gltf.save(tmp_path / "a.glb")).triangles) == 2
 
 
-def test_sparse_accessors_are_filled_in(tmp_path: Path) -> None:
+def test_sparse_accessors_are_filled_in(tmp_path):
     gltf = Gltf()
     entry = gltf.primitive()
     gltf.json["accessors"][entry["attributes"]["POSITION"]]["sparse"] = {
@@ -96,7 +85,7 @@ def test_sparse_accessors_are_filled_in(tmp_path: Path) -> None:
     assert assert_agrees(gltf.save(tmp_path / "a.glb")).bounds[1, 0] == 4
 
 
-def test_sparse_accessors_may_stand_on_zeros(tmp_path: Path) -> None:
+def test_sparse_accessors_may_stand_on_zeros(tmp_path):
     gltf = Gltf()
     entry = gltf.primitive()
     accessor = gltf.json["accessors"][entry["attributes"]["POSITION"]]
@@ -110,7 +99,7 @@ def test_sparse_accessors_may_stand_on_zeros(tmp_path: Path) -> None:
     assert assert_agrees(gltf.save(tmp_path / "a.glb")).bounds[1, 0] == 1
 
 
-def test_interleaved_attributes_are_read_by_their_stride(tmp_path: Path) -> None:
+def test_interleaved_attributes_are_read_by_their_stride(tmp_path):
     gltf = Gltf()
     material = gltf.material(gltf.texture(gltf.image(png(random_image(4, 4)))))
     view = gltf.view(np.hstack([SQUARE, SQUARE_UV]).astype(np.float32).tobytes(), stride=20)
@@ -124,7 +113,7 @@ def test_interleaved_attributes_are_read_by_their_stride(tmp_path: Path) -> None
     assert_agrees(gltf.save(tmp_path / "a.glb"))
 
 
-def test_quantized_positions_are_read_as_the_numbers_they_are(tmp_path: Path) -> None:
+def test_quantized_positions_are_read_as_the_numbers_they_are(tmp_path):
     gltf = Gltf()
     entry = gltf.primitive((SQUARE * 7).astype(np.int8))
     gltf.json["extensionsRequired"] = ["KHR_mesh_quantization"]
@@ -132,7 +121,7 @@ def test_quantized_positions_are_read_as_the_numbers_they_are(tmp_path: Path) ->
     np.testing.assert_allclose(assert_agrees(gltf.save(tmp_path / "a.glb")).bounds[1], [3.5, 3.5, 0])
 
 
-def test_without_scenes_the_roots_of_the_nodes_are_shown(tmp_path: Path) -> None:
+def test_without_scenes_the_roots_of_the_nodes_are_shown(tmp_path):
     gltf = Gltf()
     node = gltf.show(gltf.primitive())
     gltf.add("nodes", children=[node], scale=[3, 3, 3])
@@ -142,7 +131,7 @@ def test_without_scenes_the_roots_of_the_nodes_are_shown(tmp_path: Path) -> None
     assert surface.bounds[1, 0] == 3
 
 
-def test_what_the_file_says_of_its_origin_is_kept(tmp_path: Path) -> None:
+def test_what_the_file_says_of_its_origin_is_kept(tmp_path):
     gltf = Gltf()
     gltf.json["asset"] |= {"copyright": "2002 Somebody", "generator": "by hand"}
     gltf.show(gltf.primitive())
@@ -152,7 +141,7 @@ def test_what_the_file_says_of_its_origin_is_kept(tmp_path: Path) -> None:
     assert (provenance["copyright"], provenance["generator"]) == ("2002 Somebody", "by hand")
 
 
-def test_its_licence_and_author_are_kept_where_exporters_write_them(tmp_path: Path) -> None:
+def test_its_licence_and_author_are_kept_where_exporters_write_them(tmp_path):
     gltf = Gltf()
     gltf.json["asset"]["extras"] = {"license": "CC-BY-4.0", "author": "Somebody", "licence": 7, "title": "A"}
     gltf.show(gltf.primitive())
@@ -163,7 +152,7 @@ def test_its_licence_and_author_are_kept_where_exporters_write_them(tmp_path: Pa
     assert "license" not in load_surface(gltf.save(tmp_path / "a.glb")).provenance
 
 
-def test_the_digest_of_each_other_file_that_was_read_is_kept_by_its_name_there(tmp_path: Path) -> None:
+def test_the_digest_of_each_other_file_that_was_read_is_kept_by_its_name_there(tmp_path):
     (tmp_path / "maps").mkdir()
     image = png(random_image(4, 4))
     (tmp_path / "maps" / "a b.png").write_bytes(image)
@@ -183,7 +172,7 @@ def test_the_digest_of_each_other_file_that_was_read_is_kept_by_its_name_there(t
     assert "files" not in load_surface(gltf.save(tmp_path / "a.glb"), channels=["occlusion"]).provenance
 
 
-def test_chunks_of_unknown_kinds_are_passed_over(tmp_path: Path) -> None:
+def test_chunks_of_unknown_kinds_are_passed_over(tmp_path):
     path = textured_square(tmp_path / "a.glb", png(random_image(4, 4)))
     data = path.read_bytes()
     at = 20 + struct.unpack_from("<I", data, 12)[0]
@@ -192,13 +181,13 @@ def test_chunks_of_unknown_kinds_are_passed_over(tmp_path: Path) -> None:
     assert len(load_surface(path).triangles) == 2
 
 
-def test_primitives_without_triangles_are_passed_over(tmp_path: Path) -> None:
+def test_primitives_without_triangles_are_passed_over(tmp_path):
     gltf = Gltf()
     gltf.show(gltf.primitive(triangles=np.empty((0, 3), np.uint16)), gltf.primitive())
     assert len(load_surface(gltf.save(tmp_path / "a.glb")).triangles) == 2
 
 
-def test_a_rest_mesh_lends_its_positions_and_needs_no_images(tmp_path: Path) -> None:
+def test_a_rest_mesh_lends_its_positions_and_needs_no_images(tmp_path):
     posed = textured_square(tmp_path / "posed.glb", png(random_image(4, 4)))
     gltf = Gltf()
     image = gltf.add("images", uri="not there.png")
@@ -214,7 +203,7 @@ def test_a_rest_mesh_lends_its_positions_and_needs_no_images(tmp_path: Path) -> 
     np.testing.assert_array_equal(surface.evaluate(samples), load_surface(posed).evaluate(samples))
 
 
-def test_a_rest_mesh_of_another_topology_is_refused(tmp_path: Path) -> None:
+def test_a_rest_mesh_of_another_topology_is_refused(tmp_path):
     posed = textured_square(tmp_path / "posed.glb", png(random_image(4, 4)))
     for number, triangles in enumerate((SQUARE_TRIANGLES[:1], SQUARE_TRIANGLES[::-1])):
         gltf = Gltf()
@@ -228,7 +217,7 @@ def test_a_rest_mesh_of_another_topology_is_refused(tmp_path: Path) -> None:
         load_surface(posed, rest=np.zeros((3, 3)))
 
 
-def test_compressed_content_with_a_plain_copy_beside_it_is_read(tmp_path: Path) -> None:
+def test_compressed_content_with_a_plain_copy_beside_it_is_read(tmp_path):
     gltf = Gltf()
     texture = gltf.add(
         "textures",
@@ -243,7 +232,7 @@ def test_compressed_content_with_a_plain_copy_beside_it_is_read(tmp_path: Path) 
     assert_agrees(gltf.save(tmp_path / "a.gltf"))
 
 
-def test_real_models_agree(models: Path) -> None:
+def test_real_models_agree(models):
     for name in (
         "BoxTextured/BoxTextured.gltf",
         "BoxVertexColors/BoxVertexColors.gltf",

@@ -1,11 +1,7 @@
 """glTF files that are refused, each in one line."""
 
-from __future__ import annotations
-
 import json
 import struct
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +15,7 @@ PRIMITIVE = "meshes.0.primitives.0"
 ATTRIBUTES = f"{PRIMITIVE}.attributes"
 
 
-def textured() -> Gltf:
+def textured():
     """A square with an image; its first accessor and its second view are of the positions."""
     gltf = Gltf()
     material = gltf.material(gltf.texture(gltf.image(png(random_image(4, 4)))))
@@ -27,13 +23,13 @@ def textured() -> Gltf:
     return gltf
 
 
-def broken(changes: dict[str, Any], path: Path) -> Path:
+def broken(changes, path):
     gltf = textured()
     put(gltf.json, changes, gltf)
     return gltf.save(path)
 
 
-def assert_refused(path: Path, message: str) -> None:
+def assert_refused(path, message):
     with pytest.raises(ModelError, match=message) as caught:
         load_surface(path)
     assert path.name in str(caught.value)
@@ -44,7 +40,7 @@ _NAN = np.where(SQUARE == 1, np.float32(np.nan), SQUARE)
 _SIGNALLING = np.where(SQUARE == 1, np.uint32(0x7FA00000), SQUARE.view(np.uint32)).view(np.float32)
 
 
-def sparse_outside(gltf: Gltf) -> dict[str, Any]:
+def sparse_outside(gltf):
     where = {"bufferView": gltf.view(b"\x63"), "componentType": 5121}
     values = {"bufferView": gltf.view(bytes(12))}
     return {"count": 1, "indices": where, "values": values}
@@ -55,10 +51,7 @@ def sparse_outside(gltf: Gltf) -> dict[str, Any]:
     [
         ({f"{PRIMITIVE}.indices": rows(0, 1, 9, dtype="uint8")}, "uses vertex 9, but there are 4"),
         ({f"{PRIMITIVE}.indices": rows(0, 1, -1, dtype="int8")}, "uses vertex -1, but there are 4"),
-        (
-            {f"{PRIMITIVE}.indices": rows(0, 1, 2)},
-            r"the indices of meshes\[0\].* are not integers",
-        ),
+        ({f"{PRIMITIVE}.indices": rows(0, 1, 2)}, r"the indices of meshes\[0\].* are not integers"),
         (
             {
                 f"{ATTRIBUTES}.POSITION": rows(*np.repeat(SQUARE, 64, axis=0)),
@@ -68,10 +61,7 @@ def sparse_outside(gltf: Gltf) -> dict[str, Any]:
         ),
         ({f"{ATTRIBUTES}.POSITION": lambda gltf: gltf.accessor(_NAN)}, "vertices that are not finite"),
         ({f"{ATTRIBUTES}.POSITION": lambda gltf: gltf.accessor(_SIGNALLING)}, "vertices that are not finite"),
-        (
-            {f"{ATTRIBUTES}.COLOR_0": rows(*[[np.nan] * 3] * 4)},
-            "colours are not all finite",
-        ),
+        ({f"{ATTRIBUTES}.COLOR_0": rows(*[[np.nan] * 3] * 4)}, "colours are not all finite"),
         (
             {"materials.0.pbrMetallicRoughness.baseColorFactor": [1e999, 1, 1, 1]},
             "Infinity is not JSON|colours are not all finite",
@@ -81,10 +71,7 @@ def sparse_outside(gltf: Gltf) -> dict[str, Any]:
         ({"nodes.0.scale": 0.5}, r"nodes\[0\]: scale must be 3 numbers, not 0\.5"),
         ({"nodes.0.translation": True}, r"nodes\[0\]: translation must be 3 numbers"),
         ({"nodes.0.scale": [1e999, 1, 1]}, "Infinity is not JSON|not all finite"),
-        (
-            {f"{ATTRIBUTES}.TEXCOORD_0": rows(*[[np.inf] * 2] * 4)},
-            "texture coordinates are not all finite",
-        ),
+        ({f"{ATTRIBUTES}.TEXCOORD_0": rows(*[[np.inf] * 2] * 4)}, "texture coordinates are not all finite"),
         ({f"{ATTRIBUTES}.TEXCOORD_0": rows(*SQUARE_UV[:2])}, "has 2 rows for 4 vertices"),
         ({"nodes.0.children": [0]}, "reached twice"),
         ({"nodes.0.mesh": 7}, r"meshes\[7\]"),
@@ -106,13 +93,11 @@ def sparse_outside(gltf: Gltf) -> dict[str, Any]:
         ({"nodes": "three"}, "nodes must be a list, not 'three'"),
     ],
 )
-def test_a_bad_model_is_refused_in_one_line_that_names_it(
-    tmp_path: Path, changes: dict[str, Any], message: str
-) -> None:
+def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path, changes, message):
     assert_refused(broken(changes, tmp_path / "bad.glb"), message)
 
 
-def with_long_chunk(data: bytes) -> bytes:
+def with_long_chunk(data):
     at = 20 + struct.unpack_from("<I", data, 12)[0]
     return data[:at] + struct.pack("<I", 10**6) + data[at + 4 :]
 
@@ -130,15 +115,13 @@ def with_long_chunk(data: bytes) -> bytes:
         (lambda _: b'{"asset": NaN}', "NaN is not JSON"),
     ],
 )
-def test_a_damaged_file_is_refused_in_one_line_that_names_it(
-    tmp_path: Path, damage: Callable[[bytes], bytes], message: str
-) -> None:
+def test_a_damaged_file_is_refused_in_one_line_that_names_it(tmp_path, damage, message):
     path = textured().save(tmp_path / "bad.glb")
     path.write_bytes(damage(path.read_bytes()))
     assert_refused(path, message)
 
 
-def test_buffers_that_are_not_there_are_named(tmp_path: Path) -> None:
+def test_buffers_that_are_not_there_are_named(tmp_path):
     path, buffer = tmp_path / "bad.gltf", tmp_path / "a buffer.bin"
     textured().save(path, external=True)
     buffer.write_bytes(b"12")
@@ -164,7 +147,7 @@ def test_buffers_that_are_not_there_are_named(tmp_path: Path) -> None:
         ({"uri": "data:image/png;base64,!!!"}, "not valid base64"),
     ],
 )
-def test_a_bad_image_is_named(tmp_path: Path, image: dict[str, Any], message: str) -> None:
+def test_a_bad_image_is_named(tmp_path, image, message):
     with pytest.raises(ImageError, match=message) as caught:
         load_surface(broken({"images.0": image}, tmp_path / "bad.glb"))
     assert "bad.glb" in str(caught.value)
@@ -201,7 +184,7 @@ def test_a_bad_image_is_named(tmp_path: Path, image: dict[str, Any], message: st
         ("occlusionTexture.extensions.KHR_texture_transform.offset", [1], "offset must be 2 numbers"),
     ],
 )
-def test_what_is_wrong_with_a_material_is_named(tmp_path: Path, place: str, value: Any, message: str) -> None:
+def test_what_is_wrong_with_a_material_is_named(tmp_path, place, value, message):
     gltf = Gltf()
     gltf.texture(gltf.image(png(random_image(4, 4))))
     entry: dict[str, Any] = {"occlusionTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}
@@ -213,7 +196,7 @@ def test_what_is_wrong_with_a_material_is_named(tmp_path: Path, place: str, valu
     assert len(str(caught.value)) < 250
 
 
-def test_textured_meshes_without_coordinates_read_one_texel(tmp_path: Path) -> None:
+def test_textured_meshes_without_coordinates_read_one_texel(tmp_path):
     gltf = Gltf()
     gltf.show(gltf.primitive(material=gltf.material(gltf.texture(gltf.image(png(random_image(4, 4)))))))
     with pytest.warns(ModelWarning, match="no TEXCOORD_0, so they read one texel"):
@@ -223,7 +206,7 @@ def test_textured_meshes_without_coordinates_read_one_texel(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("name", ["NORMAL", "TANGENT", "TEXCOORD_0", "TEXCOORD_1", "COLOR_0"])
-def test_an_attribute_must_have_a_row_for_each_vertex(tmp_path: Path, name: str) -> None:
+def test_an_attribute_must_have_a_row_for_each_vertex(tmp_path, name):
     gltf = Gltf()
     gltf.texture(gltf.image(png(random_image(4, 4))))
     material = gltf.material(
@@ -239,7 +222,7 @@ def test_an_attribute_must_have_a_row_for_each_vertex(tmp_path: Path, name: str)
         load_surface(gltf.save(tmp_path / "bad.glb"))
 
 
-def test_primitives_must_be_objects(tmp_path: Path) -> None:
+def test_primitives_must_be_objects(tmp_path):
     gltf = Gltf()
     gltf.show(gltf.primitive())
     gltf.json["meshes"][0]["primitives"] = {"not": "an array"}

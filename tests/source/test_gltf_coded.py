@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,6 @@ import pytest
 from octex.errors import ImageError, MissingExtraError, ModelError
 from octex.source.images.decode import decode_image
 from octex.source.load import load_surface
-from octex.source.surface import Surface
 from tests.make.fixtures import SQUARE, Gltf, png, put, random_image
 
 # Pictures of 12 × 8 texels in blocks of 4 × 4, by basis_universal's encoder.
@@ -58,7 +56,7 @@ ATTRIBUTES: dict[str, npt.NDArray[Any]] = {
 }
 
 
-def grid(change: Any = None) -> Gltf:
+def grid(change=None):
     """A grid with every attribute that octex reads, some of it changed."""
     gltf = Gltf()
     textures = [gltf.texture(gltf.image(png(random_image(8, 8, seed=seed)))) for seed in range(3)]
@@ -76,7 +74,7 @@ def grid(change: Any = None) -> Gltf:
     return gltf
 
 
-def draco(gltf: Gltf, entry: dict[str, Any], *, required: bool = True) -> None:
+def draco(gltf, entry, *, required=True):
     """Code a primitive by Draco; its accessors have no content left."""
     coder = pytest.importorskip("DracoPy", reason="the extra octex[draco] is not installed")
     data = coder.encode(
@@ -108,9 +106,7 @@ def draco(gltf: Gltf, entry: dict[str, Any], *, required: bool = True) -> None:
             del gltf.json["accessors"][number]["bufferView"]
 
 
-def meshopt(
-    path: Path, version: int = 0, name: str = "EXT_meshopt_compression", indices: str = "TRIANGLES"
-) -> Path:
+def meshopt(path, version=0, name="EXT_meshopt_compression", indices="TRIANGLES"):
     """Code the buffer views of the grid by meshopt, into a file whose other buffer has no content."""
     coder = pytest.importorskip("meshopt", reason="the extra octex[meshopt] is not installed")
     gltf = grid()
@@ -137,7 +133,7 @@ def meshopt(
     return path
 
 
-def assert_same(surface: Surface, expected: Surface, atol: float = 1e-5) -> None:
+def assert_same(surface, expected, atol=1e-5):
     np.testing.assert_array_equal(surface.triangles, expected.triangles)
     np.testing.assert_allclose(surface.vertices, expected.vertices, atol=atol)
     assert surface.channels == expected.channels
@@ -149,12 +145,12 @@ def assert_same(surface: Surface, expected: Surface, atol: float = 1e-5) -> None
         )
 
 
-def test_draco_meshes_are_as_the_plain_ones(tmp_path: Path) -> None:
+def test_draco_meshes_are_as_the_plain_ones(tmp_path):
     coded = load_surface(grid(draco).save(tmp_path / "coded.glb"))
     assert_same(coded, load_surface(grid().save(tmp_path / "plain.glb")))
 
 
-def test_draco_positions_may_be_quantized(tmp_path: Path) -> None:
+def test_draco_positions_may_be_quantized(tmp_path):
     coder = pytest.importorskip("DracoPy", reason="the extra octex[draco] is not installed")
     rows = np.rint(6000 * GRID).astype(np.int16)
     data = coder.encode(rows.astype(np.int32), TRIANGLES.astype(np.uint32), preserve_order=True)
@@ -175,7 +171,7 @@ def test_draco_positions_may_be_quantized(tmp_path: Path) -> None:
     np.testing.assert_allclose(surface.vertices, rows / 32767.0, atol=1e-6)
 
 
-def test_primitives_beside_a_draco_mesh_may_be_plain(tmp_path: Path) -> None:
+def test_primitives_beside_a_draco_mesh_may_be_plain(tmp_path):
     gltf = grid(draco)
     gltf.show(gltf.primitive(SQUARE))
     assert len(load_surface(gltf.save(tmp_path / "a.glb")).triangles) == len(TRIANGLES) + 2
@@ -183,19 +179,19 @@ def test_primitives_beside_a_draco_mesh_may_be_plain(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("version", [0, 1])
 @pytest.mark.parametrize("name", ["EXT_meshopt_compression", "KHR_meshopt_compression"])
-def test_meshopt_buffers_are_as_the_plain_ones(tmp_path: Path, name: str, version: int) -> None:
+def test_meshopt_buffers_are_as_the_plain_ones(tmp_path, name, version):
     coded = load_surface(meshopt(tmp_path / "coded.gltf", version, name, "INDICES"))
     assert_same(coded, load_surface(grid().save(tmp_path / "plain.glb")), 0.0)
 
 
-def test_triangles_by_meshopt_keep_their_order_and_the_way_they_wind(tmp_path: Path) -> None:
+def test_triangles_by_meshopt_keep_their_order_and_the_way_they_wind(tmp_path):
     coded = load_surface(meshopt(tmp_path / "coded.gltf")).triangles
     turns = (np.arange(3) + coded.argmin(axis=1)[:, None]) % 3
     lowest_first = np.take_along_axis(coded, turns, axis=1)
     np.testing.assert_array_equal(lowest_first, TRIANGLES)
 
 
-def test_meshopt_filters_are_undone(tmp_path: Path) -> None:
+def test_meshopt_filters_are_undone(tmp_path):
     coder = pytest.importorskip("meshopt", reason="the extra octex[meshopt] is not installed")
     gltf = grid()
     entry = gltf.json["meshes"][0]["primitives"][0]
@@ -219,9 +215,7 @@ def test_meshopt_filters_are_undone(tmp_path: Path) -> None:
     )
 
 
-def test_plain_content_beside_coded_is_read_without_the_extra(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_plain_content_beside_coded_is_read_without_the_extra(tmp_path, monkeypatch):
     path = grid(lambda gltf, entry: draco(gltf, entry, required=False)).save(tmp_path / "a.glb")
     expected = load_surface(grid().save(tmp_path / "plain.glb"))
     monkeypatch.setitem(sys.modules, "DracoPy", None)
@@ -229,14 +223,14 @@ def test_plain_content_beside_coded_is_read_without_the_extra(
 
 
 @pytest.mark.parametrize("code", KTX2)
-def test_ktx2_images_are_read(code: str) -> None:
+def test_ktx2_images_are_read(code):
     pytest.importorskip("opengl_basisu", reason="the extra octex[ktx2] is not installed")
     texels = decode_image(base64.b64decode(KTX2[code]), "a.ktx2")
     expected = BLOCKS.repeat(4, axis=0).repeat(4, axis=1)
     np.testing.assert_allclose(texels / 257, expected, atol=2)
 
 
-def ktx2(gltf: Gltf, entry: dict[str, Any]) -> None:
+def ktx2(gltf, entry):
     """Give the grid's base colour an image of KTX2 alone."""
     image = gltf.image(base64.b64decode(KTX2["uastc"]), "image/ktx2")
     gltf.json["textures"][0] = {"extensions": {"KHR_texture_basisu": {"source": image}}}
@@ -244,7 +238,7 @@ def ktx2(gltf: Gltf, entry: dict[str, Any]) -> None:
     gltf.json["materials"][entry["material"]]["alphaMode"] = "OPAQUE"
 
 
-def test_textures_of_ktx2_alone_are_read_and_others_are_taken_before_them(tmp_path: Path) -> None:
+def test_textures_of_ktx2_alone_are_read_and_others_are_taken_before_them(tmp_path):
     pytest.importorskip("opengl_basisu", reason="the extra octex[ktx2] is not installed")
     gltf = grid(ktx2)
     surface = load_surface(gltf.save(tmp_path / "a.glb"))
@@ -264,9 +258,7 @@ MISSING = {
 
 
 @pytest.mark.parametrize("package", MISSING)
-def test_a_missing_extra_is_named_with_the_command_that_installs_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, package: str
-) -> None:
+def test_a_missing_extra_is_named_with_the_command_that_installs_it(tmp_path, monkeypatch, package):
     extra, make = MISSING[package]
     path = make(tmp_path / "a.glb")
     monkeypatch.setitem(sys.modules, package, None)
@@ -277,19 +269,19 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it(
     assert path.name in str(caught.value)
 
 
-def encoded(gltf: Gltf) -> bytes:
+def encoded(gltf):
     """Return the content that a Draco mesh is decoded from."""
     extensions = gltf.json["meshes"][0]["primitives"][0]["extensions"]
     view = gltf.json["bufferViews"][extensions["KHR_draco_mesh_compression"]["bufferView"]]
     return bytes(gltf.binary[view["byteOffset"] :][: view["byteLength"]])
 
 
-def points_alone(gltf: Gltf) -> int:
+def points_alone(gltf):
     coder = pytest.importorskip("DracoPy", reason="the extra octex[draco] is not installed")
     return gltf.view(coder.encode(ATTRIBUTES["POSITION"]))
 
 
-def color_of(gltf: Gltf) -> int:
+def color_of(gltf):
     extensions = gltf.json["meshes"][0]["primitives"][0]["extensions"]
     return int(extensions["KHR_draco_mesh_compression"]["attributes"]["COLOR_0"])
 
@@ -329,9 +321,7 @@ MESHOPT = "bufferViews.3.extensions.EXT_meshopt_compression"
         (MESHOPT, 1, "EXT_meshopt_compression must be an object, not 1"),
     ],
 )
-def test_damaged_content_is_refused_in_one_line_that_names_it(
-    tmp_path: Path, place: str, value: Any, message: str
-) -> None:
+def test_damaged_content_is_refused_in_one_line_that_names_it(tmp_path, place, value, message):
     if place.startswith(DRACO):
         gltf = grid(draco)
         put(gltf.json, {place: value}, gltf)
@@ -348,7 +338,7 @@ def test_damaged_content_is_refused_in_one_line_that_names_it(
 
 
 @pytest.mark.parametrize("code", KTX2)
-def test_damaged_ktx2_images_are_refused_in_one_line_that_names_them(code: str) -> None:
+def test_damaged_ktx2_images_are_refused_in_one_line_that_names_them(code):
     for module in ("opengl_basisu", "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"):
         pytest.importorskip(module, reason="the extra octex[ktx2] is not installed")
     data = base64.b64decode(KTX2[code])

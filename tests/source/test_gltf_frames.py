@@ -1,18 +1,12 @@
 """Normal maps of glTF, from the tangent's frame to the model's space."""
 
-from __future__ import annotations
-
 import json
 import shutil
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from octex.source.load import load_surface
-from octex.source.surface import Surface
 from tests.make.fixtures import SQUARE, SQUARE_UV, Gltf, png
 
 # A normal map of one direction, leaning to the right and a little up.
@@ -20,27 +14,19 @@ CODES = (200, 150, 220)
 UP = np.tile(np.float32([0, 0, 1]), (4, 1))
 
 
-def leaning(scale: float = 1.0) -> npt.NDArray[np.float64]:
+def leaning(scale=1.0):
     """The direction of CODES in the tangent's frame."""
     direction = (np.array(CODES) / 255 * 2 - 1) * (scale, scale, 1)
     return direction / np.linalg.norm(direction)
 
 
-def mapped(gltf: Gltf, **info: Any) -> int:
+def mapped(gltf, **info):
     """A material with the normal map."""
     texture = gltf.texture(gltf.image(png(np.full((1, 1, 3), CODES, np.uint8))))
     return gltf.material(normalTexture={"index": texture} | info)
 
 
-def square(
-    gltf: Gltf,
-    material: int,
-    *,
-    uv: npt.NDArray[np.float32] = SQUARE_UV,
-    normals: npt.NDArray[np.float32] | None = UP,
-    tangents: npt.NDArray[np.float32] | None = None,
-    **attributes: int,
-) -> dict[str, Any]:
+def square(gltf, material, *, uv=SQUARE_UV, normals=UP, tangents=None, **attributes):
     if normals is not None:
         attributes["NORMAL"] = gltf.accessor(normals)
     if tangents is not None:
@@ -48,41 +34,39 @@ def square(
     return gltf.primitive(uv=uv.astype(np.float32), material=material, **attributes)
 
 
-def normals_of(surface: Surface) -> npt.NDArray[np.float32]:
+def normals_of(surface):
     values = surface.evaluate(surface.scatter(30), "normal")
     return values / np.linalg.norm(values, axis=1, keepdims=True)
 
 
-def assert_leans(surface: Surface, expected: npt.ArrayLike) -> None:
+def assert_leans(surface, expected):
     """Everywhere the normal is the one expected."""
     found = normals_of(surface)
     np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=2e-4)
 
 
 @pytest.mark.parametrize("normals", [None, UP])
-def test_without_tangents_x_runs_along_u_and_y_against_v(
-    tmp_path: Path, normals: npt.NDArray[np.float32] | None
-) -> None:
+def test_without_tangents_x_runs_along_u_and_y_against_v(tmp_path, normals):
     gltf = Gltf()
     gltf.show(square(gltf, mapped(gltf), normals=normals))
     assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), leaning())
 
 
 @pytest.mark.parametrize("scale", [0.0, 0.5, -1.0, 3.0])
-def test_the_scale_stretches_x_and_y_before_the_length_is_made_1(tmp_path: Path, scale: float) -> None:
+def test_the_scale_stretches_x_and_y_before_the_length_is_made_1(tmp_path, scale):
     gltf = Gltf()
     gltf.show(square(gltf, mapped(gltf, scale=scale)))
     assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), leaning(scale))
 
 
 @pytest.mark.parametrize("flip", [(-1, 1), (1, -1), (-1, -1)])
-def test_where_the_image_is_mirrored_so_is_what_it_shows(tmp_path: Path, flip: tuple[int, int]) -> None:
+def test_where_the_image_is_mirrored_so_is_what_it_shows(tmp_path, flip):
     gltf = Gltf()
     gltf.show(square(gltf, mapped(gltf), uv=SQUARE_UV * flip))
     assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), leaning() * (*flip, 1))
 
 
-def test_the_direction_turns_with_the_image_when_its_transform_does(tmp_path: Path) -> None:
+def test_the_direction_turns_with_the_image_when_its_transform_does(tmp_path):
     gltf = Gltf()
     turn = {"KHR_texture_transform": {"rotation": np.pi / 2}}
     gltf.show(square(gltf, mapped(gltf, extensions=turn)))
@@ -91,7 +75,7 @@ def test_the_direction_turns_with_the_image_when_its_transform_does(tmp_path: Pa
     assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), [y, -x, z])
 
 
-def test_tangents_follow_the_coordinates_of_the_normal_map_and_no_others(tmp_path: Path) -> None:
+def test_tangents_follow_the_coordinates_of_the_normal_map_and_no_others(tmp_path):
     gltf = Gltf()
     material = mapped(gltf, texCoord=1)
     gltf.json["materials"][material]["occlusionTexture"] = {"index": 0}
@@ -101,7 +85,7 @@ def test_tangents_follow_the_coordinates_of_the_normal_map_and_no_others(tmp_pat
 
 
 @pytest.mark.parametrize("hand", [1, -1])
-def test_given_tangents_count_with_their_handedness(tmp_path: Path, hand: int) -> None:
+def test_given_tangents_count_with_their_handedness(tmp_path, hand):
     gltf = Gltf()
     tangents = np.tile(np.float32([0, 1, 0, hand]), (4, 1))
     gltf.show(square(gltf, mapped(gltf), tangents=tangents))
@@ -109,14 +93,14 @@ def test_given_tangents_count_with_their_handedness(tmp_path: Path, hand: int) -
     assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), [-hand * y, x, z])
 
 
-def test_given_tangents_do_not_count_without_normals(tmp_path: Path) -> None:
+def test_given_tangents_do_not_count_without_normals(tmp_path):
     gltf = Gltf()
     tangents = np.tile(np.float32([0, 1, 0, 1]), (4, 1))
     gltf.show(square(gltf, mapped(gltf), normals=None, tangents=tangents))
     assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), leaning())
 
 
-def test_normals_and_tangents_may_be_quantized(tmp_path: Path) -> None:
+def test_normals_and_tangents_may_be_quantized(tmp_path):
     gltf = Gltf()
     attributes = {
         "NORMAL": gltf.accessor((UP * 127).astype(np.int8), True),
@@ -140,19 +124,13 @@ def test_normals_and_tangents_may_be_quantized(tmp_path: Path) -> None:
         ([5, 1, 1], (1, 1, 1)),  # directions along the axes stay, and with them the frame
     ],
 )
-def test_nodes_take_normals_along_mirrors_included(
-    tmp_path: Path,
-    scale: list[float],
-    expected: tuple[int, ...],
-    normals: npt.NDArray[np.float32] | None,
-    tangents: npt.NDArray[np.float32] | None,
-) -> None:
+def test_nodes_take_normals_along_mirrors_included(tmp_path, scale, expected, normals, tangents):
     gltf = Gltf()
     gltf.show(square(gltf, mapped(gltf), normals=normals, tangents=tangents), scale=scale)
     assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), leaning() * expected)
 
 
-def test_each_instance_of_a_mesh_has_normals_of_its_own(tmp_path: Path) -> None:
+def test_each_instance_of_a_mesh_has_normals_of_its_own(tmp_path):
     gltf = Gltf()
     half = 0.5**0.5
     first = gltf.show(square(gltf, mapped(gltf)))
@@ -168,7 +146,7 @@ def test_each_instance_of_a_mesh_has_normals_of_its_own(tmp_path: Path) -> None:
     np.testing.assert_allclose(surface.evaluate(samples, "normal"), expected, atol=2e-4)
 
 
-def test_normals_lean_against_a_stretch_and_tangents_with_it(tmp_path: Path) -> None:
+def test_normals_lean_against_a_stretch_and_tangents_with_it(tmp_path):
     # A square that rises along x at 45 degrees, with a normal map that says nothing.
     gltf = Gltf()
     texture = gltf.texture(gltf.image(png(np.full((1, 1, 3), (128, 128, 255), np.uint8))))
@@ -183,7 +161,7 @@ def test_normals_lean_against_a_stretch_and_tangents_with_it(tmp_path: Path) -> 
     )
 
 
-def test_beside_a_normal_map_other_materials_give_their_shading_normals(tmp_path: Path) -> None:
+def test_beside_a_normal_map_other_materials_give_their_shading_normals(tmp_path):
     gltf = Gltf()
     tilted = np.tile(np.float32([0.6, 0, 0.8]), (4, 1))
     plain = gltf.material(factor=(1, 0, 0, 1))
@@ -197,7 +175,7 @@ def test_beside_a_normal_map_other_materials_give_their_shading_normals(tmp_path
     np.testing.assert_allclose(surface.evaluate(samples, "normal"), expected, atol=2e-4)
 
 
-def test_a_normal_map_that_is_not_wanted_is_not_read(tmp_path: Path) -> None:
+def test_a_normal_map_that_is_not_wanted_is_not_read(tmp_path):
     gltf = Gltf()
     material = gltf.material(normalTexture={"index": gltf.add("textures", source=7)})
     entry = square(gltf, material)
@@ -207,7 +185,7 @@ def test_a_normal_map_that_is_not_wanted_is_not_read(tmp_path: Path) -> None:
     assert [channel.name for channel in surface.channels] == ["base_color"]
 
 
-def test_at_rest_positions_that_are_turned_normals_are_turned(tmp_path: Path) -> None:
+def test_at_rest_positions_that_are_turned_normals_are_turned(tmp_path):
     gltf = Gltf()
     gltf.show(square(gltf, mapped(gltf)))
     surface = load_surface(gltf.save(tmp_path / "a.glb"))
@@ -217,9 +195,7 @@ def test_at_rest_positions_that_are_turned_normals_are_turned(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("uv", [SQUARE_UV * 0, SQUARE_UV[:, :1] * (1, 1)])
-def test_where_the_image_has_no_area_normals_are_still_unit_vectors(
-    tmp_path: Path, uv: npt.NDArray[np.float32]
-) -> None:
+def test_where_the_image_has_no_area_normals_are_still_unit_vectors(tmp_path, uv):
     gltf = Gltf()
     gltf.show(square(gltf, mapped(gltf), uv=uv))
     found = normals_of(load_surface(gltf.save(tmp_path / "a.glb")))
@@ -228,9 +204,7 @@ def test_where_the_image_has_no_area_normals_are_still_unit_vectors(
 
 
 @pytest.mark.parametrize("name", ["Avocado/Avocado.gltf", "BoomBoxWithAxes/BoomBoxWithAxes.gltf"])
-def test_tangents_made_for_real_models_are_close_to_those_that_they_have(
-    tmp_path: Path, models: Path, name: str
-) -> None:
+def test_tangents_made_for_real_models_are_close_to_those_that_they_have(tmp_path, models, name):
     path = models / name
     document = json.loads(path.read_text())
     for each in [*document["buffers"], *document["images"]]:

@@ -1,12 +1,6 @@
 """The channels that glTF materials state."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from octex.channels import srgb_to_linear
@@ -14,7 +8,6 @@ from octex.errors import ImageError, ModelError
 from octex.source.images.decode import decode_image
 from octex.source.load import load_surface
 from octex.source.models import gltf as reader
-from octex.source.surface import Surface, SurfaceSamples
 from tests.make.agreement import assert_agrees
 from tests.make.fixtures import (
     CLAMP,
@@ -29,7 +22,7 @@ from tests.make.fixtures import (
 )
 
 
-def test_opaque_materials_ignore_alpha(tmp_path: Path) -> None:
+def test_opaque_materials_ignore_alpha(tmp_path):
     image = png(random_image(4, 4, 4))
     surface = assert_agrees(textured_square(tmp_path / "a.glb", image, factor=(1, 1, 1, 0.2)))
     assert [channel.name for channel in surface.channels] == ["base_color"]
@@ -39,9 +32,7 @@ def test_opaque_materials_ignore_alpha(tmp_path: Path) -> None:
     "options", [{"alphaMode": "BLEND"}, {"alphaMode": "MASK"}, {"alphaMode": "MASK", "alphaCutoff": 0.2}]
 )
 @pytest.mark.parametrize("mag", [NEAREST, LINEAR])
-def test_alpha_is_a_channel_where_a_material_uses_it(
-    tmp_path: Path, options: dict[str, Any], mag: int
-) -> None:
+def test_alpha_is_a_channel_where_a_material_uses_it(tmp_path, options, mag):
     image = png(random_image(6, 6, 4))
     surface = assert_agrees(
         textured_square(tmp_path / "a.glb", image, mag=mag, factor=(1, 1, 1, 0.7), **options), 400
@@ -54,7 +45,7 @@ def test_alpha_is_a_channel_where_a_material_uses_it(
 
 
 @pytest.mark.parametrize(("mode", "alpha"), [("BLEND", 0.3), ("MASK", 0.0)])
-def test_alpha_of_materials_without_texture_counts_too(tmp_path: Path, mode: str, alpha: float) -> None:
+def test_alpha_of_materials_without_texture_counts_too(tmp_path, mode, alpha):
     gltf = Gltf()
     gltf.show(gltf.primitive(material=gltf.material(factor=(1, 0, 0, 0.3), alphaMode=mode)))
     gltf.show(gltf.primitive(), translation=[0, 0, 1])
@@ -64,7 +55,7 @@ def test_alpha_of_materials_without_texture_counts_too(tmp_path: Path, mode: str
     np.testing.assert_allclose(surface.evaluate(samples, "alpha")[:, 0], expected)
 
 
-def test_an_opaque_image_takes_part_in_masking_by_the_factor(tmp_path: Path) -> None:
+def test_an_opaque_image_takes_part_in_masking_by_the_factor(tmp_path):
     path = textured_square(
         tmp_path / "a.glb", png(random_image(4, 4)), factor=(1, 1, 1, 0.4), alphaMode="MASK"
     )
@@ -73,7 +64,7 @@ def test_an_opaque_image_takes_part_in_masking_by_the_factor(tmp_path: Path) -> 
     ).all()
 
 
-def test_a_material_that_no_triangle_uses_adds_no_channel(tmp_path: Path) -> None:
+def test_a_material_that_no_triangle_uses_adds_no_channel(tmp_path):
     gltf = Gltf()
     gltf.material(alphaMode="BLEND")
     gltf.show(gltf.primitive(material=gltf.material()))
@@ -84,7 +75,7 @@ def test_a_material_that_no_triangle_uses_adds_no_channel(tmp_path: Path) -> Non
 IMAGE = random_image(4, 4, 4, seed=5)
 
 
-def model(path: Path, **material: Any) -> Path:
+def model(path, **material):
     """A square with one material; its texture 0 has IMAGE."""
     gltf = Gltf()
     gltf.texture(gltf.image(png(IMAGE)), wrap=(CLAMP, CLAMP), mag=NEAREST)
@@ -92,18 +83,18 @@ def model(path: Path, **material: Any) -> Path:
     return gltf.save(path)
 
 
-def names(surface: Surface) -> list[str]:
+def names(surface):
     return [channel.name for channel in surface.channels]
 
 
-def texels(samples: SurfaceSamples, lanes: tuple[int, ...]) -> npt.NDArray[np.float64]:
+def texels(samples, lanes):
     """The fractions of IMAGE at points of the square."""
     column = np.minimum(4 * samples.points[:, 0], 3).astype(int)
     row = np.minimum(4 * (1 - samples.points[:, 1]), 3).astype(int)
     return IMAGE[row, column][:, lanes] / 255
 
 
-def assert_gives(surface: Surface, channel: str, expected: npt.ArrayLike, samples: SurfaceSamples) -> None:
+def assert_gives(surface, channel, expected, samples):
     np.testing.assert_allclose(surface.evaluate(samples, channel), expected, atol=2e-5)
 
 
@@ -126,24 +117,19 @@ SPECULAR, INDEX = "KHR_materials_specular", "KHR_materials_ior"
         ({"extensions": {STRENGTH: {"emissiveStrength": 5}}}, []),
         ({"extensions": {OLDER: {}}}, ["metallic", "roughness"]),
         ({"extensions": {OLDER: {"specularFactor": [1, 1, 1]}}}, ["metallic", "roughness", "specular"]),
-        (
-            {"extensions": {OLDER: {"specularGlossinessTexture": MAP}}},
-            ["metallic", "roughness", "specular"],
-        ),
+        ({"extensions": {OLDER: {"specularGlossinessTexture": MAP}}}, ["metallic", "roughness", "specular"]),
         ({"extensions": {SPECULAR: {"specularFactor": 1.0}}}, ["specular"]),
         ({"extensions": {INDEX: {"ior": 1.5}}}, ["specular"]),
         ({"extensions": {OLDER: {}, "KHR_materials_unlit": {}}, "normalTexture": MAP}, []),
         ({"extensions": {"KHR_materials_clearcoat": {"clearcoatNormalTexture": {"index": 9}}}}, []),
     ],
 )
-def test_a_channel_is_what_stands_in_the_file(
-    tmp_path: Path, material: dict[str, Any], stated: list[str]
-) -> None:
+def test_a_channel_is_what_stands_in_the_file(tmp_path, material, stated):
     surface = load_surface(model(tmp_path / "a.glb", **material))
     assert names(surface) == ["base_color", *stated]
 
 
-def test_metallic_is_blue_and_roughness_green_times_their_factors(tmp_path: Path) -> None:
+def test_metallic_is_blue_and_roughness_green_times_their_factors(tmp_path):
     pbr = {"metallicRoughnessTexture": MAP, "metallicFactor": 0.5, "roughnessFactor": 0.25}
     surface = load_surface(model(tmp_path / "a.glb", pbr=pbr))
     samples = surface.scatter(50)
@@ -154,7 +140,7 @@ def test_metallic_is_blue_and_roughness_green_times_their_factors(tmp_path: Path
 
 
 @pytest.mark.parametrize("strength", [None, 0.0, 0.25])
-def test_occlusion_is_red_as_far_as_its_strength_goes(tmp_path: Path, strength: float | None) -> None:
+def test_occlusion_is_red_as_far_as_its_strength_goes(tmp_path, strength):
     info = MAP if strength is None else MAP | {"strength": strength}
     surface = load_surface(model(tmp_path / "a.glb", occlusionTexture=info))
     samples = surface.scatter(50)
@@ -162,7 +148,7 @@ def test_occlusion_is_red_as_far_as_its_strength_goes(tmp_path: Path, strength: 
     assert_gives(surface, "occlusion", expected, samples)
 
 
-def test_emissive_is_factor_times_texture_in_linear_light_and_black_without_a_factor(tmp_path: Path) -> None:
+def test_emissive_is_factor_times_texture_in_linear_light_and_black_without_a_factor(tmp_path):
     surface = load_surface(model(tmp_path / "a.glb", emissiveTexture=MAP, emissiveFactor=[1, 0.5, 0.25]))
     samples = surface.scatter(50)
     light = srgb_to_linear(texels(samples, (0, 1, 2)))
@@ -171,7 +157,7 @@ def test_emissive_is_factor_times_texture_in_linear_light_and_black_without_a_fa
     assert_gives(surface, "emissive", 0 * light, samples)
 
 
-def test_emissive_strength_goes_above_1_and_is_stored_so(tmp_path: Path) -> None:
+def test_emissive_strength_goes_above_1_and_is_stored_so(tmp_path):
     extensions = {STRENGTH: {"emissiveStrength": 20}}
     path = model(tmp_path / "a.glb", emissiveTexture=MAP, emissiveFactor=[1, 0.5, 0], extensions=extensions)
     surface = load_surface(path)
@@ -182,7 +168,7 @@ def test_emissive_strength_goes_above_1_and_is_stored_so(tmp_path: Path) -> None
     assert (form.space, form.dtype) == ("linear", "float16")
 
 
-def test_unlit_materials_give_their_base_colour_and_alpha_only(tmp_path: Path) -> None:
+def test_unlit_materials_give_their_base_colour_and_alpha_only(tmp_path):
     pbr = {"metallicFactor": 0.5, "baseColorFactor": [0.5, 1, 1, 0.5], "baseColorTexture": MAP}
     entry = {"extensions": {"KHR_materials_unlit": {}}, "emissiveFactor": [1, 1, 1], "alphaMode": "BLEND"}
     surface = load_surface(model(tmp_path / "a.glb", pbr=pbr, **entry))
@@ -200,9 +186,7 @@ def test_unlit_materials_give_their_base_colour_and_alpha_only(tmp_path: Path) -
         ({}, {"ior": 0.0}, [1, 1, 1]),
     ],
 )
-def test_specular_is_what_is_reflected_along_the_normal(
-    tmp_path: Path, layer: dict[str, Any], index: dict[str, Any], along: list[float]
-) -> None:
+def test_specular_is_what_is_reflected_along_the_normal(tmp_path, layer, index, along):
     surface = load_surface(model(tmp_path / "a.glb", extensions={SPECULAR: layer, INDEX: index}))
     samples = surface.scatter(50)
     assert_gives(surface, "specular", np.tile(along, (50, 1)), samples)
@@ -211,7 +195,7 @@ def test_specular_is_what_is_reflected_along_the_normal(
     assert_gives(surface, "specular", srgb_to_linear(texels(samples, (0, 1, 2))) * along, samples)
 
 
-def test_older_specular_glossiness_materials_are_rough_where_they_are_not_glossy(tmp_path: Path) -> None:
+def test_older_specular_glossiness_materials_are_rough_where_they_are_not_glossy(tmp_path):
     older = {
         "diffuseFactor": [0.5, 1, 1, 1],
         "diffuseTexture": MAP,
@@ -228,13 +212,13 @@ def test_older_specular_glossiness_materials_are_rough_where_they_are_not_glossy
     assert_gives(surface, "metallic", np.zeros((50, 1)), samples)
 
 
-def test_older_materials_without_glossiness_are_smooth(tmp_path: Path) -> None:
+def test_older_materials_without_glossiness_are_smooth(tmp_path):
     surface = load_surface(model(tmp_path / "a.glb", extensions={OLDER: {}}))
     samples = surface.scatter(5)
     assert_gives(surface, "roughness", np.zeros((5, 1)), samples)
 
 
-def test_what_a_material_does_not_state_beside_one_that_does_is_the_default(tmp_path: Path) -> None:
+def test_what_a_material_does_not_state_beside_one_that_does_is_the_default(tmp_path):
     gltf = Gltf()
     gltf.texture(gltf.image(png(IMAGE)))
     stating = gltf.material(
@@ -253,7 +237,7 @@ def test_what_a_material_does_not_state_beside_one_that_does_is_the_default(tmp_
         assert (values[~silent] != default).any()
 
 
-def test_only_images_that_a_wanted_channel_needs_are_read(tmp_path: Path) -> None:
+def test_only_images_that_a_wanted_channel_needs_are_read(tmp_path):
     gltf = Gltf()
     gltf.add("images", uri="not there.png")
     there = gltf.texture(gltf.image(png(IMAGE)))
@@ -270,18 +254,16 @@ def test_only_images_that_a_wanted_channel_needs_are_read(tmp_path: Path) -> Non
         load_surface(path, channels=["roughness"])
 
 
-def test_a_channel_that_the_model_lacks_is_refused_with_a_list_of_those_it_has(tmp_path: Path) -> None:
+def test_a_channel_that_the_model_lacks_is_refused_with_a_list_of_those_it_has(tmp_path):
     path = model(tmp_path / "a.glb", pbr={"metallicFactor": 0.5}, occlusionTexture=MAP)
     with pytest.raises(ModelError, match=r"a\.glb .*specular; .*base_color, metallic, occlusion"):
         load_surface(path, channels=["base_color", "specular"])
 
 
-def test_an_image_is_decoded_once_however_often_it_is_used(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_image_is_decoded_once_however_often_it_is_used(tmp_path, monkeypatch):
     decoded = []
 
-    def counted(data: bytes, name: str) -> npt.NDArray[Any]:
+    def counted(data, name):
         decoded.append(name)
         return decode_image(data, name)
 
@@ -299,7 +281,7 @@ def test_an_image_is_decoded_once_however_often_it_is_used(
     assert sorted(decoded) == ["a.glb: images[0]", "a.glb: images[1] (a.png)"]
 
 
-def test_each_texture_of_a_material_has_its_own_coordinates(tmp_path: Path) -> None:
+def test_each_texture_of_a_material_has_its_own_coordinates(tmp_path):
     gltf = Gltf()
     gltf.texture(gltf.image(png(IMAGE)), wrap=(CLAMP, CLAMP), mag=NEAREST)
     halved = {"KHR_texture_transform": {"scale": [0.5, 0.5], "offset": [0.25, 0]}}
@@ -320,7 +302,7 @@ def test_each_texture_of_a_material_has_its_own_coordinates(tmp_path: Path) -> N
     lower, upper = samples.points[:, 2] < 0.5, samples.points[:, 2] > 0.5
     x, y = samples.points[:, 0], samples.points[:, 1]
 
-    def at(u: npt.NDArray[np.float64], v: npt.NDArray[np.float64], lane: int) -> npt.NDArray[np.float64]:
+    def at(u, v, lane):
         column, row = (np.minimum(4 * t, 3).astype(int) for t in (u, v))
         return (IMAGE[row, column, lane] / 255)[:, None]
 
@@ -335,7 +317,7 @@ def test_each_texture_of_a_material_has_its_own_coordinates(tmp_path: Path) -> N
     assert (occlusion[upper] == 1).all()
 
 
-def test_the_surface_keeps_the_first_coordinates_as_they_stand_in_the_file(tmp_path: Path) -> None:
+def test_the_surface_keeps_the_first_coordinates_as_they_stand_in_the_file(tmp_path):
     gltf = Gltf()
     gltf.texture(gltf.image(png(IMAGE)))
     turned = MAP | {"extensions": {"KHR_texture_transform": {"rotation": 1.0}}}
@@ -345,7 +327,7 @@ def test_the_surface_keeps_the_first_coordinates_as_they_stand_in_the_file(tmp_p
     np.testing.assert_array_equal(uv.values[uv.rows], SQUARE_UV[[[0, 1, 2], [0, 2, 3]]])
 
 
-def test_the_surface_has_no_coordinates_where_a_primitive_lacks_the_first(tmp_path: Path) -> None:
+def test_the_surface_has_no_coordinates_where_a_primitive_lacks_the_first(tmp_path):
     gltf = Gltf()
     gltf.texture(gltf.image(png(IMAGE)))
     second = gltf.primitive(
@@ -358,9 +340,7 @@ def test_the_surface_has_no_coordinates_where_a_primitive_lacks_the_first(tmp_pa
     assert load_surface(gltf.save(tmp_path / "b.glb")).uv is None
 
 
-def test_extensions_of_materials_that_are_required_and_change_no_channel_are_passed_over(
-    tmp_path: Path,
-) -> None:
+def test_extensions_of_materials_that_are_required_and_change_no_channel_are_passed_over(tmp_path):
     gltf = Gltf()
     sheen = {"KHR_materials_sheen": {"sheenColorTexture": {"index": 3}}}
     gltf.json["extensionsRequired"] = ["KHR_materials_sheen"]

@@ -1,9 +1,6 @@
 """Images, samplers, texture coordinates and vertex colours of glTF against an independent reader."""
 
-from __future__ import annotations
-
 import base64
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,24 +26,22 @@ from tests.make.fixtures import (
 @pytest.mark.parametrize("wrap_v", [REPEAT, MIRROR, CLAMP])
 @pytest.mark.parametrize("wrap_u", [REPEAT, MIRROR, CLAMP])
 @pytest.mark.parametrize("mag", [NEAREST, LINEAR])
-def test_each_wrap_of_each_axis_agrees_with_the_specification(
-    tmp_path: Path, wrap_u: int, wrap_v: int, mag: int
-) -> None:
+def test_each_wrap_of_each_axis_agrees_with_the_specification(tmp_path, wrap_u, wrap_v, mag):
     image = png(random_image(5, 8))
     path = textured_square(tmp_path / "a.glb", image, wrap=(wrap_u, wrap_v), mag=mag, scale=5.0, shift=-2.3)
     assert_agrees(path)
 
 
-def test_a_texture_without_a_sampler_repeats_and_is_linear(tmp_path: Path) -> None:
+def test_a_texture_without_a_sampler_repeats_and_is_linear(tmp_path):
     assert_agrees(textured_square(tmp_path / "a.glb", png(random_image(4, 4)), scale=3.0, shift=-1.0))
 
 
-def test_a_nearest_minification_alone_leaves_magnification_linear(tmp_path: Path) -> None:
+def test_a_nearest_minification_alone_leaves_magnification_linear(tmp_path):
     image = png(random_image(4, 4))
     assert_agrees(textured_square(tmp_path / "a.glb", image, wrap=(REPEAT, REPEAT), minify=NEAREST))
 
 
-def test_the_upper_left_texel_lies_at_coordinates_0_0_which_is_the_upper_left_corner(tmp_path: Path) -> None:
+def test_the_upper_left_texel_lies_at_coordinates_0_0_which_is_the_upper_left_corner(tmp_path):
     texels = np.zeros((2, 2, 3), np.uint8)
     texels[0, 0] = 255
     surface = load_surface(textured_square(tmp_path / "a.glb", png(texels), wrap=(CLAMP, CLAMP), mag=NEAREST))
@@ -55,7 +50,7 @@ def test_the_upper_left_texel_lies_at_coordinates_0_0_which_is_the_upper_left_co
     np.testing.assert_array_equal(is_white, (samples.points[:, 0] < 0.5) & (samples.points[:, 1] > 0.5))
 
 
-def test_texel_centres_lie_half_a_texel_from_the_edge(tmp_path: Path) -> None:
+def test_texel_centres_lie_half_a_texel_from_the_edge(tmp_path):
     ramp = np.array([[[0] * 3, [255] * 3]], np.uint8)
     surface = load_surface(textured_square(tmp_path / "a.glb", png(ramp), wrap=(CLAMP, CLAMP)))
     samples = surface.scatter(300)
@@ -63,7 +58,7 @@ def test_texel_centres_lie_half_a_texel_from_the_edge(tmp_path: Path) -> None:
     np.testing.assert_allclose(surface.evaluate(samples)[:, 1], expected, atol=1e-5)
 
 
-def test_factor_vertex_colour_and_texture_multiply(tmp_path: Path) -> None:
+def test_factor_vertex_colour_and_texture_multiply(tmp_path):
     gltf = Gltf()
     material = gltf.material(gltf.texture(gltf.image(png(random_image(3, 3)))), factor=(0.5, 0.25, 1.0, 1.0))
     colors = np.array([[255, 0, 128], [1, 255, 3], [7, 99, 255], [255, 255, 255]], np.uint8)
@@ -80,13 +75,13 @@ def test_factor_vertex_colour_and_texture_multiply(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_vertex_colours_are_linear_light(tmp_path: Path, colors: np.ndarray) -> None:
+def test_vertex_colours_are_linear_light(tmp_path, colors):
     gltf = Gltf()
     gltf.show(gltf.primitive(colors=colors))
     assert_agrees(gltf.save(tmp_path / "a.glb"))
 
 
-def test_coordinates_may_be_normalized_integers(tmp_path: Path) -> None:
+def test_coordinates_may_be_normalized_integers(tmp_path):
     gltf = Gltf()
     material = gltf.material(gltf.texture(gltf.image(png(random_image(4, 4))), wrap=(CLAMP, CLAMP)))
     gltf.show(gltf.primitive(uv=(SQUARE_UV * 65535).astype(np.uint16), material=material))
@@ -94,7 +89,7 @@ def test_coordinates_may_be_normalized_integers(tmp_path: Path) -> None:
     assert_agrees(gltf.save(tmp_path / "a.glb"))
 
 
-def test_several_materials_images_and_primitives_keep_their_own(tmp_path: Path) -> None:
+def test_several_materials_images_and_primitives_keep_their_own(tmp_path):
     gltf = Gltf()
     images = [gltf.image(png(random_image(3 + i, 4, seed=i))) for i in range(2)]
     materials = [
@@ -114,7 +109,7 @@ def test_several_materials_images_and_primitives_keep_their_own(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("through", ["texCoord", "extension"])
-def test_another_set_of_coordinates_is_used_when_the_material_names_it(tmp_path: Path, through: str) -> None:
+def test_another_set_of_coordinates_is_used_when_the_material_names_it(tmp_path, through):
     gltf = Gltf()
     info: dict[str, Any] = {"index": gltf.texture(gltf.image(png(random_image(4, 4))))}
     if through == "texCoord":
@@ -126,7 +121,7 @@ def test_another_set_of_coordinates_is_used_when_the_material_names_it(tmp_path:
     assert_agrees(gltf.save(tmp_path / "a.glb"))
 
 
-def test_texture_transforms_scale_then_rotate_then_move(tmp_path: Path) -> None:
+def test_texture_transforms_scale_then_rotate_then_move(tmp_path):
     change = {"offset": [0.3, -0.2], "rotation": 0.7, "scale": [2.0, 0.5]}
     gltf = Gltf()
     texture = gltf.texture(gltf.image(png(random_image(4, 6))), wrap=(REPEAT, CLAMP))
@@ -136,7 +131,7 @@ def test_texture_transforms_scale_then_rotate_then_move(tmp_path: Path) -> None:
     assert_agrees(gltf.save(tmp_path / "a.glb"))
 
 
-def test_a_quarter_turn_of_the_transform_is_the_example_of_the_extension(tmp_path: Path) -> None:
+def test_a_quarter_turn_of_the_transform_is_the_example_of_the_extension(tmp_path):
     # The lower left quadrant of the image, turned clockwise.
     texels = np.zeros((2, 2, 3), np.uint8)
     texels[1, 0] = 255
@@ -151,7 +146,7 @@ def test_a_quarter_turn_of_the_transform_is_the_example_of_the_extension(tmp_pat
     assert (surface.evaluate(surface.scatter(50)) == 1).all()
 
 
-def test_webp_images_are_read(tmp_path: Path) -> None:
+def test_webp_images_are_read(tmp_path):
     import io
 
     import PIL.Image
@@ -166,7 +161,7 @@ def test_webp_images_are_read(tmp_path: Path) -> None:
     assert_agrees(gltf.save(tmp_path / "a.glb"))
 
 
-def test_buffers_and_images_may_lie_in_files_with_blanks_and_in_other_folders(tmp_path: Path) -> None:
+def test_buffers_and_images_may_lie_in_files_with_blanks_and_in_other_folders(tmp_path):
     (tmp_path / "model").mkdir()
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "a ü.png").write_bytes(png(random_image(4, 4)))
@@ -176,7 +171,7 @@ def test_buffers_and_images_may_lie_in_files_with_blanks_and_in_other_folders(tm
     assert_agrees(gltf.save(tmp_path / "model" / "a.gltf", external=True))
 
 
-def test_a_name_with_a_percent_sign_is_found_as_it_stands(tmp_path: Path) -> None:
+def test_a_name_with_a_percent_sign_is_found_as_it_stands(tmp_path):
     data = png(random_image(4, 4))
     (tmp_path / "50%25.png").write_bytes(data)
     surfaces = []
@@ -192,7 +187,7 @@ def test_a_name_with_a_percent_sign_is_found_as_it_stands(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("style", ["base64", "base64 with line ends and no padding", "percent"])
-def test_images_may_be_data_uris(tmp_path: Path, style: str) -> None:
+def test_images_may_be_data_uris(tmp_path, style):
     data = png(random_image(4, 4))
     text = base64.b64encode(data).decode()
     uri = "data:image/png;base64," + text

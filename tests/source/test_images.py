@@ -1,14 +1,10 @@
 """Image files of every kind become texels without loss, or are refused by name."""
 
-from __future__ import annotations
-
 import io
 import struct
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -22,13 +18,13 @@ from tests.make.deep_images import tiff
 from tests.make.fixtures import _chunk, png, random_image
 
 
-def saved(image: PIL.Image.Image, kind: str, **options: Any) -> bytes:
+def saved(image, kind, **options):
     stream = io.BytesIO()
     image.save(stream, kind, **options)
     return stream.getvalue()
 
 
-def expected_texels(stored: np.ndarray) -> np.ndarray:
+def expected_texels(stored):
     """Texels of stored codes (height, width, 1 to 4), by the definition."""
     height, width, channels = stored.shape
     unit = 257 if stored.dtype == np.uint8 else 1
@@ -45,7 +41,7 @@ def expected_texels(stored: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("interlaced", [False, True])
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
-def test_png_images_of_8_and_16_bits_keep_every_code(channels: int, dtype: str, interlaced: bool) -> None:
+def test_png_images_of_8_and_16_bits_keep_every_code(channels, dtype, interlaced):
     for height, width in ((5, 7), (1, 1), (9, 2)):
         stored = random_image(height, width, channels, dtype)
         found = decode_image(png(stored, interlaced=interlaced), "a.png")
@@ -55,14 +51,14 @@ def test_png_images_of_8_and_16_bits_keep_every_code(channels: int, dtype: str, 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_the_transparent_colour_of_a_png_image_is_transparent(channels: int, dtype: str) -> None:
+def test_the_transparent_colour_of_a_png_image_is_transparent(channels, dtype):
     stored = random_image(3, 3, channels, dtype)
     codes = stored[1, 2].tolist()
     alpha = decode_image(png(stored, transparent=codes), "a.png")[..., 3]
     np.testing.assert_array_equal(alpha == 0, (stored == stored[1, 2]).all(axis=2))
 
 
-def test_palettes_give_their_colours_and_transparencies() -> None:
+def test_palettes_give_their_colours_and_transparencies():
     palette = random_image(1, 5)[0]
     indices = np.array([[[0], [1], [2]], [[3], [4], [0]]], np.uint8)
     found = decode_image(png(indices, palette=palette, palette_alpha=[0, 128]), "a.png")
@@ -70,7 +66,7 @@ def test_palettes_give_their_colours_and_transparencies() -> None:
     np.testing.assert_array_equal(found[..., 3] // 257, [[0, 128, 255], [255, 255, 0]])
 
 
-def test_bilevel_images_are_black_and_white() -> None:
+def test_bilevel_images_are_black_and_white():
     image = PIL.Image.fromarray(np.array([[True, False]]))
     np.testing.assert_array_equal(decode_image(saved(image, "PNG"), "a")[0, :, 0], [65535, 0])
 
@@ -78,19 +74,19 @@ def test_bilevel_images_are_black_and_white() -> None:
 @pytest.mark.parametrize(
     ("kind", "options"), [("BMP", {}), ("TIFF", {}), ("TGA", {}), ("WEBP", {"lossless": True}), ("GIF", {})]
 )
-def test_other_formats_keep_their_codes(kind: str, options: dict[str, Any]) -> None:
+def test_other_formats_keep_their_codes(kind, options):
     stored = np.repeat(random_image(4, 4, 1), 3, axis=2)
     image = PIL.Image.fromarray(stored[..., 0] if kind == "GIF" else stored)
     np.testing.assert_array_equal(decode_image(saved(image, kind, **options), "a"), expected_texels(stored))
 
 
-def test_jpeg_images_are_read() -> None:
+def test_jpeg_images_are_read():
     stored = np.full((16, 16, 3), 200, np.uint8)
     found = decode_image(saved(PIL.Image.fromarray(stored), "JPEG", quality=95), "a")
     assert abs(found[..., :3].astype(int) - 200 * 257).max() <= 2 * 257
 
 
-def test_colour_profiles_and_gamma_are_ignored() -> None:
+def test_colour_profiles_and_gamma_are_ignored():
     stored = random_image(2, 2)
     data = png(stored)
     at = data.index(b"IDAT") - 4
@@ -100,14 +96,14 @@ def test_colour_profiles_and_gamma_are_ignored() -> None:
 
 @pytest.mark.parametrize("channels", [0, 1, 2, 3, 4])
 @pytest.mark.parametrize("dtype", ["uint8", "uint16"])
-def test_arrays_are_taken_as_codes(channels: int, dtype: str) -> None:
+def test_arrays_are_taken_as_codes(channels, dtype):
     stored = random_image(3, 4, max(channels, 1), dtype)
     given = stored if channels else stored[..., 0]
     np.testing.assert_array_equal(as_texels(given), expected_texels(stored))
 
 
 @pytest.mark.parametrize("dtype", ["float16", "float32", "float64"])
-def test_arrays_of_floats_are_taken_as_linear_values(dtype: str) -> None:
+def test_arrays_of_floats_are_taken_as_linear_values(dtype):
     for channels in (1, 2, 3, 4):
         values = np.random.default_rng(channels).uniform(-1, 9, (3, 4, channels)).astype(dtype)
         expected = np.ones((3, 4, 4), np.float32)
@@ -121,7 +117,7 @@ def test_arrays_of_floats_are_taken_as_linear_values(dtype: str) -> None:
     np.testing.assert_array_equal(as_texels(grey)[..., 2:], [[[0.5, 1], [7, 1]]])
 
 
-def test_images_of_pillow_are_taken_as_they_are() -> None:
+def test_images_of_pillow_are_taken_as_they_are():
     stored = random_image(3, 4, 4)
     np.testing.assert_array_equal(as_texels(PIL.Image.fromarray(stored)), expected_texels(stored))
     grey = random_image(3, 4, 1, "uint16")
@@ -141,16 +137,16 @@ def test_images_of_pillow_are_taken_as_they_are() -> None:
         (PIL.Image.new("I", (2, 2)), "depth"),
     ],
 )
-def test_other_arrays_are_refused(image: Any, message: str) -> None:
+def test_other_arrays_are_refused(image, message):
     with pytest.raises(ImageError, match=message):
         as_texels(image)
 
 
-def without(data: bytes, count: int) -> bytes:
+def without(data, count):
     return data[:-count]
 
 
-def with_header(data: bytes, **changes: int) -> bytes:
+def with_header(data, **changes):
     """A PNG file with another header, its checksum right."""
     fields = dict(
         zip(
@@ -184,21 +180,21 @@ DEEP = png(random_image(8, 8, 3, "uint16"))
         (png(random_image(2, 2, 3, "uint16"), filters=[0]).replace(b"IEND", b"IEND"), ""),
     ][:-1],
 )
-def test_bad_images_are_refused_in_one_line_that_names_them(data: bytes, message: str) -> None:
+def test_bad_images_are_refused_in_one_line_that_names_them(data, message):
     with pytest.raises(ImageError, match=message) as caught:
         decode_image(data, "wood.png")
     assert "wood.png" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def rebuilt(raw: bytes) -> bytes:
+def rebuilt(raw):
     """A 16-bit PNG file of 1 × 1 grey texels with given compressed data."""
     header = struct.pack(">IIBBBBB", 1, 1, 16, 0, 0, 0, 0)
     chunks = _chunk(b"IHDR", header) + _chunk(b"IDAT", raw) + _chunk(b"IEND", b"")
     return b"\x89PNG\r\n\x1a\n" + chunks
 
 
-def test_damaged_data_of_deep_images_are_refused() -> None:
+def test_damaged_data_of_deep_images_are_refused():
     import zlib
 
     with pytest.raises(ImageError, match="wood: the image data are damaged"):
@@ -207,8 +203,8 @@ def test_damaged_data_of_deep_images_are_refused() -> None:
         decode_image(rebuilt(zlib.compress(b"\x09\0\0")), "wood")
 
 
-def test_an_image_that_needs_too_much_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    def exhausted(*_: object) -> None:
+def test_an_image_that_needs_too_much_memory_is_refused(monkeypatch):
+    def exhausted(*_):
         raise MemoryError
 
     monkeypatch.setattr("octex.source.images.decode._texels", exhausted)
@@ -217,20 +213,20 @@ def test_an_image_that_needs_too_much_memory_is_refused(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("kind", ["ICO", "ICNS", "PCX"])
-def test_formats_that_are_not_listed_are_not_opened(kind: str) -> None:
+def test_formats_that_are_not_listed_are_not_opened(kind):
     data = saved(PIL.Image.fromarray(random_image(16, 16)), kind)
     with pytest.raises(ImageError, match="not an image of a format that octex reads: PNG, JPEG"):
         decode_image(data, "a")
 
 
-def test_a_pillow_without_some_formats_reads_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pillow_without_some_formats_reads_the_others(monkeypatch):
     PIL.Image.init()
     for kind in ("AVIF", "WEBP"):
         monkeypatch.delitem(PIL.Image.OPEN, kind)
     assert decode_image(png(random_image(2, 2)), "a").shape == (2, 2, 4)
 
 
-def test_an_image_of_a_few_bytes_cannot_be_of_any_size() -> None:
+def test_an_image_of_a_few_bytes_cannot_be_of_any_size():
     data = bytearray(saved(PIL.Image.new("RGB", (8, 8)), "WEBP", lossless=True))
     at = data.index(b"VP8L") + 9  # after the signature: 14 bits of width − 1, 14 of height − 1
     data[at : at + 4] = (int.from_bytes(data[at : at + 4], "little") | (1 << 28) - 1).to_bytes(4, "little")
@@ -238,7 +234,7 @@ def test_an_image_of_a_few_bytes_cannot_be_of_any_size() -> None:
         decode_image(bytes(data), "a")
 
 
-def test_the_size_of_a_jpeg_2000_image_is_that_of_its_codestream() -> None:
+def test_the_size_of_a_jpeg_2000_image_is_that_of_its_codestream():
     data = bytearray(saved(PIL.Image.new("RGB", (8, 8)), "JPEG2000"))
     at = data.index(b"\xff\x4f\xff\x51") + 8  # the right and lower end of the picture
     data[at : at + 8] = struct.pack(">II", 16000, 16000)
@@ -246,16 +242,14 @@ def test_the_size_of_a_jpeg_2000_image_is_that_of_its_codestream() -> None:
         decode_image(bytes(data), "a")
 
 
-def test_plain_images_of_formats_that_pack_well_are_read() -> None:
+def test_plain_images_of_formats_that_pack_well_are_read():
     plain = PIL.Image.new("RGB", (1024, 1024), (10, 20, 30))
     for kind in ("WEBP", "JPEG2000"):
         assert decode_image(saved(plain, kind), "a").shape == (1024, 1024, 4)
 
 
 @pytest.mark.parametrize("compression", ["tiff_adobe_deflate", "tiff_lzw", "jpeg"])
-def test_nothing_is_printed_of_a_damaged_tiff_image(
-    compression: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_nothing_is_printed_of_a_damaged_tiff_image(compression, capfd):
     image = PIL.Image.fromarray(random_image(16, 16))
     data = bytearray(saved(image, "TIFF", compression=compression))
     refused = 0
@@ -270,7 +264,7 @@ def test_nothing_is_printed_of_a_damaged_tiff_image(
     assert capfd.readouterr() == ("", "")
 
 
-def test_large_images_are_not_mistaken_for_bombs() -> None:
+def test_large_images_are_not_mistaken_for_bombs():
     before = PIL.Image.MAX_IMAGE_PIXELS
     image = PIL.Image.new("1", (16384, 11000))
     assert MAX_TEXELS > 11000 * 16384
@@ -282,7 +276,7 @@ def test_large_images_are_not_mistaken_for_bombs() -> None:
     assert after == before
 
 
-def test_the_png_suite_is_read_like_pillow_reads_it_and_its_broken_files_are_refused(models: Path) -> None:
+def test_the_png_suite_is_read_like_pillow_reads_it_and_its_broken_files_are_refused(models):
     folder = models / "fragile" / "png-suite" / "tests"
     if not folder.is_dir():
         pytest.skip("the png suite is not there")
@@ -308,7 +302,7 @@ def test_the_png_suite_is_read_like_pillow_reads_it_and_its_broken_files_are_ref
     assert read > 150
 
 
-def test_threads_change_the_warning_filters_one_at_a_time() -> None:
+def test_threads_change_the_warning_filters_one_at_a_time():
     before = list(warnings.filters)
     for read in (partial(parse_numbers, "1 2 x"), partial(decode_image, png(random_image(4, 4)), "a")):
         with ThreadPoolExecutor(1) as pool:

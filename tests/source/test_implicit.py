@@ -1,7 +1,5 @@
 """Surfaces that are given by a function, against the shapes that it describes."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -23,15 +21,15 @@ Array = npt.NDArray[Any]
 BOX = [[-1.5] * 3, [1.5] * 3]
 
 
-def ball(points: Array) -> Array:
+def ball(points):
     return np.linalg.norm(points - [0.1, 0.2, 0.3], axis=1) - 1
 
 
-def solid(surface: Surface) -> Manifold:
+def solid(surface):
     return Manifold(Mesh64(surface.vertices.copy(), surface.triangles.astype(np.uint64)))
 
 
-def test_vertices_lie_on_the_surface_and_triangles_near_it() -> None:
+def test_vertices_lie_on_the_surface_and_triangles_near_it():
     errors = []
     for edge in (0.2, 0.1, 0.05):
         surface = Surface.from_function(ball, BOX, edge)
@@ -45,7 +43,7 @@ def test_vertices_lie_on_the_surface_and_triangles_near_it() -> None:
     assert 3 < errors[1] / errors[2] < 5
 
 
-def test_what_is_below_the_level_is_inside() -> None:
+def test_what_is_below_the_level_is_inside():
     small, large = (Surface.from_function(ball, BOX, 0.1, level=level) for level in (-0.5, 0.1))
     for surface, radius in ((small, 0.5), (large, 1.1)):
         made = solid(surface)
@@ -56,7 +54,7 @@ def test_what_is_below_the_level_is_inside() -> None:
     assert solid(swapped).volume() == pytest.approx(27 - 4 / 3 * math.pi, rel=0.02)
 
 
-def test_the_bounds_cut_flatly() -> None:
+def test_the_bounds_cut_flatly():
     surface = Surface.from_function(ball, [[-1.5] * 3, [1.5, 1.5, 0.5]], 0.1)
     assert surface.bounds[1, 2] == 0.5
     on_lid = surface.vertices[:, 2] == 0.5
@@ -68,17 +66,17 @@ def test_the_bounds_cut_flatly() -> None:
     )
 
 
-def test_the_grid_is_that_of_calls_for_single_points() -> None:
+def test_the_grid_is_that_of_calls_for_single_points():
     asked = []
 
-    def alone(x: float, y: float, z: float) -> float:
+    def alone(x, y, z):
         asked.append((x, y, z))
         return -float(ball(np.array([[x, y, z]]))[0])
 
     wanted = Manifold.level_set(alone, [*BOX[0], *BOX[1]], 0.25).to_mesh64()
     given_points: list[Array] = []
 
-    def together(points: Array) -> Array:
+    def together(points):
         given_points.append(points)
         return ball(points)
 
@@ -89,11 +87,11 @@ def test_the_grid_is_that_of_calls_for_single_points() -> None:
     assert np.array_equal(triangles, wanted.tri_verts)
 
 
-def test_functions_are_called_in_batches_and_those_do_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_functions_are_called_in_batches_and_those_do_not_matter(monkeypatch):
     whole = Surface.from_function(ball, BOX, 0.3)
     sizes = []
 
-    def counted(points: Array) -> Array:
+    def counted(points):
         sizes.append(len(points))
         assert points.dtype == np.float64
         return ball(points)
@@ -104,11 +102,11 @@ def test_functions_are_called_in_batches_and_those_do_not_matter(monkeypatch: py
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_no_vertex_is_moved_far_or_to_a_worse_place(seed: int) -> None:
+def test_no_vertex_is_moved_far_or_to_a_worse_place(seed):
     random = np.random.default_rng(seed)
     waves, shifts = 6 * random.normal(size=(4, 3)), random.random(4)
 
-    def rough(points: Array) -> Array:
+    def rough(points):
         smooth = np.sin(points @ waves.T + shifts).sum(axis=1)
         return np.where(points[:, 0] > 0, np.abs(smooth) - 0.3, np.round(3 * smooth) + 0.5)
 
@@ -118,15 +116,15 @@ def test_no_vertex_is_moved_far_or_to_a_worse_place(seed: int) -> None:
     assert (np.abs(rough(moved)) <= np.abs(rough(start))).all()
 
 
-def test_steps_and_infinite_values_make_a_surface_too() -> None:
-    def far(points: Array) -> Array:
+def test_steps_and_infinite_values_make_a_surface_too():
+    def far(points):
         return np.where(np.linalg.norm(points, axis=1) < 1, -np.inf, np.inf)
 
     surface = Surface.from_function(far, BOX, 0.2)
     assert np.abs(np.linalg.norm(surface.vertices, axis=1) - 1).max() < 0.2
 
 
-def test_it_is_grey_or_has_the_sources_that_are_given() -> None:
+def test_it_is_grey_or_has_the_sources_that_are_given():
     grey = Surface.from_function(ball, BOX, 0.4, name="ball")
     assert repr(grey).startswith("<Surface 'ball' of ")
     assert np.allclose(grey.evaluate(grey.scatter(5)), 0.5)
@@ -139,8 +137,8 @@ def test_it_is_grey_or_has_the_sources_that_are_given() -> None:
 
 @needs_jit
 @pytest.mark.parametrize(("depth", "edge", "shift"), [(5, 0.5, 0.0), (5, 0.35, 0.123), (6, 1.0, 0.0)])
-def test_the_cells_are_those_of_the_true_sphere(depth: int, edge: float, shift: float) -> None:
-    def sphere(points: Array) -> Array:
+def test_the_cells_are_those_of_the_true_sphere(depth, edge, shift):
+    def sphere(points):
         return np.linalg.norm(points - shift, axis=1) - 1
 
     surface = Surface.from_function(sphere, np.array(BOX) + shift, edge * 2 / (2**depth - 3))
@@ -156,11 +154,11 @@ def test_the_cells_are_those_of_the_true_sphere(depth: int, edge: float, shift: 
     assert np.array_equal(found, (nearest <= 1) & (farthest >= 1))
 
 
-def raising(_points: Array) -> Array:
+def raising(_points):
     raise RuntimeError("no idea")
 
 
-def holed(points: Array) -> Array:
+def holed(points):
     return np.where((points > 0).all(axis=1), np.nan, ball(points))
 
 
@@ -174,7 +172,7 @@ def holed(points: Array) -> Array:
         (holed, r"returned nan at \([0-9., ]+\); values must be numbers"),
     ],
 )
-def test_functions_that_give_no_values_are_refused(f: Any, message: str) -> None:
+def test_functions_that_give_no_values_are_refused(f, message):
     with pytest.raises(ArgumentError, match=message):
         Surface.from_function(f, BOX, 0.5)
 
@@ -189,15 +187,15 @@ def test_functions_that_give_no_values_are_refused(f: Any, message: str) -> None
         ((ball, BOX, 1e-5), r"an edge_length of 1e-05 takes about 5\.7e\+16 values of the function"),
     ],
 )
-def test_bounds_and_lengths_out_of_range_are_refused(arguments: Any, message: str) -> None:
+def test_bounds_and_lengths_out_of_range_are_refused(arguments, message):
     with pytest.raises(ArgumentError, match=message):
         Surface.from_function(*arguments)
     for level in (math.nan, "a"):
         with pytest.raises(ArgumentError, match="level"):
-            Surface.from_function(ball, BOX, 0.1, level=level)  # type: ignore[arg-type]
+            Surface.from_function(ball, BOX, 0.1, level=level)
 
 
-def test_a_function_without_a_surface_is_refused() -> None:
+def test_a_function_without_a_surface_is_refused():
     with pytest.raises(
         ModelError, match=r"has no surface at -2 inside \[-1\.5, .*\] … \[1\.5, .*\], or one finer"
     ):

@@ -1,9 +1,6 @@
 """One texture over several surfaces."""
 
-from __future__ import annotations
-
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,7 +13,7 @@ from tests.make.painted import plain, square
 from tests.make.small_surfaces import FACES, TETRAHEDRON, FaceSource, tetrahedron, whole
 
 
-def test_each_surface_keeps_its_own_values_in_one_texture() -> None:
+def test_each_surface_keeps_its_own_values_in_one_texture():
     one = tetrahedron(name="one")
     other = Surface.from_arrays(
         TETRAHEDRON + np.array([2, 0, 0]), FACES, colors=np.full((4, 3), 0.5), name="other"
@@ -30,7 +27,7 @@ def test_each_surface_keeps_its_own_values_in_one_texture() -> None:
     assert json.loads(texture.metadata["sources"]) == ["one", "other"]
 
 
-def test_joined_is_what_the_same_triangles_are_as_one_surface() -> None:
+def test_joined_is_what_the_same_triangles_are_as_one_surface():
     a, b = plain(square(0.0)), plain(square(0.5))
     together = octex.convert([a, b], 5)
     vertices = np.concatenate([a.vertices, b.vertices])
@@ -40,7 +37,7 @@ def test_joined_is_what_the_same_triangles_are_as_one_surface() -> None:
     assert np.array_equal(together.channels["base_color"].values, whole_surface.channels["base_color"].values)
 
 
-def test_channels_that_a_surface_does_not_state_are_what_materials_give() -> None:
+def test_channels_that_a_surface_does_not_state_are_what_materials_give():
     bare, rich = tetrahedron(), whole()
     made = Surface.joined([bare, rich])
     assert [form.name for form in made.channels] == [form.name for form in rich.channels]
@@ -61,7 +58,7 @@ def test_channels_that_a_surface_does_not_state_are_what_materials_give() -> Non
     assert (only.evaluate(samples, "roughness") == made.evaluate(samples, "roughness")).all()
 
 
-def test_rest_positions_and_filters_reach_every_part() -> None:
+def test_rest_positions_and_filters_reach_every_part():
     a, b = tetrahedron(), tetrahedron(rest=TETRAHEDRON + np.array([3.0, 0.0, 0.0]))
     made = Surface.joined([a, b]).with_filter("nearest")
     assert np.array_equal(made.rest, np.concatenate([a.rest, b.rest]))
@@ -71,7 +68,7 @@ def test_rest_positions_and_filters_reach_every_part() -> None:
     assert (made.source.texel_edges(np.array([0, 5], np.int32)) == np.inf).all()
 
 
-def test_a_part_with_gaps_leaves_the_others_whole() -> None:
+def test_a_part_with_gaps_leaves_the_others_whole():
     source = FaceSource((ALPHA,), np.zeros((4, 1)))
     clear = Surface(TETRAHEDRON, FACES, source)
     near = octex.Transfer(tetrahedron(), distance=0.1)
@@ -82,7 +79,7 @@ def test_a_part_with_gaps_leaves_the_others_whole() -> None:
     assert Surface.joined([tetrahedron(), clear]).source.has_gaps is False
 
 
-def test_nothing_to_join_is_refused() -> None:
+def test_nothing_to_join_is_refused():
     with pytest.raises(ArgumentError, match="surface to join is missing"):
         Surface.joined([])
 
@@ -95,6 +92,6 @@ def test_nothing_to_join_is_refused() -> None:
         ([tetrahedron(), octex.PointCloud(np.eye(3), np.eye(3))], "not a list with <PointCloud"),
     ],
 )
-def test_what_is_no_model_is_refused(model: Any, complaint: str) -> None:
+def test_what_is_no_model_is_refused(model, complaint):
     with pytest.raises(ArgumentError, match=complaint):
         octex.convert(model, 3)

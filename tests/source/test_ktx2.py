@@ -1,7 +1,5 @@
 """KTX2 textures of plain texels, against the numbers that they are made of."""
 
-from __future__ import annotations
-
 import struct
 import sys
 import zlib
@@ -27,13 +25,13 @@ FORMATS = {
 
 
 def ktx2(
-    values: npt.NDArray[Any],
-    vk_format: int,
-    scheme: int = PLAIN,
-    flags: int = 0,
-    layers: int = 0,
-    **keys: str,
-) -> bytes:  # fmt: skip
+    values,
+    vk_format,
+    scheme = PLAIN,
+    flags = 0,
+    layers = 0,
+    **keys,
+):  # fmt: skip
     """A texture of texels (height, width, lanes), and below it a mip of zeros."""
     height, width, _ = values.shape
     levels = [values.tobytes(), bytes(values[::2, ::2].nbytes)]
@@ -58,18 +56,18 @@ def ktx2(
     return b"\xabKTX 20\xbb\r\n\x1a\n" + head + description + entries + b"".join(reversed(packed))
 
 
-def random_values(vk_format: int, height: int = 3, width: int = 5) -> npt.NDArray[Any]:
+def random_values(vk_format, height=3, width=5):
     dtype, lanes = FORMATS[vk_format]
     random, shape = np.random.default_rng(vk_format), (height, width, len(lanes))
     if dtype[0] == "u":
-        return random.integers(0, np.iinfo(dtype).max, shape, f"<{dtype}", endpoint=True)  # type: ignore[call-overload]
+        return random.integers(0, np.iinfo(dtype).max, shape, f"<{dtype}", endpoint=True)
     values: npt.NDArray[Any] = random.random(shape).astype(f"<{dtype}")
     return values
 
 
 @pytest.mark.parametrize("scheme", [PLAIN, PACKED, DEFLATED])
 @pytest.mark.parametrize("vk_format", FORMATS)
-def test_plain_texels_are_read_lane_by_lane(vk_format: int, scheme: int) -> None:
+def test_plain_texels_are_read_lane_by_lane(vk_format, scheme):
     if scheme == PACKED:
         pytest.importorskip(ZSTD, reason="the extra octex[ktx2] is not installed")
     values = random_values(vk_format)
@@ -84,7 +82,7 @@ def test_plain_texels_are_read_lane_by_lane(vk_format: int, scheme: int) -> None
         np.testing.assert_array_equal(texels[..., place], np.broadcast_to(expected, (3, 5)))
 
 
-def test_lanes_and_rows_are_turned_as_the_file_says() -> None:
+def test_lanes_and_rows_are_turned_as_the_file_says():
     values = random_values(16)
     swizzled = decode_image(ktx2(values, 16, KTXwriter="me", KTXswizzle="rrrg"), "a.ktx2")
     np.testing.assert_array_equal(swizzled / 257, values[..., [0, 0, 0, 1]])
@@ -112,21 +110,21 @@ def test_lanes_and_rows_are_turned_as_the_file_says() -> None:
         (ktx2(np.full((1, 1, 4), np.nan, "<f4"), 109), "4 values that are infinite or not a number"),
     ],
 )
-def test_what_is_damaged_or_not_read_is_refused_in_one_line(data: bytes, message: str) -> None:
+def test_what_is_damaged_or_not_read_is_refused_in_one_line(data, message):
     with pytest.raises(ImageError, match=message) as caught:
         decode_image(data, "wood.ktx2")
     assert "wood.ktx2" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_large_sizes_are_refused_before_they_take_memory() -> None:
+def test_large_sizes_are_refused_before_they_take_memory():
     data = ktx2(random_values(37), 37, DEFLATED)
     data = data[:20] + struct.pack("<2I", 16000, 16000) + data[28:]
     with pytest.raises(ImageError, match="16000 × 16000 texels"):
         decode_image(data, "wood.ktx2")
 
 
-def test_without_zstd_its_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_zstd_its_extra_is_named(monkeypatch):
     data = ktx2(random_values(37), 37, DEFLATED)
     for module in ("compression.zstd", "backports.zstd"):
         monkeypatch.setitem(sys.modules, module, None)

@@ -1,12 +1,8 @@
 """Images laid on surfaces by position: against a slow reference, at seams, caps and poles."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import re
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +23,7 @@ from octex.source.images.pyramid import WRAPS
 from octex.source.mapped import FRAMES, KINDS, MappedImage, MappedSource
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
-from tests.make.command import Cli, run
+from tests.make.command import run
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, png, random_image
 from tests.oracles import naive_mapped
 from tests.source.test_surface import CUBE, CUBE_TRIANGLES
@@ -38,24 +34,22 @@ CENTER, SIZE = np.array([0.2, -0.1, 0.3]), np.array([0.9, 1.3, 0.7])
 AROUND = ("cylindrical", "spherical")
 
 
-def light(height: int, width: int, seed: int = 0) -> npt.NDArray[np.float32]:
+def light(height, width, seed=0):
     return np.random.default_rng(seed).random((height, width, 3)).astype(np.float32)
 
 
-def waves(height: int, width: int) -> npt.NDArray[np.float32]:
+def waves(height, width):
     """A smooth picture that repeats."""
     v, u = np.mgrid[:height, :width] / [[[height]], [[width]]] * 2 * np.pi
     lanes = [np.sin(u + 1), np.cos(v) * np.sin(2 * u), np.sin(u + v)]
     return (0.5 + 0.5 * np.stack(lanes, axis=-1)).astype(np.float32)
 
 
-def cube(scale: float = 1.0, **options: Any) -> Surface:
+def cube(scale=1.0, **options):
     return Surface.from_arrays((CUBE - 0.5) * scale, CUBE_TRIANGLES, **options)
 
 
-def laid(
-    image: Any, kind: str, filter: str = "bilinear", channel: str = "base_color", **options: Any
-) -> MappedSource:
+def laid(image, kind, filter="bilinear", channel="base_color", **options):
     if kind != "spherical":
         options = {"size": SIZE, **options}
     mapped = MappedImage(image, kind, **{"center": CENTER, **options})
@@ -64,11 +58,11 @@ def laid(
     return source
 
 
-def units(vectors: Floats) -> Floats:
+def units(vectors):
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def places(count: int, seed: int = 0) -> tuple[Floats, Floats]:
+def places(count, seed=0):
     """Points about the centre, some on the axes and on the seam, and normals, some along the axes."""
     random = np.random.default_rng(seed)
     points = random.normal(size=(count, 3))
@@ -81,13 +75,13 @@ def places(count: int, seed: int = 0) -> tuple[Floats, Floats]:
     return CENTER + points, normals
 
 
-def zeros(points: Floats) -> npt.NDArray[np.float32]:
+def zeros(points):
     return np.zeros(len(points), np.float32)
 
 
 @pytest.mark.parametrize("axis", FRAMES)
 @pytest.mark.parametrize("kind", KINDS)
-def test_points_are_read_as_the_slow_reference_reads_them(kind: str, axis: str) -> None:
+def test_points_are_read_as_the_slow_reference_reads_them(kind, axis):
     image = light(7, 12)
     points, normals = places(COUNT)
     for wraps in (("repeat", "clamp"), ("mirror", "repeat"), ("clamp", "mirror")):
@@ -97,7 +91,7 @@ def test_points_are_read_as_the_slow_reference_reads_them(kind: str, axis: str) 
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_flat_texels_are_those_of_the_slow_reference(kind: str) -> None:
+def test_flat_texels_are_those_of_the_slow_reference(kind):
     image = light(5, 8)
     random = np.random.default_rng(1)
     points, normals = random.normal(size=(5 * COUNT, 3)), units(random.normal(size=(5 * COUNT, 3)))
@@ -110,7 +104,7 @@ def test_flat_texels_are_those_of_the_slow_reference(kind: str) -> None:
 @needs_jit
 @pytest.mark.parametrize("filter", ["trilinear", "sat", "ewa"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_footprints_are_the_means_of_many_points(kind: str, filter: str) -> None:
+def test_footprints_are_the_means_of_many_points(kind, filter):
     # Round the axis they end at a third of what the surface is away: farther in they are no ellipses.
     image = waves(64, 128)
     random = np.random.default_rng(2)
@@ -135,7 +129,7 @@ def test_footprints_are_the_means_of_many_points(kind: str, filter: str) -> None
 
 @pytest.mark.parametrize("filter", FILTERS)
 @pytest.mark.parametrize("kind", AROUND)
-def test_nothing_jumps_at_the_seam(kind: str, filter: str) -> None:
+def test_nothing_jumps_at_the_seam(kind, filter):
     image = waves(16, 32)
     if filter == "nearest":
         image[:, -1] = image[:, 0]
@@ -153,7 +147,7 @@ def test_nothing_jumps_at_the_seam(kind: str, filter: str) -> None:
 
 
 @pytest.mark.parametrize("filter", ["bilinear", "ripmap", "sat", "ewa"])
-def test_a_pole_shows_nothing_of_the_other_and_all_longitudes(filter: str) -> None:
+def test_a_pole_shows_nothing_of_the_other_and_all_longitudes(filter):
     image = np.zeros((32, 64, 3), np.float32)
     image[:16, ::2, 0] = 1.0  # stripes in the north, red on black
     image[16:, :, 1] = 1.0  # the south is green
@@ -169,7 +163,7 @@ def test_a_pole_shows_nothing_of_the_other_and_all_longitudes(filter: str) -> No
         np.testing.assert_allclose(source.at(-points, -points, widths), [[0, 1, 0]] * 13, atol=1e-6)
 
 
-def test_a_footprint_covers_the_picture_once_at_most() -> None:
+def test_a_footprint_covers_the_picture_once_at_most():
     # Also in the middle of a sphere, where all of it is as near.
     image = waves(16, 32)
     for kind in AROUND:
@@ -184,7 +178,7 @@ QUARTERS = np.array([[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 1, 1]]], np.float32
 
 
 @pytest.mark.parametrize("axis", FRAMES)
-def test_on_all_sides_of_a_box_the_picture_is_upright_and_not_mirrored(axis: str) -> None:
+def test_on_all_sides_of_a_box_the_picture_is_upright_and_not_mirrored(axis):
     source = laid(QUARTERS, "box", "nearest", axis=axis, center=(0, 0, 0), size=2)
     for outward, top in naive_mapped.sides_of(axis):
         right = np.cross(top, outward)  # as seen from outside
@@ -199,7 +193,7 @@ def test_on_all_sides_of_a_box_the_picture_is_upright_and_not_mirrored(axis: str
         assert source.at(point[None], units(normal)[None], zeros(point[None]))[0].tolist() == [1, 0, 0]
 
 
-def test_where_normals_are_as_near_to_two_sides_rounding_does_not_decide() -> None:
+def test_where_normals_are_as_near_to_two_sides_rounding_does_not_decide():
     normals = units(np.array([[1.0, 0, 1], [1, 1, 1], [1, -1, 0]]).repeat(50, axis=0))
     normals += np.random.default_rng(0).normal(size=(150, 3)) * 1e-8
     points = np.tile([0.3, 0.17, 0.39], (150, 1))
@@ -209,7 +203,7 @@ def test_where_normals_are_as_near_to_two_sides_rounding_does_not_decide() -> No
 
 
 @pytest.mark.parametrize("axis", FRAMES)
-def test_a_plane_is_seen_from_along_its_axis(axis: str) -> None:
+def test_a_plane_is_seen_from_along_its_axis(axis):
     source = laid(QUARTERS, "planar", "nearest", axis=axis, center=(0, 0, 0), size=2)
     outward, top = naive_mapped.AXES[axis], naive_mapped.TOPS[axis]
     right = np.cross(top, outward)
@@ -221,7 +215,7 @@ def test_a_plane_is_seen_from_along_its_axis(axis: str) -> None:
 
 @pytest.mark.parametrize("kind", AROUND)
 @pytest.mark.parametrize("axis", FRAMES)
-def test_around_an_axis_the_middle_is_in_front_and_the_right_is_at_the_right(kind: str, axis: str) -> None:
+def test_around_an_axis_the_middle_is_in_front_and_the_right_is_at_the_right(kind, axis):
     source = laid(QUARTERS, kind, "nearest", axis=axis, center=(0, 0, 0))
     up, front = naive_mapped.AXES[axis], naive_mapped.FRONTS[axis]
     right = np.cross(up, front)
@@ -230,7 +224,7 @@ def test_around_an_axis_the_middle_is_in_front_and_the_right_is_at_the_right(kin
     np.testing.assert_array_equal(found, QUARTERS.reshape(4, 3))
 
 
-def test_a_cap_shows_the_circle_inscribed_in_the_picture() -> None:
+def test_a_cap_shows_the_circle_inscribed_in_the_picture():
     image = waves(64, 64)
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(24)], axis=1)
@@ -249,7 +243,7 @@ def test_a_cap_shows_the_circle_inscribed_in_the_picture() -> None:
 
 
 @pytest.mark.parametrize("slope", [44.9, 45.1])
-def test_a_cap_begins_where_a_face_is_nearer_to_the_axis_than_to_the_side(slope: float) -> None:
+def test_a_cap_begins_where_a_face_is_nearer_to_the_axis_than_to_the_side(slope):
     normal = np.array([[0, -np.cos(np.radians(slope)), np.sin(np.radians(slope))]])
     point = np.array([[0.3, -0.4, 0.2]])
     image = waves(32, 32)
@@ -260,7 +254,7 @@ def test_a_cap_begins_where_a_face_is_nearer_to_the_axis_than_to_the_side(slope:
 
 
 @given(st.sampled_from(KINDS), st.sampled_from(FILTERS), st.sampled_from(WRAPS), st.integers(0, 2**31))
-def test_however_far_or_wide_values_are_of_the_picture(kind: str, filter: str, wrap: str, seed: int) -> None:
+def test_however_far_or_wide_values_are_of_the_picture(kind, filter, wrap, seed):
     image = np.full((3, 5, 3), 0.25, np.float32)
     random = np.random.default_rng(seed)
     points = random.normal(size=(6, 3)) * 10.0 ** random.uniform(-30, 29, (6, 1))
@@ -271,7 +265,7 @@ def test_however_far_or_wide_values_are_of_the_picture(kind: str, filter: str, w
     np.testing.assert_allclose(source.at(points, normals, widths), 0.25, rtol=1e-3)
 
 
-def test_a_picture_spans_the_bounds_at_rest_unless_told_otherwise() -> None:
+def test_a_picture_spans_the_bounds_at_rest_unless_told_otherwise():
     image = waves(16, 16)
     rest = np.array([[1.0, 1, 2], [5, 1, 2], [5, 3, 3], [1, 3, 3]])
     surface = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, rest=rest)
@@ -294,7 +288,7 @@ def test_a_picture_spans_the_bounds_at_rest_unless_told_otherwise() -> None:
     )
 
 
-def test_a_flat_surface_has_a_picture_from_its_side_too() -> None:
+def test_a_flat_surface_has_a_picture_from_its_side_too():
     surface = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES)
     for axis in FRAMES:
         made = surface.with_sources({"base_color": MappedImage(waves(8, 8), "planar", axis=axis)})
@@ -305,7 +299,7 @@ def test_a_flat_surface_has_a_picture_from_its_side_too() -> None:
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_a_plane_is_what_texture_coordinates_of_the_positions_are(filter: str) -> None:
+def test_a_plane_is_what_texture_coordinates_of_the_positions_are(filter):
     codes = random_image(16, 8, 3)
     vertices = SQUARE * [1, 1, 0] + np.array([[0, 0, 0], [0, 0, 1], [0, 0, 1.5], [0, 0, 0.5]])
     surface = Surface.from_arrays(vertices, SQUARE_TRIANGLES, uv=SQUARE[:, :2])
@@ -322,7 +316,7 @@ def test_a_plane_is_what_texture_coordinates_of_the_positions_are(filter: str) -
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_directions_of_normal_maps_follow_the_picture(kind: str) -> None:
+def test_directions_of_normal_maps_follow_the_picture(kind):
     # What leans to the picture's right or top points where u grows or v falls along the surface.
     random = np.random.default_rng(5)
     points, normals = random.normal(size=(40, 3)), units(random.normal(size=(40, 3)))
@@ -338,7 +332,7 @@ def test_directions_of_normal_maps_follow_the_picture(kind: str) -> None:
         np.testing.assert_allclose((lean * normals).sum(axis=1), 0, atol=0.01)
     np.testing.assert_allclose((right * top).sum(axis=1), 0, atol=0.01)
 
-    def seen(at: Floats) -> Floats:
+    def seen(at):
         found = [
             naive_mapped.coordinates(kind, "z", np.zeros(3), SIZE, p, n)[:2]
             for p, n in zip(at, normals, strict=True)
@@ -354,7 +348,7 @@ def test_directions_of_normal_maps_follow_the_picture(kind: str) -> None:
     assert (change[:, 1] < 0).all()
 
 
-def test_normal_maps_seen_edge_on_have_a_frame_all_the_same() -> None:
+def test_normal_maps_seen_edge_on_have_a_frame_all_the_same():
     normals = np.concatenate([np.eye(3), -np.eye(3), np.zeros((1, 3))])
     points = np.full((7, 3), 0.3)
     for kind in KINDS:
@@ -364,7 +358,7 @@ def test_normal_maps_seen_edge_on_have_a_frame_all_the_same() -> None:
         np.testing.assert_allclose((found * normals).sum(axis=1), 0, atol=0.01)
 
 
-def test_normal_maps_stand_on_shading_normals_where_the_surface_has_them() -> None:
+def test_normal_maps_stand_on_shading_normals_where_the_surface_has_them():
     plain = cube()
     triangles = np.asarray(plain.triangles)
     smooth = Corners(units(plain.vertices).astype(np.float32), triangles)
@@ -379,7 +373,7 @@ def test_normal_maps_stand_on_shading_normals_where_the_surface_has_them() -> No
     np.testing.assert_allclose(turned.evaluate(samples, "normal"), units(samples.rest @ turn.T), atol=0.01)
 
 
-def test_averages_of_directions_are_shorter_than_1() -> None:
+def test_averages_of_directions_are_shorter_than_1():
     codes = np.zeros((8, 8, 3), np.uint8) + np.uint8(128)
     codes[::2, :, 0], codes[1::2, :, 0] = 255, 0
     source = laid(codes, "planar", "ewa", "normal")
@@ -387,7 +381,7 @@ def test_averages_of_directions_are_shorter_than_1() -> None:
     assert np.linalg.norm(source.at(points, normals, np.ones(1, np.float32))) < 0.1
 
 
-def test_floats_above_1_are_stored_as_light_and_data_is_not_decoded() -> None:
+def test_floats_above_1_are_stored_as_light_and_data_is_not_decoded():
     surface = cube()
     made = surface.with_sources({"emissive": MappedImage(light(4, 4) * 8, "box")})
     form = made.channels[-1]
@@ -398,7 +392,7 @@ def test_floats_above_1_are_stored_as_light_and_data_is_not_decoded() -> None:
     np.testing.assert_allclose(made.evaluate(samples, "roughness"), 128 / 255, atol=1e-6)
 
 
-def test_files_pictures_and_arrays_are_one(tmp_path: Path) -> None:
+def test_files_pictures_and_arrays_are_one(tmp_path):
     codes = random_image(4, 4)
     (tmp_path / "wood.png").write_bytes(png(codes))
     samples = cube().scatter(20)
@@ -411,7 +405,7 @@ def test_files_pictures_and_arrays_are_one(tmp_path: Path) -> None:
     assert "wood.png" in json.loads(other.provenance["source_base_color"])
 
 
-def test_other_rest_positions_are_read_where_they_are() -> None:
+def test_other_rest_positions_are_read_where_they_are():
     source = laid(light(8, 8), "box", "ewa")
     moved = source.with_rest((CUBE - 0.5) * 3 + 1)
     triangles, barycentric = np.arange(12, dtype=np.int32), np.full((12, 3), 1 / 3)
@@ -427,7 +421,7 @@ def test_other_rest_positions_are_read_where_they_are() -> None:
     )
 
 
-def test_texels_have_the_edges_they_have_on_the_surface() -> None:
+def test_texels_have_the_edges_they_have_on_the_surface():
     triangles = np.arange(12, dtype=np.int32)
     surface = cube(2.0)
     for kind in ("planar", "box"):
@@ -448,7 +442,7 @@ def test_texels_have_the_edges_they_have_on_the_surface() -> None:
 
 
 @needs_jit
-def test_a_mapped_picture_is_converted_on_every_side() -> None:
+def test_a_mapped_picture_is_converted_on_every_side():
     surface = cube()
     texture = octex.convert(surface, 7, sources={"base_color": MappedImage(waves(64, 64), "box")})
     made = surface.with_sources({"base_color": MappedImage(waves(64, 64), "box")})
@@ -481,12 +475,12 @@ def test_a_mapped_picture_is_converted_on_every_side() -> None:
         ("box", {"mag_filter": "cubic"}, "unknown mag_filter 'cubic'; there are: linear, nearest"),
     ],
 )
-def test_what_is_no_mapping_is_refused(kind: str, options: dict[str, Any], message: str) -> None:
+def test_what_is_no_mapping_is_refused(kind, options, message):
     with pytest.raises(ArgumentError, match=re.escape(message)):
         MappedImage(random_image(2, 2), kind, **options)
 
 
-def test_what_is_no_image_is_refused_when_it_is_laid() -> None:
+def test_what_is_no_image_is_refused_when_it_is_laid():
     for image, message in (("no such.png", "no such.png cannot be read: No such"), (3, "must have shape")):
         with pytest.raises(ImageError, match=message):
             cube().with_sources({"base_color": MappedImage(image, "box")})
@@ -498,7 +492,7 @@ def test_what_is_no_image_is_refused_when_it_is_laid() -> None:
 
 
 @pytest.fixture
-def model(tmp_path: Path) -> Path:
+def model(tmp_path):
     lines = [f"v {x} {y} {z}" for x, y, z in CUBE]
     lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in CUBE_TRIANGLES]
     (tmp_path / "cube.obj").write_text("\n".join(lines))
@@ -507,7 +501,7 @@ def model(tmp_path: Path) -> Path:
 
 
 @needs_jit
-def test_images_are_projected_at_the_command_line(model: Path) -> None:
+def test_images_are_projected_at_the_command_line(model):
     image, out = model.with_name("wood.png"), model.with_name("cube.octex")
     words = [model, out, "--depth", "4", "--quiet", "--source", f"base_color={image}"]
     words += ["--project", "box:axis=-y:center=-1,0,0.5:size=0.5"]
@@ -518,7 +512,7 @@ def test_images_are_projected_at_the_command_line(model: Path) -> None:
     assert out.read_bytes() == model.with_name("expected.octex").read_bytes()
 
 
-def test_the_help_lists_the_mappings_of_the_library() -> None:
+def test_the_help_lists_the_mappings_of_the_library():
     assert PROJECTIONS == KINDS
     assert tuple(FRAMES) == AXES
 
@@ -550,10 +544,10 @@ def test_the_help_lists_the_mappings_of_the_library() -> None:
         ),
     ],
 )
-def test_projections_that_make_no_sense_are_refused_in_one_line(words: str, message: str, cli: Cli) -> None:
+def test_projections_that_make_no_sense_are_refused_in_one_line(words, message, cli):
     assert cli.refusal("a.glb", "b.octex", *words.split()).startswith(message)
 
 
-def test_a_texture_needs_its_model_for_a_projection(cli: Cli) -> None:
+def test_a_texture_needs_its_model_for_a_projection(cli):
     words = "a.octex b.octex --source alpha=a.png --project box"
     assert "needs the model, but this is a texture made from it" in cli.refusal(*words.split())

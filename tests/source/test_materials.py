@@ -1,12 +1,8 @@
 """Materials of any channels, against reads written out in the open."""
 
-from __future__ import annotations
-
 import pickle
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,19 +24,19 @@ COUNT = 30
 WHITE = (1.0, 1.0, 1.0)
 
 
-def source(*materials: Material, **options: Any) -> MaterialSource:
+def source(*materials, **options):
     """The unit square; with two materials, one for each triangle."""
     numbers = np.array([0, len(materials) - 1], np.int32)
     options = {"coordinates": [UV], **options}
     return MaterialSource(materials, numbers, SQUARE.astype(float), TRIANGLES, **options)
 
 
-def points(seed: int = 0) -> tuple[npt.NDArray[np.int32], Floats]:
+def points(seed=0):
     random = np.random.default_rng(seed)
     return random.integers(0, 2, COUNT).astype(np.int32), random.dirichlet([1, 1, 1], COUNT)
 
 
-def values(given: MaterialSource, channel: str | None = None, width: float = 0.0, seed: int = 0) -> Floats:
+def values(given, channel=None, width=0.0, seed=0):
     """Values of a channel, or of all, at points."""
     found = given.evaluate(*points(seed), np.full(COUNT, width, np.float32)).astype(float)
     ends = np.cumsum([0, *(form.components for form in given.channels)]).tolist()
@@ -51,17 +47,17 @@ def values(given: MaterialSource, channel: str | None = None, width: float = 0.0
     return found[:, ends[at] : ends[at + 1]]
 
 
-def at_points(corners: Corners) -> Floats:
+def at_points(corners):
     """What is bound to corners, at points."""
     triangles, barycentric = points()
     return np.einsum("nc,nck->nk", barycentric, corners.values[corners.rows[triangles]].astype(float))
 
 
-def texture(texels: npt.NDArray[Any], wrap: int = REPEAT, **options: Any) -> Texture:
+def texture(texels, wrap=REPEAT, **options):
     return Texture(texels, wrap, wrap, **options)
 
 
-def reads(given: Texture, space: str, uv: Corners = UV) -> Floats:
+def reads(given, space, uv=UV):
     """The four lanes of an image at points, decoded; written out."""
     texels = given.texels.astype(float)
     if given.texels.dtype == np.uint16:
@@ -72,15 +68,15 @@ def reads(given: Texture, space: str, uv: Corners = UV) -> Floats:
     return naive_filters.dense_reads(texels, wraps, at_points(uv), given.nearest)
 
 
-def image(height: int, width: int, seed: int = 0) -> npt.NDArray[np.uint16]:
+def image(height, width, seed=0):
     return random_image(height, width, 4, "uint16", seed)
 
 
-def names(given: MaterialSource) -> list[str]:
+def names(given):
     return [form.name for form in given.channels]
 
 
-def test_a_channel_is_an_offset_and_factors_times_lanes_of_texels() -> None:
+def test_a_channel_is_an_offset_and_factors_times_lanes_of_texels():
     color, maps, light = texture(image(5, 4)), texture(image(3, 6, 1), CLAMP), texture(image(5, 4, 2), MIRROR)
     material = Material(
         {
@@ -112,14 +108,14 @@ def test_a_channel_is_an_offset_and_factors_times_lanes_of_texels() -> None:
     np.testing.assert_allclose(values(given), np.hstack(list(expected.values())), atol=1e-5)
 
 
-def test_an_image_of_colours_and_of_data_is_decoded_for_each() -> None:
+def test_an_image_of_colours_and_of_data_is_decoded_for_each():
     both = texture(image(4, 4), nearest=True)
     given = source(Material({"base_color": Input(WHITE, both), "metallic": Input((1.0,), both, (2,))}))
     np.testing.assert_allclose(values(given, "base_color"), reads(both, "srgb")[:, :3], atol=1e-5)
     np.testing.assert_allclose(values(given, "metallic"), reads(both, "data")[:, 2:3], atol=1e-5)
 
 
-def test_each_texture_is_read_at_the_coordinates_of_its_slot() -> None:
+def test_each_texture_is_read_at_the_coordinates_of_its_slot():
     texels = image(6, 6)
     other = Corners(
         np.random.default_rng(4).uniform(-2, 2, (6, 2)).astype(np.float32),
@@ -134,7 +130,7 @@ def test_each_texture_is_read_at_the_coordinates_of_its_slot() -> None:
     np.testing.assert_allclose(values(given, "emissive"), reads(second, "srgb", other)[:, :3], atol=1e-4)
 
 
-def test_a_material_without_a_channel_gives_its_default() -> None:
+def test_a_material_without_a_channel_gives_its_default():
     stated = {name: Input((0.25,) * form.components) for name, form in CHANNELS.items()}
     given = source(Material(), Material(stated, "blend"), frames=frames())
     assert names(given) == list(CHANNELS)
@@ -146,13 +142,13 @@ def test_a_material_without_a_channel_gives_its_default() -> None:
     assert names(source(Material())) == ["base_color"]
 
 
-def test_channels_of_materials_that_no_triangle_uses_are_not_there() -> None:
+def test_channels_of_materials_that_no_triangle_uses_are_not_there():
     unused = Material({"metallic": Input((0.5,))}, "blend")
     given = MaterialSource([unused, Material()], np.ones(2, np.int32), SQUARE.astype(float), TRIANGLES)
     assert names(given) == ["base_color"]
 
 
-def test_vertex_colours_multiply_base_colour_and_alpha_alone() -> None:
+def test_vertex_colours_multiply_base_colour_and_alpha_alone():
     colors = Corners(np.random.default_rng(0).random((4, 4), np.float32), TRIANGLES)
     picture = texture(image(4, 4))
     inputs = {
@@ -171,7 +167,7 @@ def test_vertex_colours_multiply_base_colour_and_alpha_alone() -> None:
         np.testing.assert_array_equal(values(given, name), values(plain, name))
 
 
-def test_alpha_counts_as_its_mode_says() -> None:
+def test_alpha_counts_as_its_mode_says():
     picture = texture(image(5, 5), nearest=True)
     alpha = reads(picture, "data")[:, 3]
     inputs = {"base_color": Input(WHITE, picture), "alpha": Input((0.5,), picture, (3,))}
@@ -187,7 +183,7 @@ def test_alpha_counts_as_its_mode_says() -> None:
     np.testing.assert_allclose(both, np.where(points()[0] == 0, 1, alpha / 2), atol=1e-5)
 
 
-def test_alpha_without_an_image_is_its_factor() -> None:
+def test_alpha_without_an_image_is_its_factor():
     inputs = {"alpha": Input((0.4,))}
     colors = Corners(np.float32([[1, 1, 1, 0], [1, 1, 1, 1], [1, 1, 1, 1], [1, 1, 1, 0]]), TRIANGLES)
     x = at_points(colors)[:, 3]
@@ -199,7 +195,7 @@ def test_alpha_without_an_image_is_its_factor() -> None:
     assert (values(source(Material({}, "mask")), "alpha") == 1).all()
 
 
-def test_alpha_of_an_image_of_its_own_weighs_no_colour() -> None:
+def test_alpha_of_an_image_of_its_own_weighs_no_colour():
     color, cover = texture(image(4, 4)), texture(image(3, 3, 1))
     inputs = {"base_color": Input(WHITE, color), "alpha": Input((1.0,), cover, (0,))}
     given = source(Material(inputs, "blend"))
@@ -209,8 +205,8 @@ def test_alpha_of_an_image_of_its_own_weighs_no_colour() -> None:
     np.testing.assert_array_equal(masked, reads(cover, "data")[:, :1] >= 0.3)
 
 
-def test_light_above_1_is_kept_as_light() -> None:
-    def formats(material: Material, **options: Any) -> dict[str, tuple[str, str]]:
+def test_light_above_1_is_kept_as_light():
+    def formats(material, **options):
         return {form.name: (form.space, form.dtype) for form in source(material, **options).channels}
 
     usual, bright = ("srgb", "uint8"), ("linear", "float16")
@@ -230,7 +226,7 @@ def test_light_above_1_is_kept_as_light() -> None:
     assert formats(Material({"emissive": Input(WHITE, texture(image(2, 2)))}))["emissive"] == usual
 
 
-def everything(**options: Any) -> MaterialSource:
+def everything(**options):
     picture, maps = texture(image(8, 8)), texture(image(4, 6, 1), CLAMP)
     inputs = {
         "base_color": Input(WHITE, picture),
@@ -242,7 +238,7 @@ def everything(**options: Any) -> MaterialSource:
     return source(Material(inputs, "blend"), **{"frames": frames(), **options})
 
 
-def frames(turn: Floats | None = None, hands: Sequence[float] = (1, 1, 1, 1)) -> Frames:
+def frames(turn=None, hands=(1, 1, 1, 1)):
     """Shading normals about z and tangents about x, different at each vertex, turned by a rotation."""
     random = np.random.default_rng(6)
     turn = np.eye(3) if turn is None else turn
@@ -253,11 +249,11 @@ def frames(turn: Floats | None = None, hands: Sequence[float] = (1, 1, 1, 1)) ->
     return Frames(Corners(normals.astype(np.float32), TRIANGLES), Corners(tangents, TRIANGLES))
 
 
-def unit(vectors: Floats) -> Floats:
+def unit(vectors):
     return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
-def axes(given: Frames) -> Floats:
+def axes(given):
     """Tangent, bitangent and normal (n, 3, 3) at points, by rows."""
     normal = unit(at_points(given.normals))
     tangents = at_points(given.tangents)
@@ -268,7 +264,7 @@ def axes(given: Frames) -> Floats:
 
 
 @pytest.mark.parametrize("width", [0.0, 0.3])
-def test_channels_chosen_are_the_same_columns_of_fewer(width: float) -> None:
+def test_channels_chosen_are_the_same_columns_of_fewer(width):
     whole = everything()
     assert names(whole) == ["base_color", "alpha", "roughness", "emissive", "normal"]
     for chosen in (["alpha"], ["normal", "roughness"], ["emissive", "base_color"], names(whole)):
@@ -283,14 +279,14 @@ def test_channels_chosen_are_the_same_columns_of_fewer(width: float) -> None:
     assert names(everything(frames=None)) == names(whole)[:-1]
 
 
-def test_channels_that_the_materials_lack_are_refused_with_those_they_have() -> None:
+def test_channels_that_the_materials_lack_are_refused_with_those_they_have():
     message = "^box has no channel occlusion, metal; it has base_color, alpha, roughness, emissive, normal$"
     with pytest.raises(ModelError, match=message):
         everything(channels=["alpha", "occlusion", "metal"], name="box")
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_another_filter_is_as_if_it_had_been_asked_for(filter: str) -> None:
+def test_another_filter_is_as_if_it_had_been_asked_for(filter):
     given = everything()
     values(given)
     np.testing.assert_array_equal(
@@ -302,7 +298,7 @@ def test_another_filter_is_as_if_it_had_been_asked_for(filter: str) -> None:
         everything(filter="sharp")
 
 
-def test_a_source_is_pickled_before_and_after_its_first_use() -> None:
+def test_a_source_is_pickled_before_and_after_its_first_use():
     given = everything()
     fresh = pickle.loads(pickle.dumps(given))
     expected = values(given, width=0.2)
@@ -312,12 +308,12 @@ def test_a_source_is_pickled_before_and_after_its_first_use() -> None:
         np.testing.assert_array_equal(values(each, width=0.2), expected)
 
 
-def test_the_first_use_may_come_from_many_threads_at_once() -> None:
+def test_the_first_use_may_come_from_many_threads_at_once():
     expected = values(everything(), width=0.2)
     for _ in range(3):
         given, start = everything(), Barrier(6)
 
-        def use(_: int, given: MaterialSource = given, start: Barrier = start) -> Floats:
+        def use(_, given=given, start=start):
             start.wait()
             return values(given, width=0.2)
 
@@ -342,35 +338,33 @@ def test_the_first_use_may_come_from_many_threads_at_once() -> None:
         ({"inputs": {"metallic": Input((1.0,), None, (0,), (np.inf,))}}, "box: colours are not all finite"),
     ],
 )
-def test_what_is_not_there_or_not_finite_is_refused(options: dict[str, Any], message: str) -> None:
+def test_what_is_not_there_or_not_finite_is_refused(options, message):
     inputs = options.pop("inputs", {"base_color": Input(WHITE, texture(image(2, 2)))})
     with pytest.raises(ModelError, match=message):
         source(Material(inputs), name="box", **options)
 
 
-def test_coordinates_that_no_texture_reads_may_be_anything() -> None:
+def test_coordinates_that_no_texture_reads_may_be_anything():
     broken = Corners(np.full((4, 2), np.nan, np.float32), TRIANGLES)
     given = source(Material({"base_color": Input(WHITE, texture(image(2, 2)))}), coordinates=[UV, broken])
     assert np.isfinite(values(given)).all()
 
 
-def normal_map(directions: npt.ArrayLike) -> Texture:
+def normal_map(directions):
     """A normal map of floats, (direction + 1) / 2."""
     texels = np.ones((*np.shape(directions)[:-1], 4), np.float32)
     texels[..., :3] = (np.asarray(directions, float) + 1) / 2
     return texture(texels)
 
 
-def normals(
-    given: Texture | None, placed: Frames, factor: Sequence[float] = WHITE, **options: Any
-) -> MaterialSource:
+def normals(given, placed, factor=WHITE, **options):
     return source(
         Material({"normal": Input(tuple(factor), given)}), frames=placed, channels=["normal"], **options
     )
 
 
 @pytest.mark.parametrize("width", [0.0, 0.2])
-def test_a_flat_normal_map_and_none_give_the_shading_normal(width: float) -> None:
+def test_a_flat_normal_map_and_none_give_the_shading_normal(width):
     placed = frames()
     expected = axes(placed)[:, 2]
     for given in (normal_map([[[0.0, 0, 1]]]), None):
@@ -382,7 +376,7 @@ def test_a_flat_normal_map_and_none_give_the_shading_normal(width: float) -> Non
 
 
 @pytest.mark.parametrize("hands", [(1, 1, 1, 1), (-1, -1, -1, -1)])
-def test_a_known_tilt_is_the_direction_in_the_frame_at_the_point(hands: Sequence[float]) -> None:
+def test_a_known_tilt_is_the_direction_in_the_frame_at_the_point(hands):
     placed = frames(hands=hands)
     tilt = unit(np.array([0.3, -0.5, 0.8]))
     expected = np.einsum("k,nkx->nx", tilt, axes(placed))
@@ -394,7 +388,7 @@ def test_a_known_tilt_is_the_direction_in_the_frame_at_the_point(hands: Sequence
     np.testing.assert_allclose(values(normals(normal_map([[tilt]]), flat)), [exact] * COUNT, atol=1e-4)
 
 
-def test_the_scale_of_a_normal_map_acts_before_directions_are_made_unit_vectors() -> None:
+def test_the_scale_of_a_normal_map_acts_before_directions_are_made_unit_vectors():
     placed = frames()
     scaled = unit(np.array([0.3, -0.5, 0.8]) * [2, 2, 1])
     expected = np.einsum("k,nkx->nx", scaled, axes(placed))
@@ -402,13 +396,13 @@ def test_the_scale_of_a_normal_map_acts_before_directions_are_made_unit_vectors(
     np.testing.assert_allclose(values(normals(short, placed, (2.0, 2.0, 1.0))), expected, atol=1e-4)
 
 
-def test_a_texel_that_points_nowhere_points_straight_up() -> None:
+def test_a_texel_that_points_nowhere_points_straight_up():
     found = values(normals(normal_map([[[0.0, 0, 0]]]), frames()))
     np.testing.assert_allclose(found, axes(frames())[:, 2], atol=1e-4)
 
 
 @pytest.mark.parametrize("filter", ["bilinear", "trilinear", "sat", "ewa"])
-def test_normals_come_back_through_their_frame_and_their_means_are_shorter(filter: str) -> None:
+def test_normals_come_back_through_their_frame_and_their_means_are_shorter(filter):
     random = np.random.default_rng(8)
     directions = unit(random.normal((0, 0, 1), 0.5, (6, 6, 3)))
     placed, picture = frames(), normal_map(directions)
@@ -427,7 +421,7 @@ def test_normals_come_back_through_their_frame_and_their_means_are_shorter(filte
             assert (lengths < 0.999).all()
 
 
-def test_normals_follow_the_rest_mesh() -> None:
+def test_normals_follow_the_rest_mesh():
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     given = everything()
@@ -447,7 +441,7 @@ def test_normals_follow_the_rest_mesh() -> None:
     np.testing.assert_allclose(values(again, "normal"), values(given, "normal") @ turn.T, atol=1e-5)
 
 
-def test_averages_of_a_mask_take_the_vertex_alpha_under_its_own_material() -> None:
+def test_averages_of_a_mask_take_the_vertex_alpha_under_its_own_material():
     texels = image(16, 16)
     each = texture(texels)
     inputs = {"base_color": Input(WHITE, each), "alpha": Input((1.0,), each, (3,))}

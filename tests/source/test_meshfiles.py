@@ -1,11 +1,8 @@
 """PLY, OFF and STL: every way of colouring, every encoding, and what is refused."""
 
-from __future__ import annotations
-
 import struct
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +19,7 @@ ENCODINGS = ["ascii", "binary_little_endian", "binary_big_endian"]
 CODES = np.array([[255, 0, 10], [0, 255, 20], [128, 128, 30], [1, 2, 250]])
 
 
-def interpolated(surface: Surface, colors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def interpolated(surface, colors):
     """The surface's values at samples, and those of colours of the square's vertices, as linear light."""
     samples = surface.scatter(40)
     corners = colors[SQUARE_TRIANGLES[samples.triangles]]
@@ -30,7 +27,7 @@ def interpolated(surface: Surface, colors: np.ndarray) -> tuple[np.ndarray, np.n
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_ply_geometry_is_the_same_in_every_encoding(tmp_path: Path, encoding: str) -> None:
+def test_ply_geometry_is_the_same_in_every_encoding(tmp_path, encoding):
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(), encoding=encoding))
     np.testing.assert_array_equal(surface.vertices, SQUARE)
     np.testing.assert_array_equal(surface.triangles, SQUARE_TRIANGLES)
@@ -43,9 +40,7 @@ def test_ply_geometry_is_the_same_in_every_encoding(tmp_path: Path, encoding: st
     [("uchar", 1), ("ushort", 257), ("float", 1 / 255), ("double", 1 / 255), ("float", 1), ("int", 1)],
 )
 @pytest.mark.parametrize("names", ["red green blue", "diffuse_red diffuse_green diffuse_blue", "r g b"])
-def test_ply_colours_of_vertices_are_srgb_values(
-    tmp_path: Path, encoding: str, kind: str, scale: float, names: str
-) -> None:
+def test_ply_colours_of_vertices_are_srgb_values(tmp_path, encoding, kind, scale, names):
     properties: dict[str, Any] = {
         name: (kind, (CODES[:, i] * scale).tolist()) for i, name in enumerate(names.split())
     }
@@ -54,7 +49,7 @@ def test_ply_colours_of_vertices_are_srgb_values(
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_ply_alpha_below_1_makes_a_channel(tmp_path: Path) -> None:
+def test_ply_alpha_below_1_makes_a_channel(tmp_path):
     codes: dict[str, Any] = {name: ("uchar", [255] * 4) for name in ("red", "green", "blue", "alpha")}
     assert len(load_surface(ply(tmp_path / "a.ply", ply_square(**codes))).channels) == 1
     codes["alpha"] = ("uchar", [51, 51, 51, 51])
@@ -62,7 +57,7 @@ def test_ply_alpha_below_1_makes_a_channel(tmp_path: Path) -> None:
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5), "alpha"), 0.2, atol=1e-6)
 
 
-def test_alpha_of_0_throughout_is_left_out(tmp_path: Path) -> None:
+def test_alpha_of_0_throughout_is_left_out(tmp_path):
     codes: dict[str, Any] = {name: ("uchar", [128] * 4) for name in ("red", "green", "blue")}
     path = ply(tmp_path / "a.ply", ply_square(**codes, alpha=("uchar", [0] * 4)))
     with pytest.warns(ModelWarning, match="a.ply: all its colours have alpha 0"):
@@ -71,7 +66,7 @@ def test_alpha_of_0_throughout_is_left_out(tmp_path: Path) -> None:
         assert not PointCloud.load(path).is_translucent
 
 
-def test_ply_colours_of_faces_count_where_vertices_have_none(tmp_path: Path) -> None:
+def test_ply_colours_of_faces_count_where_vertices_have_none(tmp_path):
     codes: dict[str, Any] = {
         "red": ("uchar", [255, 0]),
         "green": ("uchar", [0, 255]),
@@ -84,7 +79,7 @@ def test_ply_colours_of_faces_count_where_vertices_have_none(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_ply_faces_of_mixed_sizes_keep_their_colours(tmp_path: Path, encoding: str) -> None:
+def test_ply_faces_of_mixed_sizes_keep_their_colours(tmp_path, encoding):
     elements = ply_square()
     elements["vertex"]["x"] = ("double", [0, 2, 2, 0, 1])
     elements["vertex"]["y"] = ("double", [0, 0, 2, 2, 1])
@@ -104,7 +99,7 @@ def test_ply_faces_of_mixed_sizes_keep_their_colours(tmp_path: Path, encoding: s
     np.testing.assert_array_equal(surface.evaluate(samples), expected)
 
 
-def test_ply_elements_before_and_after_are_passed_over(tmp_path: Path) -> None:
+def test_ply_elements_before_and_after_are_passed_over(tmp_path):
     square = ply_square()
     elements = {
         "camera": {"view": ("list uchar double", [[1, 2, 3], []]), "f": ("short", [-4, 5])},
@@ -116,7 +111,7 @@ def test_ply_elements_before_and_after_are_passed_over(tmp_path: Path) -> None:
         np.testing.assert_array_equal(surface.triangles, SQUARE_TRIANGLES)
 
 
-def test_ply_headers_may_end_their_lines_like_windows(tmp_path: Path) -> None:
+def test_ply_headers_may_end_their_lines_like_windows(tmp_path):
     path = ply(tmp_path / "a.ply", ply_square(), encoding="binary_little_endian")
     head, _, body = path.read_bytes().partition(b"end_header\n")
     path.write_bytes(head.replace(b"\n", b"\r\n") + b"end_header\r\n" + body)
@@ -124,7 +119,7 @@ def test_ply_headers_may_end_their_lines_like_windows(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("names", ["s t", "u v", "texture_u texture_v"])
-def test_ply_textures_are_bound_with_v_up(tmp_path: Path, names: str) -> None:
+def test_ply_textures_are_bound_with_v_up(tmp_path, names):
     (tmp_path / "my wood.png").write_bytes(png(random_image(5, 4)))
     u, v = names.split()
     properties: dict[str, Any] = {u: ("float", SQUARE[:, 0].tolist()), v: ("float", SQUARE[:, 1].tolist())}
@@ -137,7 +132,7 @@ def test_ply_textures_are_bound_with_v_up(tmp_path: Path, names: str) -> None:
         np.testing.assert_array_equal(found, expected)
 
 
-def test_ply_textures_take_precedence_over_colours(tmp_path: Path) -> None:
+def test_ply_textures_take_precedence_over_colours(tmp_path):
     (tmp_path / "a.png").write_bytes(png(np.full((2, 2, 3), 204, np.uint8)))
     properties: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
     properties |= {name: ("uchar", [192] * 4) for name in ("red", "green", "blue")}
@@ -147,7 +142,7 @@ def test_ply_textures_take_precedence_over_colours(tmp_path: Path) -> None:
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), srgb_to_linear(0.8), rtol=1e-5)
 
 
-def test_ply_textures_may_be_named_after_the_file(tmp_path: Path) -> None:
+def test_ply_textures_may_be_named_after_the_file(tmp_path):
     (tmp_path / "square.v2_A.png").write_bytes(png(np.full((2, 2, 3), 51, np.uint8)))
     properties: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
     path = ply(tmp_path / "square.v2.ply", ply_square(**properties), comments=["TextureFile <this>_A.png"])
@@ -156,7 +151,7 @@ def test_ply_textures_may_be_named_after_the_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_ply_textures_may_be_bound_by_corner_and_be_several(tmp_path: Path, encoding: str) -> None:
+def test_ply_textures_may_be_bound_by_corner_and_be_several(tmp_path, encoding):
     images = [random_image(4, 4, seed=i) for i in range(2)]
     for i, image in enumerate(images):
         (tmp_path / f"{i}.png").write_bytes(png(image))
@@ -177,26 +172,26 @@ def test_ply_textures_may_be_bound_by_corner_and_be_several(tmp_path: Path, enco
         np.testing.assert_allclose(found[chosen], reference.evaluate(samples)[chosen], atol=1e-6)
 
 
-def test_ply_coordinates_without_an_image_are_left_alone(tmp_path: Path) -> None:
+def test_ply_coordinates_without_an_image_are_left_alone(tmp_path):
     properties: dict[str, Any] = {"s": ("float", [0, 1, 2, 3]), "t": ("float", [0, 1, 2, 3])}
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**properties)))
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
 
-def test_a_rest_mesh_of_another_format_needs_no_image(tmp_path: Path) -> None:
+def test_a_rest_mesh_of_another_format_needs_no_image(tmp_path):
     rest = ply(tmp_path / "rest.ply", ply_square(), comments=["TextureFile gone.png"])
     posed = off(tmp_path / "posed.off", "OFF\n4 2 0\n0 0 0\n9 0 0\n9 9 0\n0 9 0\n3 0 1 2\n3 0 2 3\n")
     np.testing.assert_allclose(load_surface(posed, rest=rest).bounds[1], [1, 1, 0])
 
 
-def edited(path: Path, old: bytes, new: bytes) -> Path:
+def edited(path, old, new):
     data = path.read_bytes()
     assert old in data
     path.write_bytes(data.replace(old, new))
     return path
 
 
-def plain(tmp_path: Path, encoding: str = "ascii", **properties: Any) -> Path:
+def plain(tmp_path, encoding="ascii", **properties):
     return ply(tmp_path / "bad.ply", ply_square(**properties), encoding=encoding)
 
 
@@ -242,7 +237,7 @@ BAD_PLY = {
 
 
 @pytest.mark.parametrize("case", BAD_PLY)
-def test_a_bad_ply_file_is_refused_in_one_line_that_names_it(tmp_path: Path, case: str) -> None:
+def test_a_bad_ply_file_is_refused_in_one_line_that_names_it(tmp_path, case):
     make, message = BAD_PLY[case]
     path = make(tmp_path)
     with pytest.raises(ModelError, match=message) as caught:
@@ -252,7 +247,7 @@ def test_a_bad_ply_file_is_refused_in_one_line_that_names_it(tmp_path: Path, cas
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS[1:])
-def test_a_binary_ply_file_that_ends_early_is_refused(tmp_path: Path, encoding: str) -> None:
+def test_a_binary_ply_file_that_ends_early_is_refused(tmp_path, encoding):
     path = plain(tmp_path, encoding)
     data = path.read_bytes()
     for cut in (1, 6, 13, 30, 60):
@@ -261,7 +256,7 @@ def test_a_binary_ply_file_that_ends_early_is_refused(tmp_path: Path, encoding: 
             load_surface(path)
 
 
-def test_bad_textures_of_a_ply_file_are_named(tmp_path: Path) -> None:
+def test_bad_textures_of_a_ply_file_are_named(tmp_path):
     st: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
     comments = ["TextureFile wood.png"]
     path = ply(tmp_path / "a.ply", ply_square(**st), comments=comments)
@@ -282,7 +277,7 @@ def test_bad_textures_of_a_ply_file_are_named(tmp_path: Path) -> None:
         load_surface(ply(tmp_path / "a.ply", ply_square(**st), comments=elsewhere))
 
 
-def off(path: Path, text: str) -> Path:
+def off(path, text):
     path.write_text(text)
     return path
 
@@ -297,7 +292,7 @@ def off(path: Path, text: str) -> Path:
         ("STCOFF", ["255 0 10 0.5 0.5", "0 255 20 0 0", "128 128 30 1 1", "1 2 250 0 1"]),
     ],
 )
-def test_off_colours_of_vertices_are_srgb_values(tmp_path: Path, head: str, tails: list[str]) -> None:
+def test_off_colours_of_vertices_are_srgb_values(tmp_path, head, tails):
     points = ["0 0 0", "1 0 0", "1 1 0", "0 1 0"]
     rows = "\n".join(f"{point} {tail}" for point, tail in zip(points, tails, strict=True))
     surface = load_surface(off(tmp_path / "a.off", f"{head}\n# square\n4 2 0\n\n{rows}\n3 0 1 2\n3 0 2 3\n"))
@@ -306,7 +301,7 @@ def test_off_colours_of_vertices_are_srgb_values(tmp_path: Path, head: str, tail
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
-def test_off_colours_may_be_fractions_with_alpha(tmp_path: Path) -> None:
+def test_off_colours_may_be_fractions_with_alpha(tmp_path):
     text = "COFF 3 1 0\n0 0 0 1.0 0 0 0.5\n1 0 0 1.0 0 0 0.5\n0 1 0 1.0 0 0 0.5\n3 0 1 2\n"
     surface = load_surface(off(tmp_path / "a.off", text))
     samples = surface.scatter(5)
@@ -315,7 +310,7 @@ def test_off_colours_may_be_fractions_with_alpha(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_triangle_strips_of_a_ply_file_are_its_faces(tmp_path: Path, encoding: str) -> None:
+def test_triangle_strips_of_a_ply_file_are_its_faces(tmp_path, encoding):
     """Range scans have them: −1 ends a strip, and repeated vertices begin another within one."""
     points = {axis: ("float", [n**k for n in range(8)]) for k, axis in enumerate("xyz", 1)}
     strips = [[0, 1, 2, 3, -1, 4, 5, 6, -1, -1, 1, 2], [3, 4, 5, 5, 6, 6, 7, 0]]
@@ -332,20 +327,20 @@ def test_triangle_strips_of_a_ply_file_are_its_faces(tmp_path: Path, encoding: s
     assert len(found) == len(expected)
 
 
-def test_numbers_may_follow_off_without_a_blank(tmp_path: Path) -> None:
+def test_numbers_may_follow_off_without_a_blank(tmp_path):
     rows = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n3 0 2 3\n"
     for head in ("OFF4 2 0", "  OFF4 2 0", "OFF 4 2 0"):
         surface = load_surface(off(tmp_path / "a.off", f"{head}\n{rows}"))
         np.testing.assert_array_equal(surface.vertices[surface.triangles], SQUARE[SQUARE_TRIANGLES])
 
 
-def test_off_faces_may_go_on_to_other_lines(tmp_path: Path) -> None:
+def test_off_faces_may_go_on_to_other_lines(tmp_path):
     points = "0 0 0\n2 0 0\n2 2 0\n0 2 0\n1 1 5\n"
     surface = load_surface(off(tmp_path / "a.off", f"OFF\n5 2 0\n{points}4 0 \n1 \n2 \n3 \n\n3 0\n1 4\n"))
     np.testing.assert_array_equal(surface.triangles, [[0, 1, 2], [0, 2, 3], [0, 1, 4]])
 
 
-def test_off_faces_have_colours_of_their_own_and_any_number_of_corners(tmp_path: Path) -> None:
+def test_off_faces_have_colours_of_their_own_and_any_number_of_corners(tmp_path):
     points = "0 0 0\n2 0 0\n2 2 0\n0 2 0\n1 1 5\n"
     text = f"OFF\n5 4 0\n{points}4 0 1 2 3 255 0 0\n3 0 1 4\n3 1 2 4 7\n2 0 1 0 255 0\n"
     surface = load_surface(off(tmp_path / "a.off", text))
@@ -382,7 +377,7 @@ def test_off_faces_have_colours_of_their_own_and_any_number_of_corners(tmp_path:
         ("COFF\n3 1 0\n0 0 0 1 1 x\n1 0 0 1 1 1\n0 1 0 1 1 1\n3 0 1 2\n", "not numbers"),
     ],
 )
-def test_a_bad_off_file_is_refused_in_one_line_that_names_it(tmp_path: Path, text: str, message: str) -> None:
+def test_a_bad_off_file_is_refused_in_one_line_that_names_it(tmp_path, text, message):
     with pytest.raises(ModelError, match=message) as caught:
         load_surface(off(tmp_path / "bad.off", text))
     assert "bad.off" in str(caught.value)
@@ -390,14 +385,14 @@ def test_a_bad_off_file_is_refused_in_one_line_that_names_it(tmp_path: Path, tex
 
 
 @pytest.mark.parametrize("ascii", [False, True])
-def test_stl_models_are_white(tmp_path: Path, ascii: bool) -> None:
+def test_stl_models_are_white(tmp_path, ascii):
     surface = load_surface(stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES, ascii=ascii))
     corners = surface.vertices[surface.triangles]
     np.testing.assert_array_equal(corners, SQUARE[SQUARE_TRIANGLES])
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
 
-def _facet_words(path: Path, words: list[int], header: bytes = b"") -> Surface:
+def _facet_words(path, words, header=b""):
     """The model of a binary STL file with a header and a word of colour for each facet."""
     data = bytearray(stl(path, SQUARE, SQUARE_TRIANGLES).read_bytes())
     data[: len(header)] = header
@@ -417,23 +412,21 @@ def _facet_words(path: Path, words: list[int], header: bytes = b"") -> Surface:
         (b"COLOR=\x33\x66\x99", [0, 0], [[51, 102, 153]] * 2),  # none has a colour of its own
     ],
 )
-def test_facets_of_binary_stl_files_have_colours(
-    tmp_path: Path, header: bytes, words: list[int], colors: list[list[int]]
-) -> None:
+def test_facets_of_binary_stl_files_have_colours(tmp_path, header, words, colors):
     surface = _facet_words(tmp_path / "a.stl", words, header)
     samples = surface.scatter(20)
     expected = srgb_to_linear(np.array(colors)[samples.triangles] / 255)
     np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-6)
 
 
-def test_names_in_stl_text_may_be_in_any_encoding(tmp_path: Path) -> None:
+def test_names_in_stl_text_may_be_in_any_encoding(tmp_path):
     path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES, ascii=True)
     for name in ("Körper".encode("latin-1"), "Körper".encode()):
         path.write_bytes(path.read_bytes().replace(b"solid a\n", b"solid " + name + b"\n"))
         assert len(load_surface(path).triangles) == 2
 
 
-def test_nothing_is_printed_of_what_other_libraries_log(tmp_path: Path) -> None:
+def test_nothing_is_printed_of_what_other_libraries_log(tmp_path):
     path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES, ascii=True)
     edited(path, b"normal 0 0 0", b"normal 0 x 0")
     (tmp_path / "a.tif").write_bytes(
@@ -454,7 +447,7 @@ def test_nothing_is_printed_of_what_other_libraries_log(tmp_path: Path) -> None:
     assert (done.stdout, done.stderr) == ("refused\n", "")
 
 
-def test_bad_stl_files_are_refused_in_one_line_that_names_them(tmp_path: Path) -> None:
+def test_bad_stl_files_are_refused_in_one_line_that_names_them(tmp_path):
     path = tmp_path / "bad.stl"
     whole = stl(path, SQUARE, SQUARE_TRIANGLES).read_bytes()
     text = stl(path, SQUARE, SQUARE_TRIANGLES, ascii=True).read_bytes()
@@ -477,7 +470,7 @@ def test_bad_stl_files_are_refused_in_one_line_that_names_them(tmp_path: Path) -
         assert "\n" not in str(caught.value)
 
 
-def test_files_that_are_not_there_or_not_models_are_refused(tmp_path: Path) -> None:
+def test_files_that_are_not_there_or_not_models_are_refused(tmp_path):
     for ending in ("glb", "gltf", "obj", "ply", "off", "stl"):
         with pytest.raises(ModelError, match=rf"nothing\.{ending} cannot be read: No such file"):
             load_surface(tmp_path / f"nothing.{ending}")
@@ -489,8 +482,8 @@ def test_files_that_are_not_there_or_not_models_are_refused(tmp_path: Path) -> N
         load_surface(tmp_path / "a.txt")
 
 
-def test_a_model_too_large_for_the_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def exhausted(*_: object) -> None:
+def test_a_model_too_large_for_the_memory_is_refused(tmp_path, monkeypatch):
+    def exhausted(*_):
         raise MemoryError
 
     monkeypatch.setitem(load_surface.__globals__["_READERS"], ".off", exhausted)
@@ -498,7 +491,7 @@ def test_a_model_too_large_for_the_memory_is_refused(tmp_path: Path, monkeypatch
         load_surface(off(tmp_path / "a.off", "OFF"))
 
 
-def test_real_models_with_colours_agree_between_formats(models: Path) -> None:
+def test_real_models_with_colours_agree_between_formats(models):
     folder = models / "pyntcloud"
     if not folder.is_dir():
         pytest.skip("pyntcloud is not there")

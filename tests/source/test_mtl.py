@@ -1,14 +1,9 @@
 """What MTL files say of materials: each map, each option of maps, and what is refused."""
 
-from __future__ import annotations
-
 import hashlib
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex.source.models.mtl
@@ -16,9 +11,8 @@ from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError
 from octex.source.images.pyramid import CLAMP, REPEAT
 from octex.source.load import load_surface
-from octex.source.materials import Input
 from octex.source.models.mtl import ImageFiles, is_grey, load_materials, normals_of_heights
-from octex.source.models.reading import Description, Options, Slot
+from octex.source.models.reading import Options, Slot
 from tests.make.fixtures import OBJ_SQUARE, obj, png, random_image
 
 FACES = "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
@@ -29,7 +23,7 @@ IMAGES = {"a.png": png(COLORS), "b.png": png(random_image(3, 5, seed=1)), "grey.
 IMAGES["cut.png"] = png(CUT_OUT)
 
 
-def describe(folder: Path, lines: str, channels: tuple[str, ...] | None = None) -> Description:
+def describe(folder, lines, channels=None):
     """The material of some lines, beside images."""
     for name, data in IMAGES.items():
         (folder / name).write_bytes(data)
@@ -38,19 +32,19 @@ def describe(folder: Path, lines: str, channels: tuple[str, ...] | None = None) 
     return library.materials["wood"]
 
 
-def stated(folder: Path, lines: str, channels: tuple[str, ...] | None = None) -> dict[str, Input]:
+def stated(folder, lines, channels=None):
     """What some lines state beside a base colour."""
     inputs = dict(describe(folder, lines, channels).material.inputs)
     inputs.pop("base_color")
     return inputs
 
 
-def texels(given: Input) -> npt.NDArray[Any]:
+def texels(given):
     assert given.texture is not None
     return given.texture.texels
 
 
-def square(folder: Path, mtl: str, lines: str = OBJ_SQUARE + "usemtl wood\n" + FACES) -> Path:
+def square(folder, mtl, lines=OBJ_SQUARE + "usemtl wood\n" + FACES):
     """A square of one material."""
     return obj(folder / "a.obj", lines, f"newmtl wood\n{mtl}\n", IMAGES)
 
@@ -73,7 +67,7 @@ def square(folder: Path, mtl: str, lines: str = OBJ_SQUARE + "usemtl wood\n" + F
         ("Ns 4000", "roughness", [0]),
     ],
 )
-def test_a_number_is_a_channel(tmp_path: Path, line: str, channel: str, factor: list[float]) -> None:
+def test_a_number_is_a_channel(tmp_path, line, channel, factor):
     found = describe(tmp_path, line, ("base_color", channel)).material
     assert set(found.inputs) == {"base_color", channel}
     assert found.inputs[channel].texture is None
@@ -101,7 +95,7 @@ def test_a_number_is_a_channel(tmp_path: Path, line: str, channel: str, factor: 
         ("bump", "normal", (0, 1, 2)),
     ],
 )
-def test_a_map_is_a_channel(tmp_path: Path, key: str, channel: str, lanes: tuple[int, ...]) -> None:
+def test_a_map_is_a_channel(tmp_path, key, channel, lanes):
     found = describe(tmp_path, f"{key} a.png")
     given = found.material.inputs[channel]
     assert set(found.material.inputs) == {"base_color", channel}
@@ -131,11 +125,11 @@ def test_a_map_is_a_channel(tmp_path: Path, key: str, channel: str, lanes: tuple
     + [f"{key} a.png" for key in ("map_Ns", "map_Ka", "disp", "decal", "refl", "map_Ps")]
     + [f"{key} 0.5" for key in ("Ps", "Pc", "Pcr", "aniso", "anisor", "Ni", "Tf", "Ka", "illum")],
 )
-def test_what_says_nothing_is_no_channel(tmp_path: Path, lines: str) -> None:
+def test_what_says_nothing_is_no_channel(tmp_path, lines):
     assert stated(tmp_path, lines) == {}
 
 
-def test_colours_and_opacity_multiply_their_maps_but_others_give_way(tmp_path: Path) -> None:
+def test_colours_and_opacity_multiply_their_maps_but_others_give_way(tmp_path):
     lines = "Kd .5 .5 .5\nKs .5\nKe 3 3 3\nd .5\nPr .5\nPm 0\n" + "".join(
         f"map_{key} a.png\n" for key in ("Kd", "Ks", "Ke", "d", "Pr", "Pm")
     )
@@ -147,18 +141,18 @@ def test_colours_and_opacity_multiply_their_maps_but_others_give_way(tmp_path: P
     )
 
 
-def test_zero_beside_a_map_means_nothing(tmp_path: Path) -> None:
+def test_zero_beside_a_map_means_nothing(tmp_path):
     lines = "Kd 0 0 0\nKs 0 0 0\nKe 0 0 0\nd 0\nmap_Kd a.png\nmap_Ks a.png\nmap_Ke a.png\nmap_d a.png"
     for given in describe(tmp_path, lines).material.inputs.values():
         assert given.factor == (1.0,) * len(given.factor)
 
 
-def test_ks_and_ns_count_beside_a_map_or_a_roughness_or_when_asked_for(tmp_path: Path) -> None:
+def test_ks_and_ns_count_beside_a_map_or_a_roughness_or_when_asked_for(tmp_path):
     lines = "newmtl a\nKs .5\nNs 90\nnewmtl b\nmap_Ks a.png\nPr .1\nNs 250\n"
     (tmp_path / "m.mtl").write_text(lines)
     (tmp_path / "a.png").write_bytes(png(COLORS))
 
-    def read(*wanted: str, channels: tuple[str, ...] | None = None) -> dict[str, Description]:
+    def read(*wanted, channels=None):
         return load_materials(
             tmp_path / "m.obj", ["m.mtl"], set(wanted), Options(channels=channels)
         ).materials
@@ -186,14 +180,12 @@ def test_ks_and_ns_count_beside_a_map_or_a_roughness_or_when_asked_for(tmp_path:
         ("map_ao -imfchan m cut.png", 3),
     ],
 )
-def test_a_single_value_is_read_from_one_component(tmp_path: Path, line: str, lane: int) -> None:
+def test_a_single_value_is_read_from_one_component(tmp_path, line, lane):
     (given,) = stated(tmp_path, line).values()
     assert given.lanes == (lane,)
 
 
-def test_luminance_is_weighted_from_the_stored_values(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_luminance_is_weighted_from_the_stored_values(tmp_path, monkeypatch):
     weights = [0.2126, 0.7152, 0.0722]
     given = stated(tmp_path, "map_Pr -imfchan l a.png")["roughness"]
     assert given.lanes == (0,)
@@ -204,7 +196,7 @@ def test_luminance_is_weighted_from_the_stored_values(
     np.testing.assert_allclose(texels(given)[..., 0], light[..., :3] @ np.float32(weights), atol=1e-6)
 
 
-def test_base_and_gain_change_the_stored_values(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_base_and_gain_change_the_stored_values(tmp_path, monkeypatch):
     given = describe(tmp_path, "map_Kd -mm -0.25 2 a.png").material.inputs["base_color"]
     expected = np.clip(2 * (COLORS / 255.0) - 0.25, 0, 1) * 65535
     np.testing.assert_allclose(texels(given)[..., :3], expected, atol=0.51)
@@ -214,7 +206,7 @@ def test_base_and_gain_change_the_stored_values(tmp_path: Path, monkeypatch: pyt
     np.testing.assert_allclose(texels(given)[0, 0, :3], [0, 0.75, 5.75])
 
 
-def test_absolute_paths_are_names_beside_the_model(tmp_path: Path) -> None:
+def test_absolute_paths_are_names_beside_the_model(tmp_path):
     (tmp_path / "far").mkdir()
     (tmp_path / "near").mkdir()
     (tmp_path / "far" / "a.png").write_bytes(png(255 - COLORS))
@@ -225,7 +217,7 @@ def test_absolute_paths_are_names_beside_the_model(tmp_path: Path) -> None:
         describe(tmp_path / "near", f"map_Kd {tmp_path / 'far' / 'other.png'}")
 
 
-def test_maps_that_move_coordinates_alike_share_a_slot(tmp_path: Path) -> None:
+def test_maps_that_move_coordinates_alike_share_a_slot(tmp_path):
     found = describe(
         tmp_path,
         "map_Kd -s 2 3 1 -o .5 a.png\nmap_Ks -o .5 0 0 -s 2 3 b.png\n"
@@ -238,14 +230,14 @@ def test_maps_that_move_coordinates_alike_share_a_slot(tmp_path: Path) -> None:
     assert wraps == {"base_color": REPEAT, "specular": REPEAT, "roughness": REPEAT, "alpha": CLAMP}
 
 
-def test_an_image_is_read_once_however_often_it_is_named(tmp_path: Path) -> None:
+def test_an_image_is_read_once_however_often_it_is_named(tmp_path):
     inputs = describe(tmp_path, "map_Kd cut.png\nmap_d cut.png\nmap_Pr -s 2 cut.png").material.inputs
     assert texels(inputs["base_color"]) is texels(inputs["alpha"]) is texels(inputs["roughness"])
     inputs = describe(tmp_path, "map_Pr -imfchan l a.png\nmap_Pm -imfchan l -s 2 a.png").material.inputs
     assert texels(inputs["roughness"]) is texels(inputs["metallic"])
 
 
-def test_options_that_are_left_out_change_nothing(tmp_path: Path) -> None:
+def test_options_that_are_left_out_change_nothing(tmp_path):
     options = (
         '-blendu off -blendv on -boost 2 -cc on -colorspace sRGB -texres 64 -t 1 2 3 -type sphere "a.png"'
     )
@@ -257,12 +249,12 @@ def test_options_that_are_left_out_change_nothing(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("wrap", [REPEAT, CLAMP])
-def test_heights_become_normals_by_central_differences_and_wrap(wrap: int) -> None:
+def test_heights_become_normals_by_central_differences_and_wrap(wrap):
     heights = np.random.default_rng(1).random((259, 3))
     codes = normals_of_heights(heights, 4.0, wrap)
     rows, columns = heights.shape
 
-    def height(row: int, column: int) -> float:
+    def height(row, column):
         if wrap == CLAMP:
             return float(heights[min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)])
         return float(heights[row % rows, column % columns])
@@ -285,9 +277,7 @@ def test_heights_become_normals_by_central_differences_and_wrap(wrap: int) -> No
         ("bump -imfchan m cut.png", 3, 1, REPEAT),
     ],
 )
-def test_a_grey_bump_map_or_a_component_of_one_holds_heights(
-    tmp_path: Path, line: str, lane: int | None, strength: float, wrap: int
-) -> None:
+def test_a_grey_bump_map_or_a_component_of_one_holds_heights(tmp_path, line, lane, strength, wrap):
     given = stated(tmp_path, line)["normal"]
     image = GREYS[..., 0] if lane is None else (CUT_OUT if lane == 3 else COLORS)[..., lane]
     expected = normals_of_heights(image / 255.0, strength, wrap)
@@ -297,30 +287,30 @@ def test_a_grey_bump_map_or_a_component_of_one_holds_heights(
     np.testing.assert_allclose(texels(given).astype(float), expected, atol=1.1)
 
 
-def test_materials_share_the_normals_of_one_height_map(tmp_path: Path) -> None:
+def test_materials_share_the_normals_of_one_height_map(tmp_path):
     (tmp_path / "m.mtl").write_text("newmtl a\nbump grey.png\nnewmtl b\nbump -s 2 grey.png\n")
     (tmp_path / "grey.png").write_bytes(IMAGES["grey.png"])
     found = load_materials(tmp_path / "m.obj", ["m.mtl"], {"a", "b"}, Options()).materials
     assert texels(found["a"].material.inputs["normal"]) is texels(found["b"].material.inputs["normal"])
 
 
-def test_heights_may_be_luminance(tmp_path: Path) -> None:
+def test_heights_may_be_luminance(tmp_path):
     given = stated(tmp_path, "bump -imfchan l a.png")["normal"]
     heights = COLORS / 255.0 @ [0.2126, 0.7152, 0.0722]
     np.testing.assert_allclose(texels(given).astype(float), normals_of_heights(heights, 1, REPEAT), atol=2)
 
 
-def test_a_coloured_bump_map_is_a_normal_map_whose_slopes_its_multiplier_scales(tmp_path: Path) -> None:
+def test_a_coloured_bump_map_is_a_normal_map_whose_slopes_its_multiplier_scales(tmp_path):
     for line in ("bump -bm 0.5 a.png", "norm -bm 0.5 a.png", "map_Bump -imfchan z -bm 0.5 a.png"):
         assert stated(tmp_path, line)["normal"].factor == (0.5, 0.5, 1)
 
 
-def test_a_normal_map_stands_before_a_bump_map(tmp_path: Path) -> None:
+def test_a_normal_map_stands_before_a_bump_map(tmp_path):
     given = stated(tmp_path, "bump grey.png\nnorm a.png")["normal"]
     np.testing.assert_array_equal(texels(given)[..., 0], COLORS[..., 0].astype(np.uint16) * 257)
 
 
-def test_grey_survives_the_noise_of_jpeg() -> None:
+def test_grey_survives_the_noise_of_jpeg():
     grey = np.repeat(np.linspace(0, 65535, 600).astype(np.uint16)[:, None, None], 4, axis=2)
     assert is_grey(grey)
     grey[400, 0, 1] += 3 * 257
@@ -330,7 +320,7 @@ def test_grey_survives_the_noise_of_jpeg() -> None:
     assert not is_grey(np.array([[[0.5, 0.5, 1, 1]]], np.float32))
 
 
-def test_images_of_channels_that_nobody_wants_are_not_read(tmp_path: Path) -> None:
+def test_images_of_channels_that_nobody_wants_are_not_read(tmp_path):
     keys = ("map_Ks", "map_Ke", "map_Pm", "map_Pr", "map_ao", "map_d", "norm")
     lines = "map_Kd a.png\nKs red\nPr rough\nNs many\n" + "".join(f"{key} gone.png\n" for key in keys)
     path = square(tmp_path, lines)
@@ -340,7 +330,7 @@ def test_images_of_channels_that_nobody_wants_are_not_read(tmp_path: Path) -> No
     assert load_surface(square(tmp_path, "map_Kd gone.png\nPr 0.5"), channels=["roughness"]).uv is not None
 
 
-def test_a_channel_that_the_materials_lack_is_refused_with_those_they_have(tmp_path: Path) -> None:
+def test_a_channel_that_the_materials_lack_is_refused_with_those_they_have(tmp_path):
     path = square(tmp_path, "map_Kd a.png\nKe 0 0 0\nmap_Pr gone.png\nNs 10\nKs 1 1 1")
     with pytest.raises(ModelError, match=r"a\.obj has no channel metallic; it has base_color, roughness$"):
         load_surface(path, channels=["metallic"])
@@ -366,13 +356,13 @@ def test_a_channel_that_the_materials_lack_is_refused_with_those_they_have(tmp_p
         ("map_d -imfchan alpha a.png", ModelError, "map_d -imfchan is 'alpha', not one of r, g, b, m, l, z"),
     ],
 )
-def test_a_bad_line_is_named(tmp_path: Path, line: str, error: type[Exception], message: str) -> None:
+def test_a_bad_line_is_named(tmp_path, line, error, message):
     with pytest.raises(error, match=message) as caught:
         load_surface(square(tmp_path, line))
     assert "\n" not in str(caught.value)
 
 
-def test_every_file_read_is_in_the_provenance_by_its_name_beside_the_model(tmp_path: Path) -> None:
+def test_every_file_read_is_in_the_provenance_by_its_name_beside_the_model(tmp_path):
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "c.png").write_bytes(png(COLORS))
     path = square(tmp_path, "map_Kd maps/c.png\nmap_Pr a.png\nmap_ao C:\\work\\a.png")
@@ -382,13 +372,13 @@ def test_every_file_read_is_in_the_provenance_by_its_name_beside_the_model(tmp_p
     assert "files" not in load_surface(obj(tmp_path / "b.obj", OBJ_SQUARE + FACES)).provenance
 
 
-def test_files_elsewhere_go_by_their_name_alone(tmp_path: Path) -> None:
+def test_files_elsewhere_go_by_their_name_alone(tmp_path):
     files = ImageFiles(tmp_path / "models")
     files.note(tmp_path / "shared" / "wood.png", b"")
     assert list(files.files) == ["wood.png"]
 
 
-def test_maps_at_different_coordinates_are_read_each_at_its_own(tmp_path: Path) -> None:
+def test_maps_at_different_coordinates_are_read_each_at_its_own(tmp_path):
     mtl = "map_Kd -s 2 3 -o 0.25 0.5 a.png\nmap_Ks b.png\nmap_Pr -clamp on -o 0.5 a.png"
     surface = load_surface(square(tmp_path, mtl))
     samples = surface.scatter(40)
@@ -406,7 +396,7 @@ def test_maps_at_different_coordinates_are_read_each_at_its_own(tmp_path: Path) 
         )
 
 
-def test_a_cut_out_is_as_opaque_as_the_alpha_of_its_map(tmp_path: Path) -> None:
+def test_a_cut_out_is_as_opaque_as_the_alpha_of_its_map(tmp_path):
     image = np.full((2, 2, 4), 200, np.uint8)
     image[0, :, 3], image[1, :, 3] = 255, 51
     path = square(tmp_path, "d 0.5\nmap_Kd t.png\nmap_d -clamp on t.png")
@@ -422,9 +412,7 @@ def test_a_cut_out_is_as_opaque_as_the_alpha_of_its_map(tmp_path: Path) -> None:
     ("options", "direction"),
     [("", (1, 1)), ("-s -1 1", (-1, 1)), ("-s 1 -1", (1, -1)), ("-bm 0.5", (0.5, 0.5))],
 )
-def test_a_normal_map_turns_the_normal_toward_u_and_v(
-    tmp_path: Path, options: str, direction: tuple[float, float]
-) -> None:
+def test_a_normal_map_turns_the_normal_toward_u_and_v(tmp_path, options, direction):
     code = np.array([0.6, 0.48, 0.64])
     image = np.tile(np.rint((code + 1) * 32767.5).astype(np.uint16), (2, 2, 1))
     path = square(tmp_path, f"norm {options} t.png")
@@ -435,7 +423,7 @@ def test_a_normal_map_turns_the_normal_toward_u_and_v(
     np.testing.assert_allclose(surface.evaluate(surface.scatter(10), "normal"), [expected] * 10, atol=1e-4)
 
 
-def test_a_slope_in_a_height_map_leans_the_normal_down_it(tmp_path: Path) -> None:
+def test_a_slope_in_a_height_map_leans_the_normal_down_it(tmp_path):
     rows, columns = np.mgrid[:16, :16]
     image = (20 * 257 * columns // 4 - 10 * 257 * rows // 4 + 20000).astype(np.uint16)[..., None]
     path = square(tmp_path, "map_Bump -clamp on -bm 51 t.png")

@@ -1,9 +1,5 @@
 """OBJ and MTL against an independent reader, and what is refused."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,7 +7,6 @@ from octex.channels import srgb_to_linear
 from octex.errors import ImageError, ModelError, ModelWarning, OctexError
 from octex.source.load import load_surface
 from octex.source.materials import MaterialSource
-from octex.source.surface import Surface
 from tests.make.agreement import assert_agrees
 from tests.make.fixtures import OBJ_SQUARE, Gltf, obj, png, random_image
 
@@ -19,7 +14,7 @@ FACES = "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
 WOOD = "newmtl wood\nmap_Kd wood.png\n"
 
 
-def assert_alike(surface: Surface, expected: Surface) -> None:
+def assert_alike(surface, expected):
     """Two surfaces have the same values, which differ from place to place."""
     samples = expected.scatter(100)
     values = expected.evaluate(samples)
@@ -28,18 +23,18 @@ def assert_alike(surface: Surface, expected: Surface) -> None:
     np.testing.assert_array_equal(surface.evaluate(samples), values)
 
 
-def wooden(tmp_path: Path, mtl: str = WOOD, faces: str = FACES, square: str = OBJ_SQUARE) -> Path:
+def wooden(tmp_path, mtl=WOOD, faces=FACES, square=OBJ_SQUARE):
     """A textured square of the material ``wood``."""
     return obj(
         tmp_path / "a.obj", square + "usemtl wood\n" + faces, mtl, {"wood.png": png(random_image(4, 4))}
     )
 
 
-def test_a_texture_is_bound_with_v_up_and_repeats(tmp_path: Path) -> None:
+def test_a_texture_is_bound_with_v_up_and_repeats(tmp_path):
     assert_agrees(wooden(tmp_path, square=OBJ_SQUARE.replace("vt 1 1", "vt 2.5 -1.5")))
 
 
-def test_the_first_row_of_the_image_lies_at_v_1(tmp_path: Path) -> None:
+def test_the_first_row_of_the_image_lies_at_v_1(tmp_path):
     path = wooden(tmp_path)
     image = np.array([[[255] * 3], [[0] * 3]], np.uint8)
     (tmp_path / "wood.png").write_bytes(png(image))
@@ -50,7 +45,7 @@ def test_the_first_row_of_the_image_lies_at_v_1(tmp_path: Path) -> None:
     assert np.corrcoef(values, samples.points[:, 1])[0, 1] > 0
 
 
-def test_kd_is_an_srgb_value_and_multiplies_the_map(tmp_path: Path) -> None:
+def test_kd_is_an_srgb_value_and_multiplies_the_map(tmp_path):
     surface = assert_agrees(wooden(tmp_path, WOOD + "Kd 0.5 0.25 1\n"))
     plain = assert_agrees(wooden(tmp_path))
     samples = surface.scatter(20)
@@ -58,43 +53,38 @@ def test_kd_is_an_srgb_value_and_multiplies_the_map(tmp_path: Path) -> None:
     np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-5)
 
 
-def test_black_kd_beside_a_map_means_nothing(tmp_path: Path) -> None:
+def test_black_kd_beside_a_map_means_nothing(tmp_path):
     surface = load_surface(wooden(tmp_path, WOOD + "Kd 0 0 0\n"))
     assert surface.evaluate(surface.scatter(20)).mean() > 0.1
 
 
-def test_one_number_of_kd_is_grey(tmp_path: Path) -> None:
+def test_one_number_of_kd_is_grey(tmp_path):
     surface = load_surface(wooden(tmp_path, "newmtl wood\nKd 0.5\n"))
     expected = srgb_to_linear([[0.5] * 3] * 5)
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(("line", "alpha"), [("d 0.25", 0.25), ("Tr 0.25", 0.75), ("d -halo 0.5", 0.5)])
-def test_opacity_makes_an_alpha_channel(tmp_path: Path, line: str, alpha: float) -> None:
+def test_opacity_makes_an_alpha_channel(tmp_path, line, alpha):
     surface = load_surface(wooden(tmp_path, WOOD + line + "\n"))
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5), "alpha"), alpha)
 
 
-def test_opaque_materials_ignore_the_alpha_of_their_map(tmp_path: Path) -> None:
+def test_opaque_materials_ignore_the_alpha_of_their_map(tmp_path):
     path = wooden(tmp_path, WOOD + "d 1\n")
     (tmp_path / "wood.png").write_bytes(png(random_image(4, 4, 4)))
     assert len(assert_agrees(path).channels) == 1
 
 
-def test_each_face_keeps_its_material(tmp_path: Path) -> None:
+def test_each_face_keeps_its_material(tmp_path):
     mtl = WOOD + "newmtl red\nKd 1 0 0\nd 0.5\nnewmtl stone\nmap_Kd stone.png\n"
-    faces = [
-        ("wood", "1/1 2/2 3/3"),
-        ("red", "1 3 4"),
-        ("stone", "1/4 2/1 4/2"),
-        ("wood", "2/1 3/2 4/4"),
-    ]
+    faces = [("wood", "1/1 2/2 3/3"), ("red", "1 3 4"), ("stone", "1/4 2/1 4/2"), ("wood", "2/1 3/2 4/4")]
     lines = "".join(f"usemtl {material}\nf {corners}\n" for material, corners in faces)
     images = {"wood.png": png(random_image(4, 4)), "stone.png": png(random_image(3, 5, seed=1))}
     assert_agrees(obj(tmp_path / "a.obj", OBJ_SQUARE + lines, mtl, images), 300)
 
 
-def test_materials_that_no_face_uses_are_not_read(tmp_path: Path) -> None:
+def test_materials_that_no_face_uses_are_not_read(tmp_path):
     expected = load_surface(wooden(tmp_path))
     mtl = WOOD + "newmtl other\nKd red\nmap_Kd gone.png\n"
     surface = load_surface(wooden(tmp_path, mtl))
@@ -105,7 +95,7 @@ def test_materials_that_no_face_uses_are_not_read(tmp_path: Path) -> None:
         load_surface(wooden(tmp_path, mtl, FACES + "usemtl other\nf 1/1 3/3 4/4\n"))
 
 
-def test_colours_of_vertices_are_srgb_values(tmp_path: Path) -> None:
+def test_colours_of_vertices_are_srgb_values(tmp_path):
     lines = "v 0 0 0 1 0 0.5\nv 1 0 0 0 1 0.2\nv 0 1 0 0 0 1\nf 1 2 3\n"
     assert_agrees(obj(tmp_path / "a.obj", lines))
     codes = (
@@ -117,7 +107,7 @@ def test_colours_of_vertices_are_srgb_values(tmp_path: Path) -> None:
     np.testing.assert_allclose(large.evaluate(samples), small.evaluate(samples), atol=1e-6)
 
 
-def test_colours_of_vertices_count_only_where_a_material_has_no_image(tmp_path: Path) -> None:
+def test_colours_of_vertices_count_only_where_a_material_has_no_image(tmp_path):
     (tmp_path / "grey.png").write_bytes(png(np.full((2, 2, 3), 204, np.uint8)))
     (tmp_path / "a.mtl").write_text("newmtl image\nmap_Kd grey.png\nnewmtl half\nKd 0.5 0.5 0.5\n")
     vertices = "".join(f"v {x} {y} 0 0.6 0.6 0.6\n" for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)))
@@ -129,7 +119,7 @@ def test_colours_of_vertices_count_only_where_a_material_has_no_image(tmp_path: 
     np.testing.assert_allclose(surface.evaluate(samples), np.repeat(expected[:, None], 3, 1), rtol=1e-4)
 
 
-def test_vertices_without_a_colour_beside_others_are_white(tmp_path: Path) -> None:
+def test_vertices_without_a_colour_beside_others_are_white(tmp_path):
     path = obj(
         tmp_path / "a.obj",
         "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 5 5 5 0 0 0\nv 6 5 5 0 0 0\nv 5 6 5 0 0 0\nf 1 2 3\nf 4 5 6\n",
@@ -139,12 +129,12 @@ def test_vertices_without_a_colour_beside_others_are_white(tmp_path: Path) -> No
     np.testing.assert_array_equal(surface.evaluate(samples)[:, 0], samples.triangles == 0)
 
 
-def test_a_fourth_number_of_vertices_is_no_colour(tmp_path: Path) -> None:
+def test_a_fourth_number_of_vertices_is_no_colour(tmp_path):
     surface = load_surface(obj(tmp_path / "a.obj", "v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 0.5\nf 1 2 3\n"))
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
 
-def test_relative_indices_count_from_the_line_they_stand_on(tmp_path: Path) -> None:
+def test_relative_indices_count_from_the_line_they_stand_on(tmp_path):
     first = OBJ_SQUARE + "usemtl wood\nf -4/-4 -3/-3 -2/-2\nf -4/-4 -2/-2 -1/-1\n"
     second = OBJ_SQUARE.replace(" 0\n", " 3\n").replace("vt 0 3", "vt 0 0").replace("vt 1 3", "vt 1 0")
     path = obj(
@@ -157,7 +147,7 @@ def test_relative_indices_count_from_the_line_they_stand_on(tmp_path: Path) -> N
     assert surface.bounds[1, 2] == 3
 
 
-def test_every_form_of_a_corner_is_understood(tmp_path: Path) -> None:
+def test_every_form_of_a_corner_is_understood(tmp_path):
     path = obj(
         tmp_path / "a.obj",
         OBJ_SQUARE + "vn 0 0 1\nf 1 2 3\nf 1/1 3/3 4/4\nf 1//1 2//1 3//1\nf 1/1/1 3/3/1 4/4/1\n",
@@ -166,7 +156,7 @@ def test_every_form_of_a_corner_is_understood(tmp_path: Path) -> None:
     np.testing.assert_array_equal(surface.triangles, [[0, 1, 2], [0, 2, 3]] * 2)
 
 
-def test_the_way_lines_are_written_does_not_matter(tmp_path: Path) -> None:
+def test_the_way_lines_are_written_does_not_matter(tmp_path):
     lines = [
         "\ufeff# a comment",
         "\tv  0 0\t0 # here",
@@ -188,7 +178,7 @@ def test_the_way_lines_are_written_does_not_matter(tmp_path: Path) -> None:
             np.testing.assert_array_equal(surface.triangles, [[0, 1, 2]])
 
 
-def test_convex_polygons_become_fans(tmp_path: Path) -> None:
+def test_convex_polygons_become_fans(tmp_path):
     lines = "v 0 0 0\nv 2 0 0\nv 3 1 0\nv 2 2 0\nv 0 2 0\nf 1 2 3 4 5\nf 1 2 4 5\nf 1 2\nf 1\n"
     surface = assert_agrees(obj(tmp_path / "a.obj", lines))
     np.testing.assert_array_equal(surface.triangles, [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 1, 3], [0, 3, 4]])
@@ -196,9 +186,7 @@ def test_convex_polygons_become_fans(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("turned", range(8))
 @pytest.mark.parametrize("reversed", [False, True])
-def test_concave_polygons_are_covered_once_and_not_beyond(
-    tmp_path: Path, turned: int, reversed: bool
-) -> None:
+def test_concave_polygons_are_covered_once_and_not_beyond(tmp_path, turned, reversed):
     # An L and a dart, from each of their corners, both ways round, in a slanted plane.
     for outline, area in (
         ([(0, 0), (3, 0), (3, 1), (1, 1), (1, 3), (0, 3)], 5.0),
@@ -218,14 +206,14 @@ def test_concave_polygons_are_covered_once_and_not_beyond(
         assert (normals[0, 2] > 0) != reversed
 
 
-def crescent(corners: int) -> np.ndarray:
+def crescent(corners):
     """A "C" of so many corners, whose opening is to the right."""
     angles = np.linspace(0.15, 1.85, corners // 2) * np.pi
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     return np.concatenate([ring, 0.5 * ring[::-1]])
 
 
-def shoelace(ring: np.ndarray) -> float:
+def shoelace(ring):
     """The area of a polygon without holes."""
     after = np.roll(ring, -1, axis=0)
     return float(abs((ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]).sum()) / 2)
@@ -245,9 +233,7 @@ def shoelace(ring: np.ndarray) -> float:
     ids=["C of 514", "C of 3000", "repeated", "hole", "touching", "spike"],
 )
 @pytest.mark.parametrize("turned", [0, 1, 4])
-def test_a_polygon_of_any_size_and_form_is_covered_once(
-    tmp_path: Path, ring: np.ndarray, turned: int
-) -> None:
+def test_a_polygon_of_any_size_and_form_is_covered_once(tmp_path, ring, turned):
     ring = np.roll(ring, turned, axis=0)
     lines = "".join(f"v {x!r} {y!r} {2 * x!r}\n" for x, y in ring.tolist())
     path = obj(tmp_path / "a.obj", lines + "f " + " ".join(str(i + 1) for i in range(len(ring))) + "\n")
@@ -256,7 +242,7 @@ def test_a_polygon_of_any_size_and_form_is_covered_once(
     np.testing.assert_allclose(surface.areas().sum(), shoelace(ring) * 5**0.5, rtol=1e-9)
 
 
-def test_a_polygon_that_is_not_flat_is_cut_along_its_area_vector(tmp_path: Path) -> None:
+def test_a_polygon_that_is_not_flat_is_cut_along_its_area_vector(tmp_path):
     angles = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) * (1 + 0.3 * np.cos(5 * angles))[:, None]
     lines = "".join(f"v {x} {y} {0.1 * np.cos(2 * a)}\n" for (x, y), a in zip(ring, angles, strict=True))
@@ -266,13 +252,13 @@ def test_a_polygon_that_is_not_flat_is_cut_along_its_area_vector(tmp_path: Path)
     np.testing.assert_allclose(seen.sum(), shoelace(ring))
 
 
-def test_large_polygons_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+def test_large_polygons_that_are_not_finite_are_refused(tmp_path):
     lines = "v nan 0 0\n" + "".join(f"v {x} {y} 0\n" for x, y in crescent(600))
     with pytest.raises(ModelError, match="not all finite"):
         load_surface(obj(tmp_path / "a.obj", lines + f"f {' '.join(map(str, range(1, 601)))}\n"))
 
 
-def test_polygons_that_cross_themselves_still_give_their_triangles(tmp_path: Path) -> None:
+def test_polygons_that_cross_themselves_still_give_their_triangles(tmp_path):
     lines = "v 0 0 0\nv 1 1 0\nv 1 0 0\nv 0 1 0\nv 2 2 0\nf 1 2 3 4\nf 1 2 3 4 5\nf 1 1 1 1 1\n"
     assert len(load_surface(obj(tmp_path / "a.obj", lines)).triangles) == 2 + 3 + 3
 
@@ -280,7 +266,7 @@ def test_polygons_that_cross_themselves_still_give_their_triangles(tmp_path: Pat
 @pytest.mark.parametrize(
     "name", ["wood.png", "maps/wood.png", "maps\\wood.png", "C:\\temp\\my models\\wood.png", "old wood.png"]
 )
-def test_images_are_found_beside_the_model_however_their_path_is_written(tmp_path: Path, name: str) -> None:
+def test_images_are_found_beside_the_model_however_their_path_is_written(tmp_path, name):
     place = {"maps\\wood.png": "maps/wood.png", "C:\\temp\\my models\\wood.png": "wood.png"}.get(name, name)
     mtl = f"newmtl wood\nmap_Kd {name}\n"
     path = obj(
@@ -289,7 +275,7 @@ def test_images_are_found_beside_the_model_however_their_path_is_written(tmp_pat
     assert load_surface(path).evaluate(load_surface(path).scatter(50)).std() > 0.05
 
 
-def test_options_of_maps_scale_move_and_clamp(tmp_path: Path) -> None:
+def test_options_of_maps_scale_move_and_clamp(tmp_path):
     options = "-clamp on -o 0.25 0.5 0 -s 2 3 1 -mm 0 1 -blendu on"
     plain = "newmtl plain\nmap_Kd wood.png\n"
     images = {"wood.png": png(random_image(4, 4))}
@@ -303,14 +289,14 @@ def test_options_of_maps_scale_move_and_clamp(tmp_path: Path) -> None:
     np.testing.assert_allclose(surface.evaluate(samples), same.evaluate(samples), atol=1e-5)
 
 
-def test_a_single_scale_of_a_map_is_that_of_u(tmp_path: Path) -> None:
+def test_a_single_scale_of_a_map_is_that_of_u(tmp_path):
     scaled = load_surface(wooden(tmp_path, "newmtl wood\nmap_Kd -s 2 wood.png\n"))
     twice = load_surface(wooden(tmp_path, square=OBJ_SQUARE.replace("vt 1", "vt 2")))
     samples = scaled.scatter(50)
     np.testing.assert_allclose(scaled.evaluate(samples), twice.evaluate(samples), atol=1e-5)
 
 
-def test_a_material_file_may_have_blanks_in_its_name_and_there_may_be_several(tmp_path: Path) -> None:
+def test_a_material_file_may_have_blanks_in_its_name_and_there_may_be_several(tmp_path):
     (tmp_path / "my wood.mtl").write_text(WOOD)
     (tmp_path / "red.mtl").write_text("newmtl red\nKd 1 0 0\n")
     (tmp_path / "dark.mtl").write_text("newmtl dark wood #2\nKd 0 0 0\n")
@@ -327,18 +313,18 @@ def test_a_material_file_may_have_blanks_in_its_name_and_there_may_be_several(tm
     assert (values[samples.triangles == 1] == 0).all()
 
 
-def test_materials_without_a_library_are_white(tmp_path: Path) -> None:
+def test_materials_without_a_library_are_white(tmp_path):
     surface = load_surface(obj(tmp_path / "a.obj", OBJ_SQUARE + "usemtl anything\n" + FACES))
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
 
-def test_a_library_that_no_face_needs_may_be_missing(tmp_path: Path) -> None:
+def test_a_library_that_no_face_needs_may_be_missing(tmp_path):
     surface = load_surface(obj(tmp_path / "a.obj", "mtllib gone.mtl\n" + OBJ_SQUARE + FACES))
     assert len(surface.triangles) == 2
     np.testing.assert_array_equal(surface.evaluate(surface.scatter(20)), 1.0)
 
 
-def test_a_rest_mesh_needs_no_materials(tmp_path: Path) -> None:
+def test_a_rest_mesh_needs_no_materials(tmp_path):
     rest = obj(
         tmp_path / "rest.obj",
         "mtllib gone.mtl\n" + OBJ_SQUARE.replace("v 1", "v 9") + "usemtl wood\n" + FACES,
@@ -371,7 +357,7 @@ def test_a_rest_mesh_needs_no_materials(tmp_path: Path) -> None:
         ("v 0 0 0\0\nv 1 0 1\nv 0 1 0\nf 1 2 3\n", "not a text file"),
     ],
 )
-def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path: Path, lines: str, message: str) -> None:
+def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path, lines, message):
     with pytest.raises(ModelError, match=message) as caught:
         load_surface(obj(tmp_path / "bad.obj", lines))
     assert "bad.obj" in str(caught.value)
@@ -390,15 +376,13 @@ def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path: Path, lines:
         ("newmtl wood\nTr nan\n", FACES, ModelError, "material wood: Tr is 'nan'"),
     ],
 )
-def test_a_bad_material_is_named(
-    tmp_path: Path, mtl: str, faces: str, error: type[Exception], message: str
-) -> None:
+def test_a_bad_material_is_named(tmp_path, mtl, faces, error, message):
     with pytest.raises(error, match=message):
         load_surface(wooden(tmp_path, mtl, faces))
 
 
 @pytest.mark.parametrize(("square", "faces"), [(OBJ_SQUARE, "f 1 2 3\n" + FACES), ("", "f 1/1 2/2 3/3\n")])
-def test_textured_faces_without_coordinates_read_one_texel(tmp_path: Path, square: str, faces: str) -> None:
+def test_textured_faces_without_coordinates_read_one_texel(tmp_path, square, faces):
     bare = "v 0 0 0\nv 1 0 0\nv 1 1 0\n"
     path = wooden(tmp_path, faces=faces, square=square or bare)
     with pytest.warns(ModelWarning, match=r"a\.obj has 1 textured triangles without texture coordinates"):
@@ -408,7 +392,7 @@ def test_textured_faces_without_coordinates_read_one_texel(tmp_path: Path, squar
     np.testing.assert_allclose(found, np.repeat(found[:1], len(found), axis=0), atol=1e-6)
 
 
-def test_without_its_library_a_model_is_white_with_a_warning(tmp_path: Path) -> None:
+def test_without_its_library_a_model_is_white_with_a_warning(tmp_path):
     path = obj(tmp_path / "a.obj", "mtllib gone.mtl\n" + OBJ_SQUARE + "usemtl wood\n" + FACES)
     with pytest.warns(
         ModelWarning, match=r"a\.obj: gone\.mtl is missing, so the material wood is white; put it"
@@ -424,7 +408,7 @@ def test_without_its_library_a_model_is_white_with_a_warning(tmp_path: Path) -> 
         load_surface(obj(tmp_path / "b.obj", lines))
 
 
-def test_faces_of_a_material_that_is_not_defined_are_white_with_a_warning(tmp_path: Path) -> None:
+def test_faces_of_a_material_that_is_not_defined_are_white_with_a_warning(tmp_path):
     lines = OBJ_SQUARE + "usemtl red\nf 1 2 3\nusemtl wood\nf 1 3 4\n"
     path = obj(tmp_path / "a.obj", lines, "newmtl red\nKd 1 0 0\n")
     with pytest.warns(
@@ -435,7 +419,7 @@ def test_faces_of_a_material_that_is_not_defined_are_white_with_a_warning(tmp_pa
     np.testing.assert_array_equal(surface.evaluate(samples)[:, 1], samples.triangles == 1)
 
 
-def test_many_materials_that_are_not_defined_are_one_warning(tmp_path: Path) -> None:
+def test_many_materials_that_are_not_defined_are_one_warning(tmp_path):
     lines = "".join(f"usemtl m{number}\nf 1 2 3\n" for number in range(9))
     with pytest.warns(ModelWarning) as said:
         load_surface(obj(tmp_path / "a.obj", OBJ_SQUARE + lines, "newmtl other\n"))
@@ -443,18 +427,18 @@ def test_many_materials_that_are_not_defined_are_one_warning(tmp_path: Path) -> 
     assert "materials m0, m1, m2, m3, m4 and 4 more, which are white" in str(said[0].message)
 
 
-def test_a_warning_that_is_an_error_stays_what_it_is(tmp_path: Path) -> None:
+def test_a_warning_that_is_an_error_stays_what_it_is(tmp_path):
     path = obj(tmp_path / "a.obj", "mtllib gone.mtl\n" + OBJ_SQUARE + "usemtl wood\n" + FACES)
     with pytest.raises(ModelWarning, match="gone"):
         load_surface(path)
 
 
-def test_coordinates_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+def test_coordinates_that_are_not_finite_are_refused(tmp_path):
     with pytest.raises(ModelError, match="texture coordinates are not all finite"):
         load_surface(wooden(tmp_path, square=OBJ_SQUARE.replace("vt 1 1", "vt inf 1")))
 
 
-def test_coordinates_may_lack_v(tmp_path: Path) -> None:
+def test_coordinates_may_lack_v(tmp_path):
     for shorter in (("vt 1 0\n", "vt 0 0\n"), ("vt 0 0\n", "vt 1 0\n", "vt 1 1\n", "vt 0 1\n")):
         square = whole = OBJ_SQUARE
         for line in shorter:
@@ -468,13 +452,13 @@ def test_coordinates_may_lack_v(tmp_path: Path) -> None:
 FLAT_BLUE = "newmtl wood\nnorm wood.png\n"
 
 
-def plain_normals(tmp_path: Path, lines: str) -> Surface:
+def plain_normals(tmp_path, lines):
     """A model whose normal map leaves its normals as they are."""
     image = np.tile(np.array([32768, 32768, 65535], np.uint16), (2, 2, 1))
     return load_surface(obj(tmp_path / "a.obj", lines, FLAT_BLUE, {"wood.png": png(image)}))
 
 
-def test_normals_are_read_below_normal_maps_and_interpolated(tmp_path: Path) -> None:
+def test_normals_are_read_below_normal_maps_and_interpolated(tmp_path):
     normals = np.array([[0, 0, 1], [3, 0, 4], [0, -3, 4], [-1, 0, 0]])
     lines = "".join(f"vn {x} {y} {z}\n" for x, y, z in normals)
     unit = normals / np.linalg.norm(normals, axis=1, keepdims=True)
@@ -489,7 +473,7 @@ def test_normals_are_read_below_normal_maps_and_interpolated(tmp_path: Path) -> 
         np.testing.assert_allclose(surface.evaluate(samples, "normal"), expected, atol=1e-3)
 
 
-def test_faces_without_normals_are_flat_beside_others_and_alone(tmp_path: Path) -> None:
+def test_faces_without_normals_are_flat_beside_others_and_alone(tmp_path):
     square = OBJ_SQUARE + "vn 1 0 0\nusemtl wood\n"
     surface = plain_normals(tmp_path, square + "f 1/1/1 2/2/1 3/3/1\nf 1/1/1 3/3 4/4/1\n")
     samples = surface.scatter(50)
@@ -499,7 +483,7 @@ def test_faces_without_normals_are_flat_beside_others_and_alone(tmp_path: Path) 
     np.testing.assert_allclose(surface.evaluate(samples, "normal"), [[0, 0, 1]] * 50, atol=1e-4)
 
 
-def test_faces_without_a_normal_map_keep_their_normals_beside_others(tmp_path: Path) -> None:
+def test_faces_without_a_normal_map_keep_their_normals_beside_others(tmp_path):
     lines = OBJ_SQUARE + "vn 1 0 0\nusemtl wood\nf 1/1 2/2 3/3\nusemtl bare\nf 1//1 3//1 4//1\n"
     path = obj(tmp_path / "a.obj", lines, "newmtl bare\nnewmtl wood\nmap_Kd -s 2 wood.png\nnorm wood.png\n")
     (tmp_path / "wood.png").write_bytes(png(np.tile(np.array([255, 128, 128], np.uint8), (2, 2, 1))))
@@ -508,7 +492,7 @@ def test_faces_without_a_normal_map_keep_their_normals_beside_others(tmp_path: P
     np.testing.assert_allclose(surface.evaluate(samples, "normal"), [[1, 0, 0]] * 50, atol=0.02)
 
 
-def test_normals_of_the_model_are_kept_if_asked_for_and_there(tmp_path: Path) -> None:
+def test_normals_of_the_model_are_kept_if_asked_for_and_there(tmp_path):
     bent = np.array([[0, 0, 1], [0.6, 0, 0.8], [0, 0.6, 0.8], [0, 0, 1]], np.float32)
     lines = OBJ_SQUARE + "".join(f"vn {x} {y} {z}\n" for x, y, z in bent)
     smooth = obj(tmp_path / "smooth.obj", lines + "f 1/1/1 2/2/2 3/3/3\nf 1/1/1 3/3/3 4/4/4\n")
@@ -540,24 +524,24 @@ def test_normals_of_the_model_are_kept_if_asked_for_and_there(tmp_path: Path) ->
         ("vn 0 1\nusemtl wood\nf 1/1/1 2/2/1 3/3/1\n", "'vn 0 1' has too few numbers"),
     ],
 )
-def test_bad_normals_count_below_normal_maps_alone(tmp_path: Path, lines: str, message: str) -> None:
+def test_bad_normals_count_below_normal_maps_alone(tmp_path, lines, message):
     with pytest.raises(ModelError, match=message):
         plain_normals(tmp_path, OBJ_SQUARE + lines)
     load_surface(tmp_path / "a.obj", channels=["base_color"])
 
 
-def test_normals_that_are_counted_and_left_out_are_none(tmp_path: Path) -> None:
+def test_normals_that_are_counted_and_left_out_are_none(tmp_path):
     path = obj(tmp_path / "a.obj", "v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1//1 2//2 3//4\n")
     assert load_surface(path, normals=True).frames is None
 
 
-def test_normals_that_are_no_directions_are_those_of_their_faces(tmp_path: Path) -> None:
+def test_normals_that_are_no_directions_are_those_of_their_faces(tmp_path):
     lines = OBJ_SQUARE + "vn 0 0 0\nvn nan 0 1\nusemtl wood\nf 1/1/1 2/2/2 3/3/1\n"
     surface = plain_normals(tmp_path, lines)
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5), "normal"), [[0, 0, 1]] * 5, atol=1e-4)
 
 
-def test_the_first_texture_coordinates_are_kept_where_every_face_has_them(tmp_path: Path) -> None:
+def test_the_first_texture_coordinates_are_kept_where_every_face_has_them(tmp_path):
     surface = load_surface(wooden(tmp_path, "newmtl wood\nmap_Kd -s 5 wood.png\n"))
     assert surface.uv is not None
     corners = surface.vertices[surface.triangles]
@@ -566,14 +550,14 @@ def test_the_first_texture_coordinates_are_kept_where_every_face_has_them(tmp_pa
     assert load_surface(wooden(tmp_path, "newmtl wood\n", FACES + "f 1 2 3\n")).uv is None
 
 
-def test_a_real_model_agrees(models: Path) -> None:
+def test_a_real_model_agrees(models):
     path = models / "spot-triangulated" / "spot.obj"
     if not path.is_file():
         pytest.skip("spot is not there")
     assert_agrees(path, 500)
 
 
-def test_every_real_model_loads_or_says_why_not(models: Path) -> None:
+def test_every_real_model_loads_or_says_why_not(models):
     for path in sorted(models.rglob("*.obj")):
         if path.name == "Cray_right.obj":
             with pytest.raises(ModelError, match="vertices are not all finite"):

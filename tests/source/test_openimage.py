@@ -1,15 +1,10 @@
 """Deep images come back as they were stored, and damaged ones are refused by name."""
 
-from __future__ import annotations
-
 import io
 import struct
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 import pytest
 
@@ -23,21 +18,21 @@ needs_extra = pytest.mark.usefixtures("extra")
 
 
 @pytest.fixture
-def extra() -> None:
+def extra():
     pytest.importorskip("OpenImageIO", reason="needs octex[images]")
 
 
-def random_light(height: int, width: int, channels: int, dtype: str = "float32") -> npt.NDArray[Any]:
+def random_light(height, width, channels, dtype="float32"):
     """Values from −1 to 100, exact in halves."""
     values = np.random.default_rng(channels).uniform(-1, 100, (height, width, channels))
     return values.astype(np.float16).astype(dtype)
 
 
-def planes(values: npt.NDArray[Any], names: str) -> dict[str, npt.NDArray[Any]]:
+def planes(values, names):
     return {name: np.ascontiguousarray(values[..., place]) for place, name in enumerate(names)}
 
 
-def with_alpha(values: npt.NDArray[Any], opaque: float = 1) -> npt.NDArray[Any]:
+def with_alpha(values, opaque=1):
     """RGBA of grey or RGB."""
     colors = np.broadcast_to(values, (*values.shape[:2], 3))
     return np.dstack([colors, np.full(values.shape[:2], opaque, values.dtype)])
@@ -46,7 +41,7 @@ def with_alpha(values: npt.NDArray[Any], opaque: float = 1) -> npt.NDArray[Any]:
 @needs_extra
 @pytest.mark.parametrize("dtype", ["float16", "float32"])
 @pytest.mark.parametrize("names", ["RGB", "Y", "Z"])
-def test_openexr_images_keep_every_value(names: str, dtype: str) -> None:
+def test_openexr_images_keep_every_value(names, dtype):
     stored = random_light(5, 7, len(names), dtype)
     found = decode_image(exr(Part(planes(stored, names))), "a")
     assert found.dtype == np.float32
@@ -54,7 +49,7 @@ def test_openexr_images_keep_every_value(names: str, dtype: str) -> None:
 
 
 @needs_extra
-def test_channels_are_found_by_name_and_the_first_layer_serves_where_no_channel_stands_alone() -> None:
+def test_channels_are_found_by_name_and_the_first_layer_serves_where_no_channel_stands_alone():
     stored = random_light(2, 3, 3)
     channels = planes(stored, "RGB")
     other = {name: np.full((2, 3), 9, np.float32) for name in ("Z", "a.x", "id")}
@@ -66,7 +61,7 @@ def test_channels_are_found_by_name_and_the_first_layer_serves_where_no_channel_
 
 
 @needs_extra
-def test_the_first_part_with_colour_is_taken() -> None:
+def test_the_first_part_with_colour_is_taken():
     stored = random_light(2, 3, 3)
     depth = {"Z": np.ones((2, 3), np.float32)}
     data = exr(Part(depth), Part(planes(stored, "RGB")), Part(planes(stored + 1, "RGB")))
@@ -74,7 +69,7 @@ def test_the_first_part_with_colour_is_taken() -> None:
 
 
 @needs_extra
-def test_alpha_of_openexr_images_is_divided_out_where_it_is_above_0() -> None:
+def test_alpha_of_openexr_images_is_divided_out_where_it_is_above_0():
     alphas = np.array([[0.0, 0.25, 1.0, 2.0, -0.5]], np.float32)
     stored = np.dstack([np.full((1, 5), value, np.float32) for value in (0.5, 0.25, 0)] + [alphas])
     expected = stored.copy()
@@ -88,7 +83,7 @@ def test_alpha_of_openexr_images_is_divided_out_where_it_is_above_0() -> None:
 
 
 @needs_extra
-def test_the_display_window_of_openexr_images_is_what_is_read() -> None:
+def test_the_display_window_of_openexr_images_is_what_is_read():
     stored = random_light(3, 4, 3)
     part = Part(planes(stored, "RGB"), corner=(2, -1), display=(0, 0, 4, 3))
     expected = np.zeros((4, 5, 4), np.float32)
@@ -97,7 +92,7 @@ def test_the_display_window_of_openexr_images_is_what_is_read() -> None:
 
 
 @needs_extra
-def test_radiance_images_hold_a_shared_exponent() -> None:
+def test_radiance_images_hold_a_shared_exponent():
     stored = np.random.default_rng(1).integers(0, 256, (4, 3, 4), np.uint8)
     stored[0, 0, 3] = 0
     expected = stored[..., :3] * 2.0 ** (stored[..., 3:].astype(float) - 136)
@@ -114,7 +109,7 @@ def test_radiance_images_hold_a_shared_exponent() -> None:
 
 
 @needs_extra
-def test_run_lengths_of_radiance_images_are_read() -> None:
+def test_run_lengths_of_radiance_images_are_read():
     row = bytes([2, 2, 0, 8]) + bytes([136, 128] * 3 + [136, 136])  # eight times 128 · 2⁰
     data = hdr(np.zeros((1, 8, 4), np.uint8))[: -8 * 4] + row
     np.testing.assert_array_equal(decode_image(data, "a")[..., :3], np.full((1, 8, 3), 128.0))
@@ -123,7 +118,7 @@ def test_run_lengths_of_radiance_images_are_read() -> None:
 @needs_extra
 @pytest.mark.parametrize("samples", [1, 3])
 @pytest.mark.parametrize("dtype", ["uint16", "uint32", "float16", "float32", "float64"])
-def test_tiff_images_keep_every_code_and_value(dtype: str, samples: int) -> None:
+def test_tiff_images_keep_every_code_and_value(dtype, samples):
     if dtype.startswith("u"):
         stored = random_image(3, 4, samples, "uint16")
         expected = with_alpha(stored, 65535)
@@ -138,14 +133,14 @@ def test_tiff_images_keep_every_code_and_value(dtype: str, samples: int) -> None
 
 
 @pytest.mark.parametrize("order", ["<", ">"])
-def test_tiff_images_of_eight_bits_have_either_byte_order(order: str) -> None:
+def test_tiff_images_of_eight_bits_have_either_byte_order(order):
     stored = random_image(3, 4, 3, "uint8")
     found = decode_image(tiff(stored, 2, order=order), "a")
     np.testing.assert_array_equal(found, with_alpha(257 * stored.astype(np.uint16), 65535))
 
 
 @needs_extra
-def test_tiff_alpha_is_what_its_tag_says() -> None:
+def test_tiff_alpha_is_what_its_tag_says():
     stored = np.array([[[100, 200, 300, 6553], [9, 8, 7, 0], [60000, 2, 1, 6553]]], np.uint16)
     given = tiff(stored, 2, alpha=2)
     np.testing.assert_array_equal(decode_image(given, "a"), stored)
@@ -157,7 +152,7 @@ def test_tiff_alpha_is_what_its_tag_says() -> None:
 
 
 @needs_extra
-def test_tiff_images_may_call_white_0() -> None:
+def test_tiff_images_may_call_white_0():
     stored = random_image(3, 4, 1, "uint16")
     np.testing.assert_array_equal(decode_image(tiff(stored, 0), "a"), with_alpha(65535 - stored, 65535))
     light = random_light(3, 4, 1)
@@ -165,7 +160,7 @@ def test_tiff_images_may_call_white_0() -> None:
 
 
 @needs_extra
-def test_deep_images_are_to_be_flattened(tmp_path: Path) -> None:
+def test_deep_images_are_to_be_flattened(tmp_path):
     import OpenImageIO
 
     spec = OpenImageIO.ImageSpec(2, 2, 4, "half")
@@ -181,7 +176,7 @@ def test_deep_images_are_to_be_flattened(tmp_path: Path) -> None:
 
 
 @needs_extra
-def test_other_formats_of_16_bits_keep_every_code() -> None:
+def test_other_formats_of_16_bits_keep_every_code():
     stored = random_image(3, 4, 3, "uint16")
     for data in (psd(stored), sgi(stored), pnm(stored)):
         np.testing.assert_array_equal(decode_image(data, "a"), with_alpha(stored, 65535))
@@ -194,7 +189,7 @@ def test_other_formats_of_16_bits_keep_every_code() -> None:
 
 
 @needs_extra
-def test_other_formats_of_floats_keep_every_value() -> None:
+def test_other_formats_of_floats_keep_every_value():
     stored = random_light(3, 4, 3)
     for data in (psd(stored), pfm(stored)):
         found = decode_image(data, "a")
@@ -202,7 +197,7 @@ def test_other_formats_of_floats_keep_every_value() -> None:
         np.testing.assert_array_equal(found, with_alpha(stored))
 
 
-def test_what_pillow_keeps_whole_needs_no_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_pillow_keeps_whole_needs_no_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "OpenImageIO", None)
     codes, light = random_image(3, 4, 1, "uint16"), random_light(3, 4, 1)
     deep = png(random_image(3, 4, 3, "uint16"))
@@ -233,16 +228,14 @@ DEEP = {
 
 
 @pytest.mark.parametrize("ending", DEEP)
-def test_a_missing_extra_is_named_with_the_command_that_installs_it(
-    ending: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_extra_is_named_with_the_command_that_installs_it(ending, monkeypatch):
     monkeypatch.setitem(sys.modules, "OpenImageIO", None)
     assert deep_format(DEEP[ending]) == ending
     with pytest.raises(MissingExtraError, match=r"wood: .* OpenImageIO is needed; .*octex\[images\]'"):
         decode_image(DEEP[ending], "wood")
 
 
-def jpeg2000(width: int, height: int) -> bytes:
+def jpeg2000(width, height):
     """The head of a JPEG 2000 codestream of 16 bits."""
     sizes = struct.pack(">HHIIIIIIIIH", 41, 0, width, height, 0, 0, width, height, 0, 0, 1)
     return b"\xff\x4f\xff\x51" + sizes + b"\x0f\1\1" + b"\xff\xd9"
@@ -275,7 +268,7 @@ def jpeg2000(width: int, height: int) -> bytes:
         (jpeg2000(0, 0), "cannot be read as an image"),
     ],
 )
-def test_bad_deep_images_are_refused_in_one_line_that_names_them(data: bytes, message: str) -> None:
+def test_bad_deep_images_are_refused_in_one_line_that_names_them(data, message):
     with pytest.raises(ImageError, match=message) as caught:
         decode_image(data, "wood.exr")
     assert "wood.exr" in str(caught.value)
@@ -284,7 +277,7 @@ def test_bad_deep_images_are_refused_in_one_line_that_names_them(data: bytes, me
 
 @needs_extra
 @pytest.mark.parametrize("ending", DEEP)
-def test_damaged_deep_images_are_read_or_refused(ending: str) -> None:
+def test_damaged_deep_images_are_read_or_refused(ending):
     whole = DEEP[ending]
     random = np.random.default_rng(7)
     for count in range(0, len(whole), max(len(whole) // 40, 1)):
@@ -300,7 +293,7 @@ def test_damaged_deep_images_are_read_or_refused(ending: str) -> None:
 
 
 @needs_extra
-def test_real_panoramas_are_read(models: Path) -> None:
+def test_real_panoramas_are_read(models):
     paths = sorted((models / "pmndrs-hdri").glob("*.exr"))
     if not paths:
         pytest.skip("the panoramas are not there")

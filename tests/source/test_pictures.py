@@ -1,10 +1,5 @@
 """Pictures to paint with: decoded, masked, and read at any width."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import PIL.Image
 import pytest
@@ -12,29 +7,29 @@ import pytest
 from octex.channels import BASE_COLOR, NORMAL, ROUGHNESS, srgb_to_linear
 from octex.errors import ArgumentError, ImageError
 from octex.jit import kernel
-from octex.painting.picture import Mips, Projection, check_projections, mips_of, read_paint
+from octex.painting.picture import Projection, check_projections, mips_of, read_paint
 from octex.painting.sharpened import sharpened
 from tests.make.painted import above
 
 
 @kernel
-def _read(mips: Mips, x: float, y: float, width: float) -> Any:
+def _read(mips, x, y, width):
     return read_paint(mips, x, y, width)
 
 
-def projection(image: Any, **options: Any) -> Projection:
+def projection(image, **options):
     height, width = np.shape(image)[:2]
     camera = above(size=width)
     assert height == width
     return Projection(image, camera, **options)
 
 
-def values(means: Any) -> Any:
+def values(means):
     """Return what opaque pixels with these means have at their centres (height, width, 4)."""
     return sharpened(np.concatenate([means, np.ones_like(means[..., :1])], axis=2).astype(np.float32))
 
 
-def test_colours_are_decoded_as_their_channel_has_them() -> None:
+def test_colours_are_decoded_as_their_channel_has_them():
     codes = np.random.default_rng(0).integers(0, 256, (6, 6, 3), np.uint8)
     for form, expected in (
         (BASE_COLOR, srgb_to_linear(codes / 255)),
@@ -46,7 +41,7 @@ def test_colours_are_decoded_as_their_channel_has_them() -> None:
         assert (mips.pixels[:36, 3] == 1).all()
 
 
-def test_alpha_and_mask_multiply_and_colours_with_them() -> None:
+def test_alpha_and_mask_multiply_and_colours_with_them():
     random = np.random.default_rng(1)
     image = random.random((4, 4, 4)).astype(np.float32)
     mask = random.integers(0, 256, (4, 4), np.uint8)
@@ -58,7 +53,7 @@ def test_alpha_and_mask_multiply_and_colours_with_them() -> None:
     )
 
 
-def test_a_pixel_is_read_exactly_at_its_centre() -> None:
+def test_a_pixel_is_read_exactly_at_its_centre():
     image = np.random.default_rng(2).random((8, 8, 3)).astype(np.float32)
     mips, expected = mips_of(projection(image), BASE_COLOR), values(image)
     expected[..., :3] = expected[..., :3].clip(image.min((0, 1)), image.max((0, 1)))  # no colour is new
@@ -69,14 +64,14 @@ def test_a_pixel_is_read_exactly_at_its_centre() -> None:
 
 
 @pytest.mark.parametrize("width", [0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 7.0, 100.0])
-def test_what_is_alike_everywhere_is_read_so_at_any_width(width: float) -> None:
+def test_what_is_alike_everywhere_is_read_so_at_any_width(width):
     mips = mips_of(projection(np.full((13, 13, 3), 0.3, np.float32)), BASE_COLOR)
     for x, y in ((0.0, 0.0), (6.5, 2.2), (12.99, 12.99)):
         np.testing.assert_allclose(_read(mips, x, y, width), [0.3, 0.3, 0.3, 1], atol=1e-6)
 
 
 @pytest.mark.parametrize("width", [2.0, 3.0, 4.0, 6.0, 8.0])
-def test_wide_readings_are_means_over_boxes(width: float) -> None:
+def test_wide_readings_are_means_over_boxes(width):
     y, x = np.mgrid[:64, :64] + 0.5
     image = np.repeat((0.5 + 0.5 * np.sin(x * 0.15) * np.cos(y * 0.12))[..., None], 3, axis=2)
     mips = mips_of(projection(image.astype(np.float32)), BASE_COLOR)
@@ -86,7 +81,7 @@ def test_wide_readings_are_means_over_boxes(width: float) -> None:
         assert abs(_read(mips, at_x, at_y, width)[0] - (0.5 + 0.5 * of_x * of_y)) < 0.012
 
 
-def test_files_are_read_and_named_if_they_cannot_be(tmp_path: Path) -> None:
+def test_files_are_read_and_named_if_they_cannot_be(tmp_path):
     image = PIL.Image.fromarray(np.full((5, 5, 3), 128, np.uint8))
     image.save(tmp_path / "fine.png")
     assert projection_of(tmp_path / "fine.png").name == str(tmp_path / "fine.png")
@@ -98,11 +93,11 @@ def test_files_are_read_and_named_if_they_cannot_be(tmp_path: Path) -> None:
             mips_of(projection_of(tmp_path / name), BASE_COLOR)
 
 
-def projection_of(path: Path) -> Projection:
+def projection_of(path):
     return Projection(path, above(size=5))
 
 
-def test_sizes_that_do_not_fit_are_refused() -> None:
+def test_sizes_that_do_not_fit_are_refused():
     camera = above(size=8)
     with pytest.raises(ArgumentError, match="has 6×4 pixels, its camera 8×8"):
         mips_of(Projection(np.zeros((4, 6, 3), np.uint8), camera), BASE_COLOR)
@@ -113,15 +108,15 @@ def test_sizes_that_do_not_fit_are_refused() -> None:
         mips_of(Projection(np.zeros(3), camera), BASE_COLOR)
 
 
-def test_projections_that_make_no_sense_are_refused() -> None:
+def test_projections_that_make_no_sense_are_refused():
     image, camera = np.zeros((8, 8, 3), np.uint8), above(size=8)
     with pytest.raises(ArgumentError, match="opacity must be from 0 to 1"):
         Projection(image, camera, opacity=1.5)
     with pytest.raises(ArgumentError, match="unknown blend 'dissolve'; there are: over, multiply"):
-        Projection(image, camera, blend="dissolve")  # type: ignore[arg-type]
+        Projection(image, camera, blend="dissolve")
     with pytest.raises(ArgumentError, match=r"camera must be an octex\.Camera or a Patch, not ndarray"):
-        Projection(image, np.eye(4))  # type: ignore[arg-type]
+        Projection(image, np.eye(4))
     with pytest.raises(ArgumentError, match="projection to paint is missing"):
         check_projections([])
     with pytest.raises(ArgumentError, match=r"must be an octex\.Projection, not 'a\.png'"):
-        check_projections(["a.png"])  # type: ignore[list-item]
+        check_projections(["a.png"])

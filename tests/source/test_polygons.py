@@ -1,8 +1,5 @@
 """The polygons of files, remembered by the triangles that they were cut into."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +20,7 @@ FACES = [[0, 1, 5], [5, 4, 8, 9], [2, 3], [1, 2, 6, 5, 2], [10, 9, 5, 6, 7, 11]]
 CORNERS_OF = {number: face for number, face in enumerate(FACES) if len(face) > 2}
 
 
-def file_faces(path: Path) -> dict[int, list[int]]:
+def file_faces(path):
     """The vertices of each face of an OBJ file, by its number among them, in plain Python."""
     faces: dict[int, list[int]] = {}
     vertices = number = 0
@@ -39,7 +36,7 @@ def file_faces(path: Path) -> dict[int, list[int]]:
     return faces
 
 
-def loops_of(mesh: Mesh) -> dict[int, list[int]]:
+def loops_of(mesh):
     """The vertices of each polygon, by its number."""
     numbers, sizes, vertices = mesh.loops()
     assert len(vertices) == sizes.sum()
@@ -47,7 +44,7 @@ def loops_of(mesh: Mesh) -> dict[int, list[int]]:
     return {number: part.tolist() for number, part in zip(numbers.tolist(), parts, strict=True)}
 
 
-def written(folder: Path, kind: str) -> Path:
+def written(folder, kind):
     """The faces above as a file."""
     if kind == "obj":
         lines = "".join(f"v {x} {y} {z}\n" for x, y, z in PLACES)
@@ -65,7 +62,7 @@ def written(folder: Path, kind: str) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["obj", "off", "ascii", "binary_little_endian", "binary_big_endian"])
-def test_every_file_keeps_its_polygons_with_their_corners_in_order(tmp_path: Path, kind: str) -> None:
+def test_every_file_keeps_its_polygons_with_their_corners_in_order(tmp_path, kind):
     surface = load_surface(written(tmp_path, kind))
     assert loops_of(surface) == CORNERS_OF
     numbers, corners = surface.polygons or pytest.fail("no polygons")
@@ -75,7 +72,7 @@ def test_every_file_keeps_its_polygons_with_their_corners_in_order(tmp_path: Pat
         assert [FACES[number][place] for place in places] == vertices.tolist()
 
 
-def test_real_polygons_are_those_that_their_files_list(models: Path) -> None:
+def test_real_polygons_are_those_that_their_files_list(models):
     cut = 0
     for path in sorted(models.rglob("*.obj")):
         try:
@@ -87,20 +84,20 @@ def test_real_polygons_are_those_that_their_files_list(models: Path) -> None:
     assert cut > 0
 
 
-def test_each_triangle_of_a_mesh_of_triangles_is_a_polygon(tmp_path: Path) -> None:
+def test_each_triangle_of_a_mesh_of_triangles_is_a_polygon(tmp_path):
     surface = load_surface(obj(tmp_path / "a.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 0\nf 1 2 3\nf 4 3 2\n"))
     assert surface.polygons is None
     assert loops_of(surface) == {0: [0, 1, 2], 1: [3, 2, 1]}
 
 
-def test_what_is_made_of_a_surface_keeps_its_polygons(tmp_path: Path) -> None:
+def test_what_is_made_of_a_surface_keeps_its_polygons(tmp_path):
     surface = load_surface(written(tmp_path, "obj"))
     moved = surface.with_rest(surface.rest + 1.0)
     for other in (moved, surface.coverage, surface.with_sources({"roughness": 0.5})):
         assert loops_of(other) == CORNERS_OF
 
 
-def test_parts_moved_apart_keep_their_polygons(tmp_path: Path) -> None:
+def test_parts_moved_apart_keep_their_polygons(tmp_path):
     lines = "".join(f"v {x} {y} {z}\n" for z in (0, 0.01) for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)))
     surface = load_surface(obj(tmp_path / "a.obj", lines + "f 1 2 3 4\nf 5 6 7 8\n"))
     apart = surface.separated(0.1)
@@ -108,7 +105,7 @@ def test_parts_moved_apart_keep_their_polygons(tmp_path: Path) -> None:
     assert loops_of(apart) == {0: [0, 1, 2, 3], 1: [4, 5, 6, 7]}
 
 
-def test_joined_surfaces_number_their_polygons_on(tmp_path: Path) -> None:
+def test_joined_surfaces_number_their_polygons_on(tmp_path):
     surface = load_surface(written(tmp_path, "obj"))
     plain = Surface.from_arrays(np.eye(3), [[0, 1, 2]])
     assert Surface.joined([plain, plain]).polygons is None
@@ -119,7 +116,7 @@ def test_joined_surfaces_number_their_polygons_on(tmp_path: Path) -> None:
 
 
 @given(st.data())
-def test_some_triangles_keep_the_numbers_of_their_polygons(data: st.DataObject) -> None:
+def test_some_triangles_keep_the_numbers_of_their_polygons(data):
     sizes = data.draw(st.lists(st.integers(3, 7), min_size=1, max_size=6))
     numbers = np.repeat(np.arange(len(sizes)), np.array(sizes) - 2)
     fans = [(0, i + 1, i + 2) for size in sizes for i in range(size - 2)]
@@ -147,10 +144,10 @@ def test_some_triangles_keep_the_numbers_of_their_polygons(data: st.DataObject) 
         np.zeros(1),
         Polygons(np.zeros(2, np.int32), np.zeros((1, 3), np.int32)),
         Polygons(np.zeros(1, np.int32), np.zeros(3, np.int32)),
-        Polygons(np.zeros(1, np.float32), np.zeros((1, 3), np.int32)),  # type: ignore[arg-type]
+        Polygons(np.zeros(1, np.float32), np.zeros((1, 3), np.int32)),
         Polygons(np.full(1, -1, np.int32), np.zeros((1, 3), np.int32)),
     ],
 )
-def test_polygons_that_do_not_fit_are_refused(polygons: Any) -> None:
+def test_polygons_that_do_not_fit_are_refused(polygons):
     with pytest.raises(ArgumentError, match="surface: polygons must be"):
         Mesh(np.eye(3), [[0, 1, 2]], polygons=polygons)

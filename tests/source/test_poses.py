@@ -1,8 +1,5 @@
 """glTF models posed by their animations, skins and morph targets."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +13,6 @@ from octex.source.load import load_motion
 from octex.view.shading import face_normals
 from octex.view.zbuffer import z_buffer
 from tests.conftest import needs_jit
-from tests.make.command import Cli
 from tests.make.fixtures import MISSING, SQUARE, Gltf, put, rows
 from tests.oracles.naive_poses import posed
 
@@ -25,11 +21,11 @@ JOINTS = np.uint8([[0, 0, 0, 0], [0, 1, 0, 0], [2, 1, 0, 0], [0, 0, 1, 0]])
 TIMES = np.float32([0.25, 0.5, 1.5, 2.0])
 
 
-def unit(rows: np.ndarray) -> np.ndarray:
+def unit(rows):
     return (rows / np.linalg.norm(rows, axis=1, keepdims=True)).astype(np.float32)
 
 
-def moving(path: str, mode: str, seed: int = 0) -> Gltf:
+def moving(path, mode, seed=0):
     """A skinned, morphed square below a node that an animation moves, beside one without a skin."""
     random = np.random.default_rng(seed)
     gltf = Gltf()
@@ -63,7 +59,7 @@ def moving(path: str, mode: str, seed: int = 0) -> Gltf:
 
 @pytest.mark.parametrize("mode", ["STEP", "LINEAR", "CUBICSPLINE"])
 @pytest.mark.parametrize("path", ["translation", "rotation", "scale", "weights"])
-def test_vertices_are_where_the_specification_puts_them(tmp_path: Path, path: str, mode: str) -> None:
+def test_vertices_are_where_the_specification_puts_them(tmp_path, path, mode):
     file = moving(path, mode).save(tmp_path / "a.glb")
     rest = octex.load_surface(file)
     for time in (0.0, 0.3, 0.5, 1.2, 1.9, 2.0):
@@ -74,7 +70,7 @@ def test_vertices_are_where_the_specification_puts_them(tmp_path: Path, path: st
         assert surface.provenance["pose"] == f"A@{time}"
 
 
-def test_weights_of_another_sum_are_normalized_with_a_warning(tmp_path: Path) -> None:
+def test_weights_of_another_sum_are_normalized_with_a_warning(tmp_path):
     gltf = moving("rotation", "LINEAR")
     attributes = gltf.json["meshes"][0]["primitives"][0]["attributes"]
     attributes["WEIGHTS_0"] = gltf.accessor(WEIGHTS * np.float32([[2], [0.18], [0], [1]]))
@@ -90,7 +86,7 @@ def test_weights_of_another_sum_are_normalized_with_a_warning(tmp_path: Path) ->
     np.testing.assert_allclose(np.add.reduceat(motion.bones.shares, motion.bones.first[:-1]), 1, atol=1e-12)
 
 
-def test_an_animation_without_a_name_is_called_by_its_number(tmp_path: Path) -> None:
+def test_an_animation_without_a_name_is_called_by_its_number(tmp_path):
     gltf = moving("scale", "LINEAR")
     del gltf.json["animations"][0]["name"]
     file = gltf.save(tmp_path / "a.glb")
@@ -98,7 +94,7 @@ def test_an_animation_without_a_name_is_called_by_its_number(tmp_path: Path) -> 
     np.testing.assert_allclose(found, posed(file, 0, 1.0), atol=1e-5)
 
 
-def test_posed_normals_turn_with_the_joints(tmp_path: Path) -> None:
+def test_posed_normals_turn_with_the_joints(tmp_path):
     gltf = Gltf()
     up = np.tile(np.float32([0, 0, 1]), (4, 1))
     alone = np.zeros((4, 4), np.float32)
@@ -133,13 +129,13 @@ def test_posed_normals_turn_with_the_joints(tmp_path: Path) -> None:
         (3, "pose must be text"),
     ],
 )
-def test_a_pose_that_the_model_lacks_is_refused(tmp_path: Path, pose: Any, message: str) -> None:
+def test_a_pose_that_the_model_lacks_is_refused(tmp_path, pose, message):
     file = moving("scale", "STEP").save(tmp_path / "a.glb")
     with pytest.raises(ArgumentError, match=message):
         octex.load_surface(file, pose=pose)
 
 
-def test_what_has_no_animation_is_not_posed(tmp_path: Path) -> None:
+def test_what_has_no_animation_is_not_posed(tmp_path):
     gltf = Gltf()
     gltf.show(gltf.primitive())
     with pytest.raises(ArgumentError, match=r"a\.glb has no animations; leave the pose 'A@0' out"):
@@ -159,7 +155,7 @@ WAVY = {f"{SAMPLER}.interpolation": "WAVY"}
 NO_SUCH_JOINT = {JOINTS_0: rows(*JOINTS + 1, dtype="uint8")}
 
 
-def broken(changes: dict[str, Any]) -> Gltf:
+def broken(changes):
     """A model with something wrong."""
     gltf = moving("weights" if "nodes.0.weights" in changes else "rotation", "LINEAR")
     put(gltf.json, changes, gltf)
@@ -197,10 +193,7 @@ def broken(changes: dict[str, Any]) -> Gltf:
         ({f"{SAMPLER}.output": rows(*np.ones((4, 3)))}, "has type VEC3"),
         ({f"{SAMPLER}.output": rows(*np.full((4, 4), np.inf))}, "has values that are not finite"),
         ({f"{CHANNEL}.sampler": 1}, r"refers to samplers\[1\]"),
-        (
-            {f"{CHANNEL}.target.node": lambda gltf: gltf.json["skins"][0]["joints"][0]},
-            "which has a matrix",
-        ),
+        ({f"{CHANNEL}.target.node": lambda gltf: gltf.json["skins"][0]["joints"][0]}, "which has a matrix"),
         (
             {"animations.0.channels": lambda gltf: 2 * gltf.json["animations"][0]["channels"]},
             "its rotation twice",
@@ -208,9 +201,7 @@ def broken(changes: dict[str, Any]) -> Gltf:
         ({f"{CHANNEL}.target.node": 99}, r"refers to nodes\[99\]"),
     ],
 )
-def test_a_broken_animation_is_refused_in_one_line(
-    tmp_path: Path, changes: dict[str, Any], message: str
-) -> None:
+def test_a_broken_animation_is_refused_in_one_line(tmp_path, changes, message):
     file = broken(changes).save(tmp_path / "a.glb")
     octex.load_surface(file)  # as it rests it is read
     with pytest.raises(ModelError, match=message) as refused:
@@ -218,7 +209,7 @@ def test_a_broken_animation_is_refused_in_one_line(
     assert "\n" not in str(refused.value)
 
 
-def test_broken_files_of_others_are_refused_or_posed(models: Path) -> None:
+def test_broken_files_of_others_are_refused_or_posed(models):
     count = 0
     for path in sorted((models / "fragile" / "gltf-validator").rglob("*.gltf")):
         try:
@@ -230,7 +221,7 @@ def test_broken_files_of_others_are_refused_or_posed(models: Path) -> None:
 
 
 @needs_jit
-def test_paint_put_on_the_running_fox_lies_there_when_it_looks_around(models: Path) -> None:
+def test_paint_put_on_the_running_fox_lies_there_when_it_looks_around(models):
     path = models / "animated" / "Fox.glb"
     running, looking = (octex.load_surface(path, pose=pose) for pose in ("Run@0.5", "Survey@1.2"))
     size = (256, 256)
@@ -258,7 +249,7 @@ def test_paint_put_on_the_running_fox_lies_there_when_it_looks_around(models: Pa
     assert np.sqrt((errors**2).mean()) < 2
 
 
-def test_a_pose_is_an_option_of_each_command_that_reads_models(tmp_path: Path, cli: Cli) -> None:
+def test_a_pose_is_an_option_of_each_command_that_reads_models(tmp_path, cli):
     file = str(moving("rotation", "LINEAR").save(tmp_path / "a.glb"))
     out = str(tmp_path / "a.octex")
     for words in (
@@ -271,7 +262,7 @@ def test_a_pose_is_an_option_of_each_command_that_reads_models(tmp_path: Path, c
     assert "--pose applies to meshes, not to functions" in refusal
 
 
-def test_the_fox_runs_as_a_naive_reader_has_it(models: Path) -> None:
+def test_the_fox_runs_as_a_naive_reader_has_it(models):
     path = models / "animated" / "Fox.glb"
     surface = octex.load_surface(path, pose="Run@0.5")
     size = np.ptp(surface.vertices, axis=0).max()

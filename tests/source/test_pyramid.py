@@ -1,7 +1,5 @@
 """Stored images and their levels, against sums written out; footprints of surfaces."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 
@@ -13,19 +11,7 @@ from hypothesis import strategies as st
 
 from octex.channels import linear_to_srgb, srgb_to_linear
 from octex.source.images.decode import as_texels
-from octex.source.images.pyramid import (
-    AREAS,
-    DATA,
-    FLOAT,
-    MIPS,
-    RIPS,
-    SRGB,
-    SUMS,
-    WHOLE,
-    Images,
-    Picture,
-    store,
-)
+from octex.source.images.pyramid import AREAS, DATA, FLOAT, MIPS, RIPS, SRGB, SUMS, WHOLE, Picture, store
 from octex.source.surface import Surface
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 from tests.oracles.naive_filters import halved, reduction
@@ -34,13 +20,13 @@ Floats = npt.NDArray[np.float64]
 UV_UP = SQUARE_UV * [1, -1] + [0, 1]
 
 
-def square(image: npt.NDArray[Any], *, size: tuple[float, float] = (1.0, 1.0), **options: Any) -> Surface:
+def square(image, *, size=(1.0, 1.0), **options):
     """A square of the given size in rest units, with an image."""
     vertices = SQUARE * np.array([*size, 1.0])
     return Surface.from_arrays(vertices, SQUARE_TRIANGLES, uv=UV_UP, image=image, **options)
 
 
-def read(surface: Surface, points: npt.NDArray[np.float64], width: float) -> npt.NDArray[np.float32]:
+def read(surface, points, width):
     """Every channel at points of the unit square or beside it, in parts of its sides, y up."""
     x, y = points[:, 0], points[:, 1]
     barycentric = np.stack([1 - x, x - y, y], axis=1)
@@ -48,7 +34,7 @@ def read(surface: Surface, points: npt.NDArray[np.float64], width: float) -> npt
     return surface.evaluate_all(triangles, barycentric, np.full(len(points), width, np.float32))
 
 
-def levels_of(images: Images, image: int = 0, layout: int = 0) -> list[Floats]:
+def levels_of(images, image=0, layout=0):
     """Each level (height + 2, width + 2, 4) of an image with its rim, decoded: light or fractions."""
     first, across, down = images.layouts[layout].tolist()
     count = across if across == down and len(images.levels) < across * down else across * down
@@ -70,12 +56,12 @@ def levels_of(images: Images, image: int = 0, layout: int = 0) -> list[Floats]:
     return found
 
 
-def around(values: Floats) -> Floats:
+def around(values):
     """An image with its border's texels once more around it."""
     return np.pad(values, ((1, 1), (1, 1), (0, 0)), mode="edge")
 
 
-def shares(size: int, smaller: int) -> Floats:
+def shares(size, smaller):
     """The reduction of a row with its rim, which stays."""
     both = np.zeros((smaller + 2, size + 2))
     both[0, 0] = both[-1, -1] = 1
@@ -83,7 +69,7 @@ def shares(size: int, smaller: int) -> Floats:
     return both
 
 
-def reduced(values: Floats, height: int, width: int, covered: bool) -> Floats:
+def reduced(values, height, width, covered):
     """A level with its rim reduced to a size: area means, colours weighed by alpha if ``covered``."""
     across, down = shares(values.shape[1] - 2, width), shares(values.shape[0] - 2, height)
     if not covered:
@@ -94,7 +80,7 @@ def reduced(values: Floats, height: int, width: int, covered: bool) -> Floats:
 
 
 @st.composite
-def pictures(draw: st.DrawFn) -> Picture:
+def pictures(draw):
     """Images of any size, of every kind; half of them hold how much they cover."""
     height, width = draw(st.integers(1, 9)), draw(st.integers(1, 9))
     texels: npt.NDArray[Any] = random_image(height, width, 4, "uint16", draw(st.integers(0, 99)))
@@ -105,7 +91,7 @@ def pictures(draw: st.DrawFn) -> Picture:
     return Picture(texels, kind == SRGB, draw(st.booleans()))
 
 
-def decoded(picture: Picture) -> Floats:
+def decoded(picture):
     values = np.asarray(picture.texels, float) / (1 if picture.texels.dtype == np.float32 else 65535)
     if picture.is_light and picture.texels.dtype != np.float32:
         values[..., :3] = srgb_to_linear(values[..., :3])
@@ -113,7 +99,7 @@ def decoded(picture: Picture) -> Floats:
 
 
 @given(pictures())
-def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(picture: Picture) -> None:
+def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(picture):
     height, width = picture.texels.shape[:2]
     levels = levels_of(store([picture], MIPS)[0])
     expected = around(decoded(picture))
@@ -127,7 +113,7 @@ def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(picture: Pict
 
 
 @given(pictures())
-def test_a_ripmap_has_every_width_with_every_height(picture: Picture) -> None:
+def test_a_ripmap_has_every_width_with_every_height(picture):
     height, width = picture.texels.shape[:2]
     stored = store([picture], RIPS)[0]
     sizes = list(product(halved(height), halved(width)))
@@ -144,9 +130,7 @@ def test_a_ripmap_has_every_width_with_every_height(picture: Picture) -> None:
 
 
 @given(pictures(), st.sampled_from([-1.0, 0.4, np.inf]))
-def test_a_summed_area_table_holds_the_sums_of_all_texels_above_and_left(
-    picture: Picture, threshold: float
-) -> None:
+def test_a_summed_area_table_holds_the_sums_of_all_texels_above_and_left(picture, threshold):
     picture = picture._replace(threshold=threshold)
     height, width = picture.texels.shape[:2]
     images = store([picture], AREAS)[0]
@@ -162,7 +146,7 @@ def test_a_summed_area_table_holds_the_sums_of_all_texels_above_and_left(
 
 
 @pytest.mark.parametrize("what", [MIPS, RIPS])
-def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_is(what: int) -> None:
+def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_is(what):
     texels = random_image(7, 6, 4, "uint16")
     threshold = 0.6
     levels = levels_of(store([Picture(texels, True, True, threshold)], what)[0])
@@ -176,7 +160,7 @@ def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_i
     np.testing.assert_allclose(levels[1][seen], expected[seen], atol=1e-4)
 
 
-def test_averages_are_of_light_and_not_of_codes() -> None:
+def test_averages_are_of_light_and_not_of_codes():
     checker = np.array([[[0] * 3, [255] * 3]], np.uint8)
     half = levels_of(store([Picture(as_texels(checker), True)], MIPS)[0])[1][1, 1, 0]
     assert round(float(linear_to_srgb(half)) * 255) == 188
@@ -184,7 +168,7 @@ def test_averages_are_of_light_and_not_of_codes() -> None:
     assert abs(fraction - 0.5) < 1e-5
 
 
-def test_beyond_a_border_lies_the_border_and_nothing_of_the_inside() -> None:
+def test_beyond_a_border_lies_the_border_and_nothing_of_the_inside():
     texels = random_image(8, 8, 4, "uint16")
     for level in levels_of(store([Picture(texels, False)], MIPS)[0]):
         rows = texels[:, 0].reshape(len(level) - 2, -1, 4).mean(axis=1) / 65535
@@ -193,7 +177,7 @@ def test_beyond_a_border_lies_the_border_and_nothing_of_the_inside() -> None:
         np.testing.assert_allclose(level[-1, -1], texels[-1, -1] / 65535, atol=1e-6)
 
 
-def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other() -> None:
+def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other():
     small, large = random_image(2, 3, 4, "uint16"), random_image(4, 4, 4, "uint16")
     light = random_image(2, 3, 4).astype(np.float32)
     given = [
@@ -220,14 +204,14 @@ def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other() -> None
     assert [word >> 16 * lane & 65535 for lane in range(4)] == small[0, 0].tolist()
 
 
-def test_without_images_nothing_is_stored() -> None:
+def test_without_images_nothing_is_stored():
     for what in (WHOLE, MIPS, RIPS, AREAS):
         stored = store([], what)
         assert stored[1] == []
         assert [len(part) for part in stored[0][:-1]] == [0] * 8
 
 
-def test_a_long_footprint_does_not_blur_across() -> None:
+def test_a_long_footprint_does_not_blur_across():
     # Stripes of one texel along u: a footprint 8 texels along u must leave rows apart.
     rows = np.repeat(np.array([0, 255] * 8, np.uint8)[:, None, None], 16, axis=1).repeat(3, axis=2)
     centres = np.stack([np.full(16, 0.4), (np.arange(16) + 0.5) / 16], axis=1)
@@ -238,7 +222,7 @@ def test_a_long_footprint_does_not_blur_across() -> None:
     np.testing.assert_allclose(values, np.arange(16) % 2 == 0, atol=0.2)
 
 
-def test_small_footprints_approach_points() -> None:
+def test_small_footprints_approach_points():
     points = np.random.default_rng(0).random((100, 2))
     for filter in ("trilinear", "ripmap", "ewa"):
         for mag_filter in ("linear", "nearest"):
@@ -246,14 +230,14 @@ def test_small_footprints_approach_points() -> None:
             np.testing.assert_allclose(read(surface, points, 1e-5), read(surface, points, 0), atol=2e-3)
 
 
-def test_widths_are_measured_on_rest_positions() -> None:
+def test_widths_are_measured_on_rest_positions():
     plain = square(random_image(32, 32))
     points = np.random.default_rng(0).random((50, 2))
     larger = plain.with_rest(plain.vertices * 10)
     np.testing.assert_allclose(read(larger, points, 1.0), read(plain, points, 0.1), atol=1e-6)
 
 
-def test_turning_the_model_changes_no_footprint() -> None:
+def test_turning_the_model_changes_no_footprint():
     plain = square(random_image(32, 32), size=(1.0, 3.0))
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     turned = plain.with_rest(plain.vertices @ turn.T + 5)
@@ -261,7 +245,7 @@ def test_turning_the_model_changes_no_footprint() -> None:
     np.testing.assert_allclose(read(turned, points, 0.2), read(plain, points, 0.2), atol=1e-4)
 
 
-def test_triangles_without_area_are_read_at_the_point() -> None:
+def test_triangles_without_area_are_read_at_the_point():
     plain = square(random_image(8, 8))
     points = np.random.default_rng(0).random((20, 2))
     for rest in (plain.vertices * 0, plain.vertices * [1, 0, 0], plain.vertices[[0, 0, 2, 3]]):
@@ -269,14 +253,14 @@ def test_triangles_without_area_are_read_at_the_point() -> None:
         np.testing.assert_array_equal(read(flat, points, 0.3), read(plain, points, 0.0))
 
 
-def test_coordinates_without_spread_are_read_at_the_point() -> None:
+def test_coordinates_without_spread_are_read_at_the_point():
     surface = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, uv=np.full((4, 2), 0.3), image=random_image(8, 8))
     points = np.random.default_rng(0).random((20, 2))
     np.testing.assert_array_equal(read(surface, points, 0.3), read(surface, points, 0.0))
 
 
 @pytest.mark.parametrize("wrap", ["repeat", "mirror", "clamp"])
-def test_far_coordinates_stay_inside_the_image(wrap: str) -> None:
+def test_far_coordinates_stay_inside_the_image(wrap):
     image = np.full((3, 5, 3), 77, np.uint8)
     for far in (1e6, 1e15, 1e30, -1e30):
         surface = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, uv=UV_UP * far, image=image, wrap=wrap)

@@ -1,18 +1,13 @@
 """Subdivision surfaces: their levels, their limits, and what they take along of a cage."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 import octex
 from octex.errors import ArgumentError, ModelError
 from octex.source.corners import Polygons
-from octex.source.subdivision import Scheme, base_level, divided, limits
+from octex.source.subdivision import base_level, divided, limits
 from tests.conftest import needs_jit
-from tests.make.command import Cli
 from tests.oracles.naive_subdivision import base, next_level
 
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
@@ -22,7 +17,7 @@ MIXED = [(0, 1, 2), (0, 2, 3, 4), (0, 4, 5, 6, 7), (7, 6, 8), (1, 0, 7, 9)]
 TRIANGLES = [(a, b, c) for q in QUADS for a, b, c in ((q[0], q[1], q[2]), (q[0], q[2], q[3]))]
 
 
-def level_of(points: np.ndarray, faces: list, creases: dict | None = None, spikes: dict | None = None):
+def level_of(points, faces, creases=None, spikes=None):
     creases, spikes = creases or {}, spikes or {}
     corners = np.concatenate([np.array(each) for each in faces]).astype(np.int64)
     sizes = np.array([len(each) for each in faces], np.int64)
@@ -34,7 +29,7 @@ def level_of(points: np.ndarray, faces: list, creases: dict | None = None, spike
     )  # fmt: skip
 
 
-def cage_of(points: np.ndarray, faces: list) -> octex.Surface:
+def cage_of(points, faces):
     """A surface of polygons cut into fans."""
     triangles, numbers, corners = [], [], []
     for number, face in enumerate(faces):
@@ -51,7 +46,7 @@ def cage_of(points: np.ndarray, faces: list) -> octex.Surface:
 
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize("scheme", ["catmull-clark", "loop"])
-def test_levels_are_the_naive_ones(scheme: Scheme, seed: int) -> None:
+def test_levels_are_the_naive_ones(scheme, seed):
     random = np.random.default_rng(seed)
     if seed % 2:
         faces, count = (TRIANGLES if scheme == "loop" else QUADS), 8
@@ -74,7 +69,7 @@ def test_levels_are_the_naive_ones(scheme: Scheme, seed: int) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["catmull-clark", "loop"])
-def test_a_limit_is_the_same_from_every_level(scheme: Scheme) -> None:
+def test_a_limit_is_the_same_from_every_level(scheme):
     random = np.random.default_rng(3)
     faces = TRIANGLES if scheme == "loop" else QUADS
     # A line for good, one that fades, and one that ends: a dart.
@@ -89,7 +84,7 @@ def test_a_limit_is_the_same_from_every_level(scheme: Scheme) -> None:
     np.testing.assert_allclose(level.values[:count], first, atol=2e-3)
 
 
-def spline(t: float) -> dict[int, float]:
+def spline(t):
     """The uniform cubic B-spline's weights of control points around t."""
     k = int(np.floor(t))
     u = t - k
@@ -97,11 +92,11 @@ def spline(t: float) -> dict[int, float]:
     return {k + j - 1: w / 6 for j, w in enumerate(weights)}
 
 
-def test_regular_faces_are_bicubic_b_splines() -> None:
+def test_regular_faces_are_bicubic_b_splines():
     n = 5
     values = np.random.default_rng(0).normal(size=(n, n, 3))
 
-    def number(i: int, j: int) -> int:
+    def number(i, j):
         return (i % n) * n + j % n
 
     faces = [
@@ -123,7 +118,7 @@ def test_regular_faces_are_bicubic_b_splines() -> None:
 
 
 @pytest.mark.parametrize("n", [3, 5, 6, 9])
-def test_limits_at_extraordinary_vertices_are_left_eigenvectors(n: int) -> None:
+def test_limits_at_extraordinary_vertices_are_left_eigenvectors(n):
     ring = np.arange(n)
     for scheme in ("catmull-clark", "loop"):
         size = 2 * n + 1 if scheme == "catmull-clark" else n + 1
@@ -149,12 +144,12 @@ def test_limits_at_extraordinary_vertices_are_left_eigenvectors(n: int) -> None:
         eigenvalues, vectors = np.linalg.eig(matrix.T)
         left = vectors[:, np.argmin(np.abs(eigenvalues - 1))].real
         points = np.random.default_rng(n).normal(size=(size, 3))
-        found = limits(level_of(points, faces), scheme)[0]  # type: ignore[arg-type]
+        found = limits(level_of(points, faces), scheme)[0]
         np.testing.assert_allclose(found, left @ points / left.sum(), atol=1e-9)
 
 
 @pytest.mark.parametrize("faces", [QUADS, [f for f in QUADS if 7 not in f], TRIANGLES, MIXED])
-def test_hull_coordinates_lie_on_the_cage_and_take_its_source_along(faces: list) -> None:
+def test_hull_coordinates_lie_on_the_cage_and_take_its_source_along(faces):
     points = CUBE if faces is not MIXED else np.random.default_rng(1).normal(size=(10, 3))
     if faces is MIXED:
         points[:, 2] = 0  # pentagons that are flat
@@ -175,7 +170,7 @@ def test_hull_coordinates_lie_on_the_cage_and_take_its_source_along(faces: list)
     assert len(near)
 
 
-def nearest(cage: octex.Surface, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def nearest(cage, points):
     """The triangle nearest to each point, where on it, and how far, one by one."""
     best = np.full(len(points), np.inf)
     place, number = points.copy(), np.zeros(len(points), int)
@@ -191,7 +186,7 @@ def nearest(cage: octex.Surface, points: np.ndarray) -> tuple[np.ndarray, np.nda
     return number, place, best
 
 
-def test_texture_coordinates_go_along_linearly(tmp_path: Path) -> None:
+def test_texture_coordinates_go_along_linearly(tmp_path):
     lines = [f"v {x} {y} {z}" for x, y, z in CUBE] + [f"vt {0.2 * n} {n % 3}" for n in range(5)]
     lines += [f"f {' '.join(f'{v + 1}/{(v + k) % 5 + 1}' for k, v in enumerate(q))}" for q in QUADS]
     (tmp_path / "a.obj").write_text("\n".join(lines))
@@ -207,7 +202,7 @@ def test_texture_coordinates_go_along_linearly(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, cage.uv.at(number, shares), atol=1e-5)
 
 
-def test_a_posed_cage_keeps_its_own_rest_positions() -> None:
+def test_a_posed_cage_keeps_its_own_rest_positions():
     cage = cage_of(CUBE, QUADS)
     posed = octex.Surface(
         2 * CUBE, cage.triangles, cage.source, rest=CUBE, polygons=cage.polygons, name="posed"
@@ -217,7 +212,7 @@ def test_a_posed_cage_keeps_its_own_rest_positions() -> None:
     np.testing.assert_allclose(limit.vertices, 2 * limit.rest, atol=1e-12)
 
 
-def test_creases_come_from_tags_and_may_be_given(tmp_path: Path) -> None:
+def test_creases_come_from_tags_and_may_be_given(tmp_path):
     lines = [f"v {x} {y} {z}" for x, y, z in CUBE] + [f"f {' '.join(str(v + 1) for v in q)}" for q in QUADS]
     tags = ["t crease 2/1/0 0 1 2.5", "t interpolateboundary 1/0/0 2", "t corner 1/1/0 7 10.0"]
     path = tmp_path / "a.obj"
@@ -252,7 +247,7 @@ def test_creases_come_from_tags_and_may_be_given(tmp_path: Path) -> None:
             octex.load_surface(path)
 
 
-def test_what_cannot_be_subdivided_is_refused() -> None:
+def test_what_cannot_be_subdivided_is_refused():
     cage = cage_of(CUBE, QUADS)
     for arguments, message in (
         ({"levels": 0}, "levels must be a whole number from 1 to 10"),
@@ -261,9 +256,9 @@ def test_what_cannot_be_subdivided_is_refused() -> None:
         ({"levels": 1, "creases": [1]}, "creases must be"),
     ):
         with pytest.raises(ArgumentError, match=message):
-            octex.subdivide(cage, **arguments)  # type: ignore[arg-type]
+            octex.subdivide(cage, **arguments)
     with pytest.raises(ArgumentError, match=r"mesh must be an octex\.Surface"):
-        octex.subdivide(CUBE, 1)  # type: ignore[type-var]
+        octex.subdivide(CUBE, 1)
     with pytest.raises(ModelError, match="which Loop's scheme does not support"):
         octex.subdivide(cage, 1, scheme="loop")
     wide = octex.Surface.from_arrays(np.eye(3), np.tile([[0, 1, 2]], (1000, 1)))
@@ -271,15 +266,15 @@ def test_what_cannot_be_subdivided_is_refused() -> None:
         octex.subdivide(wide, 10)
     nothing = np.empty(0)
     for edges in ([[0, 9]], [[0, -1]], [[0, 0.5]], [[0]]):
-        wrong = octex.Creases(np.array(edges), np.ones(1), nothing, nothing)  # type: ignore[arg-type]
+        wrong = octex.Creases(np.array(edges), np.ones(1), nothing, nothing)
         with pytest.raises(ArgumentError, match=r"creases"):
             octex.subdivide(cage, 1, creases=wrong)
-    spiky = octex.Creases(np.empty((0, 2)), nothing, np.array([3]), np.array([np.nan]))  # type: ignore[arg-type]
+    spiky = octex.Creases(np.empty((0, 2)), nothing, np.array([3]), np.array([np.nan]))
     with pytest.raises(ArgumentError, match="sharpness of vertices"):
         octex.subdivide(cage, 1, creases=spiky)
 
 
-def test_levels_are_those_of_opensubdiv(models: Path) -> None:
+def test_levels_are_those_of_opensubdiv(models):
     folder = models / "opensubdiv-cages"
     cage = octex.load_surface(folder / "obj" / "catmark_cube_creases0.obj")
     reference = octex.load_surface(folder / "catmark_cube_creases0_level4.obj").vertices
@@ -302,7 +297,7 @@ def test_levels_are_those_of_opensubdiv(models: Path) -> None:
 
 
 @needs_jit
-def test_textures_by_hull_and_by_limit_hold_the_same() -> None:
+def test_textures_by_hull_and_by_limit_hold_the_same():
     cage = cage_of(CUBE, QUADS)
     hull, limit = (octex.subdivide(cage, 4, rest=rest) for rest in ("hull", "limit"))
     by_hull, by_limit = (octex.convert(each, cell=0.04) for each in (hull, limit))
@@ -315,7 +310,7 @@ def test_textures_by_hull_and_by_limit_hold_the_same() -> None:
     assert 255 * np.sqrt((difference**2).mean()) < 1
 
 
-def test_subdiv_levels_is_an_option(tmp_path: Path, cli: Cli) -> None:
+def test_subdiv_levels_is_an_option(tmp_path, cli):
     path = tmp_path / "a.obj"
     lines = [f"v {x} {y} {z}" for x, y, z in CUBE] + [f"f {' '.join(str(v + 1) for v in q)}" for q in QUADS]
     path.write_text("\n".join(lines))

@@ -1,9 +1,6 @@
 """Surfaces from arrays: samples, values, errors."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -25,11 +22,11 @@ CUBE_TRIANGLES = np.array(
 )  # fmt: skip
 
 
-def square(**options: Any) -> Surface:
+def square(**options):
     return Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, **options)
 
 
-def test_samples_lie_on_their_triangles() -> None:
+def test_samples_lie_on_their_triangles():
     surface = Surface.from_arrays(CUBE, CUBE_TRIANGLES)
     samples = surface.scatter(500)
     corners = surface.vertices[surface.triangles[samples.triangles]]
@@ -43,7 +40,7 @@ def test_samples_lie_on_their_triangles() -> None:
     np.testing.assert_array_equal(samples.rest, samples.points)
 
 
-def test_shading_normals_are_given_by_vertex_or_by_corner() -> None:
+def test_shading_normals_are_given_by_vertex_or_by_corner():
     by_vertex = CUBE - 0.5
     by_corner = 3.0 * by_vertex[CUBE_TRIANGLES]
     barycentric = np.full((len(CUBE_TRIANGLES), 3), 1 / 3)
@@ -58,7 +55,7 @@ def test_shading_normals_are_given_by_vertex_or_by_corner() -> None:
         Surface.from_arrays(CUBE, CUBE_TRIANGLES, normals=np.zeros((8, 3)))
 
 
-def test_samples_are_uniform_by_posed_area() -> None:
+def test_samples_are_uniform_by_posed_area():
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [0, 3, 5]], float)
     rest = vertices * [1, 1, 0] + [0, 0, 7]
     surface = Surface.from_arrays(vertices, [[0, 1, 2], [3, 4, 5]], rest=rest)
@@ -70,37 +67,37 @@ def test_samples_are_uniform_by_posed_area() -> None:
     np.testing.assert_allclose(samples.rest[:, 2], 7)
 
 
-def test_the_same_seed_gives_the_same_samples() -> None:
+def test_the_same_seed_gives_the_same_samples():
     first, again, other = square().scatter(10, 3), square().scatter(10, 3), square().scatter(10, 4)
     np.testing.assert_array_equal(first.points, again.points)
     assert (first.points != other.points).any()
 
 
-def test_no_samples_are_an_empty_batch() -> None:
+def test_no_samples_are_an_empty_batch():
     samples = square().scatter(0)
     assert samples.points.shape == (0, 3)
     assert square().evaluate(samples).shape == (0, 3)
 
 
-def test_triangles_without_area_get_no_samples() -> None:
+def test_triangles_without_area_get_no_samples():
     surface = Surface.from_arrays(SQUARE, [[0, 0, 1], [0, 1, 2], [2, 2, 2]])
     assert set(surface.scatter(100).triangles) == {1}
     with pytest.raises(ModelError, match="dot: all triangles are degenerate"):
         Surface.from_arrays(SQUARE, [[0, 0, 1]], name="dot").scatter(1)
 
 
-def test_bounds_are_those_of_the_rest_positions_in_use() -> None:
+def test_bounds_are_those_of_the_rest_positions_in_use():
     vertices = np.append(SQUARE, [[100, 100, 100]], axis=0)
     surface = Surface.from_arrays(vertices, SQUARE_TRIANGLES, rest=vertices * 2 + 1)
     np.testing.assert_allclose(surface.bounds, [[1, 1, 1], [3, 3, 1]])
 
 
-def test_a_plain_surface_is_white() -> None:
+def test_a_plain_surface_is_white():
     assert (square().evaluate(square().scatter(10)) == 1).all()
     assert [channel.name for channel in square().channels] == ["base_color"]
 
 
-def test_colours_of_vertices_are_interpolated_in_linear_light() -> None:
+def test_colours_of_vertices_are_interpolated_in_linear_light():
     codes = np.array([[0, 0, 0], [255, 255, 255], [255, 0, 0], [0, 0, 128]], np.uint8)
     surface = square(colors=codes, factor=(1, 1, 0.5))
     samples = surface.scatter(50)
@@ -113,14 +110,14 @@ def test_colours_of_vertices_are_interpolated_in_linear_light() -> None:
     np.testing.assert_allclose(light.evaluate(samples), expected, atol=1e-6)
 
 
-def test_colours_of_faces_are_constant_over_each() -> None:
+def test_colours_of_faces_are_constant_over_each():
     colors = np.array([[1.0, 0, 0], [0, 0.5, 1]])
     surface = square(face_colors=colors)
     samples = surface.scatter(50)
     np.testing.assert_allclose(surface.evaluate(samples), colors[samples.triangles])
 
 
-def test_alpha_below_1_makes_a_channel() -> None:
+def test_alpha_below_1_makes_a_channel():
     colors = np.array([[1, 1, 1, 0.0], [1, 1, 1, 1], [1, 1, 1, 1], [1, 1, 1, 0]])
     surface = square(colors=colors)
     assert [channel.name for channel in surface.channels] == ["base_color", "alpha"]
@@ -133,7 +130,7 @@ def test_alpha_below_1_makes_a_channel() -> None:
     np.testing.assert_array_equal(masked.evaluate(samples, "alpha")[:, 0], samples.points[:, 0] >= 0.25)
 
 
-def test_coordinates_have_v_up_and_may_be_given_by_corner() -> None:
+def test_coordinates_have_v_up_and_may_be_given_by_corner():
     image = np.array([[[255] * 3, [255] * 3], [[0] * 3, [0] * 3]], np.uint8)
     by_vertex = SQUARE[:, :2]
     for uv in (by_vertex, by_vertex[SQUARE_TRIANGLES]):
@@ -142,13 +139,13 @@ def test_coordinates_have_v_up_and_may_be_given_by_corner() -> None:
         np.testing.assert_array_equal(surface.evaluate(samples)[:, 0] == 1, samples.points[:, 1] > 0.5)
 
 
-def test_images_of_pillow_are_taken() -> None:
+def test_images_of_pillow_are_taken():
     image = PIL.Image.new("RGB", (2, 2), (255, 0, 0))
     surface = square(uv=SQUARE_UV, image=image)
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), [[1, 0, 0]] * 5)
 
 
-def test_images_of_floats_are_light_of_any_size() -> None:
+def test_images_of_floats_are_light_of_any_size():
     light = np.random.default_rng(0).random((4, 4, 3)).astype(np.float32) * 8
     surface = square(uv=SQUARE_UV, image=light, factor=(0.5, 0.5, 0.5))
     [form] = surface.channels
@@ -158,7 +155,7 @@ def test_images_of_floats_are_light_of_any_size() -> None:
     assert 1 < values.max() <= light.max() / 2
 
 
-def test_coordinates_are_kept_with_v_down_without_an_image_too() -> None:
+def test_coordinates_are_kept_with_v_down_without_an_image_too():
     surface = square(uv=SQUARE_UV)
     assert surface.uv is not None
     np.testing.assert_allclose(surface.uv.values, SQUARE_UV * [1, -1] + [0, 1])
@@ -168,7 +165,7 @@ def test_coordinates_are_kept_with_v_down_without_an_image_too() -> None:
     assert square().uv is None
 
 
-def test_some_channels_alone_are_those_values() -> None:
+def test_some_channels_alone_are_those_values():
     surface = square(uv=SQUARE_UV, image=random_image(4, 4, 4))
     samples = surface.scatter(30)
     for name in ("base_color", "alpha"):
@@ -186,7 +183,7 @@ def test_some_channels_alone_are_those_values() -> None:
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_images_are_read_by_the_filter_asked_for(filter: str) -> None:
+def test_images_are_read_by_the_filter_asked_for(filter):
     usual = square(uv=SQUARE_UV, image=random_image(8, 8))
     asked = square(uv=SQUARE_UV, image=random_image(8, 8), filter=filter)
     samples = usual.scatter(30)
@@ -197,7 +194,7 @@ def test_images_are_read_by_the_filter_asked_for(filter: str) -> None:
         usual.with_filter("sharp")
 
 
-def test_what_is_derived_from_a_surface_keeps_a_provenance_of_its_own() -> None:
+def test_what_is_derived_from_a_surface_keeps_a_provenance_of_its_own():
     surface = square(uv=SQUARE_UV, image=random_image(4, 4, 4))
     surface.provenance["source"] = "quad.glb"
     derived = [
@@ -212,7 +209,7 @@ def test_what_is_derived_from_a_surface_keeps_a_provenance_of_its_own() -> None:
     assert surface.provenance == {"source": "quad.glb"}
 
 
-def test_shading_normals_are_kept_and_follow_the_rest_mesh() -> None:
+def test_shading_normals_are_kept_and_follow_the_rest_mesh():
     triangles = SQUARE_TRIANGLES.astype(np.int32)
     normals = Corners(np.tile(np.float32([0, 0.6, 0.8]), (4, 1)), triangles)
     tangents = Corners(np.tile(np.float32([1, 0, 0, 1]), (4, 1)), triangles)
@@ -227,7 +224,7 @@ def test_shading_normals_are_kept_and_follow_the_rest_mesh() -> None:
     assert plain.frames is None
 
 
-def test_samples_keep_their_values_at_other_rest_positions() -> None:
+def test_samples_keep_their_values_at_other_rest_positions():
     surface = square(uv=SQUARE_UV, image=random_image(4, 4), name="quad")
     surface.provenance["source"] = "quad.glb"
     shift = np.array([5.0, 0, 0])
@@ -239,7 +236,7 @@ def test_samples_keep_their_values_at_other_rest_positions() -> None:
     assert (moved.name, moved.provenance) == ("quad", {"source": "quad.glb"})
 
 
-def test_a_pose_moves_vertices_and_normals_and_no_rest_or_values() -> None:
+def test_a_pose_moves_vertices_and_normals_and_no_rest_or_values():
     triangles, plain = SQUARE_TRIANGLES.astype(np.int32), square(uv=SQUARE_UV, image=random_image(4, 4))
     normals = Corners(np.tile(np.float32([0, 0.6, 0.8]), (4, 1)), triangles)
     tangents = Corners(np.tile(np.float32([1, 0, 0, 1]), (4, 1)), triangles)
@@ -259,7 +256,7 @@ def test_a_pose_moves_vertices_and_normals_and_no_rest_or_values() -> None:
 
 
 @given(st.integers(0, 40), st.floats(0, 1))
-def test_each_channel_is_its_columns_of_all(count: int, width: float) -> None:
+def test_each_channel_is_its_columns_of_all(count, width):
     surface = square(uv=SQUARE_UV, image=random_image(4, 4, 4))
     samples = surface.scatter(count)
     values = surface.evaluate_all(samples.triangles, samples.barycentric, np.full(count, width, np.float32))
@@ -268,12 +265,12 @@ def test_each_channel_is_its_columns_of_all(count: int, width: float) -> None:
     assert values.dtype == np.float32
 
 
-def test_threads_give_the_same_values() -> None:
+def test_threads_give_the_same_values():
     surface = square(uv=SQUARE_UV * 3, image=random_image(16, 16))
     samples = surface.scatter(4000)
     widths = np.full(500, 0.1, np.float32)
 
-    def part(start: int) -> np.ndarray:
+    def part(start):
         at = slice(start, start + 500)
         return surface.evaluate_all(samples.triangles[at], samples.barycentric[at], widths)
 
@@ -295,7 +292,7 @@ def test_threads_give_the_same_values() -> None:
         (np.float64(SQUARE) * 1e80, SQUARE_TRIANGLES, "not all finite"),
     ],
 )
-def test_broken_geometry_is_refused(vertices: Any, triangles: Any, message: str) -> None:
+def test_broken_geometry_is_refused(vertices, triangles, message):
     with pytest.raises(ModelError, match=message):
         Surface.from_arrays(np.asarray(vertices, float), triangles, name="thing")
 
@@ -326,20 +323,18 @@ def test_broken_geometry_is_refused(vertices: Any, triangles: Any, message: str)
         ({"factor": (1, 1)}, ArgumentError, "factor must be finite numbers of shape"),
     ],
 )
-def test_what_does_not_fit_the_surface_is_refused(
-    options: dict[str, Any], error: type[Exception], message: str
-) -> None:
+def test_what_does_not_fit_the_surface_is_refused(options, error, message):
     with pytest.raises(error, match=message):
         square(**options)
 
 
-def test_coordinates_that_no_texture_uses_may_be_anything() -> None:
+def test_coordinates_that_no_texture_uses_may_be_anything():
     surface = square(uv=np.full((4, 2), np.nan), factor=(0.2, 0.5, 0.8, 1.0))
     samples = surface.scatter(20)
     np.testing.assert_allclose(surface.evaluate(samples), [(0.2, 0.5, 0.8)] * 20, atol=1e-6)
 
 
-def test_lookups_of_what_is_not_there_are_refused() -> None:
+def test_lookups_of_what_is_not_there_are_refused():
     surface = square()
     samples = surface.scatter(3)
     with pytest.raises(ArgumentError, match="unknown channel 'metal'; there are: base_color"):
@@ -359,7 +354,7 @@ def test_lookups_of_what_is_not_there_are_refused() -> None:
 
 
 @pytest.mark.parametrize("size", [1e-10, 1e29])
-def test_surfaces_may_be_tiny_and_huge(size: float) -> None:
+def test_surfaces_may_be_tiny_and_huge(size):
     image = random_image(8, 8)
     usual = square(image=image, uv=SQUARE_UV)
     scaled = Surface.from_arrays(SQUARE * size, SQUARE_TRIANGLES, image=image, uv=SQUARE_UV)
@@ -371,22 +366,22 @@ def test_surfaces_may_be_tiny_and_huge(size: float) -> None:
         Surface.from_arrays(SQUARE * 1e31, SQUARE_TRIANGLES)
 
 
-def test_a_sample_is_a_point_a_rest_position_a_normal_and_a_place() -> None:
+def test_a_sample_is_a_point_a_rest_position_a_normal_and_a_place():
     assert SurfaceSamples._fields == ("points", "rest", "normals", "triangles", "barycentric", "rest_normals")
 
 
-def test_a_surface_introduces_itself() -> None:
+def test_a_surface_introduces_itself():
     surface = Surface.from_arrays(np.eye(3), np.array([[0, 1, 2]], np.int32), name="corner")
     assert repr(surface) == "<Surface 'corner' of 1 triangles with base_color>"
 
 
-def test_a_negative_number_of_points_is_refused() -> None:
+def test_a_negative_number_of_points_is_refused():
     surface = Surface.from_arrays(np.eye(3), np.array([[0, 1, 2]], np.int32))
     with pytest.raises(ArgumentError, match="must be a whole number from 0 to 4294967296, not -1"):
         surface.scatter(-1)
 
 
-def test_points_of_a_posed_surface_come_with_the_normals_of_its_rest_triangles() -> None:
+def test_points_of_a_posed_surface_come_with_the_normals_of_its_rest_triangles():
     standing = np.array(SQUARE) @ [[1.0, 0, 0], [0, 0, 1], [0, 1, 0]]
     flat = square().scatter(20)
     np.testing.assert_array_equal(flat.rest_normals, flat.normals)

@@ -1,14 +1,11 @@
 """Tangents against MikkTSpace in plain Python, and where geometry says what they must be."""
 
-from __future__ import annotations
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.source.corners import Corners, Frames
+from octex.source.corners import Corners
 from octex.source.tangents import carried, corner_frames, transformed
 from tests.conftest import needs_jit
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV
@@ -18,11 +15,7 @@ SQUARE_ROWS = SQUARE_TRIANGLES.astype(np.int32)
 UP = np.array([[0, 0, 1]] * 4, np.float32)
 
 
-def square(
-    uv: npt.NDArray[np.float32] = SQUARE_UV,
-    normals: npt.NDArray[np.float32] | None = UP,
-    tangents: npt.NDArray[np.float32] | None = None,
-) -> Frames:
+def square(uv=SQUARE_UV, normals=UP, tangents=None):
     return corner_frames(
         SQUARE.astype(np.float64),
         SQUARE_ROWS,
@@ -32,11 +25,11 @@ def square(
     )
 
 
-def at_corners(corners: Corners) -> npt.NDArray[np.float32]:
+def at_corners(corners):
     return corners.values[corners.rows]
 
 
-def assert_sound(frames: Frames, count: int) -> None:
+def assert_sound(frames, count):
     """Every corner has unit vectors at right angles, and a handedness."""
     normals, tangents = at_corners(frames.normals), at_corners(frames.tangents)
     assert normals.shape == (count, 3, 3) and tangents.shape == (count, 3, 4)
@@ -47,7 +40,7 @@ def assert_sound(frames: Frames, count: int) -> None:
     assert set(np.unique(tangents[..., 3])) <= {-1.0, 1.0}
 
 
-def wavy(columns: int, rows: int, seed: int = 0) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]]:
+def wavy(columns, rows, seed=0):
     """A height field with noise; its vertices and triangles."""
     random = np.random.default_rng(seed)
     x, y = (a.ravel() for a in np.meshgrid(np.arange(columns + 1.0), np.arange(rows + 1.0)))
@@ -58,14 +51,14 @@ def wavy(columns: int, rows: int, seed: int = 0) -> tuple[npt.NDArray[np.float64
     return points, np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]]).astype(np.int32)
 
 
-def test_on_a_plane_the_tangent_is_u_and_the_bitangent_runs_against_v() -> None:
+def test_on_a_plane_the_tangent_is_u_and_the_bitangent_runs_against_v():
     frames = square()
     np.testing.assert_allclose(at_corners(frames.normals), np.broadcast_to([0, 0, 1], (2, 3, 3)))
     np.testing.assert_allclose(at_corners(frames.tangents), np.broadcast_to([1, 0, 0, 1], (2, 3, 4)))
 
 
 @pytest.mark.parametrize("turn", [0.3, 2.0, 4.0])
-def test_on_a_plane_the_tangent_turns_with_the_image(turn: float) -> None:
+def test_on_a_plane_the_tangent_turns_with_the_image(turn):
     cos, sin = np.cos(turn), np.sin(turn)
     up = SQUARE_UV * (1, -1) + (0, 1)
     turned = up @ np.array([[cos, -sin], [sin, cos]])
@@ -75,13 +68,13 @@ def test_on_a_plane_the_tangent_turns_with_the_image(turn: float) -> None:
 
 
 @pytest.mark.parametrize(("flip", "tangent"), [((-1, 1), (-1, 0, 0, -1)), ((1, -1), (1, 0, 0, -1))])
-def test_a_mirrored_image_turns_the_handedness(flip: tuple[int, int], tangent: tuple[int, ...]) -> None:
+def test_a_mirrored_image_turns_the_handedness(flip, tangent):
     np.testing.assert_allclose(
         at_corners(square(SQUARE_UV * flip).tangents), np.broadcast_to(tangent, (2, 3, 4))
     )
 
 
-def test_on_a_cylinder_tangents_run_around_it() -> None:
+def test_on_a_cylinder_tangents_run_around_it():
     count = 24
     angles = np.linspace(0, 2 * np.pi, count + 1)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -99,7 +92,7 @@ def test_on_a_cylinder_tangents_run_around_it() -> None:
     np.testing.assert_allclose(found, around[triangles][inner[triangles]], atol=1e-5)
 
 
-def test_triangles_on_both_sides_of_a_mirror_line_keep_their_own_tangents() -> None:
+def test_triangles_on_both_sides_of_a_mirror_line_keep_their_own_tangents():
     # Two squares side by side; u runs towards the middle from both sides.
     points = np.array([[x, y, 0] for y in (0, 1) for x in (-1, 0, 1)], float)
     uv = np.array([[1 - abs(x), 1 - y] for x, y, _ in points], np.float32)
@@ -113,7 +106,7 @@ def test_triangles_on_both_sides_of_a_mirror_line_keep_their_own_tangents() -> N
 
 
 @given(seed=st.integers(0, 10**6), tie=st.booleans())
-def test_random_meshes_agree_with_the_naive_version(seed: int, tie: bool) -> None:
+def test_random_meshes_agree_with_the_naive_version(seed, tie):
     random = np.random.default_rng(seed)
     points = random.integers(-2, 3, (7, 3)).astype(np.float64)
     triangles = random.integers(0, 7, (12, 3)).astype(np.int32)
@@ -140,7 +133,7 @@ def test_random_meshes_agree_with_the_naive_version(seed: int, tie: bool) -> Non
                 np.testing.assert_allclose(found[triangle, corner], tangent, atol=1e-4)
 
 
-def test_a_smooth_mesh_agrees_with_the_naive_version_however_its_rows_are_shared() -> None:
+def test_a_smooth_mesh_agrees_with_the_naive_version_however_its_rows_are_shared():
     points, triangles = wavy(6, 4)
     uv = (points[:, :2] * 0.3 + 0.1 * points[:, 2:]).astype(np.float32)
     normals = np.tile(np.float32([0, 0.6, 0.8]), (len(points), 1))
@@ -164,7 +157,7 @@ def test_a_smooth_mesh_agrees_with_the_naive_version_however_its_rows_are_shared
     np.testing.assert_allclose(at_corners(shared.tangents), np.array(expected, float), atol=1e-5)
 
 
-def test_without_normals_triangles_are_flat_and_given_tangents_do_not_count() -> None:
+def test_without_normals_triangles_are_flat_and_given_tangents_do_not_count():
     points, triangles = wavy(2, 2)
     uv = Corners(points[:, :2].astype(np.float32), triangles)
     given_tangents = Corners(np.ones((len(points), 4), np.float32), triangles)
@@ -176,7 +169,7 @@ def test_without_normals_triangles_are_flat_and_given_tangents_do_not_count() ->
     np.testing.assert_allclose(at_corners(frames.normals), np.repeat(crosses[:, None], 3, axis=1), atol=1e-6)
 
 
-def test_given_tangents_are_kept_but_for_their_length() -> None:
+def test_given_tangents_are_kept_but_for_their_length():
     tangents = np.array([[0, 2, 0, -1], [3, 0, 0, 1], [1, 1, 0, 1], [0, -1, 0, -0.5]], np.float32)
     found = square(tangents=tangents).tangents
     half = 0.5**0.5
@@ -185,13 +178,13 @@ def test_given_tangents_are_kept_but_for_their_length() -> None:
     np.testing.assert_array_equal(found.rows, SQUARE_ROWS)
 
 
-def test_without_coordinates_tangents_only_fit_the_normals() -> None:
+def test_without_coordinates_tangents_only_fit_the_normals():
     points, triangles = wavy(3, 3)
     assert_sound(corner_frames(points, triangles, None, None, None), len(triangles))
 
 
 @pytest.mark.parametrize("value", [0.0, np.nan, np.inf])
-def test_what_has_no_direction_takes_one_that_fits(value: float) -> None:
+def test_what_has_no_direction_takes_one_that_fits(value):
     nothing = np.full((4, 4), value, np.float32)
     assert_sound(square(tangents=nothing), 2)
     frames = square(normals=nothing[:, :3], uv=np.full((4, 2), value, np.float32))
@@ -200,11 +193,11 @@ def test_what_has_no_direction_takes_one_that_fits(value: float) -> None:
 
 
 @pytest.mark.parametrize("length", [1e-38, 1e38])
-def test_normals_may_have_any_length(length: float) -> None:
+def test_normals_may_have_any_length(length):
     np.testing.assert_allclose(square(normals=UP * np.float32(length)).normals.values, UP)
 
 
-def test_triangles_without_area_take_the_tangents_of_their_neighbours() -> None:
+def test_triangles_without_area_take_the_tangents_of_their_neighbours():
     points = np.concatenate([SQUARE, [[0.5, 0, 0], [2, 0, 0]]]).astype(np.float64)
     triangles = np.array([[0, 1, 2], [0, 2, 3], [0, 1, 1], [1, 2, 5]], np.int32)
     uv = np.concatenate([SQUARE_UV * (-1, 1), [[0.5, 1], [-1, 0.5]]]).astype(np.float32)  # the last: a line
@@ -217,7 +210,7 @@ def test_triangles_without_area_take_the_tangents_of_their_neighbours() -> None:
     assert (found[3, :, 3] == -1).all()
 
 
-def test_zeros_of_either_sign_meet() -> None:
+def test_zeros_of_either_sign_meet():
     points = SQUARE.astype(np.float64)
     split = np.array([[0, 1, 2], [4, 2, 3]], np.int32)
     points = np.concatenate([points, [[-0.0, -0.0, -0.0]]])
@@ -228,26 +221,26 @@ def test_zeros_of_either_sign_meet() -> None:
     np.testing.assert_array_equal(found[0, 0], found[1, 0])
 
 
-def test_a_mesh_may_be_empty() -> None:
+def test_a_mesh_may_be_empty():
     nothing = np.empty((0, 3), np.int32)
     frames = corner_frames(np.empty((0, 3)), nothing, None, None, Corners(SQUARE_UV, nothing))
     assert_sound(frames, 0)
 
 
 @needs_jit
-def test_many_triangles_have_sound_frames() -> None:
+def test_many_triangles_have_sound_frames():
     points, triangles = wavy(150, 150)
     uv = Corners(points[:, :2].astype(np.float32), triangles)
     assert_sound(corner_frames(points, triangles, None, None, uv), len(triangles))
 
 
-def rotation(seed: int) -> npt.NDArray[np.float64]:
+def rotation(seed):
     q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     q *= np.sign(np.diag(r))
     return q * np.sign(np.linalg.det(q))
 
 
-def leaning(points: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -> Frames:
+def leaning(points, triangles):
     """Frames whose normals are not those of the triangles."""
     normals = np.column_stack([0.3 * np.cos(points[:, 0]), 0.2 * np.sin(points[:, 1]), np.ones(len(points))])
     uv = Corners(points[:, :2].astype(np.float32), triangles)
@@ -255,7 +248,7 @@ def leaning(points: npt.NDArray[np.float64], triangles: npt.NDArray[np.int32]) -
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.01, 40.0])
-def test_frames_turn_with_a_body_that_is_turned_moved_and_scaled(scale: float) -> None:
+def test_frames_turn_with_a_body_that_is_turned_moved_and_scaled(scale):
     points, triangles = wavy(4, 4)
     frames, turn = leaning(points, triangles), rotation(1)
     moved = carried(frames, triangles, points, scale * points @ turn.T + (5, 6, 7))
@@ -266,7 +259,7 @@ def test_frames_turn_with_a_body_that_is_turned_moved_and_scaled(scale: float) -
     np.testing.assert_array_equal(at_corners(moved.tangents)[..., 3], tangents[..., 3])
 
 
-def test_frames_carried_there_and_back_are_the_same() -> None:
+def test_frames_carried_there_and_back_are_the_same():
     points, triangles = wavy(4, 4)
     frames = leaning(points, triangles)
     other = points * (1, 2, 0.5) + 0.3 * np.sin(points[:, ::-1])
@@ -277,7 +270,7 @@ def test_frames_carried_there_and_back_are_the_same() -> None:
     np.testing.assert_allclose(at_corners(back.tangents), at_corners(frames.tangents), atol=1e-4)
 
 
-def test_tangents_in_a_triangle_stay_on_its_stretched_edges() -> None:
+def test_tangents_in_a_triangle_stay_on_its_stretched_edges():
     points, triangles = SQUARE.astype(np.float64), SQUARE_ROWS
     other = points @ np.array([[2, 0, 1], [1, 3, 0], [0, 0, 1]], float)
     diagonal = np.array([[1, 1, 0, 1]] * 4, np.float32)
@@ -287,7 +280,7 @@ def test_tangents_in_a_triangle_stay_on_its_stretched_edges() -> None:
     np.testing.assert_allclose(found, np.broadcast_to(edge / np.linalg.norm(edge), found.shape), atol=1e-6)
 
 
-def test_frames_stay_where_a_triangle_has_no_area() -> None:
+def test_frames_stay_where_a_triangle_has_no_area():
     points, triangles = SQUARE.astype(np.float64), SQUARE_ROWS
     flat = points.copy()
     flat[1] = flat[0]
@@ -298,7 +291,7 @@ def test_frames_stay_where_a_triangle_has_no_area() -> None:
 
 
 @pytest.mark.parametrize("sizes", [(1, 1, 1), (3, 3, 3), (-1, 1, 1), (-2, -2, -2), (2, -2, 2), (0.5, 2, -3)])
-def test_a_transform_takes_the_frames_of_a_body_to_those_of_its_image(sizes: tuple[float, ...]) -> None:
+def test_a_transform_takes_the_frames_of_a_body_to_those_of_its_image(sizes):
     points, triangles = wavy(4, 4)
     matrix = rotation(2) @ np.diag(sizes)
     uv = Corners(points[:, :2].astype(np.float32), triangles)
@@ -313,12 +306,12 @@ def test_a_transform_takes_the_frames_of_a_body_to_those_of_its_image(sizes: tup
 
 
 @pytest.mark.parametrize("linear", [np.zeros((3, 3)), np.diag([0.0, 1.0, 1.0]), np.full((3, 3), np.nan)])
-def test_a_transform_that_leaves_no_direction_leaves_the_old_one(linear: npt.NDArray[np.float64]) -> None:
+def test_a_transform_that_leaves_no_direction_leaves_the_old_one(linear):
     found = transformed(square(), linear)
     for corners in found:
         assert (np.linalg.norm(at_corners(corners)[..., :3], axis=-1) > 0.99).all()
 
 
-def test_a_flattening_transform_keeps_the_normals_of_what_is_flattened() -> None:
+def test_a_flattening_transform_keeps_the_normals_of_what_is_flattened():
     found = transformed(square(), np.diag([2.0, 1.0, 0.0]))
     np.testing.assert_allclose(at_corners(found.normals), np.broadcast_to([0, 0, 1], (2, 3, 3)))

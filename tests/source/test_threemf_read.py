@@ -1,10 +1,7 @@
 """3MF packages as octex reads them: colours, images, components and parts, and what is refused."""
 
-from __future__ import annotations
-
 import io
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import PIL.Image
@@ -18,7 +15,7 @@ from octex.errors import ModelError, ModelWarning
 OWN, BUILD = 'pid="2" pindex="1"', '<build><item objectid="3"/></build>'
 
 
-def package(path: Path, parts: dict[str, str | bytes]) -> Path:
+def package(path, parts):
     """A package of parts; a model's elements are within its root."""
     root = (
         '<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xmlns="{}" xmlns:m="{}" xmlns:p="{}">'
@@ -31,14 +28,14 @@ def package(path: Path, parts: dict[str, str | bytes]) -> Path:
     return path
 
 
-def square(number: int, triangles: str, own: str = "") -> str:
+def square(number, triangles, own=""):
     """An object: a unit square of two triangles."""
     places = "".join(f'<vertex x="{x}" y="{y}" z="0"/>' for x, y in ((0, 0), (1, 0), (1, 1), (0, 1)))
     mesh = f"<mesh><vertices>{places}</vertices><triangles>{triangles}</triangles></mesh>"
     return f'<object id="{number}" {own}>{mesh}</object>'
 
 
-def test_groups_of_colours_and_base_materials_are_read(tmp_path: Path) -> None:
+def test_groups_of_colours_and_base_materials_are_read(tmp_path):
     triangles = (
         '<triangle v1="0" v2="1" v3="2" pid="1" p1="0" p2="1" p3="1"/><triangle v1="0" v2="2" v3="3"/>'
         '<triangle v1="0" v2="2" v3="1" pid="9"/>'
@@ -59,7 +56,7 @@ def test_groups_of_colours_and_base_materials_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-def test_images_lie_where_their_coordinates_say(tmp_path: Path) -> None:
+def test_images_lie_where_their_coordinates_say(tmp_path):
     image = np.zeros((2, 2, 3), np.uint8)
     image[:, :, 0], image[:, :, 1] = [[10, 200], [10, 200]], [[250, 250], [60, 60]]
     data = io.BytesIO()
@@ -84,7 +81,7 @@ def test_images_lie_where_their_coordinates_say(tmp_path: Path) -> None:
     np.testing.assert_allclose(surface.evaluate(samples)[near], expected, atol=0.05)
 
 
-def test_the_build_places_components_of_other_parts_and_mirrors_them(tmp_path: Path) -> None:
+def test_the_build_places_components_of_other_parts_and_mirrors_them(tmp_path):
     faces = '<triangle v1="0" v2="1" v3="2"/><triangle v1="0" v2="2" v3="3"/>'
     root = (
         '<resources><object id="5"><components><component p:path="/3D/a.model" objectid="3" '
@@ -108,7 +105,7 @@ def test_the_build_places_components_of_other_parts_and_mirrors_them(tmp_path: P
     ).all()  # a mirrored square is turned over, so that it faces as before
 
 
-def test_of_blended_materials_one_is_read_with_a_warning(tmp_path: Path) -> None:
+def test_of_blended_materials_one_is_read_with_a_warning(tmp_path):
     faces = '<triangle v1="0" v2="1" v3="2" pid="4" p1="0"/><triangle v1="0" v2="2" v3="3" pid="5" p1="0"/>'
     text = (
         '<resources><m:colorgroup id="1"><m:color color="#FF0000"/><m:color color="#00FF00"/></m:colorgroup>'
@@ -162,9 +159,7 @@ def test_of_blended_materials_one_is_read_with_a_warning(tmp_path: Path) -> None
         ),
     ],
 )
-def test_damaged_packages_are_refused_in_one_line(
-    tmp_path: Path, parts: dict[str, str | bytes], message: str
-) -> None:
+def test_damaged_packages_are_refused_in_one_line(tmp_path, parts, message):
     with pytest.raises(ModelError, match=message) as caught:
         octex.load_surface(package(tmp_path / "bad.3mf", parts))
     assert str(caught.value).startswith("bad.3mf")
@@ -173,7 +168,7 @@ def test_damaged_packages_are_refused_in_one_line(
         octex.load_surface(tmp_path / "bad.3mf")
 
 
-def test_a_small_package_that_unpacks_to_much_is_refused(tmp_path: Path) -> None:
+def test_a_small_package_that_unpacks_to_much_is_refused(tmp_path):
     path = tmp_path / "a.3mf"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
         file.writestr("3D/3dmodel.model", b" " * 3_000_000)
@@ -181,7 +176,7 @@ def test_a_small_package_that_unpacks_to_much_is_refused(tmp_path: Path) -> None
         octex.load_surface(path)
 
 
-def test_components_that_multiply_are_refused(tmp_path: Path) -> None:
+def test_components_that_multiply_are_refused(tmp_path):
     objects = [square(1, '<triangle v1="0" v2="1" v3="2"/>')]
     for number in range(2, 42):
         twice = f'<component objectid="{number - 1}"/>' * 2

@@ -1,9 +1,6 @@
 """Channels of another model, taken where its surface is nearest; and what is left empty."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,13 +19,13 @@ from tests.make.small_surfaces import FaceSource, sheet, tetrahedron, whole
 Array = npt.NDArray[Any]
 
 
-def rainbow(rings: int = 24) -> Surface:
+def rainbow(rings=24):
     """A ball whose colour says where it is."""
     vertices, triangles = ball(rings).vertices, ball(rings).triangles
     return Surface.from_arrays(vertices, triangles, colors=(vertices + 1.2) / 2.5, name="rainbow")
 
 
-def test_a_ball_of_other_triangles_gets_the_colours_of_the_nearest_places() -> None:
+def test_a_ball_of_other_triangles_gets_the_colours_of_the_nearest_places():
     target = plain((ball(17).vertices * 1.01, ball(17).triangles))
     made = target.with_sources(octex.Transfer(rainbow()).sources)
     samples = made.scatter(500)
@@ -36,7 +33,7 @@ def test_a_ball_of_other_triangles_gets_the_colours_of_the_nearest_places() -> N
     np.testing.assert_allclose(made.evaluate(samples), (nearest + 1.2) / 2.5, atol=0.01)
 
 
-def test_a_model_transferred_to_itself_is_itself() -> None:
+def test_a_model_transferred_to_itself_is_itself():
     surface = whole()
     made = plain((surface.vertices, surface.triangles)).with_sources(octex.Transfer(surface).sources)
     assert [form.name for form in made.channels] == [form.name for form in surface.channels]
@@ -47,7 +44,7 @@ def test_a_model_transferred_to_itself_is_itself() -> None:
         )
 
 
-def test_one_channel_alone_leaves_the_others_as_they_are() -> None:
+def test_one_channel_alone_leaves_the_others_as_they_are():
     surface = tetrahedron()
     other = FaceSource((BASE_COLOR, EMISSIVE), np.full((4, 6), 0.25))
     transfer = octex.Transfer(Surface(surface.vertices, surface.triangles, other))
@@ -58,7 +55,7 @@ def test_one_channel_alone_leaves_the_others_as_they_are() -> None:
 
 
 @needs_jit
-def test_what_is_farther_than_the_distance_stays_empty_and_is_counted() -> None:
+def test_what_is_farther_than_the_distance_stays_empty_and_is_counted():
     near, far = square(0.0), square(1.0)
     both = plain(together(near, far))
     red = Surface.from_arrays(*near, colors=np.tile([1.0, 0.0, 0.0], (len(near[0]), 1)))
@@ -77,7 +74,7 @@ def test_what_is_farther_than_the_distance_stays_empty_and_is_counted() -> None:
     assert np.array_equal(texture.sample(samples.rest[~upper], "alpha"), np.ones(((~upper).sum(), 1)))
 
 
-def test_beside_a_gap_colours_do_not_darken() -> None:
+def test_beside_a_gap_colours_do_not_darken():
     half = square(0.0)
     wide = half[0] * [2.0, 1.0, 1.0]
     white = Surface.from_arrays(*half, colors=np.ones((len(half[0]), 3)))
@@ -90,7 +87,7 @@ def test_beside_a_gap_colours_do_not_darken() -> None:
 
 @needs_jit
 @pytest.mark.parametrize("max_error", [None, 2.0])
-def test_nodes_beside_gaps_face_as_what_is_left_of_them_does(max_error: float | None) -> None:
+def test_nodes_beside_gaps_face_as_what_is_left_of_them_does(max_error):
     moved = plain((ball(17).vertices + np.array([0.3, 0.2, 0.1]), ball(17).triangles))
     sources = octex.Transfer(rainbow(), distance=0.1).sources
     texture = octex.convert(moved, 5, sources=sources, max_error=max_error)
@@ -98,7 +95,7 @@ def test_nodes_beside_gaps_face_as_what_is_left_of_them_does(max_error: float | 
     texture.validate()
 
 
-def test_nodes_beside_gaps_in_a_thin_sheet_keep_a_value_for_each_side_that_is_left() -> None:
+def test_nodes_beside_gaps_in_a_thin_sheet_keep_a_value_for_each_side_that_is_left():
     thin = sheet(np.eye(3), 0.01)
     front, back = thin.triangles[:72], thin.triangles[72:]
     some = np.concatenate([front[:20], back[10:30]])
@@ -109,7 +106,7 @@ def test_nodes_beside_gaps_in_a_thin_sheet_keep_a_value_for_each_side_that_is_le
 
 
 @needs_jit
-def test_a_distance_that_leaves_nothing_out_leaves_no_trace() -> None:
+def test_a_distance_that_leaves_nothing_out_leaves_no_trace():
     surface = rainbow()
     target = plain((surface.vertices, surface.triangles))
     limited = octex.convert(target, 4, sources=octex.Transfer(surface, distance=1.0).sources)
@@ -118,14 +115,14 @@ def test_a_distance_that_leaves_nothing_out_leaves_no_trace() -> None:
     assert np.array_equal(limited.channels["base_color"].values, free.channels["base_color"].values)
 
 
-def test_nothing_near_is_refused() -> None:
+def test_nothing_near_is_refused():
     surface = rainbow()
     far = plain((surface.vertices + 10.0, surface.triangles))
     with pytest.raises(ModelError, match="has no value anywhere on it: it is too far away"):
         octex.convert(far, 3, sources=octex.Transfer(surface, distance=1.0).sources)
 
 
-def test_with_an_angle_each_side_of_a_thin_sheet_takes_its_own_colour() -> None:
+def test_with_an_angle_each_side_of_a_thin_sheet_takes_its_own_colour():
     thin = sheet(np.eye(3), 0.01)
     moved = thin.vertices + np.array([0.0, 0.0, 0.006])
     target = plain((moved, thin.triangles))
@@ -138,7 +135,7 @@ def test_with_an_angle_each_side_of_a_thin_sheet_takes_its_own_colour() -> None:
     assert not np.allclose(blind[facing], truth[facing], atol=0.1)
 
 
-def test_files_are_read_and_channels_that_are_not_there_refused(tmp_path: Path) -> None:
+def test_files_are_read_and_channels_that_are_not_there_refused(tmp_path):
     ply(tmp_path / "square.ply", ply_square())
     transfer = octex.Transfer(tmp_path / "square.ply")
     with pytest.raises(ArgumentError, match=r"channel of square\.ply"):
@@ -154,44 +151,44 @@ def test_files_are_read_and_channels_that_are_not_there_refused(tmp_path: Path) 
         ({"distance": np.nan}, "distance"),
     ],
 )
-def test_numbers_out_of_range_are_refused(options: dict[str, float], complaint: str) -> None:
+def test_numbers_out_of_range_are_refused(options, complaint):
     with pytest.raises(ArgumentError, match=complaint):
-        octex.Transfer(tetrahedron(), **options)  # type: ignore[arg-type]
+        octex.Transfer(tetrahedron(), **options)
 
 
-def test_a_model_without_area_is_refused() -> None:
+def test_a_model_without_area_is_refused():
     flat = Surface.from_arrays(np.zeros((3, 3)), [[0, 1, 2]], name="flat")
     with pytest.raises(ModelError, match="flat: all triangles are degenerate"):
         tetrahedron().with_sources(octex.Transfer(flat).sources)
 
 
 @needs_jit
-def test_normals_that_are_the_same_agree_at_any_angle() -> None:
+def test_normals_that_are_the_same_agree_at_any_angle():
     surface = rainbow()
     target = plain((surface.vertices, surface.triangles))
     made = target.with_sources(octex.Transfer(surface, max_angle=0.0).sources)
     assert (made.evaluate(made.scatter(500), "alpha") == 1).all()
 
 
-def leaves_and_gaps(surface: Surface, depth: int, sources: Any) -> tuple[octex.OctreeTexture, int]:
+def leaves_and_gaps(surface, depth, sources):
     texture = octex.convert(surface, depth, sources=sources)
     texture.validate()
     return texture, json.loads(texture.metadata["convert"]).get("empty", 0)
 
 
-def two_squares() -> tuple[Surface, Surface]:
+def two_squares():
     """A red square, and it in grey with another one above."""
     near = square(0.0)
     red = Surface.from_arrays(*near, colors=np.tile([1.0, 0.0, 0.0], (len(near[0]), 1)))
     return red, plain(together(near, square(1.0)))
 
 
-def in_half(points: Array) -> Array:
+def in_half(points):
     return (points[:, 0] > 0.1).astype(np.float64)
 
 
 @needs_jit
-def test_gaps_do_not_darken_averages_of_what_is_transparent_beside_them() -> None:
+def test_gaps_do_not_darken_averages_of_what_is_transparent_beside_them():
     red, both = two_squares()
     clear = octex.Transfer(red.with_sources({"alpha": 0.0}), distance=0.1)
     texture, empty = leaves_and_gaps(both, 4, clear.sources)
@@ -203,13 +200,13 @@ def test_gaps_do_not_darken_averages_of_what_is_transparent_beside_them() -> Non
 @needs_jit
 @pytest.mark.parametrize("alpha", [1.0, 0.5, in_half])
 @pytest.mark.parametrize("kind", ["transfer", "radius", "distance"])
-def test_alpha_from_elsewhere_does_not_fill_gaps(kind: str, alpha: Any) -> None:
+def test_alpha_from_elsewhere_does_not_fill_gaps(kind, alpha):
     red, both = two_squares()
     colors: Any = octex.Transfer(red, distance=0.1)
     if kind != "transfer":
         dots = red.scatter(2000).rest
         limit = {kind: 0.1}
-        colors = octex.PointCloud(dots, np.tile(np.float32([1, 0, 0]), (len(dots), 1)), **limit)  # type: ignore[arg-type]
+        colors = octex.PointCloud(dots, np.tile(np.float32([1, 0, 0]), (len(dots), 1)), **limit)
     texture, empty = leaves_and_gaps(both, 4, {"base_color": colors, "alpha": alpha})
     bare, missing = leaves_and_gaps(both, 4, {"base_color": colors})
     assert empty == missing > 0
@@ -224,7 +221,7 @@ def test_alpha_from_elsewhere_does_not_fill_gaps(kind: str, alpha: Any) -> None:
 
 
 @needs_jit
-def test_any_of_several_sources_may_leave_gaps() -> None:
+def test_any_of_several_sources_may_leave_gaps():
     red, both = two_squares()
     half = Surface(red.vertices, red.triangles[:16], red.source)
     wide, narrow = octex.Transfer(red, distance=0.1), octex.Transfer(half, distance=0.01)
@@ -244,7 +241,7 @@ def test_any_of_several_sources_may_leave_gaps() -> None:
 class Rough(octex.Transfer):
     """The red of another model as roughness."""
 
-    def __init__(self, other: octex.Transfer) -> None:
+    def __init__(self, other):
         surface = other._surface
         values = surface.evaluate(surface.scatter(1))[:, :1]
         rough = FaceSource((ROUGHNESS,), np.tile(values, (len(surface.triangles), 1)))
@@ -252,7 +249,7 @@ class Rough(octex.Transfer):
 
 
 @needs_jit
-def test_gaps_of_the_other_model_are_gaps_here() -> None:
+def test_gaps_of_the_other_model_are_gaps_here():
     red, both = two_squares()
     other = both.with_sources({"base_color": octex.Transfer(red, distance=0.1), "alpha": 1.0})
     for sources in (octex.Transfer(other).sources, {"base_color": octex.Transfer(other)}):
@@ -260,7 +257,7 @@ def test_gaps_of_the_other_model_are_gaps_here() -> None:
         assert empty == texture.tree.n_leaves > 0
 
 
-def test_resolution_is_read_from_its_own_channel_beside_gaps() -> None:
+def test_resolution_is_read_from_its_own_channel_beside_gaps():
     surface = tetrahedron()
     steps = Surface(surface.vertices, surface.triangles, FaceSource((DETAIL,), np.full((4, 1), 0.25)))
     made = [
@@ -270,7 +267,7 @@ def test_resolution_is_read_from_its_own_channel_beside_gaps() -> None:
     assert made[0].tree.max_depth == made[1].tree.max_depth == 2
 
 
-def test_gaps_stay_with_channels_and_rest_positions_chosen_later() -> None:
+def test_gaps_stay_with_channels_and_rest_positions_chosen_later():
     surface = tetrahedron()
     made = surface.with_sources(octex.Transfer(surface, distance=0.1).sources)
     assert [form.name for form in made.with_channels(["base_color"]).channels] == ["base_color", "alpha"]

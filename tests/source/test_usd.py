@@ -1,12 +1,9 @@
 """USD: what is written as OpenUSD reads and validates it, and stages made by OpenUSD as octex reads them."""
 
-from __future__ import annotations
-
 import io
 import json
 import sys
 import zipfile
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -34,21 +31,19 @@ ST = [(0, 0), (1, 0), (1, 1), (0, 1)]
 
 
 @pytest.fixture(scope="module")
-def baked() -> Surface:
+def baked():
     surface = whole()
     return octex.bake(octex.convert(surface, 4), surface, texture_size=64)
 
 
-def validated(stage: Any) -> list[str]:
+def validated(stage):
     """What OpenUSD's own validators say against a stage."""
     context = UsdValidation.ValidationContext(UsdValidation.ValidationRegistry().GetOrLoadAllValidators())
     return [error.GetErrorAsString() for error in context.Validate(stage)]
 
 
 @pytest.mark.parametrize("ending", [".usdz", ".usda", ".usdc", ".usd"])
-def test_written_stages_are_valid_and_read_back_as_they_were(
-    baked: Surface, ending: str, tmp_path: Path
-) -> None:
+def test_written_stages_are_valid_and_read_back_as_they_were(baked, ending, tmp_path):
     path = tmp_path / f"whole{ending}"
     octex.write_model(baked, path, unit="meter")
     assert validated(Usd.Stage.Open(str(path))) == []
@@ -66,7 +61,7 @@ def test_written_stages_are_valid_and_read_back_as_they_were(
         np.testing.assert_allclose(mine.values[mine.rows], theirs.values[theirs.rows], atol=1e-3)
 
 
-def test_materials_say_what_the_specification_asks_for(baked: Surface, tmp_path: Path) -> None:
+def test_materials_say_what_the_specification_asks_for(baked, tmp_path):
     octex.write_model(baked, tmp_path / "a.usda", unit="centimeter")
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
     assert UsdGeom.GetStageUpAxis(stage) == "Y"
@@ -101,7 +96,7 @@ def test_materials_say_what_the_specification_asks_for(baked: Surface, tmp_path:
     }  # fmt: skip
 
 
-def test_packages_hold_their_files_uncompressed_at_64_bytes(baked: Surface, tmp_path: Path) -> None:
+def test_packages_hold_their_files_uncompressed_at_64_bytes(baked, tmp_path):
     octex.write_model(baked, tmp_path / "a.usdz", images="jpeg")
     with zipfile.ZipFile(tmp_path / "a.usdz") as package, (tmp_path / "a.usdz").open("rb") as file:
         entries = package.infolist()
@@ -116,7 +111,7 @@ def test_packages_hold_their_files_uncompressed_at_64_bytes(baked: Surface, tmp_
 
 
 @pytest.mark.parametrize("name", ["materials.glb", "1 droid²é.obj", ".glb", "a\ud800.glb"])
-def test_materials_are_kept_whatever_the_model_is_called(baked: Surface, name: str, tmp_path: Path) -> None:
+def test_materials_are_kept_whatever_the_model_is_called(baked, name, tmp_path):
     surface = Surface(
         baked.vertices, baked.triangles, baked.source, uv=baked.uv, frames=baked.frames, name=name
     )
@@ -131,7 +126,7 @@ def test_materials_are_kept_whatever_the_model_is_called(baked: Surface, name: s
 
 
 @pytest.mark.parametrize("mode", ["opaque", "mask", "blend"])
-def test_alpha_and_its_mode_are_kept(mode: Any, tmp_path: Path) -> None:
+def test_alpha_and_its_mode_are_kept(mode, tmp_path):
     random = np.random.default_rng(1)
     image = random.integers(0, 256, (8, 8, 4)).astype(np.uint8)
     surface = Surface.from_arrays(
@@ -139,7 +134,7 @@ def test_alpha_and_its_mode_are_kept(mode: Any, tmp_path: Path) -> None:
     )
     octex.write_model(surface, tmp_path / "a.usdz")
     read = octex.load_surface(tmp_path / "a.usdz")
-    assert read.source.materials[0].alpha_mode == mode  # type: ignore[attr-defined]
+    assert read.source.materials[0].alpha_mode == mode
     assert [form.name for form in read.channels] == [form.name for form in surface.channels]
     points = surface.scatter(500)
     for form in surface.channels:
@@ -148,7 +143,7 @@ def test_alpha_and_its_mode_are_kept(mode: Any, tmp_path: Path) -> None:
         )
 
 
-def test_several_materials_their_names_and_sides_are_kept(tmp_path: Path) -> None:
+def test_several_materials_their_names_and_sides_are_kept(tmp_path):
     base = Surface.from_arrays(SQUARE, [[0, 1, 2], [0, 2, 3]])
     colors = [(0.1, 0.2, 0.3), (0.7, 0.5, 0.3)]
     materials = [
@@ -159,14 +154,14 @@ def test_several_materials_their_names_and_sides_are_kept(tmp_path: Path) -> Non
     octex.write_model(Surface(base.vertices, base.triangles, source), tmp_path / "a.usda")
     assert validated(Usd.Stage.Open(str(tmp_path / "a.usda"))) == []
     read = octex.load_surface(tmp_path / "a.usda")
-    found = [read.source.materials[number] for number in read.source.triangle_materials]  # type: ignore[attr-defined]
+    found = [read.source.materials[number] for number in read.source.triangle_materials]
     assert [each.name.rstrip("_") for each in found] == ["worn_steel"] * 2
     assert found[0].name != found[1].name
     assert all(each.double_sided for each in found)
     np.testing.assert_allclose([each.inputs["base_color"].factor for each in found], colors[::-1], atol=1e-6)
 
 
-def test_vertex_colours_are_kept(tmp_path: Path) -> None:
+def test_vertex_colours_are_kept(tmp_path):
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 6)
     colors = np.random.default_rng(2).random((len(points), 4))
     surface = Surface.from_arrays(points, triangles, colors=colors)
@@ -181,7 +176,7 @@ def test_vertex_colours_are_kept(tmp_path: Path) -> None:
 class Stage:
     """A stage with a square of one polygon, or of two triangles, whose image has a colour in each quarter."""
 
-    def __init__(self, folder: Path, name: str = "model.usda") -> None:
+    def __init__(self, folder, name="model.usda"):
         self.path = folder / name
         self.stage = Usd.Stage.CreateNew(str(self.path))
         UsdGeom.SetStageUpAxis(self.stage, "Y")
@@ -189,7 +184,7 @@ class Stage:
         self.codes = np.array([[[255, 0, 0], [0, 255, 0]], [[0, 0, 255], [200, 100, 50]]], np.uint8)
         PIL.Image.fromarray(self.codes).save(folder / "image.png")
 
-    def square(self, at: str = "/mesh", st: Any = ST, how: str = "vertex") -> Any:
+    def square(self, at="/mesh", st=ST, how="vertex"):
         mesh = UsdGeom.Mesh.Define(self.stage, at)
         mesh.CreatePointsAttr(SQUARE)
         mesh.CreateFaceVertexCountsAttr([4])
@@ -199,7 +194,7 @@ class Stage:
             UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, how).Set(Vt.Vec2fArray(st))
         return mesh
 
-    def material(self, mesh: Any, at: str = "/material", **inputs: Any) -> Any:
+    def material(self, mesh, at="/material", **inputs):
         """Bind an image, whose shader has these inputs, as the diffuse colour."""
         material = UsdShade.Material.Define(self.stage, at)
         surface = UsdShade.Shader.Define(self.stage, f"{at}/surface")
@@ -221,12 +216,12 @@ class Stage:
         UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).Bind(material)
         return surface
 
-    def read(self, **options: Any) -> Surface:
+    def read(self, **options):
         self.stage.GetRootLayer().Save()
         return octex.load_surface(self.path, **options)
 
 
-def colors_at(surface: Surface, places: Any) -> Array:
+def colors_at(surface, places):
     """The colours at places (n, 3) that lie on a surface."""
     places = np.asarray(places, np.float64)
     triangles, weights = np.empty(len(places), np.int32), np.empty((len(places), 3))
@@ -246,7 +241,7 @@ QUARTERS = [(0.25, 0.75, 0), (0.75, 0.75, 0), (0.25, 0.25, 0), (0.75, 0.25, 0)]
 
 
 @pytest.mark.parametrize("how", ["vertex", "varying", "faceVarying", "indexed"])
-def test_images_are_read_at_primvars_however_these_are_spread(how: str, tmp_path: Path) -> None:
+def test_images_are_read_at_primvars_however_these_are_spread(how, tmp_path):
     made = Stage(tmp_path)
     mesh = made.square(st=ST, how="faceVarying" if how == "indexed" else how)
     if how == "indexed":
@@ -264,7 +259,7 @@ def test_images_are_read_at_primvars_however_these_are_spread(how: str, tmp_path
     assert list(json.loads(read.provenance["files"])) == ["image.png"]
 
 
-def test_images_are_scaled_moved_and_read_in_the_space_that_is_said(tmp_path: Path) -> None:
+def test_images_are_scaled_moved_and_read_in_the_space_that_is_said(tmp_path):
     made = Stage(tmp_path)
     made.material(
         made.square(), scale=("Float4", Gf.Vec4f(0.5, 0.25, 1, 1)), bias=("Float4", Gf.Vec4f(0.1, 0, 0, 0)),
@@ -274,7 +269,7 @@ def test_images_are_scaled_moved_and_read_in_the_space_that_is_said(tmp_path: Pa
     np.testing.assert_allclose(colors_at(made.read(), QUARTERS), expected, atol=1e-3)
 
 
-def test_a_transform_turns_coordinates_counter_clockwise(tmp_path: Path) -> None:
+def test_a_transform_turns_coordinates_counter_clockwise(tmp_path):
     made = Stage(tmp_path)
     made.material(made.square())
     turn = UsdShade.Shader.Define(made.stage, "/material/turn")
@@ -291,7 +286,7 @@ def test_a_transform_turns_coordinates_counter_clockwise(tmp_path: Path) -> None
     np.testing.assert_allclose(colors_at(made.read(), QUARTERS), expected, atol=1e-4)
 
 
-def test_stages_are_read_in_metres_with_y_up_as_their_transforms_place_them(tmp_path: Path) -> None:
+def test_stages_are_read_in_metres_with_y_up_as_their_transforms_place_them(tmp_path):
     made = Stage(tmp_path)
     UsdGeom.SetStageUpAxis(made.stage, "Z")
     UsdGeom.SetStageMetersPerUnit(made.stage, 0.01)
@@ -309,7 +304,7 @@ def test_stages_are_read_in_metres_with_y_up_as_their_transforms_place_them(tmp_
     )
 
 
-def test_left_handed_meshes_are_turned_and_holes_left_out(tmp_path: Path) -> None:
+def test_left_handed_meshes_are_turned_and_holes_left_out(tmp_path):
     made = Stage(tmp_path)
     mesh = made.square(st=None)
     mesh.CreateOrientationAttr("leftHanded")
@@ -322,7 +317,7 @@ def test_left_handed_meshes_are_turned_and_holes_left_out(tmp_path: Path) -> Non
     assert np.cross(b - a, c - a)[2] > 0.0
 
 
-def test_subsets_have_their_own_materials_and_constants_count(tmp_path: Path) -> None:
+def test_subsets_have_their_own_materials_and_constants_count(tmp_path):
     made = Stage(tmp_path)
     mesh = made.square()
     mesh.CreateFaceVertexCountsAttr([3, 3])
@@ -350,7 +345,7 @@ def test_subsets_have_their_own_materials_and_constants_count(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("how", ["constant", "uniform", "vertex"])
-def test_display_colours_count_where_there_is_no_material(how: str, tmp_path: Path) -> None:
+def test_display_colours_count_where_there_is_no_material(how, tmp_path):
     made = Stage(tmp_path)
     mesh = made.square(st=None)
     colors = np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, 0.8, 0.9], [0.4, 0.5, 0.6]], np.float32)
@@ -361,7 +356,7 @@ def test_display_colours_count_where_there_is_no_material(how: str, tmp_path: Pa
     np.testing.assert_allclose(colors_at(made.read(), places), expected, atol=2e-3)
 
 
-def test_what_is_hidden_or_a_proxy_is_left_out_and_instances_are_read(tmp_path: Path) -> None:
+def test_what_is_hidden_or_a_proxy_is_left_out_and_instances_are_read(tmp_path):
     made = Stage(tmp_path)
     made.square("/source/mesh", st=None)
     made.stage.GetPrimAtPath("/source").SetSpecifier(Sdf.SpecifierClass)
@@ -388,9 +383,7 @@ def test_what_is_hidden_or_a_proxy_is_left_out_and_instances_are_read(tmp_path: 
         ("Capsule", np.pi * 0.3**2 * (0.8 + 4 / 3 * 0.3)),
     ],
 )
-def test_solids_are_closed_and_as_large_as_openusd_says(
-    tmp_path: Path, kind: str, volume: float, axis: str
-) -> None:
+def test_solids_are_closed_and_as_large_as_openusd_says(tmp_path, kind, volume, axis):
     made = Stage(tmp_path)
     prim = made.stage.DefinePrim("/solid", kind)
     for name, value in (("size", 0.6), ("radius", 0.3), ("height", 0.8), ("axis", axis)):
@@ -408,7 +401,7 @@ def test_solids_are_closed_and_as_large_as_openusd_says(
 
 
 @pytest.mark.parametrize("axis", ["X", "Y", "Z"])
-def test_planes_look_along_their_axis(tmp_path: Path, axis: str) -> None:
+def test_planes_look_along_their_axis(tmp_path, axis):
     made = Stage(tmp_path)
     plane = UsdGeom.Plane.Define(made.stage, "/plane")
     plane.CreateWidthAttr(2.0), plane.CreateLengthAttr(3.0), plane.CreateAxisAttr(axis)
@@ -419,7 +412,7 @@ def test_planes_look_along_their_axis(tmp_path: Path, axis: str) -> None:
     np.testing.assert_allclose(normals, [np.eye(3)["XYZ".index(axis)]] * 2)
 
 
-def test_point_instancers_place_their_prototypes(tmp_path: Path) -> None:
+def test_point_instancers_place_their_prototypes(tmp_path):
     made = Stage(tmp_path)
     group = UsdGeom.Xform.Define(made.stage, "/group")
     group.AddTranslateOp().Set(Gf.Vec3d(0, 10, 0))
@@ -448,7 +441,7 @@ def test_point_instancers_place_their_prototypes(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.areas().sum(), area, rtol=1e-3)
 
 
-def test_damaged_point_instancers_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_damaged_point_instancers_are_refused(tmp_path, monkeypatch):
     made = Stage(tmp_path)
     made.square("/many/square", st=None)
     many = UsdGeom.PointInstancer.Define(made.stage, "/many")
@@ -474,10 +467,8 @@ def test_damaged_point_instancers_are_refused(tmp_path: Path, monkeypatch: pytes
         made.read()
 
 
-def test_damaged_stages_are_refused_in_one_line(tmp_path: Path, baked: Surface) -> None:
-    def without(
-        change: Any, words: str, error: type[Exception] = ModelError, name: str = "model.usda"
-    ) -> None:
+def test_damaged_stages_are_refused_in_one_line(tmp_path, baked):
+    def without(change, words, error=ModelError, name="model.usda"):
         folder = tmp_path / str(len(list(tmp_path.iterdir())))
         folder.mkdir()
         made = Stage(folder, name)
@@ -509,7 +500,7 @@ def test_damaged_stages_are_refused_in_one_line(tmp_path: Path, baked: Surface) 
             octex.load_surface(tmp_path / f"cut{number}.usdz")
 
 
-def test_a_material_of_another_kind_is_white_with_a_warning(tmp_path: Path) -> None:
+def test_a_material_of_another_kind_is_white_with_a_warning(tmp_path):
     made = Stage(tmp_path)
     surface = made.material(made.square())
     surface.GetIdAttr().Set("ND_standard_surface_surfaceshader")
@@ -518,7 +509,7 @@ def test_a_material_of_another_kind_is_white_with_a_warning(tmp_path: Path) -> N
     np.testing.assert_allclose(colors_at(read, QUARTERS), 1.0)
 
 
-def test_what_is_connected_and_not_read_is_said(tmp_path: Path) -> None:
+def test_what_is_connected_and_not_read_is_said(tmp_path):
     made = Stage(tmp_path)
     surface = made.material(made.square())
     reader = UsdShade.Shader.Define(made.stage, "/material/colors")
@@ -530,7 +521,7 @@ def test_what_is_connected_and_not_read_is_said(tmp_path: Path) -> None:
         made.read()
 
 
-def test_images_without_coordinates_are_read_at_0_0(tmp_path: Path) -> None:
+def test_images_without_coordinates_are_read_at_0_0(tmp_path):
     made = Stage(tmp_path)
     made.material(made.square(st=None))
     with pytest.warns(ModelWarning, match=r"/mesh lack the primvar st: images are read at \(0, 0\)"):
@@ -539,7 +530,7 @@ def test_images_without_coordinates_are_read_at_0_0(tmp_path: Path) -> None:
     np.testing.assert_allclose(colors_at(read, QUARTERS), [expected] * 4, atol=1e-3)
 
 
-def test_an_image_without_a_file_is_its_fallback(tmp_path: Path) -> None:
+def test_an_image_without_a_file_is_its_fallback(tmp_path):
     made = Stage(tmp_path)
     made.material(made.square(), fallback=("Float4", Gf.Vec4f(0.2, 0.4, 0.6, 1.0)))
     UsdShade.Shader.Get(made.stage, "/material/image").GetPrim().RemoveProperty("inputs:file")
@@ -548,9 +539,7 @@ def test_an_image_without_a_file_is_its_fallback(tmp_path: Path) -> None:
     np.testing.assert_allclose(colors_at(read, QUARTERS), [[0.2, 0.4, 0.6]] * 4, atol=1e-6)
 
 
-def test_what_programs_write_besides_the_specification_is_read(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_what_programs_write_besides_the_specification_is_read(tmp_path, capfd):
     """Paths with backslashes, bindings without their schema, shapes that are no meshes, missing files."""
     made = Stage(tmp_path)
     mesh = made.square()
@@ -579,7 +568,7 @@ def test_what_programs_write_besides_the_specification_is_read(
     np.testing.assert_allclose(found, srgb_to_linear(made.codes.reshape(-1, 3) / 255.0), atol=1e-3)
 
 
-def test_without_usd_core_its_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_usd_core_its_extra_is_named(tmp_path, monkeypatch):
     (tmp_path / "a.usda").write_text("#usda 1.0\n")
     monkeypatch.setitem(sys.modules, "pxr", None)
     words = r"a.usda: to read USD, usd-core is needed; install it: pip install 'octex\[usd\]'"
@@ -587,11 +576,11 @@ def test_without_usd_core_its_extra_is_named(tmp_path: Path, monkeypatch: pytest
         octex.load_surface(tmp_path / "a.usda")
 
 
-def test_images_inside_packages_are_read_from_there(baked: Surface, tmp_path: Path) -> None:
+def test_images_inside_packages_are_read_from_there(baked, tmp_path):
     octex.write_model(baked, tmp_path / "a.usdz")
     with zipfile.ZipFile(tmp_path / "a.usdz") as package:
         (name, *_) = [each for each in package.namelist() if each.endswith("0.png")]
         image = np.array(PIL.Image.open(io.BytesIO(package.read(name))))
     read = octex.load_surface(tmp_path / "a.usdz", channels=["base_color"])
-    texels = read.source.materials[0].inputs["base_color"].texture.texels  # type: ignore[attr-defined]
+    texels = read.source.materials[0].inputs["base_color"].texture.texels
     np.testing.assert_array_equal(texels[..., :3] // 257, image[..., :3])

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import zlib
 from pathlib import Path
 
@@ -23,7 +21,7 @@ from tests.make.strategies import random_values, textures, with_random_data
 from tests.oracles import naive_archive
 
 
-def hilly(depth: int = 8, dtype: str = "uint8") -> OctreeTexture:
+def hilly(depth=8, dtype="uint8"):
     """A wavy sheet, coloured smoothly, of several blocks; half of it two levels coarser."""
     size = 1 << depth
     x, y = np.divmod(np.arange(size * size), size)
@@ -47,9 +45,7 @@ def hilly(depth: int = 8, dtype: str = "uint8") -> OctreeTexture:
 
 
 @given(texture=textures())
-def test_an_archived_texture_opens_as_it_was(
-    texture: OctreeTexture, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_an_archived_texture_opens_as_it_was(texture, tmp_path_factory):
     folder = tmp_path_factory.mktemp("archive")
     texture.save(folder / "a.octz")
     opened = octex.open(folder / "a.octz")
@@ -61,9 +57,7 @@ def test_an_archived_texture_opens_as_it_was(
 
 
 @given(texture=textures(), error=st.integers(1, 255))
-def test_values_of_an_archive_move_by_no_more_than_they_may(
-    texture: OctreeTexture, error: int, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_values_of_an_archive_move_by_no_more_than_they_may(texture, error, tmp_path_factory):
     path = tmp_path_factory.mktemp("archive") / "a.octz"
     texture.save(path, max_error=error)
     opened = octex.open(path)
@@ -77,7 +71,7 @@ def test_values_of_an_archive_move_by_no_more_than_they_may(
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32"])
-def test_several_blocks_come_back_smaller_and_the_same(dtype: str, tmp_path: Path) -> None:
+def test_several_blocks_come_back_smaller_and_the_same(dtype, tmp_path):
     texture = hilly(8, dtype)
     texture.save(tmp_path / "a.octz")
     assert_equal(octex.open(tmp_path / "a.octz"), texture)
@@ -86,7 +80,7 @@ def test_several_blocks_come_back_smaller_and_the_same(dtype: str, tmp_path: Pat
     assert (tmp_path / "a.octz").stat().st_size < 0.9 * len(packed)
 
 
-def test_an_archive_has_the_same_bytes_on_one_thread_and_from_what_was_opened(tmp_path: Path) -> None:
+def test_an_archive_has_the_same_bytes_on_one_thread_and_from_what_was_opened(tmp_path):
     texture = hilly(8)
     texture.save(tmp_path / "a.octz")
     with at_most(1):
@@ -94,7 +88,7 @@ def test_an_archive_has_the_same_bytes_on_one_thread_and_from_what_was_opened(tm
     assert (tmp_path / "a.octz").read_bytes() == (tmp_path / "b.octz").read_bytes()
 
 
-def assert_read_naively(path: Path, texture: OctreeTexture) -> None:
+def assert_read_naively(path, texture):
     found, tree = naive_archive.Archive(path.read_bytes()), texture.tree
     assert found.flags == tree.arrays.flags.tolist()
     assert found.areas == tree.arrays.areas.tolist()
@@ -112,20 +106,18 @@ def assert_read_naively(path: Path, texture: OctreeTexture) -> None:
 
 @settings(max_examples=15)
 @given(texture=textures(), error=st.sampled_from([0, 0, 1, 40]))
-def test_the_document_suffices_to_read_an_archive(
-    texture: OctreeTexture, error: int, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_the_document_suffices_to_read_an_archive(texture, error, tmp_path_factory):
     path = tmp_path_factory.mktemp("archive") / "a.octz"
     texture.save(path, max_error=error)
     assert_read_naively(path, octex.open(path))
 
 
-def test_the_document_suffices_to_read_a_smooth_archive(tmp_path: Path) -> None:
+def test_the_document_suffices_to_read_a_smooth_archive(tmp_path):
     hilly(6).save(tmp_path / "a.octz")
     assert_read_naively(tmp_path / "a.octz", octex.open(tmp_path / "a.octz"))
 
 
-def test_more_error_makes_an_archive_smaller(tmp_path: Path) -> None:
+def test_more_error_makes_an_archive_smaller(tmp_path):
     texture = hilly(8)
     sizes = []
     for error in (0, 1, 3):
@@ -134,7 +126,7 @@ def test_more_error_makes_an_archive_smaller(tmp_path: Path) -> None:
     assert sizes[0] > sizes[1] > sizes[2]
 
 
-def test_what_octex_does_not_know_is_archived_too(tmp_path: Path) -> None:
+def test_what_octex_does_not_know_is_archived_too(tmp_path):
     texture = hilly(4)
     texture.save(tmp_path / "a.octex")
     contents = container.read(tmp_path / "a.octex")
@@ -148,7 +140,7 @@ def test_what_octex_does_not_know_is_archived_too(tmp_path: Path) -> None:
     assert again.metadata["note"] == "é"
 
 
-def test_a_damaged_archive_is_refused_wherever_it_is_damaged(tmp_path: Path) -> None:
+def test_a_damaged_archive_is_refused_wherever_it_is_damaged(tmp_path):
     path = tmp_path / "a.octz"
     hilly(3).save(path)
     good = path.read_bytes()
@@ -165,7 +157,7 @@ def test_a_damaged_archive_is_refused_wherever_it_is_damaged(tmp_path: Path) -> 
             octex.open(path)
 
 
-def test_a_newer_archive_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_newer_archive_is_refused_by_name(tmp_path):
     path = tmp_path / "a.octz"
     hilly(3).save(path)
     first = bytearray(path.read_bytes())
@@ -177,7 +169,7 @@ def test_a_newer_archive_is_refused_by_name(tmp_path: Path) -> None:
     assert bytes(first[:8]) == MAGIC
 
 
-def test_an_archive_takes_no_ending_and_no_error_that_makes_no_sense(tmp_path: Path) -> None:
+def test_an_archive_takes_no_ending_and_no_error_that_makes_no_sense(tmp_path):
     texture = hilly(3)
     with pytest.raises(ArgumentError, match=r"NAME\.octex or NAME\.octz"):
         texture.save(tmp_path / "a.zip")
@@ -187,7 +179,7 @@ def test_an_archive_takes_no_ending_and_no_error_that_makes_no_sense(tmp_path: P
         texture.save(tmp_path / "a.octz", max_error=-1)
 
 
-def test_the_command_archives_and_brings_back(tmp_path: Path) -> None:
+def test_the_command_archives_and_brings_back(tmp_path):
     from octex.cli.main import main
 
     texture = hilly(5)

@@ -1,7 +1,5 @@
 """What FORMAT.md says is enough to read a file; files of every version open."""
 
-from __future__ import annotations
-
 import runpy
 import shutil
 import subprocess
@@ -23,7 +21,7 @@ READER = runpy.run_path(str(ROOT / "samples" / "read_octex.py"))
 
 
 @pytest.fixture(scope="module")
-def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def program(tmp_path_factory):
     compiler = shutil.which("gcc") or shutil.which("cc")
     if compiler is None:
         pytest.skip("no C compiler")
@@ -45,7 +43,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def kept() -> OctreeTexture:
+def kept():
     """A texture with kept nodes, split cells, alpha, and leaves of several sizes."""
     texture = hilly(5, "float16")
     alpha = Channel(
@@ -58,7 +56,7 @@ def kept() -> OctreeTexture:
     return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds)
 
 
-def points_of(texture: OctreeTexture) -> np.ndarray:
+def points_of(texture):
     random = np.random.default_rng(5)
     low, high = texture.bounds
     near = texture.tree.level_codes(texture.tree.max_depth)[:20]
@@ -69,9 +67,7 @@ def points_of(texture: OctreeTexture) -> np.ndarray:
 
 @pytest.mark.parametrize("filter", ["nearest", "quadratic"])
 @pytest.mark.parametrize("make", [kept, lambda: hilly(4, "uint16"), lambda: shell(4)])
-def test_readers_by_the_document_answer_as_octex_does(
-    make, filter: str, program: Path, tmp_path: Path
-) -> None:
+def test_readers_by_the_document_answer_as_octex_does(make, filter, program, tmp_path):
     texture = make()
     texture.save(tmp_path / "a.octex")
     points = points_of(texture)
@@ -85,7 +81,7 @@ def test_readers_by_the_document_answer_as_octex_does(
 
 
 @pytest.mark.parametrize("path", sorted(GOLDEN.glob("example*")), ids=lambda path: path.name)
-def test_files_of_every_version_open_as_they_did(path: Path, tmp_path: Path) -> None:
+def test_files_of_every_version_open_as_they_did(path, tmp_path):
     texture = octex.open(path)
     texture.validate()
     assert texture.tree.arrays.groups.tolist() == [[0x40, 0x0802, 0x1_0000_0001]]
@@ -102,11 +98,11 @@ def test_files_of_every_version_open_as_they_did(path: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("path", sorted(GOLDEN.glob("wavy*")), ids=lambda path: path.name)
-def test_archives_of_every_version_open_as_the_document_says(path: Path) -> None:
+def test_archives_of_every_version_open_as_the_document_says(path):
     assert_read_naively(path, octex.open(path))
 
 
-def test_the_documents_example_is_that_file() -> None:
+def test_the_documents_example_is_that_file():
     text = (ROOT / "octex" / "formats" / "FORMAT.md").read_text(encoding="utf-8")
     content = (GOLDEN / "example.octex").read_bytes()
     assert int.from_bytes(content[:8], "little") == 0x0FF8

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import tracemalloc
-from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from types import SimpleNamespace
 from typing import Any, NamedTuple
@@ -15,7 +14,7 @@ import pytest
 import octex
 from octex import parallel
 from octex.errors import ArgumentError
-from octex.texture import FILTERS, OctreeTexture, TextureSet, lookup
+from octex.texture import FILTERS, TextureSet, lookup
 from octex.texture.lookup import in_space
 from tests.conftest import needs_jit
 from tests.make.small_textures import eight_colors, shell
@@ -23,7 +22,7 @@ from tests.make.small_textures import eight_colors, shell
 POINTS = np.array([[0.1, 0.1, 0.1], [0.9, 0.1, 0.9], [0.4, 0.6, 0.6]])
 
 
-def two_channels() -> OctreeTexture:
+def two_channels():
     """The eight colours, and their first component as data."""
     texture = eight_colors()
     color = texture.channels["base_color"]
@@ -34,14 +33,14 @@ def two_channels() -> OctreeTexture:
 
 
 @pytest.fixture
-def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_blocks(monkeypatch):
     monkeypatch.setattr(lookup, "BLOCK", 4)
 
 
 class Elsewhere(Executor):
     """Works on copies, like an executor whose workers are other processes."""
 
-    def submit(self, function: Callable[..., Any], /, *args: Any, **_: Any) -> Future[Any]:
+    def submit(self, function, /, *args, **_):
         future: Future[Any] = Future()
         future.set_result(function(*copy.deepcopy(args)))
         return future
@@ -65,7 +64,7 @@ class Elsewhere(Executor):
     ],
     ids=["list", "half", "big-endian", "long", "fortran", "strided", "columns", "read-only", "misaligned"],
 )
-def test_points_of_every_real_type_and_order_are_taken(points: Any) -> None:
+def test_points_of_every_real_type_and_order_are_taken(points):
     texture = shell(3)
     assert np.array_equal(texture.sample(points), texture.sample(np.array(points, np.float64)))
     assert np.array_equal(texture.contains(points), texture.contains(np.array(points, np.float64)))
@@ -73,7 +72,7 @@ def test_points_of_every_real_type_and_order_are_taken(points: Any) -> None:
 
 @pytest.mark.parametrize("filter", FILTERS)
 @pytest.mark.parametrize("keep", [0.0, 0.3])
-def test_few_points_have_the_values_that_they_have_among_many(keep: float, filter: str) -> None:
+def test_few_points_have_the_values_that_they_have_among_many(keep, filter):
     texture = shell(3, keep)
     points = np.random.default_rng(3).uniform(-0.1, 1.1, (200, 3)).astype(np.float32)
     expected = texture.sample(points, filter=filter, threads=2)
@@ -84,7 +83,7 @@ def test_few_points_have_the_values_that_they_have_among_many(keep: float, filte
 
 @pytest.mark.parametrize("filter", FILTERS)
 @pytest.mark.parametrize("count", [1, 64])
-def test_channels_in_a_list_have_the_values_that_each_has_alone(count: int, filter: str) -> None:
+def test_channels_in_a_list_have_the_values_that_each_has_alone(count, filter):
     texture = two_channels()
     points = np.random.default_rng(4).uniform(-0.1, 1.1, (count, 3))
     for names in (["height"], ["base_color", "height"], ("height", "base_color"), ["height", "height"]):
@@ -99,12 +98,12 @@ def test_channels_in_a_list_have_the_values_that_each_has_alone(count: int, filt
             texture.sample(points, wrong, filter)
 
 
-def test_whole_numbers_are_points_too() -> None:
+def test_whole_numbers_are_points_too():
     assert np.array_equal(eight_colors().sample([[0, 1, 0]]), eight_colors().sample([[0.0, 1.0, 0.0]]))
 
 
 @pytest.mark.parametrize("points", [[], np.empty((0, 3)), np.empty((0, 3), np.float32)])
-def test_no_points_give_empty_answers(points: Any) -> None:
+def test_no_points_give_empty_answers(points):
     texture = two_channels()
     assert texture.sample(points).shape == (0, 3)
     assert texture.sample(points).dtype == np.float32
@@ -132,7 +131,7 @@ def test_no_points_give_empty_answers(points: Any) -> None:
         (None, "points must be real numbers, not object"),
     ],
 )
-def test_what_is_no_batch_of_positions_is_refused(points: Any, message: str) -> None:
+def test_what_is_no_batch_of_positions_is_refused(points, message):
     for look_up in (eight_colors().sample, eight_colors().contains):
         with pytest.raises(ArgumentError, match=message):
             look_up(points)
@@ -141,7 +140,7 @@ def test_what_is_no_batch_of_positions_is_refused(points: Any, message: str) -> 
 @pytest.mark.usefixtures("small_blocks")
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("row", [0, 6])
-def test_positions_that_are_not_finite_are_refused_by_their_first_row(row: int, value: float) -> None:
+def test_positions_that_are_not_finite_are_refused_by_their_first_row(row, value):
     points = np.full((19, 3), 0.5, np.float32)
     points[[row, 7, 18], [0, 1, 2]] = value
     with ThreadPoolExecutor(2) as pool:
@@ -151,34 +150,34 @@ def test_positions_that_are_not_finite_are_refused_by_their_first_row(row: int, 
                     look_up(points, run=octex.Run(executor=executor))
 
 
-def test_unknown_channels_and_filters_are_refused_with_the_choices() -> None:
+def test_unknown_channels_and_filters_are_refused_with_the_choices():
     texture = two_channels()
     for unknown in ("normal", ["base_color", "normal"]):
         with pytest.raises(ArgumentError, match="unknown channel 'normal'; there are: base_color, height"):
             texture.sample(POINTS, unknown)
     with pytest.raises(ArgumentError, match="unknown channel 3; there are: base_color, height"):
-        texture.sample(POINTS, 3)  # type: ignore[call-overload]
+        texture.sample(POINTS, 3)
     with pytest.raises(
         ArgumentError, match="unknown filter 'cubic'; there are: nearest, linear, quadratic, quartic"
     ):
         texture.sample(POINTS, filter="cubic")
     with pytest.raises(ArgumentError, match="unknown filter None"):
-        texture.sample(POINTS, filter=None)  # type: ignore[call-overload]
+        texture.sample(POINTS, filter=None)
 
 
-def test_nearest_has_no_gradient() -> None:
+def test_nearest_has_no_gradient():
     with pytest.raises(ArgumentError, match="nearest has no gradient; linear, quadratic, quartic have one"):
         eight_colors().sample(POINTS, filter="nearest", gradient=True)
 
 
-def test_the_filter_is_quadratic_unless_told_otherwise() -> None:
+def test_the_filter_is_quadratic_unless_told_otherwise():
     assert np.array_equal(shell(3).sample(POINTS), shell(3).sample(POINTS, "base_color", "quadratic"))
 
 
 # --- answers
 
 
-def test_a_list_of_channels_gives_a_dict_in_its_order() -> None:
+def test_a_list_of_channels_gives_a_dict_in_its_order():
     found = two_channels().sample(POINTS, ["height", "base_color", "height"])
     assert list(found) == ["height", "base_color"]
     for name, values in found.items():
@@ -187,7 +186,7 @@ def test_a_list_of_channels_gives_a_dict_in_its_order() -> None:
 
 
 @pytest.mark.usefixtures("small_blocks")
-def test_answers_are_written_where_the_caller_wants_them() -> None:
+def test_answers_are_written_where_the_caller_wants_them():
     texture, points = two_channels(), np.repeat(POINTS, 3, axis=0)
     rows = np.full((11, 3), -1.0, np.float32)
     assert np.shares_memory(texture.sample(points, out=rows[1:10]), rows)
@@ -201,7 +200,7 @@ def test_answers_are_written_where_the_caller_wants_them() -> None:
         assert np.allclose(values, texture.sample(points, name), rtol=0, atol=1e-6)
 
 
-def test_gradients_are_written_beside_the_values() -> None:
+def test_gradients_are_written_beside_the_values():
     texture = two_channels()
     values, gradients = texture.sample(POINTS, gradient=True)
     assert (values.shape, gradients.shape, gradients.dtype) == ((3, 3), (3, 3, 3), np.float32)
@@ -228,7 +227,7 @@ def test_gradients_are_written_beside_the_values() -> None:
         ),
     ],
 )
-def test_gradients_take_a_pair_of_arrays(out: Any, message: str) -> None:
+def test_gradients_take_a_pair_of_arrays(out, message):
     with pytest.raises(ArgumentError, match=message):
         eight_colors().sample(POINTS, gradient=True, out=out)
 
@@ -248,7 +247,7 @@ def test_gradients_take_a_pair_of_arrays(out: Any, message: str) -> None:
         (np.ndarray((3, 3), np.float32, bytearray(37), 1), "C-ordered, aligned and writable"),
     ],
 )
-def test_arrays_that_answers_do_not_fit_are_refused(out: Any, message: str) -> None:
+def test_arrays_that_answers_do_not_fit_are_refused(out, message):
     with pytest.raises(ArgumentError, match=message):
         eight_colors().sample(POINTS, out=out)
 
@@ -256,12 +255,12 @@ def test_arrays_that_answers_do_not_fit_are_refused(out: Any, message: str) -> N
 @pytest.mark.parametrize(
     "out", [np.empty((3, 3), np.float32), {}, {"base_color": None}, {"base_color": None, "hight": None}]
 )
-def test_a_list_of_channels_takes_a_dict_of_arrays_for_all(out: Any) -> None:
+def test_a_list_of_channels_takes_a_dict_of_arrays_for_all(out):
     with pytest.raises(ArgumentError, match="out must be a dict of arrays for: base_color, height"):
         two_channels().sample(POINTS, ["base_color", "height"], out=out)
 
 
-def test_answers_over_the_points_or_over_each_other_are_refused() -> None:
+def test_answers_over_the_points_or_over_each_other_are_refused():
     points = POINTS.astype(np.float32)
     with pytest.raises(ArgumentError, match="must not share memory"):
         eight_colors().sample(points, out=points)
@@ -277,7 +276,7 @@ def test_answers_over_the_points_or_over_each_other_are_refused() -> None:
 
 
 @needs_jit
-def test_many_points_are_looked_up_in_blocks_alike() -> None:
+def test_many_points_are_looked_up_in_blocks_alike():
     texture = shell(5)
     points = np.random.default_rng(0).random((40_000, 3))
     pieces = np.array_split(points, 7)
@@ -288,16 +287,14 @@ def test_many_points_are_looked_up_in_blocks_alike() -> None:
 
 
 @pytest.mark.parametrize("given", [[], ["normals"], ["width"]])
-def test_points_of_many_leaves_are_looked_up_in_the_order_of_space(
-    given: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_points_of_many_leaves_are_looked_up_in_the_order_of_space(given, monkeypatch):
     texture, random = shell(4, keep=0.0), np.random.default_rng(0)
     points = random.random((300, 3))
     options = {"normals": random.normal(size=(300, 3)), "width": random.random(300) * 0.2}
     expected = texture.sample(points, **{name: options[name] for name in given})
     in_order = []
 
-    def watched(*task: Any) -> None:
+    def watched(*task):
         in_order.append(len(task[0]["points"]))
         in_space(*task)
 
@@ -311,7 +308,7 @@ def test_points_of_many_leaves_are_looked_up_in_the_order_of_space(
 
 
 @pytest.mark.usefixtures("small_blocks")
-def test_an_executor_gives_the_same_answers() -> None:
+def test_an_executor_gives_the_same_answers():
     texture = shell(3)
     points = np.random.default_rng(0).random((61, 3))
     expected = texture.sample(points, gradient=True)
@@ -332,7 +329,7 @@ def test_an_executor_gives_the_same_answers() -> None:
 
 @needs_jit
 @pytest.mark.parametrize("filter", ["nearest", "quadratic"])
-def test_memory_does_not_grow_with_the_points(filter: str) -> None:
+def test_memory_does_not_grow_with_the_points(filter):
     texture = shell(3, keep=0.0)
     count = 2_000_000
     points = np.broadcast_to(np.array([0.5, 0.5, 0.05]), (count, 3))
@@ -357,7 +354,7 @@ class Hits(NamedTuple):
     rest_normals: Any
 
 
-def test_points_of_a_surface_are_looked_up_where_they_rest_toward_their_normals_there() -> None:
+def test_points_of_a_surface_are_looked_up_where_they_rest_toward_their_normals_there():
     texture, random = shell(3), np.random.default_rng(5)
     points, normals, posed = random.random((20, 3)), random.normal(size=(20, 3)), random.normal(size=(20, 3))
     expected = texture.sample(points, normals=normals)
@@ -375,7 +372,7 @@ def test_points_of_a_surface_are_looked_up_where_they_rest_toward_their_normals_
         texture.sample(SimpleNamespace(rest=points[:, :2]))
 
 
-def test_a_scatter_over_a_sheet_shows_the_side_that_it_is_on() -> None:
+def test_a_scatter_over_a_sheet_shows_the_side_that_it_is_on():
     sheet = [[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
     both = octex.Surface.from_arrays(
         sheet, [[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2]],
@@ -387,12 +384,10 @@ def test_a_scatter_over_a_sheet_shows_the_side_that_it_is_on() -> None:
 
 
 @pytest.mark.usefixtures("small_blocks")
-def test_many_points_are_looked_up_on_as_many_threads_as_are_asked_for(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_many_points_are_looked_up_on_as_many_threads_as_are_asked_for(monkeypatch):
     pools = []
 
-    def pool_of(count: int) -> Any:
+    def pool_of(count):
         pools.append(count)
         return whole_pool(count)
 

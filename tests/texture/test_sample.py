@@ -1,7 +1,5 @@
 """What lookups give, beside the slow reference of the field: channels, alpha, directions, gradients."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -22,7 +20,7 @@ Doubles = npt.NDArray[np.float64]
 SMOOTH = [name for name in FILTERS if name != "nearest"]
 
 
-def weights_at(texture: OctreeTexture, filter: str, point: Doubles) -> Doubles:
+def weights_at(texture, filter, point):
     """Weights of all rows, cells' and kept nodes', at a rest position, and their derivatives: (4, rows)."""
     cells = [
         naive.Cell(level, naive.unmorton(code), not is_node)
@@ -36,12 +34,12 @@ def weights_at(texture: OctreeTexture, filter: str, point: Doubles) -> Doubles:
     return np.array([field.at(place), *slopes])
 
 
-def decoded(channel: Channel) -> Doubles:
+def decoded(channel):
     both = np.concatenate([channel.values, channel.kept_values])
     return decode(both, channel.format.space).astype(np.float64)
 
 
-def expected(channel: Channel, alpha: Channel | None, weights: Doubles) -> tuple[Doubles, Doubles, float]:
+def expected(channel, alpha, weights):
     """Value (components,), gradient (components, 3), and how much of the weight is covered."""
     covered = 1.0
     if alpha is not None and channel is not alpha:
@@ -55,7 +53,7 @@ def expected(channel: Channel, alpha: Channel | None, weights: Doubles) -> tuple
 
 
 @given(textures(deepest=5), st.sampled_from(SMOOTH), st.integers(0, 2**32 - 1))
-def test_every_filter_blends_as_the_reference_does(texture: OctreeTexture, filter: str, seed: int) -> None:
+def test_every_filter_blends_as_the_reference_does(texture, filter, seed):
     random = np.random.default_rng(seed)
     codes = texture.tree.level_codes(texture.tree.max_depth)
     place = np.array(naive.unmorton(int(random.choice(codes))))
@@ -87,7 +85,7 @@ def test_every_filter_blends_as_the_reference_does(texture: OctreeTexture, filte
 
 @pytest.mark.parametrize("filter", FILTERS)
 @given(textures(deepest=8), st.integers(0, 255))
-def test_a_constant_comes_back_exactly(filter: str, texture: OctreeTexture, code: int) -> None:
+def test_a_constant_comes_back_exactly(filter, texture, code):
     if not texture.tree.n_leaves:
         return
     form = ALPHA._replace(name="height")
@@ -103,7 +101,7 @@ def test_a_constant_comes_back_exactly(filter: str, texture: OctreeTexture, code
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_an_empty_texture_has_the_roots_value_everywhere(filter: str) -> None:
+def test_an_empty_texture_has_the_roots_value_everywhere(filter):
     tree = Octree.from_leaves([], 0)
     channels = {
         name: channel._replace(values=channel.values[:1]) for name, channel in eight_colors().channels.items()
@@ -114,14 +112,14 @@ def test_an_empty_texture_has_the_roots_value_everywhere(filter: str) -> None:
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-def test_outside_the_root_the_nearest_point_inside_answers(filter: str) -> None:
+def test_outside_the_root_the_nearest_point_inside_answers(filter):
     texture = shell(3)
     points = np.random.default_rng(0).random((200, 3)) * 3 - 1
     found = texture.sample(points, filter=filter)
     assert np.array_equal(found, texture.sample(np.clip(points, 0.0, 1.0), filter=filter))
 
 
-def test_alpha_of_several_components_is_a_channel_like_others() -> None:
+def test_alpha_of_several_components_is_a_channel_like_others():
     color = eight_colors().channels["base_color"]
     alpha = color._replace(format=color.format._replace(name="alpha"))
     texture = eight_colors(channels={"base_color": color, "alpha": alpha})
@@ -131,7 +129,7 @@ def test_alpha_of_several_components_is_a_channel_like_others() -> None:
     )
 
 
-def test_gradients_of_unit_vectors_are_across_them() -> None:
+def test_gradients_of_unit_vectors_are_across_them():
     texture = eight_colors()
     color = texture.channels["base_color"]
     values = np.random.default_rng(0).integers(128, 256, (9, 3), np.uint8)  # none cancels out
@@ -146,7 +144,7 @@ def test_gradients_of_unit_vectors_are_across_them() -> None:
         assert np.allclose((ahead - behind) / (2 * step), gradients[:, :, axis], rtol=0, atol=5e-3)
 
 
-def test_a_direction_that_cancels_out_has_no_gradient() -> None:
+def test_a_direction_that_cancels_out_has_no_gradient():
     color = eight_colors().channels["base_color"]
     form = color.format._replace(name="normal", space="direction", dtype="float32")
     zeros: Any = np.zeros((9, 3), np.float32)

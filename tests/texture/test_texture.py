@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import math
-from typing import Any
 
 import numpy as np
 import pytest
@@ -9,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex import channels as channel_meaning
-from octex.channels import ALPHA, BASE_COLOR, NORMAL, ChannelFormat
+from octex.channels import ALPHA, BASE_COLOR, NORMAL
 from octex.errors import ArgumentError
-from octex.texture import FILTERS, Channel, OctreeTexture
+from octex.texture import FILTERS, Channel
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests.make.small_textures import eight_colors, shell
@@ -21,13 +18,13 @@ from tests.oracles import naive
 # --- lookups
 
 
-def normalized(vector: list[float]) -> list[float]:
+def normalized(vector):
     length = math.hypot(*vector)
     return [x / length for x in vector] if length else vector
 
 
 @given(textures(), st.integers(0, 2**32 - 1))
-def test_a_sample_is_the_decoded_value_of_the_nearest_cell(texture: OctreeTexture, seed: int) -> None:
+def test_a_sample_is_the_decoded_value_of_the_nearest_cell(texture, seed):
     cells = [
         naive.Cell(level, naive.unmorton(code), not is_node)
         for level, (codes, nodes) in enumerate(texture.tree.walk())
@@ -49,13 +46,13 @@ def test_a_sample_is_the_decoded_value_of_the_nearest_cell(texture: OctreeTextur
         assert np.allclose(texture.sample(points, name, "nearest"), expected, rtol=0, atol=1e-6)
 
 
-def test_colours_come_back_in_linear_light() -> None:
+def test_colours_come_back_in_linear_light():
     values = eight_colors().sample([[0.25, 0.25, 0.25], [0.75, 0.75, 0.75]], filter="nearest")
     assert values[0].tolist() == [0.0] * 3
     assert values[1] == pytest.approx([naive.srgb_to_linear(70 / 255)] * 3)
 
 
-def directed(values: list[list[float]], dtype: str) -> OctreeTexture:
+def directed(values, dtype):
     """Depth 1; the first leaves hold directions."""
     tree = Octree.from_leaves(np.arange(len(values)), 1)
     stored = channel_meaning.encode(np.array([[0.0, 0.0, 1.0], *values]), dtype, "direction")
@@ -64,7 +61,7 @@ def directed(values: list[list[float]], dtype: str) -> OctreeTexture:
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32"])
-def test_directions_come_back_as_unit_vectors_unless_their_lengths_are_asked_for(dtype: str) -> None:
+def test_directions_come_back_as_unit_vectors_unless_their_lengths_are_asked_for(dtype):
     texture = directed([[0.0, -0.3, 0.4], [-1.0, 0.0, 0.0]], dtype)
     points = [[0.1, 0.1, 0.1], [0.9, 0.1, 0.1]]
     precision = 0.01 if dtype == "uint8" else 1e-3
@@ -76,33 +73,33 @@ def test_directions_come_back_as_unit_vectors_unless_their_lengths_are_asked_for
     assert np.allclose(means, [[0, -0.3, 0.4], [-1, 0, 0]], atol=precision)
 
 
-def test_a_direction_that_cancels_out_stays_zero() -> None:
+def test_a_direction_that_cancels_out_stays_zero():
     texture = directed([[0.0, 0.0, 0.0], [0.0, 0.0, -0.0], [1e-30, 0.0, 0.0]], "float32")
     points = [[0.1, 0.1, 0.1], [0.9, 0.1, 0.1], [0.1, 0.9, 0.1]]
     assert texture.sample(points, "normal", "nearest").tolist() == [[0, 0, 0], [0, 0, 0], [1, 0, 0]]
 
 
-def test_samples_are_taken_at_rest_positions() -> None:
+def test_samples_are_taken_at_rest_positions():
     moved = eight_colors(placement=Placement((10.0, 20.0, 30.0), 4.0))
     for name in FILTERS:
         there = moved.sample([[13.0, 21.0, 31.0]], filter=name)
         assert np.array_equal(there, eight_colors().sample([[0.75, 0.25, 0.25]], filter=name))
 
 
-def test_every_point_has_a_value_however_far() -> None:
+def test_every_point_has_a_value_however_far():
     texture = eight_colors()
     far = texture.sample([[1e30, -1e30, 1e30], [-0.0, 1.0, 1.0]], filter="nearest")
     assert np.array_equal(far, texture.sample([[0.9, 0.1, 0.9], [0.1, 0.9, 0.9]], filter="nearest"))
 
 
-def test_contains_says_whether_a_leaf_holds_the_point() -> None:
+def test_contains_says_whether_a_leaf_holds_the_point():
     texture = eight_colors(tree=Octree.from_leaves([0, 7], 1), channels={})
     points = [[0.0, 0.0, 0.0], [0.5, 0.5, 0.5], [0.4, 0.4, 0.5], [1.0, 1.0, 1.0], [-0.1, 0.1, 0.1]]
     assert texture.contains(points).tolist() == [True, True, False, False, False]
 
 
 @given(textures(deepest=6), st.integers(0, 7))
-def test_a_level_is_the_coarser_texture(texture: OctreeTexture, level: int) -> None:
+def test_a_level_is_the_coarser_texture(texture, level):
     coarse = texture.level(level)
     coarse.validate()
     assert coarse.tree.max_depth == min(level, texture.tree.max_depth)
@@ -114,13 +111,13 @@ def test_a_level_is_the_coarser_texture(texture: OctreeTexture, level: int) -> N
         assert np.array_equal(channel.kept_values, texture.channels[name].kept_values[:rows])
 
 
-def test_the_averages_are_the_values_of_a_coarser_level() -> None:
+def test_the_averages_are_the_values_of_a_coarser_level():
     assert eight_colors().level(0).sample([[0.9, 0.9, 0.9]])[0, 0] == pytest.approx(
         naive.srgb_to_linear(100 / 255)
     )
 
 
-def test_bytes_are_those_of_all_arrays() -> None:
+def test_bytes_are_those_of_all_arrays():
     texture = eight_colors()
     assert texture.nbytes == texture.tree.nbytes + 27
 
@@ -141,15 +138,13 @@ def test_bytes_are_those_of_all_arrays() -> None:
         (ALPHA, np.zeros((9, 1), np.uint8), "must have the name of its format"),
     ],
 )
-def test_channels_that_do_not_fit_the_tree_are_refused(
-    form: ChannelFormat, values: np.ndarray, message: str
-) -> None:
+def test_channels_that_do_not_fit_the_tree_are_refused(form, values, message):
     with pytest.raises(ArgumentError, match=message):
         eight_colors(channels={"base_color": Channel(form, values, values[:0], values[:0])})
 
 
 @pytest.mark.parametrize("rows", ["split_values", "kept_values"])
-def test_values_of_rows_that_do_not_exist_are_refused(rows: str) -> None:
+def test_values_of_rows_that_do_not_exist_are_refused(rows):
     values = np.zeros((9, 3), np.uint8)
     channel = Channel(BASE_COLOR, values, values[:0], values[:0])
     with pytest.raises(ArgumentError, match=r"of shape \(0, 3\)"):
@@ -157,7 +152,7 @@ def test_values_of_rows_that_do_not_exist_are_refused(rows: str) -> None:
 
 
 @pytest.mark.parametrize("metadata", [{"depth": 1}, {1: "depth"}])
-def test_metadata_that_are_not_texts_are_refused(metadata: dict[Any, Any]) -> None:
+def test_metadata_that_are_not_texts_are_refused(metadata):
     with pytest.raises(ArgumentError, match="metadata must map strings to strings"):
         eight_colors(metadata=metadata)
 
@@ -165,18 +160,18 @@ def test_metadata_that_are_not_texts_are_refused(metadata: dict[Any, Any]) -> No
 @pytest.mark.parametrize(
     "placement", [Placement((0, 0, np.nan), 1), Placement((0, 0, 0), 0), Placement((0, 0, 0), np.inf)]
 )
-def test_an_impossible_root_cell_is_refused(placement: Placement) -> None:
+def test_an_impossible_root_cell_is_refused(placement):
     with pytest.raises(ArgumentError, match="the root cell must have a size from 1e-30"):
         eight_colors(placement=placement)
 
 
 @pytest.mark.parametrize("bounds", [[[0, 0, 0]], [[0, 0, 0], [1, 1, np.inf]]])
-def test_impossible_bounds_are_refused(bounds: list[list[float]]) -> None:
+def test_impossible_bounds_are_refused(bounds):
     with pytest.raises(ArgumentError, match="two finite corners"):
         eight_colors(bounds=bounds)
 
 
-def test_a_channel_of_one_number_has_it_in_all_rows_and_a_copy_has_its_own() -> None:
+def test_a_channel_of_one_number_has_it_in_all_rows_and_a_copy_has_its_own():
     tree = shell(4).tree
     assert tree.split.areas.size
     assert tree.kept.cells.size

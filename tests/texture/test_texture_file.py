@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path
@@ -13,7 +11,7 @@ import octex
 from octex import container
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError, InputError, OctexError, TextureFileError
-from octex.texture import Channel, OctreeTexture
+from octex.texture import Channel
 from tests.conftest import needs_jit
 from tests.make.same import assert_equal
 from tests.make.small_textures import eight_colors, shell
@@ -21,9 +19,7 @@ from tests.make.strategies import textures
 
 
 @given(texture=textures())
-def test_a_saved_texture_opens_as_it_was(
-    texture: OctreeTexture, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_a_saved_texture_opens_as_it_was(texture, tmp_path_factory):
     path = tmp_path_factory.mktemp("files") / "a.octex"
     texture.save(path)
     opened = octex.open(path)
@@ -33,23 +29,23 @@ def test_a_saved_texture_opens_as_it_was(
     assert path.stat().st_size == texture.info()["bytes"]["total"]
 
 
-def test_a_texture_is_saved_under_its_own_ending_only(tmp_path: Path) -> None:
+def test_a_texture_is_saved_under_its_own_ending_only(tmp_path):
     with pytest.raises(ArgumentError, match=r"a texture is saved as NAME\.octex"):
         eight_colors().save(tmp_path / "points.ply")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_texture_and_its_tree_introduce_themselves() -> None:
+def test_a_texture_and_its_tree_introduce_themselves():
     assert repr(eight_colors()) == "<OctreeTexture of base_color; <Octree of depth 1: 8 leaves, 1 nodes>>"
 
 
-def test_the_same_texture_gives_the_same_bytes(tmp_path: Path) -> None:
+def test_the_same_texture_gives_the_same_bytes(tmp_path):
     shell(3).save(tmp_path / "a.octex")
     octex.open(tmp_path / "a.octex").save(tmp_path / "b.octex")
     assert (tmp_path / "a.octex").read_bytes() == (tmp_path / "b.octex").read_bytes()
 
 
-def test_the_format_is_what_it_was(tmp_path: Path) -> None:
+def test_the_format_is_what_it_was(tmp_path):
     eight_colors().save(tmp_path / "a.octex")
     data = (tmp_path / "a.octex").read_bytes()
     length = int.from_bytes(data[:8], "little")
@@ -80,7 +76,7 @@ def test_the_format_is_what_it_was(tmp_path: Path) -> None:
     )
 
 
-def test_the_safetensors_library_reads_a_texture(tmp_path: Path) -> None:
+def test_the_safetensors_library_reads_a_texture(tmp_path):
     texture = shell(3)
     texture.save(tmp_path / "a.octex")
     tensors = load_file(tmp_path / "a.octex")
@@ -93,7 +89,7 @@ def test_the_safetensors_library_reads_a_texture(tmp_path: Path) -> None:
     assert np.array_equal(tensors["kept/channels/base_color"], values.kept_values)
 
 
-def test_unknown_tensors_and_metadata_are_kept(tmp_path: Path) -> None:
+def test_unknown_tensors_and_metadata_are_kept(tmp_path):
     eight_colors().save(tmp_path / "a.octex")
     contents = container.read(tmp_path / "a.octex")
     extra = {"rest/vertices": np.arange(12.0).reshape(4, 3)}
@@ -106,7 +102,7 @@ def test_unknown_tensors_and_metadata_are_kept(tmp_path: Path) -> None:
     assert texture.info()["bytes"]["other"] == 96
 
 
-def test_info_says_where_the_bytes_go() -> None:
+def test_info_says_where_the_bytes_go():
     info = eight_colors().info()
     assert json.loads(json.dumps(info)) == info
     assert info["bytes"] == {
@@ -125,7 +121,7 @@ def test_info_says_where_the_bytes_go() -> None:
     assert info["provenance"] == {"source": "eight"}
 
 
-def test_a_file_is_opened_by_its_metadata_not_by_its_name(tmp_path: Path) -> None:
+def test_a_file_is_opened_by_its_metadata_not_by_its_name(tmp_path):
     save_file({"a": np.zeros(3)}, tmp_path / "a.octex")
     with pytest.raises(TextureFileError, match=r"a\.octex: is not an octree texture"):
         octex.open(tmp_path / "a.octex")
@@ -159,9 +155,7 @@ def test_a_file_is_opened_by_its_metadata_not_by_its_name(tmp_path: Path) -> Non
         ("provenance", "{", "'provenance' are missing or damaged"),
     ],
 )
-def test_damaged_metadata_are_refused_by_name(
-    tmp_path: Path, name: str, text: str | None, message: str
-) -> None:
+def test_damaged_metadata_are_refused_by_name(tmp_path, name, text, message):
     path = tmp_path / "a.octex"
     eight_colors().save(path)
     tensors, metadata, _ = container.read(path)
@@ -186,9 +180,7 @@ def test_damaged_metadata_are_refused_by_name(
         ("kept/cells", np.zeros(1, np.int64), "kept cells must be a C-ordered uint32"),
     ],
 )
-def test_missing_and_misshapen_tensors_are_refused_by_name(
-    tmp_path: Path, name: str, array: np.ndarray | None, message: str
-) -> None:
+def test_missing_and_misshapen_tensors_are_refused_by_name(tmp_path, name, array, message):
     path = tmp_path / "a.octex"
     eight_colors().save(path)
     tensors, metadata, _ = container.read(path)
@@ -198,7 +190,7 @@ def test_missing_and_misshapen_tensors_are_refused_by_name(
         octex.open(path)
 
 
-def test_validate_names_the_file_and_the_channel(tmp_path: Path) -> None:
+def test_validate_names_the_file_and_the_channel(tmp_path):
     form = ChannelFormat("height", 1, "data", "float32")
     values = np.zeros((9, 1), np.float32)
     values[3] = np.nan
@@ -210,7 +202,7 @@ def test_validate_names_the_file_and_the_channel(tmp_path: Path) -> None:
         octex.open(tmp_path / "a.octex").validate()
 
 
-def use(path: Path) -> None:
+def use(path):
     """Everything that reads a file; only octex's own errors may come of it."""
     points = np.random.default_rng(0).random((60, 3))
     texture = octex.open(path)
@@ -223,7 +215,7 @@ def use(path: Path) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_damaged_files_are_refused_or_harmless(tmp_path: Path, seed: int) -> None:
+def test_damaged_files_are_refused_or_harmless(tmp_path, seed):
     random = np.random.default_rng(seed)
     shell(3).save(tmp_path / "whole.octex")
     whole = np.fromfile(tmp_path / "whole.octex", np.uint8)
@@ -252,7 +244,7 @@ def test_damaged_files_are_refused_or_harmless(tmp_path: Path, seed: int) -> Non
 
 @needs_jit
 @pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
-def test_a_coarse_look_loads_few_pages_of_a_large_file(tmp_path: Path) -> None:
+def test_a_coarse_look_loads_few_pages_of_a_large_file(tmp_path):
     path = tmp_path / "large.octex"
     shell(8).save(path)
     assert path.stat().st_size > 3_000_000
@@ -267,7 +259,7 @@ def test_a_coarse_look_loads_few_pages_of_a_large_file(tmp_path: Path) -> None:
     assert resident <= 512
 
 
-def test_an_opened_file_describes_itself_without_reading_a_cell(tmp_path: Path) -> None:
+def test_an_opened_file_describes_itself_without_reading_a_cell(tmp_path):
     path = tmp_path / "a.octex"
     shell(3).save(path)
     with path.open("r+b") as file:  # damage all cells

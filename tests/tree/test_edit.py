@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -14,21 +12,12 @@ from hypothesis import strategies as st
 from octex.errors import ArgumentError
 from octex.tree.beside import boundary, near, with_boundary
 from octex.tree.children import children_of, node_cells
-from octex.tree.edit import (
-    Edited,
-    among,
-    cull,
-    facings_of_nodes,
-    locate,
-    places,
-    raised,
-    rebuilt,
-)
+from octex.tree.edit import among, cull, facings_of_nodes, locate, places, raised, rebuilt
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from tests.conftest import needs_jit
-from tests.make.strategies import Leaves, leaf_sets, with_random_data
+from tests.make.strategies import leaf_sets, with_random_data
 
 Key = tuple[int, int]  # level, Morton code
 ROOT = (0, 0)
@@ -37,14 +26,14 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 @given(st.lists(st.integers(-3, 40)), st.sets(st.integers(0, 40)), st.booleans())
-def test_places_are_those_of_a_dictionary(codes: list[int], known: set[int], ascend: bool) -> None:
+def test_places_are_those_of_a_dictionary(codes, known, ascend):
     places_of = {code: place for place, code in enumerate(sorted(known))}
     asked = sorted(codes) if ascend else codes
     found = places(np.array(asked, np.int64), np.array(sorted(known), np.int64))
     assert found.tolist() == [places_of.get(code, -1) for code in asked]
 
 
-def keys_of(tree: Octree) -> dict[Key, bool]:
+def keys_of(tree):
     """The cells in the order of their numbers, and which of them are leaves."""
     return {
         (level, code): not is_node
@@ -53,17 +42,17 @@ def keys_of(tree: Octree) -> dict[Key, bool]:
     }
 
 
-def above(key: Key) -> list[Key]:
+def above(key):
     level, code = key
     return [(level - n, code >> 3 * n) for n in range(1, level + 1)]
 
 
-def children(key: Key) -> list[Key]:
+def children(key):
     level, code = key
     return [(level + 1, code << 3 | octant) for octant in range(8)]
 
 
-def by_level(keys: Iterable[Key], least: int = 1) -> list[npt.NDArray[np.int64]]:
+def by_level(keys, least=1):
     keys = set(keys)
     levels = max([level + 1 for level, _ in keys] + [least])
     found: list[list[int]] = [[] for _ in range(levels)]
@@ -72,11 +61,11 @@ def by_level(keys: Iterable[Key], least: int = 1) -> list[npt.NDArray[np.int64]]
     return [np.array(codes, np.int64) for codes in found]
 
 
-def leaves_of(tree: Octree) -> set[Key]:
+def leaves_of(tree):
     return {key for key, is_leaf in keys_of(tree).items() if is_leaf}
 
 
-def with_noise(tree: Octree, seed: int) -> Octree:
+def with_noise(tree, seed):
     """Flags that nodes do not gather from their children; split cells and kept nodes as they are."""
     random = np.random.default_rng(seed)
     flags = random.integers(0, FACING_FLAGS + 1, tree.n_cells, dtype=np.uint8)
@@ -86,7 +75,7 @@ def with_noise(tree: Octree, seed: int) -> Octree:
 
 
 @st.composite
-def trees(draw: st.DrawFn, deepest: int = 8) -> Octree:
+def trees(draw, deepest=8):
     return with_random_data(Octree.from_leaves(*draw(leaf_sets(deepest))), draw(seeds))
 
 
@@ -94,7 +83,7 @@ def trees(draw: st.DrawFn, deepest: int = 8) -> Octree:
 
 
 @given(leaf_sets())
-def test_leaves_by_level_make_the_tree_of_the_same_leaves(leaves: Leaves) -> None:
+def test_leaves_by_level_make_the_tree_of_the_same_leaves(leaves):
     expected = Octree.from_leaves(*leaves)
     levels = by_level(zip(leaves.depths.tolist(), leaves.codes.tolist(), strict=True), 22)
     for given_levels in (levels, levels[: expected.max_depth + 1]):
@@ -107,7 +96,7 @@ def test_leaves_by_level_make_the_tree_of_the_same_leaves(leaves: Leaves) -> Non
 
 
 @given(leaf_sets(deepest=18), seeds)
-def test_a_leaf_above_or_below_another_is_refused(leaves: Leaves, seed: int) -> None:
+def test_a_leaf_above_or_below_another_is_refused(leaves, seed):
     assume(leaves.codes.size)
     random = np.random.default_rng(seed)
     keys = list(zip(leaves.depths.tolist(), leaves.codes.tolist(), strict=True))
@@ -122,12 +111,12 @@ def test_a_leaf_above_or_below_another_is_refused(leaves: Leaves, seed: int) -> 
 
 
 @pytest.mark.parametrize("levels", [[[], [1, 0]], [[], [1, 1]], [[], [], [9, 10, 3]], [[0, 0]], [[0], [3]]])
-def test_levels_out_of_order_are_refused(levels: list[list[int]]) -> None:
+def test_levels_out_of_order_are_refused(levels):
     with pytest.raises(ArgumentError, match="overlap others, or are out of order"):
         Octree.from_levels([np.array(codes, np.int64) for codes in levels])
 
 
-def test_levels_without_leaves_make_the_empty_tree() -> None:
+def test_levels_without_leaves_make_the_empty_tree():
     empty = Octree.from_levels([NONE, NONE, NONE])
     assert (empty.n_cells, empty.n_nodes, empty.max_depth) == (1, 1, 0)
 
@@ -136,7 +125,7 @@ def test_levels_without_leaves_make_the_empty_tree() -> None:
 
 
 @given(trees(), seeds)
-def test_cells_are_located_as_by_a_search_through_all_cells(tree: Octree, seed: int) -> None:
+def test_cells_are_located_as_by_a_search_through_all_cells(tree, seed):
     random = np.random.default_rng(seed)
     cells = keys_of(tree)
     numbers = {key: n for n, key in enumerate(cells)}
@@ -155,13 +144,13 @@ def test_cells_are_located_as_by_a_search_through_all_cells(tree: Octree, seed: 
 
 
 @given(st.lists(st.integers(0, 40)), st.sets(st.integers(0, 40)))
-def test_codes_are_among_others_as_in_sets(codes: list[int], known: set[int]) -> None:
+def test_codes_are_among_others_as_in_sets(codes, known):
     found = among(np.array(codes, np.int64), np.array(sorted(known), np.int64))
     assert found.tolist() == [code in known for code in codes]
 
 
 @given(trees())
-def test_nodes_and_their_first_children_are_those_of_a_search_through_all_cells(tree: Octree) -> None:
+def test_nodes_and_their_first_children_are_those_of_a_search_through_all_cells(tree):
     cells = keys_of(tree)
     numbers = {key: n for n, key in enumerate(cells)}
     assume(tree.n_leaves)
@@ -174,7 +163,7 @@ def test_nodes_and_their_first_children_are_those_of_a_search_through_all_cells(
 
 
 @given(trees(), seeds)
-def test_nodes_face_as_their_children_do(tree: Octree, seed: int) -> None:
+def test_nodes_face_as_their_children_do(tree, seed):
     assert np.array_equal(facings_of_nodes(tree), tree.arrays.flags)
     tree = with_noise(tree, seed)
     before = tree.arrays.flags.copy()
@@ -193,7 +182,7 @@ def test_nodes_face_as_their_children_do(tree: Octree, seed: int) -> None:
 # --- what is carried over
 
 
-def check(edited: Edited, tree: Octree, leaves: set[Key], keeping: set[Key]) -> None:
+def check(edited, tree, leaves, keeping):
     """Compare with the tree of some leaves; ``keeping`` are the nodes that keep, beside those that did."""
     old = {key: n for n, key in enumerate(keys_of(tree))}
     cells = sorted({ROOT, *leaves, *(key for leaf in leaves for key in above(leaf))})
@@ -241,7 +230,7 @@ def check(edited: Edited, tree: Octree, leaves: set[Key], keeping: set[Key]) -> 
 
 
 @given(trees(), seeds)
-def test_a_culled_tree_has_the_chosen_leaves_and_what_is_above_them(tree: Octree, seed: int) -> None:
+def test_a_culled_tree_has_the_chosen_leaves_and_what_is_above_them(tree, seed):
     random = np.random.default_rng(seed)
     is_kept = random.random(tree.n_cells) < random.choice([0.1, 0.5, 0.9])
     leaves = {
@@ -254,7 +243,7 @@ def test_a_culled_tree_has_the_chosen_leaves_and_what_is_above_them(tree: Octree
 
 
 @given(trees())
-def test_a_tree_of_which_all_is_kept_is_as_it_was(tree: Octree) -> None:
+def test_a_tree_of_which_all_is_kept_is_as_it_was(tree):
     edited = cull(tree, np.ones(tree.n_cells, np.bool_))
     assert edited.old.tolist() == list(range(tree.n_cells))
     assert edited.split_rows.all() and edited.kept_rows.all()
@@ -268,7 +257,7 @@ def test_a_tree_of_which_all_is_kept_is_as_it_was(tree: Octree) -> None:
 
 
 @pytest.mark.parametrize("keep", [0.0, 1.0])
-def test_a_tree_of_which_nothing_is_kept_is_empty_and_sound(keep: float) -> None:
+def test_a_tree_of_which_nothing_is_kept_is_empty_and_sound(keep):
     tree = with_random_data(Octree.from_leaves(np.arange(20), 2), 0, keep)
     edited = cull(tree, np.zeros(tree.n_cells, np.bool_))
     assert (edited.tree.n_cells, edited.tree.n_leaves, edited.old.tolist()) == (1, 0, [0])
@@ -276,14 +265,14 @@ def test_a_tree_of_which_nothing_is_kept_is_empty_and_sound(keep: float) -> None
 
 
 @given(trees(), leaf_sets(deepest=8))
-def test_a_tree_rebuilt_of_other_leaves_carries_what_it_shares(tree: Octree, leaves: Leaves) -> None:
+def test_a_tree_rebuilt_of_other_leaves_carries_what_it_shares(tree, leaves):
     assume(leaves.codes.size)
     keys = set(zip(leaves.depths.tolist(), leaves.codes.tolist(), strict=True))
     check(rebuilt(tree, by_level(keys)), tree, keys, set())
 
 
 @given(trees(), seeds)
-def test_a_tree_is_rebuilt_where_leaves_and_nodes_change_places(tree: Octree, seed: int) -> None:
+def test_a_tree_is_rebuilt_where_leaves_and_nodes_change_places(tree, seed):
     random = np.random.default_rng(seed)
     keys: set[Key] = set()
     for key, is_leaf in keys_of(tree).items():
@@ -305,7 +294,7 @@ class Wanted(NamedTuple):
 
 
 @st.composite
-def wanted_cells(draw: st.DrawFn, part: float | None = None) -> Wanted:
+def wanted_cells(draw, part=None):
     """Met cells below some leaves, with all above them; some of these are wanted; leaves in empty places."""
     tree = draw(trees())
     random = np.random.default_rng(draw(seeds))
@@ -330,7 +319,7 @@ def wanted_cells(draw: st.DrawFn, part: float | None = None) -> Wanted:
     return Wanted(tree, wanted, met, added)
 
 
-def raised_leaves(drawn: Wanted) -> tuple[set[Key], set[Key]]:
+def raised_leaves(drawn):
     """The leaves there should be, and the nodes that were leaves or are new below them."""
     cells = keys_of(drawn.tree)
     nodes = {
@@ -341,7 +330,7 @@ def raised_leaves(drawn: Wanted) -> tuple[set[Key], set[Key]]:
     return leaves, nodes
 
 
-def new_below_kept(drawn: Wanted) -> set[Key]:
+def new_below_kept(drawn):
     """The new nodes above what is added that lie below nodes which keep a coefficient."""
     cells = keys_of(drawn.tree)
     kept = {list(cells)[n] for n in drawn.tree.kept.cells.tolist()}
@@ -349,13 +338,13 @@ def new_below_kept(drawn: Wanted) -> set[Key]:
     return {key for key in new if next(each for each in above(key) if each in cells) in kept}
 
 
-def below(key: Key, cells: dict[Key, bool]) -> bool:
+def below(key, cells):
     """Whether a cell is a leaf or below one."""
     return any(cells.get(each, False) for each in [key, *above(key)])
 
 
 @given(wanted_cells())
-def test_a_raised_tree_goes_down_to_wanted_cells_by_cells_that_are_met(drawn: Wanted) -> None:
+def test_a_raised_tree_goes_down_to_wanted_cells_by_cells_that_are_met(drawn):
     tree, wanted, met, added = drawn
     edited = raised(tree, by_level(wanted), by_level(met), by_level(added))
     leaves, nodes = raised_leaves(drawn)
@@ -374,7 +363,7 @@ def test_a_raised_tree_goes_down_to_wanted_cells_by_cells_that_are_met(drawn: Wa
 
 
 @given(wanted_cells(part=1.0))
-def test_where_all_children_are_met_raised_nodes_have_all_eight(drawn: Wanted) -> None:
+def test_where_all_children_are_met_raised_nodes_have_all_eight(drawn):
     tree, wanted, _, _ = drawn
     full = {child for key in raised_leaves(drawn)[1] for child in children(key)}
     edited = raised(tree, by_level(wanted), by_level(full), [])
@@ -386,7 +375,7 @@ def test_where_all_children_are_met_raised_nodes_have_all_eight(drawn: Wanted) -
 
 
 @given(trees())
-def test_a_tree_in_which_nothing_is_wanted_stays(tree: Octree) -> None:
+def test_a_tree_in_which_nothing_is_wanted_stays(tree):
     cells = keys_of(tree)
     met = {child for key, is_leaf in cells.items() if is_leaf for child in children(key)}
     for nothing in ([], [NONE] * 12):
@@ -396,14 +385,14 @@ def test_a_tree_in_which_nothing_is_wanted_stays(tree: Octree) -> None:
         assert np.array_equal(edited.tree.kept.cells, tree.kept.cells)
 
 
-def test_wanted_cells_below_a_leaf_that_nothing_is_met_below_are_not_made() -> None:
+def test_wanted_cells_below_a_leaf_that_nothing_is_met_below_are_not_made():
     tree = Octree.from_leaves(np.arange(8), 1)
     edited = raised(tree, by_level({(3, 5), (3, 64)}), by_level({(2, 8), (3, 64), (3, 65)}), [])
     assert leaves_of(edited.tree) == {*((1, code) for code in (0, *range(2, 8))), (3, 64), (3, 65)}
     assert edited.tree.kept.cells.tolist() == [2, 9]
 
 
-def test_a_new_cell_that_nothing_is_met_below_stays_a_leaf() -> None:
+def test_a_new_cell_that_nothing_is_met_below_stays_a_leaf():
     tree = Octree.from_leaves(np.arange(8), 1)
     edited = raised(tree, by_level({(3, 0)}), by_level({(2, 0), (2, 1)}), [])
     assert leaves_of(edited.tree) == {*((1, code) for code in range(1, 8)), (2, 0), (2, 1)}
@@ -411,19 +400,19 @@ def test_a_new_cell_that_nothing_is_met_below_stays_a_leaf() -> None:
 
 
 @pytest.mark.parametrize("added", [{ROOT}, {(1, 3)}, {(2, 9), (5, 0)}])
-def test_leaves_are_added_to_the_empty_tree(added: set[Key]) -> None:
+def test_leaves_are_added_to_the_empty_tree(added):
     tree = Octree.from_leaves(NONE, 0)
     check(raised(tree, [], [], by_level(added)), tree, added, set())
 
 
-def test_the_root_is_raised() -> None:
+def test_the_root_is_raised():
     tree = with_random_data(Octree.from_leaves(np.zeros(1, np.int64), 0), 0)
     edited = raised(tree, by_level({(2, 9)}), by_level({(1, 0), (1, 1), (2, 9), (2, 10)}), [])
     check(edited, tree, {(1, 0), (2, 9), (2, 10)}, {ROOT, (1, 1)})
 
 
 @needs_jit
-def test_a_large_tree_is_raised_and_culled_back() -> None:
+def test_a_large_tree_is_raised_and_culled_back():
     random = np.random.default_rng(0)
     codes = np.unique(random.integers(0, 8**8, 100_000))
     tree = with_random_data(Octree.from_leaves(codes, 8), 0, 0.0)
@@ -446,7 +435,7 @@ def test_a_large_tree_is_raised_and_culled_back() -> None:
     assert back.tree.kept.cells.size == 0
 
 
-def test_cells_beside_others_are_those_that_share_a_corner() -> None:
+def test_cells_beside_others_are_those_that_share_a_corner():
     random = np.random.default_rng(5)
     for _ in range(100):
         level = int(random.integers(0, 7))

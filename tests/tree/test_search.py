@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,7 +11,7 @@ from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import Positions, child, in_leaves, nearest_cells
-from tests.make.strategies import Leaves, leaf_sets, points_around
+from tests.make.strategies import leaf_sets, points_around
 from tests.make.taps import taps_of
 from tests.oracles import naive
 
@@ -21,19 +19,19 @@ UNIT = ((0.0, 0.0, 0.0), 1.0)
 
 
 @st.composite
-def trees_and_points(draw: st.DrawFn) -> tuple[Leaves, np.ndarray]:
+def trees_and_points(draw):
     leaves = draw(leaf_sets())
     points = draw(st.lists(points_around(leaves), min_size=1, max_size=12))
     return leaves, np.array(points)
 
 
 @kernel
-def child_of(arrays: TreeArrays, node: int, octant: int) -> tuple[int, int]:
+def child_of(arrays, node, octant):
     return child(arrays, node, octant)
 
 
 @pytest.mark.skipif(jit.DISABLED, reason="what is not compiled can be called anywhere")
-def test_what_is_inlined_is_not_called_from_python() -> None:
+def test_what_is_inlined_is_not_called_from_python():
     tree = Octree.from_leaves([0], 1)
     child_of(tree.arrays, 0, 0)
     for _ in range(2):
@@ -42,7 +40,7 @@ def test_what_is_inlined_is_not_called_from_python() -> None:
 
 
 @given(leaf_sets(deepest=5))
-def test_children_are_found_from_the_masks(leaves: Leaves) -> None:
+def test_children_are_found_from_the_masks(leaves):
     tree = Octree.from_leaves(*leaves)
     cells = naive.cells_of(leaves.places())
     numbers = {(cell.level, cell.place): number for number, cell in enumerate(cells)}
@@ -57,9 +55,7 @@ def test_children_are_found_from_the_masks(leaves: Leaves) -> None:
 
 
 @given(trees_and_points())
-def test_nearest_is_the_leaf_that_holds_the_point_or_the_nearest_of_27_cells(
-    drawn: tuple[Leaves, np.ndarray],
-) -> None:
+def test_nearest_is_the_leaf_that_holds_the_point_or_the_nearest_of_27_cells(drawn):
     leaves, points = drawn
     tree = Octree.from_leaves(*leaves)
     cells = naive.cells_of(leaves.places())
@@ -71,7 +67,7 @@ def test_nearest_is_the_leaf_that_holds_the_point_or_the_nearest_of_27_cells(
 
 
 @given(trees_and_points())
-def test_points_are_in_leaves_when_a_leaf_holds_them(drawn: tuple[Leaves, np.ndarray]) -> None:
+def test_points_are_in_leaves_when_a_leaf_holds_them(drawn):
     leaves, points = drawn
     tree = Octree.from_leaves(*leaves)
     cells = naive.cells_of(leaves.places())
@@ -82,9 +78,7 @@ def test_points_are_in_leaves_when_a_leaf_holds_them(drawn: tuple[Leaves, np.nda
 
 
 @given(trees_and_points(), st.sampled_from([np.float32, np.float64]))
-def test_lookups_do_not_depend_on_the_points_before_them(
-    drawn: tuple[Leaves, np.ndarray], dtype: type
-) -> None:
+def test_lookups_do_not_depend_on_the_points_before_them(drawn, dtype):
     leaves, points = drawn
     tree = Octree.from_leaves(*leaves)
     points = points.astype(dtype)
@@ -96,7 +90,7 @@ def test_lookups_do_not_depend_on_the_points_before_them(
         assert alone[0] == cell
 
 
-def test_points_are_placed_in_float64_before_anything_else() -> None:
+def test_points_are_placed_in_float64_before_anything_else():
     tree = Octree.from_leaves(np.arange(8), 1)
     points = np.full((1, 3), 0.6, np.float32)
     just_above = float(points[0, 0]) - 0.5 + 1e-8  # the difference is 0.5 in float32, below it in float64
@@ -108,7 +102,7 @@ def test_points_are_placed_in_float64_before_anything_else() -> None:
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_positions_that_are_not_finite_are_reported(value: float) -> None:
+def test_positions_that_are_not_finite_are_reported(value):
     tree = Octree.from_leaves(np.arange(8), 1)
     points = np.full((3, 3), 0.5)
     points[1, 2] = value
@@ -120,7 +114,7 @@ def test_positions_that_are_not_finite_are_reported(value: float) -> None:
 
 
 @given(leaf_sets(), st.integers(0, 2**32 - 1))
-def test_damaged_structures_are_searched_without_harm(leaves: Leaves, seed: int) -> None:
+def test_damaged_structures_are_searched_without_harm(leaves, seed):
     tree = Octree.from_leaves(*leaves)
     noise = np.random.default_rng(seed)
     groups = noise.integers(0, 2**64, tree.arrays.groups.shape, dtype=np.uint64)
@@ -132,7 +126,7 @@ def test_damaged_structures_are_searched_without_harm(leaves: Leaves, seed: int)
     in_leaves(arrays, Positions.of(points), *UNIT, np.empty(50, np.bool_))
 
 
-def test_points_between_two_steps_lie_in_one_cell_however_they_are_asked_for() -> None:
+def test_points_between_two_steps_lie_in_one_cell_however_they_are_asked_for():
     depth, placement = 10, Placement((0.1, -0.3, 0.7), 0.9437)
     ends = np.arange(1, 1 << depth)  # of cells along x, every other of which is stored
     places = np.full((len(ends), 3), 2.0**-12)

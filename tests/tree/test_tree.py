@@ -1,7 +1,3 @@
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,13 +11,13 @@ from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests.conftest import needs_jit
-from tests.make.strategies import Leaves, leaf_sets, with_random_data
+from tests.make.strategies import leaf_sets, with_random_data
 from tests.oracles import naive
 
 coordinates = st.tuples(*[st.integers(0, 2**21 - 1)] * 3)
 
 
-def as_cells(tree: Octree) -> list[naive.Cell]:
+def as_cells(tree):
     return [
         naive.Cell(level, naive.unmorton(code), not is_node)
         for level, (codes, nodes) in enumerate(tree.walk())
@@ -29,24 +25,24 @@ def as_cells(tree: Octree) -> list[naive.Cell]:
     ]
 
 
-def full_tree() -> Octree:
+def full_tree():
     """Depth 2, all 64 leaves; 9 nodes, so that the second group is not full."""
     return Octree.from_leaves(np.arange(64), 2)
 
 
-def changed(tree: Octree, **arrays: np.ndarray) -> Octree:
+def changed(tree, **arrays):
     return Octree(tree.arrays._replace(**arrays), tree.split, tree.kept)
 
 
 @given(st.lists(coordinates, max_size=5))
-def test_morton_codes_interleave_bits(cells: list[tuple[int, int, int]]) -> None:
+def test_morton_codes_interleave_bits(cells):
     codes = encode_cells(np.array(cells, np.int64).reshape(-1, 3))
     assert codes.tolist() == [naive.morton(cell) for cell in cells]
     assert decode_cells(codes).tolist() == [list(cell) for cell in cells]
 
 
 @given(leaf_sets())
-def test_a_tree_has_the_cells_of_its_leaves_in_breadth_first_morton_order(leaves: Leaves) -> None:
+def test_a_tree_has_the_cells_of_its_leaves_in_breadth_first_morton_order(leaves):
     tree = Octree.from_leaves(*leaves)
     tree.validate()
     expected = naive.cells_of(leaves.places())
@@ -59,7 +55,7 @@ def test_a_tree_has_the_cells_of_its_leaves_in_breadth_first_morton_order(leaves
 
 
 @given(leaf_sets(deepest=5))
-def test_levels_list_their_cells_leaves_and_nodes(leaves: Leaves) -> None:
+def test_levels_list_their_cells_leaves_and_nodes(leaves):
     tree = Octree.from_leaves(*leaves)
     cells = naive.cells_of(leaves.places())
     for level, (n_leaves, n_nodes) in enumerate(tree.cells_by_depth()):
@@ -73,7 +69,7 @@ def test_levels_list_their_cells_leaves_and_nodes(leaves: Leaves) -> None:
 
 
 @given(leaf_sets(), st.integers(0, 21))
-def test_a_truncated_tree_ends_in_the_nodes_of_its_last_level(leaves: Leaves, level: int) -> None:
+def test_a_truncated_tree_ends_in_the_nodes_of_its_last_level(leaves, level):
     tree = with_random_data(Octree.from_leaves(*leaves), level)
     short = tree.truncated(level)
     short.validate()
@@ -86,13 +82,13 @@ def test_a_truncated_tree_ends_in_the_nodes_of_its_last_level(leaves: Leaves, le
     assert all(np.array_equal(a, b[: a.size]) for a, b in zip(short.split, tree.split, strict=True))
 
 
-def test_a_truncated_tree_shares_its_cells_arrays() -> None:
+def test_a_truncated_tree_shares_its_cells_arrays():
     tree = full_tree()
     assert np.shares_memory(tree.truncated(1).arrays.flags, tree.arrays.flags)
     assert tree.truncated(2) is tree
 
 
-def test_no_leaves_make_the_empty_tree_and_the_root_can_be_a_leaf() -> None:
+def test_no_leaves_make_the_empty_tree_and_the_root_can_be_a_leaf():
     empty = Octree.from_leaves(np.empty(0, np.int64), 5)
     root = Octree.from_leaves(np.zeros(1, np.int64), 0)
     assert (empty.n_cells, empty.n_nodes, empty.n_leaves, empty.max_depth) == (1, 1, 0, 0)
@@ -114,32 +110,32 @@ def test_no_leaves_make_the_empty_tree_and_the_root_can_be_a_leaf() -> None:
         ([0, 0], [0, 0]),
     ],
 )
-def test_leaves_out_of_order_or_overlapping_are_refused(codes: list[int], depths: int | list[int]) -> None:
+def test_leaves_out_of_order_or_overlapping_are_refused(codes, depths):
     with pytest.raises(ArgumentError, match="Morton order"):
         Octree.from_leaves(codes, depths)
 
 
 @pytest.mark.parametrize("depths", [[1], [[1, 1]], [0.5, 1.0]])
-def test_depths_must_be_whole_numbers_one_a_leaf(depths: list[object]) -> None:
+def test_depths_must_be_whole_numbers_one_a_leaf(depths):
     with pytest.raises(ArgumentError, match="whole numbers"):
         Octree.from_leaves([0, 1], depths)
 
 
 @pytest.mark.parametrize("depth", [-1, 22])
-def test_depths_must_be_0_to_21(depth: int) -> None:
+def test_depths_must_be_0_to_21(depth):
     with pytest.raises(ArgumentError, match="21"):
         Octree.from_leaves([0], depth)
     with pytest.raises(ArgumentError, match="21"):
         Octree.from_leaves([0], [depth])
 
 
-def test_more_cells_than_32_bits_number_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_cells_than_32_bits_number_are_refused(monkeypatch):
     monkeypatch.setattr(octree_module, "MAX_CELLS", 72)
     with pytest.raises(ArgumentError, match="73 cells"):
         full_tree()
 
 
-def test_more_rows_than_32_bits_number_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_rows_than_32_bits_number_are_refused(monkeypatch):
     validate_module.check_rows(2**32 - 3, 1, 1)
     with pytest.raises(ArgumentError, match="2 rows of split cells and 1 kept nodes together are more"):
         validate_module.check_rows(2**32 - 3, 2, 1)
@@ -159,16 +155,15 @@ def test_more_rows_than_32_bits_number_are_refused(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(
-    "codes",
-    [[0.5], [True], ["0"], [[0]], 0, [None], [[0], [0, 1]], np.array([2**63], np.uint64), [2**70]],
+    "codes", [[0.5], [True], ["0"], [[0]], 0, [None], [[0], [0, 1]], np.array([2**63], np.uint64), [2**70]]
 )
-def test_codes_that_are_not_whole_numbers_are_refused(codes: Any) -> None:
+def test_codes_that_are_not_whole_numbers_are_refused(codes):
     with pytest.raises(ArgumentError, match="codes must be"):
         Octree.from_leaves(codes, 1)
 
 
 @needs_jit
-def test_a_large_tree_is_sound() -> None:
+def test_a_large_tree_is_sound():
     codes = np.unique(np.random.default_rng(0).integers(0, 8**10, 300_000))
     tree = Octree.from_leaves(codes, 10)
     tree.validate()
@@ -201,18 +196,18 @@ def test_a_large_tree_is_sound() -> None:
         ({"areas": np.zeros(74, np.uint8)}, r"areas must have shape \(73,\)"),
     ],
 )
-def test_arrays_that_do_not_fit_together_are_refused(changes: dict[str, np.ndarray], message: str) -> None:
+def test_arrays_that_do_not_fit_together_are_refused(changes, message):
     with pytest.raises(ArgumentError, match=message):
         changed(full_tree(), **changes)
 
 
-def test_a_split_table_of_unequal_columns_is_refused() -> None:
+def test_a_split_table_of_unequal_columns_is_refused():
     tree = full_tree()
     with pytest.raises(ArgumentError, match="split facings must have shape"):
         Octree(tree.arrays, SplitTable(np.zeros(1, np.uint32), np.zeros(2, np.uint8), np.zeros(2, np.uint8)))
 
 
-def test_a_table_of_kept_nodes_of_another_type_is_refused() -> None:
+def test_a_table_of_kept_nodes_of_another_type_is_refused():
     with pytest.raises(ArgumentError, match="kept cells must be a C-ordered uint32"):
         Octree(full_tree().arrays, kept=KeptTable(np.zeros(1, np.int64)))
 
@@ -220,7 +215,7 @@ def test_a_table_of_kept_nodes_of_another_type_is_refused() -> None:
 # --- what validate finds
 
 
-def damaged(tree: Octree, group: int, word: int, flip: int) -> Octree:
+def damaged(tree, group, word, flip):
     groups = tree.arrays.groups.copy()
     groups[group, word] ^= np.uint64(flip)
     return changed(tree, groups=groups)
@@ -238,9 +233,7 @@ def damaged(tree: Octree, group: int, word: int, flip: int) -> Octree:
         (1, 0, 0, ""),
     ],
 )
-def test_validate_names_what_is_broken_in_the_structure(
-    group: int, word: int, flip: int, message: str
-) -> None:
+def test_validate_names_what_is_broken_in_the_structure(group, word, flip, message):
     tree = damaged(full_tree(), group, word, flip)
     if message:
         with pytest.raises(TextureFileError, match=message):
@@ -249,7 +242,7 @@ def test_validate_names_what_is_broken_in_the_structure(
         tree.validate()
 
 
-def test_validate_finds_levels_that_are_cut_elsewhere() -> None:
+def test_validate_finds_levels_that_are_cut_elsewhere():
     # Two nodes above one leaf each, and one above two: the totals stay, the levels do not.
     tree = Octree.from_leaves([0, 8, 9], 2)
     wrong = changed(tree, level_cells=np.array([0, 1, 4, 6]))
@@ -257,7 +250,7 @@ def test_validate_finds_levels_that_are_cut_elsewhere() -> None:
         wrong.validate()
 
 
-def test_validate_finds_nodes_whose_flags_are_not_their_childrens() -> None:
+def test_validate_finds_nodes_whose_flags_are_not_their_childrens():
     tree = full_tree()
     flags = np.zeros(tree.n_cells, np.uint8)
     flags[-1] = flags[8] = flags[0] = 0b100
@@ -269,9 +262,7 @@ def test_validate_finds_nodes_whose_flags_are_not_their_childrens() -> None:
 
 @needs_jit
 @given(leaf_sets(6), st.integers(0, 2**32 - 1), st.data())
-def test_validate_names_the_node_whose_flags_are_not_its_childrens(
-    leaves: Leaves, seed: int, data: st.DataObject
-) -> None:
+def test_validate_names_the_node_whose_flags_are_not_its_childrens(leaves, seed, data):
     tree = with_random_data(Octree.from_leaves(*leaves), seed, keep=0.0)
     tree.validate()
     nodes = np.flatnonzero(np.concatenate([is_node for _, is_node in tree.walk()]))
@@ -302,9 +293,7 @@ def test_validate_names_the_node_whose_flags_are_not_its_childrens(
         ([0, 2], [3, 3], 4, ""),
     ],
 )
-def test_validate_checks_the_split_table(
-    cells: list[int], facings: list[int], rows: int, message: str
-) -> None:
+def test_validate_checks_the_split_table(cells, facings, rows, message):
     tree = full_tree()
     flags = np.full(tree.n_cells, 0b11, np.uint8)
     flags[[0, 2]] |= SPLIT
@@ -328,7 +317,7 @@ def test_validate_checks_the_split_table(
         ([0, 1, 8], [0, 1, 8], ""),
     ],
 )
-def test_validate_checks_the_table_of_kept_nodes(flagged: list[int], listed: list[int], message: str) -> None:
+def test_validate_checks_the_table_of_kept_nodes(flagged, listed, message):
     tree = full_tree()
     flags = np.zeros(tree.n_cells, np.uint8)
     flags[flagged] |= KEPT
@@ -342,7 +331,7 @@ def test_validate_checks_the_table_of_kept_nodes(flagged: list[int], listed: lis
 
 
 @pytest.mark.parametrize("codes", [[], [0]])
-def test_a_root_without_children_keeps_nothing(codes: list[int]) -> None:
+def test_a_root_without_children_keeps_nothing(codes):
     tree = Octree.from_leaves(np.array(codes, np.int64), 0)
     tree = tree.with_cell_data(
         np.full(1, KEPT, np.uint8), tree.arrays.areas, kept=KeptTable(np.zeros(1, np.uint32))
@@ -352,10 +341,10 @@ def test_a_root_without_children_keeps_nothing(codes: list[int]) -> None:
 
 
 @given(leaf_sets(deepest=6), st.randoms(use_true_random=False))
-def test_damaged_structures_are_walked_and_validated_without_harm(leaves: Leaves, random: object) -> None:
+def test_damaged_structures_are_walked_and_validated_without_harm(leaves, random):
     tree = Octree.from_leaves(*leaves)
     groups = tree.arrays.groups.copy()
-    noise = np.random.default_rng(random.getrandbits(32))  # type: ignore[attr-defined]
+    noise = np.random.default_rng(random.getrandbits(32))
     for _ in range(3):
         if groups.size:
             groups[noise.integers(len(groups)), noise.integers(3)] = noise.integers(0, 2**64, dtype=np.uint64)
@@ -374,7 +363,7 @@ def test_damaged_structures_are_walked_and_validated_without_harm(leaves: Leaves
 
 
 @pytest.mark.parametrize("depth", range(22))
-def test_a_placement_keeps_a_margin_and_centres_at_a_third_of_a_cell(depth: int) -> None:
+def test_a_placement_keeps_a_margin_and_centres_at_a_third_of_a_cell(depth):
     bounds = np.array([[-3.0, 10.0, 0.5], [1.0, 12.5, 0.5]])
     placement = Placement.around(bounds, depth)
     low, high = placement.to_texture_space(bounds) * 2**depth
@@ -385,14 +374,14 @@ def test_a_placement_keeps_a_margin_and_centres_at_a_third_of_a_cell(depth: int)
     assert low.min() > 0 and high.max() < 2**depth
 
 
-def test_a_point_without_extent_is_placed() -> None:
+def test_a_point_without_extent_is_placed():
     placement = Placement.around([[5.0, 6.0, 7.0]] * 2, 3)
     inside = placement.to_texture_space([[5.0, 6.0, 7.0]])
     assert ((inside > 0) & (inside < 1)).all()
 
 
 @given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e2))
-def test_a_placement_with_a_given_cell_is_no_deeper_than_needed(extent: float, cell: float) -> None:
+def test_a_placement_with_a_given_cell_is_no_deeper_than_needed(extent, cell):
     bounds = np.array([[0.0, 0.0, 0.0], [extent, extent / 2, 0.0]])
     placement, depth = Placement.with_cell(bounds, cell)
     assert placement.size == cell * 2**depth
@@ -402,13 +391,13 @@ def test_a_placement_with_a_given_cell_is_no_deeper_than_needed(extent: float, c
     assert ((inside > 0) & (inside < 1)).all()
 
 
-def test_a_cell_too_small_for_21_levels_is_refused_and_the_smallest_named() -> None:
+def test_a_cell_too_small_for_21_levels_is_refused_and_the_smallest_named():
     with pytest.raises(ArgumentError, match=r"more than 21 levels; the smallest for this model is 4.768"):
         Placement.with_cell([[0, 0, 0], [1, 1, 1]], 4e-7)
 
 
 @given(st.tuples(*[st.floats(-1e3, 1e3)] * 3))
-def test_placements_map_to_texture_space_and_back(point: tuple[float, float, float]) -> None:
+def test_placements_map_to_texture_space_and_back(point):
     placement = Placement.around([[-1, -2, -3], [1, 2, 3]], 10)
     assert np.allclose(placement.to_rest(placement.to_texture_space([point])), [point])
     assert placement.to_texture_space(np.zeros((1, 3), np.float32)).dtype == np.float64
@@ -417,11 +406,11 @@ def test_placements_map_to_texture_space_and_back(point: tuple[float, float, flo
 @pytest.mark.parametrize(
     "bounds", [[[0, 0, 0], [1, 1, np.inf]], [[0, 0, 0], [1, -1, 1]], [[0, 0, 0]], [[np.nan] * 3, [1] * 3]]
 )
-def test_impossible_bounds_are_refused(bounds: list[list[float]]) -> None:
+def test_impossible_bounds_are_refused(bounds):
     with pytest.raises(ArgumentError, match="bounds must be"):
         Placement.around(bounds, 3)
 
 
-def test_a_root_beyond_floating_point_is_refused() -> None:
+def test_a_root_beyond_floating_point_is_refused():
     with pytest.raises(ArgumentError, match="size of the root cell"):
         Placement.around([[0, 0, 0], [1e308, 1, 1]], 2)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -69,8 +67,7 @@ def test_a_ray_along_an_axis_hits_the_face_across_it():
 
 
 @pytest.mark.parametrize(
-    "corner",
-    [[0.0, 0.0, -0.5], [0.0, 0.0, -3.0], [100.0, 0.0, 1.0], [1e200, 0.0, 1.0], [0.0, -1e200, 1.0]],
+    "corner", [[0.0, 0.0, -0.5], [0.0, 0.0, -3.0], [100.0, 0.0, 1.0], [1e200, 0.0, 1.0], [0.0, -1e200, 1.0]]
 )
 def test_cubes_at_behind_and_beside_the_camera_are_harmless(corner):
     camera = Camera.pinhole(SIZE, pose=np.eye(4), convention="opencv", focal=10.0)

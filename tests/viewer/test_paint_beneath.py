@@ -16,7 +16,7 @@ from octex.viewer.answers import packed_beneath
 from tests.conftest import needs_jit
 from tests.make.browser import served
 from tests.make.painted import ball
-from tests.viewer.test_painting import _HOLD, Studio, pictured
+from tests.make.studio import _HOLD, Studio, pictured
 
 _KEY = (
     "(viewer.painting.beneath.key ?? viewer.painting.beneath.known.key) === viewer.painting.beneath.known.key"

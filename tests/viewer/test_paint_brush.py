@@ -256,10 +256,10 @@ def test_other_places_are_refused(body: bytes, why: str, session: Session) -> No
 
 
 @needs_jit
-@pytest.mark.parametrize("blend", BLENDS)
-def test_each_blend_mode_is_seen_at_once_as_it_is_baked(blend: str, studio: Studio, page: Any) -> None:
-    brush = {"blend": blend, "color": [60, 140, 230], "opacity": 0.7, "hardness": 0.8}
-    other = brush | {"color": [240, 120, 40]}
+@pytest.mark.parametrize("blends", [BLENDS[:2], BLENDS[2:]])
+def test_each_blend_mode_is_seen_at_once_as_it_is_baked(blends: list[str], studio: Studio, page: Any) -> None:
+    brush = {"blend": blends[0], "color": [60, 140, 230], "opacity": 0.7, "hardness": 0.8}
+    other = brush | {"blend": blends[1], "color": [240, 120, 40]}
     drags = [(brush, [(-60, -20), (50, 10)]), (other, [(-10, -50), (0, 40)])]
     assert_same_inside(drawn_and_baked(studio, page, drags))
 
@@ -298,7 +298,7 @@ LINE = [(-70, 20), (60, -10)]
 def test_a_stroke_does_not_depend_on_how_often_the_pen_is_told(
     brush: dict[str, Any], studio: Studio, page: Any
 ) -> None:
-    often = stroke_drawn(studio, page, LINE, 60, **brush)
+    often = stroke_drawn(studio, page, LINE, 20, **brush)
     rarely = stroke_drawn(studio, page, LINE, 2, **brush)
     assert often.max() > 40
     assert np.abs(often - rarely).max() <= 1

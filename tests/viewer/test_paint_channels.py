@@ -1,12 +1,7 @@
 """Painting of any channel, several at once: as the same calls of the library do, and added channels."""
 
-from __future__ import annotations
-
 import json
 import os
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,8 +11,7 @@ from octex.channels import NORMAL, ChannelFormat, decode, encode
 from octex.editing.draft import Change, joined_change
 from octex.errors import ArgumentError
 from octex.session.painting import Session
-from octex.source.surface import Surface
-from octex.texture import Channel, OctreeTexture
+from octex.texture import Channel
 from octex.texture.channel import row_counts
 from octex.viewer.changes import change_between, change_of
 from tests.make.painted import ball
@@ -28,20 +22,20 @@ from tests.viewer.test_session import SIZE, camera, disc, ones, plain, stroke
 GIVEN = {"roughness": [0.25], "metallic": [1], "emissive": [10, 200, 30], "height": [1.75]}
 
 
-def canvas() -> tuple[OctreeTexture, Surface]:
+def canvas():
     """A ball with material channels, and a height in floats."""
     surface = ball(12).with_sources({"roughness": 0.5, "metallic": 0.0, "emissive": (0.1, 0.0, 0.0)})
     form = ChannelFormat("height", 1, "data", "float16")
     return with_values(octex.convert(surface, depth=5), form, 0), surface
 
 
-def with_values(texture: OctreeTexture, form: ChannelFormat, code: int) -> OctreeTexture:
+def with_values(texture, form, code):
     """Return a texture with one more channel, of one value."""
     parts = (np.full((count, form.components), code, form.dtype) for count in row_counts(texture.tree))
     return texture.with_cells(texture.tree, {**texture.channels, form.name: Channel(form, *parts)})
 
 
-def picture(number: int, form: ChannelFormat, value: Any, blend: Any = "over") -> octex.Projection:
+def picture(number, form, value, blend="over"):
     """The picture of a stroke by its value, as a user of the library makes it."""
     if form.components == 3:
         image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
@@ -58,32 +52,32 @@ def picture(number: int, form: ChannelFormat, value: Any, blend: Any = "over") -
     return octex.Projection(image, camera(), opacity=0.8, blend=blend)
 
 
-def painted(painter: octex.Painter, number: int, values: dict[str, Any], blend: str = "over") -> None:
+def painted(painter, number, values, blend="over"):
     """Paint channels in the texture's order."""
     for name, channel in painter.texture().channels.items():
         if name in values:
             painter.paint(picture(number, channel.format, values[name], blend), channel=name, max_angle=85)
 
 
-def light_of(form: ChannelFormat, value: Any) -> Any:
+def light_of(form, value):
     """Return a value as fills of the library take it."""
     if form.components == 3:
         return decode(np.array(value, np.uint8), "srgb")
     return decode(encode(np.array(value, np.float64), form.dtype, "data"), "data")
 
 
-def color_of(number: int) -> list[int]:
+def color_of(number):
     return [200, 10 * (number % 20), 30]
 
 
-def without_color(body: bytes) -> bytes:
+def without_color(body):
     line, _, content = body.partition(b"\n")
     fields = {name: value for name, value in json.loads(line).items() if name != "color"}
     return json.dumps(fields).encode() + b"\n" + content
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
+def session(tmp_path):
     found = Session(*canvas(), tmp_path / "out.octex")
     yield found
     found.close()
@@ -91,9 +85,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
 
 @pytest.mark.parametrize("names", [[], ["roughness"], ["roughness", "metallic"], list(GIVEN)])
 @pytest.mark.parametrize("has_color", [True, False])
-def test_a_stroke_paints_each_channel_as_the_library_does_and_is_one_step(
-    names: list[str], has_color: bool, session: Session
-) -> None:
+def test_a_stroke_paints_each_channel_as_the_library_does_and_is_one_step(names, has_color, session):
     if not names and not has_color:
         return
     painter = octex.Painter(*canvas())
@@ -113,7 +105,7 @@ def test_a_stroke_paints_each_channel_as_the_library_does_and_is_one_step(
     assert_same(session.shown.texture, painter.texture())
 
 
-def test_a_fill_paints_several_channels(session: Session) -> None:
+def test_a_fill_paints_several_channels(session):
     painter = octex.Painter(*canvas())
     session.take(plain("fill", 1, values=GIVEN, color=[250, 0, 10], opacity=0.5))
     session.take(plain("fill", 2, values={"roughness": [0.5]}, opacity=0.25, blend="multiply"))
@@ -127,7 +119,7 @@ def test_a_fill_paints_several_channels(session: Session) -> None:
     assert session.shown.told["done"] == 2
 
 
-def test_mirrored_and_blended_strokes_paint_all_channels(session: Session) -> None:
+def test_mirrored_and_blended_strokes_paint_all_channels(session):
     texture, _ = canvas()
     session.take(stroke(1, values={"metallic": [1]}, mirror="x", blend="screen"))
     session.wait()
@@ -158,7 +150,7 @@ NAN = float("nan")
         ({"roughness": None}, "roughness must be finite numbers"),
     ],
 )
-def test_values_that_are_no_numbers_are_refused(values: Any, why: str, session: Session) -> None:
+def test_values_that_are_no_numbers_are_refused(values, why, session):
     for body in (stroke(1, values=values), plain("fill", 1, values=values)):
         with pytest.raises(ArgumentError, match=why):
             session.take(body)
@@ -180,9 +172,7 @@ def test_values_that_are_no_numbers_are_refused(values: Any, why: str, session: 
         ({"normal": [0, 0, 1]}, "'normal' holds directions, which values do not paint"),
     ],
 )
-def test_values_that_a_channel_cannot_hold_change_nothing_and_are_told(
-    values: Any, why: str, tmp_path: Path
-) -> None:
+def test_values_that_a_channel_cannot_hold_change_nothing_and_are_told(values, why, tmp_path):
     more = ball(12).with_sources({"roughness": 0.5, "emissive": (0.0, 0.0, 0.0), "alpha": 1.0})
     texture = with_values(octex.convert(more, depth=4), NORMAL, 0)
     session = Session(texture, more, tmp_path / "out.octex")
@@ -198,7 +188,7 @@ def test_values_that_a_channel_cannot_hold_change_nothing_and_are_told(
     session.close()
 
 
-def test_an_added_channel_is_a_step_and_can_be_painted(session: Session, tmp_path: Path) -> None:
+def test_an_added_channel_is_a_step_and_can_be_painted(session, tmp_path):
     texture, surface = canvas()
     bodies = [
         plain("channel", 1, channel="occlusion", name="Add occlusion"),
@@ -240,7 +230,7 @@ def test_an_added_channel_is_a_step_and_can_be_painted(session: Session, tmp_pat
     ("name", "least"),
     [("metallic", 0.0), ("roughness", 1.0), ("occlusion", 1.0), ("emissive", 0.0), ("height", 0.5)],
 )
-def test_an_added_channel_has_its_neutral_value(name: str, least: float, tmp_path: Path) -> None:
+def test_an_added_channel_has_its_neutral_value(name, least, tmp_path):
     surface = ball(8)
     session = Session(octex.convert(surface, depth=3), surface, tmp_path / "out.octex")
     session.take(plain("channel", 1, channel=name))
@@ -254,20 +244,20 @@ def test_an_added_channel_has_its_neutral_value(name: str, least: float, tmp_pat
 @pytest.mark.parametrize(
     ("given", "why"), [({}, "channel must be a name"), ({"channel": 3}, "channel must be a name")]
 )
-def test_a_channel_without_a_name_is_refused(given: Any, why: str, session: Session) -> None:
+def test_a_channel_without_a_name_is_refused(given, why, session):
     with pytest.raises(ArgumentError, match=why):
         session.take(plain("channel", 1, **given))
 
 
 @pytest.mark.parametrize("name", ["normal", "base_color", "colour", "../x"])
-def test_a_channel_that_pages_do_not_add_is_told(name: str, session: Session) -> None:
+def test_a_channel_that_pages_do_not_add_is_told(name, session):
     session.take(plain("channel", 1, channel=name))
     session.wait()
     assert "unknown channel to add" in session.shown.told["fault"]
     assert session.shown.told["steps"] == []
 
 
-def test_pages_are_sent_a_stroke_of_several_channels_by_its_tiles() -> None:
+def test_pages_are_sent_a_stroke_of_several_channels_by_its_tiles():
     surface = ball(48).with_sources({"roughness": 0.5, "metallic": 0.0})
     painter = octex.Painter(octex.convert(surface, depth=8), surface)
     before = painter.texture()
@@ -292,7 +282,7 @@ def test_pages_are_sent_a_stroke_of_several_channels_by_its_tiles() -> None:
 
 
 @pytest.mark.parametrize("seed", range(int(os.environ.get("OCTEX_TEST_SESSIONS", "2"))))
-def test_random_commands_do_what_calls_of_the_library_do_and_are_recovered(seed: int, tmp_path: Path) -> None:
+def test_random_commands_do_what_calls_of_the_library_do_and_are_recovered(seed, tmp_path):
     random = np.random.default_rng(seed)
     texture, surface = canvas()
     history, done = [texture], 0

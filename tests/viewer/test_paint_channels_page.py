@@ -1,13 +1,6 @@
 """Painting of any channel in a real browser: it is seen at once as it will be painted, heights as relief."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -31,7 +24,7 @@ VIEW = 240, 200
 class Workshop(Studio):
     """A ball of a plain material, with a height and a number that light does not show."""
 
-    def __init__(self, browser: Any, folder: Path) -> None:
+    def __init__(self, browser, folder):
         self.surface: Surface = ball(24).with_sources(
             {"base_color": lambda p: np.full_like(p, 0.5), "emissive": (0.0, 0.0, 0.0), **SCALARS}
         )
@@ -41,7 +34,7 @@ class Workshop(Studio):
         self.start(browser, folder)
 
 
-def with_halves(texture: OctreeTexture, name: str) -> OctreeTexture:
+def with_halves(texture, name):
     """Return a texture with one more channel, of 1/2 everywhere."""
     parts = (np.full((count, 1), 128, np.uint8) for count in row_counts(texture.tree))
     channel = Channel(ChannelFormat(name, 1, "data"), *parts)
@@ -49,22 +42,22 @@ def with_halves(texture: OctreeTexture, name: str) -> OctreeTexture:
 
 
 @pytest.fixture(scope="module")
-def shop(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Workshop]:
+def shop(browser, tmp_path_factory):
     with Workshop(browser, tmp_path_factory.mktemp("shop")).shared() as found:
         yield found
 
 
 @pytest.fixture
-def page(shop: Workshop) -> Iterator[Any]:
+def page(shop):
     with shop.restored() as found:
         yield found
 
 
-def pictured(page: Any, shown: str, channel: str = "base_color") -> npt.NDArray[np.int64]:
+def pictured(page, shown, channel="base_color"):
     return drawn(page, VIEW, shown=shown, channel=channel, marked=None, facing=False).astype(np.int64)
 
 
-def ticked(page: Any, **values: float | list[int]) -> None:
+def ticked(page, **values):
     known = page.evaluate("viewer.painting.brush.values")
     page.evaluate("(brush) => viewer.painting.set(brush)", {"ticked": [*values], "values": known | values})
 
@@ -81,9 +74,7 @@ def ticked(page: Any, **values: float | list[int]) -> None:
     ],
     ids=" ".join,
 )
-def test_channels_are_seen_at_once_as_they_will_be_painted(
-    values: dict[str, Any], shop: Workshop, page: Any
-) -> None:
+def test_channels_are_seen_at_once_as_they_will_be_painted(values, shop, page):
     ticked(page, **values)
     looks = [*(("channel", name) for name in values), ("lit", "base_color")]
     plain = {look: pictured(page, *look) for look in looks}
@@ -111,7 +102,7 @@ def test_channels_are_seen_at_once_as_they_will_be_painted(
 
 
 @needs_jit
-def test_relief_near_a_change_is_drawn_anew_as_if_all_were(shop: Workshop, page: Any) -> None:
+def test_relief_near_a_change_is_drawn_anew_as_if_all_were(shop, page):
     ticked(page, height=1.0)
     page.evaluate("viewer.look.shown = 'lit'; viewer.move(); viewer.tell = () => {}")
     page.evaluate("viewer.painting.set({ size: 8 })")
@@ -131,7 +122,7 @@ def test_relief_near_a_change_is_drawn_anew_as_if_all_were(shop: Workshop, page:
 
 
 @needs_jit
-def test_the_picker_takes_what_is_ticked_and_a_fill_paints_it(shop: Workshop, page: Any) -> None:
+def test_the_picker_takes_what_is_ticked_and_a_fill_paints_it(shop, page):
     ticked(page, roughness=0.0, moisture=1.0)
     page.evaluate("viewer.painting.set({ filled: 'all' })")
     color = page.evaluate("viewer.painting.brush.color")
@@ -154,7 +145,7 @@ def test_the_picker_takes_what_is_ticked_and_a_fill_paints_it(shop: Workshop, pa
 
 
 @needs_jit
-def test_what_is_ticked_is_shown_and_what_is_not_seen_is_not_painted(shop: Workshop, page: Any) -> None:
+def test_what_is_ticked_is_shown_and_what_is_not_seen_is_not_painted(shop, page):
     look = "[viewer.look.shown, viewer.look.channel]"
     page.evaluate("viewer.painting.set({ ticked: ['base_color'] }); viewer.painting.material.lookAt()")
     page.evaluate("document.getElementById('material').open = true")
@@ -179,7 +170,7 @@ def test_what_is_ticked_is_shown_and_what_is_not_seen_is_not_painted(shop: Works
 
 
 @needs_jit
-def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser: Any, tmp_path: Path) -> None:
+def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser, tmp_path):
     studio = Studio(browser, tmp_path)
     with studio.opened() as page:
         page.evaluate("viewer.painting.set({ size: 77 })")
@@ -213,9 +204,7 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser: A
 
 @needs_jit
 @pytest.mark.parametrize("is_posed", [False, True])
-def test_relief_in_the_page_is_as_in_the_librarys_pictures(
-    is_posed: bool, browser: Any, tmp_path: Path
-) -> None:
+def test_relief_in_the_page_is_as_in_the_librarys_pictures(is_posed, browser, tmp_path):
     size, relief = (240, 180), 0.05
     waves = {
         "base_color": lambda p: np.full_like(p, 0.5),
@@ -253,9 +242,7 @@ def test_relief_in_the_page_is_as_in_the_librarys_pictures(
 
 
 @needs_jit
-def test_a_posed_page_is_lit_by_the_surfaces_own_normals_as_the_librarys_pictures_are(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_a_posed_page_is_lit_by_the_surfaces_own_normals_as_the_librarys_pictures_are(browser, tmp_path):
     size, base = (240, 180), ball(48)
     normals = base.vertices + 0.3 * np.sin(4 * base.vertices[:, [1, 2, 0]])
     turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
@@ -304,7 +291,7 @@ _TEXTURES = """() => {
 
 
 @needs_jit
-def test_no_program_has_more_textures_than_webgl_promises(page: Any) -> None:
+def test_no_program_has_more_textures_than_webgl_promises(page):
     names = page.evaluate(_TEXTURES)
     assert {"u_srgb", "u_linear", "u_source", "u_heights", "u_behind", "u_studio", "u_strokes"} < set(names)
     assert len(names) <= 16

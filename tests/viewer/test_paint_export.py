@@ -23,11 +23,11 @@ from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
-from tests.viewer.test_session import Served, canvas, plain, stroke
+from tests.viewer.test_session import canvas, plain, stroke
 from tests.viewer.test_session import served as served
 
 
-def got(served: Served, path: str) -> tuple[int, dict[str, str], bytes]:
+def got(served, path):
     connection = HTTPConnection("127.0.0.1", served.viewer.port, timeout=60)
     connection.request("GET", f"/{served.viewer.token}/{path}")
     answer = connection.getresponse()
@@ -36,7 +36,7 @@ def got(served: Served, path: str) -> tuple[int, dict[str, str], bytes]:
     return found
 
 
-def told(served: Served, **wanted: str) -> list[tuple[str, dict[str, Any]]]:
+def told(served, **wanted):
     """Ask for a file; return what is told until its line ends."""
     status, _, body = got(served, f"export?{urlencode(wanted)}")
     assert status == 200
@@ -44,7 +44,7 @@ def told(served: Served, **wanted: str) -> list[tuple[str, dict[str, Any]]]:
     return [(name.removeprefix("event: "), json.loads(data.removeprefix("data: "))) for name, data in events]
 
 
-def exported(served: Served, **wanted: str) -> tuple[str, bytes]:
+def exported(served, **wanted):
     """Export a file; return its name and its bytes."""
     *steps, (name, last) = told(served, **wanted)
     assert name == "done", last
@@ -80,9 +80,7 @@ KINDS: list[tuple[dict[str, str], str, Write]] = [
 
 
 @pytest.mark.parametrize(("wanted", "name", "write"), KINDS)
-def test_a_file_is_what_the_library_writes_of_the_painted_texture(
-    wanted: dict[str, str], name: str, write: Write, served: Served, tmp_path: Path
-) -> None:
+def test_a_file_is_what_the_library_writes_of_the_painted_texture(wanted, name, write, served, tmp_path):
     served.post(stroke(1))
     served.session.wait()
     (tmp_path / "there").mkdir()
@@ -91,7 +89,7 @@ def test_a_file_is_what_the_library_writes_of_the_painted_texture(
     assert served.session.shown.told["isSaved"] is False  # an export is no save
 
 
-def test_the_last_file_alone_is_kept_and_none_in_the_end(served: Served, tmp_path: Path) -> None:
+def test_the_last_file_alone_is_kept_and_none_in_the_end(served, tmp_path):
     (_, first) = told(served, kind="octex")[-1]
     (_, second) = told(served, kind="octz")[-1]
     assert got(served, f"export/{first['number']}")[0] == 404
@@ -117,9 +115,7 @@ def test_the_last_file_alone_is_kept_and_none_in_the_end(served: Served, tmp_pat
         ({"kind": "glb", "uv": "keep"}, "has no texture coordinates"),
     ],
 )
-def test_what_cannot_be_exported_is_said_in_one_line(
-    wanted: dict[str, str], why: str, served: Served, tmp_path: Path
-) -> None:
+def test_what_cannot_be_exported_is_said_in_one_line(wanted, why, served, tmp_path):
     *_, (name, last) = told(served, **wanted)
     assert name == "fault"
     assert why in last["why"]
@@ -128,13 +124,11 @@ def test_what_cannot_be_exported_is_said_in_one_line(
     assert exported(served, kind="octex")[0] == "out.octex"
 
 
-def test_painting_goes_on_while_a_file_is_made_and_only_one_is_made_at_a_time(
-    served: Served, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_painting_goes_on_while_a_file_is_made_and_only_one_is_made_at_a_time(served, monkeypatch, tmp_path):
     begun, held = threading.Event(), threading.Event()
     save = OctreeTexture.save
 
-    def slow(texture: OctreeTexture, path: Path) -> None:
+    def slow(texture, path):
         begun.set()
         assert held.wait(20)
         save(texture, path)
@@ -157,12 +151,10 @@ def test_painting_goes_on_while_a_file_is_made_and_only_one_is_made_at_a_time(
     assert_same(octex.open(tmp_path / "then.octex"), canvas()[0])  # as it was when the export began
 
 
-def test_a_page_that_goes_away_stops_the_work_and_leaves_nothing(
-    served: Served, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_page_that_goes_away_stops_the_work_and_leaves_nothing(served, monkeypatch, tmp_path):
     begun, ended = threading.Event(), threading.Event()
 
-    def endless(*_: Any, progress: Any, **__: Any) -> None:
+    def endless(*_, progress, **__):
         monkeypatch.setattr(downloads, "_BEAT", 0.0)
         try:
             while True:
@@ -187,10 +179,8 @@ def test_a_page_that_goes_away_stops_the_work_and_leaves_nothing(
     assert len([*tmp_path.glob(".octex-*")]) == 1
 
 
-def test_a_full_disk_is_said_and_the_session_goes_on(
-    served: Served, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    def full(_texture: OctreeTexture, path: Path) -> None:
+def test_a_full_disk_is_said_and_the_session_goes_on(served, monkeypatch, tmp_path):
+    def full(_texture, path):
         raise OutputError(f"{path.name}: cannot be written: No space left on device; make room")
 
     with monkeypatch.context() as patched:
@@ -202,9 +192,7 @@ def test_a_full_disk_is_said_and_the_session_goes_on(
 
 
 @needs_jit
-def test_the_page_downloads_a_file_with_a_proper_name_and_says_what_is_wrong(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_the_page_downloads_a_file_with_a_proper_name_and_says_what_is_wrong(browser, tmp_path):
     texture, surface = canvas()
     session = Session(texture, surface, tmp_path / "Kugel ä.octex")
     viewer = Viewer(lambda: texture, tmp_path / "ball.octex", surface, session=session)

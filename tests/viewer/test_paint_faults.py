@@ -1,7 +1,5 @@
 """Painting where things fail: a full disk, files changed meanwhile, a lost GPU, a flood of requests."""
 
-from __future__ import annotations
-
 import json
 import os
 import socket
@@ -10,7 +8,6 @@ import sys
 from contextlib import ExitStack
 from http.client import HTTPConnection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,21 +20,19 @@ from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
-from tests.make.studio import Studio, pictured
+from tests.make.studio import pictured
 from tests.viewer.test_paint_export import served as served
-from tests.viewer.test_session import Served, canvas, plain, stroke
+from tests.viewer.test_session import canvas, plain, stroke
 
 
-def touched(path: Path) -> bytes:
+def touched(path):
     """Have another program write a file; return its bytes."""
     octex.convert(canvas()[1], depth=3).save(path)
     return path.read_bytes()
 
 
 @pytest.mark.parametrize("there", [False, True])
-def test_a_file_that_another_program_has_written_is_replaced_only_when_asked(
-    there: bool, tmp_path: Path
-) -> None:
+def test_a_file_that_another_program_has_written_is_replaced_only_when_asked(there, tmp_path):
     output = tmp_path / "out.octex"
     if there:
         canvas()[0].save(output)
@@ -72,7 +67,7 @@ def test_a_file_that_another_program_has_written_is_replaced_only_when_asked(
     assert session.close() == ""
 
 
-def test_a_file_that_was_removed_meanwhile_is_written_again(tmp_path: Path) -> None:
+def test_a_file_that_was_removed_meanwhile_is_written_again(tmp_path):
     session = Session(*canvas(), tmp_path / "out.octex")
     for body in (stroke(1), plain("save", 2)):
         session.take(body)
@@ -85,9 +80,7 @@ def test_a_file_that_was_removed_meanwhile_is_written_again(tmp_path: Path) -> N
     assert session.close() == ""
 
 
-def test_pages_hear_that_the_texture_which_was_opened_has_changed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_pages_hear_that_the_texture_which_was_opened_has_changed(tmp_path, monkeypatch):
     monkeypatch.setattr(server, "_BEAT", 0.05)
     path, (texture, surface) = tmp_path / "ball.octex", canvas()
     texture.save(path)
@@ -145,7 +138,7 @@ print(json.dumps([said, told['done'], told['isSaved'], session.close()]))
 
 
 @pytest.mark.skipif(os.name != "posix", reason="POSIX systems limit files")
-def test_a_full_disk_loses_nothing_and_painting_goes_on_once_there_is_room(tmp_path: Path) -> None:
+def test_a_full_disk_loses_nothing_and_painting_goes_on_once_there_is_room(tmp_path):
     output = tmp_path / "out.octex"
     words = [sys.executable, "-c", _FULL, str(output), "20000"]
     root = Path(octex.__file__).parents[1]
@@ -159,9 +152,7 @@ def test_a_full_disk_loses_nothing_and_painting_goes_on_once_there_is_room(tmp_p
 
 
 @needs_jit
-def test_the_page_asks_whether_to_replace_what_another_program_has_written(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_the_page_asks_whether_to_replace_what_another_program_has_written(browser, tmp_path):
     texture, surface = canvas()
     output = tmp_path / "out.octex"
     session = Session(texture, surface, output)
@@ -188,7 +179,7 @@ def test_the_page_asks_whether_to_replace_what_another_program_has_written(
 
 
 @needs_jit
-def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(studio: Studio, page: Any) -> None:
+def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(studio, page):
     before = pictured(page)
     box = page.locator("#picture").bounding_box()
     middle = box["width"] / 2, box["height"] / 2
@@ -209,9 +200,7 @@ def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(studio: Studio, 
     assert np.abs(pictured(page) - before).max() > 60
 
 
-def test_strokes_are_painted_while_many_lines_wait_and_many_are_refused(
-    served: Served, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_strokes_are_painted_while_many_lines_wait_and_many_are_refused(served, monkeypatch):
     monkeypatch.setattr(answers.Handler, "timeout", 3.0)
     address = "127.0.0.1", served.viewer.port
     refused = f"GET /{'a' * 22}/ HTTP/1.1\r\nHost: 127.0.0.1:{served.viewer.port}\r\n\r\n".encode()

@@ -1,15 +1,11 @@
 """What helps a hand: straight lines, a pulled brush, sizes by dragging, colours and ready brushes."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
 from tests.conftest import needs_jit
 from tests.make.browser import camera_of
-from tests.make.studio import _HOLD, Studio
+from tests.make.studio import _HOLD
 
 _BRUSH = "viewer.painting.brush"
 #: What the last stroke covers, and the box of that.
@@ -19,7 +15,7 @@ _LAST = """() => {
 }"""
 
 
-def last(page: Any, count: int) -> tuple[list[int], Any]:
+def last(page, count):
     """Return the box of the last of so many strokes that wait, and what it covers."""
     page.wait_for_function("(n) => viewer.painting.strokes.sent.length === n", arg=count)
     found = page.evaluate(_LAST)
@@ -27,13 +23,13 @@ def last(page: Any, count: int) -> tuple[list[int], Any]:
     return box, np.array(found["coverage"]).reshape(bottom - top, right - left)
 
 
-def middle(page: Any) -> tuple[float, float]:
+def middle(page):
     box = page.locator("#picture").bounding_box()
     return box["width"] / 2, box["height"] / 2
 
 
 @needs_jit
-def test_with_shift_a_stroke_goes_on_from_the_last_one_in_a_straight_line(studio: Studio, page: Any) -> None:
+def test_with_shift_a_stroke_goes_on_from_the_last_one_in_a_straight_line(studio, page):
     page.evaluate(_HOLD)
     page.evaluate("viewer.painting.set({ size: 12, hardness: 1 })")
     x, y = middle(page)
@@ -63,7 +59,7 @@ def test_with_shift_a_stroke_goes_on_from_the_last_one_in_a_straight_line(studio
 
 
 @needs_jit
-def test_a_brush_that_is_pulled_follows_the_pen_smoothly(studio: Studio, page: Any) -> None:
+def test_a_brush_that_is_pulled_follows_the_pen_smoothly(studio, page):
     page.evaluate(_HOLD)
     x, y = middle(page)
     wave = [(-60 + 6 * n, 8 * (-1) ** n) for n in range(21)]
@@ -87,7 +83,7 @@ def test_a_brush_that_is_pulled_follows_the_pen_smoothly(studio: Studio, page: A
 
 
 @needs_jit
-def test_dragging_with_control_changes_size_and_hardness(page: Any) -> None:
+def test_dragging_with_control_changes_size_and_hardness(page):
     x, y = middle(page)
     view = page.evaluate("String(viewer.camera.view)")
     page.keyboard.down("Control")
@@ -108,7 +104,7 @@ def test_dragging_with_control_changes_size_and_hardness(page: Any) -> None:
 
 
 @needs_jit
-def test_colours_are_typed_and_those_used_last_are_at_hand(studio: Studio, page: Any) -> None:
+def test_colours_are_typed_and_those_used_last_are_at_hand(studio, page):
     field, used = page.locator("#color-text"), page.locator("#used button")
     for text, color in (("#0f8", [0, 255, 136]), ("C83C28", [200, 60, 40])):
         field.fill(text)
@@ -138,7 +134,7 @@ def test_colours_are_typed_and_those_used_last_are_at_hand(studio: Studio, page:
 
 
 @needs_jit
-def test_ready_brushes_change_all_but_size_and_colour(page: Any) -> None:
+def test_ready_brushes_change_all_but_size_and_colour(page):
     before = page.evaluate(_BRUSH)
     for name, own in (("Air", {"hardness": 0, "flow": 0.1}), ("Ink", {"smoothing": 30, "flow": 1})):
         page.locator("#brushes button", has_text=name).click()

@@ -1,8 +1,5 @@
 """Layers and the eraser of pages that paint: commands do what the library does, and pages show it."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -18,18 +15,18 @@ from octex.session.painting import Session, Shown
 from octex.viewer import Viewer
 from tests.conftest import needs_jit
 from tests.make.same import assert_same
-from tests.make.studio import _HOLD, Studio, pictured
+from tests.make.studio import _HOLD, pictured
 from tests.viewer.test_session import PAGE, SIZE, camera, canvas, disc, plain, stroke
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
+def session(tmp_path):
     found = Session(*canvas(), tmp_path / "out.octex")
     yield found
     found.close()
 
 
-def painted(layers: octex.Layers, number: int, blend: Blend = "over") -> None:
+def painted(layers, number, blend="over"):
     """Paint what `stroke` sends as a user of the library does."""
     image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
     image[..., :3] = 200, 10 * (number % 20), 30
@@ -37,17 +34,17 @@ def painted(layers: octex.Layers, number: int, blend: Blend = "over") -> None:
     layers.paint(octex.Projection(image, camera(), opacity=0.8, blend=blend), max_angle=85)
 
 
-def ones(points: Any) -> Any:
+def ones(points):
     return np.ones(len(points))
 
 
 class Both:
     """A session and the same calls of the library."""
 
-    def __init__(self, session: Session) -> None:
+    def __init__(self, session):
         self.session, self.layers, self.number = session, octex.Layers(*canvas()), 0
 
-    def send(self, kind: str, **given: Any) -> None:
+    def send(self, kind, **given):
         self.number += 1
         make = stroke(self.number, **given) if kind == "stroke" else plain(kind, self.number, **given)
         self.session.take(make)
@@ -60,7 +57,7 @@ class Both:
         assert told == [(each.number, each.name, each.opacity) for each in self.layers.layers]
         assert self.session.shown.told["done"] == len(self.layers.strokes)
 
-    def do(self, random: np.random.Generator) -> None:
+    def do(self, random):
         """Do one thing at random."""
         layers, numbers = self.layers, [each.number for each in self.layers.layers]
         move = random.choice(["stroke", "fill", "add", "set", "move", "copy", "merge", "delete", "undo",
@@ -94,7 +91,7 @@ class Both:
                 ({"title": "Dirt"}, {"name": "Dirt"}),
                 ({"hasMask": True}, {"has_mask": True}),
             )[random.integers(5)]
-            layers.change_layer(number, **own)  # type: ignore[arg-type]
+            layers.change_layer(number, **own)
             self.send("layer", action="set", layer=number, **wanted)
         elif move == "move" and number is not None:
             place = int(random.integers(len(numbers)))
@@ -110,7 +107,7 @@ class Both:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_random_commands_do_what_the_library_does_and_a_crash_loses_none(seed: int, tmp_path: Path) -> None:
+def test_random_commands_do_what_the_library_does_and_a_crash_loses_none(seed, tmp_path):
     random, session = np.random.default_rng([3, seed]), Session(*canvas(), tmp_path / "out.octex")
     both = Both(session)
     for _ in range(25):
@@ -124,7 +121,7 @@ def test_random_commands_do_what_the_library_does_and_a_crash_loses_none(seed: i
     again.close()
 
 
-def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told(session: Session) -> None:
+def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told(session):
     for given, message in (
         ({"action": "add", "title": ""}, "name must be a line of 1 to 40"),
         ({"action": "add", "opacity": 2}, "opacity"),
@@ -135,10 +132,7 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
         ({"action": "set", "layer": "1"}, "layer"),
         ({"action": "set"}, "name the layer to set"),
         ({"action": "move", "layer": 1}, "place"),
-        (
-            {"action": "split", "layer": 1},
-            "unknown action 'split'; there are: add, set, move, copy",
-        ),
+        ({"action": "split", "layer": 1}, "unknown action 'split'; there are: add, set, move, copy"),
         ({}, "unknown action"),
     ):
         with pytest.raises(ArgumentError, match=message):
@@ -157,9 +151,7 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
 
 
 @needs_jit
-def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_erased(
-    studio: Studio, page: Any
-) -> None:
+def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_erased(studio, page):
     page.evaluate("document.getElementById('layers').open = true")
     page.click("#layer-add")
     studio.is_done(page)
@@ -189,11 +181,11 @@ def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_era
 
 
 @needs_jit
-def test_the_list_of_layers_hides_names_moves_and_sets_them(studio: Studio, page: Any) -> None:
+def test_the_list_of_layers_hides_names_moves_and_sets_them(studio, page):
 
-    def done() -> list[dict[str, Any]]:
+    def done():
         studio.is_done(page)
-        return studio.session.shown.told["layers"]  # type: ignore[no-any-return]
+        return studio.session.shown.told["layers"]
 
     page.evaluate("document.getElementById('layers').open = true")
     for _ in range(2):
@@ -227,7 +219,7 @@ def test_the_list_of_layers_hides_names_moves_and_sets_them(studio: Studio, page
     assert page.evaluate("viewer.painting.layers.target.mask") is False
 
 
-def test_layers_are_saved_beside_the_output_and_a_session_goes_on_with_them(tmp_path: Path) -> None:
+def test_layers_are_saved_beside_the_output_and_a_session_goes_on_with_them(tmp_path):
     session = Session(*canvas(), tmp_path / "out.octz")
     session.take(plain("layer", 1, action="add", blend="multiply", title="Dirt"))
     session.take(stroke(2, layer=1))
@@ -253,7 +245,7 @@ def test_layers_are_saved_beside_the_output_and_a_session_goes_on_with_them(tmp_
     assert sorted(each.name for each in tmp_path.iterdir()) == ["more.octex", "out.layers.octex", "out.octz"]
 
 
-def test_a_file_of_layers_that_is_there_is_not_replaced_without_force(tmp_path: Path, capsys: Any) -> None:
+def test_a_file_of_layers_that_is_there_is_not_replaced_without_force(tmp_path, capsys):
     texture, surface = canvas()
     texture.save(tmp_path / "ball.octex")
     octex.write_model(surface, tmp_path / "ball.glb")
@@ -263,9 +255,7 @@ def test_a_file_of_layers_that_is_there_is_not_replaced_without_force(tmp_path: 
     assert "out.layers.octex" in capsys.readouterr().err
 
 
-def test_of_a_file_with_layers_that_a_command_edits_nothing_is_lost(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_of_a_file_with_layers_that_a_command_edits_nothing_is_lost(tmp_path, monkeypatch, capfd):
     texture, surface = canvas()
     layers = octex.Layers(texture, surface)
     layers.add_layer("Dirt")
@@ -281,7 +271,7 @@ def test_of_a_file_with_layers_that_a_command_edits_nothing_is_lost(
     assert "edited.octex: the texture was edited after its layers were saved" in capfd.readouterr().err
     found = list[Shown]()
 
-    def run(viewer: Viewer) -> None:
+    def run(viewer):
         viewer._server.server_close()
         assert viewer.session is not None
         found.append(viewer.session.shown)

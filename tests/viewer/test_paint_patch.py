@@ -6,7 +6,6 @@ import json
 import zlib
 from dataclasses import replace
 from http.client import HTTPConnection
-from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -24,19 +23,19 @@ from tests.make.same import assert_same
 from tests.make.studio import _HOLD, pictured
 from tests.viewer.test_paint_export import served as served
 from tests.viewer.test_paint_poses import Bending, bending
-from tests.viewer.test_session import NAN, SIZE, Served, canvas, plain, stroke
+from tests.viewer.test_session import NAN, SIZE, canvas, plain, stroke
 
 SPOT: dict[str, Any] = {"center": [0.4, 0.2, 0.9], "radius": 0.6, "up": [0.0, 1.0, 0.1]}
 
 
-def flat_camera(radius: float = 0.6) -> dict[str, Any]:
+def flat_camera(radius=0.6):
     """A camera that sees a patch from the front, as pages send it."""
     found = octex.Camera.fitted(np.array([[-radius, -radius, 0], [radius, radius, 0]]), (0, 0, 1), size=SIZE)
     pose, K = found.world_to_camera.tolist(), found.K.tolist()
     return {"width": SIZE[0], "height": SIZE[1], "K": K, "pose": pose}
 
 
-def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(tmp_path: Path) -> None:
+def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(tmp_path):
     texture, surface = canvas()
     motion, expected = bending(surface), texture
     session = Session(texture, surface, tmp_path / "out.octex", motion=motion)
@@ -79,7 +78,7 @@ def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(t
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_the_mirror_of_a_patch_lands_where_a_mirror_has_it(axis: int, tmp_path: Path) -> None:
+def test_the_mirror_of_a_patch_lands_where_a_mirror_has_it(axis, tmp_path):
     texture, surface = canvas()
     session = Session(texture, surface, tmp_path / "out.octex")
     spot = {"center": [0.5, 0.5, 0.7], "radius": 0.5, "up": [0.1, 1.0, 0.0]}
@@ -91,7 +90,7 @@ def test_the_mirror_of_a_patch_lands_where_a_mirror_has_it(axis: int, tmp_path: 
     image = points.copy()
     image[:, axis] *= -1
 
-    def is_painted(points: Any) -> Any:
+    def is_painted(points):
         apart = session.shown.texture.sample(points) - texture.sample(points)
         return np.abs(apart).max(axis=1) > 0.1
 
@@ -116,7 +115,7 @@ BAD: list[tuple[Any, str]] = [
 
 
 @pytest.mark.parametrize(("patch", "why"), BAD)
-def test_what_is_no_patch_is_refused(patch: Any, why: str, tmp_path: Path) -> None:
+def test_what_is_no_patch_is_refused(patch, why, tmp_path):
     session = Session(*canvas(), tmp_path / "out.octex")
     with pytest.raises(ArgumentError, match=why):
         session.take(stroke(1, patch=patch))
@@ -128,7 +127,7 @@ def test_what_is_no_patch_is_refused(patch: Any, why: str, tmp_path: Path) -> No
     session.close()
 
 
-def test_a_patch_beside_the_surface_is_said_and_paints_nothing(tmp_path: Path) -> None:
+def test_a_patch_beside_the_surface_is_said_and_paints_nothing(tmp_path):
     texture, surface = canvas()
     session = Session(texture, surface, tmp_path / "out.octex")
     beside = {**SPOT, "center": [9.0, 0.0, 0.0]}
@@ -141,7 +140,7 @@ def test_a_patch_beside_the_surface_is_said_and_paints_nothing(tmp_path: Path) -
     session.close()
 
 
-def test_pages_are_sent_a_patch_as_a_mesh(served: Served) -> None:
+def test_pages_are_sent_a_patch_as_a_mesh(served):
     connection = HTTPConnection("127.0.0.1", served.viewer.port, timeout=60)
     asked = quote(json.dumps({"patch": SPOT, "moved": None}))
     connection.request("GET", f"/{served.viewer.token}/patch?{asked}")
@@ -163,9 +162,7 @@ def test_pages_are_sent_a_patch_as_a_mesh(served: Served) -> None:
 
 
 @needs_jit
-def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_model(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_model(browser, tmp_path):
     studio = Bending(browser, tmp_path)
     with studio.opened() as page:
         page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")
@@ -223,7 +220,7 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         assert page.evaluate("viewer.look.moved") == sent["moved"]
 
 
-def test_parts_that_were_moved_apart_are_painted_posed_and_flat(tmp_path: Path) -> None:
+def test_parts_that_were_moved_apart_are_painted_posed_and_flat(tmp_path):
     balls = ball(8), ball(8)
     whole = Surface.from_arrays(
         np.concatenate([each.vertices + np.array([1.5 * n, 0.0, 0.0]) for n, each in enumerate(balls)]),

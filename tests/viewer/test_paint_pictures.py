@@ -1,15 +1,10 @@
 """Tools that put pictures down, in a real browser: they show what the library paints with these pictures."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json
 import zlib
-from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +13,6 @@ import pytest
 
 import octex
 from octex.source.surface import Surface
-from octex.texture import OctreeTexture
 from tests.conftest import needs_jit
 from tests.make.browser import camera_of, drawn
 from tests.make.painted import square, together
@@ -32,18 +26,18 @@ pytestmark = needs_jit
 class Easel(Studio):
     """A model, a page that paints it, and what that page has sent."""
 
-    def __init__(self, browser: Any, folder: Path, surface: Surface | None = None) -> None:
+    def __init__(self, browser, folder, surface=None):
         super().__init__(browser, folder, surface, depth=8)  # about as fine as the view
         self.bodies: list[bytes] = []
         take = self.session.take
 
-        def taken(body: bytes) -> int:
+        def taken(body):
             self.bodies.append(body)
             return take(body)
 
-        self.session.take = taken  # type: ignore[method-assign]
+        self.session.take = taken
 
-    def clear(self) -> None:
+    def clear(self):
         """Undo all, and forget what the page has sent."""
         self.shown.evaluate(
             """async () => {
@@ -62,7 +56,7 @@ class Easel(Studio):
         assert_same(self.session.shown.texture, self.texture)
         self.bodies.clear()
 
-    def done(self) -> None:
+    def done(self):
         """Wait until the page shows all that it has sent."""
         self.shown.wait_for_function(
             """(({ sending, last }) =>
@@ -72,21 +66,21 @@ class Easel(Studio):
         )
         self.shown.wait_for_function("viewer.isSharp", timeout=60_000)
 
-    def lay(self, image: Codes, name: str = "photo.png") -> None:
+    def lay(self, image, name="photo.png"):
         """Choose a picture as stencil."""
         self.give(name, png(image))
         self.shown.wait_for_function("viewer.painting.stencil.bitmap")
 
-    def give(self, name: str, content: bytes) -> None:
+    def give(self, name, content):
         file = {"name": name, "mimeType": "image/png", "buffer": content}
         self.shown.set_input_files("#stencil-section input[type=file]", file)
 
-    def says(self, text: str) -> None:
+    def says(self, text):
         self.shown.wait_for_function(
             "(text) => document.getElementById('paint-note').textContent.includes(text)", arg=text
         )
 
-    def sent(self) -> tuple[dict[str, Any], Codes, octex.Camera]:
+    def sent(self):
         """Return the last stroke that was sent, as a picture of the view."""
         line, _, content = self.bodies[-1].partition(b"\n")
         given = json.loads(line)
@@ -99,56 +93,54 @@ class Easel(Studio):
         camera = octex.Camera.pinhole((width, height), pose=pose, convention="opencv", K=K)
         return given, image, camera
 
-    def painted(
-        self, image: Codes, camera: octex.Camera, since: Codes | None = None, **options: Any
-    ) -> OctreeTexture:
+    def painted(self, image, camera, since=None, **options):
         """Return the model painted by the library."""
         picture = octex.Projection(image, camera, since=since)
         return octex.paint(self.texture, self.surface, picture, **{"max_angle": 85, **options})
 
 
 @contextmanager
-def painted_in_a_page(browser: Any, folder: Path, surface: Surface | None = None) -> Iterator[Easel]:
+def painted_in_a_page(browser, folder, surface=None):
     found = Easel(browser, folder, surface)
     with found.opened() as found.shown:
         yield found
 
 
 @pytest.fixture(scope="module")
-def easel(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Easel]:
+def easel(browser, tmp_path_factory):
     with painted_in_a_page(browser, tmp_path_factory.mktemp("easel")) as found:
         yield found
 
 
 @pytest.fixture
-def clean(easel: Easel) -> Easel:
+def clean(easel):
     easel.clear()
     return easel
 
 
-def png(image: Codes, **options: Any) -> bytes:
+def png(image, **options):
     return encoded(PIL.Image.fromarray(image), "PNG", **options)
 
 
-def encoded(image: PIL.Image.Image, kind: str, **options: Any) -> bytes:
+def encoded(image, kind, **options):
     file = io.BytesIO()
     image.save(file, kind, **options)
     return file.getvalue()
 
 
-def smooth(width: int = 200, height: int = 160) -> Codes:
+def smooth(width=200, height=160):
     """A picture of smooth colours, transparent towards its right."""
     y, x = np.mgrid[:height, :width]
     alpha = np.clip(255 * (width - x) / 20, 0, 255)
     return np.dstack([255 * x / width, 255 * y / height, 128 + 60 * np.sin(x / 30), alpha]).astype(np.uint8)
 
 
-def middle(easel: Easel) -> tuple[int, int]:
+def middle(easel):
     width, height = easel.shown.evaluate("[viewer.film.width, viewer.film.height]")
     return width // 2, height // 2
 
 
-def assert_shown_as_baked(easel: Easel, plain: Codes) -> npt.NDArray[np.bool_]:
+def assert_shown_as_baked(easel, plain):
     """Wait until what is held back is painted, and compare; return where the picture has changed."""
     easel.shown.wait_for_function("viewer.painting.sending.waiting.length > 0")
     before = seen(easel).astype(int)
@@ -161,7 +153,7 @@ def assert_shown_as_baked(easel: Easel, plain: Codes) -> npt.NDArray[np.bool_]:
     return inside
 
 
-def test_a_stencil_that_is_put_down_is_the_picture_that_the_library_paints(clean: Easel) -> None:
+def test_a_stencil_that_is_put_down_is_the_picture_that_the_library_paints(clean):
     image = np.random.default_rng(1).integers(0, 256, (80, 120, 3), np.uint8)
     clean.lay(image)
     clean.shown.evaluate("viewer.painting.stencil.set({ scale: 1, x: 10, y: -5 })")
@@ -176,7 +168,7 @@ def test_a_stencil_that_is_put_down_is_the_picture_that_the_library_paints(clean
     assert_same(clean.session.shown.texture, clean.painted(expected, camera))
 
 
-def test_the_brush_paints_through_a_stencil_and_shows_what_is_baked(clean: Easel) -> None:
+def test_the_brush_paints_through_a_stencil_and_shows_what_is_baked(clean):
     clean.lay(smooth())
     clean.shown.evaluate("viewer.painting.stencil.set({ scale: 0.8, x: 0, y: 0, angle: 0.3 })")
     clean.shown.keyboard.press("b")
@@ -194,7 +186,7 @@ def test_the_brush_paints_through_a_stencil_and_shows_what_is_baked(clean: Easel
     assert not sent[:, x + 85 :, 3].any(), "nothing is painted where the stencil is transparent"
 
 
-def test_a_stencil_is_mirrored_only_if_that_is_asked(clean: Easel) -> None:
+def test_a_stencil_is_mirrored_only_if_that_is_asked(clean):
     clean.lay(smooth())
     clean.shown.evaluate("viewer.painting.set({ mirror: 'x' })")
     for is_asked in (False, True):
@@ -206,7 +198,7 @@ def test_a_stencil_is_mirrored_only_if_that_is_asked(clean: Easel) -> None:
     assert steps == ["Picture put down", "Picture put down, mirrored"]
 
 
-def test_a_stencil_is_paint_of_one_colour_where_it_is_dark(clean: Easel) -> None:
+def test_a_stencil_is_paint_of_one_colour_where_it_is_dark(clean):
     image = np.full((40, 40, 3), 255, np.uint8)
     image[:, 20:] = 0
     clean.lay(image)
@@ -221,13 +213,13 @@ def test_a_stencil_is_paint_of_one_colour_where_it_is_dark(clean: Easel) -> None
     assert sent[..., 3].astype(bool).sum() == 800
 
 
-def test_pointers_and_keys_move_turn_and_scale_a_stencil(clean: Easel) -> None:
+def test_pointers_and_keys_move_turn_and_scale_a_stencil(clean):
     page = clean.shown
     clean.lay(smooth(100, 100))
     page.evaluate("viewer.painting.stencil.set({ scale: 1, x: 0, y: 0 })")
     before = page.evaluate("String(viewer.camera.view)")
 
-    def stands() -> list[float]:
+    def stands():
         code = "(({ x, y, angle, scale }) => [x, y, angle, scale])(viewer.painting.stencil)"
         found: list[float] = page.evaluate(code)
         return found
@@ -269,12 +261,12 @@ def test_pointers_and_keys_move_turn_and_scale_a_stencil(clean: Easel) -> None:
     assert clean.bodies == []
 
 
-def animated(kind: str) -> bytes:
+def animated(kind):
     first, second = (PIL.Image.new("RGB", (8, 8), color) for color in ("red", "blue"))
     return encoded(first, kind, save_all=True, append_images=[second])
 
 
-def test_what_is_no_picture_is_refused_in_a_line(clean: Easel) -> None:
+def test_what_is_no_picture_is_refused_in_a_line(clean):
     huge = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", (10_000).to_bytes(4, "big") * 2 + bytes([8, 0, 0, 0, 0]))
     huge += chunk(b"IDAT", zlib.compress(bytes(10_001 * 100))) + chunk(b"IEND", b"")
     for name, content, text in (
@@ -300,18 +292,18 @@ def test_what_is_no_picture_is_refused_in_a_line(clean: Easel) -> None:
         clean.says(text)
 
 
-def chunk(name: bytes, content: bytes) -> bytes:
+def chunk(name, content):
     return len(content).to_bytes(4, "big") + name + content + zlib.crc32(name + content).to_bytes(4, "big")
 
 
-def seen(easel: Easel) -> Codes:
+def seen(easel):
     """Return the colours of the view, as large as strokes are."""
     size = easel.shown.evaluate("[viewer.film.width, viewer.film.height]")
     look = {"shown": "channel", "channel": "base_color", "marked": None, "facing": False}
     return drawn(easel.shown, tuple(size), **look)
 
 
-def stripes(easel: Easel) -> None:
+def stripes(easel):
     """Paint stripes of smooth edges across the middle."""
     y, x = np.mgrid[:120, :240]
     wave = 128 + 100 * np.sin(x / 4)
@@ -322,7 +314,7 @@ def stripes(easel: Easel) -> None:
     easel.shown.keyboard.press("Delete")
 
 
-def test_a_clone_copies_the_pixels_around_its_source(clean: Easel) -> None:
+def test_a_clone_copies_the_pixels_around_its_source(clean):
     page = clean.shown
     stripes(clean)
     page.keyboard.press("o")
@@ -347,7 +339,7 @@ def test_a_clone_copies_the_pixels_around_its_source(clean: Easel) -> None:
     assert np.abs(again[is_painted][:, :3].astype(int) - copied[is_painted]).max() <= 12
 
 
-def test_a_clone_asks_for_its_source_and_says_when_that_is_hidden(clean: Easel) -> None:
+def test_a_clone_asks_for_its_source_and_says_when_that_is_hidden(clean):
     page = clean.shown
     page.keyboard.press("o")
     clean.drag(page, (0, 0))
@@ -363,7 +355,7 @@ def test_a_clone_asks_for_its_source_and_says_when_that_is_hidden(clean: Easel) 
 
 
 @pytest.mark.parametrize("tool", ["Smudge", "Blur", "Sharpen"])
-def test_what_is_smudged_or_blurred_is_shown_as_it_is_baked(clean: Easel, tool: str) -> None:
+def test_what_is_smudged_or_blurred_is_shown_as_it_is_baked(clean, tool):
     page = clean.shown
     stripes(clean)
     page.keyboard.press("u" if tool == "Smudge" else "r")
@@ -382,7 +374,7 @@ def test_what_is_smudged_or_blurred_is_shown_as_it_is_baked(clean: Easel, tool: 
     assert spread[0] > spread[1] + 5 if tool == "Sharpen" else spread[0] < spread[1] - 5
 
 
-def test_one_colour_blurred_smudged_and_cloned_stays_as_it_is_up_to_the_edge(clean: Easel) -> None:
+def test_one_colour_blurred_smudged_and_cloned_stays_as_it_is_up_to_the_edge(clean):
     page = clean.shown
     for key, number in (("r", 1), ("u", 2), ("o", 4)):
         page.keyboard.press(key)
@@ -401,12 +393,10 @@ def test_one_colour_blurred_smudged_and_cloned_stays_as_it_is_up_to_the_edge(cle
     np.testing.assert_allclose(found, clean.texture.sample(points, ["base_color"])["base_color"], atol=1e-6)
 
 
-def test_colours_of_another_surface_and_of_nothing_do_not_bleed_in(
-    browser: Any, tmp_path_factory: pytest.TempPathFactory
-) -> None:
+def test_colours_of_another_surface_and_of_nothing_do_not_bleed_in(browser, tmp_path_factory):
     points, triangles = together(square(0.4, 1.0), square(-0.4, 2.0))
 
-    def colors_at(points: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    def colors_at(points):
         return np.where(points[:, 2:] > 0, [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
 
     surface = Surface.from_arrays(points, triangles).with_sources({"base_color": colors_at})
@@ -424,7 +414,7 @@ def test_colours_of_another_surface_and_of_nothing_do_not_bleed_in(
             assert colors.tolist() == [[0, 0, 255], [255, 0, 0]]
 
 
-def drop(easel: Easel, name: str, content: bytes) -> None:
+def drop(easel, name, content):
     """Drop a file on the page."""
     easel.shown.evaluate(
         """([name, codes]) => {
@@ -437,7 +427,7 @@ def drop(easel: Easel, name: str, content: bytes) -> None:
     )
 
 
-def saved_view(easel: Easel) -> tuple[str, Codes]:
+def saved_view(easel):
     """Save the view for another program; return the name and the picture of the file."""
     easel.shown.locator("#elsewhere").evaluate("(section) => section.open = true")
     with easel.shown.expect_download() as found:
@@ -446,7 +436,7 @@ def saved_view(easel: Easel) -> tuple[str, Codes]:
         return found.value.suggested_filename, np.asarray(image).copy()
 
 
-def test_a_view_painted_in_another_program_comes_back_after_the_page_was_loaded_again(clean: Easel) -> None:
+def test_a_view_painted_in_another_program_comes_back_after_the_page_was_loaded_again(clean):
     page = clean.shown
     name, before = saved_view(clean)
     camera = camera_of(page, before.shape[1::-1])
@@ -472,7 +462,7 @@ def test_a_view_painted_in_another_program_comes_back_after_the_page_was_loaded_
     assert not clean.shown.locator("#stencil").is_visible()
 
 
-def test_a_view_that_comes_back_to_where_it_was_seen_is_shown_as_it_is_baked(clean: Easel) -> None:
+def test_a_view_that_comes_back_to_where_it_was_seen_is_shown_as_it_is_baked(clean):
     name, before = saved_view(clean)
     y, x = np.mgrid[:80, :120]
     edited = before.copy()
@@ -484,7 +474,7 @@ def test_a_view_that_comes_back_to_where_it_was_seen_is_shown_as_it_is_baked(cle
     assert_shown_as_baked(clean, plain)
 
 
-def test_what_does_not_come_back_as_it_went_is_said(clean: Easel) -> None:
+def test_what_does_not_come_back_as_it_went_is_said(clean):
     name, before = saved_view(clean)
     rgb = PIL.Image.fromarray(before[..., :3])
     other = name.replace(name[-12:-4], "0" * 8)

@@ -1,8 +1,5 @@
 """Painting frames of animations: as the library paints the posed surface, at rest on the model."""
 
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +10,6 @@ from octex.errors import ArgumentError
 from octex.session.commands import command_of, stroke_of
 from octex.session.painting import Session, mirrored
 from octex.source.motion import Animation, Links, Motion
-from octex.source.surface import Surface
 from octex.viewer import Viewer
 from tests.conftest import needs_jit
 from tests.make.painted import ball
@@ -24,7 +20,7 @@ from tests.viewer.test_session import NAN, canvas, plain, stroke
 FRAMES = 9
 
 
-def bending(surface: Surface) -> Motion:
+def bending(surface):
     """The upper half of a surface bends to the side and back; a second animation stretches it."""
     vertices = surface.vertices
     upper = np.clip(0.5 + vertices[:, 1], 0.0, 1.0)
@@ -44,9 +40,7 @@ def bending(surface: Surface) -> Motion:
 
 
 @pytest.mark.parametrize("mirror", ["", "x"])
-def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_surface(
-    mirror: str, tmp_path: Path
-) -> None:
+def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_surface(mirror, tmp_path):
     texture, surface = canvas()
     motion, expected = bending(surface), texture
     session = Session(texture, surface, tmp_path / "out.octex", motion=motion)
@@ -78,7 +72,7 @@ def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_
     again.close()
 
 
-def test_a_frame_of_an_animation_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_frame_of_an_animation_that_is_not_there_is_refused(tmp_path):
     texture, surface = canvas()
     session = Session(texture, surface, tmp_path / "a.octex", motion=bending(surface))
     session.take(stroke(1, moved={"animation": 2, "time": 0.0}))
@@ -102,7 +96,7 @@ def test_a_frame_of_an_animation_that_is_not_there_is_refused(tmp_path: Path) ->
 class Bending(Studio):
     """A ball that bends, in a page."""
 
-    def __init__(self, browser: Any, folder: Path) -> None:
+    def __init__(self, browser, folder):
         self.surface = ball(32)
         grey = self.surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
         self.texture = octex.convert(grey, depth=6)
@@ -115,9 +109,7 @@ class Bending(Studio):
 
 
 @needs_jit
-def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the_model(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the_model(browser, tmp_path):
     studio = Bending(browser, tmp_path)
     with studio.opened() as page:
         page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")

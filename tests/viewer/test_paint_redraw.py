@@ -1,10 +1,5 @@
 """After a change the page draws anew only what is near it, and its picture is as if it had drawn all."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 
 from tests.conftest import needs_jit
@@ -28,7 +23,7 @@ _UNLIKE = """() => {
 
 
 @needs_jit
-def test_only_what_is_near_a_change_is_drawn_anew(browser: Any, tmp_path: Path) -> None:
+def test_only_what_is_near_a_change_is_drawn_anew(browser, tmp_path):
     studio, random = Studio(browser, tmp_path, depth=8), np.random.default_rng(0)
     with studio.opened() as page:
         near = 0

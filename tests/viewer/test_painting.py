@@ -1,16 +1,12 @@
 """Painting in a real browser: what the pen draws is painted, saved, undone and seen by all pages."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
 import octex
 from tests.conftest import needs_jit
 from tests.make.same import assert_same
-from tests.make.studio import _HOLD, SIZE, Studio, pictured
+from tests.make.studio import _HOLD, SIZE, pictured
 
 #: Opens all sections of the panel; returns the names of those that were open.
 _OPEN = """() => {
@@ -30,7 +26,7 @@ _LINES = """(all) => all.map((each) => {
 
 
 @needs_jit
-def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio: Studio, page: Any) -> None:
+def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio, page):
     plain = pictured(page)
     page.evaluate(_HOLD)
     studio.drag(page, (-60, 0), (0, -40), (60, 20))
@@ -59,7 +55,7 @@ def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio: Studio, page: An
 
 
 @needs_jit
-def test_undo_gives_the_texture_back_and_redo_the_stroke(studio: Studio, page: Any) -> None:
+def test_undo_gives_the_texture_back_and_redo_the_stroke(studio, page):
     plain = pictured(page)
     for offset in (0, 20):
         studio.drag(page, (-30, offset), (30, offset))
@@ -79,7 +75,7 @@ def test_undo_gives_the_texture_back_and_redo_the_stroke(studio: Studio, page: A
 
 
 @needs_jit
-def test_two_pages_see_the_same_and_one_saves(studio: Studio, page: Any) -> None:
+def test_two_pages_see_the_same_and_one_saves(studio, page):
     other = studio.page()
     studio.drag(page, (0, 0), (10, 10))
     other.wait_for_function("viewer.painting.last.done === 1", timeout=60_000)
@@ -96,7 +92,7 @@ def test_two_pages_see_the_same_and_one_saves(studio: Studio, page: Any) -> None
 
 
 @needs_jit
-def test_a_line_that_is_lost_holds_no_stroke_up_and_loses_none(studio: Studio, page: Any) -> None:
+def test_a_line_that_is_lost_holds_no_stroke_up_and_loses_none(studio, page):
     page.route("**/session", lambda route: route.abort())
     for offset in (-30, 0, 30):
         studio.drag(page, (-30, offset), (30, offset))
@@ -111,7 +107,7 @@ def test_a_line_that_is_lost_holds_no_stroke_up_and_loses_none(studio: Studio, p
 
 
 @needs_jit
-def test_the_view_turns_with_other_buttons_and_beside_the_model(studio: Studio, page: Any) -> None:
+def test_the_view_turns_with_other_buttons_and_beside_the_model(studio, page):
     for start, options in (((0, 0), {"button": "middle"}), ((0, 0), {"button": "right"}), ((200, 150), {})):
         before = page.evaluate("String(viewer.camera.view)")
         studio.drag(page, start, (start[0] + 20, start[1] + 10), **options)
@@ -124,9 +120,7 @@ def test_the_view_turns_with_other_buttons_and_beside_the_model(studio: Studio, 
 
 
 @needs_jit
-def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(
-    studio: Studio, page: Any
-) -> None:
+def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(studio, page):
     box = page.locator("#picture").bounding_box()
     before = page.evaluate("String(viewer.camera.view)")
     page.mouse.move(box["width"] / 2, box["height"] / 2)
@@ -146,7 +140,7 @@ def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(
 
 
 @needs_jit
-def test_after_a_gpu_was_lost_painting_goes_on(studio: Studio, page: Any) -> None:
+def test_after_a_gpu_was_lost_painting_goes_on(studio, page):
     studio.drag(page, (-30, 0), (0, 0))
     studio.is_done(page)
     before = pictured(page)
@@ -161,7 +155,7 @@ def test_after_a_gpu_was_lost_painting_goes_on(studio: Studio, page: Any) -> Non
 
 
 @needs_jit
-def test_nothing_is_painted_that_is_not_seen(studio: Studio, page: Any) -> None:
+def test_nothing_is_painted_that_is_not_seen(studio, page):
     for look in ("viewer.look.cubes = true", "viewer.look.shown = 'depth'"):
         page.evaluate(look)
         studio.drag(page, (0, 0), (10, 0))
@@ -173,7 +167,7 @@ def test_nothing_is_painted_that_is_not_seen(studio: Studio, page: Any) -> None:
 
 
 @needs_jit
-def test_keys_and_the_picker_set_the_brush(studio: Studio, page: Any) -> None:
+def test_keys_and_the_picker_set_the_brush(studio, page):
     brush = "viewer.painting.brush"
     assert page.evaluate(f"{brush}.size") == 40
     page.keyboard.press("]")
@@ -198,9 +192,7 @@ def test_keys_and_the_picker_set_the_brush(studio: Studio, page: Any) -> None:
 
 @needs_jit
 @pytest.mark.parametrize("size", [(1180, 760), (800, 340), (844, 390), (390, 780)])
-def test_each_tool_is_within_the_window_and_each_control_within_the_panel(
-    size: tuple[int, int], page: Any
-) -> None:
+def test_each_tool_is_within_the_window_and_each_control_within_the_panel(size, page):
     page.set_viewport_size({"width": size[0], "height": size[1]})
     boxes = page.locator("#tools button").evaluate_all(
         "(all) => all.map((each) => each.getBoundingClientRect().toJSON())"

@@ -1,11 +1,5 @@
 """Web files in three.js: pixels are samples."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -15,16 +9,7 @@ from octex.source.surface import Surface
 from octex.viewer.export import write_page
 from tests.conftest import needs_jit
 from tests.make.painted import ball
-from tests.make.three import (
-    SCENES,
-    SIZE,
-    needs_three,
-    opened,
-    pixel_points,
-    square,
-    waves,
-    write_plain_ball,
-)
+from tests.make.three import SCENES, SIZE, needs_three, opened, pixel_points, square, waves, write_plain_ball
 
 pytestmark = [needs_jit, needs_three]
 SCRIPT = """
@@ -57,17 +42,17 @@ globalThis.told = { THREE, GLTFLoader, ...own, pictured, read, unlit, camera };
 
 
 @pytest.fixture
-def page(browser: Any, tmp_path: Path) -> Iterator[Any]:
+def page(browser, tmp_path):
     with opened(browser, tmp_path, SCRIPT) as found:
         yield found
 
 
-def codes(found: list[int]) -> Any:
+def codes(found):
     return np.array(found).reshape(SIZE, SIZE, 4)[..., :3]
 
 
 @pytest.mark.parametrize("max_error", [None, 20.0])
-def test_pixels_are_samples(page: Any, tmp_path: Path, max_error: float | None) -> None:
+def test_pixels_are_samples(page, tmp_path, max_error):
     surface = square()
     texture = octex.convert(surface, depth=5, max_error=max_error)
     write_page(texture, tmp_path / "square.octw", surface)
@@ -89,7 +74,7 @@ def test_pixels_are_samples(page: Any, tmp_path: Path, max_error: float | None) 
     assert np.abs(found - wanted).max() <= 2.0
 
 
-def test_models_of_gltf_and_instances_show_the_same(page: Any, tmp_path: Path) -> None:
+def test_models_of_gltf_and_instances_show_the_same(page, tmp_path):
     surface = ball(24).with_sources({"base_color": waves})
     texture = octex.convert(surface, depth=5)
     write_page(texture, tmp_path / "ball.octw", surface)
@@ -119,7 +104,7 @@ def test_models_of_gltf_and_instances_show_the_same(page: Any, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("ending", [".glb", ".gltf"])
-def test_models_that_carry_their_octree_show_it(page: Any, tmp_path: Path, ending: str) -> None:
+def test_models_that_carry_their_octree_show_it(page, tmp_path, ending):
     """With the extension pixels are samples; without it, the vertices' colours. Poses change nothing."""
     surface = square()
     texture = octex.convert(surface, depth=5)
@@ -145,7 +130,7 @@ def test_models_that_carry_their_octree_show_it(page: Any, tmp_path: Path, endin
             const light = new THREE.AmbientLight(0xffffff, Math.PI);
             return pictured(new THREE.Scene().add(gltf.scene, light));
           };
-        }""",
+        }"""
     )
     points = pixel_points().reshape(SIZE, SIZE, 3)
     for knows, model in ((True, path), (False, path), (True, tmp_path / "posed.glb")):
@@ -158,7 +143,7 @@ def test_models_that_carry_their_octree_show_it(page: Any, tmp_path: Path, endin
         assert difference.max() <= 3.0 if knows else difference.mean() > 12, model.name
 
 
-def test_mirrored_sheets_show_the_side_that_is_seen(page: Any, tmp_path: Path) -> None:
+def test_mirrored_sheets_show_the_side_that_is_seen(page, tmp_path):
     corners, faces = (
         np.array([[0, 0, 0.5], [1, 0, 0.5], [0, 1, 0.5], [1, 1, 0.5]], float),
         [[0, 1, 2], [1, 3, 2]],
@@ -187,9 +172,7 @@ def test_mirrored_sheets_show_the_side_that_is_seen(page: Any, tmp_path: Path) -
     np.testing.assert_allclose(seen, [[240, 60, 60]] * 2 + [[60, 60, 240]] * 2, atol=4)
 
 
-def test_one_material_may_serve_several_meshes_and_own_colours_do_not_count(
-    page: Any, tmp_path: Path
-) -> None:
+def test_one_material_may_serve_several_meshes_and_own_colours_do_not_count(page, tmp_path):
     surface = square()
     texture = octex.convert(surface, depth=4)
     write_page(texture, tmp_path / "square.octw", surface)
@@ -208,7 +191,7 @@ def test_one_material_may_serve_several_meshes_and_own_colours_do_not_count(
     np.testing.assert_allclose(seen, wanted, atol=4)
 
 
-def test_a_texture_of_one_value_draws_as_the_material_does(page: Any, tmp_path: Path) -> None:
+def test_a_texture_of_one_value_draws_as_the_material_does(page, tmp_path):
     """With lights, shadows, fog, instances and a skin: three's own material of that value is the measure."""
     write_plain_ball(tmp_path / "ball.octw")
     asked = """async () => {
@@ -224,12 +207,12 @@ def test_a_texture_of_one_value_draws_as_the_material_does(page: Any, tmp_path: 
     assert (np.abs(found - still).max(axis=2) > 20).mean() > 0.02
 
 
-def noise(points: Any) -> Any:
+def noise(points):
     """Colours that take many bytes."""
     return np.random.default_rng(1).random((len(points), 3))
 
 
-def test_the_first_bytes_show_a_picture(page: Any, tmp_path: Path) -> None:
+def test_the_first_bytes_show_a_picture(page, tmp_path):
     """Coarse levels, while all that lies behind the first 100,000 bytes has not come; then the others."""
     surface = square().with_sources({"base_color": lambda p: 0.7 * waves(p) + 0.3 * noise(p)})
     texture = octex.convert(surface, depth=8)
@@ -260,7 +243,7 @@ def test_the_first_bytes_show_a_picture(page: Any, tmp_path: Path) -> None:
     assert len(page.server.asked) <= 4  # the start, and a request for each stream beyond it
 
 
-def test_pages_without_workers_read_files_themselves(page: Any, tmp_path: Path) -> None:
+def test_pages_without_workers_read_files_themselves(page, tmp_path):
     surface = square()
     write_page(octex.convert(surface, depth=4), tmp_path / "square.octw", surface)
     seen = page.evaluate(
@@ -283,7 +266,7 @@ def test_pages_without_workers_read_files_themselves(page: Any, tmp_path: Path) 
     assert np.ptp(codes(seen[0])) > 100
 
 
-def test_a_lost_context_comes_back_with_its_picture(page: Any, tmp_path: Path) -> None:
+def test_a_lost_context_comes_back_with_its_picture(page, tmp_path):
     surface = square()
     write_page(octex.convert(surface, depth=5, max_error=20.0), tmp_path / "square.octw", surface)
     before, lost, after = page.evaluate(
@@ -308,7 +291,7 @@ def test_a_lost_context_comes_back_with_its_picture(page: Any, tmp_path: Path) -
     page.complaints[:] = [each for each in page.complaints if "ontext" not in each]
 
 
-def test_a_gpu_whose_textures_are_too_small_is_told(page: Any, tmp_path: Path) -> None:
+def test_a_gpu_whose_textures_are_too_small_is_told(page, tmp_path):
     surface = square()
     write_page(octex.convert(surface, depth=3), tmp_path / "square.octw", surface)
     said = page.evaluate(
@@ -327,7 +310,7 @@ def test_a_gpu_whose_textures_are_too_small_is_told(page: Any, tmp_path: Path) -
     )
 
 
-def test_files_that_cannot_be_read_are_refused_in_words(page: Any, tmp_path: Path) -> None:
+def test_files_that_cannot_be_read_are_refused_in_words(page, tmp_path):
     write_page(octex.convert(square(), depth=3), tmp_path / "good.octw")
     whole = (tmp_path / "good.octw").read_bytes()
     (tmp_path / "other.octw").write_bytes(b"something else that is long enough")

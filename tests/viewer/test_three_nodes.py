@@ -1,11 +1,6 @@
 """Octree textures as nodes of TSL, drawn by WebGPU and by WebGL2: pixels are samples."""
 
-from __future__ import annotations
-
 import os
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -50,31 +45,31 @@ WEBGPU = ["--enable-unsafe-webgpu", "--use-webgpu-adapter=swiftshader", "--enabl
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with started(*WEBGPU) as found:
+def browser(driver):
+    with started(driver, *WEBGPU) as found:
         yield found
 
 
 @pytest.fixture(params=["webgpu", "webgl"])
-def page(browser: Any, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Any]:
+def page(browser, tmp_path, request):
     with opened(browser, tmp_path, SCRIPT, build="webgpu") as page:
         page.backend = page.evaluate("name => told.begin(name === 'webgl')", request.param)
         assert page.backend == request.param
         yield page
 
 
-def constant(value: list[float]) -> Any:
+def constant(value):
     return lambda points: np.tile(np.array(value), (len(points), 1))
 
 
-def light(page: Any, found: list[float]) -> Any:
+def light(page, found):
     """Return a picture's linear values (height, width, 3), the lowest row first."""
     rows = np.array(found).reshape(SIZE, SIZE, 4)[..., :3]
     return rows[::-1] if page.backend == "webgpu" else rows
 
 
 @pytest.mark.parametrize("max_error", [None, 20.0])
-def test_pixels_are_samples(page: Any, tmp_path: Path, max_error: float | None) -> None:
+def test_pixels_are_samples(page, tmp_path, max_error):
     surface = square()
     texture = octex.convert(surface, depth=7, max_error=max_error)
     write_page(texture, tmp_path / "square.octw", surface)
@@ -95,7 +90,7 @@ def test_pixels_are_samples(page: Any, tmp_path: Path, max_error: float | None) 
             assert 255 * difference <= (2.0 if footprints else 0.1), (filter, footprints)
 
 
-def test_sheets_show_the_side_that_is_seen_with_alpha(page: Any, tmp_path: Path) -> None:
+def test_sheets_show_the_side_that_is_seen_with_alpha(page, tmp_path):
     corners = np.array([[0, 0, 0.5], [1, 0, 0.5], [0, 1, 0.5], [1, 1, 0.5]], float)
     both = np.array([[0, 1, 2], [1, 3, 2], [2, 1, 0], [2, 3, 1]])
     sides = np.array([[240, 60, 60, 128]] * 2 + [[60, 60, 240, 128]] * 2, np.uint8)
@@ -122,7 +117,7 @@ def test_sheets_show_the_side_that_is_seen_with_alpha(page: Any, tmp_path: Path)
     np.testing.assert_allclose(codes, [[240, 60, 60], [60, 60, 240]], atol=4)
 
 
-def test_lit_models_look_as_by_webglrenderer(page: Any, tmp_path: Path) -> None:
+def test_lit_models_look_as_by_webglrenderer(page, tmp_path):
     """Own normals, roughness and metal under lights: three's own material is the measure."""
     normal = [0.6, 0.0, 0.8]
     values = {
@@ -173,7 +168,7 @@ def test_lit_models_look_as_by_webglrenderer(page: Any, tmp_path: Path) -> None:
     assert abs(ratio - normal[2]) < 0.05, "a normal that is tilted takes less light"
 
 
-def test_a_texture_of_one_value_draws_as_the_material_does(page: Any, tmp_path: Path) -> None:
+def test_a_texture_of_one_value_draws_as_the_material_does(page, tmp_path):
     """With lights, shadows, fog, instances and a skin: three's own material of that value is the measure."""
     write_plain_ball(tmp_path / "ball.octw")
     asked = """async () => {

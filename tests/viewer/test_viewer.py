@@ -1,15 +1,11 @@
 """What a browser shows: each pixel as lookups have it; the page, its tools, and pages of one file."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
 import sys
 import threading
 from itertools import product
-from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -19,14 +15,12 @@ import octex
 from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.formats.web import prepared
-from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer, write_page
 from octex.viewer.export import MODULES, page_text
 from octex.viewer.pack import pack
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, differences, file_url, opened
-from tests.make.command import Cli
 from tests.make.painted import ball
 from tests.make.small_surfaces import sheet
 from tests.make.small_textures import shell
@@ -34,27 +28,27 @@ from tests.make.small_textures import shell
 SIZE = 48, 36
 
 
-def colored(surface: Surface, **sources: object) -> Surface:
+def colored(surface, **sources):
     """A surface of colours that vary much within a cell, and of other channels."""
     low, high = surface.bounds
     waves = lambda p: 0.5 + 0.5 * np.sin(40 * (p - low) / (high - low).max() * [1.0, 1.3, 0.7])  # noqa: E731
     return surface.with_sources({"base_color": waves, "roughness": lambda p: waves(p)[:, :1], **sources})
 
 
-def even() -> tuple[OctreeTexture, Surface]:
+def even():
     surface = colored(ball())
     return octex.convert(surface, depth=6), surface
 
 
-def adaptive() -> tuple[OctreeTexture, Surface]:
-    def spots(p: Any) -> Any:
+def adaptive():
+    def spots(p):
         return 0.5 + 0.4 * np.sign(np.sin(30 * p[:, :1])) * (p[:, 1:2] > 0.2) * [1.0, 0.5, -1.0]
 
     surface = ball().with_sources({"base_color": spots})
     return octex.convert(surface, depth=6, max_error=3), surface
 
 
-def painted() -> tuple[OctreeTexture, Surface]:
+def painted():
     """Finer in the middle of a thin sheet: nodes there are split, and keep what they were."""
     surface = sheet(np.eye(3), 0.01)
     texture = octex.convert(surface, depth=4)
@@ -65,12 +59,12 @@ def painted() -> tuple[OctreeTexture, Surface]:
     return red, surface
 
 
-def thin() -> tuple[OctreeTexture, Surface]:
+def thin():
     surface = sheet(np.eye(3), 0.01)
     return octex.convert(surface, depth=5), surface
 
 
-def floating() -> tuple[OctreeTexture, Surface]:
+def floating():
     """Alpha; light up to 3, data from −2 on and 16-bit colours."""
     surface = colored(
         ball(),
@@ -91,15 +85,13 @@ MADE = {each.__name__: each for each in (even, adaptive, painted, thin, floating
 
 @needs_jit
 @pytest.mark.parametrize("name", MADE)
-def test_each_pixel_is_what_a_lookup_there_gives(name: str, browser: Any, tmp_path: Path) -> None:
+def test_each_pixel_is_what_a_lookup_there_gives(name, browser, tmp_path):
     assert_shown(*MADE[name](), browser, tmp_path)
 
 
 @needs_jit
 @pytest.mark.parametrize("name", ["BoomBoxWithAxes.gltf", "Avocado.gltf", "Suzanne.gltf", "spot.obj"])
-def test_each_pixel_of_a_real_model_is_what_a_lookup_there_gives(
-    name: str, models: Path, browser: Any, tmp_path: Path
-) -> None:
+def test_each_pixel_of_a_real_model_is_what_a_lookup_there_gives(name, models, browser, tmp_path):
     path = next(models.rglob(name), None)
     if path is None:
         pytest.skip(f"there is no {name}")
@@ -110,7 +102,7 @@ def test_each_pixel_of_a_real_model_is_what_a_lookup_there_gives(
         assert_shown(texture, surface.placed_in(texture), browser, tmp_path)
 
 
-def assert_shown(texture: OctreeTexture, surface: Surface, browser: Any, folder: Path) -> None:
+def assert_shown(texture, surface, browser, folder):
     """A page shows what lookups give; also as cubes without complaint."""
     write_page(texture, folder / "page.html", surface)
     page = opened(browser, file_url(folder / "page.html"), (760, 300))
@@ -122,7 +114,7 @@ def assert_shown(texture: OctreeTexture, surface: Surface, browser: Any, folder:
     page.close()
 
 
-def parity(page: Any, texture: OctreeTexture, surface: Surface) -> None:
+def parity(page, texture, surface):
     """Compare all channels, filters, widths, levels and sides."""
     header = pack(texture, surface).header
     texture = prepared(texture).texture  # of 8 bits, 0 to 1
@@ -140,15 +132,7 @@ def parity(page: Any, texture: OctreeTexture, surface: Surface) -> None:
         compared(probe, texture.level(level), header, filter, width, facing, case)
 
 
-def compared(
-    probe: Probe,
-    texture: OctreeTexture,
-    header: dict[str, Any],
-    filter: str,
-    width: float,
-    facing: bool,
-    case: str,
-) -> float:
+def compared(probe, texture, header, filter, width, facing, case):
     assert probe.seen.sum() > 100
     worst = 0.0
     for name, away in differences(probe, texture, header, filter, width, facing).items():
@@ -159,7 +143,7 @@ def compared(
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def small(tmp_path_factory):
     """A page of a small ball."""
     path = tmp_path_factory.mktemp("page") / "ball.html"
     surface = colored(ball(8))
@@ -167,7 +151,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def sharp(page: Any) -> bytes:
+def sharp(page):
     """The picture, once it stands still."""
     page.evaluate("viewer.move()")
     page.wait_for_function("viewer.isSharp && !viewer.asked", timeout=60_000)
@@ -176,7 +160,7 @@ def sharp(page: Any) -> bytes:
 
 
 @needs_jit
-def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser: Any, small: Path) -> None:
+def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser, small):
     page = opened(browser, file_url(small), (900, 480))
     canvas = page.locator("canvas")
     canvas.focus()
@@ -221,7 +205,7 @@ def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser:
 
 
 @needs_jit
-def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser: Any, small: Path) -> None:
+def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser, small):
     surface = colored(ball(8))
     texture = octex.convert(surface, depth=4)
     page = opened(browser, file_url(small), (900, 480))
@@ -256,7 +240,7 @@ def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser: Any, small: P
 
 
 @needs_jit
-def test_the_file_loads_nothing_and_obeys_its_own_policy(browser: Any, small: Path) -> None:
+def test_the_file_loads_nothing_and_obeys_its_own_policy(browser, small):
     asked: list[str] = []
     page = browser.new_page()
     page.on("request", lambda request: asked.append(request.url))
@@ -272,7 +256,7 @@ def test_the_file_loads_nothing_and_obeys_its_own_policy(browser: Any, small: Pa
 
 
 @needs_jit
-def test_a_lost_context_is_restored(browser: Any, small: Path) -> None:
+def test_a_lost_context_is_restored(browser, small):
     page = opened(browser, file_url(small), (900, 480))
     before = sharp(page)
     page.evaluate("(globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')).loseContext()")
@@ -285,7 +269,7 @@ def test_a_lost_context_is_restored(browser: Any, small: Path) -> None:
 
 
 @needs_jit
-def test_without_webgl2_the_page_says_so(browser: Any, small: Path) -> None:
+def test_without_webgl2_the_page_says_so(browser, small):
     page = browser.new_page(bypass_csp=True)
     page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
     page.goto(file_url(small))
@@ -296,7 +280,7 @@ def test_without_webgl2_the_page_says_so(browser: Any, small: Path) -> None:
 
 @needs_jit
 @pytest.mark.parametrize("size", [(1280, 720), (390, 844)])
-def test_controls_are_named_and_within_the_window(browser: Any, small: Path, size: tuple[int, int]) -> None:
+def test_controls_are_named_and_within_the_window(browser, small, size):
     page = opened(browser, file_url(small), size)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     height = page.evaluate("viewer.canvas.clientHeight")
@@ -311,7 +295,7 @@ def test_controls_are_named_and_within_the_window(browser: Any, small: Path, siz
 
 
 @needs_jit
-def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser: Any, tmp_path: Path) -> None:
+def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser, tmp_path):
     surface, path = colored(ball(8)), tmp_path / "ball.octex"
     octex.convert(surface, depth=4).save(path)
     lines: list[str] = []
@@ -331,14 +315,12 @@ def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser: Any,
 
 
 @needs_jit
-def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(
-    browser: Any, tmp_path: Path, request: pytest.FixtureRequest
-) -> None:
+def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(browser, tmp_path, request):
     surface, path, other = colored(ball(8)), tmp_path / "ball.octex", tmp_path / "other.octex"
     octex.convert(surface, depth=5).save(path)
     octex.convert(surface, depth=1).save(other)
 
-    def served(*words: str | Path) -> tuple[subprocess.Popen[str], str]:
+    def served(*words):
         code = "import sys; from octex.cli.main import main; sys.exit(main(['view', *sys.argv[1:]]))"
         call = [sys.executable, "-c", code, *map(str, words), "--no-browser", "--quiet"]
         server = subprocess.Popen(call, stdout=subprocess.PIPE, text=True)
@@ -346,15 +328,15 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(
         assert server.stdout is not None
         return server, server.stdout.readline().strip()
 
-    def ended(server: subprocess.Popen[str]) -> None:
+    def ended(server):
         with server:
             server.kill()
 
-    def until_said(text: str) -> None:
+    def until_said(text):
         said = f"document.getElementById('status').textContent.includes({text!r})"
         page.wait_for_function(said, timeout=60_000)
 
-    def until_depth(depth: int) -> None:
+    def until_depth(depth):
         shown = f"globalThis.viewer?.header?.parts[0].depth === {depth} && viewer.isComplete"
         page.wait_for_function(shown, timeout=60_000)
 
@@ -395,7 +377,7 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(
     page.close()
 
 
-def test_floats_are_shown_in_the_range_that_they_have() -> None:
+def test_floats_are_shown_in_the_range_that_they_have():
     texture, surface = floating()
     header = pack(texture, surface).header
     ranges = {each["name"]: each["range"] for each in header["channels"]}
@@ -407,7 +389,7 @@ def test_floats_are_shown_in_the_range_that_they_have() -> None:
     assert f"emissive: shown with 8 bits, 0 to {values[0].max():.4g}" in header["notes"]
 
 
-def test_a_page_of_limited_size_leaves_the_finest_levels_out(tmp_path: Path) -> None:
+def test_a_page_of_limited_size_leaves_the_finest_levels_out(tmp_path):
     texture = shell(5, keep=0.0)
     whole = write_page(texture, tmp_path / "whole.html")
     size = (tmp_path / "whole.html").stat().st_size
@@ -419,7 +401,7 @@ def test_a_page_of_limited_size_leaves_the_finest_levels_out(tmp_path: Path) -> 
         write_page(texture, tmp_path / "none.html", max_size=100)
 
 
-def two_parts(folder: Path) -> tuple[octex.TextureSet, Surface]:
+def two_parts(folder):
     """Two balls that touch, with channels and depths of their own."""
     balls = ball(8), ball(8)
     vertices = np.concatenate([each.vertices + np.array([1.9 * n, 0, 0]) for n, each in enumerate(balls)])
@@ -444,7 +426,7 @@ def two_parts(folder: Path) -> tuple[octex.TextureSet, Surface]:
 
 
 @needs_jit
-def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(browser: Any, tmp_path: Path) -> None:
+def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(browser, tmp_path):
     textures, surface = two_parts(tmp_path)
     write_page(textures, tmp_path / "set.html", surface)
     page = opened(browser, file_url(tmp_path / "set.html"), (900, 420))
@@ -474,7 +456,7 @@ def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(browser: Any, tm
     assert notes[0].startswith("part 0: depth 4 of 5, to fit")
 
 
-def test_no_two_modules_of_the_page_have_a_name_in_common() -> None:
+def test_no_two_modules_of_the_page_have_a_name_in_common():
     names = [
         name
         for module in MODULES
@@ -486,7 +468,7 @@ def test_no_two_modules_of_the_page_have_a_name_in_common() -> None:
     assert len(names) > 20
 
 
-def test_octex_view_writes_pages(made: Path, model: Path, cli: Cli) -> None:
+def test_octex_view_writes_pages(made, model, cli):
     page = made.with_name("page.html")
     told = json.loads(cli.result("view", made, model, page, "--quiet", "--json"))
     assert told["bytes"] == page.stat().st_size
@@ -499,7 +481,7 @@ def test_octex_view_writes_pages(made: Path, model: Path, cli: Cli) -> None:
     assert "'much' is not a size like 20MB" in cli.refusal("view", made, page, "--max-size", "much")
 
 
-def test_octex_view_writes_a_page_of_a_folder_of_parts(tmp_path: Path, cli: Cli) -> None:
+def test_octex_view_writes_a_page_of_a_folder_of_parts(tmp_path, cli):
     textures, _ = two_parts(tmp_path)
     textures.save(tmp_path / "set")
     given = tmp_path / "set", tmp_path / "two.obj", tmp_path / "set.html"

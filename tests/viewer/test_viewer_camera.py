@@ -1,10 +1,5 @@
 """The page's camera: zooming and focusing; pages that load anew, or lose their server."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -23,7 +18,7 @@ _PRESSED = """([key, times]) => {
 
 
 @pytest.fixture(scope="module")
-def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def small(tmp_path_factory):
     path = tmp_path_factory.mktemp("page") / "ball.html"
     surface = ball(16)
     write_page(octex.convert(surface, depth=4), path, surface, title="ball.octex")
@@ -32,9 +27,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @needs_jit
 @pytest.mark.parametrize("cubes", [False, True])
-def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(
-    cubes: bool, browser: Any, small: Path
-) -> None:
+def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(cubes, browser, small):
     page = opened(browser, file_url(small), (320, 240))
     page.evaluate("(on) => void (viewer.look.cubes = on)", cubes)
     wide, high = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
@@ -55,9 +48,7 @@ def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(
 
 
 @needs_jit
-def test_a_double_click_turns_around_what_is_there_and_beside_the_model_shows_all(
-    browser: Any, small: Path
-) -> None:
+def test_a_double_click_turns_around_what_is_there_and_beside_the_model_shows_all(browser, small):
     page = opened(browser, file_url(small), (600, 300))
     wide, high = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
     at = [round(0.58 * wide), round(0.4 * high)]
@@ -75,9 +66,7 @@ def test_a_double_click_turns_around_what_is_there_and_beside_the_model_shows_al
 
 
 @needs_jit
-def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls(browser, tmp_path):
     surface, path = ball(8), tmp_path / "ball.octex"
     octex.convert(surface, depth=4).save(path)
     with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
@@ -105,9 +94,7 @@ def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls
 
 
 @needs_jit
-def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(browser, tmp_path):
     path, lines = tmp_path / "ball.octex", list[str]()
     octex.convert(ball(8), depth=3).save(path)
     with served(Viewer(lambda: octex.open(path), path, None, log=lines.append)) as first:
@@ -125,7 +112,7 @@ def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(
 
 
 @needs_jit
-def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(browser: Any, tmp_path: Path) -> None:
+def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(browser, tmp_path):
     path = tmp_path / "ball.octex"
     octex.convert(ball(8), depth=3).save(path)
     viewer = Viewer(lambda: octex.open(path), path, None)
@@ -145,7 +132,7 @@ def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(browser: A
 
 
 @needs_jit
-def test_texture_coordinates_are_missed_only_where_there_are_none(browser: Any, tmp_path: Path) -> None:
+def test_texture_coordinates_are_missed_only_where_there_are_none(browser, tmp_path):
     square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]
     uv = [[0, 0], [1, 0], [1, 1], [0, 1]]
     texts = []

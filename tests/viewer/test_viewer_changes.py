@@ -1,21 +1,14 @@
 """What pages are sent of a texture that has changed: as if they had loaded it anew, without doing so."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
 from octex.editing.draft import Change, Tiles, change_in, cut_out, joined_change
-from octex.source.surface import Surface
-from octex.texture import OctreeTexture
 from octex.viewer import Viewer
 from octex.viewer.changes import change_between, change_of
 from octex.viewer.pack import pack
@@ -26,7 +19,7 @@ from tests.make.same import assert_same
 from tests.make.small_surfaces import sheet
 
 
-def told(viewer: Viewer, page: Any) -> None:
+def told(viewer, page):
     """Wait until a page has what is shown."""
     viewer.changed()
     shows = "(version) => viewer.version === version"
@@ -34,7 +27,7 @@ def told(viewer: Viewer, page: Any) -> None:
 
 
 @needs_jit
-def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(browser: Any, tmp_path: Path) -> None:
+def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(browser, tmp_path):
     surface = sheet(np.eye(3), 0.01)
     waves = surface.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
     painter = octex.Painter(octex.convert(waves, depth=5, max_error=3), surface)
@@ -75,9 +68,7 @@ def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(browser: Any,
 
 @needs_jit
 @pytest.mark.parametrize("seed", range(2))
-def test_random_strokes_change_a_page_to_what_one_has_that_loads_anew(
-    seed: int, browser: Any, tmp_path: Path
-) -> None:
+def test_random_strokes_change_a_page_to_what_one_has_that_loads_anew(seed, browser, tmp_path):
     random = np.random.default_rng(seed)
     surface = sheet(np.eye(3), 0.01) if seed % 2 else ball(12)
     waves = surface.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
@@ -102,7 +93,7 @@ def test_random_strokes_change_a_page_to_what_one_has_that_loads_anew(
         page.close()
 
 
-def shown(page: Any, texture: OctreeTexture, surface: Surface, facing: bool) -> None:
+def shown(page, texture, surface, facing):
     """Compare what a page draws with lookups."""
     probe = Probe(page, texture, (48, 36), filter="quadratic", width=-1.0, facing=facing, level=20)
     header = pack(texture, surface).header
@@ -112,7 +103,7 @@ def shown(page: Any, texture: OctreeTexture, surface: Surface, facing: bool) -> 
 
 
 @needs_jit
-def test_a_stroke_without_new_cells_sends_the_rows_that_it_changes(browser: Any, tmp_path: Path) -> None:
+def test_a_stroke_without_new_cells_sends_the_rows_that_it_changes(browser, tmp_path):
     surface = ball(32)
     texture = octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=7)
     painter = octex.Painter(texture, surface)
@@ -132,7 +123,7 @@ def test_a_stroke_without_new_cells_sends_the_rows_that_it_changes(browser: Any,
 
 
 @needs_jit
-def test_strokes_with_new_cells_send_the_rows_that_they_change(browser: Any, tmp_path: Path) -> None:
+def test_strokes_with_new_cells_send_the_rows_that_they_change(browser, tmp_path):
     surface = ball(32)
     texture = octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=7)
     painter = octex.Painter(texture, surface)
@@ -155,7 +146,7 @@ def test_strokes_with_new_cells_send_the_rows_that_they_change(browser: Any, tmp
 
 
 @needs_jit
-def test_what_is_otherwise_than_the_page_can_be_sent_is_loaded_anew(browser: Any, tmp_path: Path) -> None:
+def test_what_is_otherwise_than_the_page_can_be_sent_is_loaded_anew(browser, tmp_path):
     surface, path = ball(8), tmp_path / "ball.octex"
     rough = surface.with_sources({"roughness": 0.5, "base_color": lambda p: np.full_like(p, 0.5)})
     octex.convert(rough, depth=3).save(path)
@@ -168,7 +159,7 @@ def test_what_is_otherwise_than_the_page_can_be_sent_is_loaded_anew(browser: Any
         page.close()
 
 
-def test_runs_and_new_cells_make_up_the_texture_that_is_now() -> None:
+def test_runs_and_new_cells_make_up_the_texture_that_is_now():
     waves = ball(8).with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
     before = octex.convert(waves, depth=4)
     low, _ = before.bounds
@@ -190,7 +181,7 @@ def test_runs_and_new_cells_make_up_the_texture_that_is_now() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_change_of_a_painter_is_packed_as_if_both_textures_were_compared(seed: int) -> None:
+def test_a_change_of_a_painter_is_packed_as_if_both_textures_were_compared(seed):
     random = np.random.default_rng(seed)
     surface = sheet(np.eye(3), 0.01) if seed % 2 else ball(24)
     waves = surface.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
@@ -226,7 +217,7 @@ def test_a_change_of_a_painter_is_packed_as_if_both_textures_were_compared(seed:
     assert is_joined > 0
 
 
-def test_a_page_that_is_behind_gets_change_after_change(tmp_path: Path) -> None:
+def test_a_page_that_is_behind_gets_change_after_change(tmp_path):
     surface = ball(8)
     painter = octex.Painter(octex.convert(surface, depth=3), surface)
     viewer = Viewer(painter.texture, tmp_path / "session.octex", None)
@@ -245,7 +236,7 @@ def test_a_page_that_is_behind_gets_change_after_change(tmp_path: Path) -> None:
 
 
 @needs_jit
-def test_the_page_and_cameras_agree_on_what_a_pixel_sees(browser: Any, tmp_path: Path) -> None:
+def test_the_page_and_cameras_agree_on_what_a_pixel_sees(browser, tmp_path):
     if browser.browser_type.name == "firefox":
         pytest.skip("WebDriver BiDi does not tell playwright of downloads")
     surface, path = ball(32), tmp_path / "ball.octex"
@@ -273,7 +264,7 @@ def test_the_page_and_cameras_agree_on_what_a_pixel_sees(browser: Any, tmp_path:
 
 @needs_jit
 @pytest.mark.parametrize("depth", [None, 8])
-def test_parents_of_a_changed_tile_are_sent_with_all_their_children(depth: int | None) -> None:
+def test_parents_of_a_changed_tile_are_sent_with_all_their_children(depth):
     surface = ball(24)
     before = octex.convert(surface, 7)
     painter = octex.Painter(before, surface)
@@ -281,7 +272,7 @@ def test_parents_of_a_changed_tile_are_sent_with_all_their_children(depth: int |
     after = painter.texture()
     assert change.tiles is not None
 
-    def below(texture: OctreeTexture, tiles: Tiles) -> npt.NDArray[np.uint8]:
+    def below(texture, tiles):
         draft = cut_out(texture, tiles)
         return draft.channels["base_color"].values[draft.tree.arrays.level_cells[tiles.level + 1] :]
 

@@ -1,10 +1,5 @@
 """Translucent surfaces in the page: what is opaque first, then the nearest translucent layer over it."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -20,14 +15,14 @@ RED, GREEN, BLUE = np.eye(3)
 GROUND = np.array([0.925, 0.93, 0.94])
 
 
-def panes(alphas: dict[float, tuple[Any, float]]) -> Surface:
+def panes(alphas):
     """Squares one behind another: at each z a colour and its alpha."""
     square = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     vertices = np.concatenate([square + np.array([0, 0, z]) for z in alphas])
     triangles = np.concatenate([np.array([[0, 1, 2], [0, 2, 3]]) + 4 * n for n in range(len(alphas))])
     places, kinds = np.array(list(alphas)), list(alphas.values())
 
-    def nearest(p: Any) -> Any:
+    def nearest(p):
         return np.abs(p[:, 2:] - places).argmin(axis=1)
 
     colors, covers = np.array([kind[0] for kind in kinds]), np.array([kind[1] for kind in kinds])
@@ -36,7 +31,7 @@ def panes(alphas: dict[float, tuple[Any, float]]) -> Surface:
     )
 
 
-def middle(browser: Any, surface: Surface, path: Path) -> tuple[Any, Any]:
+def middle(browser, surface, path):
     """Return the colour in the middle of the picture, without light, and what a pick finds there."""
     write_page(octex.convert(surface, depth=5), path, surface)
     page = opened(browser, file_url(path), (912, 480))
@@ -48,7 +43,7 @@ def middle(browser: Any, surface: Surface, path: Path) -> tuple[Any, Any]:
     return color, found
 
 
-def over(color: Any, alpha: float, behind: Any) -> Any:
+def over(color, alpha, behind):
     return alpha * np.asarray(color) + (1 - alpha) * np.asarray(behind)
 
 
@@ -62,16 +57,14 @@ def over(color: Any, alpha: float, behind: Any) -> Any:
         ({-1.0: (BLUE, 0.5), 1.0: (RED, 1.0)}, RED, 1.0),  # what is hidden adds nothing
     ],
 )
-def test_the_nearest_translucent_layer_lies_over_what_is_opaque(
-    layers: dict[float, tuple[Any, float]], expected: Any, picked: float, browser: Any, tmp_path: Path
-) -> None:
+def test_the_nearest_translucent_layer_lies_over_what_is_opaque(layers, expected, picked, browser, tmp_path):
     color, found = middle(browser, panes(layers), tmp_path / "panes.html")
     assert np.abs(color - 255 * linear_to_srgb(expected)).max() <= 2
     assert found["rest"][2] == pytest.approx(picked, abs=1e-3)
 
 
 @needs_jit
-def test_a_translucent_layer_alone_lies_over_the_ground_in_linear_light(browser: Any, tmp_path: Path) -> None:
+def test_a_translucent_layer_alone_lies_over_the_ground_in_linear_light(browser, tmp_path):
     from octex.channels import srgb_to_linear
 
     color, _ = middle(browser, panes({0.0: (GREEN, 0.5)}), tmp_path / "pane.html")

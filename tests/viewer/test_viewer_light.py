@@ -1,10 +1,5 @@
 """Studio light in the page: it looks as in the library's own pictures."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,7 +7,6 @@ import octex
 from octex.channels import encode
 from octex.drawing import render_surface, texture_shader
 from octex.drawing.environment import Environment
-from octex.source.surface import Surface
 from octex.viewer import write_page
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, drawn, file_url, opened
@@ -22,7 +16,7 @@ SIZE = 160, 120
 _APART = np.arange(3.0)  # of the components of colours
 
 
-def shiny(p: Any) -> dict[str, Any]:
+def shiny(p):
     """What a ball is made of: from mirror to matte, half of it metal."""
     turn = np.arctan2(p[:, 2], p[:, 0])[:, None]
     return {
@@ -35,15 +29,13 @@ def shiny(p: Any) -> dict[str, Any]:
     }
 
 
-def made(names: list[str]) -> Surface:
+def made(names):
     return ball(32).with_sources({name: lambda p, name=name: shiny(p)[name] for name in names})
 
 
 @needs_jit
 @pytest.mark.parametrize("names", [["base_color"], list(shiny(np.ones((1, 3))))])
-def test_studio_light_is_the_same_in_the_page_and_in_previews(
-    names: list[str], browser: Any, tmp_path: Path
-) -> None:
+def test_studio_light_is_the_same_in_the_page_and_in_previews(names, browser, tmp_path):
     surface = made(names)
     texture = octex.convert(surface, depth=6)
     write_page(texture, tmp_path / "page.html", surface)

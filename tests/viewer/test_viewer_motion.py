@@ -1,10 +1,5 @@
 """Animations in the browser: what pixels see of a model that moves, and animations that are broken."""
 
-from __future__ import annotations
-
-from pathlib import Path
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -12,19 +7,17 @@ import octex
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.errors import ModelError
 from octex.source.load import load_motion
-from octex.source.motion import Animation, Motion
 from octex.viewer import write_page
 from octex.viewer.pack import pack
 from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, file_url, lit_normals, opened
-from tests.make.command import Cli
 from tests.make.fixtures import Gltf
 from tests.source.test_poses import NO_SUCH_JOINT, WAVY, broken, moving
 
 SIZE = 120, 90
 
 
-def naive(motion: Motion, animation: Animation, frame: int) -> np.ndarray:
+def naive(motion, animation, frame):
     """Where the vertices are at a frame, one by one."""
     found = motion.positions.copy()
     for v in range(len(found)):
@@ -40,7 +33,7 @@ def naive(motion: Motion, animation: Animation, frame: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("path", ["rotation", "translation", "scale", "weights"])
-def test_frames_are_where_poses_are(tmp_path: Path, path: str) -> None:
+def test_frames_are_where_poses_are(tmp_path, path):
     file = moving(path, "CUBICSPLINE").save(tmp_path / "a.glb")
     motion = load_motion(file, 7.0)
     assert motion is not None
@@ -54,7 +47,7 @@ def test_frames_are_where_poses_are(tmp_path: Path, path: str) -> None:
 
 
 @pytest.mark.parametrize("path", ["rotation", "translation", "scale", "weights"])
-def test_between_frames_vertices_move_straight_on(tmp_path: Path, path: str) -> None:
+def test_between_frames_vertices_move_straight_on(tmp_path, path):
     motion = load_motion(moving(path, "LINEAR").save(tmp_path / "a.glb"), 7.0)
     assert motion is not None
     (animation,) = motion.animations
@@ -71,7 +64,7 @@ def test_between_frames_vertices_move_straight_on(tmp_path: Path, path: str) -> 
     np.testing.assert_allclose(motion.positions_at(0, 3.5 / 8), naive(motion, between, 0), rtol=0, atol=1e-12)
 
 
-def test_a_broken_animation_is_said_and_the_others_are_kept(tmp_path: Path) -> None:
+def test_a_broken_animation_is_said_and_the_others_are_kept(tmp_path):
     gltf = broken(WAVY)
     sound = moving("rotation", "LINEAR").json["animations"][0]
     gltf.add("animations", **{**sound, "name": "B"})
@@ -87,14 +80,14 @@ def test_a_broken_animation_is_said_and_the_others_are_kept(tmp_path: Path) -> N
     assert motion.faults[0] in notes
 
 
-def test_what_has_no_animation_or_a_broken_skin_has_no_motion(tmp_path: Path) -> None:
+def test_what_has_no_animation_or_a_broken_skin_has_no_motion(tmp_path):
     with pytest.raises(ModelError, match="is moved by joint 3"):
         load_motion(broken(NO_SUCH_JOINT).save(tmp_path / "a.glb"))
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
     assert load_motion(tmp_path / "a.obj") is None
 
 
-def test_a_still_page_is_written_of_a_model_whose_skin_is_broken(tmp_path: Path, cli: Cli) -> None:
+def test_a_still_page_is_written_of_a_model_whose_skin_is_broken(tmp_path, cli):
     file = broken(NO_SUCH_JOINT).save(tmp_path / "a.glb")
     octex.convert(octex.load_surface(file), depth=2).save(tmp_path / "a.octex")
     told = cli.result("view", tmp_path / "a.octex", file, tmp_path / "a.html")
@@ -102,7 +95,7 @@ def test_a_still_page_is_written_of_a_model_whose_skin_is_broken(tmp_path: Path,
     assert 'id="data-0-motion"' not in (tmp_path / "a.html").read_text("utf-8")
 
 
-def test_motion_has_fewer_frames_where_there_is_little_room(tmp_path: Path) -> None:
+def test_motion_has_fewer_frames_where_there_is_little_room(tmp_path):
     file = moving("rotation", "LINEAR").save(tmp_path / "a.glb")
     surface, motion = octex.load_surface(file), load_motion(file)
     texture = octex.convert(surface, depth=2)
@@ -119,9 +112,7 @@ def test_motion_has_fewer_frames_where_there_is_little_room(tmp_path: Path) -> N
 
 @needs_jit
 @pytest.mark.parametrize("path", ["rotation", "weights"])
-def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(
-    path: str, browser: Any, tmp_path: Path
-) -> None:
+def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(path, browser, tmp_path):
     file = moving(path, "LINEAR", 3).save(tmp_path / "a.glb")
     waves = lambda p: 0.5 + 0.5 * np.sin(9 * p)  # noqa: E731
     surface = octex.load_surface(file, sources={"base_color": waves})
@@ -148,7 +139,7 @@ def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(
     page.close()
 
 
-def compare_seen(posed: Any, camera: octex.Camera, probe: Probe) -> None:
+def compare_seen(posed, camera, probe):
     """Compare with what rays of the posed model's pixels hit, but at outlines."""
     expected = np.full((SIZE[0] * SIZE[1], 3), np.nan)
     for seen, hits in visible_hits(posed, camera, rest_normals(posed)):
@@ -166,7 +157,7 @@ def compare_seen(posed: Any, camera: octex.Camera, probe: Probe) -> None:
 
 @needs_jit
 @pytest.mark.parametrize("pose", [None, "A@2"])
-def test_targets_turn_normals_before_bones_do(pose: str | None, browser: Any, tmp_path: Path) -> None:
+def test_targets_turn_normals_before_bones_do(pose, browser, tmp_path):
     gltf = Gltf()
     up, added = np.float32([0, 0, 1]), np.float32([[0.5, -0.2, 0.1], [-0.3, 1.5, 0.2]])
     rows = [{"NORMAL": gltf.accessor(np.tile(each, (4, 1)))} for each in added]
@@ -201,7 +192,7 @@ def test_targets_turn_normals_before_bones_do(pose: str | None, browser: Any, tm
 
 
 @needs_jit
-def test_animations_are_chosen_played_and_sought(browser: Any, tmp_path: Path) -> None:
+def test_animations_are_chosen_played_and_sought(browser, tmp_path):
     file = moving("rotation", "LINEAR").save(tmp_path / "a.glb")
     surface = octex.load_surface(file)
     write_page(octex.convert(surface, depth=3), tmp_path / "page.html", surface, motion=load_motion(file))

@@ -1,7 +1,5 @@
 """The viewer's server: who is answered and who is refused, with a line for each refusal."""
 
-from __future__ import annotations
-
 import hmac
 import json
 import os
@@ -11,9 +9,7 @@ import threading
 import time
 import webbrowser
 import zlib
-from collections.abc import Iterator
 from http.client import HTTPConnection
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,10 +17,8 @@ import pytest
 import octex
 from octex.cli.main import main
 from octex.errors import ExitCode, OutputError
-from octex.texture import OctreeTexture
 from octex.viewer import Viewer, answers, server
 from octex.viewer.key import user_key
-from tests.make.command import Cli
 from tests.make.painted import ball
 from tests.make.small_textures import eight_colors
 
@@ -32,7 +26,7 @@ from tests.make.small_textures import eight_colors
 class Served:
     """A viewer of a small texture, that runs."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.path = folder / "eight.octex"
         eight_colors().save(self.path)
         self.lines: list[str] = []
@@ -40,12 +34,10 @@ class Served:
         self.thread = threading.Thread(target=self.viewer.run, kwargs={"alone": 0.1})
         self.thread.start()
 
-    def read(self) -> OctreeTexture:
+    def read(self):
         return octex.open(self.path)
 
-    def ask(
-        self, path: str = "", method: str = "GET", token: str | None = None, **headers: str
-    ) -> tuple[int, bytes]:
+    def ask(self, path="", method="GET", token=None, **headers):
         connection = HTTPConnection("127.0.0.1", self.viewer.port, timeout=60)
         named = {name.replace("_", "-"): text for name, text in headers.items()}
         token = self.viewer.token if token is None else token
@@ -56,7 +48,7 @@ class Served:
         connection.close()
         return found
 
-    def raw(self, content: bytes) -> bytes:
+    def raw(self, content):
         with socket.create_connection(("127.0.0.1", self.viewer.port), timeout=60) as line:
             line.sendall(content)
             line.shutdown(socket.SHUT_WR)
@@ -64,7 +56,7 @@ class Served:
 
 
 @pytest.fixture
-def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+def served(tmp_path, monkeypatch):
     monkeypatch.setattr(server, "_FIRST", 100)  # the first page is waited for 10 s, others 0.1 s
     found = Served(tmp_path)
     yield found
@@ -74,7 +66,7 @@ def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     assert not found.thread.is_alive()
 
 
-def test_the_page_and_its_data_are_answered_to_who_has_the_token(served: Served) -> None:
+def test_the_page_and_its_data_are_answered_to_who_has_the_token(served):
     for path in ("", "style.css", "viewer.js", "shaders/walk.glsl"):
         status, body = served.ask(path)
         assert status == 200
@@ -115,9 +107,7 @@ def test_the_page_and_its_data_are_answered_to_who_has_the_token(served: Served)
         ({"path": "data/../0/change"}, {}, 404, "there is no such data"),
     ],
 )
-def test_what_comes_from_elsewhere_is_refused_in_one_line(
-    served: Served, asked: dict[str, str], headers: dict[str, str], status: int, line: str
-) -> None:
+def test_what_comes_from_elsewhere_is_refused_in_one_line(served, asked, headers, status, line):
     assert served.ask(**asked, **headers)[0] == status
     assert len(served.lines) == 1
     assert served.lines[0].startswith("refused: GET /")
@@ -125,9 +115,7 @@ def test_what_comes_from_elsewhere_is_refused_in_one_line(
     assert served.ask("data/header")[0] == 200
 
 
-def test_refusals_that_are_alike_are_logged_once_and_no_more_than_some(
-    served: Served, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_refusals_that_are_alike_are_logged_once_and_no_more_than_some(served, monkeypatch):
     monkeypatch.setattr(server, "_MOST_REFUSALS", 3)
     for _ in range(5):
         assert served.ask("events", token="a" * 22)[0] == 403
@@ -138,21 +126,19 @@ def test_refusals_that_are_alike_are_logged_once_and_no_more_than_some(
 
 
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "HEAD"])
-def test_other_methods_are_refused(served: Served, method: str) -> None:
+def test_other_methods_are_refused(served, method):
     assert served.ask(method=method)[0] == 501
     assert len(served.lines) == 1
 
 
 @pytest.mark.parametrize("content", [b"GET", b"\x16\x03\x01\x02\x00", b"GET /\x1b[2J HTTP/1.1\r\n\r\n"])
-def test_what_is_no_request_or_half_of_one_changes_nothing(served: Served, content: bytes) -> None:
+def test_what_is_no_request_or_half_of_one_changes_nothing(served, content):
     served.raw(content)
     assert all(line.isprintable() for line in served.lines)
     assert served.ask("data/header")[0] == 200
 
 
-def test_half_a_request_is_given_up_and_an_idle_line_is_no_fault(
-    served: Served, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_half_a_request_is_given_up_and_an_idle_line_is_no_fault(served, monkeypatch):
     monkeypatch.setattr(answers.Handler, "timeout", 0.2)
     address = "127.0.0.1", served.viewer.port
     with socket.create_connection(address, timeout=5) as idle, socket.create_connection(address) as half:
@@ -162,21 +148,21 @@ def test_half_a_request_is_given_up_and_an_idle_line_is_no_fault(
     assert "timed out" in served.lines[0]
 
 
-def events(served: Served) -> socket.socket:
+def events(served):
     line = socket.create_connection(("127.0.0.1", served.viewer.port), timeout=5)
     host = f"127.0.0.1:{served.viewer.port}"
     line.sendall(f"GET /{served.viewer.token}/events HTTP/1.1\r\nHost: {host}\r\n\r\n".encode())
     return line
 
 
-def until(line: socket.socket, text: str) -> str:
+def until(line, text):
     found = ""
     while text not in found:
         found += line.recv(4096).decode()
     return found
 
 
-def test_a_page_is_told_of_a_changed_file_and_of_a_broken_one(served: Served) -> None:
+def test_a_page_is_told_of_a_changed_file_and_of_a_broken_one(served):
     with events(served) as line:
         first = until(line, "event: version\ndata: ")
         eight_colors(metadata={"source": "another"}).save(served.path)
@@ -189,7 +175,7 @@ def test_a_page_is_told_of_a_changed_file_and_of_a_broken_one(served: Served) ->
         assert served.ask("data/header")[0] == 200
 
 
-def test_the_server_stops_when_the_last_page_is_gone(served: Served) -> None:
+def test_the_server_stops_when_the_last_page_is_gone(served):
     with events(served) as line:
         until(line, "event: version")
         time.sleep(1.0)
@@ -198,17 +184,17 @@ def test_the_server_stops_when_the_last_page_is_gone(served: Served) -> None:
     assert not served.thread.is_alive()
 
 
-def test_a_port_that_is_taken_is_said(served: Served) -> None:
+def test_a_port_that_is_taken_is_said(served):
     with pytest.raises(OutputError, match=f"port {served.viewer.port} of 127.0.0.1: .*; choose another"):
         Viewer(served.read, served.path, None, port=served.viewer.port)
 
 
-def test_with_a_key_the_address_of_a_path_is_the_same_each_time(tmp_path: Path) -> None:
-    def made(name: str, key: bytes, port: int = 0) -> Viewer:
+def test_with_a_key_the_address_of_a_path_is_the_same_each_time(tmp_path):
+    def made(name, key, port=0):
         eight_colors().save(tmp_path / name)
         return Viewer(eight_colors, tmp_path / name, None, port=port, key=key)
 
-    def closed(viewer: Viewer) -> str:
+    def closed(viewer):
         viewer._server.server_close()
         return viewer.url
 
@@ -228,7 +214,7 @@ def test_with_a_key_the_address_of_a_path_is_the_same_each_time(tmp_path: Path) 
     assert [closed(viewer), closed(second)][0] == first
 
 
-def test_a_proof_of_the_token_is_given_without_it_to_the_own_page_alone(served: Served) -> None:
+def test_a_proof_of_the_token_is_given_without_it_to_the_own_page_alone(served):
     status, body = served.ask("proof?abc", token="")
     assert (status, body.decode()) == (200, hmac.digest(served.viewer.token.encode(), b"abc", "sha256").hex())
     assert served.ask("proof?abc", token="", Origin="https://evil.example")[0] == 403
@@ -236,9 +222,7 @@ def test_a_proof_of_the_token_is_given_without_it_to_the_own_page_alone(served: 
     assert served.ask("proof", token="")[0] == 403
 
 
-def test_the_key_is_made_once_and_is_for_its_user_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_key_is_made_once_and_is_for_its_user_alone(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     key, path = user_key(), tmp_path / "state" / "octex" / "viewer.key"
     assert len(key) == 32
@@ -256,10 +240,8 @@ def test_the_key_is_made_once_and_is_for_its_user_alone(
     assert user_key() == b""
 
 
-def test_ctrl_c_ends_the_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    def interrupt_soon(_url: str) -> None:
+def test_ctrl_c_ends_the_command(tmp_path, monkeypatch, capfd):
+    def interrupt_soon(_url):
         threading.Timer(0.5, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
 
     monkeypatch.setattr(webbrowser, "open", interrupt_soon)
@@ -272,11 +254,11 @@ def test_ctrl_c_ends_the_command(
     assert capfd.readouterr().out.startswith("http://127.0.0.1:")
 
 
-def test_of_a_folder_all_parts_are_shown_or_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def view(*words: str) -> list[dict[str, Any]]:
+def test_of_a_folder_all_parts_are_shown_or_one(tmp_path, monkeypatch):
+    def view(*words):
         found: list[list[dict[str, Any]]] = []
 
-        def kept(viewer: Viewer) -> None:
+        def kept(viewer):
             viewer._server.server_close()
             found.append(viewer.packed().header["parts"])
 
@@ -320,5 +302,5 @@ def test_of_a_folder_all_parts_are_shown_or_one(tmp_path: Path, monkeypatch: pyt
         (["a.octex", "--rest", "b.glb"], "--rest needs a MODEL"),
     ],
 )
-def test_words_of_octex_view_that_make_no_sense_are_refused(words: list[str], message: str, cli: Cli) -> None:
+def test_words_of_octex_view_that_make_no_sense_are_refused(words, message, cli):
     assert message in cli.refusal("view", *words)

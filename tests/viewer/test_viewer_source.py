@@ -1,10 +1,6 @@
 """The model's own images beside the octree: each pixel as the source has it there, the divider, the bytes."""
 
-from __future__ import annotations
-
 import threading
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +19,7 @@ from tests.make.fixtures import Gltf, png, random_image
 SIZE = 240, 180
 
 
-def two_images(path: Path) -> Surface:
+def two_images(path):
     """A square of an image that repeats and of vertex colours, beside one of an image that is mirrored."""
     gltf = Gltf()
     smooth = np.kron(random_image(2, 2), np.ones((4, 4, 1), np.uint8))
@@ -39,7 +35,7 @@ def two_images(path: Path) -> Surface:
 
 
 @needs_jit
-def test_each_pixel_of_the_source_is_what_the_model_has_there(browser: Any, tmp_path: Path) -> None:
+def test_each_pixel_of_the_source_is_what_the_model_has_there(browser, tmp_path):
     surface, path = two_images(tmp_path / "two.glb"), tmp_path / "two.octex"
     texture = octex.convert(surface, depth=3)
     texture.save(path)
@@ -67,9 +63,7 @@ def test_each_pixel_of_the_source_is_what_the_model_has_there(browser: Any, tmp_
 
 
 @needs_jit
-def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left(browser, tmp_path):
     surface = two_images(tmp_path / "two.glb")
     write_page(octex.convert(surface, depth=2), tmp_path / "two.html", surface)
     page = opened(browser, file_url(tmp_path / "two.html"), (900, 480))
@@ -77,7 +71,7 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     page.evaluate("viewer.camera.reset(0, 0); viewer.move()")
     pictures = []
 
-    def sharp() -> None:
+    def sharp():
         page.evaluate("viewer.move()")
         page.wait_for_function("viewer.isSharp && !viewer.asked", timeout=60_000)
         pictures.append(picture())
@@ -116,7 +110,7 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     page.close()
 
 
-def test_images_are_halved_until_they_fit(tmp_path: Path) -> None:
+def test_images_are_halved_until_they_fit(tmp_path):
     surface = octex.load_surface("samples/droid.glb")
     maps = maps_of(surface, small=True)
     assert maps is not None
@@ -132,7 +126,7 @@ def test_images_are_halved_until_they_fit(tmp_path: Path) -> None:
     assert (tmp_path / "a.html").stat().st_size <= 500_000
 
 
-def test_without_images_there_is_no_source() -> None:
+def test_without_images_there_is_no_source():
     square = Surface.from_arrays([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]], colors=np.eye(3))
     assert maps_of(square) is None
     assert maps_of(square.with_sources({"base_color": lambda p: p})) is None

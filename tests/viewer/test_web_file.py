@@ -1,7 +1,5 @@
 """What FORMAT.md says is enough to read a web file."""
 
-from __future__ import annotations
-
 import io
 import json
 import re
@@ -32,7 +30,7 @@ VIEWER = Path(octex.__file__).parent / "viewer"
 
 @needs_jit
 @pytest.mark.parametrize("max_error", [None, 8.0])
-def test_a_web_file_holds_the_texture(tmp_path: Path, max_error: float | None) -> None:
+def test_a_web_file_holds_the_texture(tmp_path, max_error):
     surface = ball(24).with_sources(
         {"base_color": lambda p: 0.5 + 0.4 * np.sin(7 * p), "roughness": lambda p: 0.5 + 0.3 * p[:, :1]}
     )
@@ -50,7 +48,7 @@ def test_a_web_file_holds_the_texture(tmp_path: Path, max_error: float | None) -
         np.testing.assert_array_equal(found.values[name], channel.values)
 
 
-def test_the_command_writes_it_with_and_without_a_model(tmp_path: Path) -> None:
+def test_the_command_writes_it_with_and_without_a_model(tmp_path):
     surface = ball(12)
     octex.convert(surface.with_sources({"base_color": np.ones_like}), depth=3).save(tmp_path / "ball.octex")
     octex.write_model(
@@ -81,7 +79,7 @@ console.log(JSON.stringify(found));
 """
 
 
-def test_the_readers_agree_on_the_file_of_version_1() -> None:
+def test_the_readers_agree_on_the_file_of_version_1():
     """In Python and in JavaScript: levels, tables of kept nodes and split cells, and a mesh."""
     wanted, path = octex.open(GOLDEN / "web.octex"), GOLDEN / "web.octw"
     tree, channel = wanted.tree, wanted.channels["base_color"]
@@ -135,7 +133,7 @@ console.log(JSON.stringify(meshes.map(read).map(printed)));
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="no node")
-def test_pages_get_each_triangle_of_random_meshes_the_same_way_round() -> None:
+def test_pages_get_each_triangle_of_random_meshes_the_same_way_round():
     """Also with borders, edges of three triangles and more, doubled triangles, and such without area."""
     rng = np.random.default_rng(6)
     texture = octex.convert(sheet(np.eye(3), 0.01), depth=2)
@@ -158,12 +156,12 @@ def test_pages_get_each_triangle_of_random_meshes_the_same_way_round() -> None:
         assert _turned(found[np.array(triangles).reshape(-1, 3)]) == _turned(corners)
 
 
-def _turned(triangles: np.ndarray) -> list[list[list[int]]]:
+def _turned(triangles):
     """Return triangles (m, 3, 3) in order, each with its least corner first."""
     return sorted(min([*each[n:], *each[:n]] for n in range(3)) for each in triangles.tolist())
 
 
-def test_the_package_has_all_that_it_imports_and_is_small() -> None:
+def test_the_package_has_all_that_it_imports_and_is_small():
     """As npm packs it: gzip of a tar archive of its files, at most 60 kB."""
     package = json.loads((VIEWER / "package.json").read_text())
     paths = [VIEWER / "package.json"]

@@ -1,14 +1,12 @@
 #!/usr/bin/env python
-"""Measure octex beside other programs, and say which targets are met.
+"""Measure octex, some of it beside Open3D, and say which targets are met.
 
     python tools/bench                           octex's own figures
-    python tools/bench torus lookup --peers FOLDER --peer-python PYTHON
+    python tools/bench torus transfer --peer-python PYTHON
     python tools/bench boombox psnr --models FOLDER
     python tools/bench --quick                   everything on tiny sizes: does it still run?
 
-Peers are a folder with the programs mesh_bench (OpenVDB's meshToVolume), vdb_bench (lookups of OpenVDB and
-NanoVDB) and oiiobench (OpenImageIO's), and a Python that has Open3D. What is not given is left out, and said
-to be.
+The peer is a Python that has Open3D. Figures without it, or without models, are left out, and said to be.
 """
 
 from __future__ import annotations
@@ -81,7 +79,6 @@ def main(arguments: list[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("names", nargs="*", metavar="BENCHMARK", help="all of them by default")
-    parser.add_argument("--peers", type=Path, metavar="FOLDER", help="of mesh_bench, vdb_bench, oiiobench")
     parser.add_argument("--peer-python", metavar="PYTHON", help="one that has Open3D")
     parser.add_argument("--models", type=Path, metavar="FOLDER", help="of real models")
     parser.add_argument("--repeats", type=int, default=5, help="rounds, of which medians are taken (5)")
@@ -106,7 +103,6 @@ def main(arguments: list[str] | None = None) -> int:
             repeats=1 if options.quick else max(options.repeats, 1),
             core=max(os.sched_getaffinity(0)) if options.core is None else options.core,
             folder=Path(folder),
-            peers=options.peers and options.peers.resolve(),
             peer_python=peer_python,
             models=options.models,
             worker=worker,

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import re
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from statistics import median
 
 from inputs import painted_torus, write_mesh
@@ -20,7 +18,6 @@ from measuring import (
     millions,
     open3d,
     pinned,
-    run_program,
     task,
     timed,
 )
@@ -29,14 +26,13 @@ import octex
 
 
 def torus(setup: Setup, report: Report) -> None:
-    """Cut a torus of a million triangles into cells, beside Open3D and OpenVDB, on one thread."""
+    """Cut a torus of a million triangles into cells, beside Open3D, on one thread."""
     around, across, depth = (40, 20, 6) if setup.quick else (1000, 500, 10)
     report.title(f"torus: {2 * around * across:,} triangles, {1 << depth} cells along an edge, one thread")
     mesh = setup.folder / "torus.bin"
     write_mesh(mesh, *torus_mesh(around, across)[:2])
     size = {"around": around, "across": across, "depth": depth}
     octex_tree, octex_keys = "octex, tree with flags and areas", "octex, sorted keys alone"
-    openvdb = "OpenVDB meshToVolume"
     for name in () if setup.quick else ("tree", "keys"):  # so that their memory is not that of compiling
         with task(setup, name, pin=False, around=20, across=10, depth=6) as work:
             work.run()
@@ -46,10 +42,6 @@ def torus(setup: Setup, report: Report) -> None:
         open3d(setup, report, "cells", mesh, 1 << depth, core=setup.core) as peer,
     ):
         contestants = {octex_tree: tree.spent, octex_keys: keys.spent, **peer}
-        if setup.peers:
-            contestants[openvdb] = lambda: _mesh_to_volume(setup, mesh, 1 << depth)
-        else:
-            report.note("left out: OpenVDB (--peers)")
         spent = in_turns(contestants, setup.repeats)
         built = tree.run()
     for name, each in spent.items():
@@ -61,19 +53,7 @@ def torus(setup: Setup, report: Report) -> None:
         theirs = spent["Open3D"].cpu
         report.at_least("torus: tree, faster than Open3D", theirs / spent[octex_tree].cpu, 6)
         report.at_least("torus: keys, faster than Open3D", theirs / spent[octex_keys].cpu, 15)
-    if openvdb in spent:
-        report.at_least("torus: tree, faster than OpenVDB", spent[openvdb].cpu / spent[octex_tree].cpu, 5)
     report.at_most("torus: peak memory of the process", built["peak"] / 2**20, 500, "MB")
-
-
-def _mesh_to_volume(setup: Setup, mesh: Path, resolution: int) -> Spent:
-    assert setup.peers
-    command = [str(setup.peers / "mesh_bench"), str(mesh), str(resolution), "1", "u1"]
-    output = run_program(command, setup.core, setup.folder)
-    found = re.search(r": ([0-9.]+)s active", output.text)
-    assert found, output.text
-    wall = float(found[1])
-    return Spent(wall * output.share, wall)
 
 
 def boombox(setup: Setup, report: Report) -> None:

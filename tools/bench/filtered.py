@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from inputs import RADIUS, scattered_on_sphere, seen_on_sphere
 from lookups import sphere_texture
-from measuring import Report, Setup, clocked, megabytes, run_program, task
+from measuring import Report, Setup, clocked, megabytes, task
 from painted_sphere import View, painted_sphere, view
 
 import octex
@@ -96,7 +95,7 @@ def _cells_of_pixels(seen: View, texture: octex.OctreeTexture) -> Array:
 
 
 def footprints(setup: Setup, report: Report) -> None:
-    """Lookups of footprints by width, with normals, and of long ones beside OpenImageIO's."""
+    """Lookups of footprints by width, with normals, and of long ones."""
     depth = 6 if setup.quick else 10
     texture = sphere_texture(depth)
     cell = 1 / (1 << depth)
@@ -179,20 +178,6 @@ def _long(
     setup: Setup,
     report: Report,
 ) -> None:
-    theirs: dict[str, float] = {}
-    if setup.peers and (setup.peers / "oiiobench").exists():
-        program = str(setup.peers / "oiiobench")
-        run_program([program, "make", "painted.tx"], setup.core, setup.folder)
-        output = run_program([program, "eval", "painted.tx", "1"], setup.core, setup.folder)
-        line = r"smartbicubic/aniso\(default\) +fp 8x1 +coherent (\S+) .*random (\S+) \["
-        found = re.search(line, output.text)
-        assert found, output.text
-        theirs = {
-            order: float(text) * 1e6 / output.share
-            for order, text in zip(("coherent", "random"), found.groups(), strict=True)
-        }
-    else:
-        report.note("left out: OpenImageIO (oiiobench in --peers)")
     for order, each in points.items():
         some = each[: 200_000 if not setup.quick else 2000].astype(np.float64)
         along, across = _tangents(some)
@@ -204,9 +189,6 @@ def _long(
             }
             for filter, rate in _rates(works, len(some), setup).items():
                 report.line(f"8×1, of {cells:g} cells, {filter}, {order}", f"{rate / 1e6:.2f} M/s")
-                if order in theirs:
-                    ratio = rate / theirs[order]
-                    report.at_least(f"8×1 of {cells:g}, {filter}, {order}, OpenImageIO's", ratio, 4.0)
 
 
 def _tangents(points: Array) -> tuple[Array, Array]:

@@ -1,8 +1,7 @@
-"""Benchmarks of lookups: beside OpenVDB, NanoVDB and what Python offers without octex, and their memory."""
+"""Benchmarks of lookups: beside what Python offers without octex, and their memory."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -19,7 +18,6 @@ from measuring import (
     in_turns,
     millions,
     open3d,
-    run_program,
     task,
     timed,
 )
@@ -32,12 +30,6 @@ from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
 UNIT_CUBE = Placement((0.0, 0.0, 0.0), 1.0)
-#: The least that octex should be, in times of NanoVDB's lookups of the same kind, coherent and random.
-TARGETS = {"nearest": (1.2, 1.3), "linear": (2.0, 2.0), "quadratic": (1.5, 2.0)}
-
-
-#: Their lookups as vdb_bench prints them: the line's beginning, and its words for trilinear.
-VOLUMES = {"OpenVDB": ("OVDB acc", "box"), "NanoVDB": ("NANO acc", "tri")}
 
 
 def sphere_texture(depth: int) -> octex.OctreeTexture:
@@ -64,47 +56,21 @@ def _times(
 
 
 def lookup(setup: Setup, report: Report) -> None:
-    """Lookups in a band of cells around a sphere, beside OpenVDB and NanoVDB, on one thread."""
+    """Lookups in a band of cells around a sphere, on one thread."""
     small = setup.quick
     points = {
         "coherent": seen_on_sphere(*((64, 36) if small else (1920, 1080))),
         "random": scattered_on_sphere(2000 if small else 2_000_000),
     }
-    filters = tuple(TARGETS)
+    filters = "nearest", "linear", "quadratic"
     for depth in (6,) if small else (8, 9, 10, 11):
         texture = sphere_texture(depth)
         report.title(f"lookup: sphere, {1 << depth} cells along an edge, {texture.tree.n_leaves:,} in all")
         filters_here = (*filters, "quartic") if depth in (6, 10) else filters
-        rounds = [_times(texture, points, filters_here, setup)]
-        output = None
-        if setup.peers:
-            output = run_program(
-                [str(setup.peers / "vdb_bench"), "0", str(1 << depth), "1"], setup.core, setup.folder
-            )
-            rounds.append(_times(texture, points, filters_here, setup))  # what drifts should meet both
-        rates = {
-            key: len(points[key[1]]) / np.mean([spent[key].cpu for spent in rounds]) for key in rounds[0]
-        }
-        for (name, order), rate in rates.items():
-            report.line(f"octex, {name}, {order}", f"{millions(rate)} lookups/s")
+        for (name, order), spent in _times(texture, points, filters_here, setup).items():
+            report.line(f"octex, {name}, {order}", f"{millions(len(points[order]) / spent.cpu)} lookups/s")
         if depth in (6, 10):
             _two_threads(texture, points, setup, report)
-        if output is None:
-            report.note("left out: OpenVDB and NanoVDB (--peers)")
-            continue
-        for peer, (line, trilinear) in VOLUMES.items():
-            kinds = (rf"{kind} coh (\S+) rnd (\S+)" for kind in ("point", trilinear, "quad"))
-            found = re.search(rf"{line} Mlookups/s +" + r" \| ".join(kinds), output.text)
-            assert found, output.text
-            figures = iter(float(text) * 1e6 / output.share for text in found.groups())
-            for name in filters:
-                for number, order in enumerate(points):
-                    rate = next(figures)
-                    ratio = rates[name, order] / rate
-                    what = f"{peer}, {name}, {order}"
-                    report.line(what, f"{millions(rate)} lookups/s: octex {ratio:.2f} × as fast")
-                    if peer == "NanoVDB" and depth == 10:
-                        report.at_least(f"lookup: {name}, {order}, NanoVDB's", ratio, TARGETS[name][number])
 
 
 def _two_threads(

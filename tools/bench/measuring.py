@@ -45,7 +45,6 @@ class Setup(NamedTuple):
     repeats: int
     core: int
     folder: Path  # for temporary files
-    peers: Path | None
     peer_python: str | None
     models: Path | None
     worker: Worker | None  # for all tasks of a quick run
@@ -244,33 +243,6 @@ def open3d(
     with Worker([setup.peer_python, str(PEERS / "open3d_peer.py"), *map(str, words)], core) as worker:
         worker.run()
         yield {"Open3D": worker.spent}
-
-
-class Output(NamedTuple):
-    """What a program wrote, and the part of a core that it had while it ran."""
-
-    text: str
-    share: float
-
-
-def run_program(command: Sequence[str], core: int, folder: Path) -> Output:
-    """Run a program that times itself by the wall; its share of the core turns that into processor time."""
-    begin = time.perf_counter()
-    process = subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=folder,
-        preexec_fn=lambda: os.sched_setaffinity(0, {core}),
-    )
-    assert process.stdout
-    text = process.stdout.read()
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise RuntimeError(f"{command[0]} failed with exit code {process.returncode}")
-    wall = time.perf_counter() - begin
-    return Output(text, min(1.0, (usage.ru_utime + usage.ru_stime) / wall))
 
 
 def memory(field: str) -> int:

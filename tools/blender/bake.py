@@ -15,6 +15,8 @@ octex does not bake 4 times as many texels a second as Blender (processor time; 
 from __future__ import annotations
 
 import argparse
+import json
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -22,7 +24,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from calling import DROID, blender
 from PIL import Image
 
 import octex
@@ -31,6 +32,7 @@ from octex.drawing import render_surface, texture_shader
 from octex.drawing.hits import Hits
 from octex.drawing.shaders import Appearance
 
+DROID = Path(__file__).parents[2] / "samples" / "droid.glb"
 #: From glTF's axes to those that Blender's importer gives them.
 Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 DECIBELS = {"baked": 35.0, "exact": 40.0}
@@ -68,9 +70,7 @@ def main(arguments: list[str] | None = None) -> int:
             kind: [job_of(*each, Path(folder) / f"{kind}-{n}.png") for n, each in enumerate(views.values())]
             for kind in DECIBELS
         }
-        told = blender(
-            options.python, "bake", model=str(model), texture_size=size, shader=str(shader), **jobs
-        )
+        told = blender(options.python, model=str(model), texture_size=size, shader=str(shader), **jobs)
         drawn = {
             kind: [np.array(Image.open(each["picture"])).astype(np.float64) for each in own]
             for kind, own in jobs.items()
@@ -102,6 +102,15 @@ def main(arguments: list[str] | None = None) -> int:
     times = told["cpu"] / spent["cpu"]
     print(f"octex bakes {times:.1f} times as many texels a second (at least {TIMES:g})")
     return int(not is_near or times < TIMES or share < 0.95)
+
+
+def blender(python: Path, **job: Any) -> Any:
+    """Have Blender do a job of worker.py; return its answer."""
+    call = [str(python), str(Path(__file__).with_name("worker.py")), json.dumps(job)]
+    done = subprocess.run(call, capture_output=True, text=True, check=False)
+    if done.returncode:
+        sys.exit(f"Blender's part failed:\n{done.stdout}{done.stderr}")
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def beside(baked: octex.Surface, far: octex.Camera, size: int, pixels: int) -> np.ndarray:

@@ -124,10 +124,10 @@ def killed(count: int, seed: int) -> int:
 
 def closes(count: int, seed: int = 0) -> None:
     """Close pages while they send strokes; all that was answered must be there."""
-    from tests.make.browser import opened, started
+    from tests.make.browser import driven, opened, started
 
     random, lost = np.random.default_rng(seed), 0
-    with tempfile.TemporaryDirectory() as folder, started() as browser:
+    with tempfile.TemporaryDirectory() as folder, driven() as driver, started(driver) as browser:
         studio, answered = Studio(Path(folder), 8), dict[str, int]()
         for _ in range(count):
             page = opened(browser, studio.url, (800, 400))
@@ -167,10 +167,10 @@ def strokes(count: int, seed: int = 0) -> None:
 
     The page's octree must be the one that a page has which loads it anew.
     """
-    from tests.make.browser import UNLIKE, opened, started
+    from tests.make.browser import UNLIKE, driven, opened, started
 
     random = np.random.default_rng(seed)
-    with tempfile.TemporaryDirectory() as folder, started() as browser:
+    with tempfile.TemporaryDirectory() as folder, driven() as driver, started(driver) as browser:
         studio = Studio(Path(folder), 10)
         page = opened(browser, studio.url, (400, 300))
         page.evaluate("viewer.frame = () => {}")  # without the software GPU's drawing

@@ -24,7 +24,7 @@ from octex.viewer import Viewer
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from tests.make.browser import opened, served, started  # noqa: E402
+from tests.make.browser import driven, opened, served, started  # noqa: E402
 
 Places = list[tuple[float, float]]
 
@@ -106,7 +106,7 @@ def main() -> None:
     model = ROOT / "samples" / "droid.glb"
     surface = octex.load_surface(model)
     texture = octex.convert(surface, depth=10)
-    with tempfile.TemporaryDirectory() as folder, started() as browser:
+    with tempfile.TemporaryDirectory() as folder, driven() as driver, started(driver) as browser:
         session = Session(texture, surface, Path(folder, "painted.octex"))
         viewer = Viewer(lambda: texture, Path(folder, "droid.octex"), surface, session=session)
         with served(viewer):
