@@ -111,10 +111,13 @@ def with_values(
     each channel. If alpha changes, all channels are averaged with the new alpha, and residuals shrink where
     the new alpha is larger.
     """
+    alpha_changes = ALPHA.name in made and not all(
+        map(np.array_equal, made[ALPHA.name][1:], texture.channels[ALPHA.name][1:])
+    )
     others = {
         name: channel._replace(values=channel.values.copy(), split_values=channel.split_values.copy())
         for name, channel in texture.channels.items()
-        if ALPHA.name in made and name not in made
+        if alpha_changes and name not in made
     }
     made = {**made, **others}
     after = OctreeTexture(
@@ -122,7 +125,7 @@ def with_values(
     )
     for name in sorted(made, key=lambda name: name != ALPHA.name):
         of_channel = change.get(name, difference)
-        if ALPHA.name in made and name != ALPHA.name:
+        if alpha_changes and name != ALPHA.name:
             of_channel = _covered(of_channel, texture.channels[ALPHA.name].values, made[ALPHA.name].values)
         average(after, made[name], residuals(texture, name, change=of_channel))
     return after
