@@ -18,7 +18,7 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -134,11 +134,13 @@ def as_run(run: Run | None, threads: int | None = None, progress: Progress | Non
 
 
 def memory_size() -> float:
-    """Return the bytes of memory of this machine, infinity if unknown."""
-    try:
-        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-    except (AttributeError, ValueError, OSError):  # not on this operating system
-        return math.inf
+    """Return the bytes of memory of this machine, or of this container if less; infinity if unknown."""
+    sizes = [math.inf]
+    with suppress(AttributeError, ValueError, OSError):  # not on this operating system
+        sizes.append(float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")))
+    with suppress(ValueError, OSError):  # no container, or one without a limit: "max"
+        sizes.append(float(Path("/sys/fs/cgroup/memory.max").read_text("utf-8")))
+    return min(sizes)
 
 
 _most: int | None = None  # the limit of ``at_most``

@@ -58,6 +58,8 @@ from octex.voxelize.sums import (
 #: for 3 of values, 41 for 11, 113 for 44); and more where samples are taken (58 bytes for 3).
 CELL_MEMORY, VALUE_MEMORY = 18, 2
 SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
+#: The memory at the peak, as a multiple of the least for all leaves.
+_PEAK_PER_LEAF = 2.0
 #: This many blocks or fewer are cut into blocks of 8³ cells, of which only the reached ones are converted.
 _FEW_BLOCKS, _SMALL_BITS = 1024, 3
 #: Files of parts that are joined into one.
@@ -162,13 +164,8 @@ def cell_levels(
             f"{surface.name}: all {degenerate} triangles are degenerate (without area in steps of "
             f"{placement.size / 2**GRID_BITS:.3g}); there is nothing to convert"
         )
-    least = _least_cells(area, depth)
     room = math.inf if large.is_mapped() else memory_size() / _cell_memory(channels, has_samples)
-    if least > min(MAX_CELLS, room):
-        raise ArgumentError(
-            f"depth {depth} needs about {least:.2g} cells for {surface.name}, more than fit into memory "
-            "or can be numbered; use a smaller depth or a larger cell"
-        )
+    _check_count(_least_cells(area, depth), room, surface.name, depth)
     report("sort", 0, 1)
     blocks = divided(root, reached=reached)
     report("sort", 1, 1)
@@ -189,7 +186,7 @@ def cell_levels(
     )  # fmt: skip
     runs = even_runs(most_fragments(blocks))
     converted = ordered_map(executor, partial(_convert_run, job), runs, stage="convert", progress=report)
-    parts = _gathered(converted)
+    parts = _gathered(_counted(converted, room / _PEAK_PER_LEAF, surface.name, depth))
     gaps = np.concatenate([part.gaps for part in parts])
     tops = _end_to_end([part.top for part in parts], np.concatenate)
     if outside is not None:
@@ -247,6 +244,26 @@ def _cell_memory(channels: tuple[ChannelFormat, ...], has_samples: bool) -> int:
     row = sum(channel.components * np.dtype(channel.dtype).itemsize for channel in channels)
     per_sample = SAMPLE_MEMORY + SAMPLE_VALUE_MEMORY * row if has_samples else 0
     return CELL_MEMORY + VALUE_MEMORY * row + per_sample
+
+
+def _check_count(count: float, room: float, name: str, depth: int) -> None:
+    if count > min(room, MAX_CELLS):
+        problem, way_out = "a tree can hold", "a smaller depth or a larger cell"
+        if count <= MAX_CELLS:
+            problem = "fit into memory"
+            way_out = "a smaller depth, a larger cell, or files instead of memory (octex convert --memory)"
+        raise ArgumentError(
+            f"depth {depth} needs at least {count:.2g} cells for {name}, more than {problem}; use {way_out}"
+        )
+
+
+def _counted(parts: Iterable[Part], room: float, name: str, depth: int) -> Iterator[Part]:
+    """Yield parts; raise ArgumentError as soon as they have more leaves than there is ``room`` for."""
+    count = 0
+    for part in parts:
+        count += part.codes.size
+        _check_count(count, room, name, depth)
+        yield part
 
 
 def _gathered(parts: Iterable[Part]) -> list[Part]:

@@ -285,6 +285,16 @@ def test_more_cells_than_fit_into_memory_are_refused_before_the_work(monkeypatch
         octex.convert(tetrahedron(), depth=14)
 
 
+def test_more_leaves_than_fit_into_memory_are_refused_as_soon_as_they_are_counted(monkeypatch, tmp_path):
+    surface = tetrahedron()
+    n_leaves = octex.convert(surface, depth=7).tree.n_leaves
+    monkeypatch.setattr(levels, "memory_size", lambda: 100 * n_leaves)  # the area alone asks for less
+    with pytest.raises(ArgumentError, match="files instead of memory"):
+        octex.convert(surface, depth=7)
+    in_files = octex.convert(surface, depth=7, path=tmp_path / "a.octex", run=octex.Run(memory=1))
+    assert in_files.tree.n_leaves == n_leaves
+
+
 def test_more_cells_than_can_be_numbered_are_refused_before_the_work():
     with pytest.raises(ArgumentError, match="smaller depth or a larger cell"):
         octex.convert(tetrahedron(), depth=20)

@@ -443,8 +443,11 @@ def test_processors_are_counted_where_affinity_is_unknown(monkeypatch):
     assert parallel.cpu_count() == 1
 
 
-def test_memory_is_finite_or_unknown(monkeypatch):
+def test_memory_is_that_of_the_machine_or_of_a_smaller_container(monkeypatch):
     assert parallel.memory_size() > 1e8
+    monkeypatch.setattr(Path, "read_text", lambda *_: "3000000\n")
+    assert parallel.memory_size() == 3e6
+    monkeypatch.setattr(Path, "read_text", lambda *_: "max\n")
     monkeypatch.delattr(os, "sysconf", raising=False)
     assert parallel.memory_size() == math.inf
 
