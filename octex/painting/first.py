@@ -231,16 +231,16 @@ def started(
     layer: OctreeTexture,
     surface: PaintedSurface,
     holes: Holes,
-    opacity: float,
     blend: Blend,
     executor: Executor,
     progress: Progress,
 ) -> tuple[OctreeTexture, bool]:
     """Return a new texture for a layer, and whether it includes the layer.
 
-    It does if the layer is merged "over" with opacity 1; else the texture holds only the fill of ``holes``.
+    It does if the layer is merged "over", with any opacity, as nothing is below; else the texture holds only
+    the fill of ``holes``.
     """
-    is_in = opacity == 1.0 and blend == "over" and layer.tree.n_leaves > 0
+    is_in = blend == "over" and layer.tree.n_leaves > 0
     fill = begun(layer, surface.surface, holes, executor, progress, is_hidden=is_in)
     return (_laid_over(fill, layer, surface, executor, progress) if is_in else fill), is_in
 

@@ -146,8 +146,8 @@ def painted(
         if layers is not None:
             layers.append(layer)
         if texture is None:
-            mode: Blend = "erase" if blend == "erase" else "over"  # there is nothing to multiply
-            texture, is_in = started(layer, surface, holes, opacity, mode, job.executor, job.progress)
+            mode: Blend = "erase" if blend == "erase" else "over"  # there is nothing to blend with
+            texture, is_in = started(layer, surface, holes, mode, job.executor, job.progress)
             if is_in:
                 yield texture, None
                 continue

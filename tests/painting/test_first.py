@@ -9,6 +9,7 @@ import trimesh
 import octex
 from octex.channels import srgb_to_linear
 from tests.conftest import needs_jit
+from tests.make.same import assert_same
 
 CODES = np.array([200, 100, 50], np.uint8)
 #: What a look may differ by: one code of 255 in light areas.
@@ -60,3 +61,13 @@ def test_one_colour_is_seen_at_all_widths_by_all_filters(seed):
             for shape in ("nearest", "linear", "quadratic"):
                 found = texture.sample(hits.rest, width=width, normals=normals, filter=shape)
                 assert np.abs(found - wanted).max() < CODE, (options, normals is None, width, shape)
+
+
+def test_the_first_layer_of_a_new_texture_has_nothing_to_blend_with():
+    mesh = trimesh.creation.icosphere(2)
+    surface = octex.Surface.from_arrays(mesh.vertices, mesh.faces)
+    image = np.random.default_rng(0).integers(0, 256, (40, 40, 3), np.uint8)
+    camera = octex.Camera.fitted(surface.vertices, direction=(0.3, 0.5, 1.0), size=(40, 40))
+    opaque = octex.paint(None, surface, octex.Projection(image, camera))
+    for options in ({"opacity": 0.3}, {"blend": "multiply"}, {"blend": "add", "opacity": 0.5}):
+        assert_same(octex.paint(None, surface, octex.Projection(image, camera, **options)), opaque)
