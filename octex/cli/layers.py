@@ -100,7 +100,7 @@ class Painting:
 
         chosen, surface = self._options.holes, PaintedSurface(self._surface)
         mode: Any = "leave" if has_layers else chosen if isinstance(chosen, str) else "smooth"
-        task = mode, self._opacity, self._blend, self._executor, self._progress
+        task = mode, self._blend, self._executor, self._progress
         return first.started(layer, surface, *task)
 
     def merged(

@@ -237,10 +237,10 @@ def started(
 ) -> tuple[OctreeTexture, bool]:
     """Return a new texture for a layer, and whether it includes the layer.
 
-    It does if the layer is merged "over", with any opacity, as nothing is below; else the texture holds only
-    the fill of ``holes``.
+    It does unless the layer erases: with nothing below there is nothing to blend with. Else the texture holds
+    only the fill of ``holes``.
     """
-    is_in = blend == "over" and layer.tree.n_leaves > 0
+    is_in = blend != "erase" and layer.tree.n_leaves > 0
     fill = begun(layer, surface.surface, holes, executor, progress, is_hidden=is_in)
     return (_laid_over(fill, layer, surface, executor, progress) if is_in else fill), is_in
 

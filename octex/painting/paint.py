@@ -146,12 +146,10 @@ def painted(
         if layers is not None:
             layers.append(layer)
         if texture is None:
-            mode: Blend = "erase" if blend == "erase" else "over"  # there is nothing to blend with
-            texture, is_in = started(layer, surface, holes, mode, job.executor, job.progress)
+            texture, is_in = started(layer, surface, holes, blend, job.executor, job.progress)
             if is_in:
                 yield texture, None
                 continue
-            blend = mode
         change = job.merge(texture, layer, surface, opacity, blend, job.executor, job.progress)
         texture = texture if change is None else put(change, texture)
         yield texture, change

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Mapping, Sequence
-from types import NoneType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -250,11 +249,6 @@ class Surface(Mesh):
             as_choice(channel, [form.name for form in self.channels], "channel")
         return self._with(self.source.only(channels))
 
-    @property
-    def coverage(self) -> Surface:
-        """The same surface with only ``alpha``: 0 in gaps, where its source has no value, else 1."""
-        return self._with(self.source.only([]))
-
     def with_filter(self, filter: str) -> Surface:
         """Return the same surface with its images read by another filter, one of filters.FILTERS.
 
@@ -316,16 +310,13 @@ class Surface(Mesh):
     def _with(self, source: Source, mesh: Mesh | None = None) -> Surface:
         return Surface._on(mesh or self, source, self.provenance)
 
-    def part(self, triangles: npt.ArrayLike, source: Source | None = None) -> Surface:
+    def part(self, triangles: npt.ArrayLike) -> Surface:
         """Return chosen triangles (k,) of the surface, in that order, with only their vertices.
 
-        ``source`` gives their values (default: the surface's). Raises ArgumentError for unknown triangles,
-        ModelError for an empty list.
+        Raises ArgumentError for unknown triangles, ModelError for an empty list.
         """
-        if not isinstance(source, (Source, NoneType)):
-            raise ArgumentError(f"source must be a Source, not {source!r}")
         mesh, chosen, vertices = self.picked(triangles)
-        return self._with(source or Picked(self.source, chosen, vertices, self.rest), mesh)
+        return self._with(Picked(self.source, chosen, vertices, self.rest), mesh)
 
     def separated(self, margin: float, overlaps: Overlaps | None = None) -> Surface:
         """Return the same surface, with parts that are nearer than ``margin`` at rest moved apart.
