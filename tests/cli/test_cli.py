@@ -180,7 +180,7 @@ print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
 
 @needs_jit
 def test_warming_up_compiles_what_is_listed_and_says_how_long_it_took(cli, monkeypatch):
-    done: list[str] = []
+    done = []
     monkeypatch.setattr("octex.ahead._compile", done.append)
     assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", cli.result("warm-up"))
     assert done == ahead.lines(*ahead.SECTIONS)

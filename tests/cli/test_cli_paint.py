@@ -8,7 +8,6 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -415,7 +414,7 @@ def transforms(scene, folder):
     flip = np.diag([1.0, -1.0, -1.0, 1.0])
     pose = (np.linalg.inv(scene.camera.world_to_camera) @ flip).tolist()
     names = ["images/blue.png", *(f"images/{number}.png" for number in range(7))]
-    document: dict[str, Any] = {
+    document = {
         "fl_x": float(scene.camera.K[0, 0]),
         "frames": [{"file_path": name, "transform_matrix": pose} for name in names],
     }
@@ -477,7 +476,7 @@ def test_masks_of_another_number_than_the_pictures_are_refused(scene, tmp_path, 
 
 @needs_jit
 def test_the_options_of_painting_reach_the_library(scene, tmp_path, monkeypatch, cli):
-    seen: dict[str, Any] = {}
+    seen = {}
     project = octex.project
 
     def projected(*arguments, **options):
@@ -511,8 +510,8 @@ def test_the_options_of_painting_reach_the_library(scene, tmp_path, monkeypatch,
 
 @needs_jit
 def test_a_preview_is_drawn_of_what_was_painted(scene, tmp_path, monkeypatch, cli):
-    drawn: list[tuple[list[str] | None, list[str]]] = []
-    views: list[Any] = []
+    drawn = []
+    views = []
 
     def write_preview(_path, texture, surface, **view):
         names = None if surface is None else [form.name for form in surface.channels]
@@ -682,7 +681,7 @@ def test_where_a_picture_is_drawn_from_is_said_once(options, message, tmp_path, 
 
 
 def test_a_frame_that_is_not_there_is_refused_before_anything_is_read(tmp_path, cli, monkeypatch):
-    document: dict[str, Any] = {"asset": {"version": "2.0"}, "nodes": [{"camera": 0, "name": "front"}]}
+    document = {"asset": {"version": "2.0"}, "nodes": [{"camera": 0, "name": "front"}]}
     document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.7}}]
     model = tmp_path / "scene.gltf"
     model.write_text(json.dumps(document))

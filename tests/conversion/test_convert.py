@@ -5,7 +5,6 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -57,7 +56,7 @@ def leaf_means(surface, texture):
         np.tile(np.eye(3), (len(surface.triangles), 1)),
         np.zeros(3 * len(surface.triangles), np.float32),
     ).reshape(-1, 3, 3)
-    sums: dict[tuple[int, ...], npt.NDArray[np.float64]] = {}
+    sums = {}
     for corners, values in zip(grid[surface.triangles], colors, strict=True):
         triangle = [tuple(corner) for corner in corners.tolist()]
         for cell, (area, center) in naive_cells.cells_of(triangle, 1 << (GRID_BITS - depth)).items():
@@ -259,7 +258,7 @@ def test_a_rest_mesh_of_a_surface_may_be_a_file(tmp_path):
 
 
 def test_progress_counts_every_stage_to_its_end():
-    calls: list[tuple[str, int, int]] = []
+    calls = []
     octex.convert(tetrahedron(), depth=5, progress=lambda *call: calls.append(call))
     stages = list(dict.fromkeys(stage for stage, _, _ in calls))
     assert stages == ["sort", "convert", "build", "fit"]

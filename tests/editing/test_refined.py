@@ -22,7 +22,6 @@ from tests.make.strategies import leaf_sets, points_around, with_random_data
 from tests.oracles import naive
 
 Codes = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
 HEIGHT = ChannelFormat("height", 2, "data", "float32")
 seeds = st.integers(0, 2**32 - 1)
 
@@ -58,8 +57,8 @@ def trees_and_cells(draw):
     seed = draw(seeds)
     tree = with_random_data(Octree.from_leaves(*leaves), seed, keep)
     random = np.random.default_rng(seed)
-    below: dict[int, list[int]] = {}
-    around: dict[int, list[int]] = {}
+    below = {}
+    around = {}
     places = leaves.places()
     for level, place in [places[n] for n in random.permutation(len(places))[:4]]:
         for down in range(1, min(3, naive.MAX_DEPTH - level) + 1):
@@ -180,8 +179,8 @@ def raise_leaves(texture, wanted, met):
 
 def some_below(tree, part, all_children, random):
     """Wanted cells one or two levels below a part of the leaves, and the cells met: all children, or some."""
-    wanted: list[list[int]] = [[] for _ in range(tree.max_depth + 3)]
-    met: list[list[int]] = [[] for _ in wanted]
+    wanted = [[] for _ in range(tree.max_depth + 3)]
+    met = [[] for _ in wanted]
     for level, (codes, is_node) in enumerate(tree.walk()):
         for code in codes[~is_node].tolist():
             nodes = [code] if random.random() < part else []

@@ -4,7 +4,6 @@ import sys
 
 import numba
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex.kernels
@@ -16,7 +15,6 @@ from tests.make.small_textures import eight_colors, shell
 from tests.make.strategies import random_values
 from tests.properties.random_lookups import random_points, random_texture
 
-Doubles = npt.NDArray[np.float64]
 FILTERS = "nearest", "linear", "quadratic"
 SEEDS = range(3 if jit.DISABLED else 40)
 

@@ -1,18 +1,14 @@
 """What travels to other processes: textures, and the work of every function that takes a run."""
 
-from __future__ import annotations
-
 import copy
 import inspect
 import multiprocessing
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -131,7 +127,7 @@ def painted():
 
 SURFACE, SPHERE = ball(rings=12), octex.Sphere((0.0, 0.0, 1.0), 0.6)
 #: What every function that takes a run does, by its name and that of a case.
-FUNCTIONS: dict[str, Callable[[octex.Run, Path], Any]] = {
+FUNCTIONS = {
     "OctreeTexture.sample": lambda run, _: adaptive(1).sample(POINTS, run=run),
     "OctreeTexture.sample, footprints": lambda run, _: adaptive(1).sample(POINTS, width=0.3, run=run),
     "OctreeTexture.taps": lambda run, _: adaptive(1).taps(POINTS, width=0.3, run=run),

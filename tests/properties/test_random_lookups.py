@@ -1,7 +1,5 @@
 """Lookups of random textures at random points, and what such lookups have found."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -56,7 +54,7 @@ def test_a_row_that_is_not_finite_is_named_however_it_is_looked_at(filter):
     texture, points = shell(3), np.full((20, 3), 0.4)
     points[7, 1] = np.nan
     right, down, normals = np.random.default_rng(0).normal(size=(3, 20, 3))
-    views: list[dict[str, Any]] = [
+    views = [
         {},
         {"width": 0.2},
         {"width": np.linspace(0.01, 1, 20)},

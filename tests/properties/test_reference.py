@@ -9,7 +9,7 @@ import argparse
 import sys
 import warnings
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ import octex
 from octex.errors import ModelWarning
 from tests.conftest import needs_jit
 from tests.make.fixtures import CLAMP, LINEAR, MIRROR, NEAREST, REPEAT, Gltf, png, random_image
-from tests.oracles.naive_gltf import Floats, Reference
+from tests.oracles.naive_gltf import Reference
 
 CODE = 1 / 255
 
@@ -98,9 +98,9 @@ def around(corners, triangles, points, centers, cell):
     Corners and inside of what is of each triangle in the cell around each centre; and a grid as wide as a
     cell around each point on the plane of its triangle, beyond the triangle too, as filters look there.
     """
-    owners: list[int] = []
-    near: list[int] = []
-    at: list[Floats] = []
+    owners = []
+    near = []
+    at = []
     low, high = corners.min(axis=1), corners.max(axis=1)
     half = cell / 2
     steps = np.linspace(-half, half, 7)
@@ -205,14 +205,14 @@ def random_model(path, seed, **fixed):
         return random.uniform(0.3, 1, count).tolist()
 
     kind = chosen("kind", "metallic", "metallic", "specular")
-    material: dict[str, Any] = {
+    material = {
         "normalTexture": info(scale=float(random.uniform(0.3, 1.5))),
         "occlusionTexture": info(strength=float(random.random())),
         "emissiveTexture": info(),
         "emissiveFactor": factors(3),
         "alphaMode": chosen("alpha_mode", "OPAQUE", "MASK", "BLEND"),
     }
-    extensions: dict[str, Any] = {}
+    extensions = {}
     if material["alphaMode"] == "MASK":
         material["alphaCutoff"] = float(random.uniform(0.2, 0.6))
     if random.random() < 0.5:
@@ -245,7 +245,7 @@ def random_model(path, seed, **fixed):
         vectors = random.normal([0, 0, 1], 0.3 * contrast, (count, 3))
         return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
 
-    attributes: dict[str, Any] = {}
+    attributes = {}
     for number in range(2):
         turn = random.normal(0, 1.5, (2, 2))
         attributes[f"TEXCOORD_{number}"] = gltf.accessor((np.stack([u, v], axis=1) @ turn).astype(np.float32))

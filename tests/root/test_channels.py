@@ -10,7 +10,6 @@ import threading
 import time
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -250,7 +249,7 @@ def test_low_bits_is_a_mask(count):
 @needs_jit
 def test_code_whose_types_are_gone_is_compiled_anew(tmp_path):
     call = [sys.executable, "-c", "from octex import jit; print(jit.low_bits(3))"]
-    options: dict[str, Any] = {"env": os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}, "capture_output": True}
+    options = {"env": os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}, "capture_output": True}
     assert subprocess.run(call, **options, check=True).stdout == b"7\n"
     (kept,) = tmp_path.rglob("*instructions.low_bits-*.nbc")
     gone = kept.read_bytes()[:32] + b"coctex.a_module_that_was\nIts_type\n."
@@ -270,7 +269,7 @@ class Eager(Executor):
 
     def submit(self, fn, /, *args, **kwargs):
         self.submitted += 1
-        future: Future[Any] = Future()
+        future = Future()
         try:
             future.set_result(fn(*args, **kwargs))
         except Exception as error:
@@ -306,7 +305,7 @@ def test_no_more_than_the_window_is_in_flight():
 
 
 def test_progress_counts_every_item_once():
-    calls: list[tuple[str, int, int]] = []
+    calls = []
     list(
         parallel.ordered_map(
             Eager(), abs, [3, 2, 1], stage="cells", progress=lambda *call: calls.append(call), window=2
@@ -321,7 +320,7 @@ def test_nothing_to_do_is_done_at_once():
 
 def test_the_first_error_ends_the_map_and_cancels_what_has_not_begun():
     release = threading.Event()
-    begun: list[int] = []
+    begun = []
 
     def work(item):
         begun.append(item)
@@ -340,7 +339,7 @@ def test_the_first_error_ends_the_map_and_cancels_what_has_not_begun():
 
 def test_leaving_the_map_early_cancels_the_rest():
     release = threading.Event()
-    begun: list[int] = []
+    begun = []
 
     def work(item):
         begun.append(item)
@@ -358,7 +357,7 @@ def test_leaving_the_map_early_cancels_the_rest():
 
 def test_an_error_in_the_block_drops_the_work_that_has_not_begun():
     release = threading.Event()
-    futures: list[Future[bool]] = []
+    futures = []
     with pytest.raises(KeyboardInterrupt), parallel.pool_of(1) as executor:
         futures += [executor.submit(release.wait, 10) for _ in range(5)]
         futures[-1].add_done_callback(lambda _: release.set())  # the first ends once the last is cancelled

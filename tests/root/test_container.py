@@ -1,9 +1,6 @@
-from __future__ import annotations
-
 import json
 import os
 import resource
-from typing import Any
 
 import numpy as np
 import pytest
@@ -123,7 +120,7 @@ def test_text_that_is_not_unicode_does_not_stop_a_save(tmp_path):
 
 
 #: Of an entry named "thing", with four bytes of data: what is said.
-ENTRIES: list[tuple[Any, str]] = [
+ENTRIES = [
     (7, "lacks its dtype"),
     ({"dtype": "U8", "shape": [4]}, "lacks its dtype"),
     ({"dtype": "BF16", "shape": [2], "data_offsets": [0, 4]}, "dtype 'BF16', which octex does not read"),
@@ -143,7 +140,7 @@ ENTRIES: list[tuple[Any, str]] = [
 ]
 FOUR = {"dtype": "U8", "shape": [4], "data_offsets": [0, 4]}
 #: The same of files.
-DAMAGED: list[tuple[bytes, str]] = [
+DAMAGED = [
     *((file_of({"thing": entry}), rf"'thing'.*{message}") for entry, message in ENTRIES),
     (file_of(b"{]", b""), "not JSON"),
     (file_of(b"\xff\xfe\xff\xfe", b""), "not JSON"),

@@ -1,8 +1,5 @@
 """What octex makes does not depend on the units of a model: powers of two change no bit."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,8 +7,6 @@ import pytest
 
 import octex
 from octex.cameras.camera import Camera
-from octex.source.surface import Surface
-from octex.texture import OctreeTexture
 from tests.conftest import needs_jit
 from tests.make.painted import ball, picture_of
 from tests.make.same import arrays_of
@@ -36,7 +31,7 @@ def painted(surface, count=5, **options):
     return octex.paint(None, surface, shots(surface, count), max_depth=4, **options)
 
 
-WORKS: dict[str, Callable[[Surface, float], OctreeTexture]] = {
+WORKS = {
     "convert": lambda surface, _: octex.convert(surface, 4),
     "cell": lambda surface, unit: octex.convert(surface, cell=0.1 * unit),
     "max_error": lambda surface, _: octex.convert(surface, 4, max_error=2),

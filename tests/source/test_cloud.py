@@ -1,10 +1,8 @@
 """Coloured points: on a surface, and by themselves."""
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -15,9 +13,6 @@ from octex.tree.morton import encode_cells
 from octex.tree.placement import Placement
 from tests.make.fixtures import ply
 from tests.make.painted import ball, plain, square
-
-Array = npt.NDArray[Any]
-
 
 _BARE = b"""ply
 format ascii 1.0

@@ -2,7 +2,6 @@
 
 import json
 import struct
-from typing import Any
 
 import numpy as np
 import pytest
@@ -187,7 +186,7 @@ def test_a_bad_image_is_named(tmp_path, image, message):
 def test_what_is_wrong_with_a_material_is_named(tmp_path, place, value, message):
     gltf = Gltf()
     gltf.texture(gltf.image(png(random_image(4, 4))))
-    entry: dict[str, Any] = {"occlusionTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}
+    entry = {"occlusionTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}
     put(entry, {place: value})
     gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.add("materials", **entry)))
     with pytest.raises(ModelError, match=message) as caught:

@@ -1,14 +1,10 @@
 """glTF content in Draco's, meshopt's and Basis Universal's codes against the same content in plain bytes."""
 
-from __future__ import annotations
-
 import base64
 import json
 import sys
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from octex.errors import ImageError, MissingExtraError, ModelError
@@ -46,7 +42,7 @@ FIRST = np.array([6 * y + x for y in range(4) for x in range(5)])
 TRIANGLES = (FIRST[:, None] + CORNERS).reshape(-1, 3).astype(np.uint16)
 NORMALS = RNG.normal(size=(30, 3)) * 0.2 + [0, 0, 1]
 TANGENTS = np.cross(NORMALS, [0, 1, 0])
-ATTRIBUTES: dict[str, npt.NDArray[Any]] = {
+ATTRIBUTES = {
     "POSITION": (GRID + RNG.uniform(-0.3, 0.3, GRID.shape)).astype(np.float32),
     "NORMAL": (NORMALS / np.linalg.norm(NORMALS, axis=1)[:, None]).astype(np.float32),
     "TANGENT": np.c_[TANGENTS / np.linalg.norm(TANGENTS, axis=1)[:, None], np.ones(30)].astype(np.float32),
@@ -156,10 +152,7 @@ def test_draco_positions_may_be_quantized(tmp_path):
     data = coder.encode(rows.astype(np.int32), TRIANGLES.astype(np.uint32), preserve_order=True)
     gltf = Gltf()
     accessor = gltf.accessor(rows, normalized=True)
-    entry: dict[str, Any] = {
-        "attributes": {"POSITION": accessor},
-        "indices": gltf.accessor(TRIANGLES.ravel()),
-    }
+    entry = {"attributes": {"POSITION": accessor}, "indices": gltf.accessor(TRIANGLES.ravel())}
     number = coder.decode(data).attributes[0]["unique_id"]
     coded = {"bufferView": gltf.view(data), "attributes": {"POSITION": number}}
     entry["extensions"] = {"KHR_draco_mesh_compression": coded}

@@ -5,7 +5,6 @@ import pickle
 import re
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 import pytest
 from hypothesis import given
@@ -28,7 +27,6 @@ from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, png, random_image
 from tests.oracles import naive_mapped
 from tests.source.test_surface import CUBE, CUBE_TRIANGLES
 
-Floats = npt.NDArray[np.float64]
 COUNT = 20 if jit.DISABLED else 400
 CENTER, SIZE = np.array([0.2, -0.1, 0.3]), np.array([0.9, 1.3, 0.7])
 AROUND = ("cylindrical", "spherical")

@@ -3,7 +3,6 @@
 import struct
 import subprocess
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
@@ -41,16 +40,14 @@ def test_ply_geometry_is_the_same_in_every_encoding(tmp_path, encoding):
 )
 @pytest.mark.parametrize("names", ["red green blue", "diffuse_red diffuse_green diffuse_blue", "r g b"])
 def test_ply_colours_of_vertices_are_srgb_values(tmp_path, encoding, kind, scale, names):
-    properties: dict[str, Any] = {
-        name: (kind, (CODES[:, i] * scale).tolist()) for i, name in enumerate(names.split())
-    }
+    properties = {name: (kind, (CODES[:, i] * scale).tolist()) for i, name in enumerate(names.split())}
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**properties), encoding=encoding))
     found, expected = interpolated(surface, srgb_to_linear(CODES / 255))
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_ply_alpha_below_1_makes_a_channel(tmp_path):
-    codes: dict[str, Any] = {name: ("uchar", [255] * 4) for name in ("red", "green", "blue", "alpha")}
+    codes = {name: ("uchar", [255] * 4) for name in ("red", "green", "blue", "alpha")}
     assert len(load_surface(ply(tmp_path / "a.ply", ply_square(**codes))).channels) == 1
     codes["alpha"] = ("uchar", [51, 51, 51, 51])
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**codes)))
@@ -58,7 +55,7 @@ def test_ply_alpha_below_1_makes_a_channel(tmp_path):
 
 
 def test_alpha_of_0_throughout_is_left_out(tmp_path):
-    codes: dict[str, Any] = {name: ("uchar", [128] * 4) for name in ("red", "green", "blue")}
+    codes = {name: ("uchar", [128] * 4) for name in ("red", "green", "blue")}
     path = ply(tmp_path / "a.ply", ply_square(**codes, alpha=("uchar", [0] * 4)))
     with pytest.warns(ModelWarning, match="a.ply: all its colours have alpha 0"):
         assert len(load_surface(path).channels) == 1
@@ -67,11 +64,7 @@ def test_alpha_of_0_throughout_is_left_out(tmp_path):
 
 
 def test_ply_colours_of_faces_count_where_vertices_have_none(tmp_path):
-    codes: dict[str, Any] = {
-        "red": ("uchar", [255, 0]),
-        "green": ("uchar", [0, 255]),
-        "blue": ("uchar", [0, 9]),
-    }
+    codes = {"red": ("uchar", [255, 0]), "green": ("uchar", [0, 255]), "blue": ("uchar", [0, 9])}
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**codes)))
     samples = surface.scatter(30)
     expected = np.array([[1, 0, 0], [0, 1, srgb_to_linear(9 / 255)]])[samples.triangles]
@@ -122,7 +115,7 @@ def test_ply_headers_may_end_their_lines_like_windows(tmp_path):
 def test_ply_textures_are_bound_with_v_up(tmp_path, names):
     (tmp_path / "my wood.png").write_bytes(png(random_image(5, 4)))
     u, v = names.split()
-    properties: dict[str, Any] = {u: ("float", SQUARE[:, 0].tolist()), v: ("float", SQUARE[:, 1].tolist())}
+    properties = {u: ("float", SQUARE[:, 0].tolist()), v: ("float", SQUARE[:, 1].tolist())}
     path = ply(tmp_path / "a.ply", ply_square(**properties), comments=["TextureFile my wood.png"])
     surface = load_surface(path)
     reference = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, uv=SQUARE[:, :2], image=random_image(5, 4))
@@ -134,7 +127,7 @@ def test_ply_textures_are_bound_with_v_up(tmp_path, names):
 
 def test_ply_textures_take_precedence_over_colours(tmp_path):
     (tmp_path / "a.png").write_bytes(png(np.full((2, 2, 3), 204, np.uint8)))
-    properties: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
+    properties = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
     properties |= {name: ("uchar", [192] * 4) for name in ("red", "green", "blue")}
     properties["alpha"] = ("uchar", [128] * 4)
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**properties), comments=["TextureFile a.png"]))
@@ -144,7 +137,7 @@ def test_ply_textures_take_precedence_over_colours(tmp_path):
 
 def test_ply_textures_may_be_named_after_the_file(tmp_path):
     (tmp_path / "square.v2_A.png").write_bytes(png(np.full((2, 2, 3), 51, np.uint8)))
-    properties: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
+    properties = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
     path = ply(tmp_path / "square.v2.ply", ply_square(**properties), comments=["TextureFile <this>_A.png"])
     surface = load_surface(path)
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), srgb_to_linear(0.2), rtol=1e-5)
@@ -156,10 +149,7 @@ def test_ply_textures_may_be_bound_by_corner_and_be_several(tmp_path, encoding):
     for i, image in enumerate(images):
         (tmp_path / f"{i}.png").write_bytes(png(image))
     uv = np.random.default_rng(0).random((2, 3, 2)).astype(np.float32)
-    properties: dict[str, Any] = {
-        "texcoord": ("list uchar float", uv.reshape(2, 6).tolist()),
-        "texnumber": ("int", [1, 0]),
-    }
+    properties = {"texcoord": ("list uchar float", uv.reshape(2, 6).tolist()), "texnumber": ("int", [1, 0])}
     comments = ["TextureFile 0.png", "TextureFile 1.png"]
     surface = load_surface(
         ply(tmp_path / "a.ply", ply_square(**properties), encoding=encoding, comments=comments)
@@ -173,7 +163,7 @@ def test_ply_textures_may_be_bound_by_corner_and_be_several(tmp_path, encoding):
 
 
 def test_ply_coordinates_without_an_image_are_left_alone(tmp_path):
-    properties: dict[str, Any] = {"s": ("float", [0, 1, 2, 3]), "t": ("float", [0, 1, 2, 3])}
+    properties = {"s": ("float", [0, 1, 2, 3]), "t": ("float", [0, 1, 2, 3])}
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**properties)))
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
@@ -257,7 +247,7 @@ def test_a_binary_ply_file_that_ends_early_is_refused(tmp_path, encoding):
 
 
 def test_bad_textures_of_a_ply_file_are_named(tmp_path):
-    st: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
+    st = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
     comments = ["TextureFile wood.png"]
     path = ply(tmp_path / "a.ply", ply_square(**st), comments=comments)
     with pytest.raises(ImageError, match=r"a\.ply: wood\.png cannot be read: No such file"):

@@ -1,7 +1,5 @@
 """The polygons of files, remembered by the triangles that they were cut into."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,7 +20,7 @@ CORNERS_OF = {number: face for number, face in enumerate(FACES) if len(face) > 2
 
 def file_faces(path):
     """The vertices of each face of an OBJ file, by its number among them, in plain Python."""
-    faces: dict[int, list[int]] = {}
+    faces = {}
     vertices = number = 0
     for line in path.read_text("latin-1").splitlines():
         words = line.split()
@@ -54,7 +52,7 @@ def written(folder, kind):
         lines = [f"OFF\n{len(PLACES)} {len(FACES)} 0", *(f"{x} {y} {z}" for x, y, z in PLACES)]
         path.write_text("\n".join([*lines, *(f"{len(f)} {' '.join(map(str, f))}" for f in FACES)]))
         return path
-    elements: Any = {
+    elements = {
         "vertex": {axis: ("float", [place[i] for place in PLACES]) for i, axis in enumerate("xyz")},
         "face": {"vertex_indices": ("list uchar int", FACES)},
     }
@@ -130,7 +128,7 @@ def test_some_triangles_keep_the_numbers_of_their_polygons(data):
     )
     chosen = data.draw(st.lists(st.integers(0, len(fans) - 1), min_size=1))
     picked, _, vertices = mesh.picked(chosen)
-    expected: dict[int, set[int]] = {}
+    expected = {}
     for triangle in chosen:
         expected.setdefault(int(numbers[triangle]), set()).update(fans[triangle])
     assert {number: vertices[loop].tolist() for number, loop in loops_of(picked).items()} == {

@@ -1,7 +1,5 @@
 """glTF models posed by their animations, skins and morph targets."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -30,7 +28,7 @@ def moving(path, mode, seed=0):
     random = np.random.default_rng(seed)
     gltf = Gltf()
     offsets = [{"POSITION": gltf.accessor(random.normal(size=(4, 3)).astype(np.float32))} for _ in range(2)]
-    targets: dict[str, Any] = {"targets": offsets}
+    targets = {"targets": offsets}
     attributes = {"JOINTS_0": gltf.accessor(JOINTS), "WEIGHTS_0": gltf.accessor(WEIGHTS)}
     moved = gltf.show(gltf.primitive(**attributes) | targets, translation=[5, 5, 5])
     rigid = gltf.show(gltf.primitive() | targets, scale=[1, 2, 1], weights=[0.5, 0.25])

@@ -92,7 +92,7 @@ def test_the_build_places_components_of_other_parts_and_mirrors_them(tmp_path):
     other = f"<resources>{square(3, faces)}</resources><build/>"
     kind = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
     relations = f'<Relationships><Relationship Target="/3D/b.model" Id="r" Type="{kind}"/></Relationships>'
-    parts: dict[str, str | bytes] = {
+    parts = {
         "3D/b.model": root, "3D/a.model": other, "_rels/.rels": relations.encode()
     }  # fmt: skip
     surface = octex.load_surface(package(tmp_path / "a.3mf", parts))

@@ -4,10 +4,8 @@ import io
 import json
 import sys
 import zipfile
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 import pytest
 import trimesh
@@ -20,8 +18,6 @@ from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from tests.make import solids
 from tests.make.small_surfaces import whole
-
-Array = npt.NDArray[Any]
 
 pxr = pytest.importorskip("pxr", reason="the extra octex[usd] is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdValidation, Vt  # noqa: E402

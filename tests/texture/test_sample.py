@@ -1,9 +1,6 @@
 """What lookups give, beside the slow reference of the field: channels, alpha, directions, gradients."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +13,6 @@ from tests.make.small_textures import UNIT_BOUNDS, eight_colors, shell
 from tests.make.strategies import textures
 from tests.oracles import naive
 
-Doubles = npt.NDArray[np.float64]
 SMOOTH = [name for name in FILTERS if name != "nearest"]
 
 
@@ -147,7 +143,7 @@ def test_gradients_of_unit_vectors_are_across_them():
 def test_a_direction_that_cancels_out_has_no_gradient():
     color = eight_colors().channels["base_color"]
     form = color.format._replace(name="normal", space="direction", dtype="float32")
-    zeros: Any = np.zeros((9, 3), np.float32)
+    zeros = np.zeros((9, 3), np.float32)
     texture = eight_colors(channels={"normal": Channel(form, zeros, zeros[:0], zeros[:0])})
     values, gradients = texture.sample([[0.3, 0.4, 0.5]], "normal", "quadratic", gradient=True)
     assert not values.any() and not gradients.any()

@@ -2,7 +2,6 @@
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ import pytest
 import octex
 from octex.cli.main import main
 from octex.errors import ArgumentError, ExitCode
-from octex.painting.picture import Blend
 from octex.session.painting import Session, Shown
 from octex.viewer import Viewer
 from tests.conftest import needs_jit
@@ -65,12 +63,12 @@ class Both:
                              p=[0.3, 0.1, 0.12, 0.12, 0.06, 0.04, 0.06, 0.04, 0.1, 0.06])  # fmt: skip
         number = int(random.choice(numbers)) if numbers else None
         if move in ("stroke", "fill"):
-            target: dict[str, Any] = {} if number is None or random.random() < 0.2 else {"layer": number}
+            target = {} if number is None or random.random() < 0.2 else {"layer": number}
             if target and random.random() < 0.15:
                 target["mask"] = True
             erases = bool(random.random() < 0.3)
             layers.choose(target.get("layer"), mask="mask" in target)
-            blend: Blend = "erase" if erases else "over"
+            blend = "erase" if erases else "over"
             if move == "stroke":
                 painted(layers, self.number + 1, blend)
                 self.send("stroke", erases=erases, **target)

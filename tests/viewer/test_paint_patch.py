@@ -1,12 +1,9 @@
 """Painting a surface that is laid flat: as the library paints through a patch of ``octex.unwrap``."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from dataclasses import replace
 from http.client import HTTPConnection
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -25,7 +22,7 @@ from tests.viewer.test_paint_export import served as served
 from tests.viewer.test_paint_poses import Bending, bending
 from tests.viewer.test_session import NAN, SIZE, canvas, plain, stroke
 
-SPOT: dict[str, Any] = {"center": [0.4, 0.2, 0.9], "radius": 0.6, "up": [0.0, 1.0, 0.1]}
+SPOT = {"center": [0.4, 0.2, 0.9], "radius": 0.6, "up": [0.0, 1.0, 0.1]}
 
 
 def flat_camera(radius=0.6):
@@ -41,7 +38,7 @@ def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(t
     session = Session(texture, surface, tmp_path / "out.octex", motion=motion)
     far = {**SPOT, "center": [-0.4, 0.2, 0.9]}
     moved = {"animation": 0, "time": 1.0}
-    given: list[dict[str, Any]] = [{"patch": SPOT}, {"patch": SPOT}, {"patch": far, "moved": moved}, {}]
+    given = [{"patch": SPOT}, {"patch": SPOT}, {"patch": far, "moved": moved}, {}]
     given.append({"patch": SPOT, "mirror": "x"})
     for number, fields in enumerate(given, 1):
         seen_by = {"camera": flat_camera()} if "patch" in fields else {}
@@ -102,7 +99,7 @@ def test_the_mirror_of_a_patch_lands_where_a_mirror_has_it(axis, tmp_path):
     session.close()
 
 
-BAD: list[tuple[Any, str]] = [
+BAD = [
     ([1], "patch must be an object"),
     ({}, "center"),
     ({**SPOT, "center": [1, 2]}, "center"),

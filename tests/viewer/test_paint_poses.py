@@ -1,7 +1,5 @@
 """Painting frames of animations: as the library paints the posed surface, at rest on the model."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -44,7 +42,7 @@ def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_
     texture, surface = canvas()
     motion, expected = bending(surface), texture
     session = Session(texture, surface, tmp_path / "out.octex", motion=motion)
-    moments: list[tuple[int, float] | None] = [(0, 0.61), (0, 0.61), (1, 0.5), None, (0, 1.0), (0, 99.0)]
+    moments = [(0, 0.61), (0, 0.61), (1, 0.5), None, (0, 1.0), (0, 99.0)]
     for number, moment in enumerate(moments, 1):
         moved = None if moment is None else {"animation": moment[0], "time": moment[1]}
         body = stroke(number, moved=moved, mirror=mirror)
@@ -78,7 +76,7 @@ def test_a_frame_of_an_animation_that_is_not_there_is_refused(tmp_path):
     session.take(stroke(1, moved={"animation": 2, "time": 0.0}))
     session.wait()
     assert session.shown.told["fault"] == f"there is no animation 2; {surface.name} has 2"
-    bad: list[tuple[Any, str]] = [([0, 1], "moved"), ({}, "animation"), ({"animation": 0}, "time")]
+    bad = [([0, 1], "moved"), ({}, "animation"), ({"animation": 0}, "time")]
     bad += [({"animation": number, "time": 0.0}, "animation") for number in (0.5, -1, "A", 1e9)]
     bad += [({"animation": 0, "time": time}, "time") for time in (NAN, -1.0, 1e300)]
     for moved, field in bad:

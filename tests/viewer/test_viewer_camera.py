@@ -99,7 +99,7 @@ def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(browse
     octex.convert(ball(8), depth=3).save(path)
     with served(Viewer(lambda: octex.open(path), path, None, log=lines.append)) as first:
         page = opened(browser, first.url, (600, 300))
-        asked: list[str] = []
+        asked = []
         page.on("request", lambda request: asked.append(request.url))
         first.token = "another"
         first._ended.set()  # its pages lose their lines

@@ -1,10 +1,5 @@
 """Cells as cubes: no more than a page can draw, made in pieces; and what the colours of cells mean."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -25,9 +20,7 @@ _CUBES = """(level) => {
 
 
 @pytest.fixture(scope="module")
-def painted(
-    browser: Any, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[tuple[octex.OctreeTexture, Any]]:
+def painted(browser, tmp_path_factory):
     """A ball, a part of it finer, and its page."""
     surface = ball(16).with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
     low, _ = surface.bounds
@@ -43,7 +36,7 @@ def painted(
 
 
 @needs_jit
-def test_cubes_are_the_leaves_and_made_in_pieces(painted: tuple[octex.OctreeTexture, Any]) -> None:
+def test_cubes_are_the_leaves_and_made_in_pieces(painted):
     texture, page = painted
     for level in (0, 3, 6, 7):
         cubes, counts = page.evaluate(_CUBES, level)
@@ -59,9 +52,7 @@ def test_cubes_are_the_leaves_and_made_in_pieces(painted: tuple[octex.OctreeText
 
 
 @needs_jit
-def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(
-    painted: tuple[octex.OctreeTexture, Any],
-) -> None:
+def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(painted):
     texture, page = painted
     page.check("#cubes")
     assert page.locator("#cubes-note").inner_text() == ""
@@ -80,7 +71,7 @@ def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(
 
 
 @needs_jit
-def test_the_legend_names_the_colours_that_are_drawn(painted: tuple[octex.OctreeTexture, Any]) -> None:
+def test_the_legend_names_the_colours_that_are_drawn(painted):
     texture, page = painted
     swatches = "[...document.querySelectorAll('#legend .swatch')].map((each) => each.style.background)"
     assert not page.locator("#legend").is_visible()
