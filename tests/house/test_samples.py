@@ -17,8 +17,6 @@ SAMPLES = Path(__file__).parents[2] / "samples"
 DROID = SAMPLES / "droid.glb"
 MAP_SIZES = {"skull": (1024, 512), "neck": (256, 1024), "body": (256, 1024), "thin": (128, 1024)}
 
-#: What must be true of the folder that a script wrote to, and of what it said.
-
 
 class Glb(Document):
     """A .glb read as its specification says, by hand."""
