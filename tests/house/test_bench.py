@@ -25,7 +25,6 @@ EXACT = (
     "filters: EWA's error beside trilinear's, pink noise, 4 : 1",
     "adaptive: torus, root mean square",
     "adaptive: leaves of a flat body with a decal",
-    "psnr: points inside a stored leaf, least of all",
     "far: painted, 256², round: the picture's mean",
 )
 

@@ -9,18 +9,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 from inputs import painted_torus, scattered_on_sphere, seen_on_sphere, sphere_cells, torus
-from measuring import (
-    DROID,
-    Report,
-    Setup,
-    Spent,
-    clocked,
-    in_turns,
-    millions,
-    open3d,
-    task,
-    timed,
-)
+from measuring import DROID, Report, Setup, Spent, clocked, in_turns, millions, open3d, task, timed
 
 import octex
 from octex.channels import BASE_COLOR

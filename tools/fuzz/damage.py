@@ -310,11 +310,7 @@ class Archive:
             for (_, record, _), content in zip(self.streams, streams, strict=True):
                 found[record : record + 2] = len(content), zlib.crc32(content)
             contents = streams
-        parts = [
-            text,
-            self.root if root is None else root,
-            struct.pack(f"<{len(found)}I", *found),
-        ]
+        parts = [text, self.root if root is None else root, struct.pack(f"<{len(found)}I", *found)]
         directory = struct.pack("<3I", *map(len, parts)) + packed(b"".join(parts))
         return self.begun(directory, b"".join(contents))
 
