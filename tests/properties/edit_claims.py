@@ -256,11 +256,8 @@ def painted_boxes(layer):
 def _stored(texture, cells):
     """Everything that is stored of cells, as ascending keys and rows."""
     tree = texture.tree
-    mask = np.uint8(0xFF)
     has_children = np.where(cells.is_leaf, 1, 0).astype(np.uint8)
-    found = {
-        "cells": (cells.keys, np.stack([tree.arrays.flags & mask, tree.arrays.areas, has_children], axis=1))
-    }
+    found = {"cells": (cells.keys, np.stack([tree.arrays.flags, tree.arrays.areas, has_children], axis=1))}
     rows = rows_of(tree.split)
     row_keys = cells.keys[rows.cells] << 6 | rows.bits
     found["split areas"] = row_keys, tree.split.areas[:, None]
@@ -427,11 +424,8 @@ def assert_same_field(before, after, points, normals, codes=1.0):
         most = max(largest(texture, name) for texture in (before, after))
         slack = codes * max(code_width(form, most) for form in forms) + 1e-5 * most
         if ALPHA.name in names and name != ALPHA.name:
-            slack += (
-                codes
-                * most
-                * max(code_width(texture.channels[ALPHA.name].format) for texture in (before, after))
-            )
+            alphas = (texture.channels[ALPHA.name].format for texture in (before, after))
+            slack += codes * most * max(map(code_width, alphas))
         apart = np.abs(a - b).max(axis=1)
         worst = int(apart.argmax())
         assert apart[worst] <= slack, (
