@@ -345,7 +345,7 @@ def test_the_result_does_not_depend_on_the_order_of_work():
 )
 def test_an_error_must_be_a_number_from_zero_on(given_error, message):
     with pytest.raises(ArgumentError, match=message):
-        as_max_error(given_error)  # type: ignore[arg-type]
+        as_max_error(given_error)
 
 
 def test_errors_are_numbers():

@@ -1,7 +1,6 @@
 """Conversion: from a surface to what is stored of it."""
 
 import json
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
@@ -15,7 +14,6 @@ from octex.source.surface import Surface
 from octex.tree.layout import AREA_ONE, AREA_STEPS, GRID_BITS, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.placement import on_grid
-from octex.voxelize import fragments
 from tests.conftest import needs_jit
 from tests.make.small_surfaces import FACES, TETRAHEDRON, FaceSource, tetrahedron
 from tests.oracles import naive_cells
@@ -194,27 +192,6 @@ def test_a_fine_image_does_not_alias_in_coarse_cells():
         leaves = texture.channels["base_color"].values[texture.tree.leaf_cells()].astype(int)
         areas = texture.tree.arrays.areas[texture.tree.leaf_cells()]
         assert np.abs(leaves[areas > AREA_ONE - 16] - 188).max() <= 3
-
-
-@pytest.fixture(params=[ThreadPoolExecutor, ProcessPoolExecutor])
-def executor(request):
-    if request.param is ProcessPoolExecutor:
-        import multiprocessing
-
-        with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
-            yield pool
-    else:
-        with ThreadPoolExecutor(3) as pool:
-            yield pool
-
-
-@needs_jit
-def test_the_same_bytes_come_from_any_executor(executor, tmp_path, monkeypatch):
-    with ThreadPoolExecutor(1) as alone:
-        octex.convert(sphere(), depth=8, run=octex.Run(executor=alone)).save(tmp_path / "alone.octex")
-    monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 5_000)
-    octex.convert(sphere(), depth=8, run=octex.Run(executor=executor)).save(tmp_path / "many.octex")
-    assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()
 
 
 @pytest.mark.parametrize("size", [1.0, 0.1, 1.3])

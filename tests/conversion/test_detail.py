@@ -45,7 +45,7 @@ def painted(values):
 
 
 def levels(detail, surface, depth=DEPTH):
-    return list(wanted_levels(detail, surface, depth)(BOTH, MIDDLES, NO_WIDTHS))  # type: ignore[arg-type]
+    return list(wanted_levels(detail, surface, depth)(BOTH, MIDDLES, NO_WIDTHS))
 
 
 def test_a_function_is_asked_at_rest_positions():

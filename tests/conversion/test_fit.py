@@ -64,7 +64,7 @@ def error(texture, surface, filter="quadratic"):
 
 def pair(surface, depth, **options):
     """The same conversion without the fit and with it."""
-    return tuple(octex.convert(surface, depth, fit=fit, **options) for fit in (False, True))  # type: ignore[return-value,arg-type]
+    return tuple(octex.convert(surface, depth, fit=fit, **options) for fit in (False, True))
 
 
 def filled(surface, depth, executor):
@@ -508,7 +508,7 @@ def test_a_source_says_how_fine_it_is():
 
 
 @kernel
-def _through(rows, numbers, weights, step):  # type: ignore[no-untyped-def]
+def _through(rows, numbers, weights, step):
     total = weighted_rows(rows, numbers, weights, 1, numbers.size)
     add_to_rows(rows, numbers, weights, 1, numbers.size, step)
     return total

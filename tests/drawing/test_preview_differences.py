@@ -45,7 +45,7 @@ def spotted(texture, x=0.75, y=0.75):
 
 
 def drawn(a, b, **options):
-    found = difference(a, b, points=1000, **options)  # type: ignore[arg-type]
+    found = difference(a, b, points=1000, **options)
     picture = draw_difference(a, b, found, size=SIZE, supersample=1).astype(np.int64)
     assert picture.shape == (SIZE[1] * len(found), SIZE[0], 3)
     return np.split(picture[: SIZE[1]], 3, axis=1), found

@@ -44,8 +44,8 @@ SURFACES = {
 def converted(surface, folder, **options):
     """Return the bytes of a texture made in memory, and of one made in files."""
     depth, fit = options.pop("depth", 6), options.pop("fit", True)
-    octex.convert(surface, depth, fit=fit).save(folder / "memory.octex")  # type: ignore[arg-type]
-    made = octex.convert(surface, depth, fit=fit, path=folder / "files.octex", **options)  # type: ignore[arg-type]
+    octex.convert(surface, depth, fit=fit).save(folder / "memory.octex")
+    made = octex.convert(surface, depth, fit=fit, path=folder / "files.octex", **options)
     made.validate()
     del made
     assert sorted(each.name for each in folder.iterdir()) == ["files.octex", "memory.octex"]
@@ -69,10 +69,10 @@ def test_an_adaptive_texture_made_in_files_has_the_same_bytes(options, tmp_path)
 
     options = {**options, **({"detail": detail} if "detail" in options else {})}
     paths = tmp_path / "memory.octex", tmp_path / "files.octex"
-    in_memory = octex.convert(torus(), 5, **options)  # type: ignore[arg-type]
+    in_memory = octex.convert(torus(), 5, **options)
     assert in_memory.tree.n_leaves < octex.convert(torus(), 5, fit=False).tree.n_leaves
     in_memory.save(paths[0])
-    octex.convert(torus(), 5, path=paths[1], run=octex.Run(memory=1), **options).validate()  # type: ignore[arg-type]
+    octex.convert(torus(), 5, path=paths[1], run=octex.Run(memory=1), **options).validate()
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert len(list(tmp_path.iterdir())) == 2
 

@@ -21,6 +21,7 @@ from octex.jit import kernel
 from octex.parallel import sharing, start, workers
 from octex.texture import Channel, OctreeTexture, TextureSet, lookup
 from octex.tree.octree import Octree
+from octex.voxelize import fragments
 from tests.conftest import needs_jit
 from tests.make.painted import ball, picture_of
 from tests.make.same import assert_equal
@@ -246,6 +247,14 @@ def test_functions_do_the_same_in_threads_and_in_other_processes(name, processes
         for one, same_one in zip(made[0], other, strict=True):
             assert one.dtype == same_one.dtype
             np.testing.assert_array_equal(one, same_one)
+
+
+@needs_jit
+def test_a_conversion_in_many_tasks_makes_the_same_bytes_in_other_processes(processes, tmp_path, monkeypatch):
+    octex.convert(SURFACE, 8, threads=1).save(tmp_path / "alone.octex")
+    monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 5_000)
+    octex.convert(SURFACE, 8, run=octex.Run(executor=processes)).save(tmp_path / "many.octex")
+    assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()
 
 
 def by_numpy(numbers):

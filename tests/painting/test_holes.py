@@ -221,6 +221,6 @@ def test_what_is_not_known_of_holes_is_refused():
     surface = plain(square())
     picture = octex.Projection(one_color(above(), (1.0, 0.0, 0.0)), above())
     with pytest.raises(ArgumentError, match="unknown holes 'fill'; there are: leave, smooth"):
-        octex.paint(None, surface, picture, holes="fill")  # type: ignore[arg-type]
+        octex.paint(None, surface, picture, holes="fill")
     with pytest.raises(ArgumentError, match="coverage must be"):
-        octex.paint(None, surface, picture, coverage="yes")  # type: ignore[arg-type]
+        octex.paint(None, surface, picture, coverage="yes")

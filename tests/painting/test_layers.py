@@ -254,7 +254,7 @@ def test_bad_layers_are_refused_and_nothing_changes():
         ({"is_visible": "no"}, "is_visible"),
     ):
         with pytest.raises(ArgumentError, match=message):
-            layers.change_layer(number, **given)  # type: ignore[arg-type]
+            layers.change_layer(number, **given)
     for call in (
         lambda: layers.delete_layer(7),
         lambda: layers.move_layer(number, 1),
@@ -426,7 +426,7 @@ def test_a_stack_that_is_cropped_as_a_whole_keeps_its_layers():
 def test_what_is_to_be_kept_is_one_of_two():
     surface, texture, _ = start()
     with pytest.raises(ArgumentError, match="keep"):
-        octex.Layers(texture, surface, keep="all")  # type: ignore[arg-type]
+        octex.Layers(texture, surface, keep="all")
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -398,7 +398,7 @@ def test_layers_that_do_not_fit_are_refused():
     with pytest.raises(ArgumentError, match="unknown channel to paint 'base_color'; there are: roughness"):
         octex.merge(moved, layer, surface)
     with pytest.raises(ArgumentError, match="unknown blend 'burn'"):
-        octex.merge(texture, layer, surface, blend="burn")  # type: ignore[arg-type]
+        octex.merge(texture, layer, surface, blend="burn")
 
 
 # --- several pictures
@@ -443,8 +443,7 @@ def test_pictures_of_other_blend_modes_are_merged_one_after_another():
     texture = octex.convert(surface, 4, dtype="float32")
     steps = [("over", (0.8, 0.4, 0.2)), ("multiply", (0.5, 0.5, 0.5)), ("over", (0.0, 1.0, 0.0))]
     pictures = [
-        octex.Projection(one_color(camera, color, 0.5), camera, blend=blend)  # type: ignore[arg-type]
-        for blend, color in steps
+        octex.Projection(one_color(camera, color, 0.5), camera, blend=blend) for blend, color in steps
     ]
     expected = np.array([[0.5, 0.5, 0.5]], np.float32)
     for blend, color in steps:
@@ -452,7 +451,7 @@ def test_pictures_of_other_blend_modes_are_merged_one_after_another():
             expected,
             np.array([color], np.float32),
             np.array([0.5], np.float32),
-            blend,  # type: ignore[arg-type]
+            blend,
         )
     found = octex.paint(texture, surface, pictures, max_depth=4).sample(on_square(50, 0.3))
     np.testing.assert_allclose(found, np.tile(expected, (50, 1)), atol=2e-3)
@@ -547,7 +546,7 @@ def test_what_makes_no_sense_is_refused():
         ({"max_depth": 30}, "max_depth must be a whole number from 0 to 21"),
     ):
         with pytest.raises(ArgumentError, match=message):
-            octex.paint(texture, surface, good, **options)  # type: ignore[arg-type]
+            octex.paint(texture, surface, good, **options)
     with pytest.raises(ArgumentError, match="unknown channel 'colour'"):
         octex.paint(None, surface, good, channel="colour")
     with pytest.raises(ArgumentError, match='alpha is painted with blend="erase"'):

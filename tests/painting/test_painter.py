@@ -234,7 +234,7 @@ def test_a_refused_stroke_leaves_all_as_it_was():
         painter.paint(brush(surface, 9), channel="roughness")
     assert painter.texture() is texture
     with pytest.raises(ArgumentError, match=r"must be an octex\.OctreeTexture"):
-        octex.Painter(None, surface)  # type: ignore[arg-type]
+        octex.Painter(None, surface)
 
 
 def test_what_is_no_pose_of_the_surface_is_refused():
@@ -244,7 +244,7 @@ def test_what_is_no_pose_of_the_surface_is_refused():
         with pytest.raises(ArgumentError, match=f"surface is no pose of surface: it has other {what}"):
             painter.paint(shots(surface, np.random.default_rng(0)), pose=other)
     with pytest.raises(ArgumentError, match=r"pose must be an octex\.Surface"):
-        painter.paint([], pose=surface.vertices)  # type: ignore[arg-type]
+        painter.paint([], pose=surface.vertices)
     assert painter.strokes == ()
 
 

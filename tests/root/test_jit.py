@@ -174,7 +174,7 @@ def test_without_a_folder_to_write_to_kernels_are_compiled_in_each_process(tmp_p
 
     cache._folder_of.cache_clear()
     assert double(1.5) == 3.0
-    assert double.compiled.stats.cache_path is None  # type: ignore[attr-defined]
+    assert double.compiled.stats.cache_path is None
     assert str(numba.config.CACHE_DIR) == str(tmp_path / "file" / "none")
 
 
@@ -190,7 +190,7 @@ def test_garbage_is_collected_less_while_numba_compiles():
     before = gc.get_threshold()
     seen = []
 
-    class Listener(event.Listener):  # type: ignore[misc]
+    class Listener(event.Listener):
         def on_start(self, _event):
             seen.append(gc.get_threshold()[0])
 

@@ -11,6 +11,8 @@ from tests.conftest import needs_jit
 from tests.make.painted import ball, picture_of
 from tests.make.same import arrays_of
 
+pytestmark = needs_jit
+
 #: Of a ball of radius 1: of a tenth of a millimetre in metres, and of a mountain in millimetres.
 UNITS = 2.0**-13, 2.0**22
 
@@ -50,7 +52,6 @@ WORKS = {
 }
 
 
-@needs_jit
 @pytest.mark.parametrize("work", WORKS)
 def test_textures_are_the_same_in_all_units(work):
     expected, *found = (WORKS[work](ball(12, unit), unit) for unit in (1.0, *UNITS))
@@ -61,7 +62,6 @@ def test_textures_are_the_same_in_all_units(work):
             assert np.array_equal(own, other * unit if own is texture.bounds else other)
 
 
-@needs_jit
 @pytest.mark.usefixtures("few_points")
 def test_cameras_are_refined_alike_in_all_units():
     found = []

@@ -68,7 +68,7 @@ def test_each_point_is_answered_by_its_parts_texture(parts, options):
     numbers = {"anisotropy": 3.0} if "dPdx" in options else {}
     numbers |= {"bleed_threshold": 0.0} if options and "normals" not in options else {}
     for more in ({"filter": "linear", "blur": 0.01, "normalize": False}, {"channel": "normal", **numbers}):
-        found = parts.sample(POINTS, PARTS, **options, **more)  # type: ignore[call-overload]
+        found = parts.sample(POINTS, PARTS, **options, **more)
         wanted = np.concatenate(one_by_one(parts, options, **more))
         assert found.dtype == np.float32
         assert np.array_equal(found, wanted)

@@ -14,6 +14,8 @@ from tests.make.browser import served
 from tests.make.painted import ball
 from tests.make.studio import _HOLD, Studio, pictured
 
+pytestmark = needs_jit
+
 _KEY = (
     "(viewer.painting.beneath.key ?? viewer.painting.beneath.known.key) === viewer.painting.beneath.known.key"
 )
@@ -36,7 +38,6 @@ def stacked():
     return layers, [first, second]
 
 
-@needs_jit
 @pytest.mark.parametrize("place", [None, 0, 1])
 @pytest.mark.parametrize(
     ("leads", "channel"), [("erased", "base_color"), ("painted", "base_color"), ("painted", "white")]
@@ -61,7 +62,6 @@ def test_what_strokes_lead_to_is_what_they_make_of_all(place, leads, channel):
     assert (own[known] == wanted[known]).all()
 
 
-@needs_jit
 def test_nothing_is_told_where_no_other_paint_is_met():
     surface = ball(8)
     layers = octex.Layers(octex.convert(surface.with_sources({"base_color": np.ones_like}), depth=3), surface)
@@ -83,7 +83,6 @@ def studio(browser, tmp_path_factory):
     found.session.close()
 
 
-@needs_jit
 def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio):
     page = studio.page()
     page.set_viewport_size({"width": 900, "height": 210})  # without a GPU, each pixel beneath costs 0.1 ms

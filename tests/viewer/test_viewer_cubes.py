@@ -11,6 +11,8 @@ from tests.conftest import needs_jit
 from tests.make.browser import drawn, file_url, opened
 from tests.make.painted import ball
 
+pytestmark = needs_jit
+
 #: Makes the cubes of a level and returns their numbers, and how many there were after each piece.
 _CUBES = """(level) => {
   const { octree } = viewer.parts[0], found = new Uint32Array(5 * octree.countAt(level));
@@ -35,7 +37,6 @@ def painted(browser, tmp_path_factory):
     page.close()
 
 
-@needs_jit
 def test_cubes_are_the_leaves_and_made_in_pieces(painted):
     texture, page = painted
     for level in (0, 3, 6, 7):
@@ -51,7 +52,6 @@ def test_cubes_are_the_leaves_and_made_in_pieces(painted):
     assert max(np.diff(counts)) <= 8 * 2048
 
 
-@needs_jit
 def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(painted):
     texture, page = painted
     page.check("#cubes")
@@ -70,7 +70,6 @@ def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(painted):
     page.evaluate(fewer, most)
 
 
-@needs_jit
 def test_the_legend_names_the_colours_that_are_drawn(painted):
     texture, page = painted
     swatches = "[...document.querySelectorAll('#legend .swatch')].map((each) => each.style.background)"
