@@ -9,6 +9,7 @@ from safetensors.numpy import load_file, save_file
 
 from octex import container, files
 from octex.errors import ArgumentError, OutputError, TextureFileError
+from tests.make.refusal import refused
 
 INTEGERS = [f"{sign}int{bits}" for sign in ("u", "") for bits in (8, 16, 32, 64)]
 DTYPES = [*INTEGERS, "float16", "float32", "float64"]
@@ -164,9 +165,8 @@ DAMAGED = [
 @pytest.mark.parametrize(("content", "message"), DAMAGED)
 def test_damaged_files_are_refused_in_one_line_that_names_them(tmp_path, content, message):
     (tmp_path / "a.octex").write_bytes(content)
-    with pytest.raises(TextureFileError, match=message) as error:
+    with refused(TextureFileError, message, "a.octex"):
         container.read(tmp_path / "a.octex")
-    assert "a.octex" in str(error.value) and "\n" not in str(error.value)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes among its files")
@@ -200,9 +200,8 @@ def test_a_disk_that_fills_up_leaves_the_old_file_whole(tmp_path):
     path = tmp_path / "a.octex"
     container.write(path, {"a": np.arange(5)}, {})
     before = path.read_bytes()
-    with pytest.raises(OutputError, match=r"a\.octex: cannot be written: .*; make room") as error:
+    with refused(OutputError, r"a\.octex: cannot be written: .*; make room"):
         container.write(path, {"a": np.arange(5000)}, {})
-    assert "\n" not in str(error.value)
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
 

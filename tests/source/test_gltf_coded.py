@@ -11,6 +11,7 @@ from octex.errors import ImageError, MissingExtraError, ModelError
 from octex.source.images.decode import decode_image
 from octex.source.load import load_surface
 from tests.make.fixtures import SQUARE, Gltf, png, put, random_image
+from tests.make.refusal import refused
 
 # Pictures of 12 × 8 texels in blocks of 4 × 4, by basis_universal's encoder.
 BLOCKS = np.array(
@@ -344,7 +345,5 @@ def test_damaged_ktx2_images_are_refused_in_one_line_that_names_them(code):
         (plain, "vkFormat 43"),
         (data[:96] + (2**27).to_bytes(8, "little") + data[104:], "too many bytes|not a valid"),
     ):
-        with pytest.raises(ImageError, match=message) as caught:
+        with refused(ImageError, message, "wood.ktx2"):
             decode_image(each, "wood.ktx2")
-        assert "wood.ktx2" in str(caught.value)
-        assert "\n" not in str(caught.value)

@@ -10,6 +10,7 @@ import pytest
 
 from octex.errors import ImageError, MissingExtraError
 from octex.source.images.decode import decode_image
+from tests.make.refusal import refused
 
 ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
 PLAIN, BASIS, PACKED, DEFLATED = 0, 1, 2, 3
@@ -108,10 +109,8 @@ def test_lanes_and_rows_are_turned_as_the_file_says():
     ],
 )
 def test_what_is_damaged_or_not_read_is_refused_in_one_line(data, message):
-    with pytest.raises(ImageError, match=message) as caught:
+    with refused(ImageError, message, "wood.ktx2"):
         decode_image(data, "wood.ktx2")
-    assert "wood.ktx2" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_large_sizes_are_refused_before_they_take_memory():

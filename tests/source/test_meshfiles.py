@@ -13,6 +13,7 @@ from octex.source.cloud import PointCloud
 from octex.source.load import load_surface
 from octex.source.surface import Surface
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, ply, ply_square, png, random_image, stl
+from tests.make.refusal import refused
 
 ENCODINGS = ["ascii", "binary_little_endian", "binary_big_endian"]
 CODES = np.array([[255, 0, 10], [0, 255, 20], [128, 128, 30], [1, 2, 250]])
@@ -230,10 +231,8 @@ BAD_PLY = {
 def test_a_bad_ply_file_is_refused_in_one_line_that_names_it(tmp_path, case):
     make, message = BAD_PLY[case]
     path = make(tmp_path)
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(ModelError, message, "bad.ply"):
         load_surface(path)
-    assert "bad.ply" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS[1:])
@@ -368,10 +367,8 @@ def test_off_faces_have_colours_of_their_own_and_any_number_of_corners(tmp_path)
     ],
 )
 def test_a_bad_off_file_is_refused_in_one_line_that_names_it(tmp_path, text, message):
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(ModelError, message, "bad.off"):
         load_surface(off(tmp_path / "bad.off", text))
-    assert "bad.off" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("ascii", [False, True])
@@ -454,10 +451,8 @@ def test_bad_stl_files_are_refused_in_one_line_that_names_them(tmp_path):
         (stl(path, broken, SQUARE_TRIANGLES).read_bytes(), "not all finite"),
     ):
         path.write_bytes(data)
-        with pytest.raises(ModelError, match=message) as caught:
+        with refused(ModelError, message, "bad.stl"):
             load_surface(path)
-        assert "bad.stl" in str(caught.value)
-        assert "\n" not in str(caught.value)
 
 
 def test_files_that_are_not_there_or_not_models_are_refused(tmp_path):

@@ -8,6 +8,7 @@ import pytest
 import octex
 from octex.errors import ArgumentError, ModelError
 from tests.make.command import run
+from tests.make.refusal import refused
 from tests.make.vxz import dual_grid, vxz
 
 SIDE = 16
@@ -172,7 +173,5 @@ def test_trellis_arrays_with_a_mesh_beside(tmp_path):
 def test_arrays_that_make_no_surface_are_refused(tmp_path, changes, message):
     arrays = {name: each for name, each in {**FLAT, **changes}.items() if each is not None}
     np.savez(tmp_path / "bad.npz", **arrays, allow_pickle=True)
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(ModelError, message, "bad.npz"):
         octex.load_surface(tmp_path / "bad.npz")
-    assert "bad.npz" in str(caught.value)
-    assert "\n" not in str(caught.value)

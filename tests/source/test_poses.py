@@ -12,6 +12,7 @@ from octex.view.shading import face_normals
 from octex.view.zbuffer import z_buffer
 from tests.conftest import needs_jit
 from tests.make.fixtures import MISSING, SQUARE, Gltf, put, rows
+from tests.make.refusal import refused
 from tests.oracles.naive_poses import posed
 
 WEIGHTS = np.float32([[1, 0, 0, 0], [0.25, 0.75, 0, 0], [0.5, 0.25, 0.25, 0], [0, 0, 1, 0]])
@@ -202,9 +203,8 @@ def broken(changes):
 def test_a_broken_animation_is_refused_in_one_line(tmp_path, changes, message):
     file = broken(changes).save(tmp_path / "a.glb")
     octex.load_surface(file)  # as it rests it is read
-    with pytest.raises(ModelError, match=message) as refused:
+    with refused(ModelError, message):
         octex.load_surface(file, pose="A@0")
-    assert "\n" not in str(refused.value)
 
 
 def test_broken_files_of_others_are_refused_or_posed(models):

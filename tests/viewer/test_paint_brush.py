@@ -23,13 +23,6 @@ from tests.viewer.test_session import plain as plain_command
 BLENDS = ["over", "multiply", "screen", "add"]
 
 
-@pytest.fixture
-def session(tmp_path):
-    found = Session(*canvas(), tmp_path / "out.octex")
-    yield found
-    found.close()
-
-
 def drawn_and_baked(studio, page, drags):
     """Draw strokes; return the picture before, with what the page draws of them, and with them baked."""
     before = pictured(page)

@@ -76,13 +76,6 @@ def without_color(body):
     return json.dumps(fields).encode() + b"\n" + content
 
 
-@pytest.fixture
-def session(tmp_path):
-    found = Session(*canvas(), tmp_path / "out.octex")
-    yield found
-    found.close()
-
-
 @pytest.mark.parametrize("names", [[], ["roughness"], ["roughness", "metallic"], list(GIVEN)])
 @pytest.mark.parametrize("has_color", [True, False])
 def test_a_stroke_paints_each_channel_as_the_library_does_and_is_one_step(names, has_color, session):

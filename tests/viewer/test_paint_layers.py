@@ -17,13 +17,6 @@ from tests.make.studio import _HOLD, pictured
 from tests.viewer.test_session import PAGE, SIZE, camera, canvas, disc, plain, stroke
 
 
-@pytest.fixture
-def session(tmp_path):
-    found = Session(*canvas(), tmp_path / "out.octex")
-    yield found
-    found.close()
-
-
 def painted(layers, number, blend="over"):
     """Paint what `stroke` sends as a user of the library does."""
     image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)

@@ -89,13 +89,6 @@ def painted(painter, number):
     painter.paint(octex.Projection(image, camera(), opacity=0.8), max_angle=85)
 
 
-@pytest.fixture
-def session(tmp_path):
-    found = Session(*canvas(), tmp_path / "out.octex")
-    yield found
-    found.close()
-
-
 def test_commands_do_bit_for_bit_what_calls_of_the_library_do(session):
     texture, surface = canvas()
     painter = octex.Painter(texture, surface)
