@@ -15,27 +15,11 @@ from octex.tree.layout import AREA_ONE, AREA_STEPS, GRID_BITS, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.placement import on_grid
 from tests.conftest import needs_jit
+from tests.make.painted import ball
 from tests.make.small_surfaces import FACES, TETRAHEDRON, FaceSource, tetrahedron
 from tests.oracles import naive_cells
 
 convert_means = partial(octex.convert, fit=False)
-
-
-def sphere(around=48):
-    theta = np.linspace(0, 2 * np.pi, around, endpoint=False)
-    phi = np.linspace(0, np.pi, around // 2)[1:-1]
-    t, p = np.meshgrid(theta, phi, indexing="ij")
-    vertices = np.stack([np.cos(t) * np.sin(p), np.sin(t) * np.sin(p), np.cos(p)], axis=-1).reshape(-1, 3)
-    along = len(phi)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(around), np.arange(along - 1), indexing="ij"))
-    a, b, c, d = (
-        i * along + j,
-        i * along + j + 1,
-        (i + 1) % around * along + j + 1,
-        (i + 1) % around * along + j,
-    )
-    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]).astype(np.int32)
-    return Surface.from_arrays(vertices, triangles, colors=0.5 + 0.5 * vertices)
 
 
 def box(size):
@@ -88,10 +72,10 @@ def test_a_leaf_holds_the_area_weighted_mean_of_the_surface_inside(depth):
 
 @needs_jit
 def test_a_node_averages_the_surface_below_it_in_linear_light():
-    texture = convert_means(sphere(), depth=7)
+    texture = convert_means(ball(), depth=7)
     texture.validate()
-    points = sphere().scatter(200_000)
-    values = sphere().evaluate(points)
+    points = ball().scatter(200_000)
+    values = ball().evaluate(points)
     for level in (0, 1, 2, 3):
         coarse = texture.level(level)
         cells = np.floor(texture.placement.to_texture_space(points.rest) * 2**level).astype(int)
@@ -107,7 +91,7 @@ def test_a_node_averages_the_surface_below_it_in_linear_light():
 @needs_jit
 @pytest.mark.parametrize(
     "surface",
-    [sphere(), box((1, 1, 1)), box((4, 2, 1)), box((1, 1e-3, 0.25))],
+    [ball(), box((1, 1, 1)), box((4, 2, 1)), box((1, 1e-3, 0.25))],
     ids=["sphere", "cube", "box", "slab"],
 )
 @pytest.mark.parametrize("options", [{"depth": 6}, {"depth": 9}, {"cell": 1 / 64}], ids=str)
