@@ -203,13 +203,8 @@ def test_channels_can_come_from_elsewhere(square, tmp_path, cli):
     image.write_bytes(png(np.full((2, 2, 1), 51, np.uint8)))
     out = tmp_path / "out.octex"
     arguments = [
-        "--source",
-        f"roughness={image}",
-        "--source",
-        "base_color=1,0.5,0",
-        "--source",
-        "metallic=0.2",
-    ]
+        "--source", f"roughness={image}", "--source", "base_color=1,0.5,0", "--source", "metallic=0.2",
+    ]  # fmt: skip
     cli.result(square, out, "--depth", 3, *arguments)
     texture = octex.open(out)
     values = texture.sample([[0.4, 0.6, 0.0]], ["base_color", "roughness", "metallic"])

@@ -493,17 +493,10 @@ def test_the_options_of_painting_reach_the_library(scene, tmp_path, monkeypatch,
     assert run.progress is not None
     assert seen.pop("like") is not None
     assert seen == {
-        "channel": "base_color",
-        "max_depth": 3,
-        "max_angle": 60.0,
-        "edge_feather": 1.5,
-        "pictures": "average",
-        "balance": "gain",
-        "reference": None,
-        "back_faces": True,
-        "hidden": False,
+        "channel": "base_color", "max_depth": 3, "max_angle": 60.0, "edge_feather": 1.5,
+        "pictures": "average", "balance": "gain", "reference": None, "back_faces": True, "hidden": False,
         "fit": False,
-    }
+    }  # fmt: skip
     cli.result(*scene.shot, OUT, tmp_path / "hidden.octex", "--max-angle", "hidden")
     assert (seen["max_angle"], seen["back_faces"], seen["hidden"]) == (None, False, True)
 

@@ -203,13 +203,8 @@ def test_integers_hold_light_that_is_nowhere_above_1_whatever_its_source_could_g
 def test_sources_of_ones_own_replace_channels_and_add_to_them():
     texture = octex.convert(whole(), depth=3, sources={"base_color": (0.25, 0.5, 1.0), "occlusion": 0.4})
     assert list(texture.channels) == [
-        "base_color",
-        "metallic",
-        "roughness",
-        "occlusion",
-        "emissive",
-        "normal",
-    ]
+        "base_color", "metallic", "roughness", "occlusion", "emissive", "normal",
+    ]  # fmt: skip
     found = texture.sample(TETRAHEDRON, ["base_color", "occlusion"])
     assert np.allclose(found["base_color"], [[0.25, 0.5, 1.0]], atol=0.005)
     assert np.allclose(found["occlusion"], 0.4, atol=0.002)

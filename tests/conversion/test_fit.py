@@ -388,14 +388,9 @@ def test_components_that_weigh_alike_are_solved_together_and_alpha_first():
     groups = fit._groups((*forms, ChannelFormat("four", 4, "data")))
     columns = list(range(sum(form.components for form in forms) + 4))
     assert [(group.format.name, columns[group.columns]) for group in groups] == [
-        ("alpha", [3]),
-        ("base_color", [0, 1, 2]),
-        ("metallic", [4, 5]),
-        ("height", [6]),
-        ("emissive", [7, 8, 9]),
-        ("four", [10, 11, 12]),
-        ("four", [13]),
-    ]
+        ("alpha", [3]), ("base_color", [0, 1, 2]), ("metallic", [4, 5]), ("height", [6]),
+        ("emissive", [7, 8, 9]), ("four", [10, 11, 12]), ("four", [13]),
+    ]  # fmt: skip
 
 
 # --- samples

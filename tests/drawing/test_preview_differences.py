@@ -173,17 +173,10 @@ def test_a_preview_of_no_difference_is_dark(texture):
 @pytest.mark.parametrize(
     ("p99", "maximum", "top"),
     [
-        (0.0, 0.0, 255.0),
-        (0.7, 1.0, 1.0),
-        (1.0, 1.0, 1.0),
-        (1.1, 3.0, 2.0),
-        (0.0, 30.0, 5.0),
-        (49.0, 60.0, 50.0),
-        (51.0, 60.0, 100.0),
-        (0.003, 0.004, 0.005),
-        (3.0, math.inf, 255.0),
+        (0.0, 0.0, 255.0), (0.7, 1.0, 1.0), (1.0, 1.0, 1.0), (1.1, 3.0, 2.0), (0.0, 30.0, 5.0),
+        (49.0, 60.0, 50.0), (51.0, 60.0, 100.0), (0.003, 0.004, 0.005), (3.0, math.inf, 255.0),
     ],
-)
+)  # fmt: skip
 def test_the_scale_ends_at_a_round_number(p99, maximum, top):
     shown = Difference("sRGB codes", 0.0, 0.0, p99, maximum, (0.0, 0.0, 0.0), (), ())
     assert PEAKS[shown.measure] == 255

@@ -287,18 +287,8 @@ def odd_values():
     numbers = [-1, 0, 1, 2, 0.5, np.inf, -np.inf, np.nan, 1e-312, 1e300, 2**70, -(2**70), 10**400, True, 1j]
     scalars = [np.int64(3), np.bool_(False), np.float32(0.5), np.complex128(1j), np.datetime64("2000-01-01")]
     texts = [
-        "",
-        "x",
-        "base_color",
-        "nearest",
-        "uint8",
-        "\ud800",
-        "x" * 5000,
-        "a\0b.octex",
-        b"a\0b",
-        b"x",
-        b"",
-    ]
+        "", "x", "base_color", "nearest", "uint8", "\ud800", "x" * 5000, "a\0b.octex", b"a\0b", b"x", b"",
+    ]  # fmt: skip
     things = [None, object(), (lambda *_: None), range(3), {1}, set(), frozenset("x"), iter([])]
     named = [{}, {"x": 1}, {1: 2}, {"base_color": None}, {"base_color": "x"}]
     rows = [[], (), [None], ["x"], [[]], [[1, 2], [3]]]

@@ -875,25 +875,11 @@ def draw_curves(random, run):
 
 
 STEPS = (
-    (draw_fill, 6),
-    (draw_fill_all, 1),
-    (draw_paint, 4),
-    (draw_session, 2),
-    (draw_layers, 2),
-    (draw_layer, 2),
-    (draw_again, 1),
-    (draw_map, 2),
-    (draw_levels, 1),
-    (draw_mix, 3),
-    (draw_combine, 2),
-    (draw_blur, 2),
-    (draw_crop, 2),
-    (draw_resize, 2),
-    (draw_cast, 2),
-    (draw_level, 1),
-    (draw_curves, 1),
+    (draw_fill, 6), (draw_fill_all, 1), (draw_paint, 4), (draw_session, 2), (draw_layers, 2),
+    (draw_layer, 2), (draw_again, 1), (draw_map, 2), (draw_levels, 1), (draw_mix, 3), (draw_combine, 2),
+    (draw_blur, 2), (draw_crop, 2), (draw_resize, 2), (draw_cast, 2), (draw_level, 1), (draw_curves, 1),
     (draw_reopened, 1),
-)
+)  # fmt: skip
 LARGE = draw_paint, draw_session, draw_layers, draw_layer, draw_again, draw_mix, draw_combine
 LARGE += draw_curves, draw_reopened
 SMALL_STEPS = tuple(pair for pair in STEPS if pair[0] not in LARGE)

@@ -466,14 +466,9 @@ def test_every_error_is_an_octex_error_of_its_kind():
 
 def test_exit_codes_are_the_shells_and_say_what_they_mean():
     assert {code.name: int(code) for code in ExitCode} == {
-        "DONE": 0,
-        "INVALID": 1,
-        "REFUSED": 2,
-        "NOTHING_PAINTED": 3,
-        "CRASHED": 70,
-        "INTERRUPTED": 130,
+        "DONE": 0, "INVALID": 1, "REFUSED": 2, "NOTHING_PAINTED": 3, "CRASHED": 70, "INTERRUPTED": 130,
         "TERMINATED": 143,
-    }
+    }  # fmt: skip
     assert all(code.meaning for code in ExitCode)
     assert ExitCode(2) is ExitCode.REFUSED
 

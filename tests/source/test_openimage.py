@@ -218,14 +218,9 @@ RGB = Part(planes(random_light(4, 4, 3), "RGB"))
 CODES = random_image(4, 4, 3, "uint16")
 ONES = np.ones((2, 2), np.float32)
 DEEP = {
-    "exr": exr(RGB),
-    "hdr": hdr(random_image(4, 4, 4)),
-    "tif": tiff(CODES, 2),
-    "psd": psd(CODES),
-    "sgi": sgi(CODES),
-    "ppm": pnm(CODES),
-    "pfm": pfm(random_light(4, 4, 3)),
-}
+    "exr": exr(RGB), "hdr": hdr(random_image(4, 4, 4)), "tif": tiff(CODES, 2), "psd": psd(CODES),
+    "sgi": sgi(CODES), "ppm": pnm(CODES), "pfm": pfm(random_light(4, 4, 3)),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("ending", DEEP)

@@ -106,16 +106,9 @@ def test_info_says_where_the_bytes_go():
     info = eight_colors().info()
     assert json.loads(json.dumps(info)) == info
     assert info["bytes"] == {
-        "header": 4096,
-        "structure": 24 + 24 + 24,
-        "flags": 9,
-        "areas": 9,
-        "split": 0,
-        "kept": 0,
-        "channel base_color": 27,
-        "other": 0,
-        "total": 4096 + 72 + 9 + 9 + 27,
-    }
+        "header": 4096, "structure": 24 + 24 + 24, "flags": 9, "areas": 9, "split": 0, "kept": 0,
+        "channel base_color": 27, "other": 0, "total": 4096 + 72 + 9 + 9 + 27,
+    }  # fmt: skip
     assert info["levels"] == [{"level": 0, "leaves": 0, "nodes": 1}, {"level": 1, "leaves": 8, "nodes": 0}]
     assert info["finest_cell"] == 0.5
     assert info["provenance"] == {"source": "eight"}

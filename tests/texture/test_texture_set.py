@@ -384,18 +384,11 @@ GOOD = {"format": "octex set", "format_version": 1, "parts": {"a": "a.octex"}, "
         *(
             (GOOD | {"parts": {"a": file}}, r"part 'a' is in '.*', which is not an \.octex file next to it")
             for file in (
-                "../a.octex",
-                "/a.octex",
-                "C:\\a.octex",
-                "x/../a.octex",
-                "a\0.octex",
-                "..",
-                "a.txt",
-                "",
+                "../a.octex", "/a.octex", "C:\\a.octex", "x/../a.octex", "a\0.octex", "..", "a.txt", "",
             )
         ),
     ],
-)
+)  # fmt: skip
 def test_a_broken_folder_is_refused_in_one_line(tmp_path, index, message):
     here = tmp_path / "set"
     here.mkdir()
