@@ -28,7 +28,22 @@ def parsed(*words, command="convert"):
 
 
 TOOLS = Path(__file__).parents[2] / "tools" / "release"
-HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree")
+HEAVY = [
+    "numpy",
+    "numba",
+    "PIL",
+    "trimesh",
+    "manifold3d",
+    "tqdm",
+    "octex.texture",
+    "octex.tree",
+    "octex.painting",
+]
+#: Commands that read and write nothing, and their exit codes.
+IDLE = {
+    "convert --help": 0, "convert model.glb nowhere/model.octex": 2, "paint --help": 0, "paint --version": 0,
+    "paint a.glb b.octex": 2, "--help": 0, "help painting": 0, "x": 2,
+}  # fmt: skip
 
 
 # --- usage
@@ -166,16 +181,18 @@ def test_version_is_the_packages(cli):
     assert cli.result("--version") == f"octree-convert {octex.__version__}\n"
 
 
-def test_help_and_refusals_import_nothing_heavy():
+def test_help_pages_and_refusals_import_nothing_heavy():
     code = f"""
 import sys
 from octex.cli.main import main
-assert main(["convert", "--help"]) == 0
-assert main(["convert", "model.glb", "nowhere/model.octex"]) == 2
-print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
+codes = [int(main(words.split())) for words in {list(IDLE)}]
+print(codes, [name for name in {HEAVY} if name in sys.modules])
 """
     done = python(code)
-    assert done.stderr.splitlines()[-1] == "[]"
+    assert done.stdout.splitlines()[-1] == f"{list(IDLE.values())} []"
+    lines = done.stderr.splitlines()
+    assert len(lines) == 3
+    assert lines[1] == "octex paint: error: --camera is missing; see octex paint --help"
 
 
 @needs_jit

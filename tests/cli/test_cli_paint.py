@@ -20,7 +20,7 @@ from octex.cli.parser import Parser
 from octex.cli.values import BALANCES, BLENDS, HOLES, PICTURES, camera
 from octex.errors import ExitCode
 from tests.conftest import needs_jit
-from tests.make.command import OUT, VIEW, Painting, colored_box, painting, python
+from tests.make.command import OUT, VIEW, Painting, colored_box, painting
 from tests.make.same import assert_equal, assert_same
 
 SIZE = 40
@@ -913,19 +913,6 @@ def test_the_help_names_the_librarys_defaults():
     )
     assert f"edges in depth (default {defaults['edge_feather']:g})" in text
     assert inspect.signature(paint.paint).parameters["max_depth"].default is None
-
-
-def test_the_help_and_a_refusal_import_nothing_heavy():
-    heavy = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.painting")
-    code = f"""
-import sys
-from octex.cli.main import main
-codes = [main(["paint", "--help"]), main(["paint", "--version"]), main(["paint", "a.glb", "b.octex"])]
-print(codes, sorted(set({heavy!r}) & set(sys.modules)))
-"""
-    done = python(code)
-    assert done.stdout.splitlines()[-1] == "[0, 0, <ExitCode.REFUSED: 2>] []"
-    assert done.stderr == "octex paint: error: --camera is missing; see octex paint --help\n"
 
 
 # --- as a process

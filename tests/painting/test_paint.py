@@ -165,24 +165,6 @@ def _is_inner(layer, level, code, whole):
     return bool(np.isin(stored, whole).all())
 
 
-def test_a_depth_halves_cells_and_limits_them():
-    points, triangles = square()
-    surface = octex.Surface.from_arrays(points, triangles)
-    camera = above(3.0, 128, 384.0)  # 128 pixels to a unit
-    picture = octex.Projection(spot(camera, (1, 0, 0), 40), camera)
-
-    def pixels(max_depth):
-        layer = octex.project(surface, picture, max_depth=max_depth)
-        return 128.0 * layer.placement.size / 2**layer.tree.max_depth
-
-    default, halved, limited = pixels(None), pixels(14), pixels(5)
-    assert 0.5 <= default <= 1.1
-    assert 0.25 <= halved <= 0.55
-    assert halved < default
-    size = octex.project(surface, picture).placement.size
-    assert limited == pytest.approx(128.0 * size / 2**5, rel=0.1)
-
-
 @pytest.mark.parametrize("dtype", ["float32", "uint8"])
 def test_fine_paint_over_a_coarse_texture_moves_nothing_beyond_its_boundary(dtype):
     points, triangles = square()
@@ -712,7 +694,7 @@ def test_what_opaque_paint_covers_keeps_nothing_and_has_no_skirts(opacity, blend
 
 def test_pictures_get_cells_of_half_a_pixel_to_one_unless_they_may_be_finer():
     surface = plain(square(0.0, 1.0))
-    image = np.full((64, 64, 3), 9, np.uint8)
+    image = spot(above(size=64), (1, 0, 0), 20.0)
     for pixels_per_unit in (20.0, 30.0, 40.0, 55.0):
         pose = np.eye(4)
         pose[2, 3] = 2.0
@@ -725,6 +707,8 @@ def test_pictures_get_cells_of_half_a_pixel_to_one_unless_they_may_be_finer():
         assert 0.5 < cell < 1.1
         finest = deepest.placement.size / 2**deepest.tree.max_depth * pixels_per_unit
         assert 0.25 < finest < 0.55
+        assert finest < cell
+        assert octex.project(surface, octex.Projection(image, camera), max_depth=3).tree.max_depth == 3
 
 
 def test_paint_of_one_color_is_that_color_in_all_leaves():

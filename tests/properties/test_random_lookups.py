@@ -68,16 +68,6 @@ def test_a_row_that_is_not_finite_is_named_however_it_is_looked_at(filter):
                 texture.sample(points, filter=filter, gradient=gradient, **each)
 
 
-@pytest.mark.parametrize(
-    ("origin", "size"),
-    [((0.0, 0.0, 0.0), 1e-312), ((0.0, 0.0, 0.0), 1e31), ((1e31, 0.0, 0.0), 1.0), ((0.0, np.nan, 0.0), 1.0)],
-)
-def test_root_cells_out_of_range_are_refused(origin, size):
-    texture = shell(2)
-    with pytest.raises(ArgumentError, match="size from 1e-30 to 1e\\+30 and a corner"):
-        OctreeTexture(texture.tree, texture.channels, Placement(origin, size), UNIT_BOUNDS)
-
-
 @pytest.mark.parametrize("extent", [1e-200, 1e-40, 1e40, 1e200])
 def test_bounds_whose_root_cell_is_out_of_range_are_refused(extent):
     with pytest.raises(ArgumentError, match="the root cell must have a size from"):

@@ -158,11 +158,15 @@ def test_metadata_that_are_not_texts_are_refused(metadata):
 
 
 @pytest.mark.parametrize(
-    "placement", [Placement((0, 0, np.nan), 1), Placement((0, 0, 0), 0), Placement((0, 0, 0), np.inf)]
+    ("origin", "size"),
+    [
+        *(((0, 0, np.nan), 1), ((0, np.nan, 0), 1), ((0, 0, 0), 0), ((0, 0, 0), np.inf)),
+        *(((0, 0, 0), 1e-312), ((0, 0, 0), 1e31), ((1e31, 0, 0), 1)),
+    ],
 )
-def test_an_impossible_root_cell_is_refused(placement):
-    with pytest.raises(ArgumentError, match="the root cell must have a size from 1e-30"):
-        eight_colors(placement=placement)
+def test_an_impossible_root_cell_is_refused(origin, size):
+    with pytest.raises(ArgumentError, match=r"root cell must have a size from 1e-30 to 1e\+30 and a corner"):
+        eight_colors(placement=Placement(origin, size))
 
 
 @pytest.mark.parametrize("bounds", [[[0, 0, 0]], [[0, 0, 0], [1, 1, np.inf]]])
