@@ -7,7 +7,7 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from octex import container, files
+from octex import container
 from octex.errors import ArgumentError, OutputError, TextureFileError
 from tests.make.refusal import refused
 
@@ -203,16 +203,6 @@ def test_a_disk_that_fills_up_leaves_the_old_file_whole(tmp_path):
     with refused(OutputError, r"a\.octex: cannot be written: .*; make room"):
         container.write(path, {"a": np.arange(5000)}, {})
     assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_save_that_is_interrupted_leaves_the_old_file_whole(tmp_path):
-    path = tmp_path / "a"
-    path.write_bytes(b"old")
-    with pytest.raises(KeyboardInterrupt), files.replacing(path) as file:
-        file.write(b"new")
-        raise KeyboardInterrupt
-    assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
 
 

@@ -54,11 +54,6 @@ def test_kd_is_an_srgb_value_and_multiplies_the_map(tmp_path):
     np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-5)
 
 
-def test_black_kd_beside_a_map_means_nothing(tmp_path):
-    surface = load_surface(wooden(tmp_path, WOOD + "Kd 0 0 0\n"))
-    assert surface.evaluate(surface.scatter(20)).mean() > 0.1
-
-
 def test_one_number_of_kd_is_grey(tmp_path):
     surface = load_surface(wooden(tmp_path, "newmtl wood\nKd 0.5\n"))
     expected = srgb_to_linear([[0.5] * 3] * 5)
