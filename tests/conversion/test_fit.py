@@ -67,11 +67,15 @@ def pair(surface, depth, **options):
     return tuple(octex.convert(surface, depth, fit=fit, **options) for fit in (False, True))
 
 
-def filled(surface, depth, executor):
+def sampled(surface, depth):
+    """The levels of cells of a surface, the tree and channels, the samples, and where they are placed."""
     placement = Placement.around(surface.bounds, depth)
-    return cell_levels(
-        surface, surface.source, surface.channels, placement, depth, executor, silent, has_samples=True
-    ), placement
+    with ThreadPoolExecutor(1) as pool:
+        full = cell_levels(
+            surface, surface.source, surface.channels, placement, depth, pool, silent, has_samples=True
+        )
+    made = assemble(full)
+    return full, made, made.samples, placement
 
 
 class Pattern(FaceSource):
@@ -91,12 +95,9 @@ def test_the_fit_is_the_least_squares_between_the_bounds(dtype):
     source = Pattern()
     source._channels = (form,)
     surface = Surface(TETRAHEDRON, FACES, source)
+    _, made, samples, placement = sampled(surface, 4)
+    tree, channels = made.tree, made.channels
     with ThreadPoolExecutor(1) as pool:
-        full, placement = filled(surface, 4, pool)
-        made = assemble(full)
-        samples = made.samples
-        assert samples is not None
-        tree, channels = made.tree, made.channels
         found = fit.Fitter(samples, pool, silent).fit(tree, channels)
     chosen = np.arange(len(samples.shares))
     taps = taps_of(Field(tree), sample_points(samples, chosen, placement), placement)
@@ -363,15 +364,12 @@ def merged(tree, channels):
 def test_trees_of_any_depths_are_fitted(monkeypatch):
     monkeypatch.setattr(fit, "BRICK_SAMPLES", 500)
     surface = painted(waves(16))
+    _, made, samples, placement = sampled(surface, 6)
+    tree, channels = merged(made.tree, made.channels)
+    leaves = Leaves.of(tree, samples)
+    assert np.array_equal(leaves.ranks[leaves.cells], np.arange(tree.n_leaves))
+    assert leaves.firsts[-1] == len(samples.shares)
     with ThreadPoolExecutor(2) as pool:
-        full, placement = filled(surface, 6, pool)
-        made = assemble(full)
-        samples = made.samples
-        assert samples is not None
-        tree, channels = merged(made.tree, made.channels)
-        leaves = Leaves.of(tree, samples)
-        assert np.array_equal(leaves.ranks[leaves.cells], np.arange(tree.n_leaves))
-        assert leaves.firsts[-1] == len(samples.shares)
         found = fit.Fitter(samples, pool, silent).fit(tree, channels)
     textures = [OctreeTexture(tree, each, placement, surface.bounds, {}) for each in (channels, found)]
     assert error(textures[1], surface) < 0.5 * error(textures[0], surface)
@@ -397,12 +395,7 @@ def test_components_that_weigh_alike_are_solved_together_and_alpha_first():
 
 
 def test_every_cell_has_a_sample_for_each_way_its_surface_faces():
-    surface = tetrahedron()
-    with ThreadPoolExecutor(1) as pool:
-        full, placement = filled(surface, 4, pool)
-    made = assemble(full)
-    samples = made.samples
-    assert samples is not None
+    full, _, samples, placement = sampled(tetrahedron(), 4)
     flags = np.concatenate([part.flags for part in full.levels[4]]) & 63
     counts = np.diff(samples.firsts)
     facings = bit_counts(flags)
@@ -431,12 +424,7 @@ def _distances(points, face):
 
 
 def test_two_pieces_that_face_alike_are_two_samples_unless_one_is_small():
-    surface = Surface.from_arrays(SQUARE, HALVES, colors=SQUARE)
-    with ThreadPoolExecutor(1) as pool:
-        full, _ = filled(surface, 4, pool)
-    made = assemble(full)
-    samples = made.samples
-    assert samples is not None
+    _, _, samples, _ = sampled(Surface.from_arrays(SQUARE, HALVES, colors=SQUARE), 4)
     counts = np.diff(samples.firsts)
     i, j, _ = decode_cells(samples.codes).T
     assert (counts[i == j] == 2).any()  # on the diagonal
@@ -451,11 +439,7 @@ def test_samples_of_a_cell_have_its_mean_and_its_middle_however_many_pieces_it_h
     rows = np.random.default_rng(2).random((len(surface.triangles), 2))
     source = FaceSource((ROUGHNESS._replace(dtype="float32"), ALPHA._replace(dtype="float32")), rows)
     surface = Surface(surface.rest, surface.triangles, source)
-    with ThreadPoolExecutor(1) as pool:
-        full, placement = filled(surface, 3, pool)
-    made = assemble(full)
-    samples = made.samples
-    assert samples is not None
+    full, _, samples, placement = sampled(surface, 3)
     firsts = samples.firsts[:-1]
     roughness, alpha = samples.values.T
     shares = samples.shares.astype(float)
@@ -480,12 +464,7 @@ def test_samples_of_fine_types_are_fine():
     for dtype, kept in (("uint8", np.float16), ("float16", np.float16), ("uint16", np.float32)):
         form = METALLIC._replace(dtype=dtype)
         surface = Surface(TETRAHEDRON, FACES, FaceSource((form,), [[0.1]] * 4))
-        with ThreadPoolExecutor(1) as pool:
-            full, _ = filled(surface, 2, pool)
-        made = assemble(full)
-        samples = made.samples
-        assert samples is not None
-        assert samples.values.dtype == kept
+        assert sampled(surface, 2)[2].values.dtype == kept
 
 
 def test_a_source_says_how_fine_it_is():

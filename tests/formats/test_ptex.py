@@ -94,19 +94,20 @@ def test_what_is_written_is_read_by_a_simple_reader_and_by_octex(seed, tmp_path)
             assert metadata[name] == value.encode() + b"\0"
 
 
+def written(path, mesh_type, log2, texels, **options):
+    """Write a file of three faces that have no neighbours."""
+    peer = tool("bench/peers/ptex_peer")
+    alone = np.full((3, 4), -1, np.int32)
+    faces = peer.Faces(np.full((3, 2), log2, np.int8), alone, np.zeros((3, 4), np.uint8), np.zeros(3, bool))
+    with workers(Run(threads=1)) as executor:
+        write_contents(peer.Contents(mesh_type, faces, texels, **options), path, executor)
+    return path
+
+
 @pytest.mark.parametrize("mesh_type", ["quad", "triangle"])
 def test_reductions_and_averages_are_means_of_texels_to_rounding(mesh_type, tmp_path):
-    peer = tool("bench/peers/ptex_peer")
-    faces = peer.Faces(
-        np.full((3, 2), 5, np.int8),
-        np.full((3, 4), -1, np.int32),
-        np.zeros((3, 4), np.uint8),
-        np.zeros(3, bool),
-    )
     texels = np.random.default_rng(0).integers(0, 256, (3 * 1024, 3)).astype(np.uint8)
-    path = tmp_path / "made.ptx"
-    with workers(Run(threads=1)) as executor:
-        write_contents(peer.Contents(mesh_type, faces, texels), path, executor)
+    path = written(tmp_path / "made.ptx", mesh_type, 5, texels)
     _, levels, _ = naive_ptex.read(path)
     with PtexFile(path) as file:
         assert file.n_levels == len(levels) == 4
@@ -139,17 +140,8 @@ def test_damaged_files_are_refused_or_read(tmp_path):
 
 
 def test_edits_that_were_appended_count(tmp_path):
-    peer = tool("bench/peers/ptex_peer")
-    faces = peer.Faces(
-        np.full((3, 2), 1, np.int8),
-        np.full((3, 4), -1, np.int32),
-        np.zeros((3, 4), np.uint8),
-        np.zeros(3, np.bool_),
-    )
     texels = np.arange(12, dtype=np.uint8)[:, None]
-    path = tmp_path / "made.ptx"
-    with workers(Run(threads=1)) as executor:
-        write_contents(peer.Contents("quad", faces, texels, metadata={"by": "me"}), path, executor)
+    path = written(tmp_path / "made.ptx", "quad", 1, texels, metadata={"by": "me"})
     record = struct.pack("<bbBB4i", 1, 0, 0, 0, -1, -1, -1, -1)
     block = zlib.compress(bytes([70, 80]))
     face = struct.pack("<I", 1) + record + struct.pack("<I", len(block) | 1 << 30) + bytes([75]) + block

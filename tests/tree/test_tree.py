@@ -1,3 +1,5 @@
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -235,10 +237,7 @@ def damaged(tree, group, word, flip):
 )
 def test_validate_names_what_is_broken_in_the_structure(group, word, flip, message):
     tree = damaged(full_tree(), group, word, flip)
-    if message:
-        with pytest.raises(TextureFileError, match=message):
-            tree.validate()
-    else:
+    with pytest.raises(TextureFileError, match=message) if message else nullcontext():
         tree.validate()
 
 
@@ -299,10 +298,7 @@ def test_validate_checks_the_split_table(cells, facings, rows, message):
     flags[[0, 2]] |= SPLIT
     split = SplitTable(np.array(cells, np.uint32), np.array(facings, np.uint8), np.zeros(rows, np.uint8))
     tree = tree.with_cell_data(flags, tree.arrays.areas, split)
-    if message:
-        with pytest.raises(TextureFileError, match=message):
-            tree.validate()
-    else:
+    with pytest.raises(TextureFileError, match=message) if message else nullcontext():
         tree.validate()
 
 
@@ -323,10 +319,7 @@ def test_validate_checks_the_table_of_kept_nodes(flagged, listed, message):
     flags[flagged] |= KEPT
     tree = tree.with_cell_data(flags, tree.arrays.areas, kept=KeptTable(np.array(listed, np.uint32)))
     assert tree.nbytes == full_tree().nbytes + 4 * len(listed)
-    if message:
-        with pytest.raises(TextureFileError, match=message):
-            tree.validate()
-    else:
+    with pytest.raises(TextureFileError, match=message) if message else nullcontext():
         tree.validate()
 
 
