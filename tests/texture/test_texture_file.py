@@ -120,6 +120,15 @@ def test_a_file_is_opened_by_its_metadata_not_by_its_name(tmp_path):
         octex.open(tmp_path / "a.octex")
 
 
+def changed(path, **changes):
+    """Write a texture with other tensors or metadata; those that are None are left out."""
+    eight_colors().save(path)
+    contents = container.read(path)
+    parts = [getattr(contents, part) | changes.get(part, {}) for part in ("tensors", "metadata")]
+    container.write(path, *({key: each for key, each in part.items() if each is not None} for part in parts))
+    return path
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
@@ -149,11 +158,7 @@ def test_a_file_is_opened_by_its_metadata_not_by_its_name(tmp_path):
     ],
 )
 def test_damaged_metadata_are_refused_by_name(tmp_path, name, text, message):
-    path = tmp_path / "a.octex"
-    eight_colors().save(path)
-    tensors, metadata, _ = container.read(path)
-    changed = {key: value for key, value in (metadata | {name: text}).items() if value is not None}
-    container.write(path, tensors, changed)
+    path = changed(tmp_path / "a.octex", metadata={name: text})
     with pytest.raises(TextureFileError, match=message) as error:
         octex.open(path)
     assert str(error.value).startswith(str(path)) and "\n" not in str(error.value)
@@ -174,13 +179,8 @@ def test_damaged_metadata_are_refused_by_name(tmp_path, name, text, message):
     ],
 )
 def test_missing_and_misshapen_tensors_are_refused_by_name(tmp_path, name, array, message):
-    path = tmp_path / "a.octex"
-    eight_colors().save(path)
-    tensors, metadata, _ = container.read(path)
-    changed = {key: value for key, value in (tensors | {name: array}).items() if value is not None}
-    container.write(path, changed, metadata)
     with pytest.raises(TextureFileError, match=message):
-        octex.open(path)
+        octex.open(changed(tmp_path / "a.octex", tensors={name: array}))
 
 
 def test_validate_names_the_file_and_the_channel(tmp_path):
