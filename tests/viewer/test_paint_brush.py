@@ -17,7 +17,7 @@ from tests.conftest import needs_jit
 from tests.make.painted import ball, plain, together
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, Studio, pictured
-from tests.viewer.test_session import SIZE, camera, canvas, disc, stroke
+from tests.viewer.test_session import SIZE, camera, canvas, disc, stroke, take
 from tests.viewer.test_session import plain as plain_command
 
 BLENDS = ["over", "multiply", "screen", "add"]
@@ -140,8 +140,7 @@ def test_what_is_hit_is_bit_for_bit_what_the_library_hits(given, tmp_path):
     texture, surface = two_balls()
     session, painter = Session(texture, surface, tmp_path / "out.octex"), octex.Painter(texture, surface)
     body = stroke(1, **given)
-    session.take(body)
-    session.wait()
+    take(session, body)
     library_calls(painter, surface, body)
     assert session.shown.told["fault"] == ""
     assert_same(session.shown.texture, painter.texture())
@@ -165,8 +164,7 @@ def test_what_has_one_colour_is_filled_bit_for_bit_as_the_library_does(session):
     ]
     for body in bodies:
         before = session.shown.texture
-        session.take(body)
-        session.wait()
+        take(session, body)
         library_calls(painter, surface, body)
         assert_same(session.shown.texture, painter.texture())
         assert session.shown.texture is not before

@@ -14,19 +14,7 @@ from octex.viewer import Viewer
 from tests.conftest import needs_jit
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, pictured
-from tests.viewer.test_session import PAGE, SIZE, camera, canvas, disc, plain, stroke
-
-
-def painted(layers, number, blend="over"):
-    """Paint what `stroke` sends as a user of the library does."""
-    image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
-    image[..., :3] = 200, 10 * (number % 20), 30
-    image[4:28, 10:40, 3] = disc(number)
-    layers.paint(octex.Projection(image, camera(), opacity=0.8, blend=blend), max_angle=85)
-
-
-def ones(points):
-    return np.ones(len(points))
+from tests.viewer.test_session import PAGE, canvas, ones, painted, plain, stroke, take
 
 
 class Both:
@@ -131,12 +119,10 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
     for given in ({"mask": True}, {"layer": 1, "mask": "yes"}, {"layer": -1}, {"erases": 3}):
         with pytest.raises(ArgumentError):
             session.take(stroke(1, **given))
-    session.take(stroke(1, layer=5))
-    session.wait()
+    take(session, stroke(1, layer=5))
     assert session.shown.told["fault"] == "there is no layer 5"
     assert session.shown.told["baked"] == {PAGE: 1}
-    session.take(plain("layer", 2, action="move", layer=5, place=0))
-    session.wait()
+    take(session, plain("layer", 2, action="move", layer=5, place=0))
     assert (session.shown.told["fault"], session.shown.told["done"]) == ("there is no layer 5", 0)
     assert_same(session.shown.texture, canvas()[0])
 
@@ -213,9 +199,7 @@ def test_the_list_of_layers_hides_names_moves_and_sets_them(studio, page):
 def test_layers_are_saved_beside_the_output_and_a_session_goes_on_with_them(tmp_path):
     session = Session(*canvas(), tmp_path / "out.octz")
     session.take(plain("layer", 1, action="add", blend="multiply", title="Dirt"))
-    session.take(stroke(2, layer=1))
-    session.take(plain("save", 3))
-    session.wait()
+    take(session, stroke(2, layer=1), plain("save", 3))
     assert session.shown.told["isSaved"]
     assert session.close() == ""
     assert sorted(each.name for each in tmp_path.iterdir()) == ["out.layers.octex", "out.octz"]

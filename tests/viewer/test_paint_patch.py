@@ -20,7 +20,7 @@ from tests.make.same import assert_same
 from tests.make.studio import _HOLD, pictured
 from tests.viewer.test_paint_export import served as served
 from tests.viewer.test_paint_poses import Bending, bending
-from tests.viewer.test_session import NAN, SIZE, canvas, plain, stroke
+from tests.viewer.test_session import NAN, SIZE, canvas, plain, stroke, take
 
 SPOT = {"center": [0.4, 0.2, 0.9], "radius": 0.6, "up": [0.0, 1.0, 0.1]}
 
@@ -64,9 +64,7 @@ def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(t
         session.wait()
         assert session.shown.told["fault"] == ""
         assert_same(session.shown.texture, expected)
-    session.take(plain("undo", 6))
-    session.take(plain("redo", 7))
-    session.wait()
+    take(session, plain("undo", 6), plain("redo", 7))
     assert_same(session.shown.texture, expected)
     session.close()
     again = Session(texture, surface, tmp_path / "out.octex", motion=motion, recover=True)
@@ -79,8 +77,7 @@ def test_the_mirror_of_a_patch_lands_where_a_mirror_has_it(axis, tmp_path):
     texture, surface = canvas()
     session = Session(texture, surface, tmp_path / "out.octex")
     spot = {"center": [0.5, 0.5, 0.7], "radius": 0.5, "up": [0.1, 1.0, 0.0]}
-    session.take(stroke(1, patch=spot, camera=flat_camera(0.5), mirror="xyz"[axis], opacity=1.0))
-    session.wait()
+    take(session, stroke(1, patch=spot, camera=flat_camera(0.5), mirror="xyz"[axis], opacity=1.0))
     assert session.shown.told["fault"] == ""
     points = np.random.default_rng(0).normal(size=(6000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
@@ -130,8 +127,7 @@ def test_a_patch_beside_the_surface_is_said_and_paints_nothing(tmp_path):
     beside = {**SPOT, "center": [9.0, 0.0, 0.0]}
     with pytest.raises(ModelError, match="farther than the radius"):
         session.patch(json.dumps({"patch": beside}))
-    session.take(stroke(1, patch=beside, camera=flat_camera()))
-    session.wait()
+    take(session, stroke(1, patch=beside, camera=flat_camera()))
     assert "farther than the radius" in session.shown.told["fault"]
     assert_same(session.shown.texture, texture)
     session.close()

@@ -13,7 +13,7 @@ from tests.conftest import needs_jit
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, Studio, pictured
-from tests.viewer.test_session import NAN, canvas, plain, stroke
+from tests.viewer.test_session import NAN, canvas, plain, stroke, take
 
 FRAMES = 9
 
@@ -60,9 +60,7 @@ def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_
         assert session.shown.told["fault"] == ""
         assert_same(session.shown.texture, expected)
     before = session.shown.texture
-    session.take(plain("undo", 7))
-    session.take(plain("redo", 8))
-    session.wait()
+    take(session, plain("undo", 7), plain("redo", 8))
     assert_same(session.shown.texture, before)
     assert "--recover" in session.close()
     again = Session(texture, surface, tmp_path / "out.octex", motion=motion, recover=True)
@@ -73,8 +71,7 @@ def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_
 def test_a_frame_of_an_animation_that_is_not_there_is_refused(tmp_path):
     texture, surface = canvas()
     session = Session(texture, surface, tmp_path / "a.octex", motion=bending(surface))
-    session.take(stroke(1, moved={"animation": 2, "time": 0.0}))
-    session.wait()
+    take(session, stroke(1, moved={"animation": 2, "time": 0.0}))
     assert session.shown.told["fault"] == f"there is no animation 2; {surface.name} has 2"
     bad = [([0, 1], "moved"), ({}, "animation"), ({"animation": 0}, "time")]
     bad += [({"animation": number, "time": 0.0}, "animation") for number in (0.5, -1, "A", 1e9)]

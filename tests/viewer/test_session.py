@@ -81,12 +81,25 @@ def disc(number):
     return np.clip(255 * (6.5 - away), 0, 255).astype(np.uint8)
 
 
-def painted(painter, number):
-    """Paint the same as a user of the library does."""
+def picture_sent(number, color=None):
+    """The picture of a stroke, by default in its own colour."""
     image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
-    image[..., :3] = 200, 10 * (number % 20), 30
+    image[..., :3] = (200, 10 * (number % 20), 30) if color is None else color
     image[4:28, 10:40, 3] = disc(number)
-    painter.paint(octex.Projection(image, camera(), opacity=0.8), max_angle=85)
+    return image
+
+
+def painted(painter, number, blend="over", max_angle=85, **options):
+    """Paint the same as a user of the library does."""
+    picture = octex.Projection(picture_sent(number), camera(), opacity=0.8, blend=blend)
+    painter.paint(picture, max_angle=max_angle, **options)
+
+
+def take(session, *bodies):
+    """Send commands, and wait until they are done."""
+    for body in bodies:
+        session.take(body)
+    session.wait()
 
 
 def test_commands_do_bit_for_bit_what_calls_of_the_library_do(session):
@@ -111,9 +124,7 @@ def test_commands_do_bit_for_bit_what_calls_of_the_library_do(session):
         assert_same(session.shown.texture, painter.texture())
         assert session.shown.told["done"] == len(painter.strokes)
         assert session.shown.told["baked"] == {PAGE: number}
-    session.take(plain("undo", 10))
-    session.take(plain("undo", 11))
-    session.wait()
+    take(session, plain("undo", 10), plain("undo", 11))
     assert_same(session.shown.texture, texture)
     assert session.shown.told["fault"] == ""
 
@@ -127,8 +138,7 @@ def test_a_stroke_may_be_a_picture_of_many_colours(session):
     content = packer.compress(planes.tobytes()) + packer.flush()
     line, _, _ = stroke(1, content=content).partition(b"\n")
     fields = {name: value for name, value in json.loads(line).items() if name != "color"}
-    session.take(json.dumps(fields).encode() + b"\n" + content)
-    session.wait()
+    take(session, json.dumps(fields).encode() + b"\n" + content)
     painter = octex.Painter(*canvas())
     painter.paint(octex.Projection(image, camera(), opacity=0.8), max_angle=85)
     assert_same(session.shown.texture, painter.texture())
@@ -157,17 +167,14 @@ def test_steps_are_named_and_a_new_one_forgets_those_undone(session):
         session.take(body)
     session.wait()
     assert (session.shown.told["steps"], session.shown.told["done"]) == (["Brush 1", "Brush 2"], 1)
-    session.take(stroke(4))
-    session.wait()
+    take(session, stroke(4))
     assert session.shown.told["steps"] == ["Brush 1", "Brush 4"]
 
 
 @pytest.mark.parametrize("name", ["out.octex", "out.octz"])
 def test_saving_writes_output_alone_and_a_clean_end_leaves_no_journal(name, tmp_path):
     session = Session(*canvas(), tmp_path / name)
-    session.take(stroke(1))
-    session.take(plain("save", 2))
-    session.wait()
+    take(session, stroke(1), plain("save", 2))
     assert session.shown.told["isSaved"]
     assert_same(octex.open(tmp_path / name), session.shown.texture)
     assert session.close() == ""
@@ -178,12 +185,10 @@ def test_what_is_undone_needs_no_saving(tmp_path):
     session = Session(*canvas(), tmp_path / "out.octex")
     said = []
     for body in (stroke(1), plain("undo", 2), plain("redo", 3), plain("save", 4), plain("undo", 5)):
-        session.take(body)
-        session.wait()
+        take(session, body)
         said.append(session.shown.told["isSaved"])
     assert said == [False, True, False, True, False]
-    session.take(plain("redo", 6))
-    session.wait()
+    take(session, plain("redo", 6))
     assert session.close() == ""
     assert [each.name for each in tmp_path.iterdir()] == ["out.octex"]
 
@@ -191,12 +196,9 @@ def test_what_is_undone_needs_no_saving(tmp_path):
 def test_a_save_that_fails_is_told_and_changes_nothing(session, tmp_path):
     session.take(stroke(1))
     (tmp_path / "out.octex").mkdir()
-    session.take(plain("save", 2))
-    session.take(stroke(3))
-    session.wait()
+    take(session, plain("save", 2), stroke(3))
     assert session.shown.told["done"] == 2
-    session.take(plain("save", 4))
-    session.wait()
+    take(session, plain("save", 4))
     assert "out.octex" in session.shown.told["fault"]
     assert not session.shown.told["isSaved"]
 
@@ -231,8 +233,7 @@ def test_after_a_crash_the_same_session_is_painted_again(tmp_path):
     assert session.shown.told["steps"] == ["Brush 1", "Brush 4"]
     assert not session.shown.told["isSaved"]
     session.take(stroke(4))  # its page has not heard that it came
-    session.take(stroke(5))
-    session.wait()
+    take(session, stroke(5))
     assert session.shown.told["done"] == 3
     assert "--recover" in session.close()
     again = Session(texture, surface, output, recover=True)
@@ -327,16 +328,13 @@ def test_of_too_many_strokes_the_last_ones_are_to_be_sent_later(session, monkeyp
 
 
 def test_what_fails_or_hits_nothing_is_no_step(session, monkeypatch):
-    session.take(stroke(1, content=deflated(bytes(30 * 24))))
-    session.wait()
+    take(session, stroke(1, content=deflated(bytes(30 * 24))))
     assert session.shown.told["steps"] == []
     with monkeypatch.context() as patched:
         patched.setattr(octex.Painter, "paint", lambda *_, **__: 1 / 0)
-        session.take(stroke(2))
-        session.wait()
+        take(session, stroke(2))
     assert "ZeroDivisionError" in session.shown.told["fault"]
-    session.take(stroke(3))
-    session.wait()
+    take(session, stroke(3))
     assert (session.shown.told["fault"], session.shown.told["done"]) == ("", 1)
 
 
@@ -346,15 +344,11 @@ def test_a_mirrored_stroke_of_which_half_fails_leaves_nothing(session, monkeypat
     def fails(painter, *given, **options):
         return paint(painter, *given, **options) if next(calls) == 0 else 1 / 0
 
-    session.take(stroke(1))
-    session.take(stroke(2))
-    session.take(plain("undo", 3))
-    session.wait()
+    take(session, stroke(1), stroke(2), plain("undo", 3))
     before = session.shown.texture
     with monkeypatch.context() as patched:
         patched.setattr(octex.Painter, "paint", fails)
-        session.take(stroke(4, mirror="x"))
-        session.wait()
+        take(session, stroke(4, mirror="x"))
     assert_same(session.shown.texture, before)
     for number, kind in enumerate(("redo", "undo", "redo"), 5):
         session.take(plain(kind, number))
@@ -611,26 +605,21 @@ def test_a_part_is_filled_and_the_one_that_a_mirror_shows(tmp_path):
     painter.fill(surface.parts == 0, color)
     session.wait()
     assert_same(session.shown.texture, painter.texture())
-    session.take(plain("undo", 2))
-    session.take(plain("fill", 3, **given, mirror="x"))
-    session.wait()
+    take(session, plain("undo", 2), plain("fill", 3, **given, mirror="x"))
     painter.fill(surface.parts == 1, color)
     step = session.shown.texture
     assert_same(step, painter.texture())
     assert session.shown.told["done"] == 1
-    session.take(plain("undo", 4))
-    session.wait()
+    take(session, plain("undo", 4))
     assert_same(session.shown.texture, texture)
-    session.take(plain("redo", 5))
-    session.wait()
+    take(session, plain("redo", 5))
     assert_same(session.shown.texture, step)
     session.close()
 
 
 def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session):
     texture, _ = canvas()
-    session.take(stroke(1, mirror="x", name="Brush"))
-    session.wait()
+    take(session, stroke(1, mirror="x", name="Brush"))
     assert session.shown.told["steps"] == ["Brush"]
     random = np.random.default_rng(0)
     points = random.normal(size=(4000, 3))
@@ -645,8 +634,7 @@ def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session)
     assert (here != there).sum() < 0.15 * here.sum()  # cells are not where a mirror has them
     assert here[points[:, 0] > 0.3].any()
     assert here[points[:, 0] < -0.3].any()
-    session.take(plain("undo", 2))
-    session.wait()
+    take(session, plain("undo", 2))
     assert_same(session.shown.texture, texture)
     with pytest.raises(ArgumentError, match="mirror must be x, y, z"):
         session.take(stroke(3, mirror="w"))
@@ -655,10 +643,6 @@ def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session)
 def test_back_faces_and_angles_are_painted_as_the_library_does(session):
     texture, surface = canvas()
     painter = octex.Painter(texture, surface)
-    session.take(stroke(1, backFaces=True, maxAngle=40))
-    session.wait()
-    image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
-    image[..., :3] = 200, 10, 30
-    image[4:28, 10:40, 3] = disc(1)
-    painter.paint(octex.Projection(image, camera(), opacity=0.8), max_angle=40, back_faces=True)
+    take(session, stroke(1, backFaces=True, maxAngle=40))
+    painted(painter, 1, max_angle=40, back_faces=True)
     assert_same(session.shown.texture, painter.texture())
