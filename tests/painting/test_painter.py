@@ -77,6 +77,13 @@ def test_a_session_gives_what_single_calls_give_forth_and_back(seed, monkeypatch
         assert_same(painter.texture(), states[at])
 
 
+def begun(depth):
+    """A sphere, its texture, and what paints it."""
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    texture = octex.convert(surface, depth)
+    return surface, texture, octex.Painter(texture, surface)
+
+
 def brush(surface, color, pixels=12):
     """A disc of a colour on a small part of a surface."""
     camera = octex.Camera.fitted(surface.vertices, DIRECTIONS[0], size=(96, 96))
@@ -87,9 +94,7 @@ def brush(surface, color, pixels=12):
 
 
 def test_what_a_stroke_changes_can_be_applied_elsewhere_and_is_small():
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    texture = octex.convert(surface, 8)
-    painter = octex.Painter(texture, surface)
+    surface, texture, painter = begun(8)
     (change,) = painter.paint(brush(surface, 200), max_depth=8)
     assert change.nbytes < 0.1 * texture.nbytes
     (sent,) = pickle.loads(pickle.dumps([change]))
@@ -102,8 +107,7 @@ def test_what_a_stroke_changes_can_be_applied_elsewhere_and_is_small():
 
 
 def test_strokes_in_a_file_are_as_they_were_and_none_is_lost_without_one(tmp_path):
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    painter = octex.Painter(octex.convert(surface, 6), surface)
+    surface, _, painter = begun(6)
     assert painter.last == ()
     colors = range(0, 250, 40)
     strokes = [painter.paint(brush(surface, color), max_depth=6) for color in colors]
@@ -146,9 +150,7 @@ def test_a_session_writes_to_no_texture_that_somebody_has(seed):
 
 
 def test_a_call_that_fails_in_its_second_layer_leaves_all_as_it_was():
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    texture = octex.convert(surface, 7)
-    painter = octex.Painter(texture, surface)
+    surface, _, painter = begun(7)
     painter.paint(brush(surface, 10), max_depth=7)
     before = pickle.loads(pickle.dumps(painter._texture))
     count = 0
@@ -169,8 +171,7 @@ def test_a_call_that_fails_in_its_second_layer_leaves_all_as_it_was():
 
 
 def test_a_camera_that_stays_looks_once():
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    painter = octex.Painter(octex.convert(surface, 6), surface)
+    surface, _, painter = begun(6)
     with mock.patch("octex.painting.surface.sight_of", wraps=sight_of) as look:
         for color in (10, 20, 30):
             painter.paint(brush(surface, color, 30))
@@ -217,9 +218,7 @@ def test_what_no_picture_sees_is_left_out_without_a_difference(kind):
 
 
 def test_a_stroke_beside_the_surface_is_none():
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    texture = octex.convert(surface, 5)
-    painter = octex.Painter(texture, surface)
+    _, texture, painter = begun(5)
     assert painter.fill(octex.Sphere((9, 9, 9), 0.1), (1, 0, 0)) == ()
     assert painter.texture() is texture
     assert not painter.undo()
@@ -227,9 +226,7 @@ def test_a_stroke_beside_the_surface_is_none():
 
 
 def test_a_refused_stroke_leaves_all_as_it_was():
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    texture = octex.convert(surface, 5)
-    painter = octex.Painter(texture, surface)
+    surface, texture, painter = begun(5)
     with pytest.raises(ArgumentError, match="channel"):
         painter.paint(brush(surface, 9), channel="roughness")
     assert painter.texture() is texture
