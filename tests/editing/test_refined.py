@@ -26,17 +26,6 @@ HEIGHT = ChannelFormat("height", 2, "data", "float32")
 seeds = st.integers(0, 2**32 - 1)
 
 
-def reference(tree):
-    """The quadratic field of the rows' weights."""
-    cells = [
-        naive.Cell(level, naive.unmorton(code), not is_node)
-        for level, (codes, nodes) in enumerate(tree.walk())
-        for code, is_node in zip(codes.tolist(), nodes.tolist(), strict=True)
-    ]
-    kept = {node: len(cells) + row for row, node in enumerate(tree.kept.cells.tolist())}
-    return naive.Field(cells, np.eye(len(cells) + len(kept)), "quadratic", kept)
-
-
 def spread(starts, rows, weights, n_rows):
     """The weights by cell and row (cells, rows)."""
     found = np.zeros((starts.size - 1, n_rows))
@@ -84,7 +73,7 @@ def trees_and_cells(draw):
 
 @given(trees_and_cells())
 def test_cells_below_leaves_are_refined_as_by_the_reference(drawn):
-    field = reference(drawn.tree)
+    field = naive.field_of(drawn.tree, "quadratic")
     for level, codes in drawn.codes.items():
         starts, rows, weights = refined_taps(drawn.tree, codes, level)
         assert (starts[0], starts[-1]) == (0, rows.size) and rows.size == weights.size
@@ -98,7 +87,7 @@ def test_cells_below_leaves_are_refined_as_by_the_reference(drawn):
 
 @given(trees_and_cells())
 def test_cells_in_empty_places_have_taps_where_leaves_are_near_and_none_elsewhere(drawn):
-    field = reference(drawn.tree)
+    field = naive.field_of(drawn.tree, "quadratic")
     for level, codes in drawn.beside.items():
         starts, rows, weights = refined_taps(drawn.tree, codes, level)
         found = spread(starts, rows, weights, len(field.values))

@@ -36,17 +36,6 @@ UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 each_filter = pytest.mark.parametrize("filter", FILTERS[1:])
 
 
-def reference(tree, filter, values=None):
-    """The field of values (rows, components); without values, that of the rows' weights."""
-    cells = [
-        naive.Cell(level, naive.unmorton(code), not is_node)
-        for level, (codes, nodes) in enumerate(tree.walk())
-        for code, is_node in zip(codes.tolist(), nodes.tolist(), strict=True)
-    ]
-    kept = {node: len(cells) + row for row, node in enumerate(tree.kept.cells.tolist())}
-    return naive.Field(cells, np.eye(len(cells) + len(kept)) if values is None else values, filter, kept)
-
-
 class Drawn(NamedTuple):
     tree: Octree
     points: npt.NDArray[np.float64]  # multiples of 2⁻²⁴: no rounding moves one across a face
@@ -82,7 +71,7 @@ def blended(taps, values):
 @given(trees_and_points())
 def test_weights_and_slopes_are_those_of_the_reference(filter, drawn):
     tree, points = drawn
-    field = reference(tree, filter)
+    field = naive.field_of(tree, filter)
     n_rows = len(field.values)
     plain = taps_of(Field(tree), points, UNIT, filter)
     with_slopes = taps_of(Field(tree), points, UNIT, filter, gradient=True)
@@ -140,7 +129,7 @@ def test_values_on_and_beside_a_sphere_are_those_of_the_reference(filter, fine, 
     tree = shell(5, fine)
     random = np.random.default_rng(1)
     values = random.random((tree.n_cells, 2))
-    field = reference(tree, filter, values)
+    field = naive.field_of(tree, filter, values)
     directions = random.normal(size=(120, 3))
     directions[60:] = [[0.0, 0.6, -0.8]] + np.linspace(-0.1, 0.1, 60)[:, None] * np.eye(3)[:1]  # in a row
     beside = 1 + 0.2 * random.random((120, 1)) * (random.random((120, 1)) < 0.2)
@@ -186,7 +175,7 @@ def test_blends_and_covers_are_those_of_the_reference(filter, drawn, dtype):
     assert place_points(Positions.of(points), *UNIT, places) == -1
     taps = Finder(Field(tree), UNIT, filter).find(places)
     blend(taps, Codes(*values, table), False, results)
-    field = reference(tree, "linear" if filter == "nearest" else filter, np.concatenate(decoded[:2]))
+    field = naive.field_of(tree, "linear" if filter == "nearest" else filter, np.concatenate(decoded[:2]))
     for n, point in enumerate(points.tolist()):
         if filter == "nearest":
             number = naive.find(field.cells, np.clip(point, 0, 1 - 2.0**-30).tolist())

@@ -18,13 +18,7 @@ SMOOTH = [name for name in FILTERS if name != "nearest"]
 
 def weights_at(texture, filter, point):
     """Weights of all rows, cells' and kept nodes', at a rest position, and their derivatives: (4, rows)."""
-    cells = [
-        naive.Cell(level, naive.unmorton(code), not is_node)
-        for level, (codes, nodes) in enumerate(texture.tree.walk())
-        for code, is_node in zip(codes.tolist(), nodes.tolist(), strict=True)
-    ]
-    kept = {cell: len(cells) + row for row, cell in enumerate(texture.tree.kept.cells.tolist())}
-    field = naive.Field(cells, np.eye(len(cells) + len(kept)), filter, kept)
+    field = naive.field_of(texture.tree, filter)
     (place,) = texture.placement.to_texture_space(point[None]).tolist()
     slopes = [field.derivatives(place, axis, 1)[1] / texture.placement.size for axis in np.eye(3).tolist()]
     return np.array([field.at(place), *slopes])

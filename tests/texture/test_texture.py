@@ -25,11 +25,7 @@ def normalized(vector):
 
 @given(textures(), st.integers(0, 2**32 - 1))
 def test_a_sample_is_the_decoded_value_of_the_nearest_cell(texture, seed):
-    cells = [
-        naive.Cell(level, naive.unmorton(code), not is_node)
-        for level, (codes, nodes) in enumerate(texture.tree.walk())
-        for code, is_node in zip(codes.tolist(), nodes.tolist(), strict=True)
-    ]
+    cells = naive.cells_in(texture.tree)
     random = np.random.default_rng(seed)
     chosen = [cells[n] for n in random.integers(0, len(cells), 6)]
     inside = np.array([(np.array(cell.place) + random.random(3) * 1.5) / 2**cell.level for cell in chosen])
