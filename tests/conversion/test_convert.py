@@ -15,6 +15,7 @@ from octex.tree.layout import AREA_ONE, AREA_STEPS, GRID_BITS, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.placement import on_grid
 from tests.conftest import needs_jit
+from tests.make.fixtures import obj_lines
 from tests.make.painted import ball
 from tests.make.small_surfaces import FACES, TETRAHEDRON, FaceSource, tetrahedron
 from tests.oracles import naive_cells
@@ -210,9 +211,7 @@ def test_a_rest_mesh_gives_the_texture_coordinates():
 
 
 def test_a_rest_mesh_of_a_surface_may_be_a_file(tmp_path):
-    lines = [f"v {x} {y} {z}" for x, y, z in (TETRAHEDRON + 5).tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()]
-    (tmp_path / "rest.obj").write_text("\n".join(lines))
+    (tmp_path / "rest.obj").write_text(obj_lines(TETRAHEDRON + 5, FACES))
     texture = octex.convert(tetrahedron(), depth=4, rest=tmp_path / "rest.obj")
     assert texture.contains(tetrahedron().scatter(100).rest + 5).all()
     assert texture.metadata["rest"] == "rest.obj"

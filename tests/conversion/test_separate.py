@@ -21,6 +21,7 @@ from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
 from tests.conftest import needs_jit
 from tests.make.command import OUT, VIEW
+from tests.make.fixtures import obj_lines
 from tests.make.solids import colored, cube, open_cube, sphere
 
 
@@ -359,10 +360,8 @@ def test_paint_lands_where_the_texture_is():
 
 def written(folder, *meshes):
     surface = colored(*meshes)
-    lines = [f"v {x} {y} {z} {x % 1} {y % 1} {z % 1}" for x, y, z in surface.vertices.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (surface.triangles + 1).tolist()]
     path = folder / "parts.obj"
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text(obj_lines(np.hstack([surface.vertices, surface.vertices % 1]), surface.triangles))
     return path
 
 

@@ -23,6 +23,7 @@ import octex
 from octex import jit
 from octex.editing.draft import Change
 from octex.errors import OctexError
+from tests.make.fixtures import obj_lines
 from tests.make.small_surfaces import FACES, TETRAHEDRON
 
 #: How fine what is converted is.
@@ -94,11 +95,8 @@ def folder():
     rows = np.hstack([w.cloud.points, w.cloud.colors[:, :3]])
     (path / "cloud.xyz").write_text("\n".join(" ".join(map(str, row)) for row in rows.tolist()))
     np.savez(path / "voxels.npz", coords=FACES, base_color=FACES / 9)
-    lines = [f"v {x} {y} {z}" for x, y, z in TETRAHEDRON] + [
-        f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES
-    ]
     PIL.Image.new("RGB", (4, 2), (90, 80, 70)).save(path / "light.png")
-    (path / "model.obj").write_text("\n".join(lines))
+    (path / "model.obj").write_text(obj_lines(TETRAHEDRON, FACES))
     octex.write_ptex(w.texture, w.surface, path / "written.ptx")
     return path
 

@@ -10,7 +10,7 @@ from octex.source.corners import Polygons
 from octex.source.load import load_surface
 from octex.source.mesh import Mesh
 from octex.source.surface import Surface
-from tests.make.fixtures import obj, ply
+from tests.make.fixtures import obj, obj_lines, ply
 
 # A triangle, a quad, a line of no area's worth of corners, a concave pentagon, a hexagon.
 PLACES = [(x, y, (x * y) % 2) for y in range(3) for x in range(4)]
@@ -45,8 +45,7 @@ def loops_of(mesh):
 def written(folder, kind):
     """The faces above as a file."""
     if kind == "obj":
-        lines = "".join(f"v {x} {y} {z}\n" for x, y, z in PLACES)
-        return obj(folder / "a.obj", lines + "".join(f"f {' '.join(str(v + 1) for v in f)}\n" for f in FACES))
+        return obj(folder / "a.obj", obj_lines(PLACES, FACES))
     if kind == "off":
         path = folder / "a.off"
         lines = [f"OFF\n{len(PLACES)} {len(FACES)} 0", *(f"{x} {y} {z}" for x, y, z in PLACES)]

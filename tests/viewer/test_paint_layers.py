@@ -12,6 +12,7 @@ from octex.errors import ArgumentError, ExitCode
 from octex.session.painting import Session, Shown
 from octex.viewer import Viewer
 from tests.conftest import needs_jit
+from tests.make.fixtures import obj_lines
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, pictured
 from tests.viewer.test_session import PAGE, canvas, ones, painted, plain, stroke, take
@@ -237,8 +238,7 @@ def test_of_a_file_with_layers_that_a_command_edits_nothing_is_lost(tmp_path, mo
     layers.fill(ones, "#102030")
     path, edited, model = (str(tmp_path / name) for name in ("stack.octex", "edited.octex", "ball.obj"))
     layers.save(path)
-    corners = "".join(f"v {x} {y} {z}\n" for x, y, z in surface.vertices)
-    Path(model).write_text(corners + "".join(f"f {a} {b} {c}\n" for a, b, c in surface.triangles + 1))
+    Path(model).write_text(obj_lines(surface.vertices, surface.triangles))
     assert main(["edit", path, edited, "--levels", "0.1,0.8,1"]) == ExitCode.DONE
     assert "not its layers" in capfd.readouterr().err
     words = ["view", edited, model, "--paint", str(tmp_path / "out.octex"), "--no-browser"]

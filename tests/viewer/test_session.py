@@ -26,6 +26,7 @@ from octex.session import painting as sessions
 from octex.session.painting import BusyError, OrderError, Session
 from octex.source.surface import Surface
 from octex.viewer import Viewer, answers, server
+from tests.make.fixtures import obj_lines
 from tests.make.painted import ball
 from tests.make.same import assert_same
 
@@ -556,10 +557,7 @@ def test_a_port_that_is_taken_leaves_no_journal(served, tmp_path):
 
 
 def test_the_command_says_what_is_not_saved_and_recovers_it(tmp_path, monkeypatch, capfd):
-    (tmp_path / "ball.obj").write_text(
-        "".join(f"v {x} {y} {z}\n" for x, y, z in ball(12).vertices)
-        + "".join(f"f {a} {b} {c}\n" for a, b, c in ball(12).triangles + 1)
-    )
+    (tmp_path / "ball.obj").write_text(obj_lines(ball(12).vertices, ball(12).triangles))
     words = ["view", str(tmp_path / "ball.obj"), "--depth", "4", "--paint", str(tmp_path / "out.octex")]
 
     def paints(*bodies):
