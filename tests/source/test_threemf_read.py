@@ -130,12 +130,12 @@ def test_of_blended_materials_one_is_read_with_a_warning(tmp_path):
         ("<resources/><build/>", "has no triangles"),
         ('<build><item objectid="1"/></build>', "object '1' is missing"),
         (
-            f'<resources><object id="3"><components><component objectid="3"/></components></object></resources>'
-            f"{BUILD}", "object '3' is missing, or contains itself",
+            '<resources><object id="3"><components><component objectid="3"/></components></object>'
+            f"</resources>{BUILD}", "object '3' is missing, or contains itself",
         ),
         (
-            '<resources><object id="3"><mesh><vertices/><triangles><triangle v1="0" v2="1" v3="2"/></triangles>'
-            f"</mesh></object></resources>{BUILD}", "a triangle uses a vertex that is not among the 0",
+            '<resources><object id="3"><mesh><vertices/><triangles><triangle v1="0" v2="1" v3="2"/>'
+            f"</triangles></mesh></object></resources>{BUILD}", "a triangle uses a vertex that is not among the 0",
         ),
         (f'<resources><m:texture2dgroup id="4" texid="9"/></resources>{BUILD}', "texture '9' is missing"),
         (
