@@ -135,7 +135,8 @@ def test_of_blended_materials_one_is_read_with_a_warning(tmp_path):
         ),
         (
             '<resources><object id="3"><mesh><vertices/><triangles><triangle v1="0" v2="1" v3="2"/>'
-            f"</triangles></mesh></object></resources>{BUILD}", "a triangle uses a vertex that is not among the 0",
+            f"</triangles></mesh></object></resources>{BUILD}",
+            "a triangle uses a vertex that is not among the 0",
         ),
         (f'<resources><m:texture2dgroup id="4" texid="9"/></resources>{BUILD}', "texture '9' is missing"),
         (
