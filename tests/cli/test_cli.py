@@ -29,16 +29,9 @@ def parsed(*words, command="convert"):
 
 TOOLS = Path(__file__).parents[2] / "tools" / "release"
 HEAVY = [
-    "numpy",
-    "numba",
-    "PIL",
-    "trimesh",
-    "manifold3d",
-    "tqdm",
-    "octex.texture",
-    "octex.tree",
+    "numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree",
     "octex.painting",
-]
+]  # fmt: skip
 #: Commands that read and write nothing, and their exit codes.
 IDLE = {
     "convert --help": 0, "convert model.glb nowhere/model.octex": 2, "paint --help": 0, "paint --version": 0,

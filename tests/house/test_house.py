@@ -48,12 +48,8 @@ ROWS = [
 STORED = {"tree", "field", "container", "archive", "texture", "editing"}
 MADE = {"source", "voxelize", "cleaning", "conversion", "cameras", "view", "painting", "photos"}
 FORBIDDEN = {
-    "source": STORED,
-    "cameras": STORED,
-    "view": STORED,
-    "editing": MADE,
-    "processing": MADE - {"source"},
-}
+    "source": STORED, "cameras": STORED, "view": STORED, "editing": MADE, "processing": MADE - {"source"},
+}  # fmt: skip
 #: What numpy has from 2.0 on: octex runs beside 1.26, which programs like Blender bring along.
 NEW_IN_NUMPY_2 = {
     "acos", "acosh", "asin", "asinh", "astype", "atan", "atan2", "atanh", "bitwise_count", "bitwise_invert",

@@ -34,11 +34,8 @@ def torus(**options):
 
 
 SURFACES = {
-    "torus": torus(),
-    "tetrahedron": tetrahedron(),
-    "sheet": sheet(turned(3), 0.02),
-    "bent": bent(0.03),
-}
+    "torus": torus(), "tetrahedron": tetrahedron(), "sheet": sheet(turned(3), 0.02), "bent": bent(0.03),
+}  # fmt: skip
 
 
 def converted(surface, folder, **options):

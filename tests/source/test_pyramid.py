@@ -178,12 +178,9 @@ def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other():
     small, large = random_image(2, 3, 4, "uint16"), random_image(4, 4, 4, "uint16")
     light = random_image(2, 3, 4).astype(np.float32)
     given = [
-        Picture(small, True),
-        Picture(large, False, True),
-        Picture(light, True),
-        Picture(small[::-1], False),
+        Picture(small, True), Picture(large, False, True), Picture(light, True), Picture(small[::-1], False),
         Picture(light * 2, True),
-    ]
+    ]  # fmt: skip
     stored = store(given, WHOLE)
     images = stored[0]
     assert stored[1] == [0, 1, 0, 0, 0]
