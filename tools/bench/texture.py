@@ -45,24 +45,14 @@ def paper(setup: Setup, report: Report) -> None:
         sizes.append(both)
         rows.append(
             [
-                depth,
-                f"{leaves:,}",
-                f"{both:,}",
-                f"{both / maps:.3f}",
-                f"{size['total']:,}",
+                depth, f"{leaves:,}", f"{both:,}", f"{both / maps:.3f}", f"{size['total']:,}",
                 f"{size['total'] / maps:.3f}",
             ]
-        )
+        )  # fmt: skip
         each = [
-            size["structure"],
-            colour,
-            both,
-            size["flags"],
-            size["areas"],
-            split,
-            size["header"],
+            size["structure"], colour, both, size["flags"], size["areas"], split, size["header"],
             size["total"],
-        ]
+        ]  # fmt: skip
         parts.append([depth, *(f"{bytes_ / leaves:.3f}" for bytes_ in each)])
     report.table(["depth", "leaves", "structure + colour", "of the maps", "whole file", "of the maps"], rows)
     report.note("bytes a leaf")

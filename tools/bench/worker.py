@@ -102,13 +102,9 @@ def look(path: str, level: int) -> Callable[[], Answer]:
             octex.open(path)
             warm.append(time.perf_counter() - begin)
         return {
-            "cold": cold,
-            "warm": float(np.median(warm)),
-            "opened": opened - before,
-            "look": looked.wall,
-            "touched": touched,
-            "left": left,
-        }
+            "cold": cold, "warm": float(np.median(warm)), "opened": opened - before, "look": looked.wall,
+            "touched": touched, "left": left,
+        }  # fmt: skip
 
     return task
 
@@ -173,12 +169,8 @@ def cached_bytes(path: str) -> int:
 
 
 TASKS: dict[str, Callable[..., Callable[[], Answer]]] = {
-    "tree": tree,
-    "large": large,
-    "look": look,
-    "resident": resident,
-    "picture": picture,
-}
+    "tree": tree, "large": large, "look": look, "resident": resident, "picture": picture,
+}  # fmt: skip
 
 
 def main() -> None:
