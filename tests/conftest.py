@@ -1,9 +1,6 @@
 """What all tests share."""
 
-from __future__ import annotations
-
 import os
-from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
@@ -27,7 +24,7 @@ settings.load_profile("octex")
 needs_jit = pytest.mark.skipif(jit.DISABLED, reason="too slow without compilation")
 
 
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
+def pytest_xdist_auto_num_workers(config):
     """Share the whole suite among the processors; run some files in this process.
 
     One process more than processors: those that wait for a browser leave theirs idle four tenths of the time.
@@ -35,13 +32,13 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     return cpu_count() + 1 if config.args_source is pytest.Config.ArgsSource.TESTPATHS else 0
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Begin with the rooms whose files take longest: at the end, one process would run them alone."""
     items.sort(key=lambda item: item.path.parent.name not in ("house", "viewer"))
 
 
 @pytest.fixture(scope="session", autouse=True)
-def no_helpers() -> Iterator[None]:
+def no_helpers():
     """Let no command start helpers that compile ahead: the other processors have tests to run."""
     with pytest.MonkeyPatch.context() as changed:
         changed.setattr(ahead, "cpu_count", lambda: 1)
@@ -49,11 +46,11 @@ def no_helpers() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def compiled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> None:
+def compiled(request, tmp_path_factory):
     """Share what the suite compiles among its processes: two that need a kernel at once compile it twice."""
     if jit.DISABLED or len(request.session.items) < 1000 or not hasattr(request.config, "workerinput"):
         return
-    listed: dict[str, list[str]] = {}
+    listed = {}
     for line in ahead.lines(*ahead.SECTIONS):
         listed.setdefault(line.partition(":")[0], []).append(line)
     for module, lines in sorted(listed.items(), key=lambda item: -len("".join(item[1]))):
@@ -65,7 +62,7 @@ def compiled(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 @pytest.fixture(scope="session", autouse=True)
-def no_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+def no_home(tmp_path_factory):
     """Let commands keep what is the user's in a folder of the tests."""
     with pytest.MonkeyPatch.context() as changed:
         changed.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
@@ -73,19 +70,19 @@ def no_home(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 
 @pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
+def cli(capsys):
     """Runs commands."""
     return Cli(capsys)
 
 
 @pytest.fixture
-def small_previews(monkeypatch: pytest.MonkeyPatch) -> None:
+def small_previews(monkeypatch):
     """Let commands draw small previews and compare few points: theirs have 13 million samples, a million."""
     monkeypatch.setattr(octex, "write_preview", partial(octex.write_preview, size=(320, 176)))
     monkeypatch.setattr(octex, "difference", partial(octex.difference, points=20_000))
 
 
-def fewer_points(monkeypatch: pytest.MonkeyPatch, part: int) -> None:
+def fewer_points(monkeypatch, part):
     """Compare photographs at a part of the points."""
     from octex.photos import balance, refine, sharpness
 
@@ -99,13 +96,13 @@ def fewer_points(monkeypatch: pytest.MonkeyPatch, part: int) -> None:
 
 
 @pytest.fixture
-def few_points(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_points(monkeypatch):
     """Compare photographs at a tenth of the points: enough for small pictures."""
     fewer_points(monkeypatch, 10)
 
 
 @pytest.fixture(scope="session")
-def models() -> Path:
+def models():
     """The folder of real models, named by OCTEX_TEST_MODELS."""
     folder = os.environ.get("OCTEX_TEST_MODELS")
     if not folder:
@@ -114,13 +111,13 @@ def models() -> Path:
 
 
 @pytest.fixture(scope="session")
-def model(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def model(tmp_path_factory):
     """A box whose corners have colours."""
     return colored_box(tmp_path_factory.mktemp("model"))
 
 
 @pytest.fixture(scope="session")
-def made(model: Path) -> Path:
+def made(model):
     """The box as an octree texture of depth 4."""
     path = model.with_name("box.octex")
     octex.convert(model, 4).save(path)

@@ -1,17 +1,11 @@
 """Baking: texels against counting, gutters against unfolding by hand, maps against the field."""
 
-from __future__ import annotations
-
 import json
 import re
 import urllib.parse
-from collections.abc import Callable
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import trimesh
 from hypothesis import given, settings
@@ -32,17 +26,14 @@ from octex.source.mesh import Mesh
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests.make import solids
-from tests.make.command import Cli
 from tests.make.painted import ball, square
 from tests.make.small_surfaces import whole
-
-Array = npt.NDArray[Any]
 
 #: The faces of a unit cube: the triangles' corners at rest, and in the unit square, a chart for each face.
 CUBE_AXES = [(axis, side) for axis in range(3) for side in (0.0, 1.0)]
 
 
-def cube_with_charts() -> Surface:
+def cube_with_charts():
     """A cube whose faces are squares of a quarter of the map's edge, well apart."""
     vertices, triangles, uv = [], [], []
     for number, (axis, side) in enumerate(CUBE_AXES):
@@ -62,17 +53,17 @@ def cube_with_charts() -> Surface:
 
 
 @cache
-def painted_sphere() -> tuple[octex.OctreeTexture, Surface]:
+def painted_sphere():
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 32)
     surface = Surface.from_arrays(points, triangles).with_sources({"base_color": waves})
     return octex.convert(surface, 6), surface
 
 
-def waves(points: Array) -> Array:
+def waves(points):
     return 0.5 + 0.4 * np.sin(3.0 * points + [0.0, 1.0, 2.0])
 
 
-def psnr(a: Array, b: Array) -> float:
+def psnr(a, b):
     difference = linear_to_srgb(np.clip(a, 0, 1)) - linear_to_srgb(np.clip(b, 0, 1))
     return float(-10 * np.log10(max(np.mean(difference**2), 1e-20)))
 
@@ -82,7 +73,7 @@ coordinates = st.floats(-2.0, 10.0, width=32)
 
 @given(st.lists(coordinates, min_size=6, max_size=6))
 @settings(max_examples=60, deadline=None)
-def test_a_triangle_covers_as_much_of_the_texels_as_points_in_it_say(numbers: list[float]) -> None:
+def test_a_triangle_covers_as_much_of_the_texels_as_points_in_it_say(numbers):
     corners = np.array(numbers).reshape(1, 3, 2)
     drawn = draw_texels(corners, np.zeros(1, np.int32), np.ones((1, 3), np.bool_), 8, 0, 8)
     steps = (np.arange(8 * 32) + 0.5) / 32
@@ -104,7 +95,7 @@ def test_a_triangle_covers_as_much_of_the_texels_as_points_in_it_say(numbers: li
         np.testing.assert_allclose(drawn.centroids[..., axis][well], middle[well], atol=0.06)
 
 
-def test_triangles_of_a_chart_share_texels_and_charts_do_not() -> None:
+def test_triangles_of_a_chart_share_texels_and_charts_do_not():
     corners = np.array(
         [[[0.0, 0], [4, 0], [0, 4]], [[4.0, 0], [4, 4], [0, 4]], [[4.0, 0], [4.4, 0], [4.0, 4]]]
     )
@@ -129,7 +120,7 @@ def test_triangles_of_a_chart_share_texels_and_charts_do_not() -> None:
     np.testing.assert_allclose(shown.barycentric.sum(axis=1), 1.0)
 
 
-def test_rows_drawn_apart_are_those_drawn_together() -> None:
+def test_rows_drawn_apart_are_those_drawn_together():
     corners = np.random.default_rng(3).random((40, 3, 2)) * 20 - 2
     charts = np.arange(40, dtype=np.int32) // 4
     edges = np.ones((40, 3), np.bool_)
@@ -139,7 +130,7 @@ def test_rows_drawn_apart_are_those_drawn_together() -> None:
         np.testing.assert_array_equal(whole_map, np.concatenate(parts))
 
 
-def test_beyond_an_edge_the_surface_goes_on_as_if_unfolded() -> None:
+def test_beyond_an_edge_the_surface_goes_on_as_if_unfolded():
     surface = cube_with_charts()
     layout = kept_layout(surface, 256)
     drawn = draw_texels(layout.corners, layout.charts, layout.edges, 256, 0, 256)
@@ -166,7 +157,7 @@ def test_beyond_an_edge_the_surface_goes_on_as_if_unfolded() -> None:
     assert (gutter.triangles[straight] // 2 != gutter.beside[straight] // 2).all()
 
 
-def test_where_the_surface_ends_gutters_show_its_edge() -> None:
+def test_where_the_surface_ends_gutters_show_its_edge():
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     surface = Surface.from_arrays(square, [[0, 1, 2], [0, 2, 3]], uv=square[:, :2] * 0.5 + 0.25)
     layout = kept_layout(surface, 64)
@@ -178,19 +169,20 @@ def test_where_the_surface_ends_gutters_show_its_edge() -> None:
     assert on_edge.any(axis=1).all()
 
 
-def test_maps_are_nearer_to_the_field_when_read_bilinearly() -> None:
-    def curved(x: Array, y: Array) -> Array:
+def test_maps_are_nearer_to_the_field_when_read_bilinearly():
+    def curved(x, y):
         return np.stack([0.01 * x * x + 0.02 * y * y + 0.1 * x, 0.3 * x - 0.2 * y], axis=-1)
 
     grid = np.arange(12) + 0.5
     values = curved(*np.meshgrid(grid, grid)).astype(np.float32)
+    nothing = lacking(1, 0.0)
 
-    def fit(values: Array, areas: Array, part: float = lacking(1, 0.0)) -> Array:
+    def fit(values, areas, part=nothing):
         fitted = np.empty(values.shape, np.float32)
         fit_rows(values, areas, part, 0, fitted)
         return fitted
 
-    def fit_values(values: Array, part: float) -> Array:
+    def fit_values(values, part):
         return fit(values.astype(np.float32), np.ones((12, 12), np.float32), part)
 
     fitted = fit(values, np.ones((12, 12), np.float32))
@@ -211,7 +203,7 @@ def test_maps_are_nearer_to_the_field_when_read_bilinearly() -> None:
     np.testing.assert_array_equal(fit(values, holes)[5, 4:7], values[5, 4:7])
 
 
-def bilinear(values: Array, places: Array) -> Array:
+def bilinear(values, places):
     """Read a map (height, width, components) at places (n, 2) to the right and down, in texels."""
     low = np.floor(places - 0.5).astype(int)
     x, y = (places - 0.5 - low).T[:, :, None]
@@ -220,7 +212,7 @@ def bilinear(values: Array, places: Array) -> Array:
     return (1 - y) * upper + y * lower
 
 
-def test_what_is_empty_is_filled_from_around_it() -> None:
+def test_what_is_empty_is_filled_from_around_it():
     values = np.zeros((40, 40, 2), np.float32)
     weights = np.zeros((40, 40), np.float32)
     values[:, 5], weights[:, 5] = (0.2, 0.8), 1.0
@@ -234,7 +226,7 @@ def test_what_is_empty_is_filled_from_around_it() -> None:
 
 
 @pytest.fixture(params=["xatlas", "xatlas by pieces", "atlas"])
-def by_xatlas(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+def by_xatlas(request, monkeypatch):
     """Say which charts to make: those of octex, or those of xatlas, all at once or by pieces."""
     if request.param != "atlas":
         pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
@@ -243,7 +235,7 @@ def by_xatlas(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     return bool(request.param != "atlas")
 
 
-def test_an_atlas_has_room_for_every_triangle_once(by_xatlas: bool) -> None:
+def test_an_atlas_has_room_for_every_triangle_once(by_xatlas):
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
     surface = Surface.from_arrays(points, triangles)
     layout = atlas.atlas_layout(surface, [256], 4, 1.0, by_xatlas=by_xatlas)
@@ -257,7 +249,7 @@ def test_an_atlas_has_room_for_every_triangle_once(by_xatlas: bool) -> None:
 
 
 @pytest.mark.parametrize("scale", [2.0**-13, 2.0**17])
-def test_charts_do_not_depend_on_the_units_of_a_model(scale: float, by_xatlas: bool) -> None:
+def test_charts_do_not_depend_on_the_units_of_a_model(scale, by_xatlas):
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 24)
     surfaces = [Surface.from_arrays(points * each, triangles) for each in (1.0, scale)]
     layouts = [atlas.atlas_layout(each, [256], 4, 1.0, by_xatlas=by_xatlas) for each in surfaces]
@@ -267,9 +259,7 @@ def test_charts_do_not_depend_on_the_units_of_a_model(scale: float, by_xatlas: b
 
 @pytest.mark.parametrize("ending", [".glb", ".gltf", ".obj", ".usdz", ".3mf", ".ply"])
 @pytest.mark.parametrize("aside", [0.0, 60.0, 4_500_321.91])
-def test_files_keep_the_shape_of_models_far_from_the_origin(
-    ending: str, aside: float, tmp_path: Path
-) -> None:
+def test_files_keep_the_shape_of_models_far_from_the_origin(ending, aside, tmp_path):
     if ending in (".usdz", ".3mf"):
         pytest.importorskip("pxr" if ending == ".usdz" else "lib3mf")
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 12)
@@ -287,7 +277,7 @@ def test_files_keep_the_shape_of_models_far_from_the_origin(
 
 
 @pytest.mark.parametrize("ending", [".glb", ".obj"])
-def test_shading_normals_are_kept_and_posed(ending: str, tmp_path: Path) -> None:
+def test_shading_normals_are_kept_and_posed(ending, tmp_path):
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 12)
     normals = points / np.linalg.norm(points, axis=1, keepdims=True)
     frames = corner_frames(points, triangles, Corners(normals.astype(np.float32), triangles), None, None)
@@ -302,7 +292,7 @@ def test_shading_normals_are_kept_and_posed(ending: str, tmp_path: Path) -> None
     np.testing.assert_allclose(found, read.vertices[read.triangles], atol=1e-5)
 
 
-def test_an_atlas_without_room_says_so() -> None:
+def test_an_atlas_without_room_says_so():
     random = np.random.default_rng(0)
     vertices = np.repeat(random.random((100, 3)), 3, axis=0) + 0.05 * random.random((300, 3))
     surface = Surface.from_arrays(vertices, np.arange(300).reshape(-1, 3))
@@ -311,7 +301,7 @@ def test_an_atlas_without_room_says_so() -> None:
 
 
 @pytest.mark.parametrize("part", [0.05, 0.3, 0.9])
-def test_charts_are_placed_in_the_first_place_where_they_fit(part: float) -> None:
+def test_charts_are_placed_in_the_first_place_where_they_fit(part):
     random, size, missed = np.random.default_rng(7), 24, 0
     free, longest = np.ones((size, size), np.bool_), np.full(size, size, np.int64)
     for _ in range(300):
@@ -332,7 +322,7 @@ def test_charts_are_placed_in_the_first_place_where_they_fit(part: float) -> Non
     assert missed
 
 
-def _first_place(free: npt.NDArray[np.bool_], mask: npt.NDArray[np.bool_], start: int) -> int:
+def _first_place(free, mask, start):
     """Return the first place from one on where all of a mask's blocks are free, −1 for none."""
     (rows, columns), size = mask.shape, len(free)
     for at in range(start, size**2):
@@ -342,7 +332,7 @@ def _first_place(free: npt.NDArray[np.bool_], mask: npt.NDArray[np.bool_], start
     return -1
 
 
-def test_a_map_grows_until_charts_fit_and_texels_are_as_small_as_cells() -> None:
+def test_a_map_grows_until_charts_fit_and_texels_are_as_small_as_cells():
     random = np.random.default_rng(0)
     vertices = np.repeat(random.random((300, 3)), 3, axis=0) + 0.05 * random.random((900, 3))
     surface = Surface.from_arrays(vertices, np.arange(900).reshape(-1, 3)).with_sources({"base_color": waves})
@@ -361,13 +351,13 @@ def test_a_map_grows_until_charts_fit_and_texels_are_as_small_as_cells() -> None
 
 
 @pytest.mark.parametrize("uv", ["keep", "atlas"])
-def test_baked_maps_show_the_field(uv: str) -> None:
+def test_baked_maps_show_the_field(uv):
     texture, surface = painted_sphere()
     if uv == "keep":
         cube = cube_with_charts()
         surface = cube.with_sources({"base_color": waves})
         texture = octex.convert(surface, 6)
-    baked = octex.bake(texture, surface, uv=uv, texture_size=512)  # type: ignore[arg-type]
+    baked = octex.bake(texture, surface, uv=uv, texture_size=512)
     points = baked.scatter(20_000, seed=1)
     field = texture.sample(points, "base_color")
     assert psnr(baked.evaluate(points), field) > 48.0
@@ -376,7 +366,7 @@ def test_baked_maps_show_the_field(uv: str) -> None:
     assert psnr(baked.evaluate(points, width=wide), texture.sample(points, "base_color", width=wide)) > 38.0
 
 
-def test_all_channels_of_a_material_are_baked() -> None:
+def test_all_channels_of_a_material_are_baked():
     surface = whole()
     texture = octex.convert(surface, 5)
     baked = octex.bake(texture, surface, texture_size=128)
@@ -394,7 +384,7 @@ def test_all_channels_of_a_material_are_baked() -> None:
         assert float(np.mean(np.abs(expected - found))) / scale < 0.01
 
 
-def test_coordinates_that_repeat_are_drawn_in_each_square() -> None:
+def test_coordinates_that_repeat_are_drawn_in_each_square():
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     uv = square[:, :2] * 0.8 + (0.5, -0.4)
     surface = Surface.from_arrays(square, [[0, 1, 2], [0, 2, 3]], uv=uv).with_sources({"base_color": waves})
@@ -412,7 +402,7 @@ def test_coordinates_that_repeat_are_drawn_in_each_square() -> None:
         ([0.1, 0.1, 9.9, 0.1, 0.5, 9.9], "reach over 100 squares"),
     ],
 )
-def test_coordinates_that_cannot_be_kept_are_refused_or_made_anew(uv: list[float] | None, words: str) -> None:
+def test_coordinates_that_cannot_be_kept_are_refused_or_made_anew(uv, words):
     points, triangles = whole().vertices, whole().triangles
     own = None if uv is None else np.tile(uv, 4).reshape(4, 3, 2)  # all triangles in one place
     surface = Surface.from_arrays(points, triangles, uv=own)
@@ -424,7 +414,7 @@ def test_coordinates_that_cannot_be_kept_are_refused_or_made_anew(uv: list[float
     assert 0.0 <= baked.uv.values.min() <= baked.uv.values.max() <= 1.0
 
 
-def two_squares() -> Surface:
+def two_squares():
     """Two squares side by side, each with all of the unit square, of two materials."""
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0], [2, 1, 0]])
     triangles = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 5], [1, 5, 2]], np.int32)
@@ -445,17 +435,17 @@ def two_squares() -> Surface:
     return Surface(vertices, triangles, source, uv=uv)
 
 
-def as_source(surface: Surface) -> MaterialSource:
+def as_source(surface):
     assert isinstance(surface.source, MaterialSource)
     return surface.source
 
 
-def painted(surface: Surface) -> octex.OctreeTexture:
+def painted(surface):
     return octex.convert(surface.with_sources({"base_color": waves}), 6)
 
 
 @pytest.mark.parametrize("ending", [".glb", ".obj"])
-def test_each_material_gets_maps_and_keeps_what_it_is(ending: str, tmp_path: Path) -> None:
+def test_each_material_gets_maps_and_keeps_what_it_is(ending, tmp_path):
     surface = two_squares()
     texture = painted(surface)
     baked = octex.bake(texture, surface, texture_size=128)
@@ -473,7 +463,7 @@ def test_each_material_gets_maps_and_keeps_what_it_is(ending: str, tmp_path: Pat
         assert known == [(0.5, "left", True), (0.5, "right", False)]
 
 
-def test_materials_that_read_one_image_share_maps_and_an_atlas_joins_those_alike() -> None:
+def test_materials_that_read_one_image_share_maps_and_an_atlas_joins_those_alike():
     surface = two_squares()
     own = as_source(surface)
     first = own.materials[0]
@@ -501,16 +491,12 @@ def test_materials_that_read_one_image_share_maps_and_an_atlas_joins_those_alike
     assert [each.name for each in apart.materials] == ["left", "right"]
 
 
-def test_tiles_become_materials_and_what_overlaps_and_looks_otherwise_is_refused() -> None:
+def test_tiles_become_materials_and_what_overlaps_and_looks_otherwise_is_refused():
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     points = np.concatenate([square, square + np.array([1.5, 0.0, 0.0])])
     triangles = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
     flat = square[:, :2]
-    for moved, words in (
-        ((1.0, 0.0), None),
-        ((0.0, 1.0), None),
-        ((0.0, 0.0), "texture coordinates overlap"),
-    ):
+    for moved, words in (((1.0, 0.0), None), ((0.0, 1.0), None), ((0.0, 0.0), "texture coordinates overlap")):
         surface = Surface.from_arrays(points, triangles, uv=np.concatenate([flat, flat + moved]))
         texture = painted(surface)
         if words is not None:
@@ -527,7 +513,7 @@ def test_tiles_become_materials_and_what_overlaps_and_looks_otherwise_is_refused
     assert octex.bake(plain, surface, uv="keep", texture_size=64).uv is not None
 
 
-def test_stretches_are_least_singular_values_and_their_ways() -> None:
+def test_stretches_are_least_singular_values_and_their_ways():
     random = np.random.default_rng(0)
     points, uv = random.normal(size=(300, 3)), random.normal(size=(300, 2)).astype(np.float32)
     uv[:30], uv[30:60, 1], points[60:63, 1:] = uv[0], 0.25, 0.0  # points, lines, and no area
@@ -547,7 +533,7 @@ def test_stretches_are_least_singular_values_and_their_ways() -> None:
 
 
 @pytest.mark.parametrize("across", [0.0, 1.0])
-def test_squeezed_coordinates_are_kept_only_where_what_they_show_is_alike(across: float) -> None:
+def test_squeezed_coordinates_are_kept_only_where_what_they_show_is_alike(across):
     """As of low-poly models, each part of which is one texel of a palette, or a line of it."""
     points, triangles = square(side=1.0, steps=4)
     uv = np.stack([across * (points[:, 0] + 0.5), np.full(len(points), 0.375)], axis=1)
@@ -575,7 +561,7 @@ def test_squeezed_coordinates_are_kept_only_where_what_they_show_is_alike(across
 
 
 @pytest.mark.parametrize("supersample", [1, 2])
-def test_a_palette_is_kept_part_by_part(supersample: int) -> None:
+def test_a_palette_is_kept_part_by_part(supersample):
     """Each triangle has one point of a palette, and lies apart from the others."""
     random = np.random.default_rng(0)
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]) + 4.0 * np.stack(
@@ -595,7 +581,7 @@ def test_a_palette_is_kept_part_by_part(supersample: int) -> None:
     np.testing.assert_allclose(baked.evaluate(seen), texture.sample(seen, "base_color"), atol=2e-3)
 
 
-def test_another_mesh_of_the_object_shows_its_nearest_points() -> None:
+def test_another_mesh_of_the_object_shows_its_nearest_points():
     texture, fine = painted_sphere()
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 10)
     simple = Surface.from_arrays(points, triangles)
@@ -620,7 +606,7 @@ def test_another_mesh_of_the_object_shows_its_nearest_points() -> None:
         octex.bake(texture, away, source=fine, max_distance=0.01, texture_size=64)
 
 
-def test_texels_no_larger_than_leaves_need_no_footprint() -> None:
+def test_texels_no_larger_than_leaves_need_no_footprint():
     texture, surface = painted_sphere()
     points = surface.scatter(2000)
     leaf = texture.placement.size / 2**texture.tree.max_depth
@@ -631,7 +617,7 @@ def test_texels_no_larger_than_leaves_need_no_footprint() -> None:
     np.testing.assert_array_equal(given, texture.sample(points.rest, normals=points.normals))
 
 
-def test_what_bake_cannot_do_is_said() -> None:
+def test_what_bake_cannot_do_is_said():
     surface = whole()
     texture = octex.convert(surface, 3)
     for options, words in [
@@ -644,11 +630,11 @@ def test_what_bake_cannot_do_is_said() -> None:
         ({"supersample": 0}, "supersample"),
     ]:
         with pytest.raises(ArgumentError, match=words):
-            octex.bake(texture, surface, **options)  # type: ignore[arg-type]
+            octex.bake(texture, surface, **options)
 
 
 @pytest.mark.parametrize("ending", [".glb", ".gltf", ".obj"])
-def test_written_models_read_back_as_they_were(ending: str, tmp_path: Path) -> None:
+def test_written_models_read_back_as_they_were(ending, tmp_path):
     surface = whole()
     channels = ["base_color", "metallic", "roughness", "normal"] + ([] if ending == ".obj" else ["emissive"])
     baked = octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=channels)
@@ -667,11 +653,11 @@ def test_written_models_read_back_as_they_were(ending: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("images", ["png", "exr"])
-def test_maps_of_more_bits_are_written_whole(images: Any, tmp_path: Path) -> None:
+def test_maps_of_more_bits_are_written_whole(images, tmp_path):
     reader = pytest.importorskip("OpenImageIO", reason="the extra octex[images] is not installed")
     surface = whole().with_sources({"alpha": lambda points: 0.2 + 0.6 * waves(points)[:, :1]})
     names = ["base_color", "alpha", "roughness", "normal"]
-    bits: Any = 16 if images == "png" else 32
+    bits = 16 if images == "png" else 32
     baked = octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=names, bits=bits)
     material = as_source(baked).materials[0]
     octex.write_model(baked, tmp_path / "a.obj", images=images)
@@ -693,7 +679,7 @@ def test_maps_of_more_bits_are_written_whole(images: Any, tmp_path: Path) -> Non
         octex.write_model(fewer if images == "exr" else baked, tmp_path / "b.glb", images="exr")
 
 
-def test_maps_of_floats_hold_light_above_1(tmp_path: Path) -> None:
+def test_maps_of_floats_hold_light_above_1(tmp_path):
     surface = whole().with_sources({"emissive": lambda points: 4.0 + waves(points)})
     baked = octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=["emissive"], bits=32)
     given = as_source(baked).materials[0].inputs["emissive"]
@@ -704,8 +690,8 @@ def test_maps_of_floats_hold_light_above_1(tmp_path: Path) -> None:
         octex.write_model(baked, tmp_path / "a.glb")
 
 
-def test_texels_are_the_means_of_so_many_lookups(monkeypatch: pytest.MonkeyPatch) -> None:
-    def as_it_is(values: Array, _areas: Array, _part: float, first: int, fitted: Array) -> None:
+def test_texels_are_the_means_of_so_many_lookups(monkeypatch):
+    def as_it_is(values, _areas, _part, first, fitted):
         fitted[:] = values[first : first + len(fitted)]
 
     monkeypatch.setattr("octex.baking.maps.fit_rows", as_it_is)
@@ -725,7 +711,7 @@ def test_texels_are_the_means_of_so_many_lookups(monkeypatch: pytest.MonkeyPatch
     np.testing.assert_allclose(maps[0][inside], means[inside], atol=1e-5)
 
 
-def test_images_of_udim_tiles_are_named_by_them(tmp_path: Path) -> None:
+def test_images_of_udim_tiles_are_named_by_them(tmp_path):
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     points = np.concatenate([square, square + np.array([1.5, 0.0, 0.0])])
     triangles = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
@@ -742,7 +728,7 @@ def test_images_of_udim_tiles_are_named_by_them(tmp_path: Path) -> None:
         assert psnr(octex.load_surface(path).evaluate(seen), baked.evaluate(seen)) > 60.0
 
 
-def test_gltf_files_beside_are_named_by_valid_uris(tmp_path: Path) -> None:
+def test_gltf_files_beside_are_named_by_valid_uris(tmp_path):
     surface = whole()
     baked = octex.bake(octex.convert(surface, 3), surface, texture_size=64, channels=["base_color"])
     path = tmp_path / f"a %41#?{'é' * 60}.gltf"  # as a URI longer than a file's name may be
@@ -755,7 +741,7 @@ def test_gltf_files_beside_are_named_by_valid_uris(tmp_path: Path) -> None:
     assert psnr(octex.load_surface(path).evaluate(points), baked.evaluate(points)) > 100.0
 
 
-def test_obj_files_keep_the_names_of_materials(tmp_path: Path) -> None:
+def test_obj_files_keep_the_names_of_materials(tmp_path):
     names = ["wood", "worn steel", "worn_steel", "", "material3", "a\n\0\ud800b"]
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0]])
     points = np.concatenate([square + np.array([n, 0, 0]) for n in range(len(names))])
@@ -773,7 +759,7 @@ def test_obj_files_keep_the_names_of_materials(tmp_path: Path) -> None:
     np.testing.assert_allclose([each.inputs["base_color"].factor for each in found], colors, atol=1e-6)
 
 
-def test_materials_that_read_one_image_have_one_file(tmp_path: Path) -> None:
+def test_materials_that_read_one_image_have_one_file(tmp_path):
     surface = whole()
     baked = octex.bake(octex.convert(surface, 3), surface, texture_size=64, channels=["base_color"])
     source = as_source(baked)
@@ -788,7 +774,7 @@ def test_materials_that_read_one_image_have_one_file(tmp_path: Path) -> None:
     assert psnr(octex.load_surface(tmp_path / "a.obj").evaluate(points), shared.evaluate(points)) > 60.0
 
 
-def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_said(tmp_path):
     surface = whole()
     with pytest.raises(ModelError, match="bake it first"):
         octex.write_model(surface, tmp_path / "a.glb")
@@ -796,13 +782,13 @@ def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
         octex.write_model(surface, tmp_path / "a.fbx")
 
 
-def test_vertex_colours_follow_the_field_and_neighbours_divide_alike() -> None:
+def test_vertex_colours_follow_the_field_and_neighbours_divide_alike():
     texture, surface = painted_sphere()
     coarse = octex.bake_vertices(texture, surface)
     assert len(coarse.triangles) == len(surface.triangles)
     fine = octex.bake_vertices(texture, surface, subdivide="auto", max_error=2.0)
     near = texture.sample(fine.vertices, "base_color", normals=fine.vertices)
-    np.testing.assert_allclose(fine.source.colors.values[:, :3], near, atol=0.02)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(fine.source.colors.values[:, :3], near, atol=0.02)
     for seed, made, least in ((3, coarse, 20.0), (4, fine, 43.0)):
         some = made.scatter(20_000, seed=seed)
         assert psnr(made.evaluate(some), texture.sample(some, "base_color")) > least
@@ -814,7 +800,7 @@ def test_vertex_colours_follow_the_field_and_neighbours_divide_alike() -> None:
 
 
 @pytest.mark.parametrize("subdivide", ["auto", 0.07])
-def test_where_vertices_are_apart_at_one_place_edges_are_divided_alike(subdivide: Any) -> None:
+def test_where_vertices_are_apart_at_one_place_edges_are_divided_alike(subdivide):
     surface = cube_with_charts()  # no two of its triangles share a vertex
     flat = corner_frames(surface.rest, surface.triangles, None, None, None)
     surface = Surface(surface.vertices, surface.triangles, surface.source, frames=flat)
@@ -836,7 +822,7 @@ def test_where_vertices_are_apart_at_one_place_edges_are_divided_alike(subdivide
 
 
 @pytest.mark.parametrize("ending", [".ply", ".glb", ".obj"])
-def test_divided_triangles_are_shaded_as_the_whole_was(ending: str, tmp_path: Path) -> None:
+def test_divided_triangles_are_shaded_as_the_whole_was(ending, tmp_path):
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 8)
     normals = Corners((points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32), triangles)
     frames = corner_frames(points, triangles, normals, None, None)
@@ -859,7 +845,7 @@ def test_divided_triangles_are_shaded_as_the_whole_was(ending: str, tmp_path: Pa
     assert np.einsum("tcx,tcx->tc", found, expected).min() > np.cos(np.radians(2.0))
 
 
-def test_edges_are_halved_until_none_is_longer() -> None:
+def test_edges_are_halved_until_none_is_longer():
     surface = whole()
     texture = octex.convert(surface, 6)
     made = octex.bake_vertices(texture, surface, subdivide=0.1)
@@ -872,7 +858,7 @@ def test_edges_are_halved_until_none_is_longer() -> None:
 
 
 @pytest.mark.parametrize("ending", [".ply", ".glb", ".obj"])
-def test_vertex_colours_are_written_and_read_back(ending: str, tmp_path: Path) -> None:
+def test_vertex_colours_are_written_and_read_back(ending, tmp_path):
     texture, surface = painted_sphere()
     made = octex.bake_vertices(texture, surface)
     octex.write_model(made, tmp_path / f"ball{ending}")
@@ -883,18 +869,18 @@ def test_vertex_colours_are_written_and_read_back(ending: str, tmp_path: Path) -
     if ending == ".ply":
         cloud = trimesh.load(tmp_path / "ball.ply", process=False)
         np.testing.assert_array_equal(cloud.faces, made.triangles)
-        codes = encode(made.source.colors.values[:, :3], "uint8", "srgb")  # type: ignore[attr-defined]
+        codes = encode(made.source.colors.values[:, :3], "uint8", "srgb")
         np.testing.assert_array_equal(cloud.visual.vertex_colors[:, :3], codes)
 
 
-def test_the_command_bakes(tmp_path: Path, cli: Cli) -> None:
+def test_the_command_bakes(tmp_path, cli):
     surface = cube_with_charts().with_sources({"base_color": waves})
     octex.convert(surface, 4).save(tmp_path / "cube.octex")
     model = octex.bake(octex.open(tmp_path / "cube.octex"), surface, texture_size=64)
     octex.write_model(model, tmp_path / "cube.obj")
     given = ["bake", tmp_path / "cube.octex", tmp_path / "cube.obj"]
 
-    def made(output: str, *words: object) -> dict[str, Any]:
+    def made(output, *words):
         told = json.loads(cli.result(*given, tmp_path / output, *words, "--json", "--quiet"))
         assert told["output"] == str(tmp_path / output)
         return told
@@ -920,7 +906,7 @@ def test_the_command_bakes(tmp_path: Path, cli: Cli) -> None:
 
 
 @pytest.mark.parametrize("bake", [octex.bake, octex.bake_vertices])
-def test_the_texture_of_another_model_is_refused(bake: Callable[..., octex.Surface]) -> None:
+def test_the_texture_of_another_model_is_refused(bake):
     surface = whole()
     texture = octex.convert(surface, 3)
     other = Surface.from_arrays(surface.vertices + 10.0, surface.triangles)
@@ -934,7 +920,7 @@ def test_the_texture_of_another_model_is_refused(bake: Callable[..., octex.Surfa
         bake(texture, shifted)
 
 
-def test_triangles_that_have_an_area_by_rounding_alone_are_baked() -> None:
+def test_triangles_that_have_an_area_by_rounding_alone_are_baked():
     surface = ball(16)  # at its poles
     baked = octex.bake(octex.convert(surface, 4), surface, texture_size=64)
     points = surface.scatter(2000)

@@ -1,11 +1,8 @@
 """How large baked maps are, and how their images are stored."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import PIL.Image
@@ -144,7 +141,7 @@ def inputs_of(baked):
     return dict(baked.source.materials[0].inputs)
 
 
-VARIED: dict[str, Any] = {
+VARIED = {
     "base_color": waves,
     "alpha": lambda points: 0.2 + 0.6 * waves(points)[:, :1],
     "occlusion": lambda points: waves(points)[:, :1],
@@ -153,7 +150,7 @@ VARIED: dict[str, Any] = {
     "emissive": waves,
     "specular": waves,
 }
-PLAIN: dict[str, Any] = {
+PLAIN = {
     "base_color": (0.2, 0.5, 0.8), "alpha": 0.6, "occlusion": 1.0, "roughness": 0.6, "metallic": 0.2,
     "emissive": (0.0, 0.2, 2.0), "specular": (0.02, 0.03, 0.04),
 }  # fmt: skip

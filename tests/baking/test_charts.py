@@ -1,11 +1,6 @@
 """Charts of an atlas: noise does not tear them apart, nothing folds or overlaps, and little is stretched."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 import trimesh
 from hypothesis import given
@@ -23,17 +18,15 @@ from octex.source.mesh import Mesh
 from tests.make.solids import sphere
 from tests.make.vxz import dual_grid
 
-Floats = npt.NDArray[np.float64]
 
-
-def noisy(subdivisions: int, noise: float) -> Mesh:
+def noisy(subdivisions, noise):
     """A ball of radius 1 whose vertices are moved in and out."""
     made = trimesh.creation.icosphere(subdivisions)
     radii = 1.0 + noise * np.random.default_rng(0).standard_normal((len(made.vertices), 1))
     return Mesh(made.vertices * radii, np.asarray(made.faces))
 
 
-def stretched(mesh: Mesh, flat: Floats) -> float:
+def stretched(mesh, flat):
     """Return the L2 stretch of Sander et al. (2001): 1 for a map that keeps all lengths."""
     low, high = mesh.bounds
     corners = SIDE * ((mesh.rest - low) / (high - low).max())[mesh.triangles]
@@ -46,7 +39,7 @@ def stretched(mesh: Mesh, flat: Floats) -> float:
     return float(np.sqrt((squares * spread).sum() / spread.sum() * np.abs(area).sum() / spread.sum()))
 
 
-def overlapping(flat: Floats, charts: npt.NDArray[np.int32]) -> list[int]:
+def overlapping(flat, charts):
     """Return the charts of which more than a fiftieth lies on itself."""
     found = []
     for chart in np.unique(charts).tolist():
@@ -62,7 +55,7 @@ def overlapping(flat: Floats, charts: npt.NDArray[np.int32]) -> list[int]:
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.003, 0.006])
-def test_noise_does_not_tear_charts_apart(noise: float) -> None:
+def test_noise_does_not_tear_charts_apart(noise):
     mesh = noisy(5, noise)
     flat, charts, _ = laid_flat(mesh)
     assert charts.max() < 20
@@ -73,7 +66,7 @@ def test_noise_does_not_tear_charts_apart(noise: float) -> None:
     assert sizes.min() > 1000.0
 
 
-def blobs(points: Floats) -> Floats:
+def blobs(points):
     """Two balls, and a thin disc with a hole: about the distance to their surface."""
     x, y, z = (points - 0.5).T
     balls = np.minimum(np.hypot(np.hypot(x, y), z) - 0.2, np.hypot(np.hypot(x - 0.2, y - 0.15), z) - 0.13)
@@ -82,7 +75,7 @@ def blobs(points: Floats) -> Floats:
     return np.asarray(np.minimum(balls, disc))
 
 
-def test_few_charts_of_a_generated_mesh_are_tiny(tmp_path: Path) -> None:
+def test_few_charts_of_a_generated_mesh_are_tiny(tmp_path):
     side, size = 24, 512
     coords, dual, crossed = dual_grid(blobs, side)
     dual = np.clip(dual + 0.1 * np.random.default_rng(0).standard_normal(dual.shape), 0.0, 1.0)
@@ -95,7 +88,7 @@ def test_few_charts_of_a_generated_mesh_are_tiny(tmp_path: Path) -> None:
     assert areas.size < 80
 
 
-def test_an_atlas_is_the_same_each_time_and_on_more_threads() -> None:
+def test_an_atlas_is_the_same_each_time_and_on_more_threads():
     mesh = noisy(4, 0.01)
     surface = octex.Surface.from_arrays(mesh.rest, mesh.triangles)
     source = surface.with_sources({"base_color": lambda rest: 0.5 + 0.3 * np.sin(9 * rest)})
@@ -113,7 +106,7 @@ def test_an_atlas_is_the_same_each_time_and_on_more_threads() -> None:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_charts_with_borders_of_one_length_are_merged(seed: int) -> None:
+def test_charts_with_borders_of_one_length_are_merged(seed):
     """A flat cone of three charts: each border is as long as the others, but for the order of its sum."""
     sectors, rings, per_sector = 3, 9, 4
     turns = np.arange(sectors * per_sector) * 2.0 * np.pi / (sectors * per_sector)
@@ -142,7 +135,7 @@ def test_charts_with_borders_of_one_length_are_merged(seed: int) -> None:
     assert not _merged(pieces, charts.astype(np.int64)).any()
 
 
-def test_what_is_flat_is_one_chart_and_keeps_its_lengths() -> None:
+def test_what_is_flat_is_one_chart_and_keeps_its_lengths():
     across = np.linspace(0.0, 1.0, 9)
     points = np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1).reshape(-1, 2)
     corners = np.arange(81).reshape(9, 9)
@@ -154,13 +147,13 @@ def test_what_is_flat_is_one_chart_and_keeps_its_lengths() -> None:
     np.testing.assert_allclose(stretched(mesh, flat), 1.0, atol=1e-9)
 
 
-def test_a_box_has_a_chart_for_each_face() -> None:
+def test_a_box_has_a_chart_for_each_face():
     box = trimesh.creation.box()
     mesh = Mesh(box.vertices, np.asarray(box.faces))
     assert laid_flat(mesh).charts.max() == 5
 
 
-def test_a_sheet_that_lies_over_itself_is_cut() -> None:
+def test_a_sheet_that_lies_over_itself_is_cut():
     turns, steps = np.linspace(0.0, 6.0 * np.pi, 200), np.arange(200)
     ring = np.stack([np.cos(turns), np.sin(turns), 0.1 * turns], axis=1)
     points = np.concatenate([ring, ring * (2.0, 2.0, 1.0)])
@@ -172,7 +165,7 @@ def test_a_sheet_that_lies_over_itself_is_cut() -> None:
 
 
 @given(st.integers(0, 10_000))
-def test_any_triangles_are_laid_flat_without_folds(seed: int) -> None:
+def test_any_triangles_are_laid_flat_without_folds(seed):
     rng = np.random.default_rng(seed)
     points = rng.integers(0, 4, (int(rng.integers(3, 30)), 3)).astype(np.float64)
     triangles = rng.integers(0, len(points), (int(rng.integers(1, 60)), 3))
@@ -188,7 +181,7 @@ def test_any_triangles_are_laid_flat_without_folds(seed: int) -> None:
         atlas.atlas_layout(mesh, [128], None, 1e-9)
 
 
-def test_a_thousand_parts_have_room() -> None:
+def test_a_thousand_parts_have_room():
     points, triangles = sphere([0.0, 0.0, 0.0], 0.3, 4)
     places = np.stack(np.meshgrid(*[np.arange(10.0)] * 3), axis=-1).reshape(-1, 3)
     every = (points + places[:, None]).reshape(-1, 3)
@@ -197,7 +190,7 @@ def test_a_thousand_parts_have_room() -> None:
     assert len(places) <= layout.charts.max() + 1 <= 8 * len(places)
 
 
-def test_xatlas_is_ended_with_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_xatlas_is_ended_with_a_word(monkeypatch):
     pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
     monkeypatch.setattr(atlas, "_PATIENCE", 0.0)
     monkeypatch.setattr(atlas, "_PIECE", 100)

@@ -1,7 +1,5 @@
 """Surfaces displaced by a channel of their texture."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -115,7 +113,7 @@ def test_triangles_without_area_are_displaced_beside_others():
 def test_what_cannot_be_displaced_is_refused():
     surface = ball(1).with_sources({"occlusion": height})
     texture = octex.convert(surface, 3, dtype="float16")
-    cases: list[tuple[dict[str, Any], str]] = [
+    cases = [
         ({"channel": "height"}, "unknown channel of the texture 'height'; there are: occlusion|base_color"),
         ({"scale": np.nan}, "scale must be from"),
         ({"middle": np.inf}, "middle must be from"),

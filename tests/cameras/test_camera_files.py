@@ -11,7 +11,7 @@ import pytest
 from trimesh.transformations import quaternion_from_matrix
 
 from octex.cameras.camera import Camera
-from octex.cameras.files import find_frame, read_cameras, write_cameras
+from octex.cameras.files import read_cameras, write_cameras
 from octex.errors import CameraError, OutputError
 from tests.oracles.naive_lens import through
 
@@ -979,38 +979,3 @@ def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
         files[which].write_bytes(wholes[which])
     assert refused > 30
     assert read_cameras(path)
-
-
-# Names
-
-
-def named(*names):
-    frame = {"transform_matrix": np.eye(4).tolist(), "camera_angle_x": 1.0}
-    return {"frames": [frame | {"file_path": name} for name in names]}
-
-
-def test_a_frame_is_found_by_its_name_then_its_file_name_then_its_stem(tmp_path):
-    frames = read_cameras(
-        write_json(tmp_path / "t.json", named("a/x.png", "b/y.png", "b\\z.jpg", "y.png", "w"))
-    )
-    for asked, found in [
-        ("a/x.png", "a/x.png"),
-        ("y.png", "y.png"),
-        ("elsewhere/x.png", "a/x.png"),
-        ("z.jpg", "b\\z.jpg"),
-        ("x.exr", "a/x.png"),
-        ("w.png", "w"),
-    ]:
-        assert find_frame(frames, asked).name == found
-
-
-def test_a_frame_that_is_not_there_or_not_one_is_refused_with_a_listing(tmp_path):
-    frames = read_cameras(write_json(tmp_path / "t.json", named("a/x.png", "b/x.png", *"cdefghijklm")))
-    with pytest.raises(
-        CameraError, match=r"'x\.png' may be 2 frames: 'a/x\.png', 'b/x\.png'; give the whole name"
-    ):
-        find_frame(frames, "x.png")
-    with pytest.raises(CameraError, match=r"no frame 'q'; there are: 'a/x\.png', .* and 3 more"):
-        find_frame(frames, "q")
-    with pytest.raises(CameraError, match="there are: none"):
-        find_frame([], "q")

@@ -1,7 +1,5 @@
 """Lenses of every model: there, as they are written out, and back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -10,7 +8,7 @@ from octex.errors import ArgumentError
 from octex.view.visibility import straight
 from tests.oracles.naive_lens import through
 
-LENSES: list[tuple[str, str, list[float]]] = [
+LENSES = [
     ("FULL_OPENCV", "opencv", [-0.2, 0.05, 1e-3, -2e-3, 0.02, 0.1, 0.03, -0.01]),
     ("FULL_OPENCV", "opencv", [0.4, 0.1, 0.0, 0.0, 0.01, 0.5, 0.2, 0.02]),
     ("OPENCV_FISHEYE", "fisheye", [0.1, -0.05, 0.02, -0.01]),

@@ -1,7 +1,6 @@
 """Repairs against what is known of a shape beforehand: copies, slivers, cracks, and parts inside others."""
 
 import json
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +11,6 @@ from octex.errors import ArgumentError, ModelError
 
 #: A cell of depth 10 of a model that is 2 wide.
 CELL = 2.0 / 1021
-
-
-Mesh = tuple[Any, Any]
 
 
 def ball(radius=1.0, centre=(0, 0, 0), fineness=3):
@@ -37,7 +33,7 @@ def joined(*parts):
 
 def n_open(surface):
     """The number of edges that one triangle alone has, by the positions of their ends."""
-    seen: dict[tuple[Any, ...], int] = {}
+    seen = {}
     for corners in surface.rest[surface.triangles]:
         for i in range(3):
             edge = tuple(sorted([tuple(corners[i]), tuple(corners[(i + 1) % 3])]))

@@ -28,7 +28,15 @@ def parsed(*words, command="convert"):
 
 
 TOOLS = Path(__file__).parents[2] / "tools" / "release"
-HEAVY = ("numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree")
+HEAVY = [
+    "numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm", "octex.texture", "octex.tree",
+    "octex.painting",
+]  # fmt: skip
+#: Commands that read and write nothing, and their exit codes.
+IDLE = {
+    "convert --help": 0, "convert model.glb nowhere/model.octex": 2, "paint --help": 0, "paint --version": 0,
+    "paint a.glb b.octex": 2, "--help": 0, "help painting": 0, "x": 2,
+}  # fmt: skip
 
 
 # --- usage
@@ -166,21 +174,23 @@ def test_version_is_the_packages(cli):
     assert cli.result("--version") == f"octree-convert {octex.__version__}\n"
 
 
-def test_help_and_refusals_import_nothing_heavy():
+def test_help_pages_and_refusals_import_nothing_heavy():
     code = f"""
 import sys
 from octex.cli.main import main
-assert main(["convert", "--help"]) == 0
-assert main(["convert", "model.glb", "nowhere/model.octex"]) == 2
-print([name for name in {HEAVY} if name in sys.modules], file=sys.stderr)
+codes = [int(main(words.split())) for words in {list(IDLE)}]
+print(codes, [name for name in {HEAVY} if name in sys.modules])
 """
     done = python(code)
-    assert done.stderr.splitlines()[-1] == "[]"
+    assert done.stdout.splitlines()[-1] == f"{list(IDLE.values())} []"
+    lines = done.stderr.splitlines()
+    assert len(lines) == 3
+    assert lines[1] == "octex paint: error: --camera is missing; see octex paint --help"
 
 
 @needs_jit
 def test_warming_up_compiles_what_is_listed_and_says_how_long_it_took(cli, monkeypatch):
-    done: list[str] = []
+    done = []
     monkeypatch.setattr("octex.ahead._compile", done.append)
     assert re.fullmatch(r"compiled and cached in \d+\.\d s\n", cli.result("warm-up"))
     assert done == ahead.lines(*ahead.SECTIONS)
@@ -303,80 +313,58 @@ PROCESS = "import sys; from octex.cli.main import main; sys.exit(main())"
 posix = pytest.mark.skipif(sys.platform == "win32", reason="signals, limits and devices of POSIX")
 
 
-@posix
-def test_a_full_disk_leaves_the_old_file_whole(model, tmp_path):
-    out = tmp_path / "box.octex"
-    out.write_bytes(b"old")
-    filling = """
-import resource, sys
-from octex.cli import convert
-
-class Filling(convert.Reporter):
+#: What happens to a conversion, the code that makes it happen, and what it ends with then.
+ENDINGS = {
+    "the disk is full": (
+        """
+import resource
+class Other(convert.Reporter):
     def __call__(self, stage, done, total):
         if stage == "write":
             resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
-
-convert.Reporter = Filling
-from octex.cli.start import octree_convert
-sys.exit(octree_convert())
-"""
-    done = python(filling, str(model), str(out), "--depth", "3", "--force")
-    assert done.returncode == ExitCode.REFUSED, done.stderr
-    assert done.stderr.startswith(
-        f"octree-convert: error: {out}: cannot be written: File too large; make room"
-    )
-    assert done.stderr.count("\n") == 1
-    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
-
-
-@posix
-def test_interruption_ends_with_130_and_leaves_nothing(model, tmp_path):
-    interrupting = """
-import os, signal, sys
-from octex.cli import convert
-
+convert.Reporter = Other
+""", ExitCode.REFUSED, "octree-convert: error: {out}: cannot be written: File too large; make room.*",
+    ),
+    "it is interrupted": (
+        """
 # A job in the background inherits that it is ignored.
 signal.signal(signal.SIGINT, signal.default_int_handler)
-
-class Interrupting(convert.Reporter):
+class Other(convert.Reporter):
     def __call__(self, stage, done, total):
         super().__call__(stage, done, total)
         if stage == "convert":
             os.kill(os.getpid(), signal.SIGINT)
-
-convert.Reporter = Interrupting
-from octex.cli.start import octree_convert
-sys.exit(octree_convert())
-"""
-    done = python(interrupting, str(model), str(tmp_path / "box.octex"), "--depth", "3")
-    assert done.returncode == ExitCode.INTERRUPTED
-    assert done.stderr.splitlines()[-1] == "octree-convert: interrupted"
-    assert list(tmp_path.iterdir()) == []
-
-
-@posix
-def test_a_command_that_is_told_to_end_ends_with_143_and_leaves_nothing(model, tmp_path):
-    ending = """
-import os, signal, sys
-from octex import files
-from octex.cli import convert
-
+convert.Reporter = Other
+""", ExitCode.INTERRUPTED, "octree-convert: interrupted",
+    ),
+    "it is told to end": (
+        """
 signal.signal(signal.SIGTERM, signal.SIG_DFL)
 files._nameless_file = lambda folder: None
 sync = os.fsync
-
 def end(file):
     os.kill(os.getpid(), signal.SIGTERM)
     sync(file)
-
 os.fsync = end
-from octex.cli.start import octree_convert
-sys.exit(octree_convert())
-"""
-    done = python(ending, str(model), str(tmp_path / "box.octex"), "--depth", "3")
-    assert done.returncode == ExitCode.TERMINATED
-    assert done.stderr.splitlines()[-1] == "octree-convert: told to end"
-    assert list(tmp_path.iterdir()) == []
+""", ExitCode.TERMINATED, "octree-convert: told to end",
+    ),
+}  # fmt: skip
+
+
+@posix
+@pytest.mark.parametrize("what", ENDINGS)
+def test_a_conversion_that_fails_says_so_in_a_line_and_leaves_the_old_file(what, model, tmp_path):
+    changes, code, line = ENDINGS[what]
+    out = tmp_path / "box.octex"
+    out.write_bytes(b"old")
+    before = "import os, signal, sys\nfrom octex import files\nfrom octex.cli import convert\n"
+    after = "\nfrom octex.cli.start import octree_convert\nsys.exit(octree_convert())\n"
+    done = python(before + changes + after, str(model), str(out), "--depth", "3", "--force")
+    assert done.returncode == code, done.stderr
+    *lines, last = done.stderr.splitlines()
+    assert re.fullmatch(line.format(out=re.escape(str(out))), last)
+    assert not lines or code != ExitCode.REFUSED
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="this system does not count threads there")

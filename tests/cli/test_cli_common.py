@@ -218,13 +218,9 @@ def test_a_folder_that_cannot_be_written_is_refused(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("count", "text"),
     [
-        (0, "0 bytes"),
-        (999, "999 bytes"),
-        (1000, "1 kB"),
-        (1_234_567, "1.23 MB"),
-        (999_900_000, "1 GB"),
+        (0, "0 bytes"), (999, "999 bytes"), (1000, "1 kB"), (1_234_567, "1.23 MB"), (999_900_000, "1 GB"),
         (5 * 10**15, "5 PB"),
     ],
-)
+)  # fmt: skip
 def test_bytes_are_readable(count, text):
     assert bytes_text(count) == text

@@ -1,12 +1,8 @@
 """Conversions at the command line."""
 
-from __future__ import annotations
-
 import json
 import os
 import re
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +11,10 @@ import octex
 from octex.cli.common import bytes_text
 from octex.cli.options import COMMANDS
 from octex.cli.parser import Parser
-from tests.make.command import Cli
 from tests.make.fixtures import png, random_image, textured_square
 
 
-def test_a_model_becomes_an_octree_texture(model: Path, made: Path, tmp_path: Path, cli: Cli) -> None:
+def test_a_model_becomes_an_octree_texture(model, made, tmp_path, cli):
     out = tmp_path / "box.octex"
     summary = cli.result(model, out, "--depth", 4)
     assert out.read_bytes() == made.read_bytes()
@@ -29,7 +24,7 @@ def test_a_model_becomes_an_octree_texture(model: Path, made: Path, tmp_path: Pa
     assert re.fullmatch(rf"{re.escape(str(out))}: {cells}, {re.escape(size)}, [\d.]+ s\n", summary)
 
 
-def test_stages_are_told_on_stderr(model: Path, tmp_path: Path, cli: Cli) -> None:
+def test_stages_are_told_on_stderr(model, tmp_path, cli):
     said = cli.errors(model, tmp_path / "box.octex", "--depth", 3)
     lines = [line for line in said.splitlines() if "compiling" not in line]
     assert lines
@@ -37,7 +32,7 @@ def test_stages_are_told_on_stderr(model: Path, tmp_path: Path, cli: Cli) -> Non
     assert [lines[0].split()[1], lines[-1].split()[1]] == ["read:", "write:"]
 
 
-def test_a_machine_reads_one_json_object_and_quiet_is_silent(model: Path, tmp_path: Path, cli: Cli) -> None:
+def test_a_machine_reads_one_json_object_and_quiet_is_silent(model, tmp_path, cli):
     out = tmp_path / "box.octex"
     assert cli.run(model, out, "--depth", "3", "--json", "--quiet") == 0
     told, said = cli.said()
@@ -57,12 +52,12 @@ def test_a_machine_reads_one_json_object_and_quiet_is_silent(model: Path, tmp_pa
     assert cli.said() == ("", "")
 
 
-def test_only_a_texture_is_made_in_files(model: Path, tmp_path: Path, cli: Cli) -> None:
+def test_only_a_texture_is_made_in_files(model, tmp_path, cli):
     refused = cli.refusal(model, tmp_path / "b.ply", "--memory", "9kB")
     assert refused.endswith("b.ply: a texture is converted to NAME.octex")
 
 
-def test_a_rest_mesh_places_the_texture(model: Path, tmp_path: Path, cli: Cli) -> None:
+def test_a_rest_mesh_places_the_texture(model, tmp_path, cli):
     import trimesh
 
     posed = trimesh.load(model, force="mesh")
@@ -76,16 +71,14 @@ def test_a_rest_mesh_places_the_texture(model: Path, tmp_path: Path, cli: Cli) -
     assert not (tmp_path / "x.octex").exists()
 
 
-def test_points_are_the_same_from_the_model_and_from_its_texture(
-    model: Path, made: Path, tmp_path: Path, cli: Cli
-) -> None:
+def test_points_are_the_same_from_the_model_and_from_its_texture(model, made, tmp_path, cli):
     out = cli.result(model, tmp_path / "a.ply", "--depth", 4)
     cli.result(made, tmp_path / "b.PLY")
     assert f"{octex.open(made).tree.n_leaves:,} leaves" in out
     assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.PLY").read_bytes()
 
 
-def test_a_texture_can_be_made_coarser_but_not_finer(made: Path, tmp_path: Path, cli: Cli) -> None:
+def test_a_texture_can_be_made_coarser_but_not_finer(made, tmp_path, cli):
     out = tmp_path / "coarse.octex"
     for depth in (0, 2):
         cli.result("edit", made, out, "--depth", depth, "--force")
@@ -123,7 +116,7 @@ def test_a_texture_can_be_made_coarser_but_not_finer(made: Path, tmp_path: Path,
 
 
 @pytest.fixture(scope="module")
-def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def square(tmp_path_factory):
     """A textured square with metallic and roughness."""
     path = tmp_path_factory.mktemp("square") / "square.glb"
     return textured_square(path, png(random_image(8, 8)), pbr={"metallicFactor": 0.4, "roughnessFactor": 0.6})
@@ -145,9 +138,7 @@ def square(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("--detail stretch --rest {square}", {"detail": "stretch"}),
     ],
 )
-def test_the_texture_is_what_the_library_makes(
-    words: str, options: dict[str, Any], square: Path, tmp_path: Path, cli: Cli
-) -> None:
+def test_the_texture_is_what_the_library_makes(words, options, square, tmp_path, cli):
     wanted = {"depth": 4, "rest": square if "--rest" in words else None, **options}
     depth = [] if wanted["depth"] is None else ["--depth", wanted["depth"]]
     cli.result(square, tmp_path / "a.octex", *depth, *words.format(square=square).split())
@@ -156,7 +147,7 @@ def test_the_texture_is_what_the_library_makes(
 
 
 @pytest.fixture(scope="module")
-def mask(square: Path) -> Path:
+def mask(square):
     """White on the left, a quarter on the right."""
     image = np.full((32, 32, 1), 255, np.uint8)
     image[:, 16:] = 64
@@ -164,9 +155,7 @@ def mask(square: Path) -> Path:
     return square.with_name("mask.png")
 
 
-def test_a_painted_channel_steers_and_is_stored_if_it_is_named(
-    square: Path, mask: Path, tmp_path: Path, cli: Cli
-) -> None:
+def test_a_painted_channel_steers_and_is_stored_if_it_is_named(square, mask, tmp_path, cli):
     words = ["--detail", "detail", "--source", f"detail={mask}", "--depth", 5]
     cli.result(square, tmp_path / "a.octex", *words, "--channels", "base_color")
     found = octex.open(tmp_path / "a.octex")
@@ -194,15 +183,11 @@ def test_a_painted_channel_steers_and_is_stored_if_it_is_named(
         ),
     ],
 )
-def test_what_cannot_steer_is_refused(
-    words: str, message: str, square: Path, tmp_path: Path, cli: Cli
-) -> None:
+def test_what_cannot_steer_is_refused(words, message, square, tmp_path, cli):
     assert cli.refusal(square, tmp_path / "x.octex", "--depth", 3, *words.split()) == message
 
 
-def test_a_channel_that_the_model_lacks_is_refused_with_those_it_has(
-    square: Path, made: Path, tmp_path: Path, cli: Cli
-) -> None:
+def test_a_channel_that_the_model_lacks_is_refused_with_those_it_has(square, made, tmp_path, cli):
     out = tmp_path / "out.octex"
     for arguments in (["--channels", "normal"], ["--dtype", "normal=uint16"]):
         message = cli.refusal(square, out, "--depth", 3, *arguments)
@@ -213,18 +198,13 @@ def test_a_channel_that_the_model_lacks_is_refused_with_those_it_has(
     assert not out.exists()
 
 
-def test_channels_can_come_from_elsewhere(square: Path, tmp_path: Path, cli: Cli) -> None:
+def test_channels_can_come_from_elsewhere(square, tmp_path, cli):
     image = tmp_path / "rough.png"
     image.write_bytes(png(np.full((2, 2, 1), 51, np.uint8)))
     out = tmp_path / "out.octex"
     arguments = [
-        "--source",
-        f"roughness={image}",
-        "--source",
-        "base_color=1,0.5,0",
-        "--source",
-        "metallic=0.2",
-    ]
+        "--source", f"roughness={image}", "--source", "base_color=1,0.5,0", "--source", "metallic=0.2",
+    ]  # fmt: skip
     cli.result(square, out, "--depth", 3, *arguments)
     texture = octex.open(out)
     values = texture.sample([[0.4, 0.6, 0.0]], ["base_color", "roughness", "metallic"])
@@ -243,7 +223,7 @@ def test_channels_can_come_from_elsewhere(square: Path, tmp_path: Path, cli: Cli
     )
 
 
-def test_the_image_filter_can_be_chosen(square: Path, tmp_path: Path, cli: Cli) -> None:
+def test_the_image_filter_can_be_chosen(square, tmp_path, cli):
     values = []
     for name in ("nearest", "ewa"):
         cli.result(square, tmp_path / f"{name}.octex", "--depth", 2, "--filter", name)
@@ -253,7 +233,7 @@ def test_the_image_filter_can_be_chosen(square: Path, tmp_path: Path, cli: Cli) 
     assert not np.array_equal(*values)
 
 
-def test_a_texture_can_be_reduced_to_some_channels(square: Path, tmp_path: Path, cli: Cli) -> None:
+def test_a_texture_can_be_reduced_to_some_channels(square, tmp_path, cli):
     whole, part = tmp_path / "whole.octex", tmp_path / "part.octex"
     cli.result(square, whole, "--depth", 3)
     cli.result("edit", whole, part, "--channels", "roughness,base_color")
@@ -267,10 +247,8 @@ def test_a_texture_can_be_reduced_to_some_channels(square: Path, tmp_path: Path,
     )
 
 
-def test_the_preview_shows_what_was_converted(
-    square: Path, tmp_path: Path, cli: Cli, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown: list[list[str]] = []
+def test_the_preview_shows_what_was_converted(square, tmp_path, cli, monkeypatch):
+    shown = []
     monkeypatch.setattr(
         "octex.write_preview",
         lambda _path, _texture, surface: shown.append([form.name for form in surface.channels]),
@@ -283,16 +261,10 @@ def test_the_preview_shows_what_was_converted(
 # --- previews
 
 
-def test_a_preview_is_drawn_of_models_and_of_textures(
-    model: Path,
-    made: Path,
-    tmp_path: Path,
-    cli: Cli,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    drawn: list[tuple[str, bool]] = []
+def test_a_preview_is_drawn_of_models_and_of_textures(model, made, tmp_path, cli, monkeypatch):
+    drawn = []
 
-    def write_preview(path: Path, texture: Any, surface: Any) -> None:
+    def write_preview(path, texture, surface):
         drawn.append((path.name, surface is not None))
         assert texture.tree.max_depth == (3 if surface is not None else 4)
 
@@ -307,7 +279,7 @@ def test_a_preview_is_drawn_of_models_and_of_textures(
     assert "--force" in cli.refusal(model, tmp_path / "c.octex", "--preview", tmp_path / "a.png")
 
 
-def test_the_help_names_the_librarys_default_depth() -> None:
+def test_the_help_names_the_librarys_default_depth():
     from octex.conversion.convert import DEFAULT_DEPTH
 
     assert f"(default {DEFAULT_DEPTH})" in " ".join(
@@ -330,9 +302,7 @@ def test_the_help_names_the_librarys_default_depth() -> None:
         ("words.octex", b"words and words and words"),
     ],
 )
-def test_bad_input_is_refused_by_name_and_nothing_is_written(
-    name: str, content: bytes | None, tmp_path: Path, cli: Cli
-) -> None:
+def test_bad_input_is_refused_by_name_and_nothing_is_written(name, content, tmp_path, cli):
     if content is not None:
         (tmp_path / name).write_bytes(content)
     (tmp_path / "folder.glb").mkdir()
@@ -341,18 +311,18 @@ def test_bad_input_is_refused_by_name_and_nothing_is_written(
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_folder_is_no_model(tmp_path: Path, cli: Cli) -> None:
+def test_a_folder_is_no_model(tmp_path, cli):
     (tmp_path / "folder.glb").mkdir()
     assert "folder.glb" in cli.refusal(tmp_path / "folder.glb", tmp_path / "out.octex")
 
 
-def test_a_depth_out_of_range_is_refused_before_any_work(tmp_path: Path, cli: Cli) -> None:
+def test_a_depth_out_of_range_is_refused_before_any_work(tmp_path, cli):
     for depth in (-1, 22):
         expected = f"--depth: {depth} is not from 0 to 21; see octree-convert --help"
         assert cli.refusal(tmp_path / "missing.glb", tmp_path / "out.octex", "--depth", depth) == expected
 
 
-def test_nothing_is_overwritten_without_force(model: Path, tmp_path: Path, cli: Cli) -> None:
+def test_nothing_is_overwritten_without_force(model, tmp_path, cli):
     out = tmp_path / "box.octex"
     out.write_bytes(b"old")
     assert cli.refusal(model, out, "--depth", 3) == f"{out}: exists already; --force overwrites it"
@@ -370,18 +340,12 @@ def test_nothing_is_overwritten_without_force(model: Path, tmp_path: Path, cli: 
     ],
 )
 def test_whatever_happens_while_writing_the_old_file_stays(
-    error: BaseException,
-    code: int,
-    line: str,
-    model: Path,
-    tmp_path: Path,
-    cli: Cli,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    error, code, line, model, tmp_path, cli, monkeypatch
+):
     out = tmp_path / "box.octex"
     out.write_bytes(b"old")
 
-    def fail(_descriptor: int) -> None:
+    def fail(_descriptor):
         raise error
 
     monkeypatch.setattr(os, "fsync", fail)

@@ -127,17 +127,6 @@ def test_version_is_the_packages(cli):
     assert cli.result("--version") == f"octex {octex.__version__}\n"
 
 
-def test_help_and_pages_import_nothing_heavy():
-    code = """
-import sys
-from octex.cli.main import main
-words = ("--help", "convert --help", "paint --help", "help painting", "x")
-codes = [main(each.split()) for each in words]
-print(*sorted({"numpy", "numba", "PIL", "trimesh", "manifold3d", "tqdm"} & set(sys.modules)), file=sys.stderr)
-"""
-    assert python(code).stderr.splitlines()[-1] == ""
-
-
 INTERRUPTED = """
 import os, signal, sys
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -10,6 +10,7 @@ import trimesh
 
 import octex
 from octex.errors import ModelError
+from tests.make.fixtures import obj_lines
 
 
 @pytest.fixture
@@ -19,10 +20,8 @@ def messy(tmp_path):
     points = [*outer.vertices.tolist(), *inner.vertices.tolist(), ["nan", 0, 0]]
     whole = [*outer.faces.tolist(), *(inner.faces + 8).tolist()]
     faces = [*whole, whole[3], [0, 1, 1], [0, 1, 16]]
-    lines = [f"v {x} {y} {z}" for x, y, z in points]
-    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in faces]
     path = tmp_path / "messy.obj"
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text(obj_lines(points, faces))
     return path
 
 

@@ -1,33 +1,21 @@
 """Adaptive trees: what merges, what stays, and what is guaranteed then."""
 
-from __future__ import annotations
-
 import json
-from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from unittest import mock
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import octex
 from octex.arrays import bit_counts
-from octex.channels import (
-    ALPHA,
-    BASE_COLOR,
-    ROUGHNESS,
-    ChannelFormat,
-    decode,
-    encode,
-    linear_to_srgb,
-)
+from octex.channels import ALPHA, BASE_COLOR, ROUGHNESS, ChannelFormat, decode, encode, linear_to_srgb
 from octex.conversion.adapt import adapted, as_max_error
 from octex.conversion.fit import Fitter
 from octex.conversion.levels import Filled
-from octex.conversion.prune import Channels, Finest, limits_of, prune
+from octex.conversion.prune import Finest, limits_of, prune
 from octex.conversion.samples import Samples
 from octex.errors import ArgumentError
 from octex.parallel import silent
@@ -42,13 +30,9 @@ from tests.oracles import naive
 
 ROUNDING = 1 / 8  # of samples, and what is allowed for that, in codes
 UNIT = Placement((0.0, 0.0, 0.0), 1.0)
-Floats = npt.NDArray[np.floating]
-Bools = npt.NDArray[np.bool_]
-#: Stands for `Fitter.fit`.
-Fit = Callable[[Octree, Channels, Bools | None], Channels]
 
 
-def plane(depth: int) -> Octree:
+def plane(depth):
     """A full tree of the cells of a plane: x and y everywhere, z in the middle."""
     steps = np.arange(1 << depth)
     x, y = np.meshgrid(steps, steps)
@@ -56,13 +40,13 @@ def plane(depth: int) -> Octree:
     return Octree.from_leaves(codes, depth)
 
 
-def places(tree: Octree, level: int | None = None) -> npt.NDArray[np.float64]:
+def places(tree, level=None):
     """The middles (n, 3) of the cells of a level, by default the deepest, in texture space."""
     level = tree.max_depth if level is None else level
     return (decode_cells(tree.level_codes(level)) + 0.5) / (1 << level)
 
 
-def means(tree: Octree, leaves: Floats, form: ChannelFormat) -> Channel:
+def means(tree, leaves, form):
     """A channel of leaves' values (n, components), linear, and their means above."""
     levels = [leaves.astype(np.float64)]
     for level in range(tree.max_depth, 0, -1):
@@ -74,7 +58,7 @@ def means(tree: Octree, leaves: Floats, form: ChannelFormat) -> Channel:
     return Channel(form, values, values[:0], values[:0])
 
 
-def sampled(tree: Octree, channels: Mapping[str, Channel]) -> Samples:
+def sampled(tree, channels):
     """A sample in the middle of each finest cell that sees its leaf's value."""
     n = tree.n_leaves
     forms = tuple(channel.format for channel in channels.values())
@@ -91,17 +75,11 @@ def sampled(tree: Octree, channels: Mapping[str, Channel]) -> Samples:
     )
 
 
-def merge(
-    tree: Octree,
-    channels: Mapping[str, Channel],
-    max_error: float | None,
-    wanted: npt.NDArray[np.uint8] | None = None,
-    fit: Fit | None = None,
-) -> OctreeTexture:
+def merge(tree, channels, max_error, wanted=None, fit=None):
     """Adapt a tree to what its finest cells hold."""
 
     class Own(Fitter):
-        def fit(self, tree: Octree, channels: Channels, chosen: Bools | None = None) -> Channels:
+        def fit(self, tree, channels, chosen=None):
             assert fit is not None
             return fit(tree, channels, chosen)
 
@@ -114,28 +92,28 @@ def merge(
     return OctreeTexture(found, values, UNIT, [[0, 0, 0], [1, 1, 1]])
 
 
-def painted(tree: Octree, color: Floats, form: ChannelFormat = BASE_COLOR) -> dict[str, Channel]:
+def painted(tree, color, form=BASE_COLOR):
     return {form.name: means(tree, color, form)}
 
 
-def errors(texture: OctreeTexture, full: OctreeTexture) -> npt.NDArray[np.float64]:
+def errors(texture, full):
     """How far two fields of colours are apart in the middles of the full tree's leaves, in codes (n,)."""
     found, wanted = (each.sample(places(full.tree), "base_color", "quadratic") for each in (texture, full))
     return np.asarray(np.abs(255 * (linear_to_srgb(found) - linear_to_srgb(wanted))).max(axis=1))
 
 
-def noise(tree: Octree, seed: int = 0) -> npt.NDArray[np.float64]:
+def noise(tree, seed=0):
     return np.random.default_rng(seed).random((tree.n_leaves, 3))
 
 
-def ramp(tree: Octree) -> npt.NDArray[np.float64]:
+def ramp(tree):
     """Light that rises along x by a code a cell."""
     codes = 100 + (places(tree)[:, :1] * [1, 1, 1]) * (1 << tree.max_depth)
     return decode(np.rint(codes).astype(np.uint8), "srgb").astype(np.float64)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 4))
-def test_pruned_cells_are_those_of_the_full_tree_with_all_that_they_hold(seed: int, depth: int):
+def test_pruned_cells_are_those_of_the_full_tree_with_all_that_they_hold(seed, depth):
     random = np.random.default_rng(seed)
     codes = np.unique(random.integers(0, 8**depth, random.integers(1, 40)))
     full = with_random_data(Octree.from_leaves(codes, depth), seed, keep=0.0)
@@ -169,7 +147,7 @@ def test_pruned_cells_are_those_of_the_full_tree_with_all_that_they_hold(seed: i
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_a_node_becomes_a_leaf_where_nothing_in_it_wants_to_go_deeper(seed: int):
+def test_a_node_becomes_a_leaf_where_nothing_in_it_wants_to_go_deeper(seed):
     random = np.random.default_rng(seed)
     depth = 3
     codes = np.unique(random.integers(0, 8**depth, 60))
@@ -212,7 +190,7 @@ def test_slow_changes_merge_and_stay_near():
 
 
 @pytest.mark.parametrize("most", [1, 2, 8])
-def test_all_samples_are_as_near_as_asked_for(most: float):
+def test_all_samples_are_as_near_as_asked_for(most):
     tree = plane(6)
     random = np.random.default_rng(3)
     color = ramp(tree)
@@ -228,7 +206,7 @@ def test_all_samples_are_as_near_as_asked_for(most: float):
 
 @needs_jit
 @pytest.mark.parametrize("seed", range(4))
-def test_a_dot_is_kept_wherever_it_is(seed: int):
+def test_a_dot_is_kept_wherever_it_is(seed):
     tree = plane(6)
     color = np.full((tree.n_leaves, 3), 0.3)
     color[np.random.default_rng(seed).integers(tree.n_leaves)] = [1, 0, 0.5]
@@ -292,7 +270,7 @@ def test_what_a_fit_breaks_is_split_again():
     channels = painted(tree, ramp(tree))
     plain = merge(tree, channels, 2)
 
-    def fit(pruned: Octree, values: Mapping[str, Channel], _chosen: Bools | None) -> dict[str, Channel]:
+    def fit(pruned, values, _chosen):
         spoilt = values["base_color"].values.copy()
         broken = pruned.leaf_cells()[::5]
         spoilt[broken] = 255 - spoilt[broken] if pruned.n_leaves < tree.n_leaves else spoilt[broken]
@@ -306,7 +284,7 @@ def test_what_a_fit_breaks_is_split_again():
 def test_leaves_hold_what_was_fitted_and_nodes_the_means():
     tree = plane(5)
 
-    def fit(pruned: Octree, values: Mapping[str, Channel], _chosen: Bools | None) -> dict[str, Channel]:
+    def fit(pruned, values, _chosen):
         fitted = values["base_color"].values.copy()
         fitted[pruned.leaf_cells()] += 1
         return {"base_color": values["base_color"]._replace(values=fitted)}
@@ -333,7 +311,7 @@ def test_wishes_and_errors_combine():
     color[y < 0.5] = 0.3
     texture = merge(tree, painted(tree, color), 2, np.where(x < 0.5, 4, 6).astype(np.uint8))
 
-    def depths(low: tuple[float, float], high: tuple[float, float]) -> set[int]:
+    def depths(low, high):
         return {
             level
             for level in range(texture.tree.max_depth + 1)
@@ -365,9 +343,9 @@ def test_the_result_does_not_depend_on_the_order_of_work():
         ([], r"max_error must be a number of 8-bit codes, not \[\]"),
     ],
 )
-def test_an_error_must_be_a_number_from_zero_on(given_error: object, message: str):
+def test_an_error_must_be_a_number_from_zero_on(given_error, message):
     with pytest.raises(ArgumentError, match=message):
-        as_max_error(given_error)  # type: ignore[arg-type]
+        as_max_error(given_error)
 
 
 def test_errors_are_numbers():
@@ -375,7 +353,7 @@ def test_errors_are_numbers():
     assert as_max_error(np.float32(2)) == 2.0
 
 
-def body(size: int = 64) -> octex.Surface:
+def body(size=64):
     """A square in one colour with a small speckled decal."""
     image = np.full((size, size, 3), 90, np.uint8)
     decal = size // 16

@@ -11,8 +11,6 @@ from octex.voxelize.fragments import BlockRange, cut, divided, most_fragments, w
 from tests.conftest import needs_jit
 from tests.oracles import naive_cells
 
-Corner = tuple[int, int, int]
-
 
 def cut_all(triangles, depth):
     grid = np.array(triangles, np.int32).reshape(-1, 3)

@@ -1,11 +1,9 @@
 """Conversion: from a surface to what is stored of it."""
 
 import json
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -16,29 +14,13 @@ from octex.source.surface import Surface
 from octex.tree.layout import AREA_ONE, AREA_STEPS, GRID_BITS, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.placement import on_grid
-from octex.voxelize import fragments
 from tests.conftest import needs_jit
+from tests.make.fixtures import obj_lines
+from tests.make.painted import ball
 from tests.make.small_surfaces import FACES, TETRAHEDRON, FaceSource, tetrahedron
 from tests.oracles import naive_cells
 
 convert_means = partial(octex.convert, fit=False)
-
-
-def sphere(around=48):
-    theta = np.linspace(0, 2 * np.pi, around, endpoint=False)
-    phi = np.linspace(0, np.pi, around // 2)[1:-1]
-    t, p = np.meshgrid(theta, phi, indexing="ij")
-    vertices = np.stack([np.cos(t) * np.sin(p), np.sin(t) * np.sin(p), np.cos(p)], axis=-1).reshape(-1, 3)
-    along = len(phi)
-    i, j = (a.ravel() for a in np.meshgrid(np.arange(around), np.arange(along - 1), indexing="ij"))
-    a, b, c, d = (
-        i * along + j,
-        i * along + j + 1,
-        (i + 1) % around * along + j + 1,
-        (i + 1) % around * along + j,
-    )
-    triangles = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]).astype(np.int32)
-    return Surface.from_arrays(vertices, triangles, colors=0.5 + 0.5 * vertices)
 
 
 def box(size):
@@ -57,7 +39,7 @@ def leaf_means(surface, texture):
         np.tile(np.eye(3), (len(surface.triangles), 1)),
         np.zeros(3 * len(surface.triangles), np.float32),
     ).reshape(-1, 3, 3)
-    sums: dict[tuple[int, ...], npt.NDArray[np.float64]] = {}
+    sums = {}
     for corners, values in zip(grid[surface.triangles], colors, strict=True):
         triangle = [tuple(corner) for corner in corners.tolist()]
         for cell, (area, center) in naive_cells.cells_of(triangle, 1 << (GRID_BITS - depth)).items():
@@ -91,10 +73,10 @@ def test_a_leaf_holds_the_area_weighted_mean_of_the_surface_inside(depth):
 
 @needs_jit
 def test_a_node_averages_the_surface_below_it_in_linear_light():
-    texture = convert_means(sphere(), depth=7)
+    texture = convert_means(ball(), depth=7)
     texture.validate()
-    points = sphere().scatter(200_000)
-    values = sphere().evaluate(points)
+    points = ball().scatter(200_000)
+    values = ball().evaluate(points)
     for level in (0, 1, 2, 3):
         coarse = texture.level(level)
         cells = np.floor(texture.placement.to_texture_space(points.rest) * 2**level).astype(int)
@@ -110,7 +92,7 @@ def test_a_node_averages_the_surface_below_it_in_linear_light():
 @needs_jit
 @pytest.mark.parametrize(
     "surface",
-    [sphere(), box((1, 1, 1)), box((4, 2, 1)), box((1, 1e-3, 0.25))],
+    [ball(), box((1, 1, 1)), box((4, 2, 1)), box((1, 1e-3, 0.25))],
     ids=["sphere", "cube", "box", "slab"],
 )
 @pytest.mark.parametrize("options", [{"depth": 6}, {"depth": 9}, {"cell": 1 / 64}], ids=str)
@@ -197,27 +179,6 @@ def test_a_fine_image_does_not_alias_in_coarse_cells():
         assert np.abs(leaves[areas > AREA_ONE - 16] - 188).max() <= 3
 
 
-@pytest.fixture(params=[ThreadPoolExecutor, ProcessPoolExecutor])
-def executor(request):
-    if request.param is ProcessPoolExecutor:
-        import multiprocessing
-
-        with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
-            yield pool
-    else:
-        with ThreadPoolExecutor(3) as pool:
-            yield pool
-
-
-@needs_jit
-def test_the_same_bytes_come_from_any_executor(executor, tmp_path, monkeypatch):
-    with ThreadPoolExecutor(1) as alone:
-        octex.convert(sphere(), depth=8, run=octex.Run(executor=alone)).save(tmp_path / "alone.octex")
-    monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 5_000)
-    octex.convert(sphere(), depth=8, run=octex.Run(executor=executor)).save(tmp_path / "many.octex")
-    assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()
-
-
 @pytest.mark.parametrize("size", [1.0, 0.1, 1.3])
 @pytest.mark.parametrize("cells", [2, 4, 5, 20])
 def test_samples_of_faces_in_cell_planes_are_in_leaves(size, cells):
@@ -250,16 +211,14 @@ def test_a_rest_mesh_gives_the_texture_coordinates():
 
 
 def test_a_rest_mesh_of_a_surface_may_be_a_file(tmp_path):
-    lines = [f"v {x} {y} {z}" for x, y, z in (TETRAHEDRON + 5).tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()]
-    (tmp_path / "rest.obj").write_text("\n".join(lines))
+    (tmp_path / "rest.obj").write_text(obj_lines(TETRAHEDRON + 5, FACES))
     texture = octex.convert(tetrahedron(), depth=4, rest=tmp_path / "rest.obj")
     assert texture.contains(tetrahedron().scatter(100).rest + 5).all()
     assert texture.metadata["rest"] == "rest.obj"
 
 
 def test_progress_counts_every_stage_to_its_end():
-    calls: list[tuple[str, int, int]] = []
+    calls = []
     octex.convert(tetrahedron(), depth=5, progress=lambda *call: calls.append(call))
     stages = list(dict.fromkeys(stage for stage, _, _ in calls))
     assert stages == ["sort", "convert", "build", "fit"]

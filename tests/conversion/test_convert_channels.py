@@ -13,6 +13,7 @@ from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
 from octex.voxelize import fragments
 from tests.conftest import needs_jit
+from tests.make.fixtures import obj_lines
 from tests.make.small_surfaces import (
     FACES,
     LIGHT,
@@ -203,22 +204,15 @@ def test_integers_hold_light_that_is_nowhere_above_1_whatever_its_source_could_g
 def test_sources_of_ones_own_replace_channels_and_add_to_them():
     texture = octex.convert(whole(), depth=3, sources={"base_color": (0.25, 0.5, 1.0), "occlusion": 0.4})
     assert list(texture.channels) == [
-        "base_color",
-        "metallic",
-        "roughness",
-        "occlusion",
-        "emissive",
-        "normal",
-    ]
+        "base_color", "metallic", "roughness", "occlusion", "emissive", "normal",
+    ]  # fmt: skip
     found = texture.sample(TETRAHEDRON, ["base_color", "occlusion"])
     assert np.allclose(found["base_color"], [[0.25, 0.5, 1.0]], atol=0.005)
     assert np.allclose(found["occlusion"], 0.4, atol=0.002)
 
 
 def test_a_file_is_asked_only_for_the_channels_that_do_not_come_from_elsewhere(tmp_path):
-    lines = [f"v {x} {y} {z}" for x, y, z in TETRAHEDRON.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (FACES + 1).tolist()]
-    (tmp_path / "a.obj").write_text("\n".join(lines))
+    (tmp_path / "a.obj").write_text(obj_lines(TETRAHEDRON, FACES))
     sources = {"roughness": 0.3, "metallic": 1.0}
     texture = octex.convert(tmp_path / "a.obj", 3, channels="roughness", sources=sources)
     assert list(texture.channels) == ["roughness"]

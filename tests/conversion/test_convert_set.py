@@ -1,10 +1,8 @@
 """Parts of a model, taken apart and converted into textures of their own."""
 
 import json
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -18,8 +16,6 @@ from tests.make.fixtures import random_image
 from tests.make.painted import square, together
 from tests.make.small_surfaces import FACES, TETRAHEDRON, tetrahedron, whole
 from tests.make.solids import colored, cube
-
-Array = npt.NDArray[Any]
 
 
 def pair(**options):
@@ -175,7 +171,7 @@ def test_cells_are_as_deep_in_each_part_or_as_large_in_all():
 
 def test_options_reach_every_part():
     surface = pair()
-    counted: list[tuple[str, int, int]] = []
+    counted = []
     found = octex.convert_set(
         surface,
         3,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +20,6 @@ from octex.conversion.differences import (
     near_nodes,
     values_at_samples,
 )
-from octex.conversion.evaluator import Coefficients
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, POSITION_STEPS, Samples, lay_out
 from octex.jit import DISABLED, kernel, put, spline_at_eight, spline_box
@@ -32,9 +30,6 @@ from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests.make.strategies import with_random_data
-
-Floats = npt.NDArray[np.float64]
-Array = npt.NDArray[np.generic]
 
 #: Each example makes two trees and looks up some 400 patches.
 few = settings(max_examples=1 if DISABLED else 15)
@@ -54,7 +49,7 @@ class Scene(NamedTuple):
     samples: Samples
 
 
-def scene(seed: int, smooth: float) -> Scene:
+def scene(seed, smooth):
     """Random leaves whose values differ by ``smooth`` at most, with facings and split rows, some merged."""
     random = np.random.default_rng(seed)
     forms = [
@@ -102,13 +97,13 @@ def scene(seed: int, smooth: float) -> Scene:
     )  # fmt: skip
 
 
-def codes(texture: OctreeTexture, points: Floats, normals: Floats | None) -> tuple[Floats, Floats]:
+def codes(texture, points, normals):
     """All components in codes (n, components), directions once more as unit vectors, and the alpha (n, 1)."""
     values = texture.sample(points, list(texture.channels), "quadratic", normals=normals, normalize=False)
     return codes_of(values), values.get("alpha", np.ones((len(points), 1), np.float32)).astype(np.float64)
 
 
-def codes_of(values: Mapping[str, Array]) -> Floats:
+def codes_of(values):
     """Values in codes (n, components), directions once more as unit vectors."""
     columns = []
     for name, found in values.items():
@@ -120,7 +115,7 @@ def codes_of(values: Mapping[str, Array]) -> Floats:
     return np.hstack(columns)
 
 
-def apart(scene: Scene, points: Floats, normals: Floats | None) -> Floats:
+def apart(scene, points, normals):
     """By how many codes the pruned tree's field is above the full one's (n, columns)."""
     found, _ = codes(scene.found, points, normals)
     wanted, coverage = codes(scene.full, points, normals)
@@ -130,7 +125,7 @@ def apart(scene: Scene, points: Floats, normals: Floats | None) -> Floats:
     return coverage * (found - wanted)
 
 
-def polygon(middle: Floats, normal: Floats) -> Floats:
+def polygon(middle, normal):
     """The corners (n, 3) of the plane's polygon in the unit cube, in order around: where it cuts edges."""
     corners = []
     for axis, (p, q) in itertools.product(range(3), itertools.product((0.0, 1.0), repeat=2)):
@@ -144,7 +139,7 @@ def polygon(middle: Floats, normal: Floats) -> Floats:
     return points[np.argsort(np.arctan2(flat[:, 1], flat[:, 0]))]
 
 
-def patches(samples: Samples) -> list[Floats]:
+def patches(samples):
     """The points (n, 3) of each sample's patch, in its cell: itself, corners, middles of spokes and sides."""
     middles, normals = (samples.positions + 0.5) / POSITION_STEPS, samples.normals.astype(np.float64)
     found = []
@@ -155,12 +150,12 @@ def patches(samples: Samples) -> list[Floats]:
     return found
 
 
-def owners(samples: Samples) -> npt.NDArray[np.int64]:
+def owners(samples):
     """The finest cell of each sample."""
     return np.repeat(np.arange(samples.codes.size), np.diff(samples.firsts))
 
 
-def apart_on(scene: Scene, points: list[Floats]) -> list[Floats]:
+def apart_on(scene, points):
     """By how many codes fields are apart at each sample's points, without normals and with its own."""
     samples, counts = scene.samples, [len(each) for each in points]
     corners = np.repeat(decode_cells(samples.codes)[owners(samples)], counts, axis=0)
@@ -170,7 +165,7 @@ def apart_on(scene: Scene, points: list[Floats]) -> list[Floats]:
     return np.split(columns, np.cumsum(counts)[:-1])
 
 
-def scores(scene: Scene) -> Floats:
+def scores(scene):
     """By how many codes each finest cell's fields are apart; those between samples by one less."""
     found = np.zeros(scene.samples.codes.size)
     values = apart_on(scene, patches(scene.samples))
@@ -183,7 +178,7 @@ def scores(scene: Scene) -> Floats:
     return found
 
 
-def fields(scene: Scene) -> tuple[Coefficients, Reference]:
+def fields(scene):
     """The pruned tree's field, and the full one's."""
     forms = scene.samples.channels
     found, full = (coefficients(each.tree, each.channels, forms) for each in (scene.found, scene.full))
@@ -192,7 +187,7 @@ def fields(scene: Scene) -> tuple[Coefficients, Reference]:
 
 @few
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.2, 0.9]))
-def test_cells_are_far_where_samples_and_patches_say_so(seed: int, smooth: float):
+def test_cells_are_far_where_samples_and_patches_say_so(seed, smooth):
     made = scene(seed, smooth)
     found, reference = fields(made)
     expected = scores(made)
@@ -204,7 +199,7 @@ def test_cells_are_far_where_samples_and_patches_say_so(seed: int, smooth: float
         np.testing.assert_array_equal(far[clear], expected[chosen][clear] > most)
 
 
-def scores_at_samples(scene: Scene, values: Floats, wanted: Floats, coverage: Floats) -> Floats:
+def scores_at_samples(scene, values, wanted, coverage):
     """By how many codes each finest cell's values are apart at its samples."""
     coverage = np.repeat(coverage, wanted.shape[1], axis=1)
     if "alpha" in scene.full.channels:
@@ -215,7 +210,7 @@ def scores_at_samples(scene: Scene, values: Floats, wanted: Floats, coverage: Fl
 
 @few
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.2, 0.9]))
-def test_cells_and_nodes_are_near_where_their_samples_are(seed: int, smooth: float):
+def test_cells_and_nodes_are_near_where_their_samples_are(seed, smooth):
     made = scene(seed, smooth)
     samples, names, level = made.samples, list(made.full.channels), 2
     owned = owners(samples)
@@ -254,12 +249,12 @@ def test_cells_and_nodes_are_near_where_their_samples_are(seed: int, smooth: flo
 
 
 @kernel
-def _points_of(places: Array, normals: Array, points: Array) -> int:
+def _points_of(places, normals, points):
     return lay_out(places, normals, 0, points)
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_a_patch_covers_what_the_plane_of_a_sample_has_in_its_cell(seed: int):
+def test_a_patch_covers_what_the_plane_of_a_sample_has_in_its_cell(seed):
     random = np.random.default_rng(seed)
     normal = random.integers(-2, 3, 3) if seed % 2 else random.normal(size=3)
     normal = normal if np.any(normal) else np.array([0, 0, 1])
@@ -283,7 +278,7 @@ def test_a_patch_covers_what_the_plane_of_a_sample_has_in_its_cell(seed: int):
 
 
 @kernel
-def _spline_at_eight(rows: Array, first: int, weights: Array, found: Array) -> None:
+def _spline_at_eight(rows, first, weights, found):
     x = eight_at(weights, 0), eight_at(weights, 8), eight_at(weights, 16)
     y = eight_at(weights, 24), eight_at(weights, 32), eight_at(weights, 40)
     z = eight_at(weights, 48), eight_at(weights, 56), eight_at(weights, 64)
@@ -295,7 +290,7 @@ def _spline_at_eight(rows: Array, first: int, weights: Array, found: Array) -> N
 
 
 @kernel
-def _spline_box(rows: Array, first: int, weights: Array) -> tuple[float, float, float, float]:
+def _spline_box(rows, first, weights):
     x = weights[0, 0], weights[0, 1], weights[0, 2]
     y = weights[1, 0], weights[1, 1], weights[1, 2]
     z = weights[2, 0], weights[2, 1], weights[2, 2]

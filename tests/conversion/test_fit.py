@@ -1,12 +1,8 @@
 """Leaf values fitted to the source."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -24,7 +20,7 @@ from octex.channels import (
     linear_to_srgb,
 )
 from octex.conversion import fit
-from octex.conversion.levels import CellLevels, assemble, cell_levels
+from octex.conversion.levels import assemble, cell_levels
 from octex.conversion.lookups import Leaves, members_of
 from octex.conversion.samples import POSITION_STEPS, SHARE_STEPS, sample_points
 from octex.conversion.solve import SHRINK
@@ -34,7 +30,7 @@ from octex.jit import add_to_rows, kernel, weighted_rows
 from octex.parallel import silent
 from octex.source.base import Combined
 from octex.source.surface import Surface
-from octex.texture import Channel, OctreeTexture
+from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -47,60 +43,61 @@ SQUARE = np.array([[0.0, 0, 0], [1, 0, 0.2], [1, 1, 0.3], [0, 1, 0.1]])
 HALVES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 
-def painted(image: npt.NDArray[np.uint8]) -> Surface:
+def painted(image):
     """A slanted square that shows an image."""
     return Surface.from_arrays(SQUARE, HALVES, uv=SQUARE[:, :2], image=image, wrap="clamp")
 
 
-def waves(texels: int) -> npt.NDArray[np.uint8]:
+def waves(texels):
     """A smooth image of two colours."""
     x, y = np.meshgrid(np.arange(texels), np.arange(texels))
     bright = 0.5 + 0.4 * np.sin(x / 3.0) * np.cos(y / 4.0)
     return (255 * np.stack([bright, 1 - bright, 0 * bright + 0.5], axis=-1)).astype(np.uint8)
 
 
-def error(texture: OctreeTexture, surface: Surface, filter: str = "quadratic") -> float:
+def error(texture, surface, filter="quadratic"):
     """The root of the mean square error at points of the surface, in sRGB codes."""
     points = surface.scatter(20_000, seed=1)
     found = linear_to_srgb(np.clip(texture.sample(points.rest, filter=filter), 0, 1))
     return 255 * float(np.sqrt(np.mean((found - linear_to_srgb(surface.evaluate(points))) ** 2)))
 
 
-def pair(surface: Surface, depth: int, **options: object) -> tuple[OctreeTexture, OctreeTexture]:
+def pair(surface, depth, **options):
     """The same conversion without the fit and with it."""
-    return tuple(octex.convert(surface, depth, fit=fit, **options) for fit in (False, True))  # type: ignore[return-value,arg-type]
+    return tuple(octex.convert(surface, depth, fit=fit, **options) for fit in (False, True))
 
 
-def filled(surface: Surface, depth: int, executor: Executor) -> tuple[CellLevels, Placement]:
+def sampled(surface, depth):
+    """The levels of cells of a surface, the tree and channels, the samples, and where they are placed."""
     placement = Placement.around(surface.bounds, depth)
-    return cell_levels(
-        surface, surface.source, surface.channels, placement, depth, executor, silent, has_samples=True
-    ), placement
+    with ThreadPoolExecutor(1) as pool:
+        full = cell_levels(
+            surface, surface.source, surface.channels, placement, depth, pool, silent, has_samples=True
+        )
+    made = assemble(full)
+    return full, made, made.samples, placement
 
 
 class Pattern(FaceSource):
     """One number that varies over each triangle, between 0 and 1 and reaching both."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         form = ChannelFormat("height", 1, "data", "float32")
         super().__init__((form,), np.zeros((len(FACES), 1)))
 
-    def vary(self, values: npt.NDArray[np.float32], barycentric: npt.NDArray[np.float64]) -> None:
+    def vary(self, values, barycentric):
         values[:, 0] = np.clip(0.5 + np.sin(9 * barycentric[:, 1]), 0, 1)
 
 
 @pytest.mark.parametrize("dtype", ["float32", "uint16"])
-def test_the_fit_is_the_least_squares_between_the_bounds(dtype: str) -> None:
+def test_the_fit_is_the_least_squares_between_the_bounds(dtype):
     form = ChannelFormat("height", 1, "data", dtype)
     source = Pattern()
     source._channels = (form,)
     surface = Surface(TETRAHEDRON, FACES, source)
+    _, made, samples, placement = sampled(surface, 4)
+    tree, channels = made.tree, made.channels
     with ThreadPoolExecutor(1) as pool:
-        full, placement = filled(surface, 4, pool)
-        made = assemble(full)
-        samples = made.samples
-        assert samples is not None
-        tree, channels = made.tree, made.channels
         found = fit.Fitter(samples, pool, silent).fit(tree, channels)
     chosen = np.arange(len(samples.shares))
     taps = taps_of(Field(tree), sample_points(samples, chosen, placement), placement)
@@ -122,7 +119,7 @@ def test_the_fit_is_the_least_squares_between_the_bounds(dtype: str) -> None:
 
 @needs_jit
 @pytest.mark.parametrize("texels", [16, 64])
-def test_a_fitted_field_is_nearer_to_a_smooth_map(texels: int) -> None:
+def test_a_fitted_field_is_nearer_to_a_smooth_map(texels):
     surface = painted(waves(texels))
     means, fitted = pair(surface, 6)
     fitted.validate()
@@ -131,7 +128,7 @@ def test_a_fitted_field_is_nearer_to_a_smooth_map(texels: int) -> None:
 
 
 @needs_jit
-def test_what_a_leaf_is_rounded_by_its_neighbours_make_good() -> None:
+def test_what_a_leaf_is_rounded_by_its_neighbours_make_good():
     colors = np.array([[0.1] * 3, [0.11] * 3, [0.112] * 3, [0.1025] * 3])
     surface = Surface.from_arrays(SQUARE, HALVES, colors=colors)
     means, fitted = pair(surface, 6)
@@ -139,7 +136,7 @@ def test_what_a_leaf_is_rounded_by_its_neighbours_make_good() -> None:
 
 
 @needs_jit
-def test_a_hard_edge_is_sharper_and_stays_in_range() -> None:
+def test_a_hard_edge_is_sharper_and_stays_in_range():
     checkers = (np.indices((16, 16)).sum(axis=0) % 2 * 255).astype(np.uint8)
     surface = painted(np.repeat(np.repeat(checkers, 4, axis=0), 4, axis=1))
     means, fitted = pair(surface, 7)
@@ -148,7 +145,7 @@ def test_a_hard_edge_is_sharper_and_stays_in_range() -> None:
 
 
 @pytest.mark.parametrize("dtype", ONE)
-def test_values_stay_inside_the_range_of_every_type(dtype: str) -> None:
+def test_values_stay_inside_the_range_of_every_type(dtype):
     forms = (
         BASE_COLOR._replace(dtype=dtype, space="linear" if dtype.startswith("float") else "srgb"),
         METALLIC._replace(dtype=dtype),
@@ -165,7 +162,7 @@ def test_values_stay_inside_the_range_of_every_type(dtype: str) -> None:
 
 
 @pytest.mark.parametrize("dtype", ["float16", "float32"])
-def test_light_that_is_nowhere_above_one_is_fitted_below_it_and_other_light_is_not(dtype: str) -> None:
+def test_light_that_is_nowhere_above_one_is_fitted_below_it_and_other_light_is_not(dtype):
     checkers = (np.indices((8, 8)).sum(axis=0) % 2 * 255).astype(np.uint8)
     surface = painted(np.repeat(np.repeat(checkers, 2, axis=0), 2, axis=1))
     texture = octex.convert(surface, 4, dtype=dtype)
@@ -180,7 +177,7 @@ def test_light_that_is_nowhere_above_one_is_fitted_below_it_and_other_light_is_n
         octex.cast(octex.convert(Surface(TETRAHEDRON, FACES, bright), 3), "uint8")
 
 
-def test_nodes_and_their_sides_keep_the_means_of_the_source() -> None:
+def test_nodes_and_their_sides_keep_the_means_of_the_source():
     sides = np.array([[0, 1, 2], [0, 2, 3], [0, 2, 1], [0, 3, 2]], np.int32)
     source = FaceSource((BASE_COLOR,), [[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0]])
     means, fitted = pair(Surface(SQUARE, sides, source), 4)
@@ -198,7 +195,7 @@ def test_nodes_and_their_sides_keep_the_means_of_the_source() -> None:
 
 
 @pytest.mark.parametrize("dtype", ONE)
-def test_constants_stay_exact(dtype: str) -> None:
+def test_constants_stay_exact(dtype):
     # None of these is a stored number of 8 bits.
     rows = np.tile([0.2158, 0.0123, 0.7771, 0.3333, 0.6, 0.48, 0.64], (4, 1))
     source = FaceSource((BASE_COLOR, METALLIC, NORMAL), rows)
@@ -214,14 +211,14 @@ def test_constants_stay_exact(dtype: str) -> None:
 
 
 @pytest.mark.parametrize("depth", [0, 1])
-def test_a_tree_of_few_cells_can_be_fitted(depth: int) -> None:
+def test_a_tree_of_few_cells_can_be_fitted(depth):
     means, fitted = pair(tetrahedron(), depth)
     fitted.validate()
     ours, theirs = (texture.channels["base_color"].values.astype(int) for texture in (fitted, means))
     assert depth or np.abs(ours - theirs).max() < 128
 
 
-def tiles(across: int, first: int = 0) -> Surface:
+def tiles(across, first=0):
     """A slanted square of small squares; up to column ``first`` it is two large triangles."""
     corners = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]) / across
     x, y = (each.ravel() / across for each in np.meshgrid(np.arange(first, across), np.arange(across)))
@@ -236,9 +233,9 @@ def tiles(across: int, first: int = 0) -> Surface:
 @pytest.mark.parametrize("channel", ["base_color", "roughness"])
 @pytest.mark.parametrize(("across", "first"), [(24, 12), (24, 0), (96, 0)])
 def test_fitted_fields_of_cells_of_many_pieces_are_no_farther_from_the_source_than_means(
-    across: int, first: int, channel: str, depth: int
-) -> None:
-    def halves(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    across, first, channel, depth
+):
+    def halves(points):
         value = np.where(points[:, 0] < 0.5, 0.996, 0.02)
         return value if channel == "roughness" else np.repeat(value[:, None], 3, axis=1)
 
@@ -255,13 +252,13 @@ def test_fitted_fields_of_cells_of_many_pieces_are_no_farther_from_the_source_th
     assert fitted < (1.02 if depth < 3 else 1.0) * plain
 
 
-def checkers(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def checkers(points):
     """Black and white squares, 96 along an edge."""
     return np.repeat(np.floor(points[:, :2] * 96).sum(axis=1)[:, None] % 2, 3, axis=1)
 
 
 @pytest.mark.parametrize("depth", range(7))
-def test_a_fitted_field_sends_out_the_light_of_what_its_cells_cannot_show(depth: int) -> None:
+def test_a_fitted_field_sends_out_the_light_of_what_its_cells_cannot_show(depth):
     surface = tiles(96).with_sources({"base_color": checkers})
     points = surface.scatter(20_000, seed=1)
     plain, fitted = (
@@ -273,7 +270,7 @@ def test_a_fitted_field_sends_out_the_light_of_what_its_cells_cannot_show(depth:
 
 
 @pytest.mark.parametrize("depth", range(3, 7))
-def test_a_function_read_at_one_point_a_cell_keeps_its_mean_light(depth: int) -> None:
+def test_a_function_read_at_one_point_a_cell_keeps_its_mean_light(depth):
     surface = Surface.from_arrays(SQUARE, HALVES).with_sources({"base_color": checkers})
     points = surface.scatter(20_000, seed=1)
     plain, fitted = (
@@ -283,8 +280,8 @@ def test_a_function_read_at_one_point_a_cell_keeps_its_mean_light(depth: int) ->
     assert fitted < max(1.5 * plain, 0.01)
 
 
-def test_a_leaf_of_two_values_is_fitted_to_their_mean_in_linear_light() -> None:
-    def halves(points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def test_a_leaf_of_two_values_is_fitted_to_their_mean_in_linear_light():
+    def halves(points):
         return np.where(points[:, :1] < 0.5, 0.02, 1.0).repeat(3, axis=1)
 
     surface = Surface.from_arrays(SQUARE * [1, 1, 0], HALVES).with_sources({"base_color": halves})
@@ -292,7 +289,7 @@ def test_a_leaf_of_two_values_is_fitted_to_their_mean_in_linear_light() -> None:
         assert np.abs(texture.channels["base_color"].values - 0.51).max() < 1e-6
 
 
-def test_a_cell_met_without_area_is_fitted_like_others() -> None:
+def test_a_cell_met_without_area_is_fitted_like_others():
     # The lower faces lie in cell planes: cells on the other side are only touched.
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
@@ -304,7 +301,7 @@ def test_a_cell_met_without_area_is_fitted_like_others() -> None:
     assert np.abs(texture.sample(points.rest) - surface.evaluate(points)).max() < 0.25
 
 
-def test_alpha_steers_what_other_channels_are_fitted_to() -> None:
+def test_alpha_steers_what_other_channels_are_fitted_to():
     # What lies under the half that nothing covers does not matter to the other.
     triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     sources = [
@@ -322,7 +319,7 @@ def test_alpha_steers_what_other_channels_are_fitted_to() -> None:
     assert np.abs(found[0] - found[1]).max() < 0.06
 
 
-def test_bricks_meet_without_seams(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bricks_meet_without_seams(monkeypatch):
     surface = painted(waves(16))
     whole = octex.convert(surface, 5)
     monkeypatch.setattr(fit, "BRICK_SAMPLES", 100)
@@ -335,7 +332,7 @@ def test_bricks_meet_without_seams(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_the_result_does_not_depend_on_threads(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_result_does_not_depend_on_threads(threads, monkeypatch):
     monkeypatch.setattr(fit, "BRICK_SAMPLES", 100)
     expected = octex.convert(whole(), 4)
     with ThreadPoolExecutor(threads) as pool:
@@ -344,7 +341,7 @@ def test_the_result_does_not_depend_on_threads(threads: int, monkeypatch: pytest
         assert np.array_equal(channel.values, expected.channels[name].values), name
 
 
-def merged(tree: Octree, channels: Mapping[str, Channel]) -> tuple[Octree, dict[str, Channel]]:
+def merged(tree, channels):
     """Merge the finest leaves in one half of the root into their parents, which keep their means."""
     depth = tree.max_depth
     codes, above = tree.level_codes(depth), tree.level_codes(depth - 1)
@@ -364,54 +361,41 @@ def merged(tree: Octree, channels: Mapping[str, Channel]) -> tuple[Octree, dict[
 
 
 @needs_jit
-def test_trees_of_any_depths_are_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_trees_of_any_depths_are_fitted(monkeypatch):
     monkeypatch.setattr(fit, "BRICK_SAMPLES", 500)
     surface = painted(waves(16))
+    _, made, samples, placement = sampled(surface, 6)
+    tree, channels = merged(made.tree, made.channels)
+    leaves = Leaves.of(tree, samples)
+    assert np.array_equal(leaves.ranks[leaves.cells], np.arange(tree.n_leaves))
+    assert leaves.firsts[-1] == len(samples.shares)
     with ThreadPoolExecutor(2) as pool:
-        full, placement = filled(surface, 6, pool)
-        made = assemble(full)
-        samples = made.samples
-        assert samples is not None
-        tree, channels = merged(made.tree, made.channels)
-        leaves = Leaves.of(tree, samples)
-        assert np.array_equal(leaves.ranks[leaves.cells], np.arange(tree.n_leaves))
-        assert leaves.firsts[-1] == len(samples.shares)
         found = fit.Fitter(samples, pool, silent).fit(tree, channels)
     textures = [OctreeTexture(tree, each, placement, surface.bounds, {}) for each in (channels, found)]
     assert error(textures[1], surface) < 0.5 * error(textures[0], surface)
 
 
-def test_a_leaf_is_fitted_to_some_of_its_samples_evenly_chosen() -> None:
+def test_a_leaf_is_fitted_to_some_of_its_samples_evenly_chosen():
     members, strides = members_of(np.array([0, 5, 105]), np.array([0, 1]), 10)
     assert members.tolist() == [0, 1, 2, 3, 4, *range(5, 105, 10)]
     assert strides.tolist() == [1] * 5 + [10] * 10
 
 
-def test_components_that_weigh_alike_are_solved_together_and_alpha_first() -> None:
+def test_components_that_weigh_alike_are_solved_together_and_alpha_first():
     forms = (BASE_COLOR, ALPHA, METALLIC, ROUGHNESS, ChannelFormat("height", 1, "data", "uint16"), LIGHT)
     groups = fit._groups((*forms, ChannelFormat("four", 4, "data")))
     columns = list(range(sum(form.components for form in forms) + 4))
     assert [(group.format.name, columns[group.columns]) for group in groups] == [
-        ("alpha", [3]),
-        ("base_color", [0, 1, 2]),
-        ("metallic", [4, 5]),
-        ("height", [6]),
-        ("emissive", [7, 8, 9]),
-        ("four", [10, 11, 12]),
-        ("four", [13]),
-    ]
+        ("alpha", [3]), ("base_color", [0, 1, 2]), ("metallic", [4, 5]), ("height", [6]),
+        ("emissive", [7, 8, 9]), ("four", [10, 11, 12]), ("four", [13]),
+    ]  # fmt: skip
 
 
 # --- samples
 
 
-def test_every_cell_has_a_sample_for_each_way_its_surface_faces() -> None:
-    surface = tetrahedron()
-    with ThreadPoolExecutor(1) as pool:
-        full, placement = filled(surface, 4, pool)
-    made = assemble(full)
-    samples = made.samples
-    assert samples is not None
+def test_every_cell_has_a_sample_for_each_way_its_surface_faces():
+    full, _, samples, placement = sampled(tetrahedron(), 4)
     flags = np.concatenate([part.flags for part in full.levels[4]]) & 63
     counts = np.diff(samples.firsts)
     facings = bit_counts(flags)
@@ -434,18 +418,13 @@ def test_every_cell_has_a_sample_for_each_way_its_surface_faces() -> None:
     assert np.abs(weights.T @ colors - samples.values).max() < 2e-3
 
 
-def _distances(points: npt.NDArray[np.float64], face: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _distances(points, face):
     normal = np.cross(face[1] - face[0], face[2] - face[0])
     return np.asarray(np.abs((points - face[0]) @ normal) / np.linalg.norm(normal))
 
 
-def test_two_pieces_that_face_alike_are_two_samples_unless_one_is_small() -> None:
-    surface = Surface.from_arrays(SQUARE, HALVES, colors=SQUARE)
-    with ThreadPoolExecutor(1) as pool:
-        full, _ = filled(surface, 4, pool)
-    made = assemble(full)
-    samples = made.samples
-    assert samples is not None
+def test_two_pieces_that_face_alike_are_two_samples_unless_one_is_small():
+    _, _, samples, _ = sampled(Surface.from_arrays(SQUARE, HALVES, colors=SQUARE), 4)
     counts = np.diff(samples.firsts)
     i, j, _ = decode_cells(samples.codes).T
     assert (counts[i == j] == 2).any()  # on the diagonal
@@ -455,21 +434,17 @@ def test_two_pieces_that_face_alike_are_two_samples_unless_one_is_small() -> Non
     assert shares.min() >= 0.09 * SHARE_STEPS
 
 
-def test_samples_of_a_cell_have_its_mean_and_its_middle_however_many_pieces_it_has() -> None:
+def test_samples_of_a_cell_have_its_mean_and_its_middle_however_many_pieces_it_has():
     surface = tiles(40)
     rows = np.random.default_rng(2).random((len(surface.triangles), 2))
     source = FaceSource((ROUGHNESS._replace(dtype="float32"), ALPHA._replace(dtype="float32")), rows)
     surface = Surface(surface.rest, surface.triangles, source)
-    with ThreadPoolExecutor(1) as pool:
-        full, placement = filled(surface, 3, pool)
-    made = assemble(full)
-    samples = made.samples
-    assert samples is not None
+    full, _, samples, placement = sampled(surface, 3)
     firsts = samples.firsts[:-1]
     roughness, alpha = samples.values.T
     shares = samples.shares.astype(float)
 
-    def mean(values: npt.NDArray[np.float64], weights: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def mean(values, weights):
         return np.asarray(np.add.reduceat(values * weights, firsts) / np.add.reduceat(weights, firsts))
 
     means = [np.concatenate([part.values[n] for part in full.levels[3]])[:, 0] for n in (0, 1)]
@@ -485,19 +460,14 @@ def test_samples_of_a_cell_have_its_mean_and_its_middle_however_many_pieces_it_h
             assert np.abs(scattered[inside].mean(axis=0) - middle).max() < 0.03 * placement.size / 8
 
 
-def test_samples_of_fine_types_are_fine() -> None:
+def test_samples_of_fine_types_are_fine():
     for dtype, kept in (("uint8", np.float16), ("float16", np.float16), ("uint16", np.float32)):
         form = METALLIC._replace(dtype=dtype)
         surface = Surface(TETRAHEDRON, FACES, FaceSource((form,), [[0.1]] * 4))
-        with ThreadPoolExecutor(1) as pool:
-            full, _ = filled(surface, 2, pool)
-        made = assemble(full)
-        samples = made.samples
-        assert samples is not None
-        assert samples.values.dtype == kept
+        assert sampled(surface, 2)[2].values.dtype == kept
 
 
-def test_a_source_says_how_fine_it_is() -> None:
+def test_a_source_says_how_fine_it_is():
     triangles = np.array([0, 1, 1], np.int32)
     image = painted(waves(16)).source
     posed = Surface.from_arrays(SQUARE * [1, 1, 0], HALVES, uv=SQUARE[:, :2], image=waves(16)).source
@@ -512,13 +482,13 @@ def test_a_source_says_how_fine_it_is() -> None:
 
 
 @kernel
-def _through(rows, numbers, weights, step):  # type: ignore[no-untyped-def]
+def _through(rows, numbers, weights, step):
     total = weighted_rows(rows, numbers, weights, 1, numbers.size)
     add_to_rows(rows, numbers, weights, 1, numbers.size, step)
     return total
 
 
-def test_rows_of_four_are_summed_and_added_to() -> None:
+def test_rows_of_four_are_summed_and_added_to():
     random = np.random.default_rng(3)
     rows = random.random((5, 4), np.float32)
     numbers = np.array([0, 4, 2, 4], np.int32)

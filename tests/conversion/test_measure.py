@@ -1,37 +1,17 @@
 """How far values are apart in codes: by sRGB's curve, by ratio, by steps, and as they are covered."""
 
-from __future__ import annotations
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.channels import (
-    ALPHA,
-    BASE_COLOR,
-    EMISSIVE,
-    NORMAL,
-    ROUGHNESS,
-    ChannelFormat,
-    linear_to_srgb,
-    srgb_to_linear,
-)
-from octex.conversion.differences import (
-    ErrorColumns,
-    are_near,
-    are_near_between,
-    are_surely_near,
-    subtract,
-)
+from octex.channels import ALPHA, BASE_COLOR, EMISSIVE, NORMAL, ROUGHNESS, linear_to_srgb, srgb_to_linear
+from octex.conversion.differences import ErrorColumns, are_near, are_near_between, are_surely_near, subtract
 from octex.jit import kernel
-
-Array = npt.NDArray[np.generic]
 
 
 @kernel
-def _near(values: Array, columns: ErrorColumns, most: float, differences: Array) -> bool:
+def _near(values, columns, most, differences):
     near = True
     for component in range(values.shape[1]):
         subtract(values, columns, component, 1, differences)
@@ -40,22 +20,22 @@ def _near(values: Array, columns: ErrorColumns, most: float, differences: Array)
 
 
 @kernel
-def _apart_by_less(values: Array, columns: ErrorColumns, component: int, count: int, most: float) -> bool:
+def _apart_by_less(values, columns, component, count, most):
     return are_surely_near(values, columns, component, count, most)
 
 
 @kernel
-def _near_between(differences: Array, count: int, most: float) -> bool:
+def _near_between(differences, count, most):
     return are_near_between(differences, count, most)
 
 
-def far_rows(found: Array, source: Array, forms: tuple[ChannelFormat, ...], most: float) -> bool:
+def far_rows(found, source, forms, most):
     """Whether rows of several channels are farther apart than ``most`` codes."""
     values = np.array([found, source], np.float32)[:, :, None]
     return not _near(values, ErrorColumns.of(forms), float(most), np.zeros((2, 1)))
 
 
-def far(form: ChannelFormat, found: float, source: float, most: float) -> bool:
+def far(form, found, source, most):
     """Whether two values, in each component, are farther apart than ``most`` codes."""
     rows = (np.full(form.components, each, np.float32) for each in (found, source))
     return far_rows(*rows, (form,), most)
@@ -63,7 +43,7 @@ def far(form: ChannelFormat, found: float, source: float, most: float) -> bool:
 
 @pytest.mark.parametrize("form", [BASE_COLOR, EMISSIVE._replace(space="linear", dtype="float16")])
 @given(st.floats(0, 1, width=32), st.floats(0, 255))
-def test_light_is_apart_by_codes_of_its_curve(form: ChannelFormat, light: float, code: float):
+def test_light_is_apart_by_codes_of_its_curve(form, light, code):
     other = srgb_to_linear(code / 255)
     apart = abs(255 * linear_to_srgb(light) - code)
     assert far(form, light, other, apart - 1e-3)
@@ -110,7 +90,7 @@ def test_directions_count_as_unit_vectors_too():
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_points_that_surely_are_near_are_near(seed: int):
+def test_points_that_surely_are_near_are_near(seed):
     random = np.random.default_rng(seed)
     forms = (BASE_COLOR, ROUGHNESS)
     columns = ErrorColumns.of(forms)
@@ -133,7 +113,7 @@ def test_points_that_surely_are_near_are_near(seed: int):
 
 
 @given(st.integers(0, 2**32 - 1))
-def test_what_is_quadratic_between_the_points_of_a_patch_exceeds_its_bound_nowhere(seed: int):
+def test_what_is_quadratic_between_the_points_of_a_patch_exceeds_its_bound_nowhere(seed):
     random = np.random.default_rng(seed)
     corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) + random.normal(size=(4, 2)) / 8
     middle = corners.mean(axis=0)
@@ -142,7 +122,7 @@ def test_what_is_quadratic_between_the_points_of_a_patch_exceeds_its_bound_nowhe
     points = np.concatenate([middle[None], points])
     factors = random.normal(size=(6, 2)) * (random.random((6, 1)) < 0.5)
 
-    def values(points: np.ndarray) -> np.ndarray:
+    def values(points):
         x, y = points.T
         return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=-1) @ factors
 

@@ -1,20 +1,15 @@
 """Parts moved apart at rest: no cell is shared, colours stay, and files remember it."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import octex
-from octex.channels import CHANNELS, ChannelFormat, linear_to_srgb
+from octex.channels import CHANNELS, linear_to_srgb
 from octex.conversion.convert import separate
 from octex.drawing import draw_difference, draw_preview
 from octex.drawing.compare import difference
@@ -25,17 +20,16 @@ from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
 from tests.conftest import needs_jit
-from tests.make.command import OUT, VIEW, Cli
+from tests.make.command import OUT, VIEW
+from tests.make.fixtures import obj_lines
 from tests.make.solids import colored, cube, open_cube, sphere
 
-Array = npt.NDArray[Any]
 
-
-def pair() -> Surface:
+def pair():
     return colored(cube([0, 0, 0]), cube([0.6, 0.3, 0.2], 0.5))
 
 
-def cells_of(surface: Surface, texture: OctreeTexture, parts: Array, **options: Any) -> list[Array]:
+def cells_of(surface, texture, parts, **options):
     """The finest cells (n, 3) of each part, by a conversion of it alone into the texture's root cell."""
     depth = texture.tree.max_depth
     found = []
@@ -49,7 +43,7 @@ def cells_of(surface: Surface, texture: OctreeTexture, parts: Array, **options: 
     return found
 
 
-def are_apart(a: Array, b: Array, cells: int) -> bool:
+def are_apart(a, b, cells):
     """Whether no two cells are less than so many apart along every axis."""
     taken = np.zeros(np.maximum(a.max(axis=0), b.max(axis=0)) + 2 * cells, bool)
     taken[tuple((b + cells).T)] = True
@@ -57,14 +51,14 @@ def are_apart(a: Array, b: Array, cells: int) -> bool:
     return not any(taken[tuple((a + step).T)].any() for step in near)
 
 
-def worst(surface: Surface, texture: OctreeTexture) -> float:
+def worst(surface, texture):
     """The root mean square of differences at points of a surface, in sRGB codes."""
     samples = surface.placed_in(texture).scatter(20_000)
     found, wanted = texture.sample(samples.rest), surface.evaluate(samples)
     return float(255 * np.sqrt(((linear_to_srgb(found) - linear_to_srgb(wanted)) ** 2).mean()))
 
 
-def test_the_smaller_of_two_parts_is_moved_beside_the_larger() -> None:
+def test_the_smaller_of_two_parts_is_moved_beside_the_larger():
     surface = pair()
     apart = surface.separated(0.125)
     moved = apart.rest - surface.rest
@@ -76,7 +70,7 @@ def test_the_smaller_of_two_parts_is_moved_beside_the_larger() -> None:
     assert json.loads(apart.provenance["separation"])["moved"].keys() == {"1"}
 
 
-def test_parts_that_are_apart_stay_where_they_are() -> None:
+def test_parts_that_are_apart_stay_where_they_are():
     surface = colored(cube([0, 0, 0]), cube([0.6, 0.3, 0.2], 0.5), cube([3, 0, 0]), cube([6, 0, 0]))
     moved = surface.separated(0.1).rest - surface.rest
     assert not moved[:8].any()
@@ -85,25 +79,25 @@ def test_parts_that_are_apart_stay_where_they_are() -> None:
     assert single.separated(0.1) is single
 
 
-def test_what_lies_deep_inside_another_stays() -> None:
+def test_what_lies_deep_inside_another_stays():
     surface = colored(cube([0, 0, 0]), cube([0.4, 0.4, 0.4], 0.2))
     assert surface.separated(0.3) is surface
     assert surface.separated(0.5) is not surface
 
 
-def test_open_parts_are_moved_too() -> None:
+def test_open_parts_are_moved_too():
     surface = colored(cube([0, 0, 0]), open_cube([0.5, 0.2, 0.1], 0.4))
     assert surface.separated(0.1).overlapping_parts(0.0999).pairs == ()
 
 
-def test_a_long_model_is_put_beside_its_long_side() -> None:
+def test_a_long_model_is_put_beside_its_long_side():
     tall = cube([0, 0, 0])
     tall[0][:, 2] *= 4
     surface = colored(tall, cube([0.5, 0, 0]))
     assert np.ptp(surface.separated(0.1).bounds, axis=0).max() == pytest.approx(4)
 
 
-def test_many_parts_are_moved_in_their_classes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_parts_are_moved_in_their_classes(monkeypatch):
     monkeypatch.setattr("octex.source.parts._SINGLY", 3)
     surface = colored(*[cube([0.75 * n, 0, 0]) for n in range(8)])
     apart = surface.separated(0.1)
@@ -113,19 +107,19 @@ def test_many_parts_are_moved_in_their_classes(monkeypatch: pytest.MonkeyPatch) 
     assert np.ptp(apart.bounds, axis=0).max() == pytest.approx(0.75 * 6 + 1)
 
 
-def test_sources_give_what_they_gave() -> None:
+def test_sources_give_what_they_gave():
     class Places(SpatialSource):
-        def at(self, points: Array, normals: Array, widths: Array) -> Array:  # noqa: ARG002
+        def at(self, points, normals, widths):  # noqa: ARG002
             return np.clip(points, 0, 1).astype(np.float32)
 
-    form: ChannelFormat = CHANNELS["base_color"]
+    form = CHANNELS["base_color"]
     surface = pair()
     surface.source = Places([form], surface.rest, surface.triangles)
     samples = surface.scatter(50)
     assert np.array_equal(surface.separated(0.1).evaluate(samples), surface.evaluate(samples))
 
 
-def test_margins_and_overlaps_that_do_not_fit_are_refused() -> None:
+def test_margins_and_overlaps_that_do_not_fit_are_refused():
     surface = pair()
     with pytest.raises(ArgumentError, match="margin must be finite and above zero"):
         surface.separated(0.0)
@@ -137,7 +131,7 @@ def test_margins_and_overlaps_that_do_not_fit_are_refused() -> None:
         surface.separated(0.1).separated(0.2)
 
 
-def test_a_group_finds_the_place_where_the_whole_grows_least() -> None:
+def test_a_group_finds_the_place_where_the_whole_grows_least():
     low = np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 0]])
     high = np.array([[4.0, 4, 1], [1, 1, 1], [2, 2, 2]])
     offsets = _packed(low, high, (low[0], high[0]), [np.array([1]), np.array([2])], 0.5)
@@ -145,7 +139,7 @@ def test_a_group_finds_the_place_where_the_whole_grows_least() -> None:
 
 
 @pytest.mark.parametrize("options", [{"depth": 5}, {"cell": 0.05}])
-def test_no_cell_and_no_neighbourhood_is_shared(options: dict[str, Any]) -> None:
+def test_no_cell_and_no_neighbourhood_is_shared(options):
     surface = pair()
     texture = octex.convert(surface, **options, separate=3, fit=False)
     placed = surface.placed_in(texture)
@@ -157,7 +151,7 @@ def test_no_cell_and_no_neighbourhood_is_shared(options: dict[str, Any]) -> None
 @needs_jit
 @settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 9), st.integers(5, 6))
-def test_cubes_anywhere_are_separated(seed: int, count: int, depth: int) -> None:
+def test_cubes_anywhere_are_separated(seed, count, depth):
     random = np.random.default_rng(seed)
     meshes = [cube(random.random(3) * 2, 0.1 + 0.5 * random.random()) for _ in range(count)]
     surface = colored(*meshes)
@@ -170,7 +164,7 @@ def test_cubes_anywhere_are_separated(seed: int, count: int, depth: int) -> None
     assert np.array_equal(surface.rest_positions(texture), made.surface.rest)
 
 
-def test_a_depth_with_too_few_cells_is_refused() -> None:
+def test_a_depth_with_too_few_cells_is_refused():
     surface = colored(*[cube([0.01 * n, 0, 0]) for n in range(40)])
     with pytest.raises(
         ArgumentError, match="40 parts do not fit 3 cells apart into depth 3; use a larger depth"
@@ -188,20 +182,20 @@ def test_a_depth_with_too_few_cells_is_refused() -> None:
         ({"depth": 99}, "depth must be a whole number"),
     ],
 )
-def test_numbers_out_of_range_are_refused(options: dict[str, Any], message: str) -> None:
+def test_numbers_out_of_range_are_refused(options, message):
     with pytest.raises(ArgumentError, match=message):
         separate(pair(), **options)
 
 
 @needs_jit
-def test_colours_do_not_run_together() -> None:
+def test_colours_do_not_run_together():
     surface = colored(sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
     assert worst(surface, octex.convert(surface, 6)) > 4
     assert worst(surface, octex.convert(surface, 6, separate=3)) < 0.5
 
 
 @needs_jit
-def test_suzannes_eyes_share_no_cell_with_her_head(models: Path) -> None:
+def test_suzannes_eyes_share_no_cell_with_her_head(models):
     surface = octex.load_surface(models / "Suzanne" / "Suzanne.gltf", channels=["base_color"])
     texture = octex.convert(surface, 8, separate=3)
     cells = cells_of(surface.placed_in(texture), texture, surface.overlapping_parts().parts)
@@ -210,7 +204,7 @@ def test_suzannes_eyes_share_no_cell_with_her_head(models: Path) -> None:
     assert worst(surface, texture) <= 1.0
 
 
-def test_the_file_remembers_it(tmp_path: Path) -> None:
+def test_the_file_remembers_it(tmp_path):
     surface = pair()
     octex.convert(surface, 4, separate=3).save(tmp_path / "pair.octex")
     texture = octex.open(tmp_path / "pair.octex")
@@ -226,7 +220,7 @@ def test_the_file_remembers_it(tmp_path: Path) -> None:
     assert json.loads(texture.metadata["convert"])["separate"] == 3.0
 
 
-def test_a_separated_surface_is_where_its_texture_is() -> None:
+def test_a_separated_surface_is_where_its_texture_is():
     apart = pair().separated(0.5)
     texture = octex.convert(apart, 4)
     assert apart.placed_in(texture) is apart
@@ -240,7 +234,7 @@ def test_a_separated_surface_is_where_its_texture_is() -> None:
 
 
 @needs_jit
-def test_cells_are_a_number_or_three() -> None:
+def test_cells_are_a_number_or_three():
     plain, three, also = (octex.convert(pair(), 5, separate=cells) for cells in (False, True, 3))
     assert "separation" not in plain.metadata
     assert three.metadata == also.metadata
@@ -248,10 +242,10 @@ def test_cells_are_a_number_or_three() -> None:
         octex.convert(pair(), 5, separate=0)
 
 
-def test_functions_of_detail_get_positions_as_they_were() -> None:
+def test_functions_of_detail_get_positions_as_they_were():
     seen = []
 
-    def detail(points: Array) -> Array:
+    def detail(points):
         seen.append(points)
         return np.full(len(points), 4)
 
@@ -263,7 +257,7 @@ def test_functions_of_detail_get_positions_as_they_were() -> None:
 
 
 @needs_jit
-def test_the_paint_command_finds_the_parts(tmp_path: Path, cli: Cli) -> None:
+def test_the_paint_command_finds_the_parts(tmp_path, cli):
     model = written(tmp_path, sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
     octex.convert(model, 5, separate=3).save(tmp_path / "a.octex")
     seen, eye = tmp_path / "a.png", tmp_path / "a.json"
@@ -283,7 +277,7 @@ def test_the_paint_command_finds_the_parts(tmp_path: Path, cli: Cli) -> None:
     np.testing.assert_allclose(codes[0] + codes[1], 255, atol=12)
 
 
-def test_a_posed_surface_is_moved_at_rest() -> None:
+def test_a_posed_surface_is_moved_at_rest():
     surface = pair()
     posed = Surface(surface.vertices * 2 + 5, surface.triangles, surface.source, rest=surface.rest)
     texture = octex.convert(surface, 4, separate=3)
@@ -292,7 +286,7 @@ def test_a_posed_surface_is_moved_at_rest() -> None:
     assert np.array_equal(placed.vertices, posed.vertices)
 
 
-def test_a_texture_of_another_surface_is_refused() -> None:
+def test_a_texture_of_another_surface_is_refused():
     texture = octex.convert(pair(), 4, separate=3)
     with pytest.raises(ArgumentError, match="texture's 2 parts were moved apart, and they are not the 1 of"):
         colored(cube([0, 0, 0])).rest_positions(texture)
@@ -310,7 +304,7 @@ def test_a_texture_of_another_surface_is_refused() -> None:
         '{"parts": 2, "digest": "", "moved": {"0": [0, 0, NaN]}}',
     ],
 )
-def test_metadata_that_cannot_be_read_are_refused(text: str) -> None:
+def test_metadata_that_cannot_be_read_are_refused(text):
     texture = octex.convert(pair(), 3)
     broken = OctreeTexture(
         texture.tree, texture.channels, texture.placement, texture.bounds, {"separation": text}
@@ -320,7 +314,7 @@ def test_metadata_that_cannot_be_read_are_refused(text: str) -> None:
 
 
 @needs_jit
-def test_pictures_are_drawn_where_the_texture_is() -> None:
+def test_pictures_are_drawn_where_the_texture_is():
     surface = colored(sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
     texture = octex.convert(surface, 6, separate=3)
     drawn = draw_preview(texture, surface, (200, 100), 1).astype(int)
@@ -333,7 +327,7 @@ def test_pictures_are_drawn_where_the_texture_is() -> None:
     assert np.abs(again[:60, :100].astype(int) - again[:60, 100:200]).max() < 12
 
 
-def test_textures_with_other_places_for_parts_are_not_compared() -> None:
+def test_textures_with_other_places_for_parts_are_not_compared():
     surface = pair()
     with pytest.raises(ArgumentError, match="compare each with its model"):
         difference(octex.convert(surface, 4, separate=3), octex.convert(surface, 4))
@@ -342,7 +336,7 @@ def test_textures_with_other_places_for_parts_are_not_compared() -> None:
 
 
 @needs_jit
-def test_paint_lands_where_the_texture_is() -> None:
+def test_paint_lands_where_the_texture_is():
     surface = colored(sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
     texture = octex.convert(surface, 5, separate=3)
     placed = surface.placed_in(texture)
@@ -364,16 +358,14 @@ def test_paint_lands_where_the_texture_is() -> None:
     assert np.array_equal(filled.sample(placed.rest[near[:1]]), texture.sample(placed.rest[near[:1]]))
 
 
-def written(folder: Path, *meshes: tuple[Array, Array]) -> Path:
+def written(folder, *meshes):
     surface = colored(*meshes)
-    lines = [f"v {x} {y} {z} {x % 1} {y % 1} {z % 1}" for x, y, z in surface.vertices.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (surface.triangles + 1).tolist()]
     path = folder / "parts.obj"
-    path.write_text("\n".join(lines) + "\n")
+    path.write_text(obj_lines(np.hstack([surface.vertices, surface.vertices % 1]), surface.triangles))
     return path
 
 
-def test_the_command_says_which_parts_overlap(tmp_path: Path, cli: Cli) -> None:
+def test_the_command_says_which_parts_overlap(tmp_path, cli):
     model = written(
         tmp_path, cube([0, 0, 0]), cube([0.5, 0, 0]), cube([0.25, 0.25, 0.25], 0.125), open_cube([4, 0, 0])
     )
@@ -395,7 +387,7 @@ def test_the_command_says_which_parts_overlap(tmp_path: Path, cli: Cli) -> None:
 
 
 @needs_jit
-def test_the_command_separates(tmp_path: Path, cli: Cli) -> None:
+def test_the_command_separates(tmp_path, cli):
     model = written(tmp_path, cube([0, 0, 0]), cube([0.5, 0, 0], 0.5), open_cube([4, 0, 0]))
     out = tmp_path / "parts.octex"
     lines = cli.result(model, out, "--depth", 6, "--quiet", "--json", "--separate", 4)
@@ -419,13 +411,13 @@ def test_the_command_separates(tmp_path: Path, cli: Cli) -> None:
 
 
 @needs_jit
-def test_many_moved_parts_are_not_all_listed(tmp_path: Path, cli: Cli) -> None:
+def test_many_moved_parts_are_not_all_listed(tmp_path, cli):
     model = written(tmp_path, cube([0, 0, 0], 2.0), *[cube([0.15 * n, 0, 0], 0.1) for n in range(13)])
     text = cli.result(model, tmp_path / "a.octex", "--depth", 6, "--no-fit", "--separate", 3)
     assert "\n  and 3 more; --json lists them\n" in text
 
 
-def test_bad_words_are_refused(tmp_path: Path, cli: Cli) -> None:
+def test_bad_words_are_refused(tmp_path, cli):
     model = written(tmp_path, cube([0, 0, 0]))
     said = cli.refusal("--separate=far", model, tmp_path / "a.octex")
     assert "'far' is not a number" in said

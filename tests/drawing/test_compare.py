@@ -235,7 +235,7 @@ def test_directions_are_compared_by_components_and_by_angle():
 def test_memory_and_results_do_not_depend_on_the_blocks(monkeypatch):
     a, b = sheet({BASE_COLOR: noise(1)}), sheet({BASE_COLOR: noise(2)})
     whole = difference(a, b)
-    calls: list[tuple[str, int, int]] = []
+    calls = []
     monkeypatch.setattr(compare, "_BLOCK", 10)
     parts = difference(a, b, progress=lambda *call: calls.append(call))
     assert {call[0] for call in calls} == {"compare"}

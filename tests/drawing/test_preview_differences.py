@@ -1,17 +1,13 @@
 """Pictures of differences."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-from PIL import Image
 
 import octex
 from octex.drawing import draw_difference
-from octex.drawing.compare import PEAKS, Difference, Differences, Side, difference
+from octex.drawing.compare import PEAKS, Difference, difference
 from octex.drawing.differences import _ALONE, _SCALE, _scale_codes, _scale_top
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
@@ -22,21 +18,20 @@ from tests.conftest import needs_jit
 SQUARE = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 SIZE = (300, 110)
-Picture = npt.NDArray[np.int64]
 
 
 @pytest.fixture(scope="module")
-def surface() -> Surface:
+def surface():
     grey = Surface.from_arrays(SQUARE, TWO, colors=np.full((4, 3), 0.25))
     return grey.with_sources({"roughness": 0.5})
 
 
 @pytest.fixture(scope="module")
-def texture(surface: Surface) -> OctreeTexture:
+def texture(surface):
     return octex.convert(surface, 4)
 
 
-def spotted(texture: OctreeTexture, x: float = 0.75, y: float = 0.75) -> OctreeTexture:
+def spotted(texture, x=0.75, y=0.75):
     """The same texture with a white spot."""
     (leaves,) = walk_leaves(texture.tree.arrays)
     edge = 2.0**-texture.tree.max_depth
@@ -49,23 +44,20 @@ def spotted(texture: OctreeTexture, x: float = 0.75, y: float = 0.75) -> OctreeT
     return OctreeTexture(texture.tree, changed, texture.placement, texture.bounds)
 
 
-def drawn(a: Side, b: Side, **options: object) -> tuple[list[Picture], Differences]:
-    found = difference(a, b, points=1000, **options)  # type: ignore[arg-type]
+def drawn(a, b, **options):
+    found = difference(a, b, points=1000, **options)
     picture = draw_difference(a, b, found, size=SIZE, supersample=1).astype(np.int64)
     assert picture.shape == (SIZE[1] * len(found), SIZE[0], 3)
     return np.split(picture[: SIZE[1]], 3, axis=1), found
 
 
-def is_bright(picture: Picture) -> npt.NDArray[np.bool_]:
+def is_bright(picture):
     """Where the model, above the caption, is of the scale's upper half."""
-    bright: npt.NDArray[np.bool_] = (picture[:75, :, 0] > 180) & (picture[:75, :, 2] < 120)
-    return bright
+    return (picture[:75, :, 0] > 180) & (picture[:75, :, 2] < 120)
 
 
 @pytest.mark.parametrize("kind", ["textures", "model"])
-def test_the_difference_is_bright_where_something_differs_and_dark_elsewhere(
-    kind: str, surface: Surface, texture: OctreeTexture
-) -> None:
+def test_the_difference_is_bright_where_something_differs_and_dark_elsewhere(kind, surface, texture):
     a = surface if kind == "model" else texture
     (first, second, apart), _ = drawn(a, spotted(texture), channels=["base_color"])
     rows, columns = np.nonzero(is_bright(apart))
@@ -78,24 +70,22 @@ def test_the_difference_is_bright_where_something_differs_and_dark_elsewhere(
 
 
 @pytest.mark.parametrize("kind", ["textures", "model"])
-def test_a_ring_marks_the_maximum_if_it_is_in_sight(
-    kind: str, surface: Surface, texture: OctreeTexture, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    said: list[str] = []
-    rings: list[tuple[float, ...]] = []
+def test_a_ring_marks_the_maximum_if_it_is_in_sight(kind, surface, texture, monkeypatch):
+    said = []
+    rings = []
     from octex.drawing import differences
 
     keep = differences.captioned
     monkeypatch.setattr(differences, "captioned", lambda *panel: said.append(panel[2]) or keep(*panel))
 
     class Draw:
-        def __init__(self, image: Image.Image) -> None:
+        def __init__(self, image):
             self.real = real(image)
 
-        def ellipse(self, box: tuple[float, ...], **_options: object) -> None:
+        def ellipse(self, box, **_options):
             rings.append(box)
 
-        def __getattr__(self, name: str) -> object:
+        def __getattr__(self, name):
             return getattr(self.real, name)
 
     real = differences.ImageDraw.Draw
@@ -117,7 +107,7 @@ def test_a_ring_marks_the_maximum_if_it_is_in_sight(
     assert not rings
 
 
-def test_what_only_one_has_is_blue_and_the_legend_says_so(surface: Surface) -> None:
+def test_what_only_one_has_is_blue_and_the_legend_says_so(surface):
     half = Surface(SQUARE, TWO[:1], surface.source)
     texture = octex.convert(half, 4)
     for a in (surface, octex.convert(surface, 4)):
@@ -130,7 +120,7 @@ def test_what_only_one_has_is_blue_and_the_legend_says_so(surface: Surface) -> N
     assert not (np.abs(apart - _ALONE).max(axis=2) < 12).any()
 
 
-def test_of_two_textures_the_finer_leaves_show_the_difference(surface: Surface) -> None:
+def test_of_two_textures_the_finer_leaves_show_the_difference(surface):
     fine, coarse = spotted(octex.convert(surface, 5)), octex.convert(surface, 4)
     for a, b in ((fine, coarse), (coarse, fine)):
         (_, _, apart), _ = drawn(a, b, channels=["base_color"])
@@ -139,9 +129,7 @@ def test_of_two_textures_the_finer_leaves_show_the_difference(surface: Surface) 
 
 @needs_jit
 @pytest.mark.parametrize("kind", ["textures", "model"])
-def test_both_sides_are_drawn_with_alpha_and_what_is_emitted_or_neither_is(
-    kind: str, surface: Surface, texture: OctreeTexture
-) -> None:
+def test_both_sides_are_drawn_with_alpha_and_what_is_emitted_or_neither_is(kind, surface, texture):
     changed = surface.with_sources({"alpha": lambda points: points[:, 0], "emissive": (0.0, 0.5, 0.0)})
     clear = octex.convert(changed, 4)
     without, with_both = (surface, changed) if kind == "model" else (texture, clear)
@@ -153,12 +141,12 @@ def test_both_sides_are_drawn_with_alpha_and_what_is_emitted_or_neither_is(
     assert np.abs(first - plain)[:75].max() > 50
 
 
-def test_every_channel_has_a_row(surface: Surface, texture: OctreeTexture) -> None:
+def test_every_channel_has_a_row(surface, texture):
     _, found = drawn(surface, texture)
     assert list(found) == ["base_color", "roughness"]
 
 
-def test_directions_are_drawn_by_their_angle() -> None:
+def test_directions_are_drawn_by_their_angle():
     flat = np.full((4, 4, 3), 128, np.uint8)
     tilted = flat.copy()
     flat[..., 2] = 255
@@ -175,7 +163,7 @@ def test_directions_are_drawn_by_their_angle() -> None:
     assert np.abs(second[40, 50] - [218, 128, 218]).max() < 12
 
 
-def test_a_preview_of_no_difference_is_dark(texture: OctreeTexture) -> None:
+def test_a_preview_of_no_difference_is_dark(texture):
     (_, _, apart), found = drawn(texture, texture, channels=["roughness"])
     assert found["roughness"].maximum == 0.0
     assert (np.abs(apart - 255).max(axis=2) > 0).all()  # no ring
@@ -185,24 +173,17 @@ def test_a_preview_of_no_difference_is_dark(texture: OctreeTexture) -> None:
 @pytest.mark.parametrize(
     ("p99", "maximum", "top"),
     [
-        (0.0, 0.0, 255.0),
-        (0.7, 1.0, 1.0),
-        (1.0, 1.0, 1.0),
-        (1.1, 3.0, 2.0),
-        (0.0, 30.0, 5.0),
-        (49.0, 60.0, 50.0),
-        (51.0, 60.0, 100.0),
-        (0.003, 0.004, 0.005),
-        (3.0, math.inf, 255.0),
+        (0.0, 0.0, 255.0), (0.7, 1.0, 1.0), (1.0, 1.0, 1.0), (1.1, 3.0, 2.0), (0.0, 30.0, 5.0),
+        (49.0, 60.0, 50.0), (51.0, 60.0, 100.0), (0.003, 0.004, 0.005), (3.0, math.inf, 255.0),
     ],
-)
-def test_the_scale_ends_at_a_round_number(p99: float, maximum: float, top: float) -> None:
+)  # fmt: skip
+def test_the_scale_ends_at_a_round_number(p99, maximum, top):
     shown = Difference("sRGB codes", 0.0, 0.0, p99, maximum, (0.0, 0.0, 0.0), (), ())
     assert PEAKS[shown.measure] == 255
     assert _scale_top(shown) == pytest.approx(top)
 
 
-def test_the_scale_is_ordered_by_lightness() -> None:
+def test_the_scale_is_ordered_by_lightness():
     codes = _scale_codes(np.linspace(0.0, 1.0, 100))
     lightness = codes @ [0.2126, 0.7152, 0.0722]
     assert (np.diff(lightness) > 0).all()

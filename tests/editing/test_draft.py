@@ -1,9 +1,6 @@
 """Drafts: what is cut out and put back is as it was, and paint on a draft is paint on the whole."""
 
-from __future__ import annotations
-
 from functools import cache
-from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -15,8 +12,7 @@ import octex
 from octex.editing.draft import Change, Tiles, cut_out, put_back, tiles_around
 from octex.painting import merge as tilewise
 from octex.painting.first import with_coverage
-from octex.painting.picture import BLENDS, Blend
-from octex.texture import OctreeTexture
+from octex.painting.picture import BLENDS
 from octex.tree.octree import distinct
 from tests.make.same import assert_same
 from tests.make.strategies import textures
@@ -26,7 +22,7 @@ CHANNELS = (["base_color"], ["base_color", "alpha"], ["base_color", "alpha", "ro
 
 
 @given(textures(), st.data())
-def test_what_is_cut_out_is_put_back_as_it_was(texture: OctreeTexture, data: st.DataObject) -> None:
+def test_what_is_cut_out_is_put_back_as_it_was(texture, data):
     if texture.tree.max_depth < 1:
         return
     level = data.draw(st.integers(1, texture.tree.max_depth), label="level")
@@ -45,9 +41,7 @@ def test_what_is_cut_out_is_put_back_as_it_was(texture: OctreeTexture, data: st.
 
 
 @given(textures(), st.data())
-def test_a_change_of_values_alone_is_put_into_the_texture_as_any_draft_is(
-    texture: OctreeTexture, data: st.DataObject
-) -> None:
+def test_a_change_of_values_alone_is_put_into_the_texture_as_any_draft_is(texture, data):
     if texture.tree.max_depth < 1:
         return
     level = data.draw(st.integers(1, texture.tree.max_depth), label="level")
@@ -66,7 +60,7 @@ def test_a_change_of_values_alone_is_put_into_the_texture_as_any_draft_is(
     assert_same(found, put_back(texture, tiles, edited))
 
 
-def stroke(random: np.random.Generator, surface: octex.Surface, depth: int) -> Any:
+def stroke(random, surface, depth):
     """A small edit: texture in, texture out."""
     blend = BLENDS[max(random.integers(-1, len(BLENDS)), 0)]
     depth = int(np.clip(depth + random.integers(-2, 3), 1, 8))
@@ -89,7 +83,7 @@ def stroke(random: np.random.Generator, surface: octex.Surface, depth: int) -> A
     return lambda texture: octex.paint(texture, surface, shot, max_depth=depth, fit=fit)
 
 
-def case(seed: int) -> tuple[np.random.Generator, octex.Surface, OctreeTexture, int]:
+def case(seed):
     """A texture of a small surface, fitted or adaptive or neither."""
     random = np.random.default_rng([7, seed])
     kind = random_edits.MESHES[random.integers(len(random_edits.MESHES))]
@@ -103,7 +97,7 @@ def case(seed: int) -> tuple[np.random.Generator, octex.Surface, OctreeTexture, 
     return random, surface, texture, depth
 
 
-def test_the_brightest_light_far_away_limits_averages_of_a_draft_too() -> None:
+def test_the_brightest_light_far_away_limits_averages_of_a_draft_too():
     surface = random_edits.waved("sphere", 0, ["base_color"], 0)
     texture = octex.cast(octex.convert(surface, 7), "float32")
     bright = octex.fill(texture, surface, octex.Sphere((1, 0, 0), 0.1), (5, 9, 2), blend="add")
@@ -119,7 +113,7 @@ def test_the_brightest_light_far_away_limits_averages_of_a_draft_too() -> None:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_strokes_on_drafts_are_strokes_on_the_whole(seed: int) -> None:
+def test_strokes_on_drafts_are_strokes_on_the_whole(seed):
     random, surface, texture, depth = case(seed)
     for _ in range(3):
         paint = stroke(random, surface, depth)
@@ -133,7 +127,7 @@ def test_strokes_on_drafts_are_strokes_on_the_whole(seed: int) -> None:
 
 
 @cache
-def layered(seed: int) -> tuple[OctreeTexture, OctreeTexture, octex.Surface, float]:
+def layered(seed):
     """A texture, a layer of three pictures for it, their surface and an opacity."""
     random, surface, texture, depth = case(seed)
     if seed % 2:  # in part without cells
@@ -156,9 +150,9 @@ def layered(seed: int) -> tuple[OctreeTexture, OctreeTexture, octex.Surface, flo
     ("seed", "blend"),
     [(2, "over"), (2, "multiply"), (3, "erase"), (4, "replace"), (4, "over"), (8, "over"), (8, "erase")],
 )
-def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blend: Blend) -> None:
+def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed, blend):
     texture, layer, surface, opacity = layered(seed)
-    how: dict[str, Any] = {"opacity": opacity, "blend": blend}
+    how = {"opacity": opacity, "blend": blend}
     whole = octex.merge(texture, layer, surface, **how)
     piece = max(400, layer.tree.n_leaves // 20)
     with mock.patch.multiple(tilewise, WHOLE=piece, PIECE=piece, MOST=1000.0):
@@ -170,7 +164,7 @@ def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed: int, blen
     assert_same(covered, with_coverage(whole, [layer]))
 
 
-def test_cells_split_in_one_tile_change_rows_of_all_channels_above_as_at_once() -> None:
+def test_cells_split_in_one_tile_change_rows_of_all_channels_above_as_at_once():
     surface = random_edits.waved("open", 19, ["base_color", "alpha"], 48)
     texture = octex.convert(surface, 5, dtype="uint16", fit=False)
     shots = [
@@ -187,7 +181,7 @@ def test_cells_split_in_one_tile_change_rows_of_all_channels_above_as_at_once() 
         assert_same(octex.merge(texture, layer, surface, blend="replace"), whole)
 
 
-def test_a_change_made_tile_by_tile_is_small() -> None:
+def test_a_change_made_tile_by_tile_is_small():
     surface = random_edits.waved("sphere", 0, ["base_color"], 0)
     texture = octex.convert(surface, 8)
     painter = octex.Painter(texture, surface)
@@ -203,7 +197,7 @@ def test_a_change_made_tile_by_tile_is_small() -> None:
     assert_same(painter.texture(), texture)
 
 
-def test_a_small_stroke_needs_a_small_draft() -> None:
+def test_a_small_stroke_needs_a_small_draft():
     surface = random_edits.waved("sphere", 0, ["base_color"], 0)
     texture = octex.convert(surface, 8)
     codes = [np.empty(0, np.int64)] * 8 + [texture.tree.level_codes(8)[:10]]

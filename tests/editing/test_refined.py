@@ -22,20 +22,8 @@ from tests.make.strategies import leaf_sets, points_around, with_random_data
 from tests.oracles import naive
 
 Codes = npt.NDArray[np.int64]
-Floats = npt.NDArray[np.float64]
 HEIGHT = ChannelFormat("height", 2, "data", "float32")
 seeds = st.integers(0, 2**32 - 1)
-
-
-def reference(tree):
-    """The quadratic field of the rows' weights."""
-    cells = [
-        naive.Cell(level, naive.unmorton(code), not is_node)
-        for level, (codes, nodes) in enumerate(tree.walk())
-        for code, is_node in zip(codes.tolist(), nodes.tolist(), strict=True)
-    ]
-    kept = {node: len(cells) + row for row, node in enumerate(tree.kept.cells.tolist())}
-    return naive.Field(cells, np.eye(len(cells) + len(kept)), "quadratic", kept)
 
 
 def spread(starts, rows, weights, n_rows):
@@ -58,8 +46,8 @@ def trees_and_cells(draw):
     seed = draw(seeds)
     tree = with_random_data(Octree.from_leaves(*leaves), seed, keep)
     random = np.random.default_rng(seed)
-    below: dict[int, list[int]] = {}
-    around: dict[int, list[int]] = {}
+    below = {}
+    around = {}
     places = leaves.places()
     for level, place in [places[n] for n in random.permutation(len(places))[:4]]:
         for down in range(1, min(3, naive.MAX_DEPTH - level) + 1):
@@ -85,7 +73,7 @@ def trees_and_cells(draw):
 
 @given(trees_and_cells())
 def test_cells_below_leaves_are_refined_as_by_the_reference(drawn):
-    field = reference(drawn.tree)
+    field = naive.field_of(drawn.tree, "quadratic")
     for level, codes in drawn.codes.items():
         starts, rows, weights = refined_taps(drawn.tree, codes, level)
         assert (starts[0], starts[-1]) == (0, rows.size) and rows.size == weights.size
@@ -99,7 +87,7 @@ def test_cells_below_leaves_are_refined_as_by_the_reference(drawn):
 
 @given(trees_and_cells())
 def test_cells_in_empty_places_have_taps_where_leaves_are_near_and_none_elsewhere(drawn):
-    field = reference(drawn.tree)
+    field = naive.field_of(drawn.tree, "quadratic")
     for level, codes in drawn.beside.items():
         starts, rows, weights = refined_taps(drawn.tree, codes, level)
         found = spread(starts, rows, weights, len(field.values))
@@ -180,8 +168,8 @@ def raise_leaves(texture, wanted, met):
 
 def some_below(tree, part, all_children, random):
     """Wanted cells one or two levels below a part of the leaves, and the cells met: all children, or some."""
-    wanted: list[list[int]] = [[] for _ in range(tree.max_depth + 3)]
-    met: list[list[int]] = [[] for _ in wanted]
+    wanted = [[] for _ in range(tree.max_depth + 3)]
+    met = [[] for _ in wanted]
     for level, (codes, is_node) in enumerate(tree.walk()):
         for code in codes[~is_node].tolist():
             nodes = [code] if random.random() < part else []

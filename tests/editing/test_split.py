@@ -1,9 +1,6 @@
 """Rows of split cells read and changed, beside dicts of them."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
@@ -18,7 +15,6 @@ from octex.tree.split import bits_of
 from tests.make.small_textures import eight_colors, shell
 from tests.make.strategies import random_values, textures
 
-Array = npt.NDArray[Any]
 Rows = dict[tuple[int, int], int]  # (cell, facing flag): row
 seeds = st.integers(0, 2**32 - 1)
 

@@ -1,9 +1,6 @@
 """Many points in trees of several depths, looked up in the order of space."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from octex.channels import BASE_COLOR
@@ -16,8 +13,6 @@ from octex.tree.octree import Octree
 from tests.conftest import needs_jit
 from tests.make.small_textures import shell
 from tests.properties.random_lookups import random_points, random_texture
-
-Array = npt.NDArray[Any]
 
 
 def crowded(texture, random, count):

@@ -6,12 +6,11 @@ import errno
 import gc
 import mmap
 import os
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from threading import Barrier
 from time import sleep
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from weakref import ref
 
 import numpy as np
@@ -20,7 +19,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.field.blend import Listed, blend
+from octex.field.blend import blend
 from octex.field.field import Field, Finder, NotFiniteError
 from octex.field.splines import FILTERS
 from octex.field.taps import Codes, place_points
@@ -37,24 +36,13 @@ UNIT = Placement((0.0, 0.0, 0.0), 1.0)
 each_filter = pytest.mark.parametrize("filter", FILTERS[1:])
 
 
-def reference(tree: Octree, filter: str, values: npt.ArrayLike | None = None) -> naive.Field:
-    """The field of values (rows, components); without values, that of the rows' weights."""
-    cells = [
-        naive.Cell(level, naive.unmorton(code), not is_node)
-        for level, (codes, nodes) in enumerate(tree.walk())
-        for code, is_node in zip(codes.tolist(), nodes.tolist(), strict=True)
-    ]
-    kept = {node: len(cells) + row for row, node in enumerate(tree.kept.cells.tolist())}
-    return naive.Field(cells, np.eye(len(cells) + len(kept)) if values is None else values, filter, kept)
-
-
 class Drawn(NamedTuple):
     tree: Octree
     points: npt.NDArray[np.float64]  # multiples of 2⁻²⁴: no rounding moves one across a face
 
 
 @st.composite
-def trees_and_points(draw: st.DrawFn) -> Drawn:
+def trees_and_points(draw):
     """Trees of leaves at one depth, which have tiles, and at mixed ones, with kept nodes or without."""
     leaves = draw(leaf_sets(deepest=12))
     if draw(st.booleans()):
@@ -66,7 +54,7 @@ def trees_and_points(draw: st.DrawFn) -> Drawn:
     return Drawn(tree, np.round(np.array(points) * 2.0**24) / 2.0**24)
 
 
-def spread(taps: Listed, column: npt.NDArray[np.float32], n_rows: int) -> npt.NDArray[np.float64]:
+def spread(taps, column, n_rows):
     """A column of the taps by point and row (points, rows); a row may have several taps."""
     points = taps.starts.size - 1
     spread = np.zeros((points, n_rows))
@@ -74,16 +62,16 @@ def spread(taps: Listed, column: npt.NDArray[np.float32], n_rows: int) -> npt.ND
     return spread
 
 
-def blended(taps: Listed, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def blended(taps, values):
     terms = taps.weights[:, None].astype(np.float64) * values[taps.rows]
     return np.add.reduceat(terms, taps.starts[:-1])
 
 
 @each_filter
 @given(trees_and_points())
-def test_weights_and_slopes_are_those_of_the_reference(filter: str, drawn: Drawn) -> None:
+def test_weights_and_slopes_are_those_of_the_reference(filter, drawn):
     tree, points = drawn
-    field = reference(tree, filter)
+    field = naive.field_of(tree, filter)
     n_rows = len(field.values)
     plain = taps_of(Field(tree), points, UNIT, filter)
     with_slopes = taps_of(Field(tree), points, UNIT, filter, gradient=True)
@@ -104,7 +92,7 @@ def test_weights_and_slopes_are_those_of_the_reference(filter: str, drawn: Drawn
 @needs_jit
 @each_filter
 @pytest.mark.parametrize("depth", [3, 12, 21])
-def test_weights_are_never_negative_and_sum_to_one(filter: str, depth: int) -> None:
+def test_weights_are_never_negative_and_sum_to_one(filter, depth):
     """Beside faces and centres too, where a cell of the deepest level is but 512 steps of fixed point."""
     places = np.stack(np.unravel_index(np.arange(64), (4, 4, 4)), 1) + 2**depth // 2 - 1
     codes = sorted(naive.morton(place) for place in places.tolist())
@@ -117,7 +105,7 @@ def test_weights_are_never_negative_and_sum_to_one(filter: str, depth: int) -> N
         assert np.abs(blended(taps, np.ones((tree.n_cells, 1))) - 1).max() <= 1e-6
 
 
-def shell(depth: int, fine: int) -> Octree:
+def shell(depth, fine):
     """A spherical shell of leaves at ``depth``, at ``fine`` where x is above the middle."""
     random = np.random.default_rng(0)
     points = on_sphere(random.normal(size=(20_000, 3)))
@@ -129,7 +117,7 @@ def shell(depth: int, fine: int) -> Octree:
     return Octree.from_leaves(np.array(codes)[order], depths[order].astype(np.uint8))
 
 
-def on_sphere(directions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def on_sphere(directions):
     return 0.5 + 0.31 * directions / np.linalg.norm(directions, axis=1)[:, None]
 
 
@@ -137,13 +125,11 @@ def on_sphere(directions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("fine", [5, 7])
 @each_filter
-def test_values_on_and_beside_a_sphere_are_those_of_the_reference(
-    filter: str, fine: int, dtype: type
-) -> None:
+def test_values_on_and_beside_a_sphere_are_those_of_the_reference(filter, fine, dtype):
     tree = shell(5, fine)
     random = np.random.default_rng(1)
     values = random.random((tree.n_cells, 2))
-    field = reference(tree, filter, values)
+    field = naive.field_of(tree, filter, values)
     directions = random.normal(size=(120, 3))
     directions[60:] = [[0.0, 0.6, -0.8]] + np.linspace(-0.1, 0.1, 60)[:, None] * np.eye(3)[:1]  # in a row
     beside = 1 + 0.2 * random.random((120, 1)) * (random.random((120, 1)) < 0.2)
@@ -157,9 +143,7 @@ def test_values_on_and_beside_a_sphere_are_those_of_the_reference(
 @needs_jit
 @pytest.mark.parametrize("fine", [5, 7])
 @each_filter
-def test_taps_do_not_depend_on_the_points_before_them(
-    filter: str, fine: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_taps_do_not_depend_on_the_points_before_them(filter, fine, monkeypatch):
     tree = shell(5, fine)
     random = np.random.default_rng(2)
     points = on_sphere(random.normal(size=(2_000, 3)))
@@ -176,7 +160,7 @@ def test_taps_do_not_depend_on_the_points_before_them(
 
 @pytest.mark.parametrize("filter", FILTERS)
 @given(trees_and_points(), st.sampled_from([np.uint8, np.uint16, np.float32]))
-def test_blends_and_covers_are_those_of_the_reference(filter: str, drawn: Drawn, dtype: type) -> None:
+def test_blends_and_covers_are_those_of_the_reference(filter, drawn, dtype):
     tree, points = drawn
     random = np.random.default_rng(0)
     rows = [(count, 3) for count in (tree.n_cells, tree.kept.cells.size, tree.split.areas.size)]
@@ -191,7 +175,7 @@ def test_blends_and_covers_are_those_of_the_reference(filter: str, drawn: Drawn,
     assert place_points(Positions.of(points), *UNIT, places) == -1
     taps = Finder(Field(tree), UNIT, filter).find(places)
     blend(taps, Codes(*values, table), False, results)
-    field = reference(tree, "linear" if filter == "nearest" else filter, np.concatenate(decoded[:2]))
+    field = naive.field_of(tree, "linear" if filter == "nearest" else filter, np.concatenate(decoded[:2]))
     for n, point in enumerate(points.tolist()):
         if filter == "nearest":
             number = naive.find(field.cells, np.clip(point, 0, 1 - 2.0**-30).tolist())
@@ -206,7 +190,7 @@ def test_blends_and_covers_are_those_of_the_reference(filter: str, drawn: Drawn,
 
 
 @each_filter
-def test_no_points_have_no_taps(filter: str) -> None:
+def test_no_points_have_no_taps(filter):
     for gradient in (False, True):
         taps = taps_of(Field(shell(3, 3)), np.empty((0, 3)), UNIT, filter, gradient=gradient)
         assert taps.starts.tolist() == [0]
@@ -215,7 +199,7 @@ def test_no_points_have_no_taps(filter: str) -> None:
 
 @pytest.mark.parametrize("gradient", [False, True])
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-def test_a_point_that_is_not_finite_is_named(wrong: float, gradient: bool) -> None:
+def test_a_point_that_is_not_finite_is_named(wrong, gradient):
     points = np.full((40, 3), 0.5)
     points[[23, 31], 1] = wrong
     with pytest.raises(NotFiniteError, match=r"points\[23\]") as caught:
@@ -223,7 +207,7 @@ def test_a_point_that_is_not_finite_is_named(wrong: float, gradient: bool) -> No
     assert caught.value.row == 23
 
 
-def test_outside_the_root_slopes_are_those_of_the_nearest_point_inside() -> None:
+def test_outside_the_root_slopes_are_those_of_the_nearest_point_inside():
     tree = Octree.from_leaves([0, 7], 1)
     outside = np.array([[1.5, 0.25, -0.5]])
     found, inside = (
@@ -232,16 +216,16 @@ def test_outside_the_root_slopes_are_those_of_the_nearest_point_inside() -> None
     assert all((one == other).all() for one, other in zip(found, inside, strict=True))
 
 
-def off_the_surface(depth: int = 6) -> tuple[Octree, npt.NDArray[np.float64]]:
+def off_the_surface(depth=6):
     """A tree of one leaf, and points at all distances from it, which coarser levels answer."""
     return Octree.from_leaves([0], depth), np.linspace(0.0, 1.0, 8)[:, None] * np.ones(3)
 
 
-def test_threads_build_what_they_share_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_build_what_they_share_once(monkeypatch):
     tree, points = off_the_surface()
-    built: list[int] = []
+    built = []
 
-    def slowly(build: Callable[..., Any], level_of: Callable[..., int], *given: Any) -> Any:
+    def slowly(build, level_of, *given):
         built.append(level_of(*given))
         sleep(0.005)  # for the others to come
         return build(*given)
@@ -257,7 +241,7 @@ def test_threads_build_what_they_share_once(monkeypatch: pytest.MonkeyPatch) -> 
     assert all(np.array_equal(taps.rows, found[0][1].rows) for _, taps in found)
 
 
-def test_the_field_of_a_level_does_not_keep_the_whole_one() -> None:
+def test_the_field_of_a_level_does_not_keep_the_whole_one():
     tree, points = off_the_surface()
     field = Field(tree)
     level, whole = field.level(3), ref(field)
@@ -270,10 +254,8 @@ def test_the_field_of_a_level_does_not_keep_the_whole_one() -> None:
 
 
 @pytest.mark.parametrize("is_full", [False, True])
-def test_tiles_of_many_cells_lie_in_a_file_if_there_is_room(
-    is_full: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def no_room(*_: Any) -> None:
+def test_tiles_of_many_cells_lie_in_a_file_if_there_is_room(is_full, monkeypatch):
+    def no_room(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     tree = Octree.from_leaves(np.unique(np.random.default_rng(0).integers(0, 8**5, 3000)), 5)
@@ -288,7 +270,7 @@ def test_tiles_of_many_cells_lie_in_a_file_if_there_is_room(
         assert (type(_owner(ours)) is mmap.mmap) is not is_full
 
 
-def _owner(array: Any) -> Any:
+def _owner(array):
     """Return what an array's memory belongs to."""
     while isinstance(array, np.ndarray | memoryview) and (base := getattr(array, "base", None)) is not None:
         array = base

@@ -17,7 +17,6 @@ from tests.oracles import naive
 
 SMOOTH = {"quadratic": 1, "quartic": 3}  # filters: the highest derivative that is continuous
 FILTERS = ("linear", *SMOOTH)
-Place = tuple[int, ...]
 
 few = settings(max_examples=10 if jit.DISABLED else 15)
 

@@ -1,10 +1,8 @@
 """Filtered lookups: footprints, what faces a normal, and the paper's rule."""
 
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -20,7 +18,6 @@ from tests.make.small_textures import UNIT, UNIT_BOUNDS, shell, unit
 from tests.make.strategies import textures
 from tests.oracles.naive_views import Views
 
-Array = npt.NDArray[Any]
 each_filter = pytest.mark.parametrize("filter", FILTERS)
 
 

@@ -2,26 +2,29 @@
 
 import sys
 
-import numba
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex.kernels
 from octex import jit
 from octex.errors import ArgumentError
+from octex.jit.cache import cached
 from octex.texture import Channel, OctreeTexture
 from tests.conftest import needs_jit
 from tests.make.small_textures import eight_colors, shell
 from tests.make.strategies import random_values
 from tests.properties.random_lookups import random_points, random_texture
 
-Doubles = npt.NDArray[np.float64]
 FILTERS = "nearest", "linear", "quadratic"
 SEEDS = range(3 if jit.DISABLED else 40)
 
 
-@numba.njit(nogil=True)
+def compiled(function):
+    """As numba.njit compiles it; the code is stored until the source changes here or in octex."""
+    return function if jit.DISABLED else cached(function, {"nogil": True})
+
+
+@compiled
 def look_up(arrays, points, widths, normals, way, results):
     """Look points up as FILTERS[way], or by their widths and normals."""
     scratch = octex.kernels.new_scratch(arrays)
@@ -38,7 +41,7 @@ def look_up(arrays, points, widths, normals, way, results):
             results[n, component] = found[component]
 
 
-@numba.njit(nogil=True)
+@compiled
 def find(arrays, points, results):
     """Look points up in their cells, as (n, 4)."""
     scratch = octex.kernels.new_scratch(arrays)
@@ -47,7 +50,7 @@ def find(arrays, points, results):
         results[n, 0], results[n, 1], results[n, 2], results[n, 3] = a, b, c, d
 
 
-@numba.njit(nogil=True)
+@compiled
 def average(arrays, points, widths, normals, results):
     """Look footprints up, as (n, 4)."""
     scratch = octex.kernels.new_scratch(arrays)

@@ -17,8 +17,6 @@ from octex.tree.octree import Octree
 from tests.make.strategies import leaf_sets, points_around, with_random_data
 from tests.oracles import naive
 
-Points = npt.NDArray[np.float32 | np.float64]
-
 each_filter = pytest.mark.parametrize("filter", FILTERS[1:])
 
 

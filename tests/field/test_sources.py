@@ -78,11 +78,8 @@ def test_a_source_needs_channels_and_values_alone():
 
 def test_channels_are_in_the_order_of_textures_and_others_last():
     assert in_order(["glow", "normal", "alpha", "glow", "base_color"]) == [
-        "base_color",
-        "alpha",
-        "normal",
-        "glow",
-    ]
+        "base_color", "alpha", "normal", "glow",
+    ]  # fmt: skip
 
 
 def test_each_channel_comes_from_the_source_named_for_it():

@@ -1,16 +1,12 @@
 """Ptex: files against a simple reader, meshes against their polygons, textures there and back."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import struct
 import sys
 import zlib
-from collections.abc import Callable
 from contextlib import nullcontext as nothing
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -23,7 +19,6 @@ from octex.formats.ptex.patches import faces_of, neighbors_of, patches_of
 from octex.formats.ptex.reader import PtexFile
 from octex.formats.ptex.writer import Contents, write_contents
 from octex.parallel import Run, workers
-from tests.make.command import Cli
 from tests.oracles import naive_ptex
 
 TOOLS = Path(__file__).parents[2] / "tools"
@@ -51,7 +46,7 @@ OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
 EIGHT = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
 
 
-def tool(name: str) -> ModuleType:
+def tool(name):
     """A program of tools/, as a module."""
     spec = importlib.util.spec_from_file_location(name, TOOLS / f"{name}.py")
     assert spec is not None
@@ -63,19 +58,19 @@ def tool(name: str) -> ModuleType:
 
 
 @pytest.fixture
-def house(tmp_path: Path) -> Path:
+def house(tmp_path):
     (tmp_path / "house.obj").write_text(HOUSE)
     return tmp_path / "house.obj"
 
 
-def waves(points: np.ndarray) -> np.ndarray:
+def waves(points):
     """Return a smooth colour by position."""
     x, y, z = points.T
     return np.stack([np.sin(3 * x + y), np.cos(2 * y - 2 * z), np.sin(2 * z + 2 * x)], axis=1) * 0.35 + 0.5
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_what_is_written_is_read_by_a_simple_reader_and_by_octex(seed: int, tmp_path: Path) -> None:
+def test_what_is_written_is_read_by_a_simple_reader_and_by_octex(seed, tmp_path):
     contents = tool("bench/peers/ptex_peer").random_contents(seed)
     path = tmp_path / "made.ptx"
     with workers(Run(threads=1)) as executor:
@@ -99,19 +94,20 @@ def test_what_is_written_is_read_by_a_simple_reader_and_by_octex(seed: int, tmp_
             assert metadata[name] == value.encode() + b"\0"
 
 
-@pytest.mark.parametrize("mesh_type", ["quad", "triangle"])
-def test_reductions_and_averages_are_means_of_texels_to_rounding(mesh_type: str, tmp_path: Path) -> None:
+def written(path, mesh_type, log2, texels, **options):
+    """Write a file of three faces that have no neighbours."""
     peer = tool("bench/peers/ptex_peer")
-    faces = peer.Faces(
-        np.full((3, 2), 5, np.int8),
-        np.full((3, 4), -1, np.int32),
-        np.zeros((3, 4), np.uint8),
-        np.zeros(3, bool),
-    )
-    texels = np.random.default_rng(0).integers(0, 256, (3 * 1024, 3)).astype(np.uint8)
-    path = tmp_path / "made.ptx"
+    alone = np.full((3, 4), -1, np.int32)
+    faces = peer.Faces(np.full((3, 2), log2, np.int8), alone, np.zeros((3, 4), np.uint8), np.zeros(3, bool))
     with workers(Run(threads=1)) as executor:
-        write_contents(peer.Contents(mesh_type, faces, texels), path, executor)
+        write_contents(peer.Contents(mesh_type, faces, texels, **options), path, executor)
+    return path
+
+
+@pytest.mark.parametrize("mesh_type", ["quad", "triangle"])
+def test_reductions_and_averages_are_means_of_texels_to_rounding(mesh_type, tmp_path):
+    texels = np.random.default_rng(0).integers(0, 256, (3 * 1024, 3)).astype(np.uint8)
+    path = written(tmp_path / "made.ptx", mesh_type, 5, texels)
     _, levels, _ = naive_ptex.read(path)
     with PtexFile(path) as file:
         assert file.n_levels == len(levels) == 4
@@ -128,7 +124,7 @@ def test_reductions_and_averages_are_means_of_texels_to_rounding(mesh_type: str,
                 assert abs(levels[2][face] - wanted).max() <= 0.5 + 1e-9
 
 
-def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
+def test_damaged_files_are_refused_or_read(tmp_path):
     import random
 
     fuzz = tool("fuzz/random_ptex")
@@ -143,18 +139,9 @@ def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
     assert results == {"read", "refused"}
 
 
-def test_edits_that_were_appended_count(tmp_path: Path) -> None:
-    peer = tool("bench/peers/ptex_peer")
-    faces = peer.Faces(
-        np.full((3, 2), 1, np.int8),
-        np.full((3, 4), -1, np.int32),
-        np.zeros((3, 4), np.uint8),
-        np.zeros(3, np.bool_),
-    )
+def test_edits_that_were_appended_count(tmp_path):
     texels = np.arange(12, dtype=np.uint8)[:, None]
-    path = tmp_path / "made.ptx"
-    with workers(Run(threads=1)) as executor:
-        write_contents(peer.Contents("quad", faces, texels, metadata={"by": "me"}), path, executor)
+    path = written(tmp_path / "made.ptx", "quad", 1, texels, metadata={"by": "me"})
     record = struct.pack("<bbBB4i", 1, 0, 0, 0, -1, -1, -1, -1)
     block = zlib.compress(bytes([70, 80]))
     face = struct.pack("<I", 1) + record + struct.pack("<I", len(block) | 1 << 30) + bytes([75]) + block
@@ -181,7 +168,7 @@ def test_edits_that_were_appended_count(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("broken", ["nothing", "folder", "text"])
-def test_what_is_no_ptex_file_is_named(broken: str, tmp_path: Path) -> None:
+def test_what_is_no_ptex_file_is_named(broken, tmp_path):
     path = tmp_path / "broken.ptx"
     if broken == "folder":
         path.mkdir()
@@ -191,7 +178,7 @@ def test_what_is_no_ptex_file_is_named(broken: str, tmp_path: Path) -> None:
         PtexFile(path)
 
 
-def test_neighbours_share_an_edge_and_polygons_are_a_face_for_each_corner(house: Path) -> None:
+def test_neighbours_share_an_edge_and_polygons_are_a_face_for_each_corner(house):
     surface = octex.load_surface(house)
     patches = patches_of(surface)
     neighbors, edges = neighbors_of(surface, patches)
@@ -216,7 +203,7 @@ def test_neighbours_share_an_edge_and_polygons_are_a_face_for_each_corner(house:
                 assert np.allclose(mine[0], its[-1]) or np.allclose(mine[-1], its[0])
 
 
-def points_on_edge(surface: octex.Surface, patches: object, face: int, edge: int) -> np.ndarray:
+def points_on_edge(surface, patches, face, edge):
     """Return both ends of an edge of a face, as it goes around."""
     corners = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
     uv = corners[[edge, (edge + 1) % 4]]
@@ -224,7 +211,7 @@ def points_on_edge(surface: octex.Surface, patches: object, face: int, edge: int
     return surface.rest_at(triangles, barycentric)
 
 
-def test_edges_of_three_faces_or_gone_along_twice_the_same_way_are_borders() -> None:
+def test_edges_of_three_faces_or_gone_along_twice_the_same_way_are_borders():
     vertices = [(0, 0, 0), (0, 0, 1), (1, 0, 0), (-1, 0, 0), (0, 1, 0), (0.5, 1, 1)]
     three = octex.Surface.from_arrays(vertices, [[0, 1, 2], [1, 0, 3], [0, 1, 4]])
     assert (neighbors_of(three, patches_of(three))[0] == -1).all()
@@ -237,9 +224,7 @@ def test_edges_of_three_faces_or_gone_along_twice_the_same_way_are_borders() -> 
 
 
 @pytest.mark.parametrize("triangles", [False, True])
-def test_at_the_centres_of_texels_a_surface_has_their_values(
-    triangles: bool, house: Path, tmp_path: Path
-) -> None:
+def test_at_the_centres_of_texels_a_surface_has_their_values(triangles, house, tmp_path):
     surface = octex.load_surface(house)
     if triangles:
         surface = octex.Surface.from_arrays(surface.vertices, surface.triangles)
@@ -260,16 +245,14 @@ def test_at_the_centres_of_texels_a_surface_has_their_values(
             assert abs(found - wanted).max() < 1e-4
 
 
-def octaves(points: np.ndarray) -> np.ndarray:
+def octaves(points):
     """Return a colour by position that varies over lengths down to six cells of depth 5."""
     return np.asarray(sum((waves(points * 2**k) - 0.5) * 0.6**k for k in range(3)) * 0.6 + 0.5)
 
 
 @pytest.mark.parametrize("triangles", [False, True])
 @pytest.mark.parametrize("colors", [waves, octaves])
-def test_there_and_back_a_texture_stays_within_40_decibels(
-    triangles: bool, colors: Callable[[np.ndarray], np.ndarray], house: Path, tmp_path: Path
-) -> None:
+def test_there_and_back_a_texture_stays_within_40_decibels(triangles, colors, house, tmp_path):
     surface = octex.load_surface(house)
     if triangles:
         surface = octex.Surface.from_arrays(surface.vertices, surface.triangles)
@@ -284,9 +267,7 @@ def test_there_and_back_a_texture_stays_within_40_decibels(
 
 
 @pytest.mark.parametrize("sizes", [(3, 3), (1, 4), (0, 2)])
-def test_across_edges_of_triangles_values_go_on_whatever_the_faces_resolutions(
-    sizes: tuple[int, int], tmp_path: Path
-) -> None:
+def test_across_edges_of_triangles_values_go_on_whatever_the_faces_resolutions(sizes, tmp_path):
     surface = octex.Surface.from_arrays(OCTAHEDRON, EIGHT)  # closed: each vertex has four faces
     patches = patches_of(surface)
     log2 = np.array([[sizes[n % 2]] * 2 for n in range(8)], np.int8)  # neighbours differ
@@ -316,7 +297,7 @@ def test_across_edges_of_triangles_values_go_on_whatever_the_faces_resolutions(
             assert (bends[inner] < 1e-6).all()
 
 
-def test_a_corner_of_texels_on_an_edge_of_triangles_is_the_mean_of_six(tmp_path: Path) -> None:
+def test_a_corner_of_texels_on_an_edge_of_triangles_is_the_mean_of_six(tmp_path):
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
     surface = octex.Surface.from_arrays(corners, [[0, 1, 2], [3, 2, 1]])
     faces = faces_of(surface, patches_of(surface), np.ones((2, 2), np.int8))
@@ -326,7 +307,7 @@ def test_a_corner_of_texels_on_an_edge_of_triangles_is_the_mean_of_six(tmp_path:
         write_contents(Contents("triangle", faces, texels), path, executor)
     painted = surface.with_sources(octex.Ptex(path).sources)
 
-    def at(u: float, v: float) -> float:
+    def at(u, v):
         where = np.zeros(1, np.int32), np.array([[1 - u - v, u, v]]), np.zeros(1, np.float32)
         return float(painted.evaluate_all(*where)[0, 0])
 
@@ -337,9 +318,7 @@ def test_a_corner_of_texels_on_an_edge_of_triangles_is_the_mean_of_six(tmp_path:
     assert at(0.0, 0.0) == 0
 
 
-def test_faces_get_texels_as_wide_as_the_cells_and_more_along_their_longer_side(
-    house: Path, tmp_path: Path
-) -> None:
+def test_faces_get_texels_as_wide_as_the_cells_and_more_along_their_longer_side(house, tmp_path):
     surface = octex.load_surface(house)
     texture = octex.convert(surface, 5, sources={"base_color": waves})
     octex.write_ptex(texture, surface, tmp_path / "made.ptx")
@@ -350,7 +329,7 @@ def test_faces_get_texels_as_wide_as_the_cells_and_more_along_their_longer_side(
         assert (edges >= cell / 2**0.5 - 1e-9).all()
 
 
-def test_on_the_limit_surface_faces_that_spread_out_get_more_texels(tmp_path: Path) -> None:
+def test_on_the_limit_surface_faces_that_spread_out_get_more_texels(tmp_path):
     # A box with a narrow band around its middle, which spreads out on the limit surface; creased nowhere.
     levels = (-1.0, -0.02, 0.02, 1.0)
     lines = [f"v {x} {y} {z}" for y in levels for x, z in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
@@ -372,7 +351,7 @@ def test_on_the_limit_surface_faces_that_spread_out_get_more_texels(tmp_path: Pa
     assert all(after[1] <= before[1] for before, after in zip(*sides, strict=True))
 
 
-def test_a_mesh_that_does_not_fit_is_refused(house: Path, tmp_path: Path) -> None:
+def test_a_mesh_that_does_not_fit_is_refused(house, tmp_path):
     surface = octex.load_surface(house)
     texture = octex.convert(surface, 3)
     octex.write_ptex(texture, surface, tmp_path / "made.ptx")
@@ -390,7 +369,7 @@ def test_a_mesh_that_does_not_fit_is_refused(house: Path, tmp_path: Path) -> Non
         octex.load_surface(house, sources=octex.Ptex(tmp_path / "triangles.ptx").sources)
 
 
-def test_what_cannot_be_written_is_refused(house: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_written_is_refused(house, tmp_path):
     surface = octex.load_surface(house)
     texture = octex.convert(surface, 3)
     for change, said in (
@@ -404,7 +383,7 @@ def test_what_cannot_be_written_is_refused(house: Path, tmp_path: Path) -> None:
             octex.write_ptex(texture, surface, **{"path": tmp_path / "made.ptx", **change})
 
 
-def test_the_command_goes_both_ways(house: Path, tmp_path: Path, cli: Cli) -> None:
+def test_the_command_goes_both_ways(house, tmp_path, cli):
     texture = octex.convert(octex.load_surface(house), 4, sources={"base_color": waves})
     texture.save(tmp_path / "house.octex")
     made, back = tmp_path / "house.ptx", tmp_path / "back.octex"
@@ -419,7 +398,7 @@ def test_the_command_goes_both_ways(house: Path, tmp_path: Path, cli: Cli) -> No
 
 
 @pytest.mark.skipif(MODELS is None, reason="OCTEX_TEST_MODELS names no folder of real models")
-def test_real_files_fit_their_meshes_and_have_the_neighbours_of_these() -> None:
+def test_real_files_fit_their_meshes_and_have_the_neighbours_of_these():
     folder = Path(str(MODELS)) / "ptex-disney"
     for mesh, ptex in (
         ("cube/cube.obj", "cube/text/cube.ptx"),
@@ -434,7 +413,7 @@ def test_real_files_fit_their_meshes_and_have_the_neighbours_of_these() -> None:
 
 
 @pytest.mark.skipif(MODELS is None, reason="OCTEX_TEST_MODELS names no folder of real models")
-def test_malformed_files_are_refused() -> None:
+def test_malformed_files_are_refused():
     files = sorted((Path(str(MODELS)) / "ptex-oiio" / "src").glob("*.ptx"))
     refused = 0
     for path in files:

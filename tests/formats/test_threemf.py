@@ -3,11 +3,9 @@
 import json
 import locale
 import zipfile
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -15,8 +13,6 @@ from octex.channels import linear_to_srgb
 from octex.errors import MissingExtraError, ModelError
 from octex.source.surface import Surface
 from tests.make import solids
-
-Array = npt.NDArray[Any]
 
 MATERIALS = "{http://schemas.microsoft.com/3dmanufacturing/material/2015/02}"
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"

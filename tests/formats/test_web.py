@@ -6,7 +6,6 @@ import re
 import shutil
 import subprocess
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -114,8 +113,7 @@ def test_a_model_carries_its_octree(ending, bake, tmp_path):
 
 def document_of(path):
     content = path.read_bytes()
-    found: dict[str, Any] = json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
-    return found
+    return json.loads(content[20 : 20 + int.from_bytes(content[12:16], "little")])
 
 
 @needs_jit

@@ -145,7 +145,7 @@ def test_the_code_of_a_page_runs(page, files, tmp_path, monkeypatch):
     shutil.copytree(files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("octex.viewer.server._FIRST", 0)  # octex view waits for no page
-    names: dict[str, object] = {"__name__": page}
+    names = {"__name__": page}
     for language, code in blocks(page):
         if language == "python":
             exec(compile(coarse(code), f"{page}.md", "exec"), names)

@@ -59,12 +59,9 @@ def test_good_and_broken_files_are_told_apart(report):
     trials = {name: trial for name, trial in by_file(text).items() if " damaged " not in name}
     assert code == 0
     assert {name: trial["result"] for name, trial in trials.items()} == {
-        "whole.png": "converted",
-        "cut.png": "refused",
-        "square.glb": "converted",
-        "inner/cut.glb": "refused",
-        "inner/lost.obj": "refused",
-    }
+        "whole.png": "converted", "cut.png": "refused", "square.glb": "converted",
+        "inner/cut.glb": "refused", "inner/lost.obj": "refused",
+    }  # fmt: skip
     assert trials["square.glb"]["validator"] == ["ODD"]
     assert "cut.glb" in trials["inner/cut.glb"]["message"]
     assert trials["whole.png"]["message"] == ""

@@ -1,7 +1,5 @@
 """The house keeps its shape: who imports whom, what is exported, and what an import costs."""
 
-from __future__ import annotations
-
 import ast
 import builtins
 import json
@@ -9,7 +7,6 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -22,19 +19,7 @@ MODULES = sorted(path.relative_to(ROOT).with_suffix("").as_posix() for path in R
 
 # A module imports only from its own row and the rows above.
 ROWS = [
-    {
-        "arrays",
-        "errors",
-        "files",
-        "gltf",
-        "checks",
-        "ahead",
-        "docs",
-        "jit",
-        "parallel",
-        "channels",
-        "npz",
-    },
+    {"arrays", "errors", "files", "gltf", "checks", "ahead", "docs", "jit", "parallel", "channels", "npz"},
     {"tree"},
     {"nearest"},
     {"field"},
@@ -63,12 +48,8 @@ ROWS = [
 STORED = {"tree", "field", "container", "archive", "texture", "editing"}
 MADE = {"source", "voxelize", "cleaning", "conversion", "cameras", "view", "painting", "photos"}
 FORBIDDEN = {
-    "source": STORED,
-    "cameras": STORED,
-    "view": STORED,
-    "editing": MADE,
-    "processing": MADE - {"source"},
-}
+    "source": STORED, "cameras": STORED, "view": STORED, "editing": MADE, "processing": MADE - {"source"},
+}  # fmt: skip
 #: What numpy has from 2.0 on: octex runs beside 1.26, which programs like Blender bring along.
 NEW_IN_NUMPY_2 = {
     "acos", "acosh", "asin", "asinh", "astype", "atan", "atan2", "atanh", "bitwise_count", "bitwise_invert",
@@ -95,14 +76,14 @@ COMMANDS = {"octex.cli.main", *(target.partition(":")[0] for target in PROJECT["
 
 
 @cache
-def imports(module: str) -> list[str]:
+def imports(module):
     """Names of the modules that a module imports, at its top or in its functions, but not for types only."""
     return list(_imports(module))
 
 
-def _imports(module: str) -> Iterator[str]:
+def _imports(module):
     tree = ast.parse((ROOT / f"{module}.py").read_text(encoding="utf-8"))
-    pending: list[ast.AST] = [tree]
+    pending = [tree]
     while pending:
         node = pending.pop()
         if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
@@ -117,15 +98,15 @@ def _imports(module: str) -> Iterator[str]:
         pending.extend(ast.iter_child_nodes(node))
 
 
-def room(name: str) -> str:
+def room(name):
     return name.split(".")[1] if "." in name else ""
 
 
-def row(name: str) -> int:
+def row(name):
     return next(number for number, rooms in enumerate(ROWS) if name in rooms)
 
 
-def test_modules_import_only_from_the_rows_above_and_their_own() -> None:
+def test_modules_import_only_from_the_rows_above_and_their_own():
     for module in MODULES:
         own = module.split("/")[0]
         for name in imports(module) if module != "__init__" else ():
@@ -137,7 +118,7 @@ def test_modules_import_only_from_the_rows_above_and_their_own() -> None:
             assert room(name) not in FORBIDDEN.get(own, set()), f"{module} imports {name}"
 
 
-def test_each_big_package_has_one_user() -> None:
+def test_each_big_package_has_one_user():
     for module in MODULES:
         packages = {name.split(".")[0] for name in imports(module)}
         # These compile, keep what is compiled, and say that there is compiling.
@@ -147,21 +128,21 @@ def test_each_big_package_has_one_user() -> None:
             assert not packages & {"trimesh", "manifold3d"}, module
 
 
-def test_no_name_is_used_that_numpy_1_26_lacks() -> None:
+def test_no_name_is_used_that_numpy_1_26_lacks():
     for module in MODULES:
         for node in ast.walk(ast.parse((ROOT / f"{module}.py").read_text())):
             if isinstance(node, ast.Attribute) and node.attr in NEW_IN_NUMPY_2:
                 assert ast.unparse(node.value) not in ("np", "np.linalg"), f"{module}: {node.attr}"
 
 
-def test_the_exported_names_are_these_and_each_exists() -> None:
+def test_the_exported_names_are_these_and_each_exists():
     assert octex.__all__ == EXPORTED
     for name in [*EXPORTED, "map", "open"]:
         assert getattr(octex, name) is not None
         assert name in dir(octex)
 
 
-def test_there_is_one_version_and_the_changelog_has_it() -> None:
+def test_there_is_one_version_and_the_changelog_has_it():
     assert "version" in PROJECT["dynamic"]  # flit reads octex.__version__
     package = json.loads((ROOT / "viewer" / "package.json").read_text(encoding="utf-8"))
     manifest = tomllib.loads(
@@ -172,26 +153,26 @@ def test_there_is_one_version_and_the_changelog_has_it() -> None:
     assert re.search(rf"^## {re.escape(octex.__version__)}\b", changes, re.MULTILINE)
 
 
-def test_a_star_import_leaves_what_python_has() -> None:
-    names: dict[str, object] = {}
+def test_a_star_import_leaves_what_python_has():
+    names = {}
     exec("from octex import *", names)
     assert set(names) - {"__builtins__"} == set(EXPORTED)
     assert not set(EXPORTED) & set(dir(builtins)) - {"__version__"}
 
 
-def test_an_unknown_name_is_an_attribute_error() -> None:
+def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'paint_it_black'"):
         octex.paint_it_black  # noqa: B018
 
 
 @pytest.mark.parametrize("module", ["octex", *sorted(COMMANDS)])
-def test_importing_octex_or_a_command_loads_nothing_heavy(module: str) -> None:
+def test_importing_octex_or_a_command_loads_nothing_heavy(module):
     code = f"import sys, {module}; print(*sorted(set({HEAVY}) & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == []
 
 
-def test_the_extra_test_brings_what_tests_are_skipped_without() -> None:
+def test_the_extra_test_brings_what_tests_are_skipped_without():
     project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text("utf-8"))["project"]
     listed = [each for extra in project["optional-dependencies"].values() for each in extra]
     brought = {re.split(r"[^\w-]", each)[0].lower() for each in listed} | {"aiohttp"}  # with fsspec[http]

@@ -1,14 +1,10 @@
 """Conversions whose arrays lie in files, and whose tasks others do: the same bytes come out."""
 
-from __future__ import annotations
-
 import errno
 import multiprocessing
 import os
-from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +20,7 @@ from tests.conftest import needs_jit
 from tests.make.small_surfaces import bent, sheet, tetrahedron, turned
 
 
-def torus(**options: object) -> octex.Surface:
+def torus(**options):
     """Return a bumpy torus with a colour a vertex."""
     around, along = np.meshgrid(*[np.arange(48) * (np.pi / 24)] * 2)
     radius = 0.4 + 0.05 * np.sin(5 * around) * np.sin(4 * along)
@@ -38,18 +34,15 @@ def torus(**options: object) -> octex.Surface:
 
 
 SURFACES = {
-    "torus": torus(),
-    "tetrahedron": tetrahedron(),
-    "sheet": sheet(turned(3), 0.02),
-    "bent": bent(0.03),
-}
+    "torus": torus(), "tetrahedron": tetrahedron(), "sheet": sheet(turned(3), 0.02), "bent": bent(0.03),
+}  # fmt: skip
 
 
-def converted(surface: octex.Surface, folder: Path, **options: object) -> tuple[bytes, bytes]:
+def converted(surface, folder, **options):
     """Return the bytes of a texture made in memory, and of one made in files."""
     depth, fit = options.pop("depth", 6), options.pop("fit", True)
-    octex.convert(surface, depth, fit=fit).save(folder / "memory.octex")  # type: ignore[arg-type]
-    made = octex.convert(surface, depth, fit=fit, path=folder / "files.octex", **options)  # type: ignore[arg-type]
+    octex.convert(surface, depth, fit=fit).save(folder / "memory.octex")
+    made = octex.convert(surface, depth, fit=fit, path=folder / "files.octex", **options)
     made.validate()
     del made
     assert sorted(each.name for each in folder.iterdir()) == ["files.octex", "memory.octex"]
@@ -58,7 +51,7 @@ def converted(surface: octex.Surface, folder: Path, **options: object) -> tuple[
 
 @pytest.mark.parametrize("name", SURFACES)
 @pytest.mark.parametrize("fit", [True, False])
-def test_a_texture_made_in_files_has_the_same_bytes(name: str, fit: bool, tmp_path: Path) -> None:
+def test_a_texture_made_in_files_has_the_same_bytes(name, fit, tmp_path):
     for depth in (0, 2, 6):
         in_memory, in_files = converted(
             SURFACES[name], tmp_path, fit=fit, depth=depth, run=octex.Run(memory=1)
@@ -67,32 +60,28 @@ def test_a_texture_made_in_files_has_the_same_bytes(name: str, fit: bool, tmp_pa
 
 
 @pytest.mark.parametrize("options", [{"max_error": 16}, {"max_error": 8, "fit": False}, {"detail": None}])
-def test_an_adaptive_texture_made_in_files_has_the_same_bytes(
-    options: dict[str, object], tmp_path: Path
-) -> None:
-    def detail(points: np.ndarray) -> np.ndarray:
+def test_an_adaptive_texture_made_in_files_has_the_same_bytes(options, tmp_path):
+    def detail(points):
         return np.where(points[:, 0] > 0, 5, 3)
 
     options = {**options, **({"detail": detail} if "detail" in options else {})}
     paths = tmp_path / "memory.octex", tmp_path / "files.octex"
-    in_memory = octex.convert(torus(), 5, **options)  # type: ignore[arg-type]
+    in_memory = octex.convert(torus(), 5, **options)
     assert in_memory.tree.n_leaves < octex.convert(torus(), 5, fit=False).tree.n_leaves
     in_memory.save(paths[0])
-    octex.convert(torus(), 5, path=paths[1], run=octex.Run(memory=1), **options).validate()  # type: ignore[arg-type]
+    octex.convert(torus(), 5, path=paths[1], run=octex.Run(memory=1), **options).validate()
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_what_fits_into_memory_is_made_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_fits_into_memory_is_made_there(tmp_path, monkeypatch):
     monkeypatch.setattr(large, "scratch", None)
     in_memory, in_files = converted(tetrahedron(), tmp_path, run=octex.Run(memory="1GB"))
     assert in_memory == in_files
 
 
 @pytest.mark.parametrize(("needed", "is_mapped"), [(160, False), (170, True)])
-def test_memory_is_what_a_conversion_takes_at_its_peak(
-    needed: int, is_mapped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_memory_is_what_a_conversion_takes_at_its_peak(needed, is_mapped, tmp_path, monkeypatch):
     # A conversion takes up to six times the least that it could.
     made, scratch = [], large.scratch
     monkeypatch.setattr(large, "scratch", lambda parent: made.append(parent) or scratch(parent))
@@ -101,9 +90,7 @@ def test_memory_is_what_a_conversion_takes_at_its_peak(
     assert bool(made) is is_mapped
 
 
-def test_files_of_a_conversion_lie_in_the_folder_of_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_of_a_conversion_lie_in_the_folder_of_the_run(tmp_path, monkeypatch):
     made, scratch = [], large.scratch
     monkeypatch.setattr(large, "scratch", lambda parent: made.append(parent) or scratch(parent))
     other = tmp_path / "other"
@@ -116,13 +103,13 @@ def test_files_of_a_conversion_lie_in_the_folder_of_the_run(
 OPEN_FILES = Path("/proc/self/fd")
 
 
-def open_files_in(folder: Path) -> int:
+def open_files_in(folder):
     """Count the files of a folder that this process has open, with or without a name."""
     return sum(str(folder) in str(each.readlink()) for each in OPEN_FILES.iterdir() if each.is_symlink())
 
 
 @pytest.mark.skipif(not OPEN_FILES.is_dir(), reason="Linux lists what is open")
-def test_files_of_arrays_go_when_nobody_has_the_array(tmp_path: Path) -> None:
+def test_files_of_arrays_go_when_nobody_has_the_array(tmp_path):
     with large.scratch(tmp_path) as folder:
         array = large.zeros((1000, 1000), np.uint8)
         array[:] = 7
@@ -137,7 +124,7 @@ def test_files_of_arrays_go_when_nobody_has_the_array(tmp_path: Path) -> None:
 
 
 @needs_jit
-def test_large_arrays_of_a_conversion_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_arrays_of_a_conversion_take_no_memory(tmp_path, monkeypatch):
     made = []
     joined = large.joined
     monkeypatch.setattr(large, "joined", lambda arrays: made.append(joined(arrays)) or made[-1])
@@ -151,27 +138,25 @@ def test_large_arrays_of_a_conversion_take_no_memory(tmp_path: Path, monkeypatch
 
 
 @pytest.fixture(scope="module")
-def processes() -> Iterator[Executor]:
+def processes():
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
         yield pool
 
 
-def test_processes_pass_files_and_the_same_bytes_come_out(processes: Executor, tmp_path: Path) -> None:
+def test_processes_pass_files_and_the_same_bytes_come_out(processes, tmp_path):
     in_memory, in_files = converted(torus(), tmp_path, run=octex.Run(executor=processes))
     assert in_memory == in_files
     with ThreadPoolExecutor(2) as threads:
         assert converted(torus(), tmp_path, run=octex.Run(executor=threads))[1] == in_memory
 
 
-def wave(points: np.ndarray) -> np.ndarray:
+def wave(points):
     """Return the alpha of positions."""
     return 0.5 + 0.4 * np.sin(9 * points[:, :1])
 
 
 @pytest.mark.parametrize("sources", [{}, {"alpha": wave}])
-def test_a_texture_with_gaps_made_in_files_has_the_same_bytes(
-    sources: dict[str, object], processes: Executor, tmp_path: Path
-) -> None:
+def test_a_texture_with_gaps_made_in_files_has_the_same_bytes(sources, processes, tmp_path):
     taller = torus().with_rest(torus().rest * [1, 1, 1.2])
     surface = taller.with_sources({**octex.Transfer(torus(), distance=0.04).sources, **sources})
     for run in (octex.Run(memory=1), octex.Run(executor=processes)):
@@ -183,9 +168,7 @@ def test_a_texture_with_gaps_made_in_files_has_the_same_bytes(
 
 
 @pytest.mark.parametrize("name", ["sheet", "bent"])
-def test_sides_are_told_apart_in_parallel_as_in_one_thread(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_sides_are_told_apart_in_parallel_as_in_one_thread(name, tmp_path, monkeypatch):
     octex.convert(SURFACES[name], 6, threads=1).save(tmp_path / "one.octex")
     assert octex.open(tmp_path / "one.octex").tree.split.cells.size
     for name_of_size in ("_RUN", "_BLOCK"):
@@ -194,7 +177,7 @@ def test_sides_are_told_apart_in_parallel_as_in_one_thread(
     assert (tmp_path / "one.octex").read_bytes() == (tmp_path / "three.octex").read_bytes()
 
 
-def test_what_writes_to_arrays_of_this_process_is_done_in_it(processes: Executor, tmp_path: Path) -> None:
+def test_what_writes_to_arrays_of_this_process_is_done_in_it(processes, tmp_path):
     with ThreadPoolExecutor(2) as threads, large.scratch(tmp_path) as folder:
         tasks = large.Tasks(threads, folder, is_here=True)
         for given in (threads, tasks):
@@ -208,17 +191,15 @@ def test_what_writes_to_arrays_of_this_process_is_done_in_it(processes: Executor
 class Sending(Executor):
     """Does each task at once, as another process would: from what was written to files."""
 
-    def submit(self, function: Callable[..., Any], /, *given: Any, **named: Any) -> Future[Any]:
+    def submit(self, function, /, *given, **named):
         large._read.cache_clear()
-        done: Future[Any] = Future()
+        done = Future()
         done.set_result(function(*given, **named))
         return done
 
 
 @needs_jit
-def test_images_are_made_ready_once_for_all_processes(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_images_are_made_ready_once_for_all_processes(tmp_path, monkeypatch):
     made = []
     monkeypatch.setattr(fragments, "_LEAST_FRAGMENTS", 1)  # many tasks
     monkeypatch.setattr(materials, "store", lambda *given: made.append(given) or store(*given))
@@ -230,17 +211,17 @@ def test_images_are_made_ready_once_for_all_processes(
 class Fragile:
     """Colours, by a source that ends the process that asks first, but for this one."""
 
-    def __init__(self, flag: Path) -> None:
+    def __init__(self, flag):
         self.flag, self.process = flag, os.getpid()
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
+    def __call__(self, points):
         if os.getpid() != self.process and not self.flag.exists():
             self.flag.touch()
             os._exit(9)
         return 0.5 + 0.5 * np.sin(points)
 
 
-def test_a_worker_that_ends_half_way_is_done_without(tmp_path: Path) -> None:
+def test_a_worker_that_ends_half_way_is_done_without(tmp_path):
     (tmp_path / "made").mkdir()
     surface = torus().with_sources({"base_color": Fragile(tmp_path / "flag")})
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
@@ -252,16 +233,16 @@ def test_a_worker_that_ends_half_way_is_done_without(tmp_path: Path) -> None:
 class Failing:
     """A source that fails in other processes."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.process = os.getpid()
 
-    def __call__(self, points: np.ndarray) -> np.ndarray:
+    def __call__(self, points):
         if os.getpid() != self.process:
             raise InputError("it is not there")
         return points * 0
 
 
-def test_what_a_task_raises_comes_back(processes: Executor, tmp_path: Path) -> None:
+def test_what_a_task_raises_comes_back(processes, tmp_path):
     surface = torus().with_sources({"base_color": Failing()})
     with pytest.raises(InputError, match="it is not there"):
         octex.convert(surface, 5, path=tmp_path / "a.octex", run=octex.Run(executor=processes))
@@ -275,8 +256,8 @@ def test_what_a_task_raises_comes_back(processes: Executor, tmp_path: Path) -> N
         )
 
 
-def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
+def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, monkeypatch):
+    def full(*_):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(large, "empty", full)
@@ -285,7 +266,7 @@ def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path: Path, monkeypatch:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_dask_cluster_makes_the_same_bytes(tmp_path: Path) -> None:
+def test_a_dask_cluster_makes_the_same_bytes(tmp_path):
     distributed = pytest.importorskip("distributed", reason="needs the extra octex[cluster]")
     (tmp_path / "made").mkdir()
     surface = torus().with_sources({"base_color": Fragile(tmp_path / "flag")})
@@ -299,7 +280,7 @@ def test_a_dask_cluster_makes_the_same_bytes(tmp_path: Path) -> None:
     assert in_memory == in_files
 
 
-def test_what_cannot_be_made_in_files_is_refused(tmp_path: Path) -> None:
+def test_what_cannot_be_made_in_files_is_refused(tmp_path):
     surface = tetrahedron()
     with pytest.raises(ArgumentError, match="memory needs a path"):
         octex.convert(surface, 3, run=octex.Run(memory="1GB"))

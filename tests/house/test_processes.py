@@ -1,18 +1,14 @@
 """What travels to other processes: textures, and the work of every function that takes a run."""
 
-from __future__ import annotations
-
 import copy
 import inspect
 import multiprocessing
 import pickle
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,6 +21,7 @@ from octex.jit import kernel
 from octex.parallel import sharing, start, workers
 from octex.texture import Channel, OctreeTexture, TextureSet, lookup
 from octex.tree.octree import Octree
+from octex.voxelize import fragments
 from tests.conftest import needs_jit
 from tests.make.painted import ball, picture_of
 from tests.make.same import assert_equal
@@ -131,7 +128,7 @@ def painted():
 
 SURFACE, SPHERE = ball(rings=12), octex.Sphere((0.0, 0.0, 1.0), 0.6)
 #: What every function that takes a run does, by its name and that of a case.
-FUNCTIONS: dict[str, Callable[[octex.Run, Path], Any]] = {
+FUNCTIONS = {
     "OctreeTexture.sample": lambda run, _: adaptive(1).sample(POINTS, run=run),
     "OctreeTexture.sample, footprints": lambda run, _: adaptive(1).sample(POINTS, width=0.3, run=run),
     "OctreeTexture.taps": lambda run, _: adaptive(1).taps(POINTS, width=0.3, run=run),
@@ -250,6 +247,14 @@ def test_functions_do_the_same_in_threads_and_in_other_processes(name, processes
         for one, same_one in zip(made[0], other, strict=True):
             assert one.dtype == same_one.dtype
             np.testing.assert_array_equal(one, same_one)
+
+
+@needs_jit
+def test_a_conversion_in_many_tasks_makes_the_same_bytes_in_other_processes(processes, tmp_path, monkeypatch):
+    octex.convert(SURFACE, 8, threads=1).save(tmp_path / "alone.octex")
+    monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 5_000)
+    octex.convert(SURFACE, 8, run=octex.Run(executor=processes)).save(tmp_path / "many.octex")
+    assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()
 
 
 def by_numpy(numbers):

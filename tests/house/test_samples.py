@@ -1,7 +1,6 @@
 import re
 import runpy
 import sys
-from collections.abc import Callable
 from itertools import combinations
 from pathlib import Path
 
@@ -17,9 +16,6 @@ from tests.oracles.naive_gltf import Document
 SAMPLES = Path(__file__).parents[2] / "samples"
 DROID = SAMPLES / "droid.glb"
 MAP_SIZES = {"skull": (1024, 512), "neck": (256, 1024), "body": (256, 1024), "thin": (128, 1024)}
-
-#: What must be true of the folder that a script wrote to, and of what it said.
-Check = Callable[[Path, str], None]
 
 
 class Glb(Document):

@@ -1,13 +1,8 @@
 """What ``sample`` and ``convert`` enter: a value goes down through few functions of few files."""
 
-from __future__ import annotations
-
 import inspect
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from types import CodeType, FrameType
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +19,7 @@ DIRECTIONS = unit(np.random.default_rng(0).normal(size=(100, 3)))
 POINTS = 0.5 + 0.45 * DIRECTIONS
 WIDTHS = np.linspace(0.01, 0.2, 100)
 
-QUESTIONS: dict[str, dict[str, Any]] = {
+QUESTIONS = {
     "plain": {},
     "nearest": {"filter": "nearest"},
     "linear": {"filter": "linear"},
@@ -39,14 +34,14 @@ QUESTIONS: dict[str, dict[str, Any]] = {
 }
 
 
-def entered(call: Callable[[], object]) -> set[CodeType]:
+def entered(call):
     """Return the code of the functions of octex that a call enters the second time.
 
     Kernels are left out, and with them the room that calls them.
     """
-    found: set[CodeType] = set()
+    found = set()
 
-    def note(frame: FrameType, event: str, _argument: object) -> None:
+    def note(frame, event, _argument):
         if event == "call" and Path(frame.f_code.co_filename).is_relative_to(ROOT):
             found.add(frame.f_code)
 
@@ -59,7 +54,7 @@ def entered(call: Callable[[], object]) -> set[CodeType]:
     return {code for code in found if not _is_kernel(code)}
 
 
-def _is_kernel(code: CodeType) -> bool:
+def _is_kernel(code):
     """Say whether code is that of a function that numba compiles, or calls such a function."""
     if Path(code.co_filename).parent == ROOT / "jit":
         return True
@@ -67,7 +62,7 @@ def _is_kernel(code: CodeType) -> bool:
     return hasattr(getattr(module, code.co_name, None), "py_func")
 
 
-def with_alpha(texture: OctreeTexture) -> OctreeTexture:
+def with_alpha(texture):
     values, split_values, kept_values = (
         np.full((len(array), 1), 200, np.uint8) for array in texture.channels["base_color"][1:]
     )
@@ -86,7 +81,7 @@ TEXTURES = {
 @needs_jit
 @pytest.mark.parametrize("question", QUESTIONS)
 @pytest.mark.parametrize("kind", TEXTURES)
-def test_sample_enters_at_most_40_functions_of_6_files(kind: str, question: str) -> None:
+def test_sample_enters_at_most_40_functions_of_6_files(kind, question):
     texture, options = TEXTURES[kind](), QUESTIONS[question]
     found = entered(lambda: texture.sample(POINTS, **options))
     files = {code.co_filename for code in found}
@@ -95,7 +90,7 @@ def test_sample_enters_at_most_40_functions_of_6_files(kind: str, question: str)
 
 
 @needs_jit
-def test_convert_enters_at_most_200_functions_of_30_files() -> None:
+def test_convert_enters_at_most_200_functions_of_30_files():
     surface = ball(rings=8)
     found = entered(lambda: octex.convert(surface, 6, threads=1))
     files = {code.co_filename for code in found}
@@ -104,7 +99,7 @@ def test_convert_enters_at_most_200_functions_of_30_files() -> None:
 
 
 @needs_jit
-def test_a_stroke_enters_at_most_410_functions_of_50_files() -> None:
+def test_a_stroke_enters_at_most_410_functions_of_50_files():
     surface = ball()
     texture = octex.convert(surface, 6)
     camera = octex.Camera.fitted(surface.vertices, (0.3, 0.5, 1.0), size=(64, 64))
@@ -112,7 +107,7 @@ def test_a_stroke_enters_at_most_410_functions_of_50_files() -> None:
     image[:24, :, 3] = image[:, :24, 3] = 0
     painter = octex.Painter(texture, surface)
 
-    def stroke() -> None:
+    def stroke():
         painter.paint(octex.Projection(image, camera), max_depth=6, threads=1)
         painter.undo()
 

@@ -199,11 +199,8 @@ class Probe:
 
     def _asked(self, plane: int) -> list[Floats]:
         asked = {
-            "width": self._size[0],
-            "height": self._size[1],
-            "plane": plane,
-            "footprint": self._footprint,
-        }
+            "width": self._size[0], "height": self._size[1], "plane": plane, "footprint": self._footprint,
+        }  # fmt: skip
         found = self._page.evaluate(_PROBE, [self._look, asked])
         return [np.frombuffer(base64.b64decode(text), np.float32).reshape(-1, 4) for text in found]
 

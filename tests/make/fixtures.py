@@ -6,7 +6,7 @@ import base64
 import json
 import struct
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -250,6 +250,13 @@ def obj(path: Path, lines: str, mtl: str | None = None, images: Mapping[str, byt
         (path.parent / name).parent.mkdir(parents=True, exist_ok=True)
         (path.parent / name).write_bytes(data)
     return path
+
+
+def obj_lines(vertices: npt.ArrayLike, faces: Iterable[Iterable[int]]) -> str:
+    """The lines of an OBJ file's vertices, which may have colours behind their positions, and faces."""
+    rows = [f"v {' '.join(map(str, row))}" for row in np.asarray(vertices).tolist()]
+    rows += [f"f {' '.join(str(each + 1) for each in face)}" for face in faces]
+    return "\n".join(rows) + "\n"
 
 
 OBJ_SQUARE = """v 0 0 0

@@ -1,9 +1,6 @@
 """Nearest points of triangles and of clouds, beside a look at every one of them."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -12,8 +9,6 @@ from octex.errors import ModelError
 from octex.nearest.points import Points
 from octex.nearest.triangles import Triangles
 from tests.oracles.naive_nearest import around, nearest_on_triangles
-
-Array = npt.NDArray[Any]
 
 
 def soup(seed, count, size):

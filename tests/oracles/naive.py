@@ -12,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import Polynomial
 
+from octex.tree.octree import Octree
+
 Floats = npt.NDArray[np.float64]
 
 MAX_DEPTH = 21
@@ -43,6 +45,15 @@ def cells_of(leaves: Iterable[tuple[int, tuple[int, int, int]]]) -> list[Cell]:
         found[depth, place] = True
     cells = [Cell(level, place, is_leaf) for (level, place), is_leaf in found.items()]
     return sorted(cells, key=lambda cell: (cell.level, morton(cell.place)))
+
+
+def cells_in(tree: Octree) -> list[Cell]:
+    """All cells of a tree, in the order of their numbers."""
+    return [
+        Cell(level, unmorton(code), not is_node)
+        for level, (codes, nodes) in enumerate(tree.walk())
+        for code, is_node in zip(codes.tolist(), nodes.tolist(), strict=True)
+    ]
 
 
 def truncated(cells: list[Cell], level: int) -> list[Cell]:
@@ -270,6 +281,13 @@ def tensor_product(filter: str, octant: tuple[int, ...]) -> Floats:
     """The weights of the 27 cells around its parent in a cell, x slowest."""
     x, y, z = (REFINEMENTS[filter][upper] for upper in octant)
     return np.kron(np.kron(x, y), z)
+
+
+def field_of(tree: Octree, filter: str, values: npt.ArrayLike | None = None) -> Field:
+    """The field of a tree with values (rows, components); without values, that of the rows' weights."""
+    cells = cells_in(tree)
+    kept = {node: len(cells) + row for row, node in enumerate(tree.kept.cells.tolist())}
+    return Field(cells, np.eye(len(cells) + len(kept)) if values is None else values, filter, kept)
 
 
 def around(middle: Sequence[int], reach: int) -> list[tuple[int, ...]]:

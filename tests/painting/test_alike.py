@@ -1,9 +1,5 @@
 """Fills of what has one colour, beside a walk from leaf to leaf."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -11,7 +7,6 @@ import octex
 from octex.channels import linear_to_srgb
 from octex.errors import ArgumentError
 from octex.painting.region import alike
-from octex.texture import OctreeTexture
 from octex.tree.morton import decode_cells
 from tests.conftest import needs_jit
 from tests.make.painted import ball
@@ -19,13 +14,13 @@ from tests.make.painted import ball
 _FACES = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
 
 
-def striped(depth: int = 5, **options: Any) -> OctreeTexture:
+def striped(depth=5, **options):
     """A ball with rings of two colours, which go over into each other."""
     surface = ball(16).with_sources({"base_color": lambda p: 0.5 + 0.4 * np.sin(6 * p[:, 1:2] + [[0, 1, 2]])})
     return octex.convert(surface, depth=depth, **options)
 
 
-def leaves_of(texture: OctreeTexture) -> list[tuple[int, tuple[int, ...]]]:
+def leaves_of(texture):
     return [
         (level, tuple(place))
         for level, (codes, is_node) in enumerate(texture.tree.walk())
@@ -36,7 +31,7 @@ def leaves_of(texture: OctreeTexture) -> list[tuple[int, tuple[int, ...]]]:
 class Walked:
     """A texture whose leaves and their colours are looked up one after another."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, **options):
         self.texture = striped(**options)
         self.leaves = leaves_of(self.texture)
         self.every = set(self.leaves)
@@ -44,17 +39,17 @@ class Walked:
         self.middles = self.texture.placement.to_rest(np.array(middles))
         self.colors = {leaf: self.color_at(own) for leaf, own in zip(self.leaves, self.middles, strict=True)}
 
-    def color_at(self, rest: Any) -> Any:
+    def color_at(self, rest):
         return 255 * linear_to_srgb(np.clip(self.texture.sample([rest])[0], 0, 1))
 
-    def leaf_at(self, place: Any) -> Any:
+    def leaf_at(self, place):
         for level in range(self.texture.tree.max_depth + 1):
             cell = level, tuple(int(x) for x in np.floor(np.asarray(place) * 2**level))
             if cell in self.every:
                 return cell
         return None
 
-    def alike(self, point: Any, tolerance: float, connected: bool) -> set[Any]:
+    def alike(self, point, tolerance, connected):
         """The leaves of the colour at a point, each level and place: one after another."""
         first = self.leaf_at(self.texture.placement.to_texture_space([point])[0])
         if first is None:
@@ -65,7 +60,7 @@ class Walked:
         if not connected:
             return same
         found, waiting = {first}, [first]
-        beside: dict[Any, set[Any]] = {leaf: set() for leaf in same}
+        beside = {leaf: set() for leaf in same}
         for level, place in same:
             for step in _FACES:
                 other = self.leaf_at((np.array(place) + step + 0.5) / 2**level)
@@ -81,7 +76,7 @@ class Walked:
 
 @needs_jit
 @pytest.mark.parametrize("options", [{}, {"max_error": 6.0}])
-def test_leaves_of_one_colour_are_those_that_a_walk_finds(options: dict[str, Any]) -> None:
+def test_leaves_of_one_colour_are_those_that_a_walk_finds(options):
     walked = Walked(**options)
     assert bool(options) == (len({level for level, _ in walked.leaves}) > 1)
     for connected in (True, False):
@@ -98,7 +93,7 @@ def test_leaves_of_one_colour_are_those_that_a_walk_finds(options: dict[str, Any
 
 
 @needs_jit
-def test_a_fill_of_one_colour_changes_the_leaves_of_it_alone() -> None:
+def test_a_fill_of_one_colour_changes_the_leaves_of_it_alone():
     texture, surface = striped(), ball(16)
     point = surface.scatter(1, 5).points[0]
     made = octex.fill(texture, surface, alike(texture, point, 20.0), (1.0, 0.0, 0.0))
@@ -110,7 +105,7 @@ def test_a_fill_of_one_colour_changes_the_leaves_of_it_alone() -> None:
     assert (np.abs(after[~own] - before[~own]).max(axis=1) < 0.01).mean() > 0.999
 
 
-def test_a_point_beside_the_surface_has_an_empty_region_and_bad_numbers_are_refused() -> None:
+def test_a_point_beside_the_surface_has_an_empty_region_and_bad_numbers_are_refused():
     texture = striped(4)
     points = ball(16).scatter(100, 0).points
     for far in ([0.0, 0.0, 0.0], [50.0, 0.0, 0.0]):

@@ -1,7 +1,5 @@
 """New textures of one colour: random surfaces, cameras, masks and options leave no other colour anywhere."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import trimesh
@@ -48,7 +46,7 @@ def test_one_colour_is_seen_at_all_widths_by_all_filters(seed):
     surface = octex.Surface.from_arrays(mesh.vertices, mesh.faces)
     size = int(random.choice([16, 40, 90]))
     pictures = [picture_of(surface, random, size) for _ in range(random.integers(1, 5))]
-    options: dict[str, Any] = {name: bool(random.integers(2)) for name in ("coverage", "fit", "back_faces")}
+    options = {name: bool(random.integers(2)) for name in ("coverage", "fit", "back_faces")}
     if random.random() < 0.4:
         options["max_depth"] = int(random.integers(3, 8))
     if len(pictures) > 2:

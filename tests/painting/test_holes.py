@@ -1,50 +1,42 @@
 """What no picture saw is filled over the surface, and never through thin parts or from part to part."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
 from octex.errors import ArgumentError
 from octex.painting.first import filled
 from octex.painting.multigrid import graph_of, solve
-from octex.painting.sheets import Region, Sheets, sheets_of
-from octex.source.surface import Surface
+from octex.painting.sheets import Region, sheets_of
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
 from tests.conftest import needs_jit
 from tests.make.painted import above, ball, one_color, plain, square, together
 from tests.oracles import naive_sheets
 
-Array = npt.NDArray[Any]
 
-
-def cut(surface: Surface, level: int) -> tuple[Sheets, Placement]:
+def cut(surface, level):
     placement = Placement.around(surface.bounds, level)
     with ThreadPoolExecutor(1) as executor:
         return sheets_of(surface, placement, level, executor), placement
 
 
-def tilted(mesh: tuple[Array, Array], seed: int) -> tuple[Array, Array]:
+def tilted(mesh, seed):
     """Turn a mesh at random."""
     turn, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     return mesh[0] @ turn, mesh[1]
 
 
-def places(surface: Surface, sheets: Sheets) -> Array:
+def places(surface, sheets):
     """Where the middles of the sheets' largest pieces rest."""
     corners = surface.rest[surface.triangles[sheets.triangles]]
-    found: Array = np.einsum("nck,nc->nk", corners, sheets.barycentric)
-    return found
+    return np.einsum("nck,nc->nk", corners, sheets.barycentric)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_sheets_are_what_hangs_together_in_cells(seed: int) -> None:
+def test_sheets_are_what_hangs_together_in_cells(seed):
     thin = together(square(0.0, steps=3), square(0.02, steps=2), square(0.3, steps=1))
     surface = plain(tilted(thin, seed))
     sheets, placement = cut(surface, 3)
@@ -63,7 +55,7 @@ def test_sheets_are_what_hangs_together_in_cells(seed: int) -> None:
     np.testing.assert_array_equal(own, np.arange(len(found)))
 
 
-def test_triangles_without_area_part_no_sheets() -> None:
+def test_triangles_without_area_part_no_sheets():
     points, triangles = tilted(square(steps=5), 2)
     flat = np.concatenate([triangles[:, [0, 0, 1]], triangles[:, [1, 2, 1]]])
     expected, _ = cut(plain((points, triangles)), 3)
@@ -72,7 +64,7 @@ def test_triangles_without_area_part_no_sheets() -> None:
     np.testing.assert_array_equal(found.pairs, expected.pairs)
 
 
-def test_a_solution_is_that_of_a_dense_solve() -> None:
+def test_a_solution_is_that_of_a_dense_solve():
     random = np.random.default_rng(0)
     surface = plain(tilted(together(square(steps=5), square(0.4, steps=2)), 1))
     sheets, _ = cut(surface, 4)
@@ -85,7 +77,7 @@ def test_a_solution_is_that_of_a_dense_solve() -> None:
     np.testing.assert_array_equal(found[known], values[known])
 
 
-def test_conjugate_gradients_need_few_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_conjugate_gradients_need_few_steps(monkeypatch):
     surface = ball(rings=16)
     sheets, _ = cut(surface, 6)
     count = len(sheets.codes)
@@ -97,7 +89,7 @@ def test_conjugate_gradients_need_few_steps(monkeypatch: pytest.MonkeyPatch) -> 
     assert np.abs(solve(graph, sheets.codes, 6, hold, right) - exact).max() < 1e-3
 
 
-def test_a_fill_is_harmonic_on_a_sphere() -> None:
+def test_a_fill_is_harmonic_on_a_sphere():
     surface = ball(rings=32)
     sheets, _ = cut(surface, 6)
     points = places(surface, sheets)
@@ -108,7 +100,7 @@ def test_a_fill_is_harmonic_on_a_sphere() -> None:
     assert np.abs(found - harmonic)[~known].max() < 0.04 * np.ptp(harmonic[~known])
 
 
-def test_nothing_passes_through_thin_parts_or_between_parts() -> None:
+def test_nothing_passes_through_thin_parts_or_between_parts():
     """Two sheets of a wall thinner than a cell, and a third part that no one sees."""
     surface = plain(together(square(0.0, steps=6), square(-0.01, steps=6), square(-0.4, side=0.5)))
     sheets, _ = cut(surface, 5)
@@ -123,7 +115,7 @@ def test_nothing_passes_through_thin_parts_or_between_parts() -> None:
 
 
 @needs_jit
-def test_a_new_texture_is_whole_and_what_was_there_stays() -> None:
+def test_a_new_texture_is_whole_and_what_was_there_stays():
     surface = ball(rings=24)
     camera = octex.Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(48, 48))
     picture = octex.Projection(one_color(camera, (0.6, 0.3, 0.1)), camera)
@@ -155,7 +147,7 @@ def test_a_new_texture_is_whole_and_what_was_there_stays() -> None:
 
 @needs_jit
 @pytest.mark.parametrize("holes", ["smooth", "leave"])
-def test_a_new_texture_is_its_first_layer_where_that_covers_it(holes: Any) -> None:
+def test_a_new_texture_is_its_first_layer_where_that_covers_it(holes):
     surface = ball(rings=24)
     camera = octex.Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(96, 96))
     image = np.random.default_rng(0).random((96, 96, 3)).astype(np.float32)
@@ -178,7 +170,7 @@ def test_a_new_texture_is_its_first_layer_where_that_covers_it(holes: Any) -> No
 
 
 @needs_jit
-def test_thin_walls_seen_from_one_side_are_filled_on_the_other() -> None:
+def test_thin_walls_seen_from_one_side_are_filled_on_the_other():
     """The far side of a wall thinner than a cell, part of it its own colour by a second picture."""
     vertices, faces = square(-1e-4, steps=4)
     surface = plain(together(square(0.0, steps=4), (vertices, faces[:, ::-1])))
@@ -196,7 +188,7 @@ def test_thin_walls_seen_from_one_side_are_filled_on_the_other() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_a_region_has_the_sheets_of_the_whole(seed: int) -> None:
+def test_a_region_has_the_sheets_of_the_whole(seed):
     surface = plain(tilted(together(square(0.0, steps=3), square(0.02, steps=2), square(0.3, steps=1)), seed))
     whole, placement = cut(surface, 7)
     codes = np.unique(whole.codes >> 9)
@@ -213,7 +205,7 @@ def test_a_region_has_the_sheets_of_the_whole(seed: int) -> None:
 
 
 @needs_jit
-def test_translucent_paint_lies_on_the_fill() -> None:
+def test_translucent_paint_lies_on_the_fill():
     """Half of a square is painted, its rim half transparent: between both, the fill's colours go on."""
     surface = plain(square(steps=4))
     camera = above(3.0, 64)
@@ -225,10 +217,10 @@ def test_translucent_paint_lies_on_the_fill() -> None:
     np.testing.assert_allclose(texture.sample(points.rest), np.tile([0.2, 0.4, 0.8], (3000, 1)), atol=0.01)
 
 
-def test_what_is_not_known_of_holes_is_refused() -> None:
+def test_what_is_not_known_of_holes_is_refused():
     surface = plain(square())
     picture = octex.Projection(one_color(above(), (1.0, 0.0, 0.0)), above())
     with pytest.raises(ArgumentError, match="unknown holes 'fill'; there are: leave, smooth"):
-        octex.paint(None, surface, picture, holes="fill")  # type: ignore[arg-type]
+        octex.paint(None, surface, picture, holes="fill")
     with pytest.raises(ArgumentError, match="coverage must be"):
-        octex.paint(None, surface, picture, coverage="yes")  # type: ignore[arg-type]
+        octex.paint(None, surface, picture, coverage="yes")

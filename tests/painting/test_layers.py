@@ -1,13 +1,8 @@
 """Layers: the composite is what compositing all anew gives, bit for bit, and what painters expect of it."""
 
-from __future__ import annotations
-
 import os
 import pickle
-from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +19,7 @@ from tests.painting.test_painter import DIRECTIONS, brush, shots
 from tests.properties import random_edits
 
 
-def anew(layers: Layers) -> OctreeTexture:
+def anew(layers):
     """The composite of the whole stack, made from the bottom without what was composited before."""
     texture = layers._texture
     names = {name: own for name, own in texture.channels.items() if composite_name("") not in name}
@@ -32,7 +27,7 @@ def anew(layers: Layers) -> OctreeTexture:
     return octex.painting.stack.shown(made, shown_names(made))
 
 
-def naive_leaves(layers: Layers) -> dict[str, Any]:
+def naive_leaves(layers):
     """The composite of base colour in each leaf by the textbook's formulas, in float64."""
     texture = layers._texture
     stored = {
@@ -60,7 +55,7 @@ def naive_leaves(layers: Layers) -> dict[str, Any]:
     return {"base_color": color, "alpha": alpha}
 
 
-def assert_is_composite(layers: Layers) -> None:
+def assert_is_composite(layers):
     """The texture is the composite, in leaves by the textbook and everywhere as it is made anew."""
     found = layers.texture()
     found.tree.validate()
@@ -76,7 +71,7 @@ def assert_is_composite(layers: Layers) -> None:
             assert apart.max() <= (1 if own.format.dtype.startswith("u") else 1e-3)
 
 
-def a_step(layers: Layers, surface: octex.Surface, random: np.random.Generator, depth: int) -> None:
+def a_step(layers, surface, random, depth):
     """Do something at random."""
     numbers = [layer.number for layer in layers.layers]
     move = random.choice(["add", "paint", "fill", "change", "move", "copy", "merge", "delete", "undo",
@@ -94,7 +89,7 @@ def a_step(layers: Layers, surface: octex.Surface, random: np.random.Generator, 
     elif move == "add" and len(numbers) < 4:
         layers.add_layer(opacity=float(random.choice([0.5, 1.0])), blend=random.choice(LAYER_BLENDS))
     elif move == "change" and numbers:
-        changes: list[dict[str, Any]] = [
+        changes = [
             {"opacity": float(random.choice([0.0, 0.3, 1.0]))},
             {"blend": random.choice(LAYER_BLENDS)},
             {"is_visible": bool(random.integers(2))},
@@ -112,7 +107,7 @@ def a_step(layers: Layers, surface: octex.Surface, random: np.random.Generator, 
 
 
 @pytest.mark.parametrize("seed", range(int(os.environ.get("OCTEX_TEST_LAYERS", "12"))))
-def test_the_composite_is_what_all_layers_give_anew_forth_and_back(seed: int) -> None:
+def test_the_composite_is_what_all_layers_give_anew_forth_and_back(seed):
     random, surface, texture, depth = case(seed)
     layers = octex.Layers(texture, surface)
     held = []
@@ -142,17 +137,17 @@ def test_the_composite_is_what_all_layers_give_anew_forth_and_back(seed: int) ->
     assert layers.layers == stack
 
 
-def start(depth: int = 6) -> tuple[octex.Surface, OctreeTexture, Layers]:
+def start(depth=6):
     surface = random_edits.waved("sphere", 0, ["base_color"], 0)
     texture = octex.convert(surface, depth)
     return surface, texture, Layers(texture, surface)
 
 
-def everywhere(points: Any) -> Any:
+def everywhere(points):
     return np.ones(len(points))
 
 
-def test_paint_that_changes_no_coverage_is_stored_with_it() -> None:
+def test_paint_that_changes_no_coverage_is_stored_with_it():
     """Its colours change and its coverage, 0 in all cells that are changed, does not."""
     surface = random_edits.waved("flat", 5, ["base_color", "alpha"], 34)
     layers = octex.Layers(octex.convert(surface, 3, dtype="uint16"), surface)
@@ -165,7 +160,7 @@ def test_paint_that_changes_no_coverage_is_stored_with_it() -> None:
     assert_same(layers.texture(), before)
 
 
-def test_without_layers_it_is_a_painter() -> None:
+def test_without_layers_it_is_a_painter():
     surface, texture, layers = start()
     painter = octex.Painter(texture, surface)
     for each in (layers, painter):
@@ -175,7 +170,7 @@ def test_without_layers_it_is_a_painter() -> None:
 
 
 @pytest.mark.parametrize("changed", [{"opacity": 0.0}, {"is_visible": False}])
-def test_a_layer_that_is_not_seen_changes_nothing(changed: dict[str, Any]) -> None:
+def test_a_layer_that_is_not_seen_changes_nothing(changed):
     surface, texture, layers = start()
     number = layers.add_layer().number
     assert_same(layers.texture(), texture)
@@ -190,7 +185,7 @@ def test_a_layer_that_is_not_seen_changes_nothing(changed: dict[str, Any]) -> No
     assert_same(layers.texture(), texture)
 
 
-def test_paint_over_all_hides_what_is_below_and_erasing_it_brings_it_back() -> None:
+def test_paint_over_all_hides_what_is_below_and_erasing_it_brings_it_back():
     _, texture, layers = start()
     layers.add_layer()
     layers.fill(everywhere, "#3264c8")
@@ -199,7 +194,7 @@ def test_paint_over_all_hides_what_is_below_and_erasing_it_brings_it_back() -> N
     assert_same(layers.texture(), texture)
 
 
-def test_a_stroke_in_a_layer_looks_as_one_on_the_texture() -> None:
+def test_a_stroke_in_a_layer_looks_as_one_on_the_texture():
     surface, texture, layers = start()
     layers.add_layer()
     layers.paint(brush(surface, 200, 30), max_depth=6)
@@ -208,7 +203,7 @@ def test_a_stroke_in_a_layer_looks_as_one_on_the_texture() -> None:
     assert np.abs(one - other).max() <= 1
 
 
-def test_what_a_layer_multiplies_by_black_is_black() -> None:
+def test_what_a_layer_multiplies_by_black_is_black():
     _, texture, layers = start()
     number = layers.add_layer(blend="multiply").number
     layers.fill(everywhere, "#000000")
@@ -217,7 +212,7 @@ def test_what_a_layer_multiplies_by_black_is_black() -> None:
     assert_same(layers.texture(), texture)
 
 
-def test_the_order_of_layers_matters_only_where_both_have_paint() -> None:
+def test_the_order_of_layers_matters_only_where_both_have_paint():
     _, texture, layers = start()
     for direction, color in ((DIRECTIONS[0], "#ff0000"), (tuple(-x for x in DIRECTIONS[0]), "#00ff00")):
         layers.add_layer()
@@ -233,7 +228,7 @@ def test_the_order_of_layers_matters_only_where_both_have_paint() -> None:
     assert not np.array_equal(below, layers.texture().channels["base_color"].values)
 
 
-def test_a_mask_hides_and_shows() -> None:
+def test_a_mask_hides_and_shows():
     _, texture, layers = start()
     number = layers.add_layer().number
     layers.fill(everywhere, "#ff0000")
@@ -247,7 +242,7 @@ def test_a_mask_hides_and_shows() -> None:
     assert_same(layers.texture(), red)
 
 
-def test_bad_layers_are_refused_and_nothing_changes() -> None:
+def test_bad_layers_are_refused_and_nothing_changes():
     _, texture, layers = start()
     number = layers.add_layer("a").number
     for given, message in (
@@ -259,7 +254,7 @@ def test_bad_layers_are_refused_and_nothing_changes() -> None:
         ({"is_visible": "no"}, "is_visible"),
     ):
         with pytest.raises(ArgumentError, match=message):
-            layers.change_layer(number, **given)  # type: ignore[arg-type]
+            layers.change_layer(number, **given)
     for call in (
         lambda: layers.delete_layer(7),
         lambda: layers.move_layer(number, 1),
@@ -273,7 +268,7 @@ def test_bad_layers_are_refused_and_nothing_changes() -> None:
 
 
 @pytest.mark.parametrize("names", [["base_color"], ["base_color", "alpha"], ["base_color", "roughness"]])
-def test_the_eraser_on_the_texture_brings_back_what_was_opened(names: list[str]) -> None:
+def test_the_eraser_on_the_texture_brings_back_what_was_opened(names):
     surface = random_edits.waved("sphere", 0, names, 0)
     texture = octex.convert(surface, 5)
     layers = Layers(texture, surface)
@@ -306,7 +301,7 @@ def test_the_eraser_on_the_texture_brings_back_what_was_opened(names: list[str])
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 5])
-def test_a_stack_that_is_saved_is_opened_as_it_was(seed: int, tmp_path: Path) -> None:
+def test_a_stack_that_is_saved_is_opened_as_it_was(seed, tmp_path):
     random, surface, texture, depth = case(seed)
     layers = octex.Layers(texture, surface)
     for _ in range(12):
@@ -344,7 +339,7 @@ LISTS = [
 
 
 @pytest.mark.parametrize("text", LISTS)
-def test_a_list_of_layers_that_cannot_be_read_is_refused(text: str) -> None:
+def test_a_list_of_layers_that_cannot_be_read_is_refused(text):
     surface, texture, _ = start()
     metadata = {"layers": text}
     broken = OctreeTexture(texture.tree, texture.channels, texture.placement, texture.bounds, metadata)
@@ -352,7 +347,7 @@ def test_a_list_of_layers_that_cannot_be_read_is_refused(text: str) -> None:
         octex.Layers(broken, surface)
 
 
-def test_a_stack_whose_channels_another_program_has_changed_is_refused(tmp_path: Path) -> None:
+def test_a_stack_whose_channels_another_program_has_changed_is_refused(tmp_path):
     surface, texture, _ = start()
     layers = octex.Layers(texture, surface)
     layers.add_layer("paint")
@@ -371,12 +366,12 @@ def test_a_stack_whose_channels_another_program_has_changed_is_refused(tmp_path:
             octex.Layers(broken, surface)
 
 
-def grey(surface: octex.Surface) -> OctreeTexture:
+def grey(surface):
     return octex.convert(surface, 6, sources={"base_color": (0.5, 0.5, 0.5)})
 
 
 #: Calls that change what a texture shows.
-EDITS: dict[str, Callable[[OctreeTexture, octex.Surface], OctreeTexture]] = {
+EDITS = {
     "blur": lambda texture, _: octex.blur(texture, 0.1),
     "levels": lambda texture, _: octex.levels(texture, "base_color", 0.1, 0.8),
     "curves": lambda texture, _: octex.curves(texture, "base_color", [(0, 0.2), (1, 1)]),
@@ -394,9 +389,7 @@ EDITS: dict[str, Callable[[OctreeTexture, octex.Surface], OctreeTexture]] = {
 
 @pytest.mark.parametrize("name", EDITS)
 @pytest.mark.parametrize("ending", ["octex", "octz"])
-def test_neither_an_edit_of_what_is_shown_nor_the_layers_are_lost(
-    name: str, ending: str, tmp_path: Path
-) -> None:
+def test_neither_an_edit_of_what_is_shown_nor_the_layers_are_lost(name, ending, tmp_path):
     surface, _, layers = start()
     layers.add_layer("paint", opacity=0.7)
     layers.fill(octex.Sphere((0.0, 0.0, 1.0), 0.8), "#102030")
@@ -421,7 +414,7 @@ def test_neither_an_edit_of_what_is_shown_nor_the_layers_are_lost(
         assert_same(octex.Layers(octex.open(tmp_path / "chosen.octex"), surface).texture(), choice.texture())
 
 
-def test_a_stack_that_is_cropped_as_a_whole_keeps_its_layers() -> None:
+def test_a_stack_that_is_cropped_as_a_whole_keeps_its_layers():
     surface, _, layers = start()
     layers.add_layer("paint")
     layers.fill(octex.Sphere((0.0, 0.0, 1.0), 0.8), "#102030")
@@ -430,14 +423,14 @@ def test_a_stack_that_is_cropped_as_a_whole_keeps_its_layers() -> None:
     assert again.layers == layers.layers
 
 
-def test_what_is_to_be_kept_is_one_of_two() -> None:
+def test_what_is_to_be_kept_is_one_of_two():
     surface, texture, _ = start()
     with pytest.raises(ArgumentError, match="keep"):
-        octex.Layers(texture, surface, keep="all")  # type: ignore[arg-type]
+        octex.Layers(texture, surface, keep="all")
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_copy_hidden_changes_nothing_and_merged_layers_look_as_both_did(seed: int) -> None:
+def test_a_copy_hidden_changes_nothing_and_merged_layers_look_as_both_did(seed):
     surface, _, layers = start()
     random = np.random.default_rng(seed)
     for number in range(3):
@@ -482,7 +475,7 @@ def test_a_copy_hidden_changes_nothing_and_merged_layers_look_as_both_did(seed: 
     assert_same(layers.texture(), after)
 
 
-def test_layers_that_cannot_be_one_are_refused() -> None:
+def test_layers_that_cannot_be_one_are_refused():
     _, _, layers = start()
     layers.add_layer()
     with pytest.raises(ArgumentError, match="no layer below"):

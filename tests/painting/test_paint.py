@@ -1,13 +1,8 @@
 """Painting: pictures in, the texture with their paint out."""
 
-from __future__ import annotations
-
 from itertools import permutations
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -15,7 +10,7 @@ from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.painting.blend import blended
 from octex.painting.layer import paint_of, wanted_depths
-from octex.painting.picture import BLENDS, Blend
+from octex.painting.picture import BLENDS
 from octex.parallel import pool_of
 from octex.photos.balance import exposures
 from octex.texture import OctreeTexture
@@ -26,11 +21,10 @@ from tests.conftest import needs_jit
 from tests.make.painted import above, ball, centres, codes, one_color, picture_of, plain, square, together
 from tests.make.small_surfaces import sheet
 
-Array = npt.NDArray[Any]
 pytestmark = needs_jit
 
 
-def spot(camera: octex.Camera, color: tuple[float, ...], radius: float, alpha: float = 1.0) -> Array:
+def spot(camera, color, radius, alpha=1.0):
     """A disc of one colour in the middle of a picture that is else transparent."""
     image = one_color(camera, color)
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
@@ -39,7 +33,7 @@ def spot(camera: octex.Camera, color: tuple[float, ...], radius: float, alpha: f
     return image
 
 
-def on_square(count: int, within: float = 0.5, seed: int = 0) -> Array:
+def on_square(count, within=0.5, seed=0):
     points = np.zeros((count, 3))
     points[:, :2] = np.random.default_rng(seed).uniform(-within, within, (count, 2))
     return points
@@ -48,7 +42,7 @@ def on_square(count: int, within: float = 0.5, seed: int = 0) -> Array:
 # --- right
 
 
-def test_a_picture_painted_back_from_its_own_camera_is_what_is_seen() -> None:
+def test_a_picture_painted_back_from_its_own_camera_is_what_is_seen():
     surface = ball()
     camera = octex.Camera.fitted(surface.vertices, (0.3, 0.4, 1), size=(160, 140))
     image = picture_of(surface, camera)
@@ -61,9 +55,7 @@ def test_a_picture_painted_back_from_its_own_camera_is_what_is_seen() -> None:
 
 
 @pytest.mark.parametrize(("is_drawn", "fading", "vanished"), [(False, 65.0, 75.0), (True, 75.0, 85.0)])
-def test_what_was_drawn_on_a_view_reaches_farther_around_the_model(
-    is_drawn: bool, fading: float, vanished: float
-) -> None:
+def test_what_was_drawn_on_a_view_reaches_farther_around_the_model(is_drawn, fading, vanished):
     surface = ball(48)
     camera = octex.Camera.fitted(surface.vertices, (0, 0, 1), size=(128, 128))
     before = one_color(camera, (0, 0, 0)) if is_drawn else None
@@ -79,7 +71,7 @@ def test_what_was_drawn_on_a_view_reaches_farther_around_the_model(
     assert 0.1 < np.median(covered[halfway]) < 0.9
 
 
-def test_nothing_but_what_is_seen_is_painted() -> None:
+def test_nothing_but_what_is_seen_is_painted():
     surface = ball()
     camera = above(4.0, 128)
     picture = octex.Projection(one_color(camera, (1, 0, 0)), camera)
@@ -96,7 +88,7 @@ def test_nothing_but_what_is_seen_is_painted() -> None:
     assert not painted[(angles > 76) & (samples.points[:, 2] < edge * 0.9 - 2 * leaf)].any()
 
 
-def test_paint_of_alpha_nothing_leaves_the_texture_itself() -> None:
+def test_paint_of_alpha_nothing_leaves_the_texture_itself():
     surface, camera = ball(), above(4.0)
     texture = octex.convert(surface, 5)
     for options in ({"opacity": 0.0}, {"mask": np.zeros((64, 64), np.uint8)}):
@@ -107,7 +99,7 @@ def test_paint_of_alpha_nothing_leaves_the_texture_itself() -> None:
     assert octex.paint(None, surface, clear).tree.n_leaves == 0
 
 
-def test_a_camera_that_looks_away_or_is_inside_paints_nothing() -> None:
+def test_a_camera_that_looks_away_or_is_inside_paints_nothing():
     surface = ball()
     texture = octex.convert(surface, 5)
     away = np.diag([1.0, -1, -1, 1])
@@ -119,7 +111,7 @@ def test_a_camera_that_looks_away_or_is_inside_paints_nothing() -> None:
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
-def test_a_wash_scales_the_contrast_of_detail(dtype: str) -> None:
+def test_a_wash_scales_the_contrast_of_detail(dtype):
     surface = ball()
     texture = octex.convert(surface, 7, dtype=dtype)
     camera = above(4.0, 24)  # its pixels are some four cells wide
@@ -143,7 +135,7 @@ def test_a_wash_scales_the_contrast_of_detail(dtype: str) -> None:
         np.testing.assert_allclose(after[whole], expected[whole], atol=1e-5)
 
 
-def where(texture: OctreeTexture, layer: OctreeTexture) -> tuple[Array, Array]:
+def where(texture, layer):
     """Leaves of a texture of even depth that lie wholly under a layer's greatest coverage."""
     alpha = layer.channels["alpha"].values[:, 0] / 65535
     most = alpha.max()
@@ -164,7 +156,7 @@ def where(texture: OctreeTexture, layer: OctreeTexture) -> tuple[Array, Array]:
     return np.sort(cells), alpha
 
 
-def _is_inner(layer: OctreeTexture, level: int, code: int, whole: Array) -> bool:
+def _is_inner(layer, level, code, whole):
     from octex.tree.morton import decode_cells, encode_cells
 
     steps = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3), axis=-1).reshape(-1, 3)
@@ -173,26 +165,8 @@ def _is_inner(layer: OctreeTexture, level: int, code: int, whole: Array) -> bool
     return bool(np.isin(stored, whole).all())
 
 
-def test_a_depth_halves_cells_and_limits_them() -> None:
-    points, triangles = square()
-    surface = octex.Surface.from_arrays(points, triangles)
-    camera = above(3.0, 128, 384.0)  # 128 pixels to a unit
-    picture = octex.Projection(spot(camera, (1, 0, 0), 40), camera)
-
-    def pixels(max_depth: int | None) -> float:
-        layer = octex.project(surface, picture, max_depth=max_depth)
-        return 128.0 * layer.placement.size / 2**layer.tree.max_depth
-
-    default, halved, limited = pixels(None), pixels(14), pixels(5)
-    assert 0.5 <= default <= 1.1
-    assert 0.25 <= halved <= 0.55
-    assert halved < default
-    size = octex.project(surface, picture).placement.size
-    assert limited == pytest.approx(128.0 * size / 2**5, rel=0.1)
-
-
 @pytest.mark.parametrize("dtype", ["float32", "uint8"])
-def test_fine_paint_over_a_coarse_texture_moves_nothing_beyond_its_boundary(dtype: str) -> None:
+def test_fine_paint_over_a_coarse_texture_moves_nothing_beyond_its_boundary(dtype):
     points, triangles = square()
     surface = octex.Surface.from_arrays(points, triangles, colors=0.5 + 0.4 * np.sin(5 * points + [0, 1, 2]))
     texture = octex.convert(surface, 4, dtype=dtype)
@@ -216,7 +190,7 @@ def test_fine_paint_over_a_coarse_texture_moves_nothing_beyond_its_boundary(dtyp
     assert (found.tree.arrays.flags[kept] & KEPT != 0).all()
 
 
-def test_painting_twice_with_full_opacity_is_painting_once() -> None:
+def test_painting_twice_with_full_opacity_is_painting_once():
     surface, camera = ball(), above(4.0, 100)
     projection = octex.Projection(picture_of(surface, camera), camera)
     for base in (None, octex.convert(surface, 5)):
@@ -230,7 +204,7 @@ def test_painting_twice_with_full_opacity_is_painting_once() -> None:
         assert apart[cosine > 0.25].max() < (1e-6 if base is None else 0.01)
 
 
-def test_averages_stay_those_of_what_is_there() -> None:
+def test_averages_stay_those_of_what_is_there():
     surface = plain(square(steps=16), (0.25, 0.5, 0.75))
     texture = octex.convert(surface, 7, dtype="float32")
     camera = above(3.0, 128, 384.0)
@@ -251,7 +225,7 @@ def test_averages_stay_those_of_what_is_there() -> None:
     assert 0.5 < stays.all(axis=1).mean() < 1
 
 
-def test_each_side_of_something_thin_is_painted_for_itself() -> None:
+def test_each_side_of_something_thin_is_painted_for_itself():
     surface = sheet(np.eye(3), 0.004)
     texture = octex.convert(surface, 5)
     size = float(np.ptp(surface.bounds, axis=0).max())
@@ -269,7 +243,7 @@ def test_each_side_of_something_thin_is_painted_for_itself() -> None:
     assert (blue.tree.arrays.flags & SPLIT != 0).any()
 
 
-def test_paint_on_a_posed_model_lands_at_rest() -> None:
+def test_paint_on_a_posed_model_lands_at_rest():
     rest = ball(16)
     posed = rest.vertices * [1.0, 1.6, 0.7] + [3.0, -1.0, 2.0]
     surface = octex.Surface.from_arrays(
@@ -285,7 +259,7 @@ def test_paint_on_a_posed_model_lands_at_rest() -> None:
     assert np.sqrt((error**2).mean()) < 1.5
 
 
-def test_a_subdivided_cage_is_painted_at_its_hull(models: Path) -> None:
+def test_a_subdivided_cage_is_painted_at_its_hull(models):
     folder = models / "opensubdiv-cages"
     hull = octex.load_surface(folder / "catmark_cube_creases0_level4.obj")
     loaded = octex.load_surface(folder / "catmark_cube_level4.obj", rest=hull.vertices)
@@ -304,7 +278,7 @@ def test_a_subdivided_cage_is_painted_at_its_hull(models: Path) -> None:
 # --- blend modes, channels, layers
 
 
-def test_blend_modes_are_their_formulas() -> None:
+def test_blend_modes_are_their_formulas():
     random = np.random.default_rng(0)
     base, paint = random.random((2, 50, 3)).astype(np.float32)
     part = random.random(50).astype(np.float32)
@@ -323,14 +297,14 @@ def test_blend_modes_are_their_formulas() -> None:
         np.testing.assert_allclose(blended(base, paint, part, blend), expected[blend], atol=1e-6)
 
 
-def test_opaque_paint_leaves_nothing_of_what_was_there_however_bright_it_was() -> None:
+def test_opaque_paint_leaves_nothing_of_what_was_there_however_bright_it_was():
     old, new = np.full((1, 3), 3e7, np.float32), np.array([[0.2, 0.7, 0.0]], np.float32)
     for blend in ("over", "replace"):
         np.testing.assert_array_equal(blended(old, new, np.ones(1, np.float32), blend), new)
 
 
 @pytest.mark.parametrize("blend", BLENDS)
-def test_pictures_are_blended_in_linear_light(blend: Any) -> None:
+def test_pictures_are_blended_in_linear_light(blend):
     surface, camera = plain(square(), (0.4, 0.2, 0.6)), above(3.0, 64, 192.0)
     texture = octex.convert(surface, 5, dtype="float32")
     image = one_color(camera, (0.5, 0.5, 0.1), 0.5)
@@ -346,7 +320,7 @@ def test_pictures_are_blended_in_linear_light(blend: Any) -> None:
     np.testing.assert_allclose(found.sample(points), np.tile(expected, (100, 1)), atol=1e-3)
 
 
-def test_paint_over_what_is_translucent_makes_it_more_opaque() -> None:
+def test_paint_over_what_is_translucent_makes_it_more_opaque():
     points, triangles = square()
     colors = np.tile([0.2, 0.2, 0.2, 0.5], (len(points), 1))
     surface, camera = octex.Surface.from_arrays(points, triangles, colors=colors), above(3.0, 64, 192.0)
@@ -361,7 +335,7 @@ def test_paint_over_what_is_translucent_makes_it_more_opaque() -> None:
 @pytest.mark.parametrize(
     ("channel", "dtype"), [("roughness", "uint8"), ("roughness", "uint16"), ("emissive", "float16")]
 )
-def test_any_channel_is_painted_and_the_others_stay(channel: str, dtype: str) -> None:
+def test_any_channel_is_painted_and_the_others_stay(channel, dtype):
     surface = plain(square()).with_sources({"roughness": 0.25, "emissive": (0.5, 0.25, 0.0)})
     camera = above(3.0, 128, 384.0)
     texture = octex.convert(surface, 4, dtype={channel: dtype})
@@ -375,7 +349,7 @@ def test_any_channel_is_painted_and_the_others_stay(channel: str, dtype: str) ->
         np.testing.assert_allclose(found.sample(points, other), texture.sample(points, other), atol=0.005)
 
 
-def test_layers_are_kept_and_merged_later(tmp_path: Path) -> None:
+def test_layers_are_kept_and_merged_later(tmp_path):
     surface, camera = ball(), above(4.0, 100)
     texture = octex.convert(surface, 6)
     projection = octex.Projection(spot(camera, (1, 0, 0), 20), camera, opacity=0.6)
@@ -393,7 +367,7 @@ def test_layers_are_kept_and_merged_later(tmp_path: Path) -> None:
     assert np.abs(multiplied.sample(points) - full).max() > 0.05
 
 
-def test_layers_that_do_not_fit_are_refused() -> None:
+def test_layers_that_do_not_fit_are_refused():
     surface, camera = ball(), above(4.0, 32)
     texture = octex.convert(surface, 5)
     layer = octex.project(surface, octex.Projection(one_color(camera, (1, 0, 0)), camera), like=texture)
@@ -406,13 +380,13 @@ def test_layers_that_do_not_fit_are_refused() -> None:
     with pytest.raises(ArgumentError, match="unknown channel to paint 'base_color'; there are: roughness"):
         octex.merge(moved, layer, surface)
     with pytest.raises(ArgumentError, match="unknown blend 'burn'"):
-        octex.merge(texture, layer, surface, blend="burn")  # type: ignore[arg-type]
+        octex.merge(texture, layer, surface, blend="burn")
 
 
 # --- several pictures
 
 
-def test_the_finer_of_two_pictures_outweighs_the_other() -> None:
+def test_the_finer_of_two_pictures_outweighs_the_other():
     surface = plain(square())
     near, far = above(1.5, 128, 192.0), above(6.0, 128, 192.0)
     pictures = [
@@ -428,7 +402,7 @@ def test_the_finer_of_two_pictures_outweighs_the_other() -> None:
 
 @pytest.mark.usefixtures("few_points")
 @pytest.mark.parametrize("balance", [None, "gain", "full"])
-def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance: Any) -> None:
+def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance):
     surface, random = ball(12), np.random.default_rng(4)
     pictures = []
     for number, direction in enumerate([(0.1, 0.2, 1), (0.5, 0.1, 1), (-0.4, 0.3, 1)]):
@@ -446,13 +420,12 @@ def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance: Any) -
             assert np.array_equal(other.channels[name].split_values, channel.split_values)
 
 
-def test_pictures_of_other_blend_modes_are_merged_one_after_another() -> None:
+def test_pictures_of_other_blend_modes_are_merged_one_after_another():
     surface, camera = plain(square(), (0.5, 0.5, 0.5)), above(3.0, 32, 96.0)
     texture = octex.convert(surface, 4, dtype="float32")
     steps = [("over", (0.8, 0.4, 0.2)), ("multiply", (0.5, 0.5, 0.5)), ("over", (0.0, 1.0, 0.0))]
     pictures = [
-        octex.Projection(one_color(camera, color, 0.5), camera, blend=blend)  # type: ignore[arg-type]
-        for blend, color in steps
+        octex.Projection(one_color(camera, color, 0.5), camera, blend=blend) for blend, color in steps
     ]
     expected = np.array([[0.5, 0.5, 0.5]], np.float32)
     for blend, color in steps:
@@ -460,13 +433,13 @@ def test_pictures_of_other_blend_modes_are_merged_one_after_another() -> None:
             expected,
             np.array([color], np.float32),
             np.array([0.5], np.float32),
-            blend,  # type: ignore[arg-type]
+            blend,
         )
     found = octex.paint(texture, surface, pictures, max_depth=4).sample(on_square(50, 0.3))
     np.testing.assert_allclose(found, np.tile(expected, (50, 1)), atol=2e-3)
 
 
-def test_balance_makes_pictures_agree() -> None:
+def test_balance_makes_pictures_agree():
     surface = ball(rings=32)
     cameras = [
         octex.Camera.fitted(surface.vertices, (np.sin(turn), 0.2, np.cos(turn)), size=(100, 100))
@@ -479,7 +452,7 @@ def test_balance_makes_pictures_agree() -> None:
     samples = surface.scatter(5000)
     truth = surface.evaluate(samples)
 
-    def error(pictures: list[Array], **options: Any) -> float:
+    def error(pictures, **options):
         shots = [octex.Projection(image, camera) for image, camera in zip(pictures, cameras, strict=True)]
         found = octex.paint(None, surface, shots, max_depth=6, holes="leave", **options)
         seen = found.contains(samples.rest)
@@ -491,7 +464,7 @@ def test_balance_makes_pictures_agree() -> None:
     assert mended < plain_error + 0.3 * (off - plain_error)
 
 
-def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
+def test_pictures_that_do_not_overlap_keep_their_gains():
     surface = plain(together(square(), (square()[0] + [5, 0, 0], square()[1])))
     from octex.painting.project import take_shots
     from octex.painting.reading import terms_of
@@ -513,7 +486,7 @@ def test_pictures_that_do_not_overlap_keep_their_gains() -> None:
 # --- steps and refusals
 
 
-def test_the_boundary_is_one_cell_of_the_same_size_around_paint() -> None:
+def test_the_boundary_is_one_cell_of_the_same_size_around_paint():
     surface, camera = plain(square()), above(3.0, 64, 192.0)
     layer = octex.project(surface, octex.Projection(spot(camera, (1, 0, 0), 8), camera))
     paint = paint_of(layer, 1.0)
@@ -530,7 +503,7 @@ def test_the_boundary_is_one_cell_of_the_same_size_around_paint() -> None:
         assert (apart == 1).all()
 
 
-def test_paint_goes_no_deeper_than_asked_for_and_as_deep_as_pixels_are_fine() -> None:
+def test_paint_goes_no_deeper_than_asked_for_and_as_deep_as_pixels_are_fine():
     surface = plain(square())
     near, far = above(1.5, 128, 192.0), above(6.0, 128, 192.0)
     depths = [
@@ -544,7 +517,7 @@ def test_paint_goes_no_deeper_than_asked_for_and_as_deep_as_pixels_are_fine() ->
     assert shallow.tree.max_depth == 4
 
 
-def test_what_makes_no_sense_is_refused() -> None:
+def test_what_makes_no_sense_is_refused():
     surface, camera = ball(), above(4.0, 32)
     texture = octex.convert(surface, 4)
     good = octex.Projection(one_color(camera, (1, 0, 0)), camera)
@@ -555,7 +528,7 @@ def test_what_makes_no_sense_is_refused() -> None:
         ({"max_depth": 30}, "max_depth must be a whole number from 0 to 21"),
     ):
         with pytest.raises(ArgumentError, match=message):
-            octex.paint(texture, surface, good, **options)  # type: ignore[arg-type]
+            octex.paint(texture, surface, good, **options)
     with pytest.raises(ArgumentError, match="unknown channel 'colour'"):
         octex.paint(None, surface, good, channel="colour")
     with pytest.raises(ArgumentError, match='alpha is painted with blend="erase"'):
@@ -567,13 +540,13 @@ def test_what_makes_no_sense_is_refused() -> None:
 # --- regions
 
 
-def test_regions_are_filled_to_their_borders() -> None:
+def test_regions_are_filled_to_their_borders():
     surface = plain(square(), (0.25, 0.25, 0.25))
     texture = octex.convert(surface, 6, dtype="float32")
     points = on_square(3000)
     x, y = points[:, 0], points[:, 1]
     left = surface.vertices[surface.triangles][:, :, 0].max(axis=1) < 1e-9
-    cases: list[tuple[Any, Array]] = [
+    cases = [
         (octex.Sphere((0, 0, 0), 0.3), np.hypot(x, y) - 0.3),
         (
             octex.Box((-0.2, -0.1, -1), (0.3, 0.4, 1)),
@@ -593,7 +566,7 @@ def test_regions_are_filled_to_their_borders() -> None:
         np.testing.assert_allclose(sampled[outer], np.full((outer.sum(), 3), 0.25), atol=1e-4)
 
 
-def test_soft_regions_and_opacity_fade() -> None:
+def test_soft_regions_and_opacity_fade():
     surface = plain(square(), (0.0, 0.0, 0.0))
     texture = octex.convert(surface, 7, dtype="float32")
     found = octex.fill(texture, surface, octex.Sphere((0, 0, 0), 0.4, soft=0.4), (1, 1, 1), opacity=0.5)
@@ -605,7 +578,7 @@ def test_soft_regions_and_opacity_fade() -> None:
     )
 
 
-def test_filling_starts_from_nothing_too() -> None:
+def test_filling_starts_from_nothing_too():
     surface = plain(square())
     found = octex.fill(None, surface, octex.Sphere((0, 0, 0), 0.2), 0.5, channel="roughness", max_depth=6)
     found.validate()
@@ -630,13 +603,13 @@ def test_filling_starts_from_nothing_too() -> None:
         (lambda _: {}["cover"], "region raised KeyError: 'cover' for"),
     ],
 )
-def test_regions_that_make_no_sense_are_refused(region: Any, message: str) -> None:
+def test_regions_that_make_no_sense_are_refused(region, message):
     surface = plain(square())
     with pytest.raises(ArgumentError, match=message):
         octex.fill(octex.convert(surface, 3), surface, region, (1, 0, 0))
 
 
-def test_colours_that_do_not_fit_are_refused() -> None:
+def test_colours_that_do_not_fit_are_refused():
     surface = plain(square())
     for color in ((1, 0), (np.nan, 0, 0), 1.0):
         with pytest.raises(ArgumentError, match=r"color of .base_color. must be finite numbers of shape"):
@@ -644,10 +617,10 @@ def test_colours_that_do_not_fit_are_refused() -> None:
 
 
 @pytest.mark.parametrize("channel", ["base_color", "roughness", "normal"])
-def test_colours_beyond_the_channels_range_are_refused(channel: str) -> None:
+def test_colours_beyond_the_channels_range_are_refused(channel):
     surface = plain(square())
     sphere = octex.Sphere((0, 0, 0), 1)
-    color: Any = 255 if channel == "roughness" else (255, 0, 0)
+    color = 255 if channel == "roughness" else (255, 0, 0)
     least = -1 if channel == "normal" else 0
     message = rf"color of '{channel}' must be from {least} to 1, not .*255.*; divide numbers up to 255 by 255"
     with pytest.raises(ArgumentError, match=message):
@@ -660,7 +633,7 @@ def test_colours_beyond_the_channels_range_are_refused(channel: str) -> None:
     assert bright.sample([[0.5, 0.5, 0.0]]).max() > 4.0
 
 
-def test_colours_are_given_as_on_a_screen() -> None:
+def test_colours_are_given_as_on_a_screen():
     surface = plain(square())
     sphere = octex.Sphere((0, 0, 0), 9)
     found = octex.fill(None, surface, sphere, "#ff8000", max_depth=3)
@@ -684,7 +657,7 @@ def test_colours_are_given_as_on_a_screen() -> None:
         surface.with_sources({"base_color": "#ff8"})
 
 
-def places_of(texture: OctreeTexture, cells: Array) -> Array:
+def places_of(texture, cells):
     """The middles of cells at rest (n, 3)."""
     levels = np.searchsorted(texture.tree.arrays.level_cells, cells, side="right") - 1
     found = np.empty((len(cells), 3))
@@ -696,7 +669,7 @@ def places_of(texture: OctreeTexture, cells: Array) -> Array:
 
 
 @pytest.mark.parametrize(("opacity", "blend"), [(1.0, "over"), (0.5, "over"), (0.5, "replace"), (1.0, "add")])
-def test_what_opaque_paint_covers_keeps_nothing_and_has_no_skirts(opacity: float, blend: Blend) -> None:
+def test_what_opaque_paint_covers_keeps_nothing_and_has_no_skirts(opacity, blend):
     surface = ball(24)
     texture = octex.convert(surface, 6)
     edge = texture.placement.size / 2**6
@@ -719,9 +692,9 @@ def test_what_opaque_paint_covers_keeps_nothing_and_has_no_skirts(opacity: float
     np.testing.assert_allclose(after, before, atol=1e-6)
 
 
-def test_pictures_get_cells_of_half_a_pixel_to_one_unless_they_may_be_finer() -> None:
+def test_pictures_get_cells_of_half_a_pixel_to_one_unless_they_may_be_finer():
     surface = plain(square(0.0, 1.0))
-    image = np.full((64, 64, 3), 9, np.uint8)
+    image = spot(above(size=64), (1, 0, 0), 20.0)
     for pixels_per_unit in (20.0, 30.0, 40.0, 55.0):
         pose = np.eye(4)
         pose[2, 3] = 2.0
@@ -734,9 +707,11 @@ def test_pictures_get_cells_of_half_a_pixel_to_one_unless_they_may_be_finer() ->
         assert 0.5 < cell < 1.1
         finest = deepest.placement.size / 2**deepest.tree.max_depth * pixels_per_unit
         assert 0.25 < finest < 0.55
+        assert finest < cell
+        assert octex.project(surface, octex.Projection(image, camera), max_depth=3).tree.max_depth == 3
 
 
-def test_paint_of_one_color_is_that_color_in_all_leaves() -> None:
+def test_paint_of_one_color_is_that_color_in_all_leaves():
     surface, camera = ball(), above(4.0, 64)
     image = np.full((64, 64, 4), (200, 40, 90, 0), np.uint8)
     y, x = np.mgrid[:64, :64] - 31.5
@@ -747,7 +722,7 @@ def test_paint_of_one_color_is_that_color_in_all_leaves() -> None:
     assert np.unique(layer.channels["alpha"].values[leaves]).size > 100
 
 
-def test_one_level_serves_where_pixels_vary_little() -> None:
+def test_one_level_serves_where_pixels_vary_little():
     # Cells as wide as these would be of levels 6.6, 7.5, 5.3 and 8.6.
     widths = np.repeat([1 / 100, 1 / 180, 1 / 40, 1 / 400], [60, 20, 17, 3])
     areas = np.ones(100)
@@ -769,13 +744,7 @@ def test_one_level_serves_where_pixels_vary_little() -> None:
 @pytest.mark.parametrize("size", [(512, 384), (391, 450)])
 @pytest.mark.parametrize("place", [(0.5, 0.5), (0.02, 0.9)])
 @pytest.mark.parametrize(("max_depth", "feather"), [(7, 0.0), (3, 0.0), (6, 20.0), (6, 100.0)])
-def test_transparent_parts_far_from_paint_are_not_looked_at(
-    size: tuple[int, int],
-    place: tuple[float, float],
-    max_depth: int,
-    feather: float,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_transparent_parts_far_from_paint_are_not_looked_at(size, place, max_depth, feather, monkeypatch):
     """Nor do they change the paint, but for how pixels fit into those of smaller pictures."""
     surface = ball(12)
     texture = octex.convert(surface, 4)
@@ -795,7 +764,7 @@ def test_transparent_parts_far_from_paint_are_not_looked_at(
         assert np.abs(one - other).max() <= 1
 
 
-def test_a_mask_is_its_alpha_wherever_the_paint_is() -> None:
+def test_a_mask_is_its_alpha_wherever_the_paint_is():
     """A mask that has alpha is not read by its light, though near the paint all of it is opaque."""
     surface = plain(square())
     camera = above(size=512)

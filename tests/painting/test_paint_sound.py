@@ -1,10 +1,8 @@
 """Paint lies once on each leaf, whatever tree and paint are; averages above are those of what is there."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -22,7 +20,6 @@ from tests.oracles.naive_edits import assert_averages
 from tests.properties.edit_claims import assert_one_color
 from tests.properties.random_edits import beyond, cloud, picture, waved
 
-Array = npt.NDArray[Any]
 pytestmark = needs_jit
 
 DROID = Path(octex.__file__).parents[1] / "samples" / "droid.glb"

@@ -1,22 +1,18 @@
 """Sessions of painting: what single calls give, bit for bit, forth and back."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
 import pytest
 
 import octex
-from octex.conversion.levels import CellLevels, cell_levels
+from octex.conversion.levels import cell_levels
 from octex.errors import ArgumentError, OutputError
 from octex.painting import painter as painters
 from octex.painting.merge import merged
-from octex.painting.picture import BLENDS, Blend
+from octex.painting.picture import BLENDS
 from octex.painting.project import sight_of
 from octex.painting.surface import TriangleGrid
 from tests.editing.test_draft import case
@@ -27,22 +23,20 @@ from tests.properties import random_edits
 DIRECTIONS = (0.3, 0.5, 1.0), (-1.0, 0.2, 0.1)
 
 
-def shots(surface: octex.Surface, random: np.random.Generator) -> list[octex.Projection]:
+def shots(surface, random):
     """Pictures with a hole or two, of a few cameras."""
     found = []
     for _ in range(random.integers(1, 3)):
         camera = octex.Camera.fitted(surface.vertices, DIRECTIONS[random.integers(2)], size=(24, 18))
         image = random_edits.picture(int(random.integers(1000)), 24, 18, translucent=True)
         image[: random.integers(12), :, 3] = 0
-        blend: Blend = BLENDS[(0, 1, 4)[random.integers(3)]]
+        blend = BLENDS[(0, 1, 4)[random.integers(3)]]
         found.append(octex.Projection(image, camera, opacity=float(random.choice([0.5, 1])), blend=blend))
     return found
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_session_gives_what_single_calls_give_forth_and_back(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_session_gives_what_single_calls_give_forth_and_back(seed, monkeypatch):
     monkeypatch.setattr(painters, "_IN_MEMORY", seed % 3)
     random, surface, texture, depth = case(seed)
     painter = octex.Painter(texture, surface)
@@ -83,7 +77,14 @@ def test_a_session_gives_what_single_calls_give_forth_and_back(
         assert_same(painter.texture(), states[at])
 
 
-def brush(surface: octex.Surface, color: int, pixels: int = 12) -> octex.Projection:
+def begun(depth):
+    """A sphere, its texture, and what paints it."""
+    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    texture = octex.convert(surface, depth)
+    return surface, texture, octex.Painter(texture, surface)
+
+
+def brush(surface, color, pixels=12):
     """A disc of a colour on a small part of a surface."""
     camera = octex.Camera.fitted(surface.vertices, DIRECTIONS[0], size=(96, 96))
     image = np.zeros((96, 96, 4), np.uint8)
@@ -92,10 +93,8 @@ def brush(surface: octex.Surface, color: int, pixels: int = 12) -> octex.Project
     return octex.Projection(image, camera)
 
 
-def test_what_a_stroke_changes_can_be_applied_elsewhere_and_is_small() -> None:
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    texture = octex.convert(surface, 8)
-    painter = octex.Painter(texture, surface)
+def test_what_a_stroke_changes_can_be_applied_elsewhere_and_is_small():
+    surface, texture, painter = begun(8)
     (change,) = painter.paint(brush(surface, 200), max_depth=8)
     assert change.nbytes < 0.1 * texture.nbytes
     (sent,) = pickle.loads(pickle.dumps([change]))
@@ -107,9 +106,8 @@ def test_what_a_stroke_changes_can_be_applied_elsewhere_and_is_small() -> None:
             deeper.inverted().applied(other)
 
 
-def test_strokes_in_a_file_are_as_they_were_and_none_is_lost_without_one(tmp_path: Path) -> None:
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    painter = octex.Painter(octex.convert(surface, 6), surface)
+def test_strokes_in_a_file_are_as_they_were_and_none_is_lost_without_one(tmp_path):
+    surface, _, painter = begun(6)
     assert painter.last == ()
     colors = range(0, 250, 40)
     strokes = [painter.paint(brush(surface, color), max_depth=6) for color in colors]
@@ -128,7 +126,7 @@ def test_strokes_in_a_file_are_as_they_were_and_none_is_lost_without_one(tmp_pat
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_session_writes_to_no_texture_that_somebody_has(seed: int) -> None:
+def test_a_session_writes_to_no_texture_that_somebody_has(seed):
     random, surface, texture, depth = case(seed)
     watched, alone = octex.Painter(texture, surface), octex.Painter(texture, surface)
     seen = []  # textures that `watched` has returned, and copies of them as they were
@@ -151,15 +149,13 @@ def test_a_session_writes_to_no_texture_that_somebody_has(seed: int) -> None:
     assert_same(alone.texture(), texture)
 
 
-def test_a_call_that_fails_in_its_second_layer_leaves_all_as_it_was() -> None:
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    texture = octex.convert(surface, 7)
-    painter = octex.Painter(texture, surface)
+def test_a_call_that_fails_in_its_second_layer_leaves_all_as_it_was():
+    surface, _, painter = begun(7)
     painter.paint(brush(surface, 10), max_depth=7)
     before = pickle.loads(pickle.dumps(painter._texture))
     count = 0
 
-    def second_fails(*given: Any) -> Any:
+    def second_fails(*given):
         nonlocal count
         count += 1
         if count == 2:
@@ -167,19 +163,15 @@ def test_a_call_that_fails_in_its_second_layer_leaves_all_as_it_was() -> None:
         return merged(*given)
 
     layers = [brush(surface, 200), replace(brush(surface, 90), blend="multiply")]
-    with (
-        mock.patch.object(painter, "_merging", second_fails),
-        pytest.raises(KeyboardInterrupt),
-    ):
+    with mock.patch.object(painter, "_merging", second_fails), pytest.raises(KeyboardInterrupt):
         painter.paint(layers, max_depth=7)
     assert count == 2
     assert_same(painter.texture(), before)
     assert len(painter.strokes) == 1
 
 
-def test_a_camera_that_stays_looks_once() -> None:
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    painter = octex.Painter(octex.convert(surface, 6), surface)
+def test_a_camera_that_stays_looks_once():
+    surface, _, painter = begun(6)
     with mock.patch("octex.painting.surface.sight_of", wraps=sight_of) as look:
         for color in (10, 20, 30):
             painter.paint(brush(surface, color, 30))
@@ -189,7 +181,7 @@ def test_a_camera_that_stays_looks_once() -> None:
 
 
 @pytest.mark.parametrize("kind", ["pinhole", "lens", "orthographic"])
-def test_what_no_picture_sees_is_left_out_without_a_difference(kind: str) -> None:
+def test_what_no_picture_sees_is_left_out_without_a_difference(kind):
     sphere = ball(12)
     x, y, z = sphere.vertices.T
     rest = np.column_stack([1.7 * x + 0.3 * y**2, y - 0.5 * z, 0.6 * z + 0.2 * x * y])
@@ -205,14 +197,14 @@ def test_what_no_picture_sees_is_left_out_without_a_difference(kind: str) -> Non
     rows, columns = np.mgrid[:160, :160]
     image = np.full((160, 160, 4), (200, 40, 90, 255), np.uint8)
     image[..., 3] = np.clip(20 * (16 - np.hypot(columns - 60, rows - 90)), 0, 255)
-    cells: list[int] = []
+    cells = []
 
-    def counted(*given: Any, **options: Any) -> CellLevels:
+    def counted(*given, **options):
         found = cell_levels(*given, **options)
         cells.append(found.n_leaves + found.gaps.size)
         return found
 
-    def whole(*given: Any, reached: Any, **options: Any) -> CellLevels:
+    def whole(*given, reached, **options):
         assert reached
         return counted(*given, **options)
 
@@ -225,39 +217,35 @@ def test_what_no_picture_sees_is_left_out_without_a_difference(kind: str) -> Non
     assert kind == "lens" or cells[0] < 0.75 * cells[1]  # what a lens bends is looked for in all the picture
 
 
-def test_a_stroke_beside_the_surface_is_none() -> None:
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    texture = octex.convert(surface, 5)
-    painter = octex.Painter(texture, surface)
+def test_a_stroke_beside_the_surface_is_none():
+    _, texture, painter = begun(5)
     assert painter.fill(octex.Sphere((9, 9, 9), 0.1), (1, 0, 0)) == ()
     assert painter.texture() is texture
     assert not painter.undo()
     assert not painter.redo()
 
 
-def test_a_refused_stroke_leaves_all_as_it_was() -> None:
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
-    texture = octex.convert(surface, 5)
-    painter = octex.Painter(texture, surface)
+def test_a_refused_stroke_leaves_all_as_it_was():
+    surface, texture, painter = begun(5)
     with pytest.raises(ArgumentError, match="channel"):
         painter.paint(brush(surface, 9), channel="roughness")
     assert painter.texture() is texture
     with pytest.raises(ArgumentError, match=r"must be an octex\.OctreeTexture"):
-        octex.Painter(None, surface)  # type: ignore[arg-type]
+        octex.Painter(None, surface)
 
 
-def test_what_is_no_pose_of_the_surface_is_refused() -> None:
+def test_what_is_no_pose_of_the_surface_is_refused():
     surface = ball(8)
     painter = octex.Painter(octex.convert(surface, depth=4), surface)
     for other, what in ((ball(9), "triangles"), (surface.with_rest(surface.rest * 2.0), "rest")):
         with pytest.raises(ArgumentError, match=f"surface is no pose of surface: it has other {what}"):
             painter.paint(shots(surface, np.random.default_rng(0)), pose=other)
     with pytest.raises(ArgumentError, match=r"pose must be an octex\.Surface"):
-        painter.paint([], pose=surface.vertices)  # type: ignore[arg-type]
+        painter.paint([], pose=surface.vertices)
     assert painter.strokes == ()
 
 
-def test_poses_share_what_is_known_of_the_surface_at_rest() -> None:
+def test_poses_share_what_is_known_of_the_surface_at_rest():
     surface = ball(8)
     painter = octex.Painter(octex.convert(surface, depth=4), surface)
     random, grids = np.random.default_rng(0), []

@@ -1,15 +1,11 @@
 """A folder of what was done: painting goes on from it, and gives what it gives without."""
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
-from typing import Any
 from unittest import mock
 
 import numpy as np
@@ -36,7 +32,7 @@ WORK = {
 class Counted:
     """Counts what is done in a block."""
 
-    def __enter__(self) -> dict[str, int]:
+    def __enter__(self):
         self.counts = dict.fromkeys(WORK, 0)
         self._patches = []
         for name, (module, function) in WORK.items():
@@ -44,21 +40,21 @@ class Counted:
             self._patches[-1].start()
         return self.counts
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *_):
         for patch in self._patches:
             patch.stop()
 
-    def _counting(self, module: Any, function: str, name: str) -> Any:
+    def _counting(self, module, function, name):
         call = getattr(module, function)
 
-        def counted(*given: Any, **named: Any) -> Any:
+        def counted(*given, **named):
             self.counts[name] += 1
             return call(*given, **named)
 
         return counted
 
 
-def scene() -> tuple[octex.Surface, list[octex.Projection], dict[str, Any]]:
+def scene():
     surface, cameras, images = ring(5, 48)
     images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02
     return surface, projections(images, cameras), {"max_depth": 4, "balance": "full"}
@@ -66,7 +62,7 @@ def scene() -> tuple[octex.Surface, list[octex.Projection], dict[str, Any]]:
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
-def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
+def test_what_is_done_is_not_done_again(tmp_path):
     surface, shown, options = scene()
     expected = digest(octex.paint(None, surface, shown, **options))
     folder = tmp_path / "kept"
@@ -82,11 +78,7 @@ def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
         path.unlink()
     with Counted() as counts:
         made = octex.paint(
-            None,
-            surface,
-            shown,
-            run=octex.Run(memory="1kB", folder=tmp_path, resume=folder),
-            **options,
+            None, surface, shown, run=octex.Run(memory="1kB", folder=tmp_path, resume=folder), **options
         )
     assert digest(made) == expected
     assert counts == {"decoded": 0, "seen": 0, "compared": 0, "projected": 1, "refined": 0}
@@ -94,11 +86,11 @@ def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
-def test_only_what_has_changed_is_done_anew(tmp_path: Path) -> None:
+def test_only_what_has_changed_is_done_anew(tmp_path):
     surface, shown, options = scene()
     octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options)
 
-    def repainted(given: list[octex.Projection], surface: octex.Surface = surface, **changed: Any) -> Any:
+    def repainted(given, surface=surface, **changed):
         with Counted() as counts:
             made = octex.paint(None, surface, given, run=octex.Run(resume=tmp_path), **{**options, **changed})
         assert digest(made) == digest(octex.paint(None, surface, given, **{**options, **changed}))
@@ -114,7 +106,7 @@ def test_only_what_has_changed_is_done_anew(tmp_path: Path) -> None:
     assert repainted(masked)["decoded"] == 1
     moved = [dataclasses.replace(shown[0], camera=shown[1].camera), *shown[1:]]
     assert repainted(moved) == {"decoded": 0, "seen": 0, "compared": 5, "projected": 1, "refined": 0}
-    changes: list[dict[str, Any]] = [
+    changes = [
         {"max_depth": 3},
         {"max_angle": 50.0},
         {"pictures": "best"},
@@ -137,7 +129,7 @@ def test_only_what_has_changed_is_done_anew(tmp_path: Path) -> None:
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
-def test_damaged_files_are_made_anew(tmp_path: Path) -> None:
+def test_damaged_files_are_made_anew(tmp_path):
     surface, shown, options = scene()
     expected = digest(octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options))
     for kind, work in (("picture", "decoded"), ("sight", "seen"), ("differences", "compared")):
@@ -160,21 +152,21 @@ def test_damaged_files_are_made_anew(tmp_path: Path) -> None:
     assert counts["projected"] == 1
 
 
-def cut_off(path: Path, _folder: Path) -> None:
+def cut_off(path, _folder):
     path.write_bytes(path.read_bytes()[:-1])
 
 
-def emptied(path: Path, _folder: Path) -> None:
+def emptied(path, _folder):
     path.write_bytes(b"")
 
 
-def other_kind(path: Path, folder: Path) -> None:
+def other_kind(path, folder):
     kind = "sight" if path.name.startswith("picture") else "picture"
     path.write_bytes(next(folder.glob(f"{kind}-*")).read_bytes())
 
 
 @needs_jit
-def test_numbers_of_triangles_that_are_not_there_are_not_believed(tmp_path: Path) -> None:
+def test_numbers_of_triangles_that_are_not_there_are_not_believed(tmp_path):
     surface, shown, options = scene()
     expected = digest(octex.paint(None, surface, shown[:1], run=octex.Run(resume=tmp_path), **options))
     from octex import container
@@ -194,7 +186,7 @@ def test_numbers_of_triangles_that_are_not_there_are_not_believed(tmp_path: Path
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
-def test_refined_cameras_are_kept(tmp_path: Path) -> None:
+def test_refined_cameras_are_kept(tmp_path):
     surface, cameras, images = ring(4, 48)
     shown = projections(images, cameras)
     expected = octex.refine_cameras(surface, shown)
@@ -212,7 +204,7 @@ def test_refined_cameras_are_kept(tmp_path: Path) -> None:
     assert (counts["refined"], counts["decoded"]) == (1, 0)
 
 
-def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_is_named(tmp_path):
     surface, shown, _ = scene()
     file = tmp_path / "file"
     file.write_bytes(b"")
@@ -223,9 +215,9 @@ def test_a_folder_that_cannot_be_is_named(tmp_path: Path) -> None:
             octex.paint(None, surface, shown, run=octex.Run(resume=folder))
 
 
-def test_digests_tell_what_is_like_from_what_is_other() -> None:
+def test_digests_tell_what_is_like_from_what_is_other():
     a = np.arange(6, dtype=np.int32)
-    others: list[tuple[Any, ...]] = [
+    others = [
         (a,), (a.astype(np.int64),), (a.reshape(2, 3),), (a + 1,), (a, None), ((a,), None), (a, (None,)),
         (1,), (1.0,), ("1",), (b"1",), (True,), ((1, 2), 3), (1, (2, 3)), (1, 2, 3), ((),), (), ((), ()),
     ]  # fmt: skip
@@ -236,7 +228,7 @@ def test_digests_tell_what_is_like_from_what_is_other() -> None:
 
 @needs_jit
 @pytest.mark.skipif(sys.platform == "win32", reason="processes are killed by a signal")
-def test_a_painting_that_was_killed_goes_on(tmp_path: Path) -> None:
+def test_a_painting_that_was_killed_goes_on(tmp_path):
     surface, shown, options = scene()
     task = (
         "import octex, sys\n"

@@ -10,6 +10,7 @@ from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Triangles
 from octex.view.zbuffer import z_buffer
 from tests.make.command import OUT, VIEW
+from tests.make.fixtures import obj_lines
 from tests.make.solids import colored, cube, sphere
 from tests.oracles.naive_geodesics import straight
 
@@ -265,10 +266,8 @@ def test_a_disc_inside_the_side_of_a_box_is_the_whole_disc(center, scale, size):
 
 def test_the_command_draws_a_disc_flat_and_paints_it_back(tmp_path, cli):
     surface = tube(48, 25)
-    lines = [f"v {x} {y} {z}" for x, y, z in surface.vertices.tolist()]
-    lines += [f"f {a} {b} {c}" for a, b, c in (surface.triangles + 1).tolist()]
     model, before, after = tmp_path / "tube.obj", tmp_path / "tube.octex", tmp_path / "painted.octex"
-    model.write_text("\n".join(lines))
+    model.write_text(obj_lines(surface.vertices, surface.triangles))
     octex.convert(octex.load_surface(model), 5, sources={"base_color": 0.25}).save(before)
     view, disc = tmp_path / "view.png", "--unwrap=0,0,1,0.5"
     cli.result(before, model, disc, VIEW, view, "--size", "64,64")

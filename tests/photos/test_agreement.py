@@ -3,10 +3,8 @@
 from concurrent.futures import ThreadPoolExecutor
 from itertools import permutations
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -24,8 +22,6 @@ from tests.make.painted import ball, codes, picture_of
 from tests.oracles import naive_agreement
 from tests.properties.edit_claims import LARGEST_GAIN, digest
 from tests.properties.random_edits import camera, picture, waved
-
-Array = npt.NDArray[Any]
 
 
 def test_the_mode_is_the_colour_that_most_are_near_to():
@@ -179,7 +175,7 @@ def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path):
     surface, cameras, images = ring(5, 48)
     images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02
     shots = [*projections(images[:4], cameras[:4]), octex.Projection(images[4][..., :3], cameras[4])]
-    options: dict[str, Any] = {"max_depth": 5, "balance": "full"}
+    options = {"max_depth": 5, "balance": "full"}
     expected = digest(octex.paint(None, surface, shots, **options))
     need = 64 * 5 * 48 * 48
     other = tmp_path / "other"

@@ -1,11 +1,6 @@
 """One picture for each patch: labels of least energy, borders that are levelled, and what that looks like."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
 import octex
 from octex.channels import BASE_COLOR
@@ -17,17 +12,15 @@ from tests.make.painted import ball, codes, picture_of
 from tests.oracles import naive_labels
 from tests.painting.test_holes import cut, places
 
-Array = npt.NDArray[Any]
 
-
-def grid(rows: int, columns: int) -> Array:
+def grid(rows, columns):
     numbers = np.arange(rows * columns).reshape(rows, columns)
     pairs = [np.column_stack([numbers[:, :-1].ravel(), numbers[:, 1:].ravel()])]
     pairs.append(np.column_stack([numbers[:-1].ravel(), numbers[1:].ravel()]))
     return np.concatenate(pairs)
 
 
-def said(count: int, pictures: int, random: np.random.Generator) -> labelling.LabelCosts:
+def said(count, pictures, random):
     paint = random.uniform(0, 0.3, (pictures, count, 3)).astype(np.float32)
     weights = (random.uniform(0, 1, (pictures, count)) ** 2).astype(np.float32)
     weights[random.random((pictures, count)) < 0.3] = 0
@@ -35,7 +28,7 @@ def said(count: int, pictures: int, random: np.random.Generator) -> labelling.La
     return labelling.costs_of(paint, weights, random.uniform(2, 6, count))
 
 
-def test_labels_of_small_graphs_cost_little_more_than_the_best() -> None:
+def test_labels_of_small_graphs_cost_little_more_than_the_best():
     random = np.random.default_rng(0)
     ratios = []
     for _ in range(25):
@@ -56,7 +49,7 @@ def test_labels_of_small_graphs_cost_little_more_than_the_best() -> None:
     assert max(ratios) < 1.1
 
 
-def test_moves_only_lower_the_energy() -> None:
+def test_moves_only_lower_the_energy():
     random = np.random.default_rng(1)
     pairs = grid(12, 12)
     graph, views = graph_of(pairs, np.ones(len(pairs)), 144), said(144, 4, random)
@@ -70,7 +63,7 @@ def test_moves_only_lower_the_energy() -> None:
     assert labelling.energy(graph, views, labelling.passed(graph, views)) < energies[-1]
 
 
-def test_what_levels_borders_is_that_of_least_squares() -> None:
+def test_what_levels_borders_is_that_of_least_squares():
     random = np.random.default_rng(2)
     surface = ball(rings=6)
     sheets, _ = cut(surface, 3)
@@ -83,7 +76,7 @@ def test_what_levels_borders_is_that_of_least_squares() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-3)
 
 
-def test_labels_fade_into_those_beside_them() -> None:
+def test_labels_fade_into_those_beside_them():
     random = np.random.default_rng(5)
     surface = ball(rings=6)
     sheets, _ = cut(surface, 3)
@@ -100,7 +93,7 @@ def test_labels_fade_into_those_beside_them() -> None:
     np.testing.assert_allclose(means[shares > 0], naive[1][shares > 0], atol=1e-5)
 
 
-def test_borders_of_other_exposures_are_levelled() -> None:
+def test_borders_of_other_exposures_are_levelled():
     random = np.random.default_rng(4)
     surface = ball(rings=24)
     sheets, _ = cut(surface, 5)
@@ -121,7 +114,7 @@ def test_borders_of_other_exposures_are_levelled() -> None:
 
 
 @needs_jit
-def test_each_patch_comes_from_one_picture_and_no_border_shows() -> None:
+def test_each_patch_comes_from_one_picture_and_no_border_shows():
     """A smooth ball seen by six pictures of other colour casts: what is out of place shows in an average."""
     surface = ball(rings=32)
     cameras = [
@@ -133,7 +126,7 @@ def test_each_patch_comes_from_one_picture_and_no_border_shows() -> None:
     samples = surface.scatter(5000)
     truth = codes(surface.evaluate(samples))
 
-    def painted(pictures: list[octex.Projection], mode: Any) -> tuple[Array, Array]:
+    def painted(pictures, mode):
         texture = octex.paint(None, surface, pictures, max_depth=6, holes="leave", pictures=mode)
         texture.validate()
         return codes(texture.sample(samples.rest)), texture.contains(samples.rest)
@@ -156,7 +149,7 @@ def test_each_patch_comes_from_one_picture_and_no_border_shows() -> None:
 class _TwoPictures(BestPaint):
     """Paint from shots that stand for their light: each of them covers all points alike."""
 
-    def _sums(self, shots: Any, triangles: Array, *_: Array) -> tuple[Array, Array]:
+    def _sums(self, shots, triangles, *_):
         sums = np.tile([*3 * [sum(shots)], float(len(shots))], (len(triangles), 1))
         return sums, np.zeros(len(triangles))
 
@@ -164,16 +157,16 @@ class _TwoPictures(BestPaint):
 class _Sheets:
     """Says for each point its triangle's number as the sheet; −1 for triangle 2."""
 
-    def at(self, triangles: Array, barycentric: Array) -> Array:  # noqa: ARG002
+    def at(self, triangles, barycentric):  # noqa: ARG002
         return np.where(triangles == 2, -1, triangles)
 
 
-def test_points_on_no_sheet_are_painted_from_all_pictures() -> None:
+def test_points_on_no_sheet_are_painted_from_all_pictures():
     shares = np.array([[1, 0], [0, 1]], np.float32)
-    sheets: Any = _Sheets()
-    none: Any = None
+    sheets = _Sheets()
+    none = None
     own = np.arange(3, dtype=np.int32)
-    shots: Any = [0.2, 0.8]
+    shots = [0.2, 0.8]
     exposures = np.zeros((2, 2, 3), np.float32)
     paint = _TwoPictures(shots, BASE_COLOR, *5 * [none], sheets=sheets, shares=shares, exposures=exposures)
     found = paint.evaluate(own, np.zeros((3, 3)), np.zeros(3, np.float32))

@@ -4,10 +4,8 @@ import json
 import re
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 import pytest
 
@@ -19,7 +17,6 @@ from octex.photos.misfits import misfits
 from octex.source.surface import Surface
 from tests.make.command import OUT
 
-Array = npt.NDArray[Any]
 SIZE = 96
 
 

@@ -1,9 +1,6 @@
 """What pictures have cut off counts for nothing where others show that it is lighter."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -15,13 +12,12 @@ from tests.make.painted import codes
 from tests.photos.test_agreement import projections, ring
 from tests.photos.test_sharpness import source_of
 
-Array = npt.NDArray[Any]
 GAINS = (1.0, 1.0, 2.4, 1.8, 1.1, 0.8, 3.0, 2.0, 1.0, 0.9, 1.5, 2.0)
 
 
 def exposed(images, gains, dtype=np.uint8):
     """Pictures of other exposures, cut off; as floats they are not."""
-    made: list[Array] = []
+    made = []
     for image, gain in zip(images, gains, strict=True):
         light = np.concatenate([image[..., :3] * np.float32(gain), image[..., 3:]], axis=2)
         if dtype is np.uint8:
@@ -45,7 +41,7 @@ def error(found, surface):
 def test_what_is_cut_off_is_painted_by_others_that_show_it(pictures, monkeypatch):
     surface, cameras, images = ring(12, 96)
     given = projections(exposed(images, GAINS), cameras)
-    options: dict[str, Any] = {"max_depth": 6, "balance": "gain", "reference": 0, "pictures": pictures}
+    options = {"max_depth": 6, "balance": "gain", "reference": 0, "pictures": pictures}
     as_they_are = error(octex.paint(None, surface, projections(images, cameras), **options), surface)
     found = error(octex.paint(None, surface, given, **options), surface)
     monkeypatch.setattr(weigh, "without_overexposed", lambda _, evened, __: evened)

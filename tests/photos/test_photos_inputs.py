@@ -1,9 +1,6 @@
 """Photographs as they come: turned, masked, cut out, before a backdrop, deep, with cameras in arrays."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 import pytest
 
@@ -16,8 +13,6 @@ from octex.source.images.decode import PNG_SIGNATURE, orientation_of, turned
 from octex.texture import open_texture
 from tests.make.command import OUT, run
 from tests.make.painted import above
-
-Array = npt.NDArray[Any]
 
 
 def wide(width=6, height=4):

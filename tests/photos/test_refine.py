@@ -1,10 +1,8 @@
 """Cameras that are a little off find back to where their pictures agree."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 import pytest
 
@@ -20,7 +18,6 @@ from tests.make.command import OUT, run
 from tests.make.painted import above, ball, picture_of
 from tests.photos.test_agreement import ring
 
-Array = npt.NDArray[Any]
 pytestmark = needs_jit
 
 

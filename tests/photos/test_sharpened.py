@@ -1,15 +1,10 @@
 """Pictures as values at their pixels' centres: the means that they then have, and noise of known strength."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from octex.channels import linear_to_srgb, srgb_to_linear
 from octex.painting.sharpened import _sharpened, noise_of, sharpened
-
-Array = npt.NDArray[Any]
 
 
 def test_what_is_read_of_a_picture_has_its_pixels_as_means():

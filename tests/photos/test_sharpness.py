@@ -1,17 +1,11 @@
 """Blurred pictures count for less: by the detail that they share with the others."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
 from octex.channels import BASE_COLOR
-from octex.painting.options import Pictures
-from octex.painting.project import Projected, take_shots
+from octex.painting.project import take_shots
 from octex.painting.reading import terms_of
 from octex.painting.surface import PaintedSurface
 from octex.parallel import pool_of
@@ -23,14 +17,13 @@ from tests.photos.test_agreement import error, projections
 from tests.photos.test_agreement import ring as smooth_ring
 from tests.properties.edit_claims import digest
 
-Array = npt.NDArray[Any]
 SIZE = 96
 
 
-def ring(count: int = 8) -> tuple[octex.Surface, list[octex.Camera], list[Array]]:
+def ring(count=8):
     """A sphere with waves four to eight pixels long, and pictures of it."""
 
-    def waves(points: Array) -> Array:
+    def waves(points):
         values = 0.4 + 0.1 * (np.sin(31 * points) + np.sin(23 * points[:, [1, 2, 0]] + 1))
         return np.asarray(values + 0.05 * np.sin(9 * points.sum(axis=1))[:, None])
 
@@ -45,7 +38,7 @@ def ring(count: int = 8) -> tuple[octex.Surface, list[octex.Camera], list[Array]
     return surface, cameras, [picture_of(surface, camera) for camera in cameras]
 
 
-def blurred(image: Array, pixels: float) -> Array:
+def blurred(image, pixels):
     """The same picture blurred by a Gaussian, of what it shows alone."""
     reach = np.arange(-12, 13)
     weights = np.exp(-0.5 * (reach / pixels) ** 2)
@@ -56,20 +49,20 @@ def blurred(image: Array, pixels: float) -> Array:
     return np.concatenate([colors, image[..., 3:]], axis=2).astype(np.float32)
 
 
-def source_of(surface: octex.Surface, shown: list[octex.Projection]) -> Projected:
+def source_of(surface, shown):
     with pool_of(1) as pool:
         painted = PaintedSurface(surface)
-        sights = painted.sights([each.camera for each in shown], 0.0, pool)  # type: ignore[misc]
+        sights = painted.sights([each.camera for each in shown], 0.0, pool)
         shots = list(take_shots(shown, BASE_COLOR, [1.0] * len(shown), sights, pool))
     return painted.projected(shots, BASE_COLOR, terms_of(75, 0, False))
 
 
-def shown_by(surface: octex.Surface, images: list[Array], cameras: list[octex.Camera]) -> Array:
+def shown_by(surface, images, cameras):
     source = source_of(surface, projections(images, cameras))
     return shown_of(details_of(source, surface), len(images))
 
 
-def test_what_a_picture_shows_is_what_a_loop_over_pairs_says() -> None:
+def test_what_a_picture_shows_is_what_a_loop_over_pairs_says():
     random = np.random.default_rng(0)
     for count, points, is_sharp in ((3, 40, [1, 1, 1]), (5, 60, [1, 0, 1, 1, 1]), (4, 30, [0, 0, 1, 1])):
         sees = random.random((count, points)) < 0.8
@@ -82,7 +75,7 @@ def test_what_a_picture_shows_is_what_a_loop_over_pairs_says() -> None:
         np.testing.assert_allclose(found, naive_beside(values, sees, sharp), rtol=1e-4)
 
 
-def naive_beside(values: Array, sees: Array, is_sharp: Array) -> Array:
+def naive_beside(values, sees, is_sharp):
     found = []
     for own in range(len(values)):
         products, theirs = [], []
@@ -91,7 +84,7 @@ def naive_beside(values: Array, sees: Array, is_sharp: Array) -> Array:
             if len(others) < 2:
                 continue
 
-            def product(one: int, point: int = point) -> float:
+            def product(one, point=point):
                 rest = [n for n in range(len(values)) if n != one and sees[n, point] and is_sharp[n]]
                 return float(values[one, point] @ np.mean([values[n, point] for n in rest], axis=0))
 
@@ -104,7 +97,7 @@ def naive_beside(values: Array, sees: Array, is_sharp: Array) -> Array:
     return np.array(found)
 
 
-def test_detail_that_others_do_not_have_is_cut_to_twice_their_mean() -> None:
+def test_detail_that_others_do_not_have_is_cut_to_twice_their_mean():
     values = np.array([[1, 0, 0], [0, 2, 0], [0, 0, 9], [3, 4, 0], [0, 0, 0]], np.float32)
     points = np.array([0, 0, 0, 1, 1])
     found = sharpness._within_others(Details(np.array([0, 1, 2, 0, 1]), points, values)).values
@@ -112,7 +105,7 @@ def test_detail_that_others_do_not_have_is_cut_to_twice_their_mean() -> None:
 
 
 @needs_jit
-def test_smooth_things_and_passers_by_do_not_look_blurred() -> None:
+def test_smooth_things_and_passers_by_do_not_look_blurred():
     surface, cameras, images = smooth_ring()
     assert (shown_by(surface, images, cameras) > 0.85).all()
     seen = [image.copy() for image in images]
@@ -121,7 +114,7 @@ def test_smooth_things_and_passers_by_do_not_look_blurred() -> None:
 
 
 @needs_jit
-def test_blurred_pictures_are_told_from_noisy_and_darker_ones() -> None:
+def test_blurred_pictures_are_told_from_noisy_and_darker_ones():
     surface, cameras, images = ring()
     assert (shown_by(surface, images, cameras) > 0.9).all()
     random = np.random.default_rng(0)
@@ -139,10 +132,10 @@ def test_blurred_pictures_are_told_from_noisy_and_darker_ones() -> None:
 
 @needs_jit
 @pytest.mark.parametrize("pictures", ["average", "robust", "best"])
-def test_a_blurred_picture_is_painted_where_no_other_sees(pictures: Pictures) -> None:
+def test_a_blurred_picture_is_painted_where_no_other_sees(pictures):
     surface, cameras, images = ring()
     given = [blurred(each, 2.0) if n == 2 else each for n, each in enumerate(images)]
-    options: dict[str, Any] = {"max_depth": 6, "pictures": pictures}
+    options = {"max_depth": 6, "pictures": pictures}
     clean = error(octex.paint(None, surface, projections(images, cameras), **options), surface)
     made = octex.paint(None, surface, projections(given, cameras), **options)
     with pytest.MonkeyPatch.context() as patch:
@@ -155,7 +148,7 @@ def test_a_blurred_picture_is_painted_where_no_other_sees(pictures: Pictures) ->
 
 
 @needs_jit
-def test_what_cannot_be_told_changes_nothing() -> None:
+def test_what_cannot_be_told_changes_nothing():
     surface, cameras, images = ring(4)
     two = source_of(surface, projections(images[:2], cameras[:2]))
     assert weighed_by_sharpness(two, surface) is two

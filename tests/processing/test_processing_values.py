@@ -1,10 +1,8 @@
 """Textures with other values: mapped, levels, curves, blurred, cast."""
 
 import json
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,8 +27,6 @@ from tests.make.small_textures import UNIT, UNIT_BOUNDS, eight_colors, shell
 from tests.make.strategies import textures
 from tests.oracles import naive_processing as naive
 from tests.oracles.naive import unmorton
-
-Floats = npt.NDArray[np.floating[Any]]
 
 
 def assert_same_values(one, other):

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 import octex
-from octex.channels import ALPHA, ONE, ChannelFormat, decode, encode
-from octex.texture import OctreeTexture
+from octex.channels import ALPHA, ONE, decode, encode
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.split import find_rows, rows_of
@@ -44,7 +41,7 @@ class Cells(NamedTuple):
     is_leaf: Array  # (n,)
 
 
-def cells_of(texture: OctreeTexture) -> Cells:
+def cells_of(texture):
     keys, places, edges, leaves = [], [], [], []
     for level, (codes, is_node) in enumerate(texture.tree.walk()):
         edge = texture.placement.size / 2**level
@@ -59,12 +56,12 @@ def cells_of(texture: OctreeTexture) -> Cells:
     return Cells(np.concatenate(keys), low, low + width[:, None], width, is_leaf)
 
 
-def kept_edge(texture: OctreeTexture) -> float:
+def kept_edge(texture):
     """The edge of the largest node that keeps a coefficient; 0 if none does."""
     return float(cells_of(texture).edges[texture.tree.kept.cells].max(initial=0.0))
 
 
-def digest(texture: OctreeTexture) -> int:
+def digest(texture):
     """A number that changes with any of a texture's arrays."""
     found = 0
     for array in [*arrays_of(texture), texture.bounds]:
@@ -72,7 +69,7 @@ def digest(texture: OctreeTexture) -> int:
     return found
 
 
-def code_width(form: ChannelFormat, most: float = 1.0) -> float:
+def code_width(form, most=1.0):
     """How far, decoded, a value that is rounded may be from another that is."""
     if form.dtype.startswith("u"):
         slope = {"srgb": 2.3, "direction": 2.0}.get(form.space, 1.0)
@@ -83,7 +80,7 @@ def code_width(form: ChannelFormat, most: float = 1.0) -> float:
 # --- every texture
 
 
-def assert_sound(texture: OctreeTexture, folder: Path, seed: int, count: int) -> None:
+def assert_sound(texture, folder, seed, count):
     """It is valid, lookups at ``count`` points stay among what is stored, and a file keeps all of it."""
     texture.validate()
     random = np.random.default_rng(seed)
@@ -117,7 +114,7 @@ def assert_sound(texture: OctreeTexture, folder: Path, seed: int, count: int) ->
             np.testing.assert_array_equal(before[name], after[name], f"{name} opened again")
 
 
-def assert_among(texture: OctreeTexture, name: str, values: Array, what: str) -> None:
+def assert_among(texture, name, values, what):
     """Answers of weights that are not negative lie among what is stored."""
     channel = texture.channels[name]
     assert np.isfinite(values).all(), f"{what} of {name} is not finite"
@@ -131,7 +128,7 @@ def assert_among(texture: OctreeTexture, name: str, values: Array, what: str) ->
     )
 
 
-def assert_in_unit_range(texture: OctreeTexture, names: Sequence[str] | None = None) -> None:
+def assert_in_unit_range(texture, names=None):
     """What was made of values in 0 … 1 stays there, light above 0; ``names`` None: all channels."""
     for name, channel in texture.channels.items():
         if names is not None and name not in names:
@@ -145,7 +142,7 @@ def assert_in_unit_range(texture: OctreeTexture, names: Sequence[str] | None = N
                     assert found[1] <= 1.001, f"{name} goes up to {found[1]}"
 
 
-def assert_averaged(texture: OctreeTexture, names: Sequence[str], codes: float) -> None:
+def assert_averaged(texture, names, codes):
     """Nodes are means of their children by area and alpha, but for so many codes and what rounding hides.
     Nodes that keep a coefficient are left out: what is refined from that has another mean. So are those of
     cells beside the surface, of the least area there is.
@@ -205,7 +202,7 @@ class Boxes(NamedTuple):
     edges: Array  # (n,)
     slack: float = 0.0  # cells by which paint may reach beyond them
 
-    def gaps(self, low: Array, high: Array) -> Array:
+    def gaps(self, low, high):
         """How many cells of paint boxes (n,) are from the nearest of these along an axis."""
         found = np.full(len(low), np.inf)
         if not len(self.edges):
@@ -220,11 +217,11 @@ class Boxes(NamedTuple):
             found[here] = (apart / self.edges).min(axis=1)
         return found - self.slack
 
-    def depths(self, points: Array) -> Array:
+    def depths(self, points):
         """How far points (n, 3) are inside the only box: half the edge of the largest cube around each."""
         return np.minimum(points - self.low[0], self.high[0] - points).min(axis=1)
 
-    def __add__(self, other: object) -> Boxes:
+    def __add__(self, other):
         assert isinstance(other, Boxes)
         arrays = (np.concatenate(pair) for pair in zip(self[:3], other[:3], strict=True))
         return Boxes(*arrays, max(self.slack, other.slack))
@@ -237,33 +234,30 @@ class Ball(NamedTuple):
     radius: float
     edge: float
 
-    def gaps(self, low: Array, high: Array) -> Array:
+    def gaps(self, low, high):
         nearest = np.clip(self.center, low, high)
         apart = np.linalg.norm(nearest - self.center, axis=1) - self.radius
         return apart / (np.sqrt(3.0) * self.edge) - 1.0
 
-    def depths(self, points: Array) -> Array:
+    def depths(self, points):
         """How far points (n, 3) are inside: half the edge of the largest cube around each."""
         away = np.abs(points - self.center)
         total, left = away.sum(axis=1), self.radius**2 - (away**2).sum(axis=1)
         return (np.sqrt(np.maximum(total**2 + 3 * left, 0.0)) - total) / 3
 
 
-def painted_boxes(layer: OctreeTexture) -> Boxes:
+def painted_boxes(layer):
     """The leaves of a layer that have paint."""
     cells = cells_of(layer)
     has = cells.is_leaf & (decode(layer.channels[ALPHA.name].values, "data")[:, 0] > 0)
     return Boxes(cells.low[has], cells.high[has], cells.edges[has])
 
 
-def _stored(texture: OctreeTexture, cells: Cells) -> dict[str, tuple[Array, Array]]:
+def _stored(texture, cells):
     """Everything that is stored of cells, as ascending keys and rows."""
     tree = texture.tree
-    mask = np.uint8(0xFF)
     has_children = np.where(cells.is_leaf, 1, 0).astype(np.uint8)
-    found = {
-        "cells": (cells.keys, np.stack([tree.arrays.flags & mask, tree.arrays.areas, has_children], axis=1))
-    }
+    found = {"cells": (cells.keys, np.stack([tree.arrays.flags, tree.arrays.areas, has_children], axis=1))}
     rows = rows_of(tree.split)
     row_keys = cells.keys[rows.cells] << 6 | rows.bits
     found["split areas"] = row_keys, tree.split.areas[:, None]
@@ -275,7 +269,7 @@ def _stored(texture: OctreeTexture, cells: Cells) -> dict[str, tuple[Array, Arra
     return found
 
 
-def _below_leaves(cells: Cells, others: Cells) -> Array:
+def _below_leaves(cells, others):
     """Say which cells lie inside leaves of another tree."""
     found = np.zeros(cells.keys.size, np.bool_)
     leaves, above = others.keys[others.is_leaf], cells.keys >> 3
@@ -285,16 +279,14 @@ def _below_leaves(cells: Cells, others: Cells) -> Array:
     return found
 
 
-def adds_leaves(before: OctreeTexture, after: OctreeTexture) -> bool:
+def adds_leaves(before, after):
     """Whether there are leaves where nothing was."""
     cells, known = cells_of(after), cells_of(before)
     is_new = cells.is_leaf & ~np.isin(cells.keys, known.keys) & (after.tree.arrays.areas > 1)
     return bool((is_new & ~_below_leaves(cells, known)).any())
 
 
-def assert_far_cells_stay(
-    before: OctreeTexture, after: OctreeTexture, region: Any, reach: float, surface: Any = None
-) -> None:
+def assert_far_cells_stay(before, after, region, reach, surface=None):
     """Cells farther than ``reach`` cells of paint from a region are stored as they were, bit by bit.
 
     Cells that the ``surface`` does not meet, or hardly, are refined beyond themselves: to half a cell, then a
@@ -339,7 +331,7 @@ def assert_far_cells_stay(
         assert (values == 1).all(), "alpha that was not there is not 1 far from the edit"
 
 
-def _is_off(surface: Any, low: Array, high: Array, chosen: Array) -> Array:
+def _is_off(surface, low, high, chosen):
     """Say which of the chosen boxes (n,) a surface does not meet; its upper faces are no part of a box."""
     found = np.zeros(len(low), np.bool_)
     if surface is None:
@@ -353,9 +345,7 @@ def _is_off(surface: Any, low: Array, high: Array, chosen: Array) -> Array:
     return found
 
 
-def assert_far_field_stays(
-    before: OctreeTexture, after: OctreeTexture, surface: Any, region: Any, reach: float, seed: int
-) -> None:
+def assert_far_field_stays(before, after, surface, region, reach, seed):
     """On the surface, farther than ``reach`` cells of paint from a region, lookups answer as before.
 
     Farther than a cell, too, from nodes where nothing was: no field spreads into what of these is empty.
@@ -381,9 +371,7 @@ def assert_far_field_stays(
     assert_same_field(before, after, points[far], normals[far])
 
 
-def assert_other_channels_stay(
-    before: OctreeTexture, after: OctreeTexture, surface: Any, painted: str, seed: int
-) -> None:
+def assert_other_channels_stay(before, after, surface, painted, seed):
     """Paint on one channel leaves lookups of others as they were; of textures without alpha.
 
     Left out is what is near surface that was added where nothing was: it weighs more than what the field
@@ -400,7 +388,7 @@ def assert_other_channels_stay(
     assert_same_field(*(octex.cast(texture, channels=names) for texture in (before, after)), points, None)
 
 
-def _with_other_rows(before: OctreeTexture, after: OctreeTexture, at: Array) -> Array:
+def _with_other_rows(before, after, at):
     """Nodes that keep a coefficient and have other rows after; ``at`` are the cells' numbers then."""
     rows = rows_of(before.tree.split, before.tree.kept.cells.astype(np.int64))
     there, found = find_rows(after.tree.split, at[rows.cells], rows.bits)
@@ -412,15 +400,13 @@ def _with_other_rows(before: OctreeTexture, after: OctreeTexture, at: Array) -> 
     return rows.cells[differs]
 
 
-def largest(texture: OctreeTexture, name: str) -> float:
+def largest(texture, name):
     """The largest that a channel stores, decoded: what floats round by grows with it."""
     channel = texture.channels[name]
     return max(float(np.abs(decode(array, channel.format.space)).max(initial=1e-3)) for array in channel[1:])
 
 
-def assert_same_field(
-    before: OctreeTexture, after: OctreeTexture, points: Array, normals: Array | None, codes: float = 1.0
-) -> None:
+def assert_same_field(before, after, points, normals, codes=1.0):
     """Lookups agree, but for so many codes of rounding."""
     if not len(points):
         return
@@ -438,11 +424,8 @@ def assert_same_field(
         most = max(largest(texture, name) for texture in (before, after))
         slack = codes * max(code_width(form, most) for form in forms) + 1e-5 * most
         if ALPHA.name in names and name != ALPHA.name:
-            slack += (
-                codes
-                * most
-                * max(code_width(texture.channels[ALPHA.name].format) for texture in (before, after))
-            )
+            alphas = (texture.channels[ALPHA.name].format for texture in (before, after))
+            slack += codes * most * max(map(code_width, alphas))
         apart = np.abs(a - b).max(axis=1)
         worst = int(apart.argmax())
         assert apart[worst] <= slack, (
@@ -451,9 +434,7 @@ def assert_same_field(
         )
 
 
-def assert_one_color(
-    texture: OctreeTexture, surface: Any, name: str, color: Any, seed: int, *, averages: bool = True
-) -> None:
+def assert_one_color(texture, surface, name, color, seed, *, averages=True):
     """Lookups on the surface answer one colour; of ``averages`` too, as widths and normals have them."""
     samples = surface.placed_in(texture).scatter(200, seed)
     turned = np.random.default_rng(seed).normal(size=samples.normals.shape).astype(np.float32)
@@ -471,7 +452,7 @@ def assert_one_color(
             )
 
 
-def assert_prevails(made: OctreeTexture, one: OctreeTexture, hidden: OctreeTexture, surface: Any) -> None:
+def assert_prevails(made, one, hidden, surface):
     """Lookups answer as one of two textures, unless the other has surface that it lacks."""
     if not one.tree.n_leaves or adds_leaves(one, hidden):
         return

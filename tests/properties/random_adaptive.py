@@ -1,29 +1,21 @@
 """Adaptive conversions of random surfaces and sources: they keep what ``max_error`` promises."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
 import octex
 from octex.channels import ALPHA, linear_to_srgb
 from tests.make.small_surfaces import turned
-
-Random = np.random.Generator
-Grid = tuple[npt.NDArray[np.float64], npt.NDArray[np.int64], npt.NDArray[np.float64]]
 
 #: By how many codes more than ``max_error`` and what the full tree is off a texture may be off its source.
 SLACK = 2.0
 POINTS = 6000
 
 
-def check(seed: int) -> None:
+def check(seed):
     """Raise AssertionError if an adaptive texture is farther off its source than it may be."""
     random = np.random.default_rng(seed)
     surface, depth = _surface(random), int(random.integers(4, 7))
-    options: dict[str, Any] = {"fit": bool(random.random() < 0.85)}
+    options = {"fit": bool(random.random() < 0.85)}
     if random.random() < 0.15:
         half = float(np.median(surface.vertices[:, 0]))
         options["detail"] = lambda points: np.where(points[:, 0] < half, depth - 1, depth)
@@ -52,7 +44,7 @@ def check(seed: int) -> None:
             )
 
 
-def _codes(values: npt.NDArray[np.floating], space: str) -> npt.NDArray[np.float64]:
+def _codes(values, space):
     """Values on the scale of 8-bit codes: light on sRGB's curve, a logarithm from 1 on."""
     values = values.astype(np.float64)
     if space in ("srgb", "linear"):
@@ -62,7 +54,7 @@ def _codes(values: npt.NDArray[np.floating], space: str) -> npt.NDArray[np.float
     return values * (127.5 if space == "direction" else 255.0)
 
 
-def _surface(random: Random) -> octex.Surface:
+def _surface(random):
     shape = random.choice(["sphere", "box", "sheet", "wave"])
     if shape == "sphere":
         vertices, triangles, uv = _ball(int(random.integers(6, 24)))
@@ -81,7 +73,7 @@ def _surface(random: Random) -> octex.Surface:
         wrap="clamp",
         mag_filter=str(random.choice(["linear", "nearest"])),
     )
-    sources: dict[str, object] = {}
+    sources = {}
     middle, size = surface.vertices[random.integers(len(vertices))], random.uniform(0.02, 0.3)
     if random.random() < 0.2:
         sources["roughness"] = lambda points: np.exp(-np.sum((points - middle) ** 2, axis=1) / size**2)
@@ -96,11 +88,11 @@ def _surface(random: Random) -> octex.Surface:
     return surface.with_sources(sources) if sources else surface
 
 
-def _unit(vectors: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _unit(vectors):
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
 
 
-def _image(random: Random) -> npt.NDArray[np.uint8]:
+def _image(random):
     """Ramps, edges, dots, checkers, waves or noise, and at times an alpha of such a kind."""
     image = np.stack([_pattern(random)] * 3, axis=-1) * random.uniform(0.3, 1, 3)
     if random.random() < 0.4:  # a dot on whatever it is
@@ -113,7 +105,7 @@ def _image(random: Random) -> npt.NDArray[np.uint8]:
     return np.rint(255 * image).astype(np.uint8)
 
 
-def _pattern(random: Random) -> npt.NDArray[np.float64]:
+def _pattern(random):
     size = int(random.choice([8, 32, 96, 192]))
     x, y = np.meshgrid(*[(np.arange(size) + 0.5) / size] * 2)
     low, high = random.random(2)
@@ -137,7 +129,7 @@ def _pattern(random: Random) -> npt.NDArray[np.float64]:
     return low + (high - low) * values
 
 
-def _ball(count: int) -> Grid:
+def _ball(count):
     """A sphere of 2 · ``count`` by ``count`` faces."""
     u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, 2 * count + 1), np.linspace(0, 1, count)))
     turn, rise = 2 * np.pi * u, np.pi * v
@@ -145,7 +137,7 @@ def _ball(count: int) -> Grid:
     return vertices, _squares(2 * count + 1, count)[:, ::-1], np.column_stack([u, v])
 
 
-def _box(size: npt.NDArray[np.float64]) -> Grid:
+def _box(size):
     """A box, each side of which shows a sixth of the image."""
     vertices, triangles, uv = [], [], []
     for side in range(6):
@@ -161,7 +153,7 @@ def _box(size: npt.NDArray[np.float64]) -> Grid:
     return np.concatenate(vertices), np.concatenate(triangles), np.concatenate(uv)
 
 
-def _sheet(thickness: float, bend: float) -> Grid:
+def _sheet(thickness, bend):
     """A square of two sides, each with half of the image, flat or in waves of a height ``bend``."""
     count = 2 if bend == 0 else 17
     u, v = (grid.ravel() for grid in np.meshgrid(*[np.linspace(0, 1, count)] * 2))
@@ -172,7 +164,7 @@ def _sheet(thickness: float, bend: float) -> Grid:
     return np.concatenate([front, back]), np.concatenate([faces, faces[:, ::-1] + len(u)]), uv
 
 
-def _squares(columns: int, rows: int) -> npt.NDArray[np.int64]:
+def _squares(columns, rows):
     """The triangles of a grid of vertices."""
     grid = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))

@@ -23,6 +23,7 @@ import octex
 from octex import jit
 from octex.editing.draft import Change
 from octex.errors import OctexError
+from tests.make.fixtures import obj_lines
 from tests.make.small_surfaces import FACES, TETRAHEDRON
 
 #: How fine what is converted is.
@@ -36,11 +37,11 @@ class Call(NamedTuple):
     arguments: dict[str, Any]
 
     @property
-    def name(self) -> str:
+    def name(self):
         return self.function.__qualname__
 
     @property
-    def names(self) -> list[str]:
+    def names(self):
         """Every argument of the function, also those that are not given."""
         kinds = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
         parameters = inspect.signature(self.function).parameters.values()
@@ -64,7 +65,7 @@ class World(NamedTuple):
     picture: octex.Projection
     light: octex.Environment
 
-    def content(self) -> list[bytes]:
+    def content(self):
         """Return what no call may change."""
         texture, surface, camera = self.texture, self.surface, self.camera
         arrays = [*texture.tree.arrays, texture.bounds, *texture.channels["base_color"][1:]]
@@ -73,12 +74,12 @@ class World(NamedTuple):
 
 
 @cache
-def holder() -> tempfile.TemporaryDirectory[str]:
+def holder():
     return tempfile.TemporaryDirectory(prefix="octex-border-")
 
 
 @cache
-def folder() -> Path:
+def folder():
     """A folder of this process, with files of all kinds."""
     path = Path(holder().name)
     (path / "folder.octex").mkdir()
@@ -94,17 +95,14 @@ def folder() -> Path:
     rows = np.hstack([w.cloud.points, w.cloud.colors[:, :3]])
     (path / "cloud.xyz").write_text("\n".join(" ".join(map(str, row)) for row in rows.tolist()))
     np.savez(path / "voxels.npz", coords=FACES, base_color=FACES / 9)
-    lines = [f"v {x} {y} {z}" for x, y, z in TETRAHEDRON] + [
-        f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES
-    ]
     PIL.Image.new("RGB", (4, 2), (90, 80, 70)).save(path / "light.png")
-    (path / "model.obj").write_text("\n".join(lines))
+    (path / "model.obj").write_text(obj_lines(TETRAHEDRON, FACES))
     octex.write_ptex(w.texture, w.surface, path / "written.ptx")
     return path
 
 
 @cache
-def world() -> World:
+def world():
     colors = np.array([[0.9, 0.1, 0.2], [0.1, 0.8, 0.3], [0.2, 0.3, 0.7], [0.5, 0.5, 0.1]])
     surface = octex.Surface.from_arrays(TETRAHEDRON, FACES, colors=colors, uv=TETRAHEDRON[:, :2])
     texture = octex.convert(surface, **DEPTH, fit=False)
@@ -116,12 +114,12 @@ def world() -> World:
     return World(surface, texture, layer, parts, cloud, camera, picture, octex.Environment.studio())
 
 
-def ball(points: np.ndarray[Any, Any]) -> Any:
+def ball(points):
     return np.linalg.norm(points - 0.5, axis=1) - 0.3
 
 
 @cache
-def calls() -> list[Call]:
+def calls():
     """Return every function that octex exports, and the public methods of its classes."""
     w, at = world(), folder()
     box, sphere = octex.Box((0.1, 0.1, 0.1), (0.5, 0.5, 0.5), 0.1), octex.Sphere((0.3, 0.3, 0.2), 0.4, 0.1)
@@ -136,7 +134,7 @@ def calls() -> list[Call]:
     number = layers.add_layer("paint").number
     same = Change(None, w.texture, w.texture)
     one, two = {"texture": w.texture}, {"first": w.texture, "second": w.texture}
-    listed: list[tuple[Callable[..., Any], dict[str, Any]]] = [
+    listed = [
         (octex.Box, {"low": (0.1, 0.1, 0.1), "high": (0.5, 0.5, 0.5)}),
         (box.covers, points),
         (box.bounds, {}),
@@ -281,24 +279,14 @@ def calls() -> list[Call]:
 
 
 @cache
-def odd_values() -> list[Any]:
+def odd_values():
     """Return what no argument expects, and some that a few do."""
     at = folder()
     numbers = [-1, 0, 1, 2, 0.5, np.inf, -np.inf, np.nan, 1e-312, 1e300, 2**70, -(2**70), 10**400, True, 1j]
     scalars = [np.int64(3), np.bool_(False), np.float32(0.5), np.complex128(1j), np.datetime64("2000-01-01")]
     texts = [
-        "",
-        "x",
-        "base_color",
-        "nearest",
-        "uint8",
-        "\ud800",
-        "x" * 5000,
-        "a\0b.octex",
-        b"a\0b",
-        b"x",
-        b"",
-    ]
+        "", "x", "base_color", "nearest", "uint8", "\ud800", "x" * 5000, "a\0b.octex", b"a\0b", b"x", b"",
+    ]  # fmt: skip
     things = [None, object(), (lambda *_: None), range(3), {1}, set(), frozenset("x"), iter([])]
     named = [{}, {"x": 1}, {1: 2}, {"base_color": None}, {"base_color": "x"}]
     rows = [[], (), [None], ["x"], [[]], [[1, 2], [3]]]
@@ -310,13 +298,13 @@ def odd_values() -> list[Any]:
         *(np.array([None, "x"], object), np.array([[1, 2, 3]], object), np.array("x")),
     ]
     files = ["folder", "empty", "loop", "none", "no/a", "texture"]
-    paths: list[Any] = [at, os.devnull, at / "model.obj", at / "cloud.xyz"]
+    paths = [at, os.devnull, at / "model.obj", at / "cloud.xyz"]
     paths += [at / f"{name}.octex" for name in files] + [os.fsencode(at / "texture.octex")]
     paths += sorted(at.glob("pipe.*"))
     return [*numbers, *scalars, *texts, *things, *named, *rows, *shapes, *values, *types, *paths, *world()]
 
 
-def variations(given: Any) -> list[Any]:
+def variations(given):
     """Return what is nearly what an argument takes."""
     if isinstance(given, np.ndarray) and given.size:
         spoiled = [given.astype(np.float64) for _ in range(6)]
@@ -340,11 +328,11 @@ def variations(given: Any) -> list[Any]:
     return []
 
 
-def check(seed: int) -> None:
+def check(seed):
     """Make a call of odd arguments; raises AssertionError for what is neither a result nor a refusal."""
     random = np.random.default_rng(seed)
     call = calls()[random.integers(len(calls()))]
-    changed: dict[str, Any] = {}
+    changed = {}
     for _ in range(min(random.choice([1, 1, 2]), len(call.names))):
         name = call.names[random.integers(len(call.names))]
         near = variations(call.arguments.get(name))
@@ -353,7 +341,7 @@ def check(seed: int) -> None:
     attempt(call, changed)
 
 
-def attempt(call: Call, changed: dict[str, Any]) -> None:
+def attempt(call, changed):
     """Call with some of the arguments changed; raises AssertionError as ``check`` does."""
     if jit.DISABLED and changed.get("depth", 0) is None:  # ten levels take minutes
         return

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 from unittest import mock
 
 import numpy as np
-import numpy.typing as npt
 
 import octex
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, ROUGHNESS
@@ -32,7 +31,6 @@ from tests.make.solids import cube
 from tests.oracles.naive_edits import assert_averages
 from tests.properties import edit_claims as claims
 
-Array = npt.NDArray[Any]
 Random = np.random.Generator
 
 DTYPES = ("uint8", "uint16", "float16", "float32")
@@ -68,7 +66,7 @@ ALLOWED = (
 # --- what scripts are made of
 
 
-def mesh(kind: str, seed: int) -> Surface:
+def mesh(kind, seed):
     """A surface of fewer than 200 triangles."""
     turn = turned(seed)
     if kind == "triangle":
@@ -95,7 +93,7 @@ def mesh(kind: str, seed: int) -> Surface:
 class Waves(Source):
     """Channels that waves and edges over the surface give; alpha and roughness are 0 and 1 in places."""
 
-    def __init__(self, surface: Surface, names: Sequence[str], seed: int) -> None:
+    def __init__(self, surface, names, seed):
         forms = {form.name: form for form in (BASE_COLOR, ALPHA, ROUGHNESS, NORMAL)}
         self._channels = tuple(forms[name] for name in names)
         self._mesh = surface.rest, surface.triangles
@@ -104,10 +102,10 @@ class Waves(Source):
         self._size = float((high - self._low).max()) or 1.0
 
     @property
-    def channels(self) -> tuple[Any, ...]:
+    def channels(self):
         return self._channels
 
-    def evaluate(self, triangles: Array, barycentric: Array, widths: Array) -> Array:  # noqa: ARG002
+    def evaluate(self, triangles, barycentric, widths):  # noqa: ARG002
         rest, faces = self._mesh
         points = np.einsum("nc,ncx->nx", barycentric, rest[faces[triangles]])
         places = (points - self._low) / self._size
@@ -124,13 +122,13 @@ class Waves(Source):
         return np.concatenate(found, axis=1).astype(np.float32)
 
 
-def waved(kind: str, shape: int, names: Sequence[str], seed: int) -> Surface:
+def waved(kind, shape, names, seed):
     """A mesh with such channels."""
     surface = mesh(kind, shape)
     return Surface(surface.vertices, surface.triangles, Waves(surface, names, seed), rest=surface.rest)
 
 
-def cloud(surface: Surface, seed: int, normals: bool = True) -> octex.PointCloud:
+def cloud(surface, seed, normals=True):
     """Points on a surface, its vertices among them."""
     found = surface.scatter(300, seed)
     points = np.concatenate([surface.rest, found.rest])
@@ -139,7 +137,7 @@ def cloud(surface: Surface, seed: int, normals: bool = True) -> octex.PointCloud
     return octex.PointCloud(points, colors, facing)
 
 
-def picture(seed: int, width: int, height: int, translucent: bool = False) -> Array:
+def picture(seed, width, height, translucent=False):
     """Noise, patches of few colours, or a ramp; if translucent with a disc of alpha that falls off."""
     random = np.random.default_rng(seed)
     image = random.integers(0, 256, (height, width, 4), dtype=np.uint8)
@@ -158,7 +156,7 @@ def picture(seed: int, width: int, height: int, translucent: bool = False) -> Ar
     return image
 
 
-def stroke(seed: int, width: int, height: int) -> Array:
+def stroke(seed, width, height):
     """A layer of a paint program: a mark in one colour, soft or hard, and nothing else."""
     random = np.random.default_rng(seed)
     image = np.zeros((height, width, 4), np.uint8)
@@ -171,7 +169,7 @@ def stroke(seed: int, width: int, height: int) -> Array:
     return image
 
 
-def drawn_on(image: Array, seed: int) -> Array:
+def drawn_on(image, seed):
     """A picture with such a mark on it."""
     mark = stroke(seed, image.shape[1], image.shape[0])
     part = mark[..., 3:] / 255
@@ -180,7 +178,7 @@ def drawn_on(image: Array, seed: int) -> Array:
     return found
 
 
-def camera(surface: Surface, seed: int, width: int, height: int) -> octex.Camera:
+def camera(surface, seed, width, height):
     """A camera that looks at a surface from somewhere."""
     random = np.random.default_rng(seed)
     direction = random.normal(size=3)
@@ -188,15 +186,10 @@ def camera(surface: Surface, seed: int, width: int, height: int) -> octex.Camera
         direction = np.eye(3)[seed % 9 // 3]
     if seed % 4 == 0:
         fitted = octex.Camera.fitted(surface.vertices, direction, size=(width, height))
-        pose = np.linalg.inv(fitted.world_to_camera)
         extent = float(np.ptp(surface.vertices, axis=0).max())
         scale = min(width, height) / extent * random.uniform(0.6, 1.5)
-        return (
-            octex.Camera.orthographic(
-                (width, height), pose=fitted.world_to_camera, convention="opencv", pixels_per_unit=scale
-            )
-            if pose is not None
-            else fitted
+        return octex.Camera.orthographic(
+            (width, height), pose=fitted.world_to_camera, convention="opencv", pixels_per_unit=scale
         )
     points = surface.vertices
     if seed % 5 == 1:  # a part that may lie within one triangle
@@ -207,12 +200,12 @@ def camera(surface: Surface, seed: int, width: int, height: int) -> octex.Camera
     )
 
 
-def beyond(axis: int, place: float, width: float) -> Callable[[Array], Array]:
+def beyond(axis, place, width):
     """What lies beyond a place along an axis, and half of it ``width`` before."""
     return lambda points: np.clip(1 + (points[:, axis] - place) / max(width, 1e-9), 0, 1)
 
 
-def reopened(texture: OctreeTexture) -> OctreeTexture:
+def reopened(texture):
     """The same texture, mapped from a file."""
     with TemporaryDirectory(prefix="octex-edits-") as folder:
         texture.save(Path(folder) / "texture.octex")
@@ -239,23 +232,21 @@ class Step(NamedTuple):
 class Run:
     """A texture and what has been done to it."""
 
-    def __init__(self, dtypes: Sequence[str], folder: Path, points: int) -> None:
+    def __init__(self, dtypes, folder, points):
         self.names: dict[str, Any] = dict(vars_of_scripts())
         self.dtypes, self.folder, self.points = dtypes, folder, points
         self.steps: list[Step] = []
         self.is_fitted = self.is_free = False
 
     @property
-    def texture(self) -> OctreeTexture:
-        texture: OctreeTexture = self.names["texture"]
-        return texture
+    def texture(self):
+        return self.names["texture"]
 
     @property
-    def surface(self) -> Surface:
-        surface: Surface = self.names["surface"]
-        return surface
+    def surface(self):
+        return self.names["surface"]
 
-    def take(self, step: Step) -> bool:
+    def take(self, step):
         """Do a step and look at what has become of the texture; say whether it could be done."""
         before = self.names.get("texture")
         was = None if before is None else claims.digest(before)
@@ -289,53 +280,50 @@ class Run:
                 step.claim(self, before, after)
         return True
 
-    def script(self) -> list[str]:
+    def script(self):
         return [line for step in self.steps for line in step.lines]
 
 
-def vars_of_scripts() -> dict[str, Any]:
+def vars_of_scripts():
     names = globals()
-    made = (
-        *("mesh", "waved", "cloud", "picture", "stroke", "drawn_on", "camera", "beyond", "reopened"),
-        *("np", "octex"),
-    )
-    return {name: names[name] for name in made}
+    made = "mesh waved cloud picture stroke drawn_on camera beyond reopened np octex"
+    return {name: names[name] for name in made.split()}
 
 
-def some(random: Random, low: float, high: float) -> float:
+def some(random, low, high):
     return round(float(random.uniform(low, high)), 3)
 
 
-def one_of(random: Random, values: Sequence[Any]) -> Any:
+def one_of(random, values):
     return values[int(random.integers(len(values)))]
 
 
-def call(function: str, *arguments: object, **options: object) -> str:
+def call(function, *arguments, **options):
     """Write a call; strings stand for themselves, so that those that are meant as such come quoted."""
     given = [str(each) for each in arguments]
     given += [f"{name}={value}" for name, value in options.items() if value is not None]
     return f"{function}({', '.join(given)})"
 
 
-def color_of(random: Random, components: int) -> tuple[float, ...]:
+def color_of(random, components):
     return tuple(float(each) for each in random.choice([0.0, 1.0, 0.2, 0.7], components))
 
 
-def place_on(random: Random, run: Run) -> tuple[float, float, float]:
+def place_on(random, run):
     """Somewhere on the surface at rest."""
     rest = run.surface.placed_in(run.texture).scatter(1, int(random.integers(1 << 30))).rest[0]
     x, y, z = (round(float(each), 3) for each in rest)
     return x, y, z
 
 
-def extent_of(run: Run) -> float:
+def extent_of(run):
     return float(np.ptp(run.texture.bounds, axis=0).max()) or 1.0
 
 
 # --- the first texture
 
 
-def first_steps(random: Random, run: Run, small: bool) -> list[Step]:
+def first_steps(random, run, small):
     kind = one_of(random, ("triangle", "flat", "planes") if small else MESHES)
     shape = int(random.integers(20))
     dtype = one_of(random, run.dtypes)
@@ -349,7 +337,7 @@ def first_steps(random: Random, run: Run, small: bool) -> list[Step]:
         names.append("normal")
     surface = call("surface = waved", repr(kind), shape, names, int(random.integers(100)))
     fit = random.random() < 0.4
-    options: dict[str, object] = {"dtype": repr(dtype), "fit": None if fit else False}
+    options = {"dtype": repr(dtype), "fit": None if fit else False}
     how = random.random()
     if how < 0.15 and not small:
         options["max_error"] = one_of(random, (1, 4, 20))
@@ -388,11 +376,11 @@ def first_steps(random: Random, run: Run, small: bool) -> list[Step]:
 # --- painting
 
 
-def projection(random: Random, blend: str | None = None) -> str:
+def projection(random, blend=None):
     width, height = (int(each) for each in random.integers(8, 40, 2))
     seed = int(random.integers(1000))
     image = call("picture", seed, width, height, random.random() < 0.5)
-    options: dict[str, object] = {}
+    options = {}
     how = random.random()
     if how < 0.2:
         image = call("stroke", seed, width, height)
@@ -408,15 +396,15 @@ def projection(random: Random, blend: str | None = None) -> str:
     return call("octex.Projection", image, seen, **options)
 
 
-def overshoots(pictures: str) -> bool:
+def overshoots(pictures):
     """Whether any picture is no ramp."""
     seeds = re.findall(r"picture\((\d+)", pictures)
     return "stroke(" in pictures or "drawn_on(" in pictures or any(int(seed) % 3 != RAMP for seed in seeds)
 
 
-def paint_options(random: Random, run: Run) -> dict[str, object]:
+def paint_options(random, run):
     depth = run.texture.tree.max_depth
-    options: dict[str, object] = {"max_depth": int(np.clip(depth + random.integers(-1, 3), 1, 6))}
+    options = {"max_depth": int(np.clip(depth + random.integers(-1, 3), 1, 6))}
     if random.random() < 0.5:
         options["fit"] = False
     if random.random() < 0.2:
@@ -437,10 +425,10 @@ def paint_options(random: Random, run: Run) -> dict[str, object]:
     return options
 
 
-def near(region: Callable[[Run, OctreeTexture], Any]) -> Claim:
+def near(region):
     """Nothing moves but what is within a cell of paint: in the field two, with normals also beside leaves."""
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+    def claim(run, before, after):
         where = region(run, before)
         claims.assert_far_cells_stay(before, after, where, 1.01, run.surface)
         claims.assert_far_field_stays(before, after, run.surface, where, 2.01, len(run.steps))
@@ -448,7 +436,7 @@ def near(region: Callable[[Run, OctreeTexture], Any]) -> Claim:
     return claim
 
 
-def draw_paint(random: Random, run: Run) -> Step:
+def draw_paint(random, run):
     options = paint_options(random, run)
     blend = one_of(random, (*BLENDS, "over"))
     shots = [projection(random, blend) for _ in range(int(random.integers(1, 4)))]
@@ -458,7 +446,7 @@ def draw_paint(random: Random, run: Run) -> Step:
     line = call("texture = octex.paint", "texture", "surface", "pictures", **options)
     code = call("octex.project", "surface", "pictures", like="texture", **options)
 
-    def painted(run: Run, before: OctreeTexture) -> Any:
+    def painted(run, before):
         layer = eval(code, {**run.names, "texture": before})
         if "balance" in options:
             most = max(claims.largest(layer, name) for name in layer.channels)
@@ -470,7 +458,7 @@ def draw_paint(random: Random, run: Run) -> Step:
     return Step(lines, near(painted), fits=fits, leaves_range=True, is_exact=True, layers=(code,))
 
 
-def draw_layer(random: Random, run: Run) -> Step:
+def draw_layer(random, run):
     options = paint_options(random, run)
     shots = [projection(random, "over") for _ in range(int(random.integers(1, 3)))]
     pictures = shots[0] if len(shots) == 1 else f"[{', '.join(shots)}]"
@@ -478,7 +466,7 @@ def draw_layer(random: Random, run: Run) -> Step:
     return merged(random, (line,), fits="fit" not in options)
 
 
-def merged(random: Random, lines: tuple[str, ...], fits: bool) -> Step:
+def merged(random, lines, fits):
     """Merge the layer that there is."""
     how = {"opacity": one_of(random, (1.0, 0.5, 0.3)), "blend": repr(one_of(random, BLENDS))}
     line = call("texture = octex.merge", "texture", "layer", "surface", **how)
@@ -486,7 +474,7 @@ def merged(random: Random, lines: tuple[str, ...], fits: bool) -> Step:
     return Step((*lines, line), claim, fits=fits, leaves_range=True, is_exact=True, layers=("layer",))
 
 
-def draw_again(random: Random, run: Run) -> Step:
+def draw_again(random, run):
     """Merge a layer once more."""
     layer = run.names.get("layer")
     if layer is None or not set(layer.channels) - {"alpha"} <= set(run.texture.channels):
@@ -494,7 +482,7 @@ def draw_again(random: Random, run: Run) -> Step:
     return merged(random, (), fits=True)
 
 
-def draw_fill(random: Random, run: Run) -> Step:
+def draw_fill(random, run):
     texture, size = run.texture, extent_of(run)
     depth = int(np.clip(texture.tree.max_depth + random.integers(-1, 3), 1, 6))
     edge = texture.placement.size / 2**depth
@@ -504,7 +492,7 @@ def draw_fill(random: Random, run: Run) -> Step:
     color = (0.0, 0.0, 1.0) if name == "normal" else color_of(random, components)
     blend = one_of(random, (*BLENDS, "over", "erase"))
     opacity = one_of(random, (1.0, 1.0, 0.5, 0.2))
-    options: dict[str, object] = {
+    options = {
         "channel": None if name == "base_color" else repr(name),
         "opacity": None if opacity == 1.0 else opacity,
         "blend": None if blend == "over" else repr(blend),
@@ -516,7 +504,7 @@ def draw_fill(random: Random, run: Run) -> Step:
     radius = round(size * one_of(random, (0.05, 0.15, 0.4, 2.0)), 3)
     if kind == "sphere":
         region = call("octex.Sphere", tuple(center.tolist()), radius, soft=soft or None)
-        where: Any = claims.Ball(tuple(center.tolist()), radius, edge)
+        where = claims.Ball(tuple(center.tolist()), radius, edge)
     elif kind == "box":
         low, high = ((center + sign * radius).round(3) for sign in (-1, 1))
         region = call("octex.Box", tuple(low.tolist()), tuple(high.tolist()), soft=soft or None)
@@ -535,7 +523,7 @@ def draw_fill(random: Random, run: Run) -> Step:
         where = claims.Boxes(low[None], high[None], np.array([edge]), 1.0)
     line = call("texture = octex.fill", "texture", "surface", region, color, **options)
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+    def claim(run, before, after):
         if run.surface.placed_in(before) is not run.surface:
             return  # parts were moved, the region is where they were
         near(lambda _run, _before: where)(run, before, after)
@@ -547,16 +535,7 @@ def draw_fill(random: Random, run: Run) -> Step:
     return Step((line,), claim, leaves_range=free, is_exact=True)
 
 
-def assert_filled(
-    run: Run,
-    before: OctreeTexture,
-    after: OctreeTexture,
-    where: Any,
-    name: str,
-    color: Any,
-    blend: str,
-    opacity: float,
-) -> None:
+def assert_filled(run, before, after, where, name, color, blend, opacity):
     """Deep inside a region the field is what blending says of it as it was."""
     texture_name = "alpha" if blend == "erase" else name
     if blend == "add" and after.channels[name].format.dtype.startswith("u"):
@@ -605,13 +584,13 @@ def assert_filled(
 # --- processing
 
 
-def draw_fill_all(random: Random, run: Run) -> Step:
+def draw_fill_all(random, run):
     """Paint one colour over everything."""
     texture = run.texture
     depth = int(np.clip(texture.tree.max_depth + random.integers(-1, 2), 1, 6))
     name = one_of(random, [each for each in texture.channels if each not in ("alpha", "normal")])
     color = color_of(random, texture.channels[name].format.components)
-    options: dict[str, object] = {
+    options = {
         "channel": None if name == "base_color" else repr(name),
         "blend": one_of(random, (None, "'replace'")),
         "max_depth": one_of(random, (None, depth)),
@@ -619,7 +598,7 @@ def draw_fill_all(random: Random, run: Run) -> Step:
     region = "np.ones(len(surface.triangles), bool)"
     line = call("texture = octex.fill", "texture", "surface", region, color, **options)
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+    def claim(run, before, after):
         claims.assert_other_channels_stay(before, after, run.surface, name, len(run.steps))
         # What a resize has made off the surface, where no paint is, counts in averages. What others have left
         # of it is not told from surface.
@@ -632,7 +611,7 @@ def draw_fill_all(random: Random, run: Run) -> Step:
     return Step((line,), claim, is_exact=True)
 
 
-def draw_session(random: Random, run: Run) -> Step:
+def draw_session(random, run):
     """Paint in a session, forth and back: textures that it gives stay; it ends as a single call does.
 
     Pictures may be of another pose.
@@ -658,7 +637,7 @@ def draw_session(random: Random, run: Run) -> Step:
         *(passing, "texture = painter.texture()"),
     )
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+    def claim(run, before, after):
         names = {**run.names, "texture": before}
         exec(single, names)
         for texture in after, run.names["held"]:
@@ -673,7 +652,7 @@ def draw_session(random: Random, run: Run) -> Step:
     )
 
 
-def draw_layers(random: Random, run: Run) -> Step:
+def draw_layers(random, run):
     """Paint in two layers, hide and show the upper one, undo all and redo all: each brings back what was."""
     steps = draw_fill(random, run), draw_paint(random, run)
     lines = []
@@ -689,7 +668,7 @@ def draw_layers(random: Random, run: Run) -> Step:
     lines += ["for _ in range(count): layers.undo()", "undone = layers.texture()"]
     lines += ["for _ in range(count): layers.redo()", "texture = layers.texture()"]
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+    def claim(run, before, after):
         names = run.names
         assert claims.digest(names["undone"]) == claims.digest(before), "layers undo otherwise"
         for each in after, names["again"]:
@@ -698,13 +677,13 @@ def draw_layers(random: Random, run: Run) -> Step:
     return Step(tuple(lines), claim, fits=True, leaves_range=True)
 
 
-def draw_map(random: Random, run: Run) -> Step:
+def draw_map(random, run):
     name = one_of(random, [each for each in run.texture.channels if each != "normal"])
     scale, shift = one_of(random, ((0.5, 0.25), (-1.0, 1.0), (1.0, 0.0), (0.25, 0.0)))
     line = call("texture = octex.map", "texture", f"lambda values: {scale} * values + {shift}", repr(name))
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
-        assert_same_tree(before, after)
+    def claim(run, before, after):
+        same_tree(run, before, after)
         if name == "alpha" or "alpha" in before.channels:
             return
         points = run.surface.placed_in(before).scatter(100, 1).rest
@@ -722,7 +701,7 @@ def draw_map(random: Random, run: Run) -> Step:
     return Step((line,), claim, turns=scale < 0)
 
 
-def assert_same_tree(before: OctreeTexture, after: OctreeTexture) -> None:
+def same_tree(_run, before, after):
     for one, other in zip(
         [*before.tree.arrays, *before.tree.split, *before.tree.kept],
         [*after.tree.arrays, *after.tree.split, *after.tree.kept],
@@ -731,11 +710,7 @@ def assert_same_tree(before: OctreeTexture, after: OctreeTexture) -> None:
         np.testing.assert_array_equal(one, other, "the tree has changed")
 
 
-def same_tree(_run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
-    assert_same_tree(before, after)
-
-
-def draw_levels(random: Random, run: Run) -> Step:
+def draw_levels(random, run):
     names = [each for each in run.texture.channels if each != "normal"]
     options = {
         "black": one_of(random, (0.0, 0.2)),
@@ -747,7 +722,7 @@ def draw_levels(random: Random, run: Run) -> Step:
     return Step((line,), same_tree, turns=True, leaves_range=True)
 
 
-def other_texture(random: Random, run: Run) -> tuple[str, ...]:
+def other_texture(random, run):
     """Lines that make another texture of the same root cell."""
     how = random.random()
     if how < 0.3:
@@ -762,17 +737,17 @@ def other_texture(random: Random, run: Run) -> tuple[str, ...]:
     return (*step.lines[:-1], step.lines[-1].replace("texture = ", "other = ", 1))
 
 
-def box_of(random: Random, run: Run) -> tuple[list[float], list[float]]:
+def box_of(random, run):
     center = np.array(place_on(random, run))
     radius = extent_of(run) * one_of(random, (0.1, 0.3, 0.6))
     return (center - radius).round(3).tolist(), (center + radius).round(3).tolist()
 
 
-def draw_mix(random: Random, run: Run) -> Step:
+def draw_mix(random, run):
     lines = other_texture(random, run)
     how = random.random()
     amount = str(one_of(random, (0.0, 1.0, 0.3, 0.5, 0.8)))
-    claim: Claim | None = None
+    claim = None
     if how < 0.3:
         axis = int(random.integers(3))
         amount = call("beyond", axis, round(place_on(random, run)[axis], 3), one_of(random, (0.0, 0.2)))
@@ -780,7 +755,7 @@ def draw_mix(random: Random, run: Run) -> Step:
         amount = "octex.cast(texture, channels=['roughness'])"
     if amount in ("0.0", "1.0"):
 
-        def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+        def claim(run, before, after):
             pair = before, run.names["other"]
             claims.assert_prevails(after, *(pair if amount == "0.0" else pair[::-1]), run.surface)
 
@@ -788,16 +763,16 @@ def draw_mix(random: Random, run: Run) -> Step:
     return Step((*lines, line), claim, fits=fits_of(lines), leaves_range=True, layers=("other",))
 
 
-def fits_of(lines: Sequence[str]) -> bool:
+def fits_of(lines):
     return any("octex.paint" in line and "fit=False" not in line for line in lines)
 
 
-def draw_combine(random: Random, run: Run) -> Step:
+def draw_combine(random, run):
     lines = other_texture(random, run)
     over = random.random() < 0.5
     line = call("texture = octex.combine", "texture", "other", over=over or None)
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+    def claim(run, before, after):
         other = claims.cells_of(run.names["other"])
         leaves = other.is_leaf
         where = claims.Boxes(other.low[leaves], other.high[leaves], other.edges[leaves])
@@ -810,7 +785,7 @@ def draw_combine(random: Random, run: Run) -> Step:
     return Step((*lines, line), claim, fits=fits_of(lines), leaves_range=True, layers=("other",))
 
 
-def draw_blur(random: Random, run: Run) -> Step:
+def draw_blur(random, run):
     width = round(run.texture.placement.size / 2 ** one_of(random, (0.5, 1.5, 2.5, 4, 6, 9)), 4)
     name = one_of(random, [None, None, *run.texture.channels])
     chosen = [] if name is None else [repr(name)]
@@ -818,11 +793,11 @@ def draw_blur(random: Random, run: Run) -> Step:
     return Step((line,), same_tree, turns=True)
 
 
-def draw_crop(random: Random, run: Run) -> Step:
+def draw_crop(random, run):
     low, high = box_of(random, run)
     line = call("texture = octex.crop", "texture", low, high)
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+    def claim(run, before, after):
         cells, left = claims.cells_of(before), claims.cells_of(after)
         gone = cells.is_leaf & ~np.isin(cells.keys, left.keys)
         leaves = np.isin(cells.keys, left.keys) & cells.is_leaf
@@ -848,11 +823,11 @@ def draw_crop(random: Random, run: Run) -> Step:
     return Step((line,), claim, is_exact=True)
 
 
-def draw_resize(random: Random, run: Run) -> Step:
+def draw_resize(random, run):
     depth = int(np.clip(run.texture.tree.max_depth + random.integers(-2, 2), 0, 5))
     line = call("texture = octex.resize", "texture", depth)
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
+    def claim(run, before, after):
         if depth < before.tree.max_depth:
             before = before.level(depth)
         points = run.surface.placed_in(before).scatter(200, len(run.steps)).rest
@@ -861,26 +836,26 @@ def draw_resize(random: Random, run: Run) -> Step:
     return Step((line,), claim)
 
 
-def draw_cast(random: Random, run: Run) -> Step:
+def draw_cast(random, run):
     dtype = one_of(random, run.dtypes)
     names = list(run.texture.channels)
     kept = names if random.random() < 0.7 else ["base_color", *(["alpha"] if "alpha" in names else [])]
     options = {"dtype": repr(dtype), "channels": None if kept == names else str(kept)}
     line = call("texture = octex.cast", "texture", **options)
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:
-        assert_same_tree(before, after)
+    def claim(run, before, after):
+        same_tree(run, before, after)
         points = run.surface.placed_in(before).scatter(100, 1).rest
         claims.assert_same_field(before, after, points, None)
 
     return Step((line,), claim, turns=True)
 
 
-def draw_level(random: Random, run: Run) -> Step:
+def draw_level(random, run):
     level = int(np.clip(run.texture.tree.max_depth - random.integers(0, 3), 0, 21))
     line = f"texture = texture.level({level})"
 
-    def claim(run: Run, before: OctreeTexture, after: OctreeTexture) -> None:  # noqa: ARG001
+    def claim(run, before, after):  # noqa: ARG001
         count = after.tree.n_cells
         for name, channel in before.channels.items():
             np.testing.assert_array_equal(channel.values[:count], after.channels[name].values, "a level")
@@ -888,48 +863,25 @@ def draw_level(random: Random, run: Run) -> Step:
     return Step((line,), claim)
 
 
-def draw_reopened(random: Random, run: Run) -> Step:  # noqa: ARG001
+def draw_reopened(random, run):  # noqa: ARG001
     return Step(("texture = reopened(texture)",), is_exact=True)
 
 
-def draw_curves(random: Random, run: Run) -> Step:
+def draw_curves(random, run):
     name = one_of(random, [each for each in run.texture.channels if each != "normal"])
     points = one_of(random, ([(0, 0.2), (0.5, 0.9), (1, 1)], [(0, 1), (1, 0)], [(0.3, 0), (0.6, 1)]))
     line = call("texture = octex.curves", "texture", repr(name), points)
     return Step((line,), same_tree, turns=True)
 
 
-STEPS: tuple[tuple[Callable[[Random, Run], Step], int], ...] = (
-    (draw_fill, 6),
-    (draw_fill_all, 1),
-    (draw_paint, 4),
-    (draw_session, 2),
-    (draw_layers, 2),
-    (draw_layer, 2),
-    (draw_again, 1),
-    (draw_map, 2),
-    (draw_levels, 1),
-    (draw_mix, 3),
-    (draw_combine, 2),
-    (draw_blur, 2),
-    (draw_crop, 2),
-    (draw_resize, 2),
-    (draw_cast, 2),
-    (draw_level, 1),
-    (draw_curves, 1),
+STEPS = (
+    (draw_fill, 6), (draw_fill_all, 1), (draw_paint, 4), (draw_session, 2), (draw_layers, 2),
+    (draw_layer, 2), (draw_again, 1), (draw_map, 2), (draw_levels, 1), (draw_mix, 3), (draw_combine, 2),
+    (draw_blur, 2), (draw_crop, 2), (draw_resize, 2), (draw_cast, 2), (draw_level, 1), (draw_curves, 1),
     (draw_reopened, 1),
-)
-LARGE = (
-    draw_paint,
-    draw_session,
-    draw_layers,
-    draw_layer,
-    draw_again,
-    draw_mix,
-    draw_combine,
-    draw_curves,
-    draw_reopened,
-)
+)  # fmt: skip
+LARGE = draw_paint, draw_session, draw_layers, draw_layer, draw_again, draw_mix, draw_combine
+LARGE += draw_curves, draw_reopened
 SMALL_STEPS = tuple(pair for pair in STEPS if pair[0] not in LARGE)
 
 
@@ -937,7 +889,7 @@ SMALL_STEPS = tuple(pair for pair in STEPS if pair[0] not in LARGE)
 
 
 @contextmanager
-def small_sizes() -> Iterator[None]:
+def small_sizes():
     """Have small what is in SMALL until the end of the block."""
     with ExitStack() as patches:
         for name, value in SMALL:
@@ -945,7 +897,7 @@ def small_sizes() -> Iterator[None]:
         yield
 
 
-def check(seed: int, dtypes: Sequence[str] = DTYPES, *, small: bool = False, shrinks: bool = True) -> None:
+def check(seed, dtypes=DTYPES, *, small=False, shrinks=True):
     """Do a random sequence of edits; raise AssertionError, with a script that repeats it, for what fails.
 
     ``small`` ones are of few cells and without pictures.
@@ -965,7 +917,7 @@ def check(seed: int, dtypes: Sequence[str] = DTYPES, *, small: bool = False, shr
     raise AssertionError(f"edits, seed {seed}: {failed}\n{where}\n\n{script}") from failed
 
 
-def _drawn(random: Random, run: Run, small: bool) -> None:
+def _drawn(random, run, small):
     steps = SMALL_STEPS if small else STEPS
     draws, shares = [draw for draw, _ in steps], np.array([share for _, share in steps], float)
     for step in first_steps(random, run, small):
@@ -977,19 +929,19 @@ def _drawn(random: Random, run: Run, small: bool) -> None:
         run.take(draws[random.choice(len(draws), p=shares / shares.sum())](random, run))
 
 
-def kind_of(error: BaseException) -> str:
+def kind_of(error):
     """What an error is, without its numbers: the same for those that have one cause."""
     return f"{type(error).__name__} {re.sub(r'[-+.]*[0-9][-+.e0-9]*', '#', str(error))[:50]}"
 
 
-def _where(error: BaseException) -> str:
+def _where(error):
     """The place in octex, or else in the tests, where an error was raised."""
     frames = traceback.extract_tb(error.__traceback__)
     own = [each for each in frames if "/octex/" in each.filename.replace("\\", "/")] or frames
     return f"{type(error).__name__} at {Path(own[-1].filename).name}:{own[-1].name}"
 
 
-def _fails(steps: Sequence[Step], run: Run, kind: str) -> bool:
+def _fails(steps, run, kind):
     again = Run(run.dtypes, run.folder, run.points)
     try:
         for step in steps:
@@ -1000,7 +952,7 @@ def _fails(steps: Sequence[Step], run: Run, kind: str) -> bool:
     return False
 
 
-def _shrunk(run: Run, error: BaseException) -> list[Step]:
+def _shrunk(run, error):
     """Leave out steps as long as the rest fails alike."""
     steps, kind = list(run.steps), kind_of(error)
     at = len(steps) - 2

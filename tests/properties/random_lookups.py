@@ -1,11 +1,6 @@
 """Random textures looked up at random, every way, beside the slow references: `check` takes a seed."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
 from octex.channels import ALPHA, COLOR_SPACES, ONE, ChannelFormat, decode
 from octex.texture import FILTERS, Channel, OctreeTexture
@@ -15,16 +10,14 @@ from tests.make.strategies import random_values, with_random_data
 from tests.oracles import naive
 from tests.oracles.naive_views import Views
 
-Array = npt.NDArray[Any]
-Random = np.random.Generator
-
+DTYPES = tuple(sorted(ONE))
 #: Covers below this are rounding, or nearly: on which side of a support's rim a point lies is then left open.
 _LEAST_COVER = 1e-5
 #: Derivatives are differences over 2⁻⁷ of a finest cell to both sides.
 _STEP = 7
 
 
-def random_texture(random: Random, dtypes: tuple[str, ...] = tuple(sorted(ONE))) -> OctreeTexture:
+def random_texture(random, dtypes=DTYPES):
     """A small texture: even or adaptive, with or without alpha, split cells, kept nodes and leaves."""
     deepest = int(random.choice([0, 1, 2, 3, 4, 5, 6, 21], p=[0.02, 0.08, 0.2, 0.2, 0.2, 0.2, 0.05, 0.05]))
     tree = _random_tree(random, deepest)
@@ -48,11 +41,11 @@ def random_texture(random: Random, dtypes: tuple[str, ...] = tuple(sorted(ONE)))
     return OctreeTexture(tree, channels, placement, placement.to_rest(np.array([[0.0] * 3, [1.0] * 3])))
 
 
-def _random_tree(random: Random, deepest: int) -> Octree:
+def _random_tree(random, deepest):
     """Leaves crowded around a place, of one depth or of several."""
     is_even = random.random() < 0.5
     centre = random.integers(0, 2**21, 3)
-    taken: list[tuple[int, int, int]] = []  # first and last code of the deepest level there is, and the depth
+    taken = []  # first and last code of the deepest level there is, and the depth
     for _ in range(int(random.integers(0, 30))):
         depth = deepest if is_even else int(random.integers(max(deepest - 3, 0), deepest + 1))
         place = np.clip((centre >> (21 - depth)) + random.integers(-2, 3, 3), 0, 2**depth - 1)
@@ -65,7 +58,7 @@ def _random_tree(random: Random, deepest: int) -> Octree:
     return Octree.from_leaves(np.array(codes, np.int64), np.array([each[2] for each in taken], np.uint8))
 
 
-def random_points(texture: OctreeTexture, random: Random, count: int) -> tuple[Array, Array]:
+def random_points(texture, random, count):
     """Rest positions (2 · count, 3) in and around cells: at random, and then on cells' corners or nearly so.
 
     Also which of them are at random.
@@ -83,7 +76,7 @@ def random_points(texture: OctreeTexture, random: Random, count: int) -> tuple[A
     return points, np.arange(2 * count) < count
 
 
-def check(seed: int) -> None:
+def check(seed):
     """Look up a random texture: finite, in the range of what is stored, and as the references have it."""
     random = np.random.default_rng(seed)
     texture = random_texture(random)
@@ -101,9 +94,9 @@ def check(seed: int) -> None:
             _check_gradients(texture, points, at_random, filter, views, about)
 
 
-def random_views(random: Random, n: int, size: float) -> dict[str, Any]:
+def random_views(random, n, size):
     """How points are looked at: plain, with widths or derivatives, with normals."""
-    views: dict[str, Any] = {}
+    views = {}
     kind = int(random.integers(4))
     if kind == 1:
         views["width"] = float(size * 2.0 ** random.uniform(-8, 2))
@@ -119,16 +112,14 @@ def random_views(random: Random, n: int, size: float) -> dict[str, Any]:
     return views
 
 
-def _stored(texture: OctreeTexture, name: str) -> Array:
+def _stored(texture, name):
     """All decoded values of a channel (rows, components)."""
     channel = texture.channels[name]
     parts = channel.values, channel.kept_values, channel.split_values
     return np.concatenate([decode(part, channel.format.space) for part in parts]).astype(np.float64)
 
 
-def _check_answers(
-    texture: OctreeTexture, points: Array, filter: str, views: dict[str, Any], about: str
-) -> None:
+def _check_answers(texture, points, filter, views, about):
     """Answers are finite, among what is stored, and alike however many channels and points are asked for."""
     names = list(texture.channels)
     together = texture.sample(points, names, filter, normalize=False, **views)
@@ -145,9 +136,7 @@ def _check_answers(
             )
 
 
-def _check_references(
-    texture: OctreeTexture, points: Array, at_random: Array, filter: str, views: dict[str, Any], about: str
-) -> None:
+def _check_references(texture, points, at_random, filter, views, about):
     """Values are those of the slow reference, but where a point lies on the rim of a support."""
     if "dPdx" in views:
         return  # whose references are tests of their own
@@ -195,14 +184,12 @@ def _check_references(
                 )
 
 
-def _on_a_rim(slow: Views, point: Array) -> bool:
+def _on_a_rim(slow, point):
     covers = [slow.taps(point, level)[1] for level in range(slow.tree.max_depth + 1)]
     return any(0 < cover < _LEAST_COVER for cover in covers)
 
 
-def _check_gradients(
-    texture: OctreeTexture, points: Array, at_random: Array, filter: str, views: dict[str, Any], about: str
-) -> None:
+def _check_gradients(texture, points, at_random, filter, views, about):
     """Gradients are the derivatives of what lookups return; values beside them are those without."""
     step = 2.0 ** -(texture.tree.max_depth + _STEP)  # of the root cell's edge
     exact = points.astype(np.float64)

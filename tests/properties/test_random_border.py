@@ -1,10 +1,7 @@
 """The border, called with odd arguments."""
 
-from __future__ import annotations
-
 import inspect
 import os
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -50,7 +47,7 @@ def test_a_fault_is_told_with_its_arguments(monkeypatch):
             random_border.check(seed)
 
 
-REFUSED: list[tuple[Callable[..., object], dict[str, object], str]] = [
+REFUSED = [
     (octex.convert, {"sources": 5}, "sources must be a dict with names as keys, not 5"),
     (octex.convert, {"depth": 2.0}, "depth must be a whole number from 0 to 21, not 2.0"),
     (octex.convert, {"fit": "no"}, "fit must be True or False, not 'no'"),

@@ -1,13 +1,9 @@
 """Compiling ahead: the list of what to compile, and processes that do it and leave nothing behind."""
 
-from __future__ import annotations
-
 import inspect
 import subprocess
 import sys
 import time
-from pathlib import Path
-from typing import Any
 
 import numba
 import pytest
@@ -19,11 +15,11 @@ from tests.conftest import needs_jit
 
 
 @pytest.fixture
-def helpers(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+def helpers(monkeypatch):
     """The helpers started, on a machine of four processors; each waits for the end of its input."""
-    started: list[Any] = []
+    started = []
 
-    def popen(*arguments: Any, **settings: Any) -> Any:
+    def popen(*arguments, **settings):
         started.append(start(*arguments, **settings))
         return started[-1]
 
@@ -34,15 +30,13 @@ def helpers(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     return started
 
 
-def miss() -> None:
+def miss():
     """Have numba compile something."""
     numba.njit(lambda number: number + number)(1.5)
 
 
 @needs_jit
-def test_helpers_start_once_where_a_kernel_is_missing_and_end_with_the_work(
-    helpers: list[Any], capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_helpers_start_once_where_a_kernel_is_missing_and_end_with_the_work(helpers, capfd):
     miss()
     assert not helpers
     with pytest.raises(ZeroDivisionError), ahead.ahead("convert", "preview"):
@@ -62,9 +56,7 @@ def test_helpers_start_once_where_a_kernel_is_missing_and_end_with_the_work(
 
 @needs_jit
 @pytest.mark.parametrize("reason", ["one processor", "nothing to start", "python inside a program"])
-def test_without_processors_or_a_python_to_start_no_helper_starts(
-    reason: str, helpers: list[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_processors_or_a_python_to_start_no_helper_starts(reason, helpers, monkeypatch):
     if reason == "one processor":
         monkeypatch.setattr(ahead, "cpu_count", lambda: 1)
     else:
@@ -75,9 +67,7 @@ def test_without_processors_or_a_python_to_start_no_helper_starts(
 
 
 @needs_jit
-def test_a_helper_that_cannot_be_started_or_fails_is_no_matter(
-    helpers: list[Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_helper_that_cannot_be_started_or_fails_is_no_matter(helpers, monkeypatch, tmp_path):
     with monkeypatch.context() as changed, ahead.ahead("convert"):
         changed.setattr(sys, "executable", str(tmp_path / "python"))
         miss()
@@ -91,10 +81,8 @@ def test_a_helper_that_cannot_be_started_or_fails_is_no_matter(
 
 
 @needs_jit
-def test_commands_ask_for_helpers_unless_threads_are_counted(
-    helpers: list[Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    def read(*_given: Any) -> None:
+def test_commands_ask_for_helpers_unless_threads_are_counted(helpers, monkeypatch, tmp_path):
+    def read(*_given):
         miss()
         raise ZeroDivisionError
 
@@ -107,7 +95,7 @@ def test_commands_ask_for_helpers_unless_threads_are_counted(
 
 
 @needs_jit
-def test_a_helper_ends_when_its_command_is_killed(tmp_path: Path) -> None:
+def test_a_helper_ends_when_its_command_is_killed(tmp_path):
     over = tmp_path / "over"
     helper = f"import sys, pathlib; sys.stdin.read(); pathlib.Path({str(over)!r}).touch()"
     code = f"""
@@ -127,7 +115,7 @@ with ahead.ahead("convert"):
     assert over.exists()
 
 
-def test_a_helper_watches_for_the_end_of_its_input_while_it_compiles() -> None:
+def test_a_helper_watches_for_the_end_of_its_input_while_it_compiles():
     code = """
 import threading, time
 from octex import ahead
@@ -140,9 +128,7 @@ print("late")
 
 
 @needs_jit
-def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(tmp_path, monkeypatch):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     listed = tmp_path / "list.txt"
     listed.write_text(
@@ -165,7 +151,7 @@ def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(
 
 @needs_jit
 @pytest.mark.parametrize("section", ahead.SECTIONS)
-def test_what_is_listed_are_kernels_and_types_of_their_arguments(section: str) -> None:
+def test_what_is_listed_are_kernels_and_types_of_their_arguments(section):
     # Where this fails, `python tools/release/signatures.py` lists anew. Some lines may be
     # behind: they do no harm.
     listed, fitting = ahead.lines(section), 0
@@ -180,7 +166,7 @@ def test_what_is_listed_are_kernels_and_types_of_their_arguments(section: str) -
     assert fitting > 0.8 * len(listed)
 
 
-def test_sections_are_listed_in_their_order_and_each_line_once() -> None:
+def test_sections_are_listed_in_their_order_and_each_line_once():
     both = ahead.lines("convert", "preview")
     assert both[: len(ahead.lines("convert"))] == ahead.lines("convert")
     assert len(set(both)) == len(both)

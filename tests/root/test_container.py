@@ -1,17 +1,15 @@
-from __future__ import annotations
-
 import json
 import os
 import resource
-from typing import Any
 
 import numpy as np
 import pytest
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from octex import container, files
+from octex import container
 from octex.errors import ArgumentError, OutputError, TextureFileError
+from tests.make.refusal import refused
 
 INTEGERS = [f"{sign}int{bits}" for sign in ("u", "") for bits in (8, 16, 32, 64)]
 DTYPES = [*INTEGERS, "float16", "float32", "float64"]
@@ -123,7 +121,7 @@ def test_text_that_is_not_unicode_does_not_stop_a_save(tmp_path):
 
 
 #: Of an entry named "thing", with four bytes of data: what is said.
-ENTRIES: list[tuple[Any, str]] = [
+ENTRIES = [
     (7, "lacks its dtype"),
     ({"dtype": "U8", "shape": [4]}, "lacks its dtype"),
     ({"dtype": "BF16", "shape": [2], "data_offsets": [0, 4]}, "dtype 'BF16', which octex does not read"),
@@ -143,7 +141,7 @@ ENTRIES: list[tuple[Any, str]] = [
 ]
 FOUR = {"dtype": "U8", "shape": [4], "data_offsets": [0, 4]}
 #: The same of files.
-DAMAGED: list[tuple[bytes, str]] = [
+DAMAGED = [
     *((file_of({"thing": entry}), rf"'thing'.*{message}") for entry, message in ENTRIES),
     (file_of(b"{]", b""), "not JSON"),
     (file_of(b"\xff\xfe\xff\xfe", b""), "not JSON"),
@@ -167,9 +165,8 @@ DAMAGED: list[tuple[bytes, str]] = [
 @pytest.mark.parametrize(("content", "message"), DAMAGED)
 def test_damaged_files_are_refused_in_one_line_that_names_them(tmp_path, content, message):
     (tmp_path / "a.octex").write_bytes(content)
-    with pytest.raises(TextureFileError, match=message) as error:
+    with refused(TextureFileError, message, "a.octex"):
         container.read(tmp_path / "a.octex")
-    assert "a.octex" in str(error.value) and "\n" not in str(error.value)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes among its files")
@@ -203,20 +200,9 @@ def test_a_disk_that_fills_up_leaves_the_old_file_whole(tmp_path):
     path = tmp_path / "a.octex"
     container.write(path, {"a": np.arange(5)}, {})
     before = path.read_bytes()
-    with pytest.raises(OutputError, match=r"a\.octex: cannot be written: .*; make room") as error:
+    with refused(OutputError, r"a\.octex: cannot be written: .*; make room"):
         container.write(path, {"a": np.arange(5000)}, {})
-    assert "\n" not in str(error.value)
     assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
-
-
-def test_a_save_that_is_interrupted_leaves_the_old_file_whole(tmp_path):
-    path = tmp_path / "a"
-    path.write_bytes(b"old")
-    with pytest.raises(KeyboardInterrupt), files.replacing(path) as file:
-        file.write(b"new")
-        raise KeyboardInterrupt
-    assert path.read_bytes() == b"old"
     assert list(tmp_path.iterdir()) == [path]
 
 

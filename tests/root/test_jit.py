@@ -1,7 +1,5 @@
 """Compiled kernels on disk: they fit the source, are checked when read, and many processes write them."""
 
-from __future__ import annotations
-
 import gc
 import multiprocessing
 import os
@@ -10,7 +8,6 @@ import sys
 from contextlib import redirect_stdout
 from io import StringIO
 from pathlib import Path
-from typing import Any
 
 import numba
 import pytest
@@ -47,14 +44,14 @@ event.register("numba:compile", Counter())
 
 
 @pytest.fixture
-def room(tmp_path: Path) -> Path:
+def room(tmp_path):
     """A folder with a module ``slow`` that has a kernel, a part, and the names of what is compiled."""
     (tmp_path / "slow.py").write_text(_MODULE, encoding="utf-8")
     return tmp_path
 
 
 @pytest.fixture(scope="module")
-def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def compiled(tmp_path_factory):
     """Such a folder whose module is compiled."""
     room = tmp_path_factory.mktemp("compiled") / "room"
     room.mkdir()
@@ -65,7 +62,7 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def compiled_room(compiled: Path, tmp_path: Path) -> Path:
+def compiled_room(compiled, tmp_path):
     return Path(shutil.copytree(compiled, tmp_path / "copy"))
 
 
@@ -77,13 +74,13 @@ _CONTEXT.set_forkserver_preload([__name__])  # each process has numba then
 class Started:
     """A new process that runs code with the module within reach, and a cache beside it."""
 
-    def __init__(self, room: Path, code: str) -> None:
+    def __init__(self, room, code):
         self._told, telling = _CONTEXT.Pipe(duplex=False)
         self._process = _CONTEXT.Process(target=_run, args=(room, code, telling))
         self._process.start()
         telling.close()
 
-    def words(self) -> str:
+    def words(self):
         """Return what it prints."""
         try:
             return str(self._told.recv())
@@ -92,7 +89,7 @@ class Started:
             assert self._process.exitcode == 0
 
 
-def _run(room: Path, code: str, telling: Any) -> None:
+def _run(room, code, telling):
     os.environ["NUMBA_CACHE_DIR"] = numba.config.CACHE_DIR = str(room / "cache")
     sys.path.insert(0, str(room))
     with redirect_stdout(StringIO()) as words:
@@ -100,21 +97,21 @@ def _run(room: Path, code: str, telling: Any) -> None:
     telling.send(words.getvalue().strip())
 
 
-def said(room: Path, code: str = "assert slow.whole(1, 2) == 37") -> str:
+def said(room, code="assert slow.whole(1, 2) == 37"):
     """Return what code prints after the module's import, and then what has been compiled."""
     return Started(room, f"import slow\n{code}\nprint(*sorted(slow.Counter.names))").words()
 
 
-def code_files(room: Path) -> list[Path]:
+def code_files(room):
     return sorted((room / "cache").rglob("*.nb[ci]"))
 
 
-def test_a_kernel_is_compiled_once(compiled: Path) -> None:
+def test_a_kernel_is_compiled_once(compiled):
     assert said(compiled) == ""
 
 
 @pytest.mark.parametrize("damage", ["a page of zeros", "cut off", "empty", "no checksums"])
-def test_damaged_code_is_compiled_anew(damage: str, compiled_room: Path) -> None:
+def test_damaged_code_is_compiled_anew(damage, compiled_room):
     room = compiled_room
     for path in code_files(room):
         content = path.read_bytes()
@@ -131,7 +128,7 @@ def test_damaged_code_is_compiled_anew(damage: str, compiled_room: Path) -> None
     assert said(room) == ""
 
 
-def test_processes_that_add_versions_at_once_keep_all(room: Path) -> None:
+def test_processes_that_add_versions_at_once_keep_all(room):
     # They begin together, and each adds versions of the same two functions.
     code = """
 import numpy as np, slow
@@ -151,7 +148,7 @@ for kind in {kinds}:
     assert said(room, together) == ""
 
 
-def test_changed_source_is_compiled_anew(compiled_room: Path) -> None:
+def test_changed_source_is_compiled_anew(compiled_room):
     before = cache.digest_behind("octex.tree.morton")
     behind = cache.modules_behind("octex.tree.morton")
     assert {"octex.tree.morton", "octex.jit", "octex.jit.instructions"} <= behind
@@ -161,29 +158,27 @@ def test_changed_source_is_compiled_anew(compiled_room: Path) -> None:
     assert said(compiled_room) == "square whole"
 
 
-def test_code_of_another_place_is_taken_over(compiled_room: Path) -> None:
+def test_code_of_another_place_is_taken_over(compiled_room):
     moved = compiled_room.rename(compiled_room.with_name("moved"))
     assert said(moved) == ""
 
 
-def test_without_a_folder_to_write_to_kernels_are_compiled_in_each_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_folder_to_write_to_kernels_are_compiled_in_each_process(tmp_path, monkeypatch):
     (tmp_path / "file").write_bytes(b"")
     monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path / "file" / "none"))
     cache._folder_of.cache_clear()
 
     @jit.kernel
-    def double(number: float) -> float:
+    def double(number):
         return number + number
 
     cache._folder_of.cache_clear()
     assert double(1.5) == 3.0
-    assert double.compiled.stats.cache_path is None  # type: ignore[attr-defined]
+    assert double.compiled.stats.cache_path is None
     assert str(numba.config.CACHE_DIR) == str(tmp_path / "file" / "none")
 
 
-def test_types_are_read_as_they_are_written() -> None:
+def test_types_are_read_as_they_are_written():
     text = "uint8:2C, float64:1A, bool, int64, octex.field.sources.Tables(uint64:1C, uint16:1C)"
     assert types_text(read_types(text)) == text
     for wrong in ("gone", "octex.field.sources.Gone(int64)", "octex.field.sources.Tables(int64)", "int64:C"):
@@ -191,12 +186,12 @@ def test_types_are_read_as_they_are_written() -> None:
             read_types(wrong)
 
 
-def test_garbage_is_collected_less_while_numba_compiles() -> None:
+def test_garbage_is_collected_less_while_numba_compiles():
     before = gc.get_threshold()
     seen = []
 
-    class Listener(event.Listener):  # type: ignore[misc]
-        def on_start(self, _event: Any) -> None:
+    class Listener(event.Listener):
+        def on_start(self, _event):
             seen.append(gc.get_threshold()[0])
 
         on_end = on_start

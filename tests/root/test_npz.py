@@ -1,9 +1,5 @@
 """The leaves of a texture as plain arrays."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -21,7 +17,7 @@ from tests.make.small_surfaces import whole
 from tests.source.test_ply import LEAVES, PLACEMENT, texture_of
 
 
-def test_arrays_say_where_leaves_are_and_what_is_there(tmp_path: Path) -> None:
+def test_arrays_say_where_leaves_are_and_what_is_there(tmp_path):
     texture = texture_of((BASE_COLOR, ALPHA))
     write_arrays(texture, tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as file:
@@ -40,7 +36,7 @@ def test_arrays_say_where_leaves_are_and_what_is_there(tmp_path: Path) -> None:
         np.testing.assert_array_equal(arrays[name], texture.sample(arrays["points"], name))
 
 
-def test_areas_add_up_to_the_surface(tmp_path: Path) -> None:
+def test_areas_add_up_to_the_surface(tmp_path):
     surface = whole()
     texture = octex.convert(surface, 5)
     write_arrays(texture, tmp_path / "a.npz")
@@ -51,9 +47,7 @@ def test_areas_add_up_to_the_surface(tmp_path: Path) -> None:
         assert float(AREAS[codes[codes > 0]].min()) > 0.0
 
 
-def test_an_empty_texture_has_empty_arrays_and_a_damaged_one_is_not_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_empty_texture_has_empty_arrays_and_a_damaged_one_is_not_written(tmp_path, monkeypatch):
     write_arrays(texture_of(leaves=[]), tmp_path / "a.npz")
     with np.load(tmp_path / "a.npz") as arrays:
         assert arrays["points"].shape == arrays["base_color"].shape == (0, 3)
@@ -63,7 +57,7 @@ def test_an_empty_texture_has_empty_arrays_and_a_damaged_one_is_not_written(
     assert not (tmp_path / "b.npz").exists()
 
 
-def test_a_channel_with_the_name_of_another_array_is_refused(tmp_path: Path) -> None:
+def test_a_channel_with_the_name_of_another_array_is_refused(tmp_path):
     texture = texture_of()
     for name in ("size", "file"):
         values = np.zeros((texture.tree.n_cells, 1), np.float32)
@@ -74,7 +68,7 @@ def test_a_channel_with_the_name_of_another_array_is_refused(tmp_path: Path) -> 
     assert not (tmp_path / "a.npz").exists()
 
 
-def test_the_command_writes_arrays_and_reads_them_as_points(tmp_path: Path) -> None:
+def test_the_command_writes_arrays_and_reads_them_as_points(tmp_path):
     octex.convert(whole(), 4).save(tmp_path / "a.octex")
     assert cli.main(["convert", str(tmp_path / "a.octex"), str(tmp_path / "a.npz"), "--quiet"]) == 0
     cloud = octex.PointCloud.load(tmp_path / "a.npz")

@@ -1,11 +1,8 @@
 """octex.Run: its fields, the shortcuts beside it, and the functions that take it."""
 
-from __future__ import annotations
-
 import inspect
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
@@ -14,7 +11,7 @@ from octex.errors import ArgumentError
 from octex.parallel import as_run, silent, workers
 from tests.make.small_surfaces import tetrahedron
 
-WRONG: list[tuple[dict[str, Any], str]] = [
+WRONG = [
     *[({"threads": each}, "threads must be a whole number from 1") for each in (0, -1, 1.5, "2", True)],
     ({"executor": 4}, r"executor must be a concurrent\.futures\.Executor, not 4"),
     ({"memory": "2 elephants"}, "memory: '2 elephants' is not a size"),

@@ -1,8 +1,5 @@
 """What octex makes does not depend on the units of a model: powers of two change no bit."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,11 +7,11 @@ import pytest
 
 import octex
 from octex.cameras.camera import Camera
-from octex.source.surface import Surface
-from octex.texture import OctreeTexture
 from tests.conftest import needs_jit
 from tests.make.painted import ball, picture_of
 from tests.make.same import arrays_of
+
+pytestmark = needs_jit
 
 #: Of a ball of radius 1: of a tenth of a millimetre in metres, and of a mountain in millimetres.
 UNITS = 2.0**-13, 2.0**22
@@ -36,7 +33,7 @@ def painted(surface, count=5, **options):
     return octex.paint(None, surface, shots(surface, count), max_depth=4, **options)
 
 
-WORKS: dict[str, Callable[[Surface, float], OctreeTexture]] = {
+WORKS = {
     "convert": lambda surface, _: octex.convert(surface, 4),
     "cell": lambda surface, unit: octex.convert(surface, cell=0.1 * unit),
     "max_error": lambda surface, _: octex.convert(surface, 4, max_error=2),
@@ -55,7 +52,6 @@ WORKS: dict[str, Callable[[Surface, float], OctreeTexture]] = {
 }
 
 
-@needs_jit
 @pytest.mark.parametrize("work", WORKS)
 def test_textures_are_the_same_in_all_units(work):
     expected, *found = (WORKS[work](ball(12, unit), unit) for unit in (1.0, *UNITS))
@@ -66,7 +62,6 @@ def test_textures_are_the_same_in_all_units(work):
             assert np.array_equal(own, other * unit if own is texture.bounds else other)
 
 
-@needs_jit
 @pytest.mark.usefixtures("few_points")
 def test_cameras_are_refined_alike_in_all_units():
     found = []

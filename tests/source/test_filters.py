@@ -1,9 +1,6 @@
 """Image filters against weights written out in the open, and against dense sampling."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,7 +16,6 @@ from tests.make.fixtures import random_image
 from tests.oracles import naive_filters
 from tests.oracles.naive_filters import Axis
 
-Floats = npt.NDArray[np.float64]
 AVERAGING = ("trilinear", "ripmap", "sat", "ewa")
 COUNT = 3 if jit.DISABLED else 12
 
@@ -143,7 +139,7 @@ def test_where_nothing_covers_the_colour_is_still_that_of_the_texels(filter):
 @pytest.mark.parametrize("filter", FILTERS)
 def test_masked_alpha_is_0_or_1_at_points_and_a_share_of_texels_in_footprints(filter, flat):
     image = random_image(16, 16, 4)
-    options: Any = {"alpha": "mask", "nearest": flat}
+    options = {"alpha": "mask", "nearest": flat}
     random = np.random.default_rng(0)
     points = corners_of(random.random((8 * COUNT, 2)), np.zeros((2, 2)))
     at_points = read(image, points, filter, **options)[:, 3]

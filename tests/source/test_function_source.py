@@ -6,7 +6,6 @@ import threading
 from functools import partial
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -14,8 +13,6 @@ from octex.errors import ArgumentError
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
 from tests.source.test_surface import CUBE, CUBE_TRIANGLES
-
-Floats = npt.NDArray[np.float64]
 
 
 def cube(**options):
@@ -126,7 +123,7 @@ def test_other_rest_positions_and_filters_are_followed():
 
 @needs_jit
 def test_a_function_is_converted_in_batches_from_worker_threads():
-    seen: list[tuple[int, int]] = []
+    seen = []
 
     def gradient(points):
         seen.append((len(points), threading.get_ident()))

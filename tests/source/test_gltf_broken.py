@@ -2,7 +2,6 @@
 
 import json
 import struct
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ import pytest
 from octex.errors import ImageError, ModelError, ModelWarning
 from octex.source.load import load_surface
 from tests.make.fixtures import MISSING, SQUARE, SQUARE_UV, Gltf, png, put, random_image, rows
+from tests.make.refusal import refused
 
 PRIMITIVE = "meshes.0.primitives.0"
 ATTRIBUTES = f"{PRIMITIVE}.attributes"
@@ -30,10 +30,8 @@ def broken(changes, path):
 
 
 def assert_refused(path, message):
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(ModelError, message, path.name):
         load_surface(path)
-    assert path.name in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 _NAN = np.where(SQUARE == 1, np.float32(np.nan), SQUARE)
@@ -187,7 +185,7 @@ def test_a_bad_image_is_named(tmp_path, image, message):
 def test_what_is_wrong_with_a_material_is_named(tmp_path, place, value, message):
     gltf = Gltf()
     gltf.texture(gltf.image(png(random_image(4, 4))))
-    entry: dict[str, Any] = {"occlusionTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}
+    entry = {"occlusionTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}
     put(entry, {place: value})
     gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.add("materials", **entry)))
     with pytest.raises(ModelError, match=message) as caught:

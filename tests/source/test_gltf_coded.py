@@ -1,20 +1,17 @@
 """glTF content in Draco's, meshopt's and Basis Universal's codes against the same content in plain bytes."""
 
-from __future__ import annotations
-
 import base64
 import json
 import sys
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from octex.errors import ImageError, MissingExtraError, ModelError
 from octex.source.images.decode import decode_image
 from octex.source.load import load_surface
 from tests.make.fixtures import SQUARE, Gltf, png, put, random_image
+from tests.make.refusal import refused
 
 # Pictures of 12 × 8 texels in blocks of 4 × 4, by basis_universal's encoder.
 BLOCKS = np.array(
@@ -46,7 +43,7 @@ FIRST = np.array([6 * y + x for y in range(4) for x in range(5)])
 TRIANGLES = (FIRST[:, None] + CORNERS).reshape(-1, 3).astype(np.uint16)
 NORMALS = RNG.normal(size=(30, 3)) * 0.2 + [0, 0, 1]
 TANGENTS = np.cross(NORMALS, [0, 1, 0])
-ATTRIBUTES: dict[str, npt.NDArray[Any]] = {
+ATTRIBUTES = {
     "POSITION": (GRID + RNG.uniform(-0.3, 0.3, GRID.shape)).astype(np.float32),
     "NORMAL": (NORMALS / np.linalg.norm(NORMALS, axis=1)[:, None]).astype(np.float32),
     "TANGENT": np.c_[TANGENTS / np.linalg.norm(TANGENTS, axis=1)[:, None], np.ones(30)].astype(np.float32),
@@ -156,10 +153,7 @@ def test_draco_positions_may_be_quantized(tmp_path):
     data = coder.encode(rows.astype(np.int32), TRIANGLES.astype(np.uint32), preserve_order=True)
     gltf = Gltf()
     accessor = gltf.accessor(rows, normalized=True)
-    entry: dict[str, Any] = {
-        "attributes": {"POSITION": accessor},
-        "indices": gltf.accessor(TRIANGLES.ravel()),
-    }
+    entry = {"attributes": {"POSITION": accessor}, "indices": gltf.accessor(TRIANGLES.ravel())}
     number = coder.decode(data).attributes[0]["unique_id"]
     coded = {"bufferView": gltf.view(data), "attributes": {"POSITION": number}}
     entry["extensions"] = {"KHR_draco_mesh_compression": coded}
@@ -351,7 +345,5 @@ def test_damaged_ktx2_images_are_refused_in_one_line_that_names_them(code):
         (plain, "vkFormat 43"),
         (data[:96] + (2**27).to_bytes(8, "little") + data[104:], "too many bytes|not a valid"),
     ):
-        with pytest.raises(ImageError, match=message) as caught:
+        with refused(ImageError, message, "wood.ktx2"):
             decode_image(each, "wood.ktx2")
-        assert "wood.ktx2" in str(caught.value)
-        assert "\n" not in str(caught.value)

@@ -197,12 +197,9 @@ def test_specular_is_what_is_reflected_along_the_normal(tmp_path, layer, index, 
 
 def test_older_specular_glossiness_materials_are_rough_where_they_are_not_glossy(tmp_path):
     older = {
-        "diffuseFactor": [0.5, 1, 1, 1],
-        "diffuseTexture": MAP,
-        "specularFactor": [1, 0.5, 0.25],
-        "glossinessFactor": 0.5,
-        "specularGlossinessTexture": MAP,
-    }
+        "diffuseFactor": [0.5, 1, 1, 1], "diffuseTexture": MAP, "specularFactor": [1, 0.5, 0.25],
+        "glossinessFactor": 0.5, "specularGlossinessTexture": MAP,
+    }  # fmt: skip
     surface = assert_agrees(model(tmp_path / "a.glb", extensions={OLDER: older}, pbr={"metallicFactor": 1.0}))
     samples = surface.scatter(50)
     light = srgb_to_linear(texels(samples, (0, 1, 2)))

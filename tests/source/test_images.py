@@ -16,6 +16,7 @@ from octex.source.images.openimage import MAX_TEXELS
 from octex.source.models.reading import parse_numbers
 from tests.make.deep_images import tiff
 from tests.make.fixtures import _chunk, png, random_image
+from tests.make.refusal import refused
 
 
 def saved(image, kind, **options):
@@ -177,14 +178,11 @@ DEEP = png(random_image(8, 8, 3, "uint16"))
         (with_header(DEEP, height=9), "truncated"),
         (with_header(DEEP, kind=3), "cannot be read as an image"),
         (DEEP.replace(b"IDAT", b"IDAT", 1)[:60] + b"!" + DEEP[61:], "checksum"),
-        (png(random_image(2, 2, 3, "uint16"), filters=[0]).replace(b"IEND", b"IEND"), ""),
-    ][:-1],
+    ],
 )
 def test_bad_images_are_refused_in_one_line_that_names_them(data, message):
-    with pytest.raises(ImageError, match=message) as caught:
+    with refused(ImageError, message, "wood.png"):
         decode_image(data, "wood.png")
-    assert "wood.png" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def rebuilt(raw):

@@ -1,10 +1,8 @@
 """Surfaces that are given by a function, against the shapes that it describes."""
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -17,7 +15,6 @@ from octex.source.surface import Surface
 from octex.tree.morton import decode_cells
 from tests.conftest import needs_jit
 
-Array = npt.NDArray[Any]
 BOX = [[-1.5] * 3, [1.5] * 3]
 
 
@@ -74,7 +71,7 @@ def test_the_grid_is_that_of_calls_for_single_points():
         return -float(ball(np.array([[x, y, z]]))[0])
 
     wanted = Manifold.level_set(alone, [*BOX[0], *BOX[1]], 0.25).to_mesh64()
-    given_points: list[Array] = []
+    given_points = []
 
     def together(points):
         given_points.append(points)

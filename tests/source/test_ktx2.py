@@ -4,14 +4,13 @@ import struct
 import sys
 import zlib
 from importlib import import_module
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from octex.errors import ImageError, MissingExtraError
 from octex.source.images.decode import decode_image
+from tests.make.refusal import refused
 
 ZSTD = "compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd"
 PLAIN, BASIS, PACKED, DEFLATED = 0, 1, 2, 3
@@ -61,8 +60,7 @@ def random_values(vk_format, height=3, width=5):
     random, shape = np.random.default_rng(vk_format), (height, width, len(lanes))
     if dtype[0] == "u":
         return random.integers(0, np.iinfo(dtype).max, shape, f"<{dtype}", endpoint=True)
-    values: npt.NDArray[Any] = random.random(shape).astype(f"<{dtype}")
-    return values
+    return random.random(shape).astype(f"<{dtype}")
 
 
 @pytest.mark.parametrize("scheme", [PLAIN, PACKED, DEFLATED])
@@ -76,7 +74,7 @@ def test_plain_texels_are_read_lane_by_lane(vk_format, scheme):
     most = 65535 if dtype[0] == "u" else 1.0
     assert texels.dtype == (np.uint16 if dtype[0] == "u" else np.float32)
     for place, lane in enumerate("rgba"):
-        expected: Any = most if lane == "a" else 0
+        expected = most if lane == "a" else 0
         if lane in lanes:
             expected = values[..., lanes.index(lane)].astype(np.float64) * (257 if dtype == "u1" else 1)
         np.testing.assert_array_equal(texels[..., place], np.broadcast_to(expected, (3, 5)))
@@ -111,10 +109,8 @@ def test_lanes_and_rows_are_turned_as_the_file_says():
     ],
 )
 def test_what_is_damaged_or_not_read_is_refused_in_one_line(data, message):
-    with pytest.raises(ImageError, match=message) as caught:
+    with refused(ImageError, message, "wood.ktx2"):
         decode_image(data, "wood.ktx2")
-    assert "wood.ktx2" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_large_sizes_are_refused_before_they_take_memory():

@@ -5,7 +5,6 @@ import pickle
 import re
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 import pytest
 from hypothesis import given
@@ -24,11 +23,10 @@ from octex.source.mapped import FRAMES, KINDS, MappedImage, MappedSource
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
 from tests.make.command import run
-from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, png, random_image
+from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, obj_lines, png, random_image
 from tests.oracles import naive_mapped
 from tests.source.test_surface import CUBE, CUBE_TRIANGLES
 
-Floats = npt.NDArray[np.float64]
 COUNT = 20 if jit.DISABLED else 400
 CENTER, SIZE = np.array([0.2, -0.1, 0.3]), np.array([0.9, 1.3, 0.7])
 AROUND = ("cylindrical", "spherical")
@@ -493,9 +491,7 @@ def test_what_is_no_image_is_refused_when_it_is_laid():
 
 @pytest.fixture
 def model(tmp_path):
-    lines = [f"v {x} {y} {z}" for x, y, z in CUBE]
-    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in CUBE_TRIANGLES]
-    (tmp_path / "cube.obj").write_text("\n".join(lines))
+    (tmp_path / "cube.obj").write_text(obj_lines(CUBE, CUBE_TRIANGLES))
     (tmp_path / "wood.png").write_bytes(png(random_image(8, 8)))
     return tmp_path / "cube.obj"
 

@@ -5,7 +5,6 @@ from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from octex.channels import CHANNELS, srgb_to_linear
@@ -17,7 +16,6 @@ from octex.source.materials import Input, Material, MaterialSource, Texture
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 from tests.oracles import naive_filters
 
-Floats = npt.NDArray[np.float64]
 TRIANGLES = SQUARE_TRIANGLES.astype(np.int32)
 UV = Corners(SQUARE_UV, TRIANGLES)
 COUNT = 30

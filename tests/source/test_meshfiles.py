@@ -3,7 +3,6 @@
 import struct
 import subprocess
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from octex.source.cloud import PointCloud
 from octex.source.load import load_surface
 from octex.source.surface import Surface
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, ply, ply_square, png, random_image, stl
+from tests.make.refusal import refused
 
 ENCODINGS = ["ascii", "binary_little_endian", "binary_big_endian"]
 CODES = np.array([[255, 0, 10], [0, 255, 20], [128, 128, 30], [1, 2, 250]])
@@ -41,16 +41,14 @@ def test_ply_geometry_is_the_same_in_every_encoding(tmp_path, encoding):
 )
 @pytest.mark.parametrize("names", ["red green blue", "diffuse_red diffuse_green diffuse_blue", "r g b"])
 def test_ply_colours_of_vertices_are_srgb_values(tmp_path, encoding, kind, scale, names):
-    properties: dict[str, Any] = {
-        name: (kind, (CODES[:, i] * scale).tolist()) for i, name in enumerate(names.split())
-    }
+    properties = {name: (kind, (CODES[:, i] * scale).tolist()) for i, name in enumerate(names.split())}
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**properties), encoding=encoding))
     found, expected = interpolated(surface, srgb_to_linear(CODES / 255))
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 def test_ply_alpha_below_1_makes_a_channel(tmp_path):
-    codes: dict[str, Any] = {name: ("uchar", [255] * 4) for name in ("red", "green", "blue", "alpha")}
+    codes = {name: ("uchar", [255] * 4) for name in ("red", "green", "blue", "alpha")}
     assert len(load_surface(ply(tmp_path / "a.ply", ply_square(**codes))).channels) == 1
     codes["alpha"] = ("uchar", [51, 51, 51, 51])
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**codes)))
@@ -58,7 +56,7 @@ def test_ply_alpha_below_1_makes_a_channel(tmp_path):
 
 
 def test_alpha_of_0_throughout_is_left_out(tmp_path):
-    codes: dict[str, Any] = {name: ("uchar", [128] * 4) for name in ("red", "green", "blue")}
+    codes = {name: ("uchar", [128] * 4) for name in ("red", "green", "blue")}
     path = ply(tmp_path / "a.ply", ply_square(**codes, alpha=("uchar", [0] * 4)))
     with pytest.warns(ModelWarning, match="a.ply: all its colours have alpha 0"):
         assert len(load_surface(path).channels) == 1
@@ -67,11 +65,7 @@ def test_alpha_of_0_throughout_is_left_out(tmp_path):
 
 
 def test_ply_colours_of_faces_count_where_vertices_have_none(tmp_path):
-    codes: dict[str, Any] = {
-        "red": ("uchar", [255, 0]),
-        "green": ("uchar", [0, 255]),
-        "blue": ("uchar", [0, 9]),
-    }
+    codes = {"red": ("uchar", [255, 0]), "green": ("uchar", [0, 255]), "blue": ("uchar", [0, 9])}
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**codes)))
     samples = surface.scatter(30)
     expected = np.array([[1, 0, 0], [0, 1, srgb_to_linear(9 / 255)]])[samples.triangles]
@@ -122,7 +116,7 @@ def test_ply_headers_may_end_their_lines_like_windows(tmp_path):
 def test_ply_textures_are_bound_with_v_up(tmp_path, names):
     (tmp_path / "my wood.png").write_bytes(png(random_image(5, 4)))
     u, v = names.split()
-    properties: dict[str, Any] = {u: ("float", SQUARE[:, 0].tolist()), v: ("float", SQUARE[:, 1].tolist())}
+    properties = {u: ("float", SQUARE[:, 0].tolist()), v: ("float", SQUARE[:, 1].tolist())}
     path = ply(tmp_path / "a.ply", ply_square(**properties), comments=["TextureFile my wood.png"])
     surface = load_surface(path)
     reference = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, uv=SQUARE[:, :2], image=random_image(5, 4))
@@ -134,7 +128,7 @@ def test_ply_textures_are_bound_with_v_up(tmp_path, names):
 
 def test_ply_textures_take_precedence_over_colours(tmp_path):
     (tmp_path / "a.png").write_bytes(png(np.full((2, 2, 3), 204, np.uint8)))
-    properties: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
+    properties = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
     properties |= {name: ("uchar", [192] * 4) for name in ("red", "green", "blue")}
     properties["alpha"] = ("uchar", [128] * 4)
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**properties), comments=["TextureFile a.png"]))
@@ -144,7 +138,7 @@ def test_ply_textures_take_precedence_over_colours(tmp_path):
 
 def test_ply_textures_may_be_named_after_the_file(tmp_path):
     (tmp_path / "square.v2_A.png").write_bytes(png(np.full((2, 2, 3), 51, np.uint8)))
-    properties: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
+    properties = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
     path = ply(tmp_path / "square.v2.ply", ply_square(**properties), comments=["TextureFile <this>_A.png"])
     surface = load_surface(path)
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), srgb_to_linear(0.2), rtol=1e-5)
@@ -156,10 +150,7 @@ def test_ply_textures_may_be_bound_by_corner_and_be_several(tmp_path, encoding):
     for i, image in enumerate(images):
         (tmp_path / f"{i}.png").write_bytes(png(image))
     uv = np.random.default_rng(0).random((2, 3, 2)).astype(np.float32)
-    properties: dict[str, Any] = {
-        "texcoord": ("list uchar float", uv.reshape(2, 6).tolist()),
-        "texnumber": ("int", [1, 0]),
-    }
+    properties = {"texcoord": ("list uchar float", uv.reshape(2, 6).tolist()), "texnumber": ("int", [1, 0])}
     comments = ["TextureFile 0.png", "TextureFile 1.png"]
     surface = load_surface(
         ply(tmp_path / "a.ply", ply_square(**properties), encoding=encoding, comments=comments)
@@ -173,7 +164,7 @@ def test_ply_textures_may_be_bound_by_corner_and_be_several(tmp_path, encoding):
 
 
 def test_ply_coordinates_without_an_image_are_left_alone(tmp_path):
-    properties: dict[str, Any] = {"s": ("float", [0, 1, 2, 3]), "t": ("float", [0, 1, 2, 3])}
+    properties = {"s": ("float", [0, 1, 2, 3]), "t": ("float", [0, 1, 2, 3])}
     surface = load_surface(ply(tmp_path / "a.ply", ply_square(**properties)))
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
@@ -240,10 +231,8 @@ BAD_PLY = {
 def test_a_bad_ply_file_is_refused_in_one_line_that_names_it(tmp_path, case):
     make, message = BAD_PLY[case]
     path = make(tmp_path)
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(ModelError, message, "bad.ply"):
         load_surface(path)
-    assert "bad.ply" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS[1:])
@@ -257,7 +246,7 @@ def test_a_binary_ply_file_that_ends_early_is_refused(tmp_path, encoding):
 
 
 def test_bad_textures_of_a_ply_file_are_named(tmp_path):
-    st: dict[str, Any] = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
+    st = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
     comments = ["TextureFile wood.png"]
     path = ply(tmp_path / "a.ply", ply_square(**st), comments=comments)
     with pytest.raises(ImageError, match=r"a\.ply: wood\.png cannot be read: No such file"):
@@ -378,10 +367,8 @@ def test_off_faces_have_colours_of_their_own_and_any_number_of_corners(tmp_path)
     ],
 )
 def test_a_bad_off_file_is_refused_in_one_line_that_names_it(tmp_path, text, message):
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(ModelError, message, "bad.off"):
         load_surface(off(tmp_path / "bad.off", text))
-    assert "bad.off" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("ascii", [False, True])
@@ -464,10 +451,8 @@ def test_bad_stl_files_are_refused_in_one_line_that_names_them(tmp_path):
         (stl(path, broken, SQUARE_TRIANGLES).read_bytes(), "not all finite"),
     ):
         path.write_bytes(data)
-        with pytest.raises(ModelError, match=message) as caught:
+        with refused(ModelError, message, "bad.stl"):
             load_surface(path)
-        assert "bad.stl" in str(caught.value)
-        assert "\n" not in str(caught.value)
 
 
 def test_files_that_are_not_there_or_not_models_are_refused(tmp_path):

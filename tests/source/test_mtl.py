@@ -14,6 +14,7 @@ from octex.source.load import load_surface
 from octex.source.models.mtl import ImageFiles, is_grey, load_materials, normals_of_heights
 from octex.source.models.reading import Options, Slot
 from tests.make.fixtures import OBJ_SQUARE, obj, png, random_image
+from tests.make.refusal import refused
 
 FACES = "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
 COLORS = random_image(4, 4)
@@ -110,21 +111,12 @@ def test_a_map_is_a_channel(tmp_path, key, channel, lanes):
 @pytest.mark.parametrize(
     "lines",
     [
-        "",
-        "d 1",
-        "Tr 0",
-        "Tr 1",
-        "Ke 0 0 0",
-        "Ke 0",
-        "Ks 1 1 1",
-        "Ns 96",
-        "map_Kd",
-        "map_Kd -clamp on",
+        "", "d 1", "Tr 0", "Tr 1", "Ke 0 0 0", "Ke 0", "Ks 1 1 1", "Ns 96", "map_Kd", "map_Kd -clamp on",
         "map_Pr",
     ]
     + [f"{key} a.png" for key in ("map_Ns", "map_Ka", "disp", "decal", "refl", "map_Ps")]
     + [f"{key} 0.5" for key in ("Ps", "Pc", "Pcr", "aniso", "anisor", "Ni", "Tf", "Ka", "illum")],
-)
+)  # fmt: skip
 def test_what_says_nothing_is_no_channel(tmp_path, lines):
     assert stated(tmp_path, lines) == {}
 
@@ -168,18 +160,12 @@ def test_ks_and_ns_count_beside_a_map_or_a_roughness_or_when_asked_for(tmp_path)
 @pytest.mark.parametrize(
     ("line", "lane"),
     [
-        ("map_d cut.png", 3),
-        ("map_d grey.png", 0),
-        ("map_d -mm 0 0.5 grey.png", 0),
-        ("map_d -imfchan z cut.png", 3),
-        ("map_d -imfchan r cut.png", 0),
-        ("map_d -imfchan M grey.png", 3),
-        ("map_Pr cut.png", 0),
-        ("map_Pr -imfchan g a.png", 1),
-        ("map_Pm -imfchan b a.png", 2),
+        ("map_d cut.png", 3), ("map_d grey.png", 0), ("map_d -mm 0 0.5 grey.png", 0),
+        ("map_d -imfchan z cut.png", 3), ("map_d -imfchan r cut.png", 0), ("map_d -imfchan M grey.png", 3),
+        ("map_Pr cut.png", 0), ("map_Pr -imfchan g a.png", 1), ("map_Pm -imfchan b a.png", 2),
         ("map_ao -imfchan m cut.png", 3),
     ],
-)
+)  # fmt: skip
 def test_a_single_value_is_read_from_one_component(tmp_path, line, lane):
     (given,) = stated(tmp_path, line).values()
     assert given.lanes == (lane,)
@@ -357,9 +343,8 @@ def test_a_channel_that_the_materials_lack_is_refused_with_those_they_have(tmp_p
     ],
 )
 def test_a_bad_line_is_named(tmp_path, line, error, message):
-    with pytest.raises(error, match=message) as caught:
+    with refused(error, message):
         load_surface(square(tmp_path, line))
-    assert "\n" not in str(caught.value)
 
 
 def test_every_file_read_is_in_the_provenance_by_its_name_beside_the_model(tmp_path):

@@ -9,6 +9,7 @@ from octex.source.load import load_surface
 from octex.source.materials import MaterialSource
 from tests.make.agreement import assert_agrees
 from tests.make.fixtures import OBJ_SQUARE, Gltf, obj, png, random_image
+from tests.make.refusal import refused
 
 FACES = "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
 WOOD = "newmtl wood\nmap_Kd wood.png\n"
@@ -51,11 +52,6 @@ def test_kd_is_an_srgb_value_and_multiplies_the_map(tmp_path):
     samples = surface.scatter(20)
     expected = plain.evaluate(samples) * srgb_to_linear([0.5, 0.25, 1])
     np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-5)
-
-
-def test_black_kd_beside_a_map_means_nothing(tmp_path):
-    surface = load_surface(wooden(tmp_path, WOOD + "Kd 0 0 0\n"))
-    assert surface.evaluate(surface.scatter(20)).mean() > 0.1
 
 
 def test_one_number_of_kd_is_grey(tmp_path):
@@ -358,10 +354,8 @@ def test_a_rest_mesh_needs_no_materials(tmp_path):
     ],
 )
 def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path, lines, message):
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(ModelError, message, "bad.obj"):
         load_surface(obj(tmp_path / "bad.obj", lines))
-    assert "bad.obj" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from octex.source.images.decode import decode_image
 from octex.source.images.openimage import deep_format
 from tests.make.deep_images import Part, exr, hdr, pfm, pnm, psd, sgi, tiff
 from tests.make.fixtures import png, random_image
+from tests.make.refusal import refused
 
 needs_extra = pytest.mark.usefixtures("extra")
 
@@ -217,14 +218,9 @@ RGB = Part(planes(random_light(4, 4, 3), "RGB"))
 CODES = random_image(4, 4, 3, "uint16")
 ONES = np.ones((2, 2), np.float32)
 DEEP = {
-    "exr": exr(RGB),
-    "hdr": hdr(random_image(4, 4, 4)),
-    "tif": tiff(CODES, 2),
-    "psd": psd(CODES),
-    "sgi": sgi(CODES),
-    "ppm": pnm(CODES),
-    "pfm": pfm(random_light(4, 4, 3)),
-}
+    "exr": exr(RGB), "hdr": hdr(random_image(4, 4, 4)), "tif": tiff(CODES, 2), "psd": psd(CODES),
+    "sgi": sgi(CODES), "ppm": pnm(CODES), "pfm": pfm(random_light(4, 4, 3)),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("ending", DEEP)
@@ -269,10 +265,8 @@ def jpeg2000(width, height):
     ],
 )
 def test_bad_deep_images_are_refused_in_one_line_that_names_them(data, message):
-    with pytest.raises(ImageError, match=message) as caught:
+    with refused(ImageError, message, "wood.exr"):
         decode_image(data, "wood.exr")
-    assert "wood.exr" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @needs_extra

@@ -1,10 +1,6 @@
 """O-Voxel's dual grids and TRELLIS.2's arrays as surfaces, against shapes whose surface is known."""
 
-from __future__ import annotations
-
 from collections import Counter
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +8,14 @@ import pytest
 import octex
 from octex.errors import ArgumentError, ModelError
 from tests.make.command import run
+from tests.make.refusal import refused
 from tests.make.vxz import dual_grid, vxz
 
 SIDE = 16
 RADIUS = 0.36
 
 
-def ball(points: Any) -> Any:
+def ball(points):
     return np.linalg.norm(points - 0.5, axis=1) - RADIUS
 
 
@@ -31,12 +28,12 @@ PACKED = {"dual_vertices": (DUAL * 255).astype(np.uint8), "intersected": BITS.as
 FLAT = {"coords": COORDS, "base_color": COLORS, "dual_vertices": DUAL, "intersected": CROSSED}
 
 
-def edges(surface: octex.Surface) -> Counter[tuple[int, int]]:
+def edges(surface):
     rows = surface.triangles
     return Counter(zip(rows.ravel().tolist(), np.roll(rows, -1, axis=1).ravel().tolist(), strict=True))
 
 
-def test_a_vxz_is_a_closed_surface_with_its_values(tmp_path: Path) -> None:
+def test_a_vxz_is_a_closed_surface_with_its_values(tmp_path):
     path = tmp_path / "ball.vxz"
     path.write_bytes(vxz(COORDS, {"base_color": COLORS, "roughness": ROUGHNESS, **PACKED}, filtered="parent"))
     surface = octex.load_surface(path)
@@ -57,7 +54,7 @@ def test_a_vxz_is_a_closed_surface_with_its_values(tmp_path: Path) -> None:
         octex.load_surface(path, channels=["metallic"])
 
 
-def test_each_crossed_edge_is_a_quad_cut_from_its_first_corner(tmp_path: Path) -> None:
+def test_each_crossed_edge_is_a_quad_cut_from_its_first_corner(tmp_path):
     rows = {tuple(each): row for row, each in enumerate(COORDS.tolist())}
     expected = set()
     for (x, y, z), flags in zip(COORDS.tolist(), CROSSED, strict=True):
@@ -76,7 +73,7 @@ def test_each_crossed_edge_is_a_quad_cut_from_its_first_corner(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("diagonal", [(0, 2), (1, 3)])
-def test_weights_say_where_a_quad_is_cut(tmp_path: Path, diagonal: tuple[int, int]) -> None:
+def test_weights_say_where_a_quad_is_cut(tmp_path, diagonal):
     weights = np.full((4, 1), 0.5)
     weights[list(diagonal)] = 1.0
     quad = {
@@ -91,7 +88,7 @@ def test_weights_say_where_a_quad_is_cut(tmp_path: Path, diagonal: tuple[int, in
 
 
 @pytest.mark.parametrize(("side", "scale"), [(16, 1.0), (24, 32 / 24), (12, 16 / 12)])
-def test_the_grid_is_as_wide_as_its_coords_say(tmp_path: Path, side: int, scale: float) -> None:
+def test_the_grid_is_as_wide_as_its_coords_say(tmp_path, side, scale):
     coords = np.array([[0, 0, 0], [side - 1, 1, 2]])
     (tmp_path / "a.vxz").write_bytes(vxz(coords, {"roughness": np.full((2, 1), 9, np.uint8)}))
     voxels = octex.Voxels.load(tmp_path / "a.vxz")
@@ -100,7 +97,7 @@ def test_the_grid_is_as_wide_as_its_coords_say(tmp_path: Path, side: int, scale:
     assert voxels.size / 2.0 ** int(voxels.depths[0]) == pytest.approx(1 / side)
 
 
-def test_the_whole_way_to_a_glb(tmp_path: Path) -> None:
+def test_the_whole_way_to_a_glb(tmp_path):
     path = tmp_path / "ball.vxz"
     path.write_bytes(vxz(COORDS, {"base_color": COLORS, "roughness": ROUGHNESS, **PACKED}))
     assert run(path, tmp_path / "ball.octex", "--quiet") == 0
@@ -124,7 +121,7 @@ def test_the_whole_way_to_a_glb(tmp_path: Path) -> None:
     assert 10 * np.log10(1 / ((found - shade) ** 2).mean()) > 40
 
 
-def test_trellis_arrays_with_a_mesh_beside(tmp_path: Path) -> None:
+def test_trellis_arrays_with_a_mesh_beside(tmp_path):
     np.savez(tmp_path / "grid.npz", **FLAT)
     mesh = octex.load_surface(tmp_path / "grid.npz")
     ones = np.ones((len(COORDS), 1))
@@ -173,12 +170,8 @@ def test_trellis_arrays_with_a_mesh_beside(tmp_path: Path) -> None:
         ({"faces": [[0, 1, 2]], "vertices": DUAL[:3] * np.inf}, "vertices are not all finite"),
     ],
 )
-def test_arrays_that_make_no_surface_are_refused(
-    tmp_path: Path, changes: dict[str, Any], message: str
-) -> None:
+def test_arrays_that_make_no_surface_are_refused(tmp_path, changes, message):
     arrays = {name: each for name, each in {**FLAT, **changes}.items() if each is not None}
     np.savez(tmp_path / "bad.npz", **arrays, allow_pickle=True)
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(ModelError, message, "bad.npz"):
         octex.load_surface(tmp_path / "bad.npz")
-    assert "bad.npz" in str(caught.value)
-    assert "\n" not in str(caught.value)

@@ -1,9 +1,6 @@
 """Parts of a surface that intersect or nearly touch, against exact booleans and slow references."""
 
-from __future__ import annotations
-
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,7 +19,7 @@ from tests.make.solids import colored, cube, inside_out, open_cube, sphere, torn
 from tests.oracles.naive_parts import components, distance, solid
 
 
-def test_cubes_that_intersect_share_the_volume_that_they_do() -> None:
+def test_cubes_that_intersect_share_the_volume_that_they_do():
     found = colored(cube([0, 0, 0]), cube([0.75, 0.5, 0.0])).overlapping_parts()
     assert found.n_parts == 2
     assert found.unchecked == ()
@@ -31,45 +28,45 @@ def test_cubes_that_intersect_share_the_volume_that_they_do() -> None:
 
 
 @needs_jit
-def test_spheres_share_the_lens_between_them() -> None:
+def test_spheres_share_the_lens_between_them():
     found = colored(sphere([0, 0, 0], 1.0, 256), sphere([1.2, 0, 0], 1.0, 256)).overlapping_parts()
     lens = math.pi * (4 + 1.2) * (2 - 1.2) ** 2 / 12
     assert found.pairs[0].volume == pytest.approx(lens, rel=2e-3)
 
 
-def test_the_gap_between_cubes_is_found_up_to_the_margin() -> None:
+def test_the_gap_between_cubes_is_found_up_to_the_margin():
     surface = colored(cube([0, 0, 0]), cube([1.3, 1.4, 0.2]), cube([-3, 0, 0]))
     assert surface.overlapping_parts(0.49).pairs == ()
     (pair,) = surface.overlapping_parts(0.51).pairs
     assert pair == Overlap(0, 1, 0.0, pytest.approx(0.5, rel=1e-12))
 
 
-def test_cubes_that_touch_share_nothing_and_are_too_near_for_any_margin() -> None:
+def test_cubes_that_touch_share_nothing_and_are_too_near_for_any_margin():
     surface = colored(cube([0, 0, 0]), cube([1, 0.25, 0.25]))
     assert surface.overlapping_parts().pairs == ()
     assert surface.overlapping_parts(1e-9).pairs == (Overlap(0, 1, 0.0, 0.0),)
 
 
-def test_boxes_that_stand_on_each_other_vertex_on_vertex_are_two_parts() -> None:
+def test_boxes_that_stand_on_each_other_vertex_on_vertex_are_two_parts():
     surface = colored(cube([0, 0, 0]), cube([0, 0, 1]))
     found = surface.overlapping_parts(0.1)
     assert (found.n_parts, found.unchecked) == (2, ())
     assert found.pairs == (Overlap(0, 1, 0.0, 0.0),)
 
 
-def test_seams_do_not_cut_a_part() -> None:
+def test_seams_do_not_cut_a_part():
     surface = colored(torn(cube([0, 0, 0])), torn(sphere([3, 0, 0], 1.0, 12)))
     found = surface.overlapping_parts()
     assert (found.n_parts, found.unchecked) == (2, ())
 
 
-def test_minus_zero_is_where_zero_is() -> None:
+def test_minus_zero_is_where_zero_is():
     points, triangles = torn(cube([0, 0, 0]))
     points[::2] *= np.where(points[::2] == 0, -1.0, 1.0)
     assert colored((points, triangles)).overlapping_parts().unchecked == ()
 
 
-def test_a_solid_inside_another_is_apart_from_it_by_the_distance_of_their_surfaces() -> None:
+def test_a_solid_inside_another_is_apart_from_it_by_the_distance_of_their_surfaces():
     surface = colored(cube([0, 0, 0]), cube([0.2, 0.3, 0.4], 0.25))
     (near,) = surface.overlapping_parts(0.3).pairs
     assert near == Overlap(0, 1, pytest.approx(0.25**3), pytest.approx(0.2))
@@ -77,13 +74,13 @@ def test_a_solid_inside_another_is_apart_from_it_by_the_distance_of_their_surfac
     assert far.gap == math.inf
 
 
-def test_inverted_solids_are_turned_round() -> None:
+def test_inverted_solids_are_turned_round():
     surface = colored(inside_out(cube([0, 0, 0])), cube([0.5, 0, 0]), inside_out(cube([0.75, 0, 0])))
     volumes = {(a, b): volume for a, b, volume, _ in surface.overlapping_parts().pairs}
     assert volumes == {(0, 1): pytest.approx(0.5), (0, 2): pytest.approx(0.25), (1, 2): pytest.approx(0.75)}
 
 
-def test_what_is_no_solid_is_named_and_its_surface_compared() -> None:
+def test_what_is_no_solid_is_named_and_its_surface_compared():
     flat = cube([0.5, 0.2, 0.2])
     flat[0][:, 2] = 0.2
     mixed = cube([9, 9, 9])
@@ -99,7 +96,7 @@ def test_what_is_no_solid_is_named_and_its_surface_compared() -> None:
     assert found.pairs == (Overlap(0, 2, None, 0.0),)
 
 
-def test_parts_are_numbered_by_their_first_triangles_and_say_which_is_whose() -> None:
+def test_parts_are_numbered_by_their_first_triangles_and_say_which_is_whose():
     points, triangles = colored(cube([0, 0, 0]), cube([5, 0, 0])).vertices, cube([0, 0, 0])[1]
     mixed = np.stack([triangles + 8, triangles], axis=1).reshape(-1, 3)
     found = Surface.from_arrays(points, mixed).overlapping_parts()
@@ -107,7 +104,7 @@ def test_parts_are_numbered_by_their_first_triangles_and_say_which_is_whose() ->
     assert found.parts.tolist() == [0, 1] * 12
 
 
-def test_what_was_found_reads_as_lines() -> None:
+def test_what_was_found_reads_as_lines():
     surface = colored(cube([0, 0, 0]), cube([0.5, 0, 0]), cube([0.2, 0.2, 0.2], 0.1), open_cube([1.6, 0, 0]))
     assert str(surface.overlapping_parts(0.15)).splitlines() == [
         "4 parts, 3 pairs that intersect or come near",
@@ -123,25 +120,25 @@ def test_what_was_found_reads_as_lines() -> None:
     assert "their surfaces do not cross" in str(touching.overlapping_parts())
 
 
-def test_parts_are_those_at_rest() -> None:
+def test_parts_are_those_at_rest():
     surface = colored(cube([0, 0, 0]), cube([0.5, 0, 0]))
     apart = surface.rest + np.repeat([[0.0, 0, 0], [9.0, 0, 0]], 8, axis=0)
     assert surface.with_rest(apart).overlapping_parts(1.0).pairs == ()
 
 
-def test_a_negative_margin_is_refused() -> None:
+def test_a_negative_margin_is_refused():
     with pytest.raises(ArgumentError, match="margin must be from 0"):
         colored(cube([0, 0, 0])).overlapping_parts(-1.0)
 
 
-def test_vertices_that_nothing_uses_are_in_no_part() -> None:
+def test_vertices_that_nothing_uses_are_in_no_part():
     points, triangles = cube([0, 0, 0])
     surface = Surface.from_arrays(np.vstack([points, [[np.pi, 0, 0]]]), triangles)
     assert surface.overlapping_parts(1.0).n_parts == 1
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
-def test_parts_are_what_hangs_together(seed: int, count: int) -> None:
+def test_parts_are_what_hangs_together(seed, count):
     random = np.random.default_rng(seed)
     points = random.integers(0, 5, (count + 3, 3)).astype(np.float64)
     triangles = random.integers(0, len(points), (count, 3)).astype(np.int32)
@@ -156,7 +153,7 @@ def test_parts_are_what_hangs_together(seed: int, count: int) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 1.0, 3.0]))
-def test_triangles_are_as_far_apart_as_points_on_them(seed: int, lift: float) -> None:
+def test_triangles_are_as_far_apart_as_points_on_them(seed, lift):
     random = np.random.default_rng(seed)
     a, b = random.random((2, 3, 3))
     if seed % 5 == 0:
@@ -170,7 +167,7 @@ def test_triangles_are_as_far_apart_as_points_on_them(seed: int, lift: float) ->
     assert gap(mesh_of(b[None]), mesh_of(a[None]), 10.0) == pytest.approx(found, abs=1e-12)
 
 
-def test_triangles_that_pierce_each_other_are_not_apart() -> None:
+def test_triangles_that_pierce_each_other_are_not_apart():
     flat = np.array([[[-1.0, -1, 0], [2, -1, 0], [-1, 2, 0]]])
     spike = np.array([[[0.0, 0, -1], [0.1, 0, 1], [0, 0.1, 1]]])
     assert gap(mesh_of(flat), mesh_of(spike), 1.0) == 0.0
@@ -182,7 +179,7 @@ def test_triangles_that_pierce_each_other_are_not_apart() -> None:
 
 @needs_jit
 @given(st.integers(0, 2**32 - 1))
-def test_gaps_are_manifolds(seed: int) -> None:
+def test_gaps_are_manifolds(seed):
     random = np.random.default_rng(seed)
     meshes = [sphere(random.random(3) * 2, 0.2 + 0.3 * random.random(), 16) for _ in range(6)]
     surface = colored(*meshes)
@@ -201,7 +198,7 @@ def test_gaps_are_manifolds(seed: int) -> None:
 
 
 @needs_jit
-def test_a_city_of_thousands_of_parts_is_not_compared_pair_by_pair(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_city_of_thousands_of_parts_is_not_compared_pair_by_pair(monkeypatch):
     monkeypatch.setattr(parts, "_BLOCK", 5000)
     where = np.stack(np.meshgrid(np.arange(45.0), np.arange(45.0), [0.0]), -1).reshape(-1, 3)
     surface = colored(*[cube(1.25 * place) for place in where])
@@ -211,7 +208,7 @@ def test_a_city_of_thousands_of_parts_is_not_compared_pair_by_pair(monkeypatch: 
     assert surface.overlapping_parts(0.2).pairs == ()
 
 
-def test_numbers_of_pairs_do_not_depend_on_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numbers_of_pairs_do_not_depend_on_blocks(monkeypatch):
     surface = colored(*[cube([0.4 * n, 0, 0]) for n in range(7)])
     whole = surface.overlapping_parts()
     monkeypatch.setattr(parts, "_BLOCK", 1)
@@ -230,9 +227,7 @@ def test_numbers_of_pairs_do_not_depend_on_blocks(monkeypatch: pytest.MonkeyPatc
         ("manifold-models/self_intersectA.obj", 1, 0),
     ],
 )
-def test_real_solids_share_what_a_boolean_of_them_says(
-    models: Path, file: str, solids: int, volumes: int
-) -> None:
+def test_real_solids_share_what_a_boolean_of_them_says(models, file, solids, volumes):
     surface = octex.load_surface(models / file)
     found = surface.overlapping_parts()
     assert (found.n_parts, found.unchecked) == (solids, ())
@@ -244,7 +239,7 @@ def test_real_solids_share_what_a_boolean_of_them_says(
 
 
 @needs_jit
-def test_suzannes_eyes_cross_her_head(models: Path) -> None:
+def test_suzannes_eyes_cross_her_head(models):
     found = octex.load_surface(models / "Suzanne" / "Suzanne.gltf").overlapping_parts()
     assert found.n_parts == 3
     assert [each.why for each in found.unchecked] == ["open"] * 3

@@ -1,13 +1,8 @@
 """Textures as PLY point clouds, read back by another library."""
 
-from __future__ import annotations
-
 import sys
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 import trimesh
 
@@ -27,13 +22,7 @@ PLACEMENT = Placement((-3.0, 2.0, 0.5), 4.0)
 LEAVES = [(0, 1), (8, 2), (79, 3), (3, 1), (63, 2)]
 
 
-def texture_of(
-    formats: tuple[ChannelFormat, ...] = (BASE_COLOR,),
-    *,
-    leaves: list[tuple[int, int]] = LEAVES,
-    placement: Placement = PLACEMENT,
-    values: Any = None,
-) -> OctreeTexture:
+def texture_of(formats=(BASE_COLOR,), *, leaves=LEAVES, placement=PLACEMENT, values=None):
     tree = Octree.from_leaves(*np.array(leaves, np.int64).reshape(-1, 2).T)
     random = np.random.default_rng(7)
     tree = tree.with_cell_data(
@@ -49,7 +38,7 @@ def texture_of(
     return OctreeTexture(tree, stored, placement, corners, {})
 
 
-def read(path: Path) -> npt.NDArray[np.void]:
+def read(path):
     """All properties of the vertices as trimesh reads them."""
     cloud = trimesh.load(path)
     assert isinstance(cloud, trimesh.PointCloud)
@@ -63,11 +52,11 @@ def read(path: Path) -> npt.NDArray[np.void]:
     return vertices
 
 
-def columns(vertices: npt.NDArray[np.void], *names: str) -> npt.NDArray[Any]:
+def columns(vertices, *names):
     return np.column_stack([vertices[name] for name in names])
 
 
-def test_another_reader_finds_the_same_points_colours_and_normals(tmp_path: Path) -> None:
+def test_another_reader_finds_the_same_points_colours_and_normals(tmp_path):
     texture = texture_of((BASE_COLOR, ALPHA))
     write_points(texture, tmp_path / "points.ply")
     vertices = read(tmp_path / "points.ply")
@@ -85,7 +74,7 @@ def test_another_reader_finds_the_same_points_colours_and_normals(tmp_path: Path
     np.testing.assert_array_equal(columns(vertices, "nx", "ny", "nz"), normals)
 
 
-def test_the_header_names_its_maker_and_its_units(tmp_path: Path) -> None:
+def test_the_header_names_its_maker_and_its_units(tmp_path):
     write_points(texture_of(), tmp_path / "points.ply")
     header = (tmp_path / "points.ply").read_bytes().split(b"end_header\n")[0].decode("ascii").splitlines()
     assert header == [
@@ -101,9 +90,7 @@ def test_the_header_names_its_maker_and_its_units(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("space", ["srgb", "linear"])
 @pytest.mark.parametrize("dtype", ["uint8", "uint16", "float16", "float32"])
-def test_colours_of_every_storage_become_srgb_codes(
-    tmp_path: Path, dtype: str, space: channels.ColorSpace
-) -> None:
+def test_colours_of_every_storage_become_srgb_codes(tmp_path, dtype, space):
     texture = texture_of((ChannelFormat("base_color", 3, space, dtype),), values=(0.0, 0.5, 1.0))
     write_points(texture, tmp_path / "points.ply")
     half = 0.5 if space == "srgb" else float(linear_to_srgb(127 / 255 if dtype == "uint8" else 0.5))
@@ -111,13 +98,13 @@ def test_colours_of_every_storage_become_srgb_codes(
     assert np.abs(colors - np.rint(np.array([0, half, 1]) * 255)).max() <= 1
 
 
-def test_alpha_of_more_bits_becomes_bytes(tmp_path: Path) -> None:
+def test_alpha_of_more_bits_becomes_bytes(tmp_path):
     texture = texture_of((BASE_COLOR, ALPHA._replace(dtype="float32")), values=0.25)
     write_points(texture, tmp_path / "points.ply")
     assert set(read(tmp_path / "points.ply")["alpha"]) == {64}
 
 
-def test_a_texture_without_colours_gives_bare_points(tmp_path: Path) -> None:
+def test_a_texture_without_colours_gives_bare_points(tmp_path):
     write_points(texture_of((ChannelFormat("roughness", 1, "data"),)), tmp_path / "points.ply")
     assert read(tmp_path / "points.ply").dtype.names == ("x", "y", "z", "nx", "ny", "nz")
 
@@ -130,9 +117,7 @@ def test_a_texture_without_colours_gives_bare_points(tmp_path: Path) -> None:
         (Placement((-5e6, 0.0, 0.0), 1.0), 10, "f8"),
     ],
 )
-def test_positions_have_the_precision_that_the_cells_need(
-    tmp_path: Path, placement: Placement, depth: int, kind: str
-) -> None:
+def test_positions_have_the_precision_that_the_cells_need(tmp_path, placement, depth, kind):
     code = 8**depth - 1
     texture = texture_of(leaves=[(code - 3, depth), (code, depth)], placement=placement)
     write_points(texture, tmp_path / "points.ply")
@@ -144,24 +129,24 @@ def test_positions_have_the_precision_that_the_cells_need(
     assert np.abs(error).max() <= edge / 50
 
 
-def test_leaves_that_need_several_blocks_all_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_leaves_that_need_several_blocks_all_come(tmp_path, monkeypatch):
     texture = texture_of()
     write_points(texture, tmp_path / "whole.ply")
     monkeypatch.setattr("octex.formats.ply.walk_leaves", lambda arrays: walk_leaves(arrays, 2))
-    calls: list[tuple[str, int, int]] = []
+    calls = []
     write_points(texture, tmp_path / "blocks.ply", progress=lambda *call: calls.append(call))
     assert (tmp_path / "blocks.ply").read_bytes() == (tmp_path / "whole.ply").read_bytes()
     assert calls == [("write", done, 5) for done in (0, 2, 4, 5)]
 
 
-def test_an_empty_texture_gives_no_points(tmp_path: Path) -> None:
+def test_an_empty_texture_gives_no_points(tmp_path):
     write_points(texture_of(leaves=[]), tmp_path / "points.ply")
     text = (tmp_path / "points.ply").read_bytes()
     assert b"element vertex 0\n" in text
     assert text.endswith(b"end_header\n")
 
 
-def test_a_damaged_tree_is_named_and_what_stood_there_stays(tmp_path: Path) -> None:
+def test_a_damaged_tree_is_named_and_what_stood_there_stays(tmp_path):
     texture = texture_of()
     texture.tree.arrays.groups[0, :2] = 0
     (tmp_path / "points.ply").write_bytes(b"old")
@@ -172,7 +157,7 @@ def test_a_damaged_tree_is_named_and_what_stood_there_stays(tmp_path: Path) -> N
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
 
 
-def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
     with pytest.raises(OutputError, match=r"points\.ply: cannot be written"):
         write_points(texture_of(), tmp_path / "nowhere" / "points.ply")
     with pytest.raises(OutputError, match="is not a file"):
@@ -184,7 +169,7 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(jit.DISABLED, reason="too slow without compilation")
-def test_memory_does_not_grow_with_the_leaves(tmp_path: Path) -> None:
+def test_memory_does_not_grow_with_the_leaves(tmp_path):
     import tracemalloc
 
     from octex.tree.morton import encode_cells

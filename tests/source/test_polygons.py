@@ -1,7 +1,5 @@
 """The polygons of files, remembered by the triangles that they were cut into."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,7 +10,7 @@ from octex.source.corners import Polygons
 from octex.source.load import load_surface
 from octex.source.mesh import Mesh
 from octex.source.surface import Surface
-from tests.make.fixtures import obj, ply
+from tests.make.fixtures import obj, obj_lines, ply
 
 # A triangle, a quad, a line of no area's worth of corners, a concave pentagon, a hexagon.
 PLACES = [(x, y, (x * y) % 2) for y in range(3) for x in range(4)]
@@ -22,7 +20,7 @@ CORNERS_OF = {number: face for number, face in enumerate(FACES) if len(face) > 2
 
 def file_faces(path):
     """The vertices of each face of an OBJ file, by its number among them, in plain Python."""
-    faces: dict[int, list[int]] = {}
+    faces = {}
     vertices = number = 0
     for line in path.read_text("latin-1").splitlines():
         words = line.split()
@@ -47,14 +45,13 @@ def loops_of(mesh):
 def written(folder, kind):
     """The faces above as a file."""
     if kind == "obj":
-        lines = "".join(f"v {x} {y} {z}\n" for x, y, z in PLACES)
-        return obj(folder / "a.obj", lines + "".join(f"f {' '.join(str(v + 1) for v in f)}\n" for f in FACES))
+        return obj(folder / "a.obj", obj_lines(PLACES, FACES))
     if kind == "off":
         path = folder / "a.off"
         lines = [f"OFF\n{len(PLACES)} {len(FACES)} 0", *(f"{x} {y} {z}" for x, y, z in PLACES)]
         path.write_text("\n".join([*lines, *(f"{len(f)} {' '.join(map(str, f))}" for f in FACES)]))
         return path
-    elements: Any = {
+    elements = {
         "vertex": {axis: ("float", [place[i] for place in PLACES]) for i, axis in enumerate("xyz")},
         "face": {"vertex_indices": ("list uchar int", FACES)},
     }
@@ -130,7 +127,7 @@ def test_some_triangles_keep_the_numbers_of_their_polygons(data):
     )
     chosen = data.draw(st.lists(st.integers(0, len(fans) - 1), min_size=1))
     picked, _, vertices = mesh.picked(chosen)
-    expected: dict[int, set[int]] = {}
+    expected = {}
     for triangle in chosen:
         expected.setdefault(int(numbers[triangle]), set()).update(fans[triangle])
     assert {number: vertices[loop].tolist() for number, loop in loops_of(picked).items()} == {

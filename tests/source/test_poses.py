@@ -1,7 +1,5 @@
 """glTF models posed by their animations, skins and morph targets."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -14,6 +12,7 @@ from octex.view.shading import face_normals
 from octex.view.zbuffer import z_buffer
 from tests.conftest import needs_jit
 from tests.make.fixtures import MISSING, SQUARE, Gltf, put, rows
+from tests.make.refusal import refused
 from tests.oracles.naive_poses import posed
 
 WEIGHTS = np.float32([[1, 0, 0, 0], [0.25, 0.75, 0, 0], [0.5, 0.25, 0.25, 0], [0, 0, 1, 0]])
@@ -30,7 +29,7 @@ def moving(path, mode, seed=0):
     random = np.random.default_rng(seed)
     gltf = Gltf()
     offsets = [{"POSITION": gltf.accessor(random.normal(size=(4, 3)).astype(np.float32))} for _ in range(2)]
-    targets: dict[str, Any] = {"targets": offsets}
+    targets = {"targets": offsets}
     attributes = {"JOINTS_0": gltf.accessor(JOINTS), "WEIGHTS_0": gltf.accessor(WEIGHTS)}
     moved = gltf.show(gltf.primitive(**attributes) | targets, translation=[5, 5, 5])
     rigid = gltf.show(gltf.primitive() | targets, scale=[1, 2, 1], weights=[0.5, 0.25])
@@ -204,9 +203,8 @@ def broken(changes):
 def test_a_broken_animation_is_refused_in_one_line(tmp_path, changes, message):
     file = broken(changes).save(tmp_path / "a.glb")
     octex.load_surface(file)  # as it rests it is read
-    with pytest.raises(ModelError, match=message) as refused:
+    with refused(ModelError, message):
         octex.load_surface(file, pose="A@0")
-    assert "\n" not in str(refused.value)
 
 
 def test_broken_files_of_others_are_refused_or_posed(models):

@@ -1,10 +1,8 @@
 """Stored images and their levels, against sums written out; footprints of surfaces."""
 
 from itertools import product
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +14,6 @@ from octex.source.surface import Surface
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 from tests.oracles.naive_filters import halved, reduction
 
-Floats = npt.NDArray[np.float64]
 UV_UP = SQUARE_UV * [1, -1] + [0, 1]
 
 
@@ -83,7 +80,7 @@ def reduced(values, height, width, covered):
 def pictures(draw):
     """Images of any size, of every kind; half of them hold how much they cover."""
     height, width = draw(st.integers(1, 9)), draw(st.integers(1, 9))
-    texels: npt.NDArray[Any] = random_image(height, width, 4, "uint16", draw(st.integers(0, 99)))
+    texels = random_image(height, width, 4, "uint16", draw(st.integers(0, 99)))
     texels[..., 3] |= 4096  # faint texels leave no bits of colour to compare
     kind = draw(st.sampled_from([SRGB, DATA, FLOAT]))
     if kind == FLOAT:
@@ -181,12 +178,9 @@ def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other():
     small, large = random_image(2, 3, 4, "uint16"), random_image(4, 4, 4, "uint16")
     light = random_image(2, 3, 4).astype(np.float32)
     given = [
-        Picture(small, True),
-        Picture(large, False, True),
-        Picture(light, True),
-        Picture(small[::-1], False),
+        Picture(small, True), Picture(large, False, True), Picture(light, True), Picture(small[::-1], False),
         Picture(light * 2, True),
-    ]
+    ]  # fmt: skip
     stored = store(given, WHOLE)
     images = stored[0]
     assert stored[1] == [0, 1, 0, 0, 0]

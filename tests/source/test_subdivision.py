@@ -8,6 +8,7 @@ from octex.errors import ArgumentError, ModelError
 from octex.source.corners import Polygons
 from octex.source.subdivision import base_level, divided, limits
 from tests.conftest import needs_jit
+from tests.make.fixtures import obj_lines
 from tests.oracles.naive_subdivision import base, next_level
 
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
@@ -213,10 +214,9 @@ def test_a_posed_cage_keeps_its_own_rest_positions():
 
 
 def test_creases_come_from_tags_and_may_be_given(tmp_path):
-    lines = [f"v {x} {y} {z}" for x, y, z in CUBE] + [f"f {' '.join(str(v + 1) for v in q)}" for q in QUADS]
     tags = ["t crease 2/1/0 0 1 2.5", "t interpolateboundary 1/0/0 2", "t corner 1/1/0 7 10.0"]
     path = tmp_path / "a.obj"
-    path.write_text("\n".join([*lines, *tags]))
+    path.write_text(obj_lines(CUBE, QUADS) + "\n".join(tags))
     cage = octex.load_surface(path)
     assert cage.creases is not None
     assert cage.creases.edges.tolist() == [[0, 1]]
@@ -242,7 +242,7 @@ def test_creases_come_from_tags_and_may_be_given(tmp_path):
         "corner 1/1/0 x 1",
         "corner 1/1/0 1 nan",
     ):
-        path.write_text("\n".join([*lines, f"t {tag}"]))
+        path.write_text(obj_lines(CUBE, QUADS) + f"t {tag}")
         with pytest.raises(ModelError, match="is not a crease tag"):
             octex.load_surface(path)
 
@@ -312,8 +312,7 @@ def test_textures_by_hull_and_by_limit_hold_the_same():
 
 def test_subdiv_levels_is_an_option(tmp_path, cli):
     path = tmp_path / "a.obj"
-    lines = [f"v {x} {y} {z}" for x, y, z in CUBE] + [f"f {' '.join(str(v + 1) for v in q)}" for q in QUADS]
-    path.write_text("\n".join(lines))
+    path.write_text(obj_lines(CUBE, QUADS))
     out = str(tmp_path / "a.octex")
     for words, message in (
         (["--subdiv", "limit"], "--subdiv: 'limit' is not a whole number"),

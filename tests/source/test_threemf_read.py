@@ -92,7 +92,7 @@ def test_the_build_places_components_of_other_parts_and_mirrors_them(tmp_path):
     other = f"<resources>{square(3, faces)}</resources><build/>"
     kind = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
     relations = f'<Relationships><Relationship Target="/3D/b.model" Id="r" Type="{kind}"/></Relationships>'
-    parts: dict[str, str | bytes] = {
+    parts = {
         "3D/b.model": root, "3D/a.model": other, "_rels/.rels": relations.encode()
     }  # fmt: skip
     surface = octex.load_surface(package(tmp_path / "a.3mf", parts))
@@ -122,44 +122,31 @@ def test_of_blended_materials_one_is_read_with_a_warning(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("parts", "message"),
+    ("model", "message"),
     [
-        ({}, "has no part 3D/3dmodel.model"),
-        ({"3D/3dmodel.model": b"<model"}, "3D/3dmodel.model is damaged"),
+        (None, "has no part 3D/3dmodel.model"),
+        (b"<model", "3D/3dmodel.model is damaged"),
+        (b'<!DOCTYPE a [<!ENTITY b "c">]><model/>', "has a document type, which 3MF forbids"),
+        ("<resources/><build/>", "has no triangles"),
+        ('<build><item objectid="1"/></build>', "object '1' is missing"),
         (
-            {"3D/3dmodel.model": b'<!DOCTYPE a [<!ENTITY b "c">]><model/>'},
-            "has a document type, which 3MF forbids",
-        ),
-        ({"3D/3dmodel.model": "<resources/><build/>"}, "has no triangles"),
-        ({"3D/3dmodel.model": '<build><item objectid="1"/></build>'}, "object '1' is missing"),
-        (
-            {
-                "3D/3dmodel.model": '<resources><object id="3"><components><component objectid="3"/>'
-                f"</components></object></resources>{BUILD}"
-            },
-            "object '3' is missing, or contains itself",
+            '<resources><object id="3"><components><component objectid="3"/></components></object>'
+            f"</resources>{BUILD}", "object '3' is missing, or contains itself",
         ),
         (
-            {
-                "3D/3dmodel.model": '<resources><object id="3"><mesh><vertices/><triangles>'
-                f'<triangle v1="0" v2="1" v3="2"/></triangles></mesh></object></resources>{BUILD}'
-            },
+            '<resources><object id="3"><mesh><vertices/><triangles><triangle v1="0" v2="1" v3="2"/>'
+            f"</triangles></mesh></object></resources>{BUILD}",
             "a triangle uses a vertex that is not among the 0",
         ),
+        (f'<resources><m:texture2dgroup id="4" texid="9"/></resources>{BUILD}', "texture '9' is missing"),
         (
-            {"3D/3dmodel.model": f'<resources><m:texture2dgroup id="4" texid="9"/></resources>{BUILD}'},
-            "texture '9' is missing",
-        ),
-        (
-            {
-                "3D/3dmodel.model": '<resources><m:compositematerials id="5" matid="1" matindices="">'
-                f'<m:composite values="1"/></m:compositematerials></resources>{BUILD}'
-            },
-            "compositematerials '5' lacks what it blends",
+            '<resources><m:compositematerials id="5" matid="1" matindices=""><m:composite values="1"/>'
+            f"</m:compositematerials></resources>{BUILD}", "compositematerials '5' lacks what it blends",
         ),
     ],
-)
-def test_damaged_packages_are_refused_in_one_line(tmp_path, parts, message):
+)  # fmt: skip
+def test_damaged_packages_are_refused_in_one_line(tmp_path, model, message):
+    parts = {} if model is None else {"3D/3dmodel.model": model}
     with pytest.raises(ModelError, match=message) as caught:
         octex.load_surface(package(tmp_path / "bad.3mf", parts))
     assert str(caught.value).startswith("bad.3mf")

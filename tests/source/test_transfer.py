@@ -1,10 +1,8 @@
 """Channels of another model, taken where its surface is nearest; and what is left empty."""
 
 import json
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -15,8 +13,6 @@ from tests.conftest import needs_jit
 from tests.make.fixtures import ply, ply_square
 from tests.make.painted import ball, plain, square, together
 from tests.make.small_surfaces import FaceSource, sheet, tetrahedron, whole
-
-Array = npt.NDArray[Any]
 
 
 def rainbow(rings=24):
@@ -202,7 +198,7 @@ def test_gaps_do_not_darken_averages_of_what_is_transparent_beside_them():
 @pytest.mark.parametrize("kind", ["transfer", "radius", "distance"])
 def test_alpha_from_elsewhere_does_not_fill_gaps(kind, alpha):
     red, both = two_squares()
-    colors: Any = octex.Transfer(red, distance=0.1)
+    colors = octex.Transfer(red, distance=0.1)
     if kind != "transfer":
         dots = red.scatter(2000).rest
         limit = {kind: 0.1}

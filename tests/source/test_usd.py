@@ -4,10 +4,8 @@ import io
 import json
 import sys
 import zipfile
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 import pytest
 import trimesh
@@ -19,9 +17,8 @@ from octex.source.materials import Input, Material, MaterialSource
 from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from tests.make import solids
+from tests.make.refusal import refused
 from tests.make.small_surfaces import whole
-
-Array = npt.NDArray[Any]
 
 pxr = pytest.importorskip("pxr", reason="the extra octex[usd] is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, UsdValidation, Vt  # noqa: E402
@@ -475,9 +472,8 @@ def test_damaged_stages_are_refused_in_one_line(tmp_path, baked):
         mesh = made.square()
         made.material(mesh)
         change(made, mesh)
-        with pytest.raises(error, match=words) as caught:
+        with refused(error, words):
             made.read()
-        assert "\n" not in str(caught.value)
 
     without(lambda _, mesh: mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 7]), "uses a point 7, but there are 4")
     without(lambda _, mesh: mesh.CreateFaceVertexCountsAttr([3]), "its faces have 3 corners, its list 4")

@@ -1,12 +1,8 @@
 """Sparse voxels: what they are read from, and that they are the texture's leaves as they are."""
 
-from __future__ import annotations
-
 import json
 import struct
 from itertools import product
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +13,7 @@ from octex.errors import ArgumentError, ModelError
 from octex.formats.npz import write_arrays
 from octex.source.voxels import is_voxels
 from octex.tree.octree import walk_leaves
-from tests.make.command import Cli
+from tests.make.refusal import refused
 from tests.make.vxz import vxz
 
 RNG = np.random.default_rng(3)
@@ -27,7 +23,7 @@ ALPHA = RNG.integers(0, 256, (150, 1), dtype=np.uint8)
 ROUGHNESS = RNG.random(150).astype(np.float32)
 
 
-def stored(texture: octex.OctreeTexture, name: str) -> dict[tuple[int, ...], list[Any]]:
+def stored(texture, name):
     """What leaves hold, by the centres of their cells in texture space."""
     found = {}
     for leaves in walk_leaves(texture.tree.arrays):
@@ -40,7 +36,7 @@ def stored(texture: octex.OctreeTexture, name: str) -> dict[tuple[int, ...], lis
     return found
 
 
-def test_each_voxel_is_a_leaf_with_its_value() -> None:
+def test_each_voxel_is_a_leaf_with_its_value():
     channels = {"base_color": COLORS, "alpha": ALPHA, "roughness": ROUGHNESS, "label": ALPHA[:, 0]}
     texture = octex.convert(octex.Voxels(COORDS, channels, origin=(1, 2, 3), size=8.0))
     texture.validate()
@@ -59,7 +55,7 @@ def test_each_voxel_is_a_leaf_with_its_value() -> None:
         assert stored(texture, name) == dict(zip(centres, codes.tolist(), strict=True))
 
 
-def test_nodes_are_means_in_linear_light_that_alpha_weighs() -> None:
+def test_nodes_are_means_in_linear_light_that_alpha_weighs():
     coords = np.array(list(product(range(2), repeat=3)))
     colors = RNG.integers(0, 256, (8, 4), dtype=np.uint8)
     texture = octex.convert(octex.Voxels(coords, {"base_color": colors}))
@@ -69,7 +65,7 @@ def test_nodes_are_means_in_linear_light_that_alpha_weighs() -> None:
     np.testing.assert_allclose(texture.channels["alpha"].values[0] / 255, alpha.mean(), atol=1 / 255)
 
 
-def test_voxels_of_several_depths_share_a_grid_and_weigh_as_their_faces() -> None:
+def test_voxels_of_several_depths_share_a_grid_and_weigh_as_their_faces():
     texture = octex.convert(
         octex.Voxels([[0, 0, 0], [2, 0, 0], [3, 1, 1]], {"x": np.array([0.0, 1.0, 1.0])}, depth=[1, 2, 2])
     )
@@ -82,7 +78,7 @@ def test_voxels_of_several_depths_share_a_grid_and_weigh_as_their_faces() -> Non
     np.testing.assert_allclose(texture.channels["x"].values[0] / 255, 0.5 / (1 + 0.5), atol=0.02)
 
 
-def test_floats_are_linear_light_and_stay_so_above_1() -> None:
+def test_floats_are_linear_light_and_stay_so_above_1():
     light = RNG.random((150, 3)) * [1, 1, 5]
     texture = octex.convert(octex.Voxels(COORDS, {"base_color": light, "emissive": light / 5}))
     assert texture.channels["base_color"].format[2:] == ("linear", "float16")
@@ -103,12 +99,12 @@ def test_floats_are_linear_light_and_stay_so_above_1() -> None:
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_random_voxels_are_textures_that_can_be_edited(seed: int) -> None:
+def test_random_voxels_are_textures_that_can_be_edited(seed):
     random = np.random.default_rng(seed)
     depth = int(random.integers(1, 6))
     coords = np.unique(random.integers(0, 2**depth, (int(random.integers(1, 60)), 3)), axis=0)
     rows = len(coords)
-    channels: dict[str, Any] = [
+    channels = [
         {"base_color": random.random((rows, 3), np.float32)},
         {"base_color": random.integers(0, 256, (rows, 4), np.uint8)},
         {
@@ -133,7 +129,7 @@ def test_random_voxels_are_textures_that_can_be_edited(seed: int) -> None:
         edited.validate()
 
 
-def test_arrays_of_files_have_usual_names_too(tmp_path: Path) -> None:
+def test_arrays_of_files_have_usual_names_too(tmp_path):
     np.savez(
         tmp_path / "a.npz",
         ijk=np.c_[np.zeros(150, int), COORDS], rgb=COLORS, voxel_size=0.5, depth=5, points=COORDS, note="a",
@@ -146,13 +142,13 @@ def test_arrays_of_files_have_usual_names_too(tmp_path: Path) -> None:
     np.testing.assert_array_equal(voxels.values["base_color"].rows, COLORS)
 
 
-def test_points_in_a_npz_are_no_voxels(tmp_path: Path) -> None:
+def test_points_in_a_npz_are_no_voxels(tmp_path):
     np.savez(tmp_path / "a.npz", points=COORDS, colors=COLORS)
     assert not is_voxels(tmp_path / "a.npz")
     assert not is_voxels(tmp_path / "none.npz")
 
 
-def test_what_octex_writes_of_leaves_of_several_depths_it_reads(tmp_path: Path) -> None:
+def test_what_octex_writes_of_leaves_of_several_depths_it_reads(tmp_path):
     coords = np.array([[0, 0, 0], [2, 0, 0], [3, 1, 1], [2, 2, 2]])
     colors, light = RNG.random((4, 3)), RNG.random((4, 3)) * 4
     given = octex.Voxels(
@@ -168,7 +164,7 @@ def test_what_octex_writes_of_leaves_of_several_depths_it_reads(tmp_path: Path) 
         np.testing.assert_allclose([*stored(found, name).values()], values, rtol=1e-6)
 
 
-def test_the_command_converts_them(tmp_path: Path, cli: Cli) -> None:
+def test_the_command_converts_them(tmp_path, cli):
     np.savez(tmp_path / "a.npz", coords=COORDS, base_color=COLORS)
     told = cli.result(tmp_path / "a.npz", tmp_path / "a.octex", "--json", "--quiet")
     assert json.loads(told)["leaves"] == 150
@@ -180,11 +176,11 @@ def test_the_command_converts_them(tmp_path: Path, cli: Cli) -> None:
 VALUES = {"base_color": COLORS, "alpha": ALPHA, "label": ALPHA}
 
 
-def whole(**changes: Any) -> bytes:
+def whole(**changes):
     return vxz(COORDS, VALUES, **changes)
 
 
-def moved(index: int) -> bytes:
+def moved(index):
     """A file whose first chunk says that it lies elsewhere."""
     data = whole()
     (start,) = struct.unpack_from(">I", data, 4)
@@ -196,7 +192,7 @@ def moved(index: int) -> bytes:
 @pytest.mark.parametrize("compression", ["none", "deflate", "lzma", "zstd"])
 @pytest.mark.parametrize("style", ["none", "as_is", "all"])
 @pytest.mark.parametrize("filtered", ["none", "parent", "neighbor"])
-def test_o_voxels_files_are_read(tmp_path: Path, compression: str, style: str, filtered: str) -> None:
+def test_o_voxels_files_are_read(tmp_path, compression, style, filtered):
     data = vxz(COORDS, VALUES, compression=compression, style=style, filtered=filtered)
     (tmp_path / "a.vxz").write_bytes(data)
     texture = octex.convert(tmp_path / "a.vxz")
@@ -230,12 +226,10 @@ def test_o_voxels_files_are_read(tmp_path: Path, compression: str, style: str, f
         (moved(-1), "coords from -8 to"),
     ],
 )
-def test_damaged_o_voxels_are_refused_in_one_line(tmp_path: Path, data: bytes, message: str) -> None:
+def test_damaged_o_voxels_are_refused_in_one_line(tmp_path, data, message):
     (tmp_path / "bad.vxz").write_bytes(data)
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(ModelError, message, "bad.vxz"):
         octex.convert(tmp_path / "bad.vxz")
-    assert "bad.vxz" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -261,24 +255,20 @@ def test_damaged_o_voxels_are_refused_in_one_line(tmp_path: Path, data: bytes, m
         ({"coords": np.array([[0, 0, 0], [1, 1, 1]]), "rgb": COLORS[:2], "depths": [1, 2]}, "overlap"),
     ],
 )
-def test_what_does_not_fit_is_refused_in_one_line_that_names_it(
-    tmp_path: Path, arrays: dict[str, Any], message: str
-) -> None:
+def test_what_does_not_fit_is_refused_in_one_line_that_names_it(tmp_path, arrays, message):
     np.savez(tmp_path / "bad.npz", **arrays)
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(ModelError, message, "bad.npz"):
         octex.convert(tmp_path / "bad.npz")
-    assert "bad.npz" in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
-def test_rows_of_unequal_lengths_are_refused() -> None:
+def test_rows_of_unequal_lengths_are_refused():
     for coords, values, depth in (([[0], [1, 2]], [1.0], 1), ([[0, 0, 0]], [[1], [2, 3]], 1),
                                   ([[0, 0, 0]], [[1.0]], [[1], [2, 3]])):  # fmt: skip
         with pytest.raises(ArgumentError, match="must"):
             octex.Voxels(coords, {"roughness": values}, depth=depth)
 
 
-def test_what_needs_a_surface_or_another_grid_is_refused() -> None:
+def test_what_needs_a_surface_or_another_grid_is_refused():
     voxels = octex.Voxels(COORDS, {"base_color": COLORS})
     with pytest.raises(ArgumentError, match="voxels have their own depth"):
         octex.convert(voxels, 7)
@@ -288,7 +278,7 @@ def test_what_needs_a_surface_or_another_grid_is_refused() -> None:
         octex.convert(voxels, channels=["alpha"])
 
 
-def test_a_damaged_npz_is_refused(tmp_path: Path) -> None:
+def test_a_damaged_npz_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", coords=COORDS, rgb=COLORS)
     data = (tmp_path / "a.npz").read_bytes()
     (tmp_path / "bad.npz").write_bytes(data[:100] + bytes(40) + data[140:])

@@ -28,17 +28,8 @@ def program(tmp_path_factory):
     made = tmp_path_factory.mktemp("reader") / "read_octex"
     source = ROOT / "samples" / "read_octex.c"
     command = [
-        compiler,
-        "-std=c99",
-        "-Wall",
-        "-Wextra",
-        "-Werror",
-        "-O1",
-        str(source),
-        "-o",
-        str(made),
-        "-lm",
-    ]
+        compiler, "-std=c99", "-Wall", "-Wextra", "-Werror", "-O1", str(source), "-o", str(made), "-lm",
+    ]  # fmt: skip
     subprocess.run(command, check=True)
     return made
 

@@ -41,7 +41,7 @@ class Elsewhere(Executor):
     """Works on copies, like an executor whose workers are other processes."""
 
     def submit(self, function, /, *args, **_):
-        future: Future[Any] = Future()
+        future = Future()
         future.set_result(function(*copy.deepcopy(args)))
         return future
 

@@ -1,9 +1,6 @@
 """What lookups give, beside the slow reference of the field: channels, alpha, directions, gradients."""
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,19 +13,12 @@ from tests.make.small_textures import UNIT_BOUNDS, eight_colors, shell
 from tests.make.strategies import textures
 from tests.oracles import naive
 
-Doubles = npt.NDArray[np.float64]
 SMOOTH = [name for name in FILTERS if name != "nearest"]
 
 
 def weights_at(texture, filter, point):
     """Weights of all rows, cells' and kept nodes', at a rest position, and their derivatives: (4, rows)."""
-    cells = [
-        naive.Cell(level, naive.unmorton(code), not is_node)
-        for level, (codes, nodes) in enumerate(texture.tree.walk())
-        for code, is_node in zip(codes.tolist(), nodes.tolist(), strict=True)
-    ]
-    kept = {cell: len(cells) + row for row, cell in enumerate(texture.tree.kept.cells.tolist())}
-    field = naive.Field(cells, np.eye(len(cells) + len(kept)), filter, kept)
+    field = naive.field_of(texture.tree, filter)
     (place,) = texture.placement.to_texture_space(point[None]).tolist()
     slopes = [field.derivatives(place, axis, 1)[1] / texture.placement.size for axis in np.eye(3).tolist()]
     return np.array([field.at(place), *slopes])
@@ -147,7 +137,7 @@ def test_gradients_of_unit_vectors_are_across_them():
 def test_a_direction_that_cancels_out_has_no_gradient():
     color = eight_colors().channels["base_color"]
     form = color.format._replace(name="normal", space="direction", dtype="float32")
-    zeros: Any = np.zeros((9, 3), np.float32)
+    zeros = np.zeros((9, 3), np.float32)
     texture = eight_colors(channels={"normal": Channel(form, zeros, zeros[:0], zeros[:0])})
     values, gradients = texture.sample([[0.3, 0.4, 0.5]], "normal", "quadratic", gradient=True)
     assert not values.any() and not gradients.any()

@@ -25,11 +25,7 @@ def normalized(vector):
 
 @given(textures(), st.integers(0, 2**32 - 1))
 def test_a_sample_is_the_decoded_value_of_the_nearest_cell(texture, seed):
-    cells = [
-        naive.Cell(level, naive.unmorton(code), not is_node)
-        for level, (codes, nodes) in enumerate(texture.tree.walk())
-        for code, is_node in zip(codes.tolist(), nodes.tolist(), strict=True)
-    ]
+    cells = naive.cells_in(texture.tree)
     random = np.random.default_rng(seed)
     chosen = [cells[n] for n in random.integers(0, len(cells), 6)]
     inside = np.array([(np.array(cell.place) + random.random(3) * 1.5) / 2**cell.level for cell in chosen])
@@ -158,11 +154,15 @@ def test_metadata_that_are_not_texts_are_refused(metadata):
 
 
 @pytest.mark.parametrize(
-    "placement", [Placement((0, 0, np.nan), 1), Placement((0, 0, 0), 0), Placement((0, 0, 0), np.inf)]
+    ("origin", "size"),
+    [
+        *(((0, 0, np.nan), 1), ((0, np.nan, 0), 1), ((0, 0, 0), 0), ((0, 0, 0), np.inf)),
+        *(((0, 0, 0), 1e-312), ((0, 0, 0), 1e31), ((1e31, 0, 0), 1)),
+    ],
 )
-def test_an_impossible_root_cell_is_refused(placement):
-    with pytest.raises(ArgumentError, match="the root cell must have a size from 1e-30"):
-        eight_colors(placement=placement)
+def test_an_impossible_root_cell_is_refused(origin, size):
+    with pytest.raises(ArgumentError, match=r"root cell must have a size from 1e-30 to 1e\+30 and a corner"):
+        eight_colors(placement=Placement(origin, size))
 
 
 @pytest.mark.parametrize("bounds", [[[0, 0, 0]], [[0, 0, 0], [1, 1, np.inf]]])

@@ -106,16 +106,9 @@ def test_info_says_where_the_bytes_go():
     info = eight_colors().info()
     assert json.loads(json.dumps(info)) == info
     assert info["bytes"] == {
-        "header": 4096,
-        "structure": 24 + 24 + 24,
-        "flags": 9,
-        "areas": 9,
-        "split": 0,
-        "kept": 0,
-        "channel base_color": 27,
-        "other": 0,
-        "total": 4096 + 72 + 9 + 9 + 27,
-    }
+        "header": 4096, "structure": 24 + 24 + 24, "flags": 9, "areas": 9, "split": 0, "kept": 0,
+        "channel base_color": 27, "other": 0, "total": 4096 + 72 + 9 + 9 + 27,
+    }  # fmt: skip
     assert info["levels"] == [{"level": 0, "leaves": 0, "nodes": 1}, {"level": 1, "leaves": 8, "nodes": 0}]
     assert info["finest_cell"] == 0.5
     assert info["provenance"] == {"source": "eight"}
@@ -125,6 +118,15 @@ def test_a_file_is_opened_by_its_metadata_not_by_its_name(tmp_path):
     save_file({"a": np.zeros(3)}, tmp_path / "a.octex")
     with pytest.raises(TextureFileError, match=r"a\.octex: is not an octree texture"):
         octex.open(tmp_path / "a.octex")
+
+
+def changed(path, **changes):
+    """Write a texture with other tensors or metadata; those that are None are left out."""
+    eight_colors().save(path)
+    contents = container.read(path)
+    parts = [getattr(contents, part) | changes.get(part, {}) for part in ("tensors", "metadata")]
+    container.write(path, *({key: each for key, each in part.items() if each is not None} for part in parts))
+    return path
 
 
 @pytest.mark.parametrize(
@@ -156,11 +158,7 @@ def test_a_file_is_opened_by_its_metadata_not_by_its_name(tmp_path):
     ],
 )
 def test_damaged_metadata_are_refused_by_name(tmp_path, name, text, message):
-    path = tmp_path / "a.octex"
-    eight_colors().save(path)
-    tensors, metadata, _ = container.read(path)
-    changed = {key: value for key, value in (metadata | {name: text}).items() if value is not None}
-    container.write(path, tensors, changed)
+    path = changed(tmp_path / "a.octex", metadata={name: text})
     with pytest.raises(TextureFileError, match=message) as error:
         octex.open(path)
     assert str(error.value).startswith(str(path)) and "\n" not in str(error.value)
@@ -181,13 +179,8 @@ def test_damaged_metadata_are_refused_by_name(tmp_path, name, text, message):
     ],
 )
 def test_missing_and_misshapen_tensors_are_refused_by_name(tmp_path, name, array, message):
-    path = tmp_path / "a.octex"
-    eight_colors().save(path)
-    tensors, metadata, _ = container.read(path)
-    changed = {key: value for key, value in (tensors | {name: array}).items() if value is not None}
-    container.write(path, changed, metadata)
     with pytest.raises(TextureFileError, match=message):
-        octex.open(path)
+        octex.open(changed(tmp_path / "a.octex", tensors={name: array}))
 
 
 def test_validate_names_the_file_and_the_channel(tmp_path):

@@ -1,29 +1,21 @@
 """Textures of parts: looked up by part, and kept in a folder."""
 
-from __future__ import annotations
-
 import json
 import re
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
 from octex import files
-from octex.channels import NORMAL, ROUGHNESS, ChannelFormat
+from octex.channels import NORMAL, ROUGHNESS
 from octex.errors import ArgumentError, OutputError, TextureFileError
 from octex.texture import Channel, OctreeTexture, TextureSet, lookup
 from octex.texture import set as sets
 from octex.tree.placement import Placement
 from tests.make.small_textures import eight_colors, shell
-
-Array = npt.NDArray[Any]
 
 N = 60
 RANDOM = np.random.default_rng(0)
@@ -32,7 +24,7 @@ PARTS = RANDOM.integers(0, 3, N)
 VECTORS = RANDOM.normal(size=(3, N, 3))
 
 
-def with_channel(texture: OctreeTexture, form: ChannelFormat) -> OctreeTexture:
+def with_channel(texture, form):
     """The same texture with one more channel, of noise."""
     tree, random = texture.tree, np.random.default_rng(9)
     rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
@@ -41,18 +33,18 @@ def with_channel(texture: OctreeTexture, form: ChannelFormat) -> OctreeTexture:
     return OctreeTexture(tree, channels, texture.placement, texture.bounds)
 
 
-def moved(texture: OctreeTexture) -> OctreeTexture:
+def moved(texture):
     return OctreeTexture(texture.tree, texture.channels, Placement((0.1, -0.2, 0.0), 0.7), texture.bounds)
 
 
 @pytest.fixture(scope="module")
-def parts() -> TextureSet:
+def parts():
     textures = {"body": shell(3), "left eye/1": moved(shell(2)), "right eye": shell(1)}
     noisy = {name: with_channel(texture, NORMAL) for name, texture in textures.items()}
     return TextureSet(noisy, {"source": "me"})
 
 
-def one_by_one(parts: TextureSet, options: dict[str, Any], **more: Any) -> list[Any]:
+def one_by_one(parts, options, **more):
     """Each point's answer by its own part's texture."""
     found = []
     for row in range(N):
@@ -72,20 +64,17 @@ def one_by_one(parts: TextureSet, options: dict[str, Any], **more: Any) -> list[
     ],
     ids=lambda options: "+".join(options),
 )
-def test_each_point_is_answered_by_its_parts_texture(parts: TextureSet, options: dict[str, Any]) -> None:
+def test_each_point_is_answered_by_its_parts_texture(parts, options):
     numbers = {"anisotropy": 3.0} if "dPdx" in options else {}
     numbers |= {"bleed_threshold": 0.0} if options and "normals" not in options else {}
-    for more in (
-        {"filter": "linear", "blur": 0.01, "normalize": False},
-        {"channel": "normal", **numbers},
-    ):
-        found = parts.sample(POINTS, PARTS, **options, **more)  # type: ignore[call-overload]
+    for more in ({"filter": "linear", "blur": 0.01, "normalize": False}, {"channel": "normal", **numbers}):
+        found = parts.sample(POINTS, PARTS, **options, **more)
         wanted = np.concatenate(one_by_one(parts, options, **more))
         assert found.dtype == np.float32
         assert np.array_equal(found, wanted)
 
 
-def test_several_channels_and_gradients_come_back_as_from_a_texture(parts: TextureSet) -> None:
+def test_several_channels_and_gradients_come_back_as_from_a_texture(parts):
     names = ["normal", "base_color"]
     values, gradients = parts.sample(POINTS, PARTS, names, width=0.1, gradient=True)
     pairs = one_by_one(parts, {}, channel=names, width=0.1, gradient=True)
@@ -98,7 +87,7 @@ def test_several_channels_and_gradients_come_back_as_from_a_texture(parts: Textu
     assert np.array_equal(gradient, gradients["normal"])
 
 
-def test_answers_are_written_where_the_caller_wants_them(parts: TextureSet) -> None:
+def test_answers_are_written_where_the_caller_wants_them(parts):
     wanted, slopes = parts.sample(POINTS, PARTS, gradient=True)
     out, out_slopes = np.empty((N, 3), np.float32), np.empty((N, 3, 3), np.float32)
     pair = parts.sample(POINTS, PARTS, gradient=True, out=(out, out_slopes))
@@ -112,7 +101,7 @@ def test_answers_are_written_where_the_caller_wants_them(parts: TextureSet) -> N
     assert parts.sample(POINTS, PARTS, ["base_color"], out=by_name)["base_color"] is out
 
 
-def test_parts_are_numbers_or_names_one_for_all_or_one_each(parts: TextureSet) -> None:
+def test_parts_are_numbers_or_names_one_for_all_or_one_each(parts):
     wanted = parts.sample(POINTS, PARTS)
     names = [parts.names[part] for part in PARTS]
     for given in (PARTS.astype(np.uint8), PARTS.tolist(), names, np.array(names), np.array(names, object)):
@@ -122,13 +111,13 @@ def test_parts_are_numbers_or_names_one_for_all_or_one_each(parts: TextureSet) -
         assert np.array_equal(parts.sample(POINTS, given), alone)
 
 
-def test_no_points_have_no_values(parts: TextureSet) -> None:
+def test_no_points_have_no_values(parts):
     for given in ([], "body", 1, np.empty(0, np.int32)):
         assert parts.sample(np.empty((0, 3)), given, "normal").shape == (0, 3)
         assert parts.contains([], given).shape == (0,)
 
 
-def test_blocks_on_threads_change_nothing(parts: TextureSet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_on_threads_change_nothing(parts, monkeypatch):
     wanted, inside = parts.sample(POINTS, PARTS, width=0.1), parts.contains(POINTS, PARTS)
     monkeypatch.setattr(lookup, "BLOCK", 7)
     with ThreadPoolExecutor(3) as pool:
@@ -136,14 +125,14 @@ def test_blocks_on_threads_change_nothing(parts: TextureSet, monkeypatch: pytest
         assert np.array_equal(parts.contains(POINTS, PARTS, run=octex.Run(executor=pool)), inside)
 
 
-def test_contains_asks_each_points_part(parts: TextureSet) -> None:
+def test_contains_asks_each_points_part(parts):
     own = np.array([texture.contains(POINTS) for texture in parts.values()])
     assert np.array_equal(parts.contains(POINTS, PARTS), own[PARTS, np.arange(N)])
     assert np.array_equal(parts.contains(POINTS, "left eye/1"), own[1])
     assert own.any()
 
 
-def test_a_faulty_point_is_named_by_its_own_row(parts: TextureSet, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_faulty_point_is_named_by_its_own_row(parts, monkeypatch):
     broken, widths = POINTS.copy(), np.full(N, 0.1)
     broken[[33, 51]], widths[44] = np.nan, -1.0
     for block in (lookup.BLOCK, 7):
@@ -180,28 +169,26 @@ def test_a_faulty_point_is_named_by_its_own_row(parts: TextureSet, monkeypatch: 
         ({"points": [[0.0, 1.0]]}, r"points must have shape \(n, 3\)"),
     ],
 )
-def test_what_cannot_be_looked_up_is_refused_by_name(
-    parts: TextureSet, given: dict[str, Any], message: str
-) -> None:
+def test_what_cannot_be_looked_up_is_refused_by_name(parts, given, message):
     with pytest.raises(ArgumentError, match=message):
         parts.sample(**({"points": POINTS, "parts": PARTS} | given))
 
 
-def test_a_channel_that_a_part_lacks_is_missed_only_there() -> None:
+def test_a_channel_that_a_part_lacks_is_missed_only_there():
     parts = TextureSet({"a": with_channel(shell(1), ROUGHNESS), "b": shell(1)})
     assert parts.sample(POINTS, "a", "roughness").shape == (N, 1)
     with pytest.raises(ArgumentError, match="channel of part 'b': 'roughness'; there are: base_color"):
         parts.sample(POINTS, np.arange(N) % 2, "roughness")
 
 
-def test_a_channel_of_other_components_in_another_part_is_refused() -> None:
+def test_a_channel_of_other_components_in_another_part_is_refused():
     wide = ROUGHNESS._replace(components=3, space="linear")
     parts = TextureSet({"a": with_channel(shell(1), ROUGHNESS), "b": with_channel(shell(1), wide)})
     with pytest.raises(ArgumentError, match="'roughness' has 3 components in part 'b', and 1 in 'a'"):
         parts.sample(POINTS, np.arange(N) % 2, "roughness")
 
 
-def test_a_set_is_a_mapping_in_order() -> None:
+def test_a_set_is_a_mapping_in_order():
     textures = {name: eight_colors() for name in "dcbafe"}
     parts = TextureSet(textures, {"made": "by hand"})
     assert list(parts) == [*"dcbafe"] == list(parts.names)
@@ -228,7 +215,7 @@ def test_a_set_is_a_mapping_in_order() -> None:
         ({"a": eight_colors()}, {"n": 1}, "metadata must map strings to strings"),
     ],
 )
-def test_what_is_no_set_is_refused(textures: Any, metadata: Any, message: str) -> None:
+def test_what_is_no_set_is_refused(textures, metadata, message):
     with pytest.raises(ArgumentError, match=message):
         TextureSet(textures, metadata)
 
@@ -236,11 +223,11 @@ def test_what_is_no_set_is_refused(textures: Any, metadata: Any, message: str) -
 # --- folders
 
 
-def names_in(path: Path) -> list[str]:
+def names_in(path):
     return sorted(each.name for each in path.iterdir())
 
 
-def test_a_saved_set_opens_again(parts: TextureSet, tmp_path: Path) -> None:
+def test_a_saved_set_opens_again(parts, tmp_path):
     for name in ("one", "two"):
         parts.save(tmp_path / name)
     again = TextureSet.open(tmp_path / "one")
@@ -259,7 +246,7 @@ def test_a_saved_set_opens_again(parts: TextureSet, tmp_path: Path) -> None:
     assert again.info()["provenance"] == {"source": "me"}
 
 
-def test_names_of_parts_become_files_of_their_own(tmp_path: Path) -> None:
+def test_names_of_parts_become_files_of_their_own(tmp_path):
     names = ["a", "A", "a/", "../a", "/", "ä ö", "CON", "nul.x", "x" * 300, "x" * 301, "\ud800", ".b", "set"]
     parts = TextureSet(dict.fromkeys(names, eight_colors()))
     parts.save(tmp_path / "set")
@@ -272,13 +259,11 @@ def test_names_of_parts_become_files_of_their_own(tmp_path: Path) -> None:
     assert {"part-CON.octex", "part-nul.x.octex", "A-2.octex", "part.octex", "b.octex"} <= {*files}
 
 
-def test_a_file_is_opened_when_its_part_is_first_needed(
-    parts: TextureSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_is_opened_when_its_part_is_first_needed(parts, tmp_path, monkeypatch):
     parts.save(tmp_path / "set")
-    opened: list[str] = []
+    opened = []
 
-    def noted(path: Path) -> OctreeTexture:
+    def noted(path):
         opened.append(path.name)
         return octex.open(path)
 
@@ -294,7 +279,7 @@ def test_a_file_is_opened_when_its_part_is_first_needed(
     assert len(opened) == 3
 
 
-def test_a_set_replaces_another_and_leaves_what_is_not_of_it(parts: TextureSet, tmp_path: Path) -> None:
+def test_a_set_replaces_another_and_leaves_what_is_not_of_it(parts, tmp_path):
     parts.save(tmp_path)
     for name in ("notes.txt", "tail.octex"):
         (tmp_path / name).write_text("mine")
@@ -312,20 +297,18 @@ def test_a_set_replaces_another_and_leaves_what_is_not_of_it(parts: TextureSet, 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 @pytest.mark.parametrize("at", ["part", "index"])
-def test_a_broken_save_leaves_the_old_set_or_none(
-    parts: TextureSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: str, error: BaseException
-) -> None:
+def test_a_broken_save_leaves_the_old_set_or_none(parts, tmp_path, monkeypatch, at, error):
     old = tmp_path / "old"
     TextureSet({"body": eight_colors()}).save(old)
     before = {name: (old / name).read_bytes() for name in names_in(old)}
     save, replacing = OctreeTexture.save, files.replacing
 
-    def failing_save(texture: OctreeTexture, path: Path) -> None:
+    def failing_save(texture, path):
         if "left" in path.name:
             raise error
         save(texture, path)
 
-    def failing_replacing(path: Path) -> Any:
+    def failing_replacing(path):
         if path.name == "set.json":
             raise error
         return replacing(path)
@@ -342,13 +325,11 @@ def test_a_broken_save_leaves_the_old_set_or_none(
     assert not (tmp_path / "new").exists()
 
 
-def test_a_save_that_is_interrupted_after_its_index_is_whole(
-    parts: TextureSet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_save_that_is_interrupted_after_its_index_is_whole(parts, tmp_path, monkeypatch):
     replacing = files.replacing
 
     @contextmanager
-    def interrupted(path: Path) -> Iterator[Any]:
+    def interrupted(path):
         with replacing(path) as file:
             yield file
         if path.name == "set.json":
@@ -362,7 +343,7 @@ def test_a_save_that_is_interrupted_after_its_index_is_whole(
     assert again.names == parts.names
 
 
-def test_a_folder_that_cannot_be_made_is_an_output_error(parts: TextureSet, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_made_is_an_output_error(parts, tmp_path):
     (tmp_path / "file").write_text("mine")
     for place in (tmp_path / "file", tmp_path / "no" / "folder"):
         with pytest.raises(OutputError, match=r"cannot be written: .*; choose another place"):
@@ -371,7 +352,7 @@ def test_a_folder_that_cannot_be_made_is_an_output_error(parts: TextureSet, tmp_
     assert names_in(tmp_path) == ["file"]
 
 
-def test_an_index_that_is_not_of_a_set_is_not_overwritten(parts: TextureSet, tmp_path: Path) -> None:
+def test_an_index_that_is_not_of_a_set_is_not_overwritten(parts, tmp_path):
     (tmp_path / "set.json").write_text('{"mine": 1}')
     with pytest.raises(OutputError, match=r"not the index of a texture set; remove set.json, or choose"):
         parts.save(tmp_path)
@@ -403,19 +384,12 @@ GOOD = {"format": "octex set", "format_version": 1, "parts": {"a": "a.octex"}, "
         *(
             (GOOD | {"parts": {"a": file}}, r"part 'a' is in '.*', which is not an \.octex file next to it")
             for file in (
-                "../a.octex",
-                "/a.octex",
-                "C:\\a.octex",
-                "x/../a.octex",
-                "a\0.octex",
-                "..",
-                "a.txt",
-                "",
+                "../a.octex", "/a.octex", "C:\\a.octex", "x/../a.octex", "a\0.octex", "..", "a.txt", "",
             )
         ),
     ],
-)
-def test_a_broken_folder_is_refused_in_one_line(tmp_path: Path, index: Any, message: str) -> None:
+)  # fmt: skip
+def test_a_broken_folder_is_refused_in_one_line(tmp_path, index, message):
     here = tmp_path / "set"
     here.mkdir()
     for place in (here, tmp_path):
@@ -427,7 +401,7 @@ def test_a_broken_folder_is_refused_in_one_line(tmp_path: Path, index: Any, mess
     assert str(caught.value).count("\n") == 0
 
 
-def test_an_index_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
+def test_an_index_that_cannot_be_read_is_refused(tmp_path):
     (tmp_path / "set.json").mkdir()
     with pytest.raises(TextureFileError, match=r"set\.json: cannot be read: Is a directory"):
         TextureSet.open(tmp_path)
@@ -436,7 +410,7 @@ def test_an_index_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
         TextureSet.open(tmp_path / "file")
 
 
-def test_a_damaged_part_is_named_when_it_is_opened_or_proved(parts: TextureSet, tmp_path: Path) -> None:
+def test_a_damaged_part_is_named_when_it_is_opened_or_proved(parts, tmp_path):
     parts.save(tmp_path)
     damaged = bytearray((tmp_path / "left-eye-1.octex").read_bytes())
     damaged[4096] ^= 0xFF  # the node masks of the root
@@ -450,7 +424,7 @@ def test_a_damaged_part_is_named_when_it_is_opened_or_proved(parts: TextureSet, 
         again.sample(POINTS, PARTS)
 
 
-def test_opening_a_folder_as_a_texture_says_what_opens_it(parts: TextureSet, tmp_path: Path) -> None:
+def test_opening_a_folder_as_a_texture_says_what_opens_it(parts, tmp_path):
     parts.save(tmp_path)
     with pytest.raises(TextureFileError, match=r"is a folder; octex\.TextureSet\.open opens a texture set"):
         octex.open(tmp_path)

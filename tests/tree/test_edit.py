@@ -55,7 +55,7 @@ def children(key):
 def by_level(keys, least=1):
     keys = set(keys)
     levels = max([level + 1 for level, _ in keys] + [least])
-    found: list[list[int]] = [[] for _ in range(levels)]
+    found = [[] for _ in range(levels)]
     for level, code in sorted(keys):
         found[level].append(code)
     return [np.array(codes, np.int64) for codes in found]
@@ -274,7 +274,7 @@ def test_a_tree_rebuilt_of_other_leaves_carries_what_it_shares(tree, leaves):
 @given(trees(), seeds)
 def test_a_tree_is_rebuilt_where_leaves_and_nodes_change_places(tree, seed):
     random = np.random.default_rng(seed)
-    keys: set[Key] = set()
+    keys = set()
     for key, is_leaf in keys_of(tree).items():
         if not keys & set(above(key)) and (is_leaf or random.random() < 0.1):
             first = int(random.integers(6))
@@ -299,7 +299,7 @@ def wanted_cells(draw, part=None):
     tree = draw(trees())
     random = np.random.default_rng(draw(seeds))
     cells = keys_of(tree)
-    met: set[Key] = set()
+    met = set()
     for leaf in leaves_of(tree):
         part_here = random.choice([0.0, 0.2, 0.6, 1.0]) if part is None else part
         found = [leaf]
@@ -309,7 +309,7 @@ def wanted_cells(draw, part=None):
     candidates = sorted(met)
     chosen = random.random(len(candidates)) < random.choice([0.0, 0.03, 0.2])
     wanted = {key for key, choose in zip(candidates, chosen.tolist(), strict=True) if choose}
-    added: set[Key] = set()
+    added = set()
     for key, is_leaf in cells.items():
         for child in [] if is_leaf else children(key):
             if child not in cells and random.random() < 0.05:

@@ -1,9 +1,6 @@
 """Leaves one after another, and which way each faces."""
 
-from __future__ import annotations
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from octex import jit
@@ -17,9 +14,7 @@ from tests.oracles import naive_normals
 PX, MX, PY, MY, PZ, MZ = (1 << facing for facing in range(6))
 
 
-def tree_of(
-    codes: npt.ArrayLike, depths: npt.ArrayLike, flags: npt.ArrayLike = 0, areas: npt.ArrayLike = AREA_ONE
-) -> Octree:
+def tree_of(codes, depths, flags=0, areas=AREA_ONE):
     """A tree whose leaves, in Morton order, have these flags and areas."""
     tree = Octree.from_leaves(codes, depths)
     cells = np.concatenate([leaves.cells for leaves in walk_leaves(tree.arrays)])
@@ -28,7 +23,7 @@ def tree_of(
     return tree.with_cell_data(cell_flags, cell_areas)
 
 
-def tree_of_points(points: npt.NDArray[np.float64], normals: npt.NDArray[np.float64], depth: int) -> Octree:
+def tree_of_points(points, normals, depth):
     """A tree of the cells that hold points of texture space, each point with its facing and share of area."""
     codes = encode_cells(np.floor(points * 2**depth))
     axes = np.abs(normals).argmax(axis=1)
@@ -40,11 +35,11 @@ def tree_of_points(points: npt.NDArray[np.float64], normals: npt.NDArray[np.floa
     return tree_of(leaves, depth, flags, areas)
 
 
-def normals_of(tree: Octree) -> npt.NDArray[np.float32]:
+def normals_of(tree):
     return np.concatenate([estimate_normals(tree.arrays, *leaves) for leaves in walk_leaves(tree.arrays)])
 
 
-def sphere(depth: int) -> tuple[Octree, npt.NDArray[np.float64]]:
+def sphere(depth):
     """The tree of a sphere of radius 0.4, and the directions of its leaves' centres."""
     n = np.arange(600 * 4**depth) + 0.5  # a Fibonacci lattice of some 200 points a leaf
     z = 1 - 2 * n / len(n)
@@ -60,7 +55,7 @@ def sphere(depth: int) -> tuple[Octree, npt.NDArray[np.float64]]:
 
 
 @pytest.mark.parametrize("block", [1, 3, 1 << 16])
-def test_leaves_come_in_morton_order_at_any_mix_of_depths(block: int) -> None:
+def test_leaves_come_in_morton_order_at_any_mix_of_depths(block):
     leaves = [(0, 1), (8, 2), (9 * 8 + 7, 3), (3, 1), (63, 2)]
     tree = Octree.from_leaves(*zip(*leaves, strict=True))
     walked = list(walk_leaves(tree.arrays, block))
@@ -71,14 +66,14 @@ def test_leaves_come_in_morton_order_at_any_mix_of_depths(block: int) -> None:
         np.testing.assert_array_equal(cells[depths == level], tree.leaves(level))
 
 
-def test_a_root_leaf_is_one_leaf_and_an_empty_tree_has_none() -> None:
+def test_a_root_leaf_is_one_leaf_and_an_empty_tree_has_none():
     assert [
         tuple(column.tolist() for column in some) for some in walk_leaves(Octree.from_leaves([0], 0).arrays)
     ] == [([0], [0], [0])]
     assert list(walk_leaves(Octree.from_leaves([], 0).arrays)) == []
 
 
-def test_a_walk_over_damaged_arrays_ends() -> None:
+def test_a_walk_over_damaged_arrays_ends():
     groups = np.array([[2**64 - 1, 0, 0]], np.uint64)  # every child of every node is node 0
     none = np.zeros(10, np.uint8)
     for deepest in (1, 21):
@@ -93,7 +88,7 @@ def test_a_walk_over_damaged_arrays_ends() -> None:
 # --- normals
 
 
-def test_normals_agree_with_the_slow_reference() -> None:
+def test_normals_agree_with_the_slow_reference():
     random = np.random.default_rng(3)
     points = np.column_stack([random.random((1500, 2)), 0.5 + 0.06 * random.standard_normal(1500)])
     normals = random.standard_normal((1500, 3)) + np.array([0, 0, 2])
@@ -103,7 +98,7 @@ def test_normals_agree_with_the_slow_reference() -> None:
 
 
 @needs_jit
-def test_normals_of_a_sphere_point_outward_within_half_a_degree_at_the_median() -> None:
+def test_normals_of_a_sphere_point_outward_within_half_a_degree_at_the_median():
     tree, directions = sphere(6)
     cosines = (normals_of(tree) * directions).sum(axis=1)
     errors = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
@@ -112,7 +107,7 @@ def test_normals_of_a_sphere_point_outward_within_half_a_degree_at_the_median() 
     assert errors.max() < 10
 
 
-def test_normals_are_unit_and_do_not_depend_on_the_blocks() -> None:
+def test_normals_are_unit_and_do_not_depend_on_the_blocks():
     tree, _ = sphere(3 if jit.DISABLED else 5)
     normals = normals_of(tree)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, atol=1e-6)
@@ -120,7 +115,7 @@ def test_normals_are_unit_and_do_not_depend_on_the_blocks() -> None:
     np.testing.assert_array_equal(np.concatenate(one_by_one), normals)
 
 
-def test_a_plane_at_mixed_depths_keeps_its_normal() -> None:
+def test_a_plane_at_mixed_depths_keeps_its_normal():
     # Half of the sheet in cells of depth 4, half in cells of depth 3 that hold it too.
     fine = [(i, j, 8) for i in range(8) for j in range(16)]
     coarse = [(i, j, 4) for i in range(4, 8) for j in range(8)]
@@ -133,7 +128,7 @@ def test_a_plane_at_mixed_depths_keeps_its_normal() -> None:
     np.testing.assert_allclose(normals[inside], np.tile([0, 0, -1], (inside.sum(), 1)), atol=1e-6)
 
 
-def test_the_two_sides_of_a_slab_do_not_bend_each_other() -> None:
+def test_the_two_sides_of_a_slab_do_not_bend_each_other():
     cells = [(i, j, k) for i in range(16) for j in range(16) for k in (7, 8)]
     codes = np.sort(encode_cells(cells))
     upper = decode_cells(codes)[:, 2] == 8
@@ -141,7 +136,7 @@ def test_the_two_sides_of_a_slab_do_not_bend_each_other() -> None:
     np.testing.assert_allclose(normals[:, 2], np.where(upper, 1, -1), atol=1e-6)
 
 
-def test_a_sheet_flagged_on_both_sides_takes_its_first() -> None:
+def test_a_sheet_flagged_on_both_sides_takes_its_first():
     u, v = np.meshgrid((np.arange(64) + 0.5) / 64, (np.arange(64) + 0.5) / 64)
     points = np.stack([u, v, 0.2 + u / 2], axis=-1).reshape(-1, 3)  # one up for two along x
     tree = tree_of_points(
@@ -163,21 +158,19 @@ def test_a_sheet_flagged_on_both_sides_takes_its_first() -> None:
     ],
 )
 @pytest.mark.parametrize("depth", [0, 1, 5, 21])
-def test_a_leaf_on_its_own_faces_as_its_flags_say(
-    depth: int, flags: int, normal: tuple[float, float, float]
-) -> None:
+def test_a_leaf_on_its_own_faces_as_its_flags_say(depth, flags, normal):
     tree = tree_of([0 if depth == 0 else 5], depth, flags)
     np.testing.assert_allclose(normals_of(tree), [normal], atol=1e-6)
 
 
-def test_leaves_in_a_line_face_as_their_flags_say() -> None:
+def test_leaves_in_a_line_face_as_their_flags_say():
     codes = np.sort(encode_cells([(i, 3, 3) for i in range(8)]))
     np.testing.assert_allclose(
         normals_of(tree_of(codes, 3, PY | PZ)), [(0, 0.5**0.5, 0.5**0.5)] * 8, atol=1e-6
     )
 
 
-def test_flags_that_contradict_the_surroundings_win() -> None:
+def test_flags_that_contradict_the_surroundings_win():
     codes = np.sort(encode_cells([(i, j, 3) for i in range(8) for j in range(8)]))
     flags = np.where(codes == codes[20], PX, PZ)
     normals = normals_of(tree_of(codes, 3, flags))
@@ -185,12 +178,12 @@ def test_flags_that_contradict_the_surroundings_win() -> None:
     assert (np.delete(normals, 20, axis=0)[:, 2] > 0.99).all()
 
 
-def test_without_flags_and_areas_the_normal_has_some_sign() -> None:
+def test_without_flags_and_areas_the_normal_has_some_sign():
     codes = np.sort(encode_cells([(i, j, 3) for i in range(8) for j in range(8)]))
     np.testing.assert_allclose(np.abs(normals_of(tree_of(codes, 3, 0, 0))[:, 2]), 1, atol=1e-6)
 
 
-def test_nodes_stand_for_all_below_them() -> None:
+def test_nodes_stand_for_all_below_them():
     # A look at the coarse level sees the same sheet: nodes count as cells.
     codes = np.sort(encode_cells([(i, j, 8) for i in range(16) for j in range(16)]))
     tree = tree_of(codes, 4, PZ)

@@ -1,3 +1,5 @@
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -15,14 +17,6 @@ from tests.make.strategies import leaf_sets, with_random_data
 from tests.oracles import naive
 
 coordinates = st.tuples(*[st.integers(0, 2**21 - 1)] * 3)
-
-
-def as_cells(tree):
-    return [
-        naive.Cell(level, naive.unmorton(code), not is_node)
-        for level, (codes, nodes) in enumerate(tree.walk())
-        for code, is_node in zip(codes.tolist(), nodes.tolist(), strict=True)
-    ]
 
 
 def full_tree():
@@ -46,7 +40,7 @@ def test_a_tree_has_the_cells_of_its_leaves_in_breadth_first_morton_order(leaves
     tree = Octree.from_leaves(*leaves)
     tree.validate()
     expected = naive.cells_of(leaves.places())
-    assert as_cells(tree) == expected
+    assert naive.cells_in(tree) == expected
     assert tree.n_cells == len(expected)
     assert tree.n_leaves == leaves.codes.size
     assert tree.n_nodes == tree.n_cells - tree.n_leaves
@@ -73,7 +67,7 @@ def test_a_truncated_tree_ends_in_the_nodes_of_its_last_level(leaves, level):
     tree = with_random_data(Octree.from_leaves(*leaves), level)
     short = tree.truncated(level)
     short.validate()
-    assert as_cells(short) == naive.truncated(as_cells(tree), level)
+    assert naive.cells_in(short) == naive.truncated(naive.cells_in(tree), level)
     flags = tree.arrays.flags[: short.n_cells].copy()
     flags[short.leaf_cells()] &= 0xFF ^ KEPT
     assert np.array_equal(short.arrays.flags, flags)
@@ -235,10 +229,7 @@ def damaged(tree, group, word, flip):
 )
 def test_validate_names_what_is_broken_in_the_structure(group, word, flip, message):
     tree = damaged(full_tree(), group, word, flip)
-    if message:
-        with pytest.raises(TextureFileError, match=message):
-            tree.validate()
-    else:
+    with pytest.raises(TextureFileError, match=message) if message else nullcontext():
         tree.validate()
 
 
@@ -299,10 +290,7 @@ def test_validate_checks_the_split_table(cells, facings, rows, message):
     flags[[0, 2]] |= SPLIT
     split = SplitTable(np.array(cells, np.uint32), np.array(facings, np.uint8), np.zeros(rows, np.uint8))
     tree = tree.with_cell_data(flags, tree.arrays.areas, split)
-    if message:
-        with pytest.raises(TextureFileError, match=message):
-            tree.validate()
-    else:
+    with pytest.raises(TextureFileError, match=message) if message else nullcontext():
         tree.validate()
 
 
@@ -323,10 +311,7 @@ def test_validate_checks_the_table_of_kept_nodes(flagged, listed, message):
     flags[flagged] |= KEPT
     tree = tree.with_cell_data(flags, tree.arrays.areas, kept=KeptTable(np.array(listed, np.uint32)))
     assert tree.nbytes == full_tree().nbytes + 4 * len(listed)
-    if message:
-        with pytest.raises(TextureFileError, match=message):
-            tree.validate()
-    else:
+    with pytest.raises(TextureFileError, match=message) if message else nullcontext():
         tree.validate()
 
 

@@ -1,11 +1,6 @@
 """What a camera sees of points between its pixels' centres, beside rays against every triangle."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from octex.cameras.camera import Camera
@@ -22,10 +17,8 @@ from octex.view.visibility import distances_to_edges, straight, view_of, visibil
 from tests.make.painted import above, ball, one_color, picture_of, plain, square, together
 from tests.make.solids import cube
 
-Array = npt.NDArray[Any]
 
-
-def seen(surface: Surface, camera: Camera, triangles: Array, barycentric: Array, **terms: Any) -> Array:
+def seen(surface, camera, triangles, barycentric, **terms):
     """Coverage of points under a white picture."""
     white = Projection(one_color(camera, (1, 1, 1)), camera)
     hidden = terms.get("hidden", False)
@@ -41,7 +34,7 @@ def seen(surface: Surface, camera: Camera, triangles: Array, barycentric: Array,
     ]
 
 
-def unhidden(surface: Surface, eye: Array, points: Array, own: Array) -> Array:
+def unhidden(surface, eye, points, own):
     """Whether no triangle lies between a camera and points: all are tried (Möller and Trumbore)."""
     free = np.ones(len(points), bool)
     a, b, c = (surface.vertices[surface.triangles[:, n]] for n in range(3))
@@ -61,7 +54,7 @@ def unhidden(surface: Surface, eye: Array, points: Array, own: Array) -> Array:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_points_are_seen_as_rays_see_them_but_beside_edges(seed: int) -> None:
+def test_points_are_seen_as_rays_see_them_but_beside_edges(seed):
     random = np.random.default_rng(seed)
     surface = blobs_of(random)
     camera = Camera.fitted(surface.vertices, random.normal(size=3), size=(96, 80))
@@ -82,7 +75,7 @@ def test_points_are_seen_as_rays_see_them_but_beside_edges(seed: int) -> None:
     assert expected.mean() > 0.15
 
 
-def blobs_of(random: np.random.Generator) -> Surface:
+def blobs_of(random):
     blobs = []
     for middle in ((-0.6, -0.6, 0.6), (0.6, 0.5, -0.6), (-0.5, 0.6, -0.6), (0.1, 0.0, 0.55)):
         one = ball(8, 0.5)
@@ -91,7 +84,7 @@ def blobs_of(random: np.random.Generator) -> Surface:
 
 
 @pytest.mark.parametrize("seed", [0, 1])
-def test_hidden_points_are_painted_if_asked_for_wherever_they_face_the_camera(seed: int) -> None:
+def test_hidden_points_are_painted_if_asked_for_wherever_they_face_the_camera(seed):
     random = np.random.default_rng(seed)
     surface = blobs_of(random)
     camera = Camera.fitted(0.6 * surface.vertices, random.normal(size=3), size=(96, 80))
@@ -107,7 +100,7 @@ def test_hidden_points_are_painted_if_asked_for_wherever_they_face_the_camera(se
 
 
 @pytest.mark.parametrize("gap", [1.0, 0.1, 0.01])
-def test_the_nearer_of_two_close_sheets_hides_the_other(gap: float) -> None:
+def test_the_nearer_of_two_close_sheets_hides_the_other(gap):
     camera = above(size=64)
     pixel = 3.0 / 128
     surface = plain(together(square(), square(-gap * pixel * 2)))
@@ -119,7 +112,7 @@ def test_the_nearer_of_two_close_sheets_hides_the_other(gap: float) -> None:
     assert (found[front:][inner] == 0).all()
 
 
-def test_a_crease_is_seen_right_into_its_corner() -> None:
+def test_a_crease_is_seen_right_into_its_corner():
     floor, wall = square(), square()
     wall = wall[0][:, [0, 2, 1]] * [1, 1, 1] + [0, 0.0, 0.5], wall[1][:, ::-1]
     surface = plain(together(floor, wall))
@@ -138,7 +131,7 @@ def test_a_crease_is_seen_right_into_its_corner() -> None:
     assert (seen(surface, camera, samples.triangles, samples.barycentric)[beside] > 0.5).all()
 
 
-def test_paint_fades_at_grazing_angles() -> None:
+def test_paint_fades_at_grazing_angles():
     surface, camera = ball(), above(4.0, 200)
     samples = surface.scatter(5000, 1)
     toward = camera.position - samples.points
@@ -153,24 +146,24 @@ def test_paint_fades_at_grazing_angles() -> None:
     assert (found[between] < 1).all()
 
 
-def faded(cosines: Array, max_angle: float) -> Array:
+def faded(cosines, max_angle):
     """How opaque paint is by the angle to the camera: it fades over the last ten degrees."""
     low, high = np.cos(np.radians([max_angle, max_angle - 10]))
     t = np.clip((cosines - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
 
 
-def cosines_to(camera: Camera, points: Array, normals: Array) -> Array:
+def cosines_to(camera, points, normals):
     toward = camera.position - points
     return np.einsum("nx,nx->n", normals, toward) / (
         np.linalg.norm(toward, axis=1) * np.linalg.norm(normals, axis=1)
     )
 
 
-def on_edges(surface: Surface) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def on_edges(surface):
     """Three points on each edge between two triangles, on the one and on the other."""
     places = np.unique(surface.vertices.round(9), axis=0, return_inverse=True)[1].reshape(-1)
-    sides: dict[tuple[int, int], list[tuple[int, int, int]]] = {}
+    sides = {}
     for number, corners in enumerate(places[surface.triangles].tolist()):
         for k in range(3):
             a, b = corners[k], corners[(k + 1) % 3]
@@ -189,7 +182,7 @@ def on_edges(surface: Surface) -> tuple[tuple[Array, Array], tuple[Array, Array]
 
 
 @pytest.mark.parametrize("back_faces", [False, True])
-def test_paint_on_a_coarse_ball_fades_as_on_a_round_one(back_faces: bool) -> None:
+def test_paint_on_a_coarse_ball_fades_as_on_a_round_one(back_faces):
     surface, camera = ball(9), above(4.0, 100)
     samples = surface.scatter(1500, 1)
     terms = {"max_angle": 60.0, "back_faces": back_faces}
@@ -204,7 +197,7 @@ def test_paint_on_a_coarse_ball_fades_as_on_a_round_one(back_faces: bool) -> Non
     assert np.abs(one - other).max() < 0.01
 
 
-def test_paint_on_a_cube_keeps_its_creases() -> None:
+def test_paint_on_a_cube_keeps_its_creases():
     points, triangles = cube([-0.5, -0.5, -0.5])
     surface = plain((points, triangles))
     for direction in ((0.75, 0.6, 1), (0.2, 0.5, 1)):
@@ -218,7 +211,7 @@ def test_paint_on_a_cube_keeps_its_creases() -> None:
 
 
 @pytest.mark.parametrize("posed", [False, True])
-def test_normals_of_the_model_itself_come_first(posed: bool) -> None:
+def test_normals_of_the_model_itself_come_first(posed):
     rest = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
     faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
     triangles = np.array(faces, np.int32)
@@ -237,7 +230,7 @@ def test_normals_of_the_model_itself_come_first(posed: bool) -> None:
     assert ((expected > 0.1) & (expected < 0.9)).sum() > 20
 
 
-def test_back_faces_are_painted_only_if_asked_for() -> None:
+def test_back_faces_are_painted_only_if_asked_for():
     points, triangles = square()
     surface = plain((points, triangles[:, ::-1]))
     middles = np.full((len(triangles), 3), 1 / 3)
@@ -245,7 +238,7 @@ def test_back_faces_are_painted_only_if_asked_for() -> None:
     assert (seen(surface, above(), np.arange(len(triangles)), middles, back_faces=True) == 1).all()
 
 
-def test_feathers_fade_toward_the_rim_and_toward_edges_in_depth() -> None:
+def test_feathers_fade_toward_the_rim_and_toward_edges_in_depth():
     surface = plain(together(square(side=4.0, steps=40), square(1.0, side=0.3)))
     camera = above(4.0, 100, 200.0)
     samples = surface.scatter(20_000, 2)
@@ -262,7 +255,7 @@ def test_feathers_fade_toward_the_rim_and_toward_edges_in_depth() -> None:
     assert (found[near] < 1).all()
 
 
-def test_distances_to_edges_are_those_of_the_nearest_background() -> None:
+def test_distances_to_edges_are_those_of_the_nearest_background():
     surface, camera = ball(), above(4.0, 80, 120.0)
     found = visibility_of(surface.vertices, surface.triangles, camera)
     distances = distances_to_edges(found, view_of(camera), 50.0)
@@ -275,7 +268,7 @@ def test_distances_to_edges_are_those_of_the_nearest_background() -> None:
     assert (distances[row, column] == 0).all()
 
 
-def test_beside_an_edge_paint_is_that_of_the_surface_itself() -> None:
+def test_beside_an_edge_paint_is_that_of_the_surface_itself():
     camera = above(size=64)
     low, high = square(side=1.2), square(0.5, side=0.513)
     own, other = (0.3, 0.6, 0.4), (0.7, 0.2, 0.5)
@@ -299,7 +292,7 @@ def test_beside_an_edge_paint_is_that_of_the_surface_itself() -> None:
     assert error[is_seen & (margins < 1.0)].mean() < 0.05
 
 
-def test_a_lens_is_seen_through_a_pinhole_that_is_wide_enough() -> None:
+def test_a_lens_is_seen_through_a_pinhole_that_is_wide_enough():
     surface = ball()
     plain_camera = above(3.0, 120, 100.0)
     camera = Camera.pinhole(
@@ -325,7 +318,7 @@ def test_a_lens_is_seen_through_a_pinhole_that_is_wide_enough() -> None:
     assert straight(plain_camera) is plain_camera
 
 
-def test_pixels_near_paint_are_those_whose_square_holds_some() -> None:
+def test_pixels_near_paint_are_those_whose_square_holds_some():
     random = np.random.default_rng(0)
     for share in np.tile([0.02, 0.1, 0.5], 30):
         some = random.random(random.integers(1, 20, 2)) < share

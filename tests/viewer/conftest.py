@@ -2,8 +2,10 @@
 
 import pytest
 
+from octex.session.painting import Session
 from tests.make.browser import driven, started
 from tests.make.studio import Studio
+from tests.viewer.test_session import canvas
 
 
 @pytest.fixture(scope="package")
@@ -30,3 +32,11 @@ def page(studio):
     """A page whose brush and view are as at the beginning, on a model without paint."""
     with studio.restored() as found:
         yield found
+
+
+@pytest.fixture
+def session(tmp_path):
+    """Painting of a plain ball, without a page."""
+    found = Session(*canvas(), tmp_path / "out.octex")
+    yield found
+    found.close()

@@ -1,10 +1,6 @@
 """Strokes below other layers and erasers are shown as they will be painted."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,16 +14,18 @@ from tests.make.browser import served
 from tests.make.painted import ball
 from tests.make.studio import _HOLD, Studio, pictured
 
+pytestmark = needs_jit
+
 _KEY = (
     "(viewer.painting.beneath.key ?? viewer.painting.beneath.known.key) === viewer.painting.beneath.known.key"
 )
 
 
-def everywhere(points: Any) -> Any:
+def everywhere(points):
     return np.ones(len(points))
 
 
-def stacked() -> tuple[octex.Layers, list[int]]:
+def stacked():
     """Return layers that cover parts of a ball, and their numbers."""
     surface = ball(32)
     source = surface.with_sources({"base_color": lambda p: np.clip(0.4 * p + 0.5, 0, 1)})
@@ -40,12 +38,11 @@ def stacked() -> tuple[octex.Layers, list[int]]:
     return layers, [first, second]
 
 
-@needs_jit
 @pytest.mark.parametrize("place", [None, 0, 1])
 @pytest.mark.parametrize(
     ("leads", "channel"), [("erased", "base_color"), ("painted", "base_color"), ("painted", "white")]
 )
-def test_what_strokes_lead_to_is_what_they_make_of_all(place: int | None, leads: Any, channel: str) -> None:
+def test_what_strokes_lead_to_is_what_they_make_of_all(place, leads, channel):
     layers, numbers = stacked()
     number = None if place is None else numbers[place]
     found = beneath(layers.stacked, number, leads)
@@ -65,13 +62,12 @@ def test_what_strokes_lead_to_is_what_they_make_of_all(place: int | None, leads:
     assert (own[known] == wanted[known]).all()
 
 
-@needs_jit
-def test_nothing_is_told_where_no_other_paint_is_met() -> None:
+def test_nothing_is_told_where_no_other_paint_is_met():
     surface = ball(8)
     layers = octex.Layers(octex.convert(surface.with_sources({"base_color": np.ones_like}), depth=3), surface)
     number = layers.add_layer().number
     assert beneath(layers.stacked, number, "painted") is None
-    session: Any = SimpleNamespace(shown=SimpleNamespace(stacked=layers.stacked))
+    session = SimpleNamespace(shown=SimpleNamespace(stacked=layers.stacked))
     for asked in (number, number + 1):  # a page may ask for a layer that is being undone
         assert packed_beneath(session, f'{{"layer": {asked}, "leads": "painted"}}') == b"null\n"
     for refused in ("", "[]", '{"layer": -1, "leads": "painted"}', '{"layer": null, "leads": "up"}'):
@@ -80,22 +76,21 @@ def test_nothing_is_told_where_no_other_paint_is_met() -> None:
 
 
 @pytest.fixture(scope="module")
-def studio(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
+def studio(browser, tmp_path_factory):
     found = Studio(browser, tmp_path_factory.mktemp("beneath"))
     with served(found.viewer):
         yield found
     found.session.close()
 
 
-@needs_jit
-def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio: Studio) -> None:
+def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio):
     page = studio.page()
     page.set_viewport_size({"width": 900, "height": 210})  # without a GPU, each pixel beneath costs 0.1 ms
 
-    def told(what: str) -> None:
+    def told(what):
         page.wait_for_function(what, timeout=60_000)
 
-    def stroke(tool: str, **brush: Any) -> float:
+    def stroke(tool, **brush):
         """Draw a stroke; return how far what is shown is from what is baked, inside it, in codes."""
         page.evaluate(
             "([tool, brush]) => (viewer.painting.choose(tool), viewer.painting.set(brush))", [tool, brush]

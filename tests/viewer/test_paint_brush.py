@@ -1,12 +1,7 @@
 """The brush of pages that paint: what it shows is what is painted, whatever it is set to."""
 
-from __future__ import annotations
-
 import json
 import os
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,26 +13,17 @@ from octex.nearest.triangles import Triangles
 from octex.painting.region import alike
 from octex.session.painting import Session, mirrored
 from octex.source.corners import at_corners
-from octex.source.surface import Surface
-from octex.texture import OctreeTexture
 from tests.conftest import needs_jit
 from tests.make.painted import ball, plain, together
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, Studio, pictured
-from tests.viewer.test_session import SIZE, camera, canvas, disc, stroke
+from tests.viewer.test_session import SIZE, camera, canvas, disc, stroke, take
 from tests.viewer.test_session import plain as plain_command
 
 BLENDS = ["over", "multiply", "screen", "add"]
 
 
-@pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
-    found = Session(*canvas(), tmp_path / "out.octex")
-    yield found
-    found.close()
-
-
-def drawn_and_baked(studio: Studio, page: Any, drags: list[tuple[dict[str, Any], Any]]) -> tuple[Any, ...]:
+def drawn_and_baked(studio, page, drags):
     """Draw strokes; return the picture before, with what the page draws of them, and with them baked."""
     before = pictured(page)
     page.evaluate(_HOLD)
@@ -51,7 +37,7 @@ def drawn_and_baked(studio: Studio, page: Any, drags: list[tuple[dict[str, Any],
     return before, shown, pictured(page)
 
 
-def assert_same_inside(pictures: tuple[Any, ...], *, ends_sharply: bool = False) -> Any:
+def assert_same_inside(pictures, *, ends_sharply=False):
     """Check that a picture shows strokes as they are baked but at their rims; return where they are."""
     before, shown, baked = pictures
     changes = np.abs(shown - before).max(axis=2)
@@ -67,7 +53,7 @@ def assert_same_inside(pictures: tuple[Any, ...], *, ends_sharply: bool = False)
 
 
 @pytest.mark.parametrize("blend", BLENDS)
-def test_each_blend_mode_paints_bit_for_bit_as_the_library_does(blend: Any, session: Session) -> None:
+def test_each_blend_mode_paints_bit_for_bit_as_the_library_does(blend, session):
     painter = octex.Painter(*canvas())
     image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
     image[..., :3], image[4:28, 10:40, 3] = (200, 10, 30), disc(1)
@@ -81,13 +67,13 @@ def test_each_blend_mode_paints_bit_for_bit_as_the_library_does(blend: Any, sess
 
 
 @pytest.mark.parametrize("blend", ["darken", "erase", 3, None, []])
-def test_other_blend_modes_are_refused(blend: Any, session: Session) -> None:
+def test_other_blend_modes_are_refused(blend, session):
     for body in (stroke(1, blend=blend), plain_command("fill", 1, color=[1, 2, 3], blend=blend)):
         with pytest.raises(ArgumentError, match=r"unknown blend .*; there are: over, multiply, screen, add"):
             session.take(body)
 
 
-def two_balls() -> tuple[OctreeTexture, Surface]:
+def two_balls():
     """A ball before another one, as the camera of strokes sees them."""
     one, other = ball(8), ball(12)
     away = camera().world_to_camera[2, :3] * 3
@@ -96,7 +82,7 @@ def two_balls() -> tuple[OctreeTexture, Surface]:
     return octex.convert(surface, depth=5), surface
 
 
-def library_calls(painter: octex.Painter, surface: Surface, body: bytes) -> list[Any]:
+def library_calls(painter, surface, body):
     """Do what a command says with calls of the library; return what a painter returns of each."""
     line = json.loads(body.partition(b"\n")[0])
     blend, opacity, axis = line.get("blend", "over"), line.get("opacity", 1.0), line.get("mirror", "")
@@ -150,12 +136,11 @@ PLACES = [
 
 
 @pytest.mark.parametrize("given", PLACES)
-def test_what_is_hit_is_bit_for_bit_what_the_library_hits(given: dict[str, Any], tmp_path: Path) -> None:
+def test_what_is_hit_is_bit_for_bit_what_the_library_hits(given, tmp_path):
     texture, surface = two_balls()
     session, painter = Session(texture, surface, tmp_path / "out.octex"), octex.Painter(texture, surface)
     body = stroke(1, **given)
-    session.take(body)
-    session.wait()
+    take(session, body)
     library_calls(painter, surface, body)
     assert session.shown.told["fault"] == ""
     assert_same(session.shown.texture, painter.texture())
@@ -168,7 +153,7 @@ def test_what_is_hit_is_bit_for_bit_what_the_library_hits(given: dict[str, Any],
     session.close()
 
 
-def test_what_has_one_colour_is_filled_bit_for_bit_as_the_library_does(session: Session) -> None:
+def test_what_has_one_colour_is_filled_bit_for_bit_as_the_library_does(session):
     texture, surface = canvas()
     painter = octex.Painter(texture, surface)
     given = {"color": [10, 250, 0], "at": [0.1, 0.2, 0.97], "tolerance": 30}
@@ -179,20 +164,19 @@ def test_what_has_one_colour_is_filled_bit_for_bit_as_the_library_does(session: 
     ]
     for body in bodies:
         before = session.shown.texture
-        session.take(body)
-        session.wait()
+        take(session, body)
         library_calls(painter, surface, body)
         assert_same(session.shown.texture, painter.texture())
         assert session.shown.texture is not before
     assert session.shown.told["done"] == 3
 
 
-def random_command(random: np.random.Generator, number: int) -> bytes:
+def random_command(random, number):
     """A stroke or a fill with some options, or what undoes or redoes one."""
     kind = random.choice(["stroke", "stroke", "stroke", "fill", "undo", "redo"])
     if kind in ("undo", "redo"):
         return plain_command(kind, number)
-    given: dict[str, Any] = {"blend": random.choice(BLENDS), "opacity": float(random.uniform(0.2, 1))}
+    given = {"blend": random.choice(BLENDS), "opacity": float(random.uniform(0.2, 1))}
     if random.random() < 0.4:
         given |= {"mirror": random.choice(["x", "y", "z"]), "offset": float(random.uniform(-0.5, 0.5))}
     if random.random() < 0.5:
@@ -206,13 +190,11 @@ def random_command(random: np.random.Generator, number: int) -> bytes:
 
 
 @pytest.mark.parametrize("seed", range(int(os.environ.get("OCTEX_TEST_SESSIONS", "2"))))
-def test_random_commands_do_bit_for_bit_what_the_library_does_also_after_a_crash(
-    seed: int, tmp_path: Path
-) -> None:
+def test_random_commands_do_bit_for_bit_what_the_library_does_also_after_a_crash(seed, tmp_path):
     random, (texture, surface) = np.random.default_rng(seed), two_balls()
     session, painter = Session(texture, surface, tmp_path / "out.octex"), octex.Painter(texture, surface)
-    done: list[int] = []
-    undone: list[int] = []
+    done = []
+    undone = []
     for number in range(1, 13):
         body = random_command(random, number)
         kind = json.loads(body.partition(b"\n")[0])["kind"]
@@ -250,14 +232,14 @@ def test_random_commands_do_bit_for_bit_what_the_library_does_also_after_a_crash
         (plain_command("fill", 1, color=[1, 2, 3], at=[0, 0, 1], tolerance=9, connected=1), "connected"),
     ],
 )
-def test_other_places_are_refused(body: bytes, why: str, session: Session) -> None:
+def test_other_places_are_refused(body, why, session):
     with pytest.raises(ArgumentError, match=why):
         session.take(body)
 
 
 @needs_jit
 @pytest.mark.parametrize("blends", [BLENDS[:2], BLENDS[2:]])
-def test_each_blend_mode_is_seen_at_once_as_it_is_baked(blends: list[str], studio: Studio, page: Any) -> None:
+def test_each_blend_mode_is_seen_at_once_as_it_is_baked(blends, studio, page):
     brush = {"blend": blends[0], "color": [60, 140, 230], "opacity": 0.7, "hardness": 0.8}
     other = brush | {"blend": blends[1], "color": [240, 120, 40]}
     drags = [(brush, [(-60, -20), (50, 10)]), (other, [(-10, -50), (0, 40)])]
@@ -271,7 +253,7 @@ _SENT = """() => {
 }"""
 
 
-def stroke_drawn(studio: Studio, page: Any, places: Any, steps: int = 5, **brush: Any) -> Any:
+def stroke_drawn(studio, page, places, steps=5, **brush):
     """Draw a stroke; return its coverage as codes (height, width)."""
     page.evaluate("(brush) => viewer.painting.set(brush)", brush)
     page.evaluate(_HOLD)
@@ -280,7 +262,7 @@ def stroke_drawn(studio: Studio, page: Any, places: Any, steps: int = 5, **brush
     return sent(studio, page)
 
 
-def sent(studio: Studio, page: Any) -> Any:
+def sent(studio, page):
     """Return the coverage of the stroke that waits, as codes (height, width), and let it be baked."""
     (left, top, right, bottom), codes, (width, height) = page.evaluate(_SENT)
     page.evaluate("release()")
@@ -295,9 +277,7 @@ LINE = [(-70, 20), (60, -10)]
 
 @needs_jit
 @pytest.mark.parametrize("brush", [{"flow": 0.25}, {"flow": 0.1, "spacing": 0.3}, {"spacing": 1.25}, {}])
-def test_a_stroke_does_not_depend_on_how_often_the_pen_is_told(
-    brush: dict[str, Any], studio: Studio, page: Any
-) -> None:
+def test_a_stroke_does_not_depend_on_how_often_the_pen_is_told(brush, studio, page):
     often = stroke_drawn(studio, page, LINE, 20, **brush)
     rarely = stroke_drawn(studio, page, LINE, 2, **brush)
     assert often.max() > 40
@@ -305,7 +285,7 @@ def test_a_stroke_does_not_depend_on_how_often_the_pen_is_told(
 
 
 @needs_jit
-def test_paint_of_little_flow_builds_up_to_what_one_of_full_flow_is(studio: Studio, page: Any) -> None:
+def test_paint_of_little_flow_builds_up_to_what_one_of_full_flow_is(studio, page):
     there_and_back = [*LINE, *LINE[::-1], *LINE]
     line = stroke_drawn(studio, page, LINE, size=30, hardness=0.4)
     found = []
@@ -323,7 +303,7 @@ def test_paint_of_little_flow_builds_up_to_what_one_of_full_flow_is(studio: Stud
 
 
 @needs_jit
-def test_dabs_lie_as_far_from_each_other_as_the_spacing_says(studio: Studio, page: Any) -> None:
+def test_dabs_lie_as_far_from_each_other_as_the_spacing_says(studio, page):
     codes = stroke_drawn(studio, page, [(-60, 0), (60, 0)], size=20, hardness=1, spacing=1.5)
     row = codes[codes.shape[0] // 2] > 128
     starts = np.flatnonzero(np.diff(row.astype(int), prepend=0) == 1)
@@ -341,15 +321,13 @@ def test_dabs_lie_as_far_from_each_other_as_the_spacing_says(studio: Studio, pag
         {"opacity": 0.5, "flow": 0.5, "blend": "multiply"},
     ],
 )
-def test_each_setting_of_the_brush_is_seen_at_once_as_it_is_baked(
-    brush: dict[str, Any], studio: Studio, page: Any
-) -> None:
+def test_each_setting_of_the_brush_is_seen_at_once_as_it_is_baked(brush, studio, page):
     drags = [(brush, [(-60, 0), (0, -40), (60, 20)])]
     assert_same_inside(drawn_and_baked(studio, page, drags))
 
 
 @needs_jit
-def test_a_size_in_the_model_s_units_stays_the_same_on_the_surface(studio: Studio, page: Any) -> None:
+def test_a_size_in_the_model_s_units_stays_the_same_on_the_surface(studio, page):
     page.evaluate("viewer.painting.set({ unit: 'model', size: 100, hardness: 1 })")
     edge = studio.texture.placement.size
     for zoom in (1, 2.5):
@@ -367,7 +345,7 @@ def test_a_size_in_the_model_s_units_stays_the_same_on_the_surface(studio: Studi
 
 
 @needs_jit
-def test_the_unit_changes_and_the_size_stays(page: Any) -> None:
+def test_the_unit_changes_and_the_size_stays(page):
     box = page.locator("#picture").bounding_box()
     page.mouse.move(box["width"] / 2, box["height"] / 2)
     page.evaluate("document.getElementById('tip').open = true")
@@ -380,12 +358,12 @@ def test_the_unit_changes_and_the_size_stays(page: Any) -> None:
 
 
 @needs_jit
-def test_a_pen_s_pressure_changes_what_it_is_set_to(studio: Studio, page: Any) -> None:
+def test_a_pen_s_pressure_changes_what_it_is_set_to(studio, page):
     box = page.locator("#picture").bounding_box()
     middle = box["width"] / 2, box["height"] / 2
     pen = page.context.new_cdp_session(page)
 
-    def pressed(how: str) -> Any:
+    def pressed(how):
         page.evaluate("(pressure) => viewer.painting.set({ pressure, hardness: 1, size: 30 })", how)
         page.evaluate(_HOLD)
         event = {"button": "left", "clickCount": 1, "pointerType": "pen"}
@@ -423,7 +401,7 @@ _ARC = """async ([count, radius, turn]) => {
 }"""
 
 
-def test_the_way_of_a_pen_is_a_curve_through_its_places(page: Any) -> None:
+def test_the_way_of_a_pen_is_a_curve_through_its_places(page):
     points = np.array(page.evaluate(_ARC, [16, 100, 2 * np.pi]))
     away = np.abs(np.linalg.norm(points[:, :2], axis=1) - 100)
     straight = 100 * (1 - np.cos(np.pi / 16))
@@ -438,7 +416,7 @@ def test_the_way_of_a_pen_is_a_curve_through_its_places(page: Any) -> None:
 
 
 @needs_jit
-def test_the_outline_shows_how_the_surface_is_turned(page: Any) -> None:
+def test_the_outline_shows_how_the_surface_is_turned(page):
     box = page.locator("#picture").bounding_box()
     needle = "document.querySelector('#ring i').getBoundingClientRect()"
     turned = {
@@ -470,14 +448,14 @@ def test_the_outline_shows_how_the_surface_is_turned(page: Any) -> None:
     assert times[25] <= 2
 
 
-def last_command(session: Session) -> dict[str, Any]:
+def last_command(session):
     """The command that a page has sent last, as the journal has it."""
     line = bytes(session._journal.path.read_bytes()).rpartition(b'{"page"')[2].partition(b"\n")[0]
     return dict(json.loads(b'{"page"' + line))
 
 
 @needs_jit
-def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio: Studio, page: Any) -> None:
+def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio, page):
     page.evaluate("for (const id of ['where', 'filling']) document.getElementById(id).open = true")
     for name in ("back-faces", "hidden", "one-part"):
         page.check(f"#{name}")
@@ -511,16 +489,14 @@ def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio: Studio, p
     page.evaluate("for (const id of ['where', 'filling']) document.getElementById(id).open = false")
 
 
-def turned(page: Any, turn: float) -> None:
+def turned(page, turn):
     page.evaluate("(turn) => { viewer.camera.turn = turn; viewer.camera.tilt = 0.1; viewer.move(); }", turn)
     page.wait_for_function("viewer.isSharp", timeout=60_000)
 
 
 @needs_jit
 @pytest.mark.parametrize("offset", [0, 5])
-def test_the_other_half_of_a_stroke_is_seen_at_once_where_it_is_baked(
-    offset: float, studio: Studio, page: Any
-) -> None:
+def test_the_other_half_of_a_stroke_is_seen_at_once_where_it_is_baked(offset, studio, page):
     turned(page, 0.0)
     brush = {"mirror": "x", "mirrorAt": offset, "hardness": 0.6}
     pictures = drawn_and_baked(studio, page, [(brush, [(40, 10), (80, -40)])])
@@ -531,9 +507,7 @@ def test_the_other_half_of_a_stroke_is_seen_at_once_where_it_is_baked(
 
 
 @needs_jit
-def test_a_stroke_that_goes_through_is_seen_when_the_view_turns_before_it_is_baked(
-    studio: Studio, page: Any
-) -> None:
+def test_a_stroke_that_goes_through_is_seen_when_the_view_turns_before_it_is_baked(studio, page):
     turned(page, 0.0)
     brush = {"hidden": True, "backFaces": True, "angle": 80, "hardness": 0.6}
     page.evaluate("(brush) => viewer.painting.set(brush)", brush)
@@ -550,7 +524,7 @@ def test_a_stroke_that_goes_through_is_seen_when_the_view_turns_before_it_is_bak
 class Pair(Studio):
     """Two balls beside each other along x."""
 
-    def __init__(self, browser: Any, folder: Path) -> None:
+    def __init__(self, browser, folder):
         one = ball(16)
         beside = one.vertices + np.array([2.1, 0.2, -0.3])
         mesh = together((one.vertices, one.triangles), (beside, one.triangles))
@@ -560,14 +534,14 @@ class Pair(Studio):
 
 
 @pytest.fixture(scope="module")
-def pair(browser: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Studio]:
+def pair(browser, tmp_path_factory):
     with Pair(browser, tmp_path_factory.mktemp("pair")).shared() as found:
         yield found
 
 
 @needs_jit
 @pytest.mark.parametrize("mirror", ["", "x"])
-def test_a_stroke_stays_on_its_part_and_is_seen_to(mirror: str, pair: Studio) -> None:
+def test_a_stroke_stays_on_its_part_and_is_seen_to(mirror, pair):
     brush = {"onePart": True, "size": 60, "hardness": 0.6, "mirror": mirror}
     drag = [(-40, -10), (60, -10)]
     with pair.restored() as page:

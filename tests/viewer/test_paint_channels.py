@@ -16,7 +16,7 @@ from octex.texture.channel import row_counts
 from octex.viewer.changes import change_between, change_of
 from tests.make.painted import ball
 from tests.make.same import assert_same
-from tests.viewer.test_session import SIZE, camera, disc, ones, plain, stroke
+from tests.viewer.test_session import SIZE, camera, disc, ones, picture_sent, plain, stroke, take
 
 #: What the values of a command are, beside its colour.
 GIVEN = {"roughness": [0.25], "metallic": [1], "emissive": [10, 200, 30], "height": [1.75]}
@@ -38,13 +38,9 @@ def with_values(texture, form, code):
 def picture(number, form, value, blend="over"):
     """The picture of a stroke by its value, as a user of the library makes it."""
     if form.components == 3:
-        image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
-        image[..., :3] = value
-        image[4:28, 10:40, 3] = disc(number)
+        image = picture_sent(number, value)
     elif form.dtype == "uint8":
-        image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
-        image[..., 0] = encode(np.array(value, np.float64), "uint8", "data")
-        image[4:28, 10:40, 3] = disc(number)
+        image = picture_sent(number, (*encode(np.array(value, np.float64), "uint8", "data"), 0, 0))
     else:
         image = np.zeros((SIZE[1], SIZE[0], 4), np.float32)
         image[..., 0] = np.float16(value[0])
@@ -91,25 +87,21 @@ def test_a_stroke_paints_each_channel_as_the_library_does_and_is_one_step(names,
     painter = octex.Painter(*canvas())
     values = {name: GIVEN[name] for name in names}
     body = stroke(1, values=values)
-    session.take(body if has_color else without_color(body))
-    session.wait()
+    take(session, body if has_color else without_color(body))
     assert session.shown.told["fault"] == ""
     painted(painter, 1, values | ({"base_color": color_of(1)} if has_color else {}))
     assert_same(session.shown.texture, painter.texture())
     assert session.shown.told["done"] == 1
-    session.take(plain("undo", 2))
-    session.wait()
+    take(session, plain("undo", 2))
     assert_same(session.shown.texture, canvas()[0])
-    session.take(plain("redo", 3))
-    session.wait()
+    take(session, plain("redo", 3))
     assert_same(session.shown.texture, painter.texture())
 
 
 def test_a_fill_paints_several_channels(session):
     painter = octex.Painter(*canvas())
     session.take(plain("fill", 1, values=GIVEN, color=[250, 0, 10], opacity=0.5))
-    session.take(plain("fill", 2, values={"roughness": [0.5]}, opacity=0.25, blend="multiply"))
-    session.wait()
+    take(session, plain("fill", 2, values={"roughness": [0.5]}, opacity=0.25, blend="multiply"))
     for name, channel in painter.texture().channels.items():
         light = light_of(channel.format, ({"base_color": [250, 0, 10]} | GIVEN)[name])
         painter.fill(ones, light, channel=name, opacity=0.5)
@@ -121,8 +113,7 @@ def test_a_fill_paints_several_channels(session):
 
 def test_mirrored_and_blended_strokes_paint_all_channels(session):
     texture, _ = canvas()
-    session.take(stroke(1, values={"metallic": [1]}, mirror="x", blend="screen"))
-    session.wait()
+    take(session, stroke(1, values={"metallic": [1]}, mirror="x", blend="screen"))
     assert session.shown.told["done"] == 1
     points = np.random.default_rng(0).normal(size=(4000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
@@ -179,8 +170,7 @@ def test_values_that_a_channel_cannot_hold_change_nothing_and_are_told(values, w
     for number, body in enumerate(
         (stroke(1, values=values), plain("fill", 2, values=values, color=[1, 2, 3])), 1
     ):
-        session.take(body)
-        session.wait()
+        take(session, body)
         assert why in session.shown.told["fault"]
         assert session.shown.told["baked"] == {json.loads(body.partition(b"\n")[0])["page"]: number}
     assert session.shown.told["steps"] == []
@@ -200,8 +190,7 @@ def test_an_added_channel_is_a_step_and_can_be_painted(session, tmp_path):
     ]
     seen = []
     for body in bodies:
-        session.take(body)
-        session.wait()
+        take(session, body)
         assert session.shown.told["fault"] == ""
         seen.append(session.shown.texture)
     added = seen[0].channels["occlusion"]
@@ -233,9 +222,7 @@ def test_an_added_channel_is_a_step_and_can_be_painted(session, tmp_path):
 def test_an_added_channel_has_its_neutral_value(name, least, tmp_path):
     surface = ball(8)
     session = Session(octex.convert(surface, depth=3), surface, tmp_path / "out.octex")
-    session.take(plain("channel", 1, channel=name))
-    session.take(plain("channel", 2, channel=name))
-    session.wait()
+    take(session, plain("channel", 1, channel=name), plain("channel", 2, channel=name))
     np.testing.assert_allclose(session.shown.texture.sample([[0.0, 0.0, 1.0]], name), least, atol=0.5 / 255)
     assert f"has the channel '{name}' already" in session.shown.told["fault"]
     session.close()
@@ -251,8 +238,7 @@ def test_a_channel_without_a_name_is_refused(given, why, session):
 
 @pytest.mark.parametrize("name", ["normal", "base_color", "colour", "../x"])
 def test_a_channel_that_pages_do_not_add_is_told(name, session):
-    session.take(plain("channel", 1, channel=name))
-    session.wait()
+    take(session, plain("channel", 1, channel=name))
     assert "unknown channel to add" in session.shown.told["fault"]
     assert session.shown.told["steps"] == []
 
@@ -317,8 +303,7 @@ def test_random_commands_do_what_calls_of_the_library_do_and_are_recovered(seed,
                         light = light_of(channel.format, values.get(name, [1, 2, 3]))
                         painter.fill(ones, light, channel=name, opacity=0.3)
             history[done + 1 :], done = [painter.texture()], done + 1
-        session.take(body)
-        session.wait()
+        take(session, body)
         assert_same(session.shown.texture, history[done])
     session.close()
     again = Session(*canvas(), tmp_path / "out.octex", recover=True)

@@ -17,6 +17,8 @@ from tests.make.painted import ball
 from tests.make.studio import _HOLD, Studio
 from tests.viewer.test_paint_redraw import _UNLIKE
 
+pytestmark = needs_jit
+
 SCALARS = {"roughness": 0.6, "metallic": 0.1, "occlusion": 0.9}
 VIEW = 240, 200
 
@@ -62,7 +64,6 @@ def ticked(page, **values):
     page.evaluate("(brush) => viewer.painting.set(brush)", {"ticked": [*values], "values": known | values})
 
 
-@needs_jit
 @pytest.mark.parametrize(
     "values",
     [
@@ -101,7 +102,6 @@ def test_channels_are_seen_at_once_as_they_will_be_painted(values, shop, page):
             assert (shop.session.shown.texture.channels[name].values == channel.values).all()
 
 
-@needs_jit
 def test_relief_near_a_change_is_drawn_anew_as_if_all_were(shop, page):
     ticked(page, height=1.0)
     page.evaluate("viewer.look.shown = 'lit'; viewer.move(); viewer.tell = () => {}")
@@ -121,7 +121,6 @@ def test_relief_near_a_change_is_drawn_anew_as_if_all_were(shop, page):
     assert near > 0
 
 
-@needs_jit
 def test_the_picker_takes_what_is_ticked_and_a_fill_paints_it(shop, page):
     ticked(page, roughness=0.0, moisture=1.0)
     page.evaluate("viewer.painting.set({ filled: 'all' })")
@@ -144,7 +143,6 @@ def test_the_picker_takes_what_is_ticked_and_a_fill_paints_it(shop, page):
     assert page.evaluate("viewer.painting.brush.color") == color
 
 
-@needs_jit
 def test_what_is_ticked_is_shown_and_what_is_not_seen_is_not_painted(shop, page):
     look = "[viewer.look.shown, viewer.look.channel]"
     page.evaluate("viewer.painting.set({ ticked: ['base_color'] }); viewer.painting.material.lookAt()")
@@ -169,7 +167,6 @@ def test_what_is_ticked_is_shown_and_what_is_not_seen_is_not_painted(shop, page)
     assert page.evaluate("viewer.painting.paint") == {"color": None, "values": {"metallic": [0.5]}}
 
 
-@needs_jit
 def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser, tmp_path):
     studio = Studio(browser, tmp_path)
     with studio.opened() as page:
@@ -202,7 +199,6 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser, t
         assert page.complaints == []
 
 
-@needs_jit
 @pytest.mark.parametrize("is_posed", [False, True])
 def test_relief_in_the_page_is_as_in_the_librarys_pictures(is_posed, browser, tmp_path):
     size, relief = (240, 180), 0.05
@@ -241,7 +237,6 @@ def test_relief_in_the_page_is_as_in_the_librarys_pictures(is_posed, browser, tm
     page.close()
 
 
-@needs_jit
 def test_a_posed_page_is_lit_by_the_surfaces_own_normals_as_the_librarys_pictures_are(browser, tmp_path):
     size, base = (240, 180), ball(48)
     normals = base.vertices + 0.3 * np.sin(4 * base.vertices[:, [1, 2, 0]])
@@ -290,7 +285,6 @@ _TEXTURES = """() => {
 }"""
 
 
-@needs_jit
 def test_no_program_has_more_textures_than_webgl_promises(page):
     names = page.evaluate(_TEXTURES)
     assert {"u_srgb", "u_linear", "u_source", "u_heights", "u_behind", "u_studio", "u_strokes"} < set(names)

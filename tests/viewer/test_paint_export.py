@@ -1,14 +1,9 @@
 """Files that a painting page downloads: what the library's own calls write of the painted texture."""
 
-from __future__ import annotations
-
 import json
 import socket
 import threading
-from collections.abc import Callable
 from http.client import HTTPConnection
-from pathlib import Path
-from typing import Any
 from urllib.parse import urlencode
 
 import pytest
@@ -16,7 +11,6 @@ import pytest
 import octex
 from octex.errors import OutputError
 from octex.session.painting import Session
-from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer, downloads, write_page
 from tests.conftest import needs_jit
@@ -56,8 +50,7 @@ def exported(served, **wanted):
     return last["name"], body
 
 
-Write = Callable[[OctreeTexture, Surface, Path], Any]
-KINDS: list[tuple[dict[str, str], str, Write]] = [
+KINDS = [
     ({"kind": "octex"}, "out.octex", lambda t, s, p: t.save(p)),  # noqa: ARG005
     ({"kind": "octz"}, "out.octz", lambda t, s, p: t.save(p)),  # noqa: ARG005
     ({"kind": "html"}, "out.html", lambda t, s, p: write_page(t, p, s, title="ball.octex")),
@@ -134,7 +127,7 @@ def test_painting_goes_on_while_a_file_is_made_and_only_one_is_made_at_a_time(se
         save(texture, path)
 
     monkeypatch.setattr(OctreeTexture, "save", slow)
-    found: list[tuple[str, bytes]] = []
+    found = []
     thread = threading.Thread(target=lambda: found.append(exported(served, kind="octex")))
     thread.start()
     assert begun.wait(20)

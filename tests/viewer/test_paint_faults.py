@@ -22,7 +22,7 @@ from tests.make.browser import served as serving
 from tests.make.same import assert_same
 from tests.make.studio import pictured
 from tests.viewer.test_paint_export import served as served
-from tests.viewer.test_session import canvas, plain, stroke
+from tests.viewer.test_session import canvas, plain, stroke, take
 
 
 def touched(path):
@@ -45,16 +45,13 @@ def test_a_file_that_another_program_has_written_is_replaced_only_when_asked(the
     first = 3 if there else 1
     session.take(stroke(first))
     other = touched(output)
-    session.take(plain("save", first + 1))
-    session.wait()
+    take(session, plain("save", first + 1))
     assert session.shown.told["question"] == "Another program has changed out.octex."
     assert not session.shown.told["isSaved"]
     assert output.read_bytes() == other
-    session.take(stroke(first + 2))
-    session.wait()
+    take(session, stroke(first + 2))
     assert session.shown.told["question"]  # it stays asked
-    session.take(plain("save", first + 3, replace=True))
-    session.wait()
+    take(session, plain("save", first + 3, replace=True))
     assert session.shown.told["question"] == ""
     assert session.shown.told["isSaved"]
     assert_same(octex.open(output), session.shown.texture)
@@ -73,8 +70,7 @@ def test_a_file_that_was_removed_meanwhile_is_written_again(tmp_path):
         session.take(body)
     session.wait()
     (tmp_path / "out.octex").unlink()
-    session.take(plain("save", 3))
-    session.wait()
+    take(session, plain("save", 3))
     assert session.shown.told["question"] == ""
     assert_same(octex.open(tmp_path / "out.octex"), session.shown.texture)
     assert session.close() == ""
@@ -97,8 +93,7 @@ def test_pages_hear_that_the_texture_which_was_opened_has_changed(tmp_path, monk
         while b"event: changing" not in seen:
             seen += line.readline()
         assert line.readline() == b"data: ball.octex has changed: you paint on the version that was opened\n"
-        session.take(stroke(1))
-        session.wait()
+        take(session, stroke(1))
         while b"version\ndata: 1-" not in seen:  # strokes are told nevertheless
             seen += line.readline()
         line.close()
@@ -113,15 +108,13 @@ import json, resource, sys; sys.path.insert(0, '.')
 from pathlib import Path
 from tests.viewer.test_session import *
 most, session = int(sys.argv[2]), Session(*canvas(), Path(sys.argv[1]))
-session.take(stroke(1))
-session.wait()
+take(session, stroke(1))
 soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 resource.setrlimit(resource.RLIMIT_FSIZE, (most, hard))
 said = []
 def tried(body):
     try:
-        session.take(body)
-        session.wait()
+        take(session, body)
         said.append(session.shown.told['fault'])
     except OutputError as error:
         said.append(str(error))

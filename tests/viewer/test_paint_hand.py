@@ -7,6 +7,8 @@ from tests.conftest import needs_jit
 from tests.make.browser import camera_of
 from tests.make.studio import _HOLD
 
+pytestmark = needs_jit
+
 _BRUSH = "viewer.painting.brush"
 #: What the last stroke covers, and the box of that.
 _LAST = """() => {
@@ -28,7 +30,6 @@ def middle(page):
     return box["width"] / 2, box["height"] / 2
 
 
-@needs_jit
 def test_with_shift_a_stroke_goes_on_from_the_last_one_in_a_straight_line(studio, page):
     page.evaluate(_HOLD)
     page.evaluate("viewer.painting.set({ size: 12, hardness: 1 })")
@@ -58,7 +59,6 @@ def test_with_shift_a_stroke_goes_on_from_the_last_one_in_a_straight_line(studio
     studio.is_done(page)
 
 
-@needs_jit
 def test_a_brush_that_is_pulled_follows_the_pen_smoothly(studio, page):
     page.evaluate(_HOLD)
     x, y = middle(page)
@@ -82,7 +82,6 @@ def test_a_brush_that_is_pulled_follows_the_pen_smoothly(studio, page):
     studio.is_done(page)
 
 
-@needs_jit
 def test_dragging_with_control_changes_size_and_hardness(page):
     x, y = middle(page)
     view = page.evaluate("String(viewer.camera.view)")
@@ -103,7 +102,6 @@ def test_dragging_with_control_changes_size_and_hardness(page):
     assert page.evaluate("viewer.painting.sending.waiting.length + viewer.painting.last.done") == 0
 
 
-@needs_jit
 def test_colours_are_typed_and_those_used_last_are_at_hand(studio, page):
     field, used = page.locator("#color-text"), page.locator("#used button")
     for text, color in (("#0f8", [0, 255, 136]), ("C83C28", [200, 60, 40])):
@@ -133,7 +131,6 @@ def test_colours_are_typed_and_those_used_last_are_at_hand(studio, page):
     studio.is_done(page)
 
 
-@needs_jit
 def test_ready_brushes_change_all_but_size_and_colour(page):
     before = page.evaluate(_BRUSH)
     for name, own in (("Air", {"hardness": 0, "flow": 0.1}), ("Ink", {"smoothing": 30, "flow": 1})):

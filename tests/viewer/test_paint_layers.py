@@ -2,7 +2,6 @@
 
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,32 +9,13 @@ import pytest
 import octex
 from octex.cli.main import main
 from octex.errors import ArgumentError, ExitCode
-from octex.painting.picture import Blend
 from octex.session.painting import Session, Shown
 from octex.viewer import Viewer
 from tests.conftest import needs_jit
+from tests.make.fixtures import obj_lines
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, pictured
-from tests.viewer.test_session import PAGE, SIZE, camera, canvas, disc, plain, stroke
-
-
-@pytest.fixture
-def session(tmp_path):
-    found = Session(*canvas(), tmp_path / "out.octex")
-    yield found
-    found.close()
-
-
-def painted(layers, number, blend="over"):
-    """Paint what `stroke` sends as a user of the library does."""
-    image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
-    image[..., :3] = 200, 10 * (number % 20), 30
-    image[4:28, 10:40, 3] = disc(number)
-    layers.paint(octex.Projection(image, camera(), opacity=0.8, blend=blend), max_angle=85)
-
-
-def ones(points):
-    return np.ones(len(points))
+from tests.viewer.test_session import PAGE, canvas, ones, painted, plain, stroke, take
 
 
 class Both:
@@ -65,12 +45,12 @@ class Both:
                              p=[0.3, 0.1, 0.12, 0.12, 0.06, 0.04, 0.06, 0.04, 0.1, 0.06])  # fmt: skip
         number = int(random.choice(numbers)) if numbers else None
         if move in ("stroke", "fill"):
-            target: dict[str, Any] = {} if number is None or random.random() < 0.2 else {"layer": number}
+            target = {} if number is None or random.random() < 0.2 else {"layer": number}
             if target and random.random() < 0.15:
                 target["mask"] = True
             erases = bool(random.random() < 0.3)
             layers.choose(target.get("layer"), mask="mask" in target)
-            blend: Blend = "erase" if erases else "over"
+            blend = "erase" if erases else "over"
             if move == "stroke":
                 painted(layers, self.number + 1, blend)
                 self.send("stroke", erases=erases, **target)
@@ -140,12 +120,10 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
     for given in ({"mask": True}, {"layer": 1, "mask": "yes"}, {"layer": -1}, {"erases": 3}):
         with pytest.raises(ArgumentError):
             session.take(stroke(1, **given))
-    session.take(stroke(1, layer=5))
-    session.wait()
+    take(session, stroke(1, layer=5))
     assert session.shown.told["fault"] == "there is no layer 5"
     assert session.shown.told["baked"] == {PAGE: 1}
-    session.take(plain("layer", 2, action="move", layer=5, place=0))
-    session.wait()
+    take(session, plain("layer", 2, action="move", layer=5, place=0))
     assert (session.shown.told["fault"], session.shown.told["done"]) == ("there is no layer 5", 0)
     assert_same(session.shown.texture, canvas()[0])
 
@@ -222,9 +200,7 @@ def test_the_list_of_layers_hides_names_moves_and_sets_them(studio, page):
 def test_layers_are_saved_beside_the_output_and_a_session_goes_on_with_them(tmp_path):
     session = Session(*canvas(), tmp_path / "out.octz")
     session.take(plain("layer", 1, action="add", blend="multiply", title="Dirt"))
-    session.take(stroke(2, layer=1))
-    session.take(plain("save", 3))
-    session.wait()
+    take(session, stroke(2, layer=1), plain("save", 3))
     assert session.shown.told["isSaved"]
     assert session.close() == ""
     assert sorted(each.name for each in tmp_path.iterdir()) == ["out.layers.octex", "out.octz"]
@@ -262,8 +238,7 @@ def test_of_a_file_with_layers_that_a_command_edits_nothing_is_lost(tmp_path, mo
     layers.fill(ones, "#102030")
     path, edited, model = (str(tmp_path / name) for name in ("stack.octex", "edited.octex", "ball.obj"))
     layers.save(path)
-    corners = "".join(f"v {x} {y} {z}\n" for x, y, z in surface.vertices)
-    Path(model).write_text(corners + "".join(f"f {a} {b} {c}\n" for a, b, c in surface.triangles + 1))
+    Path(model).write_text(obj_lines(surface.vertices, surface.triangles))
     assert main(["edit", path, edited, "--levels", "0.1,0.8,1"]) == ExitCode.DONE
     assert "not its layers" in capfd.readouterr().err
     words = ["view", edited, model, "--paint", str(tmp_path / "out.octex"), "--no-browser"]

@@ -1,12 +1,9 @@
 """Painting a surface that is laid flat: as the library paints through a patch of ``octex.unwrap``."""
 
-from __future__ import annotations
-
 import json
 import zlib
 from dataclasses import replace
 from http.client import HTTPConnection
-from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -23,9 +20,9 @@ from tests.make.same import assert_same
 from tests.make.studio import _HOLD, pictured
 from tests.viewer.test_paint_export import served as served
 from tests.viewer.test_paint_poses import Bending, bending
-from tests.viewer.test_session import NAN, SIZE, canvas, plain, stroke
+from tests.viewer.test_session import NAN, SIZE, canvas, plain, stroke, take
 
-SPOT: dict[str, Any] = {"center": [0.4, 0.2, 0.9], "radius": 0.6, "up": [0.0, 1.0, 0.1]}
+SPOT = {"center": [0.4, 0.2, 0.9], "radius": 0.6, "up": [0.0, 1.0, 0.1]}
 
 
 def flat_camera(radius=0.6):
@@ -41,7 +38,7 @@ def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(t
     session = Session(texture, surface, tmp_path / "out.octex", motion=motion)
     far = {**SPOT, "center": [-0.4, 0.2, 0.9]}
     moved = {"animation": 0, "time": 1.0}
-    given: list[dict[str, Any]] = [{"patch": SPOT}, {"patch": SPOT}, {"patch": far, "moved": moved}, {}]
+    given = [{"patch": SPOT}, {"patch": SPOT}, {"patch": far, "moved": moved}, {}]
     given.append({"patch": SPOT, "mirror": "x"})
     for number, fields in enumerate(given, 1):
         seen_by = {"camera": flat_camera()} if "patch" in fields else {}
@@ -67,9 +64,7 @@ def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(t
         session.wait()
         assert session.shown.told["fault"] == ""
         assert_same(session.shown.texture, expected)
-    session.take(plain("undo", 6))
-    session.take(plain("redo", 7))
-    session.wait()
+    take(session, plain("undo", 6), plain("redo", 7))
     assert_same(session.shown.texture, expected)
     session.close()
     again = Session(texture, surface, tmp_path / "out.octex", motion=motion, recover=True)
@@ -82,8 +77,7 @@ def test_the_mirror_of_a_patch_lands_where_a_mirror_has_it(axis, tmp_path):
     texture, surface = canvas()
     session = Session(texture, surface, tmp_path / "out.octex")
     spot = {"center": [0.5, 0.5, 0.7], "radius": 0.5, "up": [0.1, 1.0, 0.0]}
-    session.take(stroke(1, patch=spot, camera=flat_camera(0.5), mirror="xyz"[axis], opacity=1.0))
-    session.wait()
+    take(session, stroke(1, patch=spot, camera=flat_camera(0.5), mirror="xyz"[axis], opacity=1.0))
     assert session.shown.told["fault"] == ""
     points = np.random.default_rng(0).normal(size=(6000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
@@ -102,7 +96,7 @@ def test_the_mirror_of_a_patch_lands_where_a_mirror_has_it(axis, tmp_path):
     session.close()
 
 
-BAD: list[tuple[Any, str]] = [
+BAD = [
     ([1], "patch must be an object"),
     ({}, "center"),
     ({**SPOT, "center": [1, 2]}, "center"),
@@ -133,8 +127,7 @@ def test_a_patch_beside_the_surface_is_said_and_paints_nothing(tmp_path):
     beside = {**SPOT, "center": [9.0, 0.0, 0.0]}
     with pytest.raises(ModelError, match="farther than the radius"):
         session.patch(json.dumps({"patch": beside}))
-    session.take(stroke(1, patch=beside, camera=flat_camera()))
-    session.wait()
+    take(session, stroke(1, patch=beside, camera=flat_camera()))
     assert "farther than the radius" in session.shown.told["fault"]
     assert_same(session.shown.texture, texture)
     session.close()

@@ -7,7 +7,6 @@ import zlib
 from contextlib import contextmanager
 
 import numpy as np
-import numpy.typing as npt
 import PIL.Image
 import pytest
 
@@ -19,7 +18,6 @@ from tests.make.painted import square, together
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, Studio
 
-Codes = npt.NDArray[np.uint8]
 pytestmark = needs_jit
 
 
@@ -147,7 +145,7 @@ def assert_shown_as_baked(easel, plain):
     easel.shown.evaluate("release()")
     easel.done()
     after = seen(easel).astype(int)
-    inside: npt.NDArray[np.bool_] = np.abs(before - plain.astype(int)).max(axis=2) > 12
+    inside = np.abs(before - plain.astype(int)).max(axis=2) > 12
     assert inside.mean() > 0.005
     assert np.sqrt(((before - after)[inside] ** 2).mean()) <= 2
     return inside
@@ -221,8 +219,7 @@ def test_pointers_and_keys_move_turn_and_scale_a_stencil(clean):
 
     def stands():
         code = "(({ x, y, angle, scale }) => [x, y, angle, scale])(viewer.painting.stencil)"
-        found: list[float] = page.evaluate(code)
-        return found
+        return page.evaluate(code)
 
     clean.drag(page, (0, 0), (30, -20))
     np.testing.assert_allclose(stands(), [30, -20, 0, 1])

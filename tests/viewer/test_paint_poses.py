@@ -1,7 +1,5 @@
 """Painting frames of animations: as the library paints the posed surface, at rest on the model."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -15,7 +13,7 @@ from tests.conftest import needs_jit
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, Studio, pictured
-from tests.viewer.test_session import NAN, canvas, plain, stroke
+from tests.viewer.test_session import NAN, canvas, plain, stroke, take
 
 FRAMES = 9
 
@@ -44,7 +42,7 @@ def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_
     texture, surface = canvas()
     motion, expected = bending(surface), texture
     session = Session(texture, surface, tmp_path / "out.octex", motion=motion)
-    moments: list[tuple[int, float] | None] = [(0, 0.61), (0, 0.61), (1, 0.5), None, (0, 1.0), (0, 99.0)]
+    moments = [(0, 0.61), (0, 0.61), (1, 0.5), None, (0, 1.0), (0, 99.0)]
     for number, moment in enumerate(moments, 1):
         moved = None if moment is None else {"animation": moment[0], "time": moment[1]}
         body = stroke(number, moved=moved, mirror=mirror)
@@ -62,9 +60,7 @@ def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_
         assert session.shown.told["fault"] == ""
         assert_same(session.shown.texture, expected)
     before = session.shown.texture
-    session.take(plain("undo", 7))
-    session.take(plain("redo", 8))
-    session.wait()
+    take(session, plain("undo", 7), plain("redo", 8))
     assert_same(session.shown.texture, before)
     assert "--recover" in session.close()
     again = Session(texture, surface, tmp_path / "out.octex", motion=motion, recover=True)
@@ -75,10 +71,9 @@ def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_
 def test_a_frame_of_an_animation_that_is_not_there_is_refused(tmp_path):
     texture, surface = canvas()
     session = Session(texture, surface, tmp_path / "a.octex", motion=bending(surface))
-    session.take(stroke(1, moved={"animation": 2, "time": 0.0}))
-    session.wait()
+    take(session, stroke(1, moved={"animation": 2, "time": 0.0}))
     assert session.shown.told["fault"] == f"there is no animation 2; {surface.name} has 2"
-    bad: list[tuple[Any, str]] = [([0, 1], "moved"), ({}, "animation"), ({"animation": 0}, "time")]
+    bad = [([0, 1], "moved"), ({}, "animation"), ({"animation": 0}, "time")]
     bad += [({"animation": number, "time": 0.0}, "animation") for number in (0.5, -1, "A", 1e9)]
     bad += [({"animation": 0, "time": time}, "time") for time in (NAN, -1.0, 1e300)]
     for moved, field in bad:

@@ -8,6 +8,8 @@ from tests.conftest import needs_jit
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, SIZE, pictured
 
+pytestmark = needs_jit
+
 #: Opens all sections of the panel; returns the names of those that were open.
 _OPEN = """() => {
   const all = [...document.querySelectorAll("aside details")], open = all.filter((each) => each.open);
@@ -25,7 +27,6 @@ _LINES = """(all) => all.map((each) => {
 })"""
 
 
-@needs_jit
 def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio, page):
     plain = pictured(page)
     page.evaluate(_HOLD)
@@ -54,7 +55,6 @@ def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio, page):
     again.close()
 
 
-@needs_jit
 def test_undo_gives_the_texture_back_and_redo_the_stroke(studio, page):
     plain = pictured(page)
     for offset in (0, 20):
@@ -74,7 +74,6 @@ def test_undo_gives_the_texture_back_and_redo_the_stroke(studio, page):
     assert page.locator("#steps .undone").count() == 2
 
 
-@needs_jit
 def test_two_pages_see_the_same_and_one_saves(studio, page):
     other = studio.page()
     studio.drag(page, (0, 0), (10, 10))
@@ -91,7 +90,6 @@ def test_two_pages_see_the_same_and_one_saves(studio, page):
     other.close()
 
 
-@needs_jit
 def test_a_line_that_is_lost_holds_no_stroke_up_and_loses_none(studio, page):
     page.route("**/session", lambda route: route.abort())
     for offset in (-30, 0, 30):
@@ -106,7 +104,6 @@ def test_a_line_that_is_lost_holds_no_stroke_up_and_loses_none(studio, page):
     page.complaints.clear()
 
 
-@needs_jit
 def test_the_view_turns_with_other_buttons_and_beside_the_model(studio, page):
     for start, options in (((0, 0), {"button": "middle"}), ((0, 0), {"button": "right"}), ((200, 150), {})):
         before = page.evaluate("String(viewer.camera.view)")
@@ -119,7 +116,6 @@ def test_the_view_turns_with_other_buttons_and_beside_the_model(studio, page):
     assert studio.session.shown.told["done"] == 1
 
 
-@needs_jit
 def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(studio, page):
     box = page.locator("#picture").bounding_box()
     before = page.evaluate("String(viewer.camera.view)")
@@ -139,7 +135,6 @@ def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(stu
     assert_same(studio.session.shown.texture, studio.texture)
 
 
-@needs_jit
 def test_after_a_gpu_was_lost_painting_goes_on(studio, page):
     studio.drag(page, (-30, 0), (0, 0))
     studio.is_done(page)
@@ -154,7 +149,6 @@ def test_after_a_gpu_was_lost_painting_goes_on(studio, page):
     assert np.abs(pictured(page) - before).max() > 60
 
 
-@needs_jit
 def test_nothing_is_painted_that_is_not_seen(studio, page):
     for look in ("viewer.look.cubes = true", "viewer.look.shown = 'depth'"):
         page.evaluate(look)
@@ -166,7 +160,6 @@ def test_nothing_is_painted_that_is_not_seen(studio, page):
     assert page.locator("#paint-note").inner_text() == ""
 
 
-@needs_jit
 def test_keys_and_the_picker_set_the_brush(studio, page):
     brush = "viewer.painting.brush"
     assert page.evaluate(f"{brush}.size") == 40
@@ -190,7 +183,6 @@ def test_keys_and_the_picker_set_the_brush(studio, page):
     assert page.evaluate("viewer.painting.last.steps") == ["Fill a part"]
 
 
-@needs_jit
 @pytest.mark.parametrize("size", [(1180, 760), (800, 340), (844, 390), (390, 780)])
 def test_each_tool_is_within_the_window_and_each_control_within_the_panel(size, page):
     page.set_viewport_size({"width": size[0], "height": size[1]})

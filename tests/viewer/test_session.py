@@ -11,14 +11,11 @@ import subprocess
 import sys
 import threading
 import zlib
-from collections.abc import Iterator
 from functools import cache
 from http.client import HTTPConnection
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 import octex
@@ -28,8 +25,8 @@ from octex.errors import ArgumentError, ExitCode, OutputError
 from octex.session import painting as sessions
 from octex.session.painting import BusyError, OrderError, Session
 from octex.source.surface import Surface
-from octex.texture import OctreeTexture
 from octex.viewer import Viewer, answers, server
+from tests.make.fixtures import obj_lines
 from tests.make.painted import ball
 from tests.make.same import assert_same
 
@@ -39,17 +36,17 @@ OCTETS = "application/octet-stream"
 
 
 @cache
-def canvas() -> tuple[OctreeTexture, Surface]:
+def canvas():
     surface = ball(12)
     return octex.convert(surface, depth=5), surface
 
 
 @cache
-def camera() -> octex.Camera:
+def camera():
     return octex.Camera.fitted(ball(12).vertices, (0.3, 0.2, 1.0), size=SIZE)
 
 
-def stroke(number: int, page: str = PAGE, **given: Any) -> bytes:
+def stroke(number, page=PAGE, **given):
     """A round stroke on the ball, as pages send it."""
     seen_by, coverage = camera(), disc(number)
     command = {
@@ -75,32 +72,38 @@ def stroke(number: int, page: str = PAGE, **given: Any) -> bytes:
     return json.dumps({**command, **given}).encode() + b"\n" + content
 
 
-def plain(kind: str, number: int, page: str = PAGE, **given: Any) -> bytes:
+def plain(kind, number, page=PAGE, **given):
     return json.dumps({"page": page, "number": number, "kind": kind, **given}).encode() + b"\n"
 
 
-def disc(number: int) -> npt.NDArray[np.uint8]:
+def disc(number):
     y, x = np.mgrid[:24, :30]
     away = np.hypot(x - 8 - 3 * (number % 4), y - 12)
     return np.clip(255 * (6.5 - away), 0, 255).astype(np.uint8)
 
 
-def painted(painter: octex.Painter, number: int) -> None:
-    """Paint the same as a user of the library does."""
+def picture_sent(number, color=None):
+    """The picture of a stroke, by default in its own colour."""
     image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
-    image[..., :3] = 200, 10 * (number % 20), 30
+    image[..., :3] = (200, 10 * (number % 20), 30) if color is None else color
     image[4:28, 10:40, 3] = disc(number)
-    painter.paint(octex.Projection(image, camera(), opacity=0.8), max_angle=85)
+    return image
 
 
-@pytest.fixture
-def session(tmp_path: Path) -> Iterator[Session]:
-    found = Session(*canvas(), tmp_path / "out.octex")
-    yield found
-    found.close()
+def painted(painter, number, blend="over", max_angle=85, **options):
+    """Paint the same as a user of the library does."""
+    picture = octex.Projection(picture_sent(number), camera(), opacity=0.8, blend=blend)
+    painter.paint(picture, max_angle=max_angle, **options)
 
 
-def test_commands_do_bit_for_bit_what_calls_of_the_library_do(session: Session) -> None:
+def take(session, *bodies):
+    """Send commands, and wait until they are done."""
+    for body in bodies:
+        session.take(body)
+    session.wait()
+
+
+def test_commands_do_bit_for_bit_what_calls_of_the_library_do(session):
     texture, surface = canvas()
     painter = octex.Painter(texture, surface)
     red = decode(np.array([255, 0, 10], np.uint8), "srgb")
@@ -122,14 +125,12 @@ def test_commands_do_bit_for_bit_what_calls_of_the_library_do(session: Session) 
         assert_same(session.shown.texture, painter.texture())
         assert session.shown.told["done"] == len(painter.strokes)
         assert session.shown.told["baked"] == {PAGE: number}
-    session.take(plain("undo", 10))
-    session.take(plain("undo", 11))
-    session.wait()
+    take(session, plain("undo", 10), plain("undo", 11))
     assert_same(session.shown.texture, texture)
     assert session.shown.told["fault"] == ""
 
 
-def test_a_stroke_may_be_a_picture_of_many_colours(session: Session) -> None:
+def test_a_stroke_may_be_a_picture_of_many_colours(session):
     colors = np.random.default_rng(1).integers(0, 256, (24, 30, 3), np.uint8)
     image = np.zeros((*SIZE[::-1], 4), np.uint8)
     image[4:28, 10:40] = np.dstack([colors, disc(1)])
@@ -138,8 +139,7 @@ def test_a_stroke_may_be_a_picture_of_many_colours(session: Session) -> None:
     content = packer.compress(planes.tobytes()) + packer.flush()
     line, _, _ = stroke(1, content=content).partition(b"\n")
     fields = {name: value for name, value in json.loads(line).items() if name != "color"}
-    session.take(json.dumps(fields).encode() + b"\n" + content)
-    session.wait()
+    take(session, json.dumps(fields).encode() + b"\n" + content)
     painter = octex.Painter(*canvas())
     painter.paint(octex.Projection(image, camera(), opacity=0.8), max_angle=85)
     assert_same(session.shown.texture, painter.texture())
@@ -147,11 +147,11 @@ def test_a_stroke_may_be_a_picture_of_many_colours(session: Session) -> None:
         session.take(json.dumps({**fields, "number": 2}).encode() + b"\n" + stroke(2).partition(b"\n")[2])
 
 
-def ones(points: Any) -> Any:
+def ones(points):
     return np.ones(len(points))
 
 
-def test_what_is_sent_again_is_painted_once(session: Session) -> None:
+def test_what_is_sent_again_is_painted_once(session):
     for body in (stroke(1), stroke(1), stroke(2), stroke(1)):
         session.take(body)
     session.wait()
@@ -163,56 +163,48 @@ def test_what_is_sent_again_is_painted_once(session: Session) -> None:
     assert session.shown.told["done"] == 3
 
 
-def test_steps_are_named_and_a_new_one_forgets_those_undone(session: Session) -> None:
+def test_steps_are_named_and_a_new_one_forgets_those_undone(session):
     for body in (stroke(1), stroke(2), plain("undo", 3)):
         session.take(body)
     session.wait()
     assert (session.shown.told["steps"], session.shown.told["done"]) == (["Brush 1", "Brush 2"], 1)
-    session.take(stroke(4))
-    session.wait()
+    take(session, stroke(4))
     assert session.shown.told["steps"] == ["Brush 1", "Brush 4"]
 
 
 @pytest.mark.parametrize("name", ["out.octex", "out.octz"])
-def test_saving_writes_output_alone_and_a_clean_end_leaves_no_journal(name: str, tmp_path: Path) -> None:
+def test_saving_writes_output_alone_and_a_clean_end_leaves_no_journal(name, tmp_path):
     session = Session(*canvas(), tmp_path / name)
-    session.take(stroke(1))
-    session.take(plain("save", 2))
-    session.wait()
+    take(session, stroke(1), plain("save", 2))
     assert session.shown.told["isSaved"]
     assert_same(octex.open(tmp_path / name), session.shown.texture)
     assert session.close() == ""
     assert [each.name for each in tmp_path.iterdir()] == [name]
 
 
-def test_what_is_undone_needs_no_saving(tmp_path: Path) -> None:
+def test_what_is_undone_needs_no_saving(tmp_path):
     session = Session(*canvas(), tmp_path / "out.octex")
     said = []
     for body in (stroke(1), plain("undo", 2), plain("redo", 3), plain("save", 4), plain("undo", 5)):
-        session.take(body)
-        session.wait()
+        take(session, body)
         said.append(session.shown.told["isSaved"])
     assert said == [False, True, False, True, False]
-    session.take(plain("redo", 6))
-    session.wait()
+    take(session, plain("redo", 6))
     assert session.close() == ""
     assert [each.name for each in tmp_path.iterdir()] == ["out.octex"]
 
 
-def test_a_save_that_fails_is_told_and_changes_nothing(session: Session, tmp_path: Path) -> None:
+def test_a_save_that_fails_is_told_and_changes_nothing(session, tmp_path):
     session.take(stroke(1))
     (tmp_path / "out.octex").mkdir()
-    session.take(plain("save", 2))
-    session.take(stroke(3))
-    session.wait()
+    take(session, plain("save", 2), stroke(3))
     assert session.shown.told["done"] == 2
-    session.take(plain("save", 4))
-    session.wait()
+    take(session, plain("save", 4))
     assert "out.octex" in session.shown.told["fault"]
     assert not session.shown.told["isSaved"]
 
 
-def test_after_a_crash_the_same_session_is_painted_again(tmp_path: Path) -> None:
+def test_after_a_crash_the_same_session_is_painted_again(tmp_path):
     texture, surface = canvas()
     output = tmp_path / "out.octex"
     code = (
@@ -242,8 +234,7 @@ def test_after_a_crash_the_same_session_is_painted_again(tmp_path: Path) -> None
     assert session.shown.told["steps"] == ["Brush 1", "Brush 4"]
     assert not session.shown.told["isSaved"]
     session.take(stroke(4))  # its page has not heard that it came
-    session.take(stroke(5))
-    session.wait()
+    take(session, stroke(5))
     assert session.shown.told["done"] == 3
     assert "--recover" in session.close()
     again = Session(texture, surface, output, recover=True)
@@ -265,7 +256,7 @@ for number in range(1, 10**6):
 
 
 @pytest.mark.parametrize("seed", range(int(os.environ.get("OCTEX_TEST_KILLS", "2"))))
-def test_killed_at_any_moment_it_has_lost_nothing_that_was_taken(seed: int, tmp_path: Path) -> None:
+def test_killed_at_any_moment_it_has_lost_nothing_that_was_taken(seed, tmp_path):
     random, output = np.random.default_rng(seed), tmp_path / "out.octex"
     words = [sys.executable, "-c", _KILLED, str(output)]
     root = Path(octex.__file__).parents[1]
@@ -294,7 +285,7 @@ def test_killed_at_any_moment_it_has_lost_nothing_that_was_taken(seed: int, tmp_
     session.close()
 
 
-def test_a_texture_without_base_color_is_refused(tmp_path: Path) -> None:
+def test_a_texture_without_base_color_is_refused(tmp_path):
     surface = ball(12)
     rough = octex.convert(surface.with_sources({"roughness": 0.5}).with_channels(["roughness"]), depth=3)
     with pytest.raises(ArgumentError, match="base_color"):
@@ -302,7 +293,7 @@ def test_a_texture_without_base_color_is_refused(tmp_path: Path) -> None:
     assert not [*tmp_path.iterdir()]
 
 
-def test_one_session_at_a_time_writes_an_output(session: Session, tmp_path: Path) -> None:
+def test_one_session_at_a_time_writes_an_output(session, tmp_path):
     if os.name != "posix":
         pytest.skip("files are locked on POSIX systems")
     with pytest.raises(OutputError, match="another octex view paints this file"):
@@ -310,10 +301,8 @@ def test_one_session_at_a_time_writes_an_output(session: Session, tmp_path: Path
     assert session.take(stroke(1)) == 1
 
 
-def test_a_stroke_that_no_disk_takes_is_refused_and_can_be_sent_again(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(_file: int) -> None:
+def test_a_stroke_that_no_disk_takes_is_refused_and_can_be_sent_again(session, monkeypatch):
+    def full(_file):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patched:
@@ -325,9 +314,7 @@ def test_a_stroke_that_no_disk_takes_is_refused_and_can_be_sent_again(
     assert session.shown.told["done"] == 1
 
 
-def test_of_too_many_strokes_the_last_ones_are_to_be_sent_later(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_of_too_many_strokes_the_last_ones_are_to_be_sent_later(session, monkeypatch):
     monkeypatch.setattr(sessions, "_MOST_WAITING", 2)
     held = threading.Event()
     do = session._do
@@ -341,37 +328,28 @@ def test_of_too_many_strokes_the_last_ones_are_to_be_sent_later(
     assert session.take(stroke(number)) == number
 
 
-def test_what_fails_or_hits_nothing_is_no_step(session: Session, monkeypatch: pytest.MonkeyPatch) -> None:
-    session.take(stroke(1, content=deflated(bytes(30 * 24))))
-    session.wait()
+def test_what_fails_or_hits_nothing_is_no_step(session, monkeypatch):
+    take(session, stroke(1, content=deflated(bytes(30 * 24))))
     assert session.shown.told["steps"] == []
     with monkeypatch.context() as patched:
         patched.setattr(octex.Painter, "paint", lambda *_, **__: 1 / 0)
-        session.take(stroke(2))
-        session.wait()
+        take(session, stroke(2))
     assert "ZeroDivisionError" in session.shown.told["fault"]
-    session.take(stroke(3))
-    session.wait()
+    take(session, stroke(3))
     assert (session.shown.told["fault"], session.shown.told["done"]) == ("", 1)
 
 
-def test_a_mirrored_stroke_of_which_half_fails_leaves_nothing(
-    session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mirrored_stroke_of_which_half_fails_leaves_nothing(session, monkeypatch):
     paint, calls = octex.Painter.paint, iter(range(9))
 
-    def fails(painter: octex.Painter, *given: Any, **options: Any) -> Any:
+    def fails(painter, *given, **options):
         return paint(painter, *given, **options) if next(calls) == 0 else 1 / 0
 
-    session.take(stroke(1))
-    session.take(stroke(2))
-    session.take(plain("undo", 3))
-    session.wait()
+    take(session, stroke(1), stroke(2), plain("undo", 3))
     before = session.shown.texture
     with monkeypatch.context() as patched:
         patched.setattr(octex.Painter, "paint", fails)
-        session.take(stroke(4, mirror="x"))
-        session.wait()
+        take(session, stroke(4, mirror="x"))
     assert_same(session.shown.texture, before)
     for number, kind in enumerate(("redo", "undo", "redo"), 5):
         session.take(plain(kind, number))
@@ -380,13 +358,13 @@ def test_a_mirrored_stroke_of_which_half_fails_leaves_nothing(
     assert_same(session.shown.texture, before)
 
 
-def deflated(content: bytes) -> bytes:
+def deflated(content):
     packer = zlib.compressobj(9, zlib.DEFLATED, -15)
     return packer.compress(content) + packer.flush()
 
 
 NAN = float("nan")
-BAD: list[tuple[bytes, str]] = [
+BAD = [
     (b"", "the command's line must be a JSON object"),
     (b"\xff\xfe{}\n", "must be a JSON object"),
     (b"[" * 100_000, "must be a JSON object"),
@@ -410,10 +388,7 @@ BAD: list[tuple[bytes, str]] = [
     (stroke(1, camera=None), "camera"),
     (stroke(1, camera={"width": 10**9, "height": 10**9}), "width"),
     (stroke(1, camera={"width": 48, "height": 32, "K": [[NAN] * 3] * 3, "pose": np.eye(4).tolist()}), "K"),
-    (
-        stroke(1, camera={"width": 48, "height": 32, "K": np.eye(3).tolist(), "pose": [[NAN] * 4] * 4}),
-        "pose",
-    ),
+    (stroke(1, camera={"width": 48, "height": 32, "K": np.eye(3).tolist(), "pose": [[NAN] * 4] * 4}), "pose"),
     (stroke(1, box=[0, 0, 1e9, 1e9]), "box must be a part"),
     (stroke(1, box=[0, 0, 48.5, 32]), "box must be a part"),
     (stroke(1, box=[10, 4, 10, 28]), "box must be a part"),
@@ -425,7 +400,7 @@ BAD: list[tuple[bytes, str]] = [
 ]
 
 
-def test_what_is_no_command_is_refused(session: Session) -> None:
+def test_what_is_no_command_is_refused(session):
     gc.collect()  # what earlier tests left open must not be closed, with a warning, deep in a recursion
     for body, why in BAD:
         with pytest.raises(ArgumentError, match=why):
@@ -436,7 +411,7 @@ def test_what_is_no_command_is_refused(session: Session) -> None:
 class Served:
     """A viewer that paints."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         texture, surface = canvas()
         self.session = Session(texture, surface, folder / "out.octex")
         self.lines: list[str] = []
@@ -445,9 +420,7 @@ class Served:
         self.thread = threading.Thread(target=self.viewer.run, kwargs={"alone": 0.1})
         self.thread.start()
 
-    def post(
-        self, body: bytes, token: str | None = None, path: str = "session", **headers: str
-    ) -> tuple[int, bytes]:
+    def post(self, body, token=None, path="session", **headers):
         connection = HTTPConnection("127.0.0.1", self.viewer.port, timeout=20)
         named = {"Content-Type": OCTETS, **{name.replace("_", "-"): text for name, text in headers.items()}}
         connection.request(
@@ -460,7 +433,7 @@ class Served:
 
 
 @pytest.fixture
-def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+def served(tmp_path, monkeypatch):
     monkeypatch.setattr(server, "_FIRST", 400)
     found = Served(tmp_path)
     yield found
@@ -470,7 +443,7 @@ def served(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
     found.session.close()
 
 
-def test_a_command_is_posted_and_the_change_is_there_for_pages(served: Served) -> None:
+def test_a_command_is_posted_and_the_change_is_there_for_pages(served):
     before = served.viewer.version()[0]
     status, body = served.post(stroke(1), Origin=f"http://127.0.0.1:{served.viewer.port}")
     assert (status, json.loads(body)) == (200, {"number": 1})
@@ -500,9 +473,7 @@ def test_a_command_is_posted_and_the_change_is_there_for_pages(served: Served) -
         ({"Content_Length": str(10**9)}, 413, "1,000,000,000 bytes; at most 33,554,432"),
     ],
 )
-def test_commands_from_elsewhere_are_refused_in_one_line(
-    served: Served, asked: dict[str, str], status: int, line: str
-) -> None:
+def test_commands_from_elsewhere_are_refused_in_one_line(served, asked, status, line):
     assert served.post(stroke(1), **asked)[0] == status
     assert len(served.lines) == 1
     assert served.lines[0].startswith("refused: POST /")
@@ -510,14 +481,14 @@ def test_commands_from_elsewhere_are_refused_in_one_line(
     assert served.post(stroke(1))[0] == 200
 
 
-def test_bad_commands_are_refused_and_the_server_goes_on(served: Served) -> None:
+def test_bad_commands_are_refused_and_the_server_goes_on(served):
     for body, _ in BAD:
         assert served.post(body)[0] == 400
     assert served.post(stroke(7))[0] == 409
     assert served.post(stroke(1))[0] == 200
 
 
-def test_half_a_command_changes_nothing(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_half_a_command_changes_nothing(served, monkeypatch):
     monkeypatch.setattr(answers.Handler, "timeout", 0.5)
     body, address = stroke(1), ("127.0.0.1", served.viewer.port)
     head = (
@@ -536,9 +507,7 @@ def test_half_a_command_changes_nothing(served: Served, monkeypatch: pytest.Monk
     assert served.post(body)[0] == 200
 
 
-def test_a_flood_of_strokes_is_held_up_and_loses_none(
-    served: Served, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flood_of_strokes_is_held_up_and_loses_none(served, monkeypatch):
     monkeypatch.setattr(sessions, "_MOST_WAITING", 3)
     statuses = []
     for number in range(1, 41):
@@ -569,9 +538,9 @@ def test_a_flood_of_strokes_is_held_up_and_loses_none(
     ],
 )
 def test_words_that_make_no_sense_are_refused(
-    words: list[str], message: str, capsys: pytest.CaptureFixture[str], tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:  # fmt: skip
+    words, message, capsys, tmp_path,
+    monkeypatch,
+):  # fmt: skip
     monkeypatch.chdir(tmp_path)
     for name in ("a.octex", "a.glb", "there.octex"):
         Path(name).touch()
@@ -579,7 +548,7 @@ def test_words_that_make_no_sense_are_refused(
     assert message in capsys.readouterr().err
 
 
-def test_a_port_that_is_taken_leaves_no_journal(served: Served, tmp_path: Path) -> None:
+def test_a_port_that_is_taken_leaves_no_journal(served, tmp_path):
     canvas()[0].save(tmp_path / "a.octex")
     octex.write_model(canvas()[1], tmp_path / "a.ply")
     words = [str(tmp_path / "a.octex"), str(tmp_path / "a.ply"), "--paint", str(tmp_path / "b.octex")]
@@ -587,17 +556,12 @@ def test_a_port_that_is_taken_leaves_no_journal(served: Served, tmp_path: Path) 
     assert not [*tmp_path.glob("b.*")]
 
 
-def test_the_command_says_what_is_not_saved_and_recovers_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "ball.obj").write_text(
-        "".join(f"v {x} {y} {z}\n" for x, y, z in ball(12).vertices)
-        + "".join(f"f {a} {b} {c}\n" for a, b, c in ball(12).triangles + 1)
-    )
+def test_the_command_says_what_is_not_saved_and_recovers_it(tmp_path, monkeypatch, capfd):
+    (tmp_path / "ball.obj").write_text(obj_lines(ball(12).vertices, ball(12).triangles))
     words = ["view", str(tmp_path / "ball.obj"), "--depth", "4", "--paint", str(tmp_path / "out.octex")]
 
-    def paints(*bodies: bytes) -> None:
-        def run(viewer: Viewer) -> None:
+    def paints(*bodies):
+        def run(viewer):
             viewer._server.server_close()
             assert viewer.session is not None
             for body in bodies:
@@ -620,7 +584,7 @@ def test_the_command_says_what_is_not_saved_and_recovers_it(
     assert sorted(each.name for each in tmp_path.iterdir()) == ["ball.obj", "out.octex"]
 
 
-def two_balls() -> tuple[OctreeTexture, Surface]:
+def two_balls():
     balls = [ball(8), ball(8)]
     surface = Surface.from_arrays(
         np.concatenate([each.vertices + np.array([3.0 * n, 0.0, 0.0]) for n, each in enumerate(balls)]),
@@ -630,7 +594,7 @@ def two_balls() -> tuple[OctreeTexture, Surface]:
     return octex.convert(surface, depth=6), surface
 
 
-def test_a_part_is_filled_and_the_one_that_a_mirror_shows(tmp_path: Path) -> None:
+def test_a_part_is_filled_and_the_one_that_a_mirror_shows(tmp_path):
     texture, surface = two_balls()
     session, painter = Session(texture, surface, tmp_path / "out.octex"), octex.Painter(texture, surface)
     color = decode(np.array([250, 0, 10], np.uint8), "srgb")
@@ -639,32 +603,27 @@ def test_a_part_is_filled_and_the_one_that_a_mirror_shows(tmp_path: Path) -> Non
     painter.fill(surface.parts == 0, color)
     session.wait()
     assert_same(session.shown.texture, painter.texture())
-    session.take(plain("undo", 2))
-    session.take(plain("fill", 3, **given, mirror="x"))
-    session.wait()
+    take(session, plain("undo", 2), plain("fill", 3, **given, mirror="x"))
     painter.fill(surface.parts == 1, color)
     step = session.shown.texture
     assert_same(step, painter.texture())
     assert session.shown.told["done"] == 1
-    session.take(plain("undo", 4))
-    session.wait()
+    take(session, plain("undo", 4))
     assert_same(session.shown.texture, texture)
-    session.take(plain("redo", 5))
-    session.wait()
+    take(session, plain("redo", 5))
     assert_same(session.shown.texture, step)
     session.close()
 
 
-def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session: Session) -> None:
+def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session):
     texture, _ = canvas()
-    session.take(stroke(1, mirror="x", name="Brush"))
-    session.wait()
+    take(session, stroke(1, mirror="x", name="Brush"))
     assert session.shown.told["steps"] == ["Brush"]
     random = np.random.default_rng(0)
     points = random.normal(size=(4000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
 
-    def is_painted(points: Any) -> Any:
+    def is_painted(points):
         apart = session.shown.texture.sample(points) - texture.sample(points)
         return np.abs(apart).max(axis=1) > 0.1
 
@@ -673,20 +632,15 @@ def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session:
     assert (here != there).sum() < 0.15 * here.sum()  # cells are not where a mirror has them
     assert here[points[:, 0] > 0.3].any()
     assert here[points[:, 0] < -0.3].any()
-    session.take(plain("undo", 2))
-    session.wait()
+    take(session, plain("undo", 2))
     assert_same(session.shown.texture, texture)
     with pytest.raises(ArgumentError, match="mirror must be x, y, z"):
         session.take(stroke(3, mirror="w"))
 
 
-def test_back_faces_and_angles_are_painted_as_the_library_does(session: Session) -> None:
+def test_back_faces_and_angles_are_painted_as_the_library_does(session):
     texture, surface = canvas()
     painter = octex.Painter(texture, surface)
-    session.take(stroke(1, backFaces=True, maxAngle=40))
-    session.wait()
-    image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
-    image[..., :3] = 200, 10, 30
-    image[4:28, 10:40, 3] = disc(1)
-    painter.paint(octex.Projection(image, camera(), opacity=0.8), max_angle=40, back_faces=True)
+    take(session, stroke(1, backFaces=True, maxAngle=40))
+    painted(painter, 1, max_angle=40, back_faces=True)
     assert_same(session.shown.texture, painter.texture())

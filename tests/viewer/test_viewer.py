@@ -155,8 +155,7 @@ def sharp(page):
     """The picture, once it stands still."""
     page.evaluate("viewer.move()")
     page.wait_for_function("viewer.isSharp && !viewer.asked", timeout=60_000)
-    found: bytes = page.locator("canvas").screenshot()
-    return found
+    return page.locator("canvas").screenshot()
 
 
 @needs_jit
@@ -241,10 +240,10 @@ def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser, small):
 
 @needs_jit
 def test_the_file_loads_nothing_and_obeys_its_own_policy(browser, small):
-    asked: list[str] = []
+    asked = []
     page = browser.new_page()
     page.on("request", lambda request: asked.append(request.url))
-    complaints: list[str] = []
+    complaints = []
     page.on("console", lambda line: line.type == "error" and complaints.append(line.text))
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.goto(file_url(small))
@@ -298,7 +297,7 @@ def test_controls_are_named_and_within_the_window(browser, small, size):
 def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser, tmp_path):
     surface, path = colored(ball(8)), tmp_path / "ball.octex"
     octex.convert(surface, depth=4).save(path)
-    lines: list[str] = []
+    lines = []
     viewer = Viewer(lambda: octex.open(path), path, surface, log=lines.append)
     thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
     thread.start()
@@ -342,7 +341,7 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(brows
 
     server, url = served(path)
     page = opened(browser, url, (800, 600))
-    asked: list[str] = []
+    asked = []
     page.on("request", lambda request: asked.append(request.url))
     page.locator("#filter").select_option("nearest")
     page.evaluate("viewer.camera.orbit(1, 0)")

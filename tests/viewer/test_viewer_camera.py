@@ -9,6 +9,8 @@ from tests.conftest import needs_jit
 from tests.make.browser import file_url, opened, served
 from tests.make.painted import ball
 
+pytestmark = needs_jit
+
 #: What a place of the picture sees, as a position at rest; null beside the model.
 _SEEN = "(at) => viewer.seen(...at)"
 #: Presses a key many times, without a picture in between.
@@ -25,7 +27,6 @@ def small(tmp_path_factory):
     return path
 
 
-@needs_jit
 @pytest.mark.parametrize("cubes", [False, True])
 def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(cubes, browser, small):
     page = opened(browser, file_url(small), (320, 240))
@@ -47,7 +48,6 @@ def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(cubes, bro
     page.close()
 
 
-@needs_jit
 def test_a_double_click_turns_around_what_is_there_and_beside_the_model_shows_all(browser, small):
     page = opened(browser, file_url(small), (600, 300))
     wide, high = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
@@ -65,7 +65,6 @@ def test_a_double_click_turns_around_what_is_there_and_beside_the_model_shows_al
     page.close()
 
 
-@needs_jit
 def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls(browser, tmp_path):
     surface, path = ball(8), tmp_path / "ball.octex"
     octex.convert(surface, depth=4).save(path)
@@ -93,13 +92,12 @@ def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls
         page.close()
 
 
-@needs_jit
 def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(browser, tmp_path):
     path, lines = tmp_path / "ball.octex", list[str]()
     octex.convert(ball(8), depth=3).save(path)
     with served(Viewer(lambda: octex.open(path), path, None, log=lines.append)) as first:
         page = opened(browser, first.url, (600, 300))
-        asked: list[str] = []
+        asked = []
         page.on("request", lambda request: asked.append(request.url))
         first.token = "another"
         first._ended.set()  # its pages lose their lines
@@ -111,7 +109,6 @@ def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(browse
         page.close()
 
 
-@needs_jit
 def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(browser, tmp_path):
     path = tmp_path / "ball.octex"
     octex.convert(ball(8), depth=3).save(path)
@@ -131,7 +128,6 @@ def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(browser, t
         page.close()
 
 
-@needs_jit
 def test_texture_coordinates_are_missed_only_where_there_are_none(browser, tmp_path):
     square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]
     uv = [[0, 0], [1, 0], [1, 1], [0, 1]]

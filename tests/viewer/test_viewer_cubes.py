@@ -1,10 +1,5 @@
 """Cells as cubes: no more than a page can draw, made in pieces; and what the colours of cells mean."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -16,6 +11,8 @@ from tests.conftest import needs_jit
 from tests.make.browser import drawn, file_url, opened
 from tests.make.painted import ball
 
+pytestmark = needs_jit
+
 #: Makes the cubes of a level and returns their numbers, and how many there were after each piece.
 _CUBES = """(level) => {
   const { octree } = viewer.parts[0], found = new Uint32Array(5 * octree.countAt(level));
@@ -25,9 +22,7 @@ _CUBES = """(level) => {
 
 
 @pytest.fixture(scope="module")
-def painted(
-    browser: Any, tmp_path_factory: pytest.TempPathFactory
-) -> Iterator[tuple[octex.OctreeTexture, Any]]:
+def painted(browser, tmp_path_factory):
     """A ball, a part of it finer, and its page."""
     surface = ball(16).with_sources({"base_color": lambda p: np.full_like(p, 0.5)})
     low, _ = surface.bounds
@@ -42,8 +37,7 @@ def painted(
     page.close()
 
 
-@needs_jit
-def test_cubes_are_the_leaves_and_made_in_pieces(painted: tuple[octex.OctreeTexture, Any]) -> None:
+def test_cubes_are_the_leaves_and_made_in_pieces(painted):
     texture, page = painted
     for level in (0, 3, 6, 7):
         cubes, counts = page.evaluate(_CUBES, level)
@@ -58,10 +52,7 @@ def test_cubes_are_the_leaves_and_made_in_pieces(painted: tuple[octex.OctreeText
     assert max(np.diff(counts)) <= 8 * 2048
 
 
-@needs_jit
-def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(
-    painted: tuple[octex.OctreeTexture, Any],
-) -> None:
+def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(painted):
     texture, page = painted
     page.check("#cubes")
     assert page.locator("#cubes-note").inner_text() == ""
@@ -79,8 +70,7 @@ def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(
     page.evaluate(fewer, most)
 
 
-@needs_jit
-def test_the_legend_names_the_colours_that_are_drawn(painted: tuple[octex.OctreeTexture, Any]) -> None:
+def test_the_legend_names_the_colours_that_are_drawn(painted):
     texture, page = painted
     swatches = "[...document.querySelectorAll('#legend .swatch')].map((each) => each.style.background)"
     assert not page.locator("#legend").is_visible()

@@ -10,6 +10,8 @@ from octex.viewer import write_page
 from tests.conftest import needs_jit
 from tests.make.browser import drawn, file_url, opened
 
+pytestmark = needs_jit
+
 SIZE = 64, 48
 RED, GREEN, BLUE = np.eye(3)
 GROUND = np.array([0.925, 0.93, 0.94])
@@ -47,7 +49,6 @@ def over(color, alpha, behind):
     return alpha * np.asarray(color) + (1 - alpha) * np.asarray(behind)
 
 
-@needs_jit
 @pytest.mark.parametrize(
     ("layers", "expected", "picked"),
     [
@@ -63,7 +64,6 @@ def test_the_nearest_translucent_layer_lies_over_what_is_opaque(layers, expected
     assert found["rest"][2] == pytest.approx(picked, abs=1e-3)
 
 
-@needs_jit
 def test_a_translucent_layer_alone_lies_over_the_ground_in_linear_light(browser, tmp_path):
     from octex.channels import srgb_to_linear
 

@@ -10,7 +10,6 @@ import time
 import webbrowser
 import zlib
 from http.client import HTTPConnection
-from typing import Any
 
 import pytest
 
@@ -256,7 +255,7 @@ def test_ctrl_c_ends_the_command(tmp_path, monkeypatch, capfd):
 
 def test_of_a_folder_all_parts_are_shown_or_one(tmp_path, monkeypatch):
     def view(*words):
-        found: list[list[dict[str, Any]]] = []
+        found = []
 
         def kept(viewer):
             viewer._server.server_close()

@@ -3,7 +3,7 @@
 
     python tools/bench                           octex's own figures
     python tools/bench torus transfer --peer-python PYTHON
-    python tools/bench boombox psnr --models FOLDER
+    python tools/bench boombox adaptive --models FOLDER
     python tools/bench --quick                   everything on tiny sizes: does it still run?
 
 The peer is a Python that has Open3D. Figures without it, or without models, are left out, and said to be.
@@ -32,7 +32,7 @@ from painting import painting, ring
 from painting_page import session
 from processing import processing
 from sources import cloud, transfer
-from texture import paper, psnr
+from texture import paper
 from whole import whole
 
 BENCHMARKS = {
@@ -45,7 +45,6 @@ BENCHMARKS = {
         filters,
         large,
         adaptive,
-        psnr,
         lookup,
         questions,
         mixed,

@@ -36,18 +36,10 @@ def adaptive(setup: Setup, report: Report) -> None:
         fit_time, whole_time = (times[each] / times[PLAIN] for each in (FITTED, ADAPTIVE))
         rows.append(
             [
-                name,
-                depth,
-                f"{leaves:,}",
-                f"{left:,}",
-                f"{left / leaves:.1%}",
-                f"{rms:.3f}",
-                f"{most:.2f}",
-                f"{times[PLAIN]:.2f} s",
-                f"{fit_time:.2f} ×",
-                f"{whole_time:.2f} ×",
+                name, depth, f"{leaves:,}", f"{left:,}", f"{left / leaves:.1%}", f"{rms:.3f}", f"{most:.2f}",
+                f"{times[PLAIN]:.2f} s", f"{fit_time:.2f} ×", f"{whole_time:.2f} ×",
             ]
-        )
+        )  # fmt: skip
         report.at_most(f"adaptive: {name}, root mean square", rms, 1, "codes")
         report.at_most(f"adaptive: {name}, 99.9 %", most, 3, "codes")
         report.at_most(f"adaptive: {name}, time with the fit beside plain", fit_time, 4, "×")

@@ -9,18 +9,7 @@ from statistics import median
 
 from inputs import painted_torus, write_mesh
 from inputs import torus as torus_mesh
-from measuring import (
-    Report,
-    Setup,
-    Spent,
-    in_turns,
-    megabytes,
-    millions,
-    open3d,
-    pinned,
-    task,
-    timed,
-)
+from measuring import Report, Setup, Spent, in_turns, megabytes, millions, open3d, pinned, task, timed
 
 import octex
 
@@ -32,17 +21,15 @@ def torus(setup: Setup, report: Report) -> None:
     mesh = setup.folder / "torus.bin"
     write_mesh(mesh, *torus_mesh(around, across)[:2])
     size = {"around": around, "across": across, "depth": depth}
-    octex_tree, octex_keys = "octex, tree with flags and areas", "octex, sorted keys alone"
-    for name in () if setup.quick else ("tree", "keys"):  # so that their memory is not that of compiling
-        with task(setup, name, pin=False, around=20, across=10, depth=6) as work:
+    own = "octex, tree with flags and areas"
+    if not setup.quick:  # so that its memory is not that of compiling
+        with task(setup, "tree", pin=False, around=20, across=10, depth=6) as work:
             work.run()
     with (
         task(setup, "tree", **size) as tree,
-        task(setup, "keys", **size) as keys,
         open3d(setup, report, "cells", mesh, 1 << depth, core=setup.core) as peer,
     ):
-        contestants = {octex_tree: tree.spent, octex_keys: keys.spent, **peer}
-        spent = in_turns(contestants, setup.repeats)
+        spent = in_turns({own: tree.spent, **peer}, setup.repeats)
         built = tree.run()
     for name, each in spent.items():
         report.line(name, f"{each}   {millions(built['leaves'] / each.cpu)} cells/s")
@@ -50,9 +37,7 @@ def torus(setup: Setup, report: Report) -> None:
     if not setup.quick:
         report.at_least("torus: cells (those that the surface meets)", built["leaves"], 3.35e6, "cells")
     if peer:
-        theirs = spent["Open3D"].cpu
-        report.at_least("torus: tree, faster than Open3D", theirs / spent[octex_tree].cpu, 6)
-        report.at_least("torus: keys, faster than Open3D", theirs / spent[octex_keys].cpu, 15)
+        report.at_least("torus: tree, faster than Open3D", spent["Open3D"].cpu / spent[own].cpu, 6)
     report.at_most("torus: peak memory of the process", built["peak"] / 2**20, 500, "MB")
 
 

@@ -160,12 +160,7 @@ class Points(NamedTuple):
 
 
 def disturbed(
-    report: Report,
-    name: str,
-    surface: octex.Surface,
-    ring: Ring,
-    depth: int,
-    points: Points,
+    report: Report, name: str, surface: octex.Surface, ring: Ring, depth: int, points: Points
 ) -> None:
     """Paint a ring as it is and disturbed, as an average and as well as octex can; print a table.
 

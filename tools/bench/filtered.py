@@ -14,7 +14,6 @@ from measuring import Report, Setup, clocked, megabytes, task
 from painted_sphere import View, painted_sphere, view
 
 import octex
-from octex.tree.layout import SplitTable
 
 Array = npt.NDArray[Any]
 
@@ -95,7 +94,7 @@ def _cells_of_pixels(seen: View, texture: octex.OctreeTexture) -> Array:
 
 
 def footprints(setup: Setup, report: Report) -> None:
-    """Lookups of footprints by width, with normals, and of long ones."""
+    """Lookups of footprints by width, and of long ones."""
     depth = 6 if setup.quick else 10
     texture = sphere_texture(depth)
     cell = 1 / (1 << depth)
@@ -124,51 +123,12 @@ def footprints(setup: Setup, report: Report) -> None:
                 between = min(rates[name] for name in ("5.66", "22.6", "any from 4 to 64"))
                 report.line(f"{order}, between levels, one cell's rate", f"{between / rates['1 cell']:.2f} ×")
         report.table([filter, *widths], rows)
-    _normals(texture, points, setup, report)
     _long(texture, points, cell, setup, report)
 
 
 def _rates(works: dict[str, Callable[[], Any]], count: int, setup: Setup) -> dict[str, float]:
     """Lookups a second of some work, in turns."""
     return {name: count / each.cpu for name, each in clocked(setup, works, setup.core).items()}
-
-
-def _in_conflict(texture: octex.OctreeTexture) -> octex.OctreeTexture:
-    """Return a texture whose cells all have a front and a back."""
-    tree, channel = texture.tree, texture.channels["base_color"]
-    n = tree.n_cells
-    table = SplitTable(
-        np.arange(n, dtype=np.uint32), np.full(n, 0b11, np.uint8), np.repeat(tree.arrays.areas, 2)
-    )
-    tree = tree.with_cell_data(np.full(n, 0b10000011, np.uint8), tree.arrays.areas, table)
-    channel = channel._replace(split_values=np.repeat(channel.values, 2, axis=0))
-    return octex.OctreeTexture(tree, {"base_color": channel}, texture.placement, texture.bounds)
-
-
-def _normals(
-    texture: octex.OctreeTexture, points: dict[str, npt.NDArray[np.float32]], setup: Setup, report: Report
-) -> None:
-    tree = texture.tree
-    plain = tree.with_cell_data(np.full(tree.n_cells, 0b010101, np.uint8), tree.arrays.areas)
-    peaceful = octex.OctreeTexture(plain, texture.channels, texture.placement, texture.bounds)
-    torn = _in_conflict(texture)
-    for order, each in points.items():
-        normals = ((each - 0.5) / RADIUS).astype(np.float32)
-        rates = _rates(
-            {
-                "without normals": partial(texture.sample, each),
-                "with": partial(peaceful.sample, each, normals=normals),
-                "in conflict": partial(torn.sample, each, normals=normals),
-            },
-            len(each),
-            setup,
-        )
-        report.line(
-            f"normals, {order}", ", ".join(f"{name} {rate / 1e6:.1f} M/s" for name, rate in rates.items())
-        )
-        report.at_most(
-            f"normals: {order}, all in conflict, none's time", rates["with"] / rates["in conflict"], 1.5
-        )
 
 
 def _long(

@@ -1,8 +1,7 @@
-"""What the benchmarks work on: a bumpy torus, the coloured models of a folder, a sphere of cells."""
+"""What the benchmarks work on: a bumpy torus and a sphere of cells."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ import numpy.typing as npt
 import octex
 from octex.channels import ChannelFormat
 from octex.source.base import Source
-from octex.source.load import MODEL_ENDINGS
 from octex.tree.morton import decode_cells
 
 Floats = npt.NDArray[np.float64]
@@ -71,25 +69,6 @@ def painted_torus(around: int, across: int, size: int) -> octex.Surface:
     grain = np.random.default_rng(0).normal(0, 6, (size, size, 1))
     image = np.clip(128 + 100 * waves + grain, 0, 255).astype(np.uint8)
     return octex.Surface.from_arrays(vertices, triangles, uv=uv, image=image, name="torus")
-
-
-def is_coloured(surface: octex.Surface) -> bool:
-    """Say whether a surface is anything but white."""
-    return bool((surface.evaluate(surface.scatter(1000)) < 0.999).any())
-
-
-def coloured_models(folder: Path) -> Iterator[tuple[str, octex.Surface]]:
-    """Yield the models of a folder that octex takes and that have colours."""
-    for path in sorted(folder.rglob("*")):
-        if path.suffix.lower() not in MODEL_ENDINGS:
-            continue
-        try:
-            surface = octex.load_surface(path)
-            if is_coloured(surface):
-                names = [each.name for each in surface.channels if each.name in ("base_color", "alpha")]
-                yield path.relative_to(folder).as_posix(), surface.with_channels(names)
-        except octex.OctexError:
-            continue
 
 
 RADIUS = 0.499

@@ -9,18 +9,7 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 from inputs import painted_torus, scattered_on_sphere, seen_on_sphere, sphere_cells, torus
-from measuring import (
-    DROID,
-    Report,
-    Setup,
-    Spent,
-    clocked,
-    in_turns,
-    millions,
-    open3d,
-    task,
-    timed,
-)
+from measuring import DROID, Report, Setup, Spent, clocked, in_turns, millions, open3d, task, timed
 
 import octex
 from octex.channels import BASE_COLOR
@@ -89,23 +78,11 @@ def _two_threads(
 
 #: The least rate of each question, of that of one colour in an even tree.
 QUESTIONS = {
-    "roughness": 0.9,
-    "float32": 0.6,
-    "all channels": 0.4,
-    "with alpha": 0.7,
-    "normals": 0.7,
-    "gradient": 0.5,
-    "quartic": 0.2,
-    "painted": 0.7,
-    "max_error=2": 0.7,
-    "half a cell off": 0.5,
-    "a cell off": 0.5,
-    "two cells off": 0.5,
-    "five cells off": 0.5,
-    "one width": 0.5,
-    "widths": 0.5,
+    "roughness": 0.9, "float32": 0.6, "all channels": 0.4, "with alpha": 0.7, "normals": 0.7,
+    "gradient": 0.5, "quartic": 0.2, "painted": 0.7, "max_error=2": 0.7, "half a cell off": 0.5,
+    "a cell off": 0.5, "two cells off": 0.5, "five cells off": 0.5, "one width": 0.5, "widths": 0.5,
     "widths, normals": 0.4,
-}
+}  # fmt: skip
 
 
 def questions(setup: Setup, report: Report) -> None:

@@ -1,4 +1,4 @@
-"""Benchmarks of textures: their size beside the maps that they replace, and their colours."""
+"""Benchmark of textures: their size beside the maps that they replace."""
 
 from __future__ import annotations
 
@@ -8,18 +8,11 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from inputs import (
-    coloured_models,
-    painted_torus,
-)
 from measuring import DROID, Report, Setup
 from PIL import Image, ImageDraw
 
 import octex
-from octex.channels import linear_to_srgb
 from octex.gltf import Document
-from octex.tree.layout import SPLIT
-from octex.tree.search import Positions, nearest_cells
 
 #: A map's charts are counted on this many points along a texel's edge.
 FINE = 4
@@ -52,24 +45,14 @@ def paper(setup: Setup, report: Report) -> None:
         sizes.append(both)
         rows.append(
             [
-                depth,
-                f"{leaves:,}",
-                f"{both:,}",
-                f"{both / maps:.3f}",
-                f"{size['total']:,}",
+                depth, f"{leaves:,}", f"{both:,}", f"{both / maps:.3f}", f"{size['total']:,}",
                 f"{size['total'] / maps:.3f}",
             ]
-        )
+        )  # fmt: skip
         each = [
-            size["structure"],
-            colour,
-            both,
-            size["flags"],
-            size["areas"],
-            split,
-            size["header"],
+            size["structure"], colour, both, size["flags"], size["areas"], split, size["header"],
             size["total"],
-        ]
+        ]  # fmt: skip
         parts.append([depth, *(f"{bytes_ / leaves:.3f}" for bytes_ in each)])
     report.table(["depth", "leaves", "structure + colour", "of the maps", "whole file", "of the maps"], rows)
     report.note("bytes a leaf")
@@ -117,54 +100,3 @@ def _maps(path: Path) -> Iterator[tuple[str, Image.Image, float]]:
         for corners in np.concatenate(triangles) * fine - 0.5:
             pen.polygon([tuple(corner) for corner in corners.tolist()], fill=1)
         yield entry.get("name", str(source)), image, float(np.asarray(mask).mean())
-
-
-def psnr(setup: Setup, report: Report) -> None:
-    """Colours of every coloured model at random surface points, beside its source averaged over a cell."""
-    count, depths = (2000, (4, 5)) if setup.quick else (100_000, (8, 9, 10))
-    report.title(f"psnr: {count:,} points of each coloured model, sRGB codes, peak 255")
-    words = "  ".join([*(f"{depth:6}" for depth in depths), "one side", "two sides"])
-    report.line("depth", f"{words} (where a cell shows one, how many show two; deepest)")
-    if setup.models and not setup.quick:
-        models = coloured_models(setup.models)
-    else:
-        report.note("left out: real models (--models); a painted torus in their place")
-        models = iter([("torus", painted_torus(40, 20, 256))])
-    rows = []
-    least_inside = 1.0
-    for name, surface in models:
-        samples = surface.scatter(count)
-        decibels: list[float] = []
-        inside = 1.0
-        for depth in depths:
-            texture = octex.convert(surface, depth)
-            cell = texture.placement.size / 2**depth
-            expected = linear_to_srgb(surface.evaluate(samples, width=cell))
-            errors = (expected - linear_to_srgb(texture.sample(samples.rest))) ** 2
-            decibels.append(_decibels(errors))
-            inside = min(inside, float(texture.contains(samples.rest).mean()))
-        # A lookup without a normal cannot know which side of a sheet is meant.
-        is_split = _flags(texture, samples.rest) & SPLIT != 0
-        elsewhere = _decibels(errors[~is_split]) if not is_split.all() else np.inf
-        least_inside = min(least_inside, inside)
-        rows.append([*decibels, elsewhere])
-        figures = "  ".join(f"{value:6.2f}" for value in rows[-1])
-        report.line(name, f"{figures}  {is_split.mean():7.2%}")
-    if rows:
-        columns = np.array(rows)
-        report.line("least", "  ".join(f"{value:6.2f}" for value in columns.min(axis=0)))
-        report.line("median", "  ".join(f"{value:6.2f}" for value in np.median(columns, axis=0)))
-        report.at_least("psnr: points inside a stored leaf, least of all", least_inside, 1, "of all")
-
-
-def _decibels(errors: np.ndarray) -> float:
-    """Return the PSNR for squared errors of values in 0 … 1; 120 for none."""
-    return float(-10 * np.log10(max(float(np.mean(errors)), 1e-12)))
-
-
-def _flags(texture: octex.OctreeTexture, points: np.ndarray) -> np.ndarray:
-    """Return the flags of the cells that are nearest to points."""
-    cells = np.empty(len(points), np.int64)
-    held = np.empty(len(points), np.bool_)
-    nearest_cells(texture.tree.arrays, Positions.of(points), *texture.placement, cells, held)
-    return texture.tree.arrays.flags[cells]

@@ -27,8 +27,7 @@ import octex
 from octex.conversion.levels import assemble, cell_levels
 from octex.parallel import silent
 from octex.tree.octree import Octree
-from octex.tree.placement import Placement, on_grid
-from octex.voxelize.fragments import BlockRange, cut, divided, most_fragments, whole
+from octex.tree.placement import Placement
 
 UNIT_CUBE = Placement((0.0, 0.0, 0.0), 1.0)
 
@@ -55,29 +54,7 @@ def tree(around: int, across: int, depth: int) -> Callable[[], Answer]:
 
     def task() -> Answer:
         spent, built = timed(build)
-        return {
-            **spent._asdict(),
-            "leaves": built.n_leaves,
-            "bytes": built.nbytes,
-            "peak": memory("VmHWM"),
-        }
-
-    return task
-
-
-def keys(around: int, across: int, depth: int) -> Callable[[], Answer]:
-    """From triangles to the sorted Morton codes of the cells, on one thread."""
-    vertices, triangles, _ = torus(around, across)
-
-    def build() -> np.ndarray:
-        grid = on_grid(vertices.astype(np.float64), UNIT_CUBE)
-        blocks = divided(whole(grid, triangles, depth))
-        most = int(most_fragments(blocks).sum())
-        return cut(blocks, BlockRange(0, len(blocks.codes), most)).codes
-
-    def task() -> Answer:
-        spent, codes = timed(build)
-        return {**spent._asdict(), "leaves": len(codes)}
+        return {**spent._asdict(), "leaves": built.n_leaves, "bytes": built.nbytes, "peak": memory("VmHWM")}
 
     return task
 
@@ -125,13 +102,9 @@ def look(path: str, level: int) -> Callable[[], Answer]:
             octex.open(path)
             warm.append(time.perf_counter() - begin)
         return {
-            "cold": cold,
-            "warm": float(np.median(warm)),
-            "opened": opened - before,
-            "look": looked.wall,
-            "touched": touched,
-            "left": left,
-        }
+            "cold": cold, "warm": float(np.median(warm)), "opened": opened - before, "look": looked.wall,
+            "touched": touched, "left": left,
+        }  # fmt: skip
 
     return task
 
@@ -196,13 +169,8 @@ def cached_bytes(path: str) -> int:
 
 
 TASKS: dict[str, Callable[..., Callable[[], Answer]]] = {
-    "tree": tree,
-    "keys": keys,
-    "large": large,
-    "look": look,
-    "resident": resident,
-    "picture": picture,
-}
+    "tree": tree, "large": large, "look": look, "resident": resident, "picture": picture,
+}  # fmt: skip
 
 
 def main() -> None:

@@ -245,13 +245,9 @@ class Render:
 
 #: Of an archive's first bytes the names, where they begin, and how many they are.
 _START = (
-    ("magic", 0, 8),
-    ("version", 8, 4),
-    ("length", 12, 4),
-    ("begin", 16, 8),
-    ("directory's checksum", 24, 4),
+    ("magic", 0, 8), ("version", 8, 4), ("length", 12, 4), ("begin", 16, 8), ("directory's checksum", 24, 4),
     ("checksum", 28, 4),
-)
+)  # fmt: skip
 
 
 class Archive:
@@ -310,11 +306,7 @@ class Archive:
             for (_, record, _), content in zip(self.streams, streams, strict=True):
                 found[record : record + 2] = len(content), zlib.crc32(content)
             contents = streams
-        parts = [
-            text,
-            self.root if root is None else root,
-            struct.pack(f"<{len(found)}I", *found),
-        ]
+        parts = [text, self.root if root is None else root, struct.pack(f"<{len(found)}I", *found)]
         directory = struct.pack("<3I", *map(len, parts)) + packed(b"".join(parts))
         return self.begun(directory, b"".join(contents))
 
@@ -379,14 +371,8 @@ class Archive:
         return self.built(streams=streams), f"stream {self.streams[at][0]}"
 
     ways: tuple[tuple[int, Callable[[Archive, Random], Damaged]], ...] = (
-        (3, blind),
-        (1, start),
-        (2, beginning),
-        (6, described),
-        (3, directory),
-        (4, recorded),
-        (8, streamed),
-    )
+        (3, blind), (1, start), (2, beginning), (6, described), (3, directory), (4, recorded), (8, streamed),
+    )  # fmt: skip
 
 
 # Arrays of numpy.
@@ -438,20 +424,8 @@ class Arrays:
             head = blind(head, chance)
         else:
             types = (
-                "|O",
-                "<U4",
-                "|V8",
-                "<f2",
-                "<f8",
-                ">f4",
-                "<i8",
-                "|b1",
-                "<c8",
-                "<M8[s]",
-                "<u8",
-                "|S0",
-                "<f16",
-            )
+                "|O", "<U4", "|V8", "<f2", "<f8", ">f4", "<i8", "|b1", "<c8", "<M8[s]", "<u8", "|S0", "<f16",
+            )  # fmt: skip
             descr = chance.choice((array.dtype.str, *types, [("a", "<f4")]))
             shape = list(array.shape)
             if chance.random() < 0.7:
