@@ -16,10 +16,8 @@ if TYPE_CHECKING:
     from octex.baking.maps import Bits
     from octex.formats.images import ImageFormat
 
-_OF_IMAGES = (
-    *("--uv", "--texture-size", "--padding", "--channels", "--image-format", "--supersample"),
-    *("--triangles", "--original", "--max-distance"),
-)
+_OF_IMAGES = {"--uv", "--texture-size", "--padding", "--channels", "--image-format", "--supersample"}
+_OF_IMAGES |= {"--triangles", "--original", "--max-distance"}
 _OF_VERTICES = "--max-edge", "--vertex-error"
 _ALWAYS_VERTICES = ".ply", ".3mf"
 _GLTF = ".glb", ".gltf"
@@ -53,7 +51,7 @@ def bake(options: Options, program: str) -> int:
         refuse(options, ["--unit"], f"has no effect on {options.OUTPUT}: the format stores no unit")
     if ending not in _GLTF:
         refuse(options, ["--octree"], f"has no effect on {options.OUTPUT}: only .glb and .gltf carry it")
-    images, bits = _IMAGES[options.image_format or "png"]
+    images, bits = _IMAGES[options.image_format]
     if images == "exr" and ending in _GLTF:
         raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
     if options.triangles is not None:
@@ -104,14 +102,12 @@ def bake(options: Options, program: str) -> int:
                 padding=options.padding,
                 channels=options.channels,
                 bits=bits,
-                supersample=1 if options.supersample is None else options.supersample,
+                supersample=options.supersample,
                 progress=progress,
             )
         with progress.stage("write"):
-            octree = texture if options.octree else None
-            written = octex.write_model(
-                baked, options.OUTPUT, images=images, unit=options.unit or "meter", octree=octree
-            )
+            carried = {"unit": options.unit, "octree": texture if options.octree else None}
+            written = octex.write_model(baked, options.OUTPUT, images=images, **carried)
     materials = materials_of(baked).materials
     read = [each.texture for material in materials for each in material.inputs.values()]
     size = max((each.texels.shape[1] for each in read if each is not None), default=0)

@@ -124,9 +124,8 @@ def _convert(options: Options, program: str) -> int:
         # With leaves of several sizes, the number of finest cells says little.
         is_even = options.max_error is None and options.detail is None
         share = f" ({100 * empty / (empty + texture.tree.n_leaves):.3g} %)" if is_even else ""
-        faces = options.within is not None and options.within.degrees is not None
-        why = "no source is near enough with the same facing" if faces else "no source is near enough"
-        lines.append(f"{empty:,} finest cells{share} stay empty: {why}")
+        faces = "" if options.within.degrees is None else " with the same facing"
+        lines.append(f"{empty:,} finest cells{share} stay empty: no source is near enough{faces}")
     repaired, repair_lines = told_repair(surface)
     made |= repaired
     lines += repair_lines

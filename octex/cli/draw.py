@@ -19,11 +19,10 @@ if TYPE_CHECKING:
     from octex.arrays import Uint8s
     from octex.cameras.camera import Camera
     from octex.cameras.files import Frame
-    from octex.drawing import Environment, Viewpoint
+    from octex.drawing import Environment
 
 _SIZE = 1024, 1024  # of a view
 _DIRECTION = 0.4, 0.3, 1.0  # of an image to paint on
-_UP = 0.0, 1.0, 0.0
 #: The options that each kind of image refuses.
 _OF_VIEWS = "--camera-out", "--unwrap", "--empty-layer"
 _REFUSED = {
@@ -39,7 +38,7 @@ _REFUSED = {
 
 def draw(options: Options, program: str) -> int:
     """Run octex draw."""
-    kind = vars(options)["as"] or "panels"
+    kind = vars(options)["as"]
     _check(options, kind)
     with ahead("view") if kind == "paint" and options.threads is None else nullcontext():
         width, height = _draw(options, kind, program)
@@ -144,8 +143,10 @@ def _codes(
         names = options.TEXTURE.name, options.MODEL.name
         return drawing.draw_difference(texture, model, differences, names, **size)
     if kind == "panels":
-        view, lit = _viewpoint(options, frame), {"light": light, "bump": bump}
-        return drawing.draw_preview(texture, model, **size, view=view, channel=channel, **lit)
+        view = drawing.Viewpoint(options.direction, options.up, options.zoom, frame)
+        return drawing.draw_preview(
+            texture, model, **size, view=view, channel=channel, light=light, bump=bump
+        )
     if kind == "paint":
         assert camera is not None
         channel, is_lit = channel or DEFAULT_CHANNEL, texture is None or options.light is not None
@@ -193,25 +194,21 @@ def _frame(options: Options, kind: str) -> Frame | None:
     return frame
 
 
-def _viewpoint(options: Options, frame: Frame | None) -> Viewpoint:
-    from octex.drawing import Viewpoint
-
-    return Viewpoint(options.direction, options.up or _UP, options.zoom or 1.0, frame)
-
-
 def _camera(options: Options, kind: str, texture: Any, model: Any, frame: Frame | None) -> Camera:
     """Return the camera of a frame, or one that sees the whole model."""
     size = options.size or _SIZE
     if frame is not None:
         camera = frame.camera(options.size or (None if frame.size is not None else _SIZE))
     elif kind == "paint":  # the same for every texture
-        direction, up = options.direction or _DIRECTION, options.up or _UP
-        camera = octex.Camera.fitted(model.vertices, direction, size=size, up=up)
+        camera = octex.Camera.fitted(
+            model.vertices, options.direction or _DIRECTION, size=size, up=options.up
+        )
     else:
-        from octex.drawing import camera_of
+        from octex.drawing import Viewpoint, camera_of
 
-        return camera_of(texture, model, size, _viewpoint(options, None), options.channel)
-    return camera if options.zoom is None else camera.zoomed(options.zoom)
+        view = Viewpoint(options.direction, options.up, options.zoom)
+        return camera_of(texture, model, size, view, options.channel)
+    return camera if options.zoom == 1.0 else camera.zoomed(options.zoom)
 
 
 def _light(options: Options) -> Environment | None:
@@ -220,7 +217,6 @@ def _light(options: Options) -> Environment | None:
         return None
     from octex.drawing import Environment
 
-    exposure = options.exposure or 0.0
     if options.light == "studio":
-        return Environment.studio(exposure)
-    return Environment.load(options.light, exposure, options.up or _UP)
+        return Environment.studio(options.exposure)
+    return Environment.load(options.light, options.exposure, options.up)

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import octex
 from octex.cli.common import Reporter, check_outputs, facts_of, tell_file
 from octex.cli.convert import OUTPUT_ENDINGS, check_output_kind, write_texture
-from octex.cli.inputs import open_texture, tell_layers
+from octex.cli.inputs import open_texture, refuse, tell_layers
 from octex.cli.parser import Options
 from octex.cli.values import ARCHIVE_ENDING
-from octex.errors import ArgumentError, InputError
+from octex.errors import InputError
 
 if TYPE_CHECKING:
     from octex.texture import OctreeTexture
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 def edit(options: Options, program: str) -> int:
     """Run octex edit."""
     check_output_kind(options.TEXTURE, options.OUTPUT)
-    if options.loss is not None and options.OUTPUT.suffix.lower() != ARCHIVE_ENDING:
-        raise ArgumentError(f"--loss is for NAME{ARCHIVE_ENDING}")
+    if options.OUTPUT.suffix.lower() != ARCHIVE_ENDING:
+        refuse(options, ["--loss"], f"is for NAME{ARCHIVE_ENDING}")
     others = [options.combine, options.mix and options.mix[0]]
     outputs = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
     check_outputs(outputs, [options.TEXTURE, *others], force=options.force)
     with Reporter(program, options.quiet) as progress:
         texture = _edited(options, progress)
-        write_texture(texture, options.OUTPUT, progress, options.loss or 0)
+        write_texture(texture, options.OUTPUT, progress, options.loss)
     return tell_file(options, *facts_of(texture))
 
 

@@ -17,7 +17,6 @@ from octex.cli.values import (
     WEB_ENDING,
     Address,
     FunctionName,
-    Near,
     function_name,
 )
 from octex.errors import ArgumentError, CameraError, InputError
@@ -172,16 +171,15 @@ def read_model(path: Path, options: Options, extra: Sequence[str] = ()) -> Surfa
 
 def _read(path: Path, options: Options, sources: dict[str, Any], wanted: Sequence[str] | None) -> Surface:
     named = function_name(str(path))
-    image_filter = options.filter or "ewa"
     if path.suffix == ".py":
         raise ArgumentError(f"{path}: name the function in it, like {path}:NAME")
     if named is None:
-        return shaped_model(path, options, channels=wanted, sources=sources, filter=image_filter)
+        return shaped_model(path, options, channels=wanted, sources=sources, filter=options.filter)
     if options.grid is None:
         raise ArgumentError(f"{path} is a function: give --grid x0,y0,z0,x1,y1,z1,EDGE too")
     bounds = [options.grid[:3], options.grid[3:6]]
     surface = octex.Surface.from_function(load_function(named), bounds, options.grid[6], name=named.path.name)
-    return surface.completed(sources, wanted, image_filter)
+    return surface.completed(sources, wanted, options.filter)
 
 
 def _wanted(options: Options) -> list[str] | None:
@@ -219,7 +217,7 @@ def _transferred(options: Options) -> dict[str, Any]:
     if path.suffix.lower() == PTEX_ENDING:
         refuse(options, ["--within"], f"cannot be used for {path}, which belongs to the model")
         return {**octex.Ptex(path).sources}
-    distance, degrees, radius = options.within or Near()
+    distance, degrees, radius = options.within
     if radius is not None or kind_of(path) == "cloud":
         angle = 90.0 if degrees is None else degrees
         cloud = octex.PointCloud.load(path, radius=radius, distance=distance, max_angle=angle)

@@ -58,7 +58,7 @@ def overlaps(options: Options, program: str) -> int:
         with progress.stage("read"):
             surface = octex.load_surface(path, options.rest, channels=["alpha"], sources={"alpha": 1.0})
         with progress.stage("compare"):
-            pairs = surface.overlapping_parts(options.margin or 0.0)
+            pairs = surface.overlapping_parts(options.margin)
     tell(options, {"model": str(path), "margin": pairs.margin, **overlaps_as_json(pairs)}, f"{path}: {pairs}")
     return ExitCode.DONE
 

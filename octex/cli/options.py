@@ -169,16 +169,36 @@ _READERS: dict[Callable[[str], Any], str] = {
     v.one_of(*UNITS): "--unit",
 }
 _REPEATED = "--also", "--source", "--mask"
+#: The values of options that are not given, where every command has the same.
+_DEFAULTS: dict[str, Any] = {
+    "--filter": "ewa",
+    "--within": v.Near(),
+    "--margin": 0.0,
+    "--loss": 0,
+    "--blend": "over",
+    "--opacity": 1.0,
+    "--max-angle": {},
+    "--edge-feather": 0.0,
+    "--as": "panels",
+    "--up": (0.0, 1.0, 0.0),
+    "--zoom": 1.0,
+    "--exposure": 0.0,
+    "--image-format": "png",
+    "--supersample": 1,
+    "--unit": "meter",
+    "--port": 0,
+}
 
 
 def _options() -> dict[str, Option]:
     """Return the options of the table by word."""
     readers = {word: read for read, words in _READERS.items() for word in words.split()}
     rows = re.findall(r"^(--\S+)(?: (\S+))? +(\S.*(?:\n +\S.*)*)$", _TABLE, re.MULTILINE)
-    return {
-        word: Option(word, value, readers.get(word), " ".join(help.split()), word in _REPEATED)
-        for word, value, help in rows
-    }
+    options = {}
+    for word, value, help in rows:
+        read, text = readers.get(word), " ".join(help.split())
+        options[word] = Option(word, value, read, text, word in _REPEATED, _DEFAULTS.get(word))
+    return options
 
 
 OPTIONS = _options()

@@ -188,12 +188,12 @@ def edge_length(text: str) -> float | str:
     return text if text == "auto" else float(length(text))
 
 
-def angle_and_sides(text: str) -> tuple[float | None, bool, bool]:
-    """Parse DEGREES, both, hidden: the largest angle, and whether to paint back faces and hidden surface."""
+def angle_and_sides(text: str) -> dict[str, Any]:
+    """Parse DEGREES, both, hidden into arguments of octex.project."""
     words = text.split(",")
-    both, hidden = ("both" in words, "hidden" in words)
+    sides = {"back_faces": "both" in words, "hidden": "hidden" in words}
     numbers = [word for word in words if word not in ("both", "hidden")]
-    return (angle(",".join(numbers)) if numbers else None), both, hidden
+    return {"max_angle": angle(",".join(numbers)) if numbers else None, **sides}
 
 
 class Near(NamedTuple):

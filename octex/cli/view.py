@@ -50,7 +50,6 @@ def view(options: Options, program: str) -> int:
             from octex.viewer import Viewer
             from octex.viewer.key import user_key
 
-            port, key = options.port or 0, user_key()
             session = None if options.paint is None else _session(options, read(), surface, motion, progress)
             try:
                 viewer = Viewer(
@@ -59,8 +58,8 @@ def view(options: Options, program: str) -> int:
                     surface,
                     motion=motion,
                     session=session,
-                    port=port,
-                    key=key,
+                    port=options.port,
+                    key=user_key(),
                     log=progress.note,
                 )
             except OctexError:
