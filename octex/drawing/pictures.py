@@ -210,6 +210,10 @@ class Leaves(NamedTuple):
         """Return the leaves of several sets as one."""
         return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
+    def only(self, chosen: Bools) -> Leaves:
+        """Return the leaves that a mask selects."""
+        return Leaves(self.corners[chosen], self.edges[chosen], self.normals[chosen])
+
     def seen(self, camera: Camera) -> CubeBuffers:
         """Return the z-buffer of the leaves' cubes."""
         return rasterize_cubes(self.corners, self.edges, camera)
