@@ -21,14 +21,13 @@ from octex.drawing.compare import (
     placed,
     readers_of,
 )
+from octex.drawing.directions import leaf_camera, surface_camera
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.panels import (
     caption_height,
     captioned,
-    leaf_camera,
     named,
     source_caption,
-    surface_camera,
     texture_facts,
 )
 from octex.drawing.pictures import Film, Leaves, film_leaves, film_surface, visible_level

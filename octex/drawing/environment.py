@@ -36,6 +36,8 @@ _WIDEST_LOBE = 0.5
 #: Least number of rows of the image's coarsest level.
 _ROWS = 4
 _STUDIO_WIDTH = 256
+#: Squares of longer vectors could overflow.
+_LONGEST = 1e150
 
 
 class Tables(NamedTuple):
@@ -44,10 +46,6 @@ class Tables(NamedTuple):
     light: Float32s  # (texels, 3)   all tables, one after the other, row by row from the top
     shapes: Int64s  # (tables, 3)   first texel, height and width
     axes: Float64s  # (3, 3)   from world directions to the image's
-
-
-#: Squares of longer vectors could overflow.
-_LONGEST = 1e150
 
 
 class Environment:
@@ -141,6 +139,13 @@ class Environment:
         light = np.empty_like(unit)
         _read_all(self.tables, unit, level, light)
         return light
+
+
+def as_light(light: Environment | None) -> Environment | None:
+    """Return a checked environment or None, or raise ArgumentError."""
+    if light is not None and not isinstance(light, Environment):
+        raise ArgumentError(f"light must be an octex.Environment, not {light!r}")
+    return light
 
 
 def _axes_of(up: npt.ArrayLike) -> Float64s:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,25 +10,20 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
-from octex.arrays import Float32s, Floats, Uint8s
-from octex.cameras.camera import Camera
-from octex.channels import encode, linear_to_srgb
+from octex.arrays import Float32s, Uint8s
+from octex.channels import encode
 from octex.checks import as_path, as_text
-from octex.drawing.arguments import as_bump, as_light, as_picture_size, as_supersample, as_viewpoint
-from octex.drawing.directions import USUAL, Viewpoint
-from octex.drawing.hits import rest_normals, visible_hits
-from octex.drawing.pictures import Leaves, film_surface, render_leaves, visible_level
-from octex.drawing.shaders import Shader, Shown, source_shader, texture_shader
+from octex.drawing.directions import USUAL, Viewpoint, as_viewpoint, leaf_camera, surface_camera
+from octex.drawing.environment import Environment, as_light
+from octex.drawing.pictures import as_picture_size, as_supersample, film_surface, render_leaves, visible_level
+from octex.drawing.shaders import Bump, Shader, Shown, as_bump, source_shader, texture_shader
 from octex.drawing.soft_light import background
 from octex.errors import ArgumentError
 from octex.files import bytes_text, count_text, replacing
 from octex.source.surface import as_surface
 from octex.texture import as_texture
-from octex.tree.octree import distinct
-from octex.view.shading import face_normals
 
 if TYPE_CHECKING:
-    from octex.drawing.environment import Environment
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
@@ -45,7 +39,7 @@ def write_preview(
     zoom: float = 1.0,
     channel: str | None = None,
     light: Environment | None = None,
-    bump: tuple[str, float] | None = None,
+    bump: Bump | None = None,
     supersample: int = 3,
 ) -> None:
     """Draw a model next to its octree texture, as a PNG file.
@@ -89,7 +83,7 @@ def draw_preview(
     view: Viewpoint = USUAL,
     channel: str | None = None,
     light: Environment | None = None,
-    bump: tuple[str, float] | None = None,
+    bump: Bump | None = None,
 ) -> Uint8s:
     """Return the image of ``write_preview``, with ``note`` added to the texture's caption."""
     room = caption_height(size[1])
@@ -124,7 +118,7 @@ def shaders_of(
     surface: Surface,
     channel: str | None,
     materials: bool,
-    bump: tuple[str, float] | None,
+    bump: Bump | None,
 ) -> tuple[str, list[Shader]]:
     """Return the channel to show, which both have, and shaders of the model and of the texture."""
     formats = [form for form in surface.channels if texture is None or form.name in texture.channels]
@@ -142,48 +136,6 @@ def write_png(path: str | Path, codes: Uint8s) -> None:
     """Write sRGB codes (height, width, 3 or 4) as a PNG file, complete or not at all; raises OutputError."""
     with replacing(path) as file:
         Image.fromarray(codes).save(file, "PNG")
-
-
-def surface_camera(
-    surface: Surface, look: Shader, size: tuple[int, int], room: int = 0, view: Viewpoint = USUAL
-) -> Camera:
-    """Return a camera that sees a model above ``room`` pixels, by default from the side with most detail."""
-    normals = rest_normals(surface)
-
-    def unlit(camera: Camera) -> Floats:
-        picture = np.full((camera.height * camera.width, 3), np.nan)
-        for pixels, hits in visible_hits(surface, camera, normals):
-            picture[pixels] = linear_to_srgb(look(hits).unlit())
-        return picture.reshape(camera.height, camera.width, 3)
-
-    points = surface.vertices[distinct(surface.triangles.ravel())]
-    return view.camera(points, lambda: face_normals(surface.vertices, surface.triangles), unlit, size, room)
-
-
-def leaf_camera(
-    textures: Sequence[OctreeTexture],
-    channel: str | None,
-    size: tuple[int, int],
-    room: int = 0,
-    view: Viewpoint = USUAL,
-) -> Camera:
-    """Return a camera that sees textures, by default from the side where the first has most detail."""
-    # Coarse cells suffice to find the bounds and the best side.
-    coarse = [texture.level(min(7, texture.tree.max_depth)) for texture in textures]
-    every = [Leaves.of(texture) for texture in coarse]
-    first, colors = every[0], every[0].appearance(coarse[0], channel).unlit()
-
-    def unlit(camera: Camera) -> Floats:
-        seen = first.seen(camera).cube
-        picture = np.full((*seen.shape, 3), np.nan)
-        picture[seen >= 0] = linear_to_srgb(colors[seen[seen >= 0]])
-        return picture
-
-    corners = np.array(list(np.ndindex(2, 2, 2)))
-    points = np.concatenate(
-        [leaves.corners + corner * leaves.edges[:, None] for leaves in every for corner in corners]
-    )
-    return view.camera(points, lambda: (first.normals, first.edges**2), unlit, size, room)
 
 
 def source_caption(surface: Surface, channel: str) -> tuple[str, str]:

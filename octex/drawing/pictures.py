@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int64s
-from octex.cameras.camera import Camera
+from octex.cameras.camera import Camera, as_size
+from octex.checks import as_whole
 from octex.drawing.hits import Hits, Seen
 from octex.drawing.reflection import reflected, tone_mapped
 from octex.drawing.shaders import Appearance, Bump, Shader, Shown, field_slopes
@@ -38,6 +39,21 @@ _LAYERS = 64
 _OPAQUE = 2.0**-12
 #: Width of the drawn cube edges, as a part of the face.
 _EDGE = 0.05
+_MOST_SAMPLES = 64
+_MOST_PIXELS = 1 << 28
+
+
+def as_picture_size(size: tuple[int, int]) -> tuple[int, int]:
+    """Return a checked width and height in pixels, or raise ArgumentError."""
+    width, height = as_size(size)
+    if width * height > _MOST_PIXELS:
+        raise ArgumentError(f"a picture has at most {_MOST_PIXELS:,} pixels, not {width} × {height}")
+    return width, height
+
+
+def as_supersample(supersample: int) -> int:
+    """Return a checked number of samples along each side of a pixel, or raise ArgumentError."""
+    return as_whole(supersample, "supersample", 1, _MOST_SAMPLES)
 
 
 def render_surface(
@@ -262,6 +278,8 @@ def render_leaves(
     leaves = Leaves.of(texture)
     filter = "nearest" if cubes else "quadratic"
     appearance = leaves.appearance(texture, channel, light is not None, bump, filter)
+    if cubes:
+        appearance = appearance._replace(normals=None)
     buffers = leaves.seen(camera.scaled(supersample))
     return film_leaves(leaves, appearance, buffers, camera, supersample, light, cubes=cubes).picture()
 
@@ -286,8 +304,6 @@ def film_leaves(
             leaf = buffers.cube.ravel()[samples]
             normals = np.eye(3)[buffers.axis.ravel()[samples]] if cubes else leaves.normals[leaf]
             here = Appearance(*(None if part is None else part[leaf] for part in appearance))
-            if cubes:
-                here = here._replace(normals=None)
             here = lit(here, light, camera, leaves.corners[leaf], normals, normals)
             if cubes:  # draw the edges that separate them
                 on_edge = buffers.border.ravel()[samples, None] < _EDGE
