@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.ahead import ahead
 from octex.cli.common import Reporter, check_outputs, tell_file
-from octex.cli.inputs import bare_model, frame_of, is_texture, only, open_texture, refuse, shaped_model
+from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model
 from octex.cli.options import DEFAULT_CHANNEL
 from octex.cli.parser import Options
 from octex.cli.shots import patch_of
@@ -176,13 +176,13 @@ def _frame(options: Options, kind: str) -> Frame | None:
     """Return the camera of --camera: the only one, the named one, or the one of OUTPUT's name."""
     if options.camera is None:
         return None
-    from octex.cameras.files import read_cameras
+    from octex.cameras.files import find_frame, read_cameras
 
     file, name = options.camera
     frames = read_cameras(file)
     frame = frames[0]
     if name is not None or len(frames) > 1:
-        frame = frame_of(frames, options.OUTPUT.name if name is None else name, file)
+        frame = find_frame(frames, options.OUTPUT.name if name is None else name, file)
     if frame.size is None or options.size is None or kind == "panels":
         return frame
     if not frame.fits(options.size):

@@ -19,10 +19,9 @@ from octex.cli.values import (
     FunctionName,
     function_name,
 )
-from octex.errors import ArgumentError, CameraError, InputError
+from octex.errors import ArgumentError, InputError
 
 if TYPE_CHECKING:
-    from octex.cameras.files import Frame
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture, TextureSet
 
@@ -95,16 +94,6 @@ def only(texture: OctreeTexture, channel: str) -> OctreeTexture:
     return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata)
 
 
-def frame_of(frames: Sequence[Frame], name: str, file: Path) -> Frame:
-    """Find a camera by its name; errors name the file."""
-    from octex.cameras.files import find_frame
-
-    try:
-        return find_frame(frames, name)
-    except CameraError as error:
-        raise CameraError(f"{file}: {error}") from None
-
-
 def shaped_model(path: Path, options: Options, cell: float | None = None, **settings: Any) -> Surface:
     """Read a model with ``octex.load_surface``, with --rest, --pose, --repair and --subdiv.
 
@@ -160,7 +149,9 @@ def read_model(path: Path, options: Options, extra: Sequence[str] = ()) -> Surfa
     for channel, source in sources.items():
         if isinstance(source, FunctionName):
             sources[channel] = load_function(source)
-    names = _wanted(options)
+    from octex.conversion.convert import with_detail
+
+    names = with_detail(options.channels, options.detail)
     every = [_read(each, options, sources, None if extra else names) for each in [path, *options.also]]
     surface = octex.Surface.joined(every) if options.also else every[0]
     if names is None or not extra:
@@ -182,22 +173,13 @@ def _read(path: Path, options: Options, sources: dict[str, Any], wanted: Sequenc
     return surface.completed(sources, wanted, options.filter)
 
 
-def _wanted(options: Options) -> list[str] | None:
-    """Return the channels to read: --channels, and the channel of --detail."""
-    steering = None if options.detail == "stretch" else options.detail
-    if options.channels is None or steering is None or steering in options.channels:
-        return options.channels  # type: ignore[no-any-return]
-    return [*options.channels, steering]
-
-
 def _sources(options: Options) -> dict[str, Any]:
     """Return the sources of channels by name; refuse a channel that is repeated or not read."""
     sources: dict[str, Any] = {}
-    wanted = _wanted(options)
     for name, source in options.source:
         if name in sources:
             raise ArgumentError(f"--source gives {name} twice")
-        if wanted is not None and name not in wanted:
+        if options.channels is not None and name not in (*options.channels, options.detail):
             raise ArgumentError(f"--source gives {name}, but --channels leaves it out")
         sources[name] = source
         if isinstance(source, Path) and source.suffix.lower() == PTEX_ENDING:

@@ -1,15 +1,17 @@
-"""octex info, validate, diff and overlaps: describes, checks and compares textures."""
+"""octex info, validate, diff and overlaps: describes, checks and compares textures; octex warm-up."""
 
 from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
+from octex.ahead import SECTIONS, ahead, compile_listed
 from octex.cli.common import Reporter, say, tell
 from octex.cli.convert import INDEX, overlaps_as_json
 from octex.cli.inputs import check_model, check_texture, is_texture, open_texture, read_model, refuse
@@ -94,6 +96,15 @@ def diff(options: Options, program: str) -> int:
         "uncovered": dict(zip("ab", differences.uncovered, strict=True)),
     }
     tell(options, facts, *_readable(paths, (texture, other), differences))
+    return ExitCode.DONE
+
+
+def warm_up(options: Options, program: str) -> int:
+    """Run octex warm-up."""
+    with Reporter(program, options.quiet, announce=False) as progress, ahead(*SECTIONS):
+        compile_listed(progress)
+    if not options.quiet:
+        say(f"compiled and cached in {time.perf_counter() - options.began:.1f} s")
     return ExitCode.DONE
 
 

@@ -19,8 +19,8 @@ from octex.errors import ArgumentError, ExitCode
 PROGRAM = "octex"
 #: The module of each command; its function of the same name runs the command.
 _MODULES = {
-    **dict.fromkeys(("info", "diff", "validate", "overlaps"), "inspect"),
-    "warm-up": "warm_up",
+    **dict.fromkeys(("info", "diff", "validate", "overlaps", "warm-up"), "inspect"),
+    "edit": "convert",
 }
 _NAMES = (*COMMANDS, "help")
 

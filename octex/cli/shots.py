@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import octex
 from octex.cli.common import Reporter
-from octex.cli.inputs import frame_of, only
+from octex.cli.inputs import only
 from octex.cli.options import DEFAULT_CHANNEL
 from octex.cli.parser import Options
 from octex.errors import ArgumentError, CameraError, ImageError
+from octex.files import listing
 
 if TYPE_CHECKING:
     from octex.arrays import Array
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 
 #: The value of --since that paints all pixels.
 NOTHING = Path("nothing")
-_LISTED = 5
 #: EXIF orientations from 5 on swap rows and columns.
 _LYING = 4
 
@@ -43,7 +43,7 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
 
     pairs, missing = _pairs(options)
     if missing:
-        progress.note(f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures: {_listing(missing)}")
+        progress.note(f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures: {listing(missing)}")
     masks = _masks(options, [path for path, _ in pairs])
     shots: list[Shot] = []
     damaged: list[Path] = []
@@ -121,7 +121,7 @@ def _masks(options: Options, pictures: Sequence[Path]) -> list[Path | None]:
     masks = [Path(pattern.replace("{name}", path.name).replace("{stem}", path.stem)) for path in pictures]
     missing = [mask.as_posix() for mask in masks if not mask.is_file()]
     if missing:
-        raise ImageError(f"--mask: {len(missing)} of {len(masks)} masks are missing: {_listing(missing)}")
+        raise ImageError(f"--mask: {len(missing)} of {len(masks)} masks are missing: {listing(missing)}")
     return list(masks)
 
 
@@ -148,7 +148,7 @@ def _check_unscaled(size: tuple[int, int], frame: Frame) -> None:
 
 def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
     """Return images with their frames, and the names of missing images."""
-    from octex.cameras.files import read_cameras
+    from octex.cameras.files import find_frame, read_cameras
 
     file, name = options.camera
     images = [_image_and_frame(path) for path in options.IMAGE]
@@ -159,14 +159,14 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
         )
     frames = read_cameras(file)
     if name is not None:
-        frames = [frame_of(frames, name, file)]
+        frames = [find_frame(frames, name, file)]
     if len(images) == 1 and len(frames) == 1 and images[0][1] is None:
         return [(images[0][0], frames[0])], []
     if len(images) == len(frames) and not any([*(f.is_named for f in frames), *(name for _, name in images)]):
         return [(image, frame) for (image, _), frame in zip(images, frames, strict=True)], []
     if images:
         try:
-            return [(image, frame_of(frames, name or image.as_posix(), file)) for image, name in images], []
+            return [(image, find_frame(frames, name or image.as_posix(), file)) for image, name in images], []
         except CameraError as error:
             raise CameraError(f"{error}; IMAGE=NAME says which camera an IMAGE has") from None
     named = [(frame.image, frame) for frame in frames if frame.image is not None]
@@ -175,8 +175,7 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
     missing = [frame.name for image, frame in named if not image.is_file()]
     if len(missing) == len(named):
         raise CameraError(
-            f"{file}: none of the {len(named)} pictures that it names exists: {_listing(missing)}; "
-            "give IMAGEs"
+            f"{file}: none of the {len(named)} pictures that it names exists: {listing(missing)}; give IMAGEs"
         )
     return [(image, frame) for image, frame in named if image.is_file()], missing
 
@@ -185,8 +184,3 @@ def _image_and_frame(path: Path) -> tuple[Path, str | None]:
     """Parse IMAGE=FRAME, or an image's name, which may contain an = too."""
     image, sign, frame = str(path).rpartition("=")
     return (Path(image), frame) if sign and image and frame and not path.exists() else (path, None)
-
-
-def _listing(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return ", ".join(map(repr, names[:_LISTED])) + more

@@ -1001,16 +1001,17 @@ def test_a_frame_is_found_by_its_name_then_its_file_name_then_its_stem(tmp_path)
         ("x.exr", "a/x.png"),
         ("w.png", "w"),
     ]:
-        assert find_frame(frames, asked).name == found
+        assert find_frame(frames, asked, Path("f.json")).name == found
 
 
 def test_a_frame_that_is_not_there_or_not_one_is_refused_with_a_listing(tmp_path):
     frames = read_cameras(write_json(tmp_path / "t.json", named("a/x.png", "b/x.png", *"cdefghijklm")))
     with pytest.raises(
-        CameraError, match=r"'x\.png' may be 2 frames: 'a/x\.png', 'b/x\.png'; give the whole name"
+        CameraError,
+        match=r"f\.json: frame 'x\.png' may be 2 frames: 'a/x\.png', 'b/x\.png'; give the whole name",
     ):
-        find_frame(frames, "x.png")
+        find_frame(frames, "x.png", Path("f.json"))
     with pytest.raises(CameraError, match=r"no frame 'q'; there are: 'a/x\.png', .* and 3 more"):
-        find_frame(frames, "q")
+        find_frame(frames, "q", Path("f.json"))
     with pytest.raises(CameraError, match="there are: none"):
-        find_frame([], "q")
+        find_frame([], "q", Path("f.json"))
