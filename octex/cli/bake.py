@@ -129,7 +129,6 @@ def bake(options: Options, program: str) -> int:
 
 
 def _write_ptex(options: Options, program: str) -> int:
-    """Write a .ptx file: texels for the faces of a model."""
     allowed = {"--channels", "--rest", "--pose", "--subdiv", "--force", "--threads", "--quiet", "--json"}
     refuse(options, set(options.words) - allowed, f"cannot be used for {options.OUTPUT}")
     with Reporter(program, options.quiet) as progress:

@@ -165,7 +165,6 @@ def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: 
 
 
 def _settings(options: Options) -> dict[str, Any]:
-    """Return a conversion's settings as arguments of ``octex.convert``."""
     names = "depth", "cell", "channels", "dtype", "max_error", "detail"
     return {**{name: getattr(options, name) for name in names}, "fit": not options.no_fit}
 
@@ -179,7 +178,6 @@ def overlaps_as_json(parts: Overlaps) -> dict[str, Any]:
 
 
 def _separated_text(moved: dict[str, list[float]], parts: Overlaps) -> Iterator[str]:
-    """Yield lines about moved parts, their offsets, and unchecked parts."""
     if moved:
         yield f"{len(moved):,} of {parts.n_parts:,} parts moved apart; Surface.rest_positions says where to"
         for part, offset in list(moved.items())[:_LINES]:
@@ -243,7 +241,6 @@ def edit(options: Options, program: str) -> int:
 
 
 def _edited(options: Options, progress: Reporter) -> OctreeTexture:
-    """Open the texture and apply each option."""
     from octex.processing.edit import noted
     from octex.texture import OctreeTexture
 

@@ -51,7 +51,6 @@ def draw(options: Options, program: str) -> int:
 
 
 def _check(options: Options, kind: str) -> None:
-    """Refuse files and options that contradict each other."""
     texture, model = options.TEXTURE, options.MODEL
     refuse(options, _REFUSED.get(kind, ()), f"cannot be used with --as {kind}")
     if texture is None and (model is None or kind in ("cells", "difference")):
@@ -90,7 +89,6 @@ def _check(options: Options, kind: str) -> None:
 
 
 def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
-    """Write the image and its other files; return its width and height."""
     frame = _frame(options, kind)
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
@@ -133,7 +131,6 @@ def _model(options: Options, kind: str) -> Any:
 def _codes(
     options: Options, kind: str, texture: Any, model: Any, camera: Camera | None, frame: Frame | None
 ) -> Uint8s:
-    """Draw the image."""
     from octex import drawing
 
     channel, light, bump = options.channel, _light(options), options.bump

@@ -192,7 +192,6 @@ def _sources(options: Options) -> dict[str, Any]:
 
 
 def _transferred(options: Options) -> dict[str, Any]:
-    """Return the sources of all channels that --transfer provides."""
     path = options.transfer
     if path is None:
         return {}

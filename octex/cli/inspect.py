@@ -116,7 +116,6 @@ def _opened(path: Path | Address) -> OctreeTexture | TextureSet:
 
 
 def _texture_text(information: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of a texture's information."""
     placement, bounds, parts = (information[key] for key in ("placement", "bounds", "bytes"))
     yield f"depth       {information['depth']}, finest cells of edge {information['finest_cell']:.6g}"
     yield f"root cell   edge {placement['size']:.6g} at {triple(placement['origin'])}"
@@ -165,7 +164,6 @@ def triple(numbers: Sequence[float]) -> str:
 
 
 def _set_text(information: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of a set's information."""
     parts = information["parts"]
     width = max(len("part"), *map(len, parts))
     yield f"{'part':{width}} {'depth':>5} {'finest cell':>12} {'leaves':>15} {'nodes':>15} {'bytes':>15}"
@@ -190,7 +188,6 @@ def _as_json(result: Difference) -> dict[str, Any]:
 
 
 def _readable(paths: Sequence[Path], sides: Sequence[Side], differences: Differences) -> Iterator[str]:
-    """Yield the lines of differences."""
     from octex.source.surface import Surface
 
     for letter, path, side in zip("AB", paths, sides, strict=True):

@@ -56,7 +56,6 @@ def _by_option(message: str, command: Command) -> str:
 
 
 def _answer(first: str, rest: Sequence[str]) -> int:
-    """Print the answer to options of octex itself."""
     if first in ("-h", "--help") or (first == "help" and not rest):
         say(_overview())
     elif first == "--version":

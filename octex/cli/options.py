@@ -191,7 +191,6 @@ _DEFAULTS: dict[str, Any] = {
 
 
 def _options() -> dict[str, Option]:
-    """Return the options of the table by word."""
     readers = {word: read for read, words in _READERS.items() for word in words.split()}
     rows = re.findall(r"^(--\S+)(?: (\S+))? +(\S.*(?:\n +\S.*)*)$", _TABLE, re.MULTILINE)
     options = {}

@@ -274,7 +274,6 @@ def _merged(
 
 
 def _reference(options: Options, shots: Sequence[Shot]) -> int | None:
-    """Return the number of the picture of --reference."""
     path = options.reference
     if path is None:
         return None
@@ -304,7 +303,6 @@ def _value_of(options: Options) -> tuple[float, ...]:
 
 
 def _channel_of(layer: OctreeTexture) -> str:
-    """Return the channel that a layer paints."""
     return next((name for name in layer.channels if name != "alpha"), "alpha")
 
 

@@ -113,7 +113,6 @@ def images_of(options: Options) -> list[Path]:
 
 
 def _masks(options: Options, pictures: Sequence[Path]) -> list[Path | None]:
-    """Return the mask of each image."""
     files = [each for each in options.mask if isinstance(each, Path)]
     pattern = next((each for each in options.mask if isinstance(each, str)), None)
     if pattern is None:

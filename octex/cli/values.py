@@ -220,8 +220,8 @@ def light(text: str) -> Path | str:
 
 def _pair(text: str, form: str) -> tuple[str, str]:
     """Split NAME=VALUE at its first sign; ``form`` describes it in messages."""
-    name, equals, value = (part.strip() for part in text.partition("="))
-    if not (name and equals):
+    name, _, value = (part.strip() for part in text.partition("="))
+    if not (name and value):
         raise ArgumentError(f"{text!r} is not {form}")
     return name, value
 
@@ -266,10 +266,7 @@ def dtypes(text: str) -> str | dict[str, str]:
 
 def source(text: str) -> tuple[str, Source]:
     """Parse the source of a channel: NAME=FILE, =FILE.py:FUNCTION, =NUMBER,NUMBER,… or =#rrggbb."""
-    form = "CHANNEL=FILE, such as roughness=rough.png"
-    name, value = _pair(text, form)
-    if not value:
-        raise ArgumentError(f"{text!r} is not {form}")
+    name, value = _pair(text, "CHANNEL=FILE, such as roughness=rough.png")
     try:
         numbers = tuple(float(number) for number in value.split(","))
     except ValueError:

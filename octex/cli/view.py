@@ -92,7 +92,6 @@ def _session(
     motion: Motion | None,
     progress: Reporter,
 ) -> Session:
-    """Return the session that paints the texture."""
     from octex.painting.stack import settled
     from octex.session.painting import Session
 
@@ -133,7 +132,6 @@ def _reader(
 
 
 def _check(options: Options, is_set: bool) -> None:
-    """Refuse files and options that contradict each other."""
     path, model, page = options.TEXTURE, options.MODEL, options.PAGE
     if path is None and model is None:
         if page is not None and page.exists():
@@ -162,7 +160,6 @@ def _check(options: Options, is_set: bool) -> None:
 
 
 def _check_painting(options: Options, is_set: bool) -> None:
-    """Refuse files and options with which a page cannot paint."""
     from octex.session.journal import layers_file
 
     if options.MODEL is None:

@@ -296,7 +296,6 @@ def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int)
 
 
 def _leaf_visits(textures: Sequence[OctreeTexture]) -> Iterator[_Visit]:
-    """Yield batches of the leaf centres of both textures."""
     for number in (0, 1):
         lies_on = inside_cells(textures[1 - number])
         for centres, edges, areas in _leaves(textures[number]):
@@ -313,7 +312,6 @@ def _leaves(texture: OctreeTexture) -> Iterator[tuple[Float64s, Float64s, Float6
 
 
 def _area(side: Side) -> float:
-    """Return the area of a surface at rest."""
     if isinstance(side, Surface):
         return float(areas_of(side).sum())
     return sum(float(areas.sum()) for _, _, areas in _leaves(side))
