@@ -23,7 +23,7 @@ from octex.errors import ArgumentError, InputError
 
 if TYPE_CHECKING:
     from octex.source.surface import Surface
-    from octex.texture import OctreeTexture, TextureSet
+    from octex.texture import OctreeTexture
 
 
 def refuse(options: Options, words: Iterable[str], why: str, path: Path | Address | None = None) -> None:
@@ -75,13 +75,6 @@ def tell_layers(texture: OctreeTexture, path: Path | Address, tell_note: Callabl
     """Note that the layers in a texture do not change when the texture is edited."""
     if "layers" in texture.metadata:
         tell_note(f"{path} has layers: the edit changes the visible texture, not its layers")
-
-
-def number_of(textures: TextureSet, folder: Path, part: str) -> int:
-    """Return the number of a part of a folder."""
-    from octex.checks import as_choice
-
-    return textures.names.index(as_choice(part, textures.names, f"part of {folder}:"))
 
 
 def only(texture: OctreeTexture, channel: str) -> OctreeTexture:

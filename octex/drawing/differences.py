@@ -170,11 +170,11 @@ def _difference_of(
     sides: tuple[Side, Side], channel: str, differences: Differences
 ) -> Callable[[Points, Bools], Appearance]:
     """Return a function that encodes the difference as emitted red, surface of one side only as green."""
-    readers = readers_of(sides, [channel], differences.width or 0.0, differences.filter)
-    is_direction = readers[0].spaces[channel] == "direction"
+    spaces, readers = readers_of(sides, [channel], differences.width or 0.0, differences.filter)
+    is_direction = spaces[channel] == "direction"
 
     def appearance(points: Points, covered: Bools) -> Appearance:
-        a, b = (reader.read(points)[channel] for reader in readers)
+        a, b = (read(points)[channel] for read in readers)
         apart = degrees_between(a, b) if is_direction else np.abs(b - a).max(axis=1)
         emitted = np.zeros((len(apart), 3))
         emitted[:, 0] = np.where(covered, apart, 0.0)

@@ -49,7 +49,6 @@ LEAST_SORTED = 1 << 12
 #: Most points of the short path, and their types.
 _FEW = 64
 _TAKEN = {np.dtype(np.float32), np.dtype(np.float64)}
-_NO_NUMBERS = np.empty(0, np.int32)
 
 
 class FootprintOptions(TypedDict, total=False):
@@ -256,11 +255,11 @@ def in_space(
             rows = slice(begin, begin + _SORTED)
             here = {name: array[rows] for name, array in inputs.items()}
             there = [answer[rows] for answer in answers]
-            numbers = _NO_NUMBERS
+            numbers = None
             if len(here["points"]) > (least or BLOCK):
                 here["points"] = _as_kernels_take_it(here["points"])
                 numbers = order_in_space(Positions.of(here["points"]), *placement)
-            if not numbers.size:
+            if numbers is None or not numbers.size:
                 in_blocks(here, there, look_up, run)
                 continue
             sorted_here = {name: np.take(array, numbers, axis=0) for name, array in here.items()}
