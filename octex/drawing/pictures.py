@@ -321,5 +321,5 @@ def film_leaves(
 def visible_level(texture: OctreeTexture, camera: Camera, pixels: float = 1.0) -> int:
     """Return the deepest level whose cells span at least ``pixels`` at the middle of the bounds."""
     _, depth = camera.project(texture.bounds.mean(axis=0)[None])
-    level = np.floor(np.log2(texture.placement.size / (pixels * camera.pixel_width(depth[0]))))
-    return int(np.clip(level, 0, texture.tree.max_depth))
+    width = max(pixels * float(camera.pixel_width(depth[0])), 1e-300)  # the middle may be behind the camera
+    return int(np.clip(np.floor(np.log2(texture.placement.size / width)), 0, texture.tree.max_depth))
