@@ -17,6 +17,7 @@ from octex.checks import as_positive
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.pictures import Leaves
 from octex.drawing.shaders import Shader, source_shader, texture_shader
+from octex.errors import ArgumentError
 from octex.tree.octree import distinct
 from octex.view.shading import face_normals
 
@@ -57,6 +58,11 @@ class Viewpoint(NamedTuple):
         ``parts`` returns normals and areas for ``view_directions``; ``unlit`` renders without light. A frame
         of another shape is scaled to fit.
         """
+        if size[0] < 1 or size[1] <= room:
+            raise ArgumentError(
+                f"size must be larger: a panel of {size[0]} × {size[1]} pixels has no room above its caption "
+                f"of {room} pixels"
+            )
         size = size[0], size[1] - room
         if self.frame is None:
             direction = self.direction

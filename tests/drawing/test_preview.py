@@ -297,6 +297,12 @@ def test_a_preview_shows_source_and_octree_side_by_side(quarters, tmp_path):
     assert {(True, False, False), (False, True, False), (False, False, True)} <= colors
 
 
+@pytest.mark.parametrize(("size", "panel"), [((1, 90), "0 × 90"), ((90, 24), "45 × 24")])
+def test_a_preview_too_small_for_its_captions_is_refused(quarters, size, panel):
+    with pytest.raises(ArgumentError, match=f"size must be larger: a panel of {panel} pixels has no room"):
+        draw_preview(quarters[1], quarters[0], size)
+
+
 def test_a_preview_of_one_thing_shows_it_alone(quarters, tmp_path):
     surface, texture = quarters
     for name, things in (("surface", (None, surface)), ("texture", (texture,))):
