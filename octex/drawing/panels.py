@@ -16,7 +16,7 @@ from octex.checks import as_path, as_text
 from octex.drawing.directions import USUAL, Viewpoint, as_viewpoint, leaf_camera, surface_camera
 from octex.drawing.environment import Environment, as_light
 from octex.drawing.pictures import as_picture_size, as_supersample, film_surface, render_leaves, visible_level
-from octex.drawing.shaders import Bump, Shader, Shown, as_bump, source_shader, texture_shader
+from octex.drawing.shaders import Bump, Shown, as_bump, source_shader, texture_shader
 from octex.drawing.soft_light import background
 from octex.errors import ArgumentError
 from octex.files import bytes_text, count_text, replacing
@@ -79,20 +79,25 @@ def draw_preview(
     size: tuple[int, int] = (1600, 880),
     supersample: int = 3,
     *,
-    note: str = "",
     view: Viewpoint = USUAL,
     channel: str | None = None,
     light: Environment | None = None,
     bump: Bump | None = None,
 ) -> Uint8s:
-    """Return the image of ``write_preview``, with ``note`` added to the texture's caption."""
+    """Return the image of ``write_preview``."""
     room = caption_height(size[1])
     if surface is not None:
         placed = surface if texture is None else surface.placed_on(texture)
-        channel, looks = shaders_of(texture, placed, channel, light is not None, bump)
+        known = [form.name for form in placed.channels]
+        shared = [form for form in placed.channels if texture is None or form.name in texture.channels]
+        channel, materials = Shown.of(shared, channel).channel.name, light is not None
+        # Next to a texture that has the channel of the bump, a model without it is drawn without the bump.
+        own_bump = None if texture is not None and bump is not None and bump[0] not in known else bump
+        looks = [source_shader(placed, channel, materials=materials, bump=own_bump)]
         captions = [source_caption(placed, channel)]
         if texture is not None:
-            captions.append(texture_caption(texture, channel, note))
+            looks.append(texture_shader(texture, channel, materials=materials, bump=bump))
+            captions.append(texture_caption(texture, channel))
         panel_size = size[0] // len(looks), size[1]
         camera = surface_camera(placed, source_shader(placed, channel), panel_size, room, view)
         films = film_surface(placed, camera, looks, supersample, light)
@@ -104,32 +109,13 @@ def draw_preview(
         draw = partial(render_leaves, texture, camera, supersample=supersample, channel=channel, light=light)
         pictures = [draw(bump=bump), draw(level=level, cubes=True)]
         cells = count_text(texture.level(level).tree.n_leaves, "cell")
-        captions = [texture_caption(texture, channel, note), (f"level {level}", cells)]
+        captions = [texture_caption(texture, channel), (f"level {level}", cells)]
     else:
         raise ArgumentError("a preview needs a surface, a texture or both")
     for picture in pictures:  # a zoomed model reaches below the caption
         picture[-room:] = background(*picture.shape[:2])[-room:]
     panels = [captioned(picture, *caption) for picture, caption in zip(pictures, captions, strict=True)]
     return np.hstack([np.asarray(panel) for panel in panels])
-
-
-def shaders_of(
-    texture: OctreeTexture | None,
-    surface: Surface,
-    channel: str | None,
-    materials: bool,
-    bump: Bump | None,
-) -> tuple[str, list[Shader]]:
-    """Return the channel to show, which both have, and shaders of the model and of the texture."""
-    formats = [form for form in surface.channels if texture is None or form.name in texture.channels]
-    channel = Shown.of(formats, channel).channel.name
-    used = bump
-    if used is not None and texture is not None and used[0] not in [form.name for form in surface.channels]:
-        used = None  # a model without the channel is drawn without the bump
-    looks = [source_shader(surface, channel, materials=materials, bump=used)]
-    if texture is not None:
-        looks.append(texture_shader(texture, channel, materials=materials, bump=bump))
-    return channel, looks
 
 
 def write_png(path: str | Path, codes: Uint8s) -> None:
@@ -143,10 +129,9 @@ def source_caption(surface: Surface, channel: str) -> tuple[str, str]:
     return surface.name, f"{named(channel)}model, {count_text(len(surface.triangles), 'triangle')}"
 
 
-def texture_caption(texture: OctreeTexture, channel: str, note: str = "") -> tuple[str, str]:
+def texture_caption(texture: OctreeTexture, channel: str) -> tuple[str, str]:
     """Return title and subtitle for an image of a texture."""
-    facts = texture_facts(texture) + (f", {note}" if note else "")
-    return f"octree, depth {texture.tree.max_depth}", named(channel) + facts
+    return f"octree, depth {texture.tree.max_depth}", named(channel) + texture_facts(texture)
 
 
 def texture_facts(texture: OctreeTexture) -> str:
