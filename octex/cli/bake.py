@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 _OF_IMAGES = {"--uv", "--texture-size", "--padding", "--channels", "--image-format", "--supersample"}
 _OF_IMAGES |= {"--triangles", "--original", "--max-distance"}
 _OF_VERTICES = "--max-edge", "--vertex-error"
-_ALWAYS_VERTICES = ".ply", ".3mf"
 _GLTF = ".glb", ".gltf"
-_WITH_UNIT = *USD_ENDINGS, ".3mf"
 #: Image formats by option value, and the bits of a component.
 _IMAGES: dict[str, tuple[ImageFormat, Bits]] = {
     "png": ("png", 8), "webp": ("webp", 8), "jpeg": ("jpeg", 8), "jpeg-all": ("jpeg-all", 8),
@@ -40,14 +38,14 @@ def bake(options: Options, program: str) -> int:
         if options.TEXTURE is None:
             raise ArgumentError(f"{options.OUTPUT}: needs a texture; octex convert makes one of the model")
         return _write_ptex(options, program)
-    at_vertices = options.vertex_colors or ending in _ALWAYS_VERTICES
+    at_vertices = options.vertex_colors or ending in (".ply", ".3mf")
     if at_vertices:
         refuse(options, _OF_IMAGES, "cannot be used with vertex colours")
         if options.max_edge not in (None, "auto"):
             refuse(options, ["--vertex-error"], "needs --max-edge auto")
     else:
         refuse(options, _OF_VERTICES, "is for vertex colours; add --vertex-colors")
-    if ending not in _WITH_UNIT:
+    if ending not in (*USD_ENDINGS, ".3mf"):
         refuse(options, ["--unit"], f"has no effect on {options.OUTPUT}: the format stores no unit")
     if ending not in _GLTF:
         refuse(options, ["--octree"], f"has no effect on {options.OUTPUT}: only .glb and .gltf carry it")

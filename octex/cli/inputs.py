@@ -80,11 +80,10 @@ def tell_layers(texture: OctreeTexture, path: Path | Address, tell_note: Callabl
 def only(texture: OctreeTexture, channel: str) -> OctreeTexture:
     """Return a texture reduced to one channel and alpha, which lookups need."""
     from octex.checks import as_choice
-    from octex.texture import OctreeTexture
 
     as_choice(channel, texture.channels, "channel of the texture")
     channels = {name: each for name, each in texture.channels.items() if name in (channel, "alpha")}
-    return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata)
+    return texture.with_cells(texture.tree, channels)
 
 
 def shaped_model(path: Path, options: Options, cell: float | None = None, **settings: Any) -> Surface:

@@ -322,7 +322,6 @@ def _with_entries(
 ) -> OctreeTexture:
     """Append paint to a texture's provenance; for a new texture also record the model."""
     from octex.processing.edit import with_listed
-    from octex.texture import OctreeTexture
 
     metadata = dict(texture.metadata)
     if not metadata:
@@ -330,7 +329,7 @@ def _with_entries(
         metadata = {name: surface.provenance[name] for name in names if name in surface.provenance}
         metadata["octex"] = octex.__version__
     metadata = with_listed(metadata, "paint", entries)
-    return OctreeTexture(texture.tree, texture.channels, texture.placement, texture.bounds, metadata)
+    return texture.with_cells(texture.tree, texture.channels, metadata)
 
 
 def _nothing_painted(options: Options, program: str, compares: bool) -> int:
@@ -346,11 +345,10 @@ def _nothing_painted(options: Options, program: str, compares: bool) -> int:
 
 def _direction_to(surface: Surface, patch: Patch) -> Float64s:
     """Return the direction (3,) that the patch faces: its mean normal."""
-    import numpy as np
+    from octex.view.shading import face_normals
 
-    first, second, third = surface.vertices[surface.triangles[patch.triangles]].swapaxes(0, 1)
-    direction: Float64s = np.cross(second - first, third - first).sum(axis=0)
-    return direction
+    normals, areas = face_normals(surface.vertices, surface.triangles[patch.triangles])
+    return areas @ normals
 
 
 def _draw(

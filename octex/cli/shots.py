@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 #: The value of --since that paints all pixels.
 NOTHING = Path("nothing")
-#: EXIF orientations from 5 on swap rows and columns.
-_LYING = 4
 
 
 class Shot(NamedTuple):
@@ -131,7 +129,7 @@ def _size(path: Path, frame: Frame) -> tuple[int, int]:
     width, height = image_size(path)
     if width == height or (frame.size is not None and frame.fits((width, height))):
         return width, height
-    is_turned = orientation_of(path.read_bytes()) > _LYING
+    is_turned = orientation_of(path.read_bytes()) >= 5  # those of EXIF that swap rows and columns
     return (height, width) if is_turned else (width, height)
 
 

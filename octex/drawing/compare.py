@@ -27,8 +27,6 @@ from octex.tree.areas import AREAS
 from octex.tree.morton import decode_cells
 from octex.tree.octree import walk_leaves
 
-#: Number of sample points on a model.
-DEFAULT_POINTS = 1_000_000
 _MOST_POINTS = 1 << 40
 _WIDEST = 1e30
 _BLOCK = 1 << 16
@@ -105,7 +103,7 @@ def difference(
     b: Side,
     *,
     channels: Sequence[str] | None = None,
-    points: int = DEFAULT_POINTS,
+    points: int = 1_000_000,
     width: float | None = None,
     filter: str = "quadratic",
     seed: int = 0,

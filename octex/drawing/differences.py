@@ -45,8 +45,6 @@ _SCALE = np.array(
 )  # fmt: skip
 #: Colour where only one side has a surface.
 _ALONE = np.array([0, 190, 255])
-#: Leaves are drawn no smaller than this many pixels.
-_LEAF_PIXELS = 0.5
 
 
 #: The pictures of both sides; the difference in red, and surface of one side only in green; and the pixel
@@ -137,7 +135,7 @@ def _drawn_leaves(
     """Draw the leaves of two textures, no smaller than half a pixel, channel by channel."""
     whole = [side for side in sides if isinstance(side, OctreeTexture)]
     camera = leaf_camera(whole, next(iter(differences)), size, room)
-    a, b = (texture.level(visible_level(texture, camera, _LEAF_PIXELS)) for texture in whole)
+    a, b = (texture.level(visible_level(texture, camera, pixels=0.5)) for texture in whole)
     textures, both = (a, b), (Leaves.of(a), Leaves.of(b))
     # Draw the difference on the finer texture's leaves, and on the other's where the finer has none.
     order = (0, 1) if both[0].edges.min() <= both[1].edges.min() else (1, 0)

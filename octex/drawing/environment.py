@@ -28,7 +28,6 @@ _WIDEST = 1024
 _STEPS = 8
 #: Width of each roughness's table; the last table is the irradiance.
 _WIDTHS = (256, 128, 128, 64, 64, 64, 64, 64, 64)
-_TABLES = len(_WIDTHS) + 1
 #: Divide texels until they are smaller than this part of their distance from the lobe plus its width ...
 _SMALL = 0.15
 #: ... which counts at most this much.
@@ -214,7 +213,7 @@ def _tables(light: Float64s) -> tuple[Float32s, Int64s]:
     for number, (high, wide) in enumerate(sizes[1:], 1):
         directions = np.ascontiguousarray(_directions(high, wide).reshape(-1, 3))
         texels = np.empty_like(directions)
-        alpha = (number / _STEPS) ** 2 if number < _TABLES - 1 else 0.0
+        alpha = (number / _STEPS) ** 2 if number < len(_WIDTHS) else 0.0
         _gather(pyramid, levels, directions, alpha, texels)
         tables.append(texels)
     firsts = np.cumsum([0, *(len(table) for table in tables[:-1])])

@@ -109,7 +109,7 @@ def _united(
             first = _without_hidden(first, second)
     if not (first.tree.n_leaves and second.tree.n_leaves):
         only = first if first.tree.n_leaves else second
-        return OctreeTexture(only.tree, only.channels, only.placement, only.bounds, metadata)
+        return only.with_cells(only.tree, only.channels, metadata)
     with workers(run) as pool:
         tree, channels = Mixing(first, second, amount, pool).mixed()
     return OctreeTexture(tree, channels, first.placement, bounds, metadata)
@@ -152,11 +152,7 @@ def _same_formats(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTe
             f"the textures have no channel in common: {', '.join(first.channels) or 'none'} and "
             f"{', '.join(second.channels) or 'none'}"
         )
-    made = [
-        OctreeTexture(each.tree, channels, each.placement, each.bounds)
-        for each, channels in ((first, one), (second, other))
-    ]
-    return made[0], made[1]
+    return first.with_cells(first.tree, one), second.with_cells(second.tree, other)
 
 
 def _without_hidden(texture: OctreeTexture, over: OctreeTexture) -> OctreeTexture:

@@ -298,7 +298,7 @@ def cast(
     forms = formats_as([texture.channels[name].format for name in names], dtype)
     made = {form.name: in_format(texture.channels[form.name], form) for form in forms}
     metadata = noted(texture.metadata, "cast", channels={form.name: form.dtype for form in forms})
-    return OctreeTexture(texture.tree, made, texture.placement, texture.bounds, metadata)
+    return texture.with_cells(texture.tree, made, metadata)
 
 
 def in_format(channel: Channel, form: ChannelFormat) -> Channel:

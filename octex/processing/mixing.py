@@ -193,7 +193,7 @@ class Mixing:
             form = self._texture.channels[name].format
             tables_of = (encode(each[name], form.dtype, form.space) for each in (rows, kept_values))
             channels[name] = Channel(form, values[name], *tables_of)
-            whole = OctreeTexture(tree, channels, self._texture.placement, self._texture.bounds)
+            whole = self._texture.with_cells(tree, channels)
             average(whole, channels[name], self._residuals(tree, name, made), made)
         return tree, {name: channels[name] for name in values}
 

@@ -29,9 +29,6 @@ BLEED_THRESHOLD = 1 / 32
 #: Default of the largest ratio of a footprint's length to its width.
 ANISOTROPY = 16.0
 
-#: Largest value of that ratio.
-MOST_ANISOTROPY = 256.0
-
 #: One channel by name, or several.
 Names = str | list[str] | tuple[str, ...]
 #: Arrays with a row for each point by name, "points" (n, 3) among them.
@@ -150,7 +147,7 @@ def checked_request(
     as_choice(lens.filter, FILTERS, "filter")
     if gradient and lens.filter == "nearest":
         raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
-    as_number(lens.anisotropy, "anisotropy", 1.0, MOST_ANISOTROPY)
+    as_number(lens.anisotropy, "anisotropy", 1.0, 256.0)
     as_number(lens.blur, "blur", 0.0, float(np.finfo(np.float64).max))
     as_number(lens.sharpness, "sharpness", 0.0, 1.0)
     as_number(lens.bleed_threshold, "bleed_threshold", 0.0, np.inf)

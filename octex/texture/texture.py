@@ -88,12 +88,18 @@ class OctreeTexture:
         self.channels = MappingProxyType(dict(channels))
         self._lookups = Lookups(tree, self.channels, self.placement)
 
-    def with_cells(self, tree: Octree, channels: Mapping[str, Channel]) -> OctreeTexture:
-        """Return a texture of another tree and its channels; placement, bounds and provenance are this one's.
+    def with_cells(
+        self, tree: Octree, channels: Mapping[str, Channel], metadata: Mapping[str, str] | None = None
+    ) -> OctreeTexture:
+        """Return a texture of another tree and its channels, with this one's placement and bounds.
 
-        Raises ArgumentError if tree and channels do not fit together.
+        ``metadata`` is its provenance, by default this one's. Raises ArgumentError if tree and channels do
+        not fit together.
         """
-        return self._over(tree, as_channels(channels, tree), Source())
+        made = self._over(tree, as_channels(channels, tree), Source())
+        if metadata is not None:
+            made.metadata = MappingProxyType(as_metadata(metadata))
+        return made
 
     def _over(self, tree: Octree, channels: Mapping[str, Channel], source: Source) -> OctreeTexture:
         """Return a texture like ``with_cells``, of parts that fit together."""
