@@ -93,8 +93,8 @@ class Environment:
             )
         light = decode(texels[..., :3], "linear" if texels.dtype == np.float32 else "srgb")
         light = light * decode(texels[..., 3:], "data")  # black where it is transparent
-        tables = _tables(_resampled(np.maximum(light, np.float32(0.0))) * 2.0**exposure)
-        return cls(Tables(*tables, _axes_of(up)))
+        light = _resampled(np.maximum(light, np.float32(0.0))) * 2.0**exposure
+        return cls(_tables(light, _axes_of(up)))
 
     @classmethod
     def studio(cls, exposure: float = 0.0) -> Environment:
@@ -107,9 +107,9 @@ class Environment:
         ±64.
         """
         stops = as_number(exposure, "exposure", -64.0, 64.0)
-        light, shapes = _studio()
-        tables = Tables(light * np.float32(2.0**stops), shapes, np.eye(3))
-        return cls(tables, follows=True, tone_mapped=True)
+        tables = _studio()
+        brighter = tables._replace(light=tables.light * np.float32(2.0**stops))
+        return cls(brighter, follows=True, tone_mapped=True)
 
     def seen_by(self, camera: Camera) -> Tables:
         """Return the tables with the axes that hold for this camera."""
@@ -168,7 +168,7 @@ def _resampled(light: Float32s) -> Float64s:
 
 
 @cache
-def _studio() -> tuple[Float32s, Int64s]:
+def _studio() -> Tables:
     """Return the tables of the built-in room; +z is toward the camera, x to its right, y up."""
     directions = _directions(_STUDIO_WIDTH // 2, _STUDIO_WIDTH)
     up = directions[..., 1]
@@ -187,7 +187,7 @@ def _studio() -> tuple[Float32s, Int64s]:
         v = np.abs(directions @ np.cross(middle, right)) / np.maximum(ahead, 1e-3)
         lamp = _ramp(u, across[0] + size, across[0]) * _ramp(v, across[1] + size, across[1]) * (ahead > 0)
         light = light + strength * lamp
-    return _tables(np.repeat(light[..., None], 3, axis=2))
+    return _tables(np.repeat(light[..., None], 3, axis=2), np.eye(3))
 
 
 def _ramp(values: Float64s, low: float, high: float) -> Float64s:
@@ -205,7 +205,7 @@ def _directions(height: int, width: int) -> Float64s:
     return np.stack([rim * np.sin(longitude), up, rim * np.cos(longitude)], axis=-1)
 
 
-def _tables(light: Float64s) -> tuple[Float32s, Int64s]:
+def _tables(light: Float64s, axes: Float64s) -> Tables:
     """Return the tables, one a roughness and one of irradiance, of an image whose sides are powers of two."""
     pyramid, levels = _pyramid(light)
     sizes = [light.shape[:2], *((max(wide // 2, 1), wide) for wide in _WIDTHS)]
@@ -218,7 +218,7 @@ def _tables(light: Float64s) -> tuple[Float32s, Int64s]:
         tables.append(texels)
     firsts = np.cumsum([0, *(len(table) for table in tables[:-1])])
     shapes = np.column_stack([firsts, np.array(sizes)]).astype(np.int64)
-    return np.concatenate(tables).astype(np.float32), shapes
+    return Tables(np.concatenate(tables).astype(np.float32), shapes, axes)
 
 
 def _pyramid(light: Float64s) -> tuple[Float64s, Int64s]:
