@@ -132,7 +132,7 @@ def _convert(options: Options, program: str) -> int:
         # With leaves of several sizes, the number of finest cells says little.
         is_even = options.max_error is None and options.detail is None
         share = f" ({100 * empty / (empty + texture.tree.n_leaves):.3g} %)" if is_even else ""
-        faces = "" if options.within.degrees is None else " with the same facing"
+        faces = " with the same facing" if "max_angle" in options.within else ""
         lines.append(f"{empty:,} finest cells{share} stay empty: no source is near enough{faces}")
     repaired, repair_lines = told_repair(surface)
     made |= repaired

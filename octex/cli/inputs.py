@@ -190,13 +190,9 @@ def _transferred(options: Options) -> dict[str, Any]:
     if path.suffix.lower() == PTEX_ENDING:
         refuse(options, ["--within"], f"cannot be used for {path}, which belongs to the model")
         return {**octex.Ptex(path).sources}
-    distance, degrees, radius = options.within
-    if radius is not None or kind_of(path) == "cloud":
-        angle = 90.0 if degrees is None else degrees
-        cloud = octex.PointCloud.load(path, radius=radius, distance=distance, max_angle=angle)
-        return {**cloud.sources}
-    angle = 180.0 if degrees is None else degrees
-    return {**octex.Transfer(path, distance=distance, max_angle=angle).sources}
+    if "radius" in options.within or kind_of(path) == "cloud":
+        return {**octex.PointCloud.load(path, **options.within).sources}
+    return {**octex.Transfer(path, **options.within).sources}
 
 
 def load_function(named: FunctionName) -> Callable[..., Any]:

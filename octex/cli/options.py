@@ -168,7 +168,7 @@ _REPEATED = "--also", "--source", "--mask"
 #: The values of options that are not given, where every command has the same.
 _DEFAULTS: dict[str, Any] = {
     "--filter": "ewa",
-    "--within": v.Near(),
+    "--within": {},
     "--margin": 0.0,
     "--loss": 0,
     "--blend": "over",

@@ -196,21 +196,15 @@ def angle_and_sides(text: str) -> dict[str, Any]:
     return {"max_angle": angle(",".join(numbers)) if numbers else None, **sides}
 
 
-class Near(NamedTuple):
-    """The part of another model or of points that counts."""
-
-    distance: float | None = None
-    degrees: float | None = None  # largest angle between normals
-    radius: float | None = None  # average all points within it
-
-
-def near(text: str) -> Near:
-    """Parse D or D,DEGREES; D is the largest distance, mean:RADIUS, or "any"."""
+def near(text: str) -> dict[str, float]:
+    """Parse D or D,DEGREES into arguments of octex.Transfer; D is a distance, mean:RADIUS, or "any"."""
     distance, comma, degrees = text.partition(",")
-    largest = angle(degrees) if comma else None
+    arguments: dict[str, float] = {"max_angle": angle(degrees)} if comma else {}
     if distance.startswith("mean:"):
-        return Near(None, largest, length(distance.removeprefix("mean:")))
-    return Near(None if distance == "any" else length(distance), largest)
+        arguments["radius"] = length(distance.removeprefix("mean:"))
+    elif distance != "any":
+        arguments["distance"] = length(distance)
+    return arguments
 
 
 def light(text: str) -> Path | str:
