@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.cli.common import Reporter, check_outputs, tell_file
 from octex.cli.inputs import kind_of, open_texture, refuse, shaped_model, told_repair
-from octex.cli.parser import Options
+from octex.cli.parser import Options, arguments
 from octex.cli.values import BAKED_ENDINGS, PTEX_ENDING, USD_ENDINGS
 from octex.errors import ArgumentError
 from octex.files import bytes_text
@@ -94,14 +94,10 @@ def bake(options: Options, program: str) -> int:
                 texture,
                 surface,
                 source=original,
-                max_distance=options.max_distance,
                 uv=options.uv or ("auto" if options.triangles is None else "atlas"),
-                texture_size=options.texture_size,
-                padding=options.padding,
-                channels=options.channels,
                 bits=bits,
-                supersample=options.supersample,
                 progress=progress,
+                **arguments(options, "texture_size", "padding", "channels", "supersample", "max_distance"),
             )
         with progress.stage("write"):
             carried = {"unit": options.unit, "octree": texture if options.octree else None}

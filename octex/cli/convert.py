@@ -13,7 +13,7 @@ import octex
 from octex.ahead import ahead
 from octex.cli.common import Reporter, check_outputs, facts_of, tell_file
 from octex.cli.inputs import check_model, kind_of, open_texture, read_model, refuse, tell_layers, told_repair
-from octex.cli.parser import Options
+from octex.cli.parser import Options, arguments
 from octex.cli.values import (
     ARCHIVE_ENDING,
     BAKED_ENDINGS,
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 INDEX = "set.json"  # equals octex.texture.set.INDEX
 OUTPUT_ENDINGS = *TEXTURE_ENDINGS, ".ply", ".npz", ".osl"
 _LINES = 10  # largest number of parts in the report
+_SETTINGS = "depth", "cell", "channels", "dtype", "max_error", "detail"
 _STORED = {"--channels", "--dtype", "--preview"}
 #: The options for each kind of INPUT; a model takes all.
 _FOR: dict[str, set[str]] = {
@@ -118,7 +119,9 @@ def _convert(options: Options, program: str) -> int:
                     surface = model
             target = None if options.memory is None else output
             run = octex.Run(memory=options.memory, progress=progress)
-            texture = octex.convert(model, **_settings(options), path=target, run=run)
+            texture = octex.convert(
+                model, **arguments(options, *_SETTINGS), fit=not options.no_fit, path=target, run=run
+            )
         if options.preview is not None:  # first: if the disk is full, no OUTPUT exists without a report
             with progress.stage("draw"):
                 octex.write_preview(options.preview, texture, surface)
@@ -164,11 +167,6 @@ def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: 
         write_points(texture, path, progress)
 
 
-def _settings(options: Options) -> dict[str, Any]:
-    names = "depth", "cell", "channels", "dtype", "max_error", "detail"
-    return {**{name: getattr(options, name) for name in names}, "fit": not options.no_fit}
-
-
 def overlaps_as_json(parts: Overlaps) -> dict[str, Any]:
     """Return overlapping parts for JSON; a gap beyond the margin, and an unknown volume, are null."""
     pairs = [pair._asdict() for pair in parts.pairs]
@@ -201,7 +199,8 @@ def _convert_parts(options: Options, program: str) -> int:
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             surface = read_model(options.INPUT, options)
-        made = octex.convert_set(surface, **_settings(options), progress=progress)
+        settings = arguments(options, *_SETTINGS)
+        made = octex.convert_set(surface, **settings, fit=not options.no_fit, progress=progress)
         with progress.stage("write"):
             made.save(folder)
     leaves = sum(texture.tree.n_leaves for texture in made.values())

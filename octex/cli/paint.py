@@ -14,7 +14,7 @@ from octex.ahead import ahead
 from octex.cli.common import Reporter, check_outputs, facts_of, fail, identity, tell_file
 from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model, tell_layers
 from octex.cli.options import DEFAULT_CHANNEL
-from octex.cli.parser import Options
+from octex.cli.parser import Options, arguments
 from octex.cli.shots import NOTHING, Shot, flat_shots, images_of, shots_of
 from octex.cli.values import TEXTURE_ENDING
 from octex.errors import ArgumentError, ExitCode
@@ -204,12 +204,9 @@ def _projected(
 ) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
     """Project images; return the texture to merge them into (None: a new one), and their layer."""
     settings: dict[str, Any] = {
-        "channel": options.channel or DEFAULT_CHANNEL,
-        "max_depth": options.max_depth,
+        **arguments(options, "max_depth", "edge_feather", "pictures", "balance"),
         **options.max_angle,
-        "edge_feather": options.edge_feather,
-        "pictures": options.pictures,
-        "balance": options.balance,
+        "channel": options.channel or DEFAULT_CHANNEL,
         "reference": _reference(options, shots),
         "fit": not options.no_fit,
         "run": run,

@@ -21,6 +21,11 @@ _ALIKE = 0.8  # difflib's ratio at which help suggests an option
 Options = SimpleNamespace
 
 
+def arguments(options: Options, *names: str) -> dict[str, Any]:
+    """Return options as keyword arguments of the same names."""
+    return {name: getattr(options, name) for name in names}
+
+
 class Option(NamedTuple):
     """An option such as --depth."""
 
