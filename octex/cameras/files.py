@@ -22,7 +22,7 @@ import json
 import os
 import reprlib
 from base64 import b64decode, b64encode
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from octex.cameras.frames import Frame as Frame
 from octex.cameras.frames import file_name, frame_of
 from octex.checks import as_entries, as_path
 from octex.errors import ArgumentError, CameraError, OutputError
-from octex.files import read_bytes, replacing
+from octex.files import listing, read_bytes, replacing
 
 #: The field that marks octex's format; its value is the version.
 MARK = "octex_cameras"
@@ -125,10 +125,10 @@ _BY_FIELDS: dict[tuple[str, ...], Callable[[Path, dict[str, Any]], list[Frame]]]
 }
 
 
-def find_frame(frames: Sequence[Frame], name: str) -> Frame:
-    """Return the frame of this name, or else of the same file name in any folder, or else of the same stem.
+def find_frame(frames: Sequence[Frame], name: str, file: Path) -> Frame:
+    """Return a file's frame of this name, or else of the same file name in any folder, or of the same stem.
 
-    Raises CameraError, which lists names, for no match or several.
+    Raises CameraError, which names the file and lists names, for no match or several.
     """
     keys: tuple[Callable[[str], str], ...] = (str, file_name, lambda text: Path(file_name(text)).stem)
     for key in keys:
@@ -136,17 +136,12 @@ def find_frame(frames: Sequence[Frame], name: str) -> Frame:
         if len(matches) == 1:
             return matches[0]
         if matches:
+            listed = listing([frame.name for frame in matches], _LISTED)
             raise CameraError(
-                f"frame {name!r} may be {len(matches)} frames: {_listing(matches)}; give the whole name"
+                f"{file}: frame {name!r} may be {len(matches)} frames: {listed}; give the whole name"
             )
-    raise CameraError(f"there is no frame {name!r}; there are: {_listing(frames)}")
-
-
-def _listing(frames: Iterable[Frame]) -> str:
-    """Return the frames' names for a message: the first ones, and the number of the others."""
-    names = [repr(frame.name) for frame in frames]
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return (", ".join(names[:_LISTED]) or "none") + more
+    listed = listing([frame.name for frame in frames], _LISTED)
+    raise CameraError(f"{file}: there is no frame {name!r}; there are: {listed}")
 
 
 def write_cameras(

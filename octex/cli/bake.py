@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.cli.common import Reporter, check_outputs, tell_file
 from octex.cli.inputs import kind_of, open_texture, refuse, shaped_model, told_repair
-from octex.cli.parser import Options
+from octex.cli.parser import Options, arguments
 from octex.cli.values import BAKED_ENDINGS, PTEX_ENDING, USD_ENDINGS
 from octex.errors import ArgumentError
 from octex.files import bytes_text
@@ -16,14 +16,10 @@ if TYPE_CHECKING:
     from octex.baking.maps import Bits
     from octex.formats.images import ImageFormat
 
-_OF_IMAGES = (
-    *("--uv", "--texture-size", "--padding", "--channels", "--image-format", "--supersample"),
-    *("--triangles", "--original", "--max-distance"),
-)
+_OF_IMAGES = {"--uv", "--texture-size", "--padding", "--channels", "--image-format", "--supersample"}
+_OF_IMAGES |= {"--triangles", "--original", "--max-distance"}
 _OF_VERTICES = "--max-edge", "--vertex-error"
-_ALWAYS_VERTICES = ".ply", ".3mf"
 _GLTF = ".glb", ".gltf"
-_WITH_UNIT = *USD_ENDINGS, ".3mf"
 #: Image formats by option value, and the bits of a component.
 _IMAGES: dict[str, tuple[ImageFormat, Bits]] = {
     "png": ("png", 8), "webp": ("webp", 8), "jpeg": ("jpeg", 8), "jpeg-all": ("jpeg-all", 8),
@@ -42,18 +38,18 @@ def bake(options: Options, program: str) -> int:
         if options.TEXTURE is None:
             raise ArgumentError(f"{options.OUTPUT}: needs a texture; octex convert makes one of the model")
         return _write_ptex(options, program)
-    at_vertices = options.vertex_colors or ending in _ALWAYS_VERTICES
+    at_vertices = options.vertex_colors or ending in (".ply", ".3mf")
     if at_vertices:
         refuse(options, _OF_IMAGES, "cannot be used with vertex colours")
         if options.max_edge not in (None, "auto"):
             refuse(options, ["--vertex-error"], "needs --max-edge auto")
     else:
         refuse(options, _OF_VERTICES, "is for vertex colours; add --vertex-colors")
-    if ending not in _WITH_UNIT:
+    if ending not in (*USD_ENDINGS, ".3mf"):
         refuse(options, ["--unit"], f"has no effect on {options.OUTPUT}: the format stores no unit")
     if ending not in _GLTF:
         refuse(options, ["--octree"], f"has no effect on {options.OUTPUT}: only .glb and .gltf carry it")
-    images, bits = _IMAGES[options.image_format or "png"]
+    images, bits = _IMAGES[options.image_format]
     if images == "exr" and ending in _GLTF:
         raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
     if options.triangles is not None:
@@ -98,20 +94,14 @@ def bake(options: Options, program: str) -> int:
                 texture,
                 surface,
                 source=original,
-                max_distance=options.max_distance,
                 uv=options.uv or ("auto" if options.triangles is None else "atlas"),
-                texture_size=options.texture_size,
-                padding=options.padding,
-                channels=options.channels,
                 bits=bits,
-                supersample=1 if options.supersample is None else options.supersample,
                 progress=progress,
+                **arguments(options, "texture_size", "padding", "channels", "supersample", "max_distance"),
             )
         with progress.stage("write"):
-            octree = texture if options.octree else None
-            written = octex.write_model(
-                baked, options.OUTPUT, images=images, unit=options.unit or "meter", octree=octree
-            )
+            carried = {"unit": options.unit, "octree": texture if options.octree else None}
+            written = octex.write_model(baked, options.OUTPUT, images=images, **carried)
     materials = materials_of(baked).materials
     read = [each.texture for material in materials for each in material.inputs.values()]
     size = max((each.texels.shape[1] for each in read if each is not None), default=0)
@@ -133,7 +123,6 @@ def bake(options: Options, program: str) -> int:
 
 
 def _write_ptex(options: Options, program: str) -> int:
-    """Write a .ptx file: texels for the faces of a model."""
     allowed = {"--channels", "--rest", "--pose", "--subdiv", "--force", "--threads", "--quiet", "--json"}
     refuse(options, set(options.words) - allowed, f"cannot be used for {options.OUTPUT}")
     with Reporter(program, options.quiet) as progress:

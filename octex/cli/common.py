@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from types import FrameType, SimpleNamespace, TracebackType
+from types import FrameType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, NoReturn, Self, TextIO
 
 from octex.ahead import at_first_compilation, use_shipped_code
@@ -282,9 +282,7 @@ class Reporter:
             self._stack.enter_context(at_first_compilation(lambda: self.note(text)))
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, _value: BaseException | None, _trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
         """End the last stage; after an error without a report."""
         self._stack.close()
         if kind is not None and self._bar is None:

@@ -1,4 +1,4 @@
-"""octex convert: writes an octree texture, or a folder of parts, from a textured model, points or voxels."""
+"""octex convert and octex edit: write an octree texture, or a folder of parts."""
 
 from __future__ import annotations
 
@@ -12,10 +12,18 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.ahead import ahead
 from octex.cli.common import Reporter, check_outputs, facts_of, tell_file
-from octex.cli.inputs import check_model, kind_of, open_texture, read_model, refuse, told_repair
-from octex.cli.parser import Options
-from octex.cli.values import BAKED_ENDINGS, PAGE_ENDING, PTEX_ENDING, TEXTURE_ENDINGS, Address, FunctionName
-from octex.errors import ArgumentError, OutputError
+from octex.cli.inputs import check_model, kind_of, open_texture, read_model, refuse, tell_layers, told_repair
+from octex.cli.parser import Options, arguments
+from octex.cli.values import (
+    ARCHIVE_ENDING,
+    BAKED_ENDINGS,
+    PAGE_ENDING,
+    PTEX_ENDING,
+    TEXTURE_ENDINGS,
+    Address,
+    FunctionName,
+)
+from octex.errors import ArgumentError, InputError, OutputError
 from octex.files import count_text
 
 if TYPE_CHECKING:
@@ -28,6 +36,7 @@ if TYPE_CHECKING:
 INDEX = "set.json"  # equals octex.texture.set.INDEX
 OUTPUT_ENDINGS = *TEXTURE_ENDINGS, ".ply", ".npz", ".osl"
 _LINES = 10  # largest number of parts in the report
+_SETTINGS = "depth", "cell", "channels", "dtype", "max_error", "detail"
 _STORED = {"--channels", "--dtype", "--preview"}
 #: The options for each kind of INPUT; a model takes all.
 _FOR: dict[str, set[str]] = {
@@ -110,7 +119,9 @@ def _convert(options: Options, program: str) -> int:
                     surface = model
             target = None if options.memory is None else output
             run = octex.Run(memory=options.memory, progress=progress)
-            texture = octex.convert(model, **_settings(options), path=target, run=run)
+            texture = octex.convert(
+                model, **arguments(options, *_SETTINGS), fit=not options.no_fit, path=target, run=run
+            )
         if options.preview is not None:  # first: if the disk is full, no OUTPUT exists without a report
             with progress.stage("draw"):
                 octex.write_preview(options.preview, texture, surface)
@@ -124,9 +135,8 @@ def _convert(options: Options, program: str) -> int:
         # With leaves of several sizes, the number of finest cells says little.
         is_even = options.max_error is None and options.detail is None
         share = f" ({100 * empty / (empty + texture.tree.n_leaves):.3g} %)" if is_even else ""
-        faces = options.within is not None and options.within.degrees is not None
-        why = "no source is near enough with the same facing" if faces else "no source is near enough"
-        lines.append(f"{empty:,} finest cells{share} stay empty: {why}")
+        faces = " with the same facing" if "max_angle" in options.within else ""
+        lines.append(f"{empty:,} finest cells{share} stay empty: no source is near enough{faces}")
     repaired, repair_lines = told_repair(surface)
     made |= repaired
     lines += repair_lines
@@ -157,12 +167,6 @@ def write_texture(texture: OctreeTexture, path: Path, progress: Reporter, loss: 
         write_points(texture, path, progress)
 
 
-def _settings(options: Options) -> dict[str, Any]:
-    """Return a conversion's settings as arguments of ``octex.convert``."""
-    names = "depth", "cell", "channels", "dtype", "max_error", "detail"
-    return {**{name: getattr(options, name) for name in names}, "fit": not options.no_fit}
-
-
 def overlaps_as_json(parts: Overlaps) -> dict[str, Any]:
     """Return overlapping parts for JSON; a gap beyond the margin, and an unknown volume, are null."""
     pairs = [pair._asdict() for pair in parts.pairs]
@@ -172,7 +176,6 @@ def overlaps_as_json(parts: Overlaps) -> dict[str, Any]:
 
 
 def _separated_text(moved: dict[str, list[float]], parts: Overlaps) -> Iterator[str]:
-    """Yield lines about moved parts, their offsets, and unchecked parts."""
     if moved:
         yield f"{len(moved):,} of {parts.n_parts:,} parts moved apart; Surface.rest_positions says where to"
         for part, offset in list(moved.items())[:_LINES]:
@@ -196,7 +199,8 @@ def _convert_parts(options: Options, program: str) -> int:
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             surface = read_model(options.INPUT, options)
-        made = octex.convert_set(surface, **_settings(options), progress=progress)
+        settings = arguments(options, *_SETTINGS)
+        made = octex.convert_set(surface, **settings, fit=not options.no_fit, progress=progress)
         with progress.stage("write"):
             made.save(folder)
     leaves = sum(texture.tree.n_leaves for texture in made.values())
@@ -219,3 +223,53 @@ def _check_folder(folder: Path, *, force: bool) -> None:
     place = folder if folder.exists() else folder.parent
     if not os.access(place, os.W_OK):
         raise OutputError(f"{folder}: the folder {place} cannot be written")
+
+
+def edit(options: Options, program: str) -> int:
+    """Run octex edit."""
+    check_output_kind(options.TEXTURE, options.OUTPUT)
+    if options.OUTPUT.suffix.lower() != ARCHIVE_ENDING:
+        refuse(options, ["--loss"], f"is for NAME{ARCHIVE_ENDING}")
+    others = [options.combine, options.mix and options.mix[0]]
+    outputs = [(options.OUTPUT, OUTPUT_ENDINGS, "OUTPUT")]
+    check_outputs(outputs, [options.TEXTURE, *others], force=options.force)
+    with Reporter(program, options.quiet) as progress:
+        texture = _edited(options, progress)
+        write_texture(texture, options.OUTPUT, progress, options.loss)
+    return tell_file(options, *facts_of(texture))
+
+
+def _edited(options: Options, progress: Reporter) -> OctreeTexture:
+    from octex.processing.edit import noted
+
+    texture = open_texture(options.TEXTURE)
+    tell_layers(texture, options.TEXTURE, progress.note)
+    if options.channels is not None:
+        from octex.checks import as_choice
+
+        for name in options.channels:
+            as_choice(name, texture.channels, f"channel of {options.TEXTURE}:")
+    if options.crop is not None:
+        texture = octex.crop(texture, options.crop[:3], options.crop[3:])
+    if options.depth is not None:
+        deepest = texture.tree.max_depth
+        if options.depth > deepest:
+            raise InputError(
+                f"{options.TEXTURE}: has depth {deepest}; --depth {options.depth} needs the model"
+            )
+        # octex.resize would also divide the leaves above it, into cells without new detail.
+        coarse = texture.level(options.depth)
+        metadata = noted(texture.metadata, "resize", depth=options.depth)
+        texture = texture.with_cells(coarse.tree, coarse.channels, metadata)
+    if options.combine is not None:
+        texture = octex.combine(texture, open_texture(options.combine), over=True)
+    if options.mix is not None:
+        other, amount = options.mix
+        texture = octex.mix(texture, open_texture(other), amount)
+    if options.blur is not None:
+        texture = octex.blur(texture, options.blur)
+    if options.levels is not None:
+        texture = octex.levels(texture, "base_color", *options.levels)
+    if options.channels is not None or options.dtype is not None:
+        texture = octex.cast(texture, options.dtype, options.channels)
+    return texture

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.ahead import ahead
 from octex.cli.common import Reporter, check_outputs, tell_file
-from octex.cli.inputs import bare_model, frame_of, is_texture, only, open_texture, refuse, shaped_model
+from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model
 from octex.cli.options import DEFAULT_CHANNEL
 from octex.cli.parser import Options
 from octex.cli.shots import patch_of
@@ -19,11 +19,10 @@ if TYPE_CHECKING:
     from octex.arrays import Uint8s
     from octex.cameras.camera import Camera
     from octex.cameras.files import Frame
-    from octex.drawing import Environment, Viewpoint
+    from octex.drawing import Environment
 
 _SIZE = 1024, 1024  # of a view
 _DIRECTION = 0.4, 0.3, 1.0  # of an image to paint on
-_UP = 0.0, 1.0, 0.0
 #: The options that each kind of image refuses.
 _OF_VIEWS = "--camera-out", "--unwrap", "--empty-layer"
 _REFUSED = {
@@ -39,7 +38,7 @@ _REFUSED = {
 
 def draw(options: Options, program: str) -> int:
     """Run octex draw."""
-    kind = vars(options)["as"] or "panels"
+    kind = vars(options)["as"]
     _check(options, kind)
     with ahead("view") if kind == "paint" and options.threads is None else nullcontext():
         width, height = _draw(options, kind, program)
@@ -52,7 +51,6 @@ def draw(options: Options, program: str) -> int:
 
 
 def _check(options: Options, kind: str) -> None:
-    """Refuse files and options that contradict each other."""
     texture, model = options.TEXTURE, options.MODEL
     refuse(options, _REFUSED.get(kind, ()), f"cannot be used with --as {kind}")
     if texture is None and (model is None or kind in ("cells", "difference")):
@@ -91,7 +89,6 @@ def _check(options: Options, kind: str) -> None:
 
 
 def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
-    """Write the image and its other files; return its width and height."""
     frame = _frame(options, kind)
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
@@ -134,7 +131,6 @@ def _model(options: Options, kind: str) -> Any:
 def _codes(
     options: Options, kind: str, texture: Any, model: Any, camera: Camera | None, frame: Frame | None
 ) -> Uint8s:
-    """Draw the image."""
     from octex import drawing
 
     channel, light, bump = options.channel, _light(options), options.bump
@@ -144,8 +140,10 @@ def _codes(
         names = options.TEXTURE.name, options.MODEL.name
         return drawing.draw_difference(texture, model, differences, names, **size)
     if kind == "panels":
-        view, lit = _viewpoint(options, frame), {"light": light, "bump": bump}
-        return drawing.draw_preview(texture, model, **size, view=view, channel=channel, **lit)
+        view = drawing.Viewpoint(options.direction, options.up, options.zoom, frame)
+        return drawing.draw_preview(
+            texture, model, **size, view=view, channel=channel, light=light, bump=bump
+        )
     if kind == "paint":
         assert camera is not None
         channel, is_lit = channel or DEFAULT_CHANNEL, texture is None or options.light is not None
@@ -175,13 +173,13 @@ def _frame(options: Options, kind: str) -> Frame | None:
     """Return the camera of --camera: the only one, the named one, or the one of OUTPUT's name."""
     if options.camera is None:
         return None
-    from octex.cameras.files import read_cameras
+    from octex.cameras.files import find_frame, read_cameras
 
     file, name = options.camera
     frames = read_cameras(file)
     frame = frames[0]
     if name is not None or len(frames) > 1:
-        frame = frame_of(frames, options.OUTPUT.name if name is None else name, file)
+        frame = find_frame(frames, options.OUTPUT.name if name is None else name, file)
     if frame.size is None or options.size is None or kind == "panels":
         return frame
     if not frame.fits(options.size):
@@ -193,25 +191,21 @@ def _frame(options: Options, kind: str) -> Frame | None:
     return frame
 
 
-def _viewpoint(options: Options, frame: Frame | None) -> Viewpoint:
-    from octex.drawing import Viewpoint
-
-    return Viewpoint(options.direction, options.up or _UP, options.zoom or 1.0, frame)
-
-
 def _camera(options: Options, kind: str, texture: Any, model: Any, frame: Frame | None) -> Camera:
     """Return the camera of a frame, or one that sees the whole model."""
     size = options.size or _SIZE
     if frame is not None:
         camera = frame.camera(options.size or (None if frame.size is not None else _SIZE))
     elif kind == "paint":  # the same for every texture
-        direction, up = options.direction or _DIRECTION, options.up or _UP
-        camera = octex.Camera.fitted(model.vertices, direction, size=size, up=up)
+        camera = octex.Camera.fitted(
+            model.vertices, options.direction or _DIRECTION, size=size, up=options.up
+        )
     else:
-        from octex.drawing import camera_of
+        from octex.drawing import Viewpoint, camera_of
 
-        return camera_of(texture, model, size, _viewpoint(options, None), options.channel)
-    return camera if options.zoom is None else camera.zoomed(options.zoom)
+        view = Viewpoint(options.direction, options.up, options.zoom)
+        return camera_of(texture, model, size, view, options.channel)
+    return camera if options.zoom == 1.0 else camera.zoomed(options.zoom)
 
 
 def _light(options: Options) -> Environment | None:
@@ -220,7 +214,6 @@ def _light(options: Options) -> Environment | None:
         return None
     from octex.drawing import Environment
 
-    exposure = options.exposure or 0.0
     if options.light == "studio":
-        return Environment.studio(exposure)
-    return Environment.load(options.light, exposure, options.up or _UP)
+        return Environment.studio(options.exposure)
+    return Environment.load(options.light, options.exposure, options.up)

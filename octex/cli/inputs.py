@@ -17,15 +17,13 @@ from octex.cli.values import (
     WEB_ENDING,
     Address,
     FunctionName,
-    Near,
     function_name,
 )
-from octex.errors import ArgumentError, CameraError, InputError
+from octex.errors import ArgumentError, InputError
 
 if TYPE_CHECKING:
-    from octex.cameras.files import Frame
     from octex.source.surface import Surface
-    from octex.texture import OctreeTexture, TextureSet
+    from octex.texture import OctreeTexture
 
 
 def refuse(options: Options, words: Iterable[str], why: str, path: Path | Address | None = None) -> None:
@@ -79,31 +77,13 @@ def tell_layers(texture: OctreeTexture, path: Path | Address, tell_note: Callabl
         tell_note(f"{path} has layers: the edit changes the visible texture, not its layers")
 
 
-def number_of(textures: TextureSet, folder: Path, part: str) -> int:
-    """Return the number of a part of a folder."""
-    from octex.checks import as_choice
-
-    return textures.names.index(as_choice(part, textures.names, f"part of {folder}:"))
-
-
 def only(texture: OctreeTexture, channel: str) -> OctreeTexture:
     """Return a texture reduced to one channel and alpha, which lookups need."""
     from octex.checks import as_choice
-    from octex.texture import OctreeTexture
 
     as_choice(channel, texture.channels, "channel of the texture")
     channels = {name: each for name, each in texture.channels.items() if name in (channel, "alpha")}
-    return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, texture.metadata)
-
-
-def frame_of(frames: Sequence[Frame], name: str, file: Path) -> Frame:
-    """Find a camera by its name; errors name the file."""
-    from octex.cameras.files import find_frame
-
-    try:
-        return find_frame(frames, name)
-    except CameraError as error:
-        raise CameraError(f"{file}: {error}") from None
+    return texture.with_cells(texture.tree, channels)
 
 
 def shaped_model(path: Path, options: Options, cell: float | None = None, **settings: Any) -> Surface:
@@ -161,7 +141,9 @@ def read_model(path: Path, options: Options, extra: Sequence[str] = ()) -> Surfa
     for channel, source in sources.items():
         if isinstance(source, FunctionName):
             sources[channel] = load_function(source)
-    names = _wanted(options)
+    from octex.conversion.convert import with_detail
+
+    names = with_detail(options.channels, options.detail)
     every = [_read(each, options, sources, None if extra else names) for each in [path, *options.also]]
     surface = octex.Surface.joined(every) if options.also else every[0]
     if names is None or not extra:
@@ -172,34 +154,24 @@ def read_model(path: Path, options: Options, extra: Sequence[str] = ()) -> Surfa
 
 def _read(path: Path, options: Options, sources: dict[str, Any], wanted: Sequence[str] | None) -> Surface:
     named = function_name(str(path))
-    image_filter = options.filter or "ewa"
     if path.suffix == ".py":
         raise ArgumentError(f"{path}: name the function in it, like {path}:NAME")
     if named is None:
-        return shaped_model(path, options, channels=wanted, sources=sources, filter=image_filter)
+        return shaped_model(path, options, channels=wanted, sources=sources, filter=options.filter)
     if options.grid is None:
         raise ArgumentError(f"{path} is a function: give --grid x0,y0,z0,x1,y1,z1,EDGE too")
     bounds = [options.grid[:3], options.grid[3:6]]
     surface = octex.Surface.from_function(load_function(named), bounds, options.grid[6], name=named.path.name)
-    return surface.completed(sources, wanted, image_filter)
-
-
-def _wanted(options: Options) -> list[str] | None:
-    """Return the channels to read: --channels, and the channel of --detail."""
-    steering = None if options.detail == "stretch" else options.detail
-    if options.channels is None or steering is None or steering in options.channels:
-        return options.channels  # type: ignore[no-any-return]
-    return [*options.channels, steering]
+    return surface.completed(sources, wanted, options.filter)
 
 
 def _sources(options: Options) -> dict[str, Any]:
     """Return the sources of channels by name; refuse a channel that is repeated or not read."""
     sources: dict[str, Any] = {}
-    wanted = _wanted(options)
     for name, source in options.source:
         if name in sources:
             raise ArgumentError(f"--source gives {name} twice")
-        if wanted is not None and name not in wanted:
+        if options.channels is not None and name not in (*options.channels, options.detail):
             raise ArgumentError(f"--source gives {name}, but --channels leaves it out")
         sources[name] = source
         if isinstance(source, Path) and source.suffix.lower() == PTEX_ENDING:
@@ -212,20 +184,15 @@ def _sources(options: Options) -> dict[str, Any]:
 
 
 def _transferred(options: Options) -> dict[str, Any]:
-    """Return the sources of all channels that --transfer provides."""
     path = options.transfer
     if path is None:
         return {}
     if path.suffix.lower() == PTEX_ENDING:
         refuse(options, ["--within"], f"cannot be used for {path}, which belongs to the model")
         return {**octex.Ptex(path).sources}
-    distance, degrees, radius = options.within or Near()
-    if radius is not None or kind_of(path) == "cloud":
-        angle = 90.0 if degrees is None else degrees
-        cloud = octex.PointCloud.load(path, radius=radius, distance=distance, max_angle=angle)
-        return {**cloud.sources}
-    angle = 180.0 if degrees is None else degrees
-    return {**octex.Transfer(path, distance=distance, max_angle=angle).sources}
+    if "radius" in options.within or kind_of(path) == "cloud":
+        return {**octex.PointCloud.load(path, **options.within).sources}
+    return {**octex.Transfer(path, **options.within).sources}
 
 
 def load_function(named: FunctionName) -> Callable[..., Any]:

@@ -1,15 +1,17 @@
-"""octex info, validate, diff and overlaps: describes, checks and compares textures."""
+"""octex info, validate, diff and overlaps: describes, checks and compares textures; octex warm-up."""
 
 from __future__ import annotations
 
 import json
 import math
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
+from octex.ahead import SECTIONS, ahead, compile_listed
 from octex.cli.common import Reporter, say, tell
 from octex.cli.convert import INDEX, overlaps_as_json
 from octex.cli.inputs import check_model, check_texture, is_texture, open_texture, read_model, refuse
@@ -58,7 +60,7 @@ def overlaps(options: Options, program: str) -> int:
         with progress.stage("read"):
             surface = octex.load_surface(path, options.rest, channels=["alpha"], sources={"alpha": 1.0})
         with progress.stage("compare"):
-            pairs = surface.overlapping_parts(options.margin or 0.0)
+            pairs = surface.overlapping_parts(options.margin)
     tell(options, {"model": str(path), "margin": pairs.margin, **overlaps_as_json(pairs)}, f"{path}: {pairs}")
     return ExitCode.DONE
 
@@ -97,6 +99,15 @@ def diff(options: Options, program: str) -> int:
     return ExitCode.DONE
 
 
+def warm_up(options: Options, program: str) -> int:
+    """Run octex warm-up."""
+    with Reporter(program, options.quiet, announce=False) as progress, ahead(*SECTIONS):
+        compile_listed(progress)
+    if not options.quiet:
+        say(f"compiled and cached in {time.perf_counter() - options.began:.1f} s")
+    return ExitCode.DONE
+
+
 def _opened(path: Path | Address) -> OctreeTexture | TextureSet:
     if path.is_dir():
         return octex.TextureSet.open(path)
@@ -105,7 +116,6 @@ def _opened(path: Path | Address) -> OctreeTexture | TextureSet:
 
 
 def _texture_text(information: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of a texture's information."""
     placement, bounds, parts = (information[key] for key in ("placement", "bounds", "bytes"))
     yield f"depth       {information['depth']}, finest cells of edge {information['finest_cell']:.6g}"
     yield f"root cell   edge {placement['size']:.6g} at {triple(placement['origin'])}"
@@ -154,7 +164,6 @@ def triple(numbers: Sequence[float]) -> str:
 
 
 def _set_text(information: dict[str, Any]) -> Iterator[str]:
-    """Yield the lines of a set's information."""
     parts = information["parts"]
     width = max(len("part"), *map(len, parts))
     yield f"{'part':{width}} {'depth':>5} {'finest cell':>12} {'leaves':>15} {'nodes':>15} {'bytes':>15}"
@@ -179,7 +188,6 @@ def _as_json(result: Difference) -> dict[str, Any]:
 
 
 def _readable(paths: Sequence[Path], sides: Sequence[Side], differences: Differences) -> Iterator[str]:
-    """Yield the lines of differences."""
     from octex.source.surface import Surface
 
     for letter, path, side in zip("AB", paths, sides, strict=True):

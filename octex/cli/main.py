@@ -19,8 +19,8 @@ from octex.errors import ArgumentError, ExitCode
 PROGRAM = "octex"
 #: The module of each command; its function of the same name runs the command.
 _MODULES = {
-    **dict.fromkeys(("info", "diff", "validate", "overlaps"), "inspect"),
-    "warm-up": "warm_up",
+    **dict.fromkeys(("info", "diff", "validate", "overlaps", "warm-up"), "inspect"),
+    "edit": "convert",
 }
 _NAMES = (*COMMANDS, "help")
 
@@ -56,7 +56,6 @@ def _by_option(message: str, command: Command) -> str:
 
 
 def _answer(first: str, rest: Sequence[str]) -> int:
-    """Print the answer to options of octex itself."""
     if first in ("-h", "--help") or (first == "help" and not rest):
         say(_overview())
     elif first == "--version":

@@ -10,10 +10,6 @@ from octex.cli import values as v
 from octex.cli.parser import Command, File, Option
 
 DEFAULT_CHANNEL = "base_color"  # the channel to paint
-DRAWN = "panels", "view", "paint", "cells", "difference"
-UV = "auto", "keep", "atlas", "xatlas"
-IMAGE_FORMATS = "png", "webp", "jpeg", "jpeg-all", "png16", "exr"
-UNITS = "meter", "centimeter", "millimeter", "inch", "foot"
 
 #: Every option as help shows it; its description follows after several spaces.
 _TABLE = """
@@ -162,23 +158,42 @@ _READERS: dict[Callable[[str], Any], str] = {
     v.one_of(*v.BLENDS): "--blend",
     v.one_of(*v.PICTURES): "--pictures",
     v.one_of(*v.BALANCES): "--balance",
-    v.one_of(*DRAWN): "--as",
+    v.one_of("panels", "view", "paint", "cells", "difference"): "--as",
     v.one_of("shown", "layers"): "--keep",
-    v.one_of(*UV): "--uv",
-    v.one_of(*IMAGE_FORMATS): "--image-format",
-    v.one_of(*UNITS): "--unit",
+    v.one_of("auto", "keep", "atlas", "xatlas"): "--uv",
+    v.one_of("png", "webp", "jpeg", "jpeg-all", "png16", "exr"): "--image-format",
+    v.one_of("meter", "centimeter", "millimeter", "inch", "foot"): "--unit",
 }
 _REPEATED = "--also", "--source", "--mask"
+#: The values of options that are not given, where every command has the same.
+_DEFAULTS: dict[str, Any] = {
+    "--filter": "ewa",
+    "--within": {},
+    "--margin": 0.0,
+    "--loss": 0,
+    "--blend": "over",
+    "--opacity": 1.0,
+    "--max-angle": {},
+    "--edge-feather": 0.0,
+    "--as": "panels",
+    "--up": (0.0, 1.0, 0.0),
+    "--zoom": 1.0,
+    "--exposure": 0.0,
+    "--image-format": "png",
+    "--supersample": 1,
+    "--unit": "meter",
+    "--port": 0,
+}
 
 
 def _options() -> dict[str, Option]:
-    """Return the options of the table by word."""
     readers = {word: read for read, words in _READERS.items() for word in words.split()}
     rows = re.findall(r"^(--\S+)(?: (\S+))? +(\S.*(?:\n +\S.*)*)$", _TABLE, re.MULTILINE)
-    return {
-        word: Option(word, value, readers.get(word), " ".join(help.split()), word in _REPEATED)
-        for word, value, help in rows
-    }
+    options = {}
+    for word, value, help in rows:
+        read, text = readers.get(word), " ".join(help.split())
+        options[word] = Option(word, value, read, text, word in _REPEATED, _DEFAULTS.get(word))
+    return options
 
 
 OPTIONS = _options()

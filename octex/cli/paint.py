@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import ahead
 from octex.cli.common import Reporter, check_outputs, facts_of, fail, identity, tell_file
 from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model, tell_layers
-from octex.cli.layers import Painting, channel_of, with_entries
 from octex.cli.options import DEFAULT_CHANNEL
-from octex.cli.parser import Options
-from octex.cli.shots import NOTHING, flat_shots, images_of, shots_of
+from octex.cli.parser import Options, arguments
+from octex.cli.shots import NOTHING, Shot, flat_shots, images_of, shots_of
 from octex.cli.values import TEXTURE_ENDING
 from octex.errors import ArgumentError, ExitCode
-from octex.parallel import workers
+from octex.files import open_file
+from octex.parallel import Run, workers
 
 if TYPE_CHECKING:
     from octex.arrays import Float64s
@@ -104,27 +108,30 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
             patch, shots = flat_shots(options, whole, texture, progress)
             surface = patch.surface
         for shot in shots:
-            if shot.since is not None and shot.path.suffix.lower() in (".jpg", ".jpeg"):
+            if shot.picture.since is not None and shot.path.suffix.lower() in (".jpg", ".jpeg"):
                 progress.note(
                     f"{shot.path} is a JPEG: what compression changed is painted, too; save views as PNG"
                 )
         with workers() as executor:
-            painting = Painting(options, surface, executor, progress)
+            run = octex.Run(executor=executor, progress=progress)
+            room = None if options.memory is None else options.OUTPUT.absolute().parent
+            stored = replace(run, memory=options.memory, folder=room, resume=options.resume)
             if by_camera:
-                shots, left_out = painting.fitting(shots)
-                skipped = [*skipped, *left_out]
+                shots, left_out = _fitting(surface, shots, run, progress)
+                skipped += left_out
             if options.refine_cameras is not None:
-                shots = painting.refined(shots)
+                shots = _refined(options, surface, shots, stored)
             if has_layers:
                 layers = [open_texture(path) for path in options.IMAGE]
             else:
-                texture, layers = painting.projected(texture, shots)
-            base, is_in = painting.started(layers[0], has_layers) if texture is None else (texture, False)
-            made = painting.merged(base, layers, options.IMAGE if has_layers else [], int(is_in))
-        if made is base and not is_in:
-            return _nothing_painted(options, program, any(shot.since for shot in shots))
-        entries = painting.entries([shot.path for shot in shots] or options.IMAGE, layers[0])
-        made = with_entries(made, surface, entries)
+                texture, layers = _projected(options, surface, texture, shots, stored, progress)
+            made = _merged(options, surface, texture, layers, options.IMAGE if has_layers else [], run)
+        if made is None:
+            compares = any(shot.picture.since is not None for shot in shots)
+            return _nothing_painted(options, program, compares)
+        channel = _channel_of(layers[0])
+        entries = _entries(options, [shot.path for shot in shots] or options.IMAGE, channel)
+        made = _with_entries(made, surface, entries)
         if options.preview is not None:  # first: if the disk is full, no OUTPUT exists without a report
             with progress.stage("draw"):
                 view: dict[str, Any] = {}
@@ -133,22 +140,193 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
                 elif shots:
                     from octex.drawing import viewpoint_among
 
-                    seen = viewpoint_among([shot.camera for shot in shots])
+                    cameras: Any = [shot.picture.camera for shot in shots]
+                    seen = viewpoint_among(cameras)
                     view = {"direction": seen.direction, "up": seen.up}
-                _draw(options, made, whole, channel_of(layers[0]), view)
+                _draw(options, made, whole, channel, view)
         with progress.stage("write"):
             if options.layer_out is not None:
-                with_entries(layers[0], surface, entries).save(options.layer_out)
+                _with_entries(layers[0], surface, entries).save(options.layer_out)
             made.save(options.OUTPUT)
     names = [str(entry["image"]) for entry in entries]
     kind = f"{'layer' if has_layers else 'picture'}{'s' if len(names) > 1 else ''}"
     text, facts = facts_of(made)
-    facts |= {"painted": names, "skipped": list(skipped)}
+    facts |= {"painted": names, "skipped": skipped}
     others = {
         "layer": (options.layer_out, "the paint alone"),
         "preview": (options.preview, "a picture of it"),
     }
     return tell_file(options, f"{len(names):,} {kind} painted, {text}", facts, others=others)
+
+
+def _fitting(
+    surface: Surface, shots: list[Shot], run: Run, progress: Reporter
+) -> tuple[list[Shot], list[str]]:
+    """Return the images that fit the model, and the names of the others; note why."""
+    pictures = [shot.picture for shot in shots]
+    if len(shots) < 2 or any(picture.since is not None for picture in pictures):
+        return shots, []
+    from octex.photos.misfits import misfits
+
+    assert run.executor is not None
+    reasons, better = misfits(surface, pictures, run.executor)
+    for number, reason in sorted(reasons.items()):
+        progress.note(f"{shots[number].path} is left out: {reason}")
+    if better:
+        progress.note(f"the mesh does not fit the cameras: {better}")
+    fitting = [shot for number, shot in enumerate(shots) if number not in reasons]
+    return fitting, [shots[number].path.name for number in sorted(reasons)]
+
+
+def _refined(options: Options, surface: Surface, shots: Sequence[Shot], run: Run) -> list[Shot]:
+    """Return the images with refined cameras, and write these cameras."""
+    # By the frames' names, or the pictures' where a frame has several pictures.
+    names = [shot.name for shot in shots]
+    if len(set(names)) < len(names):
+        names = [shot.path.name for shot in shots]
+    if len(set(names)) < len(names):
+        raise ArgumentError("--refine-cameras: pictures of one name have one camera; refine those separately")
+    pictures, reference = [shot.picture for shot in shots], _reference(options, shots)
+    cameras = octex.refine_cameras(surface, pictures, reference=reference, run=run)
+    # The next steps may take hours, so the cameras are written now.
+    octex.write_cameras(options.refine_cameras, dict(zip(names, cameras, strict=True)))
+    pairs = zip(shots, cameras, strict=True)
+    return [shot._replace(picture=replace(shot.picture, camera=camera)) for shot, camera in pairs]
+
+
+def _projected(
+    options: Options,
+    surface: Surface,
+    texture: OctreeTexture | None,
+    shots: Sequence[Shot],
+    run: Run,
+    progress: Reporter,
+) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
+    """Project images; return the texture to merge them into (None: a new one), and their layer."""
+    settings: dict[str, Any] = {
+        **arguments(options, "max_depth", "edge_feather", "pictures", "balance"),
+        **options.max_angle,
+        "channel": options.channel or DEFAULT_CHANNEL,
+        "reference": _reference(options, shots),
+        "fit": not options.no_fit,
+        "run": run,
+    }
+    pictures = [shot.picture for shot in shots]
+    background = _value_of(options) if isinstance(options.holes, tuple) else None
+    layer = octex.project(surface, pictures, like=texture, **settings)
+    if texture is not None and layer.tree.n_leaves > texture.tree.n_leaves:
+        progress.note(
+            f"the paint has {layer.tree.n_leaves:,} leaves, the texture {texture.tree.n_leaves:,}; "
+            f"--max-depth {texture.tree.max_depth} paints with cells as small as the texture's"
+        )
+    if background is None or not layer.tree.n_leaves:
+        return texture, [layer]
+    depth = layer.tree.max_depth if options.max_depth is None else options.max_depth
+    channel = _channel_of(layer)
+    texture = octex.convert(
+        surface,
+        depth,
+        channels=[channel],
+        sources={channel: background},
+        fit=not options.no_fit,
+        run=Run(executor=run.executor, progress=progress),
+    )
+    if texture.placement != layer.placement:
+        layer = octex.project(surface, pictures, like=texture, **settings)
+    return texture, [layer]
+
+
+def _merged(
+    options: Options,
+    surface: Surface,
+    texture: OctreeTexture | None,
+    layers: Sequence[OctreeTexture],
+    files: Sequence[Path],
+    run: Run,
+) -> OctreeTexture | None:
+    """Merge layers, read from ``files`` if any, into a texture or a new one; None if they paint nothing."""
+    is_in = False
+    if texture is None:
+        from octex.painting.first import started
+        from octex.painting.surface import PaintedSurface
+
+        holes: Any = "leave" if files else options.holes if isinstance(options.holes, str) else "smooth"
+        assert run.executor is not None
+        task = options.blend, run.executor, run.report
+        texture, is_in = started(layers[0], PaintedSurface(surface), holes, *task)
+    made = texture
+    for number, layer in enumerate(layers):
+        if not layer.tree.n_leaves or (is_in and number == 0):
+            continue
+        how = {"opacity": options.opacity, "blend": options.blend}
+        try:
+            made = octex.merge(made, layer, surface, **how, run=run)
+        except ArgumentError as error:
+            raise ArgumentError(f"{files[number]}: {error}" if files else str(error)) from None
+    if options.coverage and any(layer.tree.n_leaves for layer in layers):
+        from octex.painting.first import with_coverage
+
+        made = with_coverage(made, layers)
+    return made if is_in or made is not texture else None
+
+
+def _reference(options: Options, shots: Sequence[Shot]) -> int | None:
+    path = options.reference
+    if path is None:
+        return None
+    paths = [shot.path for shot in shots]
+    for names, name in ((paths, path), ([path.name for path in paths], path.name)):
+        if names.count(name) == 1:
+            return names.index(name)
+    raise ArgumentError(f"--reference {path} must name exactly one of the pictures")
+
+
+def _value_of(options: Options) -> tuple[float, ...]:
+    """Return the colour of --holes as the channel's decoded value, linear light for colours."""
+    import numpy as np
+
+    from octex.channels import CHANNELS, decode
+    from octex.checks import as_choice
+
+    form = CHANNELS[as_choice(options.channel or DEFAULT_CHANNEL, CHANNELS, "channel")]
+    codes: tuple[int, ...] = options.holes
+    if form.space == "direction":
+        raise ArgumentError(f"--holes is a colour, but {form.name} holds directions")
+    if form.components == 1:
+        if len(set(codes)) > 1:
+            raise ArgumentError(f"--holes is a colour, but {form.name} has one component; give a grey")
+        codes = codes[:1]
+    return tuple(decode(np.array(codes, np.uint8), form.space).tolist())
+
+
+def _channel_of(layer: OctreeTexture) -> str:
+    return next((name for name in layer.channels if name != "alpha"), "alpha")
+
+
+def _entries(options: Options, files: Sequence[Path], channel: str) -> list[dict[str, str | float]]:
+    """Return the provenance of the paint in files."""
+    how = {"blend": options.blend, "opacity": options.opacity, "channel": channel}
+    entries: list[dict[str, str | float]] = []
+    for path in files:
+        with open_file(path) as file:
+            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        entries.append({"image": path.name, "sha256": digest, **how})
+    return entries
+
+
+def _with_entries(
+    texture: OctreeTexture, surface: Surface, entries: Sequence[dict[str, str | float]]
+) -> OctreeTexture:
+    """Append paint to a texture's provenance; for a new texture also record the model."""
+    from octex.processing.edit import with_listed
+
+    metadata = dict(texture.metadata)
+    if not metadata:
+        names = ("source", "sha256", "rest", "rest_sha256")
+        metadata = {name: surface.provenance[name] for name in names if name in surface.provenance}
+        metadata["octex"] = octex.__version__
+    metadata = with_listed(metadata, "paint", entries)
+    return texture.with_cells(texture.tree, texture.channels, metadata)
 
 
 def _nothing_painted(options: Options, program: str, compares: bool) -> int:
@@ -164,11 +342,10 @@ def _nothing_painted(options: Options, program: str, compares: bool) -> int:
 
 def _direction_to(surface: Surface, patch: Patch) -> Float64s:
     """Return the direction (3,) that the patch faces: its mean normal."""
-    import numpy as np
+    from octex.view.shading import face_normals
 
-    first, second, third = surface.vertices[surface.triangles[patch.triangles]].swapaxes(0, 1)
-    direction: Float64s = np.cross(second - first, third - first).sum(axis=0)
-    return direction
+    normals, areas = face_normals(surface.vertices, surface.triangles[patch.triangles])
+    return areas @ normals
 
 
 def _draw(

@@ -17,8 +17,13 @@ _WIDTH, _COLUMN = 100, 24  # width of help, and column of descriptions
 _ALIKE = 0.8  # difflib's ratio at which help suggests an option
 
 #: Values by name: ``options.max_error`` for --max-error, ``options.MODEL`` for a file, ``options.words`` for
-#: the options on the command line. Missing ones, also of other commands, are None, False or [].
+#: the options on the command line. Missing ones, also of other commands, are the default, None, False or [].
 Options = SimpleNamespace
+
+
+def arguments(options: Options, *names: str) -> dict[str, Any]:
+    """Return options as keyword arguments of the same names."""
+    return {name: getattr(options, name) for name in names}
 
 
 class Option(NamedTuple):
@@ -29,6 +34,7 @@ class Option(NamedTuple):
     read: Callable[[str], Any] | None
     help: str
     repeats: bool = False
+    default: Any = None
 
     @property
     def name(self) -> str:
@@ -99,7 +105,7 @@ class Parser:
     def parsed(self, words: Sequence[str]) -> Options:
         """Parse words; those after -- are files. Raises ArgumentError, and SystemExit after --help."""
         values: dict[str, Any] = {
-            each.name: [] if each.repeats else None if each.read else False
+            each.name: [] if each.repeats else each.default if each.read else False
             for command in self._commands.values()
             for each in command.options
         }
@@ -121,6 +127,7 @@ class Parser:
             option = self._options.get(word)
             if option is None:
                 self._refuse(word)
+            is_repeated = word in values["words"]
             values["words"].append(word)
             if option.read is None:
                 if equals:
@@ -132,7 +139,7 @@ class Parser:
                     self.error(f"{word} needs a value, {option.value}")
                 value = left.popleft()  # may begin with a minus
             read = self._read(option.read, word, value)
-            if values[option.name] is not None and not option.repeats:
+            if is_repeated and not option.repeats:
                 self.error(f"{word} is given twice; it takes one value")
             values[option.name] = [*values[option.name], read] if option.repeats else read
         values.update(self._files(files))

@@ -8,41 +8,40 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import octex
 from octex.cli.common import Reporter
-from octex.cli.inputs import frame_of, only
+from octex.cli.inputs import only
 from octex.cli.options import DEFAULT_CHANNEL
 from octex.cli.parser import Options
 from octex.errors import ArgumentError, CameraError, ImageError
+from octex.files import listing
 
 if TYPE_CHECKING:
+    from octex.arrays import Array
     from octex.cameras.camera import Camera
     from octex.cameras.files import Frame
+    from octex.painting.picture import Projection
     from octex.painting.unwrap import Patch
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
 #: The value of --since that paints all pixels.
 NOTHING = Path("nothing")
-_LISTED = 5
-#: EXIF orientations from 5 on swap rows and columns.
-_LYING = 4
-_NAME, _STEM = "{name}", "{stem}"
 
 
 class Shot(NamedTuple):
-    """An image, its camera, and its mask."""
+    """An image to paint."""
 
     path: Path
-    camera: Camera
-    mask: Path | None
-    since: Path | bytes | None  # the unedited view: paint only pixels that differ from it
+    picture: Projection
     name: str  # of its camera
 
 
 def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str]]:
     """Return images with their cameras, and the names of missing or damaged images."""
+    from octex.source.images.decode import decode_image
+
     pairs, missing = _pairs(options)
     if missing:
-        progress.note(f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures: {_listing(missing)}")
+        progress.note(f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures: {listing(missing)}")
     masks = _masks(options, [path for path, _ in pairs])
     shots: list[Shot] = []
     damaged: list[Path] = []
@@ -56,9 +55,14 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
             damaged.append(path)
             continue
         try:
-            shots.append(Shot(path, frame.camera(size), mask, _since(options, frame, size), frame.name))
+            camera = frame.camera(size)
+            since: Path | Array | None = options.since
+            if since is None and options.TEXTURE is not None and frame.view is not None:
+                _check_unscaled(size, frame)
+                since = decode_image(frame.view, f"the view in {frame.file}")
         except CameraError as error:
             raise CameraError(f"{path}: {error}") from None
+        shots.append(_shot(options, path, camera, mask, since, frame.name))
     return shots, [*missing, *(path.name for path in damaged)]
 
 
@@ -66,19 +70,29 @@ def flat_shots(
     options: Options, surface: Surface, texture: OctreeTexture | None, progress: Reporter
 ) -> tuple[Patch, list[Shot]]:
     """Unwrap the disc of --unwrap; return it and its images."""
-    from octex.drawing.views import as_png, draw_paintable
+    from octex.drawing import draw_paintable
     from octex.source.images.decode import image_size
 
     paths = images_of(options)
-    masks = _masks(options, paths)
     patch = patch_of(options, surface, image_size(paths[0]), progress)
-    since: Path | bytes | None = None if options.since == NOTHING else options.since
-    if options.since is None and texture is not None:
+    since: Path | Array | None = options.since
+    if since is None and texture is not None:
         channel = options.channel or DEFAULT_CHANNEL
-        since = as_png(draw_paintable(only(texture, channel), patch.surface, patch.camera, channel))
-    pairs = zip(paths, masks, strict=True)
-    shots = [Shot(path, patch.camera, mask, since, path.name) for path, mask in pairs]
-    return patch, shots
+        since = draw_paintable(only(texture, channel), patch.surface, patch.camera, channel)
+    return patch, [
+        _shot(options, path, patch.camera, mask, since, path.name)
+        for path, mask in zip(paths, _masks(options, paths), strict=True)
+    ]
+
+
+def _shot(
+    options: Options, path: Path, camera: Camera, mask: Path | None, since: Path | Array | None, name: str
+) -> Shot:
+    """Return an image to paint; only pixels that differ from the unedited view ``since`` are painted."""
+    key = next((each for each in options.mask if isinstance(each, tuple)), None)
+    before = None if options.since == NOTHING else since
+    picture = octex.Projection(path, camera, mask, blend=options.blend, since=before, key=key)
+    return Shot(path, picture, name)
 
 
 def patch_of(options: Options, surface: Surface, size: tuple[int, int], progress: Reporter) -> Patch:
@@ -97,15 +111,14 @@ def images_of(options: Options) -> list[Path]:
 
 
 def _masks(options: Options, pictures: Sequence[Path]) -> list[Path | None]:
-    """Return the mask of each image."""
     files = [each for each in options.mask if isinstance(each, Path)]
     pattern = next((each for each in options.mask if isinstance(each, str)), None)
     if pattern is None:
         return [*files] if len(files) > 1 else [files[0] if files else None] * len(pictures)
-    masks = [Path(pattern.replace(_NAME, path.name).replace(_STEM, path.stem)) for path in pictures]
+    masks = [Path(pattern.replace("{name}", path.name).replace("{stem}", path.stem)) for path in pictures]
     missing = [mask.as_posix() for mask in masks if not mask.is_file()]
     if missing:
-        raise ImageError(f"--mask: {len(missing)} of {len(masks)} masks are missing: {_listing(missing)}")
+        raise ImageError(f"--mask: {len(missing)} of {len(masks)} masks are missing: {listing(missing)}")
     return list(masks)
 
 
@@ -116,29 +129,23 @@ def _size(path: Path, frame: Frame) -> tuple[int, int]:
     width, height = image_size(path)
     if width == height or (frame.size is not None and frame.fits((width, height))):
         return width, height
-    with path.open("rb") as file:
-        is_turned = orientation_of(file.read()) > _LYING
+    is_turned = orientation_of(path.read_bytes()) >= 5  # those of EXIF that swap rows and columns
     return (height, width) if is_turned else (width, height)
 
 
-def _since(options: Options, frame: Frame, size: tuple[int, int]) -> Path | bytes | None:
-    """Return the unedited view; None to paint all pixels, as on a new texture."""
-    if options.since is not None and options.since != NOTHING:
-        return Path(options.since)
-    if options.since == NOTHING or options.TEXTURE is None or frame.view is None:
-        return None
+def _check_unscaled(size: tuple[int, int], frame: Frame) -> None:
+    """Refuse a picture of another size than the view of its frame."""
     if size != frame.size:
         raise CameraError(
             f"has {size[0]}×{size[1]} pixels, another number than the view in frame {frame.name!r} of "
             f"{frame.file}, so octex cannot tell which pixels you changed; scale the picture, or give "
             f"--since {NOTHING}"
         )
-    return frame.view
 
 
 def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
     """Return images with their frames, and the names of missing images."""
-    from octex.cameras.files import read_cameras
+    from octex.cameras.files import find_frame, read_cameras
 
     file, name = options.camera
     images = [_image_and_frame(path) for path in options.IMAGE]
@@ -149,14 +156,14 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
         )
     frames = read_cameras(file)
     if name is not None:
-        frames = [frame_of(frames, name, file)]
+        frames = [find_frame(frames, name, file)]
     if len(images) == 1 and len(frames) == 1 and images[0][1] is None:
         return [(images[0][0], frames[0])], []
     if len(images) == len(frames) and not any([*(f.is_named for f in frames), *(name for _, name in images)]):
         return [(image, frame) for (image, _), frame in zip(images, frames, strict=True)], []
     if images:
         try:
-            return [(image, frame_of(frames, name or image.as_posix(), file)) for image, name in images], []
+            return [(image, find_frame(frames, name or image.as_posix(), file)) for image, name in images], []
         except CameraError as error:
             raise CameraError(f"{error}; IMAGE=NAME says which camera an IMAGE has") from None
     named = [(frame.image, frame) for frame in frames if frame.image is not None]
@@ -165,8 +172,7 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
     missing = [frame.name for image, frame in named if not image.is_file()]
     if len(missing) == len(named):
         raise CameraError(
-            f"{file}: none of the {len(named)} pictures that it names exists: {_listing(missing)}; "
-            "give IMAGEs"
+            f"{file}: none of the {len(named)} pictures that it names exists: {listing(missing)}; give IMAGEs"
         )
     return [(image, frame) for image, frame in named if image.is_file()], missing
 
@@ -175,8 +181,3 @@ def _image_and_frame(path: Path) -> tuple[Path, str | None]:
     """Parse IMAGE=FRAME, or an image's name, which may contain an = too."""
     image, sign, frame = str(path).rpartition("=")
     return (Path(image), frame) if sign and image and frame and not path.exists() else (path, None)
-
-
-def _listing(names: Sequence[str]) -> str:
-    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
-    return ", ".join(map(repr, names[:_LISTED])) + more

@@ -188,29 +188,23 @@ def edge_length(text: str) -> float | str:
     return text if text == "auto" else float(length(text))
 
 
-def angle_and_sides(text: str) -> tuple[float | None, bool, bool]:
-    """Parse DEGREES, both, hidden: the largest angle, and whether to paint back faces and hidden surface."""
+def angle_and_sides(text: str) -> dict[str, Any]:
+    """Parse DEGREES, both, hidden into arguments of octex.project."""
     words = text.split(",")
-    both, hidden = ("both" in words, "hidden" in words)
+    sides = {"back_faces": "both" in words, "hidden": "hidden" in words}
     numbers = [word for word in words if word not in ("both", "hidden")]
-    return (angle(",".join(numbers)) if numbers else None), both, hidden
+    return {"max_angle": angle(",".join(numbers)) if numbers else None, **sides}
 
 
-class Near(NamedTuple):
-    """The part of another model or of points that counts."""
-
-    distance: float | None = None
-    degrees: float | None = None  # largest angle between normals
-    radius: float | None = None  # average all points within it
-
-
-def near(text: str) -> Near:
-    """Parse D or D,DEGREES; D is the largest distance, mean:RADIUS, or "any"."""
+def near(text: str) -> dict[str, float]:
+    """Parse D or D,DEGREES into arguments of octex.Transfer; D is a distance, mean:RADIUS, or "any"."""
     distance, comma, degrees = text.partition(",")
-    largest = angle(degrees) if comma else None
+    arguments: dict[str, float] = {"max_angle": angle(degrees)} if comma else {}
     if distance.startswith("mean:"):
-        return Near(None, largest, length(distance.removeprefix("mean:")))
-    return Near(None if distance == "any" else length(distance), largest)
+        arguments["radius"] = length(distance.removeprefix("mean:"))
+    elif distance != "any":
+        arguments["distance"] = length(distance)
+    return arguments
 
 
 def light(text: str) -> Path | str:
@@ -220,8 +214,8 @@ def light(text: str) -> Path | str:
 
 def _pair(text: str, form: str) -> tuple[str, str]:
     """Split NAME=VALUE at its first sign; ``form`` describes it in messages."""
-    name, equals, value = (part.strip() for part in text.partition("="))
-    if not (name and equals):
+    name, _, value = (part.strip() for part in text.partition("="))
+    if not (name and value):
         raise ArgumentError(f"{text!r} is not {form}")
     return name, value
 
@@ -266,10 +260,7 @@ def dtypes(text: str) -> str | dict[str, str]:
 
 def source(text: str) -> tuple[str, Source]:
     """Parse the source of a channel: NAME=FILE, =FILE.py:FUNCTION, =NUMBER,NUMBER,… or =#rrggbb."""
-    form = "CHANNEL=FILE, such as roughness=rough.png"
-    name, value = _pair(text, form)
-    if not value:
-        raise ArgumentError(f"{text!r} is not {form}")
+    name, value = _pair(text, "CHANNEL=FILE, such as roughness=rough.png")
     try:
         numbers = tuple(float(number) for number in value.split(","))
     except ValueError:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import octex
 from octex.cli.common import Reporter, check_outputs, say, tell_file
-from octex.cli.inputs import kind_of, number_of, open_texture, refuse, shaped_model
+from octex.cli.inputs import kind_of, open_texture, refuse, shaped_model
 from octex.cli.parser import Options
 from octex.cli.values import PAGE_ENDING, TEXTURE_ENDINGS, WEB_ENDING
 from octex.errors import ArgumentError, ExitCode, OctexError
@@ -39,7 +39,7 @@ def view(options: Options, program: str) -> int:
                 if not is_set:  # a set has the vertices of the whole model
                     motion = _motion_of(model, options, note)
         if surface is not None and options.part is not None:
-            number = number_of(octex.TextureSet.open(path), path, options.part)
+            number = _set_of(options).names.index(options.part)
             if number > surface.parts.max():
                 raise ArgumentError(
                     f"{surface.name} has {surface.parts.max() + 1} parts, but {path} has others"
@@ -50,7 +50,6 @@ def view(options: Options, program: str) -> int:
             from octex.viewer import Viewer
             from octex.viewer.key import user_key
 
-            port, key = options.port or 0, user_key()
             session = None if options.paint is None else _session(options, read(), surface, motion, progress)
             try:
                 viewer = Viewer(
@@ -59,8 +58,8 @@ def view(options: Options, program: str) -> int:
                     surface,
                     motion=motion,
                     session=session,
-                    port=port,
-                    key=key,
+                    port=options.port,
+                    key=user_key(),
                     log=progress.note,
                 )
             except OctexError:
@@ -93,7 +92,6 @@ def _session(
     motion: Motion | None,
     progress: Reporter,
 ) -> Session:
-    """Return the session that paints the texture."""
     from octex.painting.stack import settled
     from octex.session.painting import Session
 
@@ -124,17 +122,25 @@ def _reader(
     def opened() -> OctreeTexture | TextureSet:
         if not path.is_dir():
             return open_texture(path)
-        textures = octex.TextureSet.open(path)
-        part = options.part
-        chosen = textures if part is None else textures[textures.names[number_of(textures, path, part)]]
+        textures = _set_of(options)
+        chosen = textures if options.part is None else textures[options.part]
         chosen.validate()
         return chosen
 
     return opened
 
 
+def _set_of(options: Options) -> TextureSet:
+    """Open a folder of parts; refuse a --part that it lacks."""
+    from octex.checks import as_choice
+
+    textures = octex.TextureSet.open(options.TEXTURE)
+    if options.part is not None:
+        as_choice(options.part, textures.names, f"part of {options.TEXTURE}:")
+    return textures
+
+
 def _check(options: Options, is_set: bool) -> None:
-    """Refuse files and options that contradict each other."""
     path, model, page = options.TEXTURE, options.MODEL, options.PAGE
     if path is None and model is None:
         if page is not None and page.exists():
@@ -163,7 +169,6 @@ def _check(options: Options, is_set: bool) -> None:
 
 
 def _check_painting(options: Options, is_set: bool) -> None:
-    """Refuse files and options with which a page cannot paint."""
     from octex.session.journal import layers_file
 
     if options.MODEL is None:

@@ -27,8 +27,6 @@ from octex.tree.areas import AREAS
 from octex.tree.morton import decode_cells
 from octex.tree.octree import walk_leaves
 
-#: Number of sample points on a model.
-DEFAULT_POINTS = 1_000_000
 _MOST_POINTS = 1 << 40
 _WIDEST = 1e30
 _BLOCK = 1 << 16
@@ -96,6 +94,8 @@ class Points(NamedTuple):
 #: other side has a surface there (n,).
 _Visit = tuple[int, Points, Float64s, Bools]
 Side = OctreeTexture | Surface
+#: Returns values (n, components) of points by channel, in their units of comparison.
+Reader = Callable[[Points], dict[str, Float64s]]
 
 
 def difference(
@@ -103,7 +103,7 @@ def difference(
     b: Side,
     *,
     channels: Sequence[str] | None = None,
-    points: int = DEFAULT_POINTS,
+    points: int = 1_000_000,
     width: float | None = None,
     filter: str = "quadratic",
     seed: int = 0,
@@ -139,8 +139,7 @@ def difference(
         raise ArgumentError("two models cannot be compared with each other; convert one of them first")
     width = cell_of(textures[0]) if width is None else as_number(width, "width", 0.0, _WIDEST)
     width = width if models else 0.0
-    readers = readers_of(sides, channels, width, filter)
-    spaces = readers[0].spaces
+    spaces, readers = readers_of(sides, channels, width, filter)
     total = points if models else sum(texture.tree.n_leaves for texture in textures)
     visits = _model_visits(sides, models[0], points, seed) if models else _leaf_visits(textures)
 
@@ -154,7 +153,7 @@ def difference(
         missed[number] += weights[~covered].sum()
         common, shares = visited.only(covered), weights[covered]
         if len(shares):
-            first, second = (reader.read(common) for reader in readers)
+            first, second = (read(common) for read in readers)
             for name, u in first.items():
                 v = second[name]
                 if not np.isfinite(v - u).all():
@@ -197,37 +196,31 @@ def formats_of(side: Side) -> dict[str, ChannelFormat]:
     return {name: channel.format for name, channel in side.channels.items()}
 
 
-class Reader:
-    """Reads the channels of one side in their units of comparison."""
+def reader_of(side: Side, spaces: dict[str, ColorSpace], fades: bool, width: float, filter: str) -> Reader:
+    """Return a reader of a side's channels, light multiplied by alpha if it ``fades``."""
+    names = [*spaces, *(["alpha"] if fades and "alpha" not in spaces else [])]
+    if isinstance(side, Surface):
+        side = side.with_channels(names)
 
-    def __init__(
-        self, side: Side, spaces: dict[str, ColorSpace], fades: bool, width: float, filter: str
-    ) -> None:
-        self.spaces = spaces
-        self._fades = fades  # multiply light by alpha
-        self._names = [*spaces, *(["alpha"] if fades and "alpha" not in spaces else [])]
-        self._side = side.with_channels(self._names) if isinstance(side, Surface) else side
-        self._width = width
-        self._filter = filter
-
-    def read(self, points: Points) -> dict[str, Float64s]:
-        """Return values (n, components) by channel."""
+    def read(points: Points) -> dict[str, Float64s]:
         values: Mapping[str, Float32s]
-        if isinstance(self._side, OctreeTexture):
-            width = self._width if self._width > cell_of(self._side) else None  # no lookup is sharper
-            values = self._side.sample(points.rest, self._names, self._filter, width=width, normalize=False)
+        if isinstance(side, OctreeTexture):
+            wide = width if width > cell_of(side) else None  # no lookup is sharper
+            values = side.sample(points.rest, names, filter, width=wide, normalize=False)
         else:
             assert points.triangles is not None and points.barycentric is not None
-            widths = np.full(len(points.rest), self._width, np.float32)
-            rows = self._side.evaluate_all(points.triangles, points.barycentric, widths)
-            values = by_channel(self._side.channels, rows)
+            widths = np.full(len(points.rest), width, np.float32)
+            rows = side.evaluate_all(points.triangles, points.barycentric, widths)
+            values = by_channel(side.channels, rows)
         measured = {}
-        for name, space in self.spaces.items():
+        for name, space in spaces.items():
             measured[name] = np.asarray(values[name], np.float64)
             if space in _LIGHT:
-                light = measured[name] * values["alpha"] if self._fades else measured[name]
+                light = measured[name] * values["alpha"] if fades else measured[name]
                 measured[name] = 255 * linear_to_srgb(light)
         return measured
+
+    return read
 
 
 def placed(a: Side, b: Side) -> tuple[Side, Side]:
@@ -258,8 +251,11 @@ def in_common(a: Side, b: Side) -> tuple[Side, Side]:
 
 def readers_of(
     sides: tuple[Side, Side], channels: Sequence[str] | None, width: float, filter: str
-) -> tuple[Reader, Reader]:
-    """Return readers of the same channels, by default all common ones, averaged over ``width``."""
+) -> tuple[dict[str, ColorSpace], list[Reader]]:
+    """Return the colour spaces of channels, by default all common ones, and a reader of each side.
+
+    Values are averaged over ``width``.
+    """
     as_choice(filter, FILTERS, "filter")
     first, second = (formats_of(side) for side in sides)
     both = [name for name in first if name in second]
@@ -278,8 +274,7 @@ def readers_of(
             raise ArgumentError(f"channel {name!r} has {one} on one side and {other} on the other")
         spaces[name] = first[name].space
     fades = "alpha" in both and any(space in _LIGHT for space in spaces.values())
-    a, b = (Reader(side, spaces, fades, width, filter) for side in sides)
-    return a, b
+    return spaces, [reader_of(side, spaces, fades, width, filter) for side in sides]
 
 
 def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int) -> Iterator[_Visit]:
@@ -296,7 +291,6 @@ def _model_visits(sides: tuple[Side, Side], number: int, points: int, seed: int)
 
 
 def _leaf_visits(textures: Sequence[OctreeTexture]) -> Iterator[_Visit]:
-    """Yield batches of the leaf centres of both textures."""
     for number in (0, 1):
         lies_on = inside_cells(textures[1 - number])
         for centres, edges, areas in _leaves(textures[number]):
@@ -313,7 +307,6 @@ def _leaves(texture: OctreeTexture) -> Iterator[tuple[Float64s, Float64s, Float6
 
 
 def _area(side: Side) -> float:
-    """Return the area of a surface at rest."""
     if isinstance(side, Surface):
         return float(areas_of(side).sum())
     return sum(float(areas.sum()) for _, _, areas in _leaves(side))

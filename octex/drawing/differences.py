@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable, Iterator
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
@@ -21,14 +21,13 @@ from octex.drawing.compare import (
     placed,
     readers_of,
 )
-from octex.drawing.hits import Hits, rest_normals, visible_hits
+from octex.drawing.directions import leaf_camera, surface_camera
+from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.panels import (
     caption_height,
     captioned,
-    leaf_camera,
     named,
     source_caption,
-    surface_camera,
     texture_facts,
 )
 from octex.drawing.pictures import Film, Leaves, film_leaves, film_surface, visible_level
@@ -46,16 +45,11 @@ _SCALE = np.array(
 )  # fmt: skip
 #: Colour where only one side has a surface.
 _ALONE = np.array([0, 190, 255])
-#: Leaves are drawn no smaller than this many pixels.
-_LEAF_PIXELS = 0.5
 
 
-class _Row(NamedTuple):
-    """One channel of both sides, and its difference."""
-
-    pictures: list[Float32s]
-    film: Film  # the difference in red, and surface of one side only in green
-    ring: tuple[float, float] | None  # pixel coordinates of the maximum, if visible
+#: The pictures of both sides; the difference in red, and surface of one side only in green; and the pixel
+#: coordinates of the maximum, if it is visible.
+_Row = tuple[list[Float32s], Film, tuple[float, float] | None]
 
 
 def draw_difference(
@@ -68,7 +62,7 @@ def draw_difference(
 ) -> Uint8s:
     """Draw a, b and their difference side by side, one row a channel, as sRGB codes (height, width, 3).
 
-    found          the result of ``octex.difference``
+    differences    the result of ``octex.difference``
     names          captions of a and b
     size           (width, height) of a row in pixels
     supersample    samples along each side of a pixel
@@ -88,135 +82,111 @@ def draw_difference(
 
     whole = placed(a, b)
     room = round(1.6 * caption_height(size[1]))
-    has_model = any(isinstance(side, Surface) for side in whole)
-    kind = _OnModel if has_model else _TwoTrees
-    sides = kind(in_common(*whole), differences, (size[0] // 3, size[1]), room, supersample)
+    draw = _drawn_on_model if any(isinstance(side, Surface) for side in whole) else _drawn_leaves
+    drawn = draw(in_common(*whole), differences, (size[0] // 3, size[1]), room, supersample)
     rows = []
-    for channel, result in differences.items():
-        row = sides.row(channel)
+    for (channel, result), (pictures, film, ring) in zip(differences.items(), drawn, strict=True):
         panels = [
             captioned(picture, name, caption(side, channel), room)
-            for picture, name, side in zip(row.pictures, names, whole, strict=True)
+            for picture, name, side in zip(pictures, names, whole, strict=True)
         ]
-        panels.append(_difference_panel(row, channel, result.angle or result, room))
+        panels.append(_difference_panel(film, ring, channel, result.angle or result, room))
         rows.append(np.hstack([np.asarray(panel) for panel in panels]))
     return np.vstack(rows)
 
 
-class _OnModel:
-    """Draws a model coloured by itself and by a texture."""
-
-    def __init__(
-        self,
-        sides: tuple[Side, Side],
-        differences: Differences,
-        size: tuple[int, int],
-        room: int,
-        supersample: int,
-    ) -> None:
-        self._sides, self._found, self._supersample = sides, differences, supersample
-        (self._model,) = (side for side in sides if isinstance(side, Surface))
-        (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
-        self._covers = inside_cells(texture)
-        self._camera = surface_camera(self._model, self._look(sides[0], next(iter(differences))), size, room)
-
-    @staticmethod
-    def _look(side: Side, channel: str) -> Shader:
-        return source_shader(side, channel) if isinstance(side, Surface) else texture_shader(side, channel)
-
-    def row(self, channel: str) -> _Row:
-        """Draw a channel."""
-        apart = _Apart(self._sides, channel, self._found)
-
-        def difference(hits: Hits) -> Appearance:
-            points = Points(hits.rest, hits.triangles, hits.barycentric)
-            return apart.appearance(points, self._covers(hits.rest))
-
-        looks = [*(self._look(side, channel) for side in self._sides), difference]
-        *films, film = film_surface(self._model, self._camera, looks, self._supersample)
-        where = np.array((self._found[channel].angle or self._found[channel]).where)
+def _drawn_on_model(
+    sides: tuple[Side, Side], differences: Differences, size: tuple[int, int], room: int, supersample: int
+) -> Iterator[_Row]:
+    """Draw a model coloured by itself and by a texture, channel by channel."""
+    (model,) = (side for side in sides if isinstance(side, Surface))
+    (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
+    camera = surface_camera(model, _look(sides[0], next(iter(differences))), size, room)
+    covers = inside_cells(texture)
+    for channel, result in differences.items():
+        looks = [_look(side, channel) for side in sides]
+        looks.append(_difference_look(sides, channel, differences, covers))
+        *films, film = film_surface(model, camera, looks, supersample)
+        where = np.array((result.angle or result).where)
         nearest, ring = np.inf, None
-        for pixels, hits in visible_hits(self._model, self._camera, rest_normals(self._model)):
+        for pixels, hits in visible_hits(model, camera, rest_normals(model)):
             distances = np.linalg.norm(hits.rest - where, axis=1)
             n = int(distances.argmin())
             if distances[n] < min(nearest, 3 * hits.width[n]):
                 nearest, pixel = distances[n], int(pixels[n])
-                ring = pixel % self._camera.width + 0.5, pixel // self._camera.width + 0.5
-        return _Row([each.picture() for each in films], film, ring)
+                ring = pixel % camera.width + 0.5, pixel // camera.width + 0.5
+        yield [each.picture() for each in films], film, ring
 
 
-class _TwoTrees:
-    """Draws the leaves of two textures, no smaller than half a pixel."""
+def _look(side: Side, channel: str) -> Shader:
+    return source_shader(side, channel) if isinstance(side, Surface) else texture_shader(side, channel)
 
-    def __init__(
-        self,
-        sides: tuple[Side, Side],
-        differences: Differences,
-        size: tuple[int, int],
-        room: int,
-        supersample: int,
-    ) -> None:
-        whole = [side for side in sides if isinstance(side, OctreeTexture)]
-        self._found, self._supersample = differences, supersample
-        self._camera = leaf_camera(whole, next(iter(differences)), size, room)
-        a, b = (texture.level(visible_level(texture, self._camera, _LEAF_PIXELS)) for texture in whole)
-        self._textures = a, b
-        both = Leaves.of(a), Leaves.of(b)
-        # Draw the difference on the finer texture's leaves, and on the other's where the finer has none.
-        order = (0, 1) if both[0].edges.min() <= both[1].edges.min() else (1, 0)
-        fine, coarse = (both[n] for n in order)
-        meets_coarse, meets_fine = (inside_cells(self._textures[n]) for n in reversed(order))
-        alone = ~meets_fine(coarse.centres, coarse.edges)
-        covered = meets_coarse(fine.centres, fine.edges)
-        self._covered = np.concatenate([covered, np.zeros(int(alone.sum()), np.bool_)])
-        self._leaves = (
-            *both,
-            Leaves.joined(fine, Leaves(coarse.corners[alone], coarse.edges[alone], coarse.normals[alone])),
-        )
-        self._seen = [leaves.seen(self._camera.scaled(supersample)) for leaves in self._leaves]
 
-    def row(self, channel: str) -> _Row:
-        """Draw a channel."""
-        differing = self._leaves[2]
-        apart = _Apart(self._textures, channel, self._found)
+def _difference_look(
+    sides: tuple[Side, Side], channel: str, differences: Differences, covers: Callable[..., Bools]
+) -> Shader:
+    apart = _difference_of(sides, channel, differences)
+    return lambda hits: apart(Points(hits.rest, hits.triangles, hits.barycentric), covers(hits.rest))
+
+
+def _drawn_leaves(
+    sides: tuple[Side, Side], differences: Differences, size: tuple[int, int], room: int, supersample: int
+) -> Iterator[_Row]:
+    """Draw the leaves of two textures, no smaller than half a pixel, channel by channel."""
+    whole = [side for side in sides if isinstance(side, OctreeTexture)]
+    camera = leaf_camera(whole, next(iter(differences)), size, room)
+    a, b = (texture.level(visible_level(texture, camera, pixels=0.5)) for texture in whole)
+    textures, both = (a, b), (Leaves.of(a), Leaves.of(b))
+    # Draw the difference on the finer texture's leaves, and on the other's where the finer has none.
+    order = (0, 1) if both[0].edges.min() <= both[1].edges.min() else (1, 0)
+    fine, coarse = (both[n] for n in order)
+    meets_coarse, meets_fine = (inside_cells(textures[n]) for n in reversed(order))
+    alone = ~meets_fine(coarse.centres, coarse.edges)
+    covered = np.concatenate([meets_coarse(fine.centres, fine.edges), np.zeros(int(alone.sum()), np.bool_)])
+    differing = Leaves.joined(fine, coarse.only(alone))
+    drawn = *both, differing
+    seen = [leaves.seen(camera.scaled(supersample)) for leaves in drawn]
+    for channel, result in differences.items():
         appearances = [
-            leaves.appearance(texture, channel)
-            for leaves, texture in zip(self._leaves[:2], self._textures, strict=True)
+            leaves.appearance(texture, channel) for leaves, texture in zip(both, textures, strict=True)
         ]
-        appearances.append(apart.appearance(Points(differing.centres), self._covered))
-        a, b, film = (
-            film_leaves(leaves, appearance, seen, self._camera, self._supersample)
-            for leaves, appearance, seen in zip(self._leaves, appearances, self._seen, strict=True)
+        appearances.append(_difference_of(textures, channel, differences)(Points(differing.centres), covered))
+        *films, film = (
+            film_leaves(leaves, appearance, buffers, camera, supersample)
+            for leaves, appearance, buffers in zip(drawn, appearances, seen, strict=True)
         )
         # Leaves that contain the maximum, or the centre of a leaf that does.
-        where = np.array((self._found[channel].angle or self._found[channel]).where)
+        where = np.array((result.angle or result).where)
         holding = np.abs(differing.centres - where).max(axis=1) <= 1.001 * differing.edges
-        seen = self._seen[2].cube
-        at = (np.argwhere((seen >= 0) & holding[seen]) + 0.5) / self._supersample
+        cubes = seen[2].cube
+        at = (np.argwhere((cubes >= 0) & holding[cubes]) + 0.5) / supersample
         ring = (float(at[:, 1].mean()), float(at[:, 0].mean())) if len(at) else None
-        return _Row([a.picture(), b.picture()], film, ring)
+        yield [each.picture() for each in films], film, ring
 
 
-class _Apart:
-    """Encodes the difference of two sides as emitted red, and surface of one side only as green."""
+def _difference_of(
+    sides: tuple[Side, Side], channel: str, differences: Differences
+) -> Callable[[Points, Bools], Appearance]:
+    """Return a function that encodes the difference as emitted red, surface of one side only as green."""
+    spaces, readers = readers_of(sides, [channel], differences.width or 0.0, differences.filter)
+    is_direction = spaces[channel] == "direction"
 
-    def __init__(self, sides: tuple[Side, Side], channel: str, differences: Differences) -> None:
-        self._channel = channel
-        self._readers = readers_of(sides, [channel], differences.width or 0.0, differences.filter)
-
-    def appearance(self, points: Points, covered: Bools) -> Appearance:
-        a, b = (reader.read(points)[self._channel] for reader in self._readers)
-        is_direction = self._readers[0].spaces[self._channel] == "direction"
+    def appearance(points: Points, covered: Bools) -> Appearance:
+        a, b = (read(points)[channel] for read in readers)
         apart = degrees_between(a, b) if is_direction else np.abs(b - a).max(axis=1)
         emitted = np.zeros((len(apart), 3))
         emitted[:, 0] = np.where(covered, apart, 0.0)
         emitted[:, 1] = ~covered
         return Appearance(emitted=emitted)
 
+    return appearance
 
-def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> Image.Image:
+
+def _difference_panel(
+    film: Film, ring: tuple[float, float] | None, channel: str, shown: Difference, room: int
+) -> Image.Image:
     top = _scale_top(shown)
-    exposed, coverage = row.film.exposure()
+    exposed, coverage = film.exposure()
     apart, alone = exposed[..., 0] / top, exposed[..., 1:2]
     within = np.maximum(coverage - alone, 1e-9)
     colors = (
@@ -224,21 +194,17 @@ def _difference_panel(row: _Row, channel: str, shown: Difference, room: int) -> 
         + srgb_to_linear(_ALONE / 255) * alone
     )
     picture = (colors + (1.0 - coverage) * background(*apart.shape)).astype(np.float32)
-    ring = row.ring if shown.maximum > 0 else None
-    place = "in the ring" if ring else "out of sight"
-    most = f"maximum {_amount(shown.maximum, shown.measure)}, {place}"
     title = f"{channel}: {_text(PEAKS[shown.measure] / top)} times the difference"
-    subtitle = (
-        f"RMS {_amount(shown.rms, shown.measure)}, {most}" if shown.maximum > 0 else "they do not differ"
-    )
+    subtitle = "they do not differ"
+    if shown.maximum > 0:
+        rms, maximum = (_amount(number, shown.measure) for number in (shown.rms, shown.maximum))
+        subtitle = f"RMS {rms}, maximum {maximum}, {'in the ring' if ring else 'out of sight'}"
     panel = captioned(picture, title, subtitle, room)
-    draw = ImageDraw.Draw(panel)
-    if ring:
-        x, y = ring
+    if ring and shown.maximum > 0:
+        draw = ImageDraw.Draw(panel)
         radius = max(panel.height / 40, 4.0)
-        for grow, color in ((2, (0, 0, 0)), (0, (255, 255, 255))):
-            size = radius + grow
-            draw.ellipse((x - size, y - size, x + size, y + size), outline=color, width=2)
+        draw.circle(ring, radius + 2, outline=(0, 0, 0), width=2)
+        draw.circle(ring, radius, outline=(255, 255, 255), width=2)
     _draw_legend(panel, top, shown.measure, room, alone=bool(alone.any()))
     return panel
 

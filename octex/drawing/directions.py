@@ -1,17 +1,29 @@
-"""Chooses the direction to view a model from: three-quarter, unless another side shows more detail."""
+"""Cameras that see a whole model: three-quarter, unless another side shows more detail."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float64s, Floats
-from octex.cameras.camera import Camera
+from octex.cameras.camera import Camera, as_vector
 from octex.cameras.files import Frame
+from octex.channels import linear_to_srgb
+from octex.checks import as_positive
+from octex.drawing.hits import rest_normals, visible_hits
+from octex.drawing.pictures import Leaves
+from octex.drawing.shaders import Shader, source_shader, texture_shader
+from octex.errors import ArgumentError
+from octex.tree.octree import distinct
+from octex.view.shading import face_normals
+
+if TYPE_CHECKING:
+    from octex.source.surface import Surface
+    from octex.texture import OctreeTexture
 
 #: From the model toward the camera: the front (glTF's +z), a little from the right and from above.
 _THREE_QUARTER = np.array([0.56, 0.42, 1.0]) / np.linalg.norm([0.56, 0.42, 1.0])
@@ -46,6 +58,11 @@ class Viewpoint(NamedTuple):
         ``parts`` returns normals and areas for ``view_directions``; ``unlit`` renders without light. A frame
         of another shape is scaled to fit.
         """
+        if size[0] < 1 or size[1] <= room:
+            raise ArgumentError(
+                f"size must be larger: a panel of {size[0]} × {size[1]} pixels has no room above its caption "
+                f"of {room} pixels"
+            )
         size = size[0], size[1] - room
         if self.frame is None:
             direction = self.direction
@@ -62,6 +79,12 @@ class Viewpoint(NamedTuple):
 
 
 USUAL = Viewpoint()
+
+
+def as_viewpoint(direction: npt.ArrayLike | None, up: npt.ArrayLike, zoom: float) -> Viewpoint:
+    """Return a checked viewpoint, or raise ArgumentError."""
+    direction = None if direction is None else as_vector(direction, "direction")
+    return Viewpoint(direction, as_vector(up, "up"), as_positive(zoom, "zoom"))
 
 
 def viewpoint_among(cameras: Sequence[Camera]) -> Viewpoint:
@@ -101,3 +124,61 @@ def best_direction(directions: Floats, points: Floats, unlit: Callable[[Camera],
         details[number] = sum(float(step[step > _SEEN].sum()) for step in steps)
     best: Float64s = directions[int(np.argmax(np.array(details) * _CLEARLY >= max(details)))]
     return best
+
+
+def camera_of(
+    texture: OctreeTexture | None,
+    surface: Surface | None,
+    size: tuple[int, int],
+    view: Viewpoint,
+    channel: str | None = None,
+) -> Camera:
+    """Return a camera that sees a model, or without a model the leaves of a texture."""
+    if surface is not None:
+        look = source_shader(surface, channel) if texture is None else texture_shader(texture, channel)
+        placed = surface if texture is None else surface.placed_in(texture)
+        return surface_camera(placed, look, size, view=view)
+    assert texture is not None
+    return leaf_camera([texture], channel, size, view=view)
+
+
+def surface_camera(
+    surface: Surface, look: Shader, size: tuple[int, int], room: int = 0, view: Viewpoint = USUAL
+) -> Camera:
+    """Return a camera that sees a model above ``room`` pixels, by default from the side with most detail."""
+    normals = rest_normals(surface)
+
+    def unlit(camera: Camera) -> Floats:
+        picture = np.full((camera.height * camera.width, 3), np.nan)
+        for pixels, hits in visible_hits(surface, camera, normals):
+            picture[pixels] = linear_to_srgb(look(hits).unlit())
+        return picture.reshape(camera.height, camera.width, 3)
+
+    points = surface.vertices[distinct(surface.triangles.ravel())]
+    return view.camera(points, lambda: face_normals(surface.vertices, surface.triangles), unlit, size, room)
+
+
+def leaf_camera(
+    textures: Sequence[OctreeTexture],
+    channel: str | None,
+    size: tuple[int, int],
+    room: int = 0,
+    view: Viewpoint = USUAL,
+) -> Camera:
+    """Return a camera that sees textures, by default from the side where the first has most detail."""
+    # Coarse cells suffice to find the bounds and the best side.
+    coarse = [texture.level(min(7, texture.tree.max_depth)) for texture in textures]
+    every = [Leaves.of(texture) for texture in coarse]
+    first, colors = every[0], every[0].appearance(coarse[0], channel).unlit()
+
+    def unlit(camera: Camera) -> Floats:
+        seen = first.seen(camera).cube
+        picture = np.full((*seen.shape, 3), np.nan)
+        picture[seen >= 0] = linear_to_srgb(colors[seen[seen >= 0]])
+        return picture
+
+    corners = np.array(list(np.ndindex(2, 2, 2)))
+    points = np.concatenate(
+        [leaves.corners + corner * leaves.edges[:, None] for leaves in every for corner in corners]
+    )
+    return view.camera(points, lambda: (first.normals, first.edges**2), unlit, size, room)

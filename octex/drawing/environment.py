@@ -28,7 +28,6 @@ _WIDEST = 1024
 _STEPS = 8
 #: Width of each roughness's table; the last table is the irradiance.
 _WIDTHS = (256, 128, 128, 64, 64, 64, 64, 64, 64)
-_TABLES = len(_WIDTHS) + 1
 #: Divide texels until they are smaller than this part of their distance from the lobe plus its width ...
 _SMALL = 0.15
 #: ... which counts at most this much.
@@ -36,6 +35,8 @@ _WIDEST_LOBE = 0.5
 #: Least number of rows of the image's coarsest level.
 _ROWS = 4
 _STUDIO_WIDTH = 256
+#: Squares of longer vectors could overflow.
+_LONGEST = 1e150
 
 
 class Tables(NamedTuple):
@@ -44,10 +45,6 @@ class Tables(NamedTuple):
     light: Float32s  # (texels, 3)   all tables, one after the other, row by row from the top
     shapes: Int64s  # (tables, 3)   first texel, height and width
     axes: Float64s  # (3, 3)   from world directions to the image's
-
-
-#: Squares of longer vectors could overflow.
-_LONGEST = 1e150
 
 
 class Environment:
@@ -96,8 +93,8 @@ class Environment:
             )
         light = decode(texels[..., :3], "linear" if texels.dtype == np.float32 else "srgb")
         light = light * decode(texels[..., 3:], "data")  # black where it is transparent
-        tables = _tables(_resampled(np.maximum(light, np.float32(0.0))) * 2.0**exposure)
-        return cls(Tables(*tables, _axes_of(up)))
+        light = _resampled(np.maximum(light, np.float32(0.0))) * 2.0**exposure
+        return cls(_tables(light, _axes_of(up)))
 
     @classmethod
     def studio(cls, exposure: float = 0.0) -> Environment:
@@ -110,9 +107,9 @@ class Environment:
         ±64.
         """
         stops = as_number(exposure, "exposure", -64.0, 64.0)
-        light, shapes = _studio()
-        tables = Tables(light * np.float32(2.0**stops), shapes, np.eye(3))
-        return cls(tables, follows=True, tone_mapped=True)
+        tables = _studio()
+        brighter = tables._replace(light=tables.light * np.float32(2.0**stops))
+        return cls(brighter, follows=True, tone_mapped=True)
 
     def seen_by(self, camera: Camera) -> Tables:
         """Return the tables with the axes that hold for this camera."""
@@ -143,6 +140,13 @@ class Environment:
         return light
 
 
+def as_light(light: Environment | None) -> Environment | None:
+    """Return a checked environment or None, or raise ArgumentError."""
+    if light is not None and not isinstance(light, Environment):
+        raise ArgumentError(f"light must be an octex.Environment, not {light!r}")
+    return light
+
+
 def _axes_of(up: npt.ArrayLike) -> Float64s:
     """Return the smallest rotation that takes ``up`` to +y."""
     x, y, z = as_vector(up, "up")
@@ -164,7 +168,7 @@ def _resampled(light: Float32s) -> Float64s:
 
 
 @cache
-def _studio() -> tuple[Float32s, Int64s]:
+def _studio() -> Tables:
     """Return the tables of the built-in room; +z is toward the camera, x to its right, y up."""
     directions = _directions(_STUDIO_WIDTH // 2, _STUDIO_WIDTH)
     up = directions[..., 1]
@@ -183,7 +187,7 @@ def _studio() -> tuple[Float32s, Int64s]:
         v = np.abs(directions @ np.cross(middle, right)) / np.maximum(ahead, 1e-3)
         lamp = _ramp(u, across[0] + size, across[0]) * _ramp(v, across[1] + size, across[1]) * (ahead > 0)
         light = light + strength * lamp
-    return _tables(np.repeat(light[..., None], 3, axis=2))
+    return _tables(np.repeat(light[..., None], 3, axis=2), np.eye(3))
 
 
 def _ramp(values: Float64s, low: float, high: float) -> Float64s:
@@ -201,7 +205,7 @@ def _directions(height: int, width: int) -> Float64s:
     return np.stack([rim * np.sin(longitude), up, rim * np.cos(longitude)], axis=-1)
 
 
-def _tables(light: Float64s) -> tuple[Float32s, Int64s]:
+def _tables(light: Float64s, axes: Float64s) -> Tables:
     """Return the tables, one a roughness and one of irradiance, of an image whose sides are powers of two."""
     pyramid, levels = _pyramid(light)
     sizes = [light.shape[:2], *((max(wide // 2, 1), wide) for wide in _WIDTHS)]
@@ -209,12 +213,12 @@ def _tables(light: Float64s) -> tuple[Float32s, Int64s]:
     for number, (high, wide) in enumerate(sizes[1:], 1):
         directions = np.ascontiguousarray(_directions(high, wide).reshape(-1, 3))
         texels = np.empty_like(directions)
-        alpha = (number / _STEPS) ** 2 if number < _TABLES - 1 else 0.0
+        alpha = (number / _STEPS) ** 2 if number < len(_WIDTHS) else 0.0
         _gather(pyramid, levels, directions, alpha, texels)
         tables.append(texels)
     firsts = np.cumsum([0, *(len(table) for table in tables[:-1])])
     shapes = np.column_stack([firsts, np.array(sizes)]).astype(np.int64)
-    return np.concatenate(tables).astype(np.float32), shapes
+    return Tables(np.concatenate(tables).astype(np.float32), shapes, axes)
 
 
 def _pyramid(light: Float64s) -> tuple[Float64s, Int64s]:

@@ -41,7 +41,7 @@ class Seen:
     def __init__(self, surface: Surface, camera: Camera, normals: Float32s | None = None) -> None:
         """Prepare; ``normals`` (m, 3, 3) are the surface's ``rest_normals`` if already computed."""
         self.surface, self.camera = surface, camera
-        self.is_posed = is_posed(surface)
+        self.is_posed = not np.array_equal(surface.rest, surface.vertices)
         self._resting = rest_normals(surface) if normals is None else normals
         self._vertices, self._rest = (
             np.ascontiguousarray(positions, np.float64) for positions in (surface.vertices, surface.rest)
@@ -53,8 +53,6 @@ class Seen:
 
     @built_once
     def _smooth(self) -> Float32s:
-        if not self.is_posed:
-            return self._resting
         frames = self.surface.posed_frames()
         return smooth_normals(frames, self.surface.vertices, self.surface.triangles)
 
@@ -102,11 +100,6 @@ def smooth_normals(frames: Frames | None, positions: Float64s, triangles: Int32s
     if frames is None:
         return corner_normals(positions, triangles)
     return np.ascontiguousarray(frames.normals.values[frames.normals.rows], np.float32)
-
-
-def is_posed(surface: Surface) -> bool:
-    """Return whether a surface has a pose that differs from rest."""
-    return not np.array_equal(surface.rest, surface.vertices)
 
 
 @kernel

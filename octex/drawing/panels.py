@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,25 +10,20 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image, ImageDraw, ImageFont
 
-from octex.arrays import Float32s, Floats, Uint8s
-from octex.cameras.camera import Camera
-from octex.channels import encode, linear_to_srgb
+from octex.arrays import Float32s, Uint8s
+from octex.channels import encode
 from octex.checks import as_path, as_text
-from octex.drawing.arguments import as_bump, as_light, as_picture_size, as_supersample, as_viewpoint
-from octex.drawing.directions import USUAL, Viewpoint
-from octex.drawing.hits import rest_normals, visible_hits
-from octex.drawing.pictures import Leaves, film_surface, render_leaves, visible_level
-from octex.drawing.shaders import Shader, Shown, source_shader, texture_shader
+from octex.drawing.directions import USUAL, Viewpoint, as_viewpoint, leaf_camera, surface_camera
+from octex.drawing.environment import Environment, as_light
+from octex.drawing.pictures import as_picture_size, as_supersample, film_surface, render_leaves, visible_level
+from octex.drawing.shaders import Bump, Shown, as_bump, source_shader, texture_shader
 from octex.drawing.soft_light import background
 from octex.errors import ArgumentError
 from octex.files import bytes_text, count_text, replacing
 from octex.source.surface import as_surface
 from octex.texture import as_texture
-from octex.tree.octree import distinct
-from octex.view.shading import face_normals
 
 if TYPE_CHECKING:
-    from octex.drawing.environment import Environment
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
@@ -45,7 +39,7 @@ def write_preview(
     zoom: float = 1.0,
     channel: str | None = None,
     light: Environment | None = None,
-    bump: tuple[str, float] | None = None,
+    bump: Bump | None = None,
     supersample: int = 3,
 ) -> None:
     """Draw a model next to its octree texture, as a PNG file.
@@ -85,20 +79,25 @@ def draw_preview(
     size: tuple[int, int] = (1600, 880),
     supersample: int = 3,
     *,
-    note: str = "",
     view: Viewpoint = USUAL,
     channel: str | None = None,
     light: Environment | None = None,
-    bump: tuple[str, float] | None = None,
+    bump: Bump | None = None,
 ) -> Uint8s:
-    """Return the image of ``write_preview``, with ``note`` added to the texture's caption."""
+    """Return the image of ``write_preview``."""
     room = caption_height(size[1])
     if surface is not None:
         placed = surface if texture is None else surface.placed_on(texture)
-        channel, looks = shaders_of(texture, placed, channel, light is not None, bump)
+        known = [form.name for form in placed.channels]
+        shared = [form for form in placed.channels if texture is None or form.name in texture.channels]
+        channel, materials = Shown.of(shared, channel).channel.name, light is not None
+        # Next to a texture that has the channel of the bump, a model without it is drawn without the bump.
+        own_bump = None if texture is not None and bump is not None and bump[0] not in known else bump
+        looks = [source_shader(placed, channel, materials=materials, bump=own_bump)]
         captions = [source_caption(placed, channel)]
         if texture is not None:
-            captions.append(texture_caption(texture, channel, note))
+            looks.append(texture_shader(texture, channel, materials=materials, bump=bump))
+            captions.append(texture_caption(texture, channel))
         panel_size = size[0] // len(looks), size[1]
         camera = surface_camera(placed, source_shader(placed, channel), panel_size, room, view)
         films = film_surface(placed, camera, looks, supersample, light)
@@ -110,7 +109,7 @@ def draw_preview(
         draw = partial(render_leaves, texture, camera, supersample=supersample, channel=channel, light=light)
         pictures = [draw(bump=bump), draw(level=level, cubes=True)]
         cells = count_text(texture.level(level).tree.n_leaves, "cell")
-        captions = [texture_caption(texture, channel, note), (f"level {level}", cells)]
+        captions = [texture_caption(texture, channel), (f"level {level}", cells)]
     else:
         raise ArgumentError("a preview needs a surface, a texture or both")
     for picture in pictures:  # a zoomed model reaches below the caption
@@ -119,71 +118,10 @@ def draw_preview(
     return np.hstack([np.asarray(panel) for panel in panels])
 
 
-def shaders_of(
-    texture: OctreeTexture | None,
-    surface: Surface,
-    channel: str | None,
-    materials: bool,
-    bump: tuple[str, float] | None,
-) -> tuple[str, list[Shader]]:
-    """Return the channel to show, which both have, and shaders of the model and of the texture."""
-    formats = [form for form in surface.channels if texture is None or form.name in texture.channels]
-    channel = Shown.of(formats, channel).channel.name
-    used = bump
-    if used is not None and texture is not None and used[0] not in [form.name for form in surface.channels]:
-        used = None  # a model without the channel is drawn without the bump
-    looks = [source_shader(surface, channel, materials=materials, bump=used)]
-    if texture is not None:
-        looks.append(texture_shader(texture, channel, materials=materials, bump=bump))
-    return channel, looks
-
-
 def write_png(path: str | Path, codes: Uint8s) -> None:
     """Write sRGB codes (height, width, 3 or 4) as a PNG file, complete or not at all; raises OutputError."""
     with replacing(path) as file:
         Image.fromarray(codes).save(file, "PNG")
-
-
-def surface_camera(
-    surface: Surface, look: Shader, size: tuple[int, int], room: int = 0, view: Viewpoint = USUAL
-) -> Camera:
-    """Return a camera that sees a model above ``room`` pixels, by default from the side with most detail."""
-    normals = rest_normals(surface)
-
-    def unlit(camera: Camera) -> Floats:
-        picture = np.full((camera.height * camera.width, 3), np.nan)
-        for pixels, hits in visible_hits(surface, camera, normals):
-            picture[pixels] = linear_to_srgb(look(hits).unlit())
-        return picture.reshape(camera.height, camera.width, 3)
-
-    points = surface.vertices[distinct(surface.triangles.ravel())]
-    return view.camera(points, lambda: face_normals(surface.vertices, surface.triangles), unlit, size, room)
-
-
-def leaf_camera(
-    textures: Sequence[OctreeTexture],
-    channel: str | None,
-    size: tuple[int, int],
-    room: int = 0,
-    view: Viewpoint = USUAL,
-) -> Camera:
-    """Return a camera that sees textures, by default from the side where the first has most detail."""
-    # Coarse cells suffice to find the bounds and the best side.
-    coarse = [texture.level(min(7, texture.tree.max_depth)) for texture in textures]
-    every = [Leaves.of(texture) for texture in coarse]
-    first, colors = every[0], every[0].appearance(coarse[0], channel).unlit()
-
-    def unlit(camera: Camera) -> Floats:
-        seen = first.seen(camera).cube
-        picture = np.full((*seen.shape, 3), np.nan)
-        picture[seen >= 0] = linear_to_srgb(colors[seen[seen >= 0]])
-        return picture
-
-    corners = np.array(list(np.ndindex(2, 2, 2)))
-    points = np.concatenate(
-        [leaves.corners + corner * leaves.edges[:, None] for leaves in every for corner in corners]
-    )
-    return view.camera(points, lambda: (first.normals, first.edges**2), unlit, size, room)
 
 
 def source_caption(surface: Surface, channel: str) -> tuple[str, str]:
@@ -191,10 +129,9 @@ def source_caption(surface: Surface, channel: str) -> tuple[str, str]:
     return surface.name, f"{named(channel)}model, {count_text(len(surface.triangles), 'triangle')}"
 
 
-def texture_caption(texture: OctreeTexture, channel: str, note: str = "") -> tuple[str, str]:
+def texture_caption(texture: OctreeTexture, channel: str) -> tuple[str, str]:
     """Return title and subtitle for an image of a texture."""
-    facts = texture_facts(texture) + (f", {note}" if note else "")
-    return f"octree, depth {texture.tree.max_depth}", named(channel) + facts
+    return f"octree, depth {texture.tree.max_depth}", named(channel) + texture_facts(texture)
 
 
 def texture_facts(texture: OctreeTexture) -> str:

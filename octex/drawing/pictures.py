@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int64s
-from octex.cameras.camera import Camera
+from octex.cameras.camera import Camera, as_size
+from octex.checks import as_whole
 from octex.drawing.hits import Hits, Seen
 from octex.drawing.reflection import reflected, tone_mapped
 from octex.drawing.shaders import Appearance, Bump, Shader, Shown, field_slopes
@@ -38,6 +39,21 @@ _LAYERS = 64
 _OPAQUE = 2.0**-12
 #: Width of the drawn cube edges, as a part of the face.
 _EDGE = 0.05
+_MOST_SAMPLES = 64
+_MOST_PIXELS = 1 << 28
+
+
+def as_picture_size(size: tuple[int, int]) -> tuple[int, int]:
+    """Return a checked width and height in pixels, or raise ArgumentError."""
+    width, height = as_size(size)
+    if width * height > _MOST_PIXELS:
+        raise ArgumentError(f"a picture has at most {_MOST_PIXELS:,} pixels, not {width} × {height}")
+    return width, height
+
+
+def as_supersample(supersample: int) -> int:
+    """Return a checked number of samples along each side of a pixel, or raise ArgumentError."""
+    return as_whole(supersample, "supersample", 1, _MOST_SAMPLES)
 
 
 def render_surface(
@@ -210,6 +226,10 @@ class Leaves(NamedTuple):
         """Return the leaves of several sets as one."""
         return cls(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
+    def only(self, chosen: Bools) -> Leaves:
+        """Return the leaves that a mask selects."""
+        return Leaves(self.corners[chosen], self.edges[chosen], self.normals[chosen])
+
     def seen(self, camera: Camera) -> CubeBuffers:
         """Return the z-buffer of the leaves' cubes."""
         return rasterize_cubes(self.corners, self.edges, camera)
@@ -258,6 +278,8 @@ def render_leaves(
     leaves = Leaves.of(texture)
     filter = "nearest" if cubes else "quadratic"
     appearance = leaves.appearance(texture, channel, light is not None, bump, filter)
+    if cubes:
+        appearance = appearance._replace(normals=None)
     buffers = leaves.seen(camera.scaled(supersample))
     return film_leaves(leaves, appearance, buffers, camera, supersample, light, cubes=cubes).picture()
 
@@ -282,8 +304,6 @@ def film_leaves(
             leaf = buffers.cube.ravel()[samples]
             normals = np.eye(3)[buffers.axis.ravel()[samples]] if cubes else leaves.normals[leaf]
             here = Appearance(*(None if part is None else part[leaf] for part in appearance))
-            if cubes:
-                here = here._replace(normals=None)
             here = lit(here, light, camera, leaves.corners[leaf], normals, normals)
             if cubes:  # draw the edges that separate them
                 on_edge = buffers.border.ravel()[samples, None] < _EDGE
@@ -301,5 +321,5 @@ def film_leaves(
 def visible_level(texture: OctreeTexture, camera: Camera, pixels: float = 1.0) -> int:
     """Return the deepest level whose cells span at least ``pixels`` at the middle of the bounds."""
     _, depth = camera.project(texture.bounds.mean(axis=0)[None])
-    level = np.floor(np.log2(texture.placement.size / (pixels * camera.pixel_width(depth[0]))))
-    return int(np.clip(level, 0, texture.tree.max_depth))
+    width = max(pixels * float(camera.pixel_width(depth[0])), 1e-300)  # the middle may be behind the camera
+    return int(np.clip(np.floor(np.log2(texture.placement.size / width)), 0, texture.tree.max_depth))

@@ -65,8 +65,8 @@ def tone_mapped(light: Floats) -> Float64s:
     Colours lose 0.04, the reflection of white light by non-metals; dark ones lose less. (Khronos PBR Neutral
     tone mapper, 2024.)
     """
-    least = light.min(axis=1, keepdims=True)
-    color = light.astype(np.float64) - np.where(least < 0.08, least - 6.25 * least * least, 0.04)
+    dark = np.minimum(light.min(axis=1, keepdims=True), 0.08)
+    color = light.astype(np.float64) - (dark - 6.25 * dark * dark)
     peak = color.max(axis=1, keepdims=True)
     room = 1.0 - _COMPRESSED
     beyond = np.maximum(peak - _COMPRESSED, 0.0)

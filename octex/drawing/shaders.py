@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from octex.arrays import Float64s, Floats
 from octex.channels import ALPHA, BASE_COLOR, LUMINANCE, NORMAL, SPECULAR, ChannelFormat, srgb_to_linear
-from octex.checks import as_choice
+from octex.checks import as_choice, as_number, as_text, is_several
 from octex.drawing.compare import inside_cells
 from octex.drawing.hits import Hits
 from octex.errors import ArgumentError
@@ -35,8 +35,14 @@ class Appearance(NamedTuple):
     specular: Floats | None = None  # (n, 3)   of what is no metal, reflected along the normal; None: 0.04
 
     def bent(self, normals: Floats, slopes: Float64s) -> Appearance:
-        """Return it with its normals, or else ``normals`` (n, 3), bent against ``slopes`` (n, 3)."""
-        return self._replace(normals=bent(normals if self.normals is None else self.normals, slopes))
+        """Return it with its normals, or else ``normals`` (n, 3), bent against ``slopes`` (n, 3).
+
+        ``slopes`` are the gradient of a displacement along the normals (Blinn 1978).
+        """
+        smooth = (normals if self.normals is None else self.normals).astype(np.float64)
+        smooth = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-30)
+        along = np.einsum("nc,nc->n", slopes, smooth)[:, None] * smooth
+        return self._replace(normals=smooth - (slopes - along))
 
     def unlit(self) -> Floats:
         """Return the light (n, 3) of points under white light."""
@@ -50,10 +56,20 @@ _REFLECTION = NORMAL.name, *_SCALARS, SPECULAR.name
 
 #: Maps hits to their appearance.
 Shader = Callable[[Hits], Appearance]
-
-
 #: (channel, height): bend normals as if the surface were displaced by the channel times height.
 Bump = tuple[str, float]
+_STEEPEST = 1e30
+
+
+def as_bump(bump: Bump | None) -> Bump | None:
+    """Return a checked channel and height or None, or raise ArgumentError."""
+    if bump is None:
+        return None
+    pair = list(bump) if is_several(bump) else []
+    if len(pair) != 2:
+        raise ArgumentError(f"bump must be (channel, height), not {bump!r}")
+    rise = as_number(pair[1], "bump's height", -_STEEPEST, _STEEPEST)
+    return as_text(pair[0], "bump's channel"), rise
 
 
 class Shown(NamedTuple):
@@ -223,11 +239,3 @@ def field_slopes(
     """Return the gradient (n, 3) of the field's height by rest position, at points (n, 3)."""
     _, gradients = texture.sample(points, bump[0], width=width, normals=normals, gradient=True)
     return bump[1] * _luminance(np.moveaxis(gradients.astype(np.float64), 1, 2))
-
-
-def bent(normals: Floats, slopes: Float64s) -> Float64s:
-    """Return normals (n, 3) bent against the gradient of a displacement along them (Blinn 1978)."""
-    normals = normals.astype(np.float64)
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
-    along = np.einsum("nc,nc->n", slopes, normals)[:, None] * normals
-    return np.asarray(normals - (slopes - along))

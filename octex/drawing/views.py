@@ -14,18 +14,23 @@ from octex.arrays import Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import encode
 from octex.checks import as_depth, as_flag, as_path, as_text
-from octex.drawing.arguments import as_bump, as_light, as_picture_size, as_supersample, as_viewpoint
-from octex.drawing.directions import Viewpoint
+from octex.drawing.directions import as_viewpoint, camera_of
+from octex.drawing.environment import Environment, as_light
 from octex.drawing.hits import Hits, rest_normals, visible_hits
-from octex.drawing.panels import leaf_camera, surface_camera, write_png
-from octex.drawing.pictures import film_surface, render_leaves, render_surface
-from octex.drawing.shaders import Appearance, Bump, Shader, source_shader, texture_shader
+from octex.drawing.panels import write_png
+from octex.drawing.pictures import (
+    as_picture_size,
+    as_supersample,
+    film_surface,
+    render_leaves,
+    render_surface,
+)
+from octex.drawing.shaders import Appearance, Bump, Shader, as_bump, source_shader, texture_shader
 from octex.errors import ArgumentError
 from octex.source.surface import as_surface
 from octex.texture import as_texture
 
 if TYPE_CHECKING:
-    from octex.drawing.environment import Environment
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
 
@@ -105,22 +110,6 @@ def render(
     if path is not None:
         write_png(path, codes)
     return codes
-
-
-def camera_of(
-    texture: OctreeTexture | None,
-    surface: Surface | None,
-    size: tuple[int, int],
-    view: Viewpoint,
-    channel: str | None = None,
-) -> Camera:
-    """Return a camera that sees a model, or without a model the leaves of a texture."""
-    if surface is not None:
-        look = source_shader(surface, channel) if texture is None else texture_shader(texture, channel)
-        placed = surface if texture is None else surface.placed_in(texture)
-        return surface_camera(placed, look, size, view=view)
-    assert texture is not None
-    return leaf_camera([texture], channel, size, view=view)
 
 
 def draw_paintable(

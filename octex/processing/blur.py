@@ -56,7 +56,7 @@ def blur(
     # Part of each cell's difference from the field that stays; of a node, the mean of its leaves' parts.
     first = tree.arrays.level_cells
     edges = texture.placement.size * np.ldexp(1.0, -np.arange(first.size - 1))
-    left = np.repeat(np.maximum(1 - width / edges, 0), np.diff(first)).astype(np.float32)
+    left = np.repeat(np.maximum(edges - width, 0) / edges, np.diff(first)).astype(np.float32)
     average_plain(tree, left)
     centres_of = Centres(tree, texture.placement)
     faces = tree.arrays.flags & np.uint8(FACING_FLAGS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from octex.arrays import Int64s
-from octex.channels import ALPHA, ONE, ChannelFormat
+from octex.channels import ALPHA, ONE
 from octex.checks import as_flag, as_number
 from octex.editing.runs import carried
 from octex.editing.split import refaced, without_split
@@ -109,7 +109,7 @@ def _united(
             first = _without_hidden(first, second)
     if not (first.tree.n_leaves and second.tree.n_leaves):
         only = first if first.tree.n_leaves else second
-        return OctreeTexture(only.tree, only.channels, only.placement, only.bounds, metadata)
+        return only.with_cells(only.tree, only.channels, metadata)
     with workers(run) as pool:
         tree, channels = Mixing(first, second, amount, pool).mixed()
     return OctreeTexture(tree, channels, first.placement, bounds, metadata)
@@ -135,7 +135,7 @@ def _same_formats(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTe
         form = channel.format
         if name not in second.channels and name != ALPHA.name:
             continue
-        beside = second.channels.get(name) or _opaque(second.tree, form)
+        beside = second.channels.get(name) or Channel.full(form, second.tree, ONE[form.dtype])
         meanings = [each.space in ("srgb", "linear") or each.space for each in (form, beside.format)]
         if form.components != beside.format.components or meanings[0] != meanings[1]:
             raise ArgumentError(
@@ -145,22 +145,14 @@ def _same_formats(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTe
         one[name], other[name] = channel, in_format(beside, form)
     if ALPHA.name in second.channels and ALPHA.name not in first.channels:
         other[ALPHA.name] = second.channels[ALPHA.name]
-        one[ALPHA.name] = _opaque(first.tree, other[ALPHA.name].format)
+        form = other[ALPHA.name].format
+        one[ALPHA.name] = Channel.full(form, first.tree, ONE[form.dtype])
     if not first.channels.keys() & second.channels.keys():
         raise ArgumentError(
             f"the textures have no channel in common: {', '.join(first.channels) or 'none'} and "
             f"{', '.join(second.channels) or 'none'}"
         )
-    made = [
-        OctreeTexture(each.tree, channels, each.placement, each.bounds)
-        for each, channels in ((first, one), (second, other))
-    ]
-    return made[0], made[1]
-
-
-def _opaque(tree: Octree, form: ChannelFormat) -> Channel:
-    rows = tree.n_cells, tree.split.areas.size, tree.kept.cells.size
-    return Channel(form, *(np.full((count, 1), ONE[form.dtype], form.dtype) for count in rows))
+    return first.with_cells(first.tree, one), second.with_cells(second.tree, other)
 
 
 def _without_hidden(texture: OctreeTexture, over: OctreeTexture) -> OctreeTexture:

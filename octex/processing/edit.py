@@ -19,8 +19,6 @@ from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of
 
-#: Metadata key of the list of operations, as JSON.
-PROCESSED = "processed"
 #: Alphas that differ by less count as equal: half an 8-bit code.
 _FAINT = np.float32(0.5 / 255)
 
@@ -37,7 +35,7 @@ class Edit(Protocol):
 
 def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[str, str]:
     """Return metadata with one more operation."""
-    return with_listed(metadata, PROCESSED, [{"operation": operation, **how}])
+    return with_listed(metadata, "processed", [{"operation": operation, **how}])
 
 
 def with_listed(metadata: Mapping[str, str], name: str, entries: Sequence[object]) -> dict[str, str]:
@@ -120,9 +118,7 @@ def with_values(
         if alpha_changes and name not in made
     }
     made = {**made, **others}
-    after = OctreeTexture(
-        texture.tree, {**texture.channels, **made}, texture.placement, texture.bounds, metadata
-    )
+    after = texture.with_cells(texture.tree, {**texture.channels, **made}, metadata)
     for name in sorted(made, key=lambda name: name != ALPHA.name):
         of_channel = change.get(name, difference)
         if alpha_changes and name != ALPHA.name:

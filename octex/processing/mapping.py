@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import suppress
 from typing import Any
-from typing import cast as typed
 
 import numpy as np
 import numpy.typing as npt
@@ -234,23 +232,17 @@ def _per_component(form: ChannelFormat, name: str, value: PerComponent, most: fl
     return np.array([as_number(each, name, 0.0, most) for each in np.broadcast_to(numbers, form.components)])
 
 
-def _curves_of(form: ChannelFormat, points: npt.ArrayLike | Sequence[npt.ArrayLike]) -> list[Float64s]:
+def _curves_of(form: ChannelFormat, points: Any) -> list[Float64s]:
     """Return a curve for each component, or raise ArgumentError."""
     try:
-        whole = as_reals(typed(npt.ArrayLike, points), "points", (-1, 2), (-1, -1, 2))
-        curves = [whole] * form.components if whole.ndim == 2 else list(whole)
-    except ArgumentError:  # curves of different lengths, or non-numbers
-        curves = []
-        for each in points if isinstance(points, Sequence) else ():
-            with suppress(ArgumentError):
-                curves.append(as_reals(each, "points", (-1, 2)))
+        curves = [as_reals(points, "points", (-1, 2))] * form.components
+    except ArgumentError:  # one curve for each component
+        try:
+            curves = [as_reals(each, "points", (-1, 2)) for each in points]
+        except (ArgumentError, TypeError):
+            curves = []
     good = len(curves) == form.components and all(
-        each.ndim == 2
-        and each.shape[1] == 2
-        and len(each)
-        and ((each >= 0) & (each <= 1)).all()
-        and (np.diff(each[:, 0]) > 0).all()
-        for each in curves
+        len(each) and ((each >= 0) & (each <= 1)).all() and (np.diff(each[:, 0]) > 0).all() for each in curves
     )
     if not good:
         raise ArgumentError(
@@ -306,7 +298,7 @@ def cast(
     forms = formats_as([texture.channels[name].format for name in names], dtype)
     made = {form.name: in_format(texture.channels[form.name], form) for form in forms}
     metadata = noted(texture.metadata, "cast", channels={form.name: form.dtype for form in forms})
-    return OctreeTexture(texture.tree, made, texture.placement, texture.bounds, metadata)
+    return texture.with_cells(texture.tree, made, metadata)
 
 
 def in_format(channel: Channel, form: ChannelFormat) -> Channel:

@@ -180,7 +180,7 @@ class Mixing:
         flags[split] |= np.uint8(SPLIT)
         facings = self._cells.facings[split]
         owners, bits = np.repeat(split, counts_of(facings)), bits_of(facings)
-        kept_values, _ = self._mix(kept, lambda side: side.coefficients(kept))
+        kept_values, _ = self._mix(kept, [side.coefficients(kept) for side in self._sides])
         rows = self._rows(owners, bits)
         tables = (
             SplitTable(split.astype(np.uint32), facings, self._row_areas(owners, bits)),
@@ -193,7 +193,7 @@ class Mixing:
             form = self._texture.channels[name].format
             tables_of = (encode(each[name], form.dtype, form.space) for each in (rows, kept_values))
             channels[name] = Channel(form, values[name], *tables_of)
-            whole = OctreeTexture(tree, channels, self._texture.placement, self._texture.bounds)
+            whole = self._texture.with_cells(tree, channels)
             average(whole, channels[name], self._residuals(tree, name, made), made)
         return tree, {name: channels[name] for name in values}
 
@@ -236,16 +236,16 @@ class Mixing:
         return values, Nodes(np.flatnonzero(is_made), self._nodes[is_made])
 
     def _leaves_mixed(self, cells: Int64s) -> tuple[dict[str, Array], Float32s]:
-        values, share = self._mix(cells, lambda side: side.values(cells))
+        values, share = self._mix(cells, [side.values(cells) for side in self._sides])
         forms = {name: self._texture.channels[name].format for name in values}
         return {name: encode(values[name], form.dtype, form.space) for name, form in forms.items()}, share
 
     def _mix(
-        self, cells: Int64s, values: Callable[[Side], dict[str, Float32s]], amounts: Float32s | None = None
+        self, cells: Int64s, values: Sequence[dict[str, Float32s]], amounts: Float32s | None = None
     ) -> tuple[dict[str, Float32s], Float32s]:
-        """Mix cells (n,) by ``amounts``; return values by channel, and the second's share (n,) of colour."""
+        """Mix both sides' ``values`` of cells (n,); return them, and the second's share (n,) of colour."""
         has = [(side.origins.cells[cells] != NOTHING).astype(np.float32) for side in self._sides]
-        one, other = (values(side) for side in self._sides)
+        one, other = values
         alphas = [np.ones(cells.size, np.float32)] * 2
         if ALPHA.name in one:
             alphas = [each[ALPHA.name][:, 0] for each in (one, other)]
@@ -305,11 +305,7 @@ class Mixing:
         }
         for chosen, amounts in ((~is_node, None), (is_node, self._share[owners[is_node]])):
             cells, facings = owners[chosen], bits[chosen]
-            mixed, _ = self._mix(
-                cells,
-                lambda side, cells=cells, facings=facings: side.rows(cells, facings),  # type: ignore[misc]
-                amounts,
-            )
+            mixed, _ = self._mix(cells, [side.rows(cells, facings) for side in self._sides], amounts)
             for name, each in mixed.items():
                 rows[name][chosen] = each
         return rows

@@ -50,7 +50,7 @@ def resize(
         with workers(run) as pool:
             texture = _divided(texture, depth, pool)
     texture = texture.level(depth)
-    return OctreeTexture(texture.tree, texture.channels, texture.placement, texture.bounds, metadata)
+    return texture.with_cells(texture.tree, texture.channels, metadata)
 
 
 def _divided(texture: OctreeTexture, depth: int, executor: Executor) -> OctreeTexture:
@@ -83,8 +83,7 @@ def _divided(texture: OctreeTexture, depth: int, executor: Executor) -> OctreeTe
             values[name][cells] = encode(below.values[name], each.format.dtype, each.format.space)
     channels = carried(texture, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
-    made = OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
-    return with_rows(made, rows)
+    return with_rows(texture.with_cells(tree, channels), rows)
 
 
 def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> OctreeTexture:
@@ -128,7 +127,7 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
         for name, each in made.channels.items()
     }
     whole = with_summed_areas(made.tree, nodes)
-    made = OctreeTexture(whole, channels, texture.placement, bounds, metadata)
+    made = made.with_cells(whole, channels)
     rows = rows_of(whole.split, nodes.cells)
     owners = np.searchsorted(nodes.cells, rows.cells)
     for name in sorted(channels, key=lambda name: name != ALPHA.name):

@@ -12,7 +12,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Int64s, Uint8s
 from octex.errors import ArgumentError
-from octex.jit import kernel, popcount
+from octex.jit import inlined, kernel, popcount
 from octex.tree.children import children, groups_of
 from octex.tree.edit import facings_of_nodes
 from octex.tree.layout import FACING_FLAGS, MAX_CELLS, MAX_DEPTH, TreeArrays
@@ -22,6 +22,9 @@ from octex.tree.octree import Octree
 NOTHING = -1
 #: Origin of a cell below a leaf: this minus the leaf's number.
 BELOW = -2
+
+#: Children of a node: those that are nodes, and all, as bits; the next node, and the next cell, of them.
+_Children = tuple[int, int, int, int]
 
 
 class Origins(NamedTuple):
@@ -74,75 +77,61 @@ def _unite(
     level_nodes: Int64s,
 ) -> None:
     """Merge two trees; damaged trees cannot make it read or write outside the arrays."""
-    one_ends = first.level_nodes[-1]
-    other_ends = second.level_nodes[-1]
-    n_cells, n_nodes = 1, 0
-    cells[0, 0] = cells[1, 0] = 0
-    one_facing = int(np.int64(first.flags[0])) & FACING_FLAGS
-    other_facing = int(np.int64(second.flags[0])) & FACING_FLAGS
-    if one_ends > 0 or other_ends > 0:
-        n_nodes = 1
-        nodes[0, 0] = 0 if one_ends > 0 else BELOW
-        nodes[1, 0] = 0 if other_ends > 0 else BELOW
-        one_facing = one_facing if one_ends > 0 else 0
-        other_facing = other_facing if other_ends > 0 else 0
-    flags[0] = one_facing | other_facing
-    one_cell = one_node = other_cell = other_node = 1  # the next of each
+    ours = int(first.level_nodes[-1] > 0), 1, 0, 0  # the root, as an only child
+    theirs = int(second.level_nodes[-1] > 0), 1, 0, 0
+    is_node = ours[0] | theirs[0]
+    cells[0, 0], one, our_facings, _ = _child(first, NOTHING, ours, 1, is_node)
+    cells[1, 0], other, their_facings, _ = _child(second, NOTHING, theirs, 1, is_node)
+    flags[0] = (our_facings | their_facings) & FACING_FLAGS
+    if is_node:
+        nodes[0, 0], nodes[1, 0] = one, other
+    n_cells, n_nodes, done = 1, is_node, 0
     level_cells[1], level_nodes[1] = n_cells, n_nodes
-    done = 0
     for level in range(1, level_cells.size - 1):
         for node in range(done, n_nodes):
             one, other = nodes[0, node], nodes[1, node]
-            one_nodes, one_leaves = _children(first, one)
-            other_nodes, other_leaves = _children(second, other)
-            is_node = one_nodes | other_nodes
-            is_leaf = (one_leaves | other_leaves) & ~is_node
+            ours, theirs = _children(first, one), _children(second, other)
+            is_node, is_stored = ours[0] | theirs[0], ours[1] | theirs[1]
             masks[0, node] = is_node
-            masks[1, node] = is_leaf
+            masks[1, node] = is_stored & ~is_node
             for octant in range(8):
                 bit = 1 << octant
-                if (is_node | is_leaf) & bit == 0 or n_cells == flags.size:
+                if is_stored & bit == 0 or n_cells == flags.size:
                     continue
-                one_below, other_below = min(one, NOTHING), min(other, NOTHING)  # the origin of children
-                one_here, other_here = one_below, other_below
-                facing = 0
-                if (one_nodes | one_leaves) & bit != 0:
-                    one_here = min(one_cell, first.flags.size - 1)
-                    one_cell += 1
-                    one_below = BELOW - one_here
-                    if one_nodes & bit != 0:
-                        one_below = one_node
-                        one_node += 1
-                    if one_nodes & bit == is_node & bit:
-                        facing |= int(np.int64(first.flags[one_here]))
-                if (other_nodes | other_leaves) & bit != 0:
-                    other_here = min(other_cell, second.flags.size - 1)
-                    other_cell += 1
-                    other_below = BELOW - other_here
-                    if other_nodes & bit != 0:
-                        other_below = other_node
-                        other_node += 1
-                    if other_nodes & bit == is_node & bit:
-                        facing |= int(np.int64(second.flags[other_here]))
-                cells[0, n_cells], cells[1, n_cells] = one_here, other_here
-                flags[n_cells] = facing & FACING_FLAGS
+                our_cell, our_node, our_facings, ours = _child(first, one, ours, bit, is_node)
+                their_cell, their_node, their_facings, theirs = _child(second, other, theirs, bit, is_node)
+                cells[0, n_cells], cells[1, n_cells] = our_cell, their_cell
+                flags[n_cells] = (our_facings | their_facings) & FACING_FLAGS
                 n_cells += 1
                 if is_node & bit != 0 and n_nodes < masks.shape[1] and n_nodes < nodes.shape[1]:
-                    nodes[0, n_nodes], nodes[1, n_nodes] = one_below, other_below
+                    nodes[0, n_nodes], nodes[1, n_nodes] = our_node, their_node
                     n_nodes += 1
         done = level_nodes[level]
         level_cells[level + 1], level_nodes[level + 1] = n_cells, n_nodes
 
 
-@kernel
-def _children(arrays: TreeArrays, node: int) -> tuple[int, int]:
-    """Return a node's masks of child nodes and child leaves; zeros for no node."""
-    if node < 0 or node >= arrays.level_nodes[-1]:
-        return 0, 0
-    shift = np.uint64(8 * (node & 7))
-    nodes, leaves = arrays.groups[node >> 3, 0], arrays.groups[node >> 3, 1]
-    below = np.uint64(0xFF)
-    return int(np.int64(nodes >> shift & below)), int(np.int64(leaves >> shift & below))
+@inlined
+def _children(tree: TreeArrays, node: int) -> _Children:
+    """Return a node's children that are nodes, and all, as bits, and the first of both; zeros for no node."""
+    if node < 0 or node >= tree.level_nodes[-1]:
+        return 0, 0, 0, 0
+    inner, stored, first_node, first_cell = children(tree.groups, node)
+    return int(np.int64(inner)), int(np.int64(stored)), first_node, first_cell
+
+
+@inlined
+def _child(
+    tree: TreeArrays, parent: int, rest: _Children, bit: int, is_node: int
+) -> tuple[int, int, int, _Children]:
+    """Return a child's origins as a cell and as a node, its facings, and the children after it."""
+    inner, stored, node, cell = rest
+    if stored & bit == 0:
+        return min(parent, NOTHING), min(parent, NOTHING), 0, rest
+    here = min(cell, tree.flags.size - 1)
+    facings = int(np.int64(tree.flags[here])) if inner & bit == is_node & bit else 0
+    if inner & bit == 0:
+        return here, BELOW - here, facings, (inner, stored, node, cell + 1)
+    return here, node, facings, (inner, stored, node + 1, cell + 1)
 
 
 @kernel

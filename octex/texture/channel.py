@@ -57,27 +57,6 @@ class Channel(NamedTuple):
         """Bytes of all values."""
         return self.values.nbytes + self.split_values.nbytes + self.kept_values.nbytes
 
-    def check(self, name: str, tree: Octree) -> None:
-        """Raise ArgumentError unless the channel fits a tree and its format."""
-        form = self.format
-        if not isinstance(form, ChannelFormat):
-            raise ArgumentError(f"channel {name!r} must have a ChannelFormat, not {form!r}")
-        if not name or name != form.name:
-            raise ArgumentError(f"channel {name!r} must have the name of its format, {form.name!r}")
-        as_choice(form.space, COLOR_SPACES, f"colour space of channel {name!r}:")
-        as_choice(form.dtype, ONE, f"dtype of channel {name!r}:")
-        if form.components not in range(1, 5):
-            raise ArgumentError(f"channel {name!r} must have 1 to 4 components, not {form.components}")
-        for array, rows in zip(self[1:], row_counts(tree), strict=True):
-            expected = (rows, form.components)
-            if not isinstance(array, np.ndarray):
-                raise ArgumentError(f"channel {name!r} must have arrays, not {array!r}")
-            if array.shape != expected or array.dtype != form.dtype or not array.flags.c_contiguous:
-                raise ArgumentError(
-                    f"channel {name!r} must be a C-ordered {form.dtype} array of shape {expected}, "
-                    f"not {array.dtype} {array.shape}"
-                )
-
     def of(self, tree: Octree) -> Channel:
         """Return views of the values of a truncated tree."""
         parts = zip(self[1:], row_counts(tree), strict=True)
@@ -123,7 +102,24 @@ def as_channels(channels: Mapping[str, Channel], tree: Octree) -> dict[str, Chan
     for name, channel in entries.items():
         if not isinstance(channel, Channel):
             raise ArgumentError(f"channel {name!r} must be a Channel, not {channel!r}")
-        channel.check(name, tree)
+        form = channel.format
+        if not isinstance(form, ChannelFormat):
+            raise ArgumentError(f"channel {name!r} must have a ChannelFormat, not {form!r}")
+        if not name or name != form.name:
+            raise ArgumentError(f"channel {name!r} must have the name of its format, {form.name!r}")
+        as_choice(form.space, COLOR_SPACES, f"colour space of channel {name!r}:")
+        as_choice(form.dtype, ONE, f"dtype of channel {name!r}:")
+        if form.components not in range(1, 5):
+            raise ArgumentError(f"channel {name!r} must have 1 to 4 components, not {form.components}")
+        for array, rows in zip(channel[1:], row_counts(tree), strict=True):
+            expected = (rows, form.components)
+            if not isinstance(array, np.ndarray):
+                raise ArgumentError(f"channel {name!r} must have arrays, not {array!r}")
+            if array.shape != expected or array.dtype != form.dtype or not array.flags.c_contiguous:
+                raise ArgumentError(
+                    f"channel {name!r} must be a C-ordered {form.dtype} array of shape {expected}, "
+                    f"not {array.dtype} {array.shape}"
+                )
     return {name: channel.locked() for name, channel in entries.items()}
 
 

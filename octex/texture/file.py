@@ -29,10 +29,10 @@ from __future__ import annotations
 import json
 import mmap
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from itertools import compress
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeGuard, TypeVar
 
 import numpy as np
 
@@ -218,7 +218,14 @@ def _floats(value: Any) -> Float64s:
     return np.array(value, np.float64)
 
 
+def are_texts(value: Any) -> TypeGuard[Mapping[str, str]]:
+    """Return whether a value maps text to text."""
+    return isinstance(value, Mapping) and all(
+        isinstance(text, str) for pair in value.items() for text in pair
+    )
+
+
 def _texts(value: Any) -> dict[str, str]:
-    if not isinstance(value, dict) or not all(isinstance(text, str) for text in value.values()):
+    if not are_texts(value):
         raise TypeError
-    return value
+    return dict(value)

@@ -29,9 +29,6 @@ BLEED_THRESHOLD = 1 / 32
 #: Default of the largest ratio of a footprint's length to its width.
 ANISOTROPY = 16.0
 
-#: Largest value of that ratio.
-MOST_ANISOTROPY = 256.0
-
 #: One channel by name, or several.
 Names = str | list[str] | tuple[str, ...]
 #: Arrays with a row for each point by name, "points" (n, 3) among them.
@@ -49,7 +46,6 @@ LEAST_SORTED = 1 << 12
 #: Most points of the short path, and their types.
 _FEW = 64
 _TAKEN = {np.dtype(np.float32), np.dtype(np.float64)}
-_NO_NUMBERS = np.empty(0, np.int32)
 
 
 class FootprintOptions(TypedDict, total=False):
@@ -151,7 +147,7 @@ def checked_request(
     as_choice(lens.filter, FILTERS, "filter")
     if gradient and lens.filter == "nearest":
         raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
-    as_number(lens.anisotropy, "anisotropy", 1.0, MOST_ANISOTROPY)
+    as_number(lens.anisotropy, "anisotropy", 1.0, 256.0)
     as_number(lens.blur, "blur", 0.0, float(np.finfo(np.float64).max))
     as_number(lens.sharpness, "sharpness", 0.0, 1.0)
     as_number(lens.bleed_threshold, "bleed_threshold", 0.0, np.inf)
@@ -256,11 +252,11 @@ def in_space(
             rows = slice(begin, begin + _SORTED)
             here = {name: array[rows] for name, array in inputs.items()}
             there = [answer[rows] for answer in answers]
-            numbers = _NO_NUMBERS
+            numbers = None
             if len(here["points"]) > (least or BLOCK):
                 here["points"] = _as_kernels_take_it(here["points"])
                 numbers = order_in_space(Positions.of(here["points"]), *placement)
-            if not numbers.size:
+            if numbers is None or not numbers.size:
                 in_blocks(here, there, look_up, run)
                 continue
             sorted_here = {name: np.take(array, numbers, axis=0) for name, array in here.items()}

@@ -16,7 +16,7 @@ from collections.abc import Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Literal, TypeGuard, Unpack, overload
+from typing import Any, Literal, Unpack, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +27,7 @@ from octex.checks import as_array, as_choice, as_entries, as_flag, as_path
 from octex.errors import ArgumentError, OutputError, TextureFileError
 from octex.field.field import NotFiniteError
 from octex.parallel import Run, as_run
-from octex.texture.file import ENDING, wrong_version
+from octex.texture.file import ENDING, are_texts, wrong_version
 from octex.texture.lookup import (
     Answers,
     FootprintOptions,
@@ -265,12 +265,47 @@ class TextureSet(Mapping[str, OctreeTexture]):
         """Write a folder with an ``.octex`` file for each part and an index, ``set.json``.
 
         The same set gives the same bytes in a new folder. A set that the folder holds is replaced at the very
-        end; other files stay.
+        end, and its files are removed; all other files stay.
 
         Raises OutputError if a file cannot be written, or if the folder's ``set.json`` is not a set's index;
         an older set then stays.
         """
-        write_folder(as_path(folder, "folder"), self, self.metadata)
+        folder = as_path(folder, "folder")
+        old = _files_there(folder)
+        is_new = not os.path.lexists(folder)
+        written: dict[str, str] = {}
+
+        def undo() -> None:
+            """Remove new files that no index names."""
+            with contextlib.suppress(OSError, OutputError):
+                kept = _files_there(folder)
+                for file_name in set(written.values()) - kept:
+                    (folder / file_name).unlink(missing_ok=True)
+                if is_new and not kept:
+                    folder.rmdir()
+
+        try:
+            with files.undone_on_failure(undo):
+                folder.mkdir(exist_ok=True)
+                taken = {path.name.lower() for path in folder.iterdir()}
+                for name, texture in self.items():
+                    written[name] = _free_name(name, taken)
+                    texture.save(folder / written[name])
+                index = {
+                    "format": FORMAT,
+                    "format_version": FORMAT_VERSION,
+                    "parts": written,
+                    "provenance": dict(self.metadata),
+                }
+                with files.replacing(folder / INDEX) as file:
+                    file.write(json.dumps(index, indent=1).encode() + b"\n")
+        except OSError as error:
+            raise OutputError(
+                f"{folder}: cannot be written: {error.strerror or error}; choose another place"
+            ) from error
+        for file_name in old - set(written.values()):
+            with contextlib.suppress(OSError):  # some systems do not remove open files; no index names it now
+                (folder / file_name).unlink()
 
     def validate(self) -> None:
         """Check that every part's tree is sound and all values are finite.
@@ -364,7 +399,7 @@ def read_index(folder: Path) -> tuple[dict[str, str], dict[str, str]]:
         fault = wrong_version(repr(version))
         raise TextureFileError(f"{path}: has format version {version!r}, {fault}")
     parts, metadata = content.get("parts"), content.get("provenance")
-    if not (_are_texts(parts) and parts and all(parts) and _are_texts(metadata)):
+    if not (are_texts(parts) and parts and all(parts) and are_texts(metadata)):
         raise TextureFileError(f"{path}: its parts or its provenance are damaged; make the set again")
     for name, file in parts.items():
         # On no system may a set's file lie outside its folder.
@@ -376,53 +411,7 @@ def read_index(folder: Path) -> tuple[dict[str, str], dict[str, str]]:
             raise TextureFileError(
                 f"{folder / file}: the file of part {name!r} is missing; copy the folder again"
             )
-    return parts, metadata
-
-
-def _are_texts(value: Any) -> TypeGuard[dict[str, str]]:
-    return isinstance(value, dict) and all(isinstance(text, str) for text in value.values())
-
-
-def write_folder(folder: Path, textures: Mapping[str, OctreeTexture], metadata: Mapping[str, str]) -> None:
-    """Write a file for each part, then the index, then remove the files of the previous set.
-
-    Raises OutputError if that fails; a previous set is then unchanged.
-    """
-    old = _files_there(folder)
-    is_new = not os.path.lexists(folder)
-    written: dict[str, str] = {}
-
-    def undo() -> None:
-        """Remove new files that no index names."""
-        with contextlib.suppress(OSError, OutputError):
-            kept = _files_there(folder)
-            for file_name in set(written.values()) - kept:
-                (folder / file_name).unlink(missing_ok=True)
-            if is_new and not kept:
-                folder.rmdir()
-
-    try:
-        with files.undone_on_failure(undo):
-            folder.mkdir(exist_ok=True)
-            taken = {path.name.lower() for path in folder.iterdir()}
-            for name, texture in textures.items():
-                written[name] = _free_name(name, taken)
-                texture.save(folder / written[name])
-            index = {
-                "format": FORMAT,
-                "format_version": FORMAT_VERSION,
-                "parts": written,
-                "provenance": dict(metadata),
-            }
-            with files.replacing(folder / INDEX) as file:
-                file.write(json.dumps(index, indent=1).encode() + b"\n")
-    except OSError as error:
-        raise OutputError(
-            f"{folder}: cannot be written: {error.strerror or error}; choose another place"
-        ) from error
-    for file_name in old - set(written.values()):
-        with contextlib.suppress(OSError):  # some systems do not remove open files; no index names it now
-            (folder / file_name).unlink()
+    return dict(parts), dict(metadata)
 
 
 def _files_there(folder: Path) -> set[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import mmap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,6 @@ from octex.container import header_length
 from octex.field.listing import Reads, joined_reads
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.parallel import Run
-from octex.texture.channel import Channel
 from octex.texture.lookup import Request, each_block
 from octex.tree.beside import with_boundary
 from octex.tree.children import children_before
@@ -151,63 +150,52 @@ def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, In
 def add_reads(
     texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], request: Request, spans: Rows
 ) -> None:
-    """Add the rows that lookups read, except the groups of nodes."""
-    alpha = [] if texture._lookups.rows_of()[1] is None else [texture.channels["alpha"]]
-    by_facing = "normals" in request.inputs
-    is_ruled = not by_facing and request.lens.has_footprints(request.inputs)  # by the bleed threshold
-    for name, levels in reads.items():
-        rows = {level: read.rows for level, read in levels.items()}
-        _add_channel(spans, texture.tree, [texture.channels[name], *alpha], rows, by_facing, is_ruled)
-
-
-def _add_channel(
-    spans: Rows,
-    tree: Octree,
-    channels: Sequence[Channel],
-    levels: Mapping[int, Array],
-    by_facing: bool,
-    is_ruled: bool,
-) -> None:
-    """Add the reads of a channel's lookups, by level; ``channels`` are that one, and alpha.
+    """Add the rows that lookups read, except the groups of nodes.
 
     With normals all rows of a split cell are added: its flags, read later, select some of them.
     """
+    tree = texture.tree
     arrays, split, kept = tree.arrays, tree.split, tree.kept
-    for array in arrays.level_cells, arrays.level_nodes, kept.cells:
-        spans.until(array, array.size)
-    deepest = max(levels, default=0)
-    n_cells = int(arrays.level_cells[deepest + 1])
-    if kept.cells.size:
-        spans.until(arrays.flags, n_cells)
-    n_split = count_before(split.cells, n_cells)
-    known = SplitTable(split.cells[:n_split], split.facings[:n_split], split.areas)
-    n_rows = int(counts_of(known.facings).sum())
-    is_coarse = any(
-        level < tree.max_depth or (rows < arrays.level_cells[level]).any() for level, rows in levels.items()
-    )
-    if by_facing or is_coarse:
-        spans.until(split.cells, 2 * n_split + 2)  # read by the search for its end
-        spans.until(split.facings, n_split)
-    if is_ruled and n_split:
-        spans.until(channels[0].split_values, n_rows)
+    alpha = [] if texture._lookups.rows_of()[1] is None else [texture.channels["alpha"]]
+    by_facing = "normals" in request.inputs
+    is_ruled = not by_facing and request.lens.has_footprints(request.inputs)  # by the bleed threshold
     first_facing = tree.n_cells + kept.cells.size
     has_leaves = [leaves > 0 for leaves, _ in tree.cells_by_depth()]
-    for level, numbers in levels.items():
-        rows = numbers.astype(np.int64)
-        facings = rows[rows >= first_facing] - first_facing
-        owners = rows_of(known).cells[facings[facings < n_rows]] if facings.size else facings
-        keeping = kept.cells[rows[(rows >= tree.n_cells) & (rows < first_facing)] - tree.n_cells]
-        cells = distinct(np.concatenate([rows[rows < tree.n_cells], owners, keeping]))
-        if by_facing:
-            spans.rows(arrays.flags, cells)
-        if level < tree.max_depth:
-            spans.rows(arrays.areas, cells)
-            if any(has_leaves[: level + 1]):
-                spans.until(arrays.areas, int(arrays.level_cells[level + 1]))
-        of_split = rows_of(known, cells).rows if by_facing else facings[:0]
-        for channel in channels:
-            first = 0
-            for array in channel.values, channel.kept_values, channel.split_values:
-                spans.rows(array, rows - first)
-                first += len(array)
-            spans.rows(channel.split_values, of_split)
+    for name, levels in reads.items():
+        channel = texture.channels[name]
+        for array in arrays.level_cells, arrays.level_nodes, kept.cells:
+            spans.until(array, array.size)
+        n_cells = int(arrays.level_cells[max(levels, default=0) + 1])
+        if kept.cells.size:
+            spans.until(arrays.flags, n_cells)
+        n_split = count_before(split.cells, n_cells)
+        known = SplitTable(split.cells[:n_split], split.facings[:n_split], split.areas)
+        n_rows = int(counts_of(known.facings).sum())
+        is_coarse = any(
+            level < tree.max_depth or (read.rows < arrays.level_cells[level]).any()
+            for level, read in levels.items()
+        )
+        if by_facing or is_coarse:
+            spans.until(split.cells, 2 * n_split + 2)  # read by the search for its end
+            spans.until(split.facings, n_split)
+        if is_ruled and n_split:
+            spans.until(channel.split_values, n_rows)
+        for level, read in levels.items():
+            rows = read.rows.astype(np.int64)
+            facings = rows[rows >= first_facing] - first_facing
+            owners = rows_of(known).cells[facings[facings < n_rows]] if facings.size else facings
+            keeping = kept.cells[rows[(rows >= tree.n_cells) & (rows < first_facing)] - tree.n_cells]
+            cells = distinct(np.concatenate([rows[rows < tree.n_cells], owners, keeping]))
+            if by_facing:
+                spans.rows(arrays.flags, cells)
+            if level < tree.max_depth:
+                spans.rows(arrays.areas, cells)
+                if any(has_leaves[: level + 1]):
+                    spans.until(arrays.areas, int(arrays.level_cells[level + 1]))
+            of_split = rows_of(known, cells).rows if by_facing else facings[:0]
+            for each in [channel, *alpha]:
+                first = 0
+                for array in each.values, each.kept_values, each.split_values:
+                    spans.rows(array, rows - first)
+                    first += len(array)
+                spans.rows(each.split_values, of_split)

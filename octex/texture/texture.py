@@ -22,7 +22,7 @@ from octex.field.listing import TapList
 from octex.field.splines import FILTERS
 from octex.parallel import DEFAULT, Run, as_run
 from octex.texture.channel import Channel, as_channels
-from octex.texture.file import ARCHIVE_ENDING, ENDING, Source, described, taken, written
+from octex.texture.file import ARCHIVE_ENDING, ENDING, Source, are_texts, described, taken, written
 from octex.texture.lookup import (
     ANISOTROPY,
     BLEED_THRESHOLD,
@@ -88,12 +88,18 @@ class OctreeTexture:
         self.channels = MappingProxyType(dict(channels))
         self._lookups = Lookups(tree, self.channels, self.placement)
 
-    def with_cells(self, tree: Octree, channels: Mapping[str, Channel]) -> OctreeTexture:
-        """Return a texture of another tree and its channels; placement, bounds and provenance are this one's.
+    def with_cells(
+        self, tree: Octree, channels: Mapping[str, Channel], metadata: Mapping[str, str] | None = None
+    ) -> OctreeTexture:
+        """Return a texture of another tree and its channels, with this one's placement and bounds.
 
-        Raises ArgumentError if tree and channels do not fit together.
+        ``metadata`` is its provenance, by default this one's. Raises ArgumentError if tree and channels do
+        not fit together.
         """
-        return self._over(tree, as_channels(channels, tree), Source())
+        made = self._over(tree, as_channels(channels, tree), Source())
+        if metadata is not None:
+            made.metadata = MappingProxyType(as_metadata(metadata))
+        return made
 
     def _over(self, tree: Octree, channels: Mapping[str, Channel], source: Source) -> OctreeTexture:
         """Return a texture like ``with_cells``, of parts that fit together."""
@@ -227,11 +233,10 @@ class OctreeTexture:
             if answer is not None:
                 return answer
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
-        look = {"anisotropy": anisotropy, "blur": blur, "sharpness": sharpness}
-        shape = width, normals, dPdx, dPdy
         lens, inputs = checked_request(
-            points, filter, gradient, *shape, bleed_threshold=bleed_threshold, **look
-        )
+            points, filter, gradient, width, normals, dPdx, dPdy,
+            anisotropy=anisotropy, blur=blur, sharpness=sharpness, bleed_threshold=bleed_threshold,
+        )  # fmt: skip
         answers = Answers(self._lookups.components, channel, inputs, gradient, out)
         here = self
         if self.source.path:  # not memory
@@ -406,12 +411,9 @@ class OctreeTexture:
 
 def as_metadata(metadata: Mapping[str, str] | None) -> dict[str, str]:
     """Return provenance, or raise ArgumentError for anything but strings by name."""
-    found = {} if metadata is None else metadata
-    if not isinstance(found, Mapping) or not all(
-        isinstance(text, str) for pair in found.items() for text in pair
-    ):
+    if metadata is not None and not are_texts(metadata):
         raise ArgumentError("metadata must map strings to strings")
-    return dict(found)
+    return dict(metadata or {})
 
 
 def as_texture(texture: OctreeTexture, name: str = "texture") -> OctreeTexture:

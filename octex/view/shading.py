@@ -106,24 +106,22 @@ def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int32s, 
 @kernel
 def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int32s, Int64s]:
     """Return triangle corners sorted by the place of their vertex, and the start of each place."""
-    starts = np.zeros(places.size + 1, np.int64)
+    # Entry place + 1 moves from the start of the place to its end, which is the start of the next one.
+    starts = np.zeros(places.size + 2, np.int64)
     for n in range(len(triangles)):
         for corner in range(3):
-            starts[places[triangles[n, corner]] + 1] += 1
-    starts[0] = 0
+            starts[places[triangles[n, corner]] + 2] += 1
+    starts[1] = 0  # of vertices without a place, −1
     for place in range(places.size):
-        starts[place + 1] += starts[place]
+        starts[place + 2] += starts[place + 1]
     corners = np.empty(triangles.size, np.int32)
     for n in range(len(triangles)):
         for corner in range(3):
             place = places[triangles[n, corner]]
             if place >= 0:
-                corners[starts[place]] = 3 * n + corner
-                starts[place] += 1
-    for place in range(places.size, 0, -1):  # each start has moved to the next place's start
-        starts[place] = starts[place - 1]
-    starts[0] = 0
-    return corners, starts
+                corners[starts[place + 1]] = 3 * n + corner
+                starts[place + 1] += 1
+    return corners, starts[:-1]
 
 
 @kernel

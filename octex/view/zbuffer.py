@@ -12,12 +12,9 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from octex.cameras.camera import Camera
-from octex.checks import as_points
-from octex.errors import ArgumentError
 from octex.jit import kernel, part
 from octex.parallel import cpu_count, ordered_map, sharing
 
@@ -43,8 +40,8 @@ class Buffers(NamedTuple):
 
 
 def z_buffer(
-    positions: npt.ArrayLike,
-    triangles: npt.ArrayLike,
+    positions: Float64s,
+    triangles: Int32s,
     camera: Camera,
     executor: Executor | None = None,
     *,
@@ -52,7 +49,7 @@ def z_buffer(
 ) -> Buffers:
     """Find the triangle that each pixel's centre sees.
 
-    positions    (n, 3), in the world
+    positions    (n, 3), finite, in the world
     triangles    (m, 3) numbers of positions; both sides are visible; triangles without area are not
     camera       for several samples a pixel, pass ``camera.scaled``
     executor     spreads the work over bands of rows; the result stays the same
@@ -62,20 +59,9 @@ def z_buffer(
     A centre on the edge between two triangles belongs to exactly one of them (the top-left rule), whether
     they share vertices or only positions. At equal depth the first triangle wins, and the next one lies
     behind it. Points at depth 0 or less are invisible.
-
-    Raises ArgumentError for other shapes, non-finite positions, or vertex numbers out of range.
     """
-    positions = as_points(positions, "positions").astype(np.float64, copy=False)
-    if not np.isfinite(positions).all():
-        raise ArgumentError("positions must be finite")
-    corners = np.asarray(triangles)
-    if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
-        raise ArgumentError(
-            f"triangles must be whole numbers of shape (m, 3), not {corners.dtype} {corners.shape}"
-        )
-    if corners.size and not (corners.min() >= 0 and corners.max() < len(positions)):
-        raise ArgumentError(f"triangles must number vertices from 0 to {len(positions) - 1}")
-    screen, snapped, outside = _to_screen(positions, camera.matrix, camera.width, camera.height)
+    points, corners = np.ascontiguousarray(positions, np.float64), np.ascontiguousarray(triangles, np.int32)
+    screen, snapped, outside = _to_screen(points, camera.matrix, camera.width, camera.height)
     same = _SAME_DEPTH * float(np.abs(screen[:, 3]).max(initial=0.0))
     if behind is None:
         behind = Buffers(np.empty((0, 0), np.int32), np.empty((0, 0, 3), np.float32), np.empty((0, 0)))
@@ -83,7 +69,6 @@ def z_buffer(
     buffers = Buffers(
         np.empty(shape, np.int32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float64)
     )
-    corners = np.ascontiguousarray(corners, np.int32)
 
     def draw(ends: tuple[int, int]) -> None:
         rows = slice(*ends)

@@ -1,10 +1,15 @@
 """Frames are found by their names."""
 
+from pathlib import Path
+
 import pytest
 
 from octex.cameras.files import find_frame, read_cameras, write_cameras
 from octex.errors import CameraError
 from tests.make.painted import above
+
+
+FILE = Path("f.json")
 
 
 def named(folder, *names):
@@ -20,7 +25,9 @@ def named(folder, *names):
     ],
 )  # fmt: skip
 def test_a_frame_is_found_by_its_name_then_its_file_name_then_its_stem(asked, found, tmp_path):
-    assert find_frame(named(tmp_path, "a/x.png", "b/y.png", "b\\z.jpg", "y.png", "w"), asked).name == found
+    assert (
+        find_frame(named(tmp_path, "a/x.png", "b/y.png", "b\\z.jpg", "y.png", "w"), asked, FILE).name == found
+    )
 
 
 @pytest.mark.parametrize(
@@ -29,7 +36,7 @@ def test_a_frame_is_found_by_its_name_then_its_file_name_then_its_stem(asked, fo
         (
             ["a/x.png", "b/x.png"],
             "x.png",
-            r"'x\.png' may be 2 frames: 'a/x\.png', 'b/x\.png'; give the whole name",
+            r"f\.json: frame 'x\.png' may be 2 frames: 'a/x\.png', 'b/x\.png'; give the whole name",
         ),
         (["a/x.png", "b/x.png", *"cdefghijklm"], "q", r"no frame 'q'; there are: 'a/x\.png', .* and 3 more"),
         ([], "q", "there are: none"),
@@ -38,4 +45,4 @@ def test_a_frame_is_found_by_its_name_then_its_file_name_then_its_stem(asked, fo
 def test_a_frame_that_is_not_there_or_not_one_is_refused_with_a_listing(names, asked, message, tmp_path):
     frames = named(tmp_path, *names) if names else []
     with pytest.raises(CameraError, match=message):
-        find_frame(frames, asked)
+        find_frame(frames, asked, FILE)

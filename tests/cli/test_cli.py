@@ -256,7 +256,8 @@ def test_every_kernel_that_is_called_from_python_lies_on_a_path(called):
 def test_options_may_stand_anywhere(arguments):
     given = vars(parsed(*arguments.split(), command="paint"))
     assert sorted(given.pop("words")) == ["--balance", "--camera", "--mask"]
-    assert {name: value for name, value in given.items() if value} == {
+    usual = {each.name: each.default for each in OPTIONS.values()}
+    assert {name: value for name, value in given.items() if value and value != usual.get(name)} == {
         "MODEL": Path("m.glb"),
         "TEXTURE": Path("t.octex"),
         "IMAGE": [Path("a.png"), Path("b.png")],
@@ -265,6 +266,17 @@ def test_options_may_stand_anywhere(arguments):
         "mask": [Path("m.png")],
         "balance": "full",
     }
+
+
+def test_help_tells_the_default_that_holds():
+    for option in OPTIONS.values():
+        text = option.default
+        if isinstance(text, (int, float)):
+            text = f"{text:g}"
+        elif option.word == "--up":
+            text = ",".join(f"{number:g}" for number in text)
+        if isinstance(text, str) and option.word not in ("--loss", "--port"):
+            assert f"{text} (default)" in option.help or f"(default {text}" in option.help, option.word
 
 
 def test_sizes_have_a_comma_or_an_x():

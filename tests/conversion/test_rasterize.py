@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 
 from octex import jit
 from octex.cameras.camera import Camera
-from octex.errors import ArgumentError
 from octex.parallel import pool_of
 from octex.view.zbuffer import z_buffer
 from tests.conftest import needs_jit
@@ -241,22 +240,6 @@ def test_a_closed_surface_of_many_small_triangles_shows_only_its_front():
         spread = z_buffer(sphere, _grid(n, n), camera, pool)
     for of_bands, whole in zip(spread, buffers, strict=True):
         assert np.array_equal(of_bands, whole)
-
-
-@pytest.mark.parametrize(
-    ("positions", "triangles", "complaint"),
-    [
-        (np.zeros((3, 2)), [[0, 1, 2]], "positions must have shape"),
-        (np.full((3, 3), np.nan), [[0, 1, 2]], "positions must be finite"),
-        (np.zeros((3, 3)), [[0.0, 1.0, 2.0]], "triangles must be whole numbers"),
-        (np.zeros((3, 3)), [0, 1, 2], "triangles must be whole numbers"),
-        (np.zeros((3, 3)), [[0, 1, 3]], "must number vertices from 0 to 2"),
-        (np.zeros((3, 3)), [[0, 1, -1]], "must number vertices from 0 to 2"),
-    ],
-)
-def test_arrays_of_another_kind_are_refused(positions, triangles, complaint):
-    with pytest.raises(ArgumentError, match=complaint):
-        z_buffer(positions, triangles, _screen_camera(4, 4))
 
 
 @given(seed=st.integers(0, 2**32 - 1))

@@ -207,6 +207,7 @@ def test_tone_mapping_keeps_colours_below_white_and_compresses_light_beyond():
     assert mapped[4, 1] > 0.8  # it fades to white
     ramp = tone_mapped(np.linspace(0, 20, 2000)[:, None] * [1.0, 0.5, 0.2])
     assert (np.diff(ramp[:, 0]) > 0).all()
+    assert np.allclose(tone_mapped(np.full((1, 3), 1e30, np.float32)), 1.0)
 
 
 def test_what_glows_in_the_studio_is_compressed_with_what_it_reflects():

@@ -297,6 +297,12 @@ def test_a_preview_shows_source_and_octree_side_by_side(quarters, tmp_path):
     assert {(True, False, False), (False, True, False), (False, False, True)} <= colors
 
 
+@pytest.mark.parametrize(("size", "panel"), [((1, 90), "0 × 90"), ((90, 24), "45 × 24")])
+def test_a_preview_too_small_for_its_captions_is_refused(quarters, size, panel):
+    with pytest.raises(ArgumentError, match=f"size must be larger: a panel of {panel} pixels has no room"):
+        draw_preview(quarters[1], quarters[0], size)
+
+
 def test_a_preview_of_one_thing_shows_it_alone(quarters, tmp_path):
     surface, texture = quarters
     for name, things in (("surface", (None, surface)), ("texture", (texture,))):
@@ -311,12 +317,11 @@ def test_captions_name_the_model_and_count_the_leaves(quarters, monkeypatch):
     surface, texture = quarters
     said = []
     monkeypatch.setattr(panels, "captioned", lambda _, *text: said.append(text) or np.zeros((1, 1, 3)))
-    draw_preview(texture, surface, (60, 60), 1, note="40 dB")
+    draw_preview(texture, surface, (60, 60), 1)
     draw_preview(texture, None, (60, 60), 1)
     octree = f"{texture.tree.n_leaves:,} leaves, {texture.nbytes / 1e3:.3g} kB"
     assert said[0] == ("surface", "model, 2 triangles")
-    assert said[1] == ("octree, depth 5", f"{octree}, 40 dB")
-    assert said[2] == ("octree, depth 5", octree)
+    assert said[1] == said[2] == ("octree, depth 5", octree)
     assert said[3][0].startswith("level ")
 
 

@@ -175,3 +175,12 @@ def test_a_surface_is_lit_by_its_own_normals():
 
     flat = octex.Surface.from_arrays(coarse.vertices, coarse.triangles)
     assert max(off(both), off(both.with_pose(posed))) < 0.4 * off(flat)
+
+
+def test_leaves_are_the_finest_where_the_middle_of_the_surface_is_behind_the_camera(texture):
+    pose = np.diag([1.0, -1.0, -1.0, 1.0])  # looks along −z
+    pose[:3, 3] = *texture.bounds.mean(axis=0)[:2], -1.0
+    beyond = octex.Camera.pinhole((8, 6), pose=pose, convention="opencv", focal=8.0)
+    np.testing.assert_array_equal(
+        octex.render(texture, None, beyond), octex.render(texture, None, beyond, level=texture.tree.max_depth)
+    )

@@ -283,6 +283,12 @@ def test_a_blur_of_no_width_changes_nothing_and_one_of_little_next_to_nothing():
 
 
 @needs_jit
+def test_a_blur_wider_than_all_is_the_mean_of_all():
+    texture = eight_colors()
+    wide, wider = (octex.blur(texture, width).channels["base_color"].values for width in (1e9, 1e308))
+    np.testing.assert_array_equal(wide, wider)
+
+
 def test_a_blur_is_what_a_lookup_of_that_width_says():
     texture = naive.unfitted(octex.cast(shell(4), "float32"))
     made = octex.blur(texture, 0.2)

@@ -9,6 +9,7 @@ from octex import channels as channel_meaning
 from octex.channels import ALPHA, BASE_COLOR, NORMAL
 from octex.errors import ArgumentError
 from octex.texture import FILTERS, Channel
+from octex.texture.channel import as_channels
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests.make.small_textures import eight_colors, shell
@@ -177,7 +178,7 @@ def test_a_channel_of_one_number_has_it_in_all_rows_and_a_copy_has_its_own():
     assert tree.kept.cells.size
     for value in (0, 7):
         channel = Channel.full(BASE_COLOR, tree, value)
-        channel.check("base_color", tree)
+        as_channels({"base_color": channel}, tree)
         copy = channel.copied().named("other")
         assert (copy.format, channel.format) == (BASE_COLOR._replace(name="other"), BASE_COLOR)
         for array, own in zip(channel[1:], copy[1:], strict=True):
