@@ -8,7 +8,6 @@ from octex.cameras.files import find_frame, read_cameras, write_cameras
 from octex.errors import CameraError
 from tests.make.painted import above
 
-
 FILE = Path("f.json")
 
 
