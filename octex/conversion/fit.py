@@ -369,7 +369,7 @@ def with_sides(fitter: Fitter, tree: Octree, means: Channels, values: Channels) 
         finest = np.logical_or.reduceat(in_chosen, samples.firsts[:-1])
     rows = leaves.rows_of(tried.tree, chosen)
     fitted = fitter.fit_rows(tried.tree, start, samples.of(np.flatnonzero(finest)), rows)
-    made = OctreeTexture(tried.tree, fitted, UNIT, tried.bounds)
+    made = tried.with_cells(tried.tree, fitted)
     made = without_split(made, split_in_vain(made, whole))
     return made.tree, made.channels
 

@@ -126,7 +126,7 @@ def begun(
     )  # fmt: skip
     tree, channels, *_ = assemble(made)
     progress("fill", 1, 1)
-    return OctreeTexture(tree, channels, layer.placement, layer.bounds, nothing.metadata)
+    return nothing.with_cells(tree, channels)
 
 
 def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Region]:
@@ -212,7 +212,7 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
     channel = Channel(form, values, split_values, kept)
     average(texture, channel)
     channels = {**texture.channels, COVERED: channel}
-    return OctreeTexture(tree, channels, texture.placement, texture.bounds, texture.metadata)
+    return texture.with_cells(tree, channels)
 
 
 #: Coverage that hides the fill.

@@ -355,7 +355,7 @@ def as_file(texture: OctreeTexture, stack: Stack) -> OctreeTexture:
     }
     metadata = {**texture.metadata, LISTED: json.dumps(listed)}
     made_of = {name: channels[name] for name in order}
-    return OctreeTexture(texture.tree, made_of, texture.placement, texture.bounds, metadata)
+    return texture.with_cells(texture.tree, made_of, metadata)
 
 
 def from_file(texture: OctreeTexture, keep: Keep | None = None) -> tuple[OctreeTexture, Stack]:
@@ -389,9 +389,7 @@ def from_file(texture: OctreeTexture, keep: Keep | None = None) -> tuple[OctreeT
             channels[made] = channel.named(made)
     _check(channels, stack)
     metadata = {name: text for name, text in texture.metadata.items() if name != LISTED}
-    made_of = with_composite(
-        OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata), stack
-    )
+    made_of = with_composite(texture.with_cells(texture.tree, channels, metadata), stack)
     is_whole = names <= texture.channels.keys()
     is_same = digest == _digest(texture.channels, texture) or _looks_like(made_of, texture)
     if keep is None and not (is_whole and is_same):
@@ -412,7 +410,7 @@ def _flat(texture: OctreeTexture) -> OctreeTexture:
     """Return the composite of a file, without its layers."""
     channels = {name: channel for name, channel in texture.channels.items() if not _is_of_stack(name)}
     metadata = {name: text for name, text in texture.metadata.items() if name != LISTED}
-    return OctreeTexture(texture.tree, channels, texture.placement, texture.bounds, metadata)
+    return texture.with_cells(texture.tree, channels, metadata)
 
 
 def _is_of_stack(name: str) -> bool:
