@@ -14,9 +14,9 @@ export class Elsewhere {
   constructor(painting) {
     this.painting = painting;
     element("history").before(section("elsewhere", "Paint in another program",
-      make("p", { class: "hint" }, "Save the view, paint on it in any program, save that as PNG under the same name, and drop it on this page or choose it here. Only what you changed is painted, wherever you have turned the view."),
+      make("p", { class: "hint" }, "Save the view and paint on it in any program. Save that as PNG under the same name, and load it here or drop it on the page. octex paints only the pixels that you changed. You may turn the view meanwhile."),
       make("div", { class: "buttons" }, make("button", { type: "button", id: "save-view", onclick: () => this.save() }, "Save the view"),
-        make("button", { type: "button", onclick: () => painting.stencil.file.click() }, "Take it back …"))));
+        make("button", { type: "button", onclick: () => painting.stencil.file.click() }, "Load it …"))));
   }
 
   // Save the colours of the view without light, transparent beside the model.
@@ -36,7 +36,7 @@ export class Elsewhere {
       await keep(view);
       download(`${name}-view-${id}.png`, view.png);
     } catch {
-      painting.say("This browser cannot keep the view, so it could not be taken back.");
+      painting.say("This browser cannot keep the view, so it could not be loaded again.");
     }
   }
 

@@ -30,7 +30,7 @@ const KEYS = TOOLS.map(({ key, text }) => `${key.toUpperCase()} ${text.toLowerCa
 const HELP = [
   "Drag on the model to paint, beside it or with the middle button to turn, with the right button to move; wheel or pinch zooms.",
   "Shift draws straight lines, Ctrl changes the brush’s size and hardness, Alt picks a colour.",
-  `Keys: ${KEYS}, X the other colour, [ and ] size, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns by itself.`,
+  `Keys: ${KEYS}, X the other colour, [ and ] size, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns automatically.`,
 ].join(" ");
 
 export async function begin(viewer, told) {
@@ -86,7 +86,8 @@ class Painting {
     this.tools = make("nav", { id: "tools", "aria-label": "Tools" }, ...TOOLS.map(button));
     this.stage = element("stage");
     this.stage.append(this.outlined.ring, this.outlined.string);
-    this.main.append(this.flat.picture, this.tools, this.flat.bar);
+    this.main.before(this.tools);
+    this.main.append(this.flat.picture, this.flat.bar);
     const [least, most] = [LEAST_SIZE, MOST_SIZE].map(Math.log);
     const part = { min: 0, max: 1, step: 0.01 };
     this.material = new Material(this);
@@ -95,7 +96,8 @@ class Painting {
         act("undo", "undo", "Undo (Ctrl+Z)", () => this.undo()),
         act("redo", "redo", "Redo (Ctrl+Shift+Z)", () => this.redo()),
         act("store", "save", "Save (Ctrl+S)", () => this.save()),
-        act("theme", "theme", "Dark or light", () => this.theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"))),
+        act("theme", "theme", "Dark or light", () => this.theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark")),
+        act("fold", "fold", "Panel", ({ currentTarget }) => (currentTarget.ariaExpanded = !document.querySelector("aside").classList.toggle("folded")))),
       make("p", { id: "saved", role: "status" }),
       make("div", { id: "question", role: "alert", hidden: true }),
       ...this.palette.parts,
@@ -110,16 +112,16 @@ class Painting {
         ...slider("smoothing", "Smoothing", { min: 0, max: 100, step: 1 }, (smoothing) => this.set({ smoothing })),
         ...choice("pressure", "A pen’s pressure changes", [["size", "the size"], ["opacity", "the opacity"], ["both", "both"], ["", "nothing"]], (pressure) => this.set({ pressure }))),
       this.material.section,
-      section("where", "What is painted",
-        ...slider("angle", "Seen at most at an angle of", { min: 5, max: 90, step: 1 }, (angle) => this.set({ angle })),
-        check("back-faces", "also what faces away", (backFaces) => this.set({ backFaces })),
-        check("hidden", "also what is hidden", (hidden) => this.set({ hidden })),
-        check("one-part", "only the part that a stroke begins on", (onePart) => this.set({ onePart })),
-        ...choice("mirror", "Mirror", [["", "off"], ...["x", "y", "z"].map((axis) => [axis, `left and right along ${axis}`])], (mirror) => this.set({ mirror })),
-        ...slider("mirror-at", "Mirror’s place", { min: -50, max: 50, step: 0.5 }, (mirrorAt) => this.set({ mirrorAt }))),
+      section("where", "Where to paint",
+        ...slider("angle", "Largest angle to the view", { min: 5, max: 90, step: 1 }, (angle) => this.set({ angle })),
+        check("back-faces", "back faces too", (backFaces) => this.set({ backFaces })),
+        check("hidden", "hidden surface too", (hidden) => this.set({ hidden })),
+        check("one-part", "only the part where a stroke starts", (onePart) => this.set({ onePart })),
+        ...choice("mirror", "Mirror", [["", "off"], ...["x", "y", "z"].map((axis) => [axis, `along ${axis}`])], (mirror) => this.set({ mirror })),
+        ...slider("mirror-at", "Mirror plane", { min: -50, max: 50, step: 0.5 }, (mirrorAt) => this.set({ mirrorAt }))),
       section("filling", "Fill",
-        ...choice("filled", "What is clicked fills", [["part", "its part"], ["color", "its colour, as far as that goes"], ["colors", "its colour everywhere"], ["all", "the whole model"]], (filled) => this.set({ filled })),
-        ...slider("tolerance", "Colours that differ by", { min: 0, max: 100, step: 1 }, (tolerance) => this.set({ tolerance }))),
+        ...choice("filled", "A click fills", [["part", "the part"], ["color", "the connected colour"], ["colors", "the colour everywhere"], ["all", "the whole model"]], (filled) => this.set({ filled })),
+        ...slider("tolerance", "Tolerance", { min: 0, max: 100, step: 1 }, (tolerance) => this.set({ tolerance }))),
       this.layers.build(),
       section("history", "Steps", make("ol", { id: "steps" })),
       this.exporting.section,
@@ -128,6 +130,7 @@ class Painting {
     element("help").textContent = HELP;
     element("history").open = true;
     element("panel").open = false;
+    element("fold").ariaExpanded = true;
     this.layers.show();
     this.choose("brush");
     this.set({});
@@ -136,6 +139,7 @@ class Painting {
   choose(name) {
     const tool = TOOLS.find((each) => each.name === name);
     if (tool.chosen?.(this)) return;
+    if (tool.settings) element(tool.settings).open = true;
     this.tool?.left?.(this);
     this.tool = tool;
     for (const button of this.tools.children) button.setAttribute("aria-pressed", String(button.id === `tool-${name}`));
@@ -157,10 +161,10 @@ class Painting {
     element("angle").value = brush.angle;
     element("angle-text").textContent = brush.angle === 90 ? "any" : `${brush.angle}°`;
     element("mirror-at").value = brush.mirrorAt;
-    element("mirror-at-text").textContent = brush.mirrorAt ? `${brush.mirrorAt} % of the model` : "middle";
+    element("mirror-at-text").textContent = brush.mirrorAt ? `${brush.mirrorAt} % from the middle` : "middle";
     element("mirror-at").disabled = !brush.mirror;
     element("tolerance").value = brush.tolerance;
-    element("tolerance-text").textContent = `up to ${brush.tolerance}`;
+    element("tolerance-text").textContent = `${brush.tolerance} of 255`;
     element("tolerance").disabled = !brush.filled.startsWith("color");
     for (const [name, id] of [["backFaces", "back-faces"], ["hidden", "hidden"], ["onePart", "one-part"]]) element(id).checked = brush[name];
     for (const name of ["unit", "pressure", "blend", "mirror", "filled"]) element(name).value = brush[name];

@@ -36,7 +36,7 @@ export class Palette {
   }
 
   brush(name, settings) {
-    const dab = make("i", { style: `--hardness: ${100 * settings.hardness}%; --flow: ${Math.max(settings.flow, 0.5)}` });
+    const dab = make("i", { class: settings.spacing > 1 ? "dots" : "", style: `--hardness: ${100 * settings.hardness}%; --flow: ${Math.max(settings.flow, 0.5)}` });
     return make("button", { type: "button", title: `${name} brush`, onclick: () => this.take(settings) }, dab, name);
   }
 

@@ -11,7 +11,7 @@ const TILE = 16; // pixels along the sides of squares that are drawn or not yet;
 const COPY = 0, BLUR = 1, SMUDGE = 2; // as retouch.frag names them; beneath.js has one more
 const REACH = 2.5; // of a blur, in standard deviations
 const SHARPER = -1; // how much is added of what a blur would take away
-const DABS = 4; // of a smudge, within the brush's radius
+const DABS = 8; // of a smudge, within the brush's fading edge: fewer leave ribs
 const CARRIED = 0.97; // what part of a colour a dab takes along, at most
 const LEAST_WIDTH = 1, MOST_WIDTH = 20;
 const SAME = 0.02; // how far from the source, in the model's radius, is what hides it
@@ -158,7 +158,7 @@ class Smudged extends Made {
   ready(box, from, to) {
     const radius = to[2];
     this.at ??= from.slice(0, 2).map(Math.round);
-    const far = Math.hypot(to[0] - this.at[0], to[1] - this.at[1]), dabs = Math.floor((far * DABS) / Math.max(radius, DABS));
+    const far = Math.hypot(to[0] - this.at[0], to[1] - this.at[1]), step = Math.max((radius * (1 - this.hardness)) / DABS, 1), dabs = Math.floor(far / step);
     this.seen.need(box);
     const start = this.at;
     for (let n = 1; n <= dabs; n++) {
@@ -192,8 +192,8 @@ export class Retouch {
     element("history").before(section("retouch", "Clone and blur",
       make("p", { class: "hint" }, "Clone: Alt and click where colours come from, then paint."),
       make("div", { class: "buttons" }, make("button", { type: "button", id: "clone-again", onclick: () => this.forget() }, "Choose another place")),
-      ...choice("blur-way", "Blur makes it", [["softer", "softer"], ["sharper", "sharper"]], (way) => this.set({ way })),
-      ...slider("blur-width", "by colours around, within", { min: LEAST_WIDTH, max: MOST_WIDTH, step: 1 }, (width) => this.set({ width }))));
+      ...choice("blur-way", "The blur tool", [["softer", "blurs"], ["sharper", "sharpens"]], (way) => this.set({ way })),
+      ...slider("blur-width", "Radius", { min: LEAST_WIDTH, max: MOST_WIDTH, step: 1 }, (width) => this.set({ width }))));
     this.set({});
   }
 

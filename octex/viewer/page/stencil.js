@@ -35,11 +35,11 @@ export class Stencil {
     this.file = make("input", { type: "file", accept: KINDS, hidden: true, "aria-label": "Picture", onchange: ({ target }) => target.files[0] && this.painting.elsewhere.take(target.files[0]) });
     const act = (id, text, run) => make("button", { type: "button", id, onclick: run }, text);
     this.controls = make("div", { hidden: true },
-      ...slider("stencil-opacity", "Seen over the model", { min: 0.05, max: 1, step: 0.01 }, (opacity) => this.set({ opacity })),
+      ...slider("stencil-opacity", "Opacity on the screen", { min: 0.05, max: 1, step: 0.01 }, (opacity) => this.set({ opacity })),
       check("stencil-through", "the brush paints through it", (isThrough) => this.set({ isThrough })),
       ...choice("stencil-colors", "Paint", [["own", "its colours"], ["dark", "my colour where it is dark"], ["light", "my colour where it is light"]], (colors) => this.set({ colors })),
-      check("stencil-mirrored", "mirror it too, where strokes are mirrored", (isMirrored) => this.set({ isMirrored })),
-      make("div", { class: "buttons" }, act("stencil-put", "Put it down", () => this.putDown()), act("stencil-remove", "Remove", () => this.remove())));
+      check("stencil-mirrored", "mirror it with the strokes", (isMirrored) => this.set({ isMirrored })),
+      make("div", { class: "buttons" }, act("stencil-put", "Paint it", () => this.putDown()), act("stencil-remove", "Remove", () => this.remove())));
     element("history").before(section("stencil-section", "Stencil",
       make("p", { class: "hint" }, "A picture over the model. Choose the tool Stencil to move it; drag a corner to turn and scale it."),
       make("div", { class: "buttons" }, act("stencil-choose", "Choose a picture …", () => this.file.click())), this.file, this.controls));
@@ -199,7 +199,7 @@ export class Stencil {
     if (!this.bitmap || painting.pen) return;
     painting.say(why);
     if (why) return;
-    const own = this.stroke("Picture put down");
+    const own = this.stroke("Picture");
     if (!own.picture.box) return painting.say("The picture lies beside the view: move it over the model.");
     strokes.begin({ ...brush, offset: painting.offset, ...own, ...strokes.seen, look: painting.beneath.look({ ...brush, ...own }) });
     strokes.cover(own.picture.box);
