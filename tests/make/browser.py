@@ -141,6 +141,10 @@ def served(viewer: Viewer) -> Iterator[Viewer]:
     assert not thread.is_alive()
 
 
+def _is_fault(line: Any) -> bool:
+    return line.type == "error" or "GL_INVALID" in line.text
+
+
 def opened(
     browser: Any,
     url: str,
@@ -157,7 +161,7 @@ def opened(
     page = browser.new_page(viewport={"width": size[0], "height": size[1]}, bypass_csp=bypass_csp, **options)
     page.complaints = []
     page.on("pageerror", lambda error: page.complaints.append(str(error)))
-    page.on("console", lambda line: line.type == "error" and page.complaints.append(line.text))
+    page.on("console", lambda line: _is_fault(line) and page.complaints.append(line.text))
     page.add_init_script(_COARSE % finest)
     if bypass_csp and browser.browser_type.name == "firefox":
         url = _without_policy(page, url)

@@ -197,7 +197,8 @@ def test_keys_and_the_picker_set_the_brush(studio, page):
 @pytest.mark.parametrize("size", [(1180, 760), (800, 340), (844, 390), (390, 780)])
 def test_each_tool_is_within_the_window_and_each_control_within_the_panel(size, page):
     page.set_viewport_size({"width": size[0], "height": size[1]})
-    boxes = page.locator("#tools button").evaluate_all(
+    page.evaluate("document.getElementById('flat').hidden = false")
+    boxes = page.locator("#tools button, #flat").evaluate_all(
         "(all) => all.map((each) => each.getBoundingClientRect().toJSON())"
     )
     opened = page.evaluate(_OPEN)
@@ -210,8 +211,9 @@ def test_each_tool_is_within_the_window_and_each_control_within_the_panel(size, 
     inner, outer = panel.evaluate("(panel) => [panel.scrollWidth, panel.clientWidth]")
     lines = page.locator(".buttons button:visible").evaluate_all(_LINES)
     page.evaluate(_CLOSE, opened)
+    page.evaluate("document.getElementById('flat').hidden = true")
     page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
-    assert len(boxes) == 9
+    assert len(boxes) == 10
     for box in boxes:
         assert box["left"] >= 0 <= box["top"]
         assert box["right"] <= stage
@@ -243,6 +245,7 @@ def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser)
         assert page.locator("#fold").get_attribute("aria-expanded") == "false"
     after = page.evaluate("viewer.canvas.clientHeight")
     page.close()
+    assert page.complaints == []
     assert names == []
     assert (
         (before > 0.95 * size[1]) if size[0] > size[1] else (before < 0.5 * size[1] < 0.75 * size[1] < after)

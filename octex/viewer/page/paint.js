@@ -64,7 +64,7 @@ class Painting {
   async open() {
     const { viewer } = this, { gpu } = viewer;
     for (const name of ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]) gpu.programs.shaders[name] = await (await fetch(`shaders/${name}`)).text();
-    document.head.append(make("link", { rel: "stylesheet", href: "paint.css" }));
+    await new Promise((go) => document.head.append(make("link", { rel: "stylesheet", href: "paint.css", onload: go, onerror: go })));
     document.documentElement.classList.add("paints");
     this.main = document.querySelector("main");
     this.build();
@@ -86,8 +86,8 @@ class Painting {
     this.tools = make("nav", { id: "tools", "aria-label": "Tools" }, ...TOOLS.map(button));
     this.stage = element("stage");
     this.stage.append(this.outlined.ring, this.outlined.string);
-    this.main.before(this.tools);
-    this.main.append(this.flat.picture, this.flat.bar);
+    this.main.before(this.tools, this.flat.bar);
+    this.main.append(this.flat.picture);
     const [least, most] = [LEAST_SIZE, MOST_SIZE].map(Math.log);
     const part = { min: 0, max: 1, step: 0.01 };
     this.material = new Material(this);

@@ -57,7 +57,6 @@ export class Stencil {
 
   // The tool is chosen: show its controls.
   begin() {
-    element("stencil-section").open = true;
     if (!this.bitmap) this.painting.say("Choose a picture, or drop one on the page.");
   }
 
