@@ -250,3 +250,16 @@ def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser)
     assert (
         (before > 0.95 * size[1]) if size[0] > size[1] else (before < 0.5 * size[1] < 0.75 * size[1] < after)
     )
+
+
+@needs_jit
+def test_a_page_keeps_to_its_policy(studio, browser):
+    page = opened(browser, studio.viewer.url, SIZE, bypass_csp=False)
+    page.wait_for_selector("#brushes i")
+    backgrounds = page.locator("#brushes i").evaluate_all(
+        "(all) => all.map((each) => getComputedStyle(each).backgroundImage)"
+    )
+    page.close()
+    assert page.complaints == []
+    assert len(backgrounds) == 5
+    assert all("gradient" in each for each in backgrounds)

@@ -1,9 +1,9 @@
 // Views that are painted in other programs: saved as PNG, kept by the browser with their cameras, and taken back.
 
 import { send } from "./brush.js";
-import { download, element } from "./elements.js";
+import { download, element, make } from "./elements.js";
 import { readImage } from "./images.js";
-import { make, section } from "./panel.js";
+import { section } from "./panel.js";
 import { Seen } from "./retouch.js";
 
 const NAME = /-view-([0-9a-f]{8})/; // of files

@@ -1,8 +1,8 @@
 // Layers: the list of them, what the chosen one is set to, and the eraser. The server has the paint; see layers.py.
 
 import { BrushDrag } from "./brush.js";
-import { element } from "./elements.js";
-import { BLENDS, ICONS, act, check, choice, icon, make, section, slider } from "./panel.js";
+import { element, make } from "./elements.js";
+import { BLENDS, ICONS, act, check, choice, icon, section, slider } from "./panel.js";
 
 Object.assign(ICONS, {
   eraser: "M15.6 3.2a2 2 0 0 0-2.8 0L3.2 12.8a2 2 0 0 0 0 2.8L7.6 20H21v-2.2h-7.2l7-7a2 2 0 0 0 0-2.8zM8.5 17.8l-3.7-3.6 4-4 4.5 4.5-3.1 3.1z",

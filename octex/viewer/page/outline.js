@@ -1,7 +1,7 @@
 // The outline of the brush under the pointer: how far its paint goes on the surface, within that half its radius as the
 // surface bends it, and a needle that shows how the surface is turned.
 
-import { make } from "./panel.js";
+import { make } from "./elements.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const ANGLES = 64; // as in outline.frag

@@ -1,7 +1,7 @@
 // Painting: the panel, what pointers and keys do, and what has been done. See tools.js, stroke.js and sending.js.
 
 import { Beneath } from "./beneath.js";
-import { element } from "./elements.js";
+import { element, make } from "./elements.js";
 import { Elsewhere } from "./elsewhere.js";
 import { Exporting } from "./exporting.js";
 import { Flat } from "./flat.js";
@@ -11,7 +11,7 @@ import { Layers } from "./layers.js";
 import { Material } from "./material.js";
 import { Outline } from "./outline.js";
 import { Palette } from "./palette.js";
-import { BLENDS, act, check, choice, icon, make, section, slider } from "./panel.js";
+import { BLENDS, act, check, choice, icon, section, slider } from "./panel.js";
 import { Retouch } from "./retouch.js";
 import { Sending } from "./sending.js";
 import { Stencil } from "./stencil.js";

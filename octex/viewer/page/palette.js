@@ -1,8 +1,7 @@
 // The brush's colour, the colours that were used last, and brushes that are ready made.
 
-import { element } from "./elements.js";
+import { element, make } from "./elements.js";
 import { fromHex, toHex } from "./material.js";
-import { make } from "./panel.js";
 
 const MOST_USED = 9; // colours, which are one row
 // What each brush sets; size and colour stay.

@@ -1,5 +1,7 @@
 // What controls are made of.
 
+import { make } from "./elements.js";
+
 export const ICONS = {
   brush: "M20.7 3.3a2 2 0 0 0-2.8 0l-9 9 2.8 2.8 9-9a2 2 0 0 0 0-2.8zM7.5 13.7c-2 0-3.3 1.5-3.3 3.3 0 1.4-.8 2.2-2 2.5.9 1 2.3 1.6 3.8 1.6 2.6 0 4.7-1.8 4.7-4.2 0-1.8-1.4-3.2-3.2-3.2z",
   pick: "M20.5 3.5a2.6 2.6 0 0 0-3.7 0l-2.6 2.6-1.1-1.1-1.6 1.6 1.2 1.2L5 15.4 4 20l4.6-1 7.6-7.7 1.2 1.2 1.6-1.6-1.1-1.1 2.6-2.6a2.6 2.6 0 0 0 0-3.7zM7.7 17.3l-1.5.4.4-1.5 6.9-7 1.2 1.2z",
@@ -11,7 +13,6 @@ export const ICONS = {
   undo: "M8 5 2.5 10.5 8 16v-4h5.5a3.8 3.8 0 0 1 0 7.5H9V22h4.5a6.2 6.2 0 0 0 0-12.5H8z",
   redo: "m16 5 5.5 5.5L16 16v-4h-5.5a3.8 3.8 0 0 0 0 7.5H15V22h-4.5a6.2 6.2 0 0 1 0-12.5H16z",
   save: "M4 3h12l5 5v13H3V4a1 1 0 0 1 1-1zm3 2v5h8V5zm5 8a3 3 0 1 0 0 6 3 3 0 0 0 0-6z",
-  swap: "M8 3 3 8l5 5V9.2h7V6.8H8zm8 8v3.8H9v2.4h7V21l5-5z",
   flat: "M9 3 3 5.2V21l6-2.2 6 2.2 6-2.2V3l-6 2.2zm.2 2.2 5.6 2v11.4l-5.6-2z",
   back: "M5.6 4 4 5.6 10.4 12 4 18.4 5.6 20l6.4-6.4 6.4 6.4 1.6-1.6-6.4-6.4L20 5.6 18.4 4 12 10.4z",
   less: "M4 10.8h16v2.4H4z",
@@ -22,17 +23,6 @@ export const ICONS = {
 
 // How paint or a layer combines with what is below, and what that is called.
 export const BLENDS = [["over", "normal"], ["multiply", "multiply"], ["screen", "screen"], ["add", "add"]];
-
-export function make(name, attributes = {}, ...children) {
-  const made = document.createElement(name);
-  for (const [key, value] of Object.entries(attributes)) {
-    if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
-    else if (value === true) made.setAttribute(key, "");
-    else if (value !== false && value !== null) made.setAttribute(key, value);
-  }
-  made.append(...children);
-  return made;
-}
 
 export function icon(name) {
   const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg"), path = document.createElementNS(svg.namespaceURI, "path");

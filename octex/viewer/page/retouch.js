@@ -3,8 +3,8 @@
 
 import { BrushDrag } from "./brush.js";
 import { clipped } from "./dabs.js";
-import { element } from "./elements.js";
-import { choice, make, section, slider } from "./panel.js";
+import { element, make } from "./elements.js";
+import { choice, section, slider } from "./panel.js";
 import { planesFor } from "./programs.js";
 
 const TILE = 16; // pixels along the sides of squares that are drawn or not yet; neighbours in a row are drawn at once

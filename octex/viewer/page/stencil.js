@@ -1,9 +1,9 @@
 // A stencil: an image laid over the view, that the brush paints through, or that is put down as it lies.
 
 import { send } from "./brush.js";
-import { element } from "./elements.js";
+import { element, make } from "./elements.js";
 import { KINDS, readImage } from "./images.js";
-import { check, choice, make, section, slider } from "./panel.js";
+import { check, choice, section, slider } from "./panel.js";
 
 const SHARE = 0.6; // of the picture, that a new image takes
 const MOST_SHOWN = 1024; // pixels along a side of the overlay
