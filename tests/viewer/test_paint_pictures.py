@@ -190,7 +190,7 @@ def test_a_stencil_is_mirrored_only_if_that_is_asked(clean):
     clean.lay(smooth())
     clean.shown.evaluate("viewer.painting.set({ mirror: 'x' })")
     for is_asked in (False, True):
-        clean.shown.locator("#stencil-mirrored").set_checked(is_asked)
+        clean.shown.locator("#stencil-isMirrored").set_checked(is_asked)
         clean.shown.locator("#stencil-put").click()
         clean.done()
         assert clean.sent()[0]["mirror"] == ("x" if is_asked else "")

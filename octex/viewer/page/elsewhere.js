@@ -27,7 +27,7 @@ export class Elsewhere {
     const seen = new Seen(painting), id = crypto.randomUUID().slice(0, 8);
     seen.need([0, 0, width, height]);
     const picture = Object.assign(document.createElement("canvas"), { width, height }), pixels = new ImageData(width, height);
-    const rows = this.read(seen.target);
+    const rows = viewer.gpu.codes(seen.target);
     for (let row = 0; row < height; row++) pixels.data.set(rows.subarray(4 * width * (height - 1 - row), 4 * width * (height - row)), 4 * width * row);
     picture.getContext("2d").putImageData(pixels, 0, 0);
     const view = { id, title: viewer.header.title, at: Date.now(), ...painting.strokes.seen, seen: viewer.viewed };
@@ -75,15 +75,7 @@ export class Elsewhere {
     gl.bindTexture(gl.TEXTURE_2D, target.textures[0]);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, bitmap.width, bitmap.height, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
     bitmap.close();
-    return this.read(target);
-  }
-
-  read({ buffer, width, height }) {
-    const { gl } = this.painting.viewer.gpu, codes = new Uint8Array(4 * width * height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
-    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    return codes;
+    return gpu.codes(target);
   }
 }
 

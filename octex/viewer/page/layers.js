@@ -2,7 +2,7 @@
 
 import { BrushDrag } from "./brush.js";
 import { element, make } from "./elements.js";
-import { BLENDS, ICONS, act, check, choice, icon, section, slider } from "./panel.js";
+import { BLENDS, ICONS, act, check, choice, icon, percent, section, slider } from "./panel.js";
 
 Object.assign(ICONS, {
   eraser: "M15.6 3.2a2 2 0 0 0-2.8 0L3.2 12.8a2 2 0 0 0 0 2.8L7.6 20H21v-2.2h-7.2l7-7a2 2 0 0 0 0-2.8zM8.5 17.8l-3.7-3.6 4-4 4.5 4.5-3.1 3.1z",
@@ -28,7 +28,7 @@ export class Layers {
 
   build() {
     const set = (name, text) => (value) => this.send("set", text, { [name]: value }), part = { min: 0, max: 1, step: 0.01 };
-    const opacity = slider("layer-opacity", "Opacity", part, (value) => (element("layer-opacity-text").textContent = `${Math.round(100 * value)} %`));
+    const opacity = slider("layer-opacity", "Opacity", part, (value) => (element("layer-opacity-text").textContent = percent(value)));
     opacity[1].addEventListener("change", ({ target }) => set("opacity", "Opacity of a layer")(Number(target.value)));
     const title = make("input", { type: "text", id: "layer-title", maxlength: 40, onchange: ({ target }) => (target.value.trim() ? set("title", "Rename a layer")(target.value.trim()) : this.show()) });
     return section("layers", "Layers",
@@ -109,7 +109,7 @@ export class Layers {
     element("layer-merge").disabled = place === 0 || [layer, stack[place - 1]].some(({ isVisible, blend }) => !isVisible || blend !== "over");
     element("layer-title").value = layer.title;
     element("layer-opacity").value = layer.opacity;
-    element("layer-opacity-text").textContent = `${Math.round(100 * layer.opacity)} %`;
+    element("layer-opacity-text").textContent = percent(layer.opacity);
     element("layer-blend").value = layer.blend;
     element("layer-mask").checked = layer.hasMask;
     element("layer-masked").checked = this.mask;
@@ -120,7 +120,7 @@ export class Layers {
     const number = layer?.number ?? null, isSeen = layer?.isVisible ?? true, title = layer?.title ?? "Texture";
     const eye = make("button", { type: "button", class: "eye", title: isSeen ? "Hide" : "Show", "aria-label": `${isSeen ? "Hide" : "Show"} ${title}`, disabled: !layer, onclick: () => this.painting.sending.send({ kind: "layer", name: isSeen ? "Hide a layer" : "Show a layer", action: "set", layer: number, isVisible: !isSeen }) }, icon(isSeen ? "seen" : "hidden"));
     const name = make("button", { type: "button", class: "name", "aria-current": number === this.chosen ? "true" : false, onclick: () => this.choose(number) }, title);
-    const how = layer ? [layer.blend === "over" ? "" : layer.blend, layer.opacity < 1 ? `${Math.round(100 * layer.opacity)} %` : ""].filter(Boolean).join(", ") : "";
+    const how = layer ? [layer.blend === "over" ? "" : layer.blend, layer.opacity < 1 ? percent(layer.opacity) : ""].filter(Boolean).join(", ") : "";
     name.append(make("small", {}, how));
     return make("li", { class: isSeen ? "" : "unseen" }, eye, name);
   }

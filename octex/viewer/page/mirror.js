@@ -45,7 +45,7 @@ export class Mirror {
     projection[14] = (-2 * far * near) / (far - near);
     Object.assign(this, { axis, place, camera: product(seen, inRoot) });
     this.eye = camera.position.map((x, n) => ((n === axis ? 2 * place - x : x) - origin[n]) / size);
-    this.places = gpu.target("mirror places", width, height, [gpu.gl.RGBA32UI, gpu.gl.RGBA32UI]);
+    this.places = gpu.targetOfTwo("mirror places", width, height);
     const shown = { view: product(camera.view, reflection(axis, place)), projection: () => projection };
     gpu.drawPlaces({ ...look, paint: true, asksPart: true }, shown, this.places, width, height);
   }

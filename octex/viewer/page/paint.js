@@ -11,7 +11,7 @@ import { Layers } from "./layers.js";
 import { Material } from "./material.js";
 import { Outline } from "./outline.js";
 import { Palette } from "./palette.js";
-import { BLENDS, act, check, choice, icon, section, slider } from "./panel.js";
+import { BLENDS, Settings, act, icon, section, slider } from "./panel.js";
 import { Retouch } from "./retouch.js";
 import { Sending } from "./sending.js";
 import { Stencil } from "./stencil.js";
@@ -89,7 +89,7 @@ class Painting {
     this.main.before(this.tools, this.flat.bar);
     this.main.append(this.flat.picture);
     const [least, most] = [LEAST_SIZE, MOST_SIZE].map(Math.log);
-    const part = { min: 0, max: 1, step: 0.01 };
+    const part = { min: 0, max: 1, step: 0.01 }, settings = (this.settings = new Settings("", () => this.brush, (change) => this.set(change)));
     this.material = new Material(this);
     const painting = make("section", { id: "painting", "aria-label": "Painting" },
       make("div", { class: "bar" },
@@ -102,26 +102,26 @@ class Painting {
       make("div", { id: "question", role: "alert", hidden: true }),
       ...this.palette.parts,
       ...slider("size", "Size", { min: least, max: most, step: 0.01 }, (x) => this.set({ size: Math.round(Math.exp(x)) })),
-      ...slider("hardness", "Hardness", part, (hardness) => this.set({ hardness })),
-      ...slider("opacity", "Opacity", { ...part, min: 0.01 }, (opacity) => this.set({ opacity })),
-      ...choice("blend", "Blend mode", BLENDS, (blend) => this.set({ blend })),
+      ...settings.slider("hardness", "Hardness", part),
+      ...settings.slider("opacity", "Opacity", { ...part, min: 0.01 }),
+      ...settings.choice("blend", "Blend mode", BLENDS),
       section("tip", "Brush",
-        ...choice("unit", "Size in", [["pixels", "pixels of the screen"], ["model", "the model’s units"]], (unit) => this.measure(unit)),
-        ...slider("flow", "Flow", { ...part, min: 0.01 }, (flow) => this.set({ flow })),
-        ...slider("spacing", "Spacing", { min: 0.05, max: 2, step: 0.05 }, (spacing) => this.set({ spacing })),
-        ...slider("smoothing", "Smoothing", { min: 0, max: 100, step: 1 }, (smoothing) => this.set({ smoothing })),
-        ...choice("pressure", "A pen’s pressure changes", [["size", "the size"], ["opacity", "the opacity"], ["both", "both"], ["", "nothing"]], (pressure) => this.set({ pressure }))),
+        ...settings.choice("unit", "Size in", [["pixels", "pixels of the screen"], ["model", "the model’s units"]], (unit) => this.measure(unit)),
+        ...settings.slider("flow", "Flow", { ...part, min: 0.01 }),
+        ...settings.slider("spacing", "Spacing", { min: 0.05, max: 2, step: 0.05 }),
+        ...settings.slider("smoothing", "Smoothing", { min: 0, max: 100, step: 1 }, (pixels) => (pixels ? `${pixels} px behind` : "off")),
+        ...settings.choice("pressure", "A pen’s pressure changes", [["size", "the size"], ["opacity", "the opacity"], ["both", "both"], ["", "nothing"]])),
       this.material.section,
       section("where", "Where to paint",
-        ...slider("angle", "Largest angle to the view", { min: 5, max: 90, step: 1 }, (angle) => this.set({ angle })),
-        check("back-faces", "back faces too", (backFaces) => this.set({ backFaces })),
-        check("hidden", "hidden surface too", (hidden) => this.set({ hidden })),
-        check("one-part", "only the part where a stroke starts", (onePart) => this.set({ onePart })),
-        ...choice("mirror", "Mirror", [["", "off"], ...["x", "y", "z"].map((axis) => [axis, `along ${axis}`])], (mirror) => this.set({ mirror })),
-        ...slider("mirror-at", "Mirror plane", { min: -50, max: 50, step: 0.5 }, (mirrorAt) => this.set({ mirrorAt }))),
+        ...settings.slider("angle", "Largest angle to the view", { min: 5, max: 90, step: 1 }, (angle) => (angle === 90 ? "any" : `${angle}°`)),
+        settings.check("backFaces", "back faces too"),
+        settings.check("hidden", "hidden surface too"),
+        settings.check("onePart", "only the part where a stroke starts"),
+        ...settings.choice("mirror", "Mirror", [["", "off"], ...["x", "y", "z"].map((axis) => [axis, `along ${axis}`])]),
+        ...settings.slider("mirrorAt", "Mirror plane", { min: -50, max: 50, step: 0.5 }, (at) => (at ? `${at} % from the middle` : "middle"), ({ mirror }) => mirror)),
       section("filling", "Fill",
-        ...choice("filled", "A click fills", [["part", "the part"], ["color", "the connected colour"], ["colors", "the colour everywhere"], ["all", "the whole model"]], (filled) => this.set({ filled })),
-        ...slider("tolerance", "Tolerance", { min: 0, max: 100, step: 1 }, (tolerance) => this.set({ tolerance }))),
+        ...settings.choice("filled", "A click fills", [["part", "the part"], ["color", "the connected colour"], ["colors", "the colour everywhere"], ["all", "the whole model"]]),
+        ...settings.slider("tolerance", "Tolerance", { min: 0, max: 100, step: 1 }, (codes) => `${codes} of 255`, ({ filled }) => filled.startsWith("color"))),
       this.layers.build(),
       section("history", "Steps", make("ol", { id: "steps" })),
       this.exporting.section,
@@ -156,22 +156,7 @@ class Painting {
     this.palette.show();
     element("size").value = Math.log(brush.size);
     element("size-text").textContent = this.sizeText;
-    element("smoothing").value = brush.smoothing;
-    element("smoothing-text").textContent = brush.smoothing ? `${brush.smoothing} px behind` : "off";
-    element("angle").value = brush.angle;
-    element("angle-text").textContent = brush.angle === 90 ? "any" : `${brush.angle}°`;
-    element("mirror-at").value = brush.mirrorAt;
-    element("mirror-at-text").textContent = brush.mirrorAt ? `${brush.mirrorAt} % from the middle` : "middle";
-    element("mirror-at").disabled = !brush.mirror;
-    element("tolerance").value = brush.tolerance;
-    element("tolerance-text").textContent = `${brush.tolerance} of 255`;
-    element("tolerance").disabled = !brush.filled.startsWith("color");
-    for (const [name, id] of [["backFaces", "back-faces"], ["hidden", "hidden"], ["onePart", "one-part"]]) element(id).checked = brush[name];
-    for (const name of ["unit", "pressure", "blend", "mirror", "filled"]) element(name).value = brush[name];
-    for (const name of ["hardness", "opacity", "flow", "spacing"]) {
-      element(name).value = brush[name];
-      element(`${name}-text`).textContent = `${Math.round(100 * brush[name])} %`;
-    }
+    this.settings.show();
     this.material.show();
     if (this.at) this.outline(this.at);
   }

@@ -49,5 +49,45 @@ export const choice = (id, text, options, set) => [
   make("select", { id, oninput: ({ target }) => set(target.value) }, ...options.map(([value, name]) => new Option(name, value))),
 ];
 
+export const percent = (share) => `${Math.round(100 * share)} %`;
+
+// Controls of settings, which they show: of what `read` returns, each by its name. `change` takes others.
+export class Settings {
+  constructor(prefix, read, change) {
+    Object.assign(this, { prefix, read, change, shown: [] });
+  }
+
+  set(name) {
+    return (value) => this.change({ [name]: value });
+  }
+
+  // `say` tells what it is set to; it is disabled where `isUseful` is not so.
+  slider(name, text, attributes, say = percent, isUseful = () => true) {
+    const made = slider(this.prefix + name, text, attributes, this.set(name)), [label, input] = made;
+    this.shown.push((settings) => {
+      input.value = settings[name];
+      label.lastChild.textContent = say(settings[name]);
+      input.disabled = !isUseful(settings);
+    });
+    return made;
+  }
+
+  check(name, text) {
+    const made = check(this.prefix + name, text, this.set(name));
+    this.shown.push((settings) => (made.firstChild.checked = settings[name]));
+    return made;
+  }
+
+  choice(name, text, options, change = this.set(name)) {
+    const made = choice(this.prefix + name, text, options, change);
+    this.shown.push((settings) => (made[1].value = settings[name]));
+    return made;
+  }
+
+  show() {
+    for (const show of this.shown) show(this.read());
+  }
+}
+
 // What is opened when it is needed.
 export const section = (id, text, ...children) => make("details", { id }, make("summary", {}, text), ...children);

@@ -4,7 +4,7 @@
 import { BrushDrag } from "./brush.js";
 import { clipped } from "./dabs.js";
 import { element, make } from "./elements.js";
-import { choice, section, slider } from "./panel.js";
+import { Settings, section } from "./panel.js";
 import { planesFor } from "./programs.js";
 
 const TILE = 16; // pixels along the sides of squares that are drawn or not yet; neighbours in a row are drawn at once
@@ -94,13 +94,7 @@ export class Made {
     const { gpu, seen } = this, { gl } = gpu, { viewer } = seen, program = gpu.programs.use("retouch", viewer.parts[0], viewer.look, 0);
     const part = clipped(box, seen.size);
     if (!part) return;
-    const textures = { u_from: from.textures[0], u_before: before.textures[0], u_seen: seen.places.textures[0], u_paint: paint ?? from.textures[0] };
-    Object.entries(textures).forEach(([name, texture], unit) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.uniform1i(program.at(name), unit);
-    });
-    gl.activeTexture(gl.TEXTURE0);
+    gpu.bind(program, { u_from: from.textures[0], u_before: before.textures[0], u_seen: seen.places.textures[0], u_paint: paint ?? from.textures[0] });
     gl.uniform1i(program.at("u_action"), action);
     gl.uniform2i(program.at("u_step"), ...step);
     gl.uniform1f(program.at("u_sigma"), sigma);
@@ -189,18 +183,18 @@ export class Retouch {
   build() {
     this.mark = make("div", { id: "source", hidden: true });
     this.painting.stage.append(this.mark);
+    this.settings = new Settings("blur-", () => this, (change) => this.set(change));
     element("history").before(section("retouch", "Clone and blur",
       make("p", { class: "hint" }, "Clone: Alt and click where colours come from, then paint."),
       make("div", { class: "buttons" }, make("button", { type: "button", id: "clone-again", onclick: () => this.forget() }, "Choose another place")),
-      ...choice("blur-way", "The blur tool", [["softer", "blurs"], ["sharper", "sharpens"]], (way) => this.set({ way })),
-      ...slider("blur-width", "Radius", { min: LEAST_WIDTH, max: MOST_WIDTH, step: 1 }, (width) => this.set({ width }))));
+      ...this.settings.choice("way", "The blur tool", [["softer", "blurs"], ["sharper", "sharpens"]]),
+      ...this.settings.slider("width", "Radius", { min: LEAST_WIDTH, max: MOST_WIDTH, step: 1 }, (pixels) => `${pixels} px`)));
     this.set({});
   }
 
   set(change) {
     Object.assign(this, change);
-    element("blur-width").value = this.width;
-    element("blur-width-text").textContent = `${this.width} px`;
+    this.settings.show();
   }
 
   drag(event, own) {

@@ -3,7 +3,7 @@
 import { send } from "./brush.js";
 import { element, make } from "./elements.js";
 import { KINDS, readImage } from "./images.js";
-import { check, choice, section, slider } from "./panel.js";
+import { Settings, section } from "./panel.js";
 
 const SHARE = 0.6; // of the picture, that a new image takes
 const MOST_SHOWN = 1024; // pixels along a side of the overlay
@@ -34,11 +34,12 @@ export class Stencil {
     stage.append(this.frame);
     this.file = make("input", { type: "file", accept: KINDS, hidden: true, "aria-label": "Picture", onchange: ({ target }) => target.files[0] && this.painting.elsewhere.take(target.files[0]) });
     const act = (id, text, run) => make("button", { type: "button", id, onclick: run }, text);
+    const settings = (this.settings = new Settings("stencil-", () => this, (change) => this.set(change)));
     this.controls = make("div", { hidden: true },
-      ...slider("stencil-opacity", "Opacity on the screen", { min: 0.05, max: 1, step: 0.01 }, (opacity) => this.set({ opacity })),
-      check("stencil-through", "the brush paints through it", (isThrough) => this.set({ isThrough })),
-      ...choice("stencil-colors", "Paint", [["own", "its colours"], ["dark", "my colour where it is dark"], ["light", "my colour where it is light"]], (colors) => this.set({ colors })),
-      check("stencil-mirrored", "mirror it with the strokes", (isMirrored) => this.set({ isMirrored })),
+      ...settings.slider("opacity", "Opacity on the screen", { min: 0.05, max: 1, step: 0.01 }),
+      settings.check("isThrough", "the brush paints through it"),
+      ...settings.choice("colors", "Paint", [["own", "its colours"], ["dark", "my colour where it is dark"], ["light", "my colour where it is light"]]),
+      settings.check("isMirrored", "mirror it with the strokes"),
       make("div", { class: "buttons" }, act("stencil-put", "Paint it", () => this.putDown()), act("stencil-remove", "Remove", () => this.remove())));
     element("history").before(section("stencil-section", "Stencil",
       make("p", { class: "hint" }, "A picture over the model. Choose the tool Stencil to move it; drag a corner to turn and scale it."),
@@ -98,9 +99,7 @@ export class Stencil {
     Object.assign(this, change);
     this.scale = Math.min(Math.max(this.scale, LEAST_SCALE), MOST_SCALE);
     this.changes++;
-    element("stencil-opacity").value = this.opacity;
-    element("stencil-opacity-text").textContent = `${Math.round(100 * this.opacity)} %`;
-    element("stencil-through").checked = this.isThrough;
+    this.settings.show();
     this.frame.hidden = this.controls.hidden = !this.bitmap;
     this.show();
   }

@@ -372,11 +372,11 @@ class Viewer {
 
   // Draw parts that are to be drawn, as many as a frame has time for.
   work() {
-    const { gpu, look, camera, canvas: { width, height } } = this, { gl } = gpu, began = performance.now();
+    const { gpu, look, camera, canvas: { width, height } } = this, began = performance.now();
     while (this.jobs.length && performance.now() - began < FRAME) {
       const { near, part } = this.jobs.shift(), before = performance.now();
       gpu.draw(look, camera, width, height, part, near);
-      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
+      gpu.finish();
       if (near) continue;
       this.spent += performance.now() - before;
       this.cost = this.spent / (this.area += part[2] * part[3]);
@@ -433,9 +433,9 @@ class Viewer {
   }
 
   draw(scale) {
-    const [width, height] = this.begin(scale), began = performance.now(), { gl } = this.gpu, programs = this.gpu.programs.size;
+    const [width, height] = this.begin(scale), began = performance.now(), programs = this.gpu.programs.size;
     this.gpu.draw(this.look, this.camera, width, height);
-    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
+    this.gpu.finish();
     if (programs === this.gpu.programs.size) this.cost = (performance.now() - began) / (width * height);
   }
 
