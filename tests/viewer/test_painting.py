@@ -232,7 +232,10 @@ def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser)
     page = opened(browser, studio.viewer.url, size, has_touch=True, is_mobile=True)
     page.wait_for_function("viewer.painting")
     page.evaluate(_OPEN)
-    small = page.locator("#tools button:visible, #painting :is(button, select, input, summary):visible")
+    page.evaluate("document.getElementById('flat').hidden = false")
+    small = page.locator(
+        "#tools button:visible, #flat button, #painting :is(button, select, input, summary):visible"
+    )
     names = small.evaluate_all(
         """(all) => all.filter((each) => {
           const { width, height } = (each.closest(".check") ?? each).getBoundingClientRect();
