@@ -63,7 +63,22 @@ export function clipped([left, bottom, right, top], [width, height]) {
   return box[0] < box[2] && box[1] < box[3] ? box : null;
 }
 
-// The box around two: left, bottom, right, top; either may be none.
+// The box (left, low, right, high) of a picture's pixels that are so; null for none.
+export function boxOf(width, height, is) {
+  let [left, low, right, high] = [width, height, 0, 0];
+  for (let row = 0, n = 0; row < height; row++) {
+    for (let column = 0; column < width; column++, n++) {
+      if (!is(n)) continue;
+      left = Math.min(left, column);
+      right = Math.max(right, column + 1);
+      low = Math.min(low, row);
+      high = row + 1;
+    }
+  }
+  return left < right ? [left, low, right, high] : null;
+}
+
+// The box around two: left, low, right, high; either may be none.
 export function joined(one, other) {
   if (!one || !other) return one ?? other;
   return one.map((at, n) => (n < 2 ? Math.min(at, other[n]) : Math.max(at, other[n])));

@@ -1,6 +1,7 @@
 // Views that are painted in other programs: saved as PNG, kept by the browser with their cameras, and taken back.
 
 import { send } from "./brush.js";
+import { boxOf } from "./dabs.js";
 import { download, element, make } from "./elements.js";
 import { readImage } from "./images.js";
 import { section } from "./panel.js";
@@ -82,17 +83,9 @@ export class Elsewhere {
 // What has changed: the box, its coverage and the planes of its colours; null for nothing.
 function difference(after, before, width, height) {
   const [now, was] = [after, before].map(({ buffer }) => new Uint32Array(buffer)), isPainted = (n) => now[n] !== was[n] && after[4 * n + 3] > 0;
-  let [left, top, right, bottom] = [width, height, 0, 0];
-  for (let row = 0, n = 0; row < height; row++) {
-    for (let column = 0; column < width; column++, n++) {
-      if (!isPainted(n)) continue;
-      left = Math.min(left, column);
-      right = Math.max(right, column + 1);
-      top = Math.min(top, row);
-      bottom = row + 1;
-    }
-  }
-  if (left >= right) return null;
+  const box = boxOf(width, height, isPainted);
+  if (!box) return null;
+  const [left, top, right, bottom] = box;
   const pixels = (right - left) * (bottom - top), coverage = new Uint8Array(pixels), colors = new Uint8Array(3 * pixels);
   for (let row = top, to = 0; row < bottom; row++) {
     for (let n = row * width + left; n < row * width + right; n++, to++) {
@@ -101,7 +94,7 @@ function difference(after, before, width, height) {
       for (let k = 0; k < 3; k++) colors[k * pixels + to] = after[4 * n + k];
     }
   }
-  return { box: [left, top, right, bottom], coverage, colors };
+  return { box, coverage, colors };
 }
 
 // Do something with the views that the browser keeps.

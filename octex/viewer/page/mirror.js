@@ -61,6 +61,6 @@ export class Mirror {
       const [at, w] = [row, 3].map((entry) => corner.reduce((sum, x, k) => sum + seen[4 * k + entry] * x, 0));
       return row ? (0.5 - (0.5 * at) / w) * canvas.clientHeight : (0.5 + (0.5 * at) / w) * canvas.clientWidth;
     }));
-    return { left: Math.min(...across), right: Math.max(...across), top: Math.min(...down), bottom: Math.max(...down) };
+    return [Math.min(...across), Math.min(...down), Math.max(...across), Math.max(...down)];
   }
 }

@@ -191,11 +191,6 @@ class Painting {
     this.set({ size: Math.round(before / this.width) });
   }
 
-  // What strokes and fills are painted with: a colour, values of other channels, or both.
-  get paint() {
-    return this.material.paint;
-  }
-
   swap() {
     const { color } = this.brush, { other } = this;
     this.other = color;
@@ -441,9 +436,5 @@ class Painting {
     this.beneath.known = { key: "", part: null };
     this.flat.restore();
     this.strokes.build();
-  }
-
-  allSent() {
-    return this.sending.all();
   }
 }

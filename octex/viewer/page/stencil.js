@@ -1,6 +1,8 @@
 // A stencil: an image laid over the view, that the brush paints through, or that is put down as it lies.
 
 import { send } from "./brush.js";
+import { wheelTimes } from "./controls.js";
+import { boxOf } from "./dabs.js";
 import { element, make } from "./elements.js";
 import { KINDS, readImage } from "./images.js";
 import { Settings, section } from "./panel.js";
@@ -52,7 +54,7 @@ export class Stencil {
     on("pointerdown", (event) => this.down(event));
     on("pointermove", (event) => this.moved(event));
     for (const name of ["pointerup", "pointercancel"]) on(name, (event) => this.pointers.delete(event.pointerId));
-    on("wheel", (event) => this.zoom(Math.exp(-Math.max(-200, Math.min(200, event.deltaY * (event.deltaMode === 1 ? 16 : 1))) * 0.0015), this.at(event)));
+    on("wheel", (event) => this.zoom(wheelTimes(event), this.at(event)));
     new ResizeObserver(() => this.show()).observe(this.painting.viewer.canvas);
   }
 
@@ -183,7 +185,7 @@ export class Stencil {
     context.drawImage(this.bitmap, -this.bitmap.width / 2, -this.bitmap.height / 2);
     const { data } = context.getImageData(0, 0, width, height);
     if (color) colored(data, brush.color, this.colors === "dark");
-    target.box = boxOf(data, width, height);
+    target.box = boxOf(width, height, (n) => data[4 * n + 3]);
     target.texture = target.textures[0];
     gl.bindTexture(gl.TEXTURE_2D, target.texture);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, data);
@@ -213,19 +215,4 @@ function colored(data, color, isDark) {
     data[at + 3] *= isDark ? 1 - luma : luma;
     for (let k = 0; k < 3; k++) data[at + k] = color[k];
   }
-}
-
-// The box (left, bottom, right, top) of pixels that are not transparent; null for none.
-function boxOf(data, width, height) {
-  let [left, bottom, right, top] = [width, height, 0, 0];
-  for (let row = 0, at = 3; row < height; row++) {
-    for (let column = 0; column < width; column++, at += 4) {
-      if (!data[at]) continue;
-      left = Math.min(left, column);
-      right = Math.max(right, column + 1);
-      bottom = Math.min(bottom, row);
-      top = row + 1;
-    }
-  }
-  return left < right ? [left, bottom, right, top] : null;
 }

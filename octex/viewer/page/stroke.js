@@ -126,7 +126,7 @@ export class Strokes {
     if (!box) return null;
     current.box = joined(current.box, box);
     const [left, bottom, right, top] = box;
-    return { left: left / times, right: right / times, top: (height - top) / times, bottom: (height - bottom) / times };
+    return [left / times, (height - top) / times, right / times, (height - bottom) / times];
   }
 
   // Draw a line from one place to another, in pixels from the lower left; returns its box.

@@ -5,7 +5,6 @@
 // the panel.
 
 import { BrushDrag } from "./brush.js";
-import { eraser } from "./layers.js";
 import { prepare } from "./retouch.js";
 import { through } from "./stencil.js";
 
@@ -13,7 +12,7 @@ const retouched = (painting) => void prepare(painting);
 
 export const TOOLS = [
   { name: "brush", text: "Brush", key: "b", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, through(painting)) },
-  eraser,
+  { name: "eraser", text: "Eraser", key: "e", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, { name: "Eraser", erases: true }) },
   { name: "pick", text: "Pick", key: "i", shownKey: "Alt", isAnywhere: true, down: pick },
   { name: "stencil", text: "Stencil", key: "d", settings: "stencil-section", turns: true, chosen: ({ stencil }) => stencil.begin(), keys: ({ stencil }, event) => stencil.keys(event) },
   { name: "clone", text: "Clone", key: "o", settings: "retouch", hasRing: true, chosen: retouched, down: ({ retouch }, event) => retouch.clone(event), alt: ({ retouch }, event) => retouch.aim(event), hovered: ({ retouch }, at) => retouch.hover(at), left: ({ retouch }) => retouch.leave() },
@@ -35,7 +34,7 @@ function fill(painting, event) {
   const at = filled === "all" ? undefined : painting.viewer.pick(x, y)?.rest, like = filled.startsWith("color") ? { tolerance, connected: filled === "color" } : {};
   if (filled !== "all" && !at) return;
   const name = { part: "Fill a part", color: "Fill a colour", colors: "Fill a colour", all: "Fill all" }[filled];
-  painting.sending.send({ kind: "fill", name, ...painting.paint, opacity, blend, mirror, offset: painting.offset, at, ...like });
-  painting.palette.use(painting.paint.color);
+  painting.sending.send({ kind: "fill", name, ...painting.material.paint, opacity, blend, mirror, offset: painting.offset, at, ...like });
+  painting.palette.use(painting.material.paint.color);
   painting.choose("brush");
 }

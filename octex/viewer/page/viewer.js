@@ -126,7 +126,7 @@ class Viewer {
       while (this.version !== this.wanted) {
         const change = await readChange(this.version);
         if (!change) {
-          await this.painting?.allSent();
+          await this.painting?.sending.all();
           return reload();
         }
         const read = (name) => Promise.all(change.parts.map((part, number) => (name === "change" || part.isOther ? readStream(`${name}-${number}`) : null)));
@@ -384,7 +384,7 @@ class Viewer {
   }
 
   // Draw a part of the picture anew, in CSS pixels from the upper left, where nothing else has changed.
-  drawPart({ left, top, right, bottom }) {
+  drawPart([left, top, right, bottom]) {
     if (!this.isDrawn || this.isLost) return this.move(true);
     const { canvas, gpu } = this, across = canvas.width / canvas.clientWidth, down = canvas.height / canvas.clientHeight;
     const x = Math.max(Math.floor(left * across), 0), y = Math.max(Math.floor(canvas.height - bottom * down), 0);
