@@ -262,8 +262,8 @@ class Session:
     def _do_fill(self, command: Command) -> None:
         options, where, like = fill_of(command)
         regions: list[Any] = [_everywhere]
+        texture = self._painter.texture()
         if like is not None:
-            texture = self._painter.texture()
             near = self._nearest.nearest(np.stack(self._points(where)))
             corners = self._surface.triangles[near.triangles]
             points = at_corners(self._surface.rest, corners, near.barycentric)
@@ -271,7 +271,6 @@ class Session:
         elif where.point is not None:
             parts = {self._part_at(point) for point in self._points(where)}
             regions = [self._surface.parts == number for number in sorted(parts)]
-        texture = self._painter.texture()
         covered = self._painter.covered(erases=options["blend"] == "erase")
         values = {value.form.name: value.light for value in paint_of(command, texture)}
         if covered is not None:

@@ -266,3 +266,21 @@ def test_a_page_keeps_to_its_policy(studio, browser):
     assert page.complaints == []
     assert len(backgrounds) == 5
     assert all("gradient" in each for each in backgrounds)
+
+
+@needs_jit
+def test_keys_undo_text_where_it_is_typed_and_work_with_alt_gr(studio, page):
+    studio.drag(page, (-20, 0), (20, 0))
+    studio.is_done(page)
+    page.locator("#color-text").press("Control+z")
+    studio.is_done(page)
+    assert page.evaluate("viewer.painting.last.done") == 1
+    size = page.evaluate("viewer.painting.brush.size")
+    page.evaluate(
+        """() => {
+          const altGr = { ctrlKey: true, altKey: true, modifierAltGraph: true, bubbles: true };
+          const event = new KeyboardEvent("keydown", { key: "[", ...altGr });
+          document.getElementById("picture").dispatchEvent(event);
+        }"""
+    )
+    assert page.evaluate("viewer.painting.brush.size") < size

@@ -74,8 +74,8 @@ class Painting {
     onDrop((file) => this.elsewhere.take(file), (text) => this.say(text));
     viewer.look.paint = this.strokes;
     this.strokes.build();
-    const dark = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
-    this.theme(localStorage.getItem("octex-theme") ?? dark);
+    const usual = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
+    this.theme(localStorage.getItem("octex-theme") ?? usual);
     this.listen();
   }
 
@@ -349,7 +349,8 @@ class Painting {
   }
 
   key(event) {
-    const isTyping = event.target.matches?.("select, input:not([type=range]):not([type=checkbox]):not([type=color])");
+    const isText = event.target.matches?.("input[type=text]"), isTyping = isText || event.target.matches?.("select, input[type=file]");
+    const isAltGr = event.getModifierState("AltGraph"), isCommand = (event.ctrlKey || event.metaKey) && !isAltGr; // some keyboards have [ on AltGr
     const { size, hardness } = this.brush, key = event.key.toLowerCase();
     const commands = { z: () => (event.shiftKey ? this.redo() : this.undo()), y: () => this.redo(), s: () => (event.shiftKey ? this.exporting.copy() : this.save()) };
     const tools = {
@@ -362,7 +363,8 @@ class Painting {
       "}": () => this.set({ hardness: hardness + 0.1 }),
       ...this.tool.keys?.(this, event),
     };
-    const run = event.ctrlKey || event.metaKey ? commands[key] : event.altKey || isTyping ? null : tools[key];
+    if (isCommand && isText && key !== "s") return; // of the text
+    const run = isCommand ? commands[key] : isTyping || (event.altKey && !isAltGr) ? null : tools[key];
     if (run || this.pen) event.stopImmediatePropagation(); // with the pen down no key turns the view
     if (!run) return;
     event.preventDefault();

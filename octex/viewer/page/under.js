@@ -1,12 +1,9 @@
 // What lies under the pointer, as places.frag has drawn it for the picture that is shown.
 
+import { unfolded } from "./mesh.js";
+
 // The unit vector that places.frag has packed.
-function unpacked(bits) {
-  const [x, y] = [bits << 16, bits].map((part) => Math.max((part >> 16) / 32767, -1)), z = 1 - Math.abs(x) - Math.abs(y);
-  const way = z < 0 ? [(1 - Math.abs(y)) * (x < 0 ? -1 : 1), (1 - Math.abs(x)) * (y < 0 ? -1 : 1), z] : [x, y, z];
-  const length = Math.hypot(...way);
-  return way.map((part) => part / length);
-}
+const unpacked = (bits) => unfolded(...[bits << 16, bits].map((part) => Math.max((part >> 16) / 32767, -1)));
 
 // At a place of the picture, in CSS pixels: where the surface rests, its normal and the direction towards the camera in
 // view space, and how far along the view it is; or null where nothing is.
