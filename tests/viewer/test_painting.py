@@ -246,6 +246,8 @@ def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser)
     if page.locator("#fold").is_visible():
         page.tap("#fold")
         assert page.locator("#fold").get_attribute("aria-expanded") == "false"
+        color = page.locator("#fold").evaluate("(fold) => getComputedStyle(fold).backgroundColor")
+        assert color == "rgba(0, 0, 0, 0)", "a button that was touched does not look pressed"
     after = page.evaluate("viewer.canvas.clientHeight")
     page.close()
     assert page.complaints == []
