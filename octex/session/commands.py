@@ -28,7 +28,7 @@ _MOST_CHANNELS = 16
 _BLENDS: tuple[Blend, ...] = ("over", "multiply", "screen", "add")
 _MOST_NUMBER = 2**53 - 1
 #: Actions on layers, with the painter's words for them, and the fields that they take.
-_ACTIONS = {"set": "change"} | {name: name for name in ("add", "move", "copy", "merge", "delete")}
+_ACTIONS = {name: name for name in ("add", "set", "move", "copy", "merge", "delete")} | {"set": "change"}
 _FIELDS = {
     "title": "name",
     "opacity": "opacity",
