@@ -27,8 +27,8 @@ _FARTHEST = 1e12
 _MOST_CHANNELS = 16
 _BLENDS: tuple[Blend, ...] = ("over", "multiply", "screen", "add")
 _MOST_NUMBER = 2**53 - 1
-#: Actions on layers, and the fields that they take.
-_ACTIONS = "add", "set", "move", "copy", "merge", "delete"
+#: Actions on layers, with the painter's words for them, and the fields that they take.
+_ACTIONS = {name: name for name in ("add", "set", "move", "copy", "merge", "delete")} | {"set": "change"}
 _FIELDS = {
     "title": "name",
     "opacity": "opacity",
@@ -174,17 +174,24 @@ def channel_of(command: Command) -> str:
 
 
 def layer_of(command: Command) -> tuple[str, dict[str, Any]]:
-    """Return an action, and its arguments for the command's layer."""
+    """Return an action of the painter's, and its arguments for the command's layer."""
     _no_content(command)
     fields, (layer, _) = command.fields, target_of(command)
-    action = str(as_choice(fields.get("action", ""), _ACTIONS, "action"))
+    action = as_choice(fields.get("action", ""), tuple(_ACTIONS), "action")
     if layer is None and action != "add":
         raise ArgumentError(f"name the layer to {action}")
+    wanted: dict[str, Any] = {}
     if action == "move":
-        return action, {"place": as_whole(fields.get("place"), "place", 0, _MOST_NUMBER)}  # type: ignore[arg-type]
-    wanted = {parameter: fields[name] for name, parameter in _FIELDS.items() if name in fields}
-    check_layer(Layer(1, "Layer")._replace(**wanted))
-    return action, wanted
+        wanted["place"] = as_whole(fields.get("place"), "place", 0, _MOST_NUMBER)  # type: ignore[arg-type]
+    elif action in ("add", "set"):
+        wanted = {parameter: fields[name] for name, parameter in _FIELDS.items() if name in fields}
+        check_layer(Layer(1, "Layer")._replace(**wanted))
+    return _ACTIONS[action], wanted
+
+
+def fields_of(layer: Layer) -> dict[str, Any]:
+    """Return a layer as pages are told of it."""
+    return {"number": layer.number} | {name: getattr(layer, field) for name, field in _FIELDS.items()}
 
 
 def replaces_of(command: Command) -> bool:
@@ -212,9 +219,9 @@ _READERS: dict[str, Callable[[Command], Any]] = {
 
 def camera_of(command: Command) -> Camera:
     """Return the camera of the view that was painted on."""
-    record = command.fields.get("camera")
-    if not isinstance(record, dict):
-        raise ArgumentError("camera must be an object")
+    record = _object_of(command.fields, "camera")
+    if record is None:
+        raise ArgumentError("camera is missing")
     width, height = (as_whole(record.get(name), name, 1, MOST_PIXELS) for name in ("width", "height"))  # type: ignore[arg-type]
     pose, K = (numbers(record, name, shape) for name, shape in (("pose", (4, 4)), ("K", (3, 3))))
     return Camera.pinhole((width, height), pose=pose, convention="opencv", K=K)
@@ -254,15 +261,10 @@ def where_of(command: Command) -> Where:
     """Return the point of a command, if any, and its mirror."""
     point = numbers(command.fields, "at", (3,)) if "at" in command.fields else None
     offset = as_number(command.fields.get("offset", 0.0), "offset", -_FARTHEST, _FARTHEST)
-    return Where(point, mirror_of(command), offset)
-
-
-def mirror_of(command: Command) -> int | None:
-    """Return the normal axis of the command's mirror; None for no mirror."""
-    name = command.fields.get("mirror", "")
-    if name not in ("", "x", "y", "z"):
+    mirror = command.fields.get("mirror", "")
+    if mirror not in ("", "x", "y", "z"):
         raise ArgumentError("mirror must be x, y, z or nothing")
-    return "xyz".index(name) if name else None
+    return Where(point, "xyz".index(mirror) if mirror else None, offset)
 
 
 def opacity_of(command: Command) -> float:

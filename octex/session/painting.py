@@ -32,6 +32,7 @@ from octex.session.commands import (
     Command,
     Where,
     command_of,
+    fields_of,
     fill_of,
     layer_of,
     moment_of,
@@ -103,7 +104,7 @@ class Session:
         self._painter = Layers(texture, surface)
         self._surface = surface.placed_in(texture)
         self._poses = Poses(surface, motion)
-        self._output = output
+        self.output = output
         self._queue: queue.Queue[Command | None] = queue.Queue()
         self._lock = threading.Lock()  # guards _numbers
         self._numbers: dict[str, int] = {}  # by page: the last command in the journal
@@ -182,11 +183,6 @@ class Session:
         )
 
     @property
-    def output(self) -> Path:
-        """The file that the session saves to."""
-        return self._output
-
-    @property
     def _is_saved(self) -> bool:
         return [step.number for step in self._steps] == self._saved
 
@@ -206,26 +202,16 @@ class Session:
     def _store(self) -> None:
         """Move all but the last few strokes from memory to disk."""
         with suppress(OutputError):  # a full disk: the strokes stay in memory
-            self._painter.store(self._output.parent)
+            self._painter.store(self.output.parent)
 
     def _shown(self) -> Shown:
         status = {
             "steps": [step.name for step in (*self._steps, *self._undone[::-1])],
             "done": len(self._steps),
             "baked": dict(self._baked),
-            "output": self._output.name,
+            "output": self.output.name,
             "isSaved": self._is_saved,
-            "layers": [
-                {
-                    "number": layer.number,
-                    "title": layer.name,
-                    "opacity": layer.opacity,
-                    "blend": layer.blend,
-                    "isVisible": layer.is_visible,
-                    "hasMask": layer.has_mask,
-                }
-                for layer in self._painter.layers
-            ],
+            "layers": [fields_of(layer) for layer in self._painter.layers],
             "fault": self._fault,
             "question": self._question,
         }
@@ -276,8 +262,8 @@ class Session:
     def _do_fill(self, command: Command) -> None:
         options, where, like = fill_of(command)
         regions: list[Any] = [_everywhere]
+        texture = self._painter.texture()
         if like is not None:
-            texture = self._painter.texture()
             near = self._nearest.nearest(np.stack(self._points(where)))
             corners = self._surface.triangles[near.triangles]
             points = at_corners(self._surface.rest, corners, near.barycentric)
@@ -285,7 +271,6 @@ class Session:
         elif where.point is not None:
             parts = {self._part_at(point) for point in self._points(where)}
             regions = [self._surface.parts == number for number in sorted(parts)]
-        texture = self._painter.texture()
         covered = self._painter.covered(erases=options["blend"] == "erase")
         values = {value.form.name: value.light for value in paint_of(command, texture)}
         if covered is not None:
@@ -332,47 +317,33 @@ class Session:
 
     def _do_layer(self, command: Command) -> None:
         action, arguments = layer_of(command)
-        number = cast(int, target_of(command)[0])
-        if action == "add":
-            self._painter.add_layer(**arguments)
-        elif action == "set":
-            self._painter.change_layer(number, **arguments)
-        elif action == "move":
-            self._painter.move_layer(number, **arguments)
-        elif action == "copy":
-            self._painter.copy_layer(number)
-        elif action == "merge":
-            self._painter.merge_layer(number)
-        else:
-            self._painter.delete_layer(number)
+        number, _ = target_of(command)
+        act = getattr(self._painter, f"{action}_layer")
+        act(*([] if action == "add" else [number]), **arguments)
         self._did(command, [self._painter.changes])
 
     def _do_undo(self, command: Command) -> None:  # noqa: ARG002
-        if not self._steps:
-            return
-        step = self._steps.pop()
-        for _ in range(step.strokes):
-            self._painter.undo()
-            self._changes += self._painter.changes
-        self._undone.append(step)
+        self._move(self._steps, self._undone, self._painter.undo)
 
     def _do_redo(self, command: Command) -> None:  # noqa: ARG002
-        if not self._undone:
-            return
-        step = self._undone.pop()
-        for _ in range(step.strokes):
-            self._painter.redo()
-            self._changes += self._painter.changes
-        self._steps.append(step)
+        self._move(self._undone, self._steps, self._painter.redo)
+
+    def _move(self, steps: list[_Step], others: list[_Step], act: Callable[[], Any]) -> None:
+        """Undo or redo the last of the steps, if any."""
+        for step in steps[-1:]:
+            for _ in range(step.strokes):
+                act()
+                self._changes += self._painter.changes
+            others.append(steps.pop())
 
     def _do_save(self, command: Command) -> None:
         self._question = ""
-        if not replaces_of(command) and _stamp_of(self._output) not in (None, self._stamp):
-            self._question = f"Another program has changed {self._output.name}."
+        if not replaces_of(command) and _stamp_of(self.output) not in (None, self._stamp):
+            self._question = f"Another program has changed {self.output.name}."
             return
-        self._painter.texture().save(self._output)
-        self._stamp = _stamp_of(self._output)
-        path = layers_file(self._output)
+        self._painter.texture().save(self.output)
+        self._stamp = _stamp_of(self.output)
+        path = layers_file(self.output)
         if self._painter.layers:
             self._painter.save(path)
             self._has_layers_file = True

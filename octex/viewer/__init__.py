@@ -28,10 +28,10 @@ page/       the page: plain modules and shaders, served as they are
     viewer      what is shown, when it is drawn, and what its controls do
     shaders/    places: where pixels see the surface rest, opaque or translucent; walk: the field there, as
                 octex.field has it; light; colors; surface; source; cubes; ways: directions
-below       pieces laid flat, and what strokes in layers lead to, as pages take them
 export      one file that has all of that in it
 downloads   files for a page that paints to download: the texture, or the model with it
 key         a secret of the user, which makes a file's address the same each time
+answers     admits requests; sends pieces laid flat, and what strokes in layers lead to
 server      serves the page to this machine only
 """
 

@@ -129,7 +129,7 @@ class Handler(BaseHTTPRequestHandler):
             name = _FILES[path]
             self._answer(page_text(name).encode(), _TYPES.get(name.rpartition(".")[2], "text/plain"))
         elif path == "events":
-            self._follow()
+            self.viewer.follow(self._events())
         elif path.startswith("data/"):
             self._data(path.removeprefix("data/"))
         elif path in _MADE and self.viewer.session is not None:
@@ -261,9 +261,6 @@ class Handler(BaseHTTPRequestHandler):
             self.wfile.flush()
 
         return send
-
-    def _follow(self) -> None:
-        self.viewer.follow(self._events())
 
     def _made(self, make: Callable[[Session, str], bytes], session: Session) -> None:
         """Answer a question of a page: with a line of JSON, and streams."""

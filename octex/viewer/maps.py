@@ -55,24 +55,20 @@ def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -
     }
     images, divisor = _files(texels, small, room)
     places = list(texels)
+    coordinates = np.zeros((len(surface.triangles), 3, 2))
     parts, first = [], 0
     for number in used:
-        count = int((source.triangle_materials == number).sum())
-        kind = inputs[number]
+        chosen, kind = source.triangle_materials == number, inputs[number]
+        count = int(chosen.sum())
         part: dict[str, Any] = {"first": first, "count": count, "factor": list(kind.factor)}
         if kind.texture is not None:
             part["image"] = places.index((id(kind.texture.texels), kind.lanes))
             part["wraps"] = [_WRAPS[kind.texture.wrap_u], _WRAPS[kind.texture.wrap_v]]
             part["isNearest"] = kind.texture.nearest
+            corners = source.coordinates[kind.texture.slot]
+            coordinates[chosen] = corners.values[corners.rows[chosen]]
         parts.append(part)
         first += count
-    coordinates = np.zeros((len(surface.triangles), 3, 2))
-    for number in used:
-        texture = inputs[number].texture
-        if texture is not None:
-            chosen = source.triangle_materials == number
-            corners = source.coordinates[texture.slot]
-            coordinates[chosen] = corners.values[corners.rows[chosen]]
     side = max(max(each.shape[:2]) for each in texels.values())
     bits = max(math.ceil(math.log2(side)) + (_FINER_SMALL if small else _FINER), _LEAST_BITS)
     bits = min(bits, math.floor(math.log2(_MOST / max(float(np.abs(coordinates).max()), 1.0))))

@@ -141,17 +141,27 @@ def served(viewer: Viewer) -> Iterator[Viewer]:
     assert not thread.is_alive()
 
 
+def _is_fault(line: Any) -> bool:
+    return line.type == "error" or "GL_INVALID" in line.text
+
+
 def opened(
-    browser: Any, url: str, size: tuple[int, int] = (1280, 720), bypass_csp: bool = True, finest: float = 0.25
+    browser: Any,
+    url: str,
+    size: tuple[int, int] = (1280, 720),
+    bypass_csp: bool = True,
+    finest: float = 0.25,
+    **options: bool,
 ) -> Any:
     """Open a page and wait until all has come; what it complains of fails the test at `complaints`.
 
     ``finest`` is how many pixels it draws a pixel along both axes: without a GPU, a picture costs seconds.
+    ``options`` are playwright's for new pages.
     """
-    page = browser.new_page(viewport={"width": size[0], "height": size[1]}, bypass_csp=bypass_csp)
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]}, bypass_csp=bypass_csp, **options)
     page.complaints = []
     page.on("pageerror", lambda error: page.complaints.append(str(error)))
-    page.on("console", lambda line: line.type == "error" and page.complaints.append(line.text))
+    page.on("console", lambda line: _is_fault(line) and page.complaints.append(line.text))
     page.add_init_script(_COARSE % finest)
     if bypass_csp and browser.browser_type.name == "firefox":
         url = _without_policy(page, url)

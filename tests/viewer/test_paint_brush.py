@@ -457,10 +457,10 @@ def last_command(session):
 @needs_jit
 def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio, page):
     page.evaluate("for (const id of ['where', 'filling']) document.getElementById(id).open = true")
-    for name in ("back-faces", "hidden", "one-part"):
+    for name in ("backFaces", "hidden", "onePart"):
         page.check(f"#{name}")
     page.select_option("#mirror", "y")
-    page.fill("#mirror-at", "10")
+    page.fill("#mirrorAt", "10")
     page.select_option("#blend", "screen")
     studio.drag(page, (0, 0), (20, 0))
     studio.is_done(page)

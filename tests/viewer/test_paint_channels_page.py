@@ -164,7 +164,7 @@ def test_what_is_ticked_is_shown_and_what_is_not_seen_is_not_painted(shop, page)
     assert page.locator("#paint-note").inner_text() == "Tick under Material what to paint."
     assert page.evaluate("viewer.painting.last.done") == 0
     page.locator("#value-metallic").fill("0.5")
-    assert page.evaluate("viewer.painting.paint") == {"color": None, "values": {"metallic": [0.5]}}
+    assert page.evaluate("viewer.painting.material.paint") == {"color": None, "values": {"metallic": [0.5]}}
 
 
 def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser, tmp_path):

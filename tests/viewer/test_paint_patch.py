@@ -191,6 +191,7 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         assert page.evaluate("[viewer.look.patch, viewer.camera.isFlat]") == [None, False]
         page.keyboard.press("Escape")
         assert page.evaluate("JSON.stringify(viewer.camera.state)") == camera
+        page.wait_for_function("viewer.isDrawn")
         assert (pictured(page) == model).all()  # of another view nothing is shown until it is painted
         page.evaluate("release()")
         studio.is_done(page, 1)

@@ -162,7 +162,7 @@ def test_a_stencil_that_is_put_down_is_the_picture_that_the_library_paints(clean
     expected = np.zeros_like(sent)
     expected[y - 45 : y + 35, x - 50 : x + 70] = np.dstack([image, np.full(image.shape[:2], 255, np.uint8)])
     assert (sent == expected).all()
-    assert given["name"] == "Picture put down"
+    assert given["name"] == "Picture"
     assert_same(clean.session.shown.texture, clean.painted(expected, camera))
 
 
@@ -188,12 +188,12 @@ def test_a_stencil_is_mirrored_only_if_that_is_asked(clean):
     clean.lay(smooth())
     clean.shown.evaluate("viewer.painting.set({ mirror: 'x' })")
     for is_asked in (False, True):
-        clean.shown.locator("#stencil-mirrored").set_checked(is_asked)
+        clean.shown.locator("#stencil-isMirrored").set_checked(is_asked)
         clean.shown.locator("#stencil-put").click()
         clean.done()
         assert clean.sent()[0]["mirror"] == ("x" if is_asked else "")
     steps = clean.shown.evaluate("viewer.painting.last.steps")
-    assert steps == ["Picture put down", "Picture put down, mirrored"]
+    assert steps == ["Picture", "Picture, mirrored"]
 
 
 def test_a_stencil_is_paint_of_one_colour_where_it_is_dark(clean):
@@ -369,6 +369,23 @@ def test_what_is_smudged_or_blurred_is_shown_as_it_is_baked(clean, tool):
     is_painted = sent[..., 3] == 255
     spread = [image[is_painted][:, 0].astype(float).std() for image in (sent, before)]
     assert spread[0] > spread[1] + 5 if tool == "Sharpen" else spread[0] < spread[1] - 5
+
+
+def test_a_smudge_pulls_a_line_out_without_ribs(clean):
+    page = clean.shown
+    page.evaluate("viewer.painting.set({ color: [0, 0, 0], size: 8 })")
+    clean.drag(page, (-40, -60), (-40, 60))
+    clean.done()
+    page.evaluate("viewer.painting.set({ size: 40 })")
+    page.keyboard.press("u")
+    clean.drag(page, (-27, 0), (60, 0))
+    clean.done()
+    _, sent, _ = clean.sent()
+    x, y = middle(clean)
+    pulled = sent[y, x - 40 : x + 40, 0].astype(int)
+    darkest = pulled.argmin()
+    assert pulled[darkest] < 20
+    assert np.diff(pulled[:darkest]).max() <= 0 <= np.diff(pulled[darkest:]).min()
 
 
 def test_one_colour_blurred_smudged_and_cloned_stays_as_it_is_up_to_the_edge(clean):

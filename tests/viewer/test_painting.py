@@ -5,6 +5,7 @@ import pytest
 
 import octex
 from tests.conftest import needs_jit
+from tests.make.browser import opened
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, SIZE, pictured
 
@@ -177,7 +178,9 @@ def test_keys_and_the_picker_set_the_brush(studio, page):
     page.keyboard.up("Alt")
     grey = 255 * (1.055 * 0.5 ** (1 / 2.4) - 0.055)
     np.testing.assert_allclose(page.evaluate(f"{brush}.color"), grey, atol=1)
+    assert not page.locator("#tolerance").is_visible()
     page.click("#tool-fill")
+    assert page.locator("#tolerance").is_visible()
     studio.drag(page, (0, 0))
     studio.is_done(page)
     assert page.evaluate("viewer.painting.last.steps") == ["Fill a part"]
@@ -186,7 +189,8 @@ def test_keys_and_the_picker_set_the_brush(studio, page):
 @pytest.mark.parametrize("size", [(1180, 760), (800, 340), (844, 390), (390, 780)])
 def test_each_tool_is_within_the_window_and_each_control_within_the_panel(size, page):
     page.set_viewport_size({"width": size[0], "height": size[1]})
-    boxes = page.locator("#tools button").evaluate_all(
+    page.evaluate("document.getElementById('flat').hidden = false")
+    boxes = page.locator("#tools button, #flat").evaluate_all(
         "(all) => all.map((each) => each.getBoundingClientRect().toJSON())"
     )
     opened = page.evaluate(_OPEN)
@@ -194,17 +198,83 @@ def test_each_tool_is_within_the_window_and_each_control_within_the_panel(size, 
         "(all) => all.map((each) => each.offsetWidth)"
     )
     height, stage = page.evaluate("[viewer.canvas.clientHeight, viewer.canvas.clientWidth]")
+    top = page.locator("#picture").bounding_box()["y"]
     panel = page.locator("aside")
     inner, outer = panel.evaluate("(panel) => [panel.scrollWidth, panel.clientWidth]")
     lines = page.locator(".buttons button:visible").evaluate_all(_LINES)
     page.evaluate(_CLOSE, opened)
+    page.evaluate("document.getElementById('flat').hidden = true")
     page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
-    assert len(boxes) == 9
+    assert len(boxes) == 10
     for box in boxes:
         assert box["left"] >= 0 <= box["top"]
         assert box["right"] <= stage
         assert box["bottom"] <= height
+    if size[0] < size[1]:
+        assert all(box["bottom"] <= top for box in boxes), "the tools cover nothing of the model"
     assert len(set(widths)) == 1
     assert inner <= outer
     assert len(lines) > 5
     assert set(lines) == {1}
+
+
+@needs_jit
+@pytest.mark.parametrize("size", [(1024, 768), (390, 844)])
+def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser):
+    page = opened(browser, studio.viewer.url, size, has_touch=True, is_mobile=True)
+    page.wait_for_function("viewer.painting")
+    page.evaluate(_OPEN)
+    page.evaluate("document.getElementById('flat').hidden = false")
+    small = page.locator(
+        "#tools button:visible, #flat button, #painting :is(button, select, input, summary):visible"
+    )
+    names = small.evaluate_all(
+        """(all) => all.filter((each) => {
+          const { width, height } = (each.closest(".check") ?? each).getBoundingClientRect();
+          return Math.min(width, height) < 39.5;
+        }).map((each) => each.outerHTML)"""
+    )
+    before = page.evaluate("viewer.canvas.clientHeight")
+    if page.locator("#fold").is_visible():
+        page.tap("#fold")
+        assert page.locator("#fold").get_attribute("aria-expanded") == "false"
+        color = page.locator("#fold").evaluate("(fold) => getComputedStyle(fold).backgroundColor")
+        assert color == "rgba(0, 0, 0, 0)", "a button that was touched does not look pressed"
+    after = page.evaluate("viewer.canvas.clientHeight")
+    page.close()
+    assert page.complaints == []
+    assert names == []
+    assert (
+        (before > 0.95 * size[1]) if size[0] > size[1] else (before < 0.5 * size[1] < 0.75 * size[1] < after)
+    )
+
+
+@needs_jit
+def test_a_page_keeps_to_its_policy(studio, browser):
+    page = opened(browser, studio.viewer.url, SIZE, bypass_csp=False)
+    page.wait_for_selector("#brushes i")
+    backgrounds = page.locator("#brushes i").evaluate_all(
+        "(all) => all.map((each) => getComputedStyle(each).backgroundImage)"
+    )
+    page.close()
+    assert page.complaints == []
+    assert len(backgrounds) == 5
+    assert all("gradient" in each for each in backgrounds)
+
+
+@needs_jit
+def test_keys_undo_text_where_it_is_typed_and_work_with_alt_gr(studio, page):
+    studio.drag(page, (-20, 0), (20, 0))
+    studio.is_done(page)
+    page.locator("#color-text").press("Control+z")
+    studio.is_done(page)
+    assert page.evaluate("viewer.painting.last.done") == 1
+    size = page.evaluate("viewer.painting.brush.size")
+    page.evaluate(
+        """() => {
+          const altGr = { ctrlKey: true, altKey: true, modifierAltGraph: true, bubbles: true };
+          const event = new KeyboardEvent("keydown", { key: "[", ...altGr });
+          document.getElementById("picture").dispatchEvent(event);
+        }"""
+    )
+    assert page.evaluate("viewer.painting.brush.size") < size

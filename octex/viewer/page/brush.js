@@ -1,5 +1,6 @@
 // A stroke of the brush, from the pen's press until it is up.
 
+import { joined } from "./dabs.js";
 import { pulled } from "./hand.js";
 import { Path } from "./path.js";
 import { deflated } from "./sending.js";
@@ -26,7 +27,7 @@ export class BrushDrag {
     this.string = painting.brush.smoothing; // how long it is
     this.tip = first; // where the brush is
     this.dirty = null; // what of the picture has changed since the last frame
-    const brush = { name: "Brush", ...painting.brush, ...painting.paint, ...own };
+    const brush = { name: "Brush", ...painting.brush, ...painting.material.paint, ...own };
     const at = brush.onePart ? below?.rest : undefined, look = painting.beneath.look(brush);
     strokes.begin({ ...brush, ...strokes.seen, offset, at, begin: first, look });
     this.draw(from, from);
@@ -57,10 +58,7 @@ export class BrushDrag {
     if (!box) return;
     const last = this.other;
     this.other = below && mirror.isOf(current, view) ? mirror.around(below, width) : null;
-    for (const each of [box, last, this.other].filter(Boolean)) {
-      const before = this.dirty ?? each;
-      this.dirty = { left: Math.min(before.left, each.left), top: Math.min(before.top, each.top), right: Math.max(before.right, each.right), bottom: Math.max(before.bottom, each.bottom) };
-    }
+    this.dirty = [box, last, this.other].reduce(joined, this.dirty);
     this.asked ||= requestAnimationFrame(() => {
       this.asked = 0;
       if (this.dirty) this.painting.viewer.drawPart(this.dirty);

@@ -3,6 +3,12 @@
 
 const STEP = 0.09;
 
+// How many times larger a wheel makes what it zooms.
+export function wheelTimes({ deltaY, deltaMode }) {
+  const lines = deltaMode === 1 ? 16 : 1;
+  return Math.exp(-Math.max(-200, Math.min(200, deltaY * lines)) * 0.0015);
+}
+
 export function control(canvas, camera, seen, moved, rested) {
   const pointers = new Map();
   let spread = 0;
@@ -54,8 +60,7 @@ export function control(canvas, camera, seen, moved, rested) {
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
-    const lines = event.deltaMode === 1 ? 16 : 1;
-    zoomAt([event.offsetX, event.offsetY], Math.exp(-Math.max(-200, Math.min(200, event.deltaY * lines)) * 0.0015));
+    zoomAt([event.offsetX, event.offsetY], wheelTimes(event));
     moved();
   }, { passive: false });
   canvas.addEventListener("dblclick", ({ offsetX, offsetY }) => {

@@ -12,9 +12,7 @@ export class Dabs {
     const fine = gl.getExtension("EXT_color_buffer_float") ? gl.R32F : gl.R8; // with 8 bits little flow is lost
     this.before = gpu.target("dabs before", width, height, [fine], strokes.target);
     this.after = gpu.target("dabs after", width, height, [fine, gl.R8], strokes.target);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.before.buffer);
-    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gpu.clear(this.before);
     this.left = 0; // pixels to the next dab
   }
 
@@ -36,9 +34,7 @@ export class Dabs {
     const { viewer, size, target } = this.strokes, { gpu } = viewer, { gl } = gpu, box = clipped(reached(dabs), size);
     if (!box) return null;
     const program = gpu.programs.use("dabs", viewer.parts[0], viewer.look, 0);
-    gl.activeTexture(gl.TEXTURE0);
-    gl.bindTexture(gl.TEXTURE_2D, this.before.textures[0]);
-    gl.uniform1i(program.at("u_before"), 0);
+    gpu.bind(program, { u_before: this.before.textures[0] });
     gl.uniform4fv(program.at("u_dabs[0]"), dabs.flat());
     gl.uniform1i(program.at("u_count"), dabs.length);
     gl.uniform1f(program.at("u_flow"), flow);
@@ -67,7 +63,22 @@ export function clipped([left, bottom, right, top], [width, height]) {
   return box[0] < box[2] && box[1] < box[3] ? box : null;
 }
 
-// The box around two: left, bottom, right, top; either may be none.
+// The box (left, low, right, high) of a picture's pixels that are so; null for none.
+export function boxOf(width, height, is) {
+  let [left, low, right, high] = [width, height, 0, 0];
+  for (let row = 0, n = 0; row < height; row++) {
+    for (let column = 0; column < width; column++, n++) {
+      if (!is(n)) continue;
+      left = Math.min(left, column);
+      right = Math.max(right, column + 1);
+      low = Math.min(low, row);
+      high = row + 1;
+    }
+  }
+  return left < right ? [left, low, right, high] : null;
+}
+
+// The box around two: left, low, right, high; either may be none.
 export function joined(one, other) {
   if (!one || !other) return one ?? other;
   return one.map((at, n) => (n < 2 ? Math.min(at, other[n]) : Math.max(at, other[n])));

@@ -1,9 +1,10 @@
 // Views that are painted in other programs: saved as PNG, kept by the browser with their cameras, and taken back.
 
 import { send } from "./brush.js";
-import { download, element } from "./elements.js";
+import { boxOf } from "./dabs.js";
+import { download, element, make } from "./elements.js";
 import { readImage } from "./images.js";
-import { make, section } from "./panel.js";
+import { section } from "./panel.js";
 import { Seen } from "./retouch.js";
 
 const NAME = /-view-([0-9a-f]{8})/; // of files
@@ -14,9 +15,9 @@ export class Elsewhere {
   constructor(painting) {
     this.painting = painting;
     element("history").before(section("elsewhere", "Paint in another program",
-      make("p", { class: "hint" }, "Save the view, paint on it in any program, save that as PNG under the same name, and drop it on this page or choose it here. Only what you changed is painted, wherever you have turned the view."),
+      make("p", { class: "hint" }, "Save the view and paint on it in any program. Save that as PNG under the same name, and load it here or drop it on the page. octex paints only the pixels that you changed. You may turn the view meanwhile."),
       make("div", { class: "buttons" }, make("button", { type: "button", id: "save-view", onclick: () => this.save() }, "Save the view"),
-        make("button", { type: "button", onclick: () => painting.stencil.file.click() }, "Take it back …"))));
+        make("button", { type: "button", onclick: () => painting.stencil.file.click() }, "Load it …"))));
   }
 
   // Save the colours of the view without light, transparent beside the model.
@@ -27,7 +28,7 @@ export class Elsewhere {
     const seen = new Seen(painting), id = crypto.randomUUID().slice(0, 8);
     seen.need([0, 0, width, height]);
     const picture = Object.assign(document.createElement("canvas"), { width, height }), pixels = new ImageData(width, height);
-    const rows = this.read(seen.target);
+    const rows = viewer.gpu.codes(seen.target);
     for (let row = 0; row < height; row++) pixels.data.set(rows.subarray(4 * width * (height - 1 - row), 4 * width * (height - row)), 4 * width * row);
     picture.getContext("2d").putImageData(pixels, 0, 0);
     const view = { id, title: viewer.header.title, at: Date.now(), ...painting.strokes.seen, seen: viewer.viewed };
@@ -36,7 +37,7 @@ export class Elsewhere {
       await keep(view);
       download(`${name}-view-${id}.png`, view.png);
     } catch {
-      painting.say("This browser cannot keep the view, so it could not be taken back.");
+      painting.say("This browser cannot keep the view, so it could not be loaded again.");
     }
   }
 
@@ -75,32 +76,16 @@ export class Elsewhere {
     gl.bindTexture(gl.TEXTURE_2D, target.textures[0]);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, bitmap.width, bitmap.height, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
     bitmap.close();
-    return this.read(target);
-  }
-
-  read({ buffer, width, height }) {
-    const { gl } = this.painting.viewer.gpu, codes = new Uint8Array(4 * width * height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
-    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    return codes;
+    return gpu.codes(target);
   }
 }
 
 // What has changed: the box, its coverage and the planes of its colours; null for nothing.
 function difference(after, before, width, height) {
   const [now, was] = [after, before].map(({ buffer }) => new Uint32Array(buffer)), isPainted = (n) => now[n] !== was[n] && after[4 * n + 3] > 0;
-  let [left, top, right, bottom] = [width, height, 0, 0];
-  for (let row = 0, n = 0; row < height; row++) {
-    for (let column = 0; column < width; column++, n++) {
-      if (!isPainted(n)) continue;
-      left = Math.min(left, column);
-      right = Math.max(right, column + 1);
-      top = Math.min(top, row);
-      bottom = row + 1;
-    }
-  }
-  if (left >= right) return null;
+  const box = boxOf(width, height, isPainted);
+  if (!box) return null;
+  const [left, top, right, bottom] = box;
   const pixels = (right - left) * (bottom - top), coverage = new Uint8Array(pixels), colors = new Uint8Array(3 * pixels);
   for (let row = top, to = 0; row < bottom; row++) {
     for (let n = row * width + left; n < row * width + right; n++, to++) {
@@ -109,7 +94,7 @@ function difference(after, before, width, height) {
       for (let k = 0; k < 3; k++) colors[k * pixels + to] = after[4 * n + k];
     }
   }
-  return { box: [left, top, right, bottom], coverage, colors };
+  return { box, coverage, colors };
 }
 
 // Do something with the views that the browser keeps.

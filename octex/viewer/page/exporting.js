@@ -1,7 +1,7 @@
 // Files to download: the texture as it is painted, or the model with it. See downloads.py.
 
-import { element } from "./elements.js";
-import { check, choice, make, section } from "./panel.js";
+import { element, make } from "./elements.js";
+import { check, choice, section } from "./panel.js";
 
 const KINDS = [
   ["glb", ".glb: model with images"],

@@ -3,7 +3,7 @@
 const LANES = "xyzw";
 
 // How shaders read a plane, with a place in braces.
-export function readPlane({ planes }, number) {
+function readPlane({ planes }, number) {
   const isSrgb = planes[number], layer = planes.slice(0, number).filter((is) => is === isSrgb).length;
   return `texelFetch(${isSrgb ? "u_srgb" : "u_linear"}, ivec3(at, ${layer}), 0)`;
 }

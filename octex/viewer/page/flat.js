@@ -2,9 +2,9 @@
 // that the pointer is over; of the other one the page has a picture, drawn anew after each change. See poses.py.
 
 import { inflated } from "./octree.js";
-import { element } from "./elements.js";
+import { element, make } from "./elements.js";
 import { unpackedMesh } from "./mesh.js";
-import { act, make } from "./panel.js";
+import { act } from "./panel.js";
 
 const SHARE = 0.25; // the radius that is laid flat, of the height of what is seen
 const STEP = 1.4; // between one radius and the next

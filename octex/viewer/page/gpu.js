@@ -15,6 +15,8 @@ const CUBES_BY = { depth: 1, facing: 2 };
 const LIGHT_UNIT = 28, MOTION_UNIT = 30; // of textures; those before are the octree's and the picture's
 const BACKGROUND = [0.925, 0.93, 0.94, 1];
 
+const areaOf = ([left, bottom, right, top]) => (right - left) * (top - bottom);
+
 export class Gpu {
   constructor(canvas, shaders, studio, parts) {
     this.canvas = canvas;
@@ -52,10 +54,7 @@ export class Gpu {
 
   setLight(program) {
     const { gl } = this, [{ tables, reflectances }] = this.studio, [first, height, width] = tables.at(-1);
-    gl.activeTexture(gl.TEXTURE0 + LIGHT_UNIT);
-    gl.bindTexture(gl.TEXTURE_2D, this.light);
-    gl.activeTexture(gl.TEXTURE0);
-    gl.uniform1i(program.at("u_studio"), LIGHT_UNIT);
+    this.bind(program, { u_studio: this.light }, LIGHT_UNIT);
     gl.uniform3iv(program.at("u_tables[0]"), tables.flat());
     gl.uniform2i(program.at("u_reflectances"), first + height * width, reflectances);
   }
@@ -70,12 +69,7 @@ export class Gpu {
     const { gl } = this, { motion, frames, header } = part;
     if (!frames.has(animation)) frames.set(animation, part.numbers(motion.animations[animation].texels));
     const { before, after, share } = motion.at(animation, time);
-    [part.links, frames.get(animation)].forEach((texture, unit) => {
-      gl.activeTexture(gl.TEXTURE0 + MOTION_UNIT + unit);
-      gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.uniform1i(program.at(["u_links", "u_frames"][unit]), MOTION_UNIT + unit);
-    });
-    gl.activeTexture(gl.TEXTURE0);
+    this.bind(program, { u_links: part.links, u_frames: frames.get(animation) }, MOTION_UNIT);
     gl.uniform2i(program.at("u_frame"), before, after);
     gl.uniform1f(program.at("u_share"), share);
     gl.uniform1i(program.at("u_firstTarget"), 3 * motion.header.bones);
@@ -83,17 +77,22 @@ export class Gpu {
     gl.uniform4f(program.at("u_root"), ...header.origin, header.size);
   }
 
+  // Give a program textures by their names, in units from one on.
+  bind(program, textures, first = 0, kind = this.gl.TEXTURE_2D) {
+    const { gl } = this;
+    Object.entries(textures).forEach(([name, texture], n) => {
+      gl.activeTexture(gl.TEXTURE0 + first + n);
+      gl.bindTexture(kind, texture);
+      gl.uniform1i(program.at(name), first + n);
+    });
+    gl.activeTexture(gl.TEXTURE0);
+  }
+
   // Make an octree ready to be looked up, with other textures by their names.
   setTree(program, part, look, places = {}) {
     const { gl } = this, { octree } = part;
-    const bind = (unit, texture, name, kind = gl.TEXTURE_2D) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(kind, texture);
-      gl.uniform1i(program.at(name), unit);
-    };
-    part.stores.forEach(({ name, kind, texture }, unit) => bind(unit, texture, name, kind));
-    Object.entries(places).forEach(([name, texture], n) => bind(part.stores.length + n, texture, name));
-    gl.activeTexture(gl.TEXTURE0);
+    part.stores.forEach(({ name, kind, texture }, unit) => this.bind(program, { [name]: texture }, unit, kind));
+    this.bind(program, places, part.stores.length);
     for (const [name, value] of Object.entries(walkUniforms(octree, Math.min(look.level, part.deepest)))) {
       if (Array.isArray(value)) gl.uniform3ui(program.at(name), ...value);
       else gl.uniform1i(program.at(name), value);
@@ -183,7 +182,7 @@ export class Gpu {
 
   drawSurface(look, camera, width, height) {
     const { gl } = this, { only } = look, isLayered = this.parts.some((part) => part.mesh && part.hasAlpha);
-    const places = this.target("places", width, height, [gl.RGBA32UI, gl.RGBA32UI]);
+    const places = this.targetOfTwo("places", width, height);
     const picture = this.target("picture", width, height, [gl.RGBA8], places);
     if (only) {
       gl.enable(gl.SCISSOR_TEST);
@@ -209,7 +208,7 @@ export class Gpu {
     const { gl, canvas, pictures: { picture: last } } = this, small = last && this.target("small", last.width, last.height, [gl.RGBA8]);
     if (last) this.copy(last, small);
     [canvas.width, canvas.height] = [width, height];
-    const places = this.target("places", width, height, [gl.RGBA32UI, gl.RGBA32UI]), picture = this.target("picture", width, height, [gl.RGBA8], places);
+    const places = this.targetOfTwo("places", width, height), picture = this.target("picture", width, height, [gl.RGBA8], places);
     if (last) this.copy(small, picture);
     this.drawPlaces(look, camera, places, width, height, { alphas: OPAQUES });
     this.present(picture);
@@ -342,32 +341,21 @@ export class Gpu {
 
   // How far along the view the surface is that a pixel sees, or the cube; or null.
   awayAt(look, camera, pixel, [width, height]) {
-    const { gl } = this;
     if (this.showsCubes(look)) return this.probeCubes(look, camera, pixel, [width, height])?.away ?? null;
-    const target = this.target("probed away", 1, 1, [gl.RGBA32UI, gl.RGBA32UI]), found = new Uint32Array(4);
+    const target = this.targetOfTwo("probed away", 1, 1);
     this.drawPlaces({ ...look, asksAway: true }, camera, target, width, height, { pixel, alphas: SEEN });
-    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    gl.readBuffer(gl.COLOR_ATTACHMENT0);
-    gl.readPixels(0, 0, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, found);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    return new Float32Array(found.buffer)[3] || null;
+    return new Float32Array(this.words(target).buffer)[3] || null;
   }
 
   // The cube that a pixel sees: its cell's number, x, y, z and level, the part's, and how far away it is; or null.
   probeCubes(look, camera, pixel, size) {
-    const { gl } = this, target = this.target("probed cubes", 1, 1, [gl.RGBA32UI, gl.RGBA32UI]);
+    const { gl } = this, target = this.targetOfTwo("probed cubes", 1, 1);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.viewport(0, 0, 1, 1);
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
     gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
     this.drawCubes(look, camera, pixel, size);
-    const [[x, y, z, level], [cell, part, away, isSeen]] = [0, 1].map((number) => {
-      const found = new Uint32Array(4);
-      gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
-      gl.readPixels(0, 0, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, found);
-      return found;
-    });
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    const [[x, y, z, level], [cell, part, away, isSeen]] = [0, 1].map((number) => this.words(target, number));
     return isSeen ? { cell, level, index: [x, y, z], edge: 2 ** -level, part, away: new Float32Array(Uint32Array.of(away).buffer)[0] } : null;
   }
 
@@ -375,16 +363,8 @@ export class Gpu {
   // numbers: of one that is seen, or of the nearest surface in a whole picture.
   probe(look, camera, { width, height, pixel = null, plane = 0, footprint = -1 }) {
     const { gl } = this, [w, h] = pixel ? [1, 1] : [width, height];
-    const two = [gl.RGBA32UI, gl.RGBA32UI], places = this.target("probed places", w, h, two);
-    const values = this.target("probed values", w, h, two, places);
+    const places = this.targetOfTwo("probed places", w, h), values = this.targetOfTwo("probed values", w, h, places);
     this.drawPlaces(look, camera, places, width, height, { pixel, alphas: pixel ? SEEN : NEAREST });
-    const read = (target, number) => {
-      const bits = new Uint32Array(4 * w * h);
-      gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-      gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
-      gl.readPixels(0, 0, w, h, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);
-      return new Float32Array(bits.buffer);
-    };
     gl.bindFramebuffer(gl.FRAMEBUFFER, values.buffer);
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
     this.drawSeen((part, number) => {
@@ -394,9 +374,49 @@ export class Gpu {
       gl.uniform1i(program.at("u_plane"), plane);
       gl.uniform1f(program.at("u_part"), number);
     });
-    const found = { places: read(places, 0), values: read(values, 0), normals: read(values, 1) };
+    const read = (target, number) => new Float32Array(this.words(target, number).buffer);
+    return { places: read(places, 0), values: read(values, 0), normals: read(values, 1) };
+  }
+
+  // What a box (left, bottom, right, top) of a target holds, the lowest row first, four numbers a pixel: whole numbers of one
+  // of its textures, or the codes of its only one.
+  words(target, number = 0, box = [0, 0, target.width, target.height]) {
+    const { gl } = this, found = new Uint32Array(4 * areaOf(box));
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
+    gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
+    return this.read(box, gl.RGBA_INTEGER, gl.UNSIGNED_INT, found);
+  }
+
+  codes(target, box = [0, 0, target.width, target.height]) {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
+    return this.read(box, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4 * areaOf(box)));
+  }
+
+  read([left, bottom, right, top], format, type, found) {
+    const { gl } = this;
+    gl.readPixels(left, bottom, right - left, top - bottom, format, type, found);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     return found;
+  }
+
+  // Wait until all is drawn.
+  finish() {
+    const { gl } = this;
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
+  }
+
+  // A target that drawing of places, or of what is probed there, fills.
+  targetOfTwo(name, width, height, shared = null) {
+    return this.target(name, width, height, [this.gl.RGBA32UI, this.gl.RGBA32UI], shared);
+  }
+
+  // Make a target's only texture 0.
+  clear({ buffer }) {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
+    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
   // Textures to draw to and to read; of each name the latest size is kept. Depth and what the surface covers may be

@@ -1,6 +1,6 @@
 // What the colours of levels and of facings stand for.
 
-import { element } from "./elements.js";
+import { element, make, swatch } from "./elements.js";
 
 const DEEPEST = 21;
 
@@ -36,13 +36,7 @@ function facingRows() {
 
 export function tellLegend(parts, look) {
   const rows = { depth: () => levelRows(parts, look), facing: facingRows }[look.shown]?.() ?? [];
-  const items = rows.map(([color, text]) => {
-    const item = document.createElement("li"), swatch = document.createElement("span");
-    swatch.className = "swatch";
-    swatch.style.background = `rgb(${color.map((x) => Math.round(255 * x))})`;
-    item.append(swatch, text);
-    return item;
-  });
+  const items = rows.map(([color, text]) => make("li", {}, swatch(`rgb(${color.map((x) => Math.round(255 * x))})`), text));
   element("legend").replaceChildren(...items);
   element("legend").hidden = !items.length;
 }

@@ -1,8 +1,8 @@
 // What is painted: one or several of the texture's channels, each with a value of its own. See material.py.
 
-import { element } from "./elements.js";
+import { element, make } from "./elements.js";
 import { MATERIALS } from "./programs.js";
-import { make, section } from "./panel.js";
+import { section } from "./panel.js";
 
 const BASE = "base_color";
 // Channels that can be added: what they are called, what they do, and what they are painted with at first.

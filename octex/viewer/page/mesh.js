@@ -11,8 +11,7 @@ function interleaved(columns, Kind, scale) {
 }
 
 // A unit vector from its place on an unfolded octahedron.
-function unfolded(flat, n) {
-  let x = flat[0][n] / 1023, y = flat[1][n] / 1023;
+export function unfolded(x, y) {
   const z = 1 - Math.abs(x) - Math.abs(y);
   if (z < 0) [x, y] = [(1 - Math.abs(y)) * (x < 0 ? -1 : 1), (1 - Math.abs(x)) * (y < 0 ? -1 : 1)];
   const length = Math.hypot(x, y, z) || 1;
@@ -40,8 +39,8 @@ export function unpackedMesh(header, bytes, source) {
       rest[3 * n + axis] = steps[axis][n] * scale;
       positions[3 * n + axis] = low[axis] + posed[axis][n] * scale * edge;
     }
-    normals.set(unfolded(flat, n), 3 * n);
-    upright?.set(unfolded(flatRest, n), 3 * n);
+    normals.set(unfolded(flat[0][n] / 1023, flat[1][n] / 1023), 3 * n);
+    upright?.set(unfolded(flatRest[0][n] / 1023, flatRest[1][n] / 1023), 3 * n);
   }
   return { rest, positions, normals, upright, triangles, owners, uv, colors, parts };
 }

@@ -45,7 +45,7 @@ export class Mirror {
     projection[14] = (-2 * far * near) / (far - near);
     Object.assign(this, { axis, place, camera: product(seen, inRoot) });
     this.eye = camera.position.map((x, n) => ((n === axis ? 2 * place - x : x) - origin[n]) / size);
-    this.places = gpu.target("mirror places", width, height, [gpu.gl.RGBA32UI, gpu.gl.RGBA32UI]);
+    this.places = gpu.targetOfTwo("mirror places", width, height);
     const shown = { view: product(camera.view, reflection(axis, place)), projection: () => projection };
     gpu.drawPlaces({ ...look, paint: true, asksPart: true }, shown, this.places, width, height);
   }
@@ -61,6 +61,6 @@ export class Mirror {
       const [at, w] = [row, 3].map((entry) => corner.reduce((sum, x, k) => sum + seen[4 * k + entry] * x, 0));
       return row ? (0.5 - (0.5 * at) / w) * canvas.clientHeight : (0.5 + (0.5 * at) / w) * canvas.clientWidth;
     }));
-    return { left: Math.min(...across), right: Math.max(...across), top: Math.min(...down), bottom: Math.max(...down) };
+    return [Math.min(...across), Math.min(...down), Math.max(...across), Math.max(...down)];
   }
 }

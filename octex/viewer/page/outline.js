@@ -1,7 +1,7 @@
 // The outline of the brush under the pointer: how far its paint goes on the surface, within that half its radius as the
 // surface bends it, and a needle that shows how the surface is turned.
 
-import { make } from "./panel.js";
+import { make } from "./elements.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 const ANGLES = 64; // as in outline.frag
@@ -53,22 +53,15 @@ export class Outline {
   reach([x, y], radius, { away }, { angle, backFaces }) {
     const { viewer } = this, { gpu, canvas, camera, parts: [part], look } = viewer, { gl } = gpu, { places } = gpu.pictures, count = ANGLES;
     const target = gpu.target("outline", count, 1, [gl.RGBA32UI]), program = gpu.programs.use("outline", part, look, 0), times = places.height / canvas.clientHeight;
-    places.textures.forEach((texture, unit) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.uniform1i(program.at(["u_places", "u_ways"][unit]), unit);
-    });
-    gl.activeTexture(gl.TEXTURE0);
+    const [u_places, u_ways] = places.textures;
+    gpu.bind(program, { u_places, u_ways });
     gl.uniform3f(program.at("u_brush"), x * times, places.height - y * times, radius * times);
     gl.uniform1f(program.at("u_half"), (radius * Math.tan(camera.fov / 2) * away) / canvas.clientHeight / part.header.size);
     gl.uniform2f(program.at("u_limits"), Math.cos((angle * Math.PI) / 180), backFaces ? 1 : 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.viewport(0, 0, count, 1);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    const read = new Uint32Array(4 * count);
-    gl.readPixels(0, 0, count, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, read);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    const parts = new Float32Array(read.buffer);
+    const parts = new Float32Array(gpu.words(target).buffer);
     return [0, 1].map((k) => Array.from({ length: count }, (_, n) => parts[4 * n + k]));
   }
 }

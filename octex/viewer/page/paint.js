@@ -1,7 +1,7 @@
 // Painting: the panel, what pointers and keys do, and what has been done. See tools.js, stroke.js and sending.js.
 
 import { Beneath } from "./beneath.js";
-import { element } from "./elements.js";
+import { element, make } from "./elements.js";
 import { Elsewhere } from "./elsewhere.js";
 import { Exporting } from "./exporting.js";
 import { Flat } from "./flat.js";
@@ -11,7 +11,7 @@ import { Layers } from "./layers.js";
 import { Material } from "./material.js";
 import { Outline } from "./outline.js";
 import { Palette } from "./palette.js";
-import { BLENDS, act, check, choice, icon, make, section, slider } from "./panel.js";
+import { BLENDS, Settings, act, icon, section, slider } from "./panel.js";
 import { Retouch } from "./retouch.js";
 import { Sending } from "./sending.js";
 import { Stencil } from "./stencil.js";
@@ -30,7 +30,7 @@ const KEYS = TOOLS.map(({ key, text }) => `${key.toUpperCase()} ${text.toLowerCa
 const HELP = [
   "Drag on the model to paint, beside it or with the middle button to turn, with the right button to move; wheel or pinch zooms.",
   "Shift draws straight lines, Ctrl changes the brush’s size and hardness, Alt picks a colour.",
-  `Keys: ${KEYS}, X the other colour, [ and ] size, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns by itself.`,
+  `Keys: ${KEYS}, X the other colour, [ and ] size, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns automatically.`,
 ].join(" ");
 
 export async function begin(viewer, told) {
@@ -64,7 +64,7 @@ class Painting {
   async open() {
     const { viewer } = this, { gpu } = viewer;
     for (const name of ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]) gpu.programs.shaders[name] = await (await fetch(`shaders/${name}`)).text();
-    document.head.append(make("link", { rel: "stylesheet", href: "paint.css" }));
+    await new Promise((go) => document.head.append(make("link", { rel: "stylesheet", href: "paint.css", onload: go, onerror: go })));
     document.documentElement.classList.add("paints");
     this.main = document.querySelector("main");
     this.build();
@@ -74,8 +74,8 @@ class Painting {
     onDrop((file) => this.elsewhere.take(file), (text) => this.say(text));
     viewer.look.paint = this.strokes;
     this.strokes.build();
-    const dark = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
-    this.theme(localStorage.getItem("octex-theme") ?? dark);
+    const usual = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
+    this.theme(localStorage.getItem("octex-theme") ?? usual);
     this.listen();
   }
 
@@ -86,40 +86,42 @@ class Painting {
     this.tools = make("nav", { id: "tools", "aria-label": "Tools" }, ...TOOLS.map(button));
     this.stage = element("stage");
     this.stage.append(this.outlined.ring, this.outlined.string);
-    this.main.append(this.flat.picture, this.tools, this.flat.bar);
+    this.main.before(this.tools, this.flat.bar);
+    this.main.append(this.flat.picture);
     const [least, most] = [LEAST_SIZE, MOST_SIZE].map(Math.log);
-    const part = { min: 0, max: 1, step: 0.01 };
+    const part = { min: 0, max: 1, step: 0.01 }, settings = (this.settings = new Settings("", () => this.brush, (change) => this.set(change)));
     this.material = new Material(this);
     const painting = make("section", { id: "painting", "aria-label": "Painting" },
       make("div", { class: "bar" },
         act("undo", "undo", "Undo (Ctrl+Z)", () => this.undo()),
         act("redo", "redo", "Redo (Ctrl+Shift+Z)", () => this.redo()),
         act("store", "save", "Save (Ctrl+S)", () => this.save()),
-        act("theme", "theme", "Dark or light", () => this.theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark"))),
+        act("theme", "theme", "Dark or light", () => this.theme(document.documentElement.dataset.theme === "dark" ? "light" : "dark")),
+        act("fold", "fold", "Panel", ({ currentTarget }) => (currentTarget.ariaExpanded = !document.querySelector("aside").classList.toggle("folded")))),
       make("p", { id: "saved", role: "status" }),
       make("div", { id: "question", role: "alert", hidden: true }),
       ...this.palette.parts,
       ...slider("size", "Size", { min: least, max: most, step: 0.01 }, (x) => this.set({ size: Math.round(Math.exp(x)) })),
-      ...slider("hardness", "Hardness", part, (hardness) => this.set({ hardness })),
-      ...slider("opacity", "Opacity", { ...part, min: 0.01 }, (opacity) => this.set({ opacity })),
-      ...choice("blend", "Blend mode", BLENDS, (blend) => this.set({ blend })),
+      ...settings.slider("hardness", "Hardness", part),
+      ...settings.slider("opacity", "Opacity", { ...part, min: 0.01 }),
+      ...settings.choice("blend", "Blend mode", BLENDS),
       section("tip", "Brush",
-        ...choice("unit", "Size in", [["pixels", "pixels of the screen"], ["model", "the model’s units"]], (unit) => this.measure(unit)),
-        ...slider("flow", "Flow", { ...part, min: 0.01 }, (flow) => this.set({ flow })),
-        ...slider("spacing", "Spacing", { min: 0.05, max: 2, step: 0.05 }, (spacing) => this.set({ spacing })),
-        ...slider("smoothing", "Smoothing", { min: 0, max: 100, step: 1 }, (smoothing) => this.set({ smoothing })),
-        ...choice("pressure", "A pen’s pressure changes", [["size", "the size"], ["opacity", "the opacity"], ["both", "both"], ["", "nothing"]], (pressure) => this.set({ pressure }))),
+        ...settings.choice("unit", "Size in", [["pixels", "pixels of the screen"], ["model", "the model’s units"]], (unit) => this.measure(unit)),
+        ...settings.slider("flow", "Flow", { ...part, min: 0.01 }),
+        ...settings.slider("spacing", "Spacing", { min: 0.05, max: 2, step: 0.05 }),
+        ...settings.slider("smoothing", "Smoothing", { min: 0, max: 100, step: 1 }, (pixels) => (pixels ? `${pixels} px behind` : "off")),
+        ...settings.choice("pressure", "A pen’s pressure changes", [["size", "the size"], ["opacity", "the opacity"], ["both", "both"], ["", "nothing"]])),
       this.material.section,
-      section("where", "What is painted",
-        ...slider("angle", "Seen at most at an angle of", { min: 5, max: 90, step: 1 }, (angle) => this.set({ angle })),
-        check("back-faces", "also what faces away", (backFaces) => this.set({ backFaces })),
-        check("hidden", "also what is hidden", (hidden) => this.set({ hidden })),
-        check("one-part", "only the part that a stroke begins on", (onePart) => this.set({ onePart })),
-        ...choice("mirror", "Mirror", [["", "off"], ...["x", "y", "z"].map((axis) => [axis, `left and right along ${axis}`])], (mirror) => this.set({ mirror })),
-        ...slider("mirror-at", "Mirror’s place", { min: -50, max: 50, step: 0.5 }, (mirrorAt) => this.set({ mirrorAt }))),
+      section("where", "Where to paint",
+        ...settings.slider("angle", "Largest angle to the view", { min: 5, max: 90, step: 1 }, (angle) => (angle === 90 ? "any" : `${angle}°`)),
+        settings.check("backFaces", "back faces too"),
+        settings.check("hidden", "hidden surface too"),
+        settings.check("onePart", "only the part where a stroke starts"),
+        ...settings.choice("mirror", "Mirror", [["", "off"], ...["x", "y", "z"].map((axis) => [axis, `along ${axis}`])]),
+        ...settings.slider("mirrorAt", "Mirror plane", { min: -50, max: 50, step: 0.5 }, (at) => (at ? `${at} % from the middle` : "middle"), ({ mirror }) => mirror)),
       section("filling", "Fill",
-        ...choice("filled", "What is clicked fills", [["part", "its part"], ["color", "its colour, as far as that goes"], ["colors", "its colour everywhere"], ["all", "the whole model"]], (filled) => this.set({ filled })),
-        ...slider("tolerance", "Colours that differ by", { min: 0, max: 100, step: 1 }, (tolerance) => this.set({ tolerance }))),
+        ...settings.choice("filled", "A click fills", [["part", "the part"], ["color", "the connected colour"], ["colors", "the colour everywhere"], ["all", "the whole model"]]),
+        ...settings.slider("tolerance", "Tolerance", { min: 0, max: 100, step: 1 }, (codes) => `${codes} of 255`, ({ filled }) => filled.startsWith("color"))),
       this.layers.build(),
       section("history", "Steps", make("ol", { id: "steps" })),
       this.exporting.section,
@@ -128,6 +130,7 @@ class Painting {
     element("help").textContent = HELP;
     element("history").open = true;
     element("panel").open = false;
+    element("fold").ariaExpanded = true;
     this.layers.show();
     this.choose("brush");
     this.set({});
@@ -136,6 +139,7 @@ class Painting {
   choose(name) {
     const tool = TOOLS.find((each) => each.name === name);
     if (tool.chosen?.(this)) return;
+    if (tool.settings) element(tool.settings).open = true;
     this.tool?.left?.(this);
     this.tool = tool;
     for (const button of this.tools.children) button.setAttribute("aria-pressed", String(button.id === `tool-${name}`));
@@ -152,22 +156,7 @@ class Painting {
     this.palette.show();
     element("size").value = Math.log(brush.size);
     element("size-text").textContent = this.sizeText;
-    element("smoothing").value = brush.smoothing;
-    element("smoothing-text").textContent = brush.smoothing ? `${brush.smoothing} px behind` : "off";
-    element("angle").value = brush.angle;
-    element("angle-text").textContent = brush.angle === 90 ? "any" : `${brush.angle}°`;
-    element("mirror-at").value = brush.mirrorAt;
-    element("mirror-at-text").textContent = brush.mirrorAt ? `${brush.mirrorAt} % of the model` : "middle";
-    element("mirror-at").disabled = !brush.mirror;
-    element("tolerance").value = brush.tolerance;
-    element("tolerance-text").textContent = `up to ${brush.tolerance}`;
-    element("tolerance").disabled = !brush.filled.startsWith("color");
-    for (const [name, id] of [["backFaces", "back-faces"], ["hidden", "hidden"], ["onePart", "one-part"]]) element(id).checked = brush[name];
-    for (const name of ["unit", "pressure", "blend", "mirror", "filled"]) element(name).value = brush[name];
-    for (const name of ["hardness", "opacity", "flow", "spacing"]) {
-      element(name).value = brush[name];
-      element(`${name}-text`).textContent = `${Math.round(100 * brush[name])} %`;
-    }
+    this.settings.show();
     this.material.show();
     if (this.at) this.outline(this.at);
   }
@@ -200,11 +189,6 @@ class Painting {
     const before = this.width, { brush } = this;
     Object.assign(brush, { unit, size: 1 });
     this.set({ size: Math.round(before / this.width) });
-  }
-
-  // What strokes and fills are painted with: a colour, values of other channels, or both.
-  get paint() {
-    return this.material.paint;
   }
 
   swap() {
@@ -365,7 +349,8 @@ class Painting {
   }
 
   key(event) {
-    const isTyping = event.target.matches?.("select, input:not([type=range]):not([type=checkbox]):not([type=color])");
+    const isText = event.target.matches?.("input[type=text]"), isTyping = isText || event.target.matches?.("select, input[type=file]");
+    const isAltGr = event.getModifierState("AltGraph"), isCommand = (event.ctrlKey || event.metaKey) && !isAltGr; // some keyboards have [ on AltGr
     const { size, hardness } = this.brush, key = event.key.toLowerCase();
     const commands = { z: () => (event.shiftKey ? this.redo() : this.undo()), y: () => this.redo(), s: () => (event.shiftKey ? this.exporting.copy() : this.save()) };
     const tools = {
@@ -378,7 +363,8 @@ class Painting {
       "}": () => this.set({ hardness: hardness + 0.1 }),
       ...this.tool.keys?.(this, event),
     };
-    const run = event.ctrlKey || event.metaKey ? commands[key] : event.altKey || isTyping ? null : tools[key];
+    if (isCommand && isText && key !== "s") return; // of the text
+    const run = isCommand ? commands[key] : isTyping || (event.altKey && !isAltGr) ? null : tools[key];
     if (run || this.pen) event.stopImmediatePropagation(); // with the pen down no key turns the view
     if (!run) return;
     event.preventDefault();
@@ -452,9 +438,5 @@ class Painting {
     this.beneath.known = { key: "", part: null };
     this.flat.restore();
     this.strokes.build();
-  }
-
-  allSent() {
-    return this.sending.all();
   }
 }

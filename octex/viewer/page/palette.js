@@ -1,8 +1,7 @@
 // The brush's colour, the colours that were used last, and brushes that are ready made.
 
-import { element } from "./elements.js";
+import { element, make } from "./elements.js";
 import { fromHex, toHex } from "./material.js";
-import { make } from "./panel.js";
 
 const MOST_USED = 9; // colours, which are one row
 // What each brush sets; size and colour stay.
@@ -36,7 +35,7 @@ export class Palette {
   }
 
   brush(name, settings) {
-    const dab = make("i", { style: `--hardness: ${100 * settings.hardness}%; --flow: ${Math.max(settings.flow, 0.5)}` });
+    const dab = make("i", { class: settings.spacing > 1 ? "dots" : "", style: `--hardness: ${100 * settings.hardness}%; --flow: ${Math.max(settings.flow, 0.5)}` });
     return make("button", { type: "button", title: `${name} brush`, onclick: () => this.take(settings) }, dab, name);
   }
 

@@ -1,6 +1,6 @@
 // What lies under the cursor: which part of the model, where, in which cell, with which values.
 
-import { element } from "./elements.js";
+import { element, make, swatch } from "./elements.js";
 
 function pointedCube({ gpu, look, camera }, pixel, size) {
   const found = gpu.probeCubes(look, camera, pixel, size);
@@ -47,15 +47,7 @@ export function describePoint(found) {
     }
   }
   element("cell").replaceChildren(...rows.flatMap(([name, text, codes]) => {
-    const term = document.createElement("dt"), value = document.createElement("dd");
-    term.textContent = name;
-    if (codes?.length === 3) {
-      const swatch = document.createElement("span");
-      swatch.className = "swatch";
-      swatch.style.background = `rgb(${codes})`;
-      value.append(swatch);
-    }
-    value.append(text);
-    return [term, value];
+    const colors = codes?.length === 3 ? [swatch(`rgb(${codes})`)] : [];
+    return [make("dt", {}, name), make("dd", {}, ...colors, text)];
   }));
 }

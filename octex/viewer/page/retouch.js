@@ -3,15 +3,15 @@
 
 import { BrushDrag } from "./brush.js";
 import { clipped } from "./dabs.js";
-import { element } from "./elements.js";
-import { choice, make, section, slider } from "./panel.js";
+import { element, make } from "./elements.js";
+import { Settings, section } from "./panel.js";
 import { planesFor } from "./programs.js";
 
 const TILE = 16; // pixels along the sides of squares that are drawn or not yet; neighbours in a row are drawn at once
 const COPY = 0, BLUR = 1, SMUDGE = 2; // as retouch.frag names them; beneath.js has one more
 const REACH = 2.5; // of a blur, in standard deviations
 const SHARPER = -1; // how much is added of what a blur would take away
-const DABS = 4; // of a smudge, within the brush's radius
+const DABS = 8; // of a smudge, within the brush's fading edge: fewer leave ribs
 const CARRIED = 0.97; // what part of a colour a dab takes along, at most
 const LEAST_WIDTH = 1, MOST_WIDTH = 20;
 const SAME = 0.02; // how far from the source, in the model's radius, is what hides it
@@ -94,13 +94,7 @@ export class Made {
     const { gpu, seen } = this, { gl } = gpu, { viewer } = seen, program = gpu.programs.use("retouch", viewer.parts[0], viewer.look, 0);
     const part = clipped(box, seen.size);
     if (!part) return;
-    const textures = { u_from: from.textures[0], u_before: before.textures[0], u_seen: seen.places.textures[0], u_paint: paint ?? from.textures[0] };
-    Object.entries(textures).forEach(([name, texture], unit) => {
-      gl.activeTexture(gl.TEXTURE0 + unit);
-      gl.bindTexture(gl.TEXTURE_2D, texture);
-      gl.uniform1i(program.at(name), unit);
-    });
-    gl.activeTexture(gl.TEXTURE0);
+    gpu.bind(program, { u_from: from.textures[0], u_before: before.textures[0], u_seen: seen.places.textures[0], u_paint: paint ?? from.textures[0] });
     gl.uniform1i(program.at("u_action"), action);
     gl.uniform2i(program.at("u_step"), ...step);
     gl.uniform1f(program.at("u_sigma"), sigma);
@@ -158,7 +152,7 @@ class Smudged extends Made {
   ready(box, from, to) {
     const radius = to[2];
     this.at ??= from.slice(0, 2).map(Math.round);
-    const far = Math.hypot(to[0] - this.at[0], to[1] - this.at[1]), dabs = Math.floor((far * DABS) / Math.max(radius, DABS));
+    const far = Math.hypot(to[0] - this.at[0], to[1] - this.at[1]), step = Math.max((radius * (1 - this.hardness)) / DABS, 1), dabs = Math.floor(far / step);
     this.seen.need(box);
     const start = this.at;
     for (let n = 1; n <= dabs; n++) {
@@ -189,18 +183,18 @@ export class Retouch {
   build() {
     this.mark = make("div", { id: "source", hidden: true });
     this.painting.stage.append(this.mark);
+    this.settings = new Settings("blur-", () => this, (change) => this.set(change));
     element("history").before(section("retouch", "Clone and blur",
       make("p", { class: "hint" }, "Clone: Alt and click where colours come from, then paint."),
       make("div", { class: "buttons" }, make("button", { type: "button", id: "clone-again", onclick: () => this.forget() }, "Choose another place")),
-      ...choice("blur-way", "Blur makes it", [["softer", "softer"], ["sharper", "sharper"]], (way) => this.set({ way })),
-      ...slider("blur-width", "by colours around, within", { min: LEAST_WIDTH, max: MOST_WIDTH, step: 1 }, (width) => this.set({ width }))));
+      ...this.settings.choice("way", "The blur tool", [["softer", "blurs"], ["sharper", "sharpens"]]),
+      ...this.settings.slider("width", "Radius", { min: LEAST_WIDTH, max: MOST_WIDTH, step: 1 }, (pixels) => `${pixels} px`)));
     this.set({});
   }
 
   set(change) {
     Object.assign(this, change);
-    element("blur-width").value = this.width;
-    element("blur-width-text").textContent = `${this.width} px`;
+    this.settings.show();
   }
 
   drag(event, own) {

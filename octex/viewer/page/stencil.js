@@ -1,9 +1,11 @@
 // A stencil: an image laid over the view, that the brush paints through, or that is put down as it lies.
 
 import { send } from "./brush.js";
-import { element } from "./elements.js";
+import { wheelTimes } from "./controls.js";
+import { boxOf } from "./dabs.js";
+import { element, make } from "./elements.js";
 import { KINDS, readImage } from "./images.js";
-import { check, choice, make, section, slider } from "./panel.js";
+import { Settings, section } from "./panel.js";
 
 const SHARE = 0.6; // of the picture, that a new image takes
 const MOST_SHOWN = 1024; // pixels along a side of the overlay
@@ -34,12 +36,13 @@ export class Stencil {
     stage.append(this.frame);
     this.file = make("input", { type: "file", accept: KINDS, hidden: true, "aria-label": "Picture", onchange: ({ target }) => target.files[0] && this.painting.elsewhere.take(target.files[0]) });
     const act = (id, text, run) => make("button", { type: "button", id, onclick: run }, text);
+    const settings = (this.settings = new Settings("stencil-", () => this, (change) => this.set(change)));
     this.controls = make("div", { hidden: true },
-      ...slider("stencil-opacity", "Seen over the model", { min: 0.05, max: 1, step: 0.01 }, (opacity) => this.set({ opacity })),
-      check("stencil-through", "the brush paints through it", (isThrough) => this.set({ isThrough })),
-      ...choice("stencil-colors", "Paint", [["own", "its colours"], ["dark", "my colour where it is dark"], ["light", "my colour where it is light"]], (colors) => this.set({ colors })),
-      check("stencil-mirrored", "mirror it too, where strokes are mirrored", (isMirrored) => this.set({ isMirrored })),
-      make("div", { class: "buttons" }, act("stencil-put", "Put it down", () => this.putDown()), act("stencil-remove", "Remove", () => this.remove())));
+      ...settings.slider("opacity", "Opacity on the screen", { min: 0.05, max: 1, step: 0.01 }),
+      settings.check("isThrough", "the brush paints through it"),
+      ...settings.choice("colors", "Paint", [["own", "its colours"], ["dark", "my colour where it is dark"], ["light", "my colour where it is light"]]),
+      settings.check("isMirrored", "mirror it with the strokes"),
+      make("div", { class: "buttons" }, act("stencil-put", "Paint it", () => this.putDown()), act("stencil-remove", "Remove", () => this.remove())));
     element("history").before(section("stencil-section", "Stencil",
       make("p", { class: "hint" }, "A picture over the model. Choose the tool Stencil to move it; drag a corner to turn and scale it."),
       make("div", { class: "buttons" }, act("stencil-choose", "Choose a picture …", () => this.file.click())), this.file, this.controls));
@@ -51,13 +54,12 @@ export class Stencil {
     on("pointerdown", (event) => this.down(event));
     on("pointermove", (event) => this.moved(event));
     for (const name of ["pointerup", "pointercancel"]) on(name, (event) => this.pointers.delete(event.pointerId));
-    on("wheel", (event) => this.zoom(Math.exp(-Math.max(-200, Math.min(200, event.deltaY * (event.deltaMode === 1 ? 16 : 1))) * 0.0015), this.at(event)));
+    on("wheel", (event) => this.zoom(wheelTimes(event), this.at(event)));
     new ResizeObserver(() => this.show()).observe(this.painting.viewer.canvas);
   }
 
   // The tool is chosen: show its controls.
   begin() {
-    element("stencil-section").open = true;
     if (!this.bitmap) this.painting.say("Choose a picture, or drop one on the page.");
   }
 
@@ -99,9 +101,7 @@ export class Stencil {
     Object.assign(this, change);
     this.scale = Math.min(Math.max(this.scale, LEAST_SCALE), MOST_SCALE);
     this.changes++;
-    element("stencil-opacity").value = this.opacity;
-    element("stencil-opacity-text").textContent = `${Math.round(100 * this.opacity)} %`;
-    element("stencil-through").checked = this.isThrough;
+    this.settings.show();
     this.frame.hidden = this.controls.hidden = !this.bitmap;
     this.show();
   }
@@ -185,7 +185,7 @@ export class Stencil {
     context.drawImage(this.bitmap, -this.bitmap.width / 2, -this.bitmap.height / 2);
     const { data } = context.getImageData(0, 0, width, height);
     if (color) colored(data, brush.color, this.colors === "dark");
-    target.box = boxOf(data, width, height);
+    target.box = boxOf(width, height, (n) => data[4 * n + 3]);
     target.texture = target.textures[0];
     gl.bindTexture(gl.TEXTURE_2D, target.texture);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, data);
@@ -199,7 +199,7 @@ export class Stencil {
     if (!this.bitmap || painting.pen) return;
     painting.say(why);
     if (why) return;
-    const own = this.stroke("Picture put down");
+    const own = this.stroke("Picture");
     if (!own.picture.box) return painting.say("The picture lies beside the view: move it over the model.");
     strokes.begin({ ...brush, offset: painting.offset, ...own, ...strokes.seen, look: painting.beneath.look({ ...brush, ...own }) });
     strokes.cover(own.picture.box);
@@ -215,19 +215,4 @@ function colored(data, color, isDark) {
     data[at + 3] *= isDark ? 1 - luma : luma;
     for (let k = 0; k < 3; k++) data[at + k] = color[k];
   }
-}
-
-// The box (left, bottom, right, top) of pixels that are not transparent; null for none.
-function boxOf(data, width, height) {
-  let [left, bottom, right, top] = [width, height, 0, 0];
-  for (let row = 0, at = 3; row < height; row++) {
-    for (let column = 0; column < width; column++, at += 4) {
-      if (!data[at]) continue;
-      left = Math.min(left, column);
-      right = Math.max(right, column + 1);
-      bottom = Math.min(bottom, row);
-      top = row + 1;
-    }
-  }
-  return left < right ? [left, bottom, right, top] : null;
 }

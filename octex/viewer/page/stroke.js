@@ -47,7 +47,7 @@ export class Strokes {
     this.view = view;
     this.isMoved = Boolean(look.moved ?? look.patch);
     this.sent = [];
-    this.places = gpu.target("stroke places", width, height, [gpu.gl.RGBA32UI, gpu.gl.RGBA32UI]);
+    this.places = gpu.targetOfTwo("stroke places", width, height);
     gpu.drawPlaces({ ...look, paint: this, asksPart: true }, camera, this.places, width, height);
     const { origin, size } = parts[0].header, root = [size, 0, 0, 0, 0, size, 0, 0, 0, 0, size, 0, ...origin, 1];
     this.camera = product(camera.projection(), product(camera.view, root));
@@ -68,7 +68,7 @@ export class Strokes {
     this.target = gpu.target("stroke", width, height, [gl.R8]);
     this.smooth(gl.TEXTURE_2D, this.target.textures[0]);
     this.layer([]);
-    this.clear();
+    gpu.clear(this.target);
   }
 
   // Read a texture between its texels.
@@ -107,17 +107,10 @@ export class Strokes {
     return found;
   }
 
-  clear() {
-    const { gl } = this.viewer.gpu;
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.buffer);
-    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-  }
-
   // Begin a stroke, drawn on the view as it is now.
   begin(brush) {
     this.fit();
-    this.clear();
+    this.viewer.gpu.clear(this.target);
     this.mirror.fit(brush, this.view, this.camera, this.size);
     const { flow = 1, spacing = 0 } = brush;
     this.current = { ...brush, box: null, dabs: flow < 1 || spacing > CLOSE ? new Dabs(this) : null, ...this.partsOf(brush) };
@@ -133,7 +126,7 @@ export class Strokes {
     if (!box) return null;
     current.box = joined(current.box, box);
     const [left, bottom, right, top] = box;
-    return { left: left / times, right: right / times, top: (height - top) / times, bottom: (height - bottom) / times };
+    return [left / times, (height - top) / times, right / times, (height - bottom) / times];
   }
 
   // Draw a line from one place to another, in pixels from the lower left; returns its box.
@@ -162,18 +155,11 @@ export class Strokes {
   // End the stroke; returns its box in pixels from the upper left, the coverage in it, of a picture the planes of its
   // colors, and in its look those of the picture that it leads to; or null for none.
   end() {
-    const { gl } = this.viewer.gpu, { current, size } = this;
+    const { gpu } = this.viewer, { current, size } = this;
     this.current = null;
     if (!current?.box) return null;
     const [left, bottom, right, top] = current.box, width = right - left, height = top - bottom;
-    const read = ({ buffer }) => {
-      const codes = new Uint8Array(4 * width * height);
-      gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
-      gl.readPixels(left, bottom, width, height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
-      gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-      return codes;
-    };
-    const drawn = read(this.target), [picture, led] = [current.picture, current.look?.picture].map((each) => each && read(each)), pixels = width * height;
+    const [drawn, picture, led] = [this.target, current.picture, current.look?.picture].map((each) => each && gpu.codes(each, current.box)), pixels = width * height;
     const coverage = new Uint8Array(pixels), [colors, leads] = [picture, led].map((each) => each && new Uint8Array(3 * pixels)), known = led && new Uint8Array(pixels);
     for (let row = 0, n = 0; row < height; row++) {
       for (let at = 4 * width * (height - 1 - row), column = 0; column < width; column++, at += 4, n++) {
@@ -202,12 +188,8 @@ export class Strokes {
   }
 
   // The numbers of the parts that pixels of a box see, the lowest row first; −1 for none.
-  partsIn({ buffer }, [left, bottom, right, top]) {
-    const { gl } = this.viewer.gpu, read = new Uint32Array(4 * (right - left) * (top - bottom));
-    gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
-    gl.readBuffer(gl.COLOR_ATTACHMENT1);
-    gl.readPixels(left, bottom, right - left, top - bottom, gl.RGBA_INTEGER, gl.UNSIGNED_INT, read);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  partsIn(places, box) {
+    const read = this.viewer.gpu.words(places, 1, box);
     return Int32Array.from({ length: read.length / 4 }, (_, n) => read[4 * n + 3] - 1);
   }
 
@@ -275,10 +257,7 @@ export class Strokes {
     const { current, viewer } = this, { gl } = viewer.gpu, isHere = this.view === viewer.viewed;
     const shown = seen(current ?? this.sent.at(-1)), { opacity = 0, angle = MOST_ANGLE, backFaces = false, hidden = false, blend = "over", picture } = shown;
     const isWhole = angle >= 90, paint = current && !current.picture ? this.paintOf(seen(current)) : new Map(), layers = this.planes;
-    gl.activeTexture(gl.TEXTURE0 + UNIT);
-    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.composed);
-    gl.activeTexture(gl.TEXTURE0);
-    gl.uniform1i(program.at("u_strokes"), UNIT);
+    viewer.gpu.bind(program, { u_strokes: this.composed }, UNIT, gl.TEXTURE_2D_ARRAY);
     gl.uniform1iv(program.at("u_strokesAt[0]"), Array.from({ length: planes }, (_, n) => 2 * layers.indexOf(n)));
     ["u_cover", "u_added"].forEach((name, which) => {
       const all = Array.from({ length: planes }, (_, n) => [...(paint.get(n)?.[which] ?? PLAIN)]);

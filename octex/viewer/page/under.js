@@ -1,28 +1,18 @@
 // What lies under the pointer, as places.frag has drawn it for the picture that is shown.
 
+import { unfolded } from "./mesh.js";
+
 // The unit vector that places.frag has packed.
-function unpacked(bits) {
-  const [x, y] = [bits << 16, bits].map((part) => Math.max((part >> 16) / 32767, -1)), z = 1 - Math.abs(x) - Math.abs(y);
-  const way = z < 0 ? [(1 - Math.abs(y)) * (x < 0 ? -1 : 1), (1 - Math.abs(x)) * (y < 0 ? -1 : 1), z] : [x, y, z];
-  const length = Math.hypot(...way);
-  return way.map((part) => part / length);
-}
+const unpacked = (bits) => unfolded(...[bits << 16, bits].map((part) => Math.max((part >> 16) / 32767, -1)));
 
 // At a place of the picture, in CSS pixels: where the surface rests, its normal and the direction towards the camera in
 // view space, and how far along the view it is; or null where nothing is.
 export function under(viewer, x, y) {
-  const { gpu, canvas, parts, camera } = viewer, { gl } = gpu, { places } = gpu.pictures;
+  const { gpu, canvas, parts, camera } = viewer, { places } = gpu.pictures;
   if (!places || !viewer.isDrawn || viewer.isLost || gpu.showsCubes(viewer.look)) return null;
   const column = Math.floor((x / canvas.clientWidth) * places.width), row = Math.floor((1 - y / canvas.clientHeight) * places.height);
   if (!(column >= 0 && column < places.width && row >= 0 && row < places.height)) return null;
-  gl.bindFramebuffer(gl.FRAMEBUFFER, places.buffer);
-  const [place, ways] = [0, 1].map((number) => {
-    const read = new Uint32Array(4);
-    gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
-    gl.readPixels(column, row, 1, 1, gl.RGBA_INTEGER, gl.UNSIGNED_INT, read);
-    return read;
-  });
-  gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+  const [place, ways] = [0, 1].map((number) => gpu.words(places, number, [column, row, column + 1, row + 1]));
   const [a, b, c, width] = new Float32Array(place.buffer);
   if (!(width > 0)) return null;
   const { origin, size, mesh } = parts[0].header, { view } = camera;

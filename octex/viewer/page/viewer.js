@@ -126,7 +126,7 @@ class Viewer {
       while (this.version !== this.wanted) {
         const change = await readChange(this.version);
         if (!change) {
-          await this.painting?.allSent();
+          await this.painting?.sending.all();
           return reload();
         }
         const read = (name) => Promise.all(change.parts.map((part, number) => (name === "change" || part.isOther ? readStream(`${name}-${number}`) : null)));
@@ -372,11 +372,11 @@ class Viewer {
 
   // Draw parts that are to be drawn, as many as a frame has time for.
   work() {
-    const { gpu, look, camera, canvas: { width, height } } = this, { gl } = gpu, began = performance.now();
+    const { gpu, look, camera, canvas: { width, height } } = this, began = performance.now();
     while (this.jobs.length && performance.now() - began < FRAME) {
       const { near, part } = this.jobs.shift(), before = performance.now();
       gpu.draw(look, camera, width, height, part, near);
-      gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
+      gpu.finish();
       if (near) continue;
       this.spent += performance.now() - before;
       this.cost = this.spent / (this.area += part[2] * part[3]);
@@ -384,7 +384,7 @@ class Viewer {
   }
 
   // Draw a part of the picture anew, in CSS pixels from the upper left, where nothing else has changed.
-  drawPart({ left, top, right, bottom }) {
+  drawPart([left, top, right, bottom]) {
     if (!this.isDrawn || this.isLost) return this.move(true);
     const { canvas, gpu } = this, across = canvas.width / canvas.clientWidth, down = canvas.height / canvas.clientHeight;
     const x = Math.max(Math.floor(left * across), 0), y = Math.max(Math.floor(canvas.height - bottom * down), 0);
@@ -433,9 +433,9 @@ class Viewer {
   }
 
   draw(scale) {
-    const [width, height] = this.begin(scale), began = performance.now(), { gl } = this.gpu, programs = this.gpu.programs.size;
+    const [width, height] = this.begin(scale), began = performance.now(), programs = this.gpu.programs.size;
     this.gpu.draw(this.look, this.camera, width, height);
-    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
+    this.gpu.finish();
     if (programs === this.gpu.programs.size) this.cost = (performance.now() - began) / (width * height);
   }
 
