@@ -42,7 +42,9 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
     """Return images with their cameras, and the names of missing or damaged images."""
     pairs, missing = _pairs(options)
     if missing:
-        progress.note(f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures: {_listing(missing)}")
+        which = f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures"
+        reason = f", which have no camera in {options.camera[0]}" if options.IMAGE else ""
+        progress.note(f"{which}{reason}: {_listing(missing)}")
     masks = _masks(options, [path for path, _ in pairs])
     shots: list[Shot] = []
     damaged: list[Path] = []
@@ -101,7 +103,11 @@ def _masks(options: Options, pictures: Sequence[Path]) -> list[Path | None]:
     files = [each for each in options.mask if isinstance(each, Path)]
     pattern = next((each for each in options.mask if isinstance(each, str)), None)
     if pattern is None:
-        return [*files] if len(files) > 1 else [files[0] if files else None] * len(pictures)
+        if len(files) > 1:
+            kept = set(pictures)
+            named = zip(images_of(options), files, strict=True)
+            return [mask for image, mask in named if image in kept]
+        return [files[0] if files else None] * len(pictures)
     masks = [Path(pattern.replace(_NAME, path.name).replace(_STEM, path.stem)) for path in pictures]
     missing = [mask.as_posix() for mask in masks if not mask.is_file()]
     if missing:
@@ -137,8 +143,8 @@ def _since(options: Options, frame: Frame, size: tuple[int, int]) -> Path | byte
 
 
 def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
-    """Return images with their frames, and the names of missing images."""
-    from octex.cameras.files import read_cameras
+    """Return images with their frames, and the names of missing images, or of those without a frame."""
+    from octex.cameras.files import has_frame, read_cameras
 
     file, name = options.camera
     images = [_image_and_frame(path) for path in options.IMAGE]
@@ -155,8 +161,11 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
     if len(images) == len(frames) and not any([*(f.is_named for f in frames), *(name for _, name in images)]):
         return [(image, frame) for (image, _), frame in zip(images, frames, strict=True)], []
     if images:
+        bare = [image for image, name in images if name is None and not has_frame(frames, image.as_posix())]
+        kept = [each for each in images if each[0] not in bare] or images
         try:
-            return [(image, frame_of(frames, name or image.as_posix(), file)) for image, name in images], []
+            pairs = [(image, frame_of(frames, name or image.as_posix(), file)) for image, name in kept]
+            return pairs, [image.name for image in bare]
         except CameraError as error:
             raise CameraError(f"{error}; IMAGE=NAME says which camera an IMAGE has") from None
     named = [(frame.image, frame) for frame in frames if frame.image is not None]
