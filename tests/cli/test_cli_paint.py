@@ -384,7 +384,7 @@ def test_pictures_without_a_frame_are_skipped_and_refused_if_none_has_one(scene,
     alone = tmp_path / "alone" / "cameras.json"
     alone.parent.mkdir()
     alone.write_bytes(scene.cameras.read_bytes())
-    message = cli.refusal(scene.texture, scene.model, "--camera", alone, OUT, out)
+    message = cli.refusal(scene.texture, scene.model, "--camera", alone, OUT, out, "--force")
     assert message.startswith(f"{alone}: none of the 2 pictures that it names exists: 'square.png'")
     unnamed = tmp_path / "cameras.npz"
     np.savez(unnamed, viewmats=np.eye(4)[None], Ks=np.eye(3)[None])

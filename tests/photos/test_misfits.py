@@ -124,7 +124,7 @@ def test_a_picture_in_anothers_place_is_told_to_be_that_one_again():
 
 def test_a_mesh_on_which_no_pictures_agree_is_told():
     vertices, triangles = relief()
-    reasons, better = found(ring(), Surface.from_arrays(vertices + [0.0, 0.0, 1.5], triangles))
+    reasons, better = found(ring(), Surface.from_arrays(np.add(vertices, [0, 0, 1.5]), triangles))
     assert reasons == {}
     assert better is not None
     assert better.startswith("pictures show different things at the same points of it; give the mesh")
