@@ -375,16 +375,17 @@ def test_pictures_without_a_frame_are_skipped_and_refused_if_none_has_one(scene,
     assert f"skipped 1 of 3 pictures, which have no camera in {scene.cameras}: 'other.png'\n" in said
     made = json.loads(told)
     assert (made["painted"], made["skipped"]) == (["blue.png", "square.png"], ["other.png"])
-    assert cli.refusal(*arguments, "--force", tmp_path / "other.png") == (
+    out.unlink()
+    assert cli.refusal(*arguments, tmp_path / "other.png") == (
         f"{scene.cameras}: there is no frame {(tmp_path / 'other.png').as_posix()!r}; "
         "there are: 'square.png', 'blue.png'; IMAGE=NAME says which camera an IMAGE has"
     )
-    message = cli.refusal(*scene.shot, scene.blue, OUT, out, "--force")
+    message = cli.refusal(*scene.shot, scene.blue, OUT, out)
     assert message.startswith("--camera names one frame, 'square.png', for 2 IMAGEs; leave the name out")
     alone = tmp_path / "alone" / "cameras.json"
     alone.parent.mkdir()
     alone.write_bytes(scene.cameras.read_bytes())
-    message = cli.refusal(scene.texture, scene.model, "--camera", alone, OUT, out, "--force")
+    message = cli.refusal(scene.texture, scene.model, "--camera", alone, OUT, out)
     assert message.startswith(f"{alone}: none of the 2 pictures that it names exists: 'square.png'")
     unnamed = tmp_path / "cameras.npz"
     np.savez(unnamed, viewmats=np.eye(4)[None], Ks=np.eye(3)[None])
