@@ -43,16 +43,18 @@ _MODELS = {
     "RADIAL_FISHEYE": _Model(1, "k1 k2", "fisheye"),
     "THIN_PRISM_FISHEYE": _Model(2, "k1 k2 p1 p2 k3 k4 sx1 sy1", "fisheye"),
 }
+#: Names of a model's files.
+_FILES = ("cameras", "images", "points3D", "rigs", "frames")
 _CAMERA, _IMAGE = "CAMERA_ID MODEL WIDTH HEIGHT", "IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"
 
 
 def find(path: Path) -> tuple[Path, str] | None:
     """Return the folder of a COLMAP model and the ending of its files; None for any other path."""
-    if path.name in {f"{stem}{ending}" for stem in ("cameras", "images") for ending in (".bin", ".txt")}:
+    if path.stem in _FILES and path.suffix in (".bin", ".txt"):
         return path.parent, path.suffix
     if not path.is_dir():
         return None
-    for folder in (path, path / "sparse" / "0", path / "sparse"):
+    for folder in (path, path / "sparse" / "0", path / "sparse", path / "0"):
         for ending in (".bin", ".txt"):
             if all(is_file(folder / f"{stem}{ending}") for stem in ("cameras", "images")):
                 return folder, ending

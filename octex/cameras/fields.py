@@ -32,7 +32,7 @@ def reading(path: Path) -> Iterator[None]:
     except ModelError as error:  # its text begins with the file's name
         raise CameraError(f"{path}: {str(error).removeprefix(path.name).lstrip(': ')}") from None
     except UnicodeDecodeError:
-        raise CameraError(f"{path}: is not UTF-8 text; is the file damaged?") from None
+        raise CameraError(f"{path}: is not UTF-8 text; is it a camera file, or damaged?") from None
     except (OSError, ValueError) as error:  # ValueError: an impossible file name
         reason = getattr(error, "strerror", None) or str(error)
         raise CameraError(f"{path}: cannot be read: {reason}; give a camera file") from error

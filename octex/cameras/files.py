@@ -125,13 +125,21 @@ _BY_FIELDS: dict[tuple[str, ...], Callable[[Path, dict[str, Any]], list[Frame]]]
 }
 
 
+#: Parts of a name by which frames are found, the most certain one first.
+_KEYS: tuple[Callable[[str], str], ...] = (str, file_name, lambda text: Path(file_name(text)).stem)
+
+
+def has_frame(frames: Sequence[Frame], name: str) -> bool:
+    """Return whether `find_frame` finds one frame or several."""
+    return any(key(frame.name) == key(name) for key in _KEYS for frame in frames)
+
+
 def find_frame(frames: Sequence[Frame], name: str, file: Path) -> Frame:
     """Return a file's frame of this name, or else of the same file name in any folder, or of the same stem.
 
     Raises CameraError, which names the file and lists names, for no match or several.
     """
-    keys: tuple[Callable[[str], str], ...] = (str, file_name, lambda text: Path(file_name(text)).stem)
-    for key in keys:
+    for key in _KEYS:
         matches = [frame for frame in frames if key(frame.name) == key(name)]
         if len(matches) == 1:
             return matches[0]

@@ -69,9 +69,11 @@ class Frame(NamedTuple):
             raise CameraError(f"{frame} has no image size; give the size or the image")
         width, height = self.size or size or (0, 0)
         if size is not None and not self.fits(size):
+            is_lying = self.fits(size[::-1])
+            advice = "turn it by 90 degrees" if is_lying else "give the picture that the camera was made for"
             raise CameraError(
                 f"{frame} is for {width}×{height} pixels, the picture has {size[0]}×{size[1]}, another "
-                "shape; give the picture that the camera was made for"
+                f"shape; {advice}"
             )
         _, K, distortion, model, projection = self.optics
         try:

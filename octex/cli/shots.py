@@ -41,7 +41,9 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
 
     pairs, missing = _pairs(options)
     if missing:
-        progress.note(f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures: {listing(missing)}")
+        which = f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures"
+        reason = f", which have no camera in {options.camera[0]}" if options.IMAGE else ""
+        progress.note(f"{which}{reason}: {listing(missing)}")
     masks = _masks(options, [path for path, _ in pairs])
     shots: list[Shot] = []
     damaged: list[Path] = []
@@ -114,7 +116,11 @@ def _masks(options: Options, pictures: Sequence[Path]) -> list[Path | None]:
     files = [each for each in options.mask if isinstance(each, Path)]
     pattern = next((each for each in options.mask if isinstance(each, str)), None)
     if pattern is None:
-        return [*files] if len(files) > 1 else [files[0] if files else None] * len(pictures)
+        if len(files) > 1:
+            kept = set(pictures)
+            named = zip(images_of(options), files, strict=True)
+            return [mask for image, mask in named if image in kept]
+        return [files[0] if files else None] * len(pictures)
     masks = [Path(pattern.replace("{name}", path.name).replace("{stem}", path.stem)) for path in pictures]
     missing = [mask.as_posix() for mask in masks if not mask.is_file()]
     if missing:
@@ -144,8 +150,8 @@ def _check_unscaled(size: tuple[int, int], frame: Frame) -> None:
 
 
 def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
-    """Return images with their frames, and the names of missing images."""
-    from octex.cameras.files import find_frame, read_cameras
+    """Return images with their frames, and the names of missing images, or of those without a frame."""
+    from octex.cameras.files import find_frame, has_frame, read_cameras
 
     file, name = options.camera
     images = [_image_and_frame(path) for path in options.IMAGE]
@@ -162,8 +168,11 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
     if len(images) == len(frames) and not any([*(f.is_named for f in frames), *(name for _, name in images)]):
         return [(image, frame) for (image, _), frame in zip(images, frames, strict=True)], []
     if images:
+        bare = [image for image, name in images if name is None and not has_frame(frames, image.as_posix())]
+        kept = [each for each in images if each[0] not in bare] or images
         try:
-            return [(image, find_frame(frames, name or image.as_posix(), file)) for image, name in images], []
+            pairs = [(image, find_frame(frames, name or image.as_posix(), file)) for image, name in kept]
+            return pairs, [image.name for image in bare]
         except CameraError as error:
             raise CameraError(f"{error}; IMAGE=NAME says which camera an IMAGE has") from None
     named = [(frame.image, frame) for frame in frames if frame.image is not None]

@@ -118,13 +118,13 @@ def copied(array: Array) -> Array:
 
 
 def moved(content: Any) -> Any:
-    """Return an equal object; inside a ``scratch`` block its arrays lie in a file."""
+    """Return an equal object; inside a ``scratch`` block its arrays lie in a file, as do changes to them."""
     folder = _folder.get()
     if folder is None:
         return content
     path = _new_path(folder)
     _dump(content, path)
-    copy = _load(path)
+    copy = _load(path, access=mmap.ACCESS_WRITE)
     _forget(path)
     return copy
 
@@ -155,10 +155,10 @@ def _dump(content: Any, path: Path) -> int:
     return checksum
 
 
-def _load(path: str | Path, checksum: int | None = None) -> Any:
+def _load(path: str | Path, checksum: int | None = None, access: int = mmap.ACCESS_COPY) -> Any:
     """Read an object, whose arrays are views of the file; raises OSError for another checksum."""
-    with Path(path).open("rb") as file:
-        mapping = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_COPY)
+    with Path(path).open("r+b" if access == mmap.ACCESS_WRITE else "rb") as file:
+        mapping = mmap.mmap(file.fileno(), 0, access=access)
     if checksum is not None and zlib.crc32(mapping) != checksum:
         raise OSError(f"{path} is damaged")
     text, places = pickle.loads(mapping[int.from_bytes(mapping[-8:], "little") : -8])

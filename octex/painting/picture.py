@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint16s
+from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s, Uint16s
 from octex.cameras.camera import Camera
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb, screen_color
 from octex.checks import as_choice, as_items, as_memory, as_number, as_path, as_reals, is_path
@@ -325,6 +325,16 @@ def _content(image: Image | None) -> Any:
 def check_projections(projections: Projection | Sequence[Projection]) -> list[Projection]:
     """Return projections as a list, or raise ArgumentError if it is empty or has other items."""
     return as_items(projections, Projection, "projection to paint")
+
+
+@inlined
+def falloff_at(falloff: Float64s, width: int, height: int, x: float, y: float) -> float:
+    """Return exp(a·r² + b·r⁴) at a place in a picture, with r = 1 in its corners."""
+    if falloff[0] == 0.0 and falloff[1] == 0.0:
+        return 1.0
+    x, y = x - 0.5 * width, y - 0.5 * height
+    square = 4.0 * (x * x + y * y) / (width * width + height * height)
+    return float(np.exp(square * (falloff[0] + square * falloff[1])))
 
 
 @inlined

@@ -31,7 +31,7 @@ from octex.painting.reading import (
     pixels_under,
 )
 from octex.painting.resume import NOT_STORED, Stages
-from octex.parallel import built_once, ordered_map, sharing, start
+from octex.parallel import built_once, start
 from octex.source.corners import at_corners
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
@@ -74,9 +74,8 @@ class Sight(NamedTuple):
 
     def shot(self, mips: Mips) -> Shot:
         """Return the shot of a picture from this camera."""
-        return Shot(
-            self.camera, self.K, self.lens, mips, self.seen, self.margins, np.ones(3, np.float32), 1.0
-        )
+        gains, falloff = np.ones(3, np.float32), np.zeros(2)
+        return Shot(self.camera, self.K, self.lens, mips, self.seen, self.margins, gains, falloff, 1.0)
 
 
 def sight_of(
@@ -230,23 +229,14 @@ class Projected(PaintSource):
     def color(self) -> Float32s | None:
         """The value of all pixels with paint, if gains do not change it; None for several values."""
         ends = np.concatenate([shot.mips.range for shot in self.shots])
-        is_one = (ends == ends[0]).all() and all((shot.gains == 1.0).all() for shot in self.shots)
+        is_one = (ends == ends[0]).all() and all(
+            (shot.gains == 1.0).all() and not shot.falloff.any() for shot in self.shots
+        )
         return ends[0, : self.form.components] if is_one else None
 
     def with_shots(self, shots: Sequence[Shot]) -> Projected:
         """Return the paint of other shots."""
         return replace(self, shots=list(shots))
-
-    def with_mips(self, make: Callable[[int], Mips], executor: Executor) -> Projected:
-        """Return the paint of other pictures; ``make`` gets the numbers of the shots."""
-        with sharing(executor) as pool:
-            every = ordered_map(pool, make, range(len(self.shots)), window=most_ahead())
-            return self.with_shots(
-                [
-                    shot if mips is shot.mips else shot._replace(mips=large.moved(mips))
-                    for shot, mips in zip(self.shots, every, strict=True)
-                ]
-            )
 
     def near_paint(self, reach: int) -> Projected:
         """Return this paint, from pixels within ``reach`` of paint only."""

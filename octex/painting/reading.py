@@ -9,7 +9,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.cameras.lens import distorted
 from octex.jit import inlined, kernel
-from octex.painting.picture import Mips, clipped, read_paint
+from octex.painting.picture import Mips, clipped, falloff_at, read_paint
 from octex.source.images.taps import catmull_rom
 from octex.source.vectors import Vector
 from octex.view.visibility import (
@@ -49,6 +49,7 @@ class Shot(NamedTuple):
     seen: Visibility
     margins: Float32s  # (height, width)   pixels to the nearest edge of the surface, limited
     gains: Float32s  # (3,)   factors of its components
+    falloff: Float64s  # (2,)   factors toward its corners, see `falloff_at`
     weight: float  # among several pictures
 
 
@@ -290,14 +291,11 @@ def add_paint(
             continue
         far = np.sqrt(x * x + y * y + z * z)
         cosine = _facing(view, plane, area, far)
-        if cosine < 0.0 and terms.back_faces:
-            cosine = -cosine
+        cosine = abs(cosine) if terms.back_faces else cosine
         if not cosine > 0.0:
             continue
         shaded = _shaded(view, plane, _point(of_a, of_b, of_c, barycentric, n), (x, y, z), far, cosine)
-        if shaded < 0.0 and terms.back_faces:
-            shaded = -shaded
-        shaded = min(shaded, 1.0)
+        shaded = min(abs(shaded) if terms.back_faces else shaded, 1.0)
         if not shaded > terms.vanishing:
             continue
         slope_x, slope_y = _slopes(view, x, y, z)
@@ -341,9 +339,10 @@ def add_paint(
             density *= fine * fine
         trust = 0.01 + min(margin / TRUSTED, 1.0)
         weight = shot.weight * coverage * trust * density
-        sums[n, 0] += weight * red * shot.gains[0]
-        sums[n, 1] += weight * green * shot.gains[1]
-        sums[n, 2] += weight * blue * shot.gains[2]
+        light = weight * falloff_at(shot.falloff, columns, rows, u, v)
+        sums[n, 0] += light * red * shot.gains[0]
+        sums[n, 1] += light * green * shot.gains[1]
+        sums[n, 2] += light * blue * shot.gains[2]
         sums[n, 3] += weight * alpha
         clear[n] *= max(1.0 - coverage * np.float64(alpha), 0.0)
 

@@ -15,12 +15,11 @@ from concurrent.futures import Executor
 import numpy as np
 
 from octex.arrays import Bools, Float32s
-from octex.conversion import large
 from octex.jit import inlined, kernel
 from octex.painting.project import Projected
 from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import ordered_map, sharing
-from octex.photos.patches import batches, grown, masked, patches_of, seen_at, sums_around, widths_of
+from octex.photos.patches import batches, grown, patches_of, put_mask, seen_at, sums_around, widths_of
 from octex.source.surface import Surface
 
 #: A picture is compared with at most _MOST, itself included: those that share most of the surface with it, by
@@ -47,7 +46,7 @@ _CERTAIN = 8
 def agreeing(
     source: Projected, surface: Surface, executor: Executor, stages: Stages = NOT_STORED
 ) -> Projected:
-    """Mask the pictures of ``source``, in its list, where they disagree with the others; return it."""
+    """Mask the pictures of ``source``, in place, where they disagree with the others; return it."""
     numbers, compared = range(len(source.shots)), _compared(source, surface)
 
     def differences(number: int) -> Float32s:
@@ -61,11 +60,8 @@ def agreeing(
     if not known.size:
         return source
     far = float(np.clip(_TIMES * np.quantile(known, _QUANTILE), _LEAST_FAR, _MOST_FAR))
-
-    for number in numbers:  # one by one: old and masked pictures together would take twice the memory
-        shot, mask = source.shots[number], _mask(found[number], far)
-        if not mask.all():
-            source.shots[number] = shot._replace(mips=large.moved(masked(shot.mips, mask)))
+    for shot, each in zip(source.shots, found, strict=True):
+        put_mask(shot.mips, _mask(each, far))
     return source
 
 

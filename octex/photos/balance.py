@@ -7,16 +7,16 @@ from functools import partial
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
+from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.cameras.lens import distort
-from octex.jit import kernel
 from octex.painting.options import Balance
 from octex.painting.picture import Mips
 from octex.painting.project import Projected
 from octex.painting.reading import Shot
+from octex.parallel import ordered_map, sharing
 from octex.photos.agreement import as_codes
 from octex.photos.consensus import agreed_step, medians, robust_weights
-from octex.photos.patches import batches, grown, masked, patch_of, patches_of, seen_at, widths_of
+from octex.photos.patches import batches, grown, patch_of, patches_of, put_mask, seen_at, widths_of
 from octex.source.surface import Surface
 
 #: Points of the surface at which pictures are compared.
@@ -37,22 +37,19 @@ _CUT = 0.955
 _LIGHTER = 2.0
 
 
-def balanced(
-    source: Projected, surface: Surface, balance: Balance, reference: int | None, executor: Executor
-) -> Projected:
+def balanced(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Projected:
     """Return the same paint with gains for which pictures agree: robust least squares of log light.
 
     The shot ``reference``, and pictures that overlap no other, do not change; else the median gain is 1.
     """
-    numbers = exposures(source, surface, balance, reference)
-    gains = np.stack([shot.gains for shot in source.shots]) * np.exp(numbers[:, :3]).astype(np.float32)
-
-    def lit(number: int) -> Mips:
-        mips, vignetting = source.shots[number].mips, numbers[number, 3:]
-        return evened(mips, vignetting) if vignetting.any() else mips
-
-    pairs = zip(source.with_mips(lit, executor).shots, gains, strict=True)
-    return source.with_shots([shot._replace(gains=own) for shot, own in pairs])
+    found = exposures(source, surface, balance, reference)
+    gains = np.exp(found[:, :3]).astype(np.float32)
+    return source.with_shots(
+        [
+            shot._replace(gains=shot.gains * gain, falloff=shot.falloff + numbers[3:])
+            for shot, gain, numbers in zip(source.shots, gains, found, strict=True)
+        ]
+    )
 
 
 def exposures(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Float64s:
@@ -129,47 +126,20 @@ def _pixels_of(shot: Shot, points: Float64s) -> Float64s:
     return places @ shot.K[:2, :2].T + shot.K[:2, 2]
 
 
-def evened(mips: Mips, vignetting: Float64s) -> Mips:
-    """Return a picture times exp(a·r² + b·r⁴)."""
-    pixels = np.empty_like(mips.pixels)
-    a, b = vignetting.tolist()
-    factors = _even(mips.pixels, mips.sizes, a, b, pixels)
-    low, high = mips.range * factors[0], mips.range * factors[1]
-    ends: Float32s = np.stack([np.minimum(low[0], high[0]), np.maximum(low[1], high[1])])
-    return mips._replace(pixels=pixels, range=ends)
-
-
-@kernel
-def _even(pixels: Float32s, sizes: Int64s, a: float, b: float, evened: Float32s) -> Float32s:
-    """Write pixels times exp(a·r² + b·r⁴); return the least and the largest of these factors."""
-    ends = np.array([np.inf, -np.inf], np.float32)
-    corner = 0.25 * (sizes[0, 1] ** 2 + sizes[0, 2] ** 2)
-    for level in range(len(sizes)):
-        first, across, down = sizes[level, 0], sizes[level, 1], sizes[level, 2]
-        for i in range(down):
-            y = (i + 0.5 - down / 2) * sizes[0, 2] / down
-            for j in range(across):
-                x = (j + 0.5 - across / 2) * sizes[0, 1] / across
-                square = (x * x + y * y) / corner
-                factor = np.float32(np.exp(square * (a + b * square)))
-                at = first + i * across + j
-                for component in range(3):
-                    evened[at, component] = pixels[at, component] * factor
-                evened[at, 3] = pixels[at, 3]
-                ends[0], ends[1] = min(ends[0], factor), max(ends[1], factor)
-    return ends
-
-
 def without_overexposed(before: Projected, evened: Projected, executor: Executor) -> Projected:
-    """Return ``evened`` paint, its pictures masked where clipped in ``before`` and lighter in others."""
-    return evened.with_mips(partial(_masked, before, evened), executor)
+    """Mask ``evened`` pictures where clipped in ``before`` and lighter in others; return their paint."""
+    with sharing(executor) as pool:
+        masks = list(ordered_map(pool, partial(_mask, before, evened), range(len(before.shots))))
+    for shot, mask in zip(evened.shots, masks, strict=True):
+        put_mask(shot.mips, mask)
+    return evened
 
 
-def _masked(before: Projected, evened: Projected, number: int) -> Mips:
-    """Return an evened picture, masked where it is clipped, and next to that, if others see the surface."""
-    shot, mips = before.shots[number], evened.shots[number].mips
+def _mask(before: Projected, evened: Projected, number: int) -> Float32s:
+    """Return 0 where a picture is clipped, and next to that, if others see the surface; else 1."""
+    shot = before.shots[number]
     if not _is_limited(shot.mips):
-        return mips
+        return np.ones((1, 1), np.float32)
     rows, columns = patches_of(shot)
     patches, triangles, barycentric = seen_at(before, shot, grown(_clipped(shot)))
     widths = widths_of(before.with_shots([shot]), triangles, barycentric)
@@ -179,7 +149,7 @@ def _masked(before: Projected, evened: Projected, number: int) -> Mips:
         where = triangles[batch], barycentric[batch], widths[batch]
         is_wrong[patches[batch]], others_see[patches[batch]] = _compared(before, evened, number, *where)
     mask = ~grown(is_wrong.reshape(rows, columns)) | ~others_see.reshape(rows, columns)
-    return mips if mask.all() else masked(mips, mask.astype(np.float32))
+    return mask.astype(np.float32)
 
 
 def _clipped(shot: Shot) -> Bools:

@@ -1,7 +1,7 @@
 """Finds photographs that cannot be right, on small copies of them, before anything is painted.
 
-All photographs are read at points of the surface. Whatever their exposure, light changes from point to point
-much alike in all of them. A photograph in which it does not shows another scene, or is turned.
+All photographs are read at points of the surface. Whatever their exposure, their detail there is alike. A
+photograph with other detail shows another scene, or is turned.
 """
 
 from __future__ import annotations
@@ -31,16 +31,26 @@ _PIXELS, _POINTS = 256, 8000
 _MAX_ANGLE = 75.0
 #: Least numbers of other photographs and of shared points for a comparison; least range of light there.
 _OTHERS, _SHARED, _PLAIN = 2, 200, 1e-3
+#: Detail is the light in footprints of the first width in pixels, less that in footprints of the second.
+#: Light alone does not separate scenes: in most the sky is bright, and above.
+_FINE, _BROAD = 2.0, 16.0
 #: A photograph agrees above the first correlation, and shows another scene below the second. Ten of a castle
-#: have 0.69 to 0.96; turned ones, or of another scene, -0.1 to 0.14.
-_AGREES, _STRANGE = 0.5, 0.2
+#: and 23 of a tree have 0.48 to 0.9; photographs with a wrong camera or of another scene 0.0, of 460 the
+#: largest 0.38.
+_AGREES, _STRANGE = 0.4, 0.25
 #: Below this mean correlation other units and axes are tried; they are reported if the mean grows by _GAIN.
-_FITS, _GAIN = 0.8, 0.15
+_FITS, _GAIN = 0.6, 0.15
 #: Ratios of units that meshes come in: metres, millimetres, inches, feet.
 _FACTORS = (1.0, 0.001, 0.01, 0.1, 10.0, 100.0, 1000.0, 0.0254, 1 / 0.0254, 0.3048, 1 / 0.3048)
 #: How well a mesh fills photographs: points, boxes along each side, photographs; how many of the best
 #: placements are compared; below _FILLED a photograph does not show the mesh.
 _FILLING, _BOXES, _FEW, _TRIED, _FILLED = 1000, 8, 8, 8, 0.05
+
+#: The fault of a mesh at whose points pictures show different things, and that no placing mends.
+_UNLIKE = (
+    "pictures show different things at the same points of it; give the mesh that was made with these "
+    "cameras, in the same coordinates"
+)
 
 
 def misfits(
@@ -72,9 +82,6 @@ def misfits(
     is_blind = [bool((shot.seen.rows < 0).all()) for shot in source.shots]
     if all(is_blind):
         return found, better_placed(surface, small, 0.0, executor)
-    found |= {
-        n: "its camera sees nothing of the model" for n, blind in zip(rest, is_blind, strict=True) if blind
-    }
     samples = read_points(source, surface)
     agreed = samples.agreements()
     now = float(np.nan_to_num(agreed).mean())
@@ -83,9 +90,13 @@ def misfits(
         better = better_placed(surface, small, now, executor)
         if better is not None:
             return found, better
-    known = agreed[np.isfinite(agreed)]
-    if known.size < 2 or np.median(known) < _AGREES:
-        return found, None
+    found |= {
+        n: "its camera sees nothing of the model" for n, blind in zip(rest, is_blind, strict=True) if blind
+    }
+    if not _agree(agreed):
+        light = read_points(source, surface, has_shades=True).agreements()
+        is_unlike = np.isfinite(agreed).sum() >= _OTHERS and not _agree(light)
+        return found, _UNLIKE if is_unlike else None
     for index, turn in _strange(source, samples, small).items():
         found[rest[index]] = (
             f"it fits its camera only when turned by {turn} degrees clockwise; turn the file, paint again"
@@ -96,7 +107,7 @@ def misfits(
     for index in np.argsort(-agreed, kind="stable").tolist():  # unknown agreements come last
         number = rest[index]
         before = best.setdefault(contents[number], number)
-        if before != number and number not in found and np.isfinite(agreed[index]):
+        if before != number and np.isfinite(agreed[index]):
             found[number] = f"the same picture as {projections[before].name}, whose camera it fits better"
     return found, None
 
@@ -130,13 +141,13 @@ class LightSamples(NamedTuple):
     triangles: Int32s  # (n,)
     barycentric: Float64s  # (n, 3)
     widths: Float32s  # (n,)   of the finest pixel
-    light: Float32s  # (pictures, n)   square roots
+    light: Float32s  # (pictures, n)   detail of square roots
     seen: Bools  # (pictures, n)
 
     def of(self, source: Projected) -> Float32s:
-        """Return the light of another source's first picture at the points (n,)."""
-        paint, _ = source.each(self.triangles, self.barycentric, self.widths)
-        return _light(paint[0])
+        """Return the detail of another source's first picture at the points (n,)."""
+        found: Float32s = _detail(source, self.triangles, self.barycentric, self.widths)[0][0]
+        return found
 
     def agreement(self, number: int, light: Float32s) -> float:
         """Return the correlation of light (n,) with the others' median; NaN if few points are shared."""
@@ -156,19 +167,36 @@ class LightSamples(NamedTuple):
         return np.array([self.agreement(number, light) for number, light in enumerate(self.light)])
 
 
-def read_points(source: Projected, surface: Surface) -> LightSamples:
-    """Read all pictures at points of the surface."""
+def _agree(agreements: Float64s) -> bool:
+    """Return whether pictures agree, by the median; False if that is unknown."""
+    known = agreements[np.isfinite(agreements)]
+    return known.size >= _OTHERS and bool(np.median(known) >= _AGREES)
+
+
+def read_points(source: Projected, surface: Surface, *, has_shades: bool = False) -> LightSamples:
+    """Read the detail of all pictures at points of the surface; with ``has_shades`` all of their light."""
     points = surface.scatter(_POINTS)
     where = points.triangles, points.barycentric
     widths = source.widths(*where)
     widths[~np.isfinite(widths)] = 0.0
-    paint, weights = source.each(*where, widths)
-    return LightSamples(*where, widths, _light(paint), weights > 0)
+    return LightSamples(*where, widths, *_detail(source, *where, widths, has_shades=has_shades))
 
 
-def _light(paint: Float32s) -> Float32s:
-    found: Float32s = np.sqrt(np.maximum(paint.mean(axis=-1), 0.0))
-    return found
+def _detail(
+    source: Projected,
+    triangles: Int32s,
+    barycentric: Float64s,
+    widths: Float32s,
+    *,
+    has_shades: bool = False,
+) -> tuple[Float32s, Bools]:
+    """Return the detail of pictures at points (pictures, n), and which they see."""
+    fine, broad = (
+        source.each(triangles, barycentric, np.float32(width) * widths) for width in (_FINE, _BROAD)
+    )
+    light = [np.sqrt(np.maximum(paint.mean(axis=-1), 0.0)) for paint, _ in (fine, broad)]
+    detail: Float32s = light[0] if has_shades else light[0] - light[1]
+    return detail, fine[1] > 0
 
 
 def _strange(source: Projected, samples: LightSamples, small: Sequence[Projection]) -> dict[int, int]:
@@ -204,16 +232,20 @@ def better_placed(
     placings = [(factor, turn) for factor in _FACTORS for turn in turns]
     filled = [_filling(cameras, factor * points @ turn.T) for factor, turn in placings]
     ranked = sorted(range(len(placings)), key=lambda number: -filled[number])[:_TRIED]
-    agreed = []
+    agreed, are_known = [], []
     for number in ranked:
         factor, turn = placings[number]
         moved = Surface.from_arrays(factor * surface.vertices @ turn.T, surface.triangles)
         found = read_points(_seen_on(moved, few, executor), moved).agreements()
         agreed.append(float(np.nan_to_num(found).mean()))
+        are_known.append(bool(np.isfinite(found).any()))
+    advice = "; change the mesh so, and paint again"
     if max(agreed) >= max(_AGREES, now + _GAIN):
-        return f"pictures agree if {_in_words(*placings[ranked[int(np.argmax(agreed))]])}"
+        return f"pictures agree if {_in_words(*placings[ranked[int(np.argmax(agreed))]])}{advice}"
     is_seen = filled[0] > 0 or not filled[ranked[0]] > _FILLED  # the first is the mesh as it is
-    return None if is_seen else f"the cameras see the model if {_in_words(*placings[ranked[0]])}"
+    if is_seen or are_known[0]:  # if pictures can be compared there, they do not agree
+        return None
+    return f"the cameras see the model if {_in_words(*placings[ranked[0]])}{advice}"
 
 
 def _filling_of(surface: Surface, small: Sequence[Projection]) -> float:

@@ -103,15 +103,17 @@ def sums_around(values: Float32s, reach: int = 1) -> Float32s:
     return found
 
 
-def masked(mips: Mips, mask: Float32s) -> Mips:
-    """Return a picture with its alpha multiplied by a mask of any size, 0 … 1, bilinear in between."""
-    pixels = np.empty_like(mips.pixels)
-    _mask_mips(mips.pixels, mips.sizes, mask, pixels)
-    return mips._replace(pixels=pixels)
+def put_mask(mips: Mips, mask: Float32s) -> None:
+    """Multiply a picture's alpha, in place, by a mask of any size, 0 … 1, bilinear in between.
+
+    Only masked pixels are written: the others of a mapped picture stay in its file.
+    """
+    if not (mask == 1.0).all():
+        _mask_mips(mips.pixels, mips.sizes, mask)
 
 
 @kernel
-def _mask_mips(pixels: Float32s, sizes: Int64s, mask: Float32s, masked: Float32s) -> None:
+def _mask_mips(pixels: Float32s, sizes: Int64s, mask: Float32s) -> None:
     rows, columns = mask.shape
     width, height = sizes[0, 1], sizes[0, 2]
     step = max((height + rows - 1) // rows, (width + columns - 1) // columns)
@@ -133,5 +135,5 @@ def _mask_mips(pixels: Float32s, sizes: Int64s, mask: Float32s, masked: Float32s
                 lower = mask[below, left] + (mask[below, right] - mask[below, left]) * part
                 factor = upper + (lower - upper) * low
                 at = first + i * across + j
-                for component in range(4):
-                    masked[at, component] = pixels[at, component] * factor
+                for component in range(4 if factor != 1.0 else 0):
+                    pixels[at, component] *= factor

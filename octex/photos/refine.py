@@ -24,7 +24,15 @@ from octex.checks import as_choice, as_whole
 from octex.errors import ArgumentError
 from octex.jit import kernel
 from octex.painting.options import BALANCES, Balance
-from octex.painting.picture import Mips, Projection, check_projections, content_of, mips_of, room_for
+from octex.painting.picture import (
+    Mips,
+    Projection,
+    check_projections,
+    content_of,
+    falloff_at,
+    mips_of,
+    room_for,
+)
 from octex.painting.project import Projected, most_ahead, order_key
 from octex.painting.reading import Shot, terms_of
 from octex.painting.resume import Stages, stages_in
@@ -147,14 +155,14 @@ def _refined(
 
     def lit(cameras: list[Camera], balance: Balance | None) -> Projected:
         source = _source(painted, cameras, mips, pool)
-        return source if balance is None else balanced(source, surface, balance, fixed, pool)
+        return source if balance is None else balanced(source, surface, balance, fixed)
 
     def observed(cameras: list[Camera], level: int, balance: Balance | None) -> Observations:
         source = lit(cameras, balance)
         weights = _weights_at(source, samples.triangles, samples.barycentric, _RIM * 2**level)
         pictures = [shot.mips for shot in source.shots]
-        gains = np.stack([shot.gains for shot in source.shots])
-        return Observations(began, scales, samples.points, pictures, level, gains, weights)
+        lights = [(shot.gains, shot.falloff) for shot in source.shots]
+        return Observations(began, scales, samples.points, pictures, level, lights, weights)
 
     for done, level in enumerate(_LEVELS):
         report("refine", done, len(_LEVELS))
@@ -317,7 +325,7 @@ class Observations(NamedTuple):
     points: Float64s  # (n, 3)
     pictures: Sequence[Mips]
     level: int
-    gains: Float32s  # (pictures, 3)
+    lights: Sequence[tuple[Float32s, Float64s]]  # gains and falloff, as in Shot
     weights: Float64s  # (pictures, n)   how well a picture sees a point
 
     def at(self, chosen: Int64s) -> Observations:
@@ -328,7 +336,7 @@ class Observations(NamedTuple):
         """Return a picture's values at the points that it sees (k, 3), and their derivatives."""
         points = self.points[self.weights[n] > 0]
         picture, camera, scale = self.pictures[n], self.cameras[n], self.scales[n]
-        return _seen(picture, self.level, camera, points, scale, numbers, self.gains[n])
+        return _seen(picture, self.level, camera, points, scale, numbers, *self.lights[n])
 
     def seen(self, numbers: Float64s) -> tuple[Float64s, Float64s]:
         """Return the pictures' values (pictures, n · 3), and their derivatives by the cameras' numbers."""
@@ -347,13 +355,14 @@ def _seen(
     scale: float,
     numbers: Float64s,
     gains: Float32s,
+    falloff: Float64s,
 ) -> tuple[Float64s, Float64s]:
     """Return a picture's values at points (n, 3), and their derivatives by the camera's numbers."""
     level = min(level, len(picture.sizes) - 1)
     size = picture.sizes[level, 1:] / [camera.width, camera.height]
     pixels, _ = adjusted(camera, scale, numbers).project(points)
     read = np.empty((len(points), 9))
-    _read(picture.pixels, picture.sizes[level], pixels * size, read)
+    _read(picture.pixels, picture.sizes[level], falloff, pixels * size, read)
     read *= np.tile(np.sqrt(gains), 3)
     slopes = np.empty((len(points), 3, NUMBERS))
     for number in range(NUMBERS):
@@ -366,7 +375,7 @@ def _seen(
 
 
 @kernel
-def _read(pixels: Float32s, size: Int64s, places: Float64s, found: Float64s) -> None:
+def _read(pixels: Float32s, size: Int64s, falloff: Float64s, places: Float64s, found: Float64s) -> None:
     """Write square roots of light at places (n, 2), bilinear, and slopes (n, 9); NaN outside or unpainted."""
     first, width, height = size[0], size[1], size[2]
     light = np.empty((4, 4, 3))
@@ -385,11 +394,12 @@ def _read(pixels: Float32s, size: Int64s, places: Float64s, found: Float64s) -> 
                     if pixel[3] >= np.float32(0.5):
                         light[i, j, k] = np.sqrt(max(pixel[k] / pixel[3], np.float32(0.0)))
         u, v = x - left, y - top
+        factor = np.sqrt(falloff_at(falloff, width, height, x + 0.5, y + 0.5))
         for k in range(9):
             found[n, k] = 0.0
         for i in range(1, 3):
             for j in range(1, 3):
-                weight = (u if j == 2 else 1.0 - u) * (v if i == 2 else 1.0 - v)
+                weight = (u if j == 2 else 1.0 - u) * (v if i == 2 else 1.0 - v) * factor
                 for k in range(3):
                     found[n, k] += weight * light[i, j, k]
                     found[n, k + 3] += weight * 0.5 * (light[i, j + 1, k] - light[i, j - 1, k])

@@ -95,12 +95,12 @@ def weighed(
     """Combine the paint of several shots as the options say."""
     balance, pictures = options.balance, options.pictures
     if balance is not None:
-        evened = balanced(source, surface, balance, reference, executor)
+        evened = balanced(source, surface, balance, reference)
         source = without_overexposed(source, evened, executor)
     if pictures in ("robust", "best") or (pictures is None and len(source.shots) > 2):
         source = agreeing(source, surface, executor, stages)
         if balance is not None:  # again, without what only one picture saw
-            source = balanced(source, surface, balance, reference, executor)
+            source = balanced(source, surface, balance, reference)
     source = weighed_by_sharpness(source, surface)
     if pictures == "best":
         return best(source, surface, placement, depth, executor)

@@ -141,6 +141,8 @@ def test_a_picture_of_another_shape_is_refused(tmp_path, size):
     frame = read_cameras(write_json(tmp_path / "t.json", transforms()))[0]
     with pytest.raises(CameraError, match=r"is for 640×480 pixels, the picture has \d+×\d+, another shape; "):
         frame.camera(size)
+    with pytest.raises(CameraError, match=r"has 240×320, another shape; turn it by 90 degrees"):
+        frame.camera((240, 320))
 
 
 def test_transforms_may_be_of_fisheye_lenses(tmp_path):
@@ -273,7 +275,9 @@ def test_both_forms_of_a_colmap_model_give_the_same_cameras(tmp_path):
 def test_a_colmap_model_is_found_below_its_folder_and_by_each_of_its_files(tmp_path):
     colmap_binary(tmp_path / "a/sparse/0")
     colmap_text(tmp_path / "b/sparse")
-    for path in ("a", "a/sparse/0/images.bin", "a/sparse/0/cameras.bin", "b", "b/sparse/cameras.txt"):
+    for path in ("a", "a/sparse", *(f"a/sparse/0/{name}.bin" for name in ("images", "cameras", "points3D"))):
+        assert len(read_cameras(tmp_path / path)) == len(CAMERAS)
+    for path in ("b", "b/sparse/cameras.txt"):
         assert len(read_cameras(tmp_path / path)) == len(CAMERAS)
 
 

@@ -359,11 +359,23 @@ def test_pictures_are_matched_to_frames_by_their_file_names(scene, tmp_path, cli
     assert made["painted"] == ["blue.png", "square.png"]
 
 
-def test_pictures_without_a_frame_are_refused(scene, tmp_path, cli):
+@needs_jit
+def test_pictures_without_a_frame_are_skipped_and_refused_if_none_has_one(scene, tmp_path, cli):
     out = tmp_path / "out.octex"
     arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, out]
     (tmp_path / "other.png").write_bytes(scene.blue.read_bytes())
-    assert cli.refusal(*arguments, tmp_path / "other.png", scene.blue) == (
+    black, white = tmp_path / "black.png", tmp_path / "white.png"
+    Image.fromarray(np.zeros((SIZE, SIZE), np.uint8)).save(black)
+    Image.fromarray(np.full((SIZE, SIZE), 255, np.uint8)).save(white)
+    masked = [word for mask in (black, white, black) for word in ("--mask", mask)]
+    shown = [tmp_path / "other.png", scene.blue, scene.square]
+    assert cli.run(*arguments, *shown, *masked, "--json") == ExitCode.DONE  # the white mask is blue's
+    told, said = cli.said()
+    assert f"skipped 1 of 3 pictures, which have no camera in {scene.cameras}: 'other.png'\n" in said
+    made = json.loads(told)
+    assert (made["painted"], made["skipped"]) == (["blue.png", "square.png"], ["other.png"])
+    out.unlink()
+    assert cli.refusal(*arguments, tmp_path / "other.png") == (
         f"{scene.cameras}: there is no frame {(tmp_path / 'other.png').as_posix()!r}; "
         "there are: 'square.png', 'blue.png'; IMAGE=NAME says which camera an IMAGE has"
     )

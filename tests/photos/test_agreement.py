@@ -9,14 +9,14 @@ import pytest
 
 import octex
 from octex.channels import BASE_COLOR, decode
+from octex.conversion import large
 from octex.errors import ArgumentError
-from octex.painting.picture import mips_of
+from octex.painting.picture import falloff_at, mips_of
 from octex.painting.reading import terms_of
 from octex.painting.surface import PaintedSurface
-from octex.photos import agreement
-from octex.photos.balance import evened
+from octex.photos import agreement, weigh
 from octex.photos.consensus import agreed_step, medians, robust_weights
-from octex.photos.patches import masked, patch_of, patches_of
+from octex.photos.patches import patch_of, patches_of, put_mask
 from tests.conftest import needs_jit
 from tests.make.painted import ball, codes, picture_of
 from tests.oracles import naive_agreement
@@ -89,7 +89,9 @@ def test_a_mask_fades_between_the_middles_of_its_patches():
     mips = mips_of(octex.Projection(image, camera), BASE_COLOR)
     mask = np.ones((4, 4), np.float32)
     mask[:, 2:] = 0
-    part = masked(mips, mask).pixels[:256].reshape(16, 16, 4) / mips.pixels[:256].reshape(16, 16, 4)
+    whole = mips.pixels.copy()
+    put_mask(mips, mask)
+    part = mips.pixels[:256].reshape(16, 16, 4) / whole[:256].reshape(16, 16, 4)
     x = np.arange(16) + 0.5  # patches' middles are at 2, 6, 10, 14
     np.testing.assert_allclose(
         part, np.broadcast_to(np.clip((10 - x) / 4, 0, 1)[:, None], (16, 16, 4)), atol=1e-5
@@ -167,6 +169,41 @@ def test_pixels_finer_than_two_cells_count_alike_and_coarser_ones_little():
     for depth, expected in ((3, 0.5), (8, 256 / 257)):  # pixels are 1/32 and 1/8 wide, cells 1/4, 1/128
         found = octex.paint(None, surface, shots, max_depth=depth)
         np.testing.assert_allclose(found.sample(np.zeros((1, 3))), expected, atol=0.01)
+
+
+@needs_jit
+@pytest.mark.usefixtures("few_points")
+def test_masks_and_exposures_copy_no_picture(monkeypatch):
+    surface, cameras, images = ring()
+    images = [
+        image * np.float32(gain) for image, gain in zip(images, (1, 1.3, 1, 0.8, 1.1, 1, 1, 0.9), strict=True)
+    ]
+    images[2][30:60, 40:70, :3] = 0.9, 0.02, 0.02
+    seen: dict[str, list[Any]] = {"before": [], "after": []}
+
+    def noted(source, *rest, weigh=weigh.weighed):
+        seen["before"] += [shot.mips.pixels for shot in source.shots]
+        alphas = sum(float(pixels[:, 3].sum()) for pixels in seen["before"])
+        found = weigh(source, *rest)
+        seen["after"] += [shot.mips.pixels for shot in found.shots]
+        assert sum(float(pixels[:, 3].sum()) for pixels in seen["after"]) < alphas  # one is masked
+        assert any(shot.falloff.any() for shot in found.shots)
+        return found
+
+    monkeypatch.setattr(weigh, "weighed", noted)
+    octex.paint(None, surface, projections(images, cameras), max_depth=4, balance="full")
+    assert len(seen["after"]) == 8
+    for one, other in zip(seen["before"], seen["after"], strict=True):
+        assert one is other
+
+
+def test_changes_to_what_lies_in_a_file_lie_there_too(tmp_path, monkeypatch):
+    paths: list[Any] = []
+    monkeypatch.setattr(large, "_forget", paths.append)
+    with large.scratch(tmp_path):
+        (array,) = large.moved([np.ones(5000)])
+        array[7:] = 2.0
+        assert np.array_equal(large._load(paths[0])[0], array)
 
 
 @needs_jit
@@ -273,19 +310,11 @@ def test_values_far_from_the_weighted_median_count_for_little():
 
 
 def test_vignetting_multiplies_light_by_the_distance_from_the_middle():
-    image = np.random.default_rng(5).uniform(0.1, 1, (6, 10, 3)).astype(np.float32)
-    camera = octex.Camera.pinhole((10, 6), pose=np.eye(4), convention="opencv", focal=9.0)
-    mips = mips_of(octex.Projection(image, camera), BASE_COLOR)
-    found = evened(mips, np.array([0.3, -0.2]))
-    y, x = np.mgrid[:6, :10]
-    squares = ((x - 4.5) ** 2 + (y - 2.5) ** 2) / (25 + 9)
-    factor = np.exp(0.3 * squares - 0.2 * squares**2)[..., None]
-    np.testing.assert_allclose(
-        found.pixels[:60, :3].reshape(6, 10, 3), mips.pixels[:60, :3].reshape(6, 10, 3) * factor, rtol=1e-5
-    )
-    light = image * factor
-    assert (found.range[0] <= light.min(axis=(0, 1)) + 1e-6).all()
-    assert (found.range[1] >= light.max(axis=(0, 1)) - 1e-6).all()
+    falloff, factor = np.array([0.3, -0.2]), getattr(falloff_at, "py_func", falloff_at)
+    for x, y in ((5.0, 3.0), (0.0, 0.0), (9.5, 0.5), (2.0, 6.0)):
+        square = ((x - 5) ** 2 + (y - 3) ** 2) / (25 + 9)
+        assert np.isclose(factor(falloff, 10, 6, x, y), np.exp(0.3 * square - 0.2 * square**2))
+        assert factor(np.zeros(2), 10, 6, x, y) == 1.0
 
 
 @pytest.mark.parametrize(("kind", "first"), [("cube", 27), ("open", 12)])

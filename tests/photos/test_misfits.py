@@ -36,14 +36,15 @@ def look(number):
     return Camera.fitted(relief()[0], toward, size=(SIZE, SIZE))
 
 
-def picture(camera, seed=0, gain=1.0):
+def picture(camera, seed=0, gain=1.0, slope=0.0):
     """What a camera sees of waves over the plane z = 0, near enough to the relief's: 8-bit codes."""
     rows, columns = np.indices((camera.height, camera.width)) + 0.5
     origins, directions = camera.rays(np.column_stack([columns.ravel(), rows.ravel()]))
     points = origins - directions * (origins[:, 2:] / directions[:, 2:])
     random = np.random.default_rng(seed)
     waves = random.normal(0, 4, (6, 2)), random.uniform(0, 6, 6)
-    light = 0.5 + 0.4 * np.sin(points[:, :2] @ waves[0].T + waves[1]).mean(axis=1) * 2
+    light = 0.5 + (0.8 - slope) * np.sin(points[:, :2] @ waves[0].T + waves[1]).mean(axis=1)
+    light += slope * points[:, 1]
     codes = linear_to_srgb(np.clip(light * gain, 0, 1)) * 255
     return np.repeat(codes.reshape(camera.height, camera.width, 1), 3, axis=2).astype(np.uint8)
 
@@ -69,6 +70,13 @@ def test_a_picture_of_another_scene_is_found():
     reasons, better = found(given)
     assert (sorted(reasons), better) == ([2, 5], None)
     assert all("it differs from all others there" in reason for reason in reasons.values())
+
+
+def test_another_scene_that_is_as_light_above_is_found():
+    given = [replace(each, image=picture(look(n), slope=0.4)) for n, each in enumerate(ring())]
+    given[2] = replace(given[2], image=picture(look(2), seed=7, slope=0.4))
+    reasons, better = found(given)
+    assert (list(reasons), better) == ([2], None)
 
 
 @pytest.mark.parametrize("turn", [90, 180, 270])
@@ -103,6 +111,22 @@ def test_of_a_picture_with_two_cameras_the_one_that_agrees_less_is_found(wrong):
     assert better is None
 
 
+def test_a_picture_in_anothers_place_is_told_to_be_that_one_again():
+    given = ring()
+    view = look(1).world_to_camera.copy()
+    view[:2, 3] += 0.6  # shows other waves
+    given[1] = replace(given[4], camera=replace(look(1), world_to_camera=view))
+    assert found(given)[0] == {1: "the same picture as the image, whose camera it fits better"}
+
+
+def test_a_mesh_on_which_no_pictures_agree_is_told():
+    vertices, triangles = relief()
+    reasons, better = found(ring(), Surface.from_arrays(np.add(vertices, [0, 0, 1.5]), triangles))
+    assert reasons == {}
+    assert better is not None
+    assert better.startswith("pictures show different things at the same points of it; give the mesh")
+
+
 def test_pictures_of_one_colour_tell_nothing():
     given = [replace(each, image=np.full((SIZE, SIZE, 3), 40 * n, np.uint8)) for n, each in enumerate(ring())]
     assert found(given) == ({}, None)
@@ -113,7 +137,8 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told():
     lying = 0.001 * vertices[:, [0, 2, 1]] * [1, 1, -1]  # y is up, and it is in metres
     reasons, better = found(ring(), Surface.from_arrays(lying, triangles))
     assert reasons == {}
-    assert better == "pictures agree if in the mesh it is scaled by 1000 and (x, y, z) becomes (x, -z, y)"
+    turned = "pictures agree if in the mesh it is scaled by 1000 and (x, y, z) becomes (x, -z, y)"
+    assert better == f"{turned}; change the mesh so, and paint again"
     steep = [
         Camera.fitted(vertices, (0.1 * np.cos(n), 0.1 * np.sin(n), 1.0), size=(SIZE, SIZE)) for n in range(6)
     ]
@@ -122,7 +147,7 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told():
     reasons, better = found(given, Surface.from_arrays(lying, triangles))
     assert reasons == {}
     assert better is not None  # what is flat may also be turned about its normal
-    assert re.fullmatch(r"pictures agree if in the mesh \(x, y, z\) becomes \(.*, y\)", better)
+    assert re.match(r"pictures agree if in the mesh \(x, y, z\) becomes \([^)]*, y\);", better)
     far = Surface.from_arrays(np.add(vertices, [0, 0, 1e6]), triangles)
     assert found(ring(), far) == ({}, None)
 

@@ -192,13 +192,15 @@ def test_pictures_are_read_with_their_slopes():
     pixels = image.reshape(-1, 4) * image.reshape(-1, 4)[:, 3:]
     places = random.uniform([-1, -1], [10, 7], (400, 2))
     found = np.empty((400, 9))
-    _read(np.concatenate([pixels[:5], pixels]), np.array([5, 9, 6]), places, found)
+    falloff = np.array([0.4, -0.1])
+    _read(np.concatenate([pixels[:5], pixels]), np.array([5, 9, 6]), falloff, places, found)
     light = np.where(image[..., 3:] > 0, np.sqrt(image[..., :3]).astype(np.float64), np.nan)
     ringed = np.pad(light, ((1, 1), (1, 1), (0, 0)), mode="edge")
     across = (ringed[1:-1, 2:] - ringed[1:-1, :-2]) / 2
     down = (ringed[2:, 1:-1] - ringed[:-2, 1:-1]) / 2
     each = np.concatenate([light, across, down], axis=2)
     expected = np.full((400, 9), np.nan)
+    squares = ((places - [4.5, 3.0]) ** 2).sum(axis=1, keepdims=True) / (4.5**2 + 3.0**2)
     for n, (x, y) in enumerate(places - 0.5):
         if 0 <= x <= 8 and 0 <= y <= 5:
             left, top = min(int(x), 7), min(int(y), 4)
@@ -207,6 +209,7 @@ def test_pictures_are_read_with_their_slopes():
             lower = each[top + 1, left] * (1 - u) + each[top + 1, left + 1] * u
             expected[n] = upper * (1 - v) + lower * v
     assert np.isfinite(expected).all(axis=1).sum() > 100
+    expected *= np.exp(0.5 * squares * (0.4 - 0.1 * squares))
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 

@@ -189,8 +189,7 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     """Paint onto nothing, and onto a texture that is coarser than the pictures."""
     from octex.painting.picture import mips_of
     from octex.photos.agreement import find_modes, off_modes
-    from octex.photos.balance import evened
-    from octex.photos.patches import masked
+    from octex.photos.patches import put_mask
 
     camera = octex.Camera.fitted(surface.vertices, (0.4, 0.3, 1.0), size=(16, 4))
     camera.differentials(surface.vertices, surface.vertices)
@@ -208,8 +207,7 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     find_modes(np.zeros((3, 1, 3), np.float32), np.zeros((3, 1), np.float32), 0, np.zeros((1, 3), np.float32))
     off_modes(*np.zeros((2, 1, 1, 3), np.float32))
     mips = mips_of(picture, BASE_COLOR)
-    masked(mips, np.ones((1, 4), np.float32))
-    evened(mips, np.ones(2))
+    put_mask(mips, np.zeros((1, 4), np.float32))
     lens = replace(camera, distortion=(0.01, 0.0, 0.0, 0.0))
     octex.paint(None, surface, [replace(picture, camera=lens)] * 3)
     _process(octex.open(folder / "coarse.octex"), surface)
