@@ -22,8 +22,9 @@ from octex.view.zbuffer import z_buffer
 
 Floats = npt.NDArray[np.float64]
 
-#: The vertices of a ball move by this part of its radius, those of a dual grid by this part of a cell.
-_NOISE, _NOISE_OF_CELLS = 0.002, 0.1
+#: The vertices of a ball move along its radius by this part of an edge, those of a dual grid by this part of a
+#: cell. A scan's noise is the same: of more of an edge, single vertices become spikes that cast shadows.
+_NOISE_OF_EDGES, _NOISE_OF_CELLS = 0.21, 0.1
 _PICTURE, _SAMPLES = 512, 4
 
 
@@ -66,7 +67,8 @@ def light(setup: Setup, report: Report) -> None:
 
 def _ball(divided: int) -> octex.Surface:
     ball = trimesh.creation.icosphere(divided)
-    noise = 1.0 + _NOISE * np.random.default_rng(0).standard_normal((len(ball.vertices), 1))
+    noise = _NOISE_OF_EDGES * ball.edges_unique_length.mean()
+    noise = 1.0 + noise * np.random.default_rng(0).standard_normal((len(ball.vertices), 1))
     vertices, faces = ball.vertices * noise, np.asarray(ball.faces, np.int32)
     normals = np.empty_like(vertices)
     normals[faces] = corner_normals(vertices, faces, 180.0)
@@ -112,7 +114,7 @@ def _models(
     setup: Setup, report: Report, name: str, surface: octex.Surface, texture: octex.OctreeTexture, case: _Case
 ) -> None:
     """Make a light model of a surface whose texture is there, and compare both."""
-    path = setup.folder / "light.glb"
+    path = setup.folder / f"{name}-{case.size}.glb"
 
     def work() -> None:
         made = octex.finish(surface, texture, triangles=case.triangles, texture_size=case.size)
@@ -127,6 +129,7 @@ def _models(
     wanted = codes(texture.sample(surface.rest_at(nearest.triangles, nearest.barycentric)))
     colors = decibels(codes(made.evaluate(points)) - wanted)
     lit, off = _pictures(texture, surface, made)
+    octex.write_model(octex.bake_vertices(texture, surface), path.with_suffix(".ply"))  # for suns.py
     what = f"{name}, {len(surface.triangles):,} → {len(made.triangles):,} triangles, {case.size}²"
     megabytes = path.stat().st_size / 1e6
     figures = f"{megabytes:.1f} MB, colours {colors:.1f} dB, lit {lit:.1f} dB, {off} pixels"
