@@ -33,6 +33,7 @@ def main() -> int:
     parser.add_argument("full", type=Path)
     parser.add_argument("--picture", type=int, default=512)
     parser.add_argument("--samples", type=int, default=8, help="rays along each side of a pixel")
+    parser.add_argument("--sky", type=float, default=0.2, help="radiance from all around; a sun's irradiance is 3")
     parser.add_argument("--direction", type=float, nargs=3, default=(1.0, 0.4, 0.7), metavar=("X", "Y", "Z"))
     parser.add_argument("--keep", type=Path, help="a folder for the pictures")
     options = parser.parse_args()
@@ -46,7 +47,7 @@ def main() -> int:
         folder = options.keep or Path(room)
         models = {"light": str(options.light), "full": str(options.full)}
         view = job_of(camera, options.samples, folder)
-        spent = blender(options.python, "suns", models=models, view=view, suns=suns.tolist(), folder=str(folder))
+        spent = blender(options.python, "suns", models=models, view=view, suns=suns.tolist(), sky=options.sky, folder=str(folder))
         for number in range(SUNS):
             light, full = (Image.open(folder / f"{name}-{number}.png") for name in models)
             one, other = np.array(light, np.float64), np.array(full, np.float64)

@@ -16,6 +16,8 @@ from extension import exact
 
 #: The width of a camera's film, in millimetres.
 FILM = 36.0
+#: The irradiance of a sun.
+SUN = 3.0
 
 
 def opened(path: str) -> bpy.types.Scene:
@@ -51,10 +53,12 @@ def suns(job: dict) -> dict:
     spent = {}
     for name, path in job["models"].items():
         scene = opened(path)
-        lamp = bpy.data.lights.new("sun", "SUN")
-        lamp.energy, lamp.angle = 3.0, 0.0
+        lamp = bpy.data.lights.new("sun", "SUN")  # as wide as the sun from the earth
+        lamp.energy = SUN
         sun = bpy.data.objects.new("sun", lamp)
         scene.collection.objects.link(sun)
+        scene.world = bpy.data.worlds.new("sky")
+        scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (*[job["sky"]] * 3, 1.0)
         sun.rotation_mode = "QUATERNION"
         scene.render.use_persistent_data = True
         spent[name] = []
