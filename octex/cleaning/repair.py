@@ -51,8 +51,8 @@ def repair(surface: Surface, *, cell: float | None = None, inner: bool = True) -
 
     A triangle is visible if a straight line from a point of it reaches space connected to the outside and
     hits no other triangle before. Lines run in 64 directions, and toward such space near the point. That
-    space is found in cells of 1/256 of the model, so triangles behind a hole wider than a cell stay. Triangles
-    in a cell with more than 10,000 of them stay too, and cracks where a cell has more than 1,000 open vertices.
+    space is found in cells of 1/256 of the model, so triangles behind a hole wider than a cell stay. Those in
+    a cell of more than 10,000 triangles stay too, and so do cracks in one of more than 1,000 border vertices.
 
     ``load_surface(…, finite=True)`` removes triangles with non-finite vertices; they are counted here too.
     The same surface gives the same result; the result's provenance holds the counts.

@@ -22,8 +22,8 @@ from octex.view.zbuffer import z_buffer
 
 Floats = npt.NDArray[np.float64]
 
-#: The vertices of a ball move along its radius by this part of an edge, those of a dual grid by this part of a
-#: cell. A scan's noise is the same: of more of an edge, single vertices become spikes that cast shadows.
+#: The vertices of a ball move along its radius by this part of an edge, those of a dual grid by this part of
+#: a cell. From two fifths of an edge on, single vertices are spikes, whose shadows no normal map holds.
 _NOISE_OF_EDGES, _NOISE_OF_CELLS = 0.21, 0.1
 _PICTURE, _SAMPLES = 512, 4
 

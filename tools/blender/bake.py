@@ -70,7 +70,9 @@ def main(arguments: list[str] | None = None) -> int:
             kind: [job_of(*each, Path(folder) / f"{kind}-{n}.png") for n, each in enumerate(views.values())]
             for kind in DECIBELS
         }
-        told = blender(options.python, "bake", model=str(model), texture_size=size, shader=str(shader), **jobs)
+        told = blender(
+            options.python, "bake", model=str(model), texture_size=size, shader=str(shader), **jobs
+        )
         drawn = {
             kind: [np.array(Image.open(each["picture"])).astype(np.float64) for each in own]
             for kind, own in jobs.items()

@@ -3,10 +3,10 @@
 
 usage: tools/blender/suns.py PYTHON LIGHT.glb FULL.ply [--picture 512] [--samples 8] [--keep FOLDER]
 
-PYTHON is that of an environment with PyPI's bpy; it runs worker.py. FULL is a .ply with colours at its vertices,
-or a .glb; `tools/bench light --keep FOLDER` makes both. The suns stand around the camera, 60 degrees from its
-view, so that each lights another side. Cycles draws with shadows and bounces. The exit code is 1 if a picture is
-not within 32 dB inside the silhouette, or if the silhouettes are more than a pixel apart.
+PYTHON is that of an environment with PyPI's bpy; it runs worker.py. FULL is a .ply with colours at its
+vertices, or a .glb; `tools/bench light --keep FOLDER` makes both. The suns stand around the camera, 60
+degrees from its view, so that each lights another side. Cycles draws with shadows and bounces. The exit code is
+1 if a picture is not within 32 dB inside the silhouette, or if silhouettes are more than a pixel apart.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def main() -> int:
     parser.add_argument("full", type=Path)
     parser.add_argument("--picture", type=int, default=512)
     parser.add_argument("--samples", type=int, default=8, help="rays along each side of a pixel")
-    parser.add_argument("--sky", type=float, default=0.2, help="radiance from all around; a sun's irradiance is 3")
+    parser.add_argument("--sky", type=float, default=0.2, help="light from all around; a sun has 3")
     parser.add_argument("--direction", type=float, nargs=3, default=(1.0, 0.4, 0.7), metavar=("X", "Y", "Z"))
     parser.add_argument("--keep", type=Path, help="a folder for the pictures")
     options = parser.parse_args()
@@ -46,8 +46,9 @@ def main() -> int:
     with TemporaryDirectory() as room:
         folder = options.keep or Path(room)
         models = {"light": str(options.light), "full": str(options.full)}
+        sky = {"suns": suns.tolist(), "sky": options.sky}
         view = job_of(camera, options.samples, folder)
-        spent = blender(options.python, "suns", models=models, view=view, suns=suns.tolist(), sky=options.sky, folder=str(folder))
+        spent = blender(options.python, "suns", models=models, view=view, folder=str(folder), **sky)
         for number in range(SUNS):
             light, full = (Image.open(folder / f"{name}-{number}.png") for name in models)
             one, other = np.array(light, np.float64), np.array(full, np.float64)
