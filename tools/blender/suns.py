@@ -5,8 +5,8 @@ usage: tools/blender/suns.py PYTHON LIGHT.glb FULL.ply [--picture 512] [--sample
 
 PYTHON is that of an environment with PyPI's bpy; it runs worker.py. FULL is a .ply with colours at its
 vertices, or a .glb; `tools/bench light --keep FOLDER` makes both. The suns stand around the camera, 60
-degrees from its view, so that each lights another side. Cycles draws with shadows and bounces. The exit code is
-1 if a picture is not within 32 dB inside the silhouette, or if silhouettes are more than a pixel apart.
+degrees from its view, so that each lights another side. Cycles draws with shadows and bounces. The exit
+code is 1 if a picture is not within 32 dB inside the silhouette, or if silhouettes are over a pixel apart.
 """
 
 from __future__ import annotations
