@@ -6,6 +6,7 @@ usage: worker.py TASK JOB       JOB is JSON, and so is the last line of the answ
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -18,6 +19,8 @@ from extension import exact
 FILM = 36.0
 #: The irradiance of a sun.
 SUN = 3.0
+#: Sharper edges, in degrees, show where a mesh has no normals.
+CREASE = 40.0
 
 
 def opened(path: str) -> bpy.types.Scene:
@@ -27,6 +30,9 @@ def opened(path: str) -> bpy.types.Scene:
     if path.endswith(".ply"):
         bpy.ops.wm.ply_import(filepath=path, forward_axis="NEGATIVE_Z", up_axis="Y")
         show_colors(bpy.context.object.data)
+        if not bpy.context.object.data.has_custom_normals:  # octex's, of what has none
+            bpy.context.object.data.shade_smooth()
+            bpy.context.object.data.set_sharp_from_angle(angle=math.radians(CREASE))
     else:
         bpy.ops.import_scene.gltf(filepath=path)
     scene.render.engine = "CYCLES"
