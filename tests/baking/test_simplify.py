@@ -134,6 +134,16 @@ def test_normals_of_the_source_may_be_all_that_is_baked():
 
 
 @needs_jit
+def test_an_atlas_is_fine_enough_for_the_normals_of_the_source():
+    surface = bumpy(64)
+    texture, low, widths = octex.convert(surface, depth=4), octex.simplify(surface, 600), []
+    for channels in (["base_color"], None):
+        source = octex.bake(texture, low, source=surface, channels=channels, uv="atlas").source
+        widths.append(source.materials[0].inputs["base_color"].texture.texels.shape[1])
+    assert widths[1] == 2 * widths[0]
+
+
+@needs_jit
 def test_a_flat_light_model_has_neither_a_normal_map_nor_tangents(tmp_path):
     across = np.stack(np.meshgrid(*[np.arange(20) / 19] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
     number = np.arange(400).reshape(20, 20)
