@@ -26,6 +26,8 @@ Floats = npt.NDArray[np.float64]
 #: a cell. From two fifths of an edge on, single vertices are spikes, whose shadows no normal map holds.
 _NOISE_OF_EDGES, _NOISE_OF_CELLS = 0.21, 0.1
 _PICTURE, _SAMPLES = 512, 4
+#: Points that differ by more of 255 show another part of the surface.
+_WRONG = 32.0
 
 
 class _Case(NamedTuple):
@@ -127,7 +129,8 @@ def _models(
         points.points, points.normals, least_cosine=0.0
     )
     wanted = codes(texture.sample(surface.rest_at(nearest.triangles, nearest.barycentric)))
-    colors = decibels(codes(made.evaluate(points)) - wanted)
+    errors = codes(made.evaluate(points)) - wanted
+    colors, wrong = decibels(errors), float((np.abs(errors) > _WRONG).any(axis=1).mean())
     lit, off = _pictures(texture, surface, made)
     octex.write_model(octex.bake_vertices(texture, surface), path.with_suffix(".ply"))  # for suns.py
     what = f"{name}, {len(surface.triangles):,} → {len(made.triangles):,} triangles, {case.size}²"
@@ -138,6 +141,7 @@ def _models(
     if case.megabytes is not None:
         report.at_most(f"light: {what}, file", megabytes, case.megabytes, "MB")
     report.at_least(f"light: {what}, colours", colors, 38.0, "dB")
+    report.at_most(f"light: {what}, points of another colour", 100.0 * wrong, 0.002, "%")
     report.at_least(f"light: {what}, lit", lit, 32.0, "dB")
     report.at_most(f"light: {what}, silhouette", off, 1.0, "pixels")
     if name == "generated":
