@@ -48,7 +48,7 @@ class Sheet(NamedTuple):
 
 def sheets_of(
     texture: OctreeTexture, surface: Surface, names: list[str], uv: Layouts, size: int | None,
-    padding: int | None, pool: Executor, detail: float,
+    padding: int | None, pool: Executor, detail: float = np.inf,
 ) -> list[Sheet]:  # fmt: skip
     """Lay a surface out in maps of a given size, or of sizes that match the texture's leaves and ``detail``.
 
