@@ -81,7 +81,8 @@ def bake(
                    material more than 1 % overlaps with different colours or is too small for its detail
     texture_size   width of the square maps in texels, 64 to 16384. Default: the least power of two, up to
                    8192, whose texels have on average the area of a leaf; doubled, at most twice, until
-                   bilinear reading is within 3/255 (RMS) of the texture where the texture varies
+                   bilinear reading is within 3/255 (RMS) of the texture where the texture varies. An atlas is
+                   doubled once if the shading normals of ``source`` are finer
     padding        texels around each chart of an atlas, 0 to 64 (default 8, fewer if there is little room)
     channels       names of the channels to bake (default: all that materials have)
     bits           of each number: 8; 16; or 32, floats in linear light, with directions as (x + 1) / 2
@@ -126,7 +127,9 @@ def bake(
     with workers(run) as given, sharing(given) as pool:
         run.report("unwrap", 0, 1)
         stored = [name for name in names if name in texture.channels]
-        sheets = sheets_of(texture, surface, stored or [*texture.channels], uv, texture_size, padding, pool)
+        detail = np.inf if other is None or len(stored) == len(names) else other.detail()
+        shown = stored or [*texture.channels]
+        sheets = sheets_of(texture, surface, shown, uv, texture_size, padding, pool, detail)
         coordinates = coordinates_of(sheets, len(surface.triangles))
         run.report("unwrap", 1, 1)
         job = _Job(texture, surface, other, sheets, coordinates, names, bits, supersample)
@@ -235,6 +238,10 @@ class _Other(NamedTuple):
         placed = surface.placed_on(texture)
         flat = unit(area_vectors(placed.rest[placed.triangles]))
         return cls(placed, nearest, flat, shading, distance)
+
+    def detail(self) -> float:
+        """Return half the edge of a typical triangle: texels this wide hold its shading normals."""
+        return float(np.sqrt(2.0 * self.surface.areas().mean()) / 2.0)
 
     def facing(self, points: Float64s, normals: Float64s, squares: Float64s) -> Nearest:
         """Return the nearest points on the same side of creases; on any side if farther than ``squares``."""

@@ -44,7 +44,6 @@ def finish(
     depth         of the octree (default: cells are about as wide as texels, or 10). Voxels define it
     texture_size  width of the images in texels, as for ``bake``
     repair        first remove copies and inner triangles, and close cracks (``octex.repair``)
-    repair        first leave out copies and inner triangles, and close cracks (``octex.repair``)
     run           how to work (octex.Run)
 
     A mesh with fewer triangles gets a new atlas; otherwise ``bake`` chooses the texture coordinates.

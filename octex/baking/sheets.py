@@ -48,9 +48,9 @@ class Sheet(NamedTuple):
 
 def sheets_of(
     texture: OctreeTexture, surface: Surface, names: list[str], uv: Layouts, size: int | None,
-    padding: int | None, pool: Executor,
+    padding: int | None, pool: Executor, detail: float = np.inf,
 ) -> list[Sheet]:  # fmt: skip
-    """Lay a surface out in maps of a given size, or of sizes that match the texture's leaves.
+    """Lay a surface out in maps of a given size, or of sizes that match the texture's leaves and ``detail``.
 
     Materials that read the same image share maps; others get separate ones; those without coordinates get an
     atlas each. Otherwise all triangles share one atlas, where materials that differ only by name are joined.
@@ -75,7 +75,7 @@ def sheets_of(
         except ModelError:
             if uv == "keep":
                 raise
-    layout = _atlas(texture, surface, names, size, padding, by_xatlas=uv == "xatlas")
+    layout = _atlas(texture, surface, names, size, padding, detail, by_xatlas=uv == "xatlas")
     every = np.arange(len(surface.triangles), dtype=np.int32)
     kinds: dict[tuple[str, bool], list[int]] = {}
     for number in np.unique(owners).tolist():
@@ -162,7 +162,7 @@ def _tiles(mesh: Mesh) -> list[tuple[int, Mesh, Int32s]]:
 
 def _atlas(
     texture: OctreeTexture, mesh: Mesh, names: list[str], size: int | None, padding: int | None,
-    *, by_xatlas: bool = False,
+    detail: float = np.inf, *, by_xatlas: bool = False,
 ) -> Layout:  # fmt: skip
     """Return an atlas of a given size, or of the first that matches the texture's leaves and detail."""
     leaf, sizes = leaf_of(texture, mesh), [size or _LARGEST]
@@ -172,6 +172,7 @@ def _atlas(
         right = across(normals)
         steps = texel * right, texel * np.cross(normals, right)
         texel /= fineness(texture, mesh, names, leaf, areas_of(mesh), steps)
+        texel = max(min(texel, detail), texel / 2.0)
         first = _size_for(texel, areas_of(mesh).sum(), 0.6)
         sizes = [2**n for n in range(first.bit_length() - 1, _LARGEST.bit_length())]
     return atlas_layout(mesh, sizes, padding, texel, by_xatlas=by_xatlas)

@@ -18,6 +18,8 @@ _DETOUR = 3.0
 #: Largest number of border vertices searched around a vertex.
 _NEAR = 64
 _MOST_CELLS = 1 << 20
+#: Cells with more border vertices than this stay open: else a part far from the others would take hours.
+_CROWDED = 1_000
 
 
 def closed_cracks(
@@ -91,10 +93,10 @@ def _nearest(
             j = cells[n, 1] + number // 3 % 3 - 1
             k = cells[n, 2] + number % 3 - 1
             code = encode(i, j, k)
-            row = np.searchsorted(codes, code)
-            while row < codes.size and codes[row] == code:
-                other = by_code[row]
-                row += 1
+            first, end = np.searchsorted(codes, code), np.searchsorted(codes, code, side="right")
+            if end - first > _CROWDED:
+                continue
+            for other in by_code[first:end]:
                 dx = points[other, 0] - points[n, 0]
                 dy = points[other, 1] - points[n, 1]
                 dz = points[other, 2] - points[n, 2]

@@ -28,6 +28,8 @@ _EMPTY, _OUTSIDE = -1, -2
 _DIRECTIONS, _FEWEST = 64, 8
 #: Rays from cells this many cells away from outside never reach it.
 _DEEPEST = 8
+#: Cells with more triangles than this count as outside: else a part far from the others would take hours.
+_CROWDED = 10_000
 #: Nearer hits, in cells, are triangles that touch the point, such as copies.
 _TOUCHING = 1e-6
 #: Triangles are enlarged by this part of an edge, so that no ray slips between two.
@@ -56,6 +58,7 @@ def seen_triangles(rest: Float64s, triangles: Int32s) -> Bools:
     places = decode_cells(blocks.codes)
     rows = np.full((_EDGE, _EDGE, _EDGE), _EMPTY, np.int32)
     rows[tuple(places.T)] = np.arange(len(places), dtype=np.int32)
+    rows[tuple(places[np.diff(blocks.starts) > _CROWDED].T)] = _OUTSIDE
     _flood(rows.reshape(-1))
     depths = np.full(len(places), _DEEPEST, np.uint8)
     _find_depths(rows, places, depths)

@@ -11,6 +11,7 @@ from octex.arrays import Bools, Float64s, Int32s
 from octex.checks import as_flag, as_positive
 from octex.cleaning.cracks import closed_cracks
 from octex.cleaning.inner import seen_triangles
+from octex.errors import ModelError
 from octex.source.corners import has_area
 from octex.source.surface import NOT_FINITE, Surface, as_surface
 from octex.source.welding import welded
@@ -50,7 +51,8 @@ def repair(surface: Surface, *, cell: float | None = None, inner: bool = True) -
 
     A triangle is visible if a straight line from a point of it reaches space connected to the outside and
     hits no other triangle before. Lines run in 64 directions, and toward such space near the point. That
-    space is found in cells of 1/256 of the model, so triangles behind a hole wider than a cell stay.
+    space is found in cells of 1/256 of the model, so triangles behind a hole wider than a cell stay. Those in
+    a cell of more than 10,000 triangles stay too, and so do cracks in one of more than 1,000 border vertices.
 
     ``load_surface(…, finite=True)`` removes triangles with non-finite vertices; they are counted here too.
     The same surface gives the same result; the result's provenance holds the counts.
@@ -63,6 +65,8 @@ def repair(surface: Surface, *, cell: float | None = None, inner: bool = True) -
     width = Placement.around(surface.bounds, _DEPTH).size / 2**_DEPTH if cell is None else cell
     width = as_positive(width, "cell")
     degenerate, duplicate = _useless(surface.rest, surface.triangles)
+    if degenerate.all():
+        raise ModelError(f"{surface.name}: no triangle has an area")
     counts = [int(degenerate.sum()), int(duplicate.sum()), 0]
     kept = surface.part(np.flatnonzero(~(degenerate | duplicate)))
     seen = np.ones(len(kept.triangles), np.bool_)

@@ -78,7 +78,7 @@ def bake(options: Options, program: str) -> int:
             with progress.stage("simplify"):
                 original, surface = surface, octex.simplify(surface, options.triangles)
         elif options.triangles is not None:
-            lines.append(f"the model has only {len(surface.triangles):,} triangles: all stay")
+            lines.append(f"the model has no more than {options.triangles:,} triangles: all stay")
         if options.displace is not None:
             channel, height, middle = options.displace
             with progress.stage("displace"):

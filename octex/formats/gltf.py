@@ -98,9 +98,11 @@ class _Content:
         self.images, self._numbers = encoded_images(self._used, self._format)
         self._textures: dict[tuple[object, ...], int] = {}
         self.json["materials"] = [self._material(each) for each in self._used]
-        for number, material in enumerate(used):
-            chosen = np.flatnonzero(owners == material)
-            primitives.append({**self._primitive(surface, source, chosen), "material": number})
+        for number, material in enumerate(self._used):
+            chosen = np.flatnonzero(owners == used[number])
+            normal = material.inputs.get("normal")
+            has_map = normal is not None and normal.texture is not None
+            primitives.append({**self._primitive(surface, source, chosen, has_map), "material": number})
         name = Path(surface.name).stem
         self.json["meshes"] = [{"name": name, "primitives": primitives}]
         self.json["nodes"] = [{"name": name, "mesh": 0}]
@@ -111,14 +113,16 @@ class _Content:
         if self._format == "webp" and self.images:
             self.json["extensionsRequired"] = ["EXT_texture_webp"]
 
-    def _primitive(self, surface: Surface, source: MaterialSource, chosen: Integers) -> dict[str, Any]:
+    def _primitive(
+        self, surface: Surface, source: MaterialSource, chosen: Integers, has_normal_map: bool
+    ) -> dict[str, Any]:
         """Add triangles with the data of their corners; equal corners become one vertex."""
         bound = {f"TEXCOORD_{slot}": each for slot, each in enumerate(source.coordinates)}
         if source.colors is not None:
             bound["COLOR_0"] = source.colors
         if self._frames is not None:
             bound["NORMAL"] = self._frames.normals
-            if "normal" in [form.name for form in surface.channels]:
+            if has_normal_map:
                 bound["TANGENT"] = self._frames.tangents
         corners = np.stack(
             [surface.triangles[chosen], *(each.rows[chosen] for each in bound.values())], axis=-1

@@ -18,6 +18,9 @@ from octex.source.mesh import Mesh
 from tests.make.solids import sphere
 from tests.make.vxz import dual_grid
 
+#: The corners of a square, counterclockwise.
+RING = ((0, 0), (1, 0), (1, 1), (0, 1))
+
 
 def noisy(subdivisions, noise):
     """A ball of radius 1 whose vertices are moved in and out."""
@@ -162,6 +165,22 @@ def test_a_sheet_that_lies_over_itself_is_cut():
     flat, charts, _ = laid_flat(mesh)
     assert 3 <= charts.max() + 1 <= 12
     assert overlapping(flat, charts) == []
+
+
+def test_a_strip_over_a_part_of_a_large_sheet_is_cut():
+    numbers = np.arange(17 * 17).reshape(17, 17)
+    points = [[i, j, 0.0] for i in range(17) for j in range(17)]
+    quads = [[numbers[i + x, j + y] for x, y in RING] for i in range(16) for j in range(16)]
+    known = {(16, 6): numbers[16, 6], (16, 7): numbers[16, 7]}  # where the strip begins
+    for i, j in ((16, 6), (17, 6), (17, 7), (17, 8), (16, 8), (15, 8), (14, 8)):
+        for x, y in RING:
+            if (i + x, j + y) not in known:
+                known[i + x, j + y] = len(points)
+                points.append([i + x, j + y, 0.06 * len(known)])
+        quads.append([known[i + x, j + y] for x, y in RING])
+    triangles = np.array(quads)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    charts = laid_flat(Mesh(np.array(points), triangles)).charts
+    assert charts[-1] != charts[2 * (14 * 16 + 8)]  # they are one above the other
 
 
 @given(st.integers(0, 10_000))

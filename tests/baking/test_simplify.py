@@ -1,5 +1,7 @@
 """Meshes of fewer triangles, and what is baked onto them from the surface that they stand for."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -131,6 +133,30 @@ def test_normals_of_the_source_may_be_all_that_is_baked():
         octex.bake(texture, surface, channels=["normal"])
 
 
+@needs_jit
+def test_an_atlas_is_fine_enough_for_the_normals_of_the_source():
+    surface = bumpy(64)
+    texture, low, widths = octex.convert(surface, depth=4), octex.simplify(surface, 600), []
+    for channels in (["base_color"], None):
+        source = octex.bake(texture, low, source=surface, channels=channels, uv="atlas").source
+        widths.append(source.materials[0].inputs["base_color"].texture.texels.shape[1])
+    assert widths[1] == 2 * widths[0]
+
+
+@needs_jit
+def test_a_flat_light_model_has_neither_a_normal_map_nor_tangents(tmp_path):
+    across = np.stack(np.meshgrid(*[np.arange(20) / 19] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    number = np.arange(400).reshape(20, 20)
+    a, b, c, d = (number[i : 19 + i, j : 19 + j].reshape(-1) for i in (0, 1) for j in (0, 1))
+    triangles = np.concatenate([np.stack([a, c, b], axis=1), np.stack([b, c, d], axis=1)])
+    plane = Surface.from_arrays(np.pad(across, [(0, 0), (0, 1)]), triangles)
+    low = octex.finish(plane.with_sources({"base_color": colors}), triangles=20, depth=5, texture_size=64)
+    octex.write_model(low, tmp_path / "flat.gltf")
+    written = json.loads((tmp_path / "flat.gltf").read_text())
+    assert "normalTexture" not in written["materials"][0]
+    assert set(written["meshes"][0]["primitives"][0]["attributes"]) == {"POSITION", "NORMAL", "TEXCOORD_0"}
+
+
 def test_a_triangle_shows_its_own_side_of_a_crease():
     """A roof whose ridge zigzags, shown by one with a straight ridge: no texel beside it sees beyond."""
     steps = np.arange(21)
@@ -165,6 +191,9 @@ def test_the_command_bakes_a_model_without_a_texture(tmp_path, capsys):
     assert main(call) == 0
     low = octex.load_surface(output)
     assert len(low.triangles) <= 510
+    few = ["bake", str(model), str(output), "--force", "--triangles", "50k", "--texture-size", "64"]
+    assert main(few) == 0
+    assert "the model has no more than 50,000 triangles: all stay" in capsys.readouterr().out
     assert [each.name for each in low.channels] == ["base_color", "metallic", "roughness", "normal"]
     for words, complaint in (
         (["--triangles", "0"], "'0' is not a number like 50k"),

@@ -151,6 +151,16 @@ def test_wider_cracks_thin_strips_and_borders_stay():
     assert octex.repair(fan, cell=0.002)[1] == (0, 0, 0, 0, 0)
 
 
+def test_a_dense_part_far_from_the_others_stays_as_it_is_and_takes_no_hours():
+    random = np.random.default_rng(0)
+    middles = np.repeat(random.random((15_000, 3)), 3, axis=0)
+    dense = (middles + 0.02 * random.standard_normal(middles.shape)) * 1e-4, np.arange(45_000).reshape(-1, 3)
+    apart = np.array([[1.0, 1, 1], [1.1, 1, 1], [1, 1.1, 1]]), np.array([[0, 1, 2]])
+    made, counts = octex.repair(joined(dense, apart))
+    assert counts == (0, 0, 0, 0, 0)
+    assert len(made.triangles) == 15_001
+
+
 def test_what_cannot_be_repaired_is_refused():
     vertices, faces = ball(fineness=1)
     surface = octex.Surface.from_arrays(vertices, faces)
@@ -162,5 +172,5 @@ def test_what_cannot_be_repaired_is_refused():
     with pytest.raises(ArgumentError, match="inner must be True or False"):
         octex.repair(surface, inner=1)
     flat = octex.Surface.from_arrays(vertices, np.repeat(faces[:, :1], 3, axis=1))
-    with pytest.raises(ModelError, match="has no triangles"):
+    with pytest.raises(ModelError, match="no triangle has an area"):
         octex.repair(flat)

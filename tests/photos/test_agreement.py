@@ -179,7 +179,7 @@ def test_masks_and_exposures_copy_no_picture(monkeypatch):
         image * np.float32(gain) for image, gain in zip(images, (1, 1.3, 1, 0.8, 1.1, 1, 1, 0.9), strict=True)
     ]
     images[2][30:60, 40:70, :3] = 0.9, 0.02, 0.02
-    seen: dict[str, list[Any]] = {"before": [], "after": []}
+    seen = {"before": [], "after": []}
 
     def noted(source, *rest, weigh=weigh.weighed):
         seen["before"] += [shot.mips.pixels for shot in source.shots]
@@ -198,7 +198,7 @@ def test_masks_and_exposures_copy_no_picture(monkeypatch):
 
 
 def test_changes_to_what_lies_in_a_file_lie_there_too(tmp_path, monkeypatch):
-    paths: list[Any] = []
+    paths = []
     monkeypatch.setattr(large, "_forget", paths.append)
     with large.scratch(tmp_path):
         (array,) = large.moved([np.ones(5000)])

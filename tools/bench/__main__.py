@@ -82,6 +82,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--models", type=Path, metavar="FOLDER", help="of real models")
     parser.add_argument("--repeats", type=int, default=5, help="rounds, of which medians are taken (5)")
     parser.add_argument("--core", type=int, help="the processor for what runs on one thread (the last)")
+    parser.add_argument("--keep", type=Path, metavar="FOLDER", help="where the files that are made stay")
     parser.add_argument("--quick", action="store_true", help="tiny sizes, one round")
     options = parser.parse_args(arguments)
     unknown = set(options.names) - set(BENCHMARKS)
@@ -96,7 +97,8 @@ def main(arguments: list[str] | None = None) -> int:
     print(f"{os.cpu_count()} processors, load {load:.1f}", end="")
     print(": wall times will be disturbed" if load > 0.5 and not options.quick else "")
     quick_worker = octex_worker() if options.quick else nullcontext()
-    with TemporaryDirectory(prefix="octex-bench-") as folder, quick_worker as worker:
+    room = nullcontext(options.keep) if options.keep else TemporaryDirectory(prefix="octex-bench-")
+    with room as folder, quick_worker as worker:
         setup = Setup(
             quick=options.quick,
             repeats=1 if options.quick else max(options.repeats, 1),

@@ -70,7 +70,9 @@ def main(arguments: list[str] | None = None) -> int:
             kind: [job_of(*each, Path(folder) / f"{kind}-{n}.png") for n, each in enumerate(views.values())]
             for kind in DECIBELS
         }
-        told = blender(options.python, model=str(model), texture_size=size, shader=str(shader), **jobs)
+        told = blender(
+            options.python, "bake", model=str(model), texture_size=size, shader=str(shader), **jobs
+        )
         drawn = {
             kind: [np.array(Image.open(each["picture"])).astype(np.float64) for each in own]
             for kind, own in jobs.items()
@@ -104,9 +106,9 @@ def main(arguments: list[str] | None = None) -> int:
     return int(not is_near or times < TIMES or share < 0.95)
 
 
-def blender(python: Path, **job: Any) -> Any:
-    """Have Blender do a job of worker.py; return its answer."""
-    call = [str(python), str(Path(__file__).with_name("worker.py")), json.dumps(job)]
+def blender(python: Path, task: str, **job: Any) -> Any:
+    """Have Blender do a task of worker.py; return its answer."""
+    call = [str(python), str(Path(__file__).with_name("worker.py")), task, json.dumps(job)]
     done = subprocess.run(call, capture_output=True, text=True, check=False)
     if done.returncode:
         sys.exit(f"Blender's part failed:\n{done.stdout}{done.stderr}")

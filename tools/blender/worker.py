@@ -1,11 +1,12 @@
-"""What bake.py has Blender do, run by a Python that has bpy.
+"""What bake.py and suns.py have Blender do, run by a Python that has bpy.
 
-usage: worker.py JOB       JOB is JSON, and so is the last line of the answer
+usage: worker.py TASK JOB       JOB is JSON, and so is the last line of the answer
 """
 
 from __future__ import annotations
 
 import json
+import math
 import sys
 import time
 from pathlib import Path
@@ -16,13 +17,24 @@ from extension import exact
 
 #: The width of a camera's film, in millimetres.
 FILM = 36.0
+#: The irradiance of a sun.
+SUN = 3.0
+#: Sharper edges, in degrees, show where a mesh has no normals.
+CREASE = 40.0
 
 
-def opened(job: dict) -> bpy.types.Scene:
-    """Return a scene with the model of a job and nothing else, to be drawn with Cycles as it is."""
+def opened(path: str) -> bpy.types.Scene:
+    """Return a scene with a model, .glb or .ply, and nothing else, to be drawn with Cycles as it is."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
-    bpy.ops.import_scene.gltf(filepath=job["model"])
+    if path.endswith(".ply"):
+        bpy.ops.wm.ply_import(filepath=path, forward_axis="NEGATIVE_Z", up_axis="Y")
+        show_colors(bpy.context.object.data)
+        if not bpy.context.object.data.has_custom_normals:  # octex's, of what has none
+            bpy.context.object.data.shade_smooth()
+            bpy.context.object.data.set_sharp_from_angle(angle=math.radians(CREASE))
+    else:
+        bpy.ops.import_scene.gltf(filepath=path)
     scene.render.engine = "CYCLES"
     scene.render.resolution_percentage = 100
     scene.cycles.device = "CPU"
@@ -31,9 +43,40 @@ def opened(job: dict) -> bpy.types.Scene:
     return scene
 
 
+def show_colors(mesh: bpy.types.Mesh) -> None:
+    """Give a mesh with colours at its vertices a rough material of these."""
+    material = bpy.data.materials.new("paint")
+    nodes = material.node_tree.nodes
+    colors, shader = nodes.new("ShaderNodeVertexColor"), nodes["Principled BSDF"]
+    colors.layer_name = mesh.color_attributes[0].name = "paint"  # Cycles draws one named "color" black
+    shader.inputs["Roughness"].default_value = 1.0
+    material.node_tree.links.new(colors.outputs["Color"], shader.inputs["Base Color"])
+    mesh.materials.append(material)
+
+
+def suns(job: dict) -> dict:
+    """Draw models from one camera, each under one sun after the other; return seconds that each takes."""
+    spent = {}
+    for name, path in job["models"].items():
+        scene = opened(path)
+        lamp = bpy.data.lights.new("sun", "SUN")  # as wide as the sun from the earth
+        lamp.energy = SUN
+        sun = bpy.data.objects.new("sun", lamp)
+        scene.collection.objects.link(sun)
+        scene.world = bpy.data.worlds.new("sky")
+        scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (*[job["sky"]] * 3, 1.0)
+        sun.rotation_mode = "QUATERNION"
+        scene.render.use_persistent_data = True
+        spent[name] = []
+        for number, direction in enumerate(job["suns"]):
+            sun.rotation_quaternion = mathutils.Vector(direction).to_track_quat("Z", "Y")
+            spent[name] += drawn(scene, [job["view"] | {"picture": f"{job['folder']}/{name}-{number}.png"}])
+    return spent
+
+
 def bake(job: dict) -> dict:
     """Draw a model unlit, bake it, and draw it by an OSL node; return how long each takes."""
-    scene = opened(job)
+    scene = opened(job["model"])
     for material in bpy.data.materials:
         glow(material)
     spent = drawn(scene, job["baked"])
@@ -111,4 +154,4 @@ def baked(scene: bpy.types.Scene, size: int) -> dict:
     }
 
 
-print(json.dumps(bake(json.loads(sys.argv[1]))))
+print(json.dumps({"bake": bake, "suns": suns}[sys.argv[1]](json.loads(sys.argv[2]))))
