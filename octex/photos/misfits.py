@@ -35,7 +35,7 @@ _OTHERS, _SHARED, _PLAIN = 2, 200, 1e-3
 #: Light alone does not separate scenes: in most the sky is bright, and above.
 _FINE, _BROAD = 2.0, 16.0
 #: A photograph agrees above the first correlation, and shows another scene below the second. Ten of a castle
-#: and 23 of a tree have 0.48 to 0.9; photographs with a wrong camera or of another scene 0.0, of 460 the
+#: and 23 of a tree have 0.48 to 0.9; photographs with a wrong camera or of another scene 0.0, of 330 the
 #: largest 0.38.
 _AGREES, _STRANGE = 0.4, 0.25
 #: Below this mean correlation other units and axes are tried; they are reported if the mean grows by _GAIN.
