@@ -28,7 +28,7 @@ _WIDENED = 4
 _STEP = 0.6
 #: Overlaps are probed at this many points a side; a chart overlaps if it covers this part twice. Noise folds
 #: over less; a rod over a blob, of 1 % of its chart, showed the blob's colour.
-_PROBE, _OVERLAPPING = 256, 0.0005
+_PROBE, _OVERLAPPING = 256, 0.0002
 #: Position of the probes in their squares.
 _ASIDE = 0.4142135, 0.7320508
 #: Charts of at most this many triangles are first tested pair by pair.
