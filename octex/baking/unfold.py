@@ -26,9 +26,9 @@ _ON_EDGE, _LEAST_SHOWN = 0.25, 0.02
 _WIDENED = 4
 #: Part of the way to its neighbours' mean that a position moves at once.
 _STEP = 0.6
-#: Overlaps are probed at this many points a side; a chart overlaps if it covers this part twice. Noise folds
-#: over less; a rod over a blob, of 1 % of its chart, showed the blob's colour.
-_PROBE, _OVERLAPPING = 256, 0.0005
+#: Overlaps are probed at this many points a side. A chart overlaps if it covers this part of itself twice,
+#: and this part of a triangle: folds of noise are smaller. Else a rod over a blob may show its colour.
+_PROBE, _OVERLAPPING, _OF_TRIANGLE = 256, 0.0002, 0.2
 #: Position of the probes in their squares.
 _ASIDE = 0.4142135, 0.7320508
 #: Charts of at most this many triangles are first tested pair by pair.
@@ -211,7 +211,8 @@ def _overlaps(flat: Float64s) -> bool:
         return False
     corners = flat - flat.min(axis=(0, 1))
     corners *= _PROBE / max(float(corners.max()), 1e-300)
-    return bool(_twice(corners) > _OVERLAPPING * np.abs(doubled_areas(corners)).sum() / 2.0)
+    part = max(_OVERLAPPING, _OF_TRIANGLE / len(flat))
+    return bool(_twice(corners) > part * np.abs(doubled_areas(corners)).sum() / 2.0)
 
 
 @kernel
