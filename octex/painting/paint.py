@@ -244,7 +244,7 @@ def _raster_of(
         check_inside(surface, placement)
     paint: PaintSource = source
     number = next((number for number, shot in enumerate(shots) if shot is reference), None)
-    del shots, near, reference  # `weighed` releases pictures that it masks
+    del shots, near, reference  # they hold copies of the visible surface
     if not is_single:
         from octex.photos.weigh import weighed  # a single picture does not load it
 
