@@ -245,6 +245,8 @@ def _merged(
     run: Run,
 ) -> OctreeTexture | None:
     """Merge layers, read from ``files`` if any, into a texture or a new one; None if they paint nothing."""
+    if options.opacity == 0:
+        return None
     is_in = False
     if texture is None:
         from octex.painting.first import started

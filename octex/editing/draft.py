@@ -317,6 +317,9 @@ def _overwritten(
     """
     tree, draft = texture.tree, after.tree
     place = places_in(texture, tiles, after)
+    if tiles.level <= draft.max_depth:  # leaves next to the tiles stay
+        here = slice(*draft.arrays.level_cells[tiles.level : tiles.level + 2].tolist())
+        place[here][~among(draft.level_codes(tiles.level), tiles.codes)] = -1
     sources = np.flatnonzero(place >= 0)
     sizes = draft.split.areas.size, draft.kept.cells.size
     places = [place, *(np.full(size, -1, np.int64) for size in sizes)]
