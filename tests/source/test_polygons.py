@@ -90,7 +90,7 @@ def test_each_triangle_of_a_mesh_of_triangles_is_a_polygon(tmp_path):
 def test_what_is_made_of_a_surface_keeps_its_polygons(tmp_path):
     surface = load_surface(written(tmp_path, "obj"))
     moved = surface.with_rest(surface.rest + 1.0)
-    for other in (moved, surface.coverage, surface.with_sources({"roughness": 0.5})):
+    for other in (moved, surface.with_sources({"roughness": 0.5})):
         assert loops_of(other) == CORNERS_OF
 
 
