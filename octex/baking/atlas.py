@@ -328,15 +328,17 @@ def _place(free: Bools, longest: Int64s, mask: Bools, start: int) -> int:
     """Put a mask into the first free blocks from ``start`` on; ``longest`` are the rows' free runs."""
     height, width = mask.shape
     blocks = free.shape[0]
-    runs = np.zeros((height, width), np.int64)  # length of the free run that ends at each block
+    runs = np.zeros((height, width), np.int64)  # length of the mask's run that ends at each block
+    needed = np.zeros(height, np.int64)  # the longest of each row
     for y in range(height):
         for x in range(width):
             if mask[y, x]:
                 runs[y, x] = runs[y, x - 1] + 1 if x else 1
+                needed[y] = max(needed[y], runs[y, x])
     row, column = start // blocks, start % blocks
     while row + height <= blocks:
         for y in range(height):
-            if longest[row + y] < runs[y].max():
+            if longest[row + y] < needed[y]:
                 column = blocks
                 break
         while column + width <= blocks:
