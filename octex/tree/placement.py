@@ -16,9 +16,9 @@ from octex.checks import as_depth, as_points, as_positive, as_real, as_reals
 from octex.errors import ArgumentError
 from octex.tree.layout import GRID_BITS, MAX_DEPTH
 
-#: The least and the largest edge of a root cell, and how far from 0 its corner may be: slopes by position and
-#: footprints then stay inside the range of single precision.
-SMALLEST, LARGEST = 1e-30, 1e30
+#: The least and the largest edge of a root cell, and how far from 0 its corner may be: slopes by position,
+#: footprints and the squares of distances then stay inside the range of single precision.
+SMALLEST, LARGEST = 1e-15, 1e30
 
 
 class Placement(NamedTuple):

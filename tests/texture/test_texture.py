@@ -162,7 +162,7 @@ def test_metadata_that_are_not_texts_are_refused(metadata):
     ],
 )
 def test_an_impossible_root_cell_is_refused(origin, size):
-    with pytest.raises(ArgumentError, match=r"root cell must have a size from 1e-30 to 1e\+30 and a corner"):
+    with pytest.raises(ArgumentError, match=r"root cell must have a size from 1e-15 to 1e\+30 and a corner"):
         eight_colors(placement=Placement(origin, size))
 
 

@@ -146,7 +146,7 @@ def changed(path, **changes):
             '{"origin": [0, 0, 0], "size": 1' + "0" * 400 + "}",
             "'placement' are missing or damaged",
         ),
-        ("placement", '{"origin": [0, 0, NaN], "size": 1}', "the root cell must have a size from 1e-30"),
+        ("placement", '{"origin": [0, 0, NaN], "size": 1}', "the root cell must have a size from 1e-15"),
         ("bounds", "[" * 9999, "'bounds' are missing or damaged"),
         ("bounds", '"all"', "'bounds' are missing or damaged"),
         ("bounds", "3", "two finite corners"),
