@@ -29,12 +29,17 @@ _HOLD = """() => {
   };
 }"""
 #: What of a page each test finds as it was at first.
-_STATE = "({ brush: { ...viewer.painting.brush }, view: viewer.camera.state })"
-_RESTORE = """({ brush, view }) => {
+_STATE = """() => ({
+  brush: { ...viewer.painting.brush },
+  view: viewer.camera.state,
+  open: [...document.querySelectorAll("aside details[open]")].map((each) => each.id),
+})"""
+_RESTORE = """({ brush, view, open }) => {
   const { painting, camera } = viewer;
   globalThis.release?.(); // a test that failed holds answers back
   painting.set(brush);
   painting.choose("brush");
+  for (const each of document.querySelectorAll("aside details")) each.open = open.includes(each.id);
   camera.restore(view);
   viewer.move();
   for (let n = painting.last.done; n > 0; n--) painting.undo();
