@@ -36,7 +36,7 @@ def tangents(
     normals: Sequence[Sequence[Vector]],
     uv: Sequence[Sequence[Vector]],
 ) -> list[list[Vector | None]]:
-    """The tangent and handedness of each corner; None where MikkTSpace leaves it to the application.
+    """The tangent and handedness of each corner; None where MikkTSpace leaves it to the application, and for noise.
 
     ``points`` by vertex; ``normals`` and ``uv`` by triangle and corner.
     """
@@ -67,6 +67,6 @@ def tangents(
             key = groups.get((number, corner))
             total = tuple(map(sum, zip(*sums[key], strict=True))) if key else (0, 0, 0)
             sign = 1.0 if key and key[3] else -1.0
-            row.append((*unit(total), sign) if dot(total, total) > 1e-18 else None)
+            row.append((*unit(total), sign) if dot(total, total) > 1e-12 else None)
         found.append(row)
     return found
