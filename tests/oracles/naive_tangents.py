@@ -36,9 +36,10 @@ def tangents(
     normals: Sequence[Sequence[Vector]],
     uv: Sequence[Sequence[Vector]],
 ) -> list[list[Vector | None]]:
-    """The tangent and handedness of each corner; None where MikkTSpace leaves it to the application, and for noise.
+    """The tangent and handedness of each corner; None where MikkTSpace leaves it to the application.
 
-    ``points`` by vertex; ``normals`` and ``uv`` by triangle and corner.
+    Sums that are rounding noise, from angles of triangles without area, give None too. ``points`` by
+    vertex; ``normals`` and ``uv`` by triangle and corner.
     """
     sums: dict[object, list[Vector]] = defaultdict(list)
     groups: dict[tuple[int, int], object] = {}
