@@ -97,6 +97,8 @@ def main(arguments: list[str] | None = None) -> int:
     print(f"{os.cpu_count()} processors, load {load:.1f}", end="")
     print(": wall times will be disturbed" if load > 0.5 and not options.quick else "")
     quick_worker = octex_worker() if options.quick else nullcontext()
+    if options.keep:
+        options.keep.mkdir(parents=True, exist_ok=True)
     room = nullcontext(options.keep) if options.keep else TemporaryDirectory(prefix="octex-bench-")
     with room as folder, quick_worker as worker:
         setup = Setup(
