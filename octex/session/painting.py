@@ -330,11 +330,13 @@ class Session:
 
     def _move(self, steps: list[_Step], others: list[_Step], act: Callable[[], Any]) -> None:
         """Undo or redo the last of the steps, if any."""
-        for step in steps[-1:]:
-            for _ in range(step.strokes):
-                act()
-                self._changes += self._painter.changes
-            others.append(steps.pop())
+        if not steps:
+            return
+        step = steps.pop()
+        for _ in range(step.strokes):
+            act()
+            self._changes += self._painter.changes
+        others.append(step)
 
     def _do_save(self, command: Command) -> None:
         self._question = ""

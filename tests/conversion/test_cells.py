@@ -36,7 +36,7 @@ def check(triangles, depth):
         facings = [facing for facing in range(6) if flags >> facing & 1]
         assert facings == sorted(expected[cell])
         for facing in facings:
-            assert areas[entry] == pytest.approx(expected[cell][facing], rel=1e-8, abs=1e-8)
+            assert areas[entry] == pytest.approx(expected[cell][facing], rel=1e-9, abs=1e-9)
             entry += 1
 
 

@@ -38,8 +38,7 @@ def tangents(
 ) -> list[list[Vector | None]]:
     """The tangent and handedness of each corner; None where MikkTSpace leaves it to the application.
 
-    Sums that are rounding noise, from angles of triangles without area, give None too. ``points`` by
-    vertex; ``normals`` and ``uv`` by triangle and corner.
+    ``points`` by vertex; ``normals`` and ``uv`` by triangle and corner.
     """
     sums: dict[object, list[Vector]] = defaultdict(list)
     groups: dict[tuple[int, int], object] = {}
@@ -57,7 +56,8 @@ def tangents(
             normal = normals[number][corner]
             point, after, before = (points[triangle[(corner + i) % 3]] for i in range(3))
             one, other = (seen_along(minus(end, point), normal) for end in (after, before))
-            angle = math.acos(min(max(dot(one, other), -1), 1))
+            # Exact near 0, where the arc cosine is noise (Kahan).
+            angle = 2 * math.atan2(math.dist(one, other), math.dist(one, times(other, -1)))
             key = (point, normal, uv[number][corner], area > 0)
             groups[number, corner] = key
             sums[key].append(times(seen_along(along, normal), angle))
@@ -68,6 +68,6 @@ def tangents(
             key = groups.get((number, corner))
             total = tuple(map(sum, zip(*sums[key], strict=True))) if key else (0, 0, 0)
             sign = 1.0 if key and key[3] else -1.0
-            row.append((*unit(total), sign) if dot(total, total) > 1e-12 else None)
+            row.append((*unit(total), sign) if dot(total, total) > 1e-18 else None)
         found.append(row)
     return found
