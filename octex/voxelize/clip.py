@@ -120,7 +120,8 @@ def clip_to_columns(
     c_v = np.float64(corners[2, 1] - corners[0, 1]) * scale
     inverse = 1.0 / np.float64(normal[2])
     slope_u, slope_v = -np.float64(normal[0]) * inverse, -np.float64(normal[1]) * inverse
-    base = w0 - slope_u * u0 - slope_v * v0
+    # Heights are from the first corner's: the plane of a flat triangle would be lost in rounding their sum.
+    base = slope_u * u0 + slope_v * v0
     stretch = np.sqrt(slope_u * slope_u + slope_v * slope_v + 1.0)
     inverse /= scale * scale
 
@@ -186,7 +187,7 @@ def clip_to_columns(
                 n_column = n_strip
                 column, strip = strip, column
         if first == block_w:
-            _, n_column = split(polygons, column, n_column, slope_u, slope_v, -base, dump, spare)
+            _, n_column = split(polygons, column, n_column, slope_u, slope_v, base - w0, dump, spare)
             column, spare = spare, column
         for w in range(first, last + 1):
             if w < last or w == block_w + edge - 1:
@@ -196,7 +197,7 @@ def clip_to_columns(
                     n_column,
                     slope_u,
                     slope_v,
-                    np.float64(w - block_w + 1) - base,
+                    (np.float64(w - block_w + 1) - w0) + base,
                     cell,
                     spare,
                 )

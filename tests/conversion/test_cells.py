@@ -66,6 +66,11 @@ def test_triangles_that_share_cells_add_up_by_facing(triangles):
     check(triangles, 5)
 
 
+def test_a_triangle_that_rises_by_parts_of_a_millionth_has_no_area_above_its_highest_edge():
+    low, high = 3 * CELL, 4 * CELL
+    check([[(low, low + 1, high), (high, low, high - 19), (high, 5 * CELL, high)]], 5)
+
+
 def test_blocks_do_not_show_in_large_triangles():
     top = (1 << GRID_BITS) - 1
     check([[(5, 9, 3), (top, top // 3, top // 5), (top // 7, top, top - 11)]], 6)
