@@ -9,7 +9,8 @@ import numpy as np
 from octex.arrays import Array, Bools, Float32s, Floats, Int64s, Uint8s
 from octex.channels import ONE, ChannelFormat, decode, linear_to_srgb
 from octex.texture import Channel, OctreeTexture
-from octex.tree.edit import among, facings_of_nodes
+from octex.tree.areas import SKIRT
+from octex.tree.edit import among, facings_of_nodes, facings_of_skirts
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.split import find_rows, inserted, rows_of, taken
 
@@ -54,7 +55,7 @@ def with_split(
 ) -> OctreeTexture:
     """Return a texture whose ascending ``cells`` are split, with these rows for some of its channels.
 
-    Other channels keep existing rows, or take the cells' values.
+    Other channels keep existing rows, or take the cells' values. A new row that only skirts face is skirt.
     """
     tree = texture.tree
     table, order, new = inserted(tree.split, cells, facings, tree.arrays.areas[cells])
@@ -65,6 +66,8 @@ def with_split(
         made = rows[name] if name in rows else _stored_facing(channel, new.cells, there, new.rows[there])
         values = np.concatenate([channel.split_values[stays], made])[order]
         channels[name] = channel._replace(split_values=np.ascontiguousarray(values))
+    is_skirt = ~there & (facings_of_skirts(tree)[new.cells] & new.bits != 0)
+    table.areas[np.flatnonzero(among(rows_of(table).cells, cells))[is_skirt]] = SKIRT
     flags = tree.arrays.flags.copy()
     flags[cells] |= np.uint8(SPLIT)
     tree = tree.with_cell_data(flags, tree.arrays.areas, table, tree.kept)

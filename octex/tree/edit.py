@@ -12,8 +12,9 @@ import numpy as np
 
 from octex.arrays import Array, Bools, Int64s, Uint8s
 from octex.jit import inlined, kernel
+from octex.tree.areas import SKIRT
 from octex.tree.children import gather_facings, node_cells
-from octex.tree.layout import KEPT, MAX_DEPTH, KeptTable, TreeArrays
+from octex.tree.layout import FACING_FLAGS, KEPT, MAX_DEPTH, KeptTable, TreeArrays
 from octex.tree.octree import Octree, distinct
 from octex.tree.search import child
 from octex.tree.split import taken
@@ -259,7 +260,17 @@ def _keeping(edited: Edited, nodes: Sequence[Int64s]) -> Edited:
 
 def facings_of_nodes(tree: Octree) -> Uint8s:
     """Return the cells' flags (cells,) with the facings of nodes recomputed from their children."""
-    groups, flags = tree.arrays.groups, tree.arrays.flags.copy()
+    return _gathered(tree, tree.arrays.flags.copy())
+
+
+def facings_of_skirts(tree: Octree) -> Uint8s:
+    """Return the facings (cells,) that only skirts have, in a cell or below a node."""
+    with_surface = np.where(tree.arrays.areas == SKIRT, np.uint8(0), tree.arrays.flags)
+    return facings_of_nodes(tree) & ~_gathered(tree, with_surface) & np.uint8(FACING_FLAGS)
+
+
+def _gathered(tree: Octree, flags: Uint8s) -> Uint8s:
+    """Write the facings of nodes, those of their children, to flags (cells,), and return these."""
     if tree.max_depth:
-        gather_facings(groups, node_cells(tree.arrays), flags, flags)
+        gather_facings(tree.arrays.groups, node_cells(tree.arrays), flags, flags)
     return flags

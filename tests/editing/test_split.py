@@ -38,15 +38,34 @@ def assert_stored(found, expected, channel):
         assert np.array_equal(found, expected)
 
 
+def skirt_facings(tree):
+    """The facings (cells,) that leaves have, the cell or below it, none of which has surface."""
+    found, surface = np.zeros((2, tree.n_cells), np.uint8)
+    levels, first = [], 0
+    for codes, is_node in tree.walk():
+        levels.append((codes, first))
+        leaves = np.flatnonzero(~is_node) + first
+        found[leaves] = tree.arrays.flags[leaves] & FACING_FLAGS
+        surface[leaves] = np.where(tree.arrays.areas[leaves] == 1, 0, found[leaves])
+        first += codes.size
+    for (codes, first), (above, first_above) in zip(levels[:0:-1], levels[-2::-1], strict=True):
+        owners = first_above + np.searchsorted(above, codes >> 3)
+        for each in (found, surface):
+            np.bitwise_or.at(each, owners, each[first : first + codes.size])
+    return found & ~surface
+
+
 def check(made, texture, given_rows):
     """Rows that are given are there; others are as they were, or like their cells."""
     old, rows = rows_of(texture.tree.split), rows_of(made.tree.split)
-    areas = made.tree.arrays.areas
+    areas, skirts = made.tree.arrays.areas, skirt_facings(made.tree)
     for (cell, bit), row in rows.items():
         count = int(made.tree.split.facings[made.tree.split.cells == cell][0]).bit_count()
         area = made.tree.split.areas[row]
         if (cell, bit) in old:
             assert area == texture.tree.split.areas[old[cell, bit]]
+        elif skirts[cell] & bit:
+            assert area == 1
         elif areas[cell] == 0:
             assert area == 0
         else:  # steps of 2^(1/8), see octex/tree/layout.py
@@ -157,6 +176,16 @@ def test_a_cells_area_is_shared_among_its_facings():
         made.channels["base_color"].split_values[:, 0].tolist() == [100] * 4 + [20] * 2 + [40] * 2 + [60] * 2
     )
     made.tree.validate()
+
+
+def test_a_facing_that_only_skirts_have_gets_their_area():
+    texture = eight_colors()
+    flags, areas = np.full(9, 0b1, np.uint8), np.full(9, 100, np.uint8)
+    flags[[0, 2, 5]] = 0b111, 0b11, 0b110
+    areas[5] = 1
+    texture = eight_colors(tree=texture.tree.with_cell_data(flags, areas))
+    made = with_split(texture, np.array([0]), flags[:1], {})
+    assert made.tree.split.areas.tolist() == [87, 87, 1]
 
 
 @given(textures(deepest=8))

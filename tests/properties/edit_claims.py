@@ -290,13 +290,14 @@ def assert_far_cells_stay(before, after, region, reach, surface=None):
     """Cells farther than ``reach`` cells of paint from a region are stored as they were, bit by bit.
 
     Cells that the ``surface`` does not meet, or hardly, are refined beyond themselves: to half a cell, then a
-    quarter, and so on, less than a cell in all. So much farther paint that they are refined to reaches them.
+    quarter, and so on, less than a cell in all. So much farther paint that they are refined to reaches them,
+    and in other cells the rows of facings that the surface hardly has there.
     """
     placed = None if surface is None else surface.placed_in(before)
     both = [(texture, cells_of(texture)) for texture in (before, after)]
-    far = [np.zeros(cells.keys.size, np.bool_) for _, cells in both]
+    far, refined = ([np.zeros(cells.keys.size, np.bool_) for _, cells in both] for _ in range(2))
     pairs = len(getattr(region, "edges", ())) * max(own.size for own in far)
-    for own, (texture, cells) in zip(far, both, strict=True):
+    for own, own_refined, (texture, cells) in zip(far, refined, both, strict=True):
         # Of very many cells some.
         some = cells.keys * 2654435761 % 1000003 % (1 + pairs // MOST_PAIRS) == 0
         low, high, edge = cells.low[some], cells.high[some], cells.edges[some, None]
@@ -305,7 +306,7 @@ def assert_far_cells_stay(before, after, region, reach, surface=None):
         is_refined |= region.gaps(low - edge, high + edge) <= reach - 2  # with the cell of paint inside
         is_off = is_far & is_refined
         is_off &= (texture.tree.arrays.areas[some] < HARDLY) | _is_off(placed, low, high, is_off)
-        own[some] = is_far & ~is_off
+        own[some], own_refined[some] = is_far & ~is_off, is_refined
     far[1] &= ~_below_leaves(both[1][1], both[0][1])  # near paint a leaf is divided as a whole
     stored = [_stored(texture, cells) for texture, cells in both]
     for what, (keys, rows) in stored[0].items():
@@ -315,6 +316,8 @@ def assert_far_cells_stay(before, after, region, reach, surface=None):
             all_keys = both[n][1].keys
             at = np.searchsorted(all_keys, own_keys >> 6 if is_row else own_keys)
             chosen = far[n][at]
+            if is_row:
+                chosen &= ~refined[n][at] | (stored[n]["split areas"][1][:, 0] >= HARDLY)
             kept.append((own_keys[chosen], own_rows[chosen]))
         (one_keys, one), (other_keys, other) = kept
         gone = np.setxor1d(one_keys, other_keys)
