@@ -218,6 +218,26 @@ def test_each_tool_is_within_the_window_and_each_control_within_the_panel(size, 
     assert set(lines) == {1}
 
 
+def test_a_tools_settings_are_seen_while_it_is_chosen(page):
+    is_seen = """([id]) => {
+      const { top, bottom } = document.getElementById(id).getBoundingClientRect();
+      const panel = document.querySelector("aside").getBoundingClientRect();
+      return document.getElementById(id).open && top >= panel.top - 1 && bottom <= panel.bottom + 1;
+    }"""
+    settings = {"stencil": "stencil-section", "clone": "retouch", "blur": "retouch", "fill": "filling"}
+    for tool, section in settings.items():
+        page.click(f"#tool-{tool}")
+        assert page.evaluate(is_seen, [section]), tool
+        others = {*settings.values()} - {section}
+        assert not page.locator(", ".join(f"#{other}[open]" for other in others)).count()
+    page.click("#layers summary")
+    page.click("#tool-brush")
+    assert page.locator("#painting details[open]").evaluate_all("(all) => all.map((each) => each.id)") == [
+        "layers",
+        "history",
+    ]
+
+
 @needs_jit
 @pytest.mark.parametrize("size", [(1024, 768), (390, 844)])
 def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser):

@@ -139,13 +139,22 @@ class Painting {
   choose(name) {
     const tool = TOOLS.find((each) => each.name === name);
     if (tool.chosen?.(this)) return;
-    if (tool.settings) element(tool.settings).open = true;
     this.tool?.left?.(this);
+    this.showSettings(tool.settings);
     this.tool = tool;
     for (const button of this.tools.children) button.setAttribute("aria-pressed", String(button.id === `tool-${name}`));
     this.main.dataset.tool = name;
     this.main.classList.toggle("hasRing", Boolean(this.tool.hasRing));
     this.beneath.ask();
+  }
+
+  // Opens a tool’s section and scrolls to it; closes the one that the last tool opened.
+  showSettings(name) {
+    const section = name && element(name);
+    if (this.opened && this.opened !== section) this.opened.open = false;
+    if (!section?.open) this.opened = section;
+    if (section) section.open = true;
+    section?.scrollIntoView({ block: "nearest" });
   }
 
   set(change) {
