@@ -141,9 +141,7 @@ def read_model(path: Path, options: Options, extra: Sequence[str] = ()) -> Surfa
     for channel, source in sources.items():
         if isinstance(source, FunctionName):
             sources[channel] = load_function(source)
-    from octex.conversion.convert import with_detail
-
-    names = with_detail(options.channels, options.detail)
+    names = _read_channels(options)
     every = [_read(each, options, sources, None if extra else names) for each in [path, *options.also]]
     surface = octex.Surface.joined(every) if options.also else every[0]
     if names is None or not extra:
@@ -165,13 +163,21 @@ def _read(path: Path, options: Options, sources: dict[str, Any], wanted: Sequenc
     return surface.completed(sources, wanted, options.filter)
 
 
+def _read_channels(options: Options) -> list[str] | None:
+    """Return the channels to read, None for all: --channels, and the one of --detail."""
+    from octex.conversion.convert import with_detail
+
+    return with_detail(options.channels, options.detail)
+
+
 def _sources(options: Options) -> dict[str, Any]:
     """Return the sources of channels by name; refuse a channel that is repeated or not read."""
     sources: dict[str, Any] = {}
     for name, source in options.source:
         if name in sources:
             raise ArgumentError(f"--source gives {name} twice")
-        if options.channels is not None and name not in (*options.channels, options.detail):
+        names = _read_channels(options)
+        if names is not None and name not in names:
             raise ArgumentError(f"--source gives {name}, but --channels leaves it out")
         sources[name] = source
         if isinstance(source, Path) and source.suffix.lower() == PTEX_ENDING:

@@ -177,10 +177,13 @@ def test_a_painted_channel_steers_and_is_stored_if_it_is_named(square, mask, tmp
             "--detail base_color",
             "--detail must be a channel with one component in 0 … 1, and 'base_color' is not",
         ),
-        (
-            "--channels base_color --detail stretch --source alpha=1",
-            "--source gives alpha, but --channels leaves it out",
-        ),
+        *[
+            (
+                f"--channels base_color --detail stretch --source {name}=1",
+                f"--source gives {name}, but --channels leaves it out",
+            )
+            for name in ("alpha", "stretch")
+        ],
     ],
 )
 def test_what_cannot_steer_is_refused(words, message, square, tmp_path, cli):
