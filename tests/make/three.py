@@ -114,6 +114,23 @@ def write_plain_ball(path: Path) -> None:
     write_page(octex.convert(surface, depth=4), path, surface)
 
 
+#: A function that returns the middle pixels of pictures of a mesh in the plane z = 0.5 and of one instance of
+#: it: as it is, mirrored, turned around, and both.
+TURNED = """async (THREE, mesh, pictured) => {
+  const seen = [], middle = 4 * (32 * 64 + 32);
+  for (const [mirror, turn] of [[1, 0], [-1, 0], [1, Math.PI], [-1, Math.PI]]) {
+    mesh.scale.x = mirror;
+    mesh.rotation.y = turn;
+    mesh.position.set(mirror * Math.cos(turn) < 0 ? 1 : 0, 0, turn ? 1 : 0);
+    mesh.updateMatrix();
+    const one = new THREE.InstancedMesh(mesh.geometry, mesh.material, 1);
+    one.setMatrixAt(0, mesh.matrix);
+    for (const each of [mesh, one]) {
+      seen.push((await pictured(new THREE.Scene().add(each))).slice(middle, middle + 4));
+    }
+  }
+  return seen;
+}"""
 #: A function that returns scenes and their cameras: a ball of a material bent by its skin, of which instances
 #: fly about, with lights, shadows and fog; the same of three's own material; and the first, not bent.
 SCENES = """(THREE, geometry, own) => {

@@ -1,7 +1,10 @@
 // Octree textures as nodes of TSL, for WebGPURenderer: as WGSL, or as GLSL where it draws by WebGL2.
 
 import { Node } from "three/webgpu";
-import { attribute, code, faceDirection, normalView, positionView, reference, texture as bound, varying, vec2 } from "three/tsl";
+import {
+  attribute, code, faceDirection, Fn, normalFlat, normalLocal, normalView, positionView, reference, select, texture as bound,
+  transformNormalToView, varying, vec2,
+} from "three/tsl";
 import { repeated, sumOf } from "../page/field.js";
 import { wgslOf } from "./wgsl.js";
 
@@ -72,9 +75,15 @@ class Look extends Call {
   }
 }
 
+// 1 where one sees the side of the normal, else −1. Three's own takes instances that are mirrored for others.
+const seenSide = Fn((builder) => {
+  if (!builder.hasGeometryAttribute("normal")) return faceDirection;
+  return select(varying(transformNormalToView(normalLocal)).dot(normalFlat).lessThan(0), -1, 1);
+});
+
 // Have a material of WebGPURenderer take its channels from a texture, with the filter that it has now; returns the material.
 export function applyNodes(octree, material) {
-  const rest = varying(attribute("octexRest", "vec3")), side = varying(attribute("octexNormal", "vec3")).normalize().mul(faceDirection);
+  const rest = varying(attribute("octexRest", "vec3")), side = varying(attribute("octexNormal", "vec3")).normalize().mul(seenSide());
   const uniforms = Object.entries(UNIFORMS).map(([name, type]) => reference("value", type, octree.uniforms[name]));
   const names = octree.claim(material);
   const look = new Look(octree, names, [rest, side, ...uniforms]).toVar();
