@@ -10,7 +10,16 @@ from typing import Any, NamedTuple
 from octex.arrays import Float64s
 from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Bytes, Record, reading, within
-from octex.cameras.frames import Frame, Optics, distortion_of, is_file, rigid, rotation_of, view_of
+from octex.cameras.frames import (
+    Frame,
+    Optics,
+    distortion_of,
+    is_file,
+    picture_path,
+    rigid,
+    rotation_of,
+    view_of,
+)
 from octex.cameras.lens import DistortionModel
 from octex.errors import CameraError
 from octex.files import read_bytes
@@ -65,11 +74,16 @@ def find(path: Path) -> tuple[Path, str] | None:
 
 
 def read(folder: Path, ending: str) -> list[Frame]:
-    """Read the cameras and images of a folder whose files have this ending."""
+    """Read the cameras and images of a folder whose files have this ending.
+
+    COLMAP's workspaces have the pictures in ``images``, next to ``sparse`` or to a model's files.
+    """
     cameras, images = folder / f"cameras{ending}", folder / f"images{ending}"
     of_cameras, of_images = (_cameras_binary, _images_binary) if ending == ".bin" else (_cameras, _images)
     with reading(cameras):
         optics = dict(of_cameras(read_bytes(cameras)))
+    around = (folder, *folder.absolute().parents[:2])
+    root = next((each for each in around if (each / "images").is_dir()), None)
     with reading(images):
         frames = []
         for name, pose, camera in list(of_images(read_bytes(images))):
@@ -77,7 +91,8 @@ def read(folder: Path, ending: str) -> list[Frame]:
                 if camera not in optics:
                     raise BrokenError(f"camera {camera} is not in {cameras.name}")
                 view = rigid(rotation_of(pose[:4], "quaternion"), pose[4:])
-                frames.append(Frame(name, images, optics[camera], view_of(view)))
+                picture = None if root is None else picture_path(root / images.name, f"images/{name}")
+                frames.append(Frame(name, images, optics[camera], view_of(view), picture))
         return frames
 
 

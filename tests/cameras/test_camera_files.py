@@ -281,6 +281,15 @@ def test_a_colmap_model_is_found_below_its_folder_and_by_each_of_its_files(tmp_p
         assert len(read_cameras(tmp_path / path)) == len(CAMERAS)
 
 
+@pytest.mark.parametrize("model", ["sparse/0", "sparse", "."])
+def test_the_pictures_of_a_colmap_workspace_are_in_images(model, tmp_path):
+    colmap_binary(tmp_path / model)
+    assert {frame.image for frame in read_cameras(tmp_path / model)} == {None}
+    (tmp_path / "images").mkdir()
+    for frame in read_cameras(tmp_path / model):
+        assert frame.image.resolve() == (tmp_path / "images" / frame.name).resolve()
+
+
 def test_a_folder_without_a_model_is_refused(tmp_path):
     assert "has no COLMAP model; choose a folder with" in refusal(tmp_path)
     colmap_text(tmp_path)

@@ -58,7 +58,7 @@ class Painting {
     this.pen = null; // which pointer draws, and its drag
     this.end = null; // where the last stroke has ended, and how the model was posed
     this.hindered = ""; // why nothing could be painted last
-    this.last = {}; // what the server told last
+    this.last = { steps: [], done: 0 }; // what the server told last
   }
 
   async open() {
@@ -123,7 +123,7 @@ class Painting {
         ...settings.choice("filled", "A click fills", [["part", "the part"], ["color", "the connected colour"], ["colors", "the colour everywhere"], ["all", "the whole model"]]),
         ...settings.slider("tolerance", "Tolerance", { min: 0, max: 100, step: 1 }, (codes) => `${codes} of 255`, ({ filled }) => filled.startsWith("color"))),
       this.layers.build(),
-      section("history", "Steps", make("ol", { id: "steps" })),
+      section("history", "Steps", make("ol", { id: "steps", onclick: (event) => this.goTo(event.target.closest("li")) })),
       this.exporting.section,
       make("p", { id: "paint-note", role: "status" }));
     document.querySelector("aside").prepend(painting);
@@ -400,6 +400,7 @@ class Painting {
   arrived(told) {
     this.beneath.arrived(told, this.last);
     this.flat.isStale = true;
+    const before = this.last;
     this.last = told;
     this.layers.arrived(told.layers);
     this.beneath.ask();
@@ -410,23 +411,30 @@ class Painting {
     this.exporting.ask(told.question);
     if (told.fault || this.hadFault) this.say(told.fault);
     this.hadFault = told.fault;
-    const list = element("steps"), rows = ["Opened", ...told.steps];
-    while (list.children.length > rows.length) list.lastChild.remove();
-    for (let n = list.children.length; n < rows.length; n++) list.append(make("li", {}, make("button", { type: "button", onclick: () => this.goTo(n) })));
-    rows.forEach((name, n) => {
-      const item = list.children[n], button = item.firstChild;
-      if (button.textContent !== name) button.textContent = name;
-      item.className = n > told.done ? "undone" : "";
-      if (n === told.done) button.setAttribute("aria-current", "step");
+    this.showSteps(before);
+  }
+
+  // List the steps, of which these were listed before. Rows that stay the same are not touched: there may be thousands.
+  showSteps(before) {
+    const list = element("steps"), { steps, done } = this.last;
+    let first = steps.findIndex((name, n) => name !== before.steps[n]) + 1 || steps.length + 1;
+    first = Math.min(first, before.done, done, list.children.length);
+    while (list.children.length > steps.length + 1) list.lastChild.remove();
+    for (let n = first; n <= steps.length; n++) {
+      const item = list.children[n] ?? make("li", {}, make("button", { type: "button" })), button = item.firstChild;
+      if (!item.parentNode) list.append(item);
+      button.textContent = n ? steps[n - 1] : "Opened";
+      item.className = n > done ? "undone" : "";
+      if (n === done) button.setAttribute("aria-current", "step");
       else button.removeAttribute("aria-current");
-    });
-    const { offsetTop: top, offsetHeight: height } = list.children[told.done]; // the panel itself stays as it is scrolled
+    }
+    const { offsetTop: top, offsetHeight: height } = list.children[done]; // the panel itself stays as it is scrolled
     list.scrollTop = Math.min(Math.max(list.scrollTop, top + height - list.clientHeight), top);
   }
 
-  // Undo or redo up to a step.
-  goTo(n) {
-    const { done } = this.last;
+  // Undo or redo up to a step, of which this is the row.
+  goTo(row) {
+    const { done } = this.last, n = row ? [...row.parentNode.children].indexOf(row) : done;
     for (let step = done; step > n; step--) this.sending.send({ kind: "undo" });
     for (let step = done; step < n; step++) this.sending.send({ kind: "redo" });
   }
