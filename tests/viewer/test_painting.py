@@ -72,7 +72,18 @@ def test_undo_gives_the_texture_back_and_redo_the_stroke(studio, page):
     page.locator("#steps button", has_text="Opened").click()
     page.wait_for_function("viewer.painting.last.done === 0", timeout=60_000)
     assert_same(studio.session.shown.texture, studio.texture)
-    assert page.locator("#steps .undone").count() == 2
+    listed = """() => Array.from(document.querySelectorAll("#steps li"),
+      (row) => [row.textContent, row.className, row.firstChild.ariaCurrent])"""
+    brush = ["Brush", "undone", None]
+    assert page.evaluate(listed) == [["Opened", "", "step"], brush, brush]
+    page.click("#redo")
+    page.wait_for_function("viewer.painting.last.done === 1", timeout=60_000)
+    assert page.evaluate(listed) == [["Opened", "", None], ["Brush", "", "step"], brush]
+    page.click("#undo")
+    page.click("#tool-eraser")
+    studio.drag(page, (-30, 0), (30, 0))
+    studio.is_done(page)
+    assert page.evaluate(listed) == [["Opened", "", None], ["Eraser", "", "step"]]
 
 
 def test_two_pages_see_the_same_and_one_saves(studio, page):
