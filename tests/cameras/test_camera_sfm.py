@@ -7,7 +7,7 @@ import pytest
 
 from octex.cameras.files import read_cameras
 from octex.errors import CameraError
-from tests.cameras.test_camera_files import bent, quaternion, refusal, sees, view, write_json
+from tests.make.camera_files import bent, quaternion, refusal, sees, view, write_json
 
 BROWN = {"k1": -0.2, "k2": 0.05, "k3": 0.01, "p1": 2e-3, "p2": -1e-3}
 ANGLES = {"k1": -0.02, "k2": 0.005, "k3": 1e-3, "k4": -2e-3}

@@ -18,7 +18,7 @@ from tests.make.painted import above, ball, one_color, plain, square, together
 from tests.make.small_surfaces import sheet
 from tests.oracles.naive_edits import assert_averages
 from tests.properties.edit_claims import assert_one_color
-from tests.properties.random_edits import beyond, cloud, picture, waved
+from tests.properties.edit_models import beyond, cloud, picture, waved
 
 pytestmark = needs_jit
 
