@@ -26,7 +26,8 @@ from typing import Any
 
 import damage
 import numpy as np
-from damage import Archive, Arrays, Render
+from damage import Archive, Render
+from damage_arrays import Arrays, cameras, points, voxels
 
 import octex
 from octex.cameras.files import read_cameras
@@ -65,7 +66,7 @@ def files(number: int) -> dict[str, Render | Archive | Arrays]:
             texture.save(Path(folder) / f"good{ending}")
             found[ending] = damage.parted(Path(folder) / f"good{ending}")
     chance = np.random.default_rng(number)
-    return found | {each.__name__: each(chance) for each in (damage.points, damage.voxels, damage.cameras)}
+    return found | {each.__name__: each(chance) for each in (points, voxels, cameras)}
 
 
 def attempt(seed: int, folder: Path) -> tuple[str, str]:
