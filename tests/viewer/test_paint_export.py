@@ -18,7 +18,6 @@ from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
 from tests.viewer.test_session import canvas, plain, stroke
-from tests.viewer.test_session import served as served
 
 
 def got(served, path):

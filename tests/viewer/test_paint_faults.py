@@ -21,7 +21,6 @@ from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
 from tests.make.studio import pictured
-from tests.viewer.test_paint_export import served as served
 from tests.viewer.test_session import canvas, plain, stroke, take
 
 

@@ -18,7 +18,6 @@ from tests.conftest import needs_jit
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, pictured
-from tests.viewer.test_paint_export import served as served
 from tests.viewer.test_paint_poses import Bending, bending
 from tests.viewer.test_session import NAN, SIZE, canvas, plain, stroke, take
 

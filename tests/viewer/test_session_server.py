@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import socket
-import threading
-from http.client import HTTPConnection
 from pathlib import Path
 
 import pytest
@@ -14,46 +12,10 @@ import octex
 from octex.cli.main import main
 from octex.errors import ExitCode
 from octex.session import painting as sessions
-from octex.session.painting import Session
-from octex.viewer import Viewer, answers, server
+from octex.viewer import Viewer, answers
 from tests.make.fixtures import obj_lines
 from tests.make.painted import ball
 from tests.viewer.test_session import BAD, OCTETS, PAGE, canvas, plain, stroke
-
-
-class Served:
-    """A viewer that paints."""
-
-    def __init__(self, folder):
-        texture, surface = canvas()
-        self.session = Session(texture, surface, folder / "out.octex")
-        self.lines: list[str] = []
-        path = folder / "ball.octex"
-        self.viewer = Viewer(lambda: texture, path, surface, session=self.session, log=self.lines.append)
-        self.thread = threading.Thread(target=self.viewer.run, kwargs={"alone": 0.1})
-        self.thread.start()
-
-    def post(self, body, token=None, path="session", **headers):
-        connection = HTTPConnection("127.0.0.1", self.viewer.port, timeout=20)
-        named = {"Content-Type": OCTETS, **{name.replace("_", "-"): text for name, text in headers.items()}}
-        connection.request(
-            "POST", f"/{self.viewer.token if token is None else token}/{path}", body, headers=named
-        )
-        answer = connection.getresponse()
-        found = answer.status, answer.read()
-        connection.close()
-        return found
-
-
-@pytest.fixture
-def served(tmp_path, monkeypatch):
-    monkeypatch.setattr(server, "_FIRST", 400)
-    found = Served(tmp_path)
-    yield found
-    monkeypatch.setattr(server, "_FIRST", 0)
-    found.thread.join(20)
-    assert not found.thread.is_alive()
-    found.session.close()
 
 
 def test_a_command_is_posted_and_the_change_is_there_for_pages(served):
