@@ -7,6 +7,7 @@ from http.client import HTTPConnection
 
 import pytest
 
+from octex import jit
 from octex.session.painting import Session
 from octex.viewer import Viewer, server
 from tests.make.browser import driven, started
@@ -16,6 +17,8 @@ from tests.viewer.test_session import OCTETS, canvas
 
 @pytest.fixture(scope="package")
 def driver():
+    if jit.DISABLED:
+        pytest.skip("too slow without compilation")
     with driven() as found:
         yield found
 

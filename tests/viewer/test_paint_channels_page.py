@@ -11,13 +11,10 @@ from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
 from octex.viewer import write_page
-from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, drawn, file_url, opened
 from tests.make.painted import ball
 from tests.make.studio import _HOLD, Studio
 from tests.viewer.test_paint_redraw import _UNLIKE
-
-pytestmark = needs_jit
 
 SCALARS = {"roughness": 0.6, "metallic": 0.1, "occlusion": 0.9}
 VIEW = 240, 200

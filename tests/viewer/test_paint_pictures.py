@@ -12,13 +12,10 @@ import pytest
 
 import octex
 from octex.source.surface import Surface
-from tests.conftest import needs_jit
 from tests.make.browser import camera_of, drawn
 from tests.make.painted import square, together
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, Studio
-
-pytestmark = needs_jit
 
 
 class Easel(Studio):

@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 
 import octex
-from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, SIZE, pictured
-
-pytestmark = needs_jit
 
 #: Opens all sections of the panel; returns the names of those that were open.
 _OPEN = """() => {
@@ -218,7 +215,6 @@ def test_each_tool_is_within_the_window_and_each_control_within_the_panel(size, 
     assert set(lines) == {1}
 
 
-@needs_jit
 @pytest.mark.parametrize("size", [(1024, 768), (390, 844)])
 def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser):
     page = opened(browser, studio.viewer.url, size, has_touch=True, is_mobile=True)
@@ -249,7 +245,6 @@ def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser)
     )
 
 
-@needs_jit
 def test_a_page_keeps_to_its_policy(studio, browser):
     page = opened(browser, studio.viewer.url, SIZE, bypass_csp=False)
     page.wait_for_selector("#brushes i")
@@ -262,7 +257,6 @@ def test_a_page_keeps_to_its_policy(studio, browser):
     assert all("gradient" in each for each in backgrounds)
 
 
-@needs_jit
 def test_keys_undo_text_where_it_is_typed_and_work_with_alt_gr(studio, page):
     studio.drag(page, (-20, 0), (20, 0))
     studio.is_done(page)

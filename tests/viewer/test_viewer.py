@@ -19,7 +19,6 @@ from octex.texture import OctreeTexture
 from octex.viewer import Viewer, write_page
 from octex.viewer.export import MODULES, page_text
 from octex.viewer.pack import pack
-from tests.conftest import needs_jit
 from tests.make.browser import Probe, differences, file_url, opened
 from tests.make.painted import ball
 from tests.make.small_surfaces import sheet
@@ -83,13 +82,11 @@ def floating():
 MADE = {each.__name__: each for each in (even, adaptive, painted, thin, floating)}
 
 
-@needs_jit
 @pytest.mark.parametrize("name", MADE)
 def test_each_pixel_is_what_a_lookup_there_gives(name, browser, tmp_path):
     assert_shown(*MADE[name](), browser, tmp_path)
 
 
-@needs_jit
 @pytest.mark.parametrize("name", ["BoomBoxWithAxes.gltf", "Avocado.gltf", "Suzanne.gltf", "spot.obj"])
 def test_each_pixel_of_a_real_model_is_what_a_lookup_there_gives(name, models, browser, tmp_path):
     path = next(models.rglob(name), None)
@@ -158,7 +155,6 @@ def sharp(page):
     return page.locator("canvas").screenshot()
 
 
-@needs_jit
 def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser, small):
     page = opened(browser, file_url(small), (900, 480))
     canvas = page.locator("canvas")
@@ -203,7 +199,6 @@ def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser,
     page.close()
 
 
-@needs_jit
 def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser, small):
     surface = colored(ball(8))
     texture = octex.convert(surface, depth=4)
@@ -238,7 +233,6 @@ def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser, small):
     page.close()
 
 
-@needs_jit
 def test_the_file_loads_nothing_and_obeys_its_own_policy(browser, small):
     asked = []
     page = browser.new_page()
@@ -254,7 +248,6 @@ def test_the_file_loads_nothing_and_obeys_its_own_policy(browser, small):
     page.close()
 
 
-@needs_jit
 def test_a_lost_context_is_restored(browser, small):
     page = opened(browser, file_url(small), (900, 480))
     before = sharp(page)
@@ -267,7 +260,6 @@ def test_a_lost_context_is_restored(browser, small):
     page.close()
 
 
-@needs_jit
 def test_without_webgl2_the_page_says_so(browser, small):
     page = browser.new_page(bypass_csp=True)
     page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
@@ -277,7 +269,6 @@ def test_without_webgl2_the_page_says_so(browser, small):
     page.close()
 
 
-@needs_jit
 @pytest.mark.parametrize("size", [(1280, 720), (390, 844)])
 def test_controls_are_named_and_within_the_window(browser, small, size):
     page = opened(browser, file_url(small), size)
@@ -293,7 +284,6 @@ def test_controls_are_named_and_within_the_window(browser, small, size):
     page.close()
 
 
-@needs_jit
 def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser, tmp_path):
     surface, path = colored(ball(8)), tmp_path / "ball.octex"
     octex.convert(surface, depth=4).save(path)
@@ -301,7 +291,7 @@ def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser, tmp_
     viewer = Viewer(lambda: octex.open(path), path, surface, log=lines.append)
     thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
     thread.start()
-    page = opened(browser, viewer.url)
+    page = opened(browser, viewer.url, is_drawn=False)
     assert page.evaluate("viewer.header.parts[0].depth") == 4
     octex.convert(surface, depth=3).save(path)
     page.wait_for_function(
@@ -313,7 +303,6 @@ def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser, tmp_
     assert not thread.is_alive()
 
 
-@needs_jit
 def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(browser, tmp_path, request):
     surface, path, other = colored(ball(8)), tmp_path / "ball.octex", tmp_path / "other.octex"
     octex.convert(surface, depth=5).save(path)
@@ -340,7 +329,7 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(brows
         page.wait_for_function(shown, timeout=60_000)
 
     server, url = served(path)
-    page = opened(browser, url, (800, 600))
+    page = opened(browser, url, (800, 600), is_drawn=False)
     asked = []
     page.on("request", lambda request: asked.append(request.url))
     page.locator("#filter").select_option("nearest")
@@ -424,7 +413,6 @@ def two_parts(folder):
     return octex.TextureSet(made), surface
 
 
-@needs_jit
 def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(browser, tmp_path):
     textures, surface = two_parts(tmp_path)
     write_page(textures, tmp_path / "set.html", surface)

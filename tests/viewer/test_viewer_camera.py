@@ -5,11 +5,8 @@ import pytest
 
 import octex
 from octex.viewer import Viewer, write_page
-from tests.conftest import needs_jit
 from tests.make.browser import file_url, opened, served
 from tests.make.painted import ball
-
-pytestmark = needs_jit
 
 #: What a place of the picture sees, as a position at rest; null beside the model.
 _SEEN = "(at) => viewer.seen(...at)"
@@ -69,7 +66,7 @@ def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls
     surface, path = ball(8), tmp_path / "ball.octex"
     octex.convert(surface, depth=4).save(path)
     with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
-        page = opened(browser, viewer.url, (760, 300))
+        page = opened(browser, viewer.url, (760, 300), is_drawn=False)
         page.select_option("#shown", "depth")
         page.uncheck("#footprints")
         page.evaluate(
@@ -96,7 +93,7 @@ def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(browse
     path, lines = tmp_path / "ball.octex", list[str]()
     octex.convert(ball(8), depth=3).save(path)
     with served(Viewer(lambda: octex.open(path), path, None, log=lines.append)) as first:
-        page = opened(browser, first.url, (600, 300))
+        page = opened(browser, first.url, (600, 300), is_drawn=False)
         asked = []
         page.on("request", lambda request: asked.append(request.url))
         first.token = "another"
@@ -114,7 +111,7 @@ def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(browser, t
     octex.convert(ball(8), depth=3).save(path)
     viewer = Viewer(lambda: octex.open(path), path, None)
     with served(viewer):
-        page = opened(browser, viewer.url, (600, 300))
+        page = opened(browser, viewer.url, (600, 300), is_drawn=False)
         page.route("**/events", lambda route: route.abort())
         page.route("**/proof*", lambda route: route.abort())
         viewer._ended.set()
@@ -135,7 +132,7 @@ def test_texture_coordinates_are_missed_only_where_there_are_none(browser, tmp_p
     for number, given in enumerate((None, uv)):
         surface = octex.Surface.from_arrays(*square, uv=given)
         write_page(octex.convert(surface, depth=2), tmp_path / f"{number}.html", surface)
-        page = opened(browser, file_url(tmp_path / f"{number}.html"), (760, 300))
+        page = opened(browser, file_url(tmp_path / f"{number}.html"), (760, 300), is_drawn=False)
         texts.append(page.locator("#facts").inner_text().split("\n")[1])
         page.close()
     assert texts == ["2 triangles, no texture coordinates", "2 triangles"]

@@ -26,7 +26,6 @@ def told(viewer, page):
     page.wait_for_function(shows, arg=viewer.version()[0], timeout=60_000, polling=20)
 
 
-@needs_jit
 def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(browser, tmp_path):
     surface = sheet(np.eye(3), 0.01)
     waves = surface.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
@@ -66,7 +65,6 @@ def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(browser, tmp_
         page.close()
 
 
-@needs_jit
 @pytest.mark.parametrize("seed", range(2))
 def test_random_strokes_change_a_page_to_what_one_has_that_loads_anew(seed, browser, tmp_path):
     random = np.random.default_rng(seed)
@@ -75,8 +73,7 @@ def test_random_strokes_change_a_page_to_what_one_has_that_loads_anew(seed, brow
     painter = octex.Painter(octex.convert(waves, depth=4, max_error=3 if seed % 2 else None), surface)
     width = float(np.ptp(surface.bounds, axis=0).max())
     with served(Viewer(painter.texture, tmp_path / "session.octex", surface)) as viewer:
-        page = opened(browser, viewer.url, (64, 48))
-        page.evaluate("viewer.frame = () => {}")  # nothing is looked at
+        page = opened(browser, viewer.url, (64, 48), is_drawn=False)
         for _ in range(25):
             middle = surface.scatter(1, seed=int(random.integers(1000))).rest[0]
             sphere = octex.Sphere(middle, width * random.uniform(0.01, 0.2))
@@ -102,13 +99,12 @@ def shown(page, texture, surface, facing):
         assert away.max() <= 1.0
 
 
-@needs_jit
 def test_a_stroke_without_new_cells_sends_the_rows_that_it_changes(browser, tmp_path):
     surface = ball(32)
     texture = octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=7)
     painter = octex.Painter(texture, surface)
     with served(Viewer(painter.texture, tmp_path / "session.octex", surface)) as viewer:
-        page = opened(browser, viewer.url, (320, 240))
+        page = opened(browser, viewer.url, (320, 240), is_drawn=False)
         point = surface.scatter(1, seed=2).rest[0]
         painter.fill(octex.Sphere(point, 0.1), (1.0, 0.0, 0.0))
         told(viewer, page)
@@ -122,7 +118,6 @@ def test_a_stroke_without_new_cells_sends_the_rows_that_it_changes(browser, tmp_
         page.close()
 
 
-@needs_jit
 def test_strokes_with_new_cells_send_the_rows_that_they_change(browser, tmp_path):
     surface = ball(32)
     texture = octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=7)
@@ -145,13 +140,12 @@ def test_strokes_with_new_cells_send_the_rows_that_they_change(browser, tmp_path
         page.close()
 
 
-@needs_jit
 def test_what_is_otherwise_than_the_page_can_be_sent_is_loaded_anew(browser, tmp_path):
     surface, path = ball(8), tmp_path / "ball.octex"
     rough = surface.with_sources({"roughness": 0.5, "base_color": lambda p: np.full_like(p, 0.5)})
     octex.convert(rough, depth=3).save(path)
     with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
-        page = opened(browser, viewer.url, (320, 240), finest=2)
+        page = opened(browser, viewer.url, (320, 240), is_drawn=False)
         octex.convert(rough, depth=3, channels=["base_color"]).save(path)
         page.wait_for_function(
             "globalThis.viewer?.header?.parts[0].channels.length === 1 && viewer.isComplete"
@@ -235,14 +229,13 @@ def test_a_page_that_is_behind_gets_change_after_change(tmp_path):
     viewer._server.server_close()
 
 
-@needs_jit
 def test_the_page_and_cameras_agree_on_what_a_pixel_sees(browser, tmp_path):
     if browser.browser_type.name == "firefox":
         pytest.skip("WebDriver BiDi does not tell playwright of downloads")
     surface, path = ball(32), tmp_path / "ball.octex"
     octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=4).save(path)
     with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
-        page = opened(browser, viewer.url, (900, 320))
+        page = opened(browser, viewer.url, (900, 320), is_drawn=False)
         page.evaluate("viewer.camera.orbit(0.4, 0.2); viewer.camera.pan(0.1, -0.05); viewer.camera.zoom(1.5)")
         with page.expect_download() as waiting:
             page.click("#save-camera")

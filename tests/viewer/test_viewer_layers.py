@@ -7,10 +7,7 @@ import octex
 from octex.channels import linear_to_srgb
 from octex.source.surface import Surface
 from octex.viewer import write_page
-from tests.conftest import needs_jit
 from tests.make.browser import drawn, file_url, opened
-
-pytestmark = needs_jit
 
 SIZE = 64, 48
 RED, GREEN, BLUE = np.eye(3)

@@ -8,7 +8,6 @@ from octex.channels import encode
 from octex.drawing import render_surface, texture_shader
 from octex.drawing.environment import Environment
 from octex.viewer import write_page
-from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, drawn, file_url, opened
 from tests.make.painted import ball
 
@@ -33,7 +32,6 @@ def made(names):
     return ball(32).with_sources({name: lambda p, name=name: shiny(p)[name] for name in names})
 
 
-@needs_jit
 @pytest.mark.parametrize("names", [["base_color"], list(shiny(np.ones((1, 3))))])
 def test_studio_light_is_the_same_in_the_page_and_in_previews(names, browser, tmp_path):
     surface = made(names)

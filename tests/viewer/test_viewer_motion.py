@@ -9,7 +9,6 @@ from octex.errors import ModelError
 from octex.source.load import load_motion
 from octex.viewer import write_page
 from octex.viewer.pack import pack
-from tests.conftest import needs_jit
 from tests.make.browser import Probe, camera_of, file_url, lit_normals, opened
 from tests.make.fixtures import Gltf
 from tests.source.test_poses import NO_SUCH_JOINT, WAVY, broken, moving
@@ -110,7 +109,6 @@ def test_motion_has_fewer_frames_where_there_is_little_room(tmp_path):
     assert none.header["notes"][0].startswith("no animations: they take")
 
 
-@needs_jit
 @pytest.mark.parametrize("path", ["rotation", "weights"])
 def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(path, browser, tmp_path):
     file = moving(path, "LINEAR", 3).save(tmp_path / "a.glb")
@@ -155,7 +153,6 @@ def compare_seen(posed, camera, probe):
     assert np.quantile(off, 0.97) < 3e-3  # a pixel is wider than 0.01
 
 
-@needs_jit
 @pytest.mark.parametrize("pose", [None, "A@2"])
 def test_targets_turn_normals_before_bones_do(pose, browser, tmp_path):
     gltf = Gltf()
@@ -191,7 +188,6 @@ def test_targets_turn_normals_before_bones_do(pose, browser, tmp_path):
     page.close()
 
 
-@needs_jit
 def test_animations_are_chosen_played_and_sought(browser, tmp_path):
     file = moving("rotation", "LINEAR").save(tmp_path / "a.glb")
     surface = octex.load_surface(file)

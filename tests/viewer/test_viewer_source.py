@@ -12,7 +12,6 @@ from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from octex.viewer import Viewer, write_page
 from octex.viewer.maps import maps_of
-from tests.conftest import needs_jit
 from tests.make.browser import camera_of, drawn, file_url, opened
 from tests.make.fixtures import Gltf, png, random_image
 
@@ -34,7 +33,6 @@ def two_images(path):
     return octex.load_surface(gltf.save(path))
 
 
-@needs_jit
 def test_each_pixel_of_the_source_is_what_the_model_has_there(browser, tmp_path):
     surface, path = two_images(tmp_path / "two.glb"), tmp_path / "two.octex"
     texture = octex.convert(surface, depth=3)
@@ -62,7 +60,6 @@ def test_each_pixel_of_the_source_is_what_the_model_has_there(browser, tmp_path)
     thread.join(30)
 
 
-@needs_jit
 def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left(browser, tmp_path):
     surface = two_images(tmp_path / "two.glb")
     write_page(octex.convert(surface, depth=2), tmp_path / "two.html", surface)
