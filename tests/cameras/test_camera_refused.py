@@ -1,5 +1,6 @@
 """Files of cameras that cannot be used, and damaged ones."""
 
+import json
 import struct
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from octex.cameras.files import read_cameras
 from octex.errors import CameraError
+from tests.cameras.test_camera_sfm import openmvg, opensfm
 from tests.make.camera_files import (
     arrays,
     as_bytes,
@@ -203,6 +205,8 @@ def test_what_cannot_be_used_is_refused_by_file_and_field(tmp_path, name, conten
 KINDS = {
     "a.json": own_file, "transforms.json": transforms, "a.gltf": gltf, "a.glb": lambda: glb(gltf()),
     "a.xml": metashape, "a.mvs": lambda: openmvs(7), "a.sfm": meshroom, "a.out": bundler,
+    "reconstruction.json": lambda: json.dumps(opensfm(focal=0.8, k1=0.1)),
+    "sfm_data.json": lambda: json.dumps(openmvg(disto_k1=[0.1])),
     "text": colmap_text, "binary": colmap_binary,
 }  # fmt: skip
 

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import threading
+from contextlib import ExitStack
 from http.client import HTTPConnection
+from pathlib import Path
 
 import pytest
 
 from octex import jit
 from octex.session.painting import Session
 from octex.viewer import Viewer, server
-from tests.make.browser import driven, started
+from tests.make.browser import driven, file_url, opened, started
+from tests.make.browser import served as served_pages
 from tests.make.studio import Studio
 from tests.viewer.test_session import OCTETS, canvas
 
@@ -27,6 +30,24 @@ def driver():
 def browser(driver):
     with started(driver) as found:
         yield found
+
+
+@pytest.fixture
+def opens(browser):
+    """Opens pages of viewers, files and addresses; at the end they must have complained of nothing."""
+    with ExitStack() as stack:
+
+        def page_of(shown, *given, **options):
+            if isinstance(shown, Viewer):
+                shown = stack.enter_context(served_pages(shown)).url
+            page = opened(browser, file_url(shown) if isinstance(shown, Path) else shown, *given, **options)
+            stack.callback(page.close)
+            pages.append(page)
+            return page
+
+        pages = []
+        yield page_of
+        assert [page.complaints for page in pages] == [[]] * len(pages)
 
 
 @pytest.fixture(scope="package")

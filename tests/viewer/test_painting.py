@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import octex
-from tests.make.browser import opened
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, SIZE, pictured
 
@@ -216,8 +215,8 @@ def test_each_tool_is_within_the_window_and_each_control_within_the_panel(size, 
 
 
 @pytest.mark.parametrize("size", [(1024, 768), (390, 844)])
-def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser):
-    page = opened(browser, studio.viewer.url, size, has_touch=True, is_mobile=True)
+def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, opens):
+    page = opens(studio.viewer.url, size, has_touch=True, is_mobile=True)
     page.wait_for_function("viewer.painting")
     page.evaluate(_OPEN)
     page.evaluate("document.getElementById('flat').hidden = false")
@@ -237,7 +236,6 @@ def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser)
         color = page.locator("#fold").evaluate("(fold) => getComputedStyle(fold).backgroundColor")
         assert color == "rgba(0, 0, 0, 0)", "a button that was touched does not look pressed"
     after = page.evaluate("viewer.canvas.clientHeight")
-    page.close()
     assert page.complaints == []
     assert names == []
     assert (
@@ -245,13 +243,12 @@ def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser)
     )
 
 
-def test_a_page_keeps_to_its_policy(studio, browser):
-    page = opened(browser, studio.viewer.url, SIZE, bypass_csp=False)
+def test_a_page_keeps_to_its_policy(studio, opens):
+    page = opens(studio.viewer.url, SIZE, bypass_csp=False)
     page.wait_for_selector("#brushes i")
     backgrounds = page.locator("#brushes i").evaluate_all(
         "(all) => all.map((each) => getComputedStyle(each).backgroundImage)"
     )
-    page.close()
     assert page.complaints == []
     assert len(backgrounds) == 5
     assert all("gradient" in each for each in backgrounds)
