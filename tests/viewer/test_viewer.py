@@ -280,7 +280,9 @@ def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(opens, tmp_pa
     surface, path = colored(ball(8)), tmp_path / "ball.octex"
     octex.convert(surface, depth=4).save(path)
     lines = []
-    page = opens(Viewer(lambda: octex.open(path), path, surface, log=lines.append), is_drawn=False)
+    page = opens(
+        Viewer(lambda: octex.open(path), path, surface, log=lines.append), is_drawn=False, is_lost=True
+    )
     assert page.evaluate("viewer.header.parts[0].depth") == 4
     octex.convert(surface, depth=3).save(path)
     page.wait_for_function(
@@ -315,7 +317,7 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(opens
         page.wait_for_function(shown, timeout=60_000)
 
     server, url = served(path)
-    page = opens(url, (800, 600), is_drawn=False)
+    page = opens(url, (800, 600), is_drawn=False, is_lost=True)
     asked = []
     page.on("request", lambda request: asked.append(request.url))
     page.locator("#filter").select_option("nearest")

@@ -62,7 +62,7 @@ def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls
     surface, path = ball(8), tmp_path / "ball.octex"
     octex.convert(surface, depth=4).save(path)
     viewer = Viewer(lambda: octex.open(path), path, surface)
-    page = opens(viewer, (760, 300), is_drawn=False)
+    page = opens(viewer, (760, 300), is_drawn=False, is_lost=True)
     page.select_option("#shown", "depth")
     page.uncheck("#footprints")
     page.evaluate("viewer.camera.orbit(0.4, 0.2); viewer.camera.zoom(2, viewer.camera.low); viewer.move()")
@@ -102,7 +102,7 @@ def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(opens, tmp
     path = tmp_path / "ball.octex"
     octex.convert(ball(8), depth=3).save(path)
     viewer = Viewer(lambda: octex.open(path), path, None)
-    page = opens(viewer, (600, 300), is_drawn=False)
+    page = opens(viewer, (600, 300), is_drawn=False, is_lost=True)
     page.route("**/events", lambda route: route.abort())
     page.route("**/proof*", lambda route: route.abort())
     viewer._ended.set()

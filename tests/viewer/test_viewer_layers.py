@@ -53,15 +53,15 @@ def over(color, alpha, behind):
         ({-1.0: (BLUE, 0.5), 1.0: (RED, 1.0)}, RED, 1.0),  # what is hidden adds nothing
     ],
 )
-def test_the_nearest_translucent_layer_lies_over_what_is_opaque(layers, expected, picked, browser, tmp_path):
-    color, found = middle(browser, panes(layers), tmp_path / "panes.html")
+def test_the_nearest_translucent_layer_lies_over_what_is_opaque(layers, expected, picked, opens, tmp_path):
+    color, found = middle(opens, panes(layers), tmp_path / "panes.html")
     assert np.abs(color - 255 * linear_to_srgb(expected)).max() <= 2
     assert found["rest"][2] == pytest.approx(picked, abs=1e-3)
 
 
-def test_a_translucent_layer_alone_lies_over_the_ground_in_linear_light(browser, tmp_path):
+def test_a_translucent_layer_alone_lies_over_the_ground_in_linear_light(opens, tmp_path):
     from octex.channels import srgb_to_linear
 
-    color, _ = middle(browser, panes({0.0: (GREEN, 0.5)}), tmp_path / "pane.html")
+    color, _ = middle(opens, panes({0.0: (GREEN, 0.5)}), tmp_path / "pane.html")
     expected = over(GREEN, 0.5, srgb_to_linear(GROUND))
     assert np.abs(color - 255 * linear_to_srgb(expected)).max() <= 2
