@@ -15,7 +15,7 @@ from octex.source.corners import Corners
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from tests.make import solids
-from tests.make.painted import ball, square
+from tests.make.painted import ball, square, waves
 from tests.make.small_surfaces import whole
 
 #: The faces of a unit cube: the triangles' corners at rest, and in the unit square, a chart for each face.
@@ -46,10 +46,6 @@ def painted_sphere():
     points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 32)
     surface = Surface.from_arrays(points, triangles).with_sources({"base_color": waves})
     return octex.convert(surface, 6), surface
-
-
-def waves(points):
-    return 0.5 + 0.4 * np.sin(3.0 * points + [0.0, 1.0, 2.0])
 
 
 def psnr(a, b):

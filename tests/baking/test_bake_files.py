@@ -13,8 +13,9 @@ from octex.source.corners import Corners
 from octex.source.materials import Input, Material, MaterialSource
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
-from tests.baking.test_bake import as_source, painted, psnr, waves
+from tests.baking.test_bake import as_source, painted, psnr
 from tests.make import solids
+from tests.make.painted import waves
 from tests.make.small_surfaces import whole
 
 

@@ -9,8 +9,9 @@ from octex.channels import encode
 from octex.source.corners import Corners
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
-from tests.baking.test_bake import cube_with_charts, painted_sphere, psnr, waves
+from tests.baking.test_bake import cube_with_charts, painted_sphere, psnr
 from tests.make import solids
+from tests.make.painted import waves
 from tests.make.small_surfaces import whole
 
 
