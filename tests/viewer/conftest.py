@@ -46,7 +46,7 @@ def opens(browser):
                 shown = stack.enter_context(served_pages(shown)).url
             page = opened(browser, file_url(shown) if isinstance(shown, Path) else shown, *given, **options)
             stack.callback(page.close)
-            told.append((page.complaints, "Failed to load resource" if is_lost else "nothing"))
+            told.append((page.complaints, ("Failed to load resource",) if is_lost else ()))
             return page
 
         yield page_of
