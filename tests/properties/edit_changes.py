@@ -1,7 +1,5 @@
 """Random steps that change values and cells."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from octex.tree.layout import KEPT

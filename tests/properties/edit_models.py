@@ -1,7 +1,5 @@
 """What scripts of random edits are made of: surfaces, pictures, cameras."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from tempfile import TemporaryDirectory
 

@@ -1,7 +1,5 @@
 """Random steps that paint: pictures, layers, fills, sessions."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -4,8 +4,6 @@ A step is lines of Python, and claims of what has become of the texture. What fa
 script found that fails alike.
 """
 
-from __future__ import annotations
-
 import re
 import traceback
 from contextlib import ExitStack, contextmanager

@@ -1,7 +1,5 @@
 """Sessions of painting: what pages send is painted once, in order, as calls of the library do."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os

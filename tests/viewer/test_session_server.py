@@ -1,7 +1,5 @@
 """Commands that pages post, and octex view --paint."""
 
-from __future__ import annotations
-
 import json
 import socket
 from pathlib import Path
