@@ -37,9 +37,9 @@ from whole import whole
 
 BENCHMARKS = {
     each.__name__: each for each in (
-        paper, torus, boombox, materials, filters, large, adaptive, lookup, questions, mixed, resident, today, far,
-        footprints, stretched, pages, ring, whole, painting, session, transfer, cloud, processing, baking, light,
-        archive,
+        paper, torus, boombox, materials, filters, large, adaptive, lookup, questions, mixed, resident, today,
+        far, footprints, stretched, pages, ring, whole, painting, session, transfer, cloud, processing,
+        baking, light, archive,
     )
 }  # fmt: skip
 
