@@ -15,12 +15,19 @@ from octex.channels import srgb_to_linear
 from octex.errors import ImageError, MissingExtraError, ModelError, ModelWarning
 from octex.source.mesh import SurfaceSamples
 from tests.make.refusal import refused
+from tests.make.small_surfaces import whole
 
 pxr = pytest.importorskip("pxr", reason="the extra octex[usd] is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt  # noqa: E402
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
 ST = [(0, 0), (1, 0), (1, 1), (0, 1)]
+
+
+@pytest.fixture(scope="module")
+def baked():
+    surface = whole()
+    return octex.bake(octex.convert(surface, 4), surface, texture_size=64)
 
 
 class Stage:
