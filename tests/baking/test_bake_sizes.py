@@ -20,8 +20,8 @@ from octex.errors import ModelError
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
-from tests.baking.test_bake import cube_with_charts, psnr, two_squares, waves
-from tests.make.painted import square
+from tests.baking.test_bake import cube_with_charts, psnr, two_squares
+from tests.make.painted import square, waves
 from tests.make.small_surfaces import whole
 from tests.oracles.naive_gltf import Document
 

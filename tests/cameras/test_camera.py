@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from octex.cameras.camera import Camera
 from octex.errors import ArgumentError
+from tests.make.small_textures import unit
 from tests.oracles.naive_lens import through
 
 
@@ -294,7 +295,7 @@ def test_differentials_are_how_hits_on_a_plane_move_from_pixel_to_pixel(projecti
         camera = Camera.pinhole((200, 100), pose=pose, convention="opengl", focal=(150.0, 170.0))
     else:
         camera = Camera.orthographic((200, 100), pose=pose, convention="opengl", pixels_per_unit=40.0)
-    normal = pose[:3, :3] @ unit([0.3, -0.4, 0.8])
+    normal = pose[:3, :3] @ unit(np.array([0.3, -0.4, 0.8]))
     foot = pose[:3, 3] - 4.0 * pose[:3, 2]
 
     def hits(pixels):
@@ -313,7 +314,3 @@ def test_differentials_on_planes_seen_edge_on_are_finite():
     right, down = camera.differentials([[0.0, 0.0, -1.0]] * 2, [[1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
     assert np.isfinite(right).all()
     assert np.isfinite(down).all()
-
-
-def unit(vector):
-    return np.array(vector) / np.linalg.norm(vector)

@@ -1,58 +1,38 @@
-"""Files of cameras, each written here by hand from known poses."""
+"""Files of cameras, from known poses."""
 
 import json
 import struct
-from io import BytesIO
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from trimesh.transformations import quaternion_from_matrix
 
-from octex.cameras.camera import Camera
 from octex.cameras.files import read_cameras, write_cameras
 from octex.errors import CameraError, OutputError
-from tests.oracles.naive_lens import through
-
-POINTS = np.random.default_rng(0).uniform(-0.2, 0.2, (20, 3))
-LENS = (-0.2, 0.05, 1e-3, -2e-3)
-
-
-def view(seed):
-    """Return a world-to-camera matrix that sees POINTS."""
-    rotation, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
-    matrix[:3, 3] = 0.1, -0.1, 3.0
-    return matrix
-
-
-def to_opengl(matrix):
-    """Return the camera-to-world matrix, in OpenGL's axes, of a world-to-camera matrix."""
-    return np.linalg.inv(matrix) @ np.diag([1.0, -1.0, -1.0, 1.0])
-
-
-def bent(model, lens, matrix=None):
-    """Return where a lens puts POINTS (n, 2), by default seen from ``view(1)``, to the right and down."""
-    matrix = view(1) if matrix is None else matrix
-    seen = POINTS @ matrix[:3, :3].T + matrix[:3, 3]
-    return np.array([through(model, lens, x / z, y / z) for x, y, z in seen])
-
-
-def expected(matrix, focal_x, focal_y, center, lens=(0.0, 0.0, 0.0, 0.0)):
-    """Return where POINTS land."""
-    return bent("OPENCV", lens, matrix) * [focal_x, focal_y] + center
-
-
-def quaternion(rotation):
-    """Return w, x, y, z of a rotation matrix."""
-    return quaternion_from_matrix(np.pad(rotation, (0, 1)) + np.diag([0.0, 0, 0, 1]))
-
-
-def write_json(path, document):
-    path.write_text(json.dumps(document), encoding="utf-8")
-    return path
+from tests.make.camera_files import (
+    CAMERAS,
+    LENS,
+    MESHROOM_LENS,
+    METASHAPE,
+    POINTS,
+    bent,
+    bundler,
+    colmap_binary,
+    colmap_text,
+    expected,
+    glb,
+    gltf,
+    meshroom,
+    metashape,
+    openmvs,
+    ours,
+    refusal,
+    sees,
+    to_opengl,
+    transforms,
+    view,
+    write_json,
+)
 
 
 def bent_by_brown(k1, k2, k3, p1, p2):
@@ -60,33 +40,7 @@ def bent_by_brown(k1, k2, k3, p1, p2):
     return bent("FULL_OPENCV", (k1, k2, p1, p2, k3))
 
 
-def sees(camera, pixels):
-    np.testing.assert_allclose(camera.project(POINTS)[0], pixels, rtol=0, atol=1e-8)
-
-
-def refusal(path):
-    with pytest.raises(CameraError) as caught:
-        read_cameras(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    return message
-
-
 # transforms.json
-
-
-def transforms(**changes):
-    fields = {
-        "camera_model": "OPENCV",
-        "fl_x": 500.0, "fl_y": 510, "cx": 310.0, "cy": 250.0, "w": 640, "h": 480.0,
-        "k1": LENS[0], "k2": LENS[1], "p1": LENS[2], "p2": LENS[3],
-        "aabb_scale": 16,
-        "frames": [
-            {"file_path": "./images/a.png", "transform_matrix": to_opengl(view(1)).tolist()},
-            {"file_path": "images/b", "transform_matrix": to_opengl(view(2))[:3].tolist(), "fl_x": 700.0},
-        ],
-    }  # fmt: skip
-    return {key: value for key, value in (fields | changes).items() if value is not None}
 
 
 def test_transforms_share_intrinsics_and_frames_may_have_their_own(tmp_path):
@@ -195,54 +149,6 @@ def test_arrays_may_have_names_and_lenses(tmp_path):
 
 
 # COLMAP
-
-CAMERAS = [
-    (1, "SIMPLE_PINHOLE", (500.0, 310.0, 250.0)),
-    (2, "PINHOLE", (500.0, 510.0, 310.0, 250.0)),
-    (3, "SIMPLE_RADIAL", (500.0, 310.0, 250.0, -0.1)),
-    (4, "RADIAL", (500.0, 310.0, 250.0, -0.1, 0.02)),
-    (7, "OPENCV", (500.0, 510.0, 310.0, 250.0, *LENS)),
-    (8, "OPENCV_FISHEYE", (500.0, 510.0, 310.0, 250.0, 0.1, -0.05, 0.02, -0.01)),
-    (9, "FULL_OPENCV", (500.0, 510.0, 310.0, 250.0, *LENS, 0.02, 0.1, 0.03, -0.01)),
-    (10, "FOV", (500.0, 510.0, 310.0, 250.0, 0.9)),
-    (11, "SIMPLE_RADIAL_FISHEYE", (500.0, 310.0, 250.0, 0.1)),
-    (12, "RADIAL_FISHEYE", (500.0, 310.0, 250.0, 0.1, -0.03)),
-    (13, "THIN_PRISM_FISHEYE", (500.0, 510.0, 310.0, 250.0, *LENS, 0.02, -0.01, 0.003, -0.002)),
-]
-NUMBERS = {
-    "SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "RADIAL": 3, "OPENCV": 4, "OPENCV_FISHEYE": 5,
-    "FULL_OPENCV": 6, "FOV": 7, "SIMPLE_RADIAL_FISHEYE": 8, "RADIAL_FISHEYE": 9, "THIN_PRISM_FISHEYE": 10,
-}  # fmt: skip
-
-
-def colmap_text(folder):
-    folder.mkdir(parents=True, exist_ok=True)
-    lines = ["# Camera list"]
-    lines += [f"{key} {model} 640 480 {' '.join(map(repr, values))}" for key, model, values in CAMERAS]
-    (folder / "cameras.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    lines = ["# Image list", "#   POINTS2D[] as (X, Y, POINT3D_ID)"]
-    for key, _, _ in CAMERAS:
-        numbers = [*(2.0 * quaternion(view(key)[:3, :3])), *view(key)[:3, 3]]
-        lines += [f"{key} {' '.join(repr(float(n)) for n in numbers)} {key} dir/im {key}.jpg"]
-        lines += ["1.5 2.5 -1 3.0 4.0 17" if key == 2 else ""]
-    (folder / "images.txt").write_text("\n".join(lines), encoding="utf-8")
-    return folder
-
-
-def colmap_binary(folder):
-    folder.mkdir(parents=True, exist_ok=True)
-    content = struct.pack("<Q", len(CAMERAS))
-    for key, model, values in CAMERAS:
-        content += struct.pack(f"<iiQQ{len(values)}d", key, NUMBERS[model], 640, 480, *values)
-    (folder / "cameras.bin").write_bytes(content)
-    content = struct.pack("<Q", len(CAMERAS))
-    for key, _, _ in CAMERAS:
-        numbers = [*(2.0 * quaternion(view(key)[:3, :3])), *view(key)[:3, 3]]
-        content += struct.pack("<i7di", key, *numbers, key) + f"dir/im {key}.jpg\0".encode()
-        points = [(1.5, 2.5, -1), (3.0, 4.0, 17)] if key == 2 else []
-        content += struct.pack("<Q", len(points)) + b"".join(struct.pack("<ddq", *point) for point in points)
-    (folder / "images.bin").write_bytes(content)
-    return folder
 
 
 def colmap_pixels(model, values, matrix):
@@ -361,44 +267,6 @@ def test_a_quaternion_of_nothing_is_refused(tmp_path):
 # glTF
 
 
-def gltf(**changes):
-    """Return two cameras that stand where view(1) and view(2) do, below scaled and turned nodes."""
-    parent = np.eye(4)
-    parent[:3, :3] = 2.0 * view(5)[:3, :3]
-    parent[:3, 3] = 1.0, 2.0, 3.0
-    w, x, y, z = quaternion(view(6)[:3, :3])
-    middle = np.eye(4)
-    middle[:3, :3] = 0.25 * view(6)[:3, :3]
-    middle[:3, 3] = -1.0, 0.0, 0.5
-    local = np.linalg.inv(parent @ middle) @ to_opengl(view(1))
-    return {
-        "asset": {"version": "2.0"},
-        "scene": 1,
-        "scenes": [{"nodes": [4]}, {"nodes": [0, 3]}],
-        "nodes": [
-            {"matrix": parent.T.ravel().tolist(), "children": [1]},
-            {"rotation": [x, y, z, w], "scale": [0.25] * 3, "translation": [-1.0, 0.0, 0.5], "children": [2]},
-            {"matrix": local.T.ravel().tolist(), "camera": 0, "name": "eye"},
-            {"matrix": to_opengl(view(2)).T.ravel().tolist(), "camera": 1},
-            {"camera": 0, "name": "of another scene"},
-        ],
-        "cameras": [
-            {
-                "type": "perspective",
-                "name": "lens",
-                "perspective": {"yfov": 0.7, "aspectRatio": 9.0, "znear": 0.1},
-            },
-            {"type": "orthographic", "orthographic": {"xmag": 2.0, "ymag": 1.5, "zfar": 9, "znear": 0.1}},
-        ],
-    } | changes
-
-
-def glb(document):
-    text = json.dumps(document).encode()
-    text += b" " * (-len(text) % 4)
-    return b"glTF" + struct.pack("<IIII", 2, 20 + len(text), len(text), 0x4E4F534A) + text
-
-
 @pytest.mark.parametrize("ending", [".gltf", ".glb"])
 def test_cameras_of_nested_gltf_nodes_stand_where_the_scene_puts_them(tmp_path, ending):
     path = tmp_path / f"scene{ending}"
@@ -438,10 +306,6 @@ def test_an_orthographic_camera_is_for_pictures_of_its_shape(tmp_path):
         frame.camera((410, 300))
 
 
-def one_camera(**node):
-    return gltf(nodes=[{"camera": 0, "name": "eye"} | node], scenes=[{"nodes": [0]}], scene=0)
-
-
 def test_a_broken_glb_is_refused(tmp_path):
     whole = glb(gltf())
     path = tmp_path / "a.glb"
@@ -456,17 +320,6 @@ def test_a_broken_glb_is_refused(tmp_path):
 
 
 # Our own
-
-
-def ours():
-    return {
-        "front": Camera.pinhole((640, 480), pose=view(1), convention="opencv", focal=501.3, distortion=LENS),
-        "ü/side": Camera.pinhole(
-            (64, 48), pose=to_opengl(view(2)), convention="opengl", K=[[50, 3, 30], [0, 40, 25], [0, 0, 1]]
-        ),
-        "top": Camera.orthographic((30, 40), pose=view(3), convention="opencv", pixels_per_unit=10 / 3),
-        "fitted": Camera.fitted(POINTS, (1.0, 2.0, 3.0), size=(100, 50)),
-    }
 
 
 def test_written_cameras_come_back_to_the_same_bits(tmp_path):
@@ -526,41 +379,6 @@ def test_a_full_disk_leaves_the_cameras_that_were_there(tmp_path, monkeypatch):
 
 # Metashape
 
-#: k1, k2, k3, p1, p2, b1, b2 of Metashape.
-METASHAPE = {
-    "f": 500.0, "cx": -9.5, "cy": 12.25, "b1": 1.5, "b2": -0.75, "k1": -0.2, "k2": 0.05, "k3": 0.01,
-    "p1": 2e-3, "p2": -1e-3,
-}  # fmt: skip
-
-
-def metashape(numbers=METASHAPE, kind="frame", reference="LOCAL_CS[]", resolution=(640, 480), **changes):
-    """Write a chunk whose component turns, moves and scales its cameras; return it and one's true pose."""
-    turn, shift, scale = view(7)[:3, :3], np.array([0.5, -0.25, 2.0]), 1.75
-    words = {"rotation": turn, "translation": shift, "scale": scale} | changes
-    given = to_opengl(view(1)) @ np.diag([1.0, -1.0, -1.0, 1.0])  # from the camera's axes, y down
-    own = given.copy()
-    own[:3, :3], own[:3, 3] = turn.T @ given[:3, :3], turn.T @ (given[:3, 3] - shift) / scale
-
-    def text(values):
-        return " ".join(map(repr, np.asarray(values).ravel().tolist()))
-
-    calibration = "".join(f"<{name}>{value!r}</{name}>" for name, value in numbers.items())
-    size = f'<resolution width="{resolution[0]}" height="{resolution[1]}"/>'
-    placed = "".join(f"<{name}>{text(values)}</{name}>" for name, values in words.items())
-    return f'''<?xml version="1.0" encoding="UTF-8"?>
-<document version="2.0.0"><chunk label="Chunk 1" enabled="true">
-<sensors next_id="1"><sensor id="3" label="lens" type="{kind}">{size}
-<calibration type="{kind}" class="initial">{size}<f>77</f></calibration>
-<calibration type="{kind}" class="adjusted">{size}{calibration}</calibration></sensor></sensors>
-<components next_id="1"><component id="0" label="Component 1">
-<transform>{placed}</transform></component></components>
-<cameras next_id="3"><camera id="0" sensor_id="3" component_id="0" label="a.jpg">
-<transform>{text(own)}</transform></camera>
-<group id="0" label="g"><camera id="1" sensor_id="3" component_id="0" label="b">
-<transform>{text(own)}</transform><orientation>1</orientation></camera></group>
-<camera id="2" sensor_id="3" label="not aligned"/></cameras>
-<reference>{reference}</reference></chunk></document>'''
-
 
 def test_metashape_cameras_see_what_its_manual_says(tmp_path):
     path = tmp_path / "cameras.xml"
@@ -589,32 +407,6 @@ def test_metashape_cameras_may_be_fisheyes(tmp_path):
 # OpenMVS
 
 
-def openmvs(version, size=(640, 480), pose=(0, 0, 0)):
-    """Write a scene of two pictures, of which the second has no pose: the camera is mounted on a platform."""
-
-    def text(words):
-        return struct.pack("<Q", len(words)) + words.encode()
-
-    def placed(matrix):
-        origin = -matrix[:3, :3].T @ matrix[:3, 3]
-        return matrix[:3, :3].tobytes() + origin.tobytes()
-
-    mount = view(5)
-    scale = 1.0 if any(size) else 1 / 640
-    K = np.array([[500.0 * scale, 0.0, 309.5 * scale], [0.0, 510.0 * scale, 249.5 * scale], [0.0, 0.0, 1.0]])
-    camera = text("lens") + (text("RGB") if version > 3 else b"") + struct.pack("<II", *size)
-    platform = text("rig") + struct.pack("<Q", 1) + camera + K.tobytes() + placed(mount)
-    platform += struct.pack("<Q", 1) + placed(np.linalg.inv(mount) @ view(1))
-    content = (
-        b"MVSI" + struct.pack("<II", version, 0) + struct.pack("<Q", 1) + platform + struct.pack("<Q", 2)
-    )
-    for name, which in (("images/a.jpg", pose), ("images/b.jpg", (0, 0, 2**32 - 1))):
-        content += text(name) + (text("") if version > 4 else b"") + struct.pack("<III", *which)
-        content += struct.pack("<I", 9) if version > 2 else b""
-        content += struct.pack("<3fQ2I4f", 1, 2, 3, 1, 0, 5, 1, 2, 3, 4) if version > 6 else b""
-    return content + bytes(40)
-
-
 @pytest.mark.parametrize("version", range(1, 8))
 def test_openmvs_cameras_see_what_their_numbers_say(tmp_path, version):
     path = tmp_path / "scene.mvs"
@@ -628,40 +420,6 @@ def test_openmvs_cameras_see_what_their_numbers_say(tmp_path, version):
 
 
 # Meshroom
-
-MESHROOM_LENS = [-0.2, 0.05, 0.01, 2e-3, -1e-3]
-
-
-def meshroom(version=(1, 2, 11), kind="brown", numbers=MESHROOM_LENS, mesh=True, **changes):
-    """Write a view that is placed and one that is not; the focal lengths are 500 and 510 pixels."""
-    matrix = view(1) @ np.diag([1.0, -1.0, -1.0, 1.0]) if mesh and version >= (1, 2, 3) else view(1)
-    rotation, center = matrix[:3, :3], -matrix[:3, :3].T @ matrix[:3, 3]
-    center_x, center_y = (309.5, 249.5) if version < (1, 2, 1) else (-10.5, 9.5)
-    sensor = {"sensorWidth": "32", "focalLength": "25", "pixelRatio": repr(510 / 500)}
-    if version >= (1, 2, 11):
-        sensor["focalLength"] = "25.5"
-    elif (1, 2, 2) <= version < (1, 2, 5):
-        sensor["pixelRatio"] = repr(500 / 510)
-    kinds = {"type": {"radialk1": "radial1", "radialk3": "radial3", "none": "pinhole"}.get(kind, kind)}
-    if version >= (1, 2, 8):
-        kinds = {"type": "pinhole", "distortionType": kind, "undistortionType": "none"}
-    focal = {"pxFocalLength": "500" if version < (1, 2, 0) else ["500", "510"]}
-    intrinsic = {
-        "intrinsicId": "7", "width": "640", "height": "480", "serialNumber": "", "locked": "true",
-        "principalPoint": [repr(center_x), repr(center_y)], "distortionParams": [*map(repr, numbers)],
-        **(sensor if version >= (1, 2, 2) else focal), **kinds,
-    }  # fmt: skip
-    columns = [repr(value) for value in rotation.T.ravel().tolist()]
-    pose = {"transform": {"rotation": columns, "center": [*map(repr, center.tolist())]}, "locked": "1"}
-    placed = {"viewId": "3", "poseId": "3", "intrinsicId": "7", "path": "/far/a.jpg", "width": "640"}
-    return json.dumps(
-        {
-            "version": [*map(str, version)],
-            "views": [placed, placed | {"viewId": "4", "poseId": "4", "path": "/far/b.jpg"}],
-            "intrinsics": [intrinsic | changes],
-            "poses": [{"poseId": "3", "pose": pose}],
-        }
-    )
 
 
 @pytest.mark.parametrize("version", [(1, 2, 11), (1, 2, 8), (1, 2, 5), (1, 2, 4), (1, 2, 2), (1, 2, 1)])
@@ -698,15 +456,6 @@ def test_meshroom_cameras_may_be_fisheyes(tmp_path):
 
 
 # Bundler
-
-
-def bundler(focal=500.0, count=3):
-    """Write a camera, one that is not placed, and the same once more; and a point."""
-    matrix = np.diag([1.0, -1.0, -1.0, 1.0]) @ view(1)
-    rows = [*matrix[:3, :3].tolist(), matrix[:3, 3].tolist()]
-    placed = "\n".join(" ".join(map(repr, row)) for row in [[focal, -0.2, 0.05], *rows])
-    lines = ["# Bundle file v0.3", f"{count} 1", placed, "0 0 0\n" * 5 + placed, "0 0 0", "1 2 3", "0"]
-    return "\n".join(lines)
 
 
 def test_bundler_cameras_see_what_its_manual_says(tmp_path):
@@ -750,245 +499,3 @@ def test_a_file_that_cannot_be_is_refused(tmp_path):
     assert "cannot be read: No such file" in refusal(tmp_path / "missing.json")
     assert "cannot be read" in refusal(tmp_path / ("long" * 1000))
     assert "is not a valid file name" in refusal("a\0b")
-
-
-# What cannot be used
-
-
-def own_file(**changes):
-    """Return our own file with other fields of its first camera."""
-    with TemporaryDirectory() as folder:
-        write_cameras(Path(folder) / "a.json", ours())
-        document = json.loads((Path(folder) / "a.json").read_text(encoding="utf-8"))
-    document["cameras"][0] |= changes
-    return document
-
-
-def arrays(**changes):
-    """Return an .npz file of two cameras, with other arrays or without them."""
-    given = {"viewmats": np.stack([view(1), view(2)]), "Ks": np.eye(3)} | changes
-    file = BytesIO()
-    np.savez(file, **{name: each for name, each in given.items() if each is not None})
-    return file.getvalue()
-
-
-def as_bytes(content):
-    content = json.dumps(content) if isinstance(content, dict) else content
-    return content.encode() if isinstance(content, str) else content
-
-
-#: By the file's name: its content, and a part of what is said of it.
-REFUSED = {
-    "transforms.json": [
-        ({"camera_model": "EQUIRECTANGULAR"}, "camera_model 'EQUIRECTANGULAR' is not known"),
-        ({"camera_model": 3}, "camera_model must be a text, not 3"),
-        ({"is_equirectangular": True}, "is_equirectangular is set"),
-        ({"k4": 0.1}, "k4 must be zero"),
-        ({"k1": "a"}, "k1 must be a finite number, not 'a'"),
-        ({"fl_y": 0}, "fl_y must be above zero, not 0"),
-        ({"fl_y": True}, "fl_y must be a finite number, not True"),
-        ({"cx": float("nan")}, "cx must be a finite number, not nan"),
-        ({"cx": 1e300}, "cx must be a finite number"),
-        ({"w": 1.5}, "w must be a whole number from 1 to 1000000"),
-        ({"w": None}, "w is missing; it must be a number"),
-        ({"fl_x": None}, "fl_x is missing, and so is camera_angle_x"),
-        ({"fl_x": None, "camera_angle_x": 4.0}, "camera_angle_x must be above zero and below 3.14159, not 4"),
-        ({"frames": []}, "has no cameras"),
-        ({"frames": {}}, "frames must be a list of objects"),
-        ({"frames": [1]}, "frames must be a list of objects, not of 1"),
-        ({"frames": [{}]}, "frame 0: file_path is missing"),
-        ({"frames": [{"file_path": "x"}]}, "frame 'x': transform_matrix is missing"),
-        (
-            {"frames": [{"file_path": "x", "transform_matrix": [[1, 2], [3]]}]},
-            "must be a matrix of 4×4 or 3×4 numbers",
-        ),
-        ({"frames": [{"file_path": "x", "transform_matrix": [*np.eye(4).tolist()[:2], 0, 1]}]}, "4×4 or 3×4"),
-        (
-            {"frames": [{"file_path": "x", "transform_matrix": np.zeros((4, 4)).tolist()}]},
-            "transform_matrix: a camera's pose must have the last row",
-        ),
-        (
-            {"frames": [{"file_path": "x", "transform_matrix": np.diag([1, 1, 0, 1]).tolist()}]},
-            "transform_matrix: a camera's pose must not scale",
-        ),
-    ],
-    "a.npz": [
-        ({"viewmats": None}, "must have one of viewmats, w2c"),
-        ({"width": 640}, "camera 0: height is missing; it must be a number"),
-        ({"Ks": None}, "must have one of Ks, K, intrinsics; has viewmats"),
-        ({"viewmats": np.ones((2, 5, 4))}, "viewmats must have shape (n, 4, 4), not (2, 5, 4)"),
-        ({"viewmats": np.ones((2, 4, 4))}, "camera 0: viewmats: a camera's pose must have the last row"),
-        ({"viewmats": np.full((1, 4, 4), np.nan)}, "viewmats must be finite numbers"),
-        ({"Ks": np.zeros((3, 3))}, "camera 0: Ks: K's focal lengths must be above zero"),
-        ({"Ks": np.ones((3, 3, 3))}, "Ks has 3 rows for 2 cameras"),
-        ({"camtoworlds": np.ones((2, 4, 4))}, "must have one of"),
-        ({"viewmats": None, "poses": np.ones((2, 4, 4))}, "convention is missing; it must be a text"),
-        (
-            {"viewmats": None, "poses": np.zeros((2, 3, 4)), "convention": "opencv"},
-            "poses: its upper left 3×3 must be a rotation",
-        ),
-        ({"width": 1.5, "height": 3}, "camera 0: width must be a whole number from 1 to 1000000, not 1.5"),
-        ({"distortion": [1.0]}, "distortion must be"),
-        ({"distortion_model": "x"}, "distortion_model must be one of opencv, fisheye, fov"),
-        ({"names": np.array([None])}, "cannot be read as an .npz file"),
-    ],
-    "a.gltf": [
-        (one_camera(scale=[1, 1, -1]), "frame 'eye': a camera's pose must not mirror"),
-        (
-            one_camera(scale=[1, 0, 1]),
-            "frame 'eye': its node, with the nodes above it, must not scale to nothing",
-        ),
-        (one_camera(matrix=[1, 0.5, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "must not scale or shear"),
-        (one_camera(matrix=[1, 2]), "nodes[0]: matrix must be 16 numbers, not [1, 2]"),
-        (one_camera(rotation=[0, 0, 0, 0]), "nodes[0]: rotation must not be zero"),
-        (one_camera(rotation=None), "nodes[0]: rotation must be 4 numbers, not None"),
-        (one_camera(translation=[0, 10**400, 0]), "nodes[0]: translation must be 3 numbers"),
-        (one_camera(children=1), "nodes[0]: children must be a list of indices"),
-        (one_camera(rotation="x"), "nodes[0]: rotation must be 4 numbers, not 'x'"),
-        (one_camera(camera=2), "refers to cameras[2], which it does not have"),
-        (one_camera(children=[0]), "nodes[0] is reached twice"),
-        (one_camera(children=[-1]), "refers to nodes[-1], which it does not have"),
-        (gltf(scene=7), "refers to scenes[7], which it does not have"),
-        (gltf(nodes={}), "nodes must be a list, not {}"),
-        (gltf(scenes=[{}], scene=0), "has no cameras"),
-        (one_camera() | {"cameras": [{"type": "fisheye"}]}, "type must be one of perspective, orthographic"),
-        (one_camera() | {"cameras": [{"type": "perspective"}]}, "'eye': perspective is missing"),
-        (
-            one_camera() | {"cameras": [{"type": "perspective", "perspective": {"yfov": 0}}]},
-            "'eye': perspective: yfov must be above zero",
-        ),
-        (
-            one_camera() | {"cameras": [{"type": "orthographic", "orthographic": {"xmag": -1, "ymag": 1}}]},
-            "'eye': orthographic: xmag must be above zero",
-        ),
-    ],
-    "ours.json": [
-        ({"name": 3}, "camera 0: name must be a text, not 3"),
-        ({"width": 0}, "frame 'front': width must be a whole number"),
-        ({"projection": "fisheye"}, "projection must be one of pinhole, orthographic, not 'fisheye'"),
-        ({"convention": "blender"}, "convention must be one of opencv, opengl, not 'blender'"),
-        ({"projection": "orthographic"}, "distortion must be zeros for an orthographic camera"),
-        ({"distortion": [1]}, "distortion must be 2 or 4 or 5 or 8 numbers, not 1"),
-        ({"K": np.ones((3, 3)).tolist()}, "frame 'front': K: K must be upper triangular"),
-        ({"pose": np.eye(3).tolist()}, "frame 'front': pose must be a matrix of 4×4 numbers"),
-        ({"pose": np.zeros((4, 4)).tolist()}, "frame 'front': pose: a camera's pose"),
-    ],
-    "cameras.xml": [
-        ("<document>", "is not XML"),
-        ("<!DOCTYPE a><document/>", "has a document type"),
-        ("<plist/>", "is not a camera file; export the cameras from Metashape as Agisoft XML"),
-        ("<document><chunk/></document>", "has no cameras"),
-        (metashape(kind="spherical"), "type 'spherical' is not known; octex knows frame and fisheye"),
-        (metashape({"f": 0.0}), "frame 'a.jpg': sensor 'lens': f must be above zero, not 0"),
-        (metashape({"f": 500.0, "k4": 0.1}), "k4 must be zero"),
-        (metashape({"f": float("nan")}), "f must be a finite number, not nan"),
-        (metashape(resolution=("", 480)), "width must be a number, not ''"),
-        (metashape(reference="GEOGCS[]"), "the chunk has geographic coordinates"),
-        (metashape(scale=(1, 2)), "the component's transform: scale must be 1 numbers, not 2"),
-        (metashape(rotation=np.ones((3, 3))), "frame 'a.jpg': transform: "),
-        (metashape().replace('sensor_id="3"', 'sensor_id="4"'), "sensor_id '4' names no sensor of the file"),
-    ],
-    "scene.mvs": [
-        (b"MVSI" + struct.pack("<II", 8, 0), "is an OpenMVS scene of version 8; octex reads versions 1 to 7"),
-        (openmvs(3)[:60], "the file ends here"),
-        (b"MVSI" + struct.pack("<IIQ", 3, 0, 2**60), "the number of platforms, 1152921504606846976, is more"),
-        (openmvs(3, pose=(1, 0, 0)), "frame 'images/a.jpg': platform 1 is not in the file"),
-        (openmvs(3, pose=(0, 0, 1)), "camera 0 or pose 1 is not in the file"),
-        (openmvs(3, size=(640, 0)), "camera 0: height must be a whole number"),
-    ],
-    "cameras.sfm": [
-        (meshroom(kind="fisheye1"), "view '/far/a.jpg': intrinsics: type 'fisheye1' is not known"),
-        (meshroom(type="equidistant"), "type 'equidistant, brown, none' is not known"),
-        (meshroom(undistortionType="3deradial4"), "type 'pinhole, brown, 3deradial4' is not known"),
-        (meshroom(focalLength="0"), "intrinsics: the focal length must be above zero, not 0"),
-        (meshroom(sensorWidth="0"), "sensorWidth and pixelRatio must be above zero"),
-        (meshroom(width="a"), "width must be a number, not 'a'"),
-        (meshroom(distortionParams=["1"]), "distortionParams must be 5 numbers, not 1"),
-        (meshroom().replace('"poses"', '"pose"'), "is not a camera file"),
-        (meshroom().replace('"version": [', '"version": ["0", '), "version must be 3 numbers, not 4"),
-        (meshroom().replace('"center"', '"centre"'), "pose: center is missing"),
-        (
-            meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": "false", "path"'),
-            "view '/far/a.jpg': belongs to a rig",
-        ),
-        (
-            meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": false, "path"'),
-            "view '/far/a.jpg': belongs to a rig",
-        ),
-        (meshroom().replace('"poseId": "3"', '"poseId": "5"', 1), "has no cameras"),
-    ],
-    "bundle.out": [
-        ("# Bundle file v0.3", "the number of cameras must be a finite number, not None"),
-        (bundler(count=9), "the number of cameras, 9, is more than the file has room for"),
-        (bundler()[:-60], "the number of cameras, 3, is more than the file has room for"),
-        (bundler(-1.0), "camera 0: f must be above zero, not -1"),
-        (bundler("x"), "camera 0: f must be a number, not"),
-    ],
-    "cameras.json": [
-        (b"", "is not JSON"),
-        (b"{", "is not JSON"),
-        (b"\xff\xfe", "is not UTF-8 text"),
-        (b"[]", "its JSON must be an object"),
-        (b"{}", "is not a camera file; give"),
-        (b"[" * 200_000, "is not JSON (a number or nesting too long)"),
-        (b'{"frames": ' + b"9" * 10_000 + b"}", "is not JSON (a number or nesting too long)"),
-        (b'{"frames": 1e999}', "frames must be a list of objects, not inf"),
-    ],
-}
-#: What a table holds where that is no file's content.
-CONTENT = {"transforms.json": transforms, "a.npz": arrays, "ours.json": own_file}
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "complaint"), [(name, *row) for name, rows in REFUSED.items() for row in rows]
-)
-def test_what_cannot_be_used_is_refused_by_file_and_field(tmp_path, name, content, complaint):
-    path = tmp_path / name
-    path.write_bytes(as_bytes(CONTENT[name](**content) if name in CONTENT else content))
-    message = refusal(path)
-    assert message.startswith(f"{path}: ")
-    assert complaint in message
-
-
-#: Files of every kind, by their names, and folders of COLMAP.
-KINDS = {
-    "a.json": own_file, "transforms.json": transforms, "a.gltf": gltf, "a.glb": lambda: glb(gltf()),
-    "a.xml": metashape, "a.mvs": lambda: openmvs(7), "a.sfm": meshroom, "a.out": bundler,
-    "text": colmap_text, "binary": colmap_binary,
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
-    path, make = tmp_path / kind, KINDS[kind]
-    if "." in kind:
-        path.write_bytes(as_bytes(make()))
-    else:
-        make(path)
-    files = sorted(path.iterdir()) if path.is_dir() else [path]
-    wholes = [file.read_bytes() for file in files]
-    random = np.random.default_rng(0)
-    refused = 0
-    for turn in range(300):
-        which = turn % len(files)
-        content = bytearray(wholes[which])
-        for _ in range(random.integers(1, 4)):
-            at = random.integers(len(content))
-            match random.integers(4):
-                case 0:
-                    content[at] = random.integers(256)
-                case 1:
-                    content[at] = random.choice(list(b'09-e.,"[]{}: \n'))
-                case 2:
-                    del content[at : at + random.integers(1, 9)]
-                case 3:
-                    content[at:at] = content[random.integers(len(content)) :][: random.integers(1, 30)]
-        files[which].write_bytes(content)
-        try:
-            for frame in read_cameras(path):
-                frame.camera(frame.size or (64, 48))
-        except CameraError:
-            refused += 1
-        files[which].write_bytes(wholes[which])
-    assert refused > 30
-    assert read_cameras(path)

@@ -3,29 +3,21 @@
 import hashlib
 import inspect
 import json
-import re
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
 import octex
-from octex.cli.main import main as octex_main
 from octex.cli.options import COMMANDS, DEFAULT_CHANNEL
 from octex.cli.parser import Parser
-from octex.cli.values import BALANCES, BLENDS, HOLES, PICTURES, camera
+from octex.cli.values import BALANCES, BLENDS, HOLES, PICTURES
 from octex.errors import ExitCode
 from tests.conftest import needs_jit
-from tests.make.command import OUT, VIEW, Painting, colored_box, painting
-from tests.make.same import assert_equal, assert_same
-
-SIZE = 40
-SQUARE = (16, 16, 23, 23)  # in the picture's middle, on the box: left, top, right, bottom, all inside
-ROOT = Path(octex.__file__).parent.parent
+from tests.make.command import OUT, Painting
+from tests.make.same import assert_equal
+from tests.make.scene import SIZE, assert_painted
 
 
 @pytest.fixture
@@ -34,52 +26,7 @@ def cli(capsys):
     return Painting(capsys)
 
 
-class Scene:
-    """A box with its texture, a camera before it and pictures for that."""
-
-    def __init__(self, folder):
-        self.model = colored_box(folder)
-        self.surface = octex.load_surface(self.model)
-        self.texture = folder / "box.octex"
-        octex.convert(self.model, 4).save(self.texture)
-        self.camera = octex.Camera.fitted(self.surface.vertices, (0.4, 0.3, 1), size=(SIZE, SIZE))
-        self.cameras = folder / "cameras.json"
-        octex.write_cameras(self.cameras, {"square.png": self.camera, "blue.png": self.camera})
-        self.square = folder / "square.png"
-        paint = np.zeros((SIZE, SIZE, 4), np.uint8)
-        paint[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1] = [255, 0, 0, 255]
-        Image.fromarray(paint).save(self.square)
-        self.blue = folder / "blue.png"
-        Image.fromarray(np.full((SIZE, SIZE, 3), [0, 0, 255], np.uint8)).save(self.blue)
-
-    @property
-    def shot(self):
-        """Arguments to paint the square."""
-        return [self.texture, self.model, self.square, "--camera", f"{self.cameras}#square.png"]
-
-    def places(self, beside):
-        """Return rest positions that the camera sees, and whether they are so many pixels in the square."""
-        samples = self.surface.scatter(4000)
-        toward = self.camera.position - samples.points
-        seen = np.einsum("nk,nk->n", toward, samples.normals) > 0.5 * np.linalg.norm(toward, axis=1)
-        pixels, _ = self.camera.project(samples.points[seen])
-        low, high = np.array(SQUARE[:2]) + beside, np.array(SQUARE[2:]) + 1 - beside
-        return samples.rest[seen], ((pixels >= low) & (pixels <= high)).all(axis=1)
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    return Scene(tmp_path_factory.mktemp("scene"))
-
-
 # --- painting
-
-
-def assert_painted(one, other):
-    """Two textures are the same, and lie in the same place; a command's metadata say more."""
-    assert_same(one, other)
-    assert one.placement == other.placement
-    np.testing.assert_array_equal(one.bounds, other.bounds)
 
 
 def test_textures_and_layers_whose_content_is_broken_are_refused(scene, tmp_path, cli):
@@ -108,65 +55,6 @@ def test_paint_is_where_the_camera_sees_it_and_nowhere_else(scene, tmp_path, cli
     np.testing.assert_allclose(after.sample(points[inside]), [[1.0, 0.0, 0.0]] * inside.sum(), atol=0.02)
     points, near = scene.places(-8.0)  # cells beside the paint are as wide as some pixels
     np.testing.assert_allclose(after.sample(points[~near]), before.sample(points[~near]), atol=1e-5)
-
-
-@needs_jit
-def test_a_picture_that_was_drawn_is_edited_and_painted_back(scene, tmp_path, cli):
-    view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
-    options = ["--camera", f"{scene.cameras}#square.png", "--threads", 1]
-    text = cli.result(scene.texture, scene.model, VIEW, view, "--camera-out", file, *options)
-    assert text.splitlines()[0].startswith(f"{view}: {SIZE}×{SIZE} pixels, ")
-    assert text.splitlines()[1] == f"{file}: its camera"
-    picture = np.array(Image.open(view))
-    assert picture.shape == (SIZE, SIZE, 4)
-    assert set(np.unique(picture[:, :, 3])) == {0, 255}
-    back = [scene.texture, scene.model, view, "--camera", file]
-    cli.result(*back, OUT, out, "--since", "nothing")
-    before, points = octex.open(scene.texture), scene.places(0.0)[0]
-    np.testing.assert_allclose(octex.open(out).sample(points), before.sample(points), atol=0.15)
-    assert np.abs(octex.open(out).sample(points) - before.sample(points)).mean() < 0.01
-    picture[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1, :3] = [255, 0, 0]
-    Image.fromarray(picture).save(view)
-    cli.result(*back, OUT, out, "--force", "--since", "nothing")
-    points, inside = scene.places(1.5)
-    red = octex.open(out).sample(points)
-    np.testing.assert_allclose(red[inside], [[1.0, 0.0, 0.0]] * inside.sum(), atol=0.02)
-    points, near = scene.places(-3.0)
-    assert np.abs(octex.open(out).sample(points) - before.sample(points))[~near].mean() < 0.01
-
-
-@needs_jit
-def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_painted_back(
-    scene, tmp_path, cli
-):
-    erased, view, out = tmp_path / "erased.octex", tmp_path / "square.png", tmp_path / "out.octex"
-    cli.result(*scene.shot, "--blend", "erase", "--max-depth", "12", OUT, erased)
-    before = octex.open(erased)
-    look = [erased, scene.model, VIEW, view, "--camera", scene.cameras]
-    cli.result(*look)
-    picture = np.array(Image.open(view)).astype(int)
-    left, top, right, bottom = SQUARE
-    assert not picture[top + 2 : bottom - 1, left + 2 : right - 1].any()
-    cli.result(scene.texture, scene.model, *look[2:], "--force")
-    whole = np.array(Image.open(view)).astype(int)
-    beside = np.ones((SIZE, SIZE), bool)
-    beside[top - 2 : bottom + 3, left - 2 : right + 3] = False
-    assert np.abs(picture - whole)[beside].max() <= 1
-    part = (picture[..., 3] > 100) & (picture[..., 3] < 255)
-    assert part.any()
-    assert np.abs(picture - whole)[part, :3].mean() < 6  # black, were they multiplied by alpha
-    cli.result(*look, "--force")
-    points, inside = scene.places(1.5)
-    assert (before.sample(points, "alpha")[inside] == 0).all()
-    back = [erased, scene.model, view, "--camera", scene.cameras, "--max-depth", "12", OUT, out, "--force"]
-    for blend in ("over", "replace"):
-        cli.result(*back, "--blend", blend)
-        after = octex.open(out)
-        assert (after.sample(points, "alpha")[inside] < 0.01).all()
-        if blend == "replace":
-            np.testing.assert_allclose(
-                after.sample(points, "alpha"), before.sample(points, "alpha"), atol=0.005
-            )
 
 
 @needs_jit
@@ -348,144 +236,6 @@ def test_a_background_is_one_of_the_channels_values(scene, tmp_path, cli):
     assert "normal holds directions" in cli.refusal(*given, "normal")
 
 
-# --- pictures and frames
-
-
-@needs_jit
-def test_pictures_are_matched_to_frames_by_their_file_names(scene, tmp_path, cli):
-    out = tmp_path / "out.octex"
-    arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, out, "--force"]
-    made = json.loads(cli.result(*arguments, scene.blue, scene.square, "--json", "--quiet"))
-    assert made["painted"] == ["blue.png", "square.png"]
-
-
-@needs_jit
-def test_pictures_without_a_frame_are_skipped_and_refused_if_none_has_one(scene, tmp_path, cli):
-    out = tmp_path / "out.octex"
-    arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, out]
-    (tmp_path / "other.png").write_bytes(scene.blue.read_bytes())
-    black, white = tmp_path / "black.png", tmp_path / "white.png"
-    Image.fromarray(np.zeros((SIZE, SIZE), np.uint8)).save(black)
-    Image.fromarray(np.full((SIZE, SIZE), 255, np.uint8)).save(white)
-    masked = [word for mask in (black, white, black) for word in ("--mask", mask)]
-    shown = [tmp_path / "other.png", scene.blue, scene.square]
-    assert cli.run(*arguments, *shown, *masked, "--json") == ExitCode.DONE  # the white mask is blue's
-    told, said = cli.said()
-    assert f"skipped 1 of 3 pictures, which have no camera in {scene.cameras}: 'other.png'\n" in said
-    made = json.loads(told)
-    assert (made["painted"], made["skipped"]) == (["blue.png", "square.png"], ["other.png"])
-    out.unlink()
-    assert cli.refusal(*arguments, tmp_path / "other.png") == (
-        f"{scene.cameras}: there is no frame {(tmp_path / 'other.png').as_posix()!r}; "
-        "there are: 'square.png', 'blue.png'; IMAGE=NAME says which camera an IMAGE has"
-    )
-    message = cli.refusal(*scene.shot, scene.blue, OUT, out)
-    assert message.startswith("--camera names one frame, 'square.png', for 2 IMAGEs; leave the name out")
-    alone = tmp_path / "alone" / "cameras.json"
-    alone.parent.mkdir()
-    alone.write_bytes(scene.cameras.read_bytes())
-    message = cli.refusal(scene.texture, scene.model, "--camera", alone, OUT, out)
-    assert message.startswith(f"{alone}: none of the 2 pictures that it names exists: 'square.png'")
-    unnamed = tmp_path / "cameras.npz"
-    np.savez(unnamed, viewmats=np.eye(4)[None], Ks=np.eye(3)[None])
-    message = cli.refusal(scene.texture, scene.model, "--camera", unnamed, OUT, out)
-    assert message == f"{unnamed}: does not name the pictures of its cameras; give IMAGEs"
-
-
-def test_pictures_that_lie_beside_their_cameras_need_not_be_named(scene, tmp_path, cli):
-    arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, tmp_path / "out.octex"]
-    made = json.loads(cli.result(*arguments, "--json", "--quiet"))
-    assert made["painted"] == ["square.png", "blue.png"]
-
-
-@needs_jit
-def test_a_files_own_pictures_are_painted_and_missing_ones_skipped(scene, tmp_path, cli):
-    file, names = transforms(scene, tmp_path)
-    (tmp_path / "images").mkdir()
-    (tmp_path / names[0]).write_bytes(scene.blue.read_bytes())
-    arguments = [scene.texture, scene.model, "--camera", file, OUT, tmp_path / "out.octex"]
-    assert cli.run(*arguments, "--json") == ExitCode.DONE
-    told, said = cli.said()
-    listing = ", ".join(map(repr, names[1:6]))
-    assert f"octex paint: skipped 7 of 8 pictures: {listing} and 2 more\n" in said
-    made = json.loads(told)
-    assert (made["painted"], made["skipped"]) == (["blue.png"], names[1:])
-
-
-def test_a_file_none_of_whose_pictures_is_there_is_refused(scene, tmp_path, cli):
-    file, names = transforms(scene, tmp_path)
-    arguments = [scene.texture, scene.model, "--camera", file, OUT, tmp_path / "out.octex"]
-    listing = ", ".join(map(repr, names[:5]))
-    assert cli.refusal(*arguments) == (
-        f"{file}: none of the 8 pictures that it names exists: {listing} and 3 more; give IMAGEs"
-    )
-
-
-def transforms(scene, folder):
-    """Write a transforms.json that names eight pictures; return it and their names."""
-    flip = np.diag([1.0, -1.0, -1.0, 1.0])
-    pose = (np.linalg.inv(scene.camera.world_to_camera) @ flip).tolist()
-    names = ["images/blue.png", *(f"images/{number}.png" for number in range(7))]
-    document = {
-        "fl_x": float(scene.camera.K[0, 0]),
-        "frames": [{"file_path": name, "transform_matrix": pose} for name in names],
-    }
-    file = folder / "transforms.json"
-    file.write_text(json.dumps(document))
-    return file, names
-
-
-def test_pictures_that_cannot_be_used_are_refused_by_file_and_frame(scene, tmp_path, cli):
-    out, camera = tmp_path / "out.octex", ["--camera", f"{scene.cameras}#square.png"]
-    small, words, missing = tmp_path / "small.png", tmp_path / "words.png", tmp_path / "missing.png"
-    Image.new("RGB", (8, 5)).save(small)
-    words.write_text("words")
-    paint = [scene.texture, scene.model]
-    frame = f"frame 'square.png' of {scene.cameras}"
-    assert cli.refusal(*paint, small, *camera, OUT, out) == (
-        f"{small}: {frame} is for {SIZE}×{SIZE} pixels, the picture has 8×5, another shape; give the "
-        "picture that the camera was made for"
-    )
-    message = cli.refusal(*paint, words, *camera, OUT, out)
-    assert message.startswith("words.png cannot be read as an image (")
-    assert message.endswith(f"(for {frame})")
-    message = cli.refusal(*paint, missing, *camera, OUT, out)
-    assert message == f"{missing} cannot be read: No such file or directory (for {frame})"
-    message = cli.refusal(*scene.shot, "--mask", small, OUT, out)
-    assert message.startswith(f"{small} has 8×5 pixels, its camera {SIZE}×{SIZE}")
-    message = cli.refusal(*scene.shot[:4], f"{scene.cameras}#nobody", OUT, out)
-    assert message == f"{scene.cameras}: there is no frame 'nobody'; there are: 'square.png', 'blue.png'"
-    message = cli.refusal(*scene.shot[:4], tmp_path / "none.json", OUT, out)
-    assert message.startswith(f"{tmp_path / 'none.json'}: cannot be read")
-    assert not out.exists()
-
-
-@needs_jit
-def test_masks_are_one_for_all_or_one_each(scene, tmp_path, cli):
-    out = tmp_path / "out.octex"
-    black, white = tmp_path / "black.png", tmp_path / "white.png"
-    Image.new("L", (SIZE, SIZE), 0).save(black)
-    Image.new("L", (SIZE, SIZE), 255).save(white)
-    both = [scene.texture, scene.model, scene.square, scene.blue, "--camera", scene.cameras, OUT, out]
-    cli.result(*both, "--mask", white, "--mask", black, "--quiet")
-    picture = octex.Projection(scene.square, scene.camera, white)
-    assert_painted(
-        octex.open(out),
-        octex.paint(
-            octex.open(scene.texture),
-            scene.surface,
-            [picture, octex.Projection(scene.blue, scene.camera, black)],
-        ),
-    )
-    assert cli.run(*both, "--mask", black, "--force") == ExitCode.NOTHING_PAINTED
-
-
-def test_masks_of_another_number_than_the_pictures_are_refused(scene, tmp_path, cli):
-    both = [scene.texture, scene.model, scene.square, scene.blue, "--camera", scene.cameras]
-    message = cli.refusal(*both, OUT, tmp_path / "out.octex", *["--mask", scene.square] * 3)
-    assert message == "--mask gives 3 for 2 IMAGEs; give one for all, or one an IMAGE"
-
-
 @needs_jit
 def test_the_options_of_painting_reach_the_library(scene, tmp_path, monkeypatch, cli):
     seen = {}
@@ -534,232 +284,6 @@ def test_a_preview_is_drawn_of_what_was_painted(scene, tmp_path, monkeypatch, cl
     np.testing.assert_allclose([views[0]["direction"], views[0]["up"]], [rows[2], rows[1]], atol=1e-9)
 
 
-# --- pictures to paint on
-
-
-def test_the_view_is_of_the_channel_alone(scene, tmp_path, cli):
-    bright, view, file = tmp_path / "bright.octex", tmp_path / "view.png", tmp_path / "camera.json"
-    sources = {"base_color": (0.2, 0.4, 0.6), "emissive": 1.0, "alpha": 0.5, "roughness": 0.2}
-    octex.convert(scene.model, 3, sources=sources).save(bright)
-    arguments = [bright, scene.model, VIEW, view, "--camera-out", file, "--force"]
-    made = json.loads(cli.result(*arguments, "--size", "30,20", "--json", "--quiet"))
-    assert made.pop("seconds") > 0
-    size = view.stat().st_size
-    assert made == {"output": str(view), "size": [30, 20], "bytes": size, "camera": str(file)}
-    picture = np.array(Image.open(view))
-    assert picture.shape == (20, 30, 4)
-    seen = picture[picture[:, :, 3] == 128]  # of the texture; colours are not multiplied by it
-    assert 40 < len(seen) < 600
-    assert np.abs(seen[:, :3].astype(int) - [124, 170, 203]).max() <= 1
-    assert set(np.unique(picture[:, :, 3])) == {0, 128}
-    assert not picture[picture[:, :, 3] == 0].any()
-    frame = octex.read_cameras(file)[0]
-    assert (frame.name, frame.size) == ("view.png", (30, 20))
-    expected = octex.Camera.fitted(scene.surface.vertices, (0.4, 0.3, 1), size=(30, 20))
-    np.testing.assert_array_equal(frame.camera().matrix, expected.matrix)
-    cli.result(*arguments, "--size", "30,20", "--channel", "roughness", "--quiet")
-    picture = np.array(Image.open(view))
-    assert set(picture[picture[:, :, 3] == 128][:, :3].ravel().tolist()) == {51}
-    assert "'normal'" in cli.refusal(*arguments, "--channel", "normal")
-
-
-def test_without_a_texture_the_view_shows_the_form_in_grey(scene, tmp_path, cli):
-    view = tmp_path / "view.png"
-    given = [scene.model, VIEW, view, "--camera", f"{scene.cameras}#blue.png"]
-    assert "without a texture the model is drawn grey" in cli.errors(*given)
-    picture = np.array(Image.open(view)).reshape(-1, 4)
-    seen = picture[picture[:, 3] == 255]
-    assert (seen[:, :1] == seen[:, :3]).all()
-    assert len(np.unique(seen[:, 0])) >= 3
-    assert seen[:, 0].min() > 100
-
-
-def test_a_view_has_no_lens_distortion(scene, tmp_path, cli):
-    bent = replace(scene.camera, distortion=(-0.1, 0.01, 0.0, 0.0))
-    octex.write_cameras(tmp_path / "bent.json", {"bent": bent})
-    given = [scene.texture, scene.model, "--camera", tmp_path / "bent.json", VIEW, tmp_path / "a.png"]
-    given += ["--camera-out", tmp_path / "straight.json"]
-    assert "octex draw: the camera has lens distortion; the picture is drawn without it" in cli.errors(*given)
-    frame = octex.read_cameras(tmp_path / "straight.json")[0]
-    assert frame.name == "a.png"
-    assert frame.camera().distortion == (0.0, 0.0, 0.0, 0.0)
-    cli.result(scene.texture, scene.model, "--camera", scene.cameras, VIEW, tmp_path / "square.png")
-    assert np.array_equal(Image.open(tmp_path / "a.png"), Image.open(tmp_path / "square.png"))
-
-
-def test_a_view_needs_a_camera_that_can_be_found_again(scene, tmp_path, cli):
-    view = [scene.texture, scene.model, VIEW, tmp_path / "view.png"]
-    assert cli.refusal(*view) == (
-        "--as paint without --camera needs --camera-out: only with its camera can you paint it back"
-    )
-    assert cli.refusal(*view, "--camera", scene.cameras) == (
-        f"{scene.cameras}: there is no frame 'view.png'; there are: 'square.png', 'blue.png'"
-    )
-    message = cli.refusal(*view, "--camera", f"{scene.cameras}#blue.png", "--size", "7,9")
-    assert message == (
-        f"--size has another aspect ratio than frame 'blue.png' of {scene.cameras}, 40,40; leave --size out"
-    )
-    message = cli.refusal(*view, "--camera-out", tmp_path / "camera.txt")
-    assert message.endswith("--camera-out has the ending '.txt'; octex writes .json here")
-    assert list(tmp_path.iterdir()) == []
-
-
-# --- an empty layer
-
-
-@needs_jit
-def test_an_empty_layer_beside_a_view_is_painted_back_as_it_is(scene, tmp_path, cli):
-    view, layer, file = tmp_path / "view.png", tmp_path / "layer.png", tmp_path / "camera.json"
-    look = [scene.texture, scene.model, VIEW, view, "--camera", f"{scene.cameras}#square.png"]
-    said = cli.result(*look, "--empty-layer", layer, "--camera-out", file)
-    assert said.splitlines()[1:] == [f"{layer}: an empty layer of its size", f"{file}: its camera"]
-    picture = np.array(Image.open(layer))
-    assert picture.shape == (SIZE, SIZE, 4)
-    assert not picture.any()
-    back = [scene.texture, scene.model, layer, "--camera", file, "--quiet", OUT]
-    assert cli.run(*back, tmp_path / "none.octex") == ExitCode.NOTHING_PAINTED
-    cli.said()
-    # In the view's own colours: as a layer that is paint, and it is multiplied with what is there.
-    place = np.s_[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1]
-    picture[place] = np.array(Image.open(view))[place]
-    Image.fromarray(picture).save(layer)
-    same = tmp_path / "same.png"
-    same.write_bytes(layer.read_bytes())
-    outs = [tmp_path / "as_layer.octex", tmp_path / "by_hand.octex"]
-    cli.result(*back, outs[0], "--blend", "multiply")
-    by_hand = [same, "--camera", f"{scene.cameras}#square.png", "--blend", "multiply", "--quiet"]
-    cli.result(scene.texture, scene.model, *by_hand, OUT, outs[1])
-    painted, expected = (octex.open(out) for out in outs)
-    np.testing.assert_array_equal(
-        painted.channels["base_color"].values, expected.channels["base_color"].values
-    )
-    points, inside = scene.places(1.5)
-    before = octex.open(scene.texture).sample(points[inside])
-    np.testing.assert_allclose(painted.sample(points[inside]), before**2, atol=0.05)
-
-
-# --- from where
-
-
-@needs_jit
-def test_a_view_is_from_the_side_and_as_near_as_wanted(scene, tmp_path, cli):
-    file = tmp_path / "camera.json"
-    look = [scene.texture, scene.model, VIEW, tmp_path / "view.png", "--camera-out", file, "--force"]
-    cli.result(*look, "--size", "32,24", "--direction=-1,0.5,0", "--up", "0,0,1", "--zoom", 2)
-    made = octex.read_cameras(file)[0].camera()
-    whole = octex.Camera.fitted(scene.surface.vertices, (-1, 0.5, 0), size=(32, 24), up=(0, 0, 1))
-    np.testing.assert_array_equal(made.world_to_camera, whole.world_to_camera)
-    points = scene.surface.vertices
-    middle = np.array([16.0, 12.0])
-    expected = middle + 2 * (whole.project(points)[0] - middle)
-    np.testing.assert_allclose(made.project(points)[0], expected, atol=1e-9)
-    cli.result(*look, "--camera", f"{scene.cameras}#blue.png")
-    np.testing.assert_array_equal(octex.read_cameras(file)[0].camera().K, scene.camera.K)
-    flat = np.array(Image.open(tmp_path / "view.png"))
-    cli.result(*look, "--camera", f"{scene.cameras}#blue.png", "--light", "soft")
-    shaded = np.array(Image.open(tmp_path / "view.png"))
-    assert (shaded[..., 3] == flat[..., 3]).all()
-    assert (shaded <= flat).all()
-    assert shaded.mean() < flat.mean()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ("--camera c.json --direction 0,0,1", "--direction cannot be used with --camera; give one of them"),
-        ("--camera c.json --up 0,0,1", "--up cannot be used with --camera; give one of them"),
-        ("--camera-out c.json --direction 0,0,0", "--direction: must not be 0,0,0"),
-        ("--camera-out c.json --exposure 1", "--exposure needs --light"),
-        ("--camera-out c.json --bump alpha=1", "--bump needs --light"),
-        (
-            "--camera-out c.json --empty-layer v.png --force",
-            "--empty-layer has the name of OUTPUT, v.png, but cameras are found by file name; "
-            "give it another",
-        ),
-    ],
-)
-def test_where_a_picture_is_drawn_from_is_said_once(options, message, tmp_path, scene, cli):
-    (tmp_path / "layer").mkdir()
-    words = options.replace("c.json", str(tmp_path / "c.json")).replace("v.png", f"{tmp_path}/layer/v.png")
-    view = [scene.texture, scene.model, VIEW, tmp_path / "v.png"]
-    assert cli.refusal(*view, *words.split()).startswith(message)
-
-
-def test_a_frame_that_is_not_there_is_refused_before_anything_is_read(tmp_path, cli, monkeypatch):
-    document = {"asset": {"version": "2.0"}, "nodes": [{"camera": 0, "name": "front"}]}
-    document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.7}}]
-    model = tmp_path / "scene.gltf"
-    model.write_text(json.dumps(document))
-    picture = tmp_path / "a.png"
-    for name in ("load_surface", "open", "convert"):
-        monkeypatch.setattr(octex, name, lambda *_, **__: pytest.fail("it was begun"))
-    message = f"{model}: there is no frame 'back'; there are: 'front'"
-    look = ["--camera", f"{model}#back"]
-    assert cli.refusal(model, VIEW, picture, *look, "--camera-out", tmp_path / "c.json") == message
-    assert octex_main(["draw", str(model), str(picture), *look]) == ExitCode.REFUSED
-    assert cli.said()[1].endswith(f": error: {message}\n")
-
-
-# --- only what was drawn
-
-
-@needs_jit
-def test_of_a_view_only_what_was_drawn_on_it_is_painted(scene, tmp_path, cli):
-    view, file = tmp_path / "view.png", tmp_path / "camera.json"
-    look = [scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "64,64", "--quiet"]
-    cli.result(*look)
-    shot = [scene.texture, scene.model, view, "--camera", file, "--quiet", OUT]
-    said = cli.errors(*shot, tmp_path / "none.octex", code=ExitCode.NOTHING_PAINTED)
-    assert said.endswith(", or nothing was drawn on the view (--since nothing paints all of it)\n")
-    before = tmp_path / "before.png"
-    before.write_bytes(view.read_bytes())
-    picture = np.array(Image.open(view))
-    picture[28:36, 28:36, :3] = [255, 0, 0]
-    Image.fromarray(picture).save(view)
-    texture = octex.open(scene.texture)
-    outs = {name: tmp_path / f"{name}.octex" for name in ("drawn", "by_hand", "whole")}
-    cli.result(*shot, outs["drawn"])
-    file.write_text(re.sub(r', "view": "[^"]*"', "", file.read_text()))  # as an older octex wrote it
-    cli.result(*shot, outs["by_hand"], "--since", before)
-    cli.result(*shot, outs["whole"])
-    assert outs["by_hand"].read_bytes() == outs["drawn"].read_bytes()
-    drawn, whole = octex.open(outs["drawn"]), octex.open(outs["whole"])
-    assert texture.tree.n_leaves < drawn.tree.n_leaves < whole.tree.n_leaves / 4
-    points = scene.surface.scatter(2000, seed=1)
-    camera = octex.read_cameras(file)[0].camera()
-    pixels, _ = camera.project(points.points)
-    distance = np.abs(pixels - 32).max(axis=1)
-    far = distance > 9
-    np.testing.assert_allclose(drawn.sample(points.rest[far]), texture.sample(points.rest[far]), atol=1e-3)
-    seen = np.einsum("nk,nk->n", camera.position - points.points, points.normals) > 1.0
-    red = drawn.sample(points.rest[(distance < 2) & seen])
-    assert len(red)
-    np.testing.assert_allclose(red, np.broadcast_to([1.0, 0.0, 0.0], red.shape), atol=0.02)
-
-
-@needs_jit
-def test_all_of_a_view_is_painted_on_request_and_on_a_new_texture(scene, tmp_path, cli):
-    view, file = tmp_path / "view.png", tmp_path / "camera.json"
-    cli.result(scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "48,48")
-    out = tmp_path / "whole.octex"
-    cli.result(scene.texture, scene.model, view, "--camera", file, OUT, out, "--since", "nothing")
-    assert octex.open(out).tree.n_leaves > octex.open(scene.texture).tree.n_leaves
-    new = tmp_path / "new.octex"
-    said = cli.result(scene.model, view, "--camera", file, OUT, new)
-    assert said.startswith(f"{new}: 1 picture painted, ")
-
-
-@needs_jit
-def test_a_view_saved_as_jpeg_is_painted_with_a_word(scene, tmp_path, cli):
-    view, file, lossy = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "view.jpg"
-    cli.result(scene.texture, scene.model, VIEW, view, "--camera-out", file, "--size", "48,48")
-    with Image.open(view) as picture:
-        picture.convert("RGB").save(lossy, quality=70)
-    shot = [scene.texture, scene.model, f"{lossy}={view.name}", "--camera", file]
-    said = cli.errors(*shot, OUT, tmp_path / "out.octex")
-    assert f"{lossy} is a JPEG: what compression changed is painted, too" in said
-
-
 @needs_jit
 def test_the_preview_of_a_disc_looks_at_the_disc(scene, tmp_path, cli):
     low, high = scene.surface.bounds
@@ -773,53 +297,6 @@ def test_the_preview_of_a_disc_looks_at_the_disc(scene, tmp_path, cli):
     with Image.open(preview) as picture:
         codes = np.asarray(picture.convert("RGB")).astype(int)
     assert (codes[..., 1] - codes[..., ::2].max(axis=2) > 100).mean() > 0.005
-
-
-@needs_jit
-def test_pictures_and_views_may_be_smaller_or_larger_than_their_cameras(scene, tmp_path, cli):
-    view, file, out = tmp_path / "square.png", tmp_path / "camera.json", tmp_path / "out.octex"
-    drawn = [scene.texture, scene.model, "--camera", scene.cameras, "--size", f"{3 * SIZE},{3 * SIZE}"]
-    cli.result(*drawn, VIEW, view, "--camera-out", file)
-    assert octex.read_cameras(file)[0].size == (3 * SIZE, 3 * SIZE)
-    outs = []
-    for cameras in (scene.cameras, file):  # that of a third of the size, and the view's own
-        outs.append(tmp_path / f"{cameras.stem}.octex")
-        cli.result(scene.model, view, "--camera", cameras, OUT, outs[-1])
-    points = scene.places(0.0)[0]
-    a, b = (octex.open(out).sample(points) for out in outs)
-    np.testing.assert_allclose(a, b, atol=1e-6)
-    with Image.open(view) as picture:
-        picture.resize((2 * SIZE, 2 * SIZE)).save(view)
-    back = [scene.texture, scene.model, view, "--camera", file, OUT, out]
-    assert cli.refusal(*back).endswith(
-        "so octex cannot tell which pixels you changed; scale the picture, or give --since nothing"
-    )
-    cli.result(*back, "--since", "nothing")
-
-
-def test_a_view_in_a_camera_file_that_is_no_picture_is_refused(scene, tmp_path, cli):
-    file = tmp_path / "camera.json"
-    octex.write_cameras(file, {"blue.png": scene.camera}, {"blue.png": b"no picture"})
-    shot = [scene.texture, scene.model, scene.blue, "--camera", file, OUT, tmp_path / "out.octex"]
-    assert cli.refusal(*shot).startswith(f"the view in {file}")
-    text = file.read_text()
-    file.write_text(re.sub('"view": "', '"view": "é', text))
-    assert "view is not an image in base64" in cli.refusal(*shot)
-    with pytest.raises(octex.errors.ArgumentError, match="view 'other' must be the bytes of a PNG file"):
-        octex.write_cameras(file, {"blue.png": scene.camera}, {"other": b""})
-
-
-@needs_jit
-def test_a_picture_may_name_its_frame(scene, tmp_path, cli):
-    out, other = tmp_path / "out.octex", tmp_path / "other.octex"
-    picture = tmp_path / "my=picture.png"
-    picture.write_bytes(scene.square.read_bytes())
-    shot = [scene.texture, scene.model, "--camera", scene.cameras, "--quiet", OUT]
-    cli.result(*shot, out, f"{picture}=square.png")
-    cli.result(*shot, other, scene.square)
-    assert np.array_equal(octex.open(out).tree.arrays.flags, octex.open(other).tree.arrays.flags)
-    refused = cli.refusal(*shot, tmp_path / "no.octex", f"{picture}=x.png")
-    assert refused.startswith(f"{scene.cameras}: there is no frame 'x.png'; there are: ")
 
 
 @needs_jit
@@ -900,15 +377,6 @@ def test_a_layer_that_is_none_is_refused_by_name(scene, tmp_path, cli):
     assert "missing.octex" in cli.refusal(*arguments, tmp_path / "missing.octex")
 
 
-def test_the_name_of_a_camera_comes_after_the_file(tmp_path):
-    (tmp_path / "a#b.json").touch()
-    plain = f"{tmp_path}/a#b.json"
-    assert camera(plain) == (Path(plain), None)
-    assert camera(f"{plain}#c#d") == (Path(plain), "c#d")
-    assert camera("missing.json#a#b") == (Path("missing.json"), "a#b")
-    assert camera("#a") == (Path("#a"), None)
-
-
 def test_the_help_names_the_librarys_defaults():
     from octex.painting import options, paint, picture
 
@@ -925,34 +393,3 @@ def test_the_help_names_the_librarys_defaults():
     )
     assert f"edges in depth (default {defaults['edge_feather']:g})" in text
     assert inspect.signature(paint.paint).parameters["max_depth"].default is None
-
-
-# --- as a process
-
-
-@needs_jit
-def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path, cli):
-    droid, texture = ROOT / "samples" / "droid.glb", tmp_path / "droid.octex"
-    octex.convert(droid, 7, channels=["base_color"]).save(texture)
-
-    view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
-    cli.result(texture, droid, VIEW, view, "--camera-out", file, "--size", "256,256")
-    picture = np.array(Image.open(view))
-    row, column = 118, 128  # on the head
-    picture[row - 9 : row + 10, column - 9 : column + 10, :3] = [255, 0, 0]
-    Image.fromarray(picture).save(view)
-    _, *words = painting(texture, droid, view, "--camera", file, OUT, out)
-    call = [sys.executable, "tools/paint_projection.py", *words]
-    said = subprocess.run(call, stdout=subprocess.PIPE, text=True, timeout=600, cwd=ROOT, check=True).stdout
-    assert said.startswith(f"{out}: 1 picture painted, ")
-    after = [out, droid, VIEW, tmp_path / "after.png", "--camera", f"{file}#view.png"]
-    cli.result(*after)
-    after = np.array(Image.open(tmp_path / "after.png"))
-    assert np.array_equal(after[:, :, 3], picture[:, :, 3])
-    seen = picture[:, :, 3] > 0
-    moved = np.abs(after[:, :, :3].astype(int) - picture[:, :, :3]).max(axis=2)
-    assert np.median(moved[seen]) <= 6
-    patch = after[row - 5 : row + 6, column - 5 : column + 6]
-    red, green, blue, _ = np.median(patch.reshape(-1, 4), axis=0)
-    assert red > 240
-    assert max(green, blue) < 20

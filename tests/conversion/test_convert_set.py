@@ -11,16 +11,12 @@ from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests.conftest import needs_jit
+from tests.conversion.test_separate import pair
 from tests.make.command import colored_box
 from tests.make.fixtures import random_image
 from tests.make.painted import square, together
 from tests.make.small_surfaces import FACES, TETRAHEDRON, tetrahedron, whole
 from tests.make.solids import colored, cube
-
-
-def pair(**options):
-    """Two boxes, one of which stands in the other's corner."""
-    return colored(cube([0, 0, 0]), cube([0.6, 0.3, 0.2], 0.5), **options)
 
 
 def rich():

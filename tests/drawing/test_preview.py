@@ -19,7 +19,6 @@ from octex.drawing import (
     viewpoint_among,
     write_preview,
 )
-from octex.drawing.directions import best_direction, view_directions
 from octex.drawing.hits import Hits
 from octex.drawing.shaders import Appearance, Shown
 from octex.drawing.soft_light import background, light
@@ -225,63 +224,6 @@ def test_a_far_camera_draws_coarse_leaves(quarters, monkeypatch):
     monkeypatch.setattr(type(texture), "level", lambda self, level: levels.append(level) or self)
     render_leaves(texture, Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(10, 10)))
     assert levels == [3]  # cells of 1.25 pixels
-
-
-def test_flat_models_are_seen_a_little_aslant_from_the_side_that_they_face():
-    for normal in np.vstack([np.eye(3), -np.eye(3)]):
-        (direction,) = view_directions(normal[None], np.ones(1))
-        assert np.isclose(np.linalg.norm(direction), 1.0)
-        assert 0.88 < direction @ normal < 0.95
-
-
-def test_flat_models_that_face_both_ways_are_seen_from_the_front_or_the_back():
-    for axis in np.eye(3):
-        front, back = view_directions(np.array([axis, -axis]), np.ones(2))
-        assert 0.88 < front @ axis < 0.95
-        assert -0.95 < back @ axis < -0.88
-
-
-def test_a_flat_model_across_the_usual_direction_is_seen_along_it():
-    usual = view_directions(np.eye(3), np.ones(3))[0]
-    assert np.allclose(view_directions(usual[None], np.ones(1)), usual)
-
-
-def test_other_models_are_seen_from_above_and_first_from_the_front_right():
-    directions = view_directions(np.vstack([np.eye(3), -np.eye(3)]), np.ones(6))
-    assert directions[0, 2] > directions[0, 0] > 0.0
-    assert (directions[:, 1] > 0.0).all()
-    assert len(np.unique(np.sign(directions), axis=0)) == 4
-    assert np.array_equal(view_directions(np.zeros((1, 3)), np.zeros(1)), directions)
-
-
-@pytest.mark.parametrize(
-    ("front", "back", "seen"), [(20, 10, 1.0), (20, 21, 1.0), (20, 23, -1.0), (0, 1, -1.0)]
-)
-def test_a_model_is_seen_from_behind_only_if_that_shows_clearly_more_detail(front, back, seen):
-    def unlit(camera):
-        picture = np.zeros((camera.height, camera.width, 3))
-        picture[:10] = np.nan
-        picture[20, 2 : 2 + 2 * (front if camera.position[2] > 0.0 else back) : 2] = 1.0
-        return picture
-
-    directions = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-    assert best_direction(directions, SQUARE, unlit)[2] == seen
-    assert best_direction(directions[:1], SQUARE, unlit)[2] == 1.0
-
-
-@pytest.mark.parametrize("kind", ["surface", "texture"])
-@pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_preview_shows_the_side_with_most_detail(kind, side):
-    # Two squares back to back, one grey, one in four quarters of black and white.
-    vertices = np.vstack([SQUARE, SQUARE - [0.0, 0.0, 0.4]]) * [1.0, 1.0, side]
-    triangles = np.vstack([TWO, TWO[:, ::-1] + 4])[:, :: int(side)]
-    image = np.full((16, 32), 128, np.uint8)
-    image[:, 16:] = np.kron(np.eye(2), np.ones((8, 8))) * 255
-    uv = np.vstack([SQUARE[:, :2], SQUARE[:, :2] + [1.0, 0.0]]) * [0.5, 1.0]
-    surface = Surface.from_arrays(vertices, triangles, uv=uv, image=image, mag_filter="nearest", wrap="clamp")
-    things = (None, surface) if kind == "surface" else (octex.convert(surface, depth=3),)
-    picture = draw_preview(*things, size=(80, 64), supersample=1)
-    assert (picture[:40].max(axis=2) < 20).any()  # black
 
 
 def test_a_preview_shows_source_and_octree_side_by_side(quarters, tmp_path):
@@ -491,86 +433,3 @@ def test_pictures_are_seen_from_where_their_cameras_stand():
 
 
 # --- what is transparent
-
-
-def _sheets(alphas, colors, order):
-    """Squares behind each other toward −z, in some order, each of a colour and an alpha."""
-    vertices = np.vstack([SQUARE - [0.0, 0.0, 0.1 * n] for n in order])
-    triangles = np.vstack([TWO + 4 * n for n in range(len(order))])
-    rgba = np.column_stack([colors, alphas])[order]
-    return Surface.from_arrays(vertices, triangles, colors=rgba.repeat(4, axis=0), alpha="blend")
-
-
-def _over(alphas, colors, behind):
-    """Composite, the nearest first."""
-    for alpha, color in zip(alphas[::-1], colors[::-1], strict=True):
-        behind = alpha * np.asarray(color) * FRONT + (1 - alpha) * behind
-    return behind
-
-
-@pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 1, 0, 2]])
-def test_layers_are_drawn_over_what_is_behind_them_in_whatever_order_they_are_stored(order):
-    alphas, colors = np.array([0.5, 0.0, 0.25, 0.6]), np.array([[1, 0, 0], [1, 1, 1], [0, 1, 0], [0, 0, 1.0]])
-    surface = _sheets(alphas, colors, order)
-    truth = _over(alphas, colors, background(4, 4))
-    assert np.allclose(render_surface(surface, _camera(4), source_shader(surface), 2), truth, atol=1e-5)
-    texture = octex.convert(surface, 7)
-    found = render_surface(surface, _camera(4), texture_shader(texture), 2)
-    assert np.allclose(found[1:-1, 1:-1], truth[1:-1, 1:-1], atol=0.02)
-
-
-def test_what_is_opaque_ends_the_layers_and_each_look_has_its_own():
-    surface = _sheets(np.array([0.5, 1.0, 1.0]), np.eye(3), [2, 0, 1])
-    seen = []
-
-    def red(hits):
-        seen.append(len(hits.width))
-        return Appearance(np.tile([1.0, 0.0, 0.0], (len(hits.width), 1)))
-
-    both = pictures.film_surface(surface, _camera(4), [source_shader(surface), red], 1)
-    assert seen == [16, 16]  # behind the first layer, nothing behind the second
-    truth = _over(np.array([0.5, 1.0]), np.eye(3)[:2], 0.0)
-    assert np.allclose(both[0].picture(), truth, atol=1e-6)
-    assert np.allclose(both[1].picture(), FRONT * np.array([1.0, 0, 0]), atol=1e-6)
-
-
-@pytest.mark.parametrize("cutoff", [0.25, 0.5, 0.75])
-def test_masks_are_cut_out_at_their_cutoff_and_show_what_is_behind(cutoff):
-    ramp = np.zeros((64, 64, 4), np.uint8)
-    ramp[..., 0] = 255
-    ramp[..., 3] = np.rint(np.linspace(0, 255, 64))[:, None]
-    card = {"uv": SQUARE[:, :2], "image": ramp, "wrap": "clamp"}
-    masked = _square(**card, alpha="mask", cutoff=cutoff)
-    wall = Surface.from_arrays(SQUARE - [0, 0, 0.5], TWO, factor=(0.0, 0.0, 1.0))
-    both = Surface.joined([masked, wall])
-    texture = octex.convert(both, 6)
-    for look in (source_shader(both), texture_shader(texture)):
-        picture = render_surface(both, _camera(32), look, 2) / FRONT
-        rows = np.arange(32)
-        is_card = (rows + 0.5) / 32 > cutoff
-        clear = np.abs((rows + 0.5) / 32 - cutoff) > 0.06
-        clear[:2] = clear[-2:] = False
-        assert np.allclose(picture[is_card & clear][:, 4:-4], [1, 0, 0], atol=0.02)
-        assert np.allclose(picture[~is_card & clear][:, 4:-4], [0, 0, 1], atol=0.02)
-
-
-def test_leaves_that_cover_nothing_hide_nothing():
-    both = _sheets(np.array([0.0, 1.0]), np.array([[1, 1, 1], [0.2, 0.4, 0.6]]), [0, 1])
-    camera = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)
-    picture = render_leaves(octex.convert(both, 6), camera, supersample=1)
-    assert np.allclose(picture[24:40, 24:40] / FRONT, [0.2, 0.4, 0.6], atol=0.03)
-
-
-@pytest.mark.parametrize(
-    ("details", "seen"), [((10, 22, 23), 1), ((10, 22, 25), 2), ((22, 22, 23), 0), ((0, 0.02, 0.04), 0)]
-)
-def test_the_first_of_the_sides_that_show_about_most_is_seen_and_rounding_is_no_detail(details, seen):
-    directions = np.eye(3)
-
-    def unlit(camera):
-        picture = np.zeros((camera.height, camera.width))
-        shown = details[int(np.argmax(camera.position - SQUARE.mean(axis=0)))]
-        picture[20, 2:46:2] = shown / 25
-        return picture
-
-    assert np.array_equal(best_direction(directions, SQUARE, unlit), directions[seen])

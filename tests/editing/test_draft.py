@@ -16,7 +16,7 @@ from octex.painting.picture import BLENDS
 from octex.tree.octree import distinct
 from tests.make.same import assert_same
 from tests.make.strategies import textures
-from tests.properties import random_edits
+from tests.properties import edit_models
 
 CHANNELS = (["base_color"], ["base_color", "alpha"], ["base_color", "alpha", "roughness", "normal"])
 
@@ -73,8 +73,8 @@ def stroke(random, surface, depth):
         return lambda texture: octex.fill(
             texture, surface, sphere, color, opacity=opacity, blend=blend, max_depth=depth
         )
-    camera = random_edits.camera(surface, int(random.integers(1000)), 24, 18)
-    image = random_edits.picture(int(random.integers(1000)), 24, 18, bool(random.integers(2)))
+    camera = edit_models.camera(surface, int(random.integers(1000)), 24, 18)
+    image = edit_models.picture(int(random.integers(1000)), 24, 18, bool(random.integers(2)))
     row, column = random.integers(0, 14), random.integers(0, 18)
     around = np.ones((18, 24), np.bool_)
     around[row : row + 4, column : column + 5] = False
@@ -86,9 +86,9 @@ def stroke(random, surface, depth):
 def case(seed):
     """A texture of a small surface, fitted or adaptive or neither."""
     random = np.random.default_rng([7, seed])
-    kind = random_edits.MESHES[random.integers(len(random_edits.MESHES))]
+    kind = edit_models.MESHES[random.integers(len(edit_models.MESHES))]
     names = CHANNELS[random.integers(len(CHANNELS))]
-    surface = random_edits.waved(kind, int(random.integers(1000)), names, int(random.integers(1000)))
+    surface = edit_models.waved(kind, int(random.integers(1000)), names, int(random.integers(1000)))
     depth = int(random.integers(5, 8))
     max_error = float(random.choice([1, 4, 16])) if random.random() < 0.4 else None
     texture = octex.convert(surface, depth, fit=bool(random.integers(2)), max_error=max_error)
@@ -98,7 +98,7 @@ def case(seed):
 
 
 def test_the_brightest_light_far_away_limits_averages_of_a_draft_too():
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    surface = edit_models.waved("sphere", 0, ["base_color"], 0)
     texture = octex.cast(octex.convert(surface, 7), "float32")
     bright = octex.fill(texture, surface, octex.Sphere((1, 0, 0), 0.1), (5, 9, 2), blend="add")
     sphere = octex.Sphere((-1, 0, 0), 0.1)
@@ -131,14 +131,12 @@ def layered(seed):
     """A texture, a layer of three pictures for it, their surface and an opacity."""
     random, surface, texture, depth = case(seed)
     if seed % 2:  # in part without cells
-        shot = octex.Projection(
-            random_edits.picture(seed, 60, 60), random_edits.camera(surface, seed, 60, 60)
-        )
+        shot = octex.Projection(edit_models.picture(seed, 60, 60), edit_models.camera(surface, seed, 60, 60))
         texture = octex.paint(None, surface, shot, max_depth=depth)
     shots = [
         octex.Projection(
-            random_edits.picture(int(random.integers(1000)), 60, 60, bool(random.integers(2))),
-            random_edits.camera(surface, int(random.integers(1000)), 60, 60),
+            edit_models.picture(int(random.integers(1000)), 60, 60, bool(random.integers(2))),
+            edit_models.camera(surface, int(random.integers(1000)), 60, 60),
         )
         for _ in range(3)
     ]
@@ -165,11 +163,11 @@ def test_a_layer_merged_tile_by_tile_is_the_layer_merged_at_once(seed, blend):
 
 
 def test_cells_split_in_one_tile_change_rows_of_all_channels_above_as_at_once():
-    surface = random_edits.waved("open", 19, ["base_color", "alpha"], 48)
+    surface = edit_models.waved("open", 19, ["base_color", "alpha"], 48)
     texture = octex.convert(surface, 5, dtype="uint16", fit=False)
     shots = [
-        octex.Projection(random_edits.stroke(876, 25, 39), random_edits.camera(surface, 527, 25, 39)),
-        octex.Projection(random_edits.picture(324, 29, 35), random_edits.camera(surface, 202, 29, 35)),
+        octex.Projection(edit_models.stroke(876, 25, 39), edit_models.camera(surface, 527, 25, 39)),
+        octex.Projection(edit_models.picture(324, 29, 35), edit_models.camera(surface, 202, 29, 35)),
     ]
     layer = octex.project(
         surface, shots, like=texture, max_depth=4, fit=False, back_faces=True, max_angle=180.0
@@ -182,7 +180,7 @@ def test_cells_split_in_one_tile_change_rows_of_all_channels_above_as_at_once():
 
 
 def test_a_change_made_tile_by_tile_is_small():
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    surface = edit_models.waved("sphere", 0, ["base_color"], 0)
     texture = octex.convert(surface, 8)
     painter = octex.Painter(texture, surface)
     sphere = octex.Sphere((1, 0, 0), 0.3)
@@ -198,7 +196,7 @@ def test_a_change_made_tile_by_tile_is_small():
 
 
 def test_a_small_stroke_needs_a_small_draft():
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    surface = edit_models.waved("sphere", 0, ["base_color"], 0)
     texture = octex.convert(surface, 8)
     codes = [np.empty(0, np.int64)] * 8 + [texture.tree.level_codes(8)[:10]]
     tiles = tiles_around(texture, codes, 8)

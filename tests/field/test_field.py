@@ -207,15 +207,6 @@ def test_a_point_that_is_not_finite_is_named(wrong, gradient):
     assert caught.value.row == 23
 
 
-def test_outside_the_root_slopes_are_those_of_the_nearest_point_inside():
-    tree = Octree.from_leaves([0, 7], 1)
-    outside = np.array([[1.5, 0.25, -0.5]])
-    found, inside = (
-        taps_of(Field(tree), points, UNIT, gradient=True) for points in (outside, outside.clip(0, 1))
-    )
-    assert all((one == other).all() for one, other in zip(found, inside, strict=True))
-
-
 def off_the_surface(depth=6):
     """A tree of one leaf, and points at all distances from it, which coarser levels answer."""
     return Octree.from_leaves([0], depth), np.linspace(0.0, 1.0, 8)[:, None] * np.ones(3)

@@ -94,19 +94,6 @@ def test_taps_are_what_the_field_is_made_of(filter, drawn):
             np.testing.assert_allclose(own * edge, expected[1] * edge, atol=1e-5)
 
 
-@each_filter
-@given(trees_and_points())
-def test_taps_do_not_depend_on_the_points_before_them(filter, drawn):
-    arrays, kept_cells = drawn.tree.arrays, drawn.tree.kept.cells
-    together = taps(arrays, kept_cells, drawn.points, filter)
-    for n in range(len(drawn.points)):
-        alone = taps(arrays, kept_cells, drawn.points[n : n + 1], filter)
-        here = slice(together.starts[n], together.starts[n + 1])
-        for own, of_all in zip(alone[1:4], together[1:4], strict=True):
-            np.testing.assert_array_equal(own, of_all[here])
-        assert alone.covers == together.covers[n]
-
-
 @given(trees_and_points())
 def test_one_walk_serves_all_filters_and_slopes_do_not_change_weights(drawn):
     walk = new_walk()
@@ -120,18 +107,6 @@ def test_one_walk_serves_all_filters_and_slopes_do_not_change_weights(drawn):
             own = dict(zip(found.rows[here].tolist(), found.weights[here].tolist(), strict=True))
             assert own == {row: share for row, share in shares.items() if row in own}
             assert all(share == 0 for row, share in shares.items() if row not in own)
-
-
-@given(trees_and_points())
-def test_points_outside_have_the_taps_of_the_nearest_point_of_the_root(drawn):
-    arrays, kept_cells = drawn.tree.arrays, drawn.tree.kept.cells
-    outside = drawn.points + np.where(drawn.points == 0, -0.3, 0) + np.where(drawn.points == 1, 0.3, 0)
-    for found, expected in zip(
-        taps(arrays, kept_cells, outside, "quadratic"),
-        taps(arrays, kept_cells, drawn.points, "quadratic"),
-        strict=True,
-    ):
-        np.testing.assert_array_equal(found, expected)
 
 
 def test_points_are_done_until_there_might_be_no_room_for_more():

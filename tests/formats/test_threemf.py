@@ -13,13 +13,10 @@ from octex.channels import linear_to_srgb
 from octex.errors import MissingExtraError, ModelError
 from octex.source.surface import Surface
 from tests.make import solids
+from tests.make.painted import waves
 
 MATERIALS = "{http://schemas.microsoft.com/3dmanufacturing/material/2015/02}"
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
-
-
-def waves(points):
-    return 0.5 + 0.4 * np.sin(3.0 * points + [0.0, 1.0, 2.0])
 
 
 @pytest.fixture(scope="module")

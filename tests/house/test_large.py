@@ -137,12 +137,6 @@ def test_large_arrays_of_a_conversion_take_no_memory(tmp_path, monkeypatch):
     assert not any(array.flags.owndata for array in made if array.size)
 
 
-@pytest.fixture(scope="module")
-def processes():
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
-        yield pool
-
-
 def test_processes_pass_files_and_the_same_bytes_come_out(processes, tmp_path):
     in_memory, in_files = converted(torus(), tmp_path, run=octex.Run(executor=processes))
     assert in_memory == in_files

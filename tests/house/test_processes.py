@@ -2,10 +2,9 @@
 
 import copy
 import inspect
-import multiprocessing
 import pickle
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache
@@ -31,13 +30,6 @@ from tests.make.strategies import with_random_data
 from tests.make.taps import taps_of
 
 POINTS = np.random.default_rng(0).random((40, 3))
-
-
-@pytest.fixture(scope="module")
-def processes():
-    """One pool for all tests: its processes take a second to start."""
-    with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn")) as pool:
-        yield pool
 
 
 def adaptive(seed):

@@ -68,11 +68,11 @@ _DRAWN = """([look, [width, height]]) => {
 }"""
 
 
-#: Has the page draw so many pixels a pixel.
-_COARSE = """Object.defineProperty(globalThis, "viewer", {
+#: Has the page's viewer differ in something from the beginning.
+_CHANGED = """Object.defineProperty(globalThis, "viewer", {
   configurable: true,
   set(value) {
-    Object.defineProperty(globalThis, "viewer", { value: Object.assign(value, { finest: %s }) });
+    Object.defineProperty(globalThis, "viewer", { value: Object.assign(value, %s) });
   },
 })"""
 #: Returns the arrays in which the page's octree differs from one that is loaded anew.
@@ -151,23 +151,26 @@ def opened(
     size: tuple[int, int] = (1280, 720),
     bypass_csp: bool = True,
     finest: float = 0.25,
+    is_drawn: bool = True,
     **options: bool,
 ) -> Any:
     """Open a page and wait until all has come; what it complains of fails the test at `complaints`.
 
-    ``finest`` is how many pixels it draws a pixel along both axes: without a GPU, a picture costs seconds.
+    ``finest`` is how many pixels it draws a pixel along both axes: without a GPU, a picture costs seconds, as
+    does compiling for it. A page that is not drawn has no picture.
     ``options`` are playwright's for new pages.
     """
     page = browser.new_page(viewport={"width": size[0], "height": size[1]}, bypass_csp=bypass_csp, **options)
     page.complaints = []
     page.on("pageerror", lambda error: page.complaints.append(str(error)))
     page.on("console", lambda line: _is_fault(line) and page.complaints.append(line.text))
-    page.add_init_script(_COARSE % finest)
+    page.add_init_script(_CHANGED % f"{{ finest: {finest}{'' if is_drawn else ', frame() {}'} }}")
     if bypass_csp and browser.browser_type.name == "firefox":
         url = _without_policy(page, url)
     page.goto(url)
     if bypass_csp:
-        done = "viewer.isComplete && viewer.pictures > 0 || !document.getElementById('message').hidden"
+        done = "viewer.isComplete && viewer.pictures > 0" if is_drawn else "viewer.isComplete"
+        done += " || !document.getElementById('message').hidden"
         page.wait_for_function(f"globalThis.viewer && ({done})", timeout=60_000)
     return page
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import io
 import json
 import struct
 import zlib
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import PIL.Image
 
 # A unit square in the plane z = 0, as two triangles, with coordinates whose v runs down the image.
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
@@ -32,6 +34,13 @@ def random_image(
     """Noise: every wrong texel shows."""
     top = np.iinfo(dtype).max
     return np.random.default_rng(seed).integers(0, top, (height, width, channels), dtype, endpoint=True)
+
+
+def saved(image: npt.NDArray[Any] | PIL.Image.Image, kind: str = "PNG", **options: Any) -> bytes:
+    """A file of an image, as Pillow writes it."""
+    stream = io.BytesIO()
+    (PIL.Image.fromarray(image) if isinstance(image, np.ndarray) else image).save(stream, kind, **options)
+    return stream.getvalue()
 
 
 def png(

@@ -96,3 +96,8 @@ def centres(surface: Surface, camera: Camera) -> tuple[Array, Array, Array]:
 def codes(linear: Array) -> Array:
     """sRGB codes, 0 … 255."""
     return 255 * linear_to_srgb(np.clip(linear, 0, 1))
+
+
+def waves(points: Array) -> Array:
+    """Smooth colours by position."""
+    return np.asarray(0.5 + 0.4 * np.sin(3.0 * points + [0.0, 1.0, 2.0]))

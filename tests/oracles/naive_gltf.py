@@ -15,7 +15,6 @@ import io
 import json
 import struct
 from collections.abc import Callable, Iterator
-from math import acos
 from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import unquote
@@ -23,6 +22,8 @@ from urllib.parse import unquote
 import numpy as np
 import numpy.typing as npt
 from PIL import Image
+
+from tests.oracles.naive_mikktspace import mikktspace, unit
 
 Floats = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
@@ -198,13 +199,13 @@ class Reference:
         normals, tangents = self._frames(at, material, coordinates, mirrored)
         across = np.linalg.inv(linear).T  # of normals (3.7.2.1, as any covector)
         along = np.empty_like(tangents)
-        along[..., :3] = _unit(tangents[..., :3] @ linear.T)
+        along[..., :3] = unit(tangents[..., :3] @ linear.T)
         # A mirrored frame keeps the bitangent that the mirror shows.
         along[..., 3] = -tangents[..., 3] if mirrored else tangents[..., 3]
         return Instance(
             material,
             at["POSITION"] @ linear.T + matrix[:3, 3],
-            _unit(normals @ across.T),
+            unit(normals @ across.T),
             along,
             colors,
             coordinates,
@@ -217,10 +218,10 @@ class Reference:
         positions = at["POSITION"]
         given = "NORMAL" in at
         if given:
-            normals = _unit(at["NORMAL"])
+            normals = unit(at["NORMAL"])
         else:
             flat = np.cross(positions[:, 1] - positions[:, 0], positions[:, 2] - positions[:, 0])
-            normals = np.repeat(_unit(-flat if mirrored else flat)[:, None], 3, axis=1)
+            normals = np.repeat(unit(-flat if mirrored else flat)[:, None], 3, axis=1)
         if given and "TANGENT" in at:
             return normals, at["TANGENT"]
         info = material.get("normalTexture")
@@ -348,17 +349,17 @@ class Reference:
 
     def _normal(self, place: Place) -> Floats:
         """In the scene, of unit length."""
-        normal = _unit(place.interpolated(place.instance.normals))
+        normal = unit(place.interpolated(place.instance.normals))
         info = place.instance.material.get("normalTexture")
         if info is None:
             return normal
         scale = np.array([info.get("scale", 1), info.get("scale", 1), 1])
-        across, up, out = self._texels(info, place, lambda t: _unit((2 * t[:, :3] - 1) * scale)).T[..., None]
+        across, up, out = self._texels(info, place, lambda t: unit((2 * t[:, :3] - 1) * scale)).T[..., None]
         tangent = place.interpolated(place.instance.tangents)
         along = tangent[:, :3] - normal * np.sum(normal * tangent[:, :3], axis=1, keepdims=True)
-        along = _unit(along)
+        along = unit(along)
         bitangent = np.cross(normal, along) * np.where(tangent[:, 3:] < 0, -1, 1)
-        return _unit(across * along + up * bitangent + out * normal)
+        return unit(across * along + up * bitangent + out * normal)
 
 
 def _local(node: Json) -> Floats:
@@ -428,86 +429,3 @@ def _wrapped(index: Numbers, size: int, mode: int) -> Numbers:
 def _linear(code: Floats) -> Floats:
     """Linear light of sRGB codes (IEC 61966-2-1)."""
     return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
-
-
-def _unit(vectors: Floats) -> Floats:
-    """Vectors at unit length; NaN for those without one."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        result: Floats = vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return result
-
-
-def mikktspace(positions: Floats, normals: Floats, uv: Floats) -> Floats:
-    """Tangents with handedness (m, 3, 4) at the corners of triangles; ``uv`` (m, 3, 2) has v running up.
-
-    As mikktspace.c makes them with its default threshold. NaN at corners that it leaves to chance: of
-    triangles without area on the image that share no corner with another.
-    """
-    count = len(positions)
-    rows = np.concatenate([positions, normals, uv], axis=2).reshape(-1, 8)
-    vertices = np.unique(rows, axis=0, return_inverse=True)[1].reshape(count, 3)
-    along, mirrored, loose = np.zeros((count, 3)), np.zeros(count, bool), np.zeros(count, bool)
-    for f in range(count):
-        (s1, t1), (s2, t2) = uv[f, 1] - uv[f, 0], uv[f, 2] - uv[f, 0]
-        area = s1 * t2 - t1 * s2
-        direction = t2 * (positions[f, 1] - positions[f, 0]) - t1 * (positions[f, 2] - positions[f, 0])
-        other = s1 * (positions[f, 2] - positions[f, 0]) - s2 * (positions[f, 1] - positions[f, 0])
-        mirrored[f] = not area > 0
-        loose[f] = area == 0 or not direction.any() or not other.any()
-        along[f] = direction * np.sign(area)
-
-    # Two triangles are neighbours across an edge that they run along in opposite directions.
-    waiting: dict[tuple[int, int], list[tuple[int, int]]] = {}
-    neighbors = -np.ones((count, 3), int)
-    for f in range(count):
-        for i in range(3):
-            a, b = int(vertices[f, i]), int(vertices[f, (i + 1) % 3])
-            if waiting.get((b, a)):
-                g, j = waiting[b, a].pop(0)
-                neighbors[f, i], neighbors[g, j] = g, f
-            else:
-                waiting.setdefault((a, b), []).append((f, i))
-
-    group = -np.ones((count, 3), int)
-    groups: list[list[tuple[int, int]]] = []
-    for f in range(count):
-        for i in range(3):
-            if loose[f] or group[f, i] >= 0:
-                continue
-            members: list[tuple[int, int]] = []
-            pending = [f]
-            while pending:
-                g = pending.pop()
-                corner = int(np.flatnonzero(vertices[g] == vertices[f, i])[0])
-                if group[g, corner] >= 0:
-                    continue
-                if loose[g] and (group[g] < 0).all():
-                    mirrored[g] = mirrored[f]
-                if mirrored[g] != mirrored[f]:
-                    continue
-                group[g, corner] = len(groups)
-                members.append((g, corner))
-                pending += [n for n in (neighbors[g, corner], neighbors[g, corner - 1]) if n >= 0]
-            groups.append(members)
-
-    tangents = np.full((count, 3, 4), np.nan)
-    for members in groups:
-        total = np.zeros(3)
-        for f, i in members:
-            if loose[f]:
-                continue
-            normal = normals[f, i]
-            before, after = positions[f, i - 1] - positions[f, i], positions[f, (i + 1) % 3] - positions[f, i]
-            before, after = _projected(before, normal), _projected(after, normal)
-            total += acos(np.clip(before @ after, -1, 1)) * _projected(along[f], normal)
-        for f, i in members:
-            tangents[f, i, :3] = _unit(total)
-            tangents[f, i, 3] = -1 if mirrored[f] else 1
-    return tangents
-
-
-def _projected(vector: Floats, normal: Floats) -> Floats:
-    """A vector's direction in the plane across a normal."""
-    vector = vector - normal * (normal @ vector)
-    length = np.linalg.norm(vector)
-    return vector / length if length else vector

@@ -6,15 +6,9 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 
+from tests.oracles.naive_obj import dot, minus
+
 Vector = tuple[float, ...]
-
-
-def minus(a: Vector, b: Vector) -> Vector:
-    return tuple(x - y for x, y in zip(a, b, strict=True))
-
-
-def dot(a: Vector, b: Vector) -> float:
-    return sum(x * y for x, y in zip(a, b, strict=True))
 
 
 def times(a: Vector, factor: float) -> Vector:

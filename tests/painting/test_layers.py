@@ -16,7 +16,7 @@ from octex.texture import Channel, OctreeTexture
 from tests.editing.test_draft import case
 from tests.make.same import assert_same
 from tests.painting.test_painter import DIRECTIONS, brush, shots
-from tests.properties import random_edits
+from tests.properties import edit_models
 
 
 def anew(layers):
@@ -138,7 +138,7 @@ def test_the_composite_is_what_all_layers_give_anew_forth_and_back(seed):
 
 
 def start(depth=6):
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    surface = edit_models.waved("sphere", 0, ["base_color"], 0)
     texture = octex.convert(surface, depth)
     return surface, texture, Layers(texture, surface)
 
@@ -149,7 +149,7 @@ def everywhere(points):
 
 def test_paint_that_changes_no_coverage_is_stored_with_it():
     """Its colours change and its coverage, 0 in all cells that are changed, does not."""
-    surface = random_edits.waved("flat", 5, ["base_color", "alpha"], 34)
+    surface = edit_models.waved("flat", 5, ["base_color", "alpha"], 34)
     layers = octex.Layers(octex.convert(surface, 3, dtype="uint16"), surface)
     layers.add_layer(blend="multiply", opacity=0.6)
     layers.fill(
@@ -269,7 +269,7 @@ def test_bad_layers_are_refused_and_nothing_changes():
 
 @pytest.mark.parametrize("names", [["base_color"], ["base_color", "alpha"], ["base_color", "roughness"]])
 def test_the_eraser_on_the_texture_brings_back_what_was_opened(names):
-    surface = random_edits.waved("sphere", 0, names, 0)
+    surface = edit_models.waved("sphere", 0, names, 0)
     texture = octex.convert(surface, 5)
     layers = Layers(texture, surface)
     layers.fill(everywhere, "#ff0000")

@@ -18,7 +18,7 @@ from octex.painting.surface import TriangleGrid
 from tests.editing.test_draft import case
 from tests.make.painted import ball
 from tests.make.same import assert_same
-from tests.properties import random_edits
+from tests.properties import edit_models
 
 DIRECTIONS = (0.3, 0.5, 1.0), (-1.0, 0.2, 0.1)
 
@@ -28,7 +28,7 @@ def shots(surface, random):
     found = []
     for _ in range(random.integers(1, 3)):
         camera = octex.Camera.fitted(surface.vertices, DIRECTIONS[random.integers(2)], size=(24, 18))
-        image = random_edits.picture(int(random.integers(1000)), 24, 18, translucent=True)
+        image = edit_models.picture(int(random.integers(1000)), 24, 18, translucent=True)
         image[: random.integers(12), :, 3] = 0
         blend = BLENDS[(0, 1, 4)[random.integers(3)]]
         found.append(octex.Projection(image, camera, opacity=float(random.choice([0.5, 1])), blend=blend))
@@ -79,7 +79,7 @@ def test_a_session_gives_what_single_calls_give_forth_and_back(seed, monkeypatch
 
 def begun(depth):
     """A sphere, its texture, and what paints it."""
-    surface = random_edits.waved("sphere", 0, ["base_color"], 0)
+    surface = edit_models.waved("sphere", 0, ["base_color"], 0)
     texture = octex.convert(surface, depth)
     return surface, texture, octex.Painter(texture, surface)
 

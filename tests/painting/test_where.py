@@ -5,9 +5,11 @@ import pytest
 
 import octex
 from octex.errors import ArgumentError
+from octex.tree.layout import SPLIT
 from tests.conftest import needs_jit
-from tests.make.painted import above, plain, square, together
+from tests.make.painted import above, ball, centres, codes, one_color, picture_of, plain, square, together
 from tests.make.same import assert_same
+from tests.make.small_surfaces import sheet
 
 RED = (0.8, 0.1, 0.1)
 
@@ -138,3 +140,53 @@ def test_a_picture_of_the_inside_of_one_large_triangle_is_painted_in_its_detail(
     assert inside.sum() > 100
     error = painted.sample(points[inside]) - waves(seen[inside])
     assert np.sqrt((error**2).mean()) < 0.01
+
+
+def test_each_side_of_something_thin_is_painted_for_itself():
+    surface = sheet(np.eye(3), 0.004)
+    texture = octex.convert(surface, 5)
+    size = float(np.ptp(surface.bounds, axis=0).max())
+    camera = above(3.0, 96, 96 * 3 / size * 0.9)
+    blue = octex.paint(texture, surface, octex.Projection(one_color(camera, (0, 0, 1)), camera))
+    blue.validate()
+    points = surface.scatter(3000)
+    inner = np.abs(points.rest[:, :2]).max(axis=1) < 0.4 * size
+    front = inner & (points.normals[:, 2] > 0.9)
+    back = inner & (points.normals[:, 2] < -0.9)
+    seen = blue.sample(points.rest, normals=points.normals)
+    before = texture.sample(points.rest, normals=points.normals)
+    np.testing.assert_allclose(seen[front], np.tile([0, 0, 1.0], (front.sum(), 1)), atol=0.01)
+    np.testing.assert_allclose(seen[back], before[back], atol=0.01)
+    assert (blue.tree.arrays.flags & SPLIT != 0).any()
+
+
+def test_paint_on_a_posed_model_lands_at_rest():
+    rest = ball(16)
+    posed = rest.vertices * [1.0, 1.6, 0.7] + [3.0, -1.0, 2.0]
+    surface = octex.Surface.from_arrays(
+        posed, rest.triangles, colors=0.5 + 0.4 * np.sin(3 * rest.vertices), rest=rest.vertices
+    )
+    camera = octex.Camera.fitted(posed, (0.2, 0.3, 1), size=(120, 120))
+    image = picture_of(surface, camera)
+    texture = octex.paint(None, surface, octex.Projection(image, camera), max_angle=90)
+    assert texture.bounds.tolist() == rest.bounds.tolist()
+    pixels, places, normals = centres(surface, camera)
+    assert np.abs(places).max() < 1.01
+    error = codes(texture.sample(places, normals=normals)) - codes(image.reshape(-1, 4)[pixels, :3])
+    assert np.sqrt((error**2).mean()) < 1.5
+
+
+def test_a_subdivided_cage_is_painted_at_its_hull(models):
+    folder = models / "opensubdiv-cages"
+    hull = octex.load_surface(folder / "catmark_cube_creases0_level4.obj")
+    loaded = octex.load_surface(folder / "catmark_cube_level4.obj", rest=hull.vertices)
+    surface = octex.Surface.from_arrays(
+        loaded.vertices, loaded.triangles, colors=0.5 + 0.4 * np.sin(3 * loaded.rest), rest=loaded.rest
+    )
+    camera = octex.Camera.fitted(surface.vertices, (0.5, 0.4, 1), size=(128, 128))
+    image = picture_of(surface, camera)
+    texture = octex.paint(None, surface, octex.Projection(image, camera), max_angle=90)
+    pixels, rest, normals = centres(surface, camera)
+    error = codes(texture.sample(rest, normals=normals)) - codes(image.reshape(-1, 4)[pixels, :3])
+    assert np.sqrt((error**2).mean()) < 2.0
+    assert np.abs(loaded.rest - loaded.vertices).max() > 0.01

@@ -21,7 +21,7 @@ from tests.conftest import needs_jit
 from tests.make.painted import ball, codes, picture_of
 from tests.oracles import naive_agreement
 from tests.properties.edit_claims import LARGEST_GAIN, digest
-from tests.properties.random_edits import camera, picture, waved
+from tests.properties.edit_models import camera, picture, waved
 
 
 def test_the_mode_is_the_colour_that_most_are_near_to():

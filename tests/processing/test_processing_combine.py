@@ -20,7 +20,7 @@ from tests.make.small_textures import UNIT, UNIT_BOUNDS, eight_colors, shell
 from tests.make.solids import cube
 from tests.make.strategies import leaf_sets, random_values, with_random_data
 from tests.oracles import naive_processing as naive
-from tests.properties.random_edits import waved
+from tests.properties.edit_models import waved
 
 COLOR = ChannelFormat("base_color", 3, "srgb")
 AMOUNTS = st.sampled_from([0.0, 0.3, 0.5, 1.0])

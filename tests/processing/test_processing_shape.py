@@ -17,7 +17,7 @@ from tests.make.strategies import textures
 from tests.oracles import naive_processing as naive
 from tests.oracles.naive import unmorton
 from tests.processing.test_processing_values import assert_averaged, assert_same_values
-from tests.properties.random_edits import waved
+from tests.properties.edit_models import waved
 
 CORNERS = st.tuples(*[st.floats(0, 1)] * 3)
 

@@ -9,7 +9,7 @@ import pytest
 
 import octex
 from tests.conftest import needs_jit
-from tests.properties import random_edits
+from tests.properties import edit_changes, random_edits
 from tests.properties.random_edits import check
 
 TOOL = Path(__file__).parents[2] / "tools" / "fuzz" / "soak.py"
@@ -38,7 +38,7 @@ def test_a_fault_is_told_as_the_shortest_script_that_has_it(monkeypatch):
         return made
 
     def draw(random, run):
-        draws = random_edits.draw_cast, random_edits.draw_cast, random_edits.draw_resize
+        draws = edit_changes.draw_cast, edit_changes.draw_cast, edit_changes.draw_resize
         return draws[min(len(run.steps) - 1, 2)](random, run)
 
     monkeypatch.setattr(octex, "resize", broken)
@@ -47,7 +47,7 @@ def test_a_fault_is_told_as_the_shortest_script_that_has_it(monkeypatch):
         for seed in range(20):  # some do fewer steps
             check(seed, DTYPES[:1], small=True)
     script = str(told.value).partition("\n\n")[2].splitlines()
-    assert script[0].startswith("from tests.properties.random_edits import ")
+    assert script[0].startswith("from tests.properties.edit_models import ")
     assert all(f"{name} = {value}" in script[1 + n] for n, (name, value) in enumerate(random_edits.SMALL))
     assert [line.partition("(")[0] for line in script[1 + len(random_edits.SMALL) :]] == [
         "surface = waved",

@@ -18,6 +18,7 @@ from tests.make.fixtures import (
     Gltf,
     png,
     random_image,
+    saved,
     textured_square,
 )
 
@@ -146,14 +147,8 @@ def test_a_quarter_turn_of_the_transform_is_the_example_of_the_extension(tmp_pat
 
 
 def test_webp_images_are_read(tmp_path):
-    import io
-
-    import PIL.Image
-
-    stream = io.BytesIO()
-    PIL.Image.fromarray(random_image(4, 4)).save(stream, "WEBP", lossless=True)
     gltf = Gltf()
-    image = gltf.image(stream.getvalue(), "image/webp")
+    image = gltf.image(saved(random_image(4, 4), "WEBP", lossless=True), "image/webp")
     texture = gltf.add("textures", extensions={"EXT_texture_webp": {"source": image}})
     gltf.json["extensionsRequired"] = ["EXT_texture_webp"]
     gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(texture)))

@@ -15,14 +15,8 @@ from octex.source.images.decode import as_texels, decode_image, global_settings
 from octex.source.images.openimage import MAX_TEXELS
 from octex.source.models.reading import parse_numbers
 from tests.make.deep_images import tiff
-from tests.make.fixtures import _chunk, png, random_image
+from tests.make.fixtures import _chunk, png, random_image, saved
 from tests.make.refusal import refused
-
-
-def saved(image, kind, **options):
-    stream = io.BytesIO()
-    image.save(stream, kind, **options)
-    return stream.getvalue()
 
 
 def expected_texels(stored):

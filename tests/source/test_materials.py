@@ -14,6 +14,7 @@ from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, WRAPS
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
+from tests.make.small_textures import unit
 from tests.oracles import naive_filters
 
 TRIANGLES = SQUARE_TRIANGLES.astype(np.int32)
@@ -245,10 +246,6 @@ def frames(turn=None, hands=(1, 1, 1, 1)):
     along = unit(along - (along * normals).sum(axis=1, keepdims=True) * normals)
     tangents = np.column_stack([along, hands]).astype(np.float32)
     return Frames(Corners(normals.astype(np.float32), TRIANGLES), Corners(tangents, TRIANGLES))
-
-
-def unit(vectors):
-    return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
 
 def axes(given):

@@ -1,18 +1,16 @@
 """Deep images come back as they were stored, and damaged ones are refused by name."""
 
-import io
 import struct
 import sys
 
 import numpy as np
-import PIL.Image
 import pytest
 
 from octex.errors import ImageError, MissingExtraError
 from octex.source.images.decode import decode_image
 from octex.source.images.openimage import deep_format
 from tests.make.deep_images import Part, exr, hdr, pfm, pnm, psd, sgi, tiff
-from tests.make.fixtures import png, random_image
+from tests.make.fixtures import png, random_image, saved
 from tests.make.refusal import refused
 
 needs_extra = pytest.mark.usefixtures("extra")
@@ -183,9 +181,7 @@ def test_other_formats_of_16_bits_keep_every_code():
         np.testing.assert_array_equal(decode_image(data, "a"), with_alpha(stored, 65535))
     short = pnm(np.array([[[0, 1023, 511]]], np.uint16), 1023)
     np.testing.assert_allclose(decode_image(short, "a")[0, 0, :3], [0, 65535, 511 / 1023 * 65535], atol=1)
-    stream = io.BytesIO()
-    PIL.Image.fromarray(stored[..., 0]).save(stream, "JPEG2000", irreversible=False)
-    found = decode_image(stream.getvalue(), "a")
+    found = decode_image(saved(stored[..., 0], "JPEG2000", irreversible=False), "a")
     np.testing.assert_array_equal(found, with_alpha(stored[..., :1], 65535))
 
 

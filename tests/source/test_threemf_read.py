@@ -1,15 +1,14 @@
 """3MF packages as octex reads them: colours, images, components and parts, and what is refused."""
 
-import io
 import zipfile
 
 import numpy as np
-import PIL.Image
 import pytest
 
 import octex
 from octex.channels import srgb_to_linear
 from octex.errors import ModelError, ModelWarning
+from tests.make.fixtures import saved
 
 #: What a square takes of groups by itself, and the build that shows it.
 OWN, BUILD = 'pid="2" pindex="1"', '<build><item objectid="3"/></build>'
@@ -59,8 +58,6 @@ def test_groups_of_colours_and_base_materials_are_read(tmp_path):
 def test_images_lie_where_their_coordinates_say(tmp_path):
     image = np.zeros((2, 2, 3), np.uint8)
     image[:, :, 0], image[:, :, 1] = [[10, 200], [10, 200]], [[250, 250], [60, 60]]
-    data = io.BytesIO()
-    PIL.Image.fromarray(image).save(data, "PNG")
     places = "".join(f'<m:tex2coord u="{u}" v="{v}"/>' for u, v in ((0, 0), (1, 0), (1, 1), (0, 1)))
     triangles = "".join(
         f'<triangle v1="0" v2="{b}" v3="{c}" p1="0" p2="{b}" p3="{c}"/>' for b, c in ((1, 2), (2, 3))
@@ -70,7 +67,7 @@ def test_images_lie_where_their_coordinates_say(tmp_path):
         f'<m:texture2dgroup id="2" texid="1">{places}</m:texture2dgroup>'
         f"{square(3, triangles, OWN)}</resources>{BUILD}"
     )
-    parts = {"3D/3dmodel.model": text, "3D/Textures/a.png": data.getvalue()}
+    parts = {"3D/3dmodel.model": text, "3D/Textures/a.png": saved(image)}
     surface = octex.load_surface(package(tmp_path / "a.3mf", parts))
     samples = surface.scatter(2000, seed=0)
     quarters = np.round(4 * samples.rest[:, :2]) / 4

@@ -108,12 +108,6 @@ def test_a_level_is_the_coarser_texture(texture, level):
         assert np.array_equal(channel.kept_values, texture.channels[name].kept_values[:rows])
 
 
-def test_the_averages_are_the_values_of_a_coarser_level():
-    assert eight_colors().level(0).sample([[0.9, 0.9, 0.9]])[0, 0] == pytest.approx(
-        naive.srgb_to_linear(100 / 255)
-    )
-
-
 def test_bytes_are_those_of_all_arrays():
     texture = eight_colors()
     assert texture.nbytes == texture.tree.nbytes + 27

@@ -10,7 +10,7 @@ from safetensors.numpy import load_file, save_file
 import octex
 from octex import container
 from octex.channels import ChannelFormat
-from octex.errors import ArgumentError, InputError, OctexError, TextureFileError
+from octex.errors import ArgumentError, TextureFileError
 from octex.texture import Channel
 from tests.conftest import needs_jit
 from tests.make.same import assert_equal
@@ -193,46 +193,6 @@ def test_validate_names_the_file_and_the_channel(tmp_path):
     texture.save(tmp_path / "a.octex")
     with pytest.raises(TextureFileError, match=r"a\.octex: channel 'height'"):
         octex.open(tmp_path / "a.octex").validate()
-
-
-def use(path):
-    """Everything that reads a file; only octex's own errors may come of it."""
-    points = np.random.default_rng(0).random((60, 3))
-    texture = octex.open(path)
-    for name, channel in texture.channels.items():
-        assert texture.sample(points, name).shape == (60, channel.format.components)
-    texture.contains(points)
-    texture.info()
-    texture.level(2).contains(points)
-    texture.validate()
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_damaged_files_are_refused_or_harmless(tmp_path, seed):
-    random = np.random.default_rng(seed)
-    shell(3).save(tmp_path / "whole.octex")
-    whole = np.fromfile(tmp_path / "whole.octex", np.uint8)
-    text_length = bytes(whole[:4096]).rstrip().__len__()
-    path = tmp_path / "damaged.octex"
-    for case in range(50):
-        data = whole.copy()
-        if case % 5 == 0:
-            data = data[: random.integers(data.size)]
-        elif case % 5 == 1:  # the header's text
-            data[random.integers(8, text_length, 3)] = random.choice(list(b'0123456789[]{},:"-aU'), 3)
-        elif case % 5 == 2:
-            data[random.integers(0, data.size, 20)] ^= random.integers(1, 256, 20, dtype=np.uint8)
-        elif case % 5 == 3:  # the structure
-            data[random.integers(4096, 6000, 50)] = random.integers(0, 256, 50, dtype=np.uint8)
-        else:  # pieces moved
-            begin, end = sorted(random.integers(0, data.size, 2))
-            data = np.concatenate([data[:begin], data[end:], data[begin:end]])
-        data.tofile(path)
-        try:
-            use(path)
-        except OctexError as error:
-            assert isinstance(error, InputError)
-            assert "\n" not in str(error)
 
 
 @needs_jit

@@ -77,19 +77,6 @@ def test_points_are_in_leaves_when_a_leaf_holds_them(drawn):
     assert inside.tolist() == [number >= 0 and cells[number].is_leaf for number in numbers]
 
 
-@given(trees_and_points(), st.sampled_from([np.float32, np.float64]))
-def test_lookups_do_not_depend_on_the_points_before_them(drawn, dtype):
-    leaves, points = drawn
-    tree = Octree.from_leaves(*leaves)
-    points = points.astype(dtype)
-    together, alone = np.empty(len(points), np.int64), np.empty(1, np.int64)
-    held = np.empty(len(points), np.bool_)
-    nearest_cells(tree.arrays, Positions.of(points), *UNIT, together, held)
-    for point, cell in zip(points, together, strict=True):
-        nearest_cells(tree.arrays, Positions.of(point[None]), *UNIT, alone, held)
-        assert alone[0] == cell
-
-
 def test_points_are_placed_in_float64_before_anything_else():
     tree = Octree.from_leaves(np.arange(8), 1)
     points = np.full((1, 3), 0.6, np.float32)

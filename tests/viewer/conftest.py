@@ -1,15 +1,27 @@
 """What tests of the viewer share: a browser and a painted model, each started once a process."""
 
+from __future__ import annotations
+
+import threading
+from contextlib import ExitStack
+from http.client import HTTPConnection
+from pathlib import Path
+
 import pytest
 
+from octex import jit
 from octex.session.painting import Session
-from tests.make.browser import driven, started
+from octex.viewer import Viewer, server
+from tests.make.browser import driven, file_url, opened, started
+from tests.make.browser import served as served_pages
 from tests.make.studio import Studio
-from tests.viewer.test_session import canvas
+from tests.viewer.test_session import OCTETS, canvas
 
 
 @pytest.fixture(scope="package")
 def driver():
+    if jit.DISABLED:
+        pytest.skip("too slow without compilation")
     with driven() as found:
         yield found
 
@@ -18,6 +30,27 @@ def driver():
 def browser(driver):
     with started(driver) as found:
         yield found
+
+
+@pytest.fixture
+def opens(browser):
+    """Opens pages of viewers, files and addresses; at the end they must have complained of nothing.
+
+    What cannot be loaded is no complaint of those with ``is_lost``, whose servers go away.
+    """
+    told = []
+    with ExitStack() as stack:
+
+        def page_of(shown, *given, is_lost=False, **options):
+            if isinstance(shown, Viewer):
+                shown = stack.enter_context(served_pages(shown)).url
+            page = opened(browser, file_url(shown) if isinstance(shown, Path) else shown, *given, **options)
+            stack.callback(page.close)
+            told.append((page.complaints, ("Failed to load resource",) if is_lost else ()))
+            return page
+
+        yield page_of
+        assert [line for lines, known in told for line in lines if not line.startswith(known)] == []
 
 
 @pytest.fixture(scope="package")
@@ -40,3 +73,38 @@ def session(tmp_path):
     found = Session(*canvas(), tmp_path / "out.octex")
     yield found
     found.close()
+
+
+class Served:
+    """A viewer that paints."""
+
+    def __init__(self, folder):
+        texture, surface = canvas()
+        self.session = Session(texture, surface, folder / "out.octex")
+        self.lines: list[str] = []
+        path = folder / "ball.octex"
+        self.viewer = Viewer(lambda: texture, path, surface, session=self.session, log=self.lines.append)
+        self.thread = threading.Thread(target=self.viewer.run, kwargs={"alone": 0.1})
+        self.thread.start()
+
+    def post(self, body, token=None, path="session", **headers):
+        connection = HTTPConnection("127.0.0.1", self.viewer.port, timeout=20)
+        named = {"Content-Type": OCTETS, **{name.replace("_", "-"): text for name, text in headers.items()}}
+        connection.request(
+            "POST", f"/{self.viewer.token if token is None else token}/{path}", body, headers=named
+        )
+        answer = connection.getresponse()
+        found = answer.status, answer.read()
+        connection.close()
+        return found
+
+
+@pytest.fixture
+def served(tmp_path, monkeypatch):
+    monkeypatch.setattr(server, "_FIRST", 400)
+    found = Served(tmp_path)
+    yield found
+    monkeypatch.setattr(server, "_FIRST", 0)
+    found.thread.join(20)
+    assert not found.thread.is_alive()
+    found.session.close()

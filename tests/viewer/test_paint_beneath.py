@@ -13,16 +13,13 @@ from tests.conftest import needs_jit
 from tests.make.browser import served
 from tests.make.painted import ball
 from tests.make.studio import _HOLD, Studio, pictured
+from tests.painting.test_layers import everywhere
 
 pytestmark = needs_jit
 
 _KEY = (
     "(viewer.painting.beneath.key ?? viewer.painting.beneath.known.key) === viewer.painting.beneath.known.key"
 )
-
-
-def everywhere(points):
-    return np.ones(len(points))
 
 
 def stacked():

@@ -13,12 +13,10 @@ from octex.errors import OutputError
 from octex.session.painting import Session
 from octex.texture import OctreeTexture
 from octex.viewer import Viewer, downloads, write_page
-from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
 from tests.viewer.test_session import canvas, plain, stroke
-from tests.viewer.test_session import served as served
 
 
 def got(served, path):
@@ -184,14 +182,13 @@ def test_a_full_disk_is_said_and_the_session_goes_on(served, monkeypatch, tmp_pa
     assert served.post(plain("fill", 1, color=[1, 2, 3]))[0] == 200
 
 
-@needs_jit
 def test_the_page_downloads_a_file_with_a_proper_name_and_says_what_is_wrong(browser, tmp_path):
     texture, surface = canvas()
     session = Session(texture, surface, tmp_path / "Kugel ä.octex")
     viewer = Viewer(lambda: texture, tmp_path / "ball.octex", surface, session=session)
     with serving(viewer):
-        page = opened(browser, viewer.url, (800, 400))
-        page.wait_for_function("viewer.painting && viewer.isSharp", timeout=60_000)
+        page = opened(browser, viewer.url, (800, 400), is_drawn=False)
+        page.wait_for_function("viewer.painting", timeout=60_000)
         page.click("#export summary")
         page.evaluate(
             "viewer.painting.sending.send({ kind: 'fill', color: [9, 9, 9], opacity: 1, mirror: '' })"

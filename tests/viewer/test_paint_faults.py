@@ -16,12 +16,10 @@ import octex
 from octex.errors import ArgumentError
 from octex.session.painting import Session
 from octex.viewer import Viewer, answers, server
-from tests.conftest import needs_jit
 from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
 from tests.make.studio import pictured
-from tests.viewer.test_paint_export import served as served
 from tests.viewer.test_session import canvas, plain, stroke, take
 
 
@@ -144,15 +142,14 @@ def test_a_full_disk_loses_nothing_and_painting_goes_on_once_there_is_room(tmp_p
     assert [each.name for each in tmp_path.iterdir()] == ["out.octex"]
 
 
-@needs_jit
 def test_the_page_asks_whether_to_replace_what_another_program_has_written(browser, tmp_path):
     texture, surface = canvas()
     output = tmp_path / "out.octex"
     session = Session(texture, surface, output)
     viewer = Viewer(lambda: texture, tmp_path / "ball.octex", surface, session=session)
     with serving(viewer):
-        page = opened(browser, viewer.url, (800, 400))
-        page.wait_for_function("viewer.painting && viewer.isSharp", timeout=60_000)
+        page = opened(browser, viewer.url, (800, 400), is_drawn=False)
+        page.wait_for_function("viewer.painting", timeout=60_000)
         session.take(stroke(1))
         other = touched(output)
         page.keyboard.press("Control+s")
@@ -171,7 +168,6 @@ def test_the_page_asks_whether_to_replace_what_another_program_has_written(brows
     session.close()
 
 
-@needs_jit
 def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(studio, page):
     before = pictured(page)
     box = page.locator("#picture").bounding_box()

@@ -3,11 +3,8 @@
 import numpy as np
 import pytest
 
-from tests.conftest import needs_jit
 from tests.make.browser import camera_of
 from tests.make.studio import _HOLD
-
-pytestmark = needs_jit
 
 _BRUSH = "viewer.painting.brush"
 #: What the last stroke covers, and the box of that.

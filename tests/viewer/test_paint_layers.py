@@ -11,7 +11,6 @@ from octex.cli.main import main
 from octex.errors import ArgumentError, ExitCode
 from octex.session.painting import Session, Shown
 from octex.viewer import Viewer
-from tests.conftest import needs_jit
 from tests.make.fixtures import obj_lines
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, pictured
@@ -128,7 +127,6 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
     assert_same(session.shown.texture, canvas()[0])
 
 
-@needs_jit
 def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_erased(studio, page):
     page.evaluate("document.getElementById('layers').open = true")
     page.click("#layer-add")
@@ -158,7 +156,6 @@ def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_era
     ]
 
 
-@needs_jit
 def test_the_list_of_layers_hides_names_moves_and_sets_them(studio, page):
 
     def done():

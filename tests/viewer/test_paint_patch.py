@@ -14,11 +14,9 @@ from octex.errors import ArgumentError, ModelError
 from octex.session.commands import command_of, stroke_of
 from octex.session.painting import Session, mirrored
 from octex.source.surface import Surface
-from tests.conftest import needs_jit
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, pictured
-from tests.viewer.test_paint_export import served as served
 from tests.viewer.test_paint_poses import Bending, bending
 from tests.viewer.test_session import NAN, SIZE, canvas, plain, stroke, take
 
@@ -154,7 +152,6 @@ def test_pages_are_sent_a_patch_as_a_mesh(served):
     connection.close()
 
 
-@needs_jit
 def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_model(browser, tmp_path):
     studio = Bending(browser, tmp_path)
     with studio.opened() as page:

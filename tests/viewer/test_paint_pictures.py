@@ -1,8 +1,6 @@
 """Tools that put pictures down, in a real browser: they show what the library paints with these pictures."""
 
 import base64
-import io
-import json
 import zlib
 from contextlib import contextmanager
 
@@ -10,91 +8,13 @@ import numpy as np
 import PIL.Image
 import pytest
 
-import octex
 from octex.source.surface import Surface
-from tests.conftest import needs_jit
 from tests.make.browser import camera_of, drawn
+from tests.make.easel import Easel
+from tests.make.fixtures import saved
 from tests.make.painted import square, together
 from tests.make.same import assert_same
-from tests.make.studio import _HOLD, Studio
-
-pytestmark = needs_jit
-
-
-class Easel(Studio):
-    """A model, a page that paints it, and what that page has sent."""
-
-    def __init__(self, browser, folder, surface=None):
-        super().__init__(browser, folder, surface, depth=8)  # about as fine as the view
-        self.bodies: list[bytes] = []
-        take = self.session.take
-
-        def taken(body):
-            self.bodies.append(body)
-            return take(body)
-
-        self.session.take = taken
-
-    def clear(self):
-        """Undo all, and forget what the page has sent."""
-        self.shown.evaluate(
-            """async () => {
-              const { painting } = viewer;
-              painting.stencil.remove();
-              painting.stencil.set({ colors: "own", isThrough: true, isMirrored: false });
-              painting.retouch.set({ point: null, step: null, way: "softer", width: 4 });
-              painting.choose("brush");
-              painting.set({ size: 40, hardness: 0.7, opacity: 1, mirror: "" });
-              viewer.camera.reset(0.55, 0.3);
-              for (let n = painting.last.done; n > 0; n--) painting.sending.send({ kind: "undo" });
-              await painting.sending.all();
-            }"""
-        )
-        self.done()
-        assert_same(self.session.shown.texture, self.texture)
-        self.bodies.clear()
-
-    def done(self):
-        """Wait until the page shows all that it has sent."""
-        self.shown.wait_for_function(
-            """(({ sending, last }) =>
-              !sending.waiting.length && (last.baked[sending.page] ?? 0) === sending.number
-            )(viewer.painting)""",
-            timeout=60_000,
-        )
-        self.shown.wait_for_function("viewer.isSharp", timeout=60_000)
-
-    def lay(self, image, name="photo.png"):
-        """Choose a picture as stencil."""
-        self.give(name, png(image))
-        self.shown.wait_for_function("viewer.painting.stencil.bitmap")
-
-    def give(self, name, content):
-        file = {"name": name, "mimeType": "image/png", "buffer": content}
-        self.shown.set_input_files("#stencil-section input[type=file]", file)
-
-    def says(self, text):
-        self.shown.wait_for_function(
-            "(text) => document.getElementById('paint-note').textContent.includes(text)", arg=text
-        )
-
-    def sent(self):
-        """Return the last stroke that was sent, as a picture of the view."""
-        line, _, content = self.bodies[-1].partition(b"\n")
-        given = json.loads(line)
-        left, top, right, bottom = given["box"]
-        width, height = given["camera"]["width"], given["camera"]["height"]
-        planes = np.frombuffer(zlib.decompress(content, -15), np.uint8)
-        image = np.zeros((height, width, 4), np.uint8)
-        image[top:bottom, left:right] = planes.reshape(4, bottom - top, right - left).transpose(1, 2, 0)
-        pose, K = np.array(given["camera"]["pose"]), np.array(given["camera"]["K"])
-        camera = octex.Camera.pinhole((width, height), pose=pose, convention="opencv", K=K)
-        return given, image, camera
-
-    def painted(self, image, camera, since=None, **options):
-        """Return the model painted by the library."""
-        picture = octex.Projection(image, camera, since=since)
-        return octex.paint(self.texture, self.surface, picture, **{"max_angle": 85, **options})
+from tests.make.studio import _HOLD
 
 
 @contextmanager
@@ -114,16 +34,6 @@ def easel(browser, tmp_path_factory):
 def clean(easel):
     easel.clear()
     return easel
-
-
-def png(image, **options):
-    return encoded(PIL.Image.fromarray(image), "PNG", **options)
-
-
-def encoded(image, kind, **options):
-    file = io.BytesIO()
-    image.save(file, kind, **options)
-    return file.getvalue()
 
 
 def smooth(width=200, height=160):
@@ -260,7 +170,7 @@ def test_pointers_and_keys_move_turn_and_scale_a_stencil(clean):
 
 def animated(kind):
     first, second = (PIL.Image.new("RGB", (8, 8), color) for color in ("red", "blue"))
-    return encoded(first, kind, save_all=True, append_images=[second])
+    return saved(first, kind, save_all=True, append_images=[second])
 
 
 def test_what_is_no_picture_is_refused_in_a_line(clean):
@@ -272,7 +182,7 @@ def test_what_is_no_picture_is_refused_in_a_line(clean):
         ("moving.gif", animated("GIF"), "moving.gif is no PNG"),
         ("moving.png", animated("PNG"), "moving.png is animated"),
         ("moving.webp", animated("WEBP"), "moving.webp is animated"),
-        ("half.png", png(smooth())[:40], "half.png is damaged"),
+        ("half.png", saved(smooth())[:40], "half.png is damaged"),
         ("huge.png", huge, "huge.png has 10000 × 10000 pixels"),
     ):
         clean.give(name, content)
@@ -468,7 +378,7 @@ def test_a_view_painted_in_another_program_comes_back_after_the_page_was_loaded_
     page.evaluate("viewer.camera.orbit(0.7, 0.2)")
     page.reload()
     page.wait_for_function("globalThis.viewer?.painting && viewer.isSharp", timeout=60_000)
-    drop(clean, name.replace(".png", " (1).png"), png(edited))
+    drop(clean, name.replace(".png", " (1).png"), saved(edited))
     page.wait_for_function("viewer.painting.sending.number === 1")
     clean.done()
     assert clean.sent()[0]["name"] == "Painted elsewhere"
@@ -484,7 +394,7 @@ def test_a_view_that_comes_back_to_where_it_was_seen_is_shown_as_it_is_baked(cle
     edited[170:250, 250:370] = np.dstack([x, 2 * y, np.full_like(x, 60), fading])
     plain = seen(clean)
     clean.shown.evaluate(_HOLD)
-    drop(clean, name, png(edited))
+    drop(clean, name, saved(edited))
     assert_shown_as_baked(clean, plain)
 
 
@@ -492,16 +402,16 @@ def test_what_does_not_come_back_as_it_went_is_said(clean):
     name, before = saved_view(clean)
     rgb = PIL.Image.fromarray(before[..., :3])
     other = name.replace(name[-12:-4], "0" * 8)
-    drop(clean, name, png(before))
+    drop(clean, name, saved(before))
     clean.says("is the view as it was saved")
-    drop(clean, name, png(before[:-1]))
+    drop(clean, name, saved(before[:-1]))
     clean.says("keep its size")
-    drop(clean, name.replace("png", "jpg"), encoded(rgb, "JPEG"))
+    drop(clean, name.replace("png", "jpg"), saved(rgb, "JPEG"))
     clean.says("save it as PNG")
     drop(clean, name, b"nothing")
     clean.says("is no PNG, JPEG or WebP image")
     assert clean.shown.evaluate("viewer.painting.stencil.bitmap") is None
-    drop(clean, other, png(before))
+    drop(clean, other, saved(before))
     clean.says("it lies over the model as a stencil")
     assert clean.shown.locator("#stencil").is_visible()
     assert clean.bodies == []

@@ -9,7 +9,6 @@ from octex.session.commands import command_of, stroke_of
 from octex.session.painting import Session, mirrored
 from octex.source.motion import Animation, Links, Motion
 from octex.viewer import Viewer
-from tests.conftest import needs_jit
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, Studio, pictured
@@ -103,7 +102,6 @@ class Bending(Studio):
         )
 
 
-@needs_jit
 def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the_model(browser, tmp_path):
     studio = Bending(browser, tmp_path)
     with studio.opened() as page:

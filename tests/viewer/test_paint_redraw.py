@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from tests.conftest import needs_jit
 from tests.make.studio import Studio
 
 #: How many pixels of the picture differ from one that is drawn anew, and how many of that one show the model.
@@ -22,7 +21,6 @@ _UNLIKE = """() => {
 }"""
 
 
-@needs_jit
 def test_only_what_is_near_a_change_is_drawn_anew(browser, tmp_path):
     studio, random = Studio(browser, tmp_path, depth=8), np.random.default_rng(0)
     with studio.opened() as page:

@@ -4,12 +4,8 @@ import numpy as np
 import pytest
 
 import octex
-from tests.conftest import needs_jit
-from tests.make.browser import opened
 from tests.make.same import assert_same
 from tests.make.studio import _HOLD, SIZE, pictured
-
-pytestmark = needs_jit
 
 #: Opens all sections of the panel; returns the names of those that were open.
 _OPEN = """() => {
@@ -249,10 +245,9 @@ def test_a_tools_settings_are_seen_while_it_is_chosen(page):
     ]
 
 
-@needs_jit
 @pytest.mark.parametrize("size", [(1024, 768), (390, 844)])
-def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser):
-    page = opened(browser, studio.viewer.url, size, has_touch=True, is_mobile=True)
+def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, opens):
+    page = opens(studio.viewer.url, size, has_touch=True, is_mobile=True)
     page.wait_for_function("viewer.painting")
     page.evaluate(_OPEN)
     page.evaluate("document.getElementById('flat').hidden = false")
@@ -272,7 +267,6 @@ def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser)
         color = page.locator("#fold").evaluate("(fold) => getComputedStyle(fold).backgroundColor")
         assert color == "rgba(0, 0, 0, 0)", "a button that was touched does not look pressed"
     after = page.evaluate("viewer.canvas.clientHeight")
-    page.close()
     assert page.complaints == []
     assert names == []
     assert (
@@ -280,20 +274,17 @@ def test_fingers_hit_each_control_and_fold_the_panel_away(size, studio, browser)
     )
 
 
-@needs_jit
-def test_a_page_keeps_to_its_policy(studio, browser):
-    page = opened(browser, studio.viewer.url, SIZE, bypass_csp=False)
+def test_a_page_keeps_to_its_policy(studio, opens):
+    page = opens(studio.viewer.url, SIZE, bypass_csp=False)
     page.wait_for_selector("#brushes i")
     backgrounds = page.locator("#brushes i").evaluate_all(
         "(all) => all.map((each) => getComputedStyle(each).backgroundImage)"
     )
-    page.close()
     assert page.complaints == []
     assert len(backgrounds) == 5
     assert all("gradient" in each for each in backgrounds)
 
 
-@needs_jit
 def test_keys_undo_text_where_it_is_typed_and_work_with_alt_gr(studio, page):
     studio.drag(page, (-20, 0), (20, 0))
     studio.is_done(page)

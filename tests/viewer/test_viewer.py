@@ -4,7 +4,6 @@ import json
 import re
 import subprocess
 import sys
-import threading
 from itertools import product
 from urllib.parse import urlsplit
 
@@ -19,8 +18,7 @@ from octex.texture import OctreeTexture
 from octex.viewer import Viewer, write_page
 from octex.viewer.export import MODULES, page_text
 from octex.viewer.pack import pack
-from tests.conftest import needs_jit
-from tests.make.browser import Probe, differences, file_url, opened
+from tests.make.browser import Probe, differences, file_url
 from tests.make.painted import ball
 from tests.make.small_surfaces import sheet
 from tests.make.small_textures import shell
@@ -83,15 +81,13 @@ def floating():
 MADE = {each.__name__: each for each in (even, adaptive, painted, thin, floating)}
 
 
-@needs_jit
 @pytest.mark.parametrize("name", MADE)
-def test_each_pixel_is_what_a_lookup_there_gives(name, browser, tmp_path):
-    assert_shown(*MADE[name](), browser, tmp_path)
+def test_each_pixel_is_what_a_lookup_there_gives(name, opens, tmp_path):
+    assert_shown(*MADE[name](), opens, tmp_path)
 
 
-@needs_jit
 @pytest.mark.parametrize("name", ["BoomBoxWithAxes.gltf", "Avocado.gltf", "Suzanne.gltf", "spot.obj"])
-def test_each_pixel_of_a_real_model_is_what_a_lookup_there_gives(name, models, browser, tmp_path):
+def test_each_pixel_of_a_real_model_is_what_a_lookup_there_gives(name, models, opens, tmp_path):
     path = next(models.rglob(name), None)
     if path is None:
         pytest.skip(f"there is no {name}")
@@ -99,19 +95,17 @@ def test_each_pixel_of_a_real_model_is_what_a_lookup_there_gives(name, models, b
     whole, merged = (octex.convert(surface, depth=8, max_error=most) for most in (None, 3))
     ball = octex.Sphere(surface.scatter(1, seed=1).rest[0], 0.2 * np.ptp(surface.bounds, axis=0).max())
     for texture in (whole, merged, octex.fill(whole, surface, ball, (1.0, 0.1, 0.0), max_depth=9)):
-        assert_shown(texture, surface.placed_in(texture), browser, tmp_path)
+        assert_shown(texture, surface.placed_in(texture), opens, tmp_path)
 
 
-def assert_shown(texture, surface, browser, folder):
+def assert_shown(texture, surface, opens, folder):
     """A page shows what lookups give; also as cubes without complaint."""
     write_page(texture, folder / "page.html", surface)
-    page = opened(browser, file_url(folder / "page.html"), (760, 300))
+    page = opens(folder / "page.html", (760, 300))
     assert page.complaints == []
     parity(page, texture, surface)
     page.check("#cubes")
     sharp(page)
-    assert page.complaints == []
-    page.close()
 
 
 def parity(page, texture, surface):
@@ -158,9 +152,8 @@ def sharp(page):
     return page.locator("canvas").screenshot()
 
 
-@needs_jit
-def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser, small):
-    page = opened(browser, file_url(small), (900, 480))
+def test_each_control_changes_the_picture_and_the_first_view_comes_back(opens, small):
+    page = opens(small, (900, 480))
     canvas = page.locator("canvas")
     canvas.focus()
     page.keyboard.press("0")
@@ -199,15 +192,12 @@ def test_each_control_changes_the_picture_and_the_first_view_comes_back(browser,
     page.check("#cubes")
     pictures.add(sharp(page))
     assert len(pictures) == 8  # without emitted light, colours as they are are the channel
-    assert page.complaints == []
-    page.close()
 
 
-@needs_jit
-def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser, small):
+def test_under_the_cursor_is_the_cell_that_a_lookup_finds(opens, small):
     surface = colored(ball(8))
     texture = octex.convert(surface, depth=4)
-    page = opened(browser, file_url(small), (900, 480))
+    page = opens(small, (900, 480))
     size = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
     found = page.evaluate("viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2 - 30)")
     assert found["level"] == 4
@@ -235,10 +225,8 @@ def test_under_the_cursor_is_the_cell_that_a_lookup_finds(browser, small):
     page.locator("canvas").focus()
     page.keyboard.press("p")
     page.wait_for_function("document.getElementById('cell').textContent.includes('level 3')")
-    page.close()
 
 
-@needs_jit
 def test_the_file_loads_nothing_and_obeys_its_own_policy(browser, small):
     asked = []
     page = browser.new_page()
@@ -254,9 +242,8 @@ def test_the_file_loads_nothing_and_obeys_its_own_policy(browser, small):
     page.close()
 
 
-@needs_jit
-def test_a_lost_context_is_restored(browser, small):
-    page = opened(browser, file_url(small), (900, 480))
+def test_a_lost_context_is_restored(opens, small):
+    page = opens(small, (900, 480))
     before = sharp(page)
     page.evaluate("(globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')).loseContext()")
     page.wait_for_function("document.getElementById('status').textContent.includes('lost')")
@@ -264,10 +251,8 @@ def test_a_lost_context_is_restored(browser, small):
     page.wait_for_function("document.getElementById('status').textContent === ''")
     page.evaluate("viewer.move()")
     assert sharp(page) == before
-    page.close()
 
 
-@needs_jit
 def test_without_webgl2_the_page_says_so(browser, small):
     page = browser.new_page(bypass_csp=True)
     page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
@@ -277,10 +262,9 @@ def test_without_webgl2_the_page_says_so(browser, small):
     page.close()
 
 
-@needs_jit
 @pytest.mark.parametrize("size", [(1280, 720), (390, 844)])
-def test_controls_are_named_and_within_the_window(browser, small, size):
-    page = opened(browser, file_url(small), size)
+def test_controls_are_named_and_within_the_window(opens, small, size):
+    page = opens(small, size)
     assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
     height = page.evaluate("viewer.canvas.clientHeight")
     assert height >= size[1] * 0.4
@@ -290,31 +274,24 @@ def test_controls_are_named_and_within_the_window(browser, small, size):
     assert page.evaluate(unnamed) == []
     gap = "help.getBoundingClientRect().top - save.getBoundingClientRect().bottom"
     assert page.evaluate(gap) < 40  # between them is the cell under the pointer: none yet
-    page.close()
 
 
-@needs_jit
-def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(browser, tmp_path):
+def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(opens, tmp_path):
     surface, path = colored(ball(8)), tmp_path / "ball.octex"
     octex.convert(surface, depth=4).save(path)
     lines = []
-    viewer = Viewer(lambda: octex.open(path), path, surface, log=lines.append)
-    thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
-    thread.start()
-    page = opened(browser, viewer.url)
+    page = opens(
+        Viewer(lambda: octex.open(path), path, surface, log=lines.append), is_drawn=False, is_lost=True
+    )
     assert page.evaluate("viewer.header.parts[0].depth") == 4
     octex.convert(surface, depth=3).save(path)
     page.wait_for_function(
         "globalThis.viewer?.header?.parts[0].depth === 3 && viewer.isComplete", timeout=60_000
     )
     assert lines == []
-    page.close()
-    thread.join(10)
-    assert not thread.is_alive()
 
 
-@needs_jit
-def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(browser, tmp_path, request):
+def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(opens, tmp_path, request):
     surface, path, other = colored(ball(8)), tmp_path / "ball.octex", tmp_path / "other.octex"
     octex.convert(surface, depth=5).save(path)
     octex.convert(surface, depth=1).save(other)
@@ -340,7 +317,7 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(brows
         page.wait_for_function(shown, timeout=60_000)
 
     server, url = served(path)
-    page = opened(browser, url, (800, 600))
+    page = opens(url, (800, 600), is_drawn=False, is_lost=True)
     asked = []
     page.on("request", lambda request: asked.append(request.url))
     page.locator("#filter").select_option("nearest")
@@ -373,7 +350,6 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(brows
     page.evaluate("window.dispatchEvent(new Event('focus'))")
     page.wait_for_function("document.getElementById('status').textContent === ''", timeout=60_000)
     until_depth(4)
-    page.close()
 
 
 def test_floats_are_shown_in_the_range_that_they_have():
@@ -424,11 +400,10 @@ def two_parts(folder):
     return octex.TextureSet(made), surface
 
 
-@needs_jit
-def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(browser, tmp_path):
+def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(opens, tmp_path):
     textures, surface = two_parts(tmp_path)
     write_page(textures, tmp_path / "set.html", surface)
-    page = opened(browser, file_url(tmp_path / "set.html"), (900, 420))
+    page = opens(tmp_path / "set.html", (900, 420))
     assert page.locator("#facts").inner_text().startswith("2 parts\n")
     for number, texture in enumerate(textures.values()):
         header = pack(texture, None).header
@@ -443,8 +418,6 @@ def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(browser, tmp_pat
         sharp(page)
     page.check("#cubes")
     sharp(page)
-    assert page.complaints == []
-    page.close()
     with pytest.raises(ArgumentError, match=r"two.obj has 2 parts, and the set 1; give the set's model"):
         write_page(octex.TextureSet({"one": textures["part 0"]}), tmp_path / "one.html", surface)
     many = octex.TextureSet({f"{n}": textures["part 0"] for n in range(256)})

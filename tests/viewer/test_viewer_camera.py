@@ -5,11 +5,7 @@ import pytest
 
 import octex
 from octex.viewer import Viewer, write_page
-from tests.conftest import needs_jit
-from tests.make.browser import file_url, opened, served
 from tests.make.painted import ball
-
-pytestmark = needs_jit
 
 #: What a place of the picture sees, as a position at rest; null beside the model.
 _SEEN = "(at) => viewer.seen(...at)"
@@ -28,8 +24,8 @@ def small(tmp_path_factory):
 
 
 @pytest.mark.parametrize("cubes", [False, True])
-def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(cubes, browser, small):
-    page = opened(browser, file_url(small), (320, 240))
+def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(cubes, opens, small):
+    page = opens(small, (320, 240))
     page.evaluate("(on) => void (viewer.look.cubes = on)", cubes)
     wide, high = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
     at = [round(0.58 * wide), round(0.4 * high)]
@@ -44,12 +40,10 @@ def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(cubes, bro
     page.locator("canvas").focus()
     page.evaluate(_PRESSED, ["+", 120])
     assert page.evaluate(_SEEN, [wide / 2, high / 2]) is not None
-    assert page.complaints == []
-    page.close()
 
 
-def test_a_double_click_turns_around_what_is_there_and_beside_the_model_shows_all(browser, small):
-    page = opened(browser, file_url(small), (600, 300))
+def test_a_double_click_turns_around_what_is_there_and_beside_the_model_shows_all(opens, small):
+    page = opens(small, (600, 300))
     wide, high = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
     at = [round(0.58 * wide), round(0.4 * high)]
     seen, first = page.evaluate(_SEEN, at), page.evaluate("viewer.camera.distance")
@@ -62,80 +56,72 @@ def test_a_double_click_turns_around_what_is_there_and_beside_the_model_shows_al
     page.keyboard.press("0")
     page.mouse.dblclick(2, 2)
     assert page.evaluate("viewer.camera.distance") == pytest.approx(first)
-    page.close()
 
 
-def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls(browser, tmp_path):
+def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls(opens, tmp_path):
     surface, path = ball(8), tmp_path / "ball.octex"
     octex.convert(surface, depth=4).save(path)
-    with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
-        page = opened(browser, viewer.url, (760, 300))
-        page.select_option("#shown", "depth")
-        page.uncheck("#footprints")
-        page.evaluate(
-            "viewer.camera.orbit(0.4, 0.2); viewer.camera.zoom(2, viewer.camera.low); viewer.move()"
-        )
-        before = page.evaluate("viewer.camera.state")
-        octex.convert(surface, depth=5).save(path)
-        page.wait_for_function(
-            "globalThis.viewer?.header?.parts[0].depth === 5 && viewer.isComplete", timeout=60_000
-        )
-        after = page.evaluate("viewer.camera.state")
-        for name in ("turn", "tilt", "target", "distance"):
-            np.testing.assert_allclose(after[name], before[name], atol=1e-6)
-        assert page.input_value("#shown") == "depth"
-        assert page.evaluate("[viewer.look.shown, viewer.look.footprints]") == ["depth", False]
-        assert page.evaluate("viewer.look.level") == 5  # the finest, as before
-        page.reload()
-        page.wait_for_function("globalThis.viewer?.isComplete")
-        assert page.evaluate("viewer.look.shown") == "lit"  # what a user loads anew is new
-        page.close()
+    viewer = Viewer(lambda: octex.open(path), path, surface)
+    page = opens(viewer, (760, 300), is_drawn=False, is_lost=True)
+    page.select_option("#shown", "depth")
+    page.uncheck("#footprints")
+    page.evaluate("viewer.camera.orbit(0.4, 0.2); viewer.camera.zoom(2, viewer.camera.low); viewer.move()")
+    before = page.evaluate("viewer.camera.state")
+    octex.convert(surface, depth=5).save(path)
+    page.wait_for_function(
+        "globalThis.viewer?.header?.parts[0].depth === 5 && viewer.isComplete", timeout=60_000
+    )
+    after = page.evaluate("viewer.camera.state")
+    for name in ("turn", "tilt", "target", "distance"):
+        np.testing.assert_allclose(after[name], before[name], atol=1e-6)
+    assert page.input_value("#shown") == "depth"
+    assert page.evaluate("[viewer.look.shown, viewer.look.footprints]") == ["depth", False]
+    assert page.evaluate("viewer.look.level") == 5  # the finest, as before
+    page.reload()
+    page.wait_for_function("globalThis.viewer?.isComplete")
+    assert page.evaluate("viewer.look.shown") == "lit"  # what a user loads anew is new
 
 
-def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(browser, tmp_path):
+def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(opens, tmp_path):
     path, lines = tmp_path / "ball.octex", list[str]()
     octex.convert(ball(8), depth=3).save(path)
-    with served(Viewer(lambda: octex.open(path), path, None, log=lines.append)) as first:
-        page = opened(browser, first.url, (600, 300))
-        asked = []
-        page.on("request", lambda request: asked.append(request.url))
-        first.token = "another"
-        first._ended.set()  # its pages lose their lines
-        page.wait_for_function("document.getElementById('status').textContent.includes('new address')")
-        page.wait_for_timeout(2500)
-        assert all("/proof?" in each for each in asked)
-        assert len(asked) < 5
-        assert lines == []
-        page.close()
+    first = Viewer(lambda: octex.open(path), path, None, log=lines.append)
+    page = opens(first, (600, 300), is_drawn=False)
+    asked = []
+    page.on("request", lambda request: asked.append(request.url))
+    first.token = "another"
+    first._ended.set()  # its pages lose their lines
+    page.wait_for_function("document.getElementById('status').textContent.includes('new address')")
+    page.wait_for_timeout(2500)
+    assert all("/proof?" in each for each in asked)
+    assert len(asked) < 5
+    assert lines == []
 
 
-def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(browser, tmp_path):
+def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(opens, tmp_path):
     path = tmp_path / "ball.octex"
     octex.convert(ball(8), depth=3).save(path)
     viewer = Viewer(lambda: octex.open(path), path, None)
-    with served(viewer):
-        page = opened(browser, viewer.url, (600, 300))
-        page.route("**/events", lambda route: route.abort())
-        page.route("**/proof*", lambda route: route.abort())
-        viewer._ended.set()
-        for seconds in (1, 2, 4):
-            said = f"document.getElementById('status').textContent.includes('tried again in {seconds} s')"
-            page.wait_for_function(said, timeout=60_000)
-        viewer._ended.clear()
-        page.unroute("**/events")
-        page.unroute("**/proof*")
-        page.wait_for_function("document.getElementById('status').textContent === ''", timeout=60_000)
-        page.close()
+    page = opens(viewer, (600, 300), is_drawn=False, is_lost=True)
+    page.route("**/events", lambda route: route.abort())
+    page.route("**/proof*", lambda route: route.abort())
+    viewer._ended.set()
+    for seconds in (1, 2, 4):
+        said = f"document.getElementById('status').textContent.includes('tried again in {seconds} s')"
+        page.wait_for_function(said, timeout=60_000)
+    viewer._ended.clear()
+    page.unroute("**/events")
+    page.unroute("**/proof*")
+    page.wait_for_function("document.getElementById('status').textContent === ''", timeout=60_000)
 
 
-def test_texture_coordinates_are_missed_only_where_there_are_none(browser, tmp_path):
+def test_texture_coordinates_are_missed_only_where_there_are_none(opens, tmp_path):
     square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], [[0, 1, 2], [0, 2, 3]]
     uv = [[0, 0], [1, 0], [1, 1], [0, 1]]
     texts = []
     for number, given in enumerate((None, uv)):
         surface = octex.Surface.from_arrays(*square, uv=given)
         write_page(octex.convert(surface, depth=2), tmp_path / f"{number}.html", surface)
-        page = opened(browser, file_url(tmp_path / f"{number}.html"), (760, 300))
+        page = opens(tmp_path / f"{number}.html", (760, 300), is_drawn=False)
         texts.append(page.locator("#facts").inner_text().split("\n")[1])
-        page.close()
     assert texts == ["2 triangles, no texture coordinates", "2 triangles"]

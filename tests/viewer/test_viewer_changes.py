@@ -13,7 +13,7 @@ from octex.viewer import Viewer
 from octex.viewer.changes import change_between, change_of
 from octex.viewer.pack import pack
 from tests.conftest import needs_jit
-from tests.make.browser import UNLIKE, Probe, differences, opened, served
+from tests.make.browser import UNLIKE, Probe, differences
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.small_surfaces import sheet
@@ -26,8 +26,7 @@ def told(viewer, page):
     page.wait_for_function(shows, arg=viewer.version()[0], timeout=60_000, polling=20)
 
 
-@needs_jit
-def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(browser, tmp_path):
+def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(opens, tmp_path):
     surface = sheet(np.eye(3), 0.01)
     waves = surface.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
     painter = octex.Painter(octex.convert(waves, depth=5, max_error=3), surface)
@@ -40,57 +39,49 @@ def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(browser, tmp_
         painter.undo,
         painter.redo,
     ]
-    with served(Viewer(painter.texture, tmp_path / "session.octex", surface)) as viewer:
-        page = opened(browser, viewer.url, (320, 240))
-        page.evaluate("globalThis.isFirst = true")
-        for stroke in strokes:
-            before = painter.texture()
-            stroke()
-            assert painter.texture() is not before
-            told(viewer, page)
-            assert page.evaluate(UNLIKE) == []
-        assert page.evaluate("isFirst")
-        texture = painter.texture()
-        assert texture.tree.split.cells.size
-        assert texture.tree.kept.cells.size
-        for facing in (False, True):
-            shown(page, texture, surface, facing)
-        page.evaluate(
-            "globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()"
-        )
-        page.wait_for_function("viewer.isLost")
-        page.evaluate("lose.restoreContext()")
-        page.wait_for_function("!viewer.isLost")
-        shown(page, texture, surface, True)
-        assert page.complaints == []
-        page.close()
+    viewer = Viewer(painter.texture, tmp_path / "session.octex", surface)
+    page = opens(viewer, (320, 240))
+    page.evaluate("globalThis.isFirst = true")
+    for stroke in strokes:
+        before = painter.texture()
+        stroke()
+        assert painter.texture() is not before
+        told(viewer, page)
+        assert page.evaluate(UNLIKE) == []
+    assert page.evaluate("isFirst")
+    texture = painter.texture()
+    assert texture.tree.split.cells.size
+    assert texture.tree.kept.cells.size
+    for facing in (False, True):
+        shown(page, texture, surface, facing)
+    page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()")
+    page.wait_for_function("viewer.isLost")
+    page.evaluate("lose.restoreContext()")
+    page.wait_for_function("!viewer.isLost")
+    shown(page, texture, surface, True)
 
 
-@needs_jit
 @pytest.mark.parametrize("seed", range(2))
-def test_random_strokes_change_a_page_to_what_one_has_that_loads_anew(seed, browser, tmp_path):
+def test_random_strokes_change_a_page_to_what_one_has_that_loads_anew(seed, opens, tmp_path):
     random = np.random.default_rng(seed)
     surface = sheet(np.eye(3), 0.01) if seed % 2 else ball(12)
     waves = surface.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
     painter = octex.Painter(octex.convert(waves, depth=4, max_error=3 if seed % 2 else None), surface)
     width = float(np.ptp(surface.bounds, axis=0).max())
-    with served(Viewer(painter.texture, tmp_path / "session.octex", surface)) as viewer:
-        page = opened(browser, viewer.url, (64, 48))
-        page.evaluate("viewer.frame = () => {}")  # nothing is looked at
-        for _ in range(25):
-            middle = surface.scatter(1, seed=int(random.integers(1000))).rest[0]
-            sphere = octex.Sphere(middle, width * random.uniform(0.01, 0.2))
-            depth = None if random.random() < 0.5 else int(random.integers(4, 8))
-            move = random.integers(4)
-            if move < 2:
-                painter.fill(sphere, random.random(3), max_depth=depth)
-            else:
-                (painter.undo if move == 2 else painter.redo)()
-            told(viewer, page)
-            assert page.evaluate(UNLIKE) == []
-        assert painter.texture().tree.kept.cells.size
-        assert page.complaints == []
-        page.close()
+    viewer = Viewer(painter.texture, tmp_path / "session.octex", surface)
+    page = opens(viewer, (64, 48), is_drawn=False)
+    for _ in range(25):
+        middle = surface.scatter(1, seed=int(random.integers(1000))).rest[0]
+        sphere = octex.Sphere(middle, width * random.uniform(0.01, 0.2))
+        depth = None if random.random() < 0.5 else int(random.integers(4, 8))
+        move = random.integers(4)
+        if move < 2:
+            painter.fill(sphere, random.random(3), max_depth=depth)
+        else:
+            (painter.undo if move == 2 else painter.redo)()
+        told(viewer, page)
+        assert page.evaluate(UNLIKE) == []
+    assert painter.texture().tree.kept.cells.size
 
 
 def shown(page, texture, surface, facing):
@@ -102,61 +93,52 @@ def shown(page, texture, surface, facing):
         assert away.max() <= 1.0
 
 
-@needs_jit
-def test_a_stroke_without_new_cells_sends_the_rows_that_it_changes(browser, tmp_path):
+def test_a_stroke_without_new_cells_sends_the_rows_that_it_changes(opens, tmp_path):
     surface = ball(32)
     texture = octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=7)
     painter = octex.Painter(texture, surface)
-    with served(Viewer(painter.texture, tmp_path / "session.octex", surface)) as viewer:
-        page = opened(browser, viewer.url, (320, 240))
-        point = surface.scatter(1, seed=2).rest[0]
-        painter.fill(octex.Sphere(point, 0.1), (1.0, 0.0, 0.0))
-        told(viewer, page)
-        rows = page.evaluate("viewer.parts[0].held.reduce((sum, each) => sum + each.rows, 0)")
-        assert 0 < page.evaluate("viewer.sent") < rows / 2
-        version = viewer.version()[0]
-        painter.undo()
-        viewer.changed()
-        viewer.version()
-        assert len(viewer.of_version(version)[1].streams["change-0"]) < 0.05 * texture.nbytes
-        page.close()
+    viewer = Viewer(painter.texture, tmp_path / "session.octex", surface)
+    page = opens(viewer, (320, 240), is_drawn=False)
+    point = surface.scatter(1, seed=2).rest[0]
+    painter.fill(octex.Sphere(point, 0.1), (1.0, 0.0, 0.0))
+    told(viewer, page)
+    rows = page.evaluate("viewer.parts[0].held.reduce((sum, each) => sum + each.rows, 0)")
+    assert 0 < page.evaluate("viewer.sent") < rows / 2
+    version = viewer.version()[0]
+    painter.undo()
+    viewer.changed()
+    viewer.version()
+    assert len(viewer.of_version(version)[1].streams["change-0"]) < 0.05 * texture.nbytes
 
 
-@needs_jit
-def test_strokes_with_new_cells_send_the_rows_that_they_change(browser, tmp_path):
+def test_strokes_with_new_cells_send_the_rows_that_they_change(opens, tmp_path):
     surface = ball(32)
     texture = octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=7)
     painter = octex.Painter(texture, surface)
     last = surface.rest[np.argmax(surface.rest.sum(axis=1))]  # in Morton order cells there stand behind most
-    with served(Viewer(painter.texture, tmp_path / "session.octex", surface)) as viewer:
-        page = opened(browser, viewer.url, (320, 240))
-        sent = []
-        for radius in (0.1, 0.105, 0.11):
-            painter.fill(octex.Sphere(last, radius), (1.0, 0.0, 0.0), max_depth=8)
-            told(viewer, page)
-            sent.append(page.evaluate("viewer.sent"))
-            shown(page, painter.texture(), surface, False)
-        used = page.evaluate(
-            "viewer.parts[0].held.reduce((sum, { array, size }) => sum + array.length / size / 4096, 0)"
-        )
-        assert sent[0] > used / 2 > max(sent[1:]), (sent, used)
-        assert page.evaluate("viewer.gpu.gl.getError()") == 0
-        assert page.complaints == []
-        page.close()
+    viewer = Viewer(painter.texture, tmp_path / "session.octex", surface)
+    page = opens(viewer, (320, 240))
+    sent = []
+    for radius in (0.1, 0.105, 0.11):
+        painter.fill(octex.Sphere(last, radius), (1.0, 0.0, 0.0), max_depth=8)
+        told(viewer, page)
+        sent.append(page.evaluate("viewer.sent"))
+        shown(page, painter.texture(), surface, False)
+    used = page.evaluate(
+        "viewer.parts[0].held.reduce((sum, { array, size }) => sum + array.length / size / 4096, 0)"
+    )
+    assert sent[0] > used / 2 > max(sent[1:]), (sent, used)
+    assert page.evaluate("viewer.gpu.gl.getError()") == 0
 
 
-@needs_jit
-def test_what_is_otherwise_than_the_page_can_be_sent_is_loaded_anew(browser, tmp_path):
+def test_what_is_otherwise_than_the_page_can_be_sent_is_loaded_anew(opens, tmp_path):
     surface, path = ball(8), tmp_path / "ball.octex"
     rough = surface.with_sources({"roughness": 0.5, "base_color": lambda p: np.full_like(p, 0.5)})
     octex.convert(rough, depth=3).save(path)
-    with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
-        page = opened(browser, viewer.url, (320, 240), finest=2)
-        octex.convert(rough, depth=3, channels=["base_color"]).save(path)
-        page.wait_for_function(
-            "globalThis.viewer?.header?.parts[0].channels.length === 1 && viewer.isComplete"
-        )
-        page.close()
+    viewer = Viewer(lambda: octex.open(path), path, surface)
+    page = opens(viewer, (320, 240), is_drawn=False)
+    octex.convert(rough, depth=3, channels=["base_color"]).save(path)
+    page.wait_for_function("globalThis.viewer?.header?.parts[0].channels.length === 1 && viewer.isComplete")
 
 
 def test_runs_and_new_cells_make_up_the_texture_that_is_now():
@@ -235,31 +217,29 @@ def test_a_page_that_is_behind_gets_change_after_change(tmp_path):
     viewer._server.server_close()
 
 
-@needs_jit
-def test_the_page_and_cameras_agree_on_what_a_pixel_sees(browser, tmp_path):
+def test_the_page_and_cameras_agree_on_what_a_pixel_sees(opens, browser, tmp_path):
     if browser.browser_type.name == "firefox":
         pytest.skip("WebDriver BiDi does not tell playwright of downloads")
     surface, path = ball(32), tmp_path / "ball.octex"
     octex.convert(surface.with_sources({"base_color": lambda p: np.full_like(p, 0.5)}), depth=4).save(path)
-    with served(Viewer(lambda: octex.open(path), path, surface)) as viewer:
-        page = opened(browser, viewer.url, (900, 320))
-        page.evaluate("viewer.camera.orbit(0.4, 0.2); viewer.camera.pan(0.1, -0.05); viewer.camera.zoom(1.5)")
-        with page.expect_download() as waiting:
-            page.click("#save-camera")
-        waiting.value.save_as(tmp_path / "camera.json")
-        assert waiting.value.suggested_filename == "ball-camera.json"
-        (frame,) = octex.read_cameras(tmp_path / "camera.json")
-        camera = frame.camera()
-        assert frame.name == "ball.png"
-        assert [camera.width, camera.height] == page.evaluate(
-            "[viewer.canvas.clientWidth, viewer.canvas.clientHeight]"
-        )
-        for pixel in ([370, 130], [330, 190], [400, 100]):
-            found = page.evaluate("(at) => viewer.pick(...at)", pixel)
-            point = np.array([found["rest"]])
-            # To what rasterizers round corners to: a sixteenth of a pixel.
-            np.testing.assert_allclose(camera.project(point)[0][0], np.add(pixel, 0.5), atol=1 / 16)
-        page.close()
+    viewer = Viewer(lambda: octex.open(path), path, surface)
+    page = opens(viewer, (900, 320), is_drawn=False)
+    page.evaluate("viewer.camera.orbit(0.4, 0.2); viewer.camera.pan(0.1, -0.05); viewer.camera.zoom(1.5)")
+    with page.expect_download() as waiting:
+        page.click("#save-camera")
+    waiting.value.save_as(tmp_path / "camera.json")
+    assert waiting.value.suggested_filename == "ball-camera.json"
+    (frame,) = octex.read_cameras(tmp_path / "camera.json")
+    camera = frame.camera()
+    assert frame.name == "ball.png"
+    assert [camera.width, camera.height] == page.evaluate(
+        "[viewer.canvas.clientWidth, viewer.canvas.clientHeight]"
+    )
+    for pixel in ([370, 130], [330, 190], [400, 100]):
+        found = page.evaluate("(at) => viewer.pick(...at)", pixel)
+        point = np.array([found["rest"]])
+        # To what rasterizers round corners to: a sixteenth of a pixel.
+        np.testing.assert_allclose(camera.project(point)[0][0], np.add(pixel, 0.5), atol=1 / 16)
 
 
 @needs_jit

@@ -7,11 +7,8 @@ import octex
 from octex.tree.morton import decode_cells
 from octex.tree.octree import walk_leaves
 from octex.viewer import write_page
-from tests.conftest import needs_jit
 from tests.make.browser import drawn, file_url, opened
 from tests.make.painted import ball
-
-pytestmark = needs_jit
 
 #: Makes the cubes of a level and returns their numbers, and how many there were after each piece.
 _CUBES = """(level) => {

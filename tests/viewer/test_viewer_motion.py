@@ -9,8 +9,7 @@ from octex.errors import ModelError
 from octex.source.load import load_motion
 from octex.viewer import write_page
 from octex.viewer.pack import pack
-from tests.conftest import needs_jit
-from tests.make.browser import Probe, camera_of, file_url, lit_normals, opened
+from tests.make.browser import Probe, camera_of, lit_normals
 from tests.make.fixtures import Gltf
 from tests.source.test_poses import NO_SUCH_JOINT, WAVY, broken, moving
 
@@ -110,15 +109,14 @@ def test_motion_has_fewer_frames_where_there_is_little_room(tmp_path):
     assert none.header["notes"][0].startswith("no animations: they take")
 
 
-@needs_jit
 @pytest.mark.parametrize("path", ["rotation", "weights"])
-def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(path, browser, tmp_path):
+def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(path, opens, tmp_path):
     file = moving(path, "LINEAR", 3).save(tmp_path / "a.glb")
     waves = lambda p: 0.5 + 0.5 * np.sin(9 * p)  # noqa: E731
     surface = octex.load_surface(file, sources={"base_color": waves})
     texture = octex.convert(surface, depth=5)
     write_page(texture, tmp_path / "page.html", surface, motion=load_motion(file, 50.0))
-    page = opened(browser, file_url(tmp_path / "page.html"), (900, 480))
+    page = opens(tmp_path / "page.html", (900, 480))
     still = Probe(page, texture, SIZE).points
     page.select_option("#animation", "0")
     for time in (0.6, 1.4):
@@ -135,8 +133,6 @@ def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(path, brow
     base = next(each for each in pack(texture, surface).header["channels"] if each["name"] == "base_color")
     expected = texture.sample(values.points, filter="quadratic")
     assert 255 * np.abs(values.plane(base["at"][0])[:, :3] - expected).max() <= 1.0
-    assert page.complaints == []
-    page.close()
 
 
 def compare_seen(posed, camera, probe):
@@ -155,9 +151,8 @@ def compare_seen(posed, camera, probe):
     assert np.quantile(off, 0.97) < 3e-3  # a pixel is wider than 0.01
 
 
-@needs_jit
 @pytest.mark.parametrize("pose", [None, "A@2"])
-def test_targets_turn_normals_before_bones_do(pose, browser, tmp_path):
+def test_targets_turn_normals_before_bones_do(pose, opens, tmp_path):
     gltf = Gltf()
     up, added = np.float32([0, 0, 1]), np.float32([[0.5, -0.2, 0.1], [-0.3, 1.5, 0.2]])
     rows = [{"NORMAL": gltf.accessor(np.tile(each, (4, 1)))} for each in added]
@@ -175,7 +170,7 @@ def test_targets_turn_normals_before_bones_do(pose, browser, tmp_path):
     surface = octex.load_surface(file, normals=True, pose=pose)
     motion = load_motion(file)
     write_page(octex.convert(surface, depth=3), tmp_path / "page.html", surface, motion=motion)
-    page = opened(browser, file_url(tmp_path / "page.html"), (900, 480))
+    page = opens(tmp_path / "page.html", (900, 480))
     turn = np.array([[0.28, 0, 0.96], [0, 1, 0], [-0.96, 0, 0.28]])  # of the quaternion above
     view = camera_of(page, SIZE).world_to_camera[:3, :3] * [[1], [-1], [-1]]
     for time, share in ((0.0, 0.0), (1.0, 0.5), (2.0, 1.0)):
@@ -187,16 +182,13 @@ def test_targets_turn_normals_before_bones_do(pose, browser, tmp_path):
         found = lit_normals(page, SIZE, moved={"animation": 0, "time": time})[seen]
         away = np.minimum(np.abs(found - expected).max(axis=1), np.abs(found + expected).max(axis=1))
         assert away.max() < 2e-3  # normals come in 2⁻¹⁰
-    assert page.complaints == []
-    page.close()
 
 
-@needs_jit
-def test_animations_are_chosen_played_and_sought(browser, tmp_path):
+def test_animations_are_chosen_played_and_sought(opens, tmp_path):
     file = moving("rotation", "LINEAR").save(tmp_path / "a.glb")
     surface = octex.load_surface(file)
     write_page(octex.convert(surface, depth=3), tmp_path / "page.html", surface, motion=load_motion(file))
-    page = opened(browser, file_url(tmp_path / "page.html"), (900, 700))
+    page = opens(tmp_path / "page.html", (900, 700))
     assert page.locator("#animation option").all_text_contents() == ["as it rests", "A"]
     assert page.is_disabled("#time")
     page.locator("canvas").focus()
@@ -211,5 +203,3 @@ def test_animations_are_chosen_played_and_sought(browser, tmp_path):
     assert page.evaluate("viewer.look.moved") == {"animation": 0, "time": 1.5}
     page.select_option("#animation", "-1")
     assert page.evaluate("viewer.look.moved") is None
-    assert page.complaints == []
-    page.close()

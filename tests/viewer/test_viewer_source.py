@@ -1,7 +1,5 @@
 """The model's own images beside the octree: each pixel as the source has it there, the divider, the bytes."""
 
-import threading
-
 import numpy as np
 import pytest
 
@@ -12,8 +10,7 @@ from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from octex.viewer import Viewer, write_page
 from octex.viewer.maps import maps_of
-from tests.conftest import needs_jit
-from tests.make.browser import camera_of, drawn, file_url, opened
+from tests.make.browser import camera_of, drawn
 from tests.make.fixtures import Gltf, png, random_image
 
 SIZE = 240, 180
@@ -34,15 +31,11 @@ def two_images(path):
     return octex.load_surface(gltf.save(path))
 
 
-@needs_jit
-def test_each_pixel_of_the_source_is_what_the_model_has_there(browser, tmp_path):
+def test_each_pixel_of_the_source_is_what_the_model_has_there(opens, tmp_path):
     surface, path = two_images(tmp_path / "two.glb"), tmp_path / "two.octex"
     texture = octex.convert(surface, depth=3)
     texture.save(path)
-    viewer = Viewer(lambda: octex.open(path), path, surface)
-    thread = threading.Thread(target=viewer.run, kwargs={"alone": 1.0})
-    thread.start()
-    page = opened(browser, viewer.url, (600, 400))
+    page = opens(Viewer(lambda: octex.open(path), path, surface), (600, 400))
     page.evaluate("viewer.camera.reset(0.2, 0.1)")
     codes = drawn(page, SIZE, shown="unlit", divider=1).reshape(-1, 3)
     worst, count = [], 0
@@ -57,16 +50,12 @@ def test_each_pixel_of_the_source_is_what_the_model_has_there(browser, tmp_path)
     is_rough = "llvmpipe" in page.evaluate("viewer.gpu.gl.getParameter(viewer.gpu.gl.RENDERER)")
     share, most = (0.9, 8) if is_rough else (0.97, 3)
     assert np.quantile(np.concatenate(worst), share) <= most
-    assert page.complaints == []
-    page.close()
-    thread.join(30)
 
 
-@needs_jit
-def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left(browser, tmp_path):
+def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left(opens, tmp_path):
     surface = two_images(tmp_path / "two.glb")
     write_page(octex.convert(surface, depth=2), tmp_path / "two.html", surface)
-    page = opened(browser, file_url(tmp_path / "two.html"), (900, 480))
+    page = opens(tmp_path / "two.html", (900, 480))
     picture = lambda: page.locator("canvas").screenshot()  # noqa: E731
     page.evaluate("viewer.camera.reset(0, 0); viewer.move()")
     pictures = []
@@ -106,8 +95,6 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     sharp()
     assert pictures[0] == pictures[4]
     assert len(set(pictures)) == 4
-    assert page.complaints == []
-    page.close()
 
 
 def test_images_are_halved_until_they_fit(tmp_path):

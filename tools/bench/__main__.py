@@ -36,36 +36,12 @@ from texture import paper
 from whole import whole
 
 BENCHMARKS = {
-    each.__name__: each
-    for each in (
-        paper,
-        torus,
-        boombox,
-        materials,
-        filters,
-        large,
-        adaptive,
-        lookup,
-        questions,
-        mixed,
-        resident,
-        today,
-        far,
-        footprints,
-        stretched,
-        pages,
-        ring,
-        whole,
-        painting,
-        session,
-        transfer,
-        cloud,
-        processing,
-        baking,
-        light,
-        archive,
+    each.__name__: each for each in (
+        paper, torus, boombox, materials, filters, large, adaptive, lookup, questions, mixed, resident, today,
+        far, footprints, stretched, pages, ring, whole, painting, session, transfer, cloud, processing,
+        baking, light, archive,
     )
-}
+}  # fmt: skip
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -25,7 +25,7 @@ Floats = npt.NDArray[np.float64]
 #: The vertices of a ball move along its radius by this part of an edge, those of a dual grid by this part of
 #: a cell. From two fifths of an edge on, single vertices are spikes, whose shadows no normal map holds.
 _NOISE_OF_EDGES, _NOISE_OF_CELLS = 0.21, 0.1
-_PICTURE, _SAMPLES = 512, 4
+_SAMPLES = 4
 #: Points that differ by more of 255 show another part of the surface.
 _WRONG = 32.0
 
@@ -40,10 +40,11 @@ class _Case(NamedTuple):
     size: int  # of its images
     seconds: float
     megabytes: float | None
+    picture: int = 512  # pixels along the sides of pictures
 
 
 _CASES = _Case(7, 263, 6.0, 50_000, 2048, 25.0, 8.0), _Case(8, 526, 25.0, 100_000, 4096, 60.0, None)
-_QUICK = (_Case(3, 32, 6.0, 500, 256, 25.0, 8.0),)
+_QUICK = (_Case(3, 32, 6.0, 500, 256, 25.0, 8.0, picture=128),)
 #: A ball, a dual grid and a map with which xatlas ends.
 _BESIDE = _Case(6, 131, 6.0, 0, 1024, 0.0, None)
 
@@ -131,7 +132,7 @@ def _models(
     wanted = codes(texture.sample(surface.rest_at(nearest.triangles, nearest.barycentric)))
     errors = codes(made.evaluate(points)) - wanted
     colors, wrong = decibels(errors), float((np.abs(errors) > _WRONG).any(axis=1).mean())
-    lit, off = _pictures(texture, surface, made)
+    lit, off = _pictures(texture, surface, made, case.picture)
     octex.write_model(octex.bake_vertices(texture, surface), path.with_suffix(".ply"))  # for suns.py
     what = f"{name}, {len(surface.triangles):,} → {len(made.triangles):,} triangles, {case.size}²"
     megabytes = path.stat().st_size / 1e6
@@ -152,7 +153,9 @@ def _models(
         report.at_least(f"light: {what}, beside the exact colours", back, 40.0, "dB")
 
 
-def _pictures(texture: octex.OctreeTexture, surface: octex.Surface, made: octex.Surface) -> tuple[float, int]:
+def _pictures(
+    texture: octex.OctreeTexture, surface: octex.Surface, made: octex.Surface, pixels: int
+) -> tuple[float, int]:
     """Return how alike lit pictures are inside, in dB, and how many pixels apart the silhouettes.
 
     A pixel is in a silhouette if half of it is covered.
@@ -160,28 +163,28 @@ def _pictures(texture: octex.OctreeTexture, surface: octex.Surface, made: octex.
     direction, studio = (1.0, 0.4, 0.7), octex.Environment.studio()
     camera, fine = (
         octex.Camera.fitted(surface.vertices, direction=direction, size=(size, size))
-        for size in (_PICTURE, _PICTURE * _SAMPLES)
+        for size in (pixels, pixels * _SAMPLES)
     )
     both = [octex.render(*each, camera, light=studio) for each in ((texture, surface), (None, made))]
-    covers = [_covered(each, fine) for each in (surface, made)]
+    covers = [_covered(each, fine, pixels) for each in (surface, made)]
     inside = np.minimum(*covers) == 1.0
     masks = [each >= 0.5 for each in covers]
     off = max(_apart(*masks), _apart(*masks[::-1]))
     return decibels(both[0][inside].astype(np.float64) - both[1][inside]), off
 
 
-def _covered(surface: octex.Surface, fine: octex.Camera) -> Floats:
+def _covered(surface: octex.Surface, fine: octex.Camera, pixels: int) -> Floats:
     """Return how much of each pixel a surface covers."""
     seen = z_buffer(surface.vertices, surface.triangles, fine).triangle >= 0
-    return np.asarray(seen.reshape(_PICTURE, _SAMPLES, _PICTURE, _SAMPLES).mean(axis=(1, 3)))
+    return np.asarray(seen.reshape(pixels, _SAMPLES, pixels, _SAMPLES).mean(axis=(1, 3)))
 
 
 def _apart(one: npt.NDArray[np.bool_], other: npt.NDArray[np.bool_]) -> int:
     """Return by how many pixels one mask must be widened to hold another."""
-    for pixels in range(_PICTURE):
+    for pixels in range(len(one)):
         if not (other & ~one).any():
             return pixels
         rows = np.pad(one, 1)
         rows = rows[:-2] | rows[1:-1] | rows[2:]
         one = rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
-    return _PICTURE
+    return len(one)

@@ -26,12 +26,13 @@ from typing import Any
 
 import damage
 import numpy as np
-from damage import Archive, Arrays, Render
+from damage import Archive, Render
+from damage_arrays import Arrays, cameras, points, voxels
 
 import octex
 from octex.cameras.files import read_cameras
 from octex.conversion.points import convert_voxels
-from octex.errors import OctexError
+from octex.errors import InputError, OctexError
 from octex.parallel import at_most, silent
 from octex.source.surface import Surface
 from octex.source.voxels import Voxels
@@ -65,7 +66,7 @@ def files(number: int) -> dict[str, Render | Archive | Arrays]:
             texture.save(Path(folder) / f"good{ending}")
             found[ending] = damage.parted(Path(folder) / f"good{ending}")
     chance = np.random.default_rng(number)
-    return found | {each.__name__: each(chance) for each in (damage.points, damage.voxels, damage.cameras)}
+    return found | {each.__name__: each(chance) for each in (points, voxels, cameras)}
 
 
 def attempt(seed: int, folder: Path) -> tuple[str, str]:
@@ -107,7 +108,9 @@ def use(path: Path, kind: str, chance: Random) -> str:
         return _use_arrays(path, kind, chance)
     try:
         texture = octex.open(path)
-    except OctexError:
+    except OctexError as error:
+        if not isinstance(error, InputError) or "\n" in str(error):
+            raise AssertionError("what is said of it is not a line, or not of the file") from error
         if kind != ".octex" and HAS_FSSPEC:
             _read_in_part(path, chance, is_sound=False)
         return "refused"

@@ -1,7 +1,7 @@
 """Damage good .ptx files, and read what becomes of them: an error that is octex's own, or texels, soon.
 
 The files are those of OCTEX_TEST_MODELS, and files that octex writes of random contents. Bytes are
-overwritten, cut off, moved or put in, numbers of the headers replaced by odd ones, and faces changed below
+overwritten, cut off, moved or left out, numbers of the headers replaced by odd ones, and faces changed below
 their compression. Of each file the metadata, the averages and some faces with their reductions are read.
 """
 
@@ -18,7 +18,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parents[1] / "bench" / "peers"))
+from damage import blind
 from ptex_peer import random_contents
 
 from octex.errors import ModelError
@@ -36,26 +38,16 @@ MEMORY, SECONDS = 256 << 20, 1.0
 def damaged(data: bytes, draw: random.Random) -> bytes:
     """Return a file with something wrong in it."""
     made = bytearray(data)
-    kind = draw.randrange(7)
-    if kind == 0:
-        for _ in range(draw.randrange(1, 5)):
-            made[draw.randrange(len(made))] = draw.randrange(256)
-    elif kind == 1:
-        del made[draw.randrange(len(made)) :]
-    elif kind == 2:
-        at = draw.randrange(len(made))
-        made[at:at] = draw.randbytes(draw.randrange(1, 20))
-    elif kind == 3:
-        at, size = draw.randrange(len(made)), draw.randrange(1, 50)
-        made[at : at + size] = made[draw.randrange(len(made)) :][:size]
-    elif kind == 4:
-        at = draw.randrange(0, 26) * 4
-        made[at : at + 4] = draw.choice(ODD).to_bytes(4, "little")
-    elif kind == 5:
-        at = draw.randrange(4, min(len(made), 160))
-        made[at] = draw.randrange(256)
-    else:
-        return changed_faces(data, draw)
+    match draw.randrange(7):
+        case 0:
+            at = draw.randrange(0, 26) * 4
+            made[at : at + 4] = draw.choice(ODD).to_bytes(4, "little")
+        case 1:
+            made[draw.randrange(4, min(len(made), 160))] = draw.randrange(256)
+        case 2:
+            return changed_faces(data, draw)
+        case _:
+            return blind(data, draw)
     return bytes(made)
 
 

@@ -1,0 +1,106 @@
+"""Colours baked to vertices, and triangles divided for them."""
+
+import numpy as np
+import pytest
+import trimesh
+
+import octex
+from octex.channels import encode
+from octex.source.corners import Corners
+from octex.source.surface import Surface
+from octex.source.tangents import corner_frames
+from tests.baking.test_bake import cube_with_charts, painted_sphere, psnr
+from tests.make import solids
+from tests.make.painted import waves
+from tests.make.small_surfaces import whole
+
+
+def test_vertex_colours_follow_the_field_and_neighbours_divide_alike():
+    texture, surface = painted_sphere()
+    coarse = octex.bake_vertices(texture, surface)
+    assert len(coarse.triangles) == len(surface.triangles)
+    fine = octex.bake_vertices(texture, surface, subdivide="auto", max_error=2.0)
+    near = texture.sample(fine.vertices, "base_color", normals=fine.vertices)
+    np.testing.assert_allclose(fine.source.colors.values[:, :3], near, atol=0.02)
+    for seed, made, least in ((3, coarse, 20.0), (4, fine, 43.0)):
+        some = made.scatter(20_000, seed=seed)
+        assert psnr(made.evaluate(some), texture.sample(some, "base_color")) > least
+    # Each edge has two triangles, as before, and the sphere is where it was.
+    ends = np.stack([fine.triangles, np.roll(fine.triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    _, counts = np.unique(np.sort(ends, axis=1), axis=0, return_counts=True)
+    assert (counts == 2).all()
+    assert fine.areas().sum() == pytest.approx(surface.areas().sum(), rel=1e-9)
+
+
+@pytest.mark.parametrize("subdivide", ["auto", 0.07])
+def test_where_vertices_are_apart_at_one_place_edges_are_divided_alike(subdivide):
+    surface = cube_with_charts()  # no two of its triangles share a vertex
+    flat = corner_frames(surface.rest, surface.triangles, None, None, None)
+    surface = Surface(surface.vertices, surface.triangles, surface.source, frames=flat)
+    texture = octex.convert(surface.with_sources({"base_color": waves}), 5)
+    made = octex.bake_vertices(texture, surface, subdivide=subdivide, max_error=2.0)
+    _, places = np.unique(made.vertices, axis=0, return_inverse=True)
+    triangles = places[made.triangles]
+    ends = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    _, counts = np.unique(np.sort(ends, axis=1), axis=0, return_counts=True)
+    assert len(triangles) > 100
+    assert (counts == 2).all()
+    # And the cube's edges stay sharp.
+    sides = made.vertices[made.triangles]
+    crosses = np.cross(sides[:, 1] - sides[:, 0], sides[:, 2] - sides[:, 0])
+    crosses /= np.linalg.norm(crosses, axis=1, keepdims=True)
+    assert made.frames is not None
+    found = made.frames.normals.values[made.frames.normals.rows]
+    np.testing.assert_allclose(found, np.broadcast_to(crosses[:, None], found.shape), atol=1e-6)
+
+
+@pytest.mark.parametrize("ending", [".ply", ".glb", ".obj"])
+def test_divided_triangles_are_shaded_as_the_whole_was(ending, tmp_path):
+    points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, 8)
+    normals = Corners((points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32), triangles)
+    frames = corner_frames(points, triangles, normals, None, None)
+    turned = points @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    source = Surface.from_arrays(points, triangles).source
+    surface = Surface(turned, triangles, source, rest=points, frames=frames)
+    made = octex.bake_vertices(octex.convert(surface, 3), surface, subdivide=0.2)
+    assert len(made.triangles) > 4 * len(triangles)
+    octex.write_model(made, tmp_path / f"ball{ending}")
+    if ending == ".ply":
+        mesh = trimesh.load(tmp_path / "ball.ply", process=False)
+        assert "vertex_normals" in mesh._cache  # those of the file
+        found, places = mesh.vertex_normals[mesh.faces], mesh.vertices[mesh.faces]
+    else:
+        read = octex.load_surface(tmp_path / f"ball{ending}", normals=True)
+        assert read.frames is not None
+        found, places = read.frames.normals.values[read.frames.normals.rows], read.vertices[read.triangles]
+    # On a sphere what lies between the corners' normals points as positions do.
+    expected = places / np.linalg.norm(places, axis=2, keepdims=True)
+    assert np.einsum("tcx,tcx->tc", found, expected).min() > np.cos(np.radians(2.0))
+
+
+def test_edges_are_halved_until_none_is_longer():
+    surface = whole()
+    texture = octex.convert(surface, 6)
+    made = octex.bake_vertices(texture, surface, subdivide=0.1)
+    sides = made.vertices[np.roll(made.triangles, -1, axis=1)] - made.vertices[made.triangles]
+    assert np.linalg.norm(sides, axis=2).max() <= 0.1
+    assert made.areas().sum() == pytest.approx(surface.areas().sum(), rel=1e-9)
+    for most in (20, 200):
+        few = octex.bake_vertices(texture, surface, subdivide=0.1, most_triangles=most)
+        assert most / 6 < len(few.triangles) <= most
+
+
+@pytest.mark.parametrize("ending", [".ply", ".glb", ".obj"])
+def test_vertex_colours_are_written_and_read_back(ending, tmp_path):
+    texture, surface = painted_sphere()
+    made = octex.bake_vertices(texture, surface)
+    octex.write_model(made, tmp_path / f"ball{ending}")
+    read = octex.load_surface(tmp_path / f"ball{ending}")
+    assert read.triangles.shape == made.triangles.shape
+    points = made.scatter(2000)
+    np.testing.assert_allclose(read.evaluate(points), made.evaluate(points), atol=0.01)
+    if ending == ".ply":
+        cloud = trimesh.load(tmp_path / "ball.ply", process=False)
+        np.testing.assert_array_equal(cloud.faces, made.triangles)
+        codes = encode(made.source.colors.values[:, :3], "uint8", "srgb")
+        np.testing.assert_array_equal(cloud.visual.vertex_colors[:, :3], codes)
