@@ -245,7 +245,7 @@ def _box_in(view: View, a: Vector, b: Vector, c: Vector) -> tuple[float, float, 
 
 
 @inlined
-def _summand(terms: Terms, value: float, alpha: float) -> float:
+def _summand(terms: Terms, value: float, alpha: np.float32) -> float:
     """Return a value, times alpha, or its square root, times alpha.
 
     Means of roots are nearer to photographs than means of light, in which highlights count most.

@@ -176,9 +176,8 @@ def test_pixels_up_to_twice_as_wide_as_cells_or_the_finest_count_alike_and_coars
         lens = octex.Camera.pinhole((size, size), pose=pose, convention="opencv", focal=2.0 * size)
         shots.append(octex.Projection(np.full((size, size, 3), light, np.float32), lens))
     found = octex.paint(None, surface, shots, max_depth=depth)
-    np.testing.assert_allclose(
-        found.sample(np.zeros((1, 3))), share**2, atol=0.01
-    )  # the mean of roots, squared
+    expected = share**2  # the square of the mean root
+    np.testing.assert_allclose(found.sample(np.zeros((1, 3))), expected, atol=0.01)
 
 
 @needs_jit
