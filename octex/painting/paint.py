@@ -80,7 +80,8 @@ def paint(
     texture       the texture to paint on; it does not change. None begins a new one
     surface       the model: cameras see its posed positions, paint lands at its rest positions
     projections   pictures with cameras. Consecutive ones with the same blend mode form one layer: each cell
-                  averages them, and is blended once; pixels wider than two cells count for less
+                  averages them (square roots of light), and is blended once; pixels more than twice as wide
+                  as cells, and as the finest pixel there, count for less
     channel       the channel to paint
     max_depth     cells are a quarter to half a pixel wide, and no finer than this level: paint may come out
                   finer than without. Default: half a pixel to one pixel, no finer than level 14

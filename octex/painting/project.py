@@ -285,30 +285,43 @@ class Projected(PaintSource):
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return paint, linear for colours, and coverage (n, components + 1); zeros without paint."""
-        sums, clear = self._sums(self.shots, triangles, barycentric, widths)
+        where = triangles, barycentric
+        sums, clear = self._sums(self.shots, *where, widths, self._finest(*where))
         found = np.zeros((len(triangles), self.form.components + 1), np.float32)
-        finish(sums, clear, found)
+        finish(self.terms, sums, clear, found)
         return found
 
     def each(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> tuple[Float32s, Float32s]:
         """Return each shot's paint (shots, n, 3), and its weight (shots, n), the largest of a point 1."""
         paint = np.zeros((len(self.shots), len(triangles), 3), np.float32)
         weights = np.zeros((len(self.shots), len(triangles)))
+        finest = self._finest(triangles, barycentric)
         for number, shot in enumerate(self.shots):
-            sums, _ = self._sums([shot], triangles, barycentric, widths)
+            sums, _ = self._sums([shot], triangles, barycentric, widths, finest)
             weights[number] = sums[:, 3]
             paint[number] = sums[:, :3] / np.maximum(sums[:, 3:], 1e-300)
+        if self.terms.is_light:
+            np.square(paint, out=paint)
         weights /= np.maximum(weights.max(axis=0), 1e-300)
         return paint, weights.astype(np.float32)
 
+    def _finest(self, triangles: Int32s, barycentric: Float64s) -> Float32s:
+        """Return the widths (n,) of the finest pixels at points, if weights depend on them."""
+        return self.widths(triangles, barycentric) if self.terms.enough > 0.0 else np.empty(0, np.float32)
+
     def _sums(
-        self, shots: Sequence[Shot], triangles: Int32s, barycentric: Float64s, widths: Float32s
+        self,
+        shots: Sequence[Shot],
+        triangles: Int32s,
+        barycentric: Float64s,
+        widths: Float32s,
+        finest: Float32s,
     ) -> tuple[Float64s, Float64s]:
         """Return weighted sums (n, 4) of the paint of shots, and the transparency (n,) they leave."""
         sums, clear = np.zeros((len(triangles), 4)), np.ones(len(triangles))
         mesh = self.vertices, self.triangles, self.stretches, self._normals
         for shot in shots:
-            add_paint(shot, self.terms, *mesh, triangles, barycentric, widths, sums, clear)
+            add_paint(shot, self.terms, *mesh, triangles, barycentric, widths, finest, sums, clear)
         if self.chosen is not None:
             others = ~self.chosen[triangles]
             sums[others], clear[others] = 0.0, 1.0

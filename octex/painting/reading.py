@@ -62,6 +62,7 @@ class Terms(NamedTuple):
     back_faces: bool
     hidden: bool
     enough: float = 0.0  # width at rest below which finer pixels count no more; 0: none
+    is_light: bool = False  # average the square roots of values
 
 
 def terms_of(max_angle: float, feather: float, back_faces: bool, hidden: bool = False) -> Terms:
@@ -243,6 +244,15 @@ def _box_in(view: View, a: Vector, b: Vector, c: Vector) -> tuple[float, float, 
     return left, top, right, bottom, behind
 
 
+@inlined
+def _summand(terms: Terms, value: float, alpha: np.float32) -> float:
+    """Return a value, times alpha, or its square root, times alpha.
+
+    Means of roots are nearer to photographs than means of light, in which highlights count most.
+    """
+    return float(np.sqrt(max(value, 0.0) * alpha)) if terms.is_light else float(value)
+
+
 @kernel
 def add_paint(
     shot: Shot,
@@ -254,10 +264,11 @@ def add_paint(
     triangles: Int32s,
     barycentric: Float64s,
     widths: Float32s,
+    finest: Float32s,
     sums: Float64s,
     clear: Float64s,
 ) -> None:
-    """Add a shot's paint to weighted sums (n, 4), and multiply ``clear`` (n,) by 1 − coverage."""
+    """Add a shot's paint to weighted sums (n, 4), of roots as `Terms` say; times ``clear`` 1 − coverage."""
     view = shot.camera
     height, width = shot.seen.rows.shape
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
@@ -330,19 +341,18 @@ def add_paint(
             red, green, blue, alpha = read_paint(shot.mips, u, v, wide)
         if not alpha > 0.0:
             continue
-        # Fine pixels count alike, since cameras are off by a pixel: weights by density lose 0.06 dB in ten
-        # photographs, the fourth power for all 0.8 dB.
+        # Pixels up to twice as wide as the finest count alike, since cameras and meshes are off by a pixel.
         density = max(shaded, _LEAST_COSINE)
         if terms.enough > 0.0:
-            density *= min(fine * terms.enough / stretch, 1.0) ** 4
+            density *= min(fine * max(terms.enough, 2.0 * finest[n]) / stretch, 1.0) ** 8
         else:
             density *= fine * fine
         trust = 0.01 + min(margin / TRUSTED, 1.0)
         weight = shot.weight * coverage * trust * density
-        light = weight * falloff_at(shot.falloff, columns, rows, u, v)
-        sums[n, 0] += light * red * shot.gains[0]
-        sums[n, 1] += light * green * shot.gains[1]
-        sums[n, 2] += light * blue * shot.gains[2]
+        factor = falloff_at(shot.falloff, columns, rows, u, v)
+        sums[n, 0] += weight * _summand(terms, factor * red * shot.gains[0], alpha)
+        sums[n, 1] += weight * _summand(terms, factor * green * shot.gains[1], alpha)
+        sums[n, 2] += weight * _summand(terms, factor * blue * shot.gains[2], alpha)
         sums[n, 3] += weight * alpha
         clear[n] *= max(1.0 - coverage * np.float64(alpha), 0.0)
 
@@ -449,13 +459,14 @@ def pixels_under(view: View, counts: Int32s, vertices: Float64s, faces: Int32s) 
 
 
 @kernel
-def finish(sums: Float64s, clear: Float64s, found: Float32s) -> None:
+def finish(terms: Terms, sums: Float64s, clear: Float64s, found: Float32s) -> None:
     """Write the means of weighted sums, and coverage."""
     components = found.shape[1] - 1
     for n in range(clear.size):
         if sums[n, 3] > 0.0:
             for component in range(components):
-                found[n, component] = sums[n, min(component, 2)] / sums[n, 3]
+                mean = sums[n, min(component, 2)] / sums[n, 3]
+                found[n, component] = mean * mean if terms.is_light else mean
             found[n, components] = 1.0 - clear[n]
 
 
@@ -476,7 +487,7 @@ def narrow(
     last = -1
     a = b = c = (0.0, 0.0, 0.0)
     plane = (0.0, 0.0, 0.0, 0.0)
-    area = 0.0
+    area = stretch = 0.0
     for n in range(triangles.size):
         triangle = int(triangles[n])
         if triangle != last:
@@ -484,16 +495,19 @@ def narrow(
             a, b, c = _corners(view, vertices, faces, triangle)
             plane = plane_through(a, b, c)
             area = _length_of(plane)
+            stretch = stretches[triangle] / view.focal * (1.0 - 1e-6)  # a lower bound, rounded down
         x, y, z = _point(a, b, c, barycentric, n)
-        if not z > 0.0:
+        if not z > 0.0 or stretch * (z if view.is_pinhole else 1.0) > widths[n]:
             continue
         cosine = _facing(view, plane, area, np.sqrt(x * x + y * y + z * z))
         if back_faces:
             cosine = abs(cosine)
         if not cosine > 0.0:
             continue
+        cosine = max(cosine, _LEAST_COSINE)
+        wide = np.float32(stretches[triangle] / (_pixels(view, z) * np.sqrt(cosine)))
+        if not wide < widths[n]:
+            continue
         u, v = _in_picture(shot, *_slopes(view, x, y, z))
         if 0.0 <= u < columns and 0.0 <= v < rows:
-            cosine = max(cosine, _LEAST_COSINE)
-            wide = np.float32(stretches[triangle] / (_pixels(view, z) * np.sqrt(cosine)))
-            widths[n] = min(widths[n], wide)
+            widths[n] = wide

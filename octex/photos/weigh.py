@@ -24,7 +24,7 @@ from octex.view.shading import face_normals
 
 #: Pictures are chosen this many levels above the finest, for at most this many pairs of cell and picture.
 _ABOVE, _MOST_VIEWS = 1, 1 << 22
-#: Pixels up to this many cells wide weigh alike in a mean.
+#: Pixels up to this many cells wide weigh alike in a mean, and those up to twice as wide as the finest.
 _ENOUGH = 2.0
 
 
@@ -104,4 +104,6 @@ def weighed(
     source = weighed_by_sharpness(source, surface)
     if pictures == "best":
         return best(source, surface, placement, depth, executor)
-    return replace(source, terms=source.terms._replace(enough=_ENOUGH * placement.size / 2**depth))
+    enough = _ENOUGH * placement.size / 2**depth
+    is_light = source.form.space in ("srgb", "linear")
+    return replace(source, terms=source.terms._replace(enough=enough, is_light=is_light))

@@ -156,19 +156,28 @@ def test_of_many_pictures_those_are_compared_that_see_most_of_the_same(monkeypat
     assert error(robust, surface) < least + 0.25 * (most - least)
 
 
-def test_pixels_finer_than_two_cells_count_alike_and_coarser_ones_little():
+@pytest.mark.parametrize(
+    ("pixels", "depth", "share"),
+    [
+        (16, 3, 1 / 2),  # pixels are 1/32 and 1/8 wide, cells 1/4
+        (16, 8, 256 / 257),  # cells 1/128
+        (32, 8, 1 / 2),  # pixels are 1/32 and 1/16 wide
+    ],
+)
+def test_pixels_up_to_twice_as_wide_as_cells_or_the_finest_count_alike_and_coarser_ones_little(
+    pixels, depth, share
+):
     vertices = np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
     surface = octex.Surface.from_arrays(vertices, [[0, 1, 2], [0, 2, 3]])
     shots = []
-    for light, pixels in ((1.0, 64), (0.0, 16)):
+    for light, size in ((1.0, 64), (0.0, pixels)):
         pose = np.diag([1.0, -1, -1, 1])
         pose[2, 3] = 4.0
-        size = (pixels, pixels)
-        lens = octex.Camera.pinhole(size, pose=pose, convention="opencv", focal=2.0 * pixels)
-        shots.append(octex.Projection(np.full((pixels, pixels, 3), light, np.float32), lens))
-    for depth, expected in ((3, 0.5), (8, 256 / 257)):  # pixels are 1/32 and 1/8 wide, cells 1/4, 1/128
-        found = octex.paint(None, surface, shots, max_depth=depth)
-        np.testing.assert_allclose(found.sample(np.zeros((1, 3))), expected, atol=0.01)
+        lens = octex.Camera.pinhole((size, size), pose=pose, convention="opencv", focal=2.0 * size)
+        shots.append(octex.Projection(np.full((size, size, 3), light, np.float32), lens))
+    found = octex.paint(None, surface, shots, max_depth=depth)
+    expected = share**2  # the square of the mean root
+    np.testing.assert_allclose(found.sample(np.zeros((1, 3))), expected, atol=0.01)
 
 
 @needs_jit

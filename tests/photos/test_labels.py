@@ -5,6 +5,7 @@ import numpy as np
 import octex
 from octex.channels import BASE_COLOR
 from octex.painting.multigrid import graph_of
+from octex.painting.reading import terms_of
 from octex.photos import labels as labelling
 from octex.photos.weigh import BestPaint
 from tests.conftest import needs_jit
@@ -165,10 +166,13 @@ def test_points_on_no_sheet_are_painted_from_all_pictures():
     shares = np.array([[1, 0], [0, 1]], np.float32)
     sheets = _Sheets()
     none = None
+    terms = terms_of(75.0, 0.0, back_faces=False)
     own = np.arange(3, dtype=np.int32)
     shots = [0.2, 0.8]
     exposures = np.zeros((2, 2, 3), np.float32)
-    paint = _TwoPictures(shots, BASE_COLOR, *5 * [none], sheets=sheets, shares=shares, exposures=exposures)
+    paint = _TwoPictures(
+        shots, BASE_COLOR, terms, *4 * [none], sheets=sheets, shares=shares, exposures=exposures
+    )
     found = paint.evaluate(own, np.zeros((3, 3)), np.zeros(3, np.float32))
     np.testing.assert_allclose(found[2], [0.5, 0.5, 0.5, 1.0])
     assert (found[0, :3] < 0.4).all() and (found[1, :3] > 0.6).all()
