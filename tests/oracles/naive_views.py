@@ -46,7 +46,7 @@ class Views:
                 row += 1
 
     def taps(self, point: Array, level: int) -> tuple[list[tuple[int, float]], float]:
-        """Rows and weights, and the cover, of the field over a level's averages."""
+        """Rows, weights of sum 1, and the weight of all, of the field over a level's averages."""
         field = self.fields[level]
         taps = taps_of(field, point[None], self.texture.placement, self.filter)
         moved = self.tree.n_cells - field.tree.n_cells
@@ -59,7 +59,8 @@ class Views:
                 for row, weight in found
             ]
         total = sum(weight for _, weight in found)
-        return [(row, weight / total) for row, weight in found], float(taps.covers[0]) * total
+        cover = float(taps.covers[0])
+        return [(row, weight / total) for row, weight in found], max(cover, OFF) * total if cover > 0 else OFF
 
     def facing(self, row: int, normal: Array) -> tuple[Array, float]:
         """What a row shows of what faces a normal, and how much it counts."""
@@ -88,7 +89,6 @@ class Views:
     def look(self, point: Array, level: int, normal: Array | None, threshold: float) -> tuple[Array, float]:
         """Sum and weight of what one look adds up."""
         taps, cover = self.taps(point, level)
-        cover += OFF
         if normal is not None:
             seen = [(*self.facing(row, normal), weight) for row, weight in taps]
             total = sum(part * weight for _, part, weight in seen)
