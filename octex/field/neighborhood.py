@@ -23,7 +23,7 @@ from octex.field.splines import (
     quartic_slopes,
     quartic_weights,
 )
-from octex.field.taps import OFF, Taps, new_taps
+from octex.field.taps import LEAST, OFF, Taps, new_taps
 from octex.field.windows import (
     BEGIN,
     CONTENT,
@@ -65,7 +65,7 @@ def taps_around(
     """Write the taps of a point of texture space from index ``first`` on; return the end and the cover.
 
     ``taps`` has room for MOST_TAPS. A row is a cell's number, or the number of cells + r for row r of the
-    kept nodes. Weights sum to the cover, or to OFF if that is more; slopes are their derivatives by x, y and
+    kept nodes. Weights sum to the cover, or to OFF where it is zero; slopes are their derivatives by x, y and
     z, if ``is_constant`` with a constant sum. The point is first clamped into the root; it must be finite.
 
     The cover is the part of the spline's weight on leaves, 0 … 1. Where it is zero, the taps are those of the
@@ -87,7 +87,7 @@ def taps_around(
             level -= 1
         is_cut = is_off = True
     cover = 0.0 if is_off else total
-    wanted = max(cover, np.float64(OFF))
+    wanted = np.float64(OFF) if is_off else max(cover, np.float64(LEAST))
     _write_taps(walk, n_taps, total, wanted, is_constant or wanted != total, taps, first)
     return first + n_taps, cover
 

@@ -60,7 +60,7 @@ class Views:
             ]
         total = sum(weight for _, weight in found)
         cover = float(taps.covers[0])
-        return [(row, weight / total) for row, weight in found], max(cover, OFF) * total if cover > 0 else OFF
+        return [(row, weight / total) for row, weight in found], cover * total if cover > 0 else OFF
 
     def facing(self, row: int, normal: Array) -> tuple[Array, float]:
         """What a row shows of what faces a normal, and how much it counts."""
