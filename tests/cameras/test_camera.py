@@ -117,7 +117,9 @@ def test_a_fitted_camera_touches_its_margins_and_holds_all_points(seed, size, fl
     free = np.array([pixels.min(axis=0), size - pixels.max(axis=0)]) / size
     assert free.min() > 0.05 - 1e-6
     tight = np.abs(free - 0.05) < 1e-6  # both sides of one axis
-    assert tight.all(axis=0).any()
+    # A row of points that is seen from its end fits from nearer than the camera may stand.
+    stands_nearest = np.isclose(depth.min(), 1e-3 * np.ptp(points, axis=0).max(), rtol=1e-6)
+    assert tight.all(axis=0).any() or stands_nearest
 
 
 def test_a_fitted_camera_keeps_up_up_and_looks_along_the_direction():

@@ -73,7 +73,9 @@ def taps(arrays, kept_cells, points, filter, walk=None, *, room=MOST_TAPS, gradi
         done, end = walked_taps(*task, code, True, walk, found, 0)
         assert done > begin
         counts = (found.ends - found.starts)[begin:done]
-        scales = np.repeat(np.maximum(found.covers[begin:done], taps_of.OFF), counts)
+        covers = found.covers[begin:done]
+        sums = np.where(covers > 0, np.maximum(covers, taps_of.LEAST), taps_of.OFF)
+        scales = np.repeat(sums, counts)
         slopes = found.slopes[:end] / scales[:, None] if gradient else found.slopes
         parts.append((counts, found.rows[:end].copy(), found.weights[:end] / scales, slopes))
     counts, *columns = (np.concatenate(column) for column in zip(*parts, strict=True))
