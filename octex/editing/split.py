@@ -66,8 +66,9 @@ def with_split(
         made = rows[name] if name in rows else _stored_facing(channel, new.cells, there, new.rows[there])
         values = np.concatenate([channel.split_values[stays], made])[order]
         channels[name] = channel._replace(split_values=np.ascontiguousarray(values))
-    is_skirt = ~there & (facings_of_skirts(tree)[new.cells] & new.bits != 0)
-    table.areas[np.flatnonzero(among(rows_of(table).cells, cells))[is_skirt]] = SKIRT
+    if not there.all() and (tree.arrays.areas == SKIRT).any():
+        is_skirt = ~there & (facings_of_skirts(tree)[new.cells] & new.bits != 0)
+        table.areas[np.flatnonzero(among(rows_of(table).cells, cells))[is_skirt]] = SKIRT
     flags = tree.arrays.flags.copy()
     flags[cells] |= np.uint8(SPLIT)
     tree = tree.with_cell_data(flags, tree.arrays.areas, table, tree.kept)
