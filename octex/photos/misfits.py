@@ -42,15 +42,19 @@ _AGREES, _STRANGE = 0.4, 0.25
 _FITS, _GAIN = 0.6, 0.15
 #: Ratios of units that meshes come in: metres, millimetres, inches, feet.
 _FACTORS = (1.0, 0.001, 0.01, 0.1, 10.0, 100.0, 1000.0, 0.0254, 1 / 0.0254, 0.3048, 1 / 0.3048)
-#: How well a mesh fills photographs: points, boxes along each side, photographs; how many of the best
-#: placements are compared; below _FILLED a photograph does not show the mesh.
-_FILLING, _BOXES, _FEW, _TRIED, _FILLED = 1000, 8, 8, 8, 0.05
+#: How well a mesh fills photographs: points, and boxes along each side; below _FILLED they do not show it.
+_FILLING, _BOXES, _FILLED = 1000, 8, 0.05
+#: Other placements of the mesh are compared in so many photographs; of those that fill at least _PART of what
+#: the best one fills, so many at most.
+_COMPARED, _TRIED, _PART = 20, 48, 0.5
 
 #: The fault of a mesh at whose points pictures show different things, and that no placing mends.
 _UNLIKE = (
     "pictures show different things at the same points of it; give the mesh that was made with these "
     "cameras, in the same coordinates"
 )
+#: The fault of a mesh of which the pictures see little, and nothing in common.
+_UNSEEN = "they see little of it, and share nothing; compare the units and axes of both"
 
 
 def misfits(
@@ -94,6 +98,8 @@ def misfits(
         n: "its camera sees nothing of the model" for n, blind in zip(rest, is_blind, strict=True) if blind
     }
     if not _agree(agreed):
+        if not np.isfinite(agreed).any():
+            return found, _UNSEEN if _filling_of(surface, small) < _FILLED else None
         light = read_points(source, surface, has_shades=True).agreements()
         is_unlike = np.isfinite(agreed).sum() >= _OTHERS and not _agree(light)
         return found, _UNLIKE if is_unlike else None
@@ -218,34 +224,67 @@ def _strange(source: Projected, samples: LightSamples, small: Sequence[Projectio
         samples.seen[worst] = False
 
 
+class Placing(NamedTuple):
+    """A change of the mesh or of all cameras."""
+
+    factor: float  # of lengths of the mesh
+    turn: Float64s  # (3, 3)   of its axes
+    is_reversed: bool  # whether the cameras' y and z axes change their signs
+
+    def of(self, camera: Camera) -> Camera:
+        """Return the camera that sees the mesh as this one would see it changed."""
+        view = camera.world_to_camera.copy()
+        if self.is_reversed:
+            view[1:3] *= -1.0
+        view[:3, :3] = view[:3, :3] @ self.turn
+        view[:3, 3] /= self.factor
+        return replace(camera, world_to_camera=view)
+
+    def words(self) -> str:
+        """Say what to change."""
+        signed = [f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in self.turn]
+        turned = "" if (self.turn == np.eye(3)).all() else f"(x, y, z) becomes ({', '.join(signed)})"
+        scaled = "" if self.factor == 1 else f"it is scaled by {self.factor:g}"
+        moved = " and ".join(each for each in (scaled, turned) if each)
+        mesh = f"in the mesh {moved}" if moved else ""
+        cameras = "the cameras' y and z axes are reversed (OpenCV or OpenGL)" if self.is_reversed else ""
+        return " and ".join(each for each in (mesh, cameras) if each)
+
+
 def better_placed(
     surface: Surface, small: Sequence[Projection], now: float, executor: Executor
 ) -> str | None:
-    """Return the factor and turn of the mesh for which pictures agree, in words; None if there is none.
+    """Return the change of the mesh or the cameras by which pictures agree, in words; None if there is none.
 
-    It tries units of length and turns of the axes; of these it compares those that fill the pictures best.
+    It tries units of length and reversed cameras, then turns of the axes too. Of these it compares those that
+    fill the pictures.
     """
-    few = small[:: -(-len(small) // _FEW)]
+    few = small[:: -(-len(small) // _COMPARED)]
     cameras = [cast(Camera, each.camera) for each in few]
     points = surface.scatter(_FILLING).points
     turns = [turn for turn in _turns() if np.linalg.det(turn) > 0]
-    placings = [(factor, turn) for factor in _FACTORS for turn in turns]
-    filled = [_filling(cameras, factor * points @ turn.T) for factor, turn in placings]
-    ranked = sorted(range(len(placings)), key=lambda number: -filled[number])[:_TRIED]
-    agreed, are_known = [], []
+    placings = [Placing(*each) for each in product(_FACTORS, turns, (False, True))]
+    filled = np.array([_filling([placing.of(each) for each in cameras], points) for placing in placings])
+    is_turned = np.array([(each.turn != np.eye(3)).any() for each in placings])
+    ranked = np.lexsort((-filled, is_turned)).tolist()
+    ranked = [number for number in ranked if filled[number] >= _PART * filled.max()][:_TRIED]
+    best, most, is_known = placings[int(filled.argmax())], 0.0, False
     for number in ranked:
-        factor, turn = placings[number]
-        moved = Surface.from_arrays(factor * surface.vertices @ turn.T, surface.triangles)
-        found = read_points(_seen_on(moved, few, executor), moved).agreements()
-        agreed.append(float(np.nan_to_num(found).mean()))
-        are_known.append(bool(np.isfinite(found).any()))
-    advice = "; change the mesh so, and paint again"
-    if max(agreed) >= max(_AGREES, now + _GAIN):
-        return f"pictures agree if {_in_words(*placings[ranked[int(np.argmax(agreed))]])}{advice}"
-    is_seen = filled[0] > 0 or not filled[ranked[0]] > _FILLED  # the first is the mesh as it is
-    if is_seen or are_known[0]:  # if pictures can be compared there, they do not agree
+        if is_turned[number] and not is_turned[ranked[0]] and most >= max(_FITS, now + _GAIN):
+            break
+        moved = [replace(each, camera=placings[number].of(cast(Camera, each.camera))) for each in few]
+        found = read_points(_seen_on(surface, moved, executor), surface).agreements()
+        is_known |= number == 0 and bool(np.isfinite(found).any())
+        agreed = float(np.nan_to_num(found).mean())
+        if agreed > most:
+            best, most = placings[number], agreed
+    advice = "; change that, and paint again"
+    if most >= max(_AGREES, now + _GAIN):
+        return f"pictures agree if {best.words()}{advice}"
+    is_seen = filled[0] > 0 or not filled.max() > _FILLED  # the first is the mesh as it is
+    if is_seen or is_known:  # if pictures can be compared there, they do not agree
         return None
-    return f"the cameras see the model if {_in_words(*placings[ranked[0]])}{advice}"
+    return f"the cameras see the model if {best.words()}{advice}"
 
 
 def _filling_of(surface: Surface, small: Sequence[Projection]) -> float:
@@ -257,13 +296,6 @@ def _turns() -> Iterator[Float64s]:
     for order in permutations(range(3)):
         for signs in product((1.0, -1.0), repeat=3):
             yield np.eye(3)[list(order)] * np.array(signs)[:, None]
-
-
-def _in_words(factor: float, turn: Float64s) -> str:
-    names = [f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in turn]
-    turned = "" if (turn == np.eye(3)).all() else f"(x, y, z) becomes ({', '.join(names)})"
-    scaled = "" if factor == 1 else f"it is scaled by {factor:g}"
-    return "in the mesh " + " and ".join(each for each in (scaled, turned) if each)
 
 
 def _filling(cameras: Sequence[Camera], points: Float64s) -> float:

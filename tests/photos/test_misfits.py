@@ -16,6 +16,7 @@ from octex.painting.picture import Projection
 from octex.photos.misfits import misfits
 from octex.source.surface import Surface
 from tests.make.command import OUT
+from tests.make.painted import ball
 
 SIZE = 96
 
@@ -138,7 +139,7 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told():
     reasons, better = found(ring(), Surface.from_arrays(lying, triangles))
     assert reasons == {}
     turned = "pictures agree if in the mesh it is scaled by 1000 and (x, y, z) becomes (x, -z, y)"
-    assert better == f"{turned}; change the mesh so, and paint again"
+    assert better == f"{turned}; change that, and paint again"
     steep = [
         Camera.fitted(vertices, (0.1 * np.cos(n), 0.1 * np.sin(n), 1.0), size=(SIZE, SIZE)) for n in range(6)
     ]
@@ -150,6 +151,62 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told():
     assert re.match(r"pictures agree if in the mesh \(x, y, z\) becomes \([^)]*, y\);", better)
     far = Surface.from_arrays(np.add(vertices, [0, 0, 1e6]), triangles)
     assert found(ring(), far) == ({}, None)
+
+
+AXES = np.array([1.0, 0.85, 0.7])
+
+
+def egg_seen(camera):
+    """What a camera sees of waves on an ellipsoid with these half axes; grey beside it."""
+    rows, columns = np.indices((camera.height, camera.width)) + 0.5
+    origins, directions = camera.rays(np.column_stack([columns.ravel(), rows.ravel()]))
+    origins, directions = origins / AXES, directions / AXES
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    along = (origins * directions).sum(axis=1)
+    root = along**2 - (origins**2).sum(axis=1) + 1.0
+    points = origins - directions * (along + np.sqrt(np.maximum(root, 0.0)))[:, None]
+    random = np.random.default_rng(3)
+    waves = random.normal(0, 6, (8, 3)), random.uniform(0, 6, 8)
+    light = np.where(root > 0.0, 0.5 + 0.8 * np.sin(points @ waves[0].T + waves[1]).mean(axis=1), 0.4)
+    codes = linear_to_srgb(np.clip(light, 0, 1)) * 255
+    return np.repeat(codes.reshape(camera.height, camera.width, 1), 3, axis=2).astype(np.uint8)
+
+
+def egg_ring():
+    """Ten pictures all around an ellipsoid, of which none shows more than the half."""
+    angles = np.arange(10) * 2 * np.pi / 10
+    heights = 0.4 * (-1.0) ** np.arange(10)
+    toward = np.column_stack([np.cos(angles), heights, np.sin(angles)])
+    cameras = [Camera.fitted(AXES * ball().vertices, each, size=(SIZE, SIZE)) for each in toward]
+    return [Projection(egg_seen(each), each) for each in cameras]
+
+
+@pytest.mark.parametrize("change", ["factor", "turn", "reversed"])
+def test_what_is_wrong_is_told_although_every_turn_of_an_egg_fills_the_pictures_alike(change):
+    vertices, triangles = AXES * ball().vertices, ball().triangles
+    given = egg_ring()
+    if change == "factor":
+        vertices, told = 1000.0 * vertices, "in the mesh it is scaled by 0.001"
+    elif change == "turn":
+        vertices, told = vertices[:, [0, 2, 1]] * [1, -1, 1], "in the mesh (x, y, z) becomes (x, z, -y)"
+    else:
+        signs = np.diag([1.0, -1.0, -1.0, 1.0])
+        cameras = [
+            replace(each.camera, world_to_camera=signs @ each.camera.world_to_camera) for each in given
+        ]
+        given = [replace(each, camera=camera) for each, camera in zip(given, cameras, strict=True)]
+        told = "the cameras' y and z axes are reversed (OpenCV or OpenGL)"
+    reasons, better = found(given, Surface.from_arrays(vertices, triangles))
+    assert reasons == {}
+    assert better == f"pictures agree if {told}; change that, and paint again"
+
+
+def test_a_mesh_in_an_unknown_unit_around_the_cameras_is_told():
+    surface = Surface.from_arrays(217.0 * AXES * ball().vertices, ball().triangles)
+    reasons, better = found(egg_ring(), surface)
+    assert reasons == {}
+    assert better is not None
+    assert better.startswith("they see little of it, and share nothing")
 
 
 def test_the_command_paints_the_others_and_names_what_it_leaves_out(tmp_path, cli):
