@@ -42,6 +42,7 @@ OCCLUSION = ChannelFormat("occlusion", 1, "data")
 EMISSIVE = ChannelFormat("emissive", 3, "srgb")
 SPECULAR = ChannelFormat("specular", 3, "srgb")
 NORMAL = ChannelFormat("normal", 3, "direction")
+HEIGHT = ChannelFormat("height", 1, "data")
 DETAIL = ChannelFormat("detail", 1, "data")
 
 #: Weights of the components in a colour's luminance (ITU-R BT.709).
@@ -53,12 +54,11 @@ LEAST_COVERAGE = 2.0**-40
 #: Largest rounding error above 1 or below 0: a quarter of a code of 16 bits.
 _ROUNDING = 2.0**-18
 
-#: The channels of materials, with glTF's names, in a texture's order; and one that sets the resolution of the
-#: others, 1 for the finest.
-CHANNELS = {
-    form.name: form
-    for form in (BASE_COLOR, ALPHA, METALLIC, ROUGHNESS, OCCLUSION, EMISSIVE, SPECULAR, NORMAL, DETAIL)
-}
+_MATERIAL = BASE_COLOR, ALPHA, METALLIC, ROUGHNESS, OCCLUSION, EMISSIVE, SPECULAR, NORMAL
+#: The channels of materials, with glTF's names, in a texture's order.
+MATERIAL_CHANNELS = tuple(form.name for form in _MATERIAL)
+#: All known channels: also relief, and one that sets the resolution of the others, 1 for the finest.
+CHANNELS = {form.name: form for form in (*_MATERIAL, HEIGHT, DETAIL)}
 
 
 #: Separates a channel's name from its layer's.

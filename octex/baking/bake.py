@@ -19,7 +19,7 @@ from octex.baking.layout import LAYOUTS, Layout, Layouts, doubled_areas, neighbo
 from octex.baking.maps import BITS, Bits, Values, alpha_mode, average, inputs_of, lacking
 from octex.baking.sheets import Sheet, coordinates_of, sheets_of
 from octex.baking.texels import Drawing, Drawn, Shown, texel_points
-from octex.channels import ALPHA, CHANNELS, NORMAL
+from octex.channels import ALPHA, MATERIAL_CHANNELS, NORMAL
 from octex.checks import as_choice, as_names, as_number, as_whole
 from octex.errors import ArgumentError, ModelError
 from octex.nearest.triangles import Nearest, Triangles
@@ -200,17 +200,18 @@ def _bake_sheet(job: _Job, sheet: Sheet, pool: Executor, progress: Progress) -> 
 
 
 def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None, has_normals: bool) -> list[str]:
-    baked = [name for name in CHANNELS if name != "detail"]
     known = list(dict.fromkeys([*texture.channels, *([NORMAL.name] if has_normals else [])]))
     if channels is None:
-        names = [name for name in known if name in baked]
+        names = [name for name in known if name in MATERIAL_CHANNELS]
     else:
         names = as_names(channels, "channels")
         for name in names:
             as_choice(name, known, "channel of the texture")
-            as_choice(name, baked, "channel of materials")
+            as_choice(name, MATERIAL_CHANNELS, "channel of materials")
     if not names:
-        raise ArgumentError(f"no channel to bake: baking to a material needs one of {', '.join(baked)}")
+        raise ArgumentError(
+            f"no channel to bake: baking to a material needs one of {', '.join(MATERIAL_CHANNELS)}"
+        )
     return names
 
 

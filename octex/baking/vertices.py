@@ -20,10 +20,10 @@ from octex.source.surface import Surface, as_surface
 from octex.source.welding import distinct_rows, welded
 from octex.texture import OctreeTexture, as_texture
 
-#: Edges are not halved below this part of the finest cells ...
+#: By their colours, edges are not halved below this part of the finest cells.
 _FINEST = 0.5
-#: ... and in at most this many rounds.
-_MOST_ROUNDS = 16
+#: Most rounds in which edges are halved.
+_MOST_ROUNDS = 32
 #: Barycentric positions where colours are compared, on edges first the middle: the field is a quadratic
 #: spline over the cells, so the middle tells how far an edge of one cell is off.
 _MIDDLE = (0.5, 0.5)
@@ -67,12 +67,13 @@ def bake_vertices(
                     longer. "auto": halve edges where colours between their ends differ from the field by more
                     than ``max_error``, at most to half of the finest cells
     max_error       in 1/255 of sRGB
-    most_triangles  stop before there are more triangles than this
+    most_triangles  "auto" stops before there are more triangles than this
 
     Neighbours halve a shared edge alike, so there are no cracks. The surface's shading normals (``frames``)
     are interpolated.
 
-    Raises ArgumentError for numbers out of range, and for a texture without base_color.
+    Raises ArgumentError for numbers out of range, for a length that makes more than ``most_triangles``, and
+    for a texture without base_color.
     """
     as_texture(texture)
     as_surface(surface)
@@ -97,7 +98,7 @@ def bake_vertices(
         lengths = np.linalg.norm(points.rest.take(edges[:, 0], 0) - points.rest.take(edges[:, 1], 0), axis=1)
         is_new = _any(points.positions[edges] >= first)
         if longest is not None:
-            halved = is_new & (lengths > max(longest, shortest))
+            halved = is_new & (lengths > longest)
         else:
             halved = is_new & (lengths > shortest)
             halved[halved] = _is_off(points, edges[halved], texture, error, [_MIDDLE])
@@ -111,7 +112,13 @@ def bake_vertices(
         positions = in_order(points.positions[edges[halved]])
         near = _have_two(settled, points.positions, positions[positions[:, 1] < first])
         ends, cut, others = _cut_at(np.concatenate([triangles, settled[near]]), points.positions, positions)
-        if not len(ends) or len(triangles) + len(settled) + int((cut[1] >= 0).sum()) > most:
+        is_done, count = not len(ends), len(triangles) + len(settled) + int((cut[1] >= 0).sum())
+        if longest is not None and count > most:
+            raise ArgumentError(
+                f"edges no longer than {longest:g} make more than {most:,} triangles; edges of up to "
+                f"{lengths.max():g} make {len(triangles) + len(settled):,}; allow longer edges"
+            )
+        if is_done or count > most:
             break
         first = int(points.positions.max()) + 1
         points = points.with_middles(ends, texture)

@@ -29,10 +29,7 @@ _REFUSED = {
     "view": ("--empty-layer",),
     "panels": _OF_VIEWS,
     "cells": ("--bump", *_OF_VIEWS),
-    "difference": (
-        *("--light", "--exposure", "--bump", "--camera", "--direction", "--up", "--zoom"),
-        *_OF_VIEWS,
-    ),
+    "difference": ("--light", "--exposure", "--bump", *_OF_VIEWS),
 }
 
 
@@ -135,12 +132,12 @@ def _codes(
 
     channel, light, bump = options.channel, _light(options), options.bump
     size = {} if options.size is None else {"size": options.size}
+    view = drawing.Viewpoint(options.direction, options.up, options.zoom, frame)
     if kind == "difference":
         differences = octex.difference(texture, model, channels=None if channel is None else [channel])
         names = options.TEXTURE.name, options.MODEL.name
-        return drawing.draw_difference(texture, model, differences, names, **size)
+        return drawing.draw_difference(texture, model, differences, names, view=view, **size)
     if kind == "panels":
-        view = drawing.Viewpoint(options.direction, options.up, options.zoom, frame)
         return drawing.draw_preview(
             texture, model, **size, view=view, channel=channel, light=light, bump=bump
         )
@@ -180,7 +177,7 @@ def _frame(options: Options, kind: str) -> Frame | None:
     frame = frames[0]
     if name is not None or len(frames) > 1:
         frame = find_frame(frames, options.OUTPUT.name if name is None else name, file)
-    if frame.size is None or options.size is None or kind == "panels":
+    if frame.size is None or options.size is None or kind in ("panels", "difference"):
         return frame
     if not frame.fits(options.size):
         width, height = frame.size

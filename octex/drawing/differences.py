@@ -21,7 +21,7 @@ from octex.drawing.compare import (
     placed,
     readers_of,
 )
-from octex.drawing.directions import leaf_camera, surface_camera
+from octex.drawing.directions import USUAL, Viewpoint, leaf_camera, surface_camera
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.panels import (
     caption_height,
@@ -59,6 +59,7 @@ def draw_difference(
     names: tuple[str, str] = ("A", "B"),
     size: tuple[int, int] = (1800, 640),
     supersample: int = 3,
+    view: Viewpoint = USUAL,
 ) -> Uint8s:
     """Draw a, b and their difference side by side, one row a channel, as sRGB codes (height, width, 3).
 
@@ -66,6 +67,7 @@ def draw_difference(
     names          captions of a and b
     size           (width, height) of a row in pixels
     supersample    samples along each side of a pixel
+    view           where the camera views from
 
     The third panel shows the component that differs most (of directions the angle), averaged over each pixel.
     The scale runs from black to yellow and reaches at least the 99th percentile and a tenth of the maximum. A
@@ -83,7 +85,7 @@ def draw_difference(
     whole = placed(a, b)
     room = round(1.6 * caption_height(size[1]))
     draw = _drawn_on_model if any(isinstance(side, Surface) for side in whole) else _drawn_leaves
-    drawn = draw(in_common(*whole), differences, (size[0] // 3, size[1]), room, supersample)
+    drawn = draw(in_common(*whole), differences, (size[0] // 3, size[1]), room, supersample, view)
     rows = []
     for (channel, result), (pictures, film, ring) in zip(differences.items(), drawn, strict=True):
         panels = [
@@ -96,12 +98,17 @@ def draw_difference(
 
 
 def _drawn_on_model(
-    sides: tuple[Side, Side], differences: Differences, size: tuple[int, int], room: int, supersample: int
+    sides: tuple[Side, Side],
+    differences: Differences,
+    size: tuple[int, int],
+    room: int,
+    supersample: int,
+    view: Viewpoint,
 ) -> Iterator[_Row]:
     """Draw a model coloured by itself and by a texture, channel by channel."""
     (model,) = (side for side in sides if isinstance(side, Surface))
     (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
-    camera = surface_camera(model, _look(sides[0], next(iter(differences))), size, room)
+    camera = surface_camera(model, _look(sides[0], next(iter(differences))), size, room, view)
     covers = inside_cells(texture)
     for channel, result in differences.items():
         looks = [_look(side, channel) for side in sides]
@@ -130,11 +137,16 @@ def _difference_look(
 
 
 def _drawn_leaves(
-    sides: tuple[Side, Side], differences: Differences, size: tuple[int, int], room: int, supersample: int
+    sides: tuple[Side, Side],
+    differences: Differences,
+    size: tuple[int, int],
+    room: int,
+    supersample: int,
+    view: Viewpoint,
 ) -> Iterator[_Row]:
     """Draw the leaves of two textures, no smaller than half a pixel, channel by channel."""
     whole = [side for side in sides if isinstance(side, OctreeTexture)]
-    camera = leaf_camera(whole, next(iter(differences)), size, room)
+    camera = leaf_camera(whole, next(iter(differences)), size, room, view)
     a, b = (texture.level(visible_level(texture, camera, pixels=0.5)) for texture in whole)
     textures, both = (a, b), (Leaves.of(a), Leaves.of(b))
     # Draw the difference on the finer texture's leaves, and on the other's where the finer has none.

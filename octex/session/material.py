@@ -11,6 +11,7 @@ from octex.arrays import Array
 from octex.channels import (
     BASE_COLOR,
     EMISSIVE,
+    HEIGHT,
     METALLIC,
     OCCLUSION,
     ONE,
@@ -28,8 +29,6 @@ from octex.session.commands import Command, channel_of, codes_of, values_of
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
 
-#: The channel that pages show as relief.
-HEIGHT = ChannelFormat("height", 1, "data")
 #: Channels that pages can add, with a start value that does not change the texture's look.
 ADDED = {
     form.name: (form, value)

@@ -55,8 +55,9 @@ class MappedImage(Placeable):
                 "spherical": longitude and latitude, its top row at the pole that the axis points to
     axis        "x", "y", "z", "-x", "-y" or "-z". The front is −y; for y it is +z, for −y −z
     center      (x, y, z): the image's centre, or that of the shape (default: of the bounds at rest)
-    size        width of one copy along x, y and z in the model's units, or one number (default: the bounds;
-                for a box their longest side). A sphere has none; around a cylinder there is always one copy
+    size        width of one copy along x, y and z in the model's units; one number makes square copies
+                (default: the bounds; for a box their longest side). A sphere has none; around a cylinder
+                there is always one copy
     wrap        "repeat", "mirror" or "clamp", or one for u and one for v; around an axis images repeat
     mag_filter  "linear" or "nearest"
 

@@ -6,6 +6,7 @@ import trimesh
 
 import octex
 from octex.channels import encode
+from octex.errors import ArgumentError
 from octex.source.corners import Corners
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
@@ -85,8 +86,13 @@ def test_edges_are_halved_until_none_is_longer():
     sides = made.vertices[np.roll(made.triangles, -1, axis=1)] - made.vertices[made.triangles]
     assert np.linalg.norm(sides, axis=2).max() <= 0.1
     assert made.areas().sum() == pytest.approx(surface.areas().sum(), rel=1e-9)
+    shorter = octex.bake_vertices(texture, surface, subdivide=0.004)  # a quarter of the finest cells
+    sides = shorter.vertices[np.roll(shorter.triangles, -1, axis=1)] - shorter.vertices[shorter.triangles]
+    assert np.linalg.norm(sides, axis=2).max() <= 0.004
+    with pytest.raises(ArgumentError, match=r"0\.1 make more than 200 triangles; edges of up to"):
+        octex.bake_vertices(texture, surface, subdivide=0.1, most_triangles=200)
     for most in (20, 200):
-        few = octex.bake_vertices(texture, surface, subdivide=0.1, most_triangles=most)
+        few = octex.bake_vertices(texture, surface, subdivide="auto", max_error=0.0, most_triangles=most)
         assert most / 6 < len(few.triangles) <= most
 
 

@@ -208,11 +208,12 @@ def test_channels_can_come_from_elsewhere(square, tmp_path, cli):
     out = tmp_path / "out.octex"
     arguments = [
         "--source", f"roughness={image}", "--source", "base_color=1,0.5,0", "--source", "metallic=0.2",
+        "--source", f"height={image}",
     ]  # fmt: skip
     cli.result(square, out, "--depth", 3, *arguments)
     texture = octex.open(out)
-    values = texture.sample([[0.4, 0.6, 0.0]], ["base_color", "roughness", "metallic"])
-    assert values["roughness"][0] == pytest.approx(0.2)
+    values = texture.sample([[0.4, 0.6, 0.0]], ["base_color", "roughness", "metallic", "height"])
+    assert values["roughness"][0] == values["height"][0] == pytest.approx(0.2)
     assert values["metallic"][0] == pytest.approx(0.2)
     assert values["base_color"][0] == pytest.approx([1.0, 0.5, 0.0], abs=0.01)
     assert "rough.png" in texture.metadata["source_roughness"]

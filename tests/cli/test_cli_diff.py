@@ -120,7 +120,11 @@ def test_a_picture_is_drawn_and_named(folder, tmp_path, cli, monkeypatch):
     with Image.open(path) as picture:
         assert picture.size == (90, 40)
     assert cli.refusal(*again) == f"{path}: exists already; --force overwrites it"
+    drawn = path.read_bytes()
     assert cli.result(*again, "--force", "--quiet") == ""
+    assert path.read_bytes() == drawn
+    assert cli.result(*again, "--force", "--quiet", "--direction", "-1,0.2,-1", "--zoom", "2") == ""
+    assert path.read_bytes() != drawn
     assert cli.refusal(*again[:3], tmp_path / "a.gif", *words).endswith("octex writes .png here")
 
 
