@@ -12,14 +12,7 @@ from octex.arrays import Float32s, Float64s, Int64s, Uint8s, in_runs
 from octex.errors import ModelError, damaged
 from octex.files import read_bytes
 from octex.source.colors import guessed_colors, screen_colors
-from octex.source.models.reading import (
-    Options,
-    colored_surface,
-    cut_part,
-    parse_numbers,
-    whole_numbers,
-    with_colors,
-)
+from octex.source.models.reading import Options, colored_surface, cut_part, parse_numbers, whole_numbers
 from octex.source.surface import Surface
 
 #: The numbers of a vertex in an STL file of text.
@@ -43,8 +36,8 @@ def load_stl(path: Path, options: Options) -> Surface:
             raise damaged(f"{path.name}: a facet's vertices are not three times three numbers")
         positions = numbers.reshape(-1, 3)
     count = len(positions)
-    part, _, facets = cut_part(path.name, positions, np.arange(count), np.full(count // 3, 3))
-    return colored_surface(path.name, options, with_colors(part, facets, None, colors))
+    part, _, _ = cut_part(path.name, positions, np.arange(count), np.full(count // 3, 3), None, colors)
+    return colored_surface(path.name, options, part)
 
 
 def _stl_colors(head: bytes, facets: Uint8s) -> Float32s | None:
@@ -93,9 +86,8 @@ def load_off(path: Path, options: Options) -> Surface:
     if not ((sizes >= 0) & (sizes < counts)).all():
         raise damaged(f"{name}: a face has fewer corners than it says")
     indices = whole_numbers(values[in_runs(starts + 1, sizes)])
-    part, _, numbers = cut_part(name, positions, indices, sizes)
     of_faces = _off_colors(values, starts + 1 + sizes, counts - 1 - sizes)
-    part = with_colors(part, numbers, of_vertices, of_faces)
+    part, _, _ = cut_part(name, positions, indices, sizes, of_vertices, of_faces)
     return colored_surface(name, options, part)
 
 

@@ -24,7 +24,7 @@ from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Texture
-from octex.source.models.reading import Options, colored_surface, cut_part, warn, winding
+from octex.source.models.reading import Options, check_among, colored_surface, cut_part, warn, winding
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
@@ -231,9 +231,7 @@ class _Package:
                 members = groups == number
                 rows[members] = group.first + self._checked(chosen[members], group.size)
                 images[members] = group.image
-        count = len(corners)
-        if triangles.size and not 0 <= triangles.min() <= triangles.max() < count:
-            raise ModelError(f"{self._name}: a triangle uses a vertex that is not among the {count}")
+        check_among(triangles, len(corners), f"{self._name}: a triangle uses a vertex")
         return _Mesh(np.array(corners, np.float64).reshape(-1, 3), triangles, rows, images)
 
     def _checked(self, chosen: Int64s, count: int) -> Int64s:
