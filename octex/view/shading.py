@@ -39,8 +39,7 @@ def corner_normals_of(
         return np.empty((0, 3, 3), np.float32)
     is_ascending = bool((chosen[1:] > chosen[:-1]).all())
     ascending = (chosen if is_ascending else np.unique(chosen)).astype(np.int64)
-    corners = positions[triangles[ascending].ravel()]
-    inside = np.flatnonzero(_inside(positions, corners.min(axis=0), corners.max(axis=0)))
+    inside = np.flatnonzero(_inside(positions, triangles, ascending))
     places = np.full(len(positions), -1, np.int32)
     places[inside] = welded(positions[inside])
     neighbours, rows = _around(places, triangles, ascending)
@@ -65,13 +64,20 @@ def _smoothed(
 
 
 @kernel
-def _inside(positions: Float64s, low: Float64s, high: Float64s) -> Bools:
-    """Return which positions lie in a box."""
-    inside = np.empty(len(positions), np.bool_)
+def _inside(positions: Float64s, triangles: Int32s, chosen: Int64s) -> Bools:
+    """Return which positions lie in the bounding box of the chosen triangles."""
+    box = np.empty((2, 3), np.float64)
+    box[0], box[1] = np.inf, -np.inf
+    for n in range(chosen.size):
+        for corner in range(3):
+            for axis in range(3):
+                here = positions[triangles[chosen[n], corner], axis]
+                box[0, axis], box[1, axis] = min(box[0, axis], here), max(box[1, axis], here)
+    inside = np.zeros(len(positions), np.bool_)
     for n in range(len(positions)):
         is_in = True
         for axis in range(3):
-            is_in = is_in and low[axis] <= positions[n, axis] <= high[axis]
+            is_in = is_in and box[0, axis] <= positions[n, axis] <= box[1, axis]
         inside[n] = is_in
     return inside
 
@@ -150,24 +156,27 @@ def _smooth(
     """Write the corner normals of ``rows``; ``cosines`` are those of the crease angle and of half of it."""
     for place in range(len(starts) - 1):
         first, end = starts[place], starts[place + 1]
+        if first == end:
+            continue
+        corners = by_place[first:end]
         mean = (0.0, 0.0, 0.0)
-        for corner in by_place[first:end]:
+        for corner in corners:
             mean = plus(mean, row_of(faces, corner // 3), angles[corner])
         # If all normals lie within half the crease angle of the mean, each pair lies within the crease angle:
         # all corners then share the mean.
         least = cosines[1] * length_of(mean) * (1.0 + 1e-9)
-        is_shared = end - first <= _MANY
-        for corner in by_place[first:end]:
+        is_shared = corners.size <= _MANY
+        for corner in corners:
             is_shared = is_shared and dot_product(mean, row_of(faces, corner // 3)) > least
-        for corner in by_place[first:end]:
+        for corner in corners:
             row = rows[corner // 3]
             if row < 0:
                 continue
             here = row_of(faces, corner // 3)
             total = mean if is_shared else here
-            if not is_shared and end - first <= _MANY:
+            if not is_shared and corners.size <= _MANY:
                 total = (0.0, 0.0, 0.0)
-                for other in by_place[first:end]:
+                for other in corners:
                     face = row_of(faces, other // 3)
                     if dot_product(here, face) >= cosines[0]:
                         total = plus(total, face, angles[other])

@@ -240,9 +240,14 @@ def distances_to_edges(seen: Visibility, view: View, reach: float) -> Float32s:
             distances[row, column] = min(rim, reach)
             if seen.rows[row, column] < 0:
                 distances[row, column] = 0.0
-            for i, j in ((row, column + 1), (row + 1, column), (row, column - 1), (row - 1, column)):
-                if 0 <= i < height and 0 <= j < width and _parts(seen, view, row, column, i, j):
-                    distances[row, column] = min(distances[row, column], 0.5)
+            elif (column + 1 < width and _parts(seen, view, row, column, row, column + 1)) or (
+                row + 1 < height and _parts(seen, view, row, column, row + 1, column)
+            ):
+                distances[row, column] = min(distances[row, column], 0.5)
+            if row > 0 and _parts(seen, view, row - 1, column, row, column):
+                distances[row, column] = min(distances[row, column], 0.5)
+            if column > 0 and _parts(seen, view, row, column - 1, row, column):
+                distances[row, column] = min(distances[row, column], 0.5)
     diagonal = np.float32(np.sqrt(2.0))
     for turn in range(2):
         step = 1 if turn == 0 else -1
