@@ -24,7 +24,7 @@ from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Texture
-from octex.source.models.reading import Options, check_among, colored_surface, cut_part, warn, winding
+from octex.source.models.reading import Options, Part, check_among, colored_surface, warn, winding
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
@@ -93,12 +93,12 @@ class _Package:
             raise ModelError(f"{self._name} has no triangles; octex needs a surface, not slices or beams")
         firsts = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
         triangles = np.concatenate([m.triangles + first for m, first in zip(meshes, firsts, strict=False)])
-        positions = np.concatenate([mesh.positions for mesh in meshes])
-        part, _, _ = cut_part(self._name, positions, triangles.ravel(), np.full(len(triangles), 3))
         rows = np.concatenate([mesh.rows for mesh in meshes]).astype(np.int32)
         images = np.concatenate([mesh.images for mesh in meshes])
-        part = part._replace(
-            materials=images,
+        part = Part(
+            np.concatenate([mesh.positions for mesh in meshes]),
+            triangles.astype(np.int32),
+            images,
             colors=Corners(np.concatenate(self._colors), rows) if rows.any() else None,
             uv=Corners(flip_v(np.concatenate(self._coordinates)), rows) if images.any() else None,
         )
