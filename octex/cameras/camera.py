@@ -40,7 +40,7 @@ _MOST_DIMENSIONS = 9
 _LEAST_ANGLE = 1e-6
 
 #: Between OpenGL's camera axes and ours, either way.
-_FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
+FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,7 +386,7 @@ def _as_view(pose: npt.ArrayLike, convention: Convention) -> Float64s:
     left, _, right = np.linalg.svd(matrix[:3, :3])
     pose[:3, :3] = left @ right  # the nearest rotation, since files round to a few digits
     pose[3] = [0.0, 0.0, 0.0, 1.0]
-    return cast(Float64s, _FLIP_YZ @ np.linalg.inv(pose) if convention == "opengl" else pose)
+    return cast(Float64s, FLIP_YZ @ np.linalg.inv(pose) if convention == "opengl" else pose)
 
 
 def _as_rigid(matrix: npt.ArrayLike, name: str) -> Float64s:

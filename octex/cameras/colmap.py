@@ -10,16 +10,7 @@ from typing import Any, NamedTuple
 from octex.arrays import Float64s
 from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Bytes, Record, reading, within
-from octex.cameras.frames import (
-    Frame,
-    Optics,
-    distortion_of,
-    is_file,
-    picture_path,
-    rigid,
-    rotation_of,
-    view_of,
-)
+from octex.cameras.frames import Frame, Optics, is_file, picture_path, rigid, rotation_of, view_of
 from octex.cameras.lens import DistortionModel
 from octex.errors import CameraError
 from octex.files import read_bytes
@@ -103,8 +94,8 @@ def _optics(model: _Model, record: Record) -> Optics:
     center_x, center_y, *bends = values[model.focals :]
     if not (focal_x > 0.0 and focal_y > 0.0):
         raise BrokenError(f"focal lengths must be above zero, not {focal_x:g} and {focal_y:g}")
-    distortion = distortion_of(model.lens, model.distortion, bends)
-    return Optics(size, intrinsics(focal_x, focal_y, center_x, center_y), distortion, model.lens)
+    optics = Optics(size, intrinsics(focal_x, focal_y, center_x, center_y))
+    return optics.bent(model.lens, model.distortion, bends)
 
 
 def _model_of(name: str) -> _Model:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,13 +22,6 @@ _ORDERS = {"opencv": "k1 k2 p1 p2 k3 k4 k5 k6", "fisheye": "k1 k2 k3 k4", "fov":
 _WHOLE_FISHEYE = "k1 k2 p1 p2 k3 k4 sx1 sy1"
 
 
-def distortion_of(model: DistortionModel, names: str, numbers: Sequence[float]) -> Distortion:
-    """Reorder distortion coefficients from the order of ``names`` to that of `Camera`."""
-    known = dict(zip(names.split(), numbers, strict=True))
-    order = _WHOLE_FISHEYE if model == "fisheye" and "p1" in known else _ORDERS[model]
-    return tuple(known.get(name, 0.0) for name in order.split())
-
-
 class Optics(NamedTuple):
     """The lens and image size that the frames of one camera share."""
 
@@ -38,6 +30,12 @@ class Optics(NamedTuple):
     distortion: Distortion = NO_DISTORTION
     model: DistortionModel = "opencv"
     projection: Projection = "pinhole"
+
+    def bent(self, model: DistortionModel, names: str, numbers: Sequence[float]) -> Optics:
+        """Return the optics with distortion coefficients, which are in the order of ``names``."""
+        known = dict(zip(names.split(), numbers, strict=True))
+        order = _WHOLE_FISHEYE if model == "fisheye" and "p1" in known else _ORDERS[model]
+        return self._replace(distortion=tuple(known.get(name, 0.0) for name in order.split()), model=model)
 
 
 class Frame(NamedTuple):
@@ -77,17 +75,10 @@ class Frame(NamedTuple):
             )
         _, K, distortion, model, projection = self.optics
         try:
-            camera = Camera.pinhole(
-                (width, height),
-                pose=self.world_to_camera,
-                convention="opencv",
-                K=K(width, height) if callable(K) else K,
-                distortion=distortion,
-                distortion_model=model,
-            )
+            K = K(width, height) if callable(K) else K
+            camera = Camera(width, height, K, self.world_to_camera, projection, distortion, model)
         except (BrokenError, ArgumentError) as error:
             raise CameraError(f"{frame}: {error}") from None
-        camera = replace(camera, projection=projection, world_to_camera=self.world_to_camera)
         return camera if size is None else camera.resized(size)
 
     def fits(self, size: tuple[int, int]) -> bool:

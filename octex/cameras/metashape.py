@@ -13,14 +13,13 @@ from xml.etree.ElementTree import Element
 import numpy as np
 
 from octex.arrays import Float64s
+from octex.cameras.camera import FLIP_YZ
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, distortion_of, view_of
+from octex.cameras.frames import Frame, Optics, view_of
 from octex.cameras.lens import DistortionModel
 
 #: WKT names of coordinate systems that are not local.
 _ON_EARTH = "GEOGCS", "GEOCCS", "PROJCS", "COMPD_CS", "GEOGCRS", "GEODCRS", "PROJCRS", "COMPOUNDCRS"
-#: Metashape's cameras look along z, with y down.
-_TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def read(path: Path, content: bytes) -> list[Frame]:
@@ -62,7 +61,7 @@ def _frames(path: Path, chunk: Element) -> list[Frame]:
                         pose = _placed(_numbers(transform), pose)
                     break
             with within("transform"):
-                view = view_of(pose @ _TO_OPENGL, "opengl")
+                view = view_of(pose @ FLIP_YZ, "opengl")  # Metashape's cameras look along z, with y down
             with within(f"sensor {sensor.get('label')!r}"):
                 frames.append(Frame(name, path, _optics(sensor), view))
     return frames
@@ -106,4 +105,4 @@ def _optics(sensor: Element) -> Optics:
     # Metashape's p1 multiplies x², as OpenCV's p2 does.
     numbers = [record.number(field, 0.0) for field in ("k1", "k2", "p2", "p1", "k3", "k4")]
     model: DistortionModel = "fisheye" if kind == "fisheye" else "opencv"
-    return Optics(size, K, distortion_of(model, "k1 k2 p1 p2 k3 k4", numbers), model)
+    return Optics(size, K).bent(model, "k1 k2 p1 p2 k3 k4", numbers)

@@ -12,26 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from octex.arrays import Float64s
-from octex.cameras.camera import intrinsics
+from octex.cameras.camera import FLIP_YZ, intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import (
-    Frame,
-    Optics,
-    centred,
-    distortion_of,
-    is_file,
-    picture_path,
-    rigid,
-    rotation_of,
-    view_of,
-)  # fmt: skip
+from octex.cameras.frames import Frame, Optics, centred, is_file, picture_path, rigid, rotation_of, view_of
 from octex.cameras.lens import DistortionModel
 from octex.files import read_bytes
 
 BUNDLER_MARK = b"# Bundle file"
-#: Between axes with y up and z backward and OpenCV's axes, either way.
-_TURN = np.diag([1.0, -1.0, -1.0, 1.0])
 #: Numbers a camera in Bundler's file.
 _WIDTH = 15
 #: Coefficients of Meshroom's distortions, by distortion name and by camera type of older versions.
@@ -57,11 +44,6 @@ _OPENSFM: dict[str, tuple[DistortionModel, str]] = {
 }
 
 
-def _view_from(rotation: Float64s, center: Float64s) -> Float64s:
-    """Return the world-to-camera matrix that maps X to R(X − C)."""
-    return view_of(rigid(rotation, -rotation @ center))
-
-
 def read_meshroom(path: Path, document: dict[str, Any]) -> list[Frame]:
     """Read the cameras of all views of AliceVision's JSON that have a pose; it stores numbers as texts.
 
@@ -84,9 +66,9 @@ def read_meshroom(path: Path, document: dict[str, Any]) -> list[Frame]:
             with within("pose"):
                 placed = pose.record("pose").record("transform")
                 rotation = placed.numbers("rotation", 9).reshape(3, 3).T
-                view = _view_from(rotation, placed.numbers("center", 3))
+                view = view_of(rigid(rotation, -rotation @ placed.numbers("center", 3)))
             if version >= [1, 2, 3]:
-                view = view @ _TURN
+                view = view @ FLIP_YZ
             with within("intrinsics"):
                 shared = _meshroom_optics(lens, version)
             frames.append(Frame(name, path, shared, view, picture_path(path, name)))
@@ -113,7 +95,7 @@ def _meshroom_optics(record: Record, version: list[float]) -> Optics:
     numbers = record.numbers("distortionParams", len(names.split())).tolist() if names else []
     K = intrinsics(across, down, center[0] + 0.5, center[1] + 0.5)
     model: DistortionModel = "fisheye" if kind == "fisheye" else "opencv"
-    return Optics(size, K, distortion_of(model, names, numbers), model)
+    return Optics(size, K).bent(model, names, numbers)
 
 
 def _meshroom_focal(record: Record, version: list[float], width: int) -> tuple[float, float]:
@@ -149,7 +131,8 @@ def read_openmvg(path: Path, document: dict[str, Any]) -> list[Frame]:
         with within(f"view {name!r}"):
             with within("intrinsics"):
                 shared = _openmvg_optics(_openmvg_data(lens))
-            view = _view_from(pose.matrix("rotation", (3, 3)), pose.numbers("center", 3))
+            rotation = pose.matrix("rotation", (3, 3))
+            view = view_of(rigid(rotation, -rotation @ pose.numbers("center", 3)))
         folders = root, str(seen.find("local_path", "")).strip("/")
         image = picture_path(path, "/".join([*filter(None, folders), name]))
         frames.append(Frame(name, path, shared, view, image))
@@ -171,7 +154,7 @@ def _openmvg_optics(record: Record) -> Optics:
     for field, (model, names) in _OPENMVG.items():
         if field in record:
             numbers = record.numbers(field, len(names.split())).tolist()
-            return Optics(size, K, distortion_of(model, names, numbers), model)
+            return Optics(size, K).bent(model, names, numbers)
     return Optics(size, K)
 
 
@@ -214,7 +197,7 @@ def _opensfm_optics(record: Record) -> Optics:
     K = intrinsics(focal_x, focal_y, width / 2 + center_x, height / 2 + center_y)
     model, names = _OPENSFM[kind]
     numbers = [record.number(field, 0.0) for field in names.split()]
-    return Optics(size, K, distortion_of(model, names, numbers), model)
+    return Optics(size, K).bent(model, names, numbers)
 
 
 def read_bundler(path: Path, content: bytes) -> list[Frame]:
@@ -249,7 +232,7 @@ def read_bundler(path: Path, content: bytes) -> list[Frame]:
                 continue  # no pose
             if focal < 0.0:
                 raise BrokenError(f"f must be above zero, not {focal:g}")
-            view = view_of(_TURN @ rigid(rotation.reshape(3, 3), shift))
+            view = view_of(FLIP_YZ @ rigid(rotation.reshape(3, 3), shift))
         name = names[number] if names else str(number)
         optics = Optics(None, partial(centred, focal), (*bends, 0.0, 0.0))
         image = picture_path(path, name) if names else None

@@ -11,7 +11,7 @@ from typing import Any
 from octex.arrays import Float64s
 from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, distortion_of, is_file, picture_path, view_of
+from octex.cameras.frames import Frame, Optics, is_file, picture_path, view_of
 from octex.cameras.lens import DistortionModel
 
 _ENDINGS = ("", ".png", ".jpg", ".jpeg")
@@ -60,7 +60,7 @@ def _optics(record: Record) -> Optics:
     numbers = [record.number(field, 0.0) for field in _NUMBERS.split()]
     if model != "fisheye" and numbers[-1] != 0.0:
         raise BrokenError("k4 must be zero: octex knows k1, k2, k3, p1, p2; undistort the pictures")
-    return Optics(size, _intrinsics(record), distortion_of(model, _NUMBERS, numbers), model)
+    return Optics(size, _intrinsics(record)).bent(model, _NUMBERS, numbers)
 
 
 def _intrinsics(record: Record) -> Callable[[int, int], Float64s]:

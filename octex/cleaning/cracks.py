@@ -7,6 +7,7 @@ import numpy as np
 from octex.arrays import Float64s, Int32s, Int64s
 from octex.jit import kernel, part
 from octex.source.parts import edges_of
+from octex.source.vectors import length_of, minus, row_of
 from octex.source.welding import welded
 from octex.tree.morton import encode, encode_cells
 
@@ -97,10 +98,7 @@ def _nearest(
             if end - first > _CROWDED:
                 continue
             for other in by_code[first:end]:
-                dx = points[other, 0] - points[n, 0]
-                dy = points[other, 1] - points[n, 1]
-                dz = points[other, 2] - points[n, 2]
-                distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+                distance = length_of(minus(row_of(points, other), row_of(points, n)))
                 if other == n or distance >= least:
                     continue
                 is_own = False
@@ -124,10 +122,7 @@ def _own_border(
         done += 1
         for row in range(starts[here], starts[here + 1]):
             other = others[row]
-            dx = points[other, 0] - points[here, 0]
-            dy = points[other, 1] - points[here, 1]
-            dz = points[other, 2] - points[here, 2]
-            far = way + np.sqrt(dx * dx + dy * dy + dz * dz)
+            far = way + length_of(minus(row_of(points, other), row_of(points, here)))
             is_new = far <= reach
             for at in range(count):
                 is_new = is_new and near[at] != other

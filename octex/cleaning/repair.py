@@ -14,7 +14,7 @@ from octex.cleaning.inner import seen_triangles
 from octex.errors import ModelError
 from octex.source.corners import has_area
 from octex.source.surface import NOT_FINITE, Surface, as_surface
-from octex.source.welding import welded
+from octex.source.welding import first_equal, welded
 from octex.tree.placement import Placement
 
 #: The provenance entry that counts the changes of a repair.
@@ -97,6 +97,5 @@ def _useless(rest: Float64s, triangles: Int32s) -> tuple[Bools, Bools]:
     names = welded(rest)[triangles]
     least = names.argmin(axis=1)[:, None]
     turned = np.take_along_axis(names, (least + np.arange(3)) % 3, axis=1)
-    _, first = np.unique(numbers := welded(turned), return_index=True)
-    duplicate = first[numbers] != np.arange(len(triangles))
+    duplicate = first_equal(turned) != np.arange(len(triangles))
     return degenerate, duplicate & ~degenerate

@@ -42,7 +42,8 @@ class Source(ABC):
     @property
     def alpha_is_coverage(self) -> bool:
         """Whether ``alpha`` only marks gaps: it is 1 everywhere else."""
-        return False
+        with_alpha = [each for each in self._inputs if ALPHA.name in [form.name for form in each.channels]]
+        return bool(self._inputs) and self.has_gaps and all(each.alpha_is_coverage for each in with_alpha)
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units; 0 unknown, infinity without texels."""
@@ -78,20 +79,24 @@ class Source(ABC):
 
 
 class OfAnother(Source):
-    """Forwards to another source, with other triangle numbers, and has its channels and gaps."""
+    """Forwards to another source, of the triangles ``others`` (m,), and has its channels and gaps."""
 
-    def __init__(self, source: Source) -> None:
+    def __init__(self, source: Source, others: Int32s) -> None:
         self._inputs = (source,)
+        self._others = others
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
         """The channels, in the order of the values' columns."""
         return self._inputs[0].channels
 
-    @property
-    def alpha_is_coverage(self) -> bool:
-        """Whether ``alpha`` of the other source only marks gaps."""
-        return self._inputs[0].alpha_is_coverage
+    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
+        """Return values (n, components) at points of triangles, averaged over widths in rest units."""
+        return self._inputs[0].evaluate(self._others[triangles], barycentric, widths)
+
+    def texel_edges(self, triangles: Int32s) -> Float32s:
+        """Return the edge of a texel on triangles (n,), in rest units."""
+        return self._inputs[0].texel_edges(self._others[triangles])
 
     def only(self, names: Sequence[str]) -> Self:
         """Return the same source with only these channels."""
@@ -102,24 +107,15 @@ class Picked(OfAnother):
     """The source of a surface with ``rest`` (n, 3), for chosen ``triangles`` and their ``vertices``."""
 
     def __init__(self, source: Source, triangles: Int32s, vertices: Int32s, rest: Float64s) -> None:
-        super().__init__(source)
-        self._triangles = triangles
+        super().__init__(source, triangles)
         self._vertices = vertices
         self._rest = rest
-
-    def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
-        """Return values (n, components) at points of triangles, averaged over widths in rest units."""
-        return self._inputs[0].evaluate(self._triangles[triangles], barycentric, widths)
-
-    def texel_edges(self, triangles: Int32s) -> Float32s:
-        """Return the edge of a texel on triangles (n,), in rest units."""
-        return self._inputs[0].texel_edges(self._triangles[triangles])
 
     def with_rest(self, rest: Float64s) -> Picked:
         """Return the same source on other rest positions of the picked vertices (v, 3)."""
         whole = self._rest.copy()
         whole[self._vertices] = rest
-        return Picked(self._inputs[0].with_rest(whole), self._triangles, self._vertices, whole)
+        return Picked(self._inputs[0].with_rest(whole), self._others, self._vertices, whole)
 
 
 def in_order(names: Sequence[str]) -> list[str]:
@@ -218,12 +214,6 @@ class Joined(Source):
             if form.dtype.startswith("float") and not known.dtype.startswith("float"):
                 forms[form.name] = form
         self._channels = tuple(forms[name] for name in in_order(list(forms)))
-
-    @property
-    def alpha_is_coverage(self) -> bool:
-        """Whether every source's ``alpha`` only marks gaps."""
-        with_alpha = [s for s in self._inputs if ALPHA.name in [form.name for form in s.channels]]
-        return self.has_gaps and all(source.alpha_is_coverage for source in with_alpha)
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return the values of all channels (n, components), each point's from its surface's source."""

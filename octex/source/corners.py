@@ -30,6 +30,11 @@ class Corners(NamedTuple):
         values, rows = stacked(sets)
         return cls(values, np.stack(rows)[numbers, np.arange(len(numbers))])
 
+    @classmethod
+    def of_triangles(cls, values: Float32s, rows: Integers) -> Corners:
+        """Return an attribute that is constant on each triangle, with its row in ``rows`` (m,)."""
+        return cls(values, np.repeat(rows.astype(np.int32), 3).reshape(-1, 3))
+
     def of(self, triangles: Int32s) -> Corners:
         """Return the attribute of chosen triangles (k,)."""
         return Corners(self.values, self.rows[triangles])

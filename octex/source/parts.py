@@ -16,6 +16,7 @@ import numpy as np
 from octex.arrays import Float64s, Int32s, Int64s, in_runs
 from octex.checks import as_number, as_positive
 from octex.errors import ArgumentError
+from octex.files import count_text
 from octex.jit import kernel
 from octex.nearest.triangles import MeshBoxes, gap, mesh_of
 from octex.source.welding import first_equal, paired_sides
@@ -68,9 +69,8 @@ class Overlaps(NamedTuple):
         return int(self.parts.max()) + 1
 
     def __str__(self) -> str:
-        lines = [
-            f"{_many(self.n_parts, 'part')}, {_many(len(self.pairs), 'pair')} that intersect or come near"
-        ]
+        parts, pairs = count_text(self.n_parts, "part"), count_text(len(self.pairs), "pair")
+        lines = [f"{parts}, {pairs} that intersect or come near"]
         for a, b, volume, distance in self.pairs:
             apart = f"are {distance:.4g} apart" if distance else "cross or touch"
             if math.isinf(distance):
@@ -80,15 +80,11 @@ class Overlaps(NamedTuple):
                 f"parts {a} and {b}: their surfaces {apart}" + ("" if volume is None else f"; they {shared}")
             )
         lines += [
-            f"part {part} of {_many(triangles, 'triangle')} is {why}: only its surface was checked, not "
+            f"part {part} of {count_text(triangles, 'triangle')} is {why}: only its surface was checked, not "
             "what lies inside"
             for part, triangles, why in self.unchecked
         ]
         return "\n".join(lines)
-
-
-def _many(number: int, what: str) -> str:
-    return f"{number:,} {what}{'' if number == 1 else 's'}"
 
 
 def overlapping_parts(rest: Float64s, triangles: Int32s, margin: float = 0.0) -> Overlaps:

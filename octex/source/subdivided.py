@@ -122,8 +122,7 @@ class OnCage(OfAnother):
         self, source: Source, parents: Int64s, shares: Float64s, hull: Float64s, rest: Float64s,
         triangles: Int32s,
     ) -> None:  # fmt: skip
-        super().__init__(source)
-        self._parents = parents.astype(np.int32)
+        super().__init__(source, parents.astype(np.int32))
         self._shares = shares
         self._hull = hull
         self._triangles = triangles
@@ -136,15 +135,15 @@ class OnCage(OfAnother):
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
         on_cage = np.einsum("nk,nkc->nc", barycentric, self._shares[triangles])
-        return self._inputs[0].evaluate(self._parents[triangles], on_cage, widths * self._stretch[triangles])
+        return super().evaluate(triangles, on_cage, widths * self._stretch[triangles])
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units."""
-        return self._inputs[0].texel_edges(self._parents[triangles]) / self._stretch[triangles]
+        return super().texel_edges(triangles) / self._stretch[triangles]
 
     def with_rest(self, rest: Float64s) -> OnCage:
         """Return the same source with widths measured on other rest positions (n, 3)."""
-        parents = self._parents.astype(np.int64)
+        parents = self._others.astype(np.int64)
         return OnCage(self._inputs[0], parents, self._shares, self._hull, rest, self._triangles)
 
 

@@ -120,11 +120,10 @@ class Surface(Mesh):
         if colors is not None:
             corners = Corners(linear_colors(colors, len(positions), "colors"), faces)
         elif face_colors is not None:
-            rows = np.repeat(np.arange(len(faces), dtype=np.int32), 3).reshape(-1, 3)
-            corners = Corners(linear_colors(face_colors, len(faces), "face_colors"), rows)
+            light = linear_colors(face_colors, len(faces), "face_colors")
+            corners = Corners.of_triangles(light, np.arange(len(faces)))
         most = float(np.finfo(np.float32).max)
-        parts = as_reals(factor, "factor", (3,), (4,), most=most).tolist()
-        full = (parts[0], parts[1], parts[2], parts[3] if len(parts) > 3 else 1.0)
+        full = (*as_reals(factor, "factor", (3,), (4,), most=most).tolist(), 1.0)[:4]
         cutoff = as_number(cutoff, "cutoff", -most, most)
         texture = coordinates = None
         if image is not None:

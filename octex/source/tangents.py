@@ -21,6 +21,7 @@ from octex.source.vectors import (
     edges_from,
     length_of,
     minus,
+    plus,
     row_of,
     times,
     unit,
@@ -47,8 +48,7 @@ def corner_frames(
     flat = area_vectors(positions[triangles])
     flat = _unit(flat, np.broadcast_to([0.0, 0.0, 1.0], flat.shape))
     if normals is None:
-        rows = np.repeat(np.arange(len(triangles), dtype=np.int32), 3).reshape(-1, 3)
-        normals, tangents = Corners(flat.astype(np.float32), rows), None
+        normals, tangents = Corners.of_triangles(flat.astype(np.float32), np.arange(len(triangles))), None
     else:
         normals = _mended(normals, np.broadcast_to(flat[:, None], (len(triangles), 3, 3)))
     if tangents is not None:
@@ -145,11 +145,6 @@ def axes_at(frames: Frames, triangle: int, shares: Vector) -> tuple[Vector, Vect
     tangent = unit(minus(tangent, times(normal, dot_product(normal, tangent))))
     hand = 1.0 if tangents.values[tangents.rows[triangle, 0], 3] >= 0.0 else -1.0
     return tangent, cross_product(normal, tangent), normal, hand
-
-
-@inlined
-def _sum(a: Vector, b: Vector, c: Vector) -> Vector:
-    return a[0] + b[0] + c[0], a[1] + b[1] + c[1], a[2] + b[2] + c[2]
 
 
 @inlined
@@ -273,16 +268,14 @@ def _carry(
                 # components, its products with the dual basis; a shading normal keeps its products with the
                 # basis, and so its right angle to tangents. Both are too long by a power of an area.
                 root = 1.0 / (math.sqrt(area) * math.sqrt(new_area))
-                moved_tangent = _sum(
-                    times(new_e, dot_product(tangent, cross_product(f, cross)) / area),
-                    times(new_f, dot_product(tangent, cross_product(cross, e)) / area),
-                    times(new_cross, dot_product(tangent, cross) * root),
-                )
-                moved_normal = _sum(
-                    times(cross_product(new_f, new_cross), dot_product(normal, e) / new_area),
-                    times(cross_product(new_cross, new_e), dot_product(normal, f) / new_area),
-                    times(new_cross, dot_product(normal, cross) * root),
-                )
+                moved_tangent = times(new_e, dot_product(tangent, cross_product(f, cross)) / area)
+                share = dot_product(tangent, cross_product(cross, e)) / area
+                moved_tangent = plus(moved_tangent, new_f, share)
+                moved_tangent = plus(moved_tangent, new_cross, dot_product(tangent, cross) * root)
+                moved_normal = times(cross_product(new_f, new_cross), dot_product(normal, e) / new_area)
+                share = dot_product(normal, f) / new_area
+                moved_normal = plus(moved_normal, cross_product(new_cross, new_e), share)
+                moved_normal = plus(moved_normal, new_cross, dot_product(normal, cross) * root)
             row = 3 * triangle + corner
             _store(normals, row, moved_normal, normal)
             _store(tangents, row, moved_tangent, tangent)

@@ -88,11 +88,6 @@ class _Transferred(SpatialSource):
         return bool(np.isfinite(self._distance) or np.isfinite(self._least_cosine)) or super().has_gaps
 
     @property
-    def alpha_is_coverage(self) -> bool:
-        """Whether ``alpha`` only marks gaps."""
-        return self.has_gaps and (self._adds_alpha or self._inputs[0].alpha_is_coverage)
-
-    @property
     def _adds_alpha(self) -> bool:
         return self.has_gaps and ALPHA.name not in [form.name for form in self._inputs[0].channels]
 

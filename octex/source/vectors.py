@@ -29,6 +29,12 @@ def minus(a: Vector, b: Vector) -> Vector:
 
 
 @inlined
+def plus(a: Vector, b: Vector, share: float) -> Vector:
+    """Return a + share · b."""
+    return a[0] + share * b[0], a[1] + share * b[1], a[2] + share * b[2]
+
+
+@inlined
 def times(a: Vector, factor: float) -> Vector:
     """Return a times a number."""
     return a[0] * factor, a[1] * factor, a[2] * factor

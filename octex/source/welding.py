@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Floats, Int32s, Int64s, Integers, Uint32s
+from octex.arrays import Int32s, Int64s, Integers, Uint32s
 from octex.jit import kernel
 
 # Odd, and without a pattern in its bits: the golden ratio's fraction (Knuth, TAOCP 3, 6.4).
 _MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
 
 
-def first_equal(rows: Floats) -> Int64s:
+def first_equal(rows: npt.NDArray[np.floating | np.integer]) -> Int64s:
     """Return for each row the first one that equals it (n,)."""
     numbers = welded(rows)
     _, first = np.unique(numbers, return_index=True)

@@ -6,6 +6,7 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Integers
 from octex.jit import kernel
+from octex.source.vectors import cross_product, dot_product, edges_from, length_of, minus, plus, row_of, unit
 from octex.source.welding import welded
 
 #: Above this many triangles at one position, corners get the face normal: comparing all pairs is slow.
@@ -130,22 +131,16 @@ def _measure(
 ) -> None:
     """Write normals, areas and, where ``angles`` has rows, the angles at the corners."""
     for n in range(len(triangles)):
-        a, b, c = positions[triangles[n, 0]], positions[triangles[n, 1]], positions[triangles[n, 2]]
-        x = (b[1] - a[1]) * (c[2] - a[2]) - (b[2] - a[2]) * (c[1] - a[1])
-        y = (b[2] - a[2]) * (c[0] - a[0]) - (b[0] - a[0]) * (c[2] - a[2])
-        z = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        double = np.sqrt(x * x + y * y + z * z)
-        scale = 1.0 / double if double > 0.0 else 0.0
-        normals[n, 0], normals[n, 1], normals[n, 2] = x * scale, y * scale, z * scale
+        e, f = edges_from(positions, triangles, n)
+        normal = cross_product(e, f)
+        double = length_of(normal)
+        normals[n, 0], normals[n, 1], normals[n, 2] = unit(normal)
         areas[n] = double / 2.0
         for corner in range(min(3, 3 * len(angles))):
-            dot = 0.0
-            for axis in range(3):
-                here = positions[triangles[n, corner], axis]
-                forward = positions[triangles[n, (corner + 1) % 3], axis] - here
-                backward = positions[triangles[n, (corner + 2) % 3], axis] - here
-                dot += forward * backward
-            angles[n, corner] = np.arctan2(double, dot)
+            here = row_of(positions, triangles[n, corner])
+            forward = minus(row_of(positions, triangles[n, (corner + 1) % 3]), here)
+            backward = minus(row_of(positions, triangles[n, (corner + 2) % 3]), here)
+            angles[n, corner] = np.arctan2(double, dot_product(forward, backward))
 
 
 @kernel
@@ -161,39 +156,30 @@ def _smooth(
     """Write the corner normals of ``rows``; ``cosines`` are those of the crease angle and of half of it."""
     for place in range(len(starts) - 1):
         first, end = starts[place], starts[place + 1]
-        a = b = c = 0.0
-        for at in range(first, end):
-            corner = by_place[at]
-            face = faces[corner // 3]
-            a += angles[corner] * face[0]
-            b += angles[corner] * face[1]
-            c += angles[corner] * face[2]
+        if first == end:
+            continue
+        corners = by_place[first:end]
+        mean = (0.0, 0.0, 0.0)
+        for corner in corners:
+            mean = plus(mean, row_of(faces, corner // 3), angles[corner])
         # If all normals lie within half the crease angle of the mean, each pair lies within the crease angle:
         # all corners then share the mean.
-        least = cosines[1] * np.sqrt(a * a + b * b + c * c) * (1.0 + 1e-9)
-        is_shared = end - first <= _MANY
-        for at in range(first, end):
-            face = faces[by_place[at] // 3]
-            is_shared = is_shared and a * face[0] + b * face[1] + c * face[2] > least
-        for at in range(first, end):
-            corner = by_place[at]
+        least = cosines[1] * length_of(mean) * (1.0 + 1e-9)
+        is_shared = corners.size <= _MANY
+        for corner in corners:
+            is_shared = is_shared and dot_product(mean, row_of(faces, corner // 3)) > least
+        for corner in corners:
             row = rows[corner // 3]
             if row < 0:
                 continue
-            face_here = faces[corner // 3]
-            x, y, z = face_here[0], face_here[1], face_here[2]
-            if is_shared:
-                x, y, z = a, b, c
-            elif end - first <= _MANY:
-                x, y, z = 0.0, 0.0, 0.0
-                for other in by_place[first:end]:
-                    face = faces[other // 3]
-                    if face_here[0] * face[0] + face_here[1] * face[1] + face_here[2] * face[2] >= cosines[0]:
-                        x += angles[other] * face[0]
-                        y += angles[other] * face[1]
-                        z += angles[other] * face[2]
-            length = np.sqrt(x * x + y * y + z * z)
-            scale = 1.0 / length if length > 0.0 else 0.0
-            normals[row, corner % 3, 0] = x * scale
-            normals[row, corner % 3, 1] = y * scale
-            normals[row, corner % 3, 2] = z * scale
+            here = row_of(faces, corner // 3)
+            total = mean if is_shared else here
+            if not is_shared and corners.size <= _MANY:
+                total = (0.0, 0.0, 0.0)
+                for other in corners:
+                    face = row_of(faces, other // 3)
+                    if dot_product(here, face) >= cosines[0]:
+                        total = plus(total, face, angles[other])
+            normal = unit(total)
+            for axis in range(3):
+                normals[row, corner % 3, axis] = normal[axis]

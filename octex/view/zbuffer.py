@@ -17,6 +17,7 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s, Uint8s
 from octex.cameras.camera import Camera
 from octex.jit import kernel, part
 from octex.parallel import cpu_count, ordered_map, sharing
+from octex.source.vectors import Vector, cross_product, dot_product
 
 Index = int | np.integer[Any]
 
@@ -157,14 +158,12 @@ def _orientation(screen: Float64s, snapped: Bools, a: Index, b: Index, c: Index)
         abx, aby = screen[b, 0] - screen[a, 0], screen[b, 1] - screen[a, 1]
         acx, acy = screen[c, 0] - screen[a, 0], screen[c, 1] - screen[a, 1]
         return float(np.sign(abx * acy - aby * acx))
-    ax, ay, aw = _homogeneous(screen, snapped, a)
-    bx, by, bw = _homogeneous(screen, snapped, b)
-    cx, cy, cw = _homogeneous(screen, snapped, c)
-    return float(np.sign(ax * (by * cw - bw * cy) + ay * (bw * cx - bx * cw) + aw * (bx * cy - by * cx)))
+    across = cross_product(_homogeneous(screen, snapped, b), _homogeneous(screen, snapped, c))
+    return float(np.sign(dot_product(_homogeneous(screen, snapped, a), across)))
 
 
 @part
-def _homogeneous(screen: Float64s, snapped: Bools, vertex: Index) -> tuple[float, float, float]:
+def _homogeneous(screen: Float64s, snapped: Bools, vertex: Index) -> Vector:
     x, y, w = screen[vertex, 0], screen[vertex, 1], screen[vertex, 2]
     if snapped[vertex]:
         return x * w, y * w, w
@@ -173,12 +172,7 @@ def _homogeneous(screen: Float64s, snapped: Bools, vertex: Index) -> tuple[float
 
 @part
 def _pixel_range(
-    screen: Float64s,
-    snapped: Bools,
-    corners: tuple[Index, Index, Index],
-    axis: int,
-    first: int,
-    end: int,
+    screen: Float64s, snapped: Bools, corners: tuple[Index, Index, Index], axis: int, first: int, end: int
 ) -> tuple[int, int]:
     """Return the range [first, end) of pixels along an axis whose centres the triangle may cover."""
     a, b, c = corners
@@ -215,11 +209,8 @@ def _draw(
     edges = np.empty((3, 6), np.float64)
     row_constant = np.empty(3, np.float64)
     for number in range(len(triangles)):
-        a, b, c = (
-            np.int64(triangles[number, 0]),
-            np.int64(triangles[number, 1]),
-            np.int64(triangles[number, 2]),
-        )
+        corners = triangles[number]
+        a, b, c = np.int64(corners[0]), np.int64(corners[1]), np.int64(corners[2])
         if outside[a] & outside[b] & outside[c] != 0:
             continue
         first_row, end_row = _pixel_range(screen, snapped, (a, b, c), 1, top, top + height)

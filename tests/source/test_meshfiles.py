@@ -406,10 +406,11 @@ def test_facets_of_binary_stl_files_have_colours(tmp_path, header, words, colors
     np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-6)
 
 
-def test_names_in_stl_text_may_be_in_any_encoding(tmp_path):
+def test_names_in_stl_text_may_be_any_words_in_any_encoding(tmp_path):
     path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES, ascii=True)
-    for name in ("Körper".encode("latin-1"), "Körper".encode()):
-        path.write_bytes(path.read_bytes().replace(b"solid a\n", b"solid " + name + b"\n"))
+    text = path.read_bytes()
+    for name in ("Körper".encode("latin-1"), "Körper".encode(), b"vertex one"):
+        path.write_bytes(text.replace(b"solid a\n", b"solid " + name + b"\n"))
         assert len(load_surface(path).triangles) == 2
 
 

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from octex.arrays import Float64s, Int64s
 from octex.checks import as_choice
 from octex.jit import inlined
-from octex.source.images.classic import areas, bicubic, mixed_levels
-from octex.source.images.pyramid import AREAS, MIPS, RIPS, WHOLE, Images
+from octex.source.images.pyramid import AREAS, CLAMP, MIPS, REPEAT, RIPS, WHOLE, Images
 from octex.source.images.taps import (
     EACH,
     MOST_TAPS,
@@ -22,6 +23,7 @@ from octex.source.images.taps import (
     SUM,
     Footprint,
     bilinear,
+    catmull_rom,
     flat_texels,
     unwrapped,
     window,
@@ -85,11 +87,11 @@ def find_taps(
         return _ellipse(images, layout, foot, indices, weights)
     cut = SUM
     if filter in (TRILINEAR, RIPMAP):
-        count, cut = mixed_levels(images, layout, foot, filter == RIPMAP, indices, weights)
+        count, cut = _mixed_levels(images, layout, foot, filter == RIPMAP, indices, weights)
     elif filter == SAT:
-        count, cut = areas(images, row, foot, indices, weights), NEVER
+        count, cut = _areas(images, row, foot, indices, weights), NEVER
     elif filter == BICUBIC:
-        count = bicubic(images, row, foot, indices, weights)
+        count = _bicubic(images, row, foot, indices, weights)
     elif filter == NEAREST or foot.flat:
         count = flat_texels(images, row, foot, 0.0, 0.0, indices, weights)
     else:
@@ -248,3 +250,95 @@ def _ellipse(
     if not total > 0.0:
         return bilinear(images, row, foot, 1.0, indices, weights, 0), NEVER, 1.0
     return count, EACH if level == 0 else NEVER, 1.0 / total
+
+
+@inlined
+def _level_of(variance: float, flat: bool, levels: int) -> tuple[int, float]:
+    """Return the finer of two levels, and the coarser one's share, whose mixture has a variance."""
+    spread = 4.0 * variance + (2.0 / 3.0 if flat else 1.0)  # 4ˡ at a level read bilinearly
+    level = 0
+    while spread >= 4.0 and level < levels - 1:
+        spread *= 0.25
+        level += 1
+    if spread > 1.0 and level < levels - 1:
+        return level, (spread - 1.0) / 3.0
+    return level, 0.0
+
+
+@inlined
+def _mixed_levels(
+    images: Images, layout: int, foot: Footprint, is_ripmap: bool, indices: Int64s, weights: Float64s
+) -> tuple[int, int]:
+    """List the texels of the levels whose mixture has the footprint's variances, or the larger one."""
+    base, across, most = images.layouts[layout, 0], images.layouts[layout, 1], foot.most
+    xx, yy = (foot.xx, foot.yy) if is_ripmap else (most, most)
+    level_x, part_x = _level_of(xx, foot.flat, across)
+    level_y, part_y = _level_of(yy, foot.flat, images.layouts[layout, 2]) if is_ripmap else (0, 0.0)
+    is_whole = level_x == 0 and level_y == 0
+    is_finest = is_whole and part_x == 0.0 and part_y == 0.0
+    if is_finest and foot.flat:
+        return flat_texels(images, base, foot, xx, yy, indices, weights), SUM
+    count = 0
+    for step_y in range(2 if part_y > 0.0 else 1):
+        for step_x in range(2 if part_x > 0.0 else 1):
+            weight = (part_x if step_x else 1.0 - part_x) * (part_y if step_y else 1.0 - part_y)
+            row = base + (level_y + step_y) * across + level_x + step_x
+            count = bilinear(images, row, foot, weight, indices, weights, count)
+    return count, SUM if is_finest else EACH if is_whole else NEVER
+
+
+@inlined
+def _bicubic(images: Images, row: int, foot: Footprint, indices: Int64s, weights: Float64s) -> int:
+    """List the sixteen texels around a point, weighted by Catmull and Rom's spline."""
+    x, y = foot.u * images.levels[row, 1] - 0.5, foot.v * images.levels[row, 2] - 0.5
+    left, top = math.floor(x), math.floor(y)
+    across, down = catmull_rom(np.float32(x - left)), catmull_rom(np.float32(y - top))
+    return window(images, row, foot, left - 1, top - 1, across, down, indices, weights, 0)
+
+
+@inlined
+def _areas(images: Images, row: int, foot: Footprint, indices: Int64s, weights: Float64s) -> int:
+    """List the entries of a summed-area table for the mean over a box; their weights sum to 0."""
+    width, height = images.levels[row, 1], images.levels[row, 2]
+    texel = 1e-6 if foot.flat else 1.0
+    across, down = math.sqrt(12.0 * foot.xx + texel), math.sqrt(12.0 * foot.yy + texel)
+    at = MOST_TAPS
+    n_x = _span(foot.u * width, across, width, foot.wrap_u, at, indices, weights)
+    n_y = _span(foot.v * height, down, height, foot.wrap_v, at + 8, indices, weights)
+    count = 0
+    for j in range(at + 8, at + 8 + n_y):
+        for i in range(at, at + n_x):
+            indices[count] = indices[j] * (width + 1) + indices[i]
+            weights[count] = weights[j] * weights[i]
+            count += 1
+    return count
+
+
+@inlined
+def _span(
+    middle: float, width: float, size: int, mode: int, at: int, indices: Int64s, weights: Float64s
+) -> int:
+    """List, from ``at`` on, the sums for the mean over a span, which may lie beyond the image."""
+    count = 0
+    for end in range(2):
+        sign = (1.0 if end else -1.0) / width
+        x = middle + (0.5 if end else -0.5) * width
+        if mode != CLAMP:
+            period = size if mode == REPEAT else 2 * size
+            turns = math.floor(x / period)
+            x -= turns * period
+            whole = turns if mode == REPEAT else 2.0 * turns  # copies of the whole image's sum
+            if x > size:
+                whole += 2.0
+                x = 2.0 * size - x
+                sign = -sign
+                whole = -whole
+            if whole != 0.0:
+                indices[at + count], weights[at + count] = size, sign * whole
+                count += 1
+        # Beyond the border of a clamped image its last texel repeats.
+        left = min(max(math.floor(x), 0), size - 1)
+        indices[at + count], weights[at + count] = int(left) + 1, sign * (x - left)
+        indices[at + count + 1], weights[at + count + 1] = int(left), sign * (1.0 - (x - left))
+        count += 2
+    return count

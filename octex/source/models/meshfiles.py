@@ -1,76 +1,55 @@
-"""OFF and STL models: shapes, perhaps with colours.
-
-trimesh reads STL. It drops the colours of OFF files and 3MF packages, and needs lxml and networkx for 3MF.
-"""
+"""OFF and STL models: shapes, perhaps with colours."""
 
 from __future__ import annotations
 
-import io
-import logging
 import re
-import warnings
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int64s, in_runs
+from octex.arrays import Float32s, Float64s, Int64s, Uint8s, in_runs
 from octex.errors import ModelError, damaged
 from octex.files import read_bytes
 from octex.source.colors import guessed_colors, screen_colors
-from octex.source.images.decode import global_settings
-from octex.source.models.reading import (
-    Options,
-    colored_surface,
-    cut_part,
-    parse_numbers,
-    whole_numbers,
-    with_colors,
-)
+from octex.source.models.reading import Options, colored_surface, cut_part, parse_numbers, whole_numbers
 from octex.source.surface import Surface
 
-# Keeps trimesh's messages about damaged normals off the screen.
-_quiet = logging.NullHandler()
+#: The numbers of a vertex in an STL file of text.
+_VERTEX = re.compile(r"^\s*vertex\b(.*)$", re.IGNORECASE | re.MULTILINE)
 
 
 def load_stl(path: Path, options: Options) -> Surface:
-    """Read an STL model, through trimesh, with the colours that binary files may have. Raises ModelError."""
-    import trimesh  # takes a third of a second
-
-    logging.getLogger("trimesh").addHandler(_quiet)
+    """Read an STL model, with the colours that binary files may have. Raises ModelError."""
     data = read_bytes(path)
     colors = None
     if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
-        colors = _stl_colors(data)
+        rows = np.frombuffer(data, np.uint8, offset=84).reshape(-1, 50)
+        positions = rows[:, 12:48].copy().view("<f4").astype(np.float64).reshape(-1, 3)
+        colors = _stl_colors(data[:80], rows)
     else:
         if b"endsolid" not in data.lower():
             raise damaged(f"{path.name} is truncated, or not an STL file")
-        # For text that is not UTF-8 trimesh needs a package that may be missing.
-        data = data.decode("latin-1").encode()
-    with global_settings():
-        warnings.simplefilter("ignore")
-        # Without this trimesh drops everything after the first word that is no number.
-        warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
-        try:
-            mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl", process=False)
-        except (DeprecationWarning, ValueError):
-            raise damaged(f"{path.name}: a facet's vertices are not three times three numbers") from None
-    faces = np.array(mesh.faces, np.int64)
-    positions = np.array(mesh.vertices, np.float64)
-    part, _, numbers = cut_part(path.name, positions, faces.ravel(), np.full(len(faces), 3))
-    return colored_surface(path.name, options, with_colors(part, numbers, None, colors))
+        vertices = _VERTEX.findall(data.decode("latin-1"))
+        numbers = parse_numbers(" ".join(vertices))
+        if numbers is None or numbers.size != 3 * len(vertices) or len(vertices) % 3:
+            raise damaged(f"{path.name}: a facet's vertices are not three times three numbers")
+        positions = numbers.reshape(-1, 3)
+    count = len(positions)
+    part, _, _ = cut_part(path.name, positions, np.arange(count), np.full(count // 3, 3), None, colors)
+    return colored_surface(path.name, options, part)
 
 
-def _stl_colors(data: bytes) -> Float32s | None:
+def _stl_colors(head: bytes, facets: Uint8s) -> Float32s | None:
     """Return the linear colours of a binary STL file's facets, 5 bits a component; None without colours.
 
     In Magics' files facets with bit 15 have the header's colour, and red is the lowest component. In VisCAM's
     files bit 15 marks facets with a colour, and red is the highest component.
     """
-    words = np.frombuffer(data, np.uint8, offset=84).reshape(-1, 50)[:, 48:].copy().view("<u2")
+    words = facets[:, 48:].copy().view("<u2")
     is_marked = words >= 1 << 15
     codes = (words >> np.array([0, 5, 10]) & 31) / 31.0
-    _, magics, rest = data[:80].partition(b"COLOR=")
+    _, magics, rest = head.partition(b"COLOR=")
     if magics and len(rest) >= 3:
         shared = np.frombuffer(rest, np.uint8, 3) / 255.0
         return screen_colors(np.where(is_marked | ~words.any(), shared, codes))
@@ -107,9 +86,8 @@ def load_off(path: Path, options: Options) -> Surface:
     if not ((sizes >= 0) & (sizes < counts)).all():
         raise damaged(f"{name}: a face has fewer corners than it says")
     indices = whole_numbers(values[in_runs(starts + 1, sizes)])
-    part, _, numbers = cut_part(name, positions, indices, sizes)
     of_faces = _off_colors(values, starts + 1 + sizes, counts - 1 - sizes)
-    part = with_colors(part, numbers, of_vertices, of_faces)
+    part, _, _ = cut_part(name, positions, indices, sizes, of_vertices, of_faces)
     return colored_surface(name, options, part)
 
 

@@ -23,6 +23,7 @@ from octex.source.models.reading import (
     Options,
     Part,
     assembled,
+    check_among,
     cut_part,
     parse_numbers,
     slot_coordinates,
@@ -41,9 +42,8 @@ def load_obj(path: Path, options: Options) -> Surface:
     vertices = _numbers(text.vertices, 3, name, "v")
     positions = np.ascontiguousarray(vertices[:, :3])
     indices, sizes = _faces(text, name)
-    part, corners, polygons = cut_part(name, positions, np.ascontiguousarray(indices[:, 0]), sizes)
-    if vertices.shape[1] >= 6:
-        part = part._replace(colors=Corners(guessed_colors(vertices[:, 3:6]), part.triangles))
+    colors = guessed_colors(vertices[:, 3:6]) if vertices.shape[1] >= 6 else None
+    part, corners, polygons = cut_part(name, positions, np.ascontiguousarray(indices[:, 0]), sizes, colors)
     known = [Description()]
     files: dict[str, str] = {}
     if options.materials and text.uses:
@@ -163,13 +163,9 @@ def _faces(text: _Text, name: str) -> tuple[Int64s, Int64s]:
     for column, listed in ((1, text.coordinates), (2, text.normals)):
         if not listed:  # several exporters refer to coordinates or normals that they do not write
             corners[:, column] = -1
-    _check(corners[:, 1], len(text.coordinates), name, "texture coordinate")
+    what = f"{name}: a face uses a texture coordinate"
+    check_among(corners[:, 1], len(text.coordinates), what, least=-1)
     return corners, sizes
-
-
-def _check(used: Int64s, limit: int, name: str, what: str) -> None:
-    if used.size and not -1 <= used.min() <= used.max() < limit:
-        raise damaged(f"{name}: a face uses a {what} that is not among the {limit}")
 
 
 @kernel
@@ -273,7 +269,7 @@ def _coordinates(
 
 def _normals(text: _Text, rows: Int64s, name: str) -> Corners | None:
     """Return the normals at corners, NaN where there are none."""
-    _check(rows, len(text.normals), name, "normal")
+    check_among(rows, len(text.normals), f"{name}: a face uses a normal", least=-1)
     listed = _numbers(text.normals, 3, name, "vn")[:, :3]
     missing = (rows < 0).any(axis=1)
     if missing.all():

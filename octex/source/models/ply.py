@@ -29,7 +29,6 @@ from octex.source.models.reading import (
     parse_numbers,
     warn,
     whole_numbers,
-    with_colors,
 )  # fmt: skip
 from octex.source.surface import Surface, flip_v
 
@@ -184,8 +183,8 @@ class Ply:
         if not len(sizes):
             indices = _of_strips(*self._indices("tristrips"))
             sizes = np.full(len(indices) // 3, 3)
-        part, corners, numbers = cut_part(self.name, positions, indices, sizes)
-        part = with_colors(part, numbers, _element_colors(vertex), _element_colors(face))
+        colors = _element_colors(vertex), _element_colors(face)
+        part, corners, numbers = cut_part(self.name, positions, indices, sizes, *colors)
         listed = self.data.get("face", {}).get("texcoord")
         if listed is not None and listed.sizes is not None and np.array_equal(listed.sizes, 2 * sizes):
             uv = Corners(flip_v(listed.values.reshape(-1, 2)), corners.astype(np.int32))

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
-from octex.errors import ModelError, ModelWarning
+from octex.errors import ModelError, ModelWarning, damaged
 from octex.files import open_file
 from octex.jit import inlined, kernel
 from octex.npz import read_npz
@@ -265,32 +265,36 @@ def assembled(
     return surface
 
 
-def cut_part(name: str, positions: Float64s, indices: Int64s, sizes: Int64s) -> tuple[Part, Int64s, Int64s]:
+def check_among(used: Int64s, count: int, what: str, least: int = 0) -> None:
+    """Raise ModelError, which begins with ``what``, unless ``least`` ≤ numbers < ``count``."""
+    if used.size and not least <= used.min() <= used.max() < count:
+        raise damaged(f"{what} that is not among the {count}")
+
+
+def cut_part(
+    name: str,
+    positions: Float64s,
+    indices: Int64s,
+    sizes: Int64s,
+    of_vertices: Float32s | None = None,
+    of_polygons: Float32s | None = None,
+) -> tuple[Part, Int64s, Int64s]:
     """Cut polygons of ``sizes`` vertices, concatenated in ``indices``, into triangles of one material.
 
-    Also returns each corner's row of ``indices`` (m, 3), and each triangle's polygon (m,).
+    The part has the colours of its vertices, or else of its polygons. Also returns each corner's row of
+    ``indices`` (m, 3), and each triangle's polygon (m,).
     """
-    if len(indices) and not 0 <= indices.min() <= indices.max() < len(positions):
-        text = f"{name}: a face uses a vertex that is not among the {len(positions)}; export it again"
-        raise ModelError(text)
+    check_among(indices, len(positions), f"{name}: a face uses a vertex")
     corners, numbers = triangulate(positions, indices, sizes)
     if len(corners) == 0:
         raise ModelError(f"{name} has no triangles; octex needs a surface, not points or lines")
-    polygons = cut_polygons(corners, numbers, sizes)
-    materials = np.zeros(len(corners), np.int32)
-    part = Part(positions, indices[corners].astype(np.int32), materials, polygons=polygons)
-    return part, corners, numbers
-
-
-def with_colors(
-    part: Part, numbers: Int64s, of_vertices: Float32s | None, of_polygons: Float32s | None
-) -> Part:
-    """Return a part with the colours of its vertices, or else of its triangles' polygons (m,)."""
+    triangles, colors = indices[corners].astype(np.int32), None
     if of_vertices is not None:
-        return part._replace(colors=Corners(of_vertices, part.triangles))
-    if of_polygons is None:
-        return part
-    return part._replace(colors=Corners(of_polygons, np.repeat(numbers.astype(np.int32), 3).reshape(-1, 3)))
+        colors = Corners(of_vertices, triangles)
+    elif of_polygons is not None:
+        colors = Corners.of_triangles(of_polygons, numbers)
+    materials, polygons = np.zeros(len(corners), np.int32), cut_polygons(corners, numbers, sizes)
+    return Part(positions, triangles, materials, colors, polygons=polygons), corners, numbers
 
 
 def colored_surface(

@@ -24,7 +24,7 @@ from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Texture
-from octex.source.models.reading import Options, colored_surface, cut_part, warn, winding
+from octex.source.models.reading import Options, Part, check_among, colored_surface, warn, winding
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
@@ -93,12 +93,12 @@ class _Package:
             raise ModelError(f"{self._name} has no triangles; octex needs a surface, not slices or beams")
         firsts = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
         triangles = np.concatenate([m.triangles + first for m, first in zip(meshes, firsts, strict=False)])
-        positions = np.concatenate([mesh.positions for mesh in meshes])
-        part, _, _ = cut_part(self._name, positions, triangles.ravel(), np.full(len(triangles), 3))
         rows = np.concatenate([mesh.rows for mesh in meshes]).astype(np.int32)
         images = np.concatenate([mesh.images for mesh in meshes])
-        part = part._replace(
-            materials=images,
+        part = Part(
+            np.concatenate([mesh.positions for mesh in meshes]),
+            triangles.astype(np.int32),
+            images,
             colors=Corners(np.concatenate(self._colors), rows) if rows.any() else None,
             uv=Corners(flip_v(np.concatenate(self._coordinates)), rows) if images.any() else None,
         )
@@ -231,9 +231,7 @@ class _Package:
                 members = groups == number
                 rows[members] = group.first + self._checked(chosen[members], group.size)
                 images[members] = group.image
-        count = len(corners)
-        if triangles.size and not 0 <= triangles.min() <= triangles.max() < count:
-            raise ModelError(f"{self._name}: a triangle uses a vertex that is not among the {count}")
+        check_among(triangles, len(corners), f"{self._name}: a triangle uses a vertex")
         return _Mesh(np.array(corners, np.float64).reshape(-1, 3), triangles, rows, images)
 
     def _checked(self, chosen: Int64s, count: int) -> Int64s:

@@ -96,15 +96,12 @@ def _chunk(
     widths = {str(each): int(width) for each, width in header["attr"]}
     if any(not 1 <= width <= _MOST_COLUMNS for width in widths.values()):
         raise ValueError(f"attributes of {max(widths.values())} columns")
-    style, total = header["attr_interleave"], sum(widths.values())
-    if style == "all":
-        rows = part("attr", leaves * total).reshape(leaves, total)
-    elif style == "as_is":
-        single = [part(each, leaves * width).reshape(leaves, width) for each, width in widths.items()]
-        rows = np.concatenate(single, axis=1)
-    else:
-        names = [f"{each}_{i}" for each, width in widths.items() for i in range(width)]
-        rows = np.stack([part(each, leaves).reshape(leaves) for each in names], axis=1)
+    parts = {
+        "all": {"attr": sum(widths.values())},
+        "as_is": widths,
+        "none": {f"{each}_{i}": 1 for each, width in widths.items() for i in range(width)},
+    }[header["attr_interleave"]]
+    rows = np.hstack([part(key, leaves * width).reshape(leaves, width) for key, width in parts.items()])
     if header["filter"] == "parent":
         steps, rows = rows, np.empty_like(rows)
         _walk(masks, depth, steps, coords, rows)
