@@ -10,14 +10,13 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint32s
 from octex.field.blend import Listed, joined, listed
 from octex.field.field import NotFiniteError
-from octex.field.footprints import NO_SLOPES
 from octex.field.lookups import Lookup
 from octex.field.taps import Taps, place_points
 from octex.tree.morton import encode_cells
 from octex.tree.octree import distinct
 from octex.tree.search import Positions
 
-_NO_ROWS, _NO_COVERS = np.empty(0, np.uint32), np.empty(0, np.float32)
+_NO_ROWS = np.empty(0, np.uint32)
 
 
 class TapList(NamedTuple):
@@ -50,7 +49,7 @@ class Listing(Lookup):
     def _leaves(self, points: Floats) -> Iterator[Listed]:
         for _, taps in self.each_block(points):
             self._weigh_all(taps, always=False)
-            yield listed(taps, 1.0)
+            yield listed(taps)
 
     def _of_probes(self, points: Floats) -> Iterator[Listed]:
         """List the taps of footprints: probes at all levels, added up."""
@@ -79,7 +78,7 @@ class Listing(Lookup):
                 row = np.concatenate([row, more.rows])[order]
                 part = np.concatenate([part, more.weights])[order]
             starts = np.cumsum(np.append(0, np.bincount(owner, minlength=n_points)))
-            yield Listed(starts, row, part.astype(np.float32), NO_SLOPES, _NO_COVERS)
+            yield Listed(starts, row, part.astype(np.float32))
 
     def reads(self, points: Floats) -> dict[int, Reads]:
         """List the rows and cells read, by level."""
