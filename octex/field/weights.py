@@ -266,6 +266,7 @@ def weigh(
         visible.slopes[:] = np.float32(0.0)
     if faces:
         parts_of(visible.parts, view)
+    known, shares = np.uint8(0), (none, none, none)  # of the latest split cell's rows of x, y and z
     for tap in range(taps.starts[n], taps.ends[n]):
         row = taps.rows[np.uint64(tap)]
         weight, factor = taps.weights[np.uint64(tap)], np.float32(1.0)
@@ -286,16 +287,18 @@ def weigh(
         if is_mixed:
             gone += np.float64(weight)
             weight = factor = np.float32(0.0)
-        flags, shares = np.uint8(0), (none, none, none)  # of a split cell's rows of x, y and z
+        flags, is_whole = np.uint8(0), True
         if faces:
             flags = _flags_of(by.facings, by.first_kept, row)
             bits = direction_of(view[3], flags)
             weight *= visible.parts[np.uint64(bits)]
             factor *= visible.parts[np.uint64(bits)]
-            if is_split and flags >= np.uint8(SPLIT) and bits & np.uint8(7) != 0:
-                p, q = view[0] if bits & 1 else none, view[1] if bits & 2 else none
-                shares = shares_of(p, q, view[2] if bits & 4 else none)
-        if max(shares[0], max(shares[1], shares[2])) == none:
+            if is_split and flags >= np.uint8(SPLIT):
+                if bits != known:
+                    p, q = view[0] if bits & 1 else none, view[1] if bits & 2 else none
+                    known, shares = bits, shares_of(p, q, view[2] if bits & 4 else none)
+                is_whole = max(shares[0], max(shares[1], shares[2])) == none
+        if is_whole:
             if components > 0:
                 five = with_row(five, flat, int(row), weight, components)
             else:
