@@ -37,6 +37,7 @@ from octex.field.tiles import (
 )
 from octex.field.windows import INSIDE, PLACES
 from octex.jit import by_constants, fused_kernel, inlined, kernel, part, popcount, prefetch, trailing_zeros
+from octex.tree.children import rank_in
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.search import UNITS, nearer_box
 
@@ -260,8 +261,7 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
     octant = np.uint64(group.near.octants[np.uint64(slot + (code >> 11))] + (code >> 8 & 7))
     shift = np.uint64(code & 63)
     stored = tiles.masks[octant]
-    below = stored & ((np.uint64(1) << shift) - np.uint64(1))
-    first = np.int64(tiles.firsts[octant]) + popcount(below)
+    first = np.int64(tiles.firsts[octant]) + rank_in(stored, shift)
     prefetch_cell(ahead, int(first))
     word = np.uint64(node >> 3)
     group.firsts[np.uint64(node)] = first - popcount(group.masks[word])
@@ -321,12 +321,11 @@ def _take_word(
     while left != np.uint64(0):
         bit = np.uint64(trailing_zeros(left))
         left &= left - np.uint64(1)
-        below = mask & ((np.uint64(1) << bit) - np.uint64(1))
         place = np.uint64(base) + (bit << np.uint64(1))
         x = np.uint64(places[place]) + at
         yz = np.uint64(places[place + np.uint64(1)]) + at
         weight = along[x] * along[yz]
-        cell = group.firsts[np.uint64(8 * word) + (bit >> np.uint64(3))] + popcount(below)
+        cell = group.firsts[np.uint64(8 * word) + (bit >> np.uint64(3))] + rank_in(mask, bit)
         taps.rows[np.uint64(end)] = min(cell, last)
         taps.weights[np.uint64(end)] = weight
         if gradient:
@@ -418,8 +417,7 @@ def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[i
                 low = a - 1 + place % 3 << shift, b - 1 + place // 3 % 3 << shift, c - 1 + place // 9 << shift
                 is_nearer, distance, code = nearer_box(point, low, 1 << shift, least, least_code)
                 if is_nearer:
-                    below = mask & ((np.uint64(1) << np.uint64(bit)) - np.uint64(1))
-                    nearest, least, least_code = group.firsts[bit >> 3] + popcount(below), distance, code
+                    nearest, least, least_code = group.firsts[bit >> 3] + rank_in(mask, bit), distance, code
             point = which[begin + n]
             if nearest < 0:
                 batch.empty[n_empty] = point

@@ -26,6 +26,7 @@ from octex.field.taps import (
 )
 from octex.jit import decoded, inlined, kernel, part, popcount, prefetch
 from octex.tree.areas import AREAS
+from octex.tree.children import rank_in
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree
 from octex.tree.split import counts_of
@@ -212,8 +213,7 @@ def new_visible() -> Visible:
 @inlined
 def row_of(first: int, flags: np.uint8, axis: int, signs: int) -> int:
     """Return the row of a split cell, from its first, that faces a normal of these signs along an axis."""
-    below = (np.uint64(1) << np.uint64(2 * axis + (signs >> axis & 1))) - np.uint64(1)
-    return first + popcount(np.uint64(flags & np.uint8(FACING_FLAGS)) & below)
+    return first + rank_in(np.uint64(flags & np.uint8(FACING_FLAGS)), 2 * axis + (signs >> axis & 1))
 
 
 @inlined
@@ -388,7 +388,7 @@ def mark_mixed(
             if flags >> np.uint64(2 * axis) & np.uint64(3) != np.uint64(3):
                 continue
             is_double = True
-            at = row + popcount(flags & (np.uint64(1) << np.uint64(2 * axis)) - np.uint64(1))
+            at = row + rank_in(flags, 2 * axis)
             at = max(min(at, values.shape[0] - 2), 0)
             for component in range(values.shape[1] if cells[n] >= first and values.shape[0] > 1 else 0):
                 apart = decoded(table, values[at, component]) - decoded(table, values[at + 1, component])

@@ -22,8 +22,8 @@ import numpy as np
 
 from octex.arrays import Float64s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.field.splines import LINEAR, refine, send_up
-from octex.jit import inlined, kernel, popcount, trailing_zeros
-from octex.tree.children import children
+from octex.jit import inlined, kernel, trailing_zeros
+from octex.tree.children import children, rank_in
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 
 BYTE = np.uint64(0xFF)
@@ -294,7 +294,7 @@ def cell_at(arrays: TreeArrays, walk: Walk, level: int, word: int, place: int) -
 @inlined
 def _rank(word: np.uint64, place: int) -> int:
     """Count the children of a parent before a place, of those in a word."""
-    return popcount(word >> np.uint64(place & 56) & _below(place & 7))
+    return rank_in(word >> np.uint64(place & 56), place & 7)
 
 
 @inlined
@@ -313,11 +313,6 @@ def _slot(parents: int, above: int, child: int) -> int:
 def bit_at(place: int) -> np.uint64:
     """Return the bit at a place of a word."""
     return np.uint64(1) << np.uint64(place)
-
-
-@inlined
-def _below(place: int) -> np.uint64:
-    return (np.uint64(1) << np.uint64(place)) - np.uint64(1)
 
 
 @inlined
