@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s
-from octex.jit import inlined, kernel, prefetch, unlocked
+from octex.jit import inlined, kernel, prefetch
 from octex.tree.children import children, rank_in
 from octex.tree.layout import GRID_BITS, MAX_DEPTH, TreeArrays
 from octex.tree.morton import encode
@@ -36,8 +36,7 @@ class Positions(NamedTuple):
 
     @classmethod
     def of(cls, rows: Floats) -> Positions:
-        """Return rows (n, 3) of float32 or float64, as kernels take them, typed as writable."""
-        rows = unlocked(rows)
+        """Return rows (n, 3) of float32 or float64, as kernels take them."""
         return cls(rows, _NO_DOUBLES) if rows.itemsize == 4 else cls(_NO_SINGLES, rows)
 
 
