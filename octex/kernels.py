@@ -26,7 +26,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s, Uint64s
-from octex.channels import decode
 from octex.checks import as_choice, as_number, locked
 from octex.field.footprints import ROUND_FINER, WIDEST, level_of
 from octex.field.neighborhood import taps_around
@@ -36,7 +35,7 @@ from octex.field.tiles import Tiles, code_in_tile, look_in, tile_row
 from octex.field.weights import MOST_ROWS, Facings, Visible, Weighing, new_visible, view_along, weigh
 from octex.field.windows import MOST_TAPS, Walk, Way, new_walk
 from octex.jit import inlined, kernel, step
-from octex.texture.channel import NO_TABLE, Channel, mixed_cells, stored
+from octex.texture.channel import Channel, mixed_cells, stored
 from octex.texture.lookup import BLEED_THRESHOLD
 from octex.texture.texture import OctreeTexture, as_texture
 from octex.tree.layout import MAX_DEPTH, TreeArrays
@@ -408,11 +407,8 @@ _NO_VALUES: tuple[Array, Array, Array, Array] = _NONE, _NONE, _NONE, locked(np.e
 
 def _values(channel: Channel) -> tuple[Array, Array, Array, Array]:
     """Return a channel's flattened values of cells, kept nodes and facings, and its decoding table."""
-    (*arrays, table), space, _ = stored(channel)
-    if space is not None:
-        arrays, table = [decode(array, space) for array in arrays], NO_TABLE
-    cells, kept, split = (locked(array.reshape(-1)) for array in arrays)
-    return cells, kept, split, locked(table)
+    cells, kept, split, table = stored(channel).codes
+    return locked(cells.reshape(-1)), locked(kept.reshape(-1)), locked(split.reshape(-1)), locked(table)
 
 
 def _joined_tiles(levels: list[Tiles | None]) -> tuple[Int64s, Int32s, Uint64s, Uint32s]:

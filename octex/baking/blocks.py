@@ -85,7 +85,7 @@ class TexelBlocks(NamedTuple):
         """Prepare channels for triangles (m,) with texels' dPdx, dPdy (m, 3); None for adaptive trees."""
         field = texture._field
         rows = {name: stored(texture.channels[name]) for name in {*names, *({"alpha"} & {*texture.channels})}}
-        if field.tiles is None or any(each.space is not None for each in rows.values()):
+        if field.tiles is None:
             return None
         alpha = rows["alpha"].codes if "alpha" in rows and rows["alpha"].is_alpha else None
         shape = long_footprints(dPdx, dPdy, 0.0, ANISOTROPY, 0.0)

@@ -399,7 +399,7 @@ def _facing_apart(tree: Octree, leaves: Leaves, samples: Samples, executor: Exec
             block = mixed[begin : begin + _BLOCK]
             normals = samples.normals[block].astype(np.float32)
             for each in field.runs(sample_points(samples, block, UNIT), UNIT, normals=normals):
-                taps = listed(each, 1.0)
+                taps = listed(each)
                 used = slice(0, taps.starts[-1])
                 rows = taps.rows[used][taps.weights[used] >= _LEAST_WEIGHT].astype(np.int64)
                 in_table = rows >= tree.n_cells

@@ -316,57 +316,33 @@ class Listed(NamedTuple):
     starts: Int64s  # (points + 1,)   a point's taps are those from its start to the next one's
     rows: Uint32s | Int64s  # (taps,)
     weights: Float32s  # (taps,)   1 in sum for each point
-    slopes: Float32s  # (taps, 3)   derivatives of the weights by rest position; (0, 3) if they are not wanted
-    covers: Float32s  # (points,)   how much of the spline's weight falls on leaves; 0 off the surface
-
-
-_NO_TAPS = Listed(
-    np.zeros(1, np.int64),
-    np.empty(0, np.uint32),
-    np.empty(0, np.float32),
-    np.empty((0, 3), np.float32),
-    np.empty(0, np.float32),
-)
 
 
 def joined(lists: Sequence[Listed]) -> Listed:
     """Concatenate lists of taps."""
-    if len(lists) == 1:
-        return lists[0]
-    parts = [(np.diff(each.starts), *each[1:]) for each in (_NO_TAPS, *lists)]
+    no_taps = Listed(np.zeros(1, np.int64), np.empty(0, np.uint32), np.empty(0, np.float32))
+    parts = [(np.diff(each.starts), *each[1:]) for each in (no_taps, *lists)]
     counts, *columns = map(np.concatenate, zip(*parts, strict=True))
     return Listed(np.cumsum(np.append(0, counts)), *columns)
 
 
 @kernel
-def listed(taps: Taps, scale: float) -> Listed:
-    """List the taps that have weight; weights sum to 1 for each point, slopes are times ``scale``."""
-    gradient, room = taps.slopes.shape[0] > 0, 1
+def listed(taps: Taps) -> Listed:
+    """List the taps that have weight; weights sum to 1 for each point."""
+    room = 1
     for n in range(taps.starts.size):
         room += taps.ends[n] - taps.starts[n]
     starts, rows = np.empty(taps.starts.size + 1, np.int64), np.empty(room, np.uint32)
-    weights, slopes = np.empty(room, np.float32), np.empty((room if gradient else 0, 3), np.float32)
+    weights = np.empty(room, np.float32)
     end = starts[0] = 0
     for n in range(taps.starts.size):
         total = 0.0
-        sum_x = sum_y = sum_z = 0.0
         for tap in range(taps.starts[n], taps.ends[n]):
             total += np.float64(taps.weights[tap])
-            if gradient:
-                sum_x += np.float64(taps.slopes[tap, 0])
-                sum_y += np.float64(taps.slopes[tap, 1])
-                sum_z += np.float64(taps.slopes[tap, 2])
         inverse = 1.0 / total if total > 0.0 else 0.0
         for tap in range(taps.starts[n], taps.ends[n]):
             weight = np.float64(taps.weights[tap]) * inverse
-            is_any = bool(weight > 0.0)
             rows[end], weights[end] = taps.rows[tap], weight
-            if gradient:
-                x = (np.float64(taps.slopes[tap, 0]) - weight * sum_x) * inverse
-                y = (np.float64(taps.slopes[tap, 1]) - weight * sum_y) * inverse
-                z = (np.float64(taps.slopes[tap, 2]) - weight * sum_z) * inverse
-                slopes[end, 0], slopes[end, 1], slopes[end, 2] = x * scale, y * scale, z * scale
-                is_any = is_any or bool(x != 0.0 or y != 0.0 or z != 0.0)
-            end += is_any
+            end += bool(weight > 0.0)
         starts[n + 1] = end
-    return Listed(starts, rows[:end], weights[:end], slopes[:end], taps.covers.copy())
+    return Listed(starts, rows[:end], weights[:end])

@@ -26,8 +26,8 @@ from octex.field.splines import QUADRATIC
 from octex.field.taps import LEAST, Codes, Flat, Taps, flat_of, new_taps, put_value, value_of
 from octex.field.tiles import Integer
 from octex.field.windows import MOST_TAPS, Way, kept_row, new_walk
-from octex.jit import fused_kernel, inlined, popcount, prefetch, refine_rows, trailing_zeros, weighted_cube
-from octex.tree.children import children
+from octex.jit import fused_kernel, inlined, prefetch, refine_rows, trailing_zeros, weighted_cube
+from octex.tree.children import children, rank_in
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 from octex.tree.search import AHEAD, end_of_cell
 
@@ -161,20 +161,20 @@ def _list_children(way: Way, values: ChannelValues, bricks: Bricks, step: int) -
         prefetch(values, first_cell)
         left = stored & ~nodes & inside
         while left != 0:
-            octant, lower = trailing_zeros(left), (left & (~left + one)) - one
+            octant = trailing_zeros(left)
             left &= left - one
-            row = min(first_cell + popcount(stored & lower), n_cells - 1)
+            row = min(first_cell + rank_in(stored, octant), n_cells - 1)
             at = _child_place(x, y, z, octant, below)
             over[to_over] = keeps | at << 1 | row + 1 << 16
             to_over += one
         left = nodes_inside
         while left != 0:
-            octant, lower = trailing_zeros(left), (left & (~left + one)) - one
+            octant = trailing_zeros(left)
             left &= left - one
-            number, is_kept = first_node + popcount(nodes & lower), 0
+            number, is_kept = first_node + rank_in(nodes, octant), 0
             a, b, c = 2 * x - 1 + (octant & 1), 2 * y - 1 + (octant >> 1 & 1), 2 * z - 1 + (octant >> 2)
             if way.kept_cells.size > 0:
-                row = min(first_cell + popcount(stored & lower), n_cells - 1)
+                row = min(first_cell + rank_in(stored, octant), n_cells - 1)
                 at = a + below * (b + below * c)
                 if arrays.flags[np.uint64(row)] & np.uint8(KEPT) != 0:
                     is_kept = 1

@@ -334,9 +334,6 @@ def spread(
     shape = shape._replace(
         widths=np.minimum(shape.widths, _ROOTS * size), lengths=np.minimum(shape.lengths, _ROOTS * size)
     )
-    if rows == 0 and levels.size and (levels == levels[0]).all():
-        yield from _alike(points, levels[0], shape.sharpness, depth)
-        return
     least = size / 2**depth
     first = 0
     while first < len(points):
@@ -353,20 +350,3 @@ def spread(
             probes[level] = Probes(places[at], owners[at], shares[at])
         yield slice(first, end), probes
         first = end
-
-
-def _alike(
-    points: Floats, level: np.float32, sharpness: float, depth: int
-) -> Iterator[tuple[slice, dict[int, Probes]]]:
-    """Spread round footprints of one width."""
-    lower, *shares = _level_shares(level, depth, sharpness)
-    room = len(points) if shares.count(0.0) == 2 else _ROOM  # one level alone: nothing to put together
-    owners = np.arange(min(room, len(points)), dtype=np.int32)
-    for first in range(0, len(points), room):
-        run = slice(first, min(first + room, len(points)))
-        n = run.stop - first
-        probes: dict[int, Probes] = {}
-        for above, share in enumerate(shares, lower - 1):
-            if share != 0.0:
-                probes[above] = Probes(points[run], owners[:n], np.full(n, share, np.float32))
-        yield run, probes

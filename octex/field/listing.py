@@ -9,15 +9,12 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint32s
 from octex.field.blend import Listed, joined, listed
-from octex.field.field import NotFiniteError
-from octex.field.footprints import NO_SLOPES
 from octex.field.lookups import Lookup
-from octex.field.taps import Taps, place_points
+from octex.field.taps import Taps
 from octex.tree.morton import encode_cells
 from octex.tree.octree import distinct
-from octex.tree.search import Positions
 
-_NO_ROWS, _NO_COVERS = np.empty(0, np.uint32), np.empty(0, np.float32)
+_NO_ROWS = np.empty(0, np.uint32)
 
 
 class TapList(NamedTuple):
@@ -50,7 +47,7 @@ class Listing(Lookup):
     def _leaves(self, points: Floats) -> Iterator[Listed]:
         for _, taps in self.each_block(points):
             self._weigh_all(taps, always=False)
-            yield listed(taps, 1.0)
+            yield listed(taps)
 
     def _of_probes(self, points: Floats) -> Iterator[Listed]:
         """List the taps of footprints: probes at all levels, added up."""
@@ -79,7 +76,7 @@ class Listing(Lookup):
                 row = np.concatenate([row, more.rows])[order]
                 part = np.concatenate([part, more.weights])[order]
             starts = np.cumsum(np.append(0, np.bincount(owner, minlength=n_points)))
-            yield Listed(starts, row, part.astype(np.float32), NO_SLOPES, _NO_COVERS)
+            yield Listed(starts, row, part.astype(np.float32))
 
     def reads(self, points: Floats) -> dict[int, Reads]:
         """List the rows and cells read, by level."""
@@ -88,21 +85,6 @@ class Listing(Lookup):
             return joined_reads({depth: self._read(taps, depth)} for _, taps in self.each_block(points))
         probes = (each for run in self.each_run(points) for each in self.each_probe(*run))
         return joined_reads({level: self._read(taps, level)} for level, _, taps in probes)
-
-    def cells(self, points: Floats) -> dict[int, Reads]:
-        """List like ``reads`` the cells alone, as far as the tree's content does not change them."""
-        probes: Iterable[tuple[int, Floats]] = [(self._field.depth, points)]
-        if self._query.footprints is not None:
-            runs = self.each_run(points)
-            probes = ((level, some.points) for _, by_level in runs for level, some in by_level.items())
-        found = []
-        for level, sampled in probes:
-            places = np.empty((len(sampled), 3))
-            fault = place_points(Positions.of(sampled), *self._placement, places)
-            if fault >= 0:
-                raise NotFiniteError(fault)
-            found.append({level: Reads(_NO_ROWS, _cells_at(places, level))})
-        return joined_reads(found)
 
     def _read(self, taps: Taps, level: int) -> Reads:
         """Return the rows that the latest block reads, and the cells that hold its points."""

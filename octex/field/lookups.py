@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from itertools import repeat
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Float32s, Floats, Int64s, Uint8s
-from octex.channels import ColorSpace, decode
 from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.bricks import NUMBER_BITS, SORTED, Targets, look_up_crowded, new_bricks
 from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, NotFiniteError, positions
@@ -28,7 +26,6 @@ _LEAST_SORTED = 64
 #: Relative weights up to this are rounding errors.
 _ROUNDED = np.float32(1e-6)
 _NO_GRADIENTS = np.empty((0, 1, 3), np.float32)
-_NO_TABLE = np.empty(0, np.float32)
 NO_ADDITIONS = Additions(
     *(np.empty(0, np.int32), NO_PASSED[0], NO_PASSED[0]),
     Sums(np.empty((0, 1)), np.empty(0), np.empty((0, 1, 3)), np.empty((0, 3))),
@@ -61,7 +58,6 @@ class ChannelRows(NamedTuple):
     """A channel of a texture, as lookups read it."""
 
     codes: Codes
-    space: ColorSpace | None  # of float32 values that are still to be decoded
     is_alpha: bool
 
 
@@ -91,8 +87,7 @@ class Lookup:
         self._gradients = gradients
         self._finders: dict[int, Finder] = {}
         #: Channel numbers, alpha first: it then weights all others.
-        is_alpha = list(map(attrgetter("is_alpha"), channels))
-        self._numbers = sorted(range(len(channels)), key=is_alpha.__getitem__, reverse=True)
+        self._numbers = sorted(range(len(channels)), key=lambda number: not channels[number].is_alpha)
         values = (alpha or channels[self._numbers[0]]).codes.values
         #: The first values to read, as bytes, for prefetching.
         self._rows: Uint8s = values.view(np.uint8).reshape(len(values), -1)
@@ -100,10 +95,7 @@ class Lookup:
         if len(channels) == 1:
             channel, weighing = channels[0], None if channels[0].is_alpha else alpha
             other = weighing or channel
-            is_alike = channel.codes.values.dtype == other.codes.values.dtype
-            if (
-                channel.space is other.space is None and is_alike
-            ):  # else many pairs of types would be compiled
+            if channel.codes.values.dtype == other.codes.values.dtype:  # else many pairs would be compiled
                 self._channel = Weighed(channel.codes, other.codes, weighing is not None)
 
     @property
@@ -114,10 +106,9 @@ class Lookup:
 
     def is_sortable(self, count: int) -> bool:
         """Return whether bricks look up ``count`` points, one channel after another."""
-        query, spaces = self._query, set(map(attrgetter("space"), self._channels))
+        query = self._query
         is_bare = query.normals is None and not self._gradients and query.filter == "quadratic"
-        has_bricks = self._field.tiles is None and _LEAST_SORTED <= count < 1 << NUMBER_BITS
-        return is_bare and has_bricks and {*spaces, self._alpha and self._alpha.space} == {None}
+        return is_bare and self._field.tiles is None and _LEAST_SORTED <= count < 1 << NUMBER_BITS
 
     def at(self, points: Floats) -> None:
         """Look up rest positions (n, 3) by the fastest path. All lookups raise NotFiniteError."""
@@ -252,13 +243,12 @@ class Lookup:
         # Tiles prefetch the values of cells; walks and split rows do not.
         is_prefetched = self._query.normals is None and self._field.tiles is not None
         for rows, taps in self.each_block(points):
-            for number, used, codes in self.each_weighed(taps, is_prefetched, always=False):
+            for number, codes in self.each_weighed(taps, is_prefetched, always=False):
                 results = self._answers[number][rows]
-                blend(
-                    used, codes, is_prefetched and self._alpha is None and number == self._numbers[0], results
-                )
+                is_first = self._alpha is None and number == self._numbers[0]
+                blend(taps, codes, is_prefetched and is_first, results)
                 if self._gradients:
-                    blend_slopes(used, codes, scale, results, self._gradients[number][rows])
+                    blend_slopes(taps, codes, scale, results, self._gradients[number][rows])
 
     def finder(self, here: Field) -> Finder:
         """Return the finder of a level's taps."""
@@ -295,8 +285,8 @@ class Lookup:
                 for level, probes in by_level.items():
                     by_level[level] = probes._replace(slopes=np.zeros((probes.shares.size, 3), np.float32))
             for _, probes, taps in self.each_probe(run, by_level, sums[0] if is_added else None):
-                for number, used, codes in self.each_weighed(taps, False, always=True):
-                    add_up(used, codes, False, probes.owners, probes.shares, probes.slopes, sums[number])
+                for number, codes in self.each_weighed(taps, False, always=True):
+                    add_up(taps, codes, False, probes.owners, probes.shares, probes.slopes, sums[number])
             bare = np.zeros(n_points, np.bool_)
             for number, channel in enumerate(self._channels):
                 gradients = self._gradients[number][run] if gradient else _NO_GRADIENTS
@@ -357,31 +347,12 @@ class Lookup:
             if self._gradients:
                 self._gradients[number][rows] = gradients[at]
 
-    def each_weighed(
-        self, taps: Taps, is_prefetched: bool, *, always: bool
-    ) -> Iterator[tuple[int, Taps, Codes]]:
-        """Yield each channel's number, taps and codes; alpha weights the taps of the others."""
-        alpha, is_covered = self._alpha, False
+    def each_weighed(self, taps: Taps, is_prefetched: bool, *, always: bool) -> Iterator[tuple[int, Codes]]:
+        """Yield each channel's number and codes; alpha weights the taps of all but itself."""
+        alpha = self._alpha
         for number in self._numbers:
             channel = self._channels[number]
-            if alpha is not None and not channel.is_alpha and not is_covered:
-                weighing = (taps, alpha.codes) if alpha.space is None else _as_read(taps, alpha)
-                weigh_by_alpha(*weighing, is_prefetched, always)
-                is_covered = True
-            used, codes = taps, channel.codes
-            if channel.space is not None:
-                used, codes = _as_read(taps, channel)
-            yield number, used, codes
-
-
-def _as_read(taps: Taps, channel: ChannelRows) -> tuple[Taps, Codes]:
-    """Return taps and codes as `blend` takes them: float32 numbers decoded, a row for each tap."""
-    assert channel.space is not None
-    end = int(taps.ends.max(initial=0))
-    values, kept_values, split_values, _ = channel.codes
-    rows = taps.rows[:end].astype(np.int64)
-    found = values[np.minimum(rows, len(values) - 1)]
-    beyond = rows >= len(values)
-    found[beyond] = np.concatenate([kept_values, split_values])[rows[beyond] - len(values)]
-    decoded, none = decode(found, channel.space), found[:0]
-    return taps._replace(rows=np.arange(end, dtype=np.uint32)), Codes(decoded, none, none, _NO_TABLE)
+            if alpha is not None and not channel.is_alpha:
+                weigh_by_alpha(taps, alpha.codes, is_prefetched, always)
+                alpha = None
+            yield number, channel.codes

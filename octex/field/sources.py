@@ -10,12 +10,17 @@ the end of the taps, and the numbers of points listed as without cells and for t
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s, Uint8s, Uint16s, Uint64s
-from octex.field.splines import quartic_slopes, quartic_weights, single_quadratic_weights
+from octex.field.splines import (
+    quartic_slopes,
+    quartic_weights,
+    single_quadratic_slopes,
+    single_quadratic_weights,
+)
 from octex.field.taps import OFF, Ahead, Batch, Taps, finish, prefetch_cell, scale_off
 from octex.field.tiles import (
     GROUP,
@@ -32,6 +37,7 @@ from octex.field.tiles import (
 )
 from octex.field.windows import INSIDE, PLACES
 from octex.jit import by_constants, fused_kernel, inlined, kernel, part, popcount, prefetch, trailing_zeros
+from octex.tree.children import rank_in
 from octex.tree.layout import MAX_DEPTH
 from octex.tree.search import UNITS, nearer_box
 
@@ -148,17 +154,18 @@ class Tables(NamedTuple):
     places: Uint16s
 
 
-def _tables(reach: int) -> Tables:
-    """Return the tables of windows of (2 · reach + 1)³ cells in the children of (reach + 1)³ nodes."""
-    side, children = 2 * reach + 1, 8 * (reach + 1) ** 3
+def _tables(side: int) -> Tables:
+    """Return the tables of a spline over ``side``³ cells, in the children of (side // 2 + 1)³ nodes."""
+    reach = side // 2
+    width, children = 2 * reach + 1, 8 * (reach + 1) ** 3
     place = PLACES[reach - 1, :, :children].astype(np.uint16)
-    x, y, z = place % side, place // side % side, place // side**2
+    x, y, z = place % width, place // width % width, place // width**2
     along = (GROUP * np.stack([x, side + side * y + z], axis=-1)).astype(np.uint16)
-    masks = INSIDE[reach - 1, :, : -(-children // 64)]
-    return Tables(masks.ravel().copy(), along.ravel())  # numba compiles no strides
+    words = INSIDE[reach - 1, :, : -(-children // 64)]
+    return Tables(words.ravel().copy(), along.ravel())  # numba compiles no strides
 
 
-_QUADRATIC, _QUARTIC = _tables(1), _tables(2)
+_QUADRATIC, _QUARTIC = _tables(3), _tables(5)
 
 
 class Group(NamedTuple):
@@ -195,10 +202,10 @@ def new_group(gradient: bool) -> Group:
 
 @by_constants
 @inlined
-def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, reach: int) -> None:
+def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, side: int) -> None:
     """Find the tile and the window with lowest cell (i, j, k)."""
     one, two, three, four = np.int32(1), np.int32(2), np.int32(3), np.int32(4)
-    more = np.int32(reach)
+    more = np.int32(side // 2)
     at = np.uint64(n)
     group.near.keys[at] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
     e, f, g = i >> one & three, j >> one & three, k >> one & three
@@ -217,75 +224,34 @@ def _lowest(places: Float64s, point: int, cells: float) -> tuple[float, float, f
 
 
 @inlined
-def _put_three(
-    along: Float32s, at: np.uint64, factor: np.float32, p: np.float32, q: np.float32, r: np.float32
+def _put_products(to: Float32s, at: np.uint64, factor: Any, left: Any, right: Any) -> None:
+    """Write the products of each number of a tuple with each of another."""
+    for a in range(len(left)):
+        for b in range(len(right)):
+            to[at + np.uint64(GROUP * (a * len(right) + b))] = factor * (left[a] * right[b])
+
+
+@by_constants
+@inlined
+def _place(
+    places: Float64s, begin: int, count: int, depth: int, group: Group, weights: Any, slopes: Any, side: int
 ) -> None:
-    along[at] = factor * p
-    along[at + np.uint64(GROUP)] = factor * q
-    along[at + np.uint64(2 * GROUP)] = factor * r
-
-
-@inlined
-def _place_quadratic(places: Float64s, begin: int, count: int, depth: int, group: Group) -> None:
-    """Find each point's tile, window and weights."""
-    cells = float(1 << depth)
-    one = np.int32(1)
-    along = group.along
+    """Find each point's tile, window, and weights and slopes along the axes: functions of its place."""
+    cells, one, reach = float(1 << depth), np.float32(1.0), np.int32(side // 2)
     for n in range(count):
-        x, y, z, u, v, w = _lowest(places, begin + n, cells)
-        _find_place(group, n, np.int32(u) - one, np.int32(v) - one, np.int32(w) - one, 1)
         at = np.uint64(n)
-        p, q, r = single_quadratic_weights(np.float32(x - u))
-        _put_three(along, at, np.float32(1.0), p, q, r)
-        a, b, c = single_quadratic_weights(np.float32(y - v))
-        p, q, r = single_quadratic_weights(np.float32(z - w))
-        _put_three(along, at + np.uint64(3 * GROUP), a, p, q, r)
-        _put_three(along, at + np.uint64(6 * GROUP), b, p, q, r)
-        _put_three(along, at + np.uint64(9 * GROUP), c, p, q, r)
-
-
-@inlined
-def _slope_quadratic(places: Float64s, begin: int, count: int, depth: int, group: Group) -> None:
-    """Write the slopes of the weights."""
-    cells, one, two = np.float32(1 << depth), np.float32(1.0), np.float32(2.0)
-    slopes = group.slopes
-    for n in range(count):
-        x, y, z, u, v, w = _lowest(places, begin + n, float(1 << depth))
-        at = np.uint64(n)
-        r, s, t = np.float32(x - u), np.float32(y - v), np.float32(z - w)
-        _put_three(slopes, at, cells, r - one, one - two * r, r)
-        a, b, c = single_quadratic_weights(t)
-        _put_three(slopes, at + np.uint64(3 * GROUP), cells * (s - one), a, b, c)
-        _put_three(slopes, at + np.uint64(6 * GROUP), cells * (one - two * s), a, b, c)
-        _put_three(slopes, at + np.uint64(9 * GROUP), cells * s, a, b, c)
-        a, b, c = single_quadratic_weights(s)
-        p, q, r = cells * (t - one), cells * (one - two * t), cells * t
-        _put_three(slopes, at + np.uint64(12 * GROUP), a, p, q, r)
-        _put_three(slopes, at + np.uint64(15 * GROUP), b, p, q, r)
-        _put_three(slopes, at + np.uint64(18 * GROUP), c, p, q, r)
-
-
-@inlined
-def _place_quartic(places: Float64s, begin: int, count: int, depth: int, group: Group) -> None:
-    cells = float(1 << depth)
-    two = np.int32(2)
-    gradient = group.slopes.size > 0
-    along, slopes = group.along, group.slopes
-    for n in range(count):
         x, y, z, u, v, w = _lowest(places, begin + n, cells)
-        _find_place(group, n, np.int32(u) - two, np.int32(v) - two, np.int32(w) - two, 2)
-        of_x, of_y, of_z = quartic_weights(x - u), quartic_weights(y - v), quartic_weights(z - w)
-        for a in range(5):
-            along[n + GROUP * a] = of_x[a]
-            for b in range(5):
-                along[n + GROUP * (5 + 5 * a + b)] = of_y[a] * of_z[b]
-        if gradient:
-            by_x, by_y, by_z = quartic_slopes(x - u), quartic_slopes(y - v), quartic_slopes(z - w)
-            for a in range(5):
-                slopes[n + GROUP * a] = cells * by_x[a]
-                for b in range(5):
-                    slopes[n + GROUP * (5 + 5 * a + b)] = cells * by_y[a] * of_z[b]
-                    slopes[n + GROUP * (30 + 5 * a + b)] = cells * of_y[a] * by_z[b]
+        _find_place(group, n, np.int32(u) - reach, np.int32(v) - reach, np.int32(w) - reach, side)
+        _put_products(group.along, at, one, (one,), weights(x - u))
+        _put_products(group.along, at + np.uint64(side * GROUP), one, weights(y - v), weights(z - w))
+    for n in range(count if group.slopes.size > 0 else 0):
+        x, y, z, u, v, w = _lowest(places, begin + n, cells)
+        scale, at = np.float32(cells), np.uint64(n)
+        _put_products(group.slopes, at, scale, (one,), slopes(x - u))
+        at += np.uint64(side * GROUP)
+        _put_products(group.slopes, at, scale, slopes(y - v), weights(z - w))
+        at += np.uint64(side * side * GROUP)
+        _put_products(group.slopes, at, scale, weights(y - v), slopes(z - w))
 
 
 @inlined
@@ -295,8 +261,7 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
     octant = np.uint64(group.near.octants[np.uint64(slot + (code >> 11))] + (code >> 8 & 7))
     shift = np.uint64(code & 63)
     stored = tiles.masks[octant]
-    below = stored & ((np.uint64(1) << shift) - np.uint64(1))
-    first = np.int64(tiles.firsts[octant]) + popcount(below)
+    first = np.int64(tiles.firsts[octant]) + rank_in(stored, shift)
     prefetch_cell(ahead, int(first))
     word = np.uint64(node >> 3)
     group.firsts[np.uint64(node)] = first - popcount(group.masks[word])
@@ -305,7 +270,7 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
 
 @by_constants
 @inlined
-def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -> None:
+def _find_window(tiles: Tiles, group: Group, n: int, side: int, ahead: Ahead) -> None:
     """Find the window of point n, unless it is the latest, and prefetch its cells' rows."""
     window, key = np.int64(group.windows[np.uint64(n)]), group.near.keys[np.uint64(n)]
     if (window == group.latest[0]) & (key == group.latest[1]):
@@ -313,13 +278,13 @@ def _find_window(tiles: Tiles, group: Group, n: int, reach: int, ahead: Ahead) -
     group.latest[0], group.latest[1] = window, key
     i, j, k = int(window & 3), int(window >> 2 & 3), int(window >> 4)
     slot = group.near.slots[np.uint64(n)]
-    side = reach + 1
-    for word in range(1 if reach == 1 else 4):
+    nodes = side // 2 + 1
+    for word in range(1 if nodes == 2 else 4):
         group.masks[word] = np.uint64(0)
     node = 0
-    for c in range(side):
-        for b in range(side):
-            for a in range(side):
+    for c in range(nodes):
+        for b in range(nodes):
+            for a in range(nodes):
                 _add_node(tiles, group, slot, node, i + a, j + b, k + c, ahead)
                 node += 1
 
@@ -338,7 +303,7 @@ def _take_word(
     n: int,
     word: int,
     tables: Tables,
-    reach: int,
+    side: int,
     last: int,
     taps: Taps,
     end: int,
@@ -346,7 +311,7 @@ def _take_word(
 ) -> tuple[int, np.float32]:
     """Write the taps in one word of a window; return their end, and the weight of all."""
     at = np.uint64(n)
-    words, children, ys = (1, 64, 9) if reach == 1 else (4, 216, 25)
+    words, children = (1, 64) if side < 5 else (4, 216)
     parity = np.int64(group.parities[at])
     mask = group.masks[np.uint64(word)]
     left = mask & tables.masks[np.uint64(words * parity + word)]
@@ -356,18 +321,17 @@ def _take_word(
     while left != np.uint64(0):
         bit = np.uint64(trailing_zeros(left))
         left &= left - np.uint64(1)
-        below = mask & ((np.uint64(1) << bit) - np.uint64(1))
         place = np.uint64(base) + (bit << np.uint64(1))
         x = np.uint64(places[place]) + at
         yz = np.uint64(places[place + np.uint64(1)]) + at
         weight = along[x] * along[yz]
-        cell = group.firsts[np.uint64(8 * word) + (bit >> np.uint64(3))] + popcount(below)
+        cell = group.firsts[np.uint64(8 * word) + (bit >> np.uint64(3))] + rank_in(mask, bit)
         taps.rows[np.uint64(end)] = min(cell, last)
         taps.weights[np.uint64(end)] = weight
         if gradient:
             taps.slopes[np.uint64(end), 0] = slopes[x] * along[yz]
             taps.slopes[np.uint64(end), 1] = along[x] * slopes[yz]
-            taps.slopes[np.uint64(end), 2] = along[x] * slopes[yz + np.uint64(ys * GROUP)]
+            taps.slopes[np.uint64(end), 2] = along[x] * slopes[yz + np.uint64(side * side * GROUP)]
         total += weight
         end += 1
     return end, total
@@ -376,28 +340,32 @@ def _take_word(
 @by_constants
 @inlined
 def _spline_taps(
-    tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int, group: Group, tables: Tables, reach: int
+    tiles: Tiles,
+    is_off: bool,
+    batch: Batch,
+    taps: Taps,
+    end: int,
+    group: Group,
+    tables: Tables,
+    weights: Any,
+    slopes: Any,
+    side: int,
 ) -> tuple[int, int, int]:
-    """Find the taps of a spline over (2 · reach + 1)³ cells."""
+    """Find the taps of a spline over ``side``³ cells."""
     flat = batch.places.reshape(-1)
     n_empty = n_rim = 0
     for begin in range(0, batch.places.shape[0], GROUP):
         count = min(GROUP, batch.places.shape[0] - begin)
-        if reach == 1:
-            _place_quadratic(flat, begin, count, tiles.depth, group)
-            if group.slopes.size > 0:
-                _slope_quadratic(flat, begin, count, tiles.depth, group)
-        else:
-            _place_quartic(flat, begin, count, tiles.depth, group)
+        _place(flat, begin, count, tiles.depth, group, weights, slopes, side)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, reach, batch.ahead)
+            _find_window(tiles, group, n, side, batch.ahead)
             start, total = end, np.float32(0.0)
-            if reach == 1 and tiles.marks.size > 0 and _is_window_marked(tiles, group):
+            if side < 5 and tiles.marks.size > 0 and _is_window_marked(tiles, group):
                 end += 1  # others answer: that one weighs nothing
             else:
-                for word in range(1 if reach == 1 else 4):
-                    end, total = _take_word(group, n, word, tables, reach, batch.last, taps, end, total)
+                for word in range(1 if side < 5 else 4):
+                    end, total = _take_word(group, n, word, tables, side, batch.last, taps, end, total)
             end, n_empty, n_rim = finish(batch, begin + n, taps, start, end, total, n_empty, n_rim)
     if is_off:
         scale_off(taps, batch.which)
@@ -407,15 +375,16 @@ def _spline_taps(
 @kernel
 def quadratic_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
     """Find the taps of the quadratic spline."""
-    group = new_group(taps.slopes.shape[0] > 0)
-    return _spline_taps(tiles, is_off, batch, taps, end, group, _QUADRATIC, 1)
+    group, weights = new_group(taps.slopes.shape[0] > 0), single_quadratic_weights
+    slopes = single_quadratic_slopes
+    return _spline_taps(tiles, is_off, batch, taps, end, group, _QUADRATIC, weights, slopes, 3)
 
 
 @kernel
 def quartic_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
     """Find the taps of the quartic spline."""
-    group = new_group(taps.slopes.shape[0] > 0)
-    return _spline_taps(tiles, is_off, batch, taps, end, group, _QUARTIC, 2)
+    group, weights, slopes = new_group(taps.slopes.shape[0] > 0), quartic_weights, quartic_slopes
+    return _spline_taps(tiles, is_off, batch, taps, end, group, _QUARTIC, weights, slopes, 5)
 
 
 @part
@@ -431,10 +400,10 @@ def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[i
             a = rounded_cell(places[begin + n, 0], tiles.depth) - one
             b = rounded_cell(places[begin + n, 1], tiles.depth) - one
             c = rounded_cell(places[begin + n, 2], tiles.depth) - one
-            _find_place(group, n, a, b, c, 1)
+            _find_place(group, n, a, b, c, 3)
         find_tiles(tiles, group.near, count)
         for n in range(count):
-            _find_window(tiles, group, n, 1, batch.ahead)
+            _find_window(tiles, group, n, 3, batch.ahead)
             x, y, z = places[begin + n, 0], places[begin + n, 1], places[begin + n, 2]
             a, b, c = rounded_cell(x, tiles.depth), rounded_cell(y, tiles.depth), rounded_cell(z, tiles.depth)
             point = x * UNITS, y * UNITS, z * UNITS
@@ -448,8 +417,7 @@ def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[i
                 low = a - 1 + place % 3 << shift, b - 1 + place // 3 % 3 << shift, c - 1 + place // 9 << shift
                 is_nearer, distance, code = nearer_box(point, low, 1 << shift, least, least_code)
                 if is_nearer:
-                    below = mask & ((np.uint64(1) << np.uint64(bit)) - np.uint64(1))
-                    nearest, least, least_code = group.firsts[bit >> 3] + popcount(below), distance, code
+                    nearest, least, least_code = group.firsts[bit >> 3] + rank_in(mask, bit), distance, code
             point = which[begin + n]
             if nearest < 0:
                 batch.empty[n_empty] = point

@@ -41,11 +41,18 @@ def quadratic_weights(t: float) -> Three:
 
 
 @inlined
-def single_quadratic_weights(t: np.float32) -> tuple[np.float32, np.float32, np.float32]:
+def single_quadratic_weights(t: float | np.float32) -> tuple[np.float32, np.float32, np.float32]:
     """`quadratic_weights` in single precision; the outer ones have full precision."""
-    half, one = np.float32(0.5), np.float32(1.0)
-    low, high = half * (one - t) * (one - t), half * t * t
+    part, half, one = np.float32(t), np.float32(0.5), np.float32(1.0)
+    low, high = half * (one - part) * (one - part), half * part * part
     return low, one - low - high, high
+
+
+@inlined
+def single_quadratic_slopes(t: float) -> tuple[np.float32, np.float32, np.float32]:
+    """`quadratic_slopes` in single precision."""
+    part, one, two = np.float32(t), np.float32(1.0), np.float32(2.0)
+    return part - one, one - two * part, part
 
 
 @inlined

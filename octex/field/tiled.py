@@ -26,7 +26,7 @@ from octex.field.taps import (
 )
 from octex.field.tiles import Tiles, nearest_rows
 from octex.field.weights import MOST_ROWS, Weighing, weigh_taps
-from octex.jit import bytes_of, kernel, part
+from octex.jit import kernel, part
 from octex.tree.search import Origin, Positions, count_of
 
 #: Points that are looked up at once.
@@ -110,7 +110,7 @@ def look_up_tiled(
         additions = Additions(np.arange(step, dtype=np.int32), shares, none, new_sums(step, results, False))
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
     flags = search.by.facings.flags if faces else search.by.facings.flags[:0]
-    ahead = Ahead(bytes_of(channel.codes.values), bytes_of(alpha), flags, search.by.areas)
+    ahead = Ahead(channel.codes.values.view(np.uint8), alpha.view(np.uint8), flags, search.by.areas)
     only_cells = search.filter_code == NEAREST and not (channel.has_alpha or faces or search.is_off or adds)
     n_empty = n_rim = 0
     for begin in range(0, all_points, step):
@@ -153,7 +153,7 @@ def look_up_tiled(
                     divide(mean, 1.0, results[begin:end], gradients[:0])
             else:
                 if faces:
-                    split = bytes_of(channel.codes.split_values)
+                    split = channel.codes.split_values.view(np.uint8)
                     weigh_taps(taps, search.by, normals[begin:end], split, additions.passed, normals[:0])
                 if channel.has_alpha:
                     weigh_by_alpha(taps, channel.alpha, True, False)

@@ -28,7 +28,7 @@ from octex.errors import OutputError
 from octex.field.taps import Batch, prefetch_cell
 from octex.jit import by_constants, fused_part, inlined, kernel, part, popcount, prefetch, trailing_zeros
 from octex.tree.beside import with_boundary
-from octex.tree.children import children
+from octex.tree.children import children, rank_in
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode, decode_cells
 from octex.tree.octree import Octree
@@ -218,8 +218,7 @@ def look_in(tiles: Tiles, octant: int, code: int) -> tuple[int, bool]:
     """Return the number of an octant's cell, and whether the cell is stored."""
     bit = np.uint64(code & 63)
     mask = tiles.masks[np.uint64(octant)]
-    below = mask & ((np.uint64(1) << bit) - np.uint64(1))
-    number = np.int64(tiles.firsts[np.uint64(octant)]) + popcount(below)
+    number = np.int64(tiles.firsts[np.uint64(octant)]) + rank_in(mask, bit)
     return int(number), (mask >> bit) & np.uint64(1) != np.uint64(0)
 
 

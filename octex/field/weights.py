@@ -24,8 +24,9 @@ from octex.field.taps import (
     scale_to_off,
     with_row,
 )
-from octex.jit import decoded, inlined, kernel, part, popcount, prefetch, trailing_zeros
+from octex.jit import decoded, inlined, kernel, part, popcount, prefetch
 from octex.tree.areas import AREAS
+from octex.tree.children import rank_in
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.octree import Octree
 from octex.tree.split import counts_of
@@ -195,13 +196,8 @@ class Visible(NamedTuple):
     """The visible part of cells for a normal, by the bits of `DIRECTIONS`; and slopes of mixed cells."""
 
     parts: Float32s  # (9,)   weights of cells
-    shares: Float32s  # (9, 3)   of a split cell's rows of x, y and z
-    rows: Uint8s  # (9,)   the visible ones of these, a bit for each; _UNKNOWN until needed
     is_split: Uint8s  # (AT_ONCE,)   which points of a group have split cells
     slopes: Float32s  # (2, 3)   of the weights of all cells, and of those that mix facings
-
-
-_UNKNOWN = np.uint8(8)
 
 
 @part
@@ -209,31 +205,15 @@ def new_visible() -> Visible:
     """Return room for a normal's visible parts."""
     return Visible(
         np.empty(9, np.float32),
-        np.empty((9, 3), np.float32),
-        np.empty(9, np.uint8),
         np.zeros(AT_ONCE, np.uint8),
         np.empty((2, 3), np.float32),
     )
 
 
 @inlined
-def _visible_rows(visible: Visible, view: View, bits: np.uint8) -> np.uint8:
-    """Return the visible rows of a split cell, a bit for each axis; none if it is taken as a whole."""
-    at = np.uint64(bits)
-    if visible.rows[at] == _UNKNOWN:
-        none = np.float32(0.0)
-        x, y, z, _ = view
-        x, y, z = shares_of(x if bits & 1 else none, y if bits & 2 else none, z if bits & 4 else none)
-        visible.shares[at, 0], visible.shares[at, 1], visible.shares[at, 2] = x, y, z
-        visible.rows[at] = int(x > none) | int(y > none) << 1 | int(z > none) << 2
-    return visible.rows[at]  # type: ignore[no-any-return]
-
-
-@inlined
 def row_of(first: int, flags: np.uint8, axis: int, signs: int) -> int:
     """Return the row of a split cell, from its first, that faces a normal of these signs along an axis."""
-    below = (np.uint64(1) << np.uint64(2 * axis + (signs >> axis & 1))) - np.uint64(1)
-    return first + popcount(np.uint64(flags & np.uint8(FACING_FLAGS)) & below)
+    return first + rank_in(np.uint64(flags & np.uint8(FACING_FLAGS)), 2 * axis + (signs >> axis & 1))
 
 
 @inlined
@@ -279,15 +259,14 @@ def weigh(
     Returns the sum of the values; or, without ``components``, writes the taps from ``end`` on and returns
     their end. The last two results are the weights by area, of all cells and of mixed ones.
     """
-    five, total, gone = NO_FIVE, 0.0, 0.0
+    five, total, gone, none = NO_FIVE, 0.0, 0.0, np.float32(0.0)
     gradient = components == 0 and taps.slopes.shape[0] > 0
     x = y = z = np.float32(0.0)  # of all slopes
     if gradient:
         visible.slopes[:] = np.float32(0.0)
     if faces:
         parts_of(visible.parts, view)
-    for known in range(9 if is_split else 0):
-        visible.rows[np.uint64(known)] = np.uint8(0) if known & 7 == 0 else _UNKNOWN
+    known, shares = np.uint8(0), (none, none, none)  # of the latest split cell's rows of x, y and z
     for tap in range(taps.starts[n], taps.ends[n]):
         row = taps.rows[np.uint64(tap)]
         weight, factor = taps.weights[np.uint64(tap)], np.float32(1.0)
@@ -308,15 +287,18 @@ def weigh(
         if is_mixed:
             gone += np.float64(weight)
             weight = factor = np.float32(0.0)
-        flags, bits, left = np.uint8(0), np.uint8(0), np.uint8(0)
+        flags, is_whole = np.uint8(0), True
         if faces:
             flags = _flags_of(by.facings, by.first_kept, row)
             bits = direction_of(view[3], flags)
             weight *= visible.parts[np.uint64(bits)]
             factor *= visible.parts[np.uint64(bits)]
             if is_split and flags >= np.uint8(SPLIT):
-                left = _visible_rows(visible, view, bits)
-        if left == 0:
+                if bits != known:
+                    p, q = view[0] if bits & 1 else none, view[1] if bits & 2 else none
+                    known, shares = bits, shares_of(p, q, view[2] if bits & 4 else none)
+                is_whole = max(shares[0], max(shares[1], shares[2])) == none
+        if is_whole:
             if components > 0:
                 five = with_row(five, flat, int(row), weight, components)
             else:
@@ -326,11 +308,10 @@ def weigh(
         if cell >= by.facings.rows.size:
             cell = np.int64(by.facings.kept[min(int(cell) - by.first_kept, by.facings.kept.size - 1)])
         first = by.first_row + int(np.int64(by.facings.rows[np.uint64(cell)]))
-        while left != 0:
-            axis = trailing_zeros(np.uint64(left))
-            left &= left - np.uint8(1)
-            visible_row = row_of(first, flags, axis, view[3])
-            share = visible.shares[np.uint64(bits), np.uint64(axis)]
+        for axis in range(3):
+            visible_row, share = row_of(first, flags, axis, view[3]), shares[axis]
+            if share == none:
+                continue
             if components > 0:
                 five = with_row(five, flat, visible_row, share * weight, components)
             else:
@@ -407,7 +388,7 @@ def mark_mixed(
             if flags >> np.uint64(2 * axis) & np.uint64(3) != np.uint64(3):
                 continue
             is_double = True
-            at = row + popcount(flags & (np.uint64(1) << np.uint64(2 * axis)) - np.uint64(1))
+            at = row + rank_in(flags, 2 * axis)
             at = max(min(at, values.shape[0] - 2), 0)
             for component in range(values.shape[1] if cells[n] >= first and values.shape[0] > 1 else 0):
                 apart = decoded(table, values[at, component]) - decoded(table, values[at + 1, component])

@@ -22,8 +22,8 @@ import numpy as np
 
 from octex.arrays import Float64s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.field.splines import LINEAR, refine, send_up
-from octex.jit import inlined, kernel, popcount, trailing_zeros
-from octex.tree.children import children
+from octex.jit import inlined, kernel, trailing_zeros
+from octex.tree.children import children, rank_in
 from octex.tree.layout import KEPT, MAX_DEPTH, TreeArrays
 
 BYTE = np.uint64(0xFF)
@@ -201,7 +201,6 @@ def _go_down(way: Way, i: int, j: int, k: int, level: int) -> None:
     begin = a & 1 | (b & 1) << 1 | (c & 1) << 2
     for word in range(words_of(way)):
         real[level, word] = nodes[level, word] = cells[level, word] = 0
-    all_real = all_nodes = all_cells = np.uint64(0)  # of the only word that blocks of 2³ parents have
     for word in range(words_of(way)):
         above_nodes = nodes[level - 1, word]
         bits = above_nodes & PARENTS[parents - 2, above, word]
@@ -213,17 +212,9 @@ def _go_down(way: Way, i: int, j: int, k: int, level: int) -> None:
             child_nodes, child_cells, first_node, first_cell = children(way.arrays.groups, int(node))
             walk.first_nodes[level, slot], walk.first_cells[level, slot] = first_node, first_cell
             to, at = slot >> 3, np.uint64(8 * (slot & 7))
-            child_nodes, child_cells = child_nodes << at, child_cells << at
-            if parents == 2:
-                all_real |= BYTE << at
-                all_nodes |= child_nodes
-                all_cells |= child_cells
-            else:
-                real[level, to] |= BYTE << at
-                nodes[level, to] |= child_nodes
-                cells[level, to] |= child_cells
-    if parents == 2:
-        real[level, 0], nodes[level, 0], cells[level, 0] = all_real, all_nodes, all_cells
+            real[level, to] |= BYTE << at
+            nodes[level, to] |= child_nodes << at
+            cells[level, to] |= child_cells << at
     has_nodes = has_leaves = np.uint64(0)
     for word in range(words_of(way)):
         has_nodes |= nodes[level, word] & INSIDE[parents - 2, begin, word]
@@ -303,7 +294,7 @@ def cell_at(arrays: TreeArrays, walk: Walk, level: int, word: int, place: int) -
 @inlined
 def _rank(word: np.uint64, place: int) -> int:
     """Count the children of a parent before a place, of those in a word."""
-    return popcount(word >> np.uint64(place & 56) & _below(place & 7))
+    return rank_in(word >> np.uint64(place & 56), place & 7)
 
 
 @inlined
@@ -322,11 +313,6 @@ def _slot(parents: int, above: int, child: int) -> int:
 def bit_at(place: int) -> np.uint64:
     """Return the bit at a place of a word."""
     return np.uint64(1) << np.uint64(place)
-
-
-@inlined
-def _below(place: int) -> np.uint64:
-    return (np.uint64(1) << np.uint64(place)) - np.uint64(1)
 
 
 @inlined

@@ -24,7 +24,6 @@ from octex.jit.decorators import part as part
 from octex.jit.decorators import step as step
 from octex.jit.decorators import summing_kernel as summing_kernel
 from octex.jit.decorators import unlocked as unlocked
-from octex.jit.instructions import bytes_of as bytes_of
 from octex.jit.instructions import decoded as decoded
 from octex.jit.instructions import low_bits as low_bits
 from octex.jit.instructions import popcount as popcount
@@ -33,7 +32,6 @@ from octex.jit.instructions import trailing_zeros as trailing_zeros
 from octex.jit.vectors import add_to_rows as add_to_rows
 from octex.jit.vectors import chosen as chosen
 from octex.jit.vectors import mask_bits as mask_bits
-from octex.jit.vectors import nearest_box as nearest_box
 from octex.jit.vectors import put as put
 from octex.jit.vectors import refine_rows as refine_rows
 from octex.jit.vectors import sixteen as sixteen

@@ -10,10 +10,7 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core import cgutils
-from numba.core.imputils import impl_ret_borrowed
 from numba.extending import intrinsic
-from numba.np.arrayobj import make_array, populate_array
 
 from octex.jit.decorators import DISABLED, Function, kernel
 
@@ -80,24 +77,6 @@ def _write_prefetch(context: Any, builder: Any, signature: Any, values: Any) -> 
 @instruction(lambda array, _: types.void(array, types.int64), _write_prefetch)
 def prefetch(array: np.ndarray[Any, Any], row: int) -> None:
     """Prefetch the memory of a row of an array; any number is valid."""
-
-
-def _write_bytes(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-    array = make_array(signature.args[0])(context, builder, values[0])
-    seen = make_array(signature.return_type)(context, builder)
-    size, one = array.itemsize, context.get_constant(types.intp, 1)
-    *rows, last = cgutils.unpack_tuple(builder, array.shape)
-    data = builder.bitcast(array.data, ir.IntType(8).as_pointer())
-    shape = [*rows, builder.mul(last, size)]
-    strides = [*cgutils.unpack_tuple(builder, array.strides)[:-1], one]
-    populate_array(seen, data, shape, strides, one, array.meminfo, array.parent)
-    return impl_ret_borrowed(context, builder, signature.return_type, seen._getvalue())
-
-
-@instruction(lambda array: types.Array(types.uint8, array.ndim, array.layout)(array), _write_bytes)
-def bytes_of(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return the bytes of a C-ordered array, in rows as long as its last axis."""
-    return array.view(np.uint8)
 
 
 def _write_decoded(context: Any, builder: Any, signature: Any, values: Any) -> Any:

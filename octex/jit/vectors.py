@@ -105,7 +105,6 @@ def _filler(element: Any, count: int) -> Any:
 
 four_at, eight_at, sixteen_at = _reader(4), _reader(8), _reader(16)
 four, eight, sixteen = _filler(types.float32, 4), _filler(types.float32, 8), _filler(types.int16, 16)
-_eight_numbers = _filler(types.int64, 8)
 
 
 def _write_store(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -333,27 +332,3 @@ def squares_to_boxes(bounds: Any, node: int, x: Any, y: Any, z: Any, limit: Any,
     found = _squares(bounds, node, eight(x), eight(y), eight(z))
     put(squares, 0, found)
     return mask_bits(found <= eight(limit))  # type: ignore[no-any-return]
-
-
-_LANES = np.arange(8, dtype=np.int64)
-
-
-@inlined
-def nearest_box(bounds: Any, nodes: Any, count: int, x: Any, y: Any, z: Any) -> int:
-    """Return the box nearest to a point, of the first ``count`` nodes: 8 · node + child.
-
-    As for ``squares_to_boxes``; ``nodes`` are int64. Of equally near boxes any; −1 for no node.
-    """
-    least, places = eight(np.inf), _eight_numbers(-1)
-    i, j, k = eight(x), eight(y), eight(z)
-    for n in range(count):
-        node = nodes[np.uint64(n)]
-        squares = _squares(bounds, node, i, j, k)
-        is_less = squares < least
-        places = chosen(is_less, _eight_numbers(8 * node) + eight_at(_LANES, 0), places)
-        least = chosen(is_less, squares, least)
-    best, place = np.float32(np.inf), -1
-    for square, candidate in zip(lanes(least), lanes(places)):  # noqa: B905  (kernels know no strict)
-        if square < best:
-            best, place = square, candidate
-    return place

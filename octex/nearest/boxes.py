@@ -18,8 +18,6 @@ from octex.tree.morton import encode
 WIDTH = 8
 #: Largest number of waiting nodes: seven of each level, and one.
 _STACK = 256
-#: Largest number of cached nodes, and the numbers at which the sizes of the two balls aim.
-_MOST_CACHED, _INNER, _OUTER = 64, 12, 32
 #: Boxes and points are rounded to single precision: by at most this part of the largest coordinate.
 _ROUNDING = 4.0 * 2.0**-24
 _FARTHEST = 3e38
@@ -43,33 +41,10 @@ class Search(NamedTuple):
     children: Float32s  # (8,)   squared distances of a node's child boxes
 
 
-class NodeCache(NamedTuple):
-    """Cached nodes in a ball: searches within the ball need no others.
-
-    A larger ball caches nodes one level above the lowest, so that the small ball moves cheaply.
-    """
-
-    nodes: Int64s  # (64,)   of the lowest level
-    outer: Int64s  # (64,)   of the level above
-    filled: Int64s  # (2,)   number of nodes, and of outer nodes
-    ball: Float64s  # (5,)   x, y, z relative to the origin, radius, and margin beyond the requested radius
-    outer_ball: Float64s  # (5,)
-
-
 @part
 def new_search() -> Search:
     """Return scratch for a search."""
     return Search(np.empty((_STACK, 2), np.int64), np.empty(_STACK, np.float32), np.empty(8, np.float32))
-
-
-@part
-def new_node_cache(margin: float) -> NodeCache:
-    """Return an empty cache whose balls first exceed requests by about ``margin``."""
-    balls = np.zeros((2, 5), np.float64)
-    balls[:, 3] = -1.0
-    balls[0, 4], balls[1, 4] = margin, 4.0 * margin
-    nodes = np.empty((2, _MOST_CACHED), np.int64)
-    return NodeCache(nodes[0], nodes[1], np.zeros(2, np.int64), balls[0], balls[1])
 
 
 def morton_order(positions: Float64s) -> Int64s:
@@ -227,83 +202,3 @@ def next_node(
             search.nodes[to, 0], search.nodes[to, 1] = level - 1, number * 8 + child
             waiting += 1
     return -1, np.uint64(0), 0
-
-
-@inlined
-def _holds(ball: Float64s, at: Local, radius: float) -> bool:
-    dx, dy, dz = at[0] - ball[0], at[1] - ball[1], at[2] - ball[2]
-    return bool(np.sqrt(dx * dx + dy * dy + dz * dz) + radius <= ball[3])
-
-
-@inlined
-def is_cached(cache: NodeCache, at: Local, radius: float) -> bool:
-    """Return whether a ball about a point lies in the cached ball."""
-    return _holds(cache.ball, at, radius)
-
-
-@inlined
-def _move(ball: Float64s, at: Local, radius: float) -> float:
-    """Center a ball on a point, with a margin; return its radius."""
-    ball[0], ball[1], ball[2], ball[3] = at[0], at[1], at[2], radius + ball[4]
-    return float(ball[3])
-
-
-@inlined
-def _adapt(ball: Float64s, count: int, wanted: int) -> None:
-    """Adapt a ball's margin: wider next time if it holds few nodes, narrower if many."""
-    if 2 * count < wanted:
-        ball[4] *= 1.5
-    elif 2 * count > 3 * wanted:
-        ball[4] *= 0.7
-
-
-@inlined
-def _give_up(ball: Float64s, cache: NodeCache) -> bool:
-    ball[3], ball[4] = -1.0, 0.5 * ball[4]
-    cache.ball[3] = -1.0
-    cache.filled[0] = 0
-    return False
-
-
-@inlined
-def cache_around(boxes: Boxes, search: Search, cache: NodeCache, at: Local, radius: float) -> bool:
-    """Cache all nodes of the lowest level that reach into a ball about a point.
-
-    A margin lets following points share it. Returns False if there are too many nodes.
-    """
-    above = min(1, boxes.firsts.size - 2)
-    wide = _move(cache.ball, at, radius)
-    if not _holds(cache.outer_ball, at, wide):
-        outer = _move(cache.outer_ball, at, wide)
-        bound = reach(outer * outer, at[3])
-        count = 0
-        waiting = begin(boxes, search)
-        while waiting > 0:
-            node, near, waiting = next_node(boxes, search, waiting, above, at, bound)
-            if near == np.uint64(0):
-                continue
-            if count == cache.outer.size:
-                return _give_up(cache.outer_ball, cache)
-            cache.outer[count] = node
-            count += 1
-        cache.filled[1] = count
-        _adapt(cache.outer_ball, count, _OUTER)
-    bound = reach(wide * wide, at[3])
-    x, y, z = np.float32(at[0]), np.float32(at[1]), np.float32(at[2])
-    count = 0
-    for row in range(cache.filled[1]):
-        node = cache.outer[row]
-        if above == 0:
-            cache.nodes[count] = node
-            count += 1
-            continue
-        near = squares_to_boxes(boxes.bounds, boxes.firsts[1] + node, x, y, z, bound, search.children)
-        while near != np.uint64(0):
-            if count == cache.nodes.size:
-                return _give_up(cache.ball, cache)
-            cache.nodes[count] = node * 8 + trailing_zeros(near)
-            near &= near - np.uint64(1)
-            count += 1
-    cache.filled[0] = count
-    _adapt(cache.ball, count, _INNER)
-    return True

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int64s
-from octex.jit import inlined, kernel, squares_to_boxes, trailing_zeros
+from octex.jit import inlined, kernel, trailing_zeros
 from octex.nearest.boxes import (
     WIDTH,
     Boxes,
@@ -16,11 +16,8 @@ from octex.nearest.boxes import (
     agrees,
     begin,
     boxes_of,
-    cache_around,
-    is_cached,
     local,
     morton_order,
-    new_node_cache,
     new_search,
     next_node,
     reach,
@@ -68,8 +65,7 @@ class Points(NamedTuple):
         has_value = np.zeros(len(places), np.bool_)
         facing = np.empty((0, 3)) if directions is None or not len(self.normals) else directions
         farthest = -1.0 if nearest is None else float(nearest)
-        width = float(np.median(radii)) if len(radii) else 0.0
-        _around(self, places, radii, facing, farthest, float(least_cosine), width, means, has_value)
+        _around(self, places, radii, facing, farthest, float(least_cosine), means, has_value)
         return means, has_value
 
     def spacing(self) -> float:
@@ -89,7 +85,8 @@ def _add_group(cloud: Points, group: int, sought: Sought, square: float, sums: F
     """Add the values of a group's points within a squared radius; return their summed weight."""
     total = 0.0
     for row in range(group * 8, min(group * 8 + 8, cloud.positions.shape[0])):
-        part = 1.0 - _square(cloud.positions, row, sought.point) / square
+        far = _square(cloud.positions, row, sought.point)
+        part = 1.0 - far / square if far < square else 0.0
         if part > 0.0 and agrees(cloud.normals, row, sought):
             total += part * part
             for k in range(sums.size):
@@ -105,34 +102,25 @@ def _around(
     directions: Float64s,
     farthest: float,
     least_cosine: float,
-    width: float,
     means: Float32s,
     has_value: Bools,
 ) -> None:
     boxes = cloud.boxes
-    search, cache = new_search(), new_node_cache(width)
+    search = new_search()
     sums = np.zeros(means.shape[1], np.float64)
     last = -1
     for n in range(len(places)):
         point = places[n, 0], places[n, 1], places[n, 2]
         sought = Sought(point, local(boxes, *point), directions, n, least_cosine)
         at = sought.local
-        x, y, z = np.float32(at[0]), np.float32(at[1]), np.float32(at[2])
         radius, total = radii[n], 0.0
         if radius > 0.0:
             square = radius * radius
             bound = reach(square, at[3])
             sums[:] = 0.0
-            wide = radius + at[3]
-            uses_cache = is_cached(cache, at, wide) or cache_around(boxes, search, cache, at, wide)
-            waiting = cache.filled[0] if uses_cache else begin(boxes, search)
+            waiting = begin(boxes, search)
             while waiting > 0:
-                if uses_cache:
-                    waiting -= 1
-                    node = cache.nodes[waiting]
-                    near = squares_to_boxes(boxes.bounds, node, x, y, z, bound, search.children)
-                else:
-                    node, near, waiting = next_node(boxes, search, waiting, 0, at, bound)
+                node, near, waiting = next_node(boxes, search, waiting, 0, at, bound)
                 while near != np.uint64(0):
                     group = node * 8 + trailing_zeros(near)
                     near &= near - np.uint64(1)

@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Array, Float32s, Integers, Uint8s
+from octex.arrays import Array, Float32s, Floats, Integers, Uint8s
 from octex.channels import COLOR_SPACES, ONE, ChannelFormat, ColorSpace, decode, decode_table
 from octex.checks import as_choice, as_entries, locked
 from octex.errors import ArgumentError
@@ -150,18 +150,19 @@ def _format_as(form: ChannelFormat, dtype: str | None) -> ChannelFormat:
 
 
 def stored(channel: Channel) -> ChannelRows:
-    """Return a channel as lookups read it."""
+    """Return a channel as lookups read it: float32 numbers on sRGB's curve are copied as linear light."""
     dtype, space = channel.values.dtype, channel.format.space
     arrays: tuple[Array, Array, Array] = unlocked((channel.values, channel.kept_values, channel.split_values))
-    is_alpha = channel.format.name == "alpha" and channel.format.components == 1
+    table: Floats = NO_TABLE
     if dtype == np.float32:
-        return ChannelRows(Codes(*arrays, NO_TABLE), space if space == "srgb" else None, is_alpha)
-    if dtype == np.float16:
-        values, kept_values, split_values = (array.view(np.uint16) for array in arrays)
-        return ChannelRows(Codes(values, kept_values, split_values, _half_table(space)), None, is_alpha)
-    table = decode_table(dtype.name, space)
+        arrays = tuple(decode(array, space) for array in arrays) if space == "srgb" else arrays  # type: ignore[assignment]
+    elif dtype == np.float16:
+        arrays, table = tuple(array.view(np.uint16) for array in arrays), _half_table(space)  # type: ignore[assignment]
+    else:
+        table = decode_table(dtype.name, space)
+        table = table.astype(np.float64) if table.size == 256 else table
     return ChannelRows(
-        Codes(*arrays, table.astype(np.float64) if table.size == 256 else table), None, is_alpha
+        Codes(*arrays, table), channel.format.name == "alpha" and channel.format.components == 1
     )
 
 
@@ -172,10 +173,8 @@ def mixed_cells(channel: Channel, tree: Octree, threshold: float) -> Uint8s:
     """
     mixed = np.zeros(tree.n_cells, np.uint8)
     cells, facings, _ = tree.split
-    codes, space, _ = stored(channel.of(tree))
-    values = np.asarray(codes.split_values) if space is None else decode(codes.split_values, space)
-    first = int(tree.arrays.level_cells[tree.max_depth])
-    mark_mixed(cells, facings, codes.table, values, first, float(threshold), mixed)
+    codes, first = stored(channel.of(tree)).codes, int(tree.arrays.level_cells[tree.max_depth])
+    mark_mixed(cells, facings, codes.table, codes.split_values, first, float(threshold), mixed)
     return mixed
 
 

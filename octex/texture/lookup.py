@@ -437,13 +437,10 @@ class Lookups:
         query, (read, alpha) = self.query(lens, inputs, name), self.rows_of(name)
         answers += Listing(self.field, self._placement, query, read, alpha).blends(inputs["points"])
 
-    def list_reads(
-        self, name: str, lens: Lens, cells_alone: bool, inputs: Inputs, answers: list[Array]
-    ) -> None:
+    def list_reads(self, name: str, lens: Lens, inputs: Inputs, answers: list[Array]) -> None:
         """Add the levels that a block reads, and its reads of each, to ``answers``, as a LookUp."""
         query, (read, _) = self.query(lens, inputs, name), self.rows_of(name)
-        listing = Listing(self.field, self._placement, query, read, None)
-        found = (listing.cells if cells_alone else listing.reads)(inputs["points"])
+        found = Listing(self.field, self._placement, query, read, None).reads(inputs["points"])
         answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
 
     def contain(self, inputs: Inputs, answers: list[Array]) -> None:

@@ -123,22 +123,21 @@ class RemoteSource(Source):
     def _fetched(self, request: Request) -> OctreeTexture:
         """Fetch what lookups of channels read, and return the texture that answers them.
 
-        First come the groups around the points, level by level, then the rows of the cells there. Coarse
-        cells with mixed facings pass probes on to finer ones; so this repeats until all is fetched.
+        First come the groups around the points, level by level, then the rows of the cells there. The points
+        are known without the groups; but coarse cells with mixed facings pass probes on to finer ones, so
+        this repeats until all is fetched.
         """
         inputs, _, lens = request
         has_tables = lens.has_footprints(inputs) or "normals" in inputs or not can_be_tiled(self._here.tree)
-        is_first = is_more = True
+        is_more = True
         while is_more and not self.file.is_whole:
-            reads = lookup_reads(self._here, request, cells_alone=is_first)
+            reads = lookup_reads(self._here, request)
             cells = cells_of(reads.values())
             is_more = has_tables and self.file.fetch_tables(self._here.tree, max(cells, default=0))
             is_more |= self._fetch_nodes(cells, lens.filter)
-            if not (is_first or is_more):
+            if not is_more:
                 is_more = self.file.fetch_rows(partial(add_reads, self._here, reads, request))
             self._renew(is_more)
-            is_more |= is_first
-            is_first = False
         return self.whole(self._here) if self.file.is_whole else self._here
 
     def _fetched_around(self, request: Request) -> OctreeTexture:

@@ -76,20 +76,15 @@ class Spans(Rows):
         return np.minimum(changes.reshape(-1, 2) * self._block, self._size)
 
 
-def lookup_reads(
-    texture: OctreeTexture, request: Request, *, cells_alone: bool = False
-) -> dict[str, dict[int, Reads]]:
-    """Return the reads of lookups by channel and level.
-
-    With ``cells_alone`` only the cells that hold points, as far as the tree's content does not change them.
-    """
+def lookup_reads(texture: OctreeTexture, request: Request) -> dict[str, dict[int, Reads]]:
+    """Return the reads of lookups by channel and level."""
     inputs, channel, lens = request
     names: list[Any] = list(channel) if isinstance(channel, (list, tuple)) else [channel]
     for name in names:
         as_choice(name, texture.channels, "channel")
     found: dict[str, dict[int, Reads]] = {}
     for name in names:
-        list_reads = partial(texture._lookups.list_reads, name, lens, cells_alone)
+        list_reads = partial(texture._lookups.list_reads, name, lens)
         found[name] = joined_reads(
             dict(zip(levels.tolist(), map(Reads, arrays[::2], arrays[1::2]), strict=True))
             for _, (levels, *arrays) in each_block(inputs, [], list_reads, Run(threads=1))

@@ -287,7 +287,7 @@ class OctreeTexture:
         as_choice(channel, self.channels, "channel")
         here = self.source.prepare(self, len(inputs["points"]), lambda: Request(inputs, channel, lens))
         blocks = each_block(inputs, [], partial(here._lookups.list_taps, channel, lens), as_run(run, threads))
-        starts, rows, weights, *_ = joined([Listed(*found) for _, found in blocks])
+        starts, rows, weights = joined([Listed(*found) for _, found in blocks])
         return TapList(starts, rows.astype(np.int64), weights)
 
     def rows(self, channel: str = "base_color", numbers: npt.ArrayLike | None = None) -> Float32s:

@@ -10,6 +10,12 @@ from octex.tree.layout import FACING_FLAGS, TreeArrays
 
 
 @inlined
+def rank_in(mask: np.uint64, place: int | np.uint64) -> int:
+    """Count a mask's bits before a place: a child's number among those stored."""
+    return popcount(mask & ((np.uint64(1) << np.uint64(place)) - np.uint64(1)))
+
+
+@inlined
 def children(groups: Uint64s, node: int) -> tuple[np.uint64, np.uint64, int, int]:
     """Return a node's child nodes and stored children, as bits, and the first of both.
 
@@ -19,9 +25,8 @@ def children(groups: Uint64s, node: int) -> tuple[np.uint64, np.uint64, int, int
     shift = np.uint64(8 * (node & 7))
     nodes, firsts = groups[group, 0], groups[group, 2]
     cells = nodes | groups[group, 1]
-    before = (np.uint64(1) << shift) - np.uint64(1)
-    first_node = int(np.int64(firsts & np.uint64(0xFFFFFFFF))) + popcount(nodes & before)
-    first_cell = int(np.int64(firsts >> np.uint64(32))) + popcount(cells & before)
+    first_node = int(np.int64(firsts & np.uint64(0xFFFFFFFF))) + rank_in(nodes, shift)
+    first_cell = int(np.int64(firsts >> np.uint64(32))) + rank_in(cells, shift)
     return nodes >> shift & np.uint64(0xFF), cells >> shift & np.uint64(0xFF), first_node, first_cell
 
 

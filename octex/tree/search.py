@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s
-from octex.jit import inlined, kernel, popcount, prefetch
-from octex.tree.children import children
+from octex.jit import inlined, kernel, prefetch
+from octex.tree.children import children, rank_in
 from octex.tree.layout import GRID_BITS, MAX_DEPTH, TreeArrays
 from octex.tree.morton import encode
 
@@ -89,11 +89,10 @@ def child(arrays: TreeArrays, node: int, octant: int) -> tuple[int, int]:
     bit = np.uint64(1) << np.uint64(octant)
     if cells & bit == 0:
         return -1, -1
-    below = bit - np.uint64(1)
-    cell = min(first_cell + popcount(cells & below), arrays.flags.size - 1)
+    cell = min(first_cell + rank_in(cells, octant), arrays.flags.size - 1)
     if nodes & bit == 0:
         return cell, -1
-    return cell, first_node + popcount(nodes & below)
+    return cell, first_node + rank_in(nodes, octant)
 
 
 class Scratch(NamedTuple):
