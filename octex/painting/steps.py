@@ -319,7 +319,7 @@ def raise_texture(
     rows: list[tuple[Int64s, Below]] = []
     added: list[Int64s] = []
     new_values: list[tuple[Int64s, Mapping[str, Float32s]]] = []
-    centres = [(_NONE, np.empty((0, 3)))]  # of cells that are sampled
+    unpainted = [name for name in draft.channels if name not in (task.target, alpha_of(task.target))]
     shows = _showing(task, draft.tree, edited, paint)
     for level, (codes, is_node) in enumerate(tree.walk()):
         first = int(tree.arrays.level_cells[level])
@@ -350,18 +350,17 @@ def raise_texture(
         below = refined_below(draft, new_codes[is_refined], level, facings[is_refined], task.executor)
         rows.append((cells[is_refined], below))
         new_values.append((cells[is_refined], below.values))
-        centres.append((cells[is_other], (decode_cells(new_codes[is_other]) + 0.5) / 2**level))
-    others, points = (np.concatenate(column) for column in zip(*centres, strict=True))
-    if draft.tree.n_leaves and others.size:
-        points = draft.placement.to_rest(points)
-        sampled = task.texture.sample(points, list(draft.channels), normalize=False)
-        for name in sampled.keys() - {task.target, alpha_of(task.target)}:
-            if alpha_of(name) is None:
-                sampled[name][:] = 0.0  # other layers have no paint there
-        new_values.append((others, sampled))
+        if unpainted and is_other.any() and draft.tree.n_leaves:
+            centres = draft.placement.to_rest((decode_cells(new_codes[is_other]) + 0.5) / 2**level)
+            sampled = task.texture.sample(centres, unpainted, normalize=False)
+            for name in unpainted:
+                if alpha_of(name) is None:
+                    sampled[name][:] = 0.0  # other layers have no paint there
+            new_values.append((cells[is_other], sampled))
     for name, channel in draft.channels.items():
         for chosen, found in new_values:
-            values[name][chosen] = encode(found[name], channel.format.dtype, channel.format.space)
+            if name in found:
+                values[name][chosen] = encode(found[name], channel.format.dtype, channel.format.space)
     channels = carried(draft, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     made = refaced(with_rows(draft.with_cells(tree, channels), rows))
