@@ -17,7 +17,7 @@ from octex.cameras.camera import Camera
 from octex.cameras.lens import is_bent
 from octex.channels import ChannelFormat
 from octex.conversion import large
-from octex.jit import kernel
+from octex.jit import inlined, kernel
 from octex.painting.layer import PaintSource
 from octex.painting.picture import Mips, Projection, Window, window_of
 from octex.painting.reading import (
@@ -25,14 +25,16 @@ from octex.painting.reading import (
     Shot,
     Terms,
     add_paint,
+    box_in,
+    corners_in,
     finish,
-    mark_seen_blocks,
     narrow,
-    pixels_under,
+    weighted,
 )
 from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import built_once, start
 from octex.source.corners import at_corners
+from octex.source.vectors import Vector
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
 from octex.view.shading import face_normals
@@ -45,7 +47,6 @@ from octex.view.visibility import (
     visibility_of,
 )
 from octex.voxelize.fragments import Blocks
-from octex.voxelize.grid import BLOCK_BITS
 
 #: Pixels around its paint within which a single picture is decoded, a power of two.
 AROUND = 64
@@ -257,7 +258,7 @@ class Projected(PaintSource):
     def _counts(self, shot: Shot) -> Int32s:
         """Return the pixels of a shot that see triangles (m,); upper bounds where hidden ones are painted."""
         if self.terms.hidden:
-            return pixels_under(shot.camera, _summed(shot), self.vertices, self.triangles)
+            return _pixels_under(shot.camera, _summed(shot), self.vertices, self.triangles)
         counts, seen = np.zeros(len(self.triangles), np.int32), shot.seen
         pixels = np.bincount(seen.rows.ravel() + 1, minlength=len(seen.triangles) + 1)[1:]
         counts[seen.triangles[pixels > 0]] = pixels[pixels > 0]
@@ -274,12 +275,8 @@ class Projected(PaintSource):
         found, edge = np.zeros(blocks.codes.size, np.bool_), placement.size / 2**blocks.level
         corners = placement.to_rest(decode_cells(blocks.codes) / 2**blocks.level)
         for shot in self.shots:
-            seen = _summed(shot)
-            # Averages need large blocks if they are visible, with paint or without.
-            is_coarse = blocks.bits >= BLOCK_BITS or is_bent(shot.lens)
-            painted = seen if is_coarse else _sums_of(has_paint(shot))
-            mark_seen_blocks(
-                shot.camera, seen, painted, self.vertices, self.triangles, rest, blocks, corners, edge, found
+            _mark_seen(
+                shot.camera, _summed(shot), self.vertices, self.triangles, rest, blocks, corners, edge, found
             )
         return found
 
@@ -402,10 +399,94 @@ class Projected(PaintSource):
 
 def _summed(shot: Shot) -> Int32s:
     """Return the summed-area table (height + 1, width + 1) of pixels that see surface."""
-    return _sums_of(shot.seen.rows >= 0)
-
-
-def _sums_of(chosen: Bools) -> Int32s:
-    counts = np.zeros(np.add(chosen.shape, 1), np.int32)
-    np.cumsum(np.cumsum(chosen, 0, np.int32), 1, out=counts[1:, 1:])
+    rows = shot.seen.rows
+    counts = np.zeros(np.add(rows.shape, 1), np.int32)
+    np.cumsum(np.cumsum(rows >= 0, 0, np.int32), 1, out=counts[1:, 1:])
     return counts
+
+
+@inlined
+def _count_in(counts: Int32s, left: float, top: float, right: float, bottom: float) -> int:
+    """Return how many pixels within two of a box are counted in a summed-area table."""
+    height, width = counts.shape[0] - 1, counts.shape[1] - 1
+    i, j = int(min(max(left - 2.0, 0.0), width)), int(min(max(top - 2.0, 0.0), height))
+    k, m = int(min(max(right + 3.0, i), width)), int(min(max(bottom + 3.0, j), height))
+    return int(counts[m, k] - counts[j, k] - counts[m, i] + counts[j, i])
+
+
+@kernel
+def _pixels_under(view: View, counts: Int32s, vertices: Float64s, faces: Int32s) -> Int32s:
+    """Return upper bounds of the pixels that see triangles (m,) or what hides them."""
+    found = np.empty(faces.shape[0], np.int32)
+    for triangle in range(faces.shape[0]):
+        left, top, right, bottom, behind = box_in(view, corners_in(view, vertices, faces, triangle))
+        if behind:
+            found[triangle] = 0 if behind == 3 else counts[-1, -1]
+        else:
+            found[triangle] = _count_in(counts, left, top, right, bottom)
+    return found
+
+
+@kernel
+def _mark_seen(
+    view: View,
+    counts: Int32s,
+    vertices: Float64s,
+    faces: Int32s,
+    rest: Float64s,
+    blocks: Blocks,
+    corners: Float64s,
+    edge: float,
+    found: Bools,
+) -> None:
+    """Mark the blocks with triangles that a view may see.
+
+    A triangle's part in a block lies in a rectangle. One of the four pixels around a painted point sees it.
+    """
+    for block in range(found.size):
+        for row in range(blocks.starts[block], blocks.starts[block + 1]):
+            if found[block]:
+                break
+            triangle = blocks.members[row]
+            p, q, r = rest[faces[triangle, 0]], rest[faces[triangle, 1]], rest[faces[triangle, 2]]
+            axis, area = 0, 0.0  # the largest of the projections along an axis, at rest
+            for each in range(3):
+                u, v = (each + 1) % 3, (each + 2) % 3
+                seen = (q[u] - p[u]) * (r[v] - p[v]) - (q[v] - p[v]) * (r[u] - p[u])
+                if abs(seen) > abs(area):
+                    axis, area = each, seen
+            if area == 0.0:
+                found[block] = True
+                break
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            low_u, high_u = _overlap(corners[block, u], edge, p[u], q[u], r[u])
+            low_v, high_v = _overlap(corners[block, v], edge, p[v], q[v], r[v])
+            a, b, c = corners_in(view, vertices, faces, triangle)
+            part = (
+                _posed(low_u - p[u], low_v - p[v], p, q, r, u, v, area, a, b, c),
+                _posed(low_u - p[u], high_v - p[v], p, q, r, u, v, area, a, b, c),
+                _posed(high_u - p[u], low_v - p[v], p, q, r, u, v, area, a, b, c),
+                _posed(high_u - p[u], high_v - p[v], p, q, r, u, v, area, a, b, c),
+            )
+            left, top, right, bottom, behind = box_in(view, part)
+            is_near = left > -1e9 and right < 1e9 and top > -1e9 and bottom < 1e9
+            is_known = is_near and (behind == 0 or not view.is_pinhole)
+            found[block] = not is_known or _count_in(counts, left, top, right, bottom) > 0
+
+
+@inlined
+def _posed(
+    x: float, y: float, p: Float64s, q: Float64s, r: Float64s, u: int, v: int, area: float,
+    a: Vector, b: Vector, c: Vector,
+) -> Vector:  # fmt: skip
+    """Return a point of a triangle a, b, c from its place along axes u and v at rest, counted from p."""
+    second = (x * (r[v] - p[v]) - y * (r[u] - p[u])) / area
+    third = (y * (q[u] - p[u]) - x * (q[v] - p[v])) / area
+    return weighted(a, b, c, 1.0 - second - third, second, third)
+
+
+@inlined
+def _overlap(low: float, edge: float, a: float, b: float, c: float) -> tuple[float, float]:
+    """Return the ends of the interval from ``low`` on, limited to that of three numbers."""
+    least, most = min(a, b, c), max(a, b, c)
+    return min(max(low, least), most), min(max(low + edge, least), most)
