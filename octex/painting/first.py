@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import Executor
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,8 +24,7 @@ from octex.painting.options import Holes
 from octex.painting.picture import Blend
 from octex.painting.sheets import Region, Sheets, sheets_of
 from octex.painting.steps import cull_cells, merge_paint, raise_texture
-from octex.painting.surface import PaintedSurface
-from octex.parallel import Progress
+from octex.painting.surface import Job
 from octex.source.base import Source
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
@@ -73,31 +71,23 @@ class SheetValues(Source):
         return found
 
 
-def begun(
-    layer: OctreeTexture,
-    surface: Surface,
-    holes: Holes,
-    executor: Executor,
-    progress: Progress,
-    *,
-    is_hidden: bool = False,
-) -> OctreeTexture:
+def begun(job: Job, layer: OctreeTexture, holes: Holes, *, is_hidden: bool = False) -> OctreeTexture:
     """Return the texture below the first layer: ``smooth`` where the layer has no paint.
 
     Values that the layer covers by half or more are known, in cells as large as most of its leaves. The rest
     is harmonic; a part without known values gets the mean. If the layer hides the fill (``is_hidden``), only
     the surroundings of uncovered surface have cells.
     """
-    name = painted_channel(layer)
+    name, surface = painted_channel(layer), job.surface.surface
     form = layer.channels[name].format
     nothing = empty_texture([form], layer.placement, layer.bounds, surface)
     if holes == "leave" or not layer.tree.n_leaves:
         return nothing
-    progress("fill", 0, 1)
+    job.progress("fill", 0, 1)
     level, region = _uncovered(layer, surface)
     if not region.codes.size:
         return nothing
-    sheets = sheets_of(surface, layer.placement, level, executor, region)
+    sheets = sheets_of(surface, layer.placement, level, job.executor, region)
     where = locate(layer.tree, sheets.codes, level)
     values = rows_facing(layer, layer.channels[name], where.cells, sheets.bits).astype(np.float64)
     coverage = rows_facing(layer, layer.channels[ALPHA.name], where.cells, sheets.bits)[:, 0]
@@ -107,11 +97,11 @@ def begun(
     values = np.concatenate([filled(sheets, values, coverage >= _KNOWN, mean), mean[None]])
     source = SheetValues(form, sheets, values.astype(np.float32))
     made = cell_levels(
-        surface, source, (form,), layer.placement, level, executor, progress,
+        surface, source, (form,), layer.placement, level, job.executor, job.progress,
         has_samples=False, reached=region.reaches if is_hidden else None,
     )  # fmt: skip
     tree, channels, *_ = assemble(made)
-    progress("fill", 1, 1)
+    job.progress("fill", 1, 1)
     return nothing.with_cells(tree, channels)
 
 
@@ -201,27 +191,18 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
     return texture.with_cells(tree, channels)
 
 
-def started(
-    layer: OctreeTexture,
-    surface: PaintedSurface,
-    holes: Holes,
-    blend: Blend,
-    executor: Executor,
-    progress: Progress,
-) -> tuple[OctreeTexture, bool]:
+def started(job: Job, layer: OctreeTexture, holes: Holes, blend: Blend) -> tuple[OctreeTexture, bool]:
     """Return a new texture for a layer, and whether it includes the layer.
 
     It does unless the layer erases: with nothing below there is nothing to blend with. Else the texture holds
     only the fill of ``holes``.
     """
     is_in = blend != "erase" and layer.tree.n_leaves > 0
-    fill = begun(layer, surface.surface, holes, executor, progress, is_hidden=is_in)
-    return (_laid_over(fill, layer, surface, executor, progress) if is_in else fill), is_in
+    fill = begun(job, layer, holes, is_hidden=is_in)
+    return (_laid_over(job, fill, layer) if is_in else fill), is_in
 
 
-def _laid_over(
-    fill: OctreeTexture, layer: OctreeTexture, surface: PaintedSurface, executor: Executor, progress: Progress
-) -> OctreeTexture:
+def _laid_over(job: Job, fill: OctreeTexture, layer: OctreeTexture) -> OctreeTexture:
     """Merge a layer into its fill, raised to the layer's leaves without kept coefficients or skirts.
 
     Nothing has shown the fill before, so its field may move.
@@ -229,14 +210,14 @@ def _laid_over(
     name = painted_channel(layer)
     if not fill.tree.n_leaves:
         return fill.with_cells(layer.tree, {name: layer.channels[name]})
-    task = Merge(fill, layer, surface, name, "over", 1.0, executor, progress, 0)
-    progress("merge", 0, 1)
+    task = Merge(job, fill, layer, name, "over", 1.0, 0)
+    job.progress("merge", 0, 1)
     with own_making():
         leaves, met = _united(task)
         paint, is_skirt = paint_of(layer, 1.0), np.zeros(fill.tree.n_cells, np.bool_)
         raised = raise_texture(task, fill, rebuilt(fill.tree, leaves), met, paint, is_skirt)
         made = merge_paint(task, fill, raised, paint)
-    progress("merge", 1, 1)
+    job.progress("merge", 1, 1)
     return made.texture
 
 

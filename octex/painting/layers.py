@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -34,8 +33,7 @@ from octex.painting.stack import (
     with_composite,
     with_layer_channels,
 )
-from octex.painting.surface import PaintedSurface
-from octex.parallel import Progress
+from octex.painting.surface import Job
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture, as_texture
 
@@ -245,14 +243,7 @@ class Layers(Painter):
             self.changes = (change,)
 
     def _merged(
-        self,
-        texture: OctreeTexture,
-        paint: OctreeTexture,
-        surface: PaintedSurface,
-        opacity: float,
-        blend: Blend,
-        executor: Executor,
-        progress: Progress,
+        self, job: Job, texture: OctreeTexture, paint: OctreeTexture, opacity: float, blend: Blend
     ) -> Change | None:
         """Merge paint into the chosen layer; return the change of all channels, with the composite."""
         into = None
@@ -268,7 +259,7 @@ class Layers(Painter):
             texture = with_layer_channels(texture, [into, alpha_of(into) or into])
             names = composited(texture, self._stack)
             texture = with_layer_channels(texture, map(composite_name, names))
-        change = merged(texture, paint, surface, opacity, blend, executor, progress, into)
+        change = merged(job, texture, paint, opacity, blend, into)
         if change is None:
             return None
         tiles, before, after = change

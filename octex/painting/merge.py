@@ -6,10 +6,9 @@ texture, and the draft's tiles go into the result. The nodes above the tiles are
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -40,7 +39,7 @@ from octex.painting.blend import Merge, Merged, averaged_above, no_parts
 from octex.painting.layer import Paint, channel_of, paint_of
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import delete_paint, merge_draft, refine_paint
-from octex.painting.surface import PaintedSurface
+from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, ordered_map, sharing, silent, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -60,6 +59,9 @@ _AT_ONCE, _LEAST_AT_ONCE = 4, 2
 MOST = 3.0
 #: Prefix of the channels of a piece's top that hold the painted part of its channels.
 _PART = "\0part of "
+
+#: Merges a layer into a texture, as `merged` does.
+Merging: TypeAlias = Callable[[Job, OctreeTexture, OctreeTexture, float, Blend], Change | None]
 
 
 def merge(
@@ -101,18 +103,16 @@ def merge(
     painted = PaintedSurface(surface.placed_in(texture))
     run = as_run(run, threads, progress)
     with workers(run) as pool:
-        change = merged(texture, layer, painted, opacity, blend, pool, run.report)
+        change = merged(Job(painted, pool, run.report), texture, layer, opacity, blend)
     return texture if change is None else change.put_into(texture)
 
 
 def merged(
+    job: Job,
     texture: OctreeTexture,
     layer: OctreeTexture,
-    surface: PaintedSurface,
     opacity: float,
     blend: Blend,
-    executor: Executor,
-    progress: Progress,
     into: str | None = None,
 ) -> Change | None:
     """Return the change of merging a layer, or None for none; see `merge`.
@@ -143,7 +143,7 @@ def merged(
             f"{stored.components}"
         )
     coarsest = coarsest_near_layer(texture, layer)
-    task = Merge(texture, layer, surface, target, blend, opacity, executor, progress, coarsest)
+    task = Merge(job, texture, layer, target, blend, opacity, coarsest)
     pieces = pieces_of(texture, layer, coarsest)
     change = _merge_at_once(task) if pieces is None else _merge_pieces(task, pieces)
     return change and change._replace(before=with_channels_of(change.before, before))
@@ -157,7 +157,7 @@ def _merge_at_once(task: Merge) -> Change | None:
     around = tiles_around(texture, [each.codes for each in paint], task.coarsest)
     draft = texture if around is None else cut_out(texture, around)
     made = merge_draft(task, draft, paint)
-    task.progress("merge", 1, 1)
+    task.job.progress("merge", 1, 1)
     return None if made is None else Change(around, draft, delete_paint(made))
 
 
@@ -217,8 +217,8 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
         layer = cut_out(task.layer, Tiles(level, near))
         paint = _inside(paint_of(layer, task.opacity), near, level)
         with workers(Run(threads=1)) as one_worker:
-            alone = task._replace(layer=layer, executor=one_worker, progress=silent)
-            made = merge_draft(alone, cut_out(texture, opened), paint)
+            job = task.job._replace(executor=one_worker, progress=silent)
+            made = merge_draft(task._replace(job=job, layer=layer), cut_out(texture, opened), paint)
         if made is None:
             return None
         tree, tiles = made.texture.tree, Tiles(level, codes)
@@ -239,9 +239,9 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
 
     window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
     with own_making():
-        with sharing(task.executor) as pool:
+        with sharing(task.job.executor) as pool:
             all_merged = ordered_map(
-                pool, merge_piece, pieces.tiles, stage="merge", progress=task.progress, window=window
+                pool, merge_piece, pieces.tiles, stage="merge", progress=task.job.progress, window=window
             )
             merged_pieces = [large.moved(each) for each in all_merged if each is not None]
         if not any(each.lists[0].size for each in merged_pieces):

@@ -17,12 +17,12 @@ from octex.channels import BASE_COLOR
 from octex.checks import as_path
 from octex.editing.draft import Change, as_change
 from octex.errors import OutputError
-from octex.painting.merge import merged
+from octex.painting.merge import Merging, merged
 from octex.painting.options import Balance, PaintOptions, Pictures
-from octex.painting.paint import Job, Merging, painted
+from octex.painting.paint import painted
 from octex.painting.picture import Blend, Projection, check_projections
 from octex.painting.region import Region, filled
-from octex.painting.surface import PaintedSurface
+from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -180,10 +180,11 @@ class Painter:
         changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:
-            job = Job(self._posed(pose), pool, run.report, self._merging, options)
-            given = check_projections(projections)
+            job, given = Job(self._posed(pose), pool, run.report), check_projections(projections)
             try:
-                for texture, change in painted(job, self._texture, given, put=self._put):
+                for texture, change in painted(
+                    job, self._texture, given, options, merge=self._merging, put=self._put
+                ):
                     self._texture = texture
                     changes.append(change)
             except BaseException:
@@ -209,8 +210,9 @@ class Painter:
         """Fill a region as ``octex.fill`` does; return the changes, as ``paint`` does."""
         run = as_run(run, threads, progress)
         with workers(run) as pool:
-            job, what = Job(self._painted, pool, run.report, self._merging), (region, color, channel)
-            _, change = filled(job, self._texture, self._surface, *what, opacity, blend, max_depth)
+            job = Job(self._painted, pool, run.report)
+            what = region, color, channel, opacity, blend, max_depth, self._merging
+            _, change = filled(job, self._texture, self._surface, *what)
         if change is not None:
             self._texture = self._put(change, self._texture)
         return self._did([change])

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from octex.painting.project import Projected, Shading, Sight, sight_of
 from octex.painting.reading import Shot, Terms
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.unwrap import Patch
+from octex.parallel import Progress
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.layout import GRID_BITS
@@ -135,19 +137,28 @@ class PaintedSurface:
             yield sight
 
 
+class Job(NamedTuple):
+    """What a call paints on, and how it works."""
+
+    surface: PaintedSurface
+    executor: Executor
+    progress: Progress
+    stages: Stages = NOT_STORED
+
+
 def laid_flat(
-    surface: PaintedSurface, projections: list[Projection], texture: OctreeTexture | None
-) -> tuple[PaintedSurface, list[Projection]]:
-    """Return the surface, laid flat if pictures have a patch for a camera, and the pictures with cameras."""
+    job: Job, projections: list[Projection], texture: OctreeTexture | None
+) -> tuple[Job, list[Projection]]:
+    """Return a job with its surface laid flat, if pictures have a patch for a camera; and with cameras."""
     patch = next((each.camera for each in projections if isinstance(each.camera, Patch)), None)
     if patch is None:
-        return surface, projections
+        return job, projections
     if any(each.camera is not patch for each in projections):
         raise ArgumentError("paint the pictures of each patch in a call of their own")
-    if len(patch.surface.triangles) != len(surface.surface.triangles):
-        raise ArgumentError(f"the patch is not of {surface.surface.name}; unwrap that")
-    flat = surface.flat(patch, texture)
-    return flat, [replace(each, camera=patch.camera) for each in projections]
+    if len(patch.surface.triangles) != len(job.surface.surface.triangles):
+        raise ArgumentError(f"the patch is not of {job.surface.surface.name}; unwrap that")
+    job = job._replace(surface=job.surface.flat(patch, texture))
+    return job, [replace(each, camera=patch.camera) for each in projections]
 
 
 def key_of(camera: Camera) -> bytes:
