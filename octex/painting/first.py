@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,18 +12,26 @@ from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.channels import ALPHA, ChannelFormat, decode, encode
 from octex.conversion.levels import assemble, cell_levels
 from octex.editing.averages import average
+from octex.editing.draft import Tiles
 from octex.editing.nodes import all_nodes
 from octex.editing.split import rows_facing
 from octex.errors import ArgumentError, own_making
 from octex.painting.blend import (
     Merge,
 )
-from octex.painting.layer import COVERAGE, SurfaceCells, empty_texture, paint_of, painted_channel
+from octex.painting.layer import (
+    COVERAGE,
+    SurfaceCells,
+    blocks_meeting,
+    empty_texture,
+    paint_of,
+    painted_channel,
+)
 from octex.painting.merge import paint_by_tiles
 from octex.painting.multigrid import added, graph_of, solve
 from octex.painting.options import Holes
 from octex.painting.picture import Blend
-from octex.painting.sheets import Region, Sheets, sheets_of
+from octex.painting.sheets import Sheets, sheets_of
 from octex.painting.steps import cull_cells, merge_paint, raise_texture
 from octex.painting.surface import Job
 from octex.source.base import Source
@@ -98,14 +107,14 @@ def begun(job: Job, layer: OctreeTexture, holes: Holes, *, is_hidden: bool = Fal
     source = SheetValues(form, sheets, values.astype(np.float32))
     made = cell_levels(
         surface, source, (form,), layer.placement, level, job.executor, job.progress,
-        has_samples=False, reached=region.reaches if is_hidden else None,
+        has_samples=False, reached=partial(blocks_meeting, [region]) if is_hidden else None,
     )  # fmt: skip
     tree, channels, *_ = assemble(made)
     job.progress("fill", 1, 1)
     return nothing.with_cells(tree, channels)
 
 
-def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Region]:
+def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Tiles]:
     """Return the level of most of a layer's leaves, or a coarser one with few cells, and the open blocks."""
     areas = [np.count_nonzero(~is_node) * 4.0**-level for level, (_, is_node) in enumerate(layer.tree.walk())]
     level = int(np.argmax(areas))
@@ -114,7 +123,7 @@ def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Region]:
     if many > 1:
         level = max(level - int(np.ceil(np.log(many) / np.log(4))), 0)
         found = _open_blocks(layer, surface, max(level - _BLOCK, 0))
-    return level, Region(max(level - _BLOCK, 0), found)
+    return level, Tiles(max(level - _BLOCK, 0), found)
 
 
 def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Int64s:

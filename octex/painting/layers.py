@@ -14,7 +14,7 @@ from octex.errors import ArgumentError
 from octex.painting.beneath import ERASED, Stacked, restored, without_erased
 from octex.painting.layer import painted_channel
 from octex.painting.merge import merged
-from octex.painting.painter import Painter, Stroke
+from octex.painting.painter import History, Painter, Stroke, inverted
 from octex.painting.picture import Blend
 from octex.painting.stack import (
     Keep,
@@ -141,13 +141,8 @@ class Layers(Painter):
         has_mask: bool | None = None,
     ) -> Layer:
         """Change properties of a layer, and return it."""
-        given = {
-            "name": name,
-            "opacity": opacity,
-            "blend": blend,
-            "is_visible": is_visible,
-            "has_mask": has_mask,
-        }
+        given = {"name": name, "opacity": opacity, "blend": blend}
+        given |= {"is_visible": is_visible, "has_mask": has_mask}
         wanted = {key: value for key, value in given.items() if value is not None}
         place = self._place_of(number)
         layer = check_layer(self._stack[place]._replace(**wanted))  # type: ignore[arg-type]
@@ -335,26 +330,15 @@ class Layers(Painter):
             return [BASE_COLOR.name]
         return self.layer(self._chosen).painted(self._texture.channels) or [BASE_COLOR.name]
 
-    def undo(self) -> bool:
-        """Undo the last stroke or change of the stack; return whether there was one."""
+    def _moved(self, source: History, target: History) -> bool:
         self.changes = ()
-        if not isinstance(step := self._done.last, Restacked):
-            was_done = super().undo()
-            self._told([change.inverted() for change in reversed(step)])
-            return was_done
-        self._apply(Restacked(step.after, step.before, step.channels))
-        self._undone.append(self._done.pop())
-        return True
-
-    def redo(self) -> bool:
-        """Redo the last undone stroke or change of the stack; return whether there was one."""
-        self.changes = ()
-        if not isinstance(step := self._undone.last, Restacked):
-            was_undone = super().redo()
-            self._told(step)
-            return was_undone
-        self._apply(step)
-        self._done.append(self._undone.pop())
+        step, undoes = source.last, source is self._done
+        if not isinstance(step, Restacked):
+            was_moved = super()._moved(source, target)
+            self._told(inverted(step) if undoes else step)
+            return was_moved
+        self._apply(Restacked(step.after, step.before, step.channels) if undoes else step)
+        target.append(source.pop())
         return True
 
 

@@ -161,13 +161,6 @@ def _merge_at_once(task: Merge) -> Change | None:
     return None if made is None else Change(around, draft, delete_paint(made))
 
 
-class Pieces(NamedTuple):
-    """How a layer is divided."""
-
-    level: int  # of the tiles
-    tiles: list[Int64s]  # of each piece, Morton codes, ascending
-
-
 class _Piece(NamedTuple):
     tiles: Tiles
     whole: OctreeTexture  # the draft of the tiles
@@ -185,8 +178,8 @@ def coarsest_near_layer(texture: OctreeTexture, layer: OctreeTexture) -> int:
     return coarsest_near(texture.tree, [codes[:0]] * largest + [codes])
 
 
-def pieces_of(texture: OctreeTexture, layer: OctreeTexture, coarsest: int) -> Pieces | None:
-    """Divide a layer for a texture; return None for one that is merged in one draft."""
+def pieces_of(texture: OctreeTexture, layer: OctreeTexture, coarsest: int) -> list[Tiles] | None:
+    """Divide a layer for a texture; return the tiles of each piece, or None to merge it in one draft."""
     tree, painted, level = texture.tree, layer.tree, coarsest - STEPS
     whole = PIECE if large.is_mapped() else WHOLE
     if painted.n_leaves + tree.n_leaves <= whole or not tree.n_leaves or not painted.n_leaves:
@@ -198,21 +191,19 @@ def pieces_of(texture: OctreeTexture, layer: OctreeTexture, coarsest: int) -> Pi
     numbers = (np.cumsum(counts) - counts) // PIECE
     if counts.sum() <= whole:
         return None
-    pieces = [tiles.codes[numbers == number] for number in distinct(numbers)]
-    wider = (Tiles(level, with_boundary(codes, level)) for codes in pieces)
+    pieces = [Tiles(level, tiles.codes[numbers == number]) for number in distinct(numbers)]
+    wider = (Tiles(level, with_boundary(each.codes, level)) for each in pieces)
     total = sum(int(cells_in(painted, each).sum() + cells_in(tree, each).sum()) for each in wider)
-    if total > MOST * counts.sum():
-        return None
-    return Pieces(level, pieces)
+    return pieces if total <= MOST * counts.sum() else None
 
 
-def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
+def _merge_pieces(task: Merge, pieces: Sequence[Tiles]) -> Change | None:
     """Merge a layer piece by piece."""
-    texture, level = task.texture, pieces.level
+    texture, level = task.texture, pieces[0].level
     bright = brightest_tiles(texture, level)
 
-    def merge_piece(codes: Int64s) -> _Piece | None:
-        near = with_boundary(codes, level)
+    def merge_piece(tiles: Tiles) -> _Piece | None:
+        near = with_boundary(tiles.codes, level)
         opened = Tiles(level, distinct(np.concatenate([with_boundary(near, level), bright])))
         layer = cut_out(task.layer, Tiles(level, near))
         paint = _inside(paint_of(layer, task.opacity), near, level)
@@ -221,7 +212,7 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
             made = merge_draft(task._replace(job=job, layer=layer), cut_out(texture, opened), paint)
         if made is None:
             return None
-        tree, tiles = made.texture.tree, Tiles(level, codes)
+        tree = made.texture.tree
         parts = {_PART + name: part.named(_PART + name) for name, part in made.parts.channels.items()}
         top = made.texture.with_cells(tree, {**made.texture.channels, **parts})
         ends, walk = tree.arrays.level_cells, list(tree.walk())
@@ -232,8 +223,8 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
         lists = []
         for each in (made.painted, new, fresh, made.added):
             inside = [cells >> 3 * (at - level) for at, cells in enumerate(each) if at >= level]
-            inside_tiles = distinct(np.concatenate([codes[:0], *inside]))
-            lists.append(inside_tiles[among(inside_tiles, codes)])
+            inside_tiles = distinct(np.concatenate([tiles.codes[:0], *inside]))
+            lists.append(inside_tiles[among(inside_tiles, tiles.codes)])
         whole, top = cut_out(made.texture, tiles), cut_out(top.level(level), tiles)
         return _Piece(tiles, whole, top, made.averages_rows, lists)
 
@@ -241,7 +232,7 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
     with own_making():
         with sharing(task.job.executor) as pool:
             all_merged = ordered_map(
-                pool, merge_piece, pieces.tiles, stage="merge", progress=task.job.progress, window=window
+                pool, merge_piece, pieces, stage="merge", progress=task.job.progress, window=window
             )
             merged_pieces = [large.moved(each) for each in all_merged if each is not None]
         if not any(each.lists[0].size for each in merged_pieces):
@@ -249,7 +240,7 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
         before, task = texture.level(level), task._replace(layer=task.layer.level(level))
         top = averaged_above(task, before, _top(before, task.layer, merged_pieces))
         made = put_together(delete_paint(top), texture, [(each.tiles, each.whole) for each in merged_pieces])
-    return change_in(Tiles(level, np.concatenate(pieces.tiles)), texture, made)
+    return change_in(Tiles(level, np.concatenate([each.codes for each in pieces])), texture, made)
 
 
 def paint_by_tiles(
@@ -260,10 +251,9 @@ def paint_by_tiles(
     if pieces is None:
         yield layer, refine_paint(paint_of(layer, 1.0), layer, texture.tree, 1.0)
         return
-    level = pieces.level
-    for tiles in pieces.tiles:
-        part = cut_out(layer, Tiles(level, with_boundary(tiles, level)))
-        yield part, refine_paint(_inside(paint_of(part, 1.0), tiles, level), part, texture.tree, 1.0)
+    for level, codes in pieces:
+        part = cut_out(layer, Tiles(level, with_boundary(codes, level)))
+        yield part, refine_paint(_inside(paint_of(part, 1.0), codes, level), part, texture.tree, 1.0)
 
 
 def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:

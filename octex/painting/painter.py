@@ -91,6 +91,11 @@ class History:
         return pickle.loads(zlib.decompress(self._file.read(end - begin)))
 
 
+def inverted(stroke: Stroke) -> Stroke:
+    """Return the changes that undo a stroke."""
+    return tuple(change.inverted() for change in reversed(stroke))
+
+
 class Painter:
     """A painting session: strokes on a texture of a surface, with undo and redo.
 
@@ -223,23 +228,21 @@ class Painter:
         return self._did([change])
 
     def undo(self) -> bool:
-        """Undo the last stroke; return whether there was one."""
-        if not len(self._done):
-            return False
-        stroke = self._done.pop()
-        for change in reversed(stroke):
-            self._texture = self._put(change.inverted(), self._texture)
-        self._undone.append(stroke)
-        return True
+        """Undo the last call in effect; return whether there was one."""
+        return self._moved(self._done, self._undone)
 
     def redo(self) -> bool:
-        """Redo the last undone stroke; return whether there was one."""
-        if not len(self._undone):
+        """Redo the last undone call; return whether there was one."""
+        return self._moved(self._undone, self._done)
+
+    def _moved(self, source: History, target: History) -> bool:
+        """Undo or redo the last stroke of one history, and move it to the other."""
+        if not len(source):
             return False
-        stroke = self._undone.pop()
-        for change in stroke:
+        stroke = source.pop()
+        for change in inverted(stroke) if source is self._done else stroke:
             self._texture = self._put(change, self._texture)
-        self._done.append(stroke)
+        target.append(stroke)
         return True
 
     def _posed(self, pose: Surface | None) -> PaintedSurface:

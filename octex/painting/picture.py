@@ -142,20 +142,15 @@ def window_of(
 
     ``around`` limits it to so many pixels around paint, and the window is that part of the picture.
     """
-
-    def decoded() -> dict[str, Array]:
-        mips, window = _window_of(projection, form, scale, around)
-        return {**mips._asdict(), "window": np.array(window, np.int64)}
-
     size = projection.camera.width, projection.camera.height
     stage = stages.of(lambda: [size, form, scale, around, content_of(projection)])
-    found = stage.arrays("picture", decoded)
+    found = stage.arrays("picture", lambda: _window_of(projection, form, scale, around))
     return Mips(found["pixels"], found["sizes"], found["range"]), Window(*found["window"].tolist())
 
 
 def _window_of(
     projection: Projection, form: ChannelFormat, scale: float, around: int | None
-) -> tuple[Mips, Window]:
+) -> dict[str, Array]:
     size, image = (projection.camera.width, projection.camera.height), projection.image
     window, before = Window(0, 0, *size), None
     if around is not None and projection.since is None and _is_codes(image, size):
@@ -204,7 +199,7 @@ def _window_of(
         level[:] = resized(above, *level.shape[:2])
     if (limits[0] != limits[1]).any():
         pixels[:] = sharpened(pixels, form.space in ("srgb", "linear"))
-    return Mips(rows, sizes, limits), window
+    return {"pixels": rows, "sizes": sizes, "range": limits, "window": np.array(window, np.int64)}
 
 
 def _is_codes(image: Image, size: tuple[int, int]) -> TypeGuard[Uint8s]:

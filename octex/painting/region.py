@@ -295,8 +295,7 @@ def _leaf_at(texture: OctreeTexture, points: Array) -> Int64s:
 def _leaf_of(tree: Octree, codes: Int64s, level: int, among: Bools) -> Int64s:
     """Return the leaf that is, or contains, each cell (n,) of a level; −1 for none and outside ``among``."""
     found = locate(tree, codes, level)
-    is_leaf = found.is_leaf & among & (tree.n_leaves > 0)
-    return np.where(is_leaf, found.cells, -1)
+    return np.where(found.is_leaf & among & (tree.n_leaves > 0), found.cells, -1)
 
 
 def _leaves(texture: OctreeTexture) -> list[tuple[int, Int64s, Int64s]]:
