@@ -181,29 +181,14 @@ def has_paint(shot: Shot) -> Bools:
     return painted
 
 
-@kernel
 def _spread(marked: Bools, reach: int) -> Bools:
     """Mark all pixels in the squares that reach ``reach`` pixels around marked ones."""
-    height, width = marked.shape
-    in_row, found = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
-    for row in range(height):
-        for turn in range(2):
-            last = -1 - reach
-            for step in range(width):
-                column = width - 1 - step if turn else step
-                if marked[row, column]:
-                    last = step
-                in_row[row, column] |= step - last <= reach
-    lasts = np.empty(width, np.int64)
-    for turn in range(2):
-        lasts[:] = -1 - reach
-        for step in range(height):
-            row = height - 1 - step if turn else step
-            for column in range(width):
-                if in_row[row, column]:
-                    lasts[column] = step
-                found[row, column] |= step - lasts[column] <= reach
-    return found
+    counts = _summed(marked)
+    for axis, size in enumerate(marked.shape):
+        ends = np.arange(size)
+        last, first = np.minimum(ends + reach + 1, size), np.maximum(ends - reach, 0)
+        counts = counts.take(last, axis) - counts.take(first, axis)
+    return counts > 0
 
 
 #: Rows and columns of pixels that are tried for a triangle whose corners and centroid no picture shows.
@@ -258,7 +243,7 @@ class Projected(PaintSource):
     def _counts(self, shot: Shot) -> Int32s:
         """Return the pixels of a shot that see triangles (m,); upper bounds where hidden ones are painted."""
         if self.terms.hidden:
-            return _pixels_under(shot.camera, _summed(shot), self.vertices, self.triangles)
+            return _pixels_under(shot.camera, _summed(shot.seen.rows >= 0), self.vertices, self.triangles)
         counts, seen = np.zeros(len(self.triangles), np.int32), shot.seen
         pixels = np.bincount(seen.rows.ravel() + 1, minlength=len(seen.triangles) + 1)[1:]
         counts[seen.triangles[pixels > 0]] = pixels[pixels > 0]
@@ -274,10 +259,10 @@ class Projected(PaintSource):
         """Return which blocks a shot may see."""
         found, edge = np.zeros(blocks.codes.size, np.bool_), placement.size / 2**blocks.level
         corners = placement.to_rest(decode_cells(blocks.codes) / 2**blocks.level)
+        mesh = self.vertices, self.triangles, rest
         for shot in self.shots:
-            _mark_seen(
-                shot.camera, _summed(shot), self.vertices, self.triangles, rest, blocks, corners, edge, found
-            )
+            seen = _summed(shot.seen.rows >= 0)
+            _mark_seen(shot.camera, seen, *mesh, blocks, corners, edge, found)
         return found
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
@@ -397,11 +382,10 @@ class Projected(PaintSource):
         return widths
 
 
-def _summed(shot: Shot) -> Int32s:
-    """Return the summed-area table (height + 1, width + 1) of pixels that see surface."""
-    rows = shot.seen.rows
-    counts = np.zeros(np.add(rows.shape, 1), np.int32)
-    np.cumsum(np.cumsum(rows >= 0, 0, np.int32), 1, out=counts[1:, 1:])
+def _summed(marked: Bools) -> Int32s:
+    """Return the summed-area table (height + 1, width + 1) of marked pixels."""
+    counts = np.zeros(np.add(marked.shape, 1), np.int32)
+    np.cumsum(np.cumsum(marked, 0, np.int32), 1, out=counts[1:, 1:])
     return counts
 
 

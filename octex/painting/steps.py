@@ -246,12 +246,6 @@ def form_boundary(
     made = Boundary([], [], [], [], freed)
     skirts: list[Int64s] = []  # none lies in another one
     for level, each in enumerate(paint[: depth + 1]):
-        if not each.codes.size:
-            made.paint.append(each)
-            made.wanted.append(_NONE)
-            made.added.append(finer.added[level])
-            skirts.append(_NONE)
-            continue
         surface_cells = distinct(np.concatenate([met.codes[level], new[level]]))
         is_met = among(finer.refined[level], surface_cells)
         ring, outer = finer.refined[level][is_met], finer.refined[level][~is_met]
