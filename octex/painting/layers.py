@@ -266,17 +266,13 @@ class Layers(Painter):
         change = Change(tiles, before, after)
         if not self._stack or not change.has_same_cells:
             return change
-        names = [*shown_names(after).values()]
-        names += [
-            name
-            for name, channel in after.channels.items()
-            if name not in names
-            and any(was is not now for was, now in zip(before.channels[name][1:], channel[1:], strict=True))
-        ]
-        alphas = [alpha_of(name) or name for name in names if name != plain_name(name)]
-        names += [name for name in dict.fromkeys(alphas) if name in after.channels and name not in names]
+        chosen = {*shown_names(after).values()}
+        for name, channel in after.channels.items():
+            pairs = zip(before.channels[name][1:], channel[1:], strict=True)
+            chosen |= {name} if any(was is not now for was, now in pairs) else set()
+        chosen |= {alpha_of(name) or name for name in chosen if name != plain_name(name)}
         drafts = (
-            each.with_cells(each.tree, {name: each.channels[name] for name in names})
+            each.with_cells(each.tree, {name: c for name, c in each.channels.items() if name in chosen})
             for each in (before, after)
         )
         return Change(tiles, *drafts)

@@ -57,8 +57,6 @@ PIECE = 1 << 20
 _AT_ONCE, _LEAST_AT_ONCE = 4, 2
 #: Largest ratio of the cells of all pieces with their neighbours to the cells without, for pieces to pay.
 MOST = 3.0
-#: Prefix of the channels of a piece's top that hold the painted part of its channels.
-_PART = "\0part of "
 
 #: Merges a layer into a texture, as `merged` does.
 Merging: TypeAlias = Callable[[Job, OctreeTexture, OctreeTexture, float, Blend], Change | None]
@@ -164,7 +162,8 @@ def _merge_at_once(task: Merge) -> Change | None:
 class _Piece(NamedTuple):
     tiles: Tiles
     whole: OctreeTexture  # the draft of the tiles
-    top: OctreeTexture  # the tiles as leaves, with the painted parts of channels
+    top: OctreeTexture  # the tiles as leaves
+    parts: OctreeTexture  # the painted parts of channels on these
     averages_rows: bool  # see Merged
     #: The tiles with paint; with new cells; with cells where the texture had none: all, and the layer's.
     lists: list[Int64s]
@@ -213,8 +212,6 @@ def _merge_pieces(task: Merge, pieces: Sequence[Tiles]) -> Change | None:
         if made is None:
             return None
         tree = made.texture.tree
-        parts = {_PART + name: part.named(_PART + name) for name, part in made.parts.channels.items()}
-        top = made.texture.with_cells(tree, {**made.texture.channels, **parts})
         ends, walk = tree.arrays.level_cells, list(tree.walk())
         new, fresh = (
             [cells[chosen[ends[at] : ends[at + 1]]] for at, (cells, _) in enumerate(walk)]
@@ -225,8 +222,8 @@ def _merge_pieces(task: Merge, pieces: Sequence[Tiles]) -> Change | None:
             inside = [cells >> 3 * (at - level) for at, cells in enumerate(each) if at >= level]
             inside_tiles = distinct(np.concatenate([tiles.codes[:0], *inside]))
             lists.append(inside_tiles[among(inside_tiles, tiles.codes)])
-        whole, top = cut_out(made.texture, tiles), cut_out(top.level(level), tiles)
-        return _Piece(tiles, whole, top, made.averages_rows, lists)
+        top, parts = (cut_out(each.level(level), tiles) for each in (made.texture, made.parts))
+        return _Piece(tiles, cut_out(made.texture, tiles), top, parts, made.averages_rows, lists)
 
     window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
     with own_making():
@@ -272,7 +269,6 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
         codes, _ = next(islice(each.top.tree.walk(), level, None))
         leaves[level] = distinct(np.concatenate([leaves[level], codes[among(codes, each.tiles.codes)]]))
     edited = rebuilt(before.tree, leaves)
-    names = sorted({name for each in pieces for name in each.top.channels if name.startswith(_PART)})
     tree = edited.tree
     areas = np.where(edited.old < 0, SKIRT, tree.arrays.areas)
     for at, (codes, _) in enumerate(tree.walk()):
@@ -281,12 +277,16 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
         is_painted = (edited.old[here] < 0) & (where.levels == at)
         areas[here][is_painted] = layer.tree.arrays.areas[where.cells[is_painted]]
     tree = tree.with_cell_data(tree.arrays.flags, areas, tree.split, tree.kept)
-    base = before.with_cells(tree, {**carried(before, edited), **no_parts(tree, names)})
-    tops = [
-        (tiles, top.with_cells(top.tree, {**no_parts(top.tree, names), **top.channels}))
-        for tiles, _, top, *_ in pieces
+    base = before.with_cells(tree, carried(before, edited))
+    made = refaced(put_together(base, base, [(each.tiles, each.top) for each in pieces]))
+    names = sorted({name for each in pieces for name in each.parts.channels})
+    trees = tree, *(each.parts.tree for each in pieces)
+    base, *tops = (before.with_cells(each, no_parts(each, names)) for each in trees)
+    painted_parts = [
+        (each.tiles, top.with_cells(top.tree, {**top.channels, **each.parts.channels}))
+        for each, top in zip(pieces, tops, strict=True)
     ]
-    made = refaced(put_together(base, base, tops))
+    parts = refaced(put_together(base, base, painted_parts))
     tree = made.tree
     columns = zip(*(each.lists for each in pieces), strict=True)
     painted, new, fresh, added = (distinct(np.concatenate(column)) for column in columns)
@@ -296,11 +296,9 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
     is_new, is_fresh = edited.old < 0, edited.old < 0
     is_new[first:] |= among(codes, new)
     is_fresh[first:] |= among(codes, fresh)
-    channels = {name: channel for name, channel in made.channels.items() if name not in names}
-    parts = {name.removeprefix(_PART): made.channels[name].named(name.removeprefix(_PART)) for name in names}
     return Merged(
-        made.with_cells(tree, channels),
-        made.with_cells(tree, parts),
+        made.with_cells(tree, made.channels),
+        parts.with_cells(tree, parts.channels),
         is_fresh,
         is_new,
         [none] * level + [painted],

@@ -133,7 +133,7 @@ def take_shots(
 ) -> Iterator[Shot]:
     """Decode pictures, several ahead, with alpha times ``scales``; see `window_of` for ``around``."""
     decoded = (
-        start(executor, _decoded, each, form, scale, around, stages)
+        start(executor, window_of, each, form, scale, None if _is_bent(each) else around, stages)
         for each, scale in zip(projections, scales, strict=True)
     )
     queue = deque(islice(decoded, most_ahead()))
@@ -143,11 +143,8 @@ def take_shots(
         queue.extend(islice(decoded, 1))
 
 
-def _decoded(
-    projection: Projection, form: ChannelFormat, scale: float, around: int | None, stages: Stages
-) -> tuple[Mips, Window]:
-    is_straight = isinstance(projection.camera, Camera) and not is_bent(projection.camera.lens)
-    return window_of(projection, form, scale, around if is_straight else None, stages)
+def _is_bent(projection: Projection) -> bool:
+    return not isinstance(projection.camera, Camera) or is_bent(projection.camera.lens)
 
 
 def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:

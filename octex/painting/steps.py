@@ -1,8 +1,15 @@
 """The steps of painting, named and numbered as in the paper (4.1).
 
-A layer of paint is rasterized (1) and merged into drafts, the parts of the texture that it touches. In each,
-cells without surface are culled before they are made (7), the boundary is formed (3), the texture raised (4),
-and the paint refined to its leaves (2), merged (5) and deleted (6).
+1  rasterize_surface   read the source of paint in the cells of the surface; `layer_from` makes a tree of them
+2  refine_paint        to the leaves of the texture
+3  form_boundary       around the paint: neighbours, and skirts off the surface
+4  raise_texture       to the leaves of the paint
+5  merge_paint         blend each leaf once, and average the nodes above
+6  delete_paint
+7  cull_cells          that the surface does not meet
+
+`merge_draft` takes steps 2 to 7 in a draft, the part of the texture that a layer touches. There, cells are
+culled before they are made, and the paint is refined once the texture is raised.
 """
 
 from __future__ import annotations
