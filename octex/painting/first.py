@@ -16,9 +16,7 @@ from octex.editing.draft import Tiles
 from octex.editing.nodes import all_nodes
 from octex.editing.split import rows_facing
 from octex.errors import ArgumentError, own_making
-from octex.painting.blend import (
-    Merge,
-)
+from octex.painting.blend import Merge
 from octex.painting.layer import (
     COVERAGE,
     SurfaceCells,

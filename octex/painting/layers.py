@@ -14,7 +14,7 @@ from octex.errors import ArgumentError
 from octex.painting.beneath import ERASED, Stacked, restored, without_erased
 from octex.painting.layer import painted_channel
 from octex.painting.merge import merged
-from octex.painting.painter import History, Painter, Stroke, inverted
+from octex.painting.painter import History, Painter, Stroke
 from octex.painting.picture import Blend
 from octex.painting.stack import (
     Keep,
@@ -331,7 +331,7 @@ class Layers(Painter):
         step, undoes = source.last, source is self._done
         if not isinstance(step, Restacked):
             was_moved = super()._moved(source, target)
-            self._told(inverted(step) if undoes else step)
+            self._told([change.inverted() for change in reversed(step)] if undoes else step)
             return was_moved
         self._apply(Restacked(step.after, step.before, step.channels) if undoes else step)
         target.append(source.pop())

@@ -233,7 +233,7 @@ def _raster_of(
     if like is not None:
         check_inside(surface, placement)
     paint: PaintSource = source
-    number = next((number for number, shot in enumerate(shots) if shot is reference), None)
+    number = None if reference is None else [shot is reference for shot in shots].index(True)
     del shots, near, reference  # they hold copies of the visible surface
     if not is_single:
         from octex.photos.weigh import weighed  # a single picture does not load it

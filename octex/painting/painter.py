@@ -91,11 +91,6 @@ class History:
         return pickle.loads(zlib.decompress(self._file.read(end - begin)))
 
 
-def inverted(stroke: Stroke) -> Stroke:
-    """Return the changes that undo a stroke."""
-    return tuple(change.inverted() for change in reversed(stroke))
-
-
 class Painter:
     """A painting session: strokes on a texture of a surface, with undo and redo.
 
@@ -239,9 +234,9 @@ class Painter:
         """Undo or redo the last stroke of one history, and move it to the other."""
         if not len(source):
             return False
-        stroke = source.pop()
-        for change in inverted(stroke) if source is self._done else stroke:
-            self._texture = self._put(change, self._texture)
+        stroke, undoes = source.pop(), source is self._done
+        for change in reversed(stroke) if undoes else stroke:
+            self._texture = self._put(change.inverted() if undoes else change, self._texture)
         target.append(stroke)
         return True
 

@@ -38,14 +38,7 @@ from octex.source.vectors import Vector
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
 from octex.view.shading import face_normals
-from octex.view.visibility import (
-    View,
-    Visibility,
-    distances_to_edges,
-    straight,
-    view_of,
-    visibility_of,
-)
+from octex.view.visibility import View, Visibility, distances_to_edges, straight, view_of, visibility_of
 from octex.voxelize.fragments import Blocks
 
 #: Pixels around its paint within which a single picture is decoded, a power of two.
@@ -133,7 +126,7 @@ def take_shots(
 ) -> Iterator[Shot]:
     """Decode pictures, several ahead, with alpha times ``scales``; see `window_of` for ``around``."""
     decoded = (
-        start(executor, window_of, each, form, scale, None if _is_bent(each) else around, stages)
+        start(executor, window_of, each, form, scale, around, stages)
         for each, scale in zip(projections, scales, strict=True)
     )
     queue = deque(islice(decoded, most_ahead()))
@@ -141,10 +134,6 @@ def take_shots(
         mips, window = queue.popleft().result()
         yield sight.within(window).shot(stages.placed(mips))
         queue.extend(islice(decoded, 1))
-
-
-def _is_bent(projection: Projection) -> bool:
-    return not isinstance(projection.camera, Camera) or is_bent(projection.camera.lens)
 
 
 def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:

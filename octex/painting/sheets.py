@@ -27,15 +27,7 @@ from octex.tree.layout import GRID_BITS
 from octex.tree.octree import distinct
 from octex.tree.placement import Placement, on_grid
 from octex.tree.split import bits_of
-from octex.voxelize.fragments import (
-    BlockRange,
-    Blocks,
-    cut,
-    divided,
-    even_runs,
-    most_fragments,
-    whole,
-)
+from octex.voxelize.fragments import BlockRange, Blocks, cut, divided, even_runs, most_fragments, whole
 
 #: Tolerance for rounding, in cells, of edges that join the triangles on both sides.
 _SLACK = 1e-6
