@@ -250,12 +250,12 @@ def _merged(
     is_in = False
     if texture is None:
         from octex.painting.first import started
-        from octex.painting.surface import PaintedSurface
+        from octex.painting.surface import Job, PaintedSurface
 
         holes: Any = "leave" if files else options.holes if isinstance(options.holes, str) else "smooth"
         assert run.executor is not None
-        task = options.blend, run.executor, run.report
-        texture, is_in = started(layers[0], PaintedSurface(surface), holes, *task)
+        job = Job(PaintedSurface(surface), run.executor, run.report)
+        texture, is_in = started(job, layers[0], holes, options.blend)
     made = texture
     for number, layer in enumerate(layers):
         if not layer.tree.n_leaves or (is_in and number == 0):

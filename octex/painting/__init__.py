@@ -4,14 +4,14 @@ paint       pictures to a texture; options: checked; painter: a session of strok
 region      spheres, boxes, functions, triangles and leaves of one colour, filled with one value
 steps       the seven steps of the paper: a layer is rasterized, and merged into a texture
 picture     images with cameras, decoded to mips; sharpened: as values at points
-surface     the painted surface, and a grid that finds its triangles near paint
+surface     the painted surface, the job of a call on it, and a grid that finds triangles near paint
 unwrap      a disc of the surface laid flat, for a camera
 project     pictures as a source of paint, and the surface that cameras see; reading: its kernels
 layer       any source of paint, its depth, and paint on cells of a level
 boundary    cells around paint, on the surface and off it
 blend       each cell is blended once, and the nodes above are averaged
 merge       a layer is merged into a texture, in one draft or in pieces
-first       a new texture: filled where no picture sees, by multigrid on a graph of sheets
+first       a new texture: filled where no picture sees, by multigrid on a graph of sheets; then merged
 layers      strokes into layers above a texture; stack: the layers, their composite and file;
             beneath: the composite that strokes below others lead to; restore: an eraser on the bottom
 resume      finished stages, stored in a folder for the next call

@@ -7,7 +7,6 @@ averages stay those of the source where nothing changed, and become those of the
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -19,8 +18,7 @@ from octex.editing.nodes import Nodes, nodes_at
 from octex.editing.split import rows_facing, split_in_vain, with_split, without_split
 from octex.painting.layer import Paint, leave_bare, painted_channel
 from octex.painting.picture import Blend
-from octex.painting.surface import PaintedSurface
-from octex.parallel import Progress
+from octex.painting.surface import Job
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
 from octex.tree.edit import among, locate, with_all_above
@@ -35,14 +33,12 @@ _HIDING = 1.0 - 1.0 / 512.0
 class Merge(NamedTuple):
     """A layer to merge into a texture."""
 
+    job: Job
     texture: OctreeTexture
     layer: OctreeTexture  # for a piece, the layer around it
-    surface: PaintedSurface
     target: str  # the painted channel
     blend: Blend
     opacity: float
-    executor: Executor
-    progress: Progress
     coarsest: int  # the level of the largest leaf or kept node in or next to which the layer lies
 
     @property

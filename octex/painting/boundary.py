@@ -248,8 +248,7 @@ def with_old_skirts(
         skirt = codes[~is_node & is_skirt[here]]
         if not skirt.size:
             continue
-        skirt = skirt[_are_near(skirt, painted, level) & ~among(skirt, paint[level].codes)]
-        skirt = skirt[_touch(skirt, painted, level, refined=True)]
+        skirt = skirt[~among(skirt, paint[level].codes) & _touch(skirt, painted, level, refined=True)]
         if skirt.size:
             around = boundary(skirt, level)
             far = [codes[among_at(codes, at, around, level)] for at, codes in enumerate(bare)]
@@ -309,15 +308,6 @@ def _on_surface(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[I
     """Return the painted cells that are no skirts, by level."""
     cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
     return [each.codes[~is_skirt[at]] for each, at in zip(paint, cells, strict=True)]
-
-
-def _are_near(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
-    """Return which cells (n,) of a level may adjoin leaves, by cells four times as wide: a fast filter."""
-    top = max(level - 2, 0)
-    inside = [codes >> 3 * (at - top) for at, codes in enumerate(leaves) if at >= top]
-    coarse = [*leaves[:top], distinct(np.concatenate(inside))]
-    around = [with_boundary(codes, at) for at, codes in enumerate(coarse)]
-    return is_within(codes >> 3 * (level - top), around, top)
 
 
 def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, refined: bool = False) -> Bools:

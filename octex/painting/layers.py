@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -15,7 +14,7 @@ from octex.errors import ArgumentError
 from octex.painting.beneath import ERASED, Stacked, restored, without_erased
 from octex.painting.layer import painted_channel
 from octex.painting.merge import merged
-from octex.painting.painter import Painter, Stroke
+from octex.painting.painter import History, Painter, Stroke
 from octex.painting.picture import Blend
 from octex.painting.stack import (
     Keep,
@@ -34,8 +33,7 @@ from octex.painting.stack import (
     with_composite,
     with_layer_channels,
 )
-from octex.painting.surface import PaintedSurface
-from octex.parallel import Progress
+from octex.painting.surface import Job
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture, as_texture
 
@@ -143,13 +141,8 @@ class Layers(Painter):
         has_mask: bool | None = None,
     ) -> Layer:
         """Change properties of a layer, and return it."""
-        given = {
-            "name": name,
-            "opacity": opacity,
-            "blend": blend,
-            "is_visible": is_visible,
-            "has_mask": has_mask,
-        }
+        given = {"name": name, "opacity": opacity, "blend": blend}
+        given |= {"is_visible": is_visible, "has_mask": has_mask}
         wanted = {key: value for key, value in given.items() if value is not None}
         place = self._place_of(number)
         layer = check_layer(self._stack[place]._replace(**wanted))  # type: ignore[arg-type]
@@ -245,14 +238,7 @@ class Layers(Painter):
             self.changes = (change,)
 
     def _merged(
-        self,
-        texture: OctreeTexture,
-        paint: OctreeTexture,
-        surface: PaintedSurface,
-        opacity: float,
-        blend: Blend,
-        executor: Executor,
-        progress: Progress,
+        self, job: Job, texture: OctreeTexture, paint: OctreeTexture, opacity: float, blend: Blend
     ) -> Change | None:
         """Merge paint into the chosen layer; return the change of all channels, with the composite."""
         into = None
@@ -268,7 +254,7 @@ class Layers(Painter):
             texture = with_layer_channels(texture, [into, alpha_of(into) or into])
             names = composited(texture, self._stack)
             texture = with_layer_channels(texture, map(composite_name, names))
-        change = merged(texture, paint, surface, opacity, blend, executor, progress, into)
+        change = merged(job, texture, paint, opacity, blend, into)
         if change is None:
             return None
         tiles, before, after = change
@@ -280,17 +266,13 @@ class Layers(Painter):
         change = Change(tiles, before, after)
         if not self._stack or not change.has_same_cells:
             return change
-        names = [*shown_names(after).values()]
-        names += [
-            name
-            for name, channel in after.channels.items()
-            if name not in names
-            and any(was is not now for was, now in zip(before.channels[name][1:], channel[1:], strict=True))
-        ]
-        alphas = [alpha_of(name) or name for name in names if name != plain_name(name)]
-        names += [name for name in dict.fromkeys(alphas) if name in after.channels and name not in names]
+        chosen = {*shown_names(after).values()}
+        for name, channel in after.channels.items():
+            pairs = zip(before.channels[name][1:], channel[1:], strict=True)
+            chosen |= {name} if any(was is not now for was, now in pairs) else set()
+        chosen |= {alpha_of(name) or name for name in chosen if name != plain_name(name)}
         drafts = (
-            each.with_cells(each.tree, {name: each.channels[name] for name in names})
+            each.with_cells(each.tree, {name: c for name, c in each.channels.items() if name in chosen})
             for each in (before, after)
         )
         return Change(tiles, *drafts)
@@ -344,26 +326,15 @@ class Layers(Painter):
             return [BASE_COLOR.name]
         return self.layer(self._chosen).painted(self._texture.channels) or [BASE_COLOR.name]
 
-    def undo(self) -> bool:
-        """Undo the last stroke or change of the stack; return whether there was one."""
+    def _moved(self, source: History, target: History) -> bool:
         self.changes = ()
-        if not isinstance(step := self._done.last, Restacked):
-            was_done = super().undo()
-            self._told([change.inverted() for change in reversed(step)])
-            return was_done
-        self._apply(Restacked(step.after, step.before, step.channels))
-        self._undone.append(self._done.pop())
-        return True
-
-    def redo(self) -> bool:
-        """Redo the last undone stroke or change of the stack; return whether there was one."""
-        self.changes = ()
-        if not isinstance(step := self._undone.last, Restacked):
-            was_undone = super().redo()
-            self._told(step)
-            return was_undone
-        self._apply(step)
-        self._done.append(self._undone.pop())
+        step, undoes = source.last, source is self._done
+        if not isinstance(step, Restacked):
+            was_moved = super()._moved(source, target)
+            self._told([change.inverted() for change in reversed(step)] if undoes else step)
+            return was_moved
+        self._apply(Restacked(step.after, step.before, step.channels) if undoes else step)
+        target.append(source.pop())
         return True
 
 

@@ -6,10 +6,9 @@ texture, and the draft's tiles go into the result. The nodes above the tiles are
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -40,7 +39,7 @@ from octex.painting.blend import Merge, Merged, averaged_above, no_parts
 from octex.painting.layer import Paint, channel_of, paint_of
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import delete_paint, merge_draft, refine_paint
-from octex.painting.surface import PaintedSurface
+from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, ordered_map, sharing, silent, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -58,8 +57,9 @@ PIECE = 1 << 20
 _AT_ONCE, _LEAST_AT_ONCE = 4, 2
 #: Largest ratio of the cells of all pieces with their neighbours to the cells without, for pieces to pay.
 MOST = 3.0
-#: Prefix of the channels of a piece's top that hold the painted part of its channels.
-_PART = "\0part of "
+
+#: Merges a layer into a texture, as `merged` does.
+Merging: TypeAlias = Callable[[Job, OctreeTexture, OctreeTexture, float, Blend], Change | None]
 
 
 def merge(
@@ -101,18 +101,16 @@ def merge(
     painted = PaintedSurface(surface.placed_in(texture))
     run = as_run(run, threads, progress)
     with workers(run) as pool:
-        change = merged(texture, layer, painted, opacity, blend, pool, run.report)
+        change = merged(Job(painted, pool, run.report), texture, layer, opacity, blend)
     return texture if change is None else change.put_into(texture)
 
 
 def merged(
+    job: Job,
     texture: OctreeTexture,
     layer: OctreeTexture,
-    surface: PaintedSurface,
     opacity: float,
     blend: Blend,
-    executor: Executor,
-    progress: Progress,
     into: str | None = None,
 ) -> Change | None:
     """Return the change of merging a layer, or None for none; see `merge`.
@@ -143,7 +141,7 @@ def merged(
             f"{stored.components}"
         )
     coarsest = coarsest_near_layer(texture, layer)
-    task = Merge(texture, layer, surface, target, blend, opacity, executor, progress, coarsest)
+    task = Merge(job, texture, layer, target, blend, opacity, coarsest)
     pieces = pieces_of(texture, layer, coarsest)
     change = _merge_at_once(task) if pieces is None else _merge_pieces(task, pieces)
     return change and change._replace(before=with_channels_of(change.before, before))
@@ -157,21 +155,15 @@ def _merge_at_once(task: Merge) -> Change | None:
     around = tiles_around(texture, [each.codes for each in paint], task.coarsest)
     draft = texture if around is None else cut_out(texture, around)
     made = merge_draft(task, draft, paint)
-    task.progress("merge", 1, 1)
+    task.job.progress("merge", 1, 1)
     return None if made is None else Change(around, draft, delete_paint(made))
-
-
-class Pieces(NamedTuple):
-    """How a layer is divided."""
-
-    level: int  # of the tiles
-    tiles: list[Int64s]  # of each piece, Morton codes, ascending
 
 
 class _Piece(NamedTuple):
     tiles: Tiles
     whole: OctreeTexture  # the draft of the tiles
-    top: OctreeTexture  # the tiles as leaves, with the painted parts of channels
+    top: OctreeTexture  # the tiles as leaves
+    parts: OctreeTexture  # the painted parts of channels on these
     averages_rows: bool  # see Merged
     #: The tiles with paint; with new cells; with cells where the texture had none: all, and the layer's.
     lists: list[Int64s]
@@ -185,8 +177,8 @@ def coarsest_near_layer(texture: OctreeTexture, layer: OctreeTexture) -> int:
     return coarsest_near(texture.tree, [codes[:0]] * largest + [codes])
 
 
-def pieces_of(texture: OctreeTexture, layer: OctreeTexture, coarsest: int) -> Pieces | None:
-    """Divide a layer for a texture; return None for one that is merged in one draft."""
+def pieces_of(texture: OctreeTexture, layer: OctreeTexture, coarsest: int) -> list[Tiles] | None:
+    """Divide a layer for a texture; return the tiles of each piece, or None to merge it in one draft."""
     tree, painted, level = texture.tree, layer.tree, coarsest - STEPS
     whole = PIECE if large.is_mapped() else WHOLE
     if painted.n_leaves + tree.n_leaves <= whole or not tree.n_leaves or not painted.n_leaves:
@@ -198,32 +190,28 @@ def pieces_of(texture: OctreeTexture, layer: OctreeTexture, coarsest: int) -> Pi
     numbers = (np.cumsum(counts) - counts) // PIECE
     if counts.sum() <= whole:
         return None
-    pieces = [tiles.codes[numbers == number] for number in distinct(numbers)]
-    wider = (Tiles(level, with_boundary(codes, level)) for codes in pieces)
+    pieces = [Tiles(level, tiles.codes[numbers == number]) for number in distinct(numbers)]
+    wider = (Tiles(level, with_boundary(each.codes, level)) for each in pieces)
     total = sum(int(cells_in(painted, each).sum() + cells_in(tree, each).sum()) for each in wider)
-    if total > MOST * counts.sum():
-        return None
-    return Pieces(level, pieces)
+    return pieces if total <= MOST * counts.sum() else None
 
 
-def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
+def _merge_pieces(task: Merge, pieces: Sequence[Tiles]) -> Change | None:
     """Merge a layer piece by piece."""
-    texture, level = task.texture, pieces.level
+    texture, level = task.texture, pieces[0].level
     bright = brightest_tiles(texture, level)
 
-    def merge_piece(codes: Int64s) -> _Piece | None:
-        near = with_boundary(codes, level)
+    def merge_piece(tiles: Tiles) -> _Piece | None:
+        near = with_boundary(tiles.codes, level)
         opened = Tiles(level, distinct(np.concatenate([with_boundary(near, level), bright])))
         layer = cut_out(task.layer, Tiles(level, near))
         paint = _inside(paint_of(layer, task.opacity), near, level)
         with workers(Run(threads=1)) as one_worker:
-            alone = task._replace(layer=layer, executor=one_worker, progress=silent)
-            made = merge_draft(alone, cut_out(texture, opened), paint)
+            job = task.job._replace(executor=one_worker, progress=silent)
+            made = merge_draft(task._replace(job=job, layer=layer), cut_out(texture, opened), paint)
         if made is None:
             return None
-        tree, tiles = made.texture.tree, Tiles(level, codes)
-        parts = {_PART + name: part.named(_PART + name) for name, part in made.parts.channels.items()}
-        top = made.texture.with_cells(tree, {**made.texture.channels, **parts})
+        tree = made.texture.tree
         ends, walk = tree.arrays.level_cells, list(tree.walk())
         new, fresh = (
             [cells[chosen[ends[at] : ends[at + 1]]] for at, (cells, _) in enumerate(walk)]
@@ -232,16 +220,16 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
         lists = []
         for each in (made.painted, new, fresh, made.added):
             inside = [cells >> 3 * (at - level) for at, cells in enumerate(each) if at >= level]
-            inside_tiles = distinct(np.concatenate([codes[:0], *inside]))
-            lists.append(inside_tiles[among(inside_tiles, codes)])
-        whole, top = cut_out(made.texture, tiles), cut_out(top.level(level), tiles)
-        return _Piece(tiles, whole, top, made.averages_rows, lists)
+            inside_tiles = distinct(np.concatenate([tiles.codes[:0], *inside]))
+            lists.append(inside_tiles[among(inside_tiles, tiles.codes)])
+        top, parts = (cut_out(each.level(level), tiles) for each in (made.texture, made.parts))
+        return _Piece(tiles, cut_out(made.texture, tiles), top, parts, made.averages_rows, lists)
 
     window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
     with own_making():
-        with sharing(task.executor) as pool:
+        with sharing(task.job.executor) as pool:
             all_merged = ordered_map(
-                pool, merge_piece, pieces.tiles, stage="merge", progress=task.progress, window=window
+                pool, merge_piece, pieces, stage="merge", progress=task.job.progress, window=window
             )
             merged_pieces = [large.moved(each) for each in all_merged if each is not None]
         if not any(each.lists[0].size for each in merged_pieces):
@@ -249,7 +237,7 @@ def _merge_pieces(task: Merge, pieces: Pieces) -> Change | None:
         before, task = texture.level(level), task._replace(layer=task.layer.level(level))
         top = averaged_above(task, before, _top(before, task.layer, merged_pieces))
         made = put_together(delete_paint(top), texture, [(each.tiles, each.whole) for each in merged_pieces])
-    return change_in(Tiles(level, np.concatenate(pieces.tiles)), texture, made)
+    return change_in(Tiles(level, np.concatenate([each.codes for each in pieces])), texture, made)
 
 
 def paint_by_tiles(
@@ -260,10 +248,9 @@ def paint_by_tiles(
     if pieces is None:
         yield layer, refine_paint(paint_of(layer, 1.0), layer, texture.tree, 1.0)
         return
-    level = pieces.level
-    for tiles in pieces.tiles:
-        part = cut_out(layer, Tiles(level, with_boundary(tiles, level)))
-        yield part, refine_paint(_inside(paint_of(part, 1.0), tiles, level), part, texture.tree, 1.0)
+    for level, codes in pieces:
+        part = cut_out(layer, Tiles(level, with_boundary(codes, level)))
+        yield part, refine_paint(_inside(paint_of(part, 1.0), codes, level), part, texture.tree, 1.0)
 
 
 def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:
@@ -282,7 +269,6 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
         codes, _ = next(islice(each.top.tree.walk(), level, None))
         leaves[level] = distinct(np.concatenate([leaves[level], codes[among(codes, each.tiles.codes)]]))
     edited = rebuilt(before.tree, leaves)
-    names = sorted({name for each in pieces for name in each.top.channels if name.startswith(_PART)})
     tree = edited.tree
     areas = np.where(edited.old < 0, SKIRT, tree.arrays.areas)
     for at, (codes, _) in enumerate(tree.walk()):
@@ -291,12 +277,16 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
         is_painted = (edited.old[here] < 0) & (where.levels == at)
         areas[here][is_painted] = layer.tree.arrays.areas[where.cells[is_painted]]
     tree = tree.with_cell_data(tree.arrays.flags, areas, tree.split, tree.kept)
-    base = before.with_cells(tree, {**carried(before, edited), **no_parts(tree, names)})
-    tops = [
-        (tiles, top.with_cells(top.tree, {**no_parts(top.tree, names), **top.channels}))
-        for tiles, _, top, *_ in pieces
+    base = before.with_cells(tree, carried(before, edited))
+    made = refaced(put_together(base, base, [(each.tiles, each.top) for each in pieces]))
+    names = sorted({name for each in pieces for name in each.parts.channels})
+    trees = tree, *(each.parts.tree for each in pieces)
+    base, *tops = (before.with_cells(each, no_parts(each, names)) for each in trees)
+    painted_parts = [
+        (each.tiles, top.with_cells(top.tree, {**top.channels, **each.parts.channels}))
+        for each, top in zip(pieces, tops, strict=True)
     ]
-    made = refaced(put_together(base, base, tops))
+    parts = refaced(put_together(base, base, painted_parts))
     tree = made.tree
     columns = zip(*(each.lists for each in pieces), strict=True)
     painted, new, fresh, added = (distinct(np.concatenate(column)) for column in columns)
@@ -306,11 +296,9 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
     is_new, is_fresh = edited.old < 0, edited.old < 0
     is_new[first:] |= among(codes, new)
     is_fresh[first:] |= among(codes, fresh)
-    channels = {name: channel for name, channel in made.channels.items() if name not in names}
-    parts = {name.removeprefix(_PART): made.channels[name].named(name.removeprefix(_PART)) for name in names}
     return Merged(
-        made.with_cells(tree, channels),
-        made.with_cells(tree, parts),
+        made.with_cells(tree, made.channels),
+        parts.with_cells(tree, parts.channels),
         is_fresh,
         is_new,
         [none] * level + [painted],

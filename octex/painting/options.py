@@ -49,17 +49,8 @@ class PaintOptions:
 
     def __post_init__(self) -> None:
         """Check the options; `of` checks the reference and sets the angle."""
-        for name, value in self._checked().items():
-            object.__setattr__(self, name, value)
-        if self.hidden and (self.balance is not None or self.pictures in ("robust", "best")):
-            raise ArgumentError(
-                "hidden cannot be used with balance, or with pictures that are robust or best: these compare "
-                "what cameras see"
-            )
-
-    def _checked(self) -> dict[str, object]:
         angle, depth = self.max_angle, self.max_depth
-        return {
+        checked = {
             "max_depth": None if depth is None else as_depth(depth, "max_depth"),
             "max_angle": None if angle is None else as_number(angle, "max_angle", 0.0, 180.0),
             "edge_feather": as_number(self.edge_feather, "edge_feather", 0.0, 1e6),
@@ -69,6 +60,13 @@ class PaintOptions:
             "fit": as_flag(self.fit, "fit"),
             "hidden": as_flag(self.hidden, "hidden"),
         }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        if self.hidden and (self.balance is not None or self.pictures in ("robust", "best")):
+            raise ArgumentError(
+                "hidden cannot be used with balance, or with pictures that are robust or best: these compare "
+                "what cameras see"
+            )
 
     def of(self, pictures: Sequence[Projection]) -> PaintOptions:
         """Return the options for these pictures; raise ArgumentError for a reference that is none of them."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor
 from dataclasses import astuple
 from itertools import groupby
-from typing import Any, NamedTuple, TypeAlias, cast
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -18,14 +17,14 @@ from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.first import started, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
-from octex.painting.merge import merged
+from octex.painting.merge import Merging, merged
 from octex.painting.options import HOLES, Balance, Holes, PaintOptions, Pictures, format_of
-from octex.painting.picture import Blend, Projection, check_projections, content_of, room_for
+from octex.painting.picture import Projection, check_projections, content_of, room_for
 from octex.painting.project import AROUND, in_fixed_order, take_shots
 from octex.painting.reading import Shot, terms_of
-from octex.painting.resume import NOT_STORED, Stages, stages_in
+from octex.painting.resume import Stages, stages_in
 from octex.painting.steps import Raster, layer_from, rasterize_surface
-from octex.painting.surface import PaintedSurface, key_of, laid_flat
+from octex.painting.surface import Job, PaintedSurface, key_of, laid_flat
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -35,22 +34,6 @@ from octex.tree.placement import Placement
 _DEEPEST = 14
 #: Pixels from the centre to the end of the footprint of cells half a pixel wide.
 _REACH = 4
-
-#: Merges a layer into a texture, as `merged` does.
-Merging: TypeAlias = Callable[
-    [OctreeTexture, OctreeTexture, PaintedSurface, float, Blend, Executor, Progress], Change | None
-]
-
-
-class Job(NamedTuple):
-    """The constants of a call that paints."""
-
-    surface: PaintedSurface
-    executor: Executor
-    progress: Progress
-    merge: Merging = merged
-    options: PaintOptions = PaintOptions()
-    stages: Stages = NOT_STORED
 
 
 def paint(
@@ -122,8 +105,8 @@ def paint(
     given = check_projections(projections)
     model = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     with workers(run) as pool, room_for(given, run):
-        job = Job(model, pool, run.report, options=options, stages=stages_in(run.resume))
-        for made, _ in painted(job, texture, given, filling, layers):
+        job = Job(model, pool, run.report, stages_in(run.resume))
+        for made, _ in painted(job, texture, given, options, filling, layers):
             texture = made
     assert texture is not None
     return with_coverage(texture, layers) if layers else texture
@@ -133,25 +116,26 @@ def painted(
     job: Job,
     texture: OctreeTexture | None,
     projections: list[Projection],
+    options: PaintOptions,
     holes: Holes = "smooth",
     layers: list[OctreeTexture] | None = None,
+    merge: Merging = merged,
     put: Callable[[Change, OctreeTexture], OctreeTexture] = Change.put_into,
 ) -> Iterator[tuple[OctreeTexture, Change | None]]:
     """Paint; yield the texture with each layer, and the change. Layers are appended to ``layers``."""
-    surface, projections = laid_flat(job.surface, projections, texture)
-    job = job._replace(surface=surface)
+    job, projections = laid_flat(job, projections, texture)
     for blend, group in groupby(projections, key=lambda projection: projection.blend):
         pictures = list(group)
-        layer = layer_of(job, pictures, texture)
+        layer = layer_of(job, pictures, texture, options)
         opacity = max(picture.opacity for picture in pictures)
         if layers is not None:
             layers.append(layer)
         if texture is None:
-            texture, is_in = started(layer, surface, holes, blend, job.executor, job.progress)
+            texture, is_in = started(job, layer, holes, blend)
             if is_in:
                 yield texture, None
                 continue
-        change = job.merge(texture, layer, surface, opacity, blend, job.executor, job.progress)
+        change = merge(job, texture, layer, opacity, blend)
         texture = texture if change is None else put(change, texture)
         yield texture, change
 
@@ -191,41 +175,46 @@ def project(
     )  # fmt: skip
     given = check_projections(projections)
     model = PaintedSurface(surface if like is None else surface.placed_in(like))
-    model, given = laid_flat(model, given, like)
     with workers(run) as pool, room_for(given, run):
-        job = Job(model, pool, run.report, options=options, stages=stages_in(run.resume))
-        return layer_of(job, given, like)
+        job, given = laid_flat(Job(model, pool, run.report, stages_in(run.resume)), given, like)
+        return layer_of(job, given, like, options)
 
 
-def layer_of(job: Job, pictures: Sequence[Projection], like: OctreeTexture | None) -> OctreeTexture:
+def layer_of(
+    job: Job, pictures: Sequence[Projection], like: OctreeTexture | None, options: PaintOptions
+) -> OctreeTexture:
     """Project pictures of one layer as `project` does, or return the stored layer."""
-    job = job._replace(options=job.options.of(pictures))
-    form = format_of(like, job.options.channel)
+    options = options.of(pictures)
+    form = format_of(like, options.channel)
 
     def parts() -> list[Any]:
         shown = [(content_of(each), key_of(cast(Camera, each.camera)), each.opacity) for each in pictures]
-        return [job.surface.content, like and like.placement, form, shown, *astuple(job.options)]
+        return [job.surface.content, like and like.placement, form, shown, *astuple(options)]
 
     stages = job.stages.of(parts)
     return stages.texture(
-        "layer",
-        lambda: layer_from(_raster_of(job, pictures, like, form, stages), job.executor, job.progress),
+        "layer", lambda: layer_from(job, _raster_of(job, pictures, like, form, options, stages))
     )
 
 
 def _raster_of(
-    job: Job, pictures: Sequence[Projection], like: OctreeTexture | None, form: ChannelFormat, stages: Stages
+    job: Job,
+    pictures: Sequence[Projection],
+    like: OctreeTexture | None,
+    form: ChannelFormat,
+    options: PaintOptions,
+    stages: Stages,
 ) -> Raster:
     """Project pictures, which are released on return; ``stages`` are those of all these pictures."""
-    painted, options, surface = job.surface, job.options, job.surface.surface
+    surface = job.surface.surface
     is_single = len(pictures) == 1
     around = AROUND if is_single and options.edge_feather < AROUND else None
-    shots = _look(job, form, pictures, around)
+    shots = _look(job, form, pictures, options, around)
     reference = None if options.reference is None else shots[options.reference]
     shots = in_fixed_order(shots)
     angle = cast(float, options.max_angle)
     terms = terms_of(angle, options.edge_feather, options.back_faces, options.hidden)
-    source = painted.projected(shots, form, terms, options.region)
+    source = job.surface.projected(shots, form, terms, options.region)
     near = source.near_paint(_REACH)
     size = float(np.ptp(surface.bounds, axis=0).max()) if like is None else like.placement.size
     cells, most = CELLS, _DEEPEST
@@ -238,28 +227,29 @@ def _raster_of(
     # Footprints of larger cells reach farther.
     reach = _REACH << max(finest - depth, 0)
     if around is not None and reach > around:
-        source = source.with_shots(_look(job, form, pictures, None))
+        source = source.with_shots(_look(job, form, pictures, options, None))
     source = near if finest <= depth else source.near_paint(reach)
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
     if like is not None:
         check_inside(surface, placement)
     paint: PaintSource = source
-    number = next((number for number, shot in enumerate(shots) if shot is reference), None)
+    number = None if reference is None else [shot is reference for shot in shots].index(True)
     del shots, near, reference  # they hold copies of the visible surface
     if not is_single:
         from octex.photos.weigh import weighed  # a single picture does not load it
 
         paint = weighed(source, surface, options, number, placement, depth, job.executor, stages)
-    return rasterize_surface(
-        painted, paint, placement, depths, job.executor, job.progress, fit=options.fit, cells=cells
-    )
+    return rasterize_surface(job, paint, placement, depths, fit=options.fit, cells=cells)
 
 
-def _look(job: Job, form: ChannelFormat, pictures: Sequence[Projection], around: int | None) -> list[Shot]:
+def _look(
+    job: Job, form: ChannelFormat, pictures: Sequence[Projection], options: PaintOptions, around: int | None
+) -> list[Shot]:
     """Return the shots of pictures, or their parts within ``around`` pixels of paint."""
     cameras = [cast(Camera, each.camera) for each in pictures]
-    feather, hidden = job.options.edge_feather, job.options.hidden
-    sights = job.surface.sights(cameras, feather, job.executor, job.stages, hidden=hidden)
+    sights = job.surface.sights(
+        cameras, options.edge_feather, job.executor, job.stages, hidden=options.hidden
+    )
     largest = max(each.opacity for each in pictures) or 1.0
     scales = [each.opacity / largest for each in pictures]
     shots = []

@@ -17,12 +17,12 @@ from octex.channels import BASE_COLOR
 from octex.checks import as_path
 from octex.editing.draft import Change, as_change
 from octex.errors import OutputError
-from octex.painting.merge import merged
+from octex.painting.merge import Merging, merged
 from octex.painting.options import Balance, PaintOptions, Pictures
-from octex.painting.paint import Job, Merging, painted
+from octex.painting.paint import painted
 from octex.painting.picture import Blend, Projection, check_projections
 from octex.painting.region import Region, filled
-from octex.painting.surface import PaintedSurface
+from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -180,10 +180,11 @@ class Painter:
         changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:
-            job = Job(self._posed(pose), pool, run.report, self._merging, options)
-            given = check_projections(projections)
+            job, given = Job(self._posed(pose), pool, run.report), check_projections(projections)
             try:
-                for texture, change in painted(job, self._texture, given, put=self._put):
+                for texture, change in painted(
+                    job, self._texture, given, options, merge=self._merging, put=self._put
+                ):
                     self._texture = texture
                     changes.append(change)
             except BaseException:
@@ -209,8 +210,9 @@ class Painter:
         """Fill a region as ``octex.fill`` does; return the changes, as ``paint`` does."""
         run = as_run(run, threads, progress)
         with workers(run) as pool:
-            job, what = Job(self._painted, pool, run.report, self._merging), (region, color, channel)
-            _, change = filled(job, self._texture, self._surface, *what, opacity, blend, max_depth)
+            job = Job(self._painted, pool, run.report)
+            what = region, color, channel, opacity, blend, max_depth, self._merging
+            _, change = filled(job, self._texture, self._surface, *what)
         if change is not None:
             self._texture = self._put(change, self._texture)
         return self._did([change])
@@ -221,23 +223,21 @@ class Painter:
         return self._did([change])
 
     def undo(self) -> bool:
-        """Undo the last stroke; return whether there was one."""
-        if not len(self._done):
-            return False
-        stroke = self._done.pop()
-        for change in reversed(stroke):
-            self._texture = self._put(change.inverted(), self._texture)
-        self._undone.append(stroke)
-        return True
+        """Undo the last call in effect; return whether there was one."""
+        return self._moved(self._done, self._undone)
 
     def redo(self) -> bool:
-        """Redo the last undone stroke; return whether there was one."""
-        if not len(self._undone):
+        """Redo the last undone call; return whether there was one."""
+        return self._moved(self._undone, self._done)
+
+    def _moved(self, source: History, target: History) -> bool:
+        """Undo or redo the last stroke of one history, and move it to the other."""
+        if not len(source):
             return False
-        stroke = self._undone.pop()
-        for change in stroke:
-            self._texture = self._put(change, self._texture)
-        self._done.append(stroke)
+        stroke, undoes = source.pop(), source is self._done
+        for change in reversed(stroke) if undoes else stroke:
+            self._texture = self._put(change.inverted() if undoes else change, self._texture)
+        target.append(stroke)
         return True
 
     def _posed(self, pose: Surface | None) -> PaintedSurface:

@@ -18,6 +18,7 @@ import PIL.Image
 
 from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s, Uint16s
 from octex.cameras.camera import Camera
+from octex.cameras.lens import is_bent
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb, screen_color
 from octex.checks import as_choice, as_items, as_memory, as_number, as_path, as_reals, is_path
 from octex.conversion.large import scratch
@@ -142,20 +143,18 @@ def window_of(
 
     ``around`` limits it to so many pixels around paint, and the window is that part of the picture.
     """
-
-    def decoded() -> dict[str, Array]:
-        mips, window = _window_of(projection, form, scale, around)
-        return {**mips._asdict(), "window": np.array(window, np.int64)}
-
-    size = projection.camera.width, projection.camera.height
+    camera = projection.camera
+    if isinstance(camera, Patch) or is_bent(camera.lens):
+        around = None  # its window in the undistorted view is no rectangle
+    size = camera.width, camera.height
     stage = stages.of(lambda: [size, form, scale, around, content_of(projection)])
-    found = stage.arrays("picture", decoded)
+    found = stage.arrays("picture", lambda: _window_of(projection, form, scale, around))
     return Mips(found["pixels"], found["sizes"], found["range"]), Window(*found["window"].tolist())
 
 
 def _window_of(
     projection: Projection, form: ChannelFormat, scale: float, around: int | None
-) -> tuple[Mips, Window]:
+) -> dict[str, Array]:
     size, image = (projection.camera.width, projection.camera.height), projection.image
     window, before = Window(0, 0, *size), None
     if around is not None and projection.since is None and _is_codes(image, size):
@@ -204,7 +203,7 @@ def _window_of(
         level[:] = resized(above, *level.shape[:2])
     if (limits[0] != limits[1]).any():
         pixels[:] = sharpened(pixels, form.space in ("srgb", "linear"))
-    return Mips(rows, sizes, limits), window
+    return {"pixels": rows, "sizes": sizes, "range": limits, "window": np.array(window, np.int64)}
 
 
 def _is_codes(image: Image, size: tuple[int, int]) -> TypeGuard[Uint8s]:

@@ -17,7 +17,7 @@ from octex.cameras.camera import Camera
 from octex.cameras.lens import is_bent
 from octex.channels import ChannelFormat
 from octex.conversion import large
-from octex.jit import kernel
+from octex.jit import inlined, kernel
 from octex.painting.layer import PaintSource
 from octex.painting.picture import Mips, Projection, Window, window_of
 from octex.painting.reading import (
@@ -25,27 +25,21 @@ from octex.painting.reading import (
     Shot,
     Terms,
     add_paint,
+    box_in,
+    corners_in,
     finish,
-    mark_seen_blocks,
     narrow,
-    pixels_under,
+    weighted,
 )
 from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import built_once, start
 from octex.source.corners import at_corners
+from octex.source.vectors import Vector
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
 from octex.view.shading import face_normals
-from octex.view.visibility import (
-    View,
-    Visibility,
-    distances_to_edges,
-    straight,
-    view_of,
-    visibility_of,
-)
+from octex.view.visibility import View, Visibility, distances_to_edges, straight, view_of, visibility_of
 from octex.voxelize.fragments import Blocks
-from octex.voxelize.grid import BLOCK_BITS
 
 #: Pixels around its paint within which a single picture is decoded, a power of two.
 AROUND = 64
@@ -132,7 +126,7 @@ def take_shots(
 ) -> Iterator[Shot]:
     """Decode pictures, several ahead, with alpha times ``scales``; see `window_of` for ``around``."""
     decoded = (
-        start(executor, _decoded, each, form, scale, around, stages)
+        start(executor, window_of, each, form, scale, around, stages)
         for each, scale in zip(projections, scales, strict=True)
     )
     queue = deque(islice(decoded, most_ahead()))
@@ -140,13 +134,6 @@ def take_shots(
         mips, window = queue.popleft().result()
         yield sight.within(window).shot(stages.placed(mips))
         queue.extend(islice(decoded, 1))
-
-
-def _decoded(
-    projection: Projection, form: ChannelFormat, scale: float, around: int | None, stages: Stages
-) -> tuple[Mips, Window]:
-    is_straight = isinstance(projection.camera, Camera) and not is_bent(projection.camera.lens)
-    return window_of(projection, form, scale, around if is_straight else None, stages)
 
 
 def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
@@ -180,29 +167,14 @@ def has_paint(shot: Shot) -> Bools:
     return painted
 
 
-@kernel
 def _spread(marked: Bools, reach: int) -> Bools:
     """Mark all pixels in the squares that reach ``reach`` pixels around marked ones."""
-    height, width = marked.shape
-    in_row, found = np.zeros((height, width), np.bool_), np.zeros((height, width), np.bool_)
-    for row in range(height):
-        for turn in range(2):
-            last = -1 - reach
-            for step in range(width):
-                column = width - 1 - step if turn else step
-                if marked[row, column]:
-                    last = step
-                in_row[row, column] |= step - last <= reach
-    lasts = np.empty(width, np.int64)
-    for turn in range(2):
-        lasts[:] = -1 - reach
-        for step in range(height):
-            row = height - 1 - step if turn else step
-            for column in range(width):
-                if in_row[row, column]:
-                    lasts[column] = step
-                found[row, column] |= step - lasts[column] <= reach
-    return found
+    counts = _summed(marked)
+    for axis, size in enumerate(marked.shape):
+        ends = np.arange(size)
+        last, first = np.minimum(ends + reach + 1, size), np.maximum(ends - reach, 0)
+        counts = counts.take(last, axis) - counts.take(first, axis)
+    return counts > 0
 
 
 #: Rows and columns of pixels that are tried for a triangle whose corners and centroid no picture shows.
@@ -257,7 +229,7 @@ class Projected(PaintSource):
     def _counts(self, shot: Shot) -> Int32s:
         """Return the pixels of a shot that see triangles (m,); upper bounds where hidden ones are painted."""
         if self.terms.hidden:
-            return pixels_under(shot.camera, _summed(shot), self.vertices, self.triangles)
+            return _pixels_under(shot.camera, _summed(shot.seen.rows >= 0), self.vertices, self.triangles)
         counts, seen = np.zeros(len(self.triangles), np.int32), shot.seen
         pixels = np.bincount(seen.rows.ravel() + 1, minlength=len(seen.triangles) + 1)[1:]
         counts[seen.triangles[pixels > 0]] = pixels[pixels > 0]
@@ -273,14 +245,10 @@ class Projected(PaintSource):
         """Return which blocks a shot may see."""
         found, edge = np.zeros(blocks.codes.size, np.bool_), placement.size / 2**blocks.level
         corners = placement.to_rest(decode_cells(blocks.codes) / 2**blocks.level)
+        mesh = self.vertices, self.triangles, rest
         for shot in self.shots:
-            seen = _summed(shot)
-            # Averages need large blocks if they are visible, with paint or without.
-            is_coarse = blocks.bits >= BLOCK_BITS or is_bent(shot.lens)
-            painted = seen if is_coarse else _sums_of(has_paint(shot))
-            mark_seen_blocks(
-                shot.camera, seen, painted, self.vertices, self.triangles, rest, blocks, corners, edge, found
-            )
+            seen = _summed(shot.seen.rows >= 0)
+            _mark_seen(shot.camera, seen, *mesh, blocks, corners, edge, found)
         return found
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
@@ -400,12 +368,95 @@ class Projected(PaintSource):
         return widths
 
 
-def _summed(shot: Shot) -> Int32s:
-    """Return the summed-area table (height + 1, width + 1) of pixels that see surface."""
-    return _sums_of(shot.seen.rows >= 0)
-
-
-def _sums_of(chosen: Bools) -> Int32s:
-    counts = np.zeros(np.add(chosen.shape, 1), np.int32)
-    np.cumsum(np.cumsum(chosen, 0, np.int32), 1, out=counts[1:, 1:])
+def _summed(marked: Bools) -> Int32s:
+    """Return the summed-area table (height + 1, width + 1) of marked pixels."""
+    counts = np.zeros(np.add(marked.shape, 1), np.int32)
+    np.cumsum(np.cumsum(marked, 0, np.int32), 1, out=counts[1:, 1:])
     return counts
+
+
+@inlined
+def _count_in(counts: Int32s, left: float, top: float, right: float, bottom: float) -> int:
+    """Return how many pixels within two of a box are counted in a summed-area table."""
+    height, width = counts.shape[0] - 1, counts.shape[1] - 1
+    i, j = int(min(max(left - 2.0, 0.0), width)), int(min(max(top - 2.0, 0.0), height))
+    k, m = int(min(max(right + 3.0, i), width)), int(min(max(bottom + 3.0, j), height))
+    return int(counts[m, k] - counts[j, k] - counts[m, i] + counts[j, i])
+
+
+@kernel
+def _pixels_under(view: View, counts: Int32s, vertices: Float64s, faces: Int32s) -> Int32s:
+    """Return upper bounds of the pixels that see triangles (m,) or what hides them."""
+    found = np.empty(faces.shape[0], np.int32)
+    for triangle in range(faces.shape[0]):
+        left, top, right, bottom, behind = box_in(view, corners_in(view, vertices, faces, triangle))
+        if behind:
+            found[triangle] = 0 if behind == 3 else counts[-1, -1]
+        else:
+            found[triangle] = _count_in(counts, left, top, right, bottom)
+    return found
+
+
+@kernel
+def _mark_seen(
+    view: View,
+    counts: Int32s,
+    vertices: Float64s,
+    faces: Int32s,
+    rest: Float64s,
+    blocks: Blocks,
+    corners: Float64s,
+    edge: float,
+    found: Bools,
+) -> None:
+    """Mark the blocks with triangles that a view may see.
+
+    A triangle's part in a block lies in a rectangle. One of the four pixels around a painted point sees it.
+    """
+    for block in range(found.size):
+        for row in range(blocks.starts[block], blocks.starts[block + 1]):
+            if found[block]:
+                break
+            triangle = blocks.members[row]
+            p, q, r = rest[faces[triangle, 0]], rest[faces[triangle, 1]], rest[faces[triangle, 2]]
+            axis, area = 0, 0.0  # the largest of the projections along an axis, at rest
+            for each in range(3):
+                u, v = (each + 1) % 3, (each + 2) % 3
+                seen = (q[u] - p[u]) * (r[v] - p[v]) - (q[v] - p[v]) * (r[u] - p[u])
+                if abs(seen) > abs(area):
+                    axis, area = each, seen
+            if area == 0.0:
+                found[block] = True
+                break
+            u, v = (axis + 1) % 3, (axis + 2) % 3
+            low_u, high_u = _overlap(corners[block, u], edge, p[u], q[u], r[u])
+            low_v, high_v = _overlap(corners[block, v], edge, p[v], q[v], r[v])
+            a, b, c = corners_in(view, vertices, faces, triangle)
+            part = (
+                _posed(low_u - p[u], low_v - p[v], p, q, r, u, v, area, a, b, c),
+                _posed(low_u - p[u], high_v - p[v], p, q, r, u, v, area, a, b, c),
+                _posed(high_u - p[u], low_v - p[v], p, q, r, u, v, area, a, b, c),
+                _posed(high_u - p[u], high_v - p[v], p, q, r, u, v, area, a, b, c),
+            )
+            left, top, right, bottom, behind = box_in(view, part)
+            is_near = left > -1e9 and right < 1e9 and top > -1e9 and bottom < 1e9
+            is_known = is_near and (behind == 0 or not view.is_pinhole)
+            found[block] = not is_known or _count_in(counts, left, top, right, bottom) > 0
+
+
+@inlined
+def _posed(
+    x: float, y: float, p: Float64s, q: Float64s, r: Float64s, u: int, v: int, area: float,
+    a: Vector, b: Vector, c: Vector,
+) -> Vector:  # fmt: skip
+    """Return a point of a triangle a, b, c from its place along axes u and v at rest, counted from p."""
+    second = (x * (r[v] - p[v]) - y * (r[u] - p[u])) / area
+    third = (y * (q[u] - p[u]) - x * (q[v] - p[v])) / area
+    return weighted(a, b, c, 1.0 - second - third, second, third)
+
+
+@inlined
+def _overlap(low: float, edge: float, a: float, b: float, c: float) -> tuple[float, float]:
+    """Return the ends of the interval from ``low`` on, limited to that of three numbers."""
+    least, most = min(a, b, c), max(a, b, c)
+    return min(max(low, least), most), min(max(low + edge, least), most)

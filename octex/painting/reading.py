@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s
+from octex.arrays import Float32s, Float64s, Int32s
 from octex.cameras.lens import distorted
 from octex.jit import inlined, kernel
 from octex.painting.picture import Mips, clipped, falloff_at, read_paint
@@ -22,7 +22,6 @@ from octex.view.visibility import (
     transformed,
     visible_part,
 )
-from octex.voxelize.fragments import Blocks
 
 #: Pixels from an edge within which a picture counts for less: edges blur with the background.
 TRUSTED = 4.0
@@ -100,8 +99,8 @@ def _in_picture(shot: Shot, x: float, y: float) -> tuple[float, float]:
 
 
 @inlined
-def _point(a: Vector, b: Vector, c: Vector, barycentric: Float64s, n: int) -> Vector:
-    p, q, r = barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
+def weighted(a: Vector, b: Vector, c: Vector, p: float, q: float, r: float) -> Vector:
+    """Return p · a + q · b + r · c."""
     return (
         p * a[0] + q * b[0] + r * c[0],
         p * a[1] + q * b[1] + r * c[1],
@@ -224,17 +223,17 @@ def _is_cut_out(shot: Shot, row: int, column: int, i: int, j: int) -> bool:
 
 
 @inlined
-def _corners(view: View, vertices: Float64s, faces: Int32s, triangle: int) -> tuple[Vector, Vector, Vector]:
+def corners_in(view: View, vertices: Float64s, faces: Int32s, triangle: int) -> tuple[Vector, Vector, Vector]:
     """Return a triangle's corners in camera axes."""
     a, b, c = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
     return transformed(view, vertices, a), transformed(view, vertices, b), transformed(view, vertices, c)
 
 
 @inlined
-def _box_in(view: View, a: Vector, b: Vector, c: Vector) -> tuple[float, float, float, float, int]:
-    """Return left, top, right and bottom of a triangle in a view, and the number of corners behind it."""
+def box_in(view: View, corners: tuple[Vector, ...]) -> tuple[float, float, float, float, int]:
+    """Return left, top, right and bottom of corners in a view, and how many of them lie behind it."""
     left, top, right, bottom, behind = np.inf, np.inf, -np.inf, -np.inf, 0
-    for x, y, z in (a, b, c):
+    for x, y, z in corners:
         behind += not z > 0.0
         slope_x, slope_y = _slopes(view, x, y, z if z > 0.0 else 1.0)
         x = view.K[0, 0] * slope_x + view.K[0, 1] * slope_y + view.K[0, 2]
@@ -281,11 +280,11 @@ def add_paint(
         triangle = int(triangles[n])
         if triangle != last:
             last = triangle
-            a, b, c = _corners(view, vertices, faces, triangle)
+            a, b, c = corners_in(view, vertices, faces, triangle)
             plane = plane_through(a, b, c)
             toward = -plane[3] if view.is_pinhole else -plane[2]
             is_unseen = not (abs(toward) if terms.back_faces else toward) > 0.0
-            left, top, right, bottom, behind = _box_in(view, a, b, c)
+            left, top, right, bottom, behind = box_in(view, (a, b, c))
             is_outside = right < -1.0 or left > width + 1.0 or bottom < -1.0 or top > height + 1.0
             is_unseen = is_unseen or behind == 3 or (behind == 0 and is_outside)
             if not is_unseen:
@@ -297,7 +296,8 @@ def add_paint(
                 base, right, down = nearness(view, plane)
         if is_unseen:
             continue
-        x, y, z = _point(a, b, c, barycentric, n)
+        p, q, r = barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
+        x, y, z = weighted(a, b, c, p, q, r)
         if not z > 0.0:
             continue
         far = np.sqrt(x * x + y * y + z * z)
@@ -305,7 +305,7 @@ def add_paint(
         cosine = abs(cosine) if terms.back_faces else cosine
         if not cosine > 0.0:
             continue
-        shaded = _shaded(view, plane, _point(of_a, of_b, of_c, barycentric, n), (x, y, z), far, cosine)
+        shaded = _shaded(view, plane, weighted(of_a, of_b, of_c, p, q, r), (x, y, z), far, cosine)
         shaded = min(abs(shaded) if terms.back_faces else shaded, 1.0)
         if not shaded > terms.vanishing:
             continue
@@ -357,107 +357,6 @@ def add_paint(
         clear[n] *= max(1.0 - coverage * np.float64(alpha), 0.0)
 
 
-@inlined
-def _any_near(counts: Int32s, left: float, top: float, right: float, bottom: float, reach: int) -> bool:
-    height, width = counts.shape[0] - 1, counts.shape[1] - 1
-    i, j = min(max(int(left) - reach, 0), width), min(max(int(top) - reach, 0), height)
-    k, m = min(max(int(right) + reach + 1, i), width), min(max(int(bottom) + reach + 1, j), height)
-    return bool(counts[m, k] - counts[j, k] - counts[m, i] + counts[j, i] > 0)
-
-
-@kernel
-def mark_seen_blocks(
-    view: View,
-    counts: Int32s,
-    painted: Int32s,
-    vertices: Float64s,
-    faces: Int32s,
-    rest: Float64s,
-    blocks: Blocks,
-    corners: Float64s,
-    edge: float,
-    found: Bools,
-) -> None:
-    """Mark the blocks with triangles that may be painted.
-
-    ``counts`` (height + 1, width + 1) are a summed-area table of visible pixels, ``painted`` of those with
-    paint. A triangle's part in a block lies in a rectangle, and its footprints near that.
-    """
-    cell = edge / (1 << blocks.bits)
-    for block in range(found.size):
-        for row in range(blocks.starts[block], blocks.starts[block + 1]):
-            if found[block]:
-                break
-            triangle = blocks.members[row]
-            p, q, r = faces[triangle, 0], faces[triangle, 1], faces[triangle, 2]
-            axis, area = 0, 0.0  # the largest of the projections along an axis, at rest
-            for each in range(3):
-                u, v = (each + 1) % 3, (each + 2) % 3
-                seen = (rest[q, u] - rest[p, u]) * (rest[r, v] - rest[p, v])
-                seen -= (rest[q, v] - rest[p, v]) * (rest[r, u] - rest[p, u])
-                if abs(seen) > abs(area):
-                    axis, area = each, seen
-            u, v = (axis + 1) % 3, (axis + 2) % 3
-            a, b, c = _corners(view, vertices, faces, triangle)
-            left, top, right, bottom = np.inf, np.inf, -np.inf, -np.inf
-            near, far = np.inf, 0.0
-            is_known = area != 0.0
-            least_u, most_u = min(rest[p, u], rest[q, u], rest[r, u]), max(rest[p, u], rest[q, u], rest[r, u])
-            least_v, most_v = min(rest[p, v], rest[q, v], rest[r, v]), max(rest[p, v], rest[q, v], rest[r, v])
-            low_u = min(max(corners[block, u], least_u), most_u)
-            high_u = min(max(corners[block, u] + edge, least_u), most_u)
-            low_v = min(max(corners[block, v], least_v), most_v)
-            high_v = min(max(corners[block, v] + edge, least_v), most_v)
-            for corner in range(4):
-                across = (high_u if corner & 1 else low_u) - rest[p, u]
-                along = (high_v if corner & 2 else low_v) - rest[p, v]
-                second = (across * (rest[r, v] - rest[p, v]) - along * (rest[r, u] - rest[p, u])) / area
-                third = (along * (rest[q, u] - rest[p, u]) - across * (rest[q, v] - rest[p, v])) / area
-                first = 1.0 - second - third
-                x = first * a[0] + second * b[0] + third * c[0]
-                y = first * a[1] + second * b[1] + third * c[1]
-                z = first * a[2] + second * b[2] + third * c[2]
-                x, y = view.K[0, 0] * x + view.K[0, 1] * y, view.K[1, 1] * y
-                if view.is_pinhole:
-                    is_known &= z > 0.0
-                    near, far = min(near, z), max(far, z)
-                    x, y = x / z, y / z
-                x, y = x + view.K[0, 2], y + view.K[1, 2]
-                left, right = min(left, x), max(right, x)
-                top, bottom = min(top, y), max(bottom, y)
-            if not (is_known and left > -1e9 and right < 1e9 and top > -1e9 and bottom < 1e9):
-                found[block] = True
-                break
-            # One of the four pixels around a painted point sees it.
-            if not _any_near(counts, left, top, right, bottom, 2):
-                continue
-            # A footprint has sixteen pixels, of a mip if a cell is wider than two.
-            wide = (right - left) * (bottom - top)
-            wide *= min(cell / (high_u - low_u), 1.0) * min(cell / (high_v - low_v), 1.0)
-            wide *= (far / near) ** 3 if view.is_pinhole else 1.0  # of the nearest cell
-            reach = int(4.0 * np.sqrt(wide)) + 1 if wide > 1.0 else 2
-            found[block] = _any_near(painted, left, top, right, bottom, reach)
-
-
-@kernel
-def pixels_under(view: View, counts: Int32s, vertices: Float64s, faces: Int32s) -> Int32s:
-    """Return upper bounds of the pixels that see triangles (m,) or what hides them.
-
-    ``counts`` is as in `mark_seen_blocks`.
-    """
-    height, width = counts.shape[0] - 1, counts.shape[1] - 1
-    found = np.empty(faces.shape[0], np.int32)
-    for triangle in range(faces.shape[0]):
-        left, top, right, bottom, behind = _box_in(view, *_corners(view, vertices, faces, triangle))
-        i = j = 0
-        k, m = width, height
-        if behind == 0:
-            i, j = int(min(max(left - 2.0, 0.0), width)), int(min(max(top - 2.0, 0.0), height))
-            k, m = int(min(max(right + 3.0, i), width)), int(min(max(bottom + 3.0, j), height))
-        found[triangle] = 0 if behind == 3 else counts[m, k] - counts[j, k] - counts[m, i] + counts[j, i]
-    return found
-
-
 @kernel
 def finish(terms: Terms, sums: Float64s, clear: Float64s, found: Float32s) -> None:
     """Write the means of weighted sums, and coverage."""
@@ -492,11 +391,12 @@ def narrow(
         triangle = int(triangles[n])
         if triangle != last:
             last = triangle
-            a, b, c = _corners(view, vertices, faces, triangle)
+            a, b, c = corners_in(view, vertices, faces, triangle)
             plane = plane_through(a, b, c)
             area = _length_of(plane)
             stretch = stretches[triangle] / view.focal * (1.0 - 1e-6)  # a lower bound, rounded down
-        x, y, z = _point(a, b, c, barycentric, n)
+        p, q, r = barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
+        x, y, z = weighted(a, b, c, p, q, r)
         if not z > 0.0 or stretch * (z if view.is_pinhole else 1.0) > widths[n]:
             continue
         cosine = _facing(view, plane, area, np.sqrt(x * x + y * y + z * z))

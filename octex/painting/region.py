@@ -15,11 +15,12 @@ from octex.checks import answer, as_choice, as_depth, as_number, as_points, as_p
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.layer import Depths, PaintSource, empty_texture
+from octex.painting.merge import Merging, merged
 from octex.painting.options import format_of, triangles_of
-from octex.painting.paint import Job, check_inside
+from octex.painting.paint import check_inside
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import layer_from, rasterize_surface
-from octex.painting.surface import PaintedSurface
+from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.corners import at_corners
 from octex.source.parts import join
@@ -136,8 +137,8 @@ def fill(
     run = as_run(run, threads, progress)
     painted = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     with workers(run) as pool:
-        job = Job(painted, pool, run.report)
-        base, change = filled(job, texture, surface, region, color, channel, opacity, blend, max_depth)
+        job, what = Job(painted, pool, run.report), (region, color, channel, opacity, blend, max_depth)
+        base, change = filled(job, texture, surface, *what)
     return base if change is None else change.put_into(base)
 
 
@@ -151,6 +152,7 @@ def filled(
     opacity: float,
     blend: Blend,
     max_depth: int | None,
+    merge: Merging = merged,
 ) -> tuple[OctreeTexture, Change | None]:
     """Return the texture, a new one for None, and the change of a fill; see `fill`."""
     painted, opacity = job.surface, as_number(opacity, "opacity", 0.0, 1.0)
@@ -164,12 +166,9 @@ def filled(
     placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
     source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
     check_inside(painted.surface, placement)
-    raster = rasterize_surface(
-        painted, source, placement, Depths(depth, depth), job.executor, job.progress, fit=False
-    )
-    layer = layer_from(raster, job.executor, job.progress)
+    layer = layer_from(job, rasterize_surface(job, source, placement, Depths(depth, depth), fit=False))
     base = texture or empty_texture([form], placement, painted.surface.bounds, painted.surface)
-    return base, job.merge(base, layer, painted, opacity, blend, job.executor, job.progress)
+    return base, merge(job, base, layer, opacity, blend)
 
 
 def _value(color: npt.ArrayLike | str, form: ChannelFormat) -> Float32s:
@@ -296,8 +295,7 @@ def _leaf_at(texture: OctreeTexture, points: Array) -> Int64s:
 def _leaf_of(tree: Octree, codes: Int64s, level: int, among: Bools) -> Int64s:
     """Return the leaf that is, or contains, each cell (n,) of a level; −1 for none and outside ``among``."""
     found = locate(tree, codes, level)
-    is_leaf = found.is_leaf & among & (tree.n_leaves > 0)
-    return np.where(is_leaf, found.cells, -1)
+    return np.where(found.is_leaf & among & (tree.n_leaves > 0), found.cells, -1)
 
 
 def _leaves(texture: OctreeTexture) -> list[tuple[int, Int64s, Int64s]]:

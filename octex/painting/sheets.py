@@ -12,9 +12,10 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from octex.arrays import Bools, Float64s, Int32s, Int64s, Uint8s, bit_counts
+from octex.arrays import Float64s, Int32s, Int64s, Uint8s, bit_counts
+from octex.editing.draft import Tiles
 from octex.jit import kernel
-from octex.painting.layer import among_at
+from octex.painting.layer import blocks_meeting
 from octex.parallel import ordered_map
 from octex.source.corners import at_corners
 from octex.source.parts import edges_of, join
@@ -26,15 +27,7 @@ from octex.tree.layout import GRID_BITS
 from octex.tree.octree import distinct
 from octex.tree.placement import Placement, on_grid
 from octex.tree.split import bits_of
-from octex.voxelize.fragments import (
-    BlockRange,
-    Blocks,
-    cut,
-    divided,
-    even_runs,
-    most_fragments,
-    whole,
-)
+from octex.voxelize.fragments import BlockRange, Blocks, cut, divided, even_runs, most_fragments, whole
 
 #: Tolerance for rounding, in cells, of edges that join the triangles on both sides.
 _SLACK = 1e-6
@@ -44,21 +37,6 @@ _NEAR = 0.2
 
 #: Of pieces: their cells' Morton codes, facings, triangles, centroids and areas.
 Columns: TypeAlias = tuple[Int64s, Uint8s, Int32s, Float64s, Float64s]
-
-
-class Region(NamedTuple):
-    """A part of space: cells of a level."""
-
-    level: int
-    codes: Int64s  # (n,)   Morton codes, ascending
-
-    def reaches(self, blocks: Blocks) -> Bools:
-        """Return which blocks meet the region."""
-        return among_at(blocks.codes, blocks.level, self.codes, self.level)
-
-    def holds(self, codes: Int64s, level: int) -> Bools:
-        """Return which cells of the region's level or a finer one lie in it."""
-        return among(codes >> 3 * (level - self.level), self.codes)
 
 
 class Table(NamedTuple):
@@ -92,11 +70,13 @@ class Sheets(NamedTuple):
 
 
 def sheets_of(
-    surface: Surface, placement: Placement, level: int, executor: Executor, within: Region | None = None
+    surface: Surface, placement: Placement, level: int, executor: Executor, within: Tiles | None = None
 ) -> Sheets:
-    """Cut a surface at rest into its sheets in cells of a level, or of a region of them."""
+    """Cut a surface at rest into its sheets in cells of a level, or ``within`` tiles of no finer level."""
     grid, faces = on_grid(surface.rest, placement), surface.triangles
-    blocks = divided(whole(grid, faces, level), reached=None if within is None else within.reaches)
+    blocks = divided(
+        whole(grid, faces, level), reached=None if within is None else partial(blocks_meeting, [within])
+    )
     runs = even_runs(most_fragments(blocks))
     columns = list(ordered_map(executor, partial(_columns_of, blocks, level, within), runs))
     codes, bits, triangles, barycentric, areas = (np.concatenate(each) for each in zip(*columns, strict=True))
@@ -134,11 +114,13 @@ def sheets_of(
     )
 
 
-def _columns_of(blocks: Blocks, level: int, within: Region | None, run: BlockRange) -> Columns:
-    """Cut the surface in a run of blocks, within the region if there is one."""
+def _columns_of(blocks: Blocks, level: int, within: Tiles | None, run: BlockRange) -> Columns:
+    """Cut the surface in a run of blocks, within tiles if given."""
     pieces = cut(blocks, run)
     owners = np.repeat(np.arange(pieces.codes.size), bit_counts(pieces.flags))[pieces.entries]
-    rows = slice(None) if within is None else np.flatnonzero(within.holds(pieces.codes, level)[owners])
+    rows: slice | Int64s = slice(None)
+    if within is not None:
+        rows = np.flatnonzero(among(pieces.codes >> 3 * (level - within.level), within.codes)[owners])
     bits = bits_of(pieces.flags)[pieces.entries[rows]]
     columns = pieces.codes[owners[rows]], bits, pieces.triangles[rows], pieces.barycentric[rows]
     return *columns, pieces.areas[rows]

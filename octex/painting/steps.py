@@ -1,14 +1,20 @@
 """The steps of painting, named and numbered as in the paper (4.1).
 
-A layer of paint is rasterized (1) and merged into drafts, the parts of the texture that it touches. In each,
-cells without surface are culled before they are made (7), the boundary is formed (3), the texture raised (4),
-and the paint refined to its leaves (2), merged (5) and deleted (6).
+1  rasterize_surface   read the source of paint in the cells of the surface; `layer_from` makes a tree of them
+2  refine_paint        to the leaves of the texture
+3  form_boundary       around the paint: neighbours, and skirts off the surface
+4  raise_texture       to the leaves of the paint
+5  merge_paint         blend each leaf once, and average the nodes above
+6  delete_paint
+7  cull_cells          that the surface does not meet
+
+`merge_draft` takes steps 2 to 7 in a draft, the part of the texture that a layer touches. There, cells are
+culled before they are made, and the paint is refined once the texture is raised.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor
 from functools import partial
 from typing import NamedTuple
 
@@ -71,8 +77,7 @@ from octex.painting.layer import (
     painted_channel,
     with_bare_facings,
 )
-from octex.painting.surface import PaintedSurface
-from octex.parallel import Progress
+from octex.painting.surface import Job
 from octex.texture import OctreeTexture
 from octex.tree.areas import SKIRT
 from octex.tree.beside import is_within, with_boundary
@@ -108,30 +113,22 @@ class Raster(NamedTuple):
 
 
 def rasterize_surface(
-    painted: PaintedSurface,
-    source: PaintSource,
-    placement: Placement,
-    depths: Depths,
-    executor: Executor,
-    progress: Progress,
-    *,
-    fit: bool,
-    cells: float = CELLS,
+    job: Job, source: PaintSource, placement: Placement, depths: Depths, *, fit: bool, cells: float = CELLS
 ) -> Raster:
     """1. Rasterize the surface: read the source in all cells, so that `layer_from` needs it no more.
 
     Leaves have ``cells`` per width of the paint's detail, within ``depths``, and samples to ``fit`` their
     values to. Surface without paint has no cells.
     """
-    surface, depth = painted.surface, depths.deepest
+    surface, depth = job.surface.surface, depths.deepest
     channels = tuple(source.channels)
     touched = source.touched()
     if not touched.size:
         return Raster(channels, placement, surface.bounds, None)
-    root = painted.grid(placement).around(touched, depth)
+    root = job.surface.grid(placement).around(touched, depth)
     source = source.near(root.members)
     filled = cell_levels(
-        surface, source, channels, placement, depth, executor, progress,
+        surface, source, channels, placement, depth, job.executor, job.progress,
         has_samples=fit and not is_plain(source),
         wanted=None if depths.is_even else partial(_wanted, source, placement.size, cells, depths),
         root=root, reached=partial(source.reaches, placement=placement, rest=surface.rest),
@@ -139,7 +136,7 @@ def rasterize_surface(
     return Raster(channels, placement, surface.bounds, filled if filled.n_leaves else None)
 
 
-def layer_from(raster: Raster, executor: Executor, progress: Progress) -> OctreeTexture:
+def layer_from(job: Job, raster: Raster) -> OctreeTexture:
     """Return the paint octree of a raster: a texture of the painted channel and its coverage."""
     channels, placement, bounds, filled = raster
     nothing = empty_texture(channels, placement, bounds)
@@ -147,7 +144,7 @@ def layer_from(raster: Raster, executor: Executor, progress: Progress) -> Octree
         return nothing
     covered = assemble(filled)
     del raster, filled  # as large as what follows
-    tree, values = adapted(covered, fit=True, max_error=None, executor=executor, progress=progress)
+    tree, values = adapted(covered, fit=True, max_error=None, executor=job.executor, progress=job.progress)
     return with_bare_facings(refaced(OctreeTexture(tree, values, placement, bounds)))
 
 
@@ -187,7 +184,7 @@ def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged
         finer = find_finer(tree, paint, is_skirt, shallowest, task.is_all_painted)
         if finer.leaves or any(codes.size for codes in (*finer.added, *finer.refined)):
             surface_cells = cull_cells(task, finer.leaves, _deepest(paint))
-            task.progress("merge", 0, 1)
+            task.job.progress("merge", 0, 1)
             paint, *levels = form_boundary(task, tree, paint, is_skirt, finer, surface_cells)
             wanted, _, added, _ = levels
             if any(codes.size for codes in (*wanted, *added)):
@@ -210,15 +207,15 @@ def _deepest(paint: Sequence[Paint]) -> int:
 
 def cull_cells(task: Merge, within: Sequence[tuple[int, Int64s]], depth: int) -> SurfaceCells:
     """7. Cull: return the cells down to ``depth`` that the surface meets within cells, listed by level."""
-    placement, surface = task.texture.placement, task.surface.surface
+    job, placement = task.job, task.texture.placement
     none = SurfaceCells(Octree.from_leaves(_NONE, 0), [_NONE] * (depth + 1))
-    root = task.surface.grid(placement).touching(within, depth) if within else None
+    root = job.surface.grid(placement).touching(within, depth) if within else None
     if root is None or not root.members.size:
         return none
     around = [(level, with_boundary(codes, level)) for level, codes in within]
     try:
         filled = cell_levels(
-            surface, None, (), placement, depth, task.executor, task.progress,
+            job.surface.surface, None, (), placement, depth, job.executor, job.progress,
             has_samples=False, root=root, reached=partial(blocks_meeting, around),
         )  # fmt: skip
     except ModelError:  # no triangle there has an area
@@ -256,12 +253,6 @@ def form_boundary(
     made = Boundary([], [], [], [], freed)
     skirts: list[Int64s] = []  # none lies in another one
     for level, each in enumerate(paint[: depth + 1]):
-        if not each.codes.size:
-            made.paint.append(each)
-            made.wanted.append(_NONE)
-            made.added.append(finer.added[level])
-            skirts.append(_NONE)
-            continue
         surface_cells = distinct(np.concatenate([met.codes[level], new[level]]))
         is_met = among(finer.refined[level], surface_cells)
         ring, outer = finer.refined[level][is_met], finer.refined[level][~is_met]
@@ -288,7 +279,7 @@ def form_boundary(
         skirts.append(skirt)
         is_free = ~is_within(skirt, painted, level)  # the larger cells around the others are painted
         is_new = where.levels < level
-        made.paint.append(joined(each, skirt_paint(skirt[is_free], level, task.executor, each)))
+        made.paint.append(joined(each, skirt_paint(skirt[is_free], level, task.job.executor, each)))
         added = [finer.added[level], skirt[is_free & is_new & ~where.is_leaf]]
         made.added.append(np.sort(np.concatenate(added), kind="stable"))
         wanted = [finer.below[level], ring, skirt[is_new & where.is_leaf]]
@@ -319,7 +310,7 @@ def raise_texture(
     rows: list[tuple[Int64s, Below]] = []
     added: list[Int64s] = []
     new_values: list[tuple[Int64s, Mapping[str, Float32s]]] = []
-    centres = [(_NONE, np.empty((0, 3)))]  # of cells that are sampled
+    unpainted = [name for name in draft.channels if name not in (task.target, alpha_of(task.target))]
     shows = _showing(task, draft.tree, edited, paint)
     for level, (codes, is_node) in enumerate(tree.walk()):
         first = int(tree.arrays.level_cells[level])
@@ -347,21 +338,20 @@ def raise_texture(
         is_other = ~is_refined & ~is_node[new]  # nodes are averaged
         is_refined &= is_node[new] | ~where.is_leaf | shows[where.cells]
         facings = np.where(where.is_leaf, flags[cells] & np.uint8(FACING_FLAGS), np.uint8(0))
-        below = refined_below(draft, new_codes[is_refined], level, facings[is_refined], task.executor)
+        below = refined_below(draft, new_codes[is_refined], level, facings[is_refined], task.job.executor)
         rows.append((cells[is_refined], below))
         new_values.append((cells[is_refined], below.values))
-        centres.append((cells[is_other], (decode_cells(new_codes[is_other]) + 0.5) / 2**level))
-    others, points = (np.concatenate(column) for column in zip(*centres, strict=True))
-    if draft.tree.n_leaves and others.size:
-        points = draft.placement.to_rest(points)
-        sampled = task.texture.sample(points, list(draft.channels), normalize=False)
-        for name in sampled.keys() - {task.target, alpha_of(task.target)}:
-            if alpha_of(name) is None:
-                sampled[name][:] = 0.0  # other layers have no paint there
-        new_values.append((others, sampled))
+        if unpainted and is_other.any() and draft.tree.n_leaves:
+            centres = draft.placement.to_rest((decode_cells(new_codes[is_other]) + 0.5) / 2**level)
+            sampled = task.texture.sample(centres, unpainted, normalize=False)
+            for name in unpainted:
+                if alpha_of(name) is None:
+                    sampled[name][:] = 0.0  # other layers have no paint there
+            new_values.append((cells[is_other], sampled))
     for name, channel in draft.channels.items():
         for chosen, found in new_values:
-            values[name][chosen] = encode(found[name], channel.format.dtype, channel.format.space)
+            if name in found:
+                values[name][chosen] = encode(found[name], channel.format.dtype, channel.format.space)
     channels = carried(draft, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     made = refaced(with_rows(draft.with_cells(tree, channels), rows))
@@ -432,7 +422,7 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     """5. Merge the paint: blend each leaf, skirt and kept coefficient under it once; average nodes above."""
     tree, is_skirt, is_fresh, is_new = raised.texture.tree, raised.is_skirt, raised.is_fresh, raised.old < 0
     bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size or is_skirt.any() else []
-    paint = with_old_skirts(tree, paint, bare, is_skirt, task.executor)
+    paint = with_old_skirts(tree, paint, bare, is_skirt, task.job.executor)
     painted = [each.codes for each in paint]
     cells, on_leaves = paint_on_leaves(tree, paint)
     above = nodes_above(tree, painted, is_new, draft.tree, task.layer.tree)
@@ -470,7 +460,7 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     for begin in range(0, cells.size, _BLOCK):
         here = slice(begin, begin + _BLOCK)
         blend("values", cells[here], on_leaves.values[here], on_leaves.coverage[here], is_fresh[cells[here]])
-    kept = on_kept(tree, paint, bare, is_skirt, task.executor)
+    kept = on_kept(tree, paint, bare, is_skirt, task.job.executor)
     if kept[0].size:
         blend("kept_values", *kept, np.zeros(kept[0].size, np.bool_))
     rows = rows_of(base.tree.split, cells)

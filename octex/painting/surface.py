@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,7 @@ from octex.painting.project import Projected, Shading, Sight, sight_of
 from octex.painting.reading import Shot, Terms
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.unwrap import Patch
+from octex.parallel import Progress
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.layout import GRID_BITS
@@ -135,19 +137,28 @@ class PaintedSurface:
             yield sight
 
 
+class Job(NamedTuple):
+    """What a call paints on, and how it works."""
+
+    surface: PaintedSurface
+    executor: Executor
+    progress: Progress
+    stages: Stages = NOT_STORED
+
+
 def laid_flat(
-    surface: PaintedSurface, projections: list[Projection], texture: OctreeTexture | None
-) -> tuple[PaintedSurface, list[Projection]]:
-    """Return the surface, laid flat if pictures have a patch for a camera, and the pictures with cameras."""
+    job: Job, projections: list[Projection], texture: OctreeTexture | None
+) -> tuple[Job, list[Projection]]:
+    """Return a job with its surface laid flat, if pictures have a patch for a camera; and with cameras."""
     patch = next((each.camera for each in projections if isinstance(each.camera, Patch)), None)
     if patch is None:
-        return surface, projections
+        return job, projections
     if any(each.camera is not patch for each in projections):
         raise ArgumentError("paint the pictures of each patch in a call of their own")
-    if len(patch.surface.triangles) != len(surface.surface.triangles):
-        raise ArgumentError(f"the patch is not of {surface.surface.name}; unwrap that")
-    flat = surface.flat(patch, texture)
-    return flat, [replace(each, camera=patch.camera) for each in projections]
+    if len(patch.surface.triangles) != len(job.surface.surface.triangles):
+        raise ArgumentError(f"the patch is not of {job.surface.surface.name}; unwrap that")
+    job = job._replace(surface=job.surface.flat(patch, texture))
+    return job, [replace(each, camera=patch.camera) for each in projections]
 
 
 def key_of(camera: Camera) -> bytes:
@@ -201,12 +212,7 @@ class TriangleGrid:
             wide[after] |= marked[before]
             wide[before] |= marked[after]
             marked = wide
-        # A summed-volume table: eight entries give the marked cells of a box.
-        counts = np.zeros(np.add(marked.shape, 1), np.int32)
-        inner = marked.cumsum(0, np.int32)
-        np.cumsum(inner, 1, out=inner)
-        np.cumsum(inner, 2, out=counts[1:, 1:, 1:])
-        return _reaching(self._boxes, shift, first, counts)
+        return _reaching(self._boxes, shift, first, marked)
 
 
 @kernel
@@ -234,36 +240,29 @@ def _mark(boxes: Uint8s, first: Int64s, marked: Bools) -> None:
 
 
 @kernel
-def _reaching(boxes: Uint8s, shift: int, first: Int64s, counts: Int32s) -> Int32s:
-    """Return the triangles whose boxes reach a marked coarse cell; ``counts`` begin at cell ``first``."""
+def _reaching(boxes: Uint8s, shift: int, first: Int64s, marked: Bools) -> Int32s:
+    """Return the triangles whose boxes reach a marked coarse cell; ``marked`` begins at cell ``first``."""
     found = np.empty(boxes.shape[0], np.int32)
     count = 0
     for triangle in range(boxes.shape[0]):
-        x0, x1 = _within(boxes, triangle, 0, shift, first, counts.shape)
-        if x0 == x1:
-            continue
-        y0, y1 = _within(boxes, triangle, 1, shift, first, counts.shape)
-        z0, z1 = _within(boxes, triangle, 2, shift, first, counts.shape)
-        inside = (
-            counts[x1, y1, z1]
-            - counts[x0, y1, z1]
-            - counts[x1, y0, z1]
-            - counts[x1, y1, z0]
-            + counts[x0, y0, z1]
-            + counts[x0, y1, z0]
-            + counts[x1, y0, z0]
-            - counts[x0, y0, z0]
-        )
         found[count] = triangle
-        count += inside > 0
+        count += _meets(boxes[triangle], shift, first, marked)
     return found[:count].copy()
 
 
 @inlined
-def _within(
-    boxes: Uint8s, triangle: int, axis: int, shift: int, first: Int64s, shape: tuple[int, int, int]
-) -> tuple[int, int]:
-    """Return the rows of counts between which a triangle lies; equal ones if it lies outside."""
-    low, high = np.int64(boxes[triangle, axis]) >> shift, np.int64(boxes[triangle, 3 + axis]) >> shift
-    end = shape[axis] - 1
-    return min(max(low - first[axis], 0), end), min(max(high - first[axis] + 1, 0), end)
+def _meets(box: Uint8s, shift: int, first: Int64s, marked: Bools) -> bool:
+    """Return whether a box reaches a marked coarse cell."""
+    for x in _within(box, 0, shift, first, marked.shape):
+        for y in _within(box, 1, shift, first, marked.shape):
+            for z in _within(box, 2, shift, first, marked.shape):
+                if marked[x, y, z]:
+                    return True
+    return False
+
+
+@inlined
+def _within(box: Uint8s, axis: int, shift: int, first: Int64s, shape: tuple[int, int, int]) -> range:
+    """Return the marked cells along an axis between which a box lies; none if it lies outside."""
+    low, high = (np.int64(box[axis]) >> shift) - first[axis], (np.int64(box[3 + axis]) >> shift) - first[axis]
+    return range(max(low, 0), min(high + 1, shape[axis]))

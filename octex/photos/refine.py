@@ -1,10 +1,10 @@
 """Refines cameras that are slightly off, until their pictures agree on the surface.
 
-All pictures are read at points of the surface, from coarse to fine. Each camera turns, moves and zooms a
 All pictures are read at points of the surface, from coarse to fine. Each camera turns, moves and zooms
 a little (Gauss-Newton steps), so that pictures differ least from the consensus at each point. Outliers weigh
-Koltun, "Color Map Optimization", 2014, for all cameras at once, undoing steps that make it worse). A camera
-stays if its picture has too little detail.
+less; what only one picture saw is masked once the coarsest level agrees (Zhou & Koltun, "Color Map
+Optimization", 2014, for all cameras at once, undoing steps that make it worse). A camera stays if its picture
+has too little detail.
 """
 
 from __future__ import annotations
