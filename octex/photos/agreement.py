@@ -4,7 +4,8 @@ Each picture is cut into patches. The pictures that see a patch's point vote on 
 of them are near to; all are read as wide as the patch. A patch saw something else, a passer-by or a
 reflection, if its colour is far from all lines between its mode and its neighbours' modes: detail that is a
 little displaced lies on these lines. A picture is masked where enough patches saw something else, and in all
-patches connected to them. Where at most two pictures see the surface, the surroundings decide.
+patches connected to them. Where at most two pictures see the surface, a patch counts as the known patch does
+from which the picture's colours change least on the way: other objects end at edges of the picture.
 """
 
 from __future__ import annotations
