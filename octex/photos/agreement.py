@@ -4,7 +4,8 @@ Each picture is cut into patches. The pictures that see a patch's point vote on 
 of them are near to; all are read as wide as the patch. A patch saw something else, a passer-by or a
 reflection, if its colour is far from all lines between its mode and its neighbours' modes: detail that is a
 little displaced lies on these lines. A picture is masked where enough patches saw something else, and in all
-patches connected to them. Where at most two pictures see the surface, the surroundings decide.
+patches connected to them. Where at most two pictures see the surface, a patch counts as the known patch does
+from which the picture's colours change least on the way: other objects end at edges of the picture.
 """
 
 from __future__ import annotations
@@ -14,12 +15,22 @@ from concurrent.futures import Executor
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s
+from octex.arrays import Float32s
 from octex.jit import inlined, kernel
 from octex.painting.project import Projected
+from octex.painting.reading import Shot
 from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import ordered_map, sharing
-from octex.photos.patches import batches, grown, patches_of, put_mask, seen_at, sums_around, widths_of
+from octex.photos.patches import (
+    batches,
+    grown,
+    patch_of,
+    patches_of,
+    put_mask,
+    seen_at,
+    sums_around,
+    widths_of,
+)
 from octex.source.surface import Surface
 
 #: A picture is compared with at most _MOST, itself included: those that share most of the surface with it, by
@@ -36,9 +47,10 @@ _TIMES, _QUANTILE, _LEAST_FAR, _MOST_FAR = 3.0, 0.9, 16.0, 40.0
 _APART = 10.0
 #: A mode needs support from others: this part of the picture's own vote.
 _SUPPORT = 0.5
-#: A patch differs if this part of its surroundings is far off; where its own difference is unknown, this part
-#: of the filled-in value.
-_MAJORITY, _FILLED = 0.5, 0.3
+#: A patch differs if more than this part of its surroundings is far off.
+_MAJORITY = 0.5
+#: Cost in 1/255 of a step from patch to patch, besides that of the difference of their colours.
+_STEP = 4.0
 #: Differing patches are masked if most of the 5 × 5 around one of them, and at least this many, are far off.
 _CERTAIN = 8
 
@@ -61,7 +73,7 @@ def agreeing(
         return source
     far = float(np.clip(_TIMES * np.quantile(known, _QUANTILE), _LEAST_FAR, _MOST_FAR))
     for shot, each in zip(source.shots, found, strict=True):
-        put_mask(shot.mips, _mask(each, far))
+        put_mask(shot.mips, _mask(each, _looks(shot), far))
     return source
 
 
@@ -179,15 +191,26 @@ def find_modes(colors: Float32s, weights: Float32s, picture: int, found: Float32
                 found[n, component] = codes[best, component]
 
 
-def _mask(differences: Float32s, far: float) -> Float32s:
+def _looks(shot: Shot) -> Float32s:
+    """Return the mean colour and alpha of a picture's patches (rows, columns, 4), in codes."""
+    rows, columns = patches_of(shot)
+    mips = shot.mips
+    first, across, down = mips.sizes[min(patch_of(shot).bit_length(), len(mips.sizes)) - 1].tolist()
+    level = mips.pixels[first : first + across * down].reshape(down, across, 4)
+    return as_codes(
+        level[np.minimum(np.arange(rows), down - 1)][:, np.minimum(np.arange(columns), across - 1)]
+    )
+
+
+def _mask(differences: Float32s, looks: Float32s, far: float) -> Float32s:
     """Return a mask (rows, columns), 1 on patches that agree with the others, else 0."""
     known = np.isfinite(differences)
-    if not known.any():
-        return np.ones(differences.shape, np.float32)
     is_far = np.where(known, np.nan_to_num(differences) > far, False).astype(np.float32)
     sees = known.astype(np.float32)
-    share = sums_around(is_far) / np.maximum(sums_around(sees), np.float32(1e-9))
-    unlike = _filled(np.where(known, share, 0), known) > np.where(known, _MAJORITY, _FILLED)
+    around = sums_around(sees)
+    share = np.where(known, sums_around(is_far) / np.maximum(around, np.float32(1e-9)), np.float32(np.nan))
+    fill_unknown(share, looks)
+    unlike = share > _MAJORITY
     say = sums_around(is_far, 2)
     group = unlike & (say >= _CERTAIN) & (say > _MAJORITY * sums_around(sees, 2))
     count = -1
@@ -198,16 +221,28 @@ def _mask(differences: Float32s, far: float) -> Float32s:
     return found
 
 
-def _filled(values: Float32s, known: Bools) -> Float32s:
-    """Fill unknown values by push and pull (Gortler et al., "The Lumigraph", 1996)."""
-    if known.all() or min(values.shape) < 2:
-        return values if known.all() else np.where(known, values, values[known].mean() if known.any() else 0)
+@kernel
+def fill_unknown(values: Float32s, codes: Float32s) -> None:
+    """Replace NaN, in place, by the nearest known value; steps cost more across edges of ``codes``.
+
+    ``values`` has shape (rows, columns), ``codes`` (rows, columns, components); all NaN stay NaN.
+    """
     rows, columns = values.shape
-    pad = ((0, rows % 2), (0, columns % 2))
-    shape = (rows + 1) // 2, 2, (columns + 1) // 2, 2
-    weights = np.pad(known.astype(np.float32), pad).reshape(shape).sum(axis=(1, 3))
-    sums = np.pad(np.where(known, values, 0), pad).reshape(shape).sum(axis=(1, 3))
-    coarse = _filled((sums / np.maximum(weights, 1)).astype(np.float32), weights > 0)
-    above = np.repeat(np.repeat(coarse, 2, axis=0), 2, axis=1)[:rows, :columns]
-    found: Float32s = np.where(known, values, above)
-    return found
+    costs = np.where(np.isnan(values), np.float32(np.inf), np.float32(0.0))
+    has_changed = True
+    while has_changed:  # sweeps, forward and backward
+        has_changed = False
+        for side in (1, -1):
+            for number in range(rows * columns):
+                place = number if side > 0 else rows * columns - 1 - number
+                i, j = place // columns, place % columns
+                for k in range(4):  # the neighbours that this sweep has passed
+                    row, column = (i, j - side) if k == 3 else (i - side, j + k - 1)
+                    if not (0 <= row < rows and 0 <= column < columns and costs[row, column] < costs[i, j]):
+                        continue
+                    edge = np.float32(0.0)
+                    for component in range(codes.shape[2]):
+                        edge = max(edge, abs(codes[i, j, component] - codes[row, column, component]))
+                    cost = costs[row, column] + edge + np.float32(_STEP)
+                    if cost < costs[i, j]:
+                        costs[i, j], values[i, j], has_changed = cost, values[row, column], True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from heapq import heappop, heappush
 from typing import Any
 
 import numpy as np
@@ -50,6 +51,27 @@ def off(codes: Array, modes: Array) -> Array:
 def near(values: Array, i: int, j: int, reach: int) -> Array:
     """Return the part of an array around an entry."""
     return values[max(i - reach, 0) : i + reach + 1, max(j - reach, 0) : j + reach + 1]
+
+
+def filled(values: Array, looks: Array, step: float) -> Array:
+    """Return values with that of the nearest known patch where they are NaN (Dijkstra 1959).
+
+    A step to one of eight neighbours costs ``step`` and the largest difference of their looks.
+    """
+    found = values.copy()
+    queue = [(0.0, i, j, values[i, j]) for i, j in np.argwhere(np.isfinite(values)).tolist()]
+    done = set()
+    while queue:
+        cost, i, j, value = heappop(queue)
+        if (i, j) in done:
+            continue
+        done.add((i, j))
+        found[i, j] = value
+        for row, column in np.ndindex(values.shape):
+            if max(abs(row - i), abs(column - j)) == 1:
+                edge = float(abs(looks[row, column] - looks[i, j]).max())
+                heappush(queue, (cost + edge + step, row, column, value))
+    return found
 
 
 def mask(differences: Array, far: float) -> Array:

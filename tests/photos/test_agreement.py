@@ -62,14 +62,15 @@ def test_masks_leave_out_what_is_far_off_with_a_rim_and_no_few_patches():
         i, j = random.integers(0, 13, 2)
         differences[i : i + 4, j : j + random.integers(1, 6)] += 30
         differences[i : i + 2, j:18] += 30
-        found = agreement._mask(differences, 20.0)
+        looks = random.uniform(0, 255, (14, 18, 4)).astype(np.float32)
+        found = agreement._mask(differences, looks, 20.0)
         np.testing.assert_array_equal(found, naive_agreement.mask(differences, 20.0))
         counts.append(int((found == 0).sum()))
     assert min(counts) == 0
     assert max(counts) > 40
     few = np.zeros((9, 9), np.float32)
     few[3:5, 3:6] = 50
-    assert agreement._mask(few, 20.0).all()
+    assert agreement._mask(few, np.zeros((9, 9, 4), np.float32), 20.0).all()
 
 
 def test_what_is_not_known_is_masked_as_it_is_around():
@@ -77,10 +78,30 @@ def test_what_is_not_known_is_masked_as_it_is_around():
     differences[:, :8] = 50
     differences[3:13, 2:5] = np.nan
     differences[3:13, 11:14] = np.nan
-    found = agreement._mask(differences, 20.0)
+    looks = np.zeros((16, 16, 4), np.float32)
+    found = agreement._mask(differences, looks, 20.0)
     assert not found[:, :8].any()
     assert found[:, 9:].all()
-    assert agreement._mask(np.full((4, 4), np.nan, np.float32), 20.0).all()
+    assert agreement._mask(np.full((4, 4), np.nan, np.float32), looks[:4, :4], 20.0).all()
+    differences[:, 4:12] = np.nan
+    for edge in (5, 7, 10):  # the picture says where the other object ends
+        looks[:] = 0
+        looks[:, :edge] = 60
+        found = agreement._mask(differences, looks, 20.0)
+        assert not found[:, : edge + 1].any()  # with a rim
+        assert found[:, edge + 1 :].all()
+
+
+def test_the_unknown_takes_the_value_of_the_known_patch_with_the_cheapest_way():
+    random = np.random.default_rng(12)
+    for rows, columns in ((9, 13), (1, 7), (12, 2)):
+        values = random.random((rows, columns)).astype(np.float32)
+        values[random.random((rows, columns)) < 0.8] = np.nan
+        values[0, 0] = 0.5
+        looks = random.uniform(0, 60, (rows, columns, 4)).astype(np.float32)
+        expected = naive_agreement.filled(values, looks, agreement._STEP)
+        agreement.fill_unknown(values, looks)
+        np.testing.assert_array_equal(values, expected)
 
 
 def test_a_mask_fades_between_the_middles_of_its_patches():
@@ -134,6 +155,26 @@ def test_a_passer_by_is_left_out_in_any_order_of_pictures():
     assert error(robust, surface) < clean + 0.1 * (averaged - clean)
     other = octex.paint(None, surface, shots[::-1], max_depth=5, pictures="robust")
     assert np.array_equal(other.channels["base_color"].values, robust.channels["base_color"].values)
+
+
+@needs_jit
+def test_a_passer_by_is_left_out_also_where_only_one_picture_sees_the_surface():
+    surface, cameras, images = ring(8, 128)
+    for image in [*images[:2], *images[3:]]:
+        image[:48, :, 3] = 0
+    y, x = np.mgrid[:128, :128]
+    there = np.hypot(x - 64, y - 60) < 28
+    hidden, seen = images[2].copy(), images[2].copy()
+    hidden[there, 3] = 0
+    seen[there] = 0.9, 0.02, 0.02, 1
+    samples = surface.scatter(5000)
+    errors = []
+    for picture_2 in (hidden, seen):
+        shots = projections([*images[:2], picture_2, *images[3:]], cameras)
+        found = octex.paint(None, surface, shots, max_depth=5)
+        apart = codes(found.sample(samples.rest)) - codes(surface.evaluate(samples))
+        errors.append(float(np.sqrt((apart**2).mean())))
+    assert errors[1] < errors[0] + 0.2
 
 
 def test_of_many_pictures_those_are_compared_that_see_most_of_the_same(monkeypatch):

@@ -188,7 +188,7 @@ def _separate(surface: octex.Surface) -> None:
 def _paint(surface: octex.Surface, folder: Path) -> None:
     """Paint onto nothing, and onto a texture that is coarser than the pictures."""
     from octex.painting.picture import mips_of
-    from octex.photos.agreement import find_modes, off_modes
+    from octex.photos.agreement import fill_unknown, find_modes, off_modes
     from octex.photos.patches import put_mask
 
     camera = octex.Camera.fitted(surface.vertices, (0.4, 0.3, 1.0), size=(16, 4))
@@ -206,6 +206,7 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     octex.paint(None, surface, [picture] * 3, pictures="best")
     find_modes(np.zeros((3, 1, 3), np.float32), np.zeros((3, 1), np.float32), 0, np.zeros((1, 3), np.float32))
     off_modes(*np.zeros((2, 1, 1, 3), np.float32))
+    fill_unknown(np.full((1, 1), np.nan, np.float32), np.zeros((1, 1, 4), np.float32))
     mips = mips_of(picture, BASE_COLOR)
     put_mask(mips, np.zeros((1, 4), np.float32))
     lens = replace(camera, distortion=(0.01, 0.0, 0.0, 0.0))
