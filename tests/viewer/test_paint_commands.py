@@ -97,6 +97,7 @@ FRONT, BACK = [0.3, 0.2, 1.0], (camera().world_to_camera[2, :3] * 3).tolist()
 
 PLACES = [
     {"hidden": True},
+    {"backFaces": True, "maxAngle": 40},
     {"hidden": True, "backFaces": True, "maxAngle": 90},
     {"at": FRONT},
     {"at": BACK, "hidden": True},
