@@ -32,13 +32,10 @@ def test_each_wrap_of_each_axis_agrees_with_the_specification(tmp_path, wrap_u, 
     assert_agrees(path)
 
 
-def test_a_texture_without_a_sampler_repeats_and_is_linear(tmp_path):
-    assert_agrees(textured_square(tmp_path / "a.glb", png(random_image(4, 4)), scale=3.0, shift=-1.0))
-
-
-def test_a_nearest_minification_alone_leaves_magnification_linear(tmp_path):
+@pytest.mark.parametrize("sampler", [{}, {"wrap": (REPEAT, REPEAT), "minify": NEAREST}])
+def test_a_texture_repeats_and_is_linear_without_a_sampler_that_says_otherwise(tmp_path, sampler):
     image = png(random_image(4, 4))
-    assert_agrees(textured_square(tmp_path / "a.glb", image, wrap=(REPEAT, REPEAT), minify=NEAREST))
+    assert_agrees(textured_square(tmp_path / "a.glb", image, scale=3.0, shift=-1.0, **sampler))
 
 
 def test_the_upper_left_texel_lies_at_coordinates_0_0_which_is_the_upper_left_corner(tmp_path):
