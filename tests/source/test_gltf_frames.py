@@ -101,23 +101,6 @@ def test_normals_and_tangents_may_be_quantized(tmp_path):
     assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), [Y, X, Z])
 
 
-@pytest.mark.parametrize("tangents", [None, along(1, 0, 0, 1)])
-@pytest.mark.parametrize("normals", [None, UP])
-@pytest.mark.parametrize(
-    ("scale", "expected"),
-    [
-        ([2, 2, 2], (1, 1, 1)),
-        ([-1, 1, 1], (-1, 1, 1)),
-        ([1, -3, 1], (1, -1, 1)),
-        ([-1, -1, -1], (-1, -1, -1)),
-        ([5, 1, 1], (1, 1, 1)),  # directions along the axes stay, and with them the frame
-    ],
-)
-def test_nodes_take_normals_along_mirrors_included(tmp_path, scale, expected, normals, tangents):
-    surface = leaning_square(tmp_path / "a.glb", node={"scale": scale}, normals=normals, tangents=tangents)
-    assert_leans(surface, leaning() * expected)
-
-
 def test_each_instance_of_a_mesh_has_normals_of_its_own(tmp_path):
     gltf = Gltf()
     half = 0.5**0.5

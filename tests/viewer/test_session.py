@@ -95,33 +95,6 @@ def take(session, *bodies):
     session.wait()
 
 
-def test_commands_do_bit_for_bit_what_calls_of_the_library_do(session):
-    texture, surface = canvas()
-    painter = octex.Painter(texture, surface)
-    red = decode(np.array([255, 0, 10], np.uint8), "srgb")
-    moves = [
-        (stroke(1), lambda: painted(painter, 1)),
-        (stroke(2), lambda: painted(painter, 2)),
-        (plain("undo", 3), painter.undo),
-        (stroke(4), lambda: painted(painter, 4)),
-        (plain("fill", 5, color=[255, 0, 10], opacity=0.5), lambda: painter.fill(ones, red, opacity=0.5)),
-        (plain("undo", 6), painter.undo),
-        (plain("redo", 7), painter.redo),
-        (plain("undo", 8), painter.undo),
-        (plain("undo", 9), painter.undo),
-    ]
-    for number, (body, call) in enumerate(moves, 1):
-        assert session.take(body) == number
-        call()
-        session.wait()
-        assert_same(session.shown.texture, painter.texture())
-        assert session.shown.told["done"] == len(painter.strokes)
-        assert session.shown.told["baked"] == {PAGE: number}
-    take(session, plain("undo", 10), plain("undo", 11))
-    assert_same(session.shown.texture, texture)
-    assert session.shown.told["fault"] == ""
-
-
 def test_a_stroke_may_be_a_picture_of_many_colours(session):
     colors = np.random.default_rng(1).integers(0, 256, (24, 30, 3), np.uint8)
     image = np.zeros((*SIZE[::-1], 4), np.uint8)
