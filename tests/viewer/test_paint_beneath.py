@@ -82,7 +82,7 @@ def studio(browser, tmp_path_factory):
 
 def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio):
     page = studio.page()
-    page.set_viewport_size({"width": 740, "height": 170})  # without a GPU, each pixel beneath costs 0.1 ms
+    page.set_viewport_size({"width": 900, "height": 210})  # without a GPU, each pixel beneath costs 0.1 ms
 
     def told(what):
         page.wait_for_function(what, timeout=60_000)
