@@ -170,10 +170,6 @@ def test_a_type_is_for_all_or_for_some(text, meaning):
     assert parsed("a", "b", "--dtype", text).dtype == meaning
 
 
-def test_version_is_the_packages(cli):
-    assert cli.result("--version") == f"octree-convert {octex.__version__}\n"
-
-
 def test_help_pages_and_refusals_import_nothing_heavy():
     code = f"""
 import sys

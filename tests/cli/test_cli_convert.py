@@ -292,6 +292,7 @@ def test_the_help_names_the_librarys_default_depth():
         ("empty.glb", b""),
         ("broken.gltf", b"{"),
         ("words.txt", b"words"),
+        ("folder.glb", None),
         ("missing.octex", None),
         ("empty.octex", b""),
         ("words.octex", b"words and words and words"),
@@ -304,11 +305,6 @@ def test_bad_input_is_refused_by_name_and_nothing_is_written(name, content, tmp_
     before = sorted(tmp_path.iterdir())
     assert name in cli.refused(tmp_path / name, tmp_path / "out.ply")
     assert sorted(tmp_path.iterdir()) == before
-
-
-def test_a_folder_is_no_model(tmp_path, cli):
-    (tmp_path / "folder.glb").mkdir()
-    assert "folder.glb" in cli.refusal(tmp_path / "folder.glb", tmp_path / "out.octex")
 
 
 def test_a_depth_out_of_range_is_refused_before_any_work(tmp_path, cli):

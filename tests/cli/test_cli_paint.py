@@ -38,8 +38,15 @@ def test_textures_and_layers_whose_content_is_broken_are_refused(scene, tmp_path
     broken.write_bytes(content)
     shot = [broken, scene.model, *scene.shot[2:]]
     assert cli.refusal(*shot, OUT, out).startswith(f"{broken}: split table")
-    layer = [scene.texture, scene.model, broken]
-    assert cli.refusal(*layer, OUT, out).startswith(f"{broken}: split table")
+    whole = tmp_path / "box.octex"
+    whole.write_bytes(scene.texture.read_bytes())
+    given = [scene.texture, scene.model, OUT, out]
+    for layer, said in (
+        (broken, f"{broken}: split table"),
+        (whole, f"{whole}: "),
+        ("none.octex", "none.octex"),
+    ):
+        assert cli.refusal(*given, layer).startswith(said)
     assert not out.exists()
 
 
@@ -227,11 +234,7 @@ def test_a_new_texture_may_have_a_background(depth, scene, tmp_path, cli):
     rough = [*arguments, "--channel", "roughness", "--force"]
     cli.result(*rough, "--holes", "51", "--quiet")
     assert octex.open(out).sample(away_points, "roughness") == pytest.approx(0.2, abs=1e-3)
-
-
-def test_a_background_is_one_of_the_channels_values(scene, tmp_path, cli):
-    new = [*scene.shot[1:], OUT, tmp_path / "out.octex"]
-    given = [*new, "--holes", "1,2,3", "--channel"]
+    given = [*arguments, "--force", "--holes", "1,2,3", "--channel"]
     assert "give a grey" in cli.refusal(*given, "roughness")
     assert "normal holds directions" in cli.refusal(*given, "normal")
 
@@ -368,13 +371,6 @@ def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(scene
     for holes in ("smooth", "0"):
         message = cli.refusal(*scene.shot, OUT, tmp_path / "b.octex", "--holes", holes)
         assert message == f"{scene.texture} has colours; --holes is for a new texture"
-
-
-def test_a_layer_that_is_none_is_refused_by_name(scene, tmp_path, cli):
-    arguments = [scene.texture, scene.model, OUT, tmp_path / "out.octex"]
-    (tmp_path / "box.octex").write_bytes(scene.texture.read_bytes())
-    assert cli.refusal(*arguments, tmp_path / "box.octex").startswith(f"{tmp_path / 'box.octex'}: ")
-    assert "missing.octex" in cli.refusal(*arguments, tmp_path / "missing.octex")
 
 
 def test_the_help_names_the_librarys_defaults():

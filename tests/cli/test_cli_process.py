@@ -48,6 +48,9 @@ def test_options_work_in_one_order_however_they_are_given(made, other, tmp_path,
     cli.result("edit", made, out, *words, "--depth", 3)
     done = json.loads(octex.open(out).metadata["processed"])
     assert [each["operation"] for each in done] == ["resize", "mix", "blur", "levels", "cast"]
+    cli.result("edit", made, out.with_suffix(".ply"), *words, "--depth", 3)
+    cli.result(out, tmp_path / "same.ply")
+    assert (tmp_path / "same.ply").read_bytes() == out.with_suffix(".ply").read_bytes()
 
 
 def test_a_coarser_depth_leaves_larger_leaves_as_they_are(model, tmp_path, cli):
@@ -60,12 +63,6 @@ def test_a_coarser_depth_leaves_larger_leaves_as_they_are(model, tmp_path, cli):
     for depth in (4, 3):
         cli.result("edit", adaptive, out, "--depth", depth, "--force")
         assert octex.open(out).tree.cells_by_depth() == texture.level(depth).tree.cells_by_depth()
-
-
-@needs_jit
-def test_points_can_be_written_of_what_was_done(made, tmp_path, cli):
-    cli.result("edit", made, tmp_path / "points.ply", "--levels", "0,0.5")
-    assert (tmp_path / "points.ply").exists()
 
 
 @pytest.mark.parametrize(

@@ -10,20 +10,19 @@ import octex
 from octex.errors import ExitCode
 from octex.formats.ply import write_points
 from tests.make.command import run
-
-_CORNERS = [(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)]
-_FACES = ["1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4"]
+from tests.make.fixtures import obj_lines
+from tests.source.test_surface import CUBE, CUBE_TRIANGLES
 
 
 @pytest.fixture(scope="module")
 def model(tmp_path_factory):
     """Two boxes, one in the other's corner, in two colours."""
     path = tmp_path_factory.mktemp("model") / "pair.obj"
-    lines = []
-    for number, (low, side, color) in enumerate([(0.0, 1.0, "1 0 0"), (0.6, 0.7, "0 0 1")]):
-        lines += [f"v {low + side * x} {low + side * y} {low + side * z} {color}" for x, y, z in _CORNERS]
-        lines += ["f " + " ".join(str(int(each) + 8 * number) for each in face.split()) for face in _FACES]
-    path.write_text("\n".join(lines))
+    corners = [
+        (low + side * CUBE, color) for low, side, color in ((0.0, 1.0, [1, 0, 0]), (0.6, 0.7, [0, 0, 1]))
+    ]
+    vertices = [np.hstack([points, np.tile(color, (8, 1))]) for points, color in corners]
+    path.write_text(obj_lines(np.concatenate(vertices), np.concatenate([CUBE_TRIANGLES, CUBE_TRIANGLES + 8])))
     return path
 
 

@@ -4,8 +4,6 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from octex.channels import ChannelFormat
 from octex.errors import ArgumentError
@@ -15,7 +13,6 @@ from octex.tree.layout import SplitTable
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from tests.make.small_textures import UNIT, UNIT_BOUNDS, shell, unit
-from tests.make.strategies import textures
 from tests.oracles.naive_views import Views
 
 each_filter = pytest.mark.parametrize("filter", FILTERS)
@@ -56,43 +53,6 @@ def test_footprints_and_facings_are_those_of_the_reference(filter, keep):
             normal = None if given_normals is None else unit(normals[n])
             expected = views.value(points[n], float(widths[n]), normal)
             np.testing.assert_allclose(found[n], expected, atol=2e-4)
-
-
-@each_filter
-@given(textures(5), st.integers(0, 2**32 - 1))
-def test_any_texture_is_looked_up_as_by_the_reference(filter, texture, seed):
-    random = np.random.default_rng(seed)
-    channels = {name: each for name, each in texture.channels.items() if name != "alpha"}
-    texture = OctreeTexture(texture.tree, channels, texture.placement, texture.bounds)
-    points = texture.placement.to_rest(random.random((3, 3)))
-    widths = texture.placement.size * 2.0 ** random.uniform(-6, 1, 3)
-    normals = unit(random.normal(size=(3, 3)))
-    plain = texture.sample(points, list(channels), filter, width=widths, normalize=False)
-    facing = texture.sample(points, list(channels), filter, normals=normals, normalize=False)
-    for name in channels:
-        views = Views(texture, name, filter)
-        for n in range(3):
-            expected = views.value(points[n], float(widths[n]))
-            np.testing.assert_allclose(plain[name][n], expected, rtol=1e-3, atol=3e-4)
-            expected = views.value(points[n], None, normals[n])
-            np.testing.assert_allclose(facing[name][n], expected, rtol=1e-3, atol=3e-4)
-
-
-def test_gradients_of_footprints_are_those_of_what_they_show():
-    texture = shell(4)
-    points, normals = on_shell(60)
-    for views in ({"width": 0.07}, {"width": 0.2, "normals": normals}, {"normals": normals}):
-        values, gradients = texture.sample(points, gradient=True, **views)
-        np.testing.assert_allclose(values, texture.sample(points, **views), atol=2e-6)
-        step = 1e-4
-        for axis in range(3):
-            ahead, behind = (
-                texture.sample(points + sign * step * np.eye(3)[axis], **views).astype(float)
-                for sign in (1, -1)
-            )
-            slopes = (ahead - behind) / (2 * step)
-            bad = np.abs(slopes - gradients[:, :, axis]) > 0.02 * np.abs(gradients).max()
-            assert bad.mean() < 0.05  # where a step crosses what bends
 
 
 @pytest.mark.parametrize("filter", ["quadratic", "quartic"])

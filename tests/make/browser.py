@@ -242,6 +242,18 @@ def file_url(path: Path) -> str:
     return path.resolve().as_uri()
 
 
+def lose_gpu(page: Any) -> None:
+    """Take a page's GPU away."""
+    page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()")
+    page.wait_for_function("viewer.isLost")
+
+
+def restore_gpu(page: Any) -> None:
+    """Give it back, and wait for a picture."""
+    page.evaluate("lose.restoreContext()")
+    page.wait_for_function("!viewer.isLost && viewer.isSharp", timeout=60_000)
+
+
 def camera_of(page: Any, size: tuple[int, int]) -> octex.Camera:
     """Return the page's camera for pictures of a size, as its file says."""
     file = page.evaluate("(size) => JSON.stringify(viewer.camera.file('page.png', ...size))", size)

@@ -62,6 +62,12 @@ def plain(mesh: tuple[Array, Array], color: tuple[float, float, float] = (0.5, 0
     return Surface.from_arrays(*mesh, factor=color)
 
 
+def balls(step: npt.ArrayLike, *rings: int) -> Surface:
+    """Grey balls, each a step beside the one before."""
+    shapes = [(n, ball(each)) for n, each in enumerate(rings)]
+    return plain(together(*((each.vertices + n * np.asarray(step), each.triangles) for n, each in shapes)))
+
+
 def above(distance: float = 3.0, size: int = 64, focal: float | None = None) -> Camera:
     """A camera on the z axis that looks down at the origin; a unit there is ``focal / distance`` pixels."""
     pose = np.eye(4)

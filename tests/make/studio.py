@@ -104,6 +104,18 @@ class Studio:
             timeout=60_000,
         )
 
+    @contextmanager
+    def held(self, page: Any, count: int = 1) -> Iterator[None]:
+        """Keep the server's answers back while strokes are drawn, until so many commands wait."""
+        page.evaluate(_HOLD)
+        yield
+        page.wait_for_function("(n) => viewer.painting.sending.waiting.length === n", arg=count)
+
+    def bake(self, page: Any, number: int | None = None) -> None:
+        """Let the server answer, and wait until what was kept back is painted."""
+        page.evaluate("release()")
+        self.is_done(page, number)
+
     def drag(self, page: Any, *places: tuple[float, float], steps: int = 5, **options: Any) -> None:
         """Press a button at the first place, from the middle of the picture, and drag it on."""
         box = page.locator("#picture").bounding_box()

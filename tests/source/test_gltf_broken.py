@@ -89,6 +89,7 @@ def sparse_outside(gltf):
         ({"asset.minVersion": "2.1"}, "needs glTF 2.1; octex reads glTF 2.0"),
         ({"asset": MISSING}, "has no asset"),
         ({"nodes": "three"}, "nodes must be a list, not 'three'"),
+        ({"meshes.0.primitives": {"not": "an array"}}, r"primitives\[0\] must be an object, not 'not'"),
     ],
 )
 def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path, changes, message):
@@ -146,10 +147,8 @@ def test_buffers_that_are_not_there_are_named(tmp_path):
     ],
 )
 def test_a_bad_image_is_named(tmp_path, image, message):
-    with pytest.raises(ImageError, match=message) as caught:
+    with refused(ImageError, message, "bad.glb", "images[0]"):
         load_surface(broken({"images.0": image}, tmp_path / "bad.glb"))
-    assert "bad.glb" in str(caught.value)
-    assert "images[0]" in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -217,12 +216,4 @@ def test_an_attribute_must_have_a_row_for_each_vertex(tmp_path, name):
     }
     gltf.show(gltf.primitive(material=material, **attributes))
     with pytest.raises(ModelError, match=rf"primitives\[0\] {name} has 3 rows for 4 vertices"):
-        load_surface(gltf.save(tmp_path / "bad.glb"))
-
-
-def test_primitives_must_be_objects(tmp_path):
-    gltf = Gltf()
-    gltf.show(gltf.primitive())
-    gltf.json["meshes"][0]["primitives"] = {"not": "an array"}
-    with pytest.raises(ModelError, match=r"meshes\[0\].primitives\[0\] must be an object, not 'not'"):
         load_surface(gltf.save(tmp_path / "bad.glb"))

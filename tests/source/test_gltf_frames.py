@@ -45,34 +45,40 @@ def assert_leans(surface, expected):
     np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=2e-4)
 
 
-@pytest.mark.parametrize("normals", [None, UP])
-def test_without_tangents_x_runs_along_u_and_y_against_v(tmp_path, normals):
+def leaning_square(path, *, info=None, node=None, **options):
+    """A square with the normal map."""
     gltf = Gltf()
-    gltf.show(square(gltf, mapped(gltf), normals=normals))
-    assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), leaning())
+    gltf.show(square(gltf, mapped(gltf, **(info or {})), **options), **(node or {}))
+    return load_surface(gltf.save(path))
 
 
-@pytest.mark.parametrize("scale", [0.0, 0.5, -1.0, 3.0])
-def test_the_scale_stretches_x_and_y_before_the_length_is_made_1(tmp_path, scale):
-    gltf = Gltf()
-    gltf.show(square(gltf, mapped(gltf, scale=scale)))
-    assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), leaning(scale))
+def along(*tangent):
+    return np.tile(np.float32(tangent), (4, 1))
 
 
-@pytest.mark.parametrize("flip", [(-1, 1), (1, -1), (-1, -1)])
-def test_where_the_image_is_mirrored_so_is_what_it_shows(tmp_path, flip):
-    gltf = Gltf()
-    gltf.show(square(gltf, mapped(gltf), uv=SQUARE_UV * flip))
-    assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), leaning() * (*flip, 1))
+X, Y, Z = leaning()
+TURNED = {"extensions": {"KHR_texture_transform": {"rotation": np.pi / 2}}}
 
 
-def test_the_direction_turns_with_the_image_when_its_transform_does(tmp_path):
-    gltf = Gltf()
-    turn = {"KHR_texture_transform": {"rotation": np.pi / 2}}
-    gltf.show(square(gltf, mapped(gltf, extensions=turn)))
-    # Coordinates turned counter-clockwise show the image turned clockwise: its right is down.
-    x, y, z = leaning()
-    assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), [y, -x, z])
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        # Without tangents x runs along u and y against v.
+        ({}, leaning()),
+        ({"normals": None}, leaning()),
+        # The scale stretches x and y before the length is made 1.
+        *(({"info": {"scale": scale}}, leaning(scale)) for scale in (0.0, 0.5, -1.0, 3.0)),
+        # Where the image is mirrored, so is what it shows.
+        *(({"uv": SQUARE_UV * flip}, leaning() * (*flip, 1)) for flip in ((-1, 1), (1, -1), (-1, -1))),
+        # Coordinates turned counter-clockwise show the image turned clockwise: its right is down.
+        ({"info": TURNED}, [Y, -X, Z]),
+        # Tangents of the file count with their handedness, but not without normals.
+        *(({"tangents": along(0, 1, 0, hand)}, [-hand * Y, X, Z]) for hand in (1, -1)),
+        ({"tangents": along(0, 1, 0, 1), "normals": None}, leaning()),
+    ],
+)
+def test_a_normal_map_leans_in_the_frame_of_the_tangents(tmp_path, options, expected):
+    assert_leans(leaning_square(tmp_path / "a.glb", **options), expected)
 
 
 def test_tangents_follow_the_coordinates_of_the_normal_map_and_no_others(tmp_path):
@@ -84,22 +90,6 @@ def test_tangents_follow_the_coordinates_of_the_normal_map_and_no_others(tmp_pat
     assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), leaning() * (-1, 1, 1))
 
 
-@pytest.mark.parametrize("hand", [1, -1])
-def test_given_tangents_count_with_their_handedness(tmp_path, hand):
-    gltf = Gltf()
-    tangents = np.tile(np.float32([0, 1, 0, hand]), (4, 1))
-    gltf.show(square(gltf, mapped(gltf), tangents=tangents))
-    x, y, z = leaning()
-    assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), [-hand * y, x, z])
-
-
-def test_given_tangents_do_not_count_without_normals(tmp_path):
-    gltf = Gltf()
-    tangents = np.tile(np.float32([0, 1, 0, 1]), (4, 1))
-    gltf.show(square(gltf, mapped(gltf), normals=None, tangents=tangents))
-    assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), leaning())
-
-
 def test_normals_and_tangents_may_be_quantized(tmp_path):
     gltf = Gltf()
     attributes = {
@@ -108,26 +98,7 @@ def test_normals_and_tangents_may_be_quantized(tmp_path):
     }
     gltf.json["extensionsRequired"] = ["KHR_mesh_quantization"]
     gltf.show(square(gltf, mapped(gltf), normals=None, **attributes))
-    x, y, z = leaning()
-    assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), [y, x, z])
-
-
-@pytest.mark.parametrize("tangents", [None, np.tile(np.float32([1, 0, 0, 1]), (4, 1))])
-@pytest.mark.parametrize("normals", [None, UP])
-@pytest.mark.parametrize(
-    ("scale", "expected"),
-    [
-        ([2, 2, 2], (1, 1, 1)),
-        ([-1, 1, 1], (-1, 1, 1)),
-        ([1, -3, 1], (1, -1, 1)),
-        ([-1, -1, -1], (-1, -1, -1)),
-        ([5, 1, 1], (1, 1, 1)),  # directions along the axes stay, and with them the frame
-    ],
-)
-def test_nodes_take_normals_along_mirrors_included(tmp_path, scale, expected, normals, tangents):
-    gltf = Gltf()
-    gltf.show(square(gltf, mapped(gltf), normals=normals, tangents=tangents), scale=scale)
-    assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), leaning() * expected)
+    assert_leans(load_surface(gltf.save(tmp_path / "a.glb")), [Y, X, Z])
 
 
 def test_each_instance_of_a_mesh_has_normals_of_its_own(tmp_path):
@@ -140,9 +111,8 @@ def test_each_instance_of_a_mesh_has_normals_of_its_own(tmp_path):
     gltf.json["scenes"][0]["nodes"] += [second, third]
     surface = load_surface(gltf.save(tmp_path / "a.glb"))
     samples = surface.scatter(90)
-    x, y, z = leaning()
     place = np.searchsorted([3, 10], samples.points[:, 0])
-    expected = np.array([[x, y, z], [z, y, -x], [-x, y, z]])[place]
+    expected = np.array([[X, Y, Z], [Z, Y, -X], [-X, Y, Z]])[place]
     np.testing.assert_allclose(surface.evaluate(samples, "normal"), expected, atol=2e-4)
 
 
@@ -186,19 +156,13 @@ def test_a_normal_map_that_is_not_wanted_is_not_read(tmp_path):
 
 
 def test_at_rest_positions_that_are_turned_normals_are_turned(tmp_path):
-    gltf = Gltf()
-    gltf.show(square(gltf, mapped(gltf)))
-    surface = load_surface(gltf.save(tmp_path / "a.glb"))
-    rest = surface.with_rest(surface.vertices[:, [2, 0, 1]])
-    x, y, z = leaning()
-    assert_leans(rest, [z, x, y])
+    surface = leaning_square(tmp_path / "a.glb")
+    assert_leans(surface.with_rest(surface.vertices[:, [2, 0, 1]]), [Z, X, Y])
 
 
 @pytest.mark.parametrize("uv", [SQUARE_UV * 0, SQUARE_UV[:, :1] * (1, 1)])
 def test_where_the_image_has_no_area_normals_are_still_unit_vectors(tmp_path, uv):
-    gltf = Gltf()
-    gltf.show(square(gltf, mapped(gltf), uv=uv))
-    found = normals_of(load_surface(gltf.save(tmp_path / "a.glb")))
+    found = normals_of(leaning_square(tmp_path / "a.glb", uv=uv))
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-4)
     np.testing.assert_allclose(found[:, 2], leaning()[2], atol=2e-4)
 

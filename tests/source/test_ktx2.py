@@ -23,14 +23,7 @@ FORMATS = {
 }  # fmt: skip
 
 
-def ktx2(
-    values,
-    vk_format,
-    scheme = PLAIN,
-    flags = 0,
-    layers = 0,
-    **keys,
-):  # fmt: skip
+def ktx2(values, vk_format, scheme=PLAIN, flags=0, layers=0, **keys):
     """A texture of texels (height, width, lanes), and below it a mip of zeros."""
     height, width, _ = values.shape
     levels = [values.tobytes(), bytes(values[::2, ::2].nbytes)]

@@ -54,6 +54,7 @@ def square(folder, mtl, lines=OBJ_SQUARE + "usemtl wood\n" + FACES):
     ("line", "channel", "factor"),
     [
         ("Kd 0.5 0.25 1", "base_color", srgb_to_linear([0.5, 0.25, 1])),
+        ("Kd 0.5", "base_color", srgb_to_linear([0.5] * 3)),
         ("Ks 0.5", "specular", srgb_to_linear([0.5] * 3)),
         ("Ks 2 -1 0", "specular", [1, 0, 0]),
         ("Ke 0.5 0 0", "emissive", srgb_to_linear([0.5, 0, 0])),
@@ -64,6 +65,7 @@ def square(folder, mtl, lines=OBJ_SQUARE + "usemtl wood\n" + FACES):
         ("d 0.25", "alpha", [0.25]),
         ("Tr 0.25", "alpha", [0.75]),
         ("d -1", "alpha", [0]),
+        ("d -halo 0.5", "alpha", [0.5]),
         ("Ns 250", "roughness", [0.5]),
         ("Ns 4000", "roughness", [0]),
     ],
@@ -273,14 +275,11 @@ def test_a_grey_bump_map_or_a_component_of_one_holds_heights(tmp_path, line, lan
     np.testing.assert_allclose(texels(given).astype(float), expected, atol=1.1)
 
 
-def test_materials_share_the_normals_of_one_height_map(tmp_path):
+def test_materials_share_the_normals_of_one_height_map_also_of_luminance(tmp_path):
     (tmp_path / "m.mtl").write_text("newmtl a\nbump grey.png\nnewmtl b\nbump -s 2 grey.png\n")
     (tmp_path / "grey.png").write_bytes(IMAGES["grey.png"])
     found = load_materials(tmp_path / "m.obj", ["m.mtl"], {"a", "b"}, Options()).materials
     assert texels(found["a"].material.inputs["normal"]) is texels(found["b"].material.inputs["normal"])
-
-
-def test_heights_may_be_luminance(tmp_path):
     given = stated(tmp_path, "bump -imfchan l a.png")["normal"]
     heights = COLORS / 255.0 @ [0.2126, 0.7152, 0.0722]
     np.testing.assert_allclose(texels(given).astype(float), normals_of_heights(heights, 1, REPEAT), atol=2)
@@ -329,7 +328,11 @@ def test_a_channel_that_the_materials_lack_is_refused_with_those_they_have(tmp_p
             (f"{key} gone.png", ImageError, r"a\.mtl: material wood: the image gone.png is missing")
             for key in ("map_Kd", "map_Ks", "map_Ke", "map_d", "map_Pr", "map_Pm", "map_ao", "norm", "bump")
         ),
+        ("map_Kd " + "a" * 300, ImageError, "is missing"),
         ("map_Pr a.mtl", ImageError, "material wood: a.mtl cannot be read as an image"),
+        ("Kd red", ModelError, "material wood: Kd is 'red'"),
+        ("d full", ModelError, "material wood: d is 'full'"),
+        ("Tr nan", ModelError, "material wood: Tr is 'nan'"),
         ("Ks spectral file.rfl", ModelError, "material wood: Ks is 'spectral file.rfl', not numbers"),
         ("Ke bright", ModelError, "material wood: Ke is 'bright'"),
         ("Pm inf", ModelError, "material wood: Pm is 'inf'"),
@@ -364,13 +367,13 @@ def test_files_elsewhere_go_by_their_name_alone(tmp_path):
 
 
 def test_maps_at_different_coordinates_are_read_each_at_its_own(tmp_path):
-    mtl = "map_Kd -s 2 3 -o 0.25 0.5 a.png\nmap_Ks b.png\nmap_Pr -clamp on -o 0.5 a.png"
+    mtl = "map_Kd -s 2 3 -o 0.25 0.5 a.png\nmap_Ks b.png\nmap_Pr -clamp on -s 2 -o 0.5 0 0 -mm 0 1 a.png"
     surface = load_surface(square(tmp_path, mtl))
     samples = surface.scatter(40)
     for channel, (line, change) in {
         "base_color": ("map_Kd a.png", lambda u, v: (2 * u + 0.25, 3 * v + 0.5)),
         "specular": ("map_Ks b.png", lambda u, v: (u, v)),
-        "roughness": ("map_Pr -clamp on a.png", lambda u, v: (u + 0.5, v)),
+        "roughness": ("map_Pr -clamp on a.png", lambda u, v: (2 * u + 0.5, v)),
     }.items():
         moved = OBJ_SQUARE
         for u, v in ((0, 0), (1, 0), (1, 1), (0, 1)):

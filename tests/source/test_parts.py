@@ -19,21 +19,6 @@ from tests.make.solids import colored, cube, inside_out, open_cube, sphere, torn
 from tests.oracles.naive_parts import components, distance, solid
 
 
-def test_cubes_that_intersect_share_the_volume_that_they_do():
-    found = colored(cube([0, 0, 0]), cube([0.75, 0.5, 0.0])).overlapping_parts()
-    assert found.n_parts == 2
-    assert found.unchecked == ()
-    assert [(a, b, gap) for a, b, _, gap in found.pairs] == [(0, 1, 0.0)]
-    assert found.pairs[0].volume == pytest.approx(0.25 * 0.5, rel=1e-12)
-
-
-@needs_jit
-def test_spheres_share_the_lens_between_them():
-    found = colored(sphere([0, 0, 0], 1.0, 256), sphere([1.2, 0, 0], 1.0, 256)).overlapping_parts()
-    lens = math.pi * (4 + 1.2) * (2 - 1.2) ** 2 / 12
-    assert found.pairs[0].volume == pytest.approx(lens, rel=2e-3)
-
-
 def test_the_gap_between_cubes_is_found_up_to_the_margin():
     surface = colored(cube([0, 0, 0]), cube([1.3, 1.4, 0.2]), cube([-3, 0, 0]))
     assert surface.overlapping_parts(0.49).pairs == ()

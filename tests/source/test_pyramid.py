@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from octex.channels import linear_to_srgb, srgb_to_linear
-from octex.source.images.decode import as_texels
+from octex.channels import srgb_to_linear
 from octex.source.images.pyramid import AREAS, DATA, FLOAT, MIPS, RIPS, SRGB, SUMS, WHOLE, Picture, store
 from octex.source.surface import Surface
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
@@ -157,23 +156,6 @@ def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_i
     np.testing.assert_allclose(levels[1][seen], expected[seen], atol=1e-4)
 
 
-def test_averages_are_of_light_and_not_of_codes():
-    checker = np.array([[[0] * 3, [255] * 3]], np.uint8)
-    half = levels_of(store([Picture(as_texels(checker), True)], MIPS)[0])[1][1, 1, 0]
-    assert round(float(linear_to_srgb(half)) * 255) == 188
-    fraction = levels_of(store([Picture(as_texels(checker), False)], MIPS)[0])[1][1, 1, 0]
-    assert abs(fraction - 0.5) < 1e-5
-
-
-def test_beyond_a_border_lies_the_border_and_nothing_of_the_inside():
-    texels = random_image(8, 8, 4, "uint16")
-    for level in levels_of(store([Picture(texels, False)], MIPS)[0]):
-        rows = texels[:, 0].reshape(len(level) - 2, -1, 4).mean(axis=1) / 65535
-        np.testing.assert_allclose(level[1:-1, 0], rows, atol=1e-4)
-        np.testing.assert_allclose(level[0, 0], texels[0, 0] / 65535, atol=1e-6)
-        np.testing.assert_allclose(level[-1, -1], texels[-1, -1] / 65535, atol=1e-6)
-
-
 def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other():
     small, large = random_image(2, 3, 4, "uint16"), random_image(4, 4, 4, "uint16")
     light = random_image(2, 3, 4).astype(np.float32)
@@ -251,13 +233,3 @@ def test_coordinates_without_spread_are_read_at_the_point():
     surface = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, uv=np.full((4, 2), 0.3), image=random_image(8, 8))
     points = np.random.default_rng(0).random((20, 2))
     np.testing.assert_array_equal(read(surface, points, 0.3), read(surface, points, 0.0))
-
-
-@pytest.mark.parametrize("wrap", ["repeat", "mirror", "clamp"])
-def test_far_coordinates_stay_inside_the_image(wrap):
-    image = np.full((3, 5, 3), 77, np.uint8)
-    for far in (1e6, 1e15, 1e30, -1e30):
-        surface = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, uv=UV_UP * far, image=image, wrap=wrap)
-        for width in (0.0, 0.1, 10.0):
-            values = read(surface, np.random.default_rng(0).random((20, 2)), width)
-            np.testing.assert_allclose(values, srgb_to_linear(77 / 255), rtol=1e-4)

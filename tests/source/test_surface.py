@@ -92,9 +92,10 @@ def test_bounds_are_those_of_the_rest_positions_in_use():
     np.testing.assert_allclose(surface.bounds, [[1, 1, 1], [3, 3, 1]])
 
 
-def test_a_plain_surface_is_white():
+def test_a_plain_surface_is_white_and_introduces_itself():
     assert (square().evaluate(square().scatter(10)) == 1).all()
     assert [channel.name for channel in square().channels] == ["base_color"]
+    assert repr(square(name="corner")) == "<Surface 'corner' of 2 triangles with base_color>"
 
 
 def test_colours_of_vertices_are_interpolated_in_linear_light():
@@ -134,15 +135,10 @@ def test_coordinates_have_v_up_and_may_be_given_by_corner():
     image = np.array([[[255] * 3, [255] * 3], [[0] * 3, [0] * 3]], np.uint8)
     by_vertex = SQUARE[:, :2]
     for uv in (by_vertex, by_vertex[SQUARE_TRIANGLES]):
-        surface = square(uv=uv, image=image, mag_filter="nearest", wrap=("repeat", "clamp"))
-        samples = surface.scatter(100)
-        np.testing.assert_array_equal(surface.evaluate(samples)[:, 0] == 1, samples.points[:, 1] > 0.5)
-
-
-def test_images_of_pillow_are_taken():
-    image = PIL.Image.new("RGB", (2, 2), (255, 0, 0))
-    surface = square(uv=SQUARE_UV, image=image)
-    np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), [[1, 0, 0]] * 5)
+        for picture in (image, PIL.Image.fromarray(image)):
+            surface = square(uv=uv, image=picture, mag_filter="nearest", wrap=("repeat", "clamp"))
+            samples = surface.scatter(100)
+            np.testing.assert_array_equal(surface.evaluate(samples)[:, 0] == 1, samples.points[:, 1] > 0.5)
 
 
 def test_images_of_floats_are_light_of_any_size():
@@ -160,8 +156,12 @@ def test_coordinates_are_kept_with_v_down_without_an_image_too():
     assert surface.uv is not None
     np.testing.assert_allclose(surface.uv.values, SQUARE_UV * [1, -1] + [0, 1])
     np.testing.assert_array_equal(surface.uv.rows, SQUARE_TRIANGLES)
+    surface.provenance["source"] = "quad.glb"
     for other in (surface.with_rest(SQUARE * 2), surface.with_filter("sat"), surface.with_sources({})):
         assert other.uv is surface.uv
+        assert other.provenance["source"] == "quad.glb"
+        other.provenance["rest"] = "another.glb"  # each keeps its own
+    assert surface.provenance == {"source": "quad.glb"}
     assert square().uv is None
 
 
@@ -171,6 +171,7 @@ def test_some_channels_alone_are_those_values():
     for name in ("base_color", "alpha"):
         alone = surface.with_channels([name])
         assert [channel.name for channel in alone.channels] == [name]
+        assert alone.provenance is not surface.provenance
         for width in (0.0, 0.3):
             expected = surface.evaluate(samples, name, width)
             np.testing.assert_allclose(alone.evaluate(samples, name, width), expected, atol=1e-6)
@@ -192,21 +193,6 @@ def test_images_are_read_by_the_filter_asked_for(filter):
     assert (filter == "ewa") == np.array_equal(values, usual.evaluate(samples, width=0.4))
     with pytest.raises(ArgumentError, match="unknown filter 'sharp'"):
         usual.with_filter("sharp")
-
-
-def test_what_is_derived_from_a_surface_keeps_a_provenance_of_its_own():
-    surface = square(uv=SQUARE_UV, image=random_image(4, 4, 4))
-    surface.provenance["source"] = "quad.glb"
-    derived = [
-        surface.with_rest(SQUARE * 2),
-        surface.with_channels(["alpha"]),
-        surface.with_filter("sat"),
-        surface.with_sources({"metallic": 0.5}),
-    ]
-    for other in derived:
-        assert other.provenance["source"] == "quad.glb"
-        other.provenance["rest"] = "another.glb"
-    assert surface.provenance == {"source": "quad.glb"}
 
 
 def test_shading_normals_are_kept_and_follow_the_rest_mesh():
@@ -346,6 +332,8 @@ def test_lookups_of_what_is_not_there_are_refused():
         other = samples._replace(triangles=np.full(3, number))
         with pytest.raises(ArgumentError, match="triangles that surface does not have"):
             surface.evaluate(other)
+    with pytest.raises(ArgumentError, match="must be a whole number from 0 to 4294967296, not -1"):
+        surface.scatter(-1)
     for far in (np.nan, np.inf, 1e300):
         with pytest.raises(ArgumentError, match="barycentric coordinates that are not below 1e"):
             surface.evaluate(samples._replace(barycentric=np.full((3, 3), far)))
@@ -368,17 +356,6 @@ def test_surfaces_may_be_tiny_and_huge(size):
 
 def test_a_sample_is_a_point_a_rest_position_a_normal_and_a_place():
     assert SurfaceSamples._fields == ("points", "rest", "normals", "triangles", "barycentric", "rest_normals")
-
-
-def test_a_surface_introduces_itself():
-    surface = Surface.from_arrays(np.eye(3), np.array([[0, 1, 2]], np.int32), name="corner")
-    assert repr(surface) == "<Surface 'corner' of 1 triangles with base_color>"
-
-
-def test_a_negative_number_of_points_is_refused():
-    surface = Surface.from_arrays(np.eye(3), np.array([[0, 1, 2]], np.int32))
-    with pytest.raises(ArgumentError, match="must be a whole number from 0 to 4294967296, not -1"):
-        surface.scatter(-1)
 
 
 def test_points_of_a_posed_surface_come_with_the_normals_of_its_rest_triangles():

@@ -57,51 +57,10 @@ def test_on_a_plane_the_tangent_is_u_and_the_bitangent_runs_against_v():
     np.testing.assert_allclose(at_corners(frames.tangents), np.broadcast_to([1, 0, 0, 1], (2, 3, 4)))
 
 
-@pytest.mark.parametrize("turn", [0.3, 2.0, 4.0])
-def test_on_a_plane_the_tangent_turns_with_the_image(turn):
-    cos, sin = np.cos(turn), np.sin(turn)
-    up = SQUARE_UV * (1, -1) + (0, 1)
-    turned = up @ np.array([[cos, -sin], [sin, cos]])
-    frames = square((3 * turned - 1) * (1, -1))
-    expected = np.broadcast_to([cos, sin, 0, 1], (2, 3, 4))
-    np.testing.assert_allclose(at_corners(frames.tangents), expected, atol=1e-6)
-
-
 @pytest.mark.parametrize(("flip", "tangent"), [((-1, 1), (-1, 0, 0, -1)), ((1, -1), (1, 0, 0, -1))])
 def test_a_mirrored_image_turns_the_handedness(flip, tangent):
     np.testing.assert_allclose(
         at_corners(square(SQUARE_UV * flip).tangents), np.broadcast_to(tangent, (2, 3, 4))
-    )
-
-
-def test_on_a_cylinder_tangents_run_around_it():
-    count = 24
-    angles = np.linspace(0, 2 * np.pi, count + 1)
-    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    points = np.concatenate([np.column_stack([ring, np.full(count + 1, z)]) for z in (0.0, 2.0)])
-    lower = np.arange(count)
-    quads = np.stack([lower, lower + 1, lower + count + 2, lower + count + 1], axis=1)
-    triangles = np.concatenate([quads[:, :3], quads[:, [0, 2, 3]]]).astype(np.int32)
-    u = np.tile(angles / (2 * np.pi), 2)
-    uv = np.stack([u, 1 - points[:, 2] / 2], axis=1).astype(np.float32)
-    normals = np.concatenate([np.column_stack([ring, np.zeros(count + 1)])] * 2).astype(np.float32)
-    frames = corner_frames(points, triangles, Corners(normals, triangles), None, Corners(uv, triangles))
-    around = np.stack([-np.sin(2 * np.pi * u), np.cos(2 * np.pi * u), 0 * u, 0 * u + 1], axis=1)
-    inner = (u > 0) & (u < 1)  # the seam's corners lean to their own side
-    found = at_corners(frames.tangents)[inner[triangles]]
-    np.testing.assert_allclose(found, around[triangles][inner[triangles]], atol=1e-5)
-
-
-def test_triangles_on_both_sides_of_a_mirror_line_keep_their_own_tangents():
-    # Two squares side by side; u runs towards the middle from both sides.
-    points = np.array([[x, y, 0] for y in (0, 1) for x in (-1, 0, 1)], float)
-    uv = np.array([[1 - abs(x), 1 - y] for x, y, _ in points], np.float32)
-    triangles = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]], np.int32)
-    normals = Corners(np.array([[0, 0, 1]], np.float32), np.zeros((4, 3), np.int32))
-    frames = corner_frames(points, triangles, normals, None, Corners(uv, triangles))
-    expected = np.repeat([[1, 0, 0, 1], [-1, 0, 0, -1]], 2, axis=0)
-    np.testing.assert_allclose(
-        at_corners(frames.tangents), np.repeat(expected[:, None], 3, axis=1), atol=1e-6
     )
 
 

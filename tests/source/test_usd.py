@@ -358,8 +358,7 @@ def test_damaged_stages_are_refused_in_one_line(tmp_path, baked):
 
 def test_a_material_of_another_kind_is_white_with_a_warning(tmp_path):
     made = Stage(tmp_path)
-    surface = made.material(made.square())
-    surface.GetIdAttr().Set("ND_standard_surface_surfaceshader")
+    made.material(made.square()).GetIdAttr().Set("ND_standard_surface_surfaceshader")
     with pytest.warns(ModelWarning, match="is not a UsdPreviewSurface, so it is white"):
         read = made.read()
     np.testing.assert_allclose(colors_at(read, QUARTERS), 1.0)

@@ -76,35 +76,40 @@ def session(tmp_path):
 
 
 class Served:
-    """A viewer that paints."""
+    """A viewer that runs, and what it is asked."""
 
-    def __init__(self, folder):
-        texture, surface = canvas()
-        self.session = Session(texture, surface, folder / "out.octex")
+    def __init__(self, made):
         self.lines: list[str] = []
-        path = folder / "ball.octex"
-        self.viewer = Viewer(lambda: texture, path, surface, session=self.session, log=self.lines.append)
+        self.viewer = made(self.lines.append)
+        self.session = self.viewer.session
         self.thread = threading.Thread(target=self.viewer.run, kwargs={"alone": 0.1})
         self.thread.start()
 
-    def post(self, body, token=None, path="session", **headers):
-        connection = HTTPConnection("127.0.0.1", self.viewer.port, timeout=20)
-        named = {"Content-Type": OCTETS, **{name.replace("_", "-"): text for name, text in headers.items()}}
-        connection.request(
-            "POST", f"/{self.viewer.token if token is None else token}/{path}", body, headers=named
-        )
+    def ask(self, path="", method="GET", token=None, body=None, **headers):
+        connection = HTTPConnection("127.0.0.1", self.viewer.port, timeout=60)
+        named = {name.replace("_", "-"): text for name, text in headers.items()}
+        token = self.viewer.token if token is None else token
+        connection.request(method, f"/{token}/{path}" if token else f"/{path}", body, headers=named)
         answer = connection.getresponse()
+        self.headers = answer.headers
         found = answer.status, answer.read()
         connection.close()
         return found
 
+    def post(self, body, path="session", **given):
+        return self.ask(path, "POST", body=body, **{"Content_Type": OCTETS, **given})
+
 
 @pytest.fixture
 def served(tmp_path, monkeypatch):
+    """A viewer that paints."""
     monkeypatch.setattr(server, "_FIRST", 400)
-    found = Served(tmp_path)
+    texture, surface = canvas()
+    session = Session(texture, surface, tmp_path / "out.octex")
+    path = tmp_path / "ball.octex"
+    found = Served(lambda log: Viewer(lambda: texture, path, surface, session=session, log=log))
     yield found
     monkeypatch.setattr(server, "_FIRST", 0)
     found.thread.join(20)
     assert not found.thread.is_alive()
-    found.session.close()
+    session.close()

@@ -6,22 +6,20 @@ import numpy as np
 import pytest
 
 import octex
-from tests.make.painted import ball, plain, together
-from tests.make.studio import _HOLD, Studio, pictured
+from tests.make.painted import balls
+from tests.make.studio import Studio, pictured
 from tests.viewer.test_paint_commands import BLENDS
 
 
 def drawn_and_baked(studio, page, drags):
     """Draw strokes; return the picture before, with what the page draws of them, and with them baked."""
     before = pictured(page)
-    page.evaluate(_HOLD)
-    for brush, places in drags:
-        page.evaluate("(brush) => viewer.painting.set(brush)", brush)
-        studio.drag(page, *places)
-    page.wait_for_function("(n) => viewer.painting.sending.waiting.length === n", arg=len(drags))
+    with studio.held(page, len(drags)):
+        for brush, places in drags:
+            page.evaluate("(brush) => viewer.painting.set(brush)", brush)
+            studio.drag(page, *places)
     shown = pictured(page)
-    page.evaluate("release()")
-    studio.is_done(page)
+    studio.bake(page)
     return before, shown, pictured(page)
 
 
@@ -58,17 +56,15 @@ _SENT = """() => {
 def stroke_drawn(studio, page, places, steps=5, **brush):
     """Draw a stroke; return its coverage as codes (height, width)."""
     page.evaluate("(brush) => viewer.painting.set(brush)", brush)
-    page.evaluate(_HOLD)
-    studio.drag(page, *places, steps=steps)
-    page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+    with studio.held(page):
+        studio.drag(page, *places, steps=steps)
     return sent(studio, page)
 
 
 def sent(studio, page):
     """Return the coverage of the stroke that waits, as codes (height, width), and let it be baked."""
     (left, top, right, bottom), codes, (width, height) = page.evaluate(_SENT)
-    page.evaluate("release()")
-    studio.is_done(page)
+    studio.bake(page)
     found = np.zeros((height, width), np.int64)
     found[top:bottom, left:right] = np.reshape(codes, (bottom - top, right - left))
     return found
@@ -160,13 +156,12 @@ def test_a_pen_s_pressure_changes_what_it_is_set_to(studio, page):
 
     def pressed(how):
         page.evaluate("(pressure) => viewer.painting.set({ pressure, hardness: 1, size: 30 })", how)
-        page.evaluate(_HOLD)
         event = {"button": "left", "clickCount": 1, "pointerType": "pen"}
-        for kind, right, force in (("Pressed", 0, 0.2), ("Moved", 30, 0.5), ("Moved", 60, 0.8)):
-            place = {"x": middle[0] - 30 + right, "y": middle[1], "force": force, "buttons": 1}
-            pen.send("Input.dispatchMouseEvent", {"type": f"mouse{kind}", **event, **place})
-        pen.send("Input.dispatchMouseEvent", {"type": "mouseReleased", **event, **place, "buttons": 0})
-        page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+        with studio.held(page):
+            for kind, right, force in (("Pressed", 0, 0.2), ("Moved", 30, 0.5), ("Moved", 60, 0.8)):
+                place = {"x": middle[0] - 30 + right, "y": middle[1], "force": force, "buttons": 1}
+                pen.send("Input.dispatchMouseEvent", {"type": f"mouse{kind}", **event, **place})
+            pen.send("Input.dispatchMouseEvent", {"type": "mouseReleased", **event, **place, "buttons": 0})
         return sent(studio, page)
 
     heights, codes = {}, {}
@@ -303,13 +298,11 @@ def test_a_stroke_that_goes_through_is_seen_when_the_view_turns_before_it_is_bak
     turned(page, 0.0)
     brush = {"hidden": True, "backFaces": True, "angle": 80, "hardness": 0.6}
     page.evaluate("(brush) => viewer.painting.set(brush)", brush)
-    page.evaluate(_HOLD)
-    studio.drag(page, (-30, 0), (40, 30))
-    page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+    with studio.held(page):
+        studio.drag(page, (-30, 0), (40, 30))
     page.evaluate("viewer.camera.turn = Math.PI")
     before, shown = pictured(page, paint=None), pictured(page)
-    page.evaluate("release()")
-    studio.is_done(page)
+    studio.bake(page)
     assert_same_inside((before, shown, pictured(page)))
 
 
@@ -317,10 +310,7 @@ class Pair(Studio):
     """Two balls beside each other along x."""
 
     def __init__(self, browser, folder):
-        one = ball(16)
-        beside = one.vertices + np.array([2.1, 0.2, -0.3])
-        mesh = together((one.vertices, one.triangles), (beside, one.triangles))
-        self.surface = plain(mesh)
+        self.surface = balls([2.1, 0.2, -0.3], 16, 16)
         self.texture = octex.convert(self.surface, depth=6)
         self.start(browser, folder)
 

@@ -79,38 +79,6 @@ def session(tmp_path):
     found.close()
 
 
-@pytest.mark.parametrize("names", [[], ["roughness"], ["roughness", "metallic"], list(GIVEN)])
-@pytest.mark.parametrize("has_color", [True, False])
-def test_a_stroke_paints_each_channel_as_the_library_does_and_is_one_step(names, has_color, session):
-    if not names and not has_color:
-        return
-    painter = octex.Painter(*canvas())
-    values = {name: GIVEN[name] for name in names}
-    body = stroke(1, values=values)
-    take(session, body if has_color else without_color(body))
-    assert session.shown.told["fault"] == ""
-    painted(painter, 1, values | ({"base_color": color_of(1)} if has_color else {}))
-    assert_same(session.shown.texture, painter.texture())
-    assert session.shown.told["done"] == 1
-    take(session, plain("undo", 2))
-    assert_same(session.shown.texture, canvas()[0])
-    take(session, plain("redo", 3))
-    assert_same(session.shown.texture, painter.texture())
-
-
-def test_a_fill_paints_several_channels(session):
-    painter = octex.Painter(*canvas())
-    session.take(plain("fill", 1, values=GIVEN, color=[250, 0, 10], opacity=0.5))
-    take(session, plain("fill", 2, values={"roughness": [0.5]}, opacity=0.25, blend="multiply"))
-    for name, channel in painter.texture().channels.items():
-        light = light_of(channel.format, ({"base_color": [250, 0, 10]} | GIVEN)[name])
-        painter.fill(ones, light, channel=name, opacity=0.5)
-    half = decode(np.array([128], np.uint8), "data")
-    painter.fill(ones, half, channel="roughness", opacity=0.25, blend="multiply")
-    assert_same(session.shown.texture, painter.texture())
-    assert session.shown.told["done"] == 2
-
-
 def test_mirrored_and_blended_strokes_paint_all_channels(session):
     texture, _ = canvas()
     take(session, stroke(1, values={"metallic": [1]}, mirror="x", blend="screen"))
@@ -276,8 +244,9 @@ def test_random_commands_do_what_calls_of_the_library_do_and_are_recovered(seed,
     for number in range(1, 15):
         kind = random.choice(["stroke", "stroke", "fill", "channel", "undo", "redo"])
         now = history[done]
-        chosen = [name for name in GIVEN if random.random() < 0.4] or ["roughness"]
-        values = {name: GIVEN[name] for name in chosen}
+        values = {name: value for name, value in GIVEN.items() if random.random() < 0.4}
+        has_color = not values or random.random() < 0.5
+        blend = str(random.choice(["over", "multiply"]))
         if kind == "undo":
             body, done = plain("undo", number), max(done - 1, 0)
         elif kind == "redo":
@@ -293,18 +262,21 @@ def test_random_commands_do_what_calls_of_the_library_do_and_are_recovered(seed,
                 )
         else:
             painter = octex.Painter(now, surface)
+            lit = values | ({"base_color": color_of(number)} if has_color else {})
             if kind == "stroke":
-                body = without_color(stroke(number, values=values))
-                painted(painter, number, values)
+                body = stroke(number, values=values, blend=blend)
+                painted(painter, number, lit, blend)
             else:
-                body = plain("fill", number, values=values, color=[1, 2, 3], opacity=0.3)
+                body = plain("fill", number, values=values, color=color_of(number), opacity=0.3, blend=blend)
                 for name, channel in now.channels.items():
-                    if name in values or name == "base_color":
-                        light = light_of(channel.format, values.get(name, [1, 2, 3]))
-                        painter.fill(ones, light, channel=name, opacity=0.3)
+                    if name in lit:
+                        light = light_of(channel.format, lit[name])
+                        painter.fill(ones, light, channel=name, opacity=0.3, blend=blend)
+            body = body if has_color else without_color(body)
             history[done + 1 :], done = [painter.texture()], done + 1
         take(session, body)
         assert_same(session.shown.texture, history[done])
+        assert session.shown.told["done"] == done
     session.close()
     again = Session(*canvas(), tmp_path / "out.octex", recover=True)
     assert_same(again.shown.texture, history[done])

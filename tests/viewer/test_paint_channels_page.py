@@ -13,7 +13,7 @@ from octex.texture.channel import row_counts
 from octex.viewer import write_page
 from tests.make.browser import Probe, camera_of, drawn
 from tests.make.painted import ball
-from tests.make.studio import _HOLD, Studio
+from tests.make.studio import Studio
 from tests.viewer.test_paint_redraw import _UNLIKE
 
 SCALARS = {"roughness": 0.6, "metallic": 0.1, "occlusion": 0.9}
@@ -76,14 +76,12 @@ def test_channels_are_seen_at_once_as_they_will_be_painted(values, shop, page):
     ticked(page, **values)
     looks = [*(("channel", name) for name in values), ("lit", "base_color")]
     plain = {look: pictured(page, *look) for look in looks}
-    page.evaluate(_HOLD)
     page.evaluate("viewer.look.shown = 'channel'; viewer.look.channel = viewer.painting.brush.ticked[0]")
-    for places in (((-60, 0), (0, -40)), ((0, -40), (60, 20))):
-        shop.drag(page, *places)
-    page.wait_for_function("viewer.painting.sending.waiting.length === 2")
+    with shop.held(page, 2):
+        for places in (((-60, 0), (0, -40)), ((0, -40), (60, 20))):
+            shop.drag(page, *places)
     before = {look: pictured(page, *look) for look in looks}
-    page.evaluate("release()")
-    shop.is_done(page)
+    shop.bake(page)
     is_painted = np.zeros(VIEW[::-1], np.bool_)
     for look in looks:
         after = pictured(page, *look)

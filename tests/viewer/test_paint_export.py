@@ -3,7 +3,6 @@
 import json
 import socket
 import threading
-from http.client import HTTPConnection
 from urllib.parse import urlencode
 
 import pytest
@@ -19,18 +18,9 @@ from tests.make.same import assert_same
 from tests.viewer.test_session import canvas, plain, stroke
 
 
-def got(served, path):
-    connection = HTTPConnection("127.0.0.1", served.viewer.port, timeout=60)
-    connection.request("GET", f"/{served.viewer.token}/{path}")
-    answer = connection.getresponse()
-    found = answer.status, dict(answer.getheaders()), answer.read()
-    connection.close()
-    return found
-
-
 def told(served, **wanted):
     """Ask for a file; return what is told until its line ends."""
-    status, _, body = got(served, f"export?{urlencode(wanted)}")
+    status, body = served.ask(f"export?{urlencode(wanted)}")
     assert status == 200
     events = [block.split("\n") for block in body.decode().strip().split("\n\n")]
     return [(name.removeprefix("event: "), json.loads(data.removeprefix("data: "))) for name, data in events]
@@ -41,10 +31,10 @@ def exported(served, **wanted):
     *steps, (name, last) = told(served, **wanted)
     assert name == "done", last
     assert {each for each, _ in steps} == {"progress"}
-    status, headers, body = got(served, f"export/{last['number']}")
+    status, body = served.ask(f"export/{last['number']}")
     assert status == 200
     assert len(body) == last["bytes"]
-    assert headers["Content-Disposition"] == f"attachment; filename*=UTF-8''{last['name']}"
+    assert served.headers["Content-Disposition"] == f"attachment; filename*=UTF-8''{last['name']}"
     return last["name"], body
 
 
@@ -83,15 +73,15 @@ def test_a_file_is_what_the_library_writes_of_the_painted_texture(wanted, name, 
 def test_the_last_file_alone_is_kept_and_none_in_the_end(served, tmp_path):
     (_, first) = told(served, kind="octex")[-1]
     (_, second) = told(served, kind="octz")[-1]
-    assert got(served, f"export/{first['number']}")[0] == 404
+    assert served.ask(f"export/{first['number']}")[0] == 404
     assert "no longer there" in served.lines[-1]
-    assert got(served, f"export/{second['number']}")[0] == 200
+    assert served.ask(f"export/{second['number']}")[0] == 200
     assert len([*tmp_path.glob(".octex-*")]) == 1
     assert served.viewer.downloads is not None
     served.viewer.downloads.close()
     assert not [*tmp_path.glob(".octex-*")]
     for path in ("export/../../out.octex.strokes", "export/", "export/1/2"):
-        assert got(served, path)[0] == 404
+        assert served.ask(path)[0] == 404
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,8 @@ from octex.session.painting import Session, Shown
 from octex.viewer import Viewer
 from tests.make.fixtures import obj_lines
 from tests.make.same import assert_same
-from tests.make.studio import _HOLD, pictured
+from tests.make.studio import pictured
+from tests.viewer.test_paint_brush import LINE, assert_same_inside, drawn_and_baked
 from tests.viewer.test_session import PAGE, canvas, ones, painted, plain, stroke, take
 
 
@@ -132,22 +133,13 @@ def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_era
     page.click("#layer-add")
     studio.is_done(page)
     assert page.evaluate("viewer.painting.layers.chosen") == 1
-    before = pictured(page)
-    page.evaluate(_HOLD)
-    studio.drag(page, (-60, 0), (0, -40), (60, 20))
-    page.wait_for_function("viewer.painting.sending.waiting.length === 1")
-    shown = pictured(page)
-    page.evaluate("release()")
-    studio.is_done(page)
-    baked = pictured(page)
-    inside = np.abs(shown - before).max(axis=2) > 60
-    assert inside.mean() > 0.02
-    assert np.sqrt(((shown - baked)[inside] ** 2).mean()) <= 2
+    pictures = drawn_and_baked(studio, page, [({}, LINE)])
+    assert_same_inside(pictures)
     page.keyboard.press("e")
     page.evaluate("viewer.painting.set({ size: 160, hardness: 1 })")
-    studio.drag(page, (-60, 0), (0, -40), (60, 20))
+    studio.drag(page, *LINE)
     studio.is_done(page)
-    assert np.abs(pictured(page) - before).max() <= 1
+    assert np.abs(pictured(page) - pictures[0]).max() <= 1
     page.click("#layer-delete")
     studio.is_done(page)
     assert page.evaluate("[viewer.painting.layers.chosen, viewer.painting.last.steps.at(-1)]") == [

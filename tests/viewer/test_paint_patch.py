@@ -3,7 +3,6 @@
 import json
 import zlib
 from dataclasses import replace
-from http.client import HTTPConnection
 from urllib.parse import quote
 
 import numpy as np
@@ -13,10 +12,10 @@ import octex
 from octex.errors import ArgumentError, ModelError
 from octex.session.commands import command_of, stroke_of
 from octex.session.painting import Session, mirrored
-from octex.source.surface import Surface
-from tests.make.painted import ball
+from tests.make.browser import lose_gpu, restore_gpu
+from tests.make.painted import balls
 from tests.make.same import assert_same
-from tests.make.studio import _HOLD, pictured
+from tests.make.studio import pictured
 from tests.viewer.test_paint_poses import Bending, bending
 from tests.viewer.test_session import NAN, SIZE, canvas, plain, stroke, take
 
@@ -132,12 +131,9 @@ def test_a_patch_beside_the_surface_is_said_and_paints_nothing(tmp_path):
 
 
 def test_pages_are_sent_a_patch_as_a_mesh(served):
-    connection = HTTPConnection("127.0.0.1", served.viewer.port, timeout=60)
-    asked = quote(json.dumps({"patch": SPOT, "moved": None}))
-    connection.request("GET", f"/{served.viewer.token}/patch?{asked}")
-    answer = connection.getresponse()
-    line, _, stream = answer.read().partition(b"\n")
-    assert answer.status == 200
+    status, body = served.ask(f"patch?{quote(json.dumps({'patch': SPOT, 'moved': None}))}")
+    line, _, stream = body.partition(b"\n")
+    assert status == 200
     told = json.loads(line)
     patch = octex.unwrap(canvas()[1], SPOT["center"], SPOT["radius"], up=SPOT["up"])
     assert told["mesh"]["triangles"] == len(patch.triangles)
@@ -146,10 +142,7 @@ def test_pages_are_sent_a_patch_as_a_mesh(served):
     mesh = told["mesh"]
     size = 4 * (8 * mesh["vertices"] + mesh["corners"]) + mesh["edges"]
     assert len(zlib.decompress(stream, -15)) == size
-    connection.request("GET", f"/{served.viewer.token}/patch?nothing")
-    answer = connection.getresponse()
-    assert (answer.status, answer.read()) == (400, b"a request for a patch must be a JSON object\n")
-    connection.close()
+    assert served.ask("patch?nothing") == (400, b"a request for a patch must be a JSON object\n")
 
 
 def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_model(browser, tmp_path):
@@ -174,9 +167,8 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         assert page.evaluate("[viewer.camera.turn, viewer.camera.tilt]") == [0, 0]  # it is moved
         page.evaluate("viewer.camera.reset(1, 1)")
         before = pictured(page)
-        page.evaluate(_HOLD)
-        studio.drag(page, (-60, 0), (0, -50), (60, 20))
-        page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+        with studio.held(page):
+            studio.drag(page, (-60, 0), (0, -50), (60, 20))
         sent = page.evaluate("viewer.painting.sending.waiting[0]")
         assert sent["moved"] == {"animation": 0, "time": 0.9}
         assert 0.1 < sent["patch"]["radius"] < 1
@@ -190,8 +182,7 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         assert page.evaluate("JSON.stringify(viewer.camera.state)") == camera
         page.wait_for_function("viewer.isDrawn")
         assert (pictured(page) == model).all()  # of another view nothing is shown until it is painted
-        page.evaluate("release()")
-        studio.is_done(page, 1)
+        studio.bake(page, 1)
         assert studio.session.shown.told["fault"] == ""
         assert (np.abs(pictured(page) - model).max(axis=2) > 60).mean() > 0.005
         spot = [sent["patch"], sent["moved"]]
@@ -199,12 +190,8 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         page.evaluate("viewer.camera.reset()")
         inside = (drawn_flat - pictured(page))[is_painted]
         assert np.sqrt((inside**2).mean()) <= 2
-        page.evaluate(
-            "globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()"
-        )
-        page.wait_for_function("viewer.isLost")
-        page.evaluate("lose.restoreContext()")
-        page.wait_for_function("!viewer.isLost && viewer.isSharp")
+        lose_gpu(page)
+        restore_gpu(page)
         page.keyboard.press("v")  # back to the model, which moves again
         assert page.locator("#flat").is_hidden()
         assert (np.abs(pictured(page) - model).max(axis=2) > 60).mean() > 0.005
@@ -212,12 +199,7 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
 
 
 def test_parts_that_were_moved_apart_are_painted_posed_and_flat(tmp_path):
-    balls = ball(8), ball(8)
-    whole = Surface.from_arrays(
-        np.concatenate([each.vertices + np.array([1.5 * n, 0.0, 0.0]) for n, each in enumerate(balls)]),
-        np.concatenate([each.triangles + n * len(each.vertices) for n, each in enumerate(balls)]),
-        factor=(0.5, 0.5, 0.5),
-    )
+    whole = balls([1.5, 0.0, 0.0], 8, 8)
     texture = octex.convert(octex.separate(whole, depth=5).surface, depth=5)
     motion, expected = bending(whole), texture
     session = Session(texture, whole, tmp_path / "out.octex", motion=motion)

@@ -11,7 +11,7 @@ from octex.source.motion import Animation, Links, Motion
 from octex.viewer import Viewer
 from tests.make.painted import ball
 from tests.make.same import assert_same
-from tests.make.studio import _HOLD, Studio, pictured
+from tests.make.studio import Studio, pictured
 from tests.viewer.test_session import NAN, canvas, plain, stroke, take
 
 FRAMES = 9
@@ -107,10 +107,9 @@ def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the
     with studio.opened() as page:
         page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")
         plain_picture = pictured(page)
-        page.evaluate(_HOLD)
-        page.evaluate("viewer.player.play(true)")
-        studio.drag(page, (-60, 0), (0, -40), (40, -60))
-        page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+        with studio.held(page):
+            page.evaluate("viewer.player.play(true)")
+            studio.drag(page, (-60, 0), (0, -40), (40, -60))
         moved = page.evaluate("viewer.painting.sending.waiting[0].moved")
         assert moved["animation"] == 0
         assert page.evaluate("viewer.player.since") is None  # the pen stops it
@@ -120,8 +119,7 @@ def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the
         before, plain_picture = pictured(page), pictured(page, paint=None)
         is_painted = np.abs(before - plain_picture).max(axis=2) > 60
         assert 0.01 < is_painted.mean() < 0.3
-        page.evaluate("release()")
-        studio.is_done(page, 1)
+        studio.bake(page, 1)
         inside = (before - pictured(page))[is_painted]
         assert np.sqrt((inside**2).mean()) <= 2
         assert studio.session.shown.told["fault"] == ""

@@ -5,7 +5,7 @@ import pytest
 
 import octex
 from tests.make.same import assert_same
-from tests.make.studio import _HOLD, SIZE, pictured
+from tests.make.studio import SIZE, pictured
 
 #: Opens all sections of the panel; returns the names of those that were open.
 _OPEN = """() => {
@@ -26,17 +26,15 @@ _LINES = """(all) => all.map((each) => {
 
 def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio, page):
     plain = pictured(page)
-    page.evaluate(_HOLD)
-    studio.drag(page, (-60, 0), (0, -40), (60, 20))
-    page.wait_for_function("viewer.painting.sending.waiting.length === 1")
+    with studio.held(page):
+        studio.drag(page, (-60, 0), (0, -40), (60, 20))
     before = pictured(page)
     is_painted = np.abs(before - plain).max(axis=2) > 60
     assert 0.02 < is_painted.mean() < 0.3
     assert_same(studio.session.shown.texture, studio.texture)
     page.evaluate("viewer.camera.orbit(0.5, 0.15)")
     turned, plain_turned = pictured(page), pictured(page, paint=None)
-    page.evaluate("release()")
-    studio.is_done(page)
+    studio.bake(page)
     turned_after = pictured(page)
     is_seen = np.abs(turned_after - plain_turned).max(axis=2) > 60
     assert is_seen.mean() > 0.01
@@ -133,28 +131,12 @@ def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(stu
     page.keyboard.press("ArrowLeft")
     page.mouse.move(box["width"] / 2 + 20, box["height"] / 2)
     assert page.evaluate("String(viewer.camera.view)") == before
-    page.evaluate(_HOLD)
-    page.mouse.up()
-    page.keyboard.press("Control+z")
-    page.wait_for_function("viewer.painting.sending.waiting.length === 2")
-    page.evaluate("release()")
-    studio.is_done(page)
+    with studio.held(page, 2):
+        page.mouse.up()
+        page.keyboard.press("Control+z")
+    studio.bake(page)
     assert page.evaluate("[viewer.painting.last.steps, viewer.painting.last.done]") == [["Brush"], 0]
     assert_same(studio.session.shown.texture, studio.texture)
-
-
-def test_after_a_gpu_was_lost_painting_goes_on(studio, page):
-    studio.drag(page, (-30, 0), (0, 0))
-    studio.is_done(page)
-    before = pictured(page)
-    page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()")
-    page.wait_for_function("viewer.isLost")
-    page.evaluate("lose.restoreContext()")
-    page.wait_for_function("!viewer.isLost && viewer.isSharp")
-    assert (pictured(page) == before).all()
-    studio.drag(page, (0, 20), (30, 20))
-    studio.is_done(page)
-    assert np.abs(pictured(page) - before).max() > 60
 
 
 def test_nothing_is_painted_that_is_not_seen(studio, page):

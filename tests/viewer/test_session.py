@@ -19,8 +19,7 @@ from octex.channels import decode
 from octex.errors import ArgumentError, OutputError
 from octex.session import painting as sessions
 from octex.session.painting import BusyError, OrderError, Session
-from octex.source.surface import Surface
-from tests.make.painted import ball
+from tests.make.painted import ball, balls
 from tests.make.same import assert_same
 
 PAGE = "01234567-89ab-cdef"
@@ -83,10 +82,10 @@ def picture_sent(number, color=None):
     return image
 
 
-def painted(painter, number, blend="over", max_angle=85, **options):
+def painted(painter, number, blend="over"):
     """Paint the same as a user of the library does."""
     picture = octex.Projection(picture_sent(number), camera(), opacity=0.8, blend=blend)
-    painter.paint(picture, max_angle=max_angle, **options)
+    painter.paint(picture, max_angle=85)
 
 
 def take(session, *bodies):
@@ -94,33 +93,6 @@ def take(session, *bodies):
     for body in bodies:
         session.take(body)
     session.wait()
-
-
-def test_commands_do_bit_for_bit_what_calls_of_the_library_do(session):
-    texture, surface = canvas()
-    painter = octex.Painter(texture, surface)
-    red = decode(np.array([255, 0, 10], np.uint8), "srgb")
-    moves = [
-        (stroke(1), lambda: painted(painter, 1)),
-        (stroke(2), lambda: painted(painter, 2)),
-        (plain("undo", 3), painter.undo),
-        (stroke(4), lambda: painted(painter, 4)),
-        (plain("fill", 5, color=[255, 0, 10], opacity=0.5), lambda: painter.fill(ones, red, opacity=0.5)),
-        (plain("undo", 6), painter.undo),
-        (plain("redo", 7), painter.redo),
-        (plain("undo", 8), painter.undo),
-        (plain("undo", 9), painter.undo),
-    ]
-    for number, (body, call) in enumerate(moves, 1):
-        assert session.take(body) == number
-        call()
-        session.wait()
-        assert_same(session.shown.texture, painter.texture())
-        assert session.shown.told["done"] == len(painter.strokes)
-        assert session.shown.told["baked"] == {PAGE: number}
-    take(session, plain("undo", 10), plain("undo", 11))
-    assert_same(session.shown.texture, texture)
-    assert session.shown.told["fault"] == ""
 
 
 def test_a_stroke_may_be_a_picture_of_many_colours(session):
@@ -402,12 +374,7 @@ def test_what_is_no_command_is_refused(session):
 
 
 def two_balls():
-    balls = [ball(8), ball(8)]
-    surface = Surface.from_arrays(
-        np.concatenate([each.vertices + np.array([3.0 * n, 0.0, 0.0]) for n, each in enumerate(balls)]),
-        np.concatenate([each.triangles + n * len(each.vertices) for n, each in enumerate(balls)]),
-        factor=(0.5, 0.5, 0.5),
-    )
+    surface = balls([3.0, 0.0, 0.0], 8, 8)
     return octex.convert(surface, depth=6), surface
 
 
@@ -453,11 +420,3 @@ def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session)
     assert_same(session.shown.texture, texture)
     with pytest.raises(ArgumentError, match="mirror must be x, y, z"):
         session.take(stroke(3, mirror="w"))
-
-
-def test_back_faces_and_angles_are_painted_as_the_library_does(session):
-    texture, surface = canvas()
-    painter = octex.Painter(texture, surface)
-    take(session, stroke(1, backFaces=True, maxAngle=40))
-    painted(painter, 1, max_angle=40, back_faces=True)
-    assert_same(session.shown.texture, painter.texture())

@@ -15,11 +15,12 @@ from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.formats.web import prepared
 from octex.texture import OctreeTexture
-from octex.viewer import Viewer, write_page
+from octex.viewer import write_page
 from octex.viewer.export import MODULES, page_text
 from octex.viewer.pack import pack
 from tests.make.browser import Probe, differences, file_url
-from tests.make.painted import ball
+from tests.make.fixtures import obj_lines
+from tests.make.painted import ball, balls
 from tests.make.small_surfaces import sheet
 from tests.make.small_textures import shell
 
@@ -276,21 +277,6 @@ def test_controls_are_named_and_within_the_window(opens, small, size):
     assert page.evaluate(gap) < 40  # between them is the cell under the pointer: none yet
 
 
-def test_a_changed_texture_is_shown_anew_and_a_lost_server_is_said(opens, tmp_path):
-    surface, path = colored(ball(8)), tmp_path / "ball.octex"
-    octex.convert(surface, depth=4).save(path)
-    lines = []
-    page = opens(
-        Viewer(lambda: octex.open(path), path, surface, log=lines.append), is_drawn=False, is_lost=True
-    )
-    assert page.evaluate("viewer.header.parts[0].depth") == 4
-    octex.convert(surface, depth=3).save(path)
-    page.wait_for_function(
-        "globalThis.viewer?.header?.parts[0].depth === 3 && viewer.isComplete", timeout=60_000
-    )
-    assert lines == []
-
-
 def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(opens, tmp_path, request):
     surface, path, other = colored(ball(8)), tmp_path / "ball.octex", tmp_path / "other.octex"
     octex.convert(surface, depth=5).save(path)
@@ -378,25 +364,14 @@ def test_a_page_of_limited_size_leaves_the_finest_levels_out(tmp_path):
 
 def two_parts(folder):
     """Two balls that touch, with channels and depths of their own."""
-    balls = ball(8), ball(8)
-    vertices = np.concatenate([each.vertices + np.array([1.9 * n, 0, 0]) for n, each in enumerate(balls)])
-    lines = [f"v {x} {y} {z}" for x, y, z in vertices]
-    for n, each in enumerate(balls):
-        lines += [
-            f"o part{n}",
-            *(f"f {a} {b} {c}" for a, b, c in each.triangles + 1 + n * len(each.vertices)),
-        ]
-    (folder / "two.obj").write_text("\n".join(lines))
+    both = balls([1.9, 0, 0], 8, 8)
+    (folder / "two.obj").write_text(obj_lines(both.vertices, both.triangles))
     surface = octex.load_surface(folder / "two.obj")
     made = {}
     for number in range(2):
         part = surface.part(np.flatnonzero(surface.parts == number))
-        part = (
-            colored(part)
-            if number
-            else part.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
-        )
-        made[f"part {number}"] = octex.convert(part, depth=4 + number)
+        waves = part.with_sources({"base_color": lambda p: 0.5 + 0.5 * np.sin(20 * p)})
+        made[f"part {number}"] = octex.convert(colored(part) if number else waves, depth=4 + number)
     return octex.TextureSet(made), surface
 
 

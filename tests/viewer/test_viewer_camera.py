@@ -59,10 +59,11 @@ def test_a_double_click_turns_around_what_is_there_and_beside_the_model_shows_al
 
 
 def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls(opens, tmp_path):
-    surface, path = ball(8), tmp_path / "ball.octex"
+    surface, path, lines = ball(8), tmp_path / "ball.octex", list[str]()
     octex.convert(surface, depth=4).save(path)
-    viewer = Viewer(lambda: octex.open(path), path, surface)
+    viewer = Viewer(lambda: octex.open(path), path, surface, log=lines.append)
     page = opens(viewer, (760, 300), is_drawn=False, is_lost=True)
+    assert page.evaluate("viewer.header.parts[0].depth") == 4
     page.select_option("#shown", "depth")
     page.uncheck("#footprints")
     page.evaluate("viewer.camera.orbit(0.4, 0.2); viewer.camera.zoom(2, viewer.camera.low); viewer.move()")
@@ -80,6 +81,7 @@ def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls
     page.reload()
     page.wait_for_function("globalThis.viewer?.isComplete")
     assert page.evaluate("viewer.look.shown") == "lit"  # what a user loads anew is new
+    assert lines == []
 
 
 def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(opens, tmp_path):

@@ -13,7 +13,7 @@ from octex.viewer import Viewer
 from octex.viewer.changes import change_between, change_of
 from octex.viewer.pack import pack
 from tests.conftest import needs_jit
-from tests.make.browser import UNLIKE, Probe, differences
+from tests.make.browser import UNLIKE, Probe, differences, lose_gpu, restore_gpu
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.small_surfaces import sheet
@@ -54,10 +54,8 @@ def test_after_each_stroke_a_page_has_what_one_has_that_loads_anew(opens, tmp_pa
     assert texture.tree.kept.cells.size
     for facing in (False, True):
         shown(page, texture, surface, facing)
-    page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()")
-    page.wait_for_function("viewer.isLost")
-    page.evaluate("lose.restoreContext()")
-    page.wait_for_function("!viewer.isLost")
+    lose_gpu(page)
+    restore_gpu(page)
     shown(page, texture, surface, True)
 
 

@@ -9,7 +9,6 @@ import threading
 import time
 import webbrowser
 import zlib
-from http.client import HTTPConnection
 
 import pytest
 
@@ -18,46 +17,20 @@ from octex.cli.main import main
 from octex.errors import ExitCode, OutputError
 from octex.viewer import Viewer, answers, server
 from octex.viewer.key import user_key
-from tests.make.painted import ball
+from tests.make.fixtures import obj_lines
+from tests.make.painted import balls
 from tests.make.small_textures import eight_colors
-
-
-class Served:
-    """A viewer of a small texture, that runs."""
-
-    def __init__(self, folder):
-        self.path = folder / "eight.octex"
-        eight_colors().save(self.path)
-        self.lines: list[str] = []
-        self.viewer = Viewer(self.read, self.path, None, log=self.lines.append)
-        self.thread = threading.Thread(target=self.viewer.run, kwargs={"alone": 0.1})
-        self.thread.start()
-
-    def read(self):
-        return octex.open(self.path)
-
-    def ask(self, path="", method="GET", token=None, **headers):
-        connection = HTTPConnection("127.0.0.1", self.viewer.port, timeout=60)
-        named = {name.replace("_", "-"): text for name, text in headers.items()}
-        token = self.viewer.token if token is None else token
-        connection.request(method, f"/{token}/{path}" if token else f"/{path}", headers=named)
-        answer = connection.getresponse()
-        self.headers = answer.headers
-        found = answer.status, answer.read()
-        connection.close()
-        return found
-
-    def raw(self, content):
-        with socket.create_connection(("127.0.0.1", self.viewer.port), timeout=60) as line:
-            line.sendall(content)
-            line.shutdown(socket.SHUT_WR)
-            return b"".join(iter(lambda: line.recv(4096), b""))
+from tests.viewer.conftest import Served
 
 
 @pytest.fixture
 def served(tmp_path, monkeypatch):
+    """A viewer of a small texture."""
     monkeypatch.setattr(server, "_FIRST", 100)  # the first page is waited for 10 s, others 0.1 s
-    found = Served(tmp_path)
+    path = tmp_path / "eight.octex"
+    eight_colors().save(path)
+    found = Served(lambda log: Viewer(lambda: octex.open(path), path, None, log=log))
+    found.path = path
     yield found
     if found.thread.is_alive():
         events(found).close()  # a page that comes and goes: then it stops
@@ -132,7 +105,11 @@ def test_other_methods_are_refused(served, method):
 
 @pytest.mark.parametrize("content", [b"GET", b"\x16\x03\x01\x02\x00", b"GET /\x1b[2J HTTP/1.1\r\n\r\n"])
 def test_what_is_no_request_or_half_of_one_changes_nothing(served, content):
-    served.raw(content)
+    with socket.create_connection(("127.0.0.1", served.viewer.port), timeout=60) as line:
+        line.sendall(content)
+        line.shutdown(socket.SHUT_WR)
+        while line.recv(4096):
+            pass
     assert all(line.isprintable() for line in served.lines)
     assert served.ask("data/header")[0] == 200
 
@@ -185,7 +162,7 @@ def test_the_server_stops_when_the_last_page_is_gone(served):
 
 def test_a_port_that_is_taken_is_said(served):
     with pytest.raises(OutputError, match=f"port {served.viewer.port} of 127.0.0.1: .*; choose another"):
-        Viewer(served.read, served.path, None, port=served.viewer.port)
+        Viewer(eight_colors, served.path, None, port=served.viewer.port)
 
 
 def test_with_a_key_the_address_of_a_path_is_the_same_each_time(tmp_path):
@@ -265,15 +242,8 @@ def test_of_a_folder_all_parts_are_shown_or_one(tmp_path, monkeypatch):
         assert main(["view", str(tmp_path / "set"), "--no-browser", "--quiet", *words]) == ExitCode.DONE
         return found[0]
 
-    balls = ball(4), ball(2)
-    lines = [f"v {x} {y} {z}" for n, each in enumerate(balls) for x, y, z in each.vertices + 5 * n]
-    firsts = 1, 1 + len(balls[0].vertices)
-    lines += [
-        f"f {a} {b} {c}"
-        for first, each in zip(firsts, balls, strict=True)
-        for a, b, c in each.triangles + first
-    ]
-    (tmp_path / "two.obj").write_text("\n".join(lines))
+    two = balls([5, 5, 5], 4, 2)
+    (tmp_path / "two.obj").write_text(obj_lines(two.vertices, two.triangles))
     two = octex.load_surface(tmp_path / "two.obj")
     textures = octex.convert_set(two, depth=3)
     textures.save(tmp_path / "set")

@@ -10,7 +10,7 @@ from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from octex.viewer import Viewer, write_page
 from octex.viewer.maps import maps_of
-from tests.make.browser import camera_of, drawn
+from tests.make.browser import camera_of, drawn, lose_gpu, restore_gpu
 from tests.make.fixtures import Gltf, png, random_image
 
 SIZE = 240, 180
@@ -83,10 +83,8 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     )
     divider.press("End")
     sharp()
-    page.evaluate("(globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')).loseContext()")
-    page.wait_for_function("viewer.isLost")
-    page.evaluate("lose.restoreContext()")
-    page.wait_for_function("!viewer.isLost")
+    lose_gpu(page)
+    restore_gpu(page)
     sharp()
     assert pictures.pop() == pictures[-1]  # images are there again
     divider.press("Home")

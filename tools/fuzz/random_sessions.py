@@ -1,7 +1,7 @@
 #!/usr/bin/env python
 """Paint random strokes in sessions that end at any moment, or that go on for long; see that none is lost.
 
-usage: random_sessions.py kills 50             kill the server (SIGKILL) at so many random moments
+usage: soak.py sessions                        kill the server (SIGKILL) at random moments
        random_sessions.py closes 50            close a page at so many random moments
        random_sessions.py strokes 1000         paint, undo all and redo all, and say what memory that takes
 
@@ -36,11 +36,6 @@ from tests.make.same import assert_same  # noqa: E402
 _SIZE = 400, 300
 #: Strokes after which memory is measured first, and the most that it may have grown then.
 _FIRST, _MOST_GROWTH = 100, 1.5
-
-
-def check(seed: int) -> None:
-    """Kill a server a few times."""
-    killed(3, seed)
 
 
 class Studio(PaintServer):
@@ -87,16 +82,8 @@ def _memory_of(process: int) -> float:
     return int(found[1]) / 1024 if found else 0.0
 
 
-def kills(count: int, seed: int = 0) -> None:
-    """Kill the server while strokes are sent, in sessions of five kills."""
-    for first in range(0, count, 5):
-        own = min(count - first, 5)
-        number = killed(own, seed + first)
-        print(f"{first + own} kills: of {number} strokes none is lost, none painted twice", flush=True)
-
-
-def killed(count: int, seed: int) -> int:
-    """Kill a session's server; what it has answered must be there, once. Return how many strokes that is."""
+def check(seed: int) -> None:
+    """Kill a server a few times, while strokes are sent; what it has answered must be there, once."""
     random = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as folder:
         studio, taken = Studio(Path(folder), 7), list[bytes]()
@@ -104,7 +91,7 @@ def killed(count: int, seed: int) -> int:
         def stroke() -> bytes:
             return studio.stroke(len(taken) + 1, np.random.default_rng([seed, len(taken)]), 12)
 
-        for _ in range(count):
+        for _ in range(3):
             killer = threading.Timer(random.uniform(0.0, 0.6), studio.process.kill)
             killer.start()
             while studio.send(body := stroke()):
@@ -119,7 +106,6 @@ def killed(count: int, seed: int) -> int:
         studio.wait(len(taken))
         assert_same(studio.saved(len(taken) + 1), studio.painted(taken))
         studio.end()
-    return len(taken)
 
 
 def closes(count: int, seed: int = 0) -> None:
@@ -235,6 +221,6 @@ def strokes(count: int, seed: int = 0) -> None:
 
 
 if __name__ == "__main__":
-    if len(sys.argv) != 3 or sys.argv[1] not in ("kills", "closes", "strokes") or not sys.argv[2].isdecimal():
+    if len(sys.argv) != 3 or sys.argv[1] not in ("closes", "strokes") or not sys.argv[2].isdecimal():
         sys.exit(__doc__)
     globals()[sys.argv[1]](int(sys.argv[2]))
