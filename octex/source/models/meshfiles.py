@@ -1,8 +1,14 @@
-"""OFF and STL models: shapes, perhaps with colours."""
+"""OFF and STL models: shapes, perhaps with colours.
+
+trimesh reads STL. It drops the colours of OFF files and 3MF packages, and needs lxml and networkx for 3MF.
+"""
 
 from __future__ import annotations
 
+import io
+import logging
 import re
+import warnings
 from itertools import islice
 from pathlib import Path
 
@@ -12,31 +18,39 @@ from octex.arrays import Float32s, Float64s, Int64s, Uint8s, in_runs
 from octex.errors import ModelError, damaged
 from octex.files import read_bytes
 from octex.source.colors import guessed_colors, screen_colors
+from octex.source.images.decode import global_settings
 from octex.source.models.reading import Options, colored_surface, cut_part, parse_numbers, whole_numbers
 from octex.source.surface import Surface
 
-#: The numbers of a vertex in an STL file of text.
-_VERTEX = re.compile(r"^\s*vertex\b(.*)$", re.IGNORECASE | re.MULTILINE)
+# Keeps trimesh's messages about damaged normals off the screen.
+_quiet = logging.NullHandler()
 
 
 def load_stl(path: Path, options: Options) -> Surface:
-    """Read an STL model, with the colours that binary files may have. Raises ModelError."""
+    """Read an STL model, through trimesh, with the colours that binary files may have. Raises ModelError."""
+    import trimesh  # takes a third of a second
+
+    logging.getLogger("trimesh").addHandler(_quiet)
     data = read_bytes(path)
     colors = None
     if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
-        rows = np.frombuffer(data, np.uint8, offset=84).reshape(-1, 50)
-        positions = rows[:, 12:48].copy().view("<f4").astype(np.float64).reshape(-1, 3)
-        colors = _stl_colors(data[:80], rows)
+        colors = _stl_colors(data[:80], np.frombuffer(data, np.uint8, offset=84).reshape(-1, 50))
     else:
         if b"endsolid" not in data.lower():
             raise damaged(f"{path.name} is truncated, or not an STL file")
-        vertices = _VERTEX.findall(data.decode("latin-1"))
-        numbers = parse_numbers(" ".join(vertices))
-        if numbers is None or numbers.size != 3 * len(vertices) or len(vertices) % 3:
-            raise damaged(f"{path.name}: a facet's vertices are not three times three numbers")
-        positions = numbers.reshape(-1, 3)
-    count = len(positions)
-    part, _, _ = cut_part(path.name, positions, np.arange(count), np.full(count // 3, 3), None, colors)
+        # trimesh takes words of names for those of facets, and needs a package for text that is not UTF-8.
+        text = re.sub(r"^(\s*(?:end)?solid\b).*$", r"\1", data.decode("latin-1"), flags=re.I | re.M)
+        data = text.encode()
+    with global_settings():
+        warnings.simplefilter("ignore")
+        # Without this trimesh drops everything after the first word that is no number.
+        warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
+        try:
+            mesh = trimesh.load_mesh(io.BytesIO(data), file_type="stl", process=False)
+        except (DeprecationWarning, ValueError):
+            raise damaged(f"{path.name}: a facet's vertices are not three times three numbers") from None
+    faces, positions = np.array(mesh.faces, np.int64), np.array(mesh.vertices, np.float64)
+    part, _, _ = cut_part(path.name, positions, faces.ravel(), np.full(len(faces), 3), None, colors)
     return colored_surface(path.name, options, part)
 
 
