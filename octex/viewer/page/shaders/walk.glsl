@@ -19,7 +19,7 @@ precision highp usampler2D;
 
 const uint ROW = 4095u;  // texels in a row, less one
 const float FINEST = 8388608.0;  // 2²³: positions in fixed point
-const float FAR = 1e6;
+const float FAR = 4.0;  // a squared distance in cells
 
 uniform usampler2D u_nodes;
 
@@ -125,13 +125,13 @@ vec3 seenOf(uint flags) {
 }
 
 float sideWeight(uint flags, vec3 seen) {
-  return ((flags & 63u) == 0u ? 1.0 : ramp(max(seen.x, max(seen.y, seen.z)))) + AWAY;
+  return max(ramp(max(seen.x, max(seen.y, seen.z))), float((flags & 63u) == 0u)) + AWAY;
 }
 #endif
 
 #ifdef SPLIT
 bool isSplit(uint flags, vec3 seen) {
-  return (flags & 128u) != 0u && (flags & 63u) != 0u && max(seen.x, max(seen.y, seen.z)) > 0.0 && u_split.y > 0u;
+  return all(bvec3((flags & 128u) != 0u, max(seen.x, max(seen.y, seen.z)) > 0.0, u_split.y > 0u));
 }
 
 // Read the rows of a split cell that are seen; says whether it is one.
@@ -149,10 +149,10 @@ bool readSides(uint cell, uint flags, vec3 seen, float weight) {
 }
 #endif
 
-// What an average weighs: the root of its area.
+// What an average weighs: the root of its area. An area of 0 weighs 1, as leaves do.
 float areaWeight(float area) {
   float code = round(area * 255.0);
-  return code > 0.0 ? exp2((code - 207.0) / 16.0) : 1.0;
+  return exp2(min(code, 1.0) * (code - 207.0) / 16.0);
 }
 
 // Look at one cell: `averages` says that it weighs by its area.
@@ -160,7 +160,7 @@ void read(uint cell, bool averages) {
   r_total = r_cover = r_alpha = 0.0;
   r_sum{N} = vec4(0.0);
   ivec2 at = texelOf(cell);
-  float weight = averages ? areaWeight(PLANE0(at).a) : 1.0;
+  float weight = areaWeight(float(averages) * PLANE0(at).a);
 #ifdef FACING
   uint flags = FLAGS_AT(at);
   g_fetches++;
@@ -202,13 +202,13 @@ bool addWhole(uint cell, float weight, bool averages) {
   bool isLeft = false;
   vec4 value{N} = PLANE{N}(at);
   g_fetches += PLANES;
-  weight *= averages ? areaWeight(value0.a) : 1.0;
+  weight *= areaWeight(float(averages) * value0.a);
 #ifdef FACING
   vec3 seen = seenOf(FLAGS);
   weight *= sideWeight(FLAGS, seen);
 #ifdef SPLIT
   isLeft = isSplit(FLAGS, seen);
-  if (isLeft) weight = 0.0;
+  weight *= float(!isLeft);
 #endif
 #endif
   g_cover += weight;
@@ -220,6 +220,20 @@ bool addWhole(uint cell, float weight, bool averages) {
   g_sum{N} += weight * value{N};
   return isLeft;
 }
+
+#ifdef SPLIT
+// Add the sides of a split cell.
+void addSides(uint cell, float weight, bool averages) {
+  r_total = r_cover = r_alpha = 0.0;
+  r_sum{N} = vec4(0.0);
+  ivec2 at = texelOf(cell);
+  uint flags = FLAGS_AT(at);
+  g_fetches += 2;
+  vec3 seen = seenOf(flags);
+  readSides(cell, flags, seen, weight * areaWeight(float(averages) * PLANE0(at).a) * sideWeight(flags, seen));
+  add(1.0);
+}
+#endif
 
 // Weights of the four cells along an axis that a block has, from their distances to the point.
 vec4 kernel(vec4 away) {
@@ -275,8 +289,10 @@ Taps tapsOf(Block block, vec4 x, vec4 y, vec4 z) {
   return Taps(cells, there, there & uvec2(plane) & (inZ.xz | inZ.yw), x, y, z);
 }
 
-vec4 areIn(uint bit, uvec4 bits) {
-  return vec4(uvec4(notEqual(uvec4(bit) & bits, uvec4(0u))));
+// The first of two if a bit is among some, else the second: exactly, and without a branch.
+float either(uint bit, uint bits, vec2 of) {
+  float is = float((bit & bits) != 0u);
+  return is * of.x + (1.0 - is) * of.y;
 }
 
 // Take the first of those that are left; returns its bit.
@@ -290,12 +306,14 @@ uvec2 take(inout Taps taps, out uint cell, out float weight) {
   uint up = is.x * 0x1000000u + is.y * 0x10000u + is.z * 0x100u + is.w;
   uint below = ((word.x * taps.there.x + word.y * taps.there.y) & (lowest - 1u)) * up;
   cell = first.x + first.y + first.z + first.w + bitsOf(below >> 24u);
-  vec4 inZ = areIn(lowest, ALONG_Z) * vec4(word.xxyy);
-  float x = dot(areIn(lowest, ALONG_X), taps.x), y = dot(areIn(lowest, ALONG_Y), taps.y), z = dot(inZ, taps.z);
+  vec2 x = vec2(either(lowest, 0x00FF00FFu, taps.x.xz), either(lowest, 0x00FF00FFu, taps.x.yw));
+  vec2 y = vec2(either(lowest, 0x0000FFFFu, taps.y.xz), either(lowest, 0x0000FFFFu, taps.y.yw));
+  vec2 z = float(word.x) * taps.z.xy + float(word.y) * taps.z.zw;
+  vec3 along = vec3(either(lowest, 0x55555555u, x), either(lowest, 0x33333333u, y), either(lowest, 0x0F0F0F0Fu, z));
 #ifdef NEAREST
-  weight = x + y + z;
+  weight = along.x + along.y + along.z;
 #else
-  weight = x * y * z;
+  weight = along.x * along.y * along.z;
 #endif
   uvec2 bit = lowest * word;
   taps.left ^= bit;
@@ -331,13 +349,13 @@ void gather(Block block, vec3 inside, float share, bool averages) {
   uvec2 split = uvec2(0u);
   while ((taps.left.x | taps.left.y) != 0u) {
     uvec2 bit = take(taps, cell, weight);
-    if (addWhole(cell, weight, averages)) split |= bit;
+    split |= bit * uint(addWhole(cell, weight, averages));
   }
 #ifdef SPLIT
   taps.left = split;
   while ((taps.left.x | taps.left.y) != 0u) {
     take(taps, cell, weight);
-    tap(cell, weight, averages);
+    addSides(cell, weight, averages);
   }
 #endif
 #endif
@@ -355,10 +373,10 @@ Eight parents(Eight all, uvec3 other, uvec3 side) {
   return Eight(all.low + before.z * apart, all.low + after.z * apart);
 }
 
-// Numbers of child nodes, counted from 1; 0 for none. `bits` are those that the children have in masks.
-uvec4 childNodes(uvec4 first, uvec4 second, uvec4 bits) {
-  uvec4 below = (first & (bits - 1u)) * 0x08040201u >> uvec4(3u) & uvec4(0x11111111u);
-  return uvec4(notEqual(first & bits, uvec4(0u))) * ((second >> uvec4(8u)) + (below * 0x11111111u >> uvec4(28u)) + 1u);
+// Numbers of child nodes, counted from 1; 0 for none: of nodes' first child nodes << 8 | masks, in which children have `bits`.
+uvec4 childNodes(uvec4 nodes, uvec4 bits) {
+  uvec4 below = (nodes & (bits - 1u)) * 0x08040201u >> uvec4(3u) & uvec4(0x11111111u);
+  return uvec4(notEqual(nodes & bits, uvec4(0u))) * ((nodes >> uvec4(8u)) + (below * 0x11111111u >> uvec4(28u)) + 1u);
 }
 
 // Where a point lies, in fixed point, and the parity there of the cells of a level.
@@ -384,10 +402,12 @@ void goDown(inout Block block, uvec3 place, uvec3 span) {
   uvec3 straddles = uvec3(greaterThanEqual(span, uvec3(block.bit)));
   block.bit >>= 1u;
   uvec3 side = parityAt(place, block.bit), other = side ^ block.parity;
-  Eight first = parents(block.first, other, side), second = parents(block.second, other, side);
+  const uvec4 masks = uvec4(255u);
+  Eight nodes = Eight(block.second.low & ~masks | block.first.low & masks, block.second.high & ~masks | block.first.high & masks);
+  nodes = parents(nodes, other, side);
   uvec3 low = uvec3(2u, 4u, 16u) - other * uvec3(1u, 3u, 15u), high = 1u + other * uvec3(1u, 3u, 15u);
   uvec4 bits = uvec2(low.x, high.x).xyxy * uvec2(low.y, high.y).xxyy;
-  uvec4 lower = childNodes(first.low, second.low, bits * low.z), upper = childNodes(first.high, second.high, bits * high.z);
+  uvec4 lower = childNodes(nodes.low, bits * low.z), upper = childNodes(nodes.high, bits * high.z);
   block = Block(Eight(uvec4(0u), uvec4(0u)), Eight(uvec4(0u), uvec4(0u)), side, block.bit);
   uvec3 own = uvec3(0xAAu, 0xCCu, 0xF0u) - side * uvec3(0x55u, 0x99u, 0xE1u);
   own |= straddles * 0xFFu;
