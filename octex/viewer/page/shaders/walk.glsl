@@ -290,9 +290,9 @@ Taps tapsOf(Block block, vec4 x, vec4 y, vec4 z) {
 }
 
 // The first of two if a bit is among some, else the second: exactly, and without a branch.
-float either(uint bit, uint bits, vec2 of) {
+float either(uint bit, uint bits, vec2 both) {
   float is = float((bit & bits) != 0u);
-  return is * of.x + (1.0 - is) * of.y;
+  return is * both.x + (1.0 - is) * both.y;
 }
 
 // Take the first of those that are left; returns its bit.
@@ -400,7 +400,7 @@ Block blockOf(uvec2 words, uvec3 place, uint bit) {
 // their ancestors are those of the place.
 void goDown(inout Block block, uvec3 place, uvec3 span) {
   uvec3 straddles = uvec3(greaterThanEqual(span, uvec3(block.bit)));
-  block.bit >>= 1u;
+  block.bit = block.bit >> 1u;
   uvec3 side = parityAt(place, block.bit), other = side ^ block.parity;
   const uvec4 masks = uvec4(255u);
   Eight nodes = Eight(block.second.low & ~masks | block.first.low & masks, block.second.high & ~masks | block.first.high & masks);
@@ -451,7 +451,7 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     uint child = (1u + side.x) * (1u + 3u * side.y) * (1u + 15u * side.z);
     uint isNode = uint((words.x & child) != 0u);
     words = nodeAt(isNode * ((words.y >> 8u) + bitsOf(words.x & (child - 1u)) + 1u));
-    bit >>= 1u;
+    bit = bit >> 1u;
   }
   Block block = blockOf(words, place, bit);
   for (int look = levels.x; look <= levels.y; look++) {
