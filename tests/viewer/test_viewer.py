@@ -119,7 +119,7 @@ def parity(page, texture, surface):
     looks += [("linear", 0.0, deepest)]
     if not header["isMixed"]:  # which takes long without a GPU
         looks += [("quadratic", 0.03, deepest), ("quadratic", 0.0, 3), ("nearest", 0.0, deepest)]
-        looks += [("linear", -1.0, deepest)]
+        looks += [("linear", -1.0, deepest), ("quadratic", 1.1, deepest), ("linear", 4.0, deepest)]
     for facing, (filter, width, level) in product({False, is_split}, looks):
         probe = Probe(page, texture, SIZE, filter=filter, width=width, facing=facing, level=level)
         case = f"{filter}, width {width}, facing {facing}, level {level}"

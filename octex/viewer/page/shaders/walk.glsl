@@ -41,8 +41,8 @@ struct Eight {
   uvec4 low, high;
 };
 
-// The words of the nodes of a block, the parity there of the cells that are their children, and the bit of those cells' level in
-// positions.
+// The words of the nodes of a block, the parity there of the cells that are their children, and those cells' size in
+// fixed point: the bit of their level in positions.
 struct Block {
   Eight first, second;
   uvec3 parity;
@@ -83,8 +83,7 @@ void readRow(uint row, float weight) {
   r_sum{N} += weight * value{N};
 }
 
-// How many of the lowest eight bits are set, of which there are no others. Renderers without a GPU take as long for a shift as for
-// ten products.
+// How many of eight bits are set. Renderers without a GPU take as long for a shift as for ten products.
 uint bitsOf(uint bits) {
   return (bits * 0x08040201u >> 3u & 0x11111111u) * 0x11111111u >> 28u;
 }
@@ -253,9 +252,9 @@ uvec2 nodeAt(uint number) {
   return texelFetch(u_nodes, texelOf(number), 0).xy;
 }
 
-// The children of a block that there are, and those that are left to be taken, a bit each: of the lower four nodes, and of the upper
-// ones. Loops over such bits take few turns. Renderers without a GPU run both ways of each `if` for all pixels, and each loop at
-// least once.
+// The children of a block that there are, and those that are left to be taken, a bit each: of the lower four nodes, and
+// of the upper ones. Loops over such bits take few turns. Renderers without a GPU run both ways of each `if` for all
+// pixels, and the body of each loop at least once: what is in fewer loops, and less often, is faster.
 struct Taps {
   Eight cells;  // the first child of each node
   uvec2 there, left;
@@ -373,7 +372,7 @@ Eight parents(Eight all, uvec3 other, uvec3 side) {
   return Eight(all.low + before.z * apart, all.low + after.z * apart);
 }
 
-// Numbers of child nodes, counted from 1; 0 for none: of nodes' first child nodes << 8 | masks, in which children have `bits`.
+// Numbers of child nodes, counted from 1; 0 for none. `nodes` are first child nodes << 8 | node masks.
 uvec4 childNodes(uvec4 nodes, uvec4 bits) {
   uvec4 below = (nodes & (bits - 1u)) * 0x08040201u >> uvec4(3u) & uvec4(0x11111111u);
   return uvec4(notEqual(nodes & bits, uvec4(0u))) * ((nodes >> uvec4(8u)) + (below * 0x11111111u >> uvec4(28u)) + 1u);
@@ -396,8 +395,8 @@ Block blockOf(uvec2 words, uvec3 place, uint bit) {
   return Block(Eight(low * words.x, high * words.x), Eight(low * words.y, high * words.y), parity, bit);
 }
 
-// Go down by a level around a place. Along axes where the cells that are looked for do not differ above a bit, as `span` says,
-// their ancestors are those of the place.
+// Go down by a level around a place. `span` has the bits in which parents that are wanted differ: along axes where it has none
+// of the level, only the ancestor of the place is read.
 void goDown(inout Block block, uvec3 place, uvec3 span) {
   uvec3 straddles = uvec3(greaterThanEqual(span, uvec3(block.bit)));
   block.bit = block.bit >> 1u;
@@ -429,10 +428,6 @@ void goDown(inout Block block, uvec3 place, uvec3 span) {
 
 uvec3 cellOf(uvec3 place, int level) {
   return place >> uvec3(uint(23 - level));
-}
-
-uvec3 parityOf(uvec3 place, int level) {
-  return cellOf(place, level) & uvec3(1u);
 }
 
 // Add the looks at two levels: `shares` of them, `levels` of which the second is the same or the next.
@@ -469,7 +464,7 @@ uvec3 leafAt(vec3 point, int last) {
   uint node = 1u;
   for (int level = 1; level <= last; level++) {
     uvec2 words = nodeAt(node);
-    uvec3 bit = parityOf(place, level);
+    uvec3 bit = parityAt(place, uint(FINEST) >> uint(level));
     uint octant = bit.x | bit.y << 1u | bit.z << 2u;
     uint mask = (words.x | words.y) & 255u;
     if ((mask >> octant & 1u) == 0u) break;
@@ -580,7 +575,7 @@ void addMixed(vec3 point, int last, float share, bool averages) {
   int level = 0;
   while (goesOn) {
     level++;
-    uvec3 parity = parityOf(place, level);
+    uvec3 parity = parityAt(place, uint(FINEST) >> uint(level));
     uint above[27] = m_node;
 #ifdef KEPT
     bool kept[27] = m_keeps;
