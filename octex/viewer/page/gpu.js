@@ -152,22 +152,6 @@ export class Gpu {
     gl.disable(gl.DEPTH_TEST);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.KEEP);
     gl.disable(gl.STENCIL_TEST);
-    this.drawTiles(target, look);
-  }
-
-  // Draw in which tiles something is seen of the places that a target has.
-  drawTiles(places, look) {
-    const { gl } = this, [across, down] = [places.width, places.height].map((pixels) => Math.ceil(pixels / TILE));
-    const tiles = this.target(`${places.name} tiles`, across, down, [gl.R8UI]), program = this.programs.use("tiles", this.parts[0], look, 0);
-    const isCut = gl.isEnabled(gl.SCISSOR_TEST);
-    this.bind(program, { u_places: places.textures[0] });
-    gl.bindFramebuffer(gl.FRAMEBUFFER, tiles.buffer);
-    gl.viewport(0, 0, across, down);
-    gl.disable(gl.SCISSOR_TEST);
-    gl.drawArrays(gl.TRIANGLES, 0, 3);
-    if (isCut) gl.enable(gl.SCISSOR_TEST);
-    gl.viewport(0, 0, places.width, places.height);
-    places.tiles = tiles;
   }
 
   // Draw on a box (left, bottom, right, top) of a target.
@@ -182,16 +166,16 @@ export class Gpu {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
-  // For each part, run a program that `use` makes ready for the pixels that see it, in those tiles where something is seen.
-  drawSeen({ tiles: { width, height } }, use) {
-    const { gl } = this;
+  // For each part, run a program that `use` makes ready for the pixels that see it, in tiles: see tiles.vert.
+  drawSeen({ width, height }, use) {
+    const { gl } = this, tiles = Math.ceil(width / TILE) * Math.ceil(height / TILE);
     gl.enable(gl.STENCIL_TEST);
     this.parts.forEach((part, number) => {
       const isReady = part.mesh ? part.octree.depth >= 0 : part.header.mesh;
       if (!isReady) return;
       gl.stencilFunc(gl.EQUAL, number + 1, 255);
       use(part, number);
-      gl.drawArrays(gl.POINTS, 0, width * height);
+      gl.drawArrays(gl.POINTS, 0, tiles);
     });
     gl.disable(gl.STENCIL_TEST);
   }
@@ -250,9 +234,8 @@ export class Gpu {
   // Draw the nearest surface of some alpha, over what is `behind` it; `isKnown`: places are drawn already. The octree of
   // `look.beneath` is looked up instead of the part's own.
   drawLayer(look, camera, places, target, alphas, behind = {}, isKnown = false) {
-    const { gl } = this, { width, height } = target, [u_places, u_ways] = places.textures;
+    const { gl } = this, { width, height } = target, [u_places, u_ways] = places.textures, drawn = { u_places, u_ways, ...behind };
     if (!isKnown) this.drawPlaces(look, camera, places, width, height, { alphas });
-    const drawn = { u_places, u_ways, u_tiles: places.tiles.textures[0], ...behind };
     if (look.paint) Object.assign(drawn, look.paint.textures);
     const beside = this.parts.find((part) => showsSource(part, look));
     if (beside) drawn.u_source = this.drawSource(beside, look, camera, places);
@@ -386,7 +369,7 @@ export class Gpu {
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
     this.drawSeen(places, (part, number) => {
       const planes = part.header.planes.length, program = this.programs.use("probe", part, look, planes);
-      this.setTree(program, part, look, { u_places: places.textures[0], u_ways: places.textures[1], u_tiles: places.tiles.textures[0] });
+      this.setTree(program, part, look, { u_places: places.textures[0], u_ways: places.textures[1] });
       gl.uniform1f(program.at("u_width"), look.footprints ? footprint : 0);
       gl.uniform1i(program.at("u_plane"), plane);
       gl.uniform1f(program.at("u_part"), number);
@@ -461,6 +444,6 @@ export class Gpu {
     if (!shared) gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH24_STENCIL8, width, height);
     gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_STENCIL_ATTACHMENT, gl.RENDERBUFFER, depth);
     gl.drawBuffers(textures.map((_, number) => gl.COLOR_ATTACHMENT0 + number));
-    return (this.pictures[name] = { name, buffer, textures, depth, width, height });
+    return (this.pictures[name] = { buffer, textures, depth, width, height });
   }
 }

@@ -3,15 +3,14 @@
 import { readShaders } from "./data.js";
 import { lanesOf, planeLines, repeated, sumOf, walkLines } from "./field.js";
 
-const FILES = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"];
-for (const name of ["surface", "cubes", "tiles"]) FILES.push(`${name}.vert`, `${name}.frag`);
+const FILES = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag", "tiles.vert"];
+for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
 export const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal", "height"];
 export const TILE = 16; // pixels along the sides of tiles, see tiles.vert
 const STAGES = {
   places: ["surface.vert", ["ways.glsl", "places.frag"]],
   layers: ["surface.vert", ["ways.glsl", "walk.glsl", "places.frag"]],
   source: ["surface.vert", ["source.frag"]],
-  tiles: ["screen.vert", ["tiles.frag"]],
   surface: ["tiles.vert", ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "surface.frag"]],
   probe: ["tiles.vert", ["ways.glsl", "walk.glsl", "surface.frag"]],
   cubes: ["cubes.vert", ["walk.glsl", "colors.glsl", "cubes.frag"]],
@@ -69,7 +68,6 @@ export class Programs {
 
   // Where channels are, among the first planes, and what is shown, as the shaders name it.
   defines(kind, part, look, planes) {
-    if (kind === "tiles") return "";
     const { paint } = look;
     if (kind === "places" || kind === "source") look = { moved: look.moved, asksAway: look.asksAway, asksPart: look.asksPart, shown: kind };
     const { mesh, motion, channels } = part.header, isCubes = kind === "cubes";
