@@ -26,8 +26,9 @@ page/       the page: plain modules and shaders, served as they are
                 hand: what helps it; palette: colours used last, ready brushes
     pointed     what lies under the cursor
     viewer      what is shown, when it is drawn, and what its controls do
-    shaders/    places: where pixels see the surface rest, opaque or translucent; walk: the field there, as
-                octex.field has it; light; colors; surface; source; cubes; ways: directions
+    shaders/    places: where pixels see the surface rest, opaque or translucent; tiles: those in which
+                something is seen; walk: the field there, as octex.field has it; light; colors; surface;
+                source; cubes; ways: directions
 export      one file that has all of that in it
 downloads   files for a page that paints to download: the texture, or the model with it
 key         a secret of the user, which makes a file's address the same each time

@@ -38,6 +38,7 @@ tools layers material palette exporting flat paint
 PAINTING = [*(f"{name}.js" for name in _PAINTING_NAMES.split()), "paint.css"]
 PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]
 SHADERS = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
+SHADERS += ["tiles.vert"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"
 #: The ending of web files.

@@ -18,7 +18,7 @@ from octex.texture import OctreeTexture
 from octex.viewer import write_page
 from octex.viewer.export import MODULES, page_text
 from octex.viewer.pack import pack
-from tests.make.browser import Probe, differences, file_url
+from tests.make.browser import Probe, differences, drawn, file_url
 from tests.make.fixtures import obj_lines
 from tests.make.painted import ball, balls
 from tests.make.small_surfaces import sheet
@@ -120,7 +120,7 @@ def parity(page, texture, surface):
     looks += [("linear", 0.0, deepest)]
     if not header["isMixed"]:  # which takes long without a GPU
         looks += [("quadratic", 0.03, deepest), ("quadratic", 0.0, 3), ("nearest", 0.0, deepest)]
-        looks += [("linear", -1.0, deepest)]
+        looks += [("linear", -1.0, deepest), ("quadratic", 1.1, deepest), ("linear", 4.0, deepest)]
     for facing, (filter, width, level) in product({False, is_split}, looks):
         probe = Probe(page, texture, SIZE, filter=filter, width=width, facing=facing, level=level)
         case = f"{filter}, width {width}, facing {facing}, level {level}"
@@ -226,6 +226,16 @@ def test_under_the_cursor_is_the_cell_that_a_lookup_finds(opens, small):
     page.locator("canvas").focus()
     page.keyboard.press("p")
     page.wait_for_function("document.getElementById('cell').textContent.includes('level 3')")
+
+
+@pytest.mark.parametrize("size", [(37, 21), (16, 33), (5, 3), (1, 1)])
+def test_pictures_are_drawn_up_to_their_rims(opens, small, size):
+    """What is seen is drawn in tiles, and the last ones reach beyond the picture."""
+    page = opens(small)
+    page.evaluate("viewer.camera.distance *= 0.33")  # the ball fills the picture
+    background = np.rint(255 * np.array(page.evaluate("viewer.gpu.background"))[:3])
+    picture = drawn(page, size, shown="unlit")
+    assert (np.abs(picture - background).max(axis=2) > 2).all()
 
 
 def test_the_file_loads_nothing_and_obeys_its_own_policy(browser, small):

@@ -4,7 +4,7 @@ import { walkUniforms } from "./field.js";
 import { ROW, planes } from "./octree.js";
 import { FACINGS, LEVELS } from "./legend.js";
 import { signed } from "./mesh.js";
-import { Programs, planesFor, showsRelief, showsSource } from "./programs.js";
+import { Programs, TILE, planesFor, showsRelief, showsSource } from "./programs.js";
 
 const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
 const CLEAR = 0.5 / 255, OPAQUE = 1 - CLEAR; // alpha of what is not seen at all, and of what hides all behind it
@@ -166,16 +166,16 @@ export class Gpu {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
-  // For each part, run a program that `use` makes ready for the pixels that see it.
-  drawSeen(use) {
-    const { gl } = this;
+  // For each part, run a program that `use` makes ready for the pixels that see it, in tiles: see tiles.vert.
+  drawSeen({ width, height }, use) {
+    const { gl } = this, tiles = Math.ceil(width / TILE) * Math.ceil(height / TILE);
     gl.enable(gl.STENCIL_TEST);
     this.parts.forEach((part, number) => {
       const isReady = part.mesh ? part.octree.depth >= 0 : part.header.mesh;
       if (!isReady) return;
       gl.stencilFunc(gl.EQUAL, number + 1, 255);
       use(part, number);
-      gl.drawArrays(gl.TRIANGLES, 0, 3);
+      gl.drawArrays(gl.POINTS, 0, tiles);
     });
     gl.disable(gl.STENCIL_TEST);
   }
@@ -241,7 +241,7 @@ export class Gpu {
     if (beside) drawn.u_source = this.drawSource(beside, look, camera, places);
     if (showsRelief(this.parts, look)) drawn.u_heights = this.drawHeights(look, camera, places, drawn);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    this.drawSeen((part, number) => this.useSurface(look.beneath ?? part, number, look, camera, drawn, target));
+    this.drawSeen(places, (part, number) => this.useSurface(look.beneath ?? part, number, look, camera, drawn, target));
   }
 
   // Draw the heights of what is seen; returns the texture.
@@ -251,7 +251,7 @@ export class Gpu {
     const { only } = look; // relief is made of what is beside a pixel, too
     if (only) gl.scissor(only[0] - 1, only[1] - 1, only[2] + 2, only[3] + 2);
     if (!look.near) gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
-    this.drawSeen((part, number) => this.useSurface(part, number, { ...look, shown: "height" }, camera, drawn, target));
+    this.drawSeen(places, (part, number) => this.useSurface(part, number, { ...look, shown: "height" }, camera, drawn, target));
     if (only) gl.scissor(...only);
     return target.textures[0];
   }
@@ -367,7 +367,7 @@ export class Gpu {
     this.drawPlaces(look, camera, places, width, height, { pixel, alphas: pixel ? SEEN : NEAREST });
     gl.bindFramebuffer(gl.FRAMEBUFFER, values.buffer);
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
-    this.drawSeen((part, number) => {
+    this.drawSeen(places, (part, number) => {
       const planes = part.header.planes.length, program = this.programs.use("probe", part, look, planes);
       this.setTree(program, part, look, { u_places: places.textures[0], u_ways: places.textures[1] });
       gl.uniform1f(program.at("u_width"), look.footprints ? footprint : 0);

@@ -3,15 +3,16 @@
 import { readShaders } from "./data.js";
 import { lanesOf, planeLines, repeated, sumOf, walkLines } from "./field.js";
 
-const FILES = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"];
+const FILES = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag", "tiles.vert"];
 for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
 export const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal", "height"];
+export const TILE = 16; // pixels along the sides of tiles, see tiles.vert
 const STAGES = {
   places: ["surface.vert", ["ways.glsl", "places.frag"]],
   layers: ["surface.vert", ["ways.glsl", "walk.glsl", "places.frag"]],
   source: ["surface.vert", ["source.frag"]],
-  surface: ["screen.vert", ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "surface.frag"]],
-  probe: ["screen.vert", ["ways.glsl", "walk.glsl", "surface.frag"]],
+  surface: ["tiles.vert", ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "surface.frag"]],
+  probe: ["tiles.vert", ["ways.glsl", "walk.glsl", "surface.frag"]],
   cubes: ["cubes.vert", ["walk.glsl", "colors.glsl", "cubes.frag"]],
   stroke: ["screen.vert", ["stroke.frag"]],
   retouch: ["screen.vert", ["ways.glsl", "colors.glsl", "retouch.frag"]],
@@ -46,7 +47,7 @@ export class Programs {
 
   compiled(kind, defines, planes) {
     const { gl, shaders } = this, handle = gl.createProgram(), [vertex, fragment] = STAGES[kind];
-    const head = `#version 300 es\n${defines}\n`;
+    const head = `#version 300 es\n#define TILE ${TILE}\n${defines}\n`;
     const all = repeated(fragment.map((name) => shaders[name]).join(""), planes);
     const check = (is, log) => {
       if (!gl.isContextLost() && !is) throw new Error(`${kind}: ${log}`);

@@ -19,6 +19,7 @@ precision highp usampler2D;
 
 const uint ROW = 4095u;  // texels in a row, less one
 const float FINEST = 8388608.0;  // 2²³: positions in fixed point
+const float FAR = 4.0;  // a squared distance in cells
 
 uniform usampler2D u_nodes;
 
@@ -40,10 +41,13 @@ struct Eight {
   uvec4 low, high;
 };
 
-// The first becomes the last.
-Eight rotated(Eight all) {
-  return Eight(uvec4(all.low.yzw, all.high.x), uvec4(all.high.yzw, all.low.x));
-}
+// The words of the nodes of a block, the parity there of the cells that are their children, and those cells' size in
+// fixed point: the bit of their level in positions.
+struct Block {
+  Eight first, second;
+  uvec3 parity;
+  uint bit;
+};
 
 // What is looked up are the sums g_sumN under weights; these are their sums: with alpha and without, and that
 // of alpha itself.
@@ -79,10 +83,9 @@ void readRow(uint row, float weight) {
   r_sum{N} += weight * value{N};
 }
 
+// How many of eight bits are set. Renderers without a GPU take as long for a shift as for ten products.
 uint bitsOf(uint bits) {
-  bits -= bits >> 1u & 0x55u;
-  bits = (bits & 0x33u) + (bits >> 2u & 0x33u);
-  return (bits + (bits >> 4u)) & 0x0Fu;
+  return (bits * 0x08040201u >> 3u & 0x11111111u) * 0x11111111u >> 28u;
 }
 
 #if defined(SPLIT) || defined(KEPT)
@@ -100,14 +103,14 @@ uint tableRow(uint cell, uint first, uint count) {
 #endif
 
 #ifdef FACING
-// The sizes of the normal's cosines with the axes, and their signs: what faces away is not seen.
+// The sizes of the normal's cosines with the axes, and the facings there that are seen: what faces away is not.
 vec3 g_cosines;
-uvec3 g_away;
+uvec3 g_facings;
 const float AWAY = 1e-6;
 
 void face(vec3 normal) {
   g_cosines = abs(normal) / max(length(normal), 1e-20);
-  g_away = uvec3(lessThan(normal, vec3(0.0)));
+  g_facings = uvec3(1u, 4u, 16u) * (uvec3(lessThan(normal, vec3(0.0))) + 1u);
 }
 
 float ramp(float cosine) {
@@ -117,17 +120,17 @@ float ramp(float cosine) {
 
 // The cosines with those facings of a cell that are seen, and what it weighs by them.
 vec3 seenOf(uint flags) {
-  return g_cosines * vec3(uvec3(flags) >> (uvec3(0u, 2u, 4u) + g_away) & uvec3(1u));
+  return g_cosines * vec3(uvec3(notEqual(uvec3(flags) & g_facings, uvec3(0u))));
 }
 
 float sideWeight(uint flags, vec3 seen) {
-  return ((flags & 63u) == 0u ? 1.0 : ramp(max(seen.x, max(seen.y, seen.z)))) + AWAY;
+  return max(ramp(max(seen.x, max(seen.y, seen.z))), float((flags & 63u) == 0u)) + AWAY;
 }
 #endif
 
 #ifdef SPLIT
 bool isSplit(uint flags, vec3 seen) {
-  return (flags & 128u) != 0u && (flags & 63u) != 0u && max(seen.x, max(seen.y, seen.z)) > 0.0 && u_split.y > 0u;
+  return all(bvec3((flags & 128u) != 0u, max(seen.x, max(seen.y, seen.z)) > 0.0, u_split.y > 0u));
 }
 
 // Read the rows of a split cell that are seen; says whether it is one.
@@ -139,17 +142,16 @@ bool readSides(uint cell, uint flags, vec3 seen, float weight) {
   uint entry = u_split.x + tableRow(cell, u_split.x, u_split.y);
   uint first = u_split.z + texelFetch(u_entries, texelOf(entry), 0).y;
   for (uint axis = 0u; axis < 3u; axis++) {
-    uint below = (1u << (2u * axis + g_away[axis])) - 1u;
-    if (shares[axis] > 0.0) readRow(first + bitsOf(flags & below), weight * shares[axis]);
+    if (shares[axis] > 0.0) readRow(first + bitsOf(flags & (g_facings[axis] - 1u)), weight * shares[axis]);
   }
   return true;
 }
 #endif
 
-// What an average weighs: the root of its area.
+// What an average weighs: the root of its area. An area of 0 weighs 1, as leaves do.
 float areaWeight(float area) {
   float code = round(area * 255.0);
-  return code > 0.0 ? exp2((code - 207.0) / 16.0) : 1.0;
+  return exp2(min(code, 1.0) * (code - 207.0) / 16.0);
 }
 
 // Look at one cell: `averages` says that it weighs by its area.
@@ -157,7 +159,7 @@ void read(uint cell, bool averages) {
   r_total = r_cover = r_alpha = 0.0;
   r_sum{N} = vec4(0.0);
   ivec2 at = texelOf(cell);
-  float weight = averages ? areaWeight(PLANE0(at).a) : 1.0;
+  float weight = areaWeight(float(averages) * PLANE0(at).a);
 #ifdef FACING
   uint flags = FLAGS_AT(at);
   g_fetches++;
@@ -199,13 +201,13 @@ bool addWhole(uint cell, float weight, bool averages) {
   bool isLeft = false;
   vec4 value{N} = PLANE{N}(at);
   g_fetches += PLANES;
-  weight *= averages ? areaWeight(value0.a) : 1.0;
+  weight *= areaWeight(float(averages) * value0.a);
 #ifdef FACING
   vec3 seen = seenOf(FLAGS);
   weight *= sideWeight(FLAGS, seen);
 #ifdef SPLIT
   isLeft = isSplit(FLAGS, seen);
-  if (isLeft) weight = 0.0;
+  weight *= float(!isLeft);
 #endif
 #endif
   g_cover += weight;
@@ -217,6 +219,20 @@ bool addWhole(uint cell, float weight, bool averages) {
   g_sum{N} += weight * value{N};
   return isLeft;
 }
+
+#ifdef SPLIT
+// Add the sides of a split cell.
+void addSides(uint cell, float weight, bool averages) {
+  r_total = r_cover = r_alpha = 0.0;
+  r_sum{N} = vec4(0.0);
+  ivec2 at = texelOf(cell);
+  uint flags = FLAGS_AT(at);
+  g_fetches += 2;
+  vec3 seen = seenOf(flags);
+  readSides(cell, flags, seen, weight * areaWeight(float(averages) * PLANE0(at).a) * sideWeight(flags, seen));
+  add(1.0);
+}
+#endif
 
 // Weights of the four cells along an axis that a block has, from their distances to the point.
 vec4 kernel(vec4 away) {
@@ -236,174 +252,130 @@ uvec2 nodeAt(uint number) {
   return texelFetch(u_nodes, texelOf(number), 0).xy;
 }
 
-// The children of a block that are left to be taken, a bit each, and their weights by their places along the axes.
-// Loops over such bits take few turns. Renderers without a GPU run both ways of each `if` for all pixels: with one for each
-// child, pictures take 2.2 times as long.
+// The children of a block that there are, and those that are left to be taken, a bit each: of the lower four nodes, and
+// of the upper ones. Loops over such bits take few turns. Renderers without a GPU run both ways of each `if` for all
+// pixels, and the body of each loop at least once: what is in fewer loops, and less often, is faster.
 struct Taps {
-  Eight cells, masks;  // of each node: its first child << 8, and which children there are
-  uvec2 left;  // of the lower four nodes, and of the upper ones
-  vec4 x, y, z;
+  Eight cells;  // the first child of each node
+  uvec2 there, left;
+  vec4 x, y, z;  // weights by the places along the axes
 };
 
+// The bits of children by their places along an axis; along z they are alike in both words.
+const uvec4 ALONG_X = uvec4(0x00550055u, 0x00AA00AAu, 0x55005500u, 0xAA00AA00u);
+const uvec4 ALONG_Y = uvec4(0x00003333u, 0x0000CCCCu, 0x33330000u, 0xCCCC0000u);
+const uvec4 ALONG_Z = uvec4(0x0F0F0F0Fu, 0xF0F0F0F0u, 0x0F0F0F0Fu, 0xF0F0F0F0u);
+
 uint joined(uvec4 masks) {
-  return masks.x | masks.y << 8u | masks.z << 16u | masks.w << 24u;
+  return masks.x + masks.y * 0x100u + masks.z * 0x10000u + masks.w * 0x1000000u;
 }
 
-Taps tapsOf(Eight first, Eight second, vec4 x, vec4 y, vec4 z) {
-  Eight masks = Eight((first.low | second.low) & uvec4(255u), (first.high | second.high) & uvec4(255u));
-  uvec4 alongX = uvec4(greaterThan(x, vec4(0.0))) * uvec4(0x55u, 0xAAu, 0x55u, 0xAAu);
-  uvec4 alongY = uvec4(greaterThan(y, vec4(0.0))) * uvec4(0x33u, 0xCCu, 0x33u, 0xCCu);
-  uvec4 alongZ = uvec4(greaterThan(z, vec4(0.0))) * uvec4(0x0Fu, 0xF0u, 0x0Fu, 0xF0u);
-  uvec2 nodesX = alongX.xz | alongX.yw, nodesY = alongY.xz | alongY.yw, nodesZ = alongZ.xz | alongZ.yw;
-  uvec4 plane = nodesX.xyxy & nodesY.xxyy;
-  uvec2 left = uvec2(joined(masks.low & plane & uvec4(nodesZ.x)), joined(masks.high & plane & uvec4(nodesZ.y)));
-  return Taps(first, masks, left, x, y, z);
+// Which places along an axis are looked at.
+uvec4 wanted(vec4 along) {
+#ifdef NEAREST
+  return uvec4(lessThan(along, vec4(FAR)));
+#else
+  return uvec4(greaterThan(along, vec4(0.0)));
+#endif
+}
+
+Taps tapsOf(Block block, vec4 x, vec4 y, vec4 z) {
+  uvec4 low = (block.first.low | block.second.low) & uvec4(255u), high = (block.first.high | block.second.high) & uvec4(255u);
+  uvec2 there = uvec2(joined(low), joined(high));
+  uvec4 inX = ALONG_X * wanted(x), inY = ALONG_Y * wanted(y), inZ = ALONG_Z * wanted(z);
+  uint plane = (inX.x | inX.y | inX.z | inX.w) & (inY.x | inY.y | inY.z | inY.w);
+  Eight cells = Eight(block.first.low >> uvec4(8u), block.first.high >> uvec4(8u));
+  return Taps(cells, there, there & uvec2(plane) & (inZ.xz | inZ.yw), x, y, z);
+}
+
+// The first of two if a bit is among some, else the second: exactly, and without a branch.
+float either(uint bit, uint bits, vec2 both) {
+  float is = float((bit & bits) != 0u);
+  return is * both.x + (1.0 - is) * both.y;
 }
 
 // Take the first of those that are left; returns its bit.
 uvec2 take(inout Taps taps, out uint cell, out float weight) {
-  bool isUpper = taps.left.x == 0u;
-  uint left = isUpper ? taps.left.y : taps.left.x, lowest = left & (~left + 1u);
+  uint upper = uint(taps.left.x == 0u), left = taps.left.x + upper * taps.left.y;
+  uvec2 word = uvec2(1u - upper, upper);
+  uint lowest = left & (~left + 1u);
   uvec4 is = uvec4(notEqual(uvec4(lowest) & uvec4(0xFFu, 0xFF00u, 0xFF0000u, 0xFF000000u), uvec4(0u)));
-  uvec4 cells = is * (isUpper ? taps.cells.high : taps.cells.low), masks = is * (isUpper ? taps.masks.high : taps.masks.low);
-  uint number = is.y + 2u * is.z + 3u * is.w, child = lowest >> (8u * number);
-  uint mask = masks.x | masks.y | masks.z | masks.w;
-  cell = ((cells.x | cells.y | cells.z | cells.w) >> 8u) + bitsOf(mask & (child - 1u));
-  vec2 x = is.x + is.z != 0u ? taps.x.xy : taps.x.zw, y = is.x + is.y != 0u ? taps.y.xy : taps.y.zw;
-  vec2 z = isUpper ? taps.z.zw : taps.z.xy;
-  weight = ((child & 0x55u) != 0u ? x.x : x.y) * ((child & 0x33u) != 0u ? y.x : y.y) * ((child & 0x0Fu) != 0u ? z.x : z.y);
-  uvec2 bit = isUpper ? uvec2(0u, lowest) : uvec2(lowest, 0u);
+  uvec4 first = is * (word.x * taps.cells.low + word.y * taps.cells.high);
+  // The node's byte becomes the highest.
+  uint up = is.x * 0x1000000u + is.y * 0x10000u + is.z * 0x100u + is.w;
+  uint below = ((word.x * taps.there.x + word.y * taps.there.y) & (lowest - 1u)) * up;
+  cell = first.x + first.y + first.z + first.w + bitsOf(below >> 24u);
+  vec2 x = vec2(either(lowest, 0x00FF00FFu, taps.x.xz), either(lowest, 0x00FF00FFu, taps.x.yw));
+  vec2 y = vec2(either(lowest, 0x0000FFFFu, taps.y.xz), either(lowest, 0x0000FFFFu, taps.y.yw));
+  vec2 z = float(word.x) * taps.z.xy + float(word.y) * taps.z.zw;
+  vec3 along = vec3(either(lowest, 0x55555555u, x), either(lowest, 0x33333333u, y), either(lowest, 0x0F0F0F0Fu, z));
+#ifdef NEAREST
+  weight = along.x + along.y + along.z;
+#else
+  weight = along.x * along.y * along.z;
+#endif
+  uvec2 bit = lowest * word;
   taps.left ^= bit;
   return bit;
 }
 
-// Find the stored cell that is nearest to the point, among the children of one node.
-void nearestChild(uvec2 words, vec2 x, vec2 y, vec2 z, inout float least, inout uint nearest) {
-  uint mask = (words.x | words.y) & 255u, cell = words.x >> 8u;
-  for (uint octant = 0u; octant < 8u; octant++) {
-    if ((mask >> octant & 1u) == 0u) continue;
-    float away = x[octant & 1u] + y[octant >> 1u & 1u] + z[octant >> 2u];
-    if (away < least) {
-      least = away;
-      nearest = cell;
-    }
-    cell++;
-  }
-}
-
-// Squared distances along an axis from the point to the four cells; beyond the 27: none is that near.
+// Squared distances along an axis from the point to the four cells; none beyond the 27 is that near.
 vec4 distances(vec4 away) {
   vec4 d = max(abs(away) - 0.5, vec4(0.0));
-  return mix(d * d, vec4(1e6), vec4(greaterThan(abs(away), vec4(1.5))));
+  return mix(d * d, vec4(FAR), vec4(greaterThan(abs(away), vec4(1.5))));
 }
 
-// Take the cells around a point that is `inside` the cell in their middle, 0 to 1, whose numbers have `parity`.
-void gather(Eight first, Eight second, vec3 inside, uvec3 parity, float share, bool averages) {
+// Take the cells around a point that is `inside` the cell in their middle, 0 to 1.
+void gather(Block block, vec3 inside, float share, bool averages) {
   // The block's cells begin two below that cell, or one where it is odd.
-  vec3 begin = vec3(parity) - 1.5 - inside;
+  vec3 begin = vec3(block.parity) - 1.5 - inside;
   vec4 steps = vec4(0.0, 1.0, 2.0, 3.0);
   vec4 x = steps + begin.x, y = steps + begin.y, z = steps + begin.z;
-#ifdef NEAREST
-  x = distances(x), y = distances(y), z = distances(z);
-  float least = 1e5;
-  uint nearest = 0u;
-  for (int parent = 0; parent < 8; parent++) {
-    // Vectors are turned, as components chosen by a number take long.
-    uvec2 words = uvec2(first.low.x, second.low.x);
-    nearestChild(words, x.xy, y.xy, z.xy, least, nearest);
-    first = rotated(first);
-    second = rotated(second);
-    x = x.zwxy;
-    if ((parent & 1) == 1) y = y.zwxy;
-    if (parent == 3) z = z.zwxy;
-  }
-  if (least < 1e5) tap(nearest, share, averages);
-#else
-  Taps taps = tapsOf(first, second, kernel(x), kernel(y), kernel(z) * share);
-  uvec2 split = uvec2(0u);
   uint cell;
   float weight;
+#ifdef NEAREST
+  Taps taps = tapsOf(block, distances(x), distances(y), distances(z));
+  float least = FAR;
+  uint nearest = 0u;
+  while ((taps.left.x | taps.left.y) != 0u) {
+    take(taps, cell, weight);
+    if (weight < least) nearest = cell;
+    least = min(weight, least);
+  }
+  if (least < FAR) tap(nearest, share, averages);
+#else
+  Taps taps = tapsOf(block, kernel(x), kernel(y), kernel(z) * share);
+  uvec2 split = uvec2(0u);
   while ((taps.left.x | taps.left.y) != 0u) {
     uvec2 bit = take(taps, cell, weight);
-    if (addWhole(cell, weight, averages)) split |= bit;
+    split |= bit * uint(addWhole(cell, weight, averages));
   }
 #ifdef SPLIT
   taps.left = split;
   while ((taps.left.x | taps.left.y) != 0u) {
     take(taps, cell, weight);
-    tap(cell, weight, averages);
+    addSides(cell, weight, averages);
   }
 #endif
 #endif
-}
-
-// Read those nodes of a block that are needed.
-void readBlock(Eight block, uint needed, out Eight first, out Eight second) {
-  const uvec4 bits = uvec4(1u, 2u, 4u, 8u);
-  first = Eight(uvec4(0u), uvec4(0u));
-  second = first;
-  uvec4 there = uvec4(notEqual(block.low, uvec4(0u))) * bits + uvec4(notEqual(block.high, uvec4(0u))) * (bits * 16u);
-  needed &= there.x + there.y + there.z + there.w;
-  while (needed != 0u) {
-    uint lowest = needed & (~needed + 1u);
-    uvec4 low = uvec4(equal(bits, uvec4(lowest))), high = uvec4(equal(bits * 16u, uvec4(lowest)));
-    uvec4 number = low * block.low + high * block.high;
-    uvec2 words = nodeAt(number.x + number.y + number.z + number.w);
-    first.low += low * words.x;
-    first.high += high * words.x;
-    second.low += low * words.y;
-    second.high += high * words.y;
-    needed ^= lowest;
-  }
 }
 
 // For each child of the block below, the word of its parent.
-Eight parents(Eight all, bvec3 other, uvec3 side) {
-  if (other.x) {
-    all.low = side.x == 0u ? all.low.xxzz : all.low.yyww;
-    all.high = side.x == 0u ? all.high.xxzz : all.high.yyww;
-  }
-  if (other.y) {
-    all.low = side.y == 0u ? all.low.xyxy : all.low.zwzw;
-    all.high = side.y == 0u ? all.high.xyxy : all.high.zwzw;
-  }
-  if (other.z) {
-    if (side.z == 0u) all.high = all.low;
-    else all.low = all.high;
-  }
-  return all;
+Eight parents(Eight all, uvec3 other, uvec3 side) {
+  uvec3 before = other * side, after = 1u - other * (1u - side);
+  uvec4 x = uvec2(before.x, after.x).xyxy, y = uvec2(before.y, after.y).xxyy;
+  all.low = all.low.xxzz + x * (all.low.yyww - all.low.xxzz);
+  all.high = all.high.xxzz + x * (all.high.yyww - all.high.xxzz);
+  all.low = all.low.xyxy + y * (all.low.zwzw - all.low.xyxy);
+  all.high = all.high.xyxy + y * (all.high.zwzw - all.high.xyxy);
+  uvec4 apart = all.high - all.low;
+  return Eight(all.low + before.z * apart, all.low + after.z * apart);
 }
 
-// Numbers of child nodes, counted from 1; 0 for none.
-uvec4 childNodes(uvec4 first, uvec4 second, uvec4 octants) {
-  const uvec4 pairs = uvec4(0x33u);
-  uvec4 mask = first & uvec4(255u);
-  uvec4 below = mask & ((uvec4(1u) << octants) - 1u);
-  below -= below >> uvec4(1u) & uvec4(0x55u);
-  below = (below & pairs) + (below >> uvec4(2u) & pairs);
-  below = (below + (below >> uvec4(4u))) & uvec4(0x0Fu);
-  return (mask >> octants & uvec4(1u)) * ((second >> uvec4(8u)) + below + 1u);
-}
-
-Eight blockBelow(Eight first, Eight second, bvec3 other, uvec3 side) {
-  first = parents(first, other, side);
-  second = parents(second, other, side);
-  uvec4 x = other.x ? uvec4(0u, 1u, 0u, 1u) : uvec4(1u, 0u, 1u, 0u);
-  uvec4 y = other.y ? uvec4(0u, 0u, 2u, 2u) : uvec4(2u, 2u, 0u, 0u);
-  uvec4 octants = x + y;
-  return Eight(
-    childNodes(first.low, second.low, octants + (other.z ? 0u : 4u)),
-    childNodes(first.high, second.high, octants + (other.z ? 4u : 0u))
-  );
-}
-
-// A block of one node, given by its number and by the parity of the level below, and of seven that there are not.
-Eight blockOf(uint node, uvec3 parity) {
-  uint place = (1u - parity.x) + 2u * (1u - parity.y);
-  uvec4 at = node * uvec4(equal(uvec4(0u, 1u, 2u, 3u), uvec4(place)));
-  uvec4 none = uvec4(0u);
-  if (parity.z == 1u) return Eight(at, none);
-  return Eight(none, at);
+// Numbers of child nodes, counted from 1; 0 for none. `nodes` are first child nodes << 8 | node masks.
+uvec4 childNodes(uvec4 nodes, uvec4 bits) {
+  uvec4 below = (nodes & (bits - 1u)) * 0x08040201u >> uvec4(3u) & uvec4(0x11111111u);
+  return uvec4(notEqual(nodes & bits, uvec4(0u))) * ((nodes >> uvec4(8u)) + (below * 0x11111111u >> uvec4(28u)) + 1u);
 }
 
 // Where a point lies, in fixed point, and the parity there of the cells of a level.
@@ -411,68 +383,77 @@ uvec3 fixedAt(vec3 point) {
   return min(uvec3(clamp(point, vec3(0.0), vec3(1.0)) * FINEST), uvec3(vec3(FINEST - 1.0)));
 }
 
+uvec3 parityAt(uvec3 place, uint bit) {
+  return uvec3(notEqual(place & uvec3(bit), uvec3(0u)));
+}
+
+// The block of one node with some words, above the level of a bit, and of seven that there are not.
+Block blockOf(uvec2 words, uvec3 place, uint bit) {
+  uvec3 parity = parityAt(place, bit);
+  uvec4 at = uvec4(equal(uvec4(0u, 1u, 2u, 3u), uvec4(3u - parity.x - 2u * parity.y)));
+  uvec4 low = at * parity.z, high = at * (1u - parity.z);
+  return Block(Eight(low * words.x, high * words.x), Eight(low * words.y, high * words.y), parity, bit);
+}
+
+// Go down by a level around a place. `span` has the bits in which parents that are wanted differ: along axes where it has none
+// of the level, only the ancestor of the place is read.
+void goDown(inout Block block, uvec3 place, uvec3 span) {
+  uvec3 straddles = uvec3(greaterThanEqual(span, uvec3(block.bit)));
+  block.bit = block.bit >> 1u;
+  uvec3 side = parityAt(place, block.bit), other = side ^ block.parity;
+  const uvec4 masks = uvec4(255u);
+  Eight nodes = Eight(block.second.low & ~masks | block.first.low & masks, block.second.high & ~masks | block.first.high & masks);
+  nodes = parents(nodes, other, side);
+  uvec3 low = uvec3(2u, 4u, 16u) - other * uvec3(1u, 3u, 15u), high = 1u + other * uvec3(1u, 3u, 15u);
+  uvec4 bits = uvec2(low.x, high.x).xyxy * uvec2(low.y, high.y).xxyy;
+  uvec4 lower = childNodes(nodes.low, bits * low.z), upper = childNodes(nodes.high, bits * high.z);
+  block = Block(Eight(uvec4(0u), uvec4(0u)), Eight(uvec4(0u), uvec4(0u)), side, block.bit);
+  uvec3 own = uvec3(0xAAu, 0xCCu, 0xF0u) - side * uvec3(0x55u, 0x99u, 0xE1u);
+  own |= straddles * 0xFFu;
+  const uvec4 ones = uvec4(1u, 2u, 4u, 8u);
+  uvec4 there = uvec4(notEqual(lower, uvec4(0u))) * ones + uvec4(notEqual(upper, uvec4(0u))) * (ones * 16u);
+  uint needed = own.x & own.y & own.z & (there.x + there.y + there.z + there.w);
+  while (needed != 0u) {
+    uint lowest = needed & (~needed + 1u);
+    uvec4 isLow = uvec4(equal(ones, uvec4(lowest))), isHigh = uvec4(equal(ones * 16u, uvec4(lowest)));
+    uvec4 number = isLow * lower + isHigh * upper;
+    uvec2 words = nodeAt(number.x + number.y + number.z + number.w);
+    block.first.low += isLow * words.x;
+    block.first.high += isHigh * words.x;
+    block.second.low += isLow * words.y;
+    block.second.high += isHigh * words.y;
+    needed ^= lowest;
+  }
+}
+
 uvec3 cellOf(uvec3 place, int level) {
   return place >> uvec3(uint(23 - level));
 }
 
-uvec3 parityOf(uvec3 place, int level) {
-  return cellOf(place, level) & uvec3(1u);
-}
-
-// Add the looks at two levels: `shares` of them, `levels` of which the second is not coarser.
+// Add the looks at two levels: `shares` of them, `levels` of which the second is the same or the next.
 void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
-  uvec3 fixedPoint = fixedAt(point);
-  if (levels.x == 0) {
-    vec3 away = abs(point - 0.5);
-#ifdef NEAREST
-    float weight = 1.0;
-#else
-    float weight = kernel(away.xxxx).x * kernel(away.yyyy).x * kernel(away.zzzz).x;
-#endif
-    if (shares.x > 0.0) tap(0u, weight * shares.x, leaves > 0);
-  }
-  // The parents of the cells that the first look takes; above them only what they descend from is read.
-  ivec3 low = (ivec3(cellOf(fixedPoint, levels.x)) - 1) >> uvec3(1u);
-  // Begin with the last node that all of them descend from.
+  uvec3 place = fixedAt(point);
+  // The parents of the cells that the first look takes, and the bits in which their positions differ.
+  ivec3 low = (ivec3(cellOf(place, levels.x)) - 1) >> uvec3(1u);
   ivec3 least = max(low, ivec3(0)), most = min(low + 1, ivec3((1 << uint(max(levels.x - 1, 0))) - 1));
-  uint node = 1u;
-  int begin = 1;
-  for (; begin < levels.x && node != 0u; begin++) {
-    uvec3 up = uvec3(uint(levels.x - 1 - begin));
-    if (any(notEqual(least >> up, most >> up))) break;
-    uvec2 words = nodeAt(node);
-    uvec3 bit = parityOf(fixedPoint, begin);
-    uint octant = bit.x | bit.y << 1u | bit.z << 2u;
-    uint isNode = words.x >> octant & 1u;
-    node = isNode * ((words.y >> 8u) + bitsOf(words.x & ((1u << octant) - 1u) & 255u) + 1u);
+  uvec3 span = uvec3(least ^ most) << uvec3(uint(24 - levels.x));
+  // Begin with the last node that all of them descend from. The root is the only child of a node.
+  uvec2 words = uvec2(uint(!u_leafRoot), uint(u_leafRoot));
+  uint bit = uint(FINEST), widest = max(span.x, max(span.y, span.z));
+  int level = 0;
+  for (; level < levels.x && widest < bit && words.x != 0u; level++) {
+    uvec3 side = parityAt(place, bit);
+    uint child = (1u + side.x) * (1u + 3u * side.y) * (1u + 15u * side.z);
+    uint isNode = uint((words.x & child) != 0u);
+    words = nodeAt(isNode * ((words.y >> 8u) + bitsOf(words.x & (child - 1u)) + 1u));
+    bit = bit >> 1u;
   }
-  uvec3 parity = parityOf(fixedPoint, begin);
-  Eight block = blockOf(node, parity);
-  for (int level = begin; level <= levels.y; level++) {
-    bool looks = level == levels.x || level == levels.y;
-    uvec3 side = level < 23 ? parityOf(fixedPoint, level + 1) : uvec3(0u);
-    bvec3 other = notEqual(side, parity);
-    uint needed = 255u;
-    if (!looks) {
-      // The block above a level begins one node before the point's, or with it where the level's number is odd.
-      ivec3 corner = ivec3(cellOf(fixedPoint, level - 1)) - 1 + ivec3(parity);
-      uvec3 up = uvec3(uint(levels.x - level));
-      bvec3 lower = equal(low >> up, corner), upper = equal((low + 1) >> up, corner + 1);
-      needed = (lower.x ? 0x55u : 0u) | (upper.x ? 0xAAu : 0u);
-      needed &= (lower.y ? 0x33u : 0u) | (upper.y ? 0xCCu : 0u);
-      needed &= (lower.z ? 0x0Fu : 0u) | (upper.z ? 0xF0u : 0u);
-    }
-    Eight first, second;
-    readBlock(block, needed, first, second);
-    if (looks) {
-      float share = level == levels.x ? shares.x : shares.y;
-      vec3 inside = point * float(1 << uint(level)) - vec3(cellOf(fixedPoint, level));
-      if (share > 0.0) gather(first, second, inside, parity, share, level < leaves);
-    }
-    if (level == levels.y) break;
-    block = blockBelow(first, second, other, side);
-    if (all(equal(block.low | block.high, uvec4(0u)))) break;
-    parity = side;
+  Block block = blockOf(words, place, bit);
+  for (int look = levels.x; look <= levels.y; look++) {
+    for (; level < look; level++) goDown(block, place, span);
+    vec3 inside = point * float(1 << uint(level)) - vec3(cellOf(place, level));
+    gather(block, inside, look == levels.x ? shares.x : shares.y, level < leaves);
+    span = uvec3(uint(FINEST));
   }
 }
 
@@ -483,7 +464,7 @@ uvec3 leafAt(vec3 point, int last) {
   uint node = 1u;
   for (int level = 1; level <= last; level++) {
     uvec2 words = nodeAt(node);
-    uvec3 bit = parityOf(place, level);
+    uvec3 bit = parityAt(place, uint(FINEST) >> uint(level));
     uint octant = bit.x | bit.y << 1u | bit.z << 2u;
     uint mask = (words.x | words.y) & 255u;
     if ((mask >> octant & 1u) == 0u) break;
@@ -594,7 +575,7 @@ void addMixed(vec3 point, int last, float share, bool averages) {
   int level = 0;
   while (goesOn) {
     level++;
-    uvec3 parity = parityOf(place, level);
+    uvec3 parity = parityAt(place, uint(FINEST) >> uint(level));
     uint above[27] = m_node;
 #ifdef KEPT
     bool kept[27] = m_keeps;
@@ -692,29 +673,26 @@ void addMixed(vec3 point, int last, float share, bool averages) {
 // Add what is around a point if all of that is of one level, as it is far from changes of depth; else say that it is not.
 bool addAlike(vec3 point, int last, float share, bool averages) {
   uvec3 place = fixedAt(point);
-  uvec3 parity = parityOf(place, 1);
-  Eight block = blockOf(1u, parity);
+  Block block = blockOf(nodeAt(1u), place, uint(FINEST) >> 1u);
   for (int level = 1; level <= last; level++) {
-    Eight first, second;
-    readBlock(block, 255u, first, second);
     // Which children of each node of the block are among the 27 cells.
+    uvec3 parity = block.parity;
     uvec4 plane = parity.x == 1u ? uvec4(0xFFu, 0x55u, 0xFFu, 0x55u) : uvec4(0xAAu, 0xFFu, 0xAAu, 0xFFu);
     plane &= parity.y == 1u ? uvec4(0xFFu, 0xFFu, 0x33u, 0x33u) : uvec4(0xCCu, 0xCCu, 0xFFu, 0xFFu);
     uvec4 low = plane & uvec4(parity.z == 1u ? 0xFFu : 0xF0u), high = plane & uvec4(parity.z == 1u ? 0x0Fu : 0xFFu);
-    bool hasNodes = any(notEqual(first.low & low | first.high & high, uvec4(0u)));
-    bool hasLeaves = any(notEqual(second.low & low | second.high & high, uvec4(0u)));
+    Eight nodes = block.first, leaves = block.second;
+    bool hasNodes = any(notEqual(nodes.low & low | nodes.high & high, uvec4(0u)));
+    bool hasLeaves = any(notEqual(leaves.low & low | leaves.high & high, uvec4(0u)));
     if (hasNodes && hasLeaves) return false;
     if (!hasNodes || level == last) {
       vec3 inside = point * float(1 << uint(level)) - vec3(cellOf(place, level));
-      gather(first, second, inside, parity, share, averages && hasNodes);
+      gather(block, inside, share, averages && hasNodes);
       return true;
     }
 #ifdef KEPT
     if (level >= u_keptLevel) return false;
 #endif
-    uvec3 side = parityOf(place, level + 1);
-    block = blockBelow(first, second, notEqual(side, parity), side);
-    parity = side;
+    goDown(block, place, uvec3(uint(FINEST)));
   }
   return false;
 }
