@@ -89,7 +89,7 @@ class Pattern(FaceSource):
 
 @pytest.mark.parametrize("dtype", ["float32", "uint16"])
 def test_the_fit_is_the_least_squares_between_the_bounds(dtype):
-    form = ChannelFormat("height", 1, "data", dtype)
+    form = ChannelFormat("own", 1, "data", dtype)
     source = Pattern()
     source._channels = (form,)
     surface = Surface(TETRAHEDRON, FACES, source)
@@ -103,7 +103,7 @@ def test_the_fit_is_the_least_squares_between_the_bounds(dtype):
     lookups = np.zeros((len(chosen), tree.n_leaves))
     np.add.at(lookups, (np.repeat(chosen, np.diff(taps.starts)), taps.rows - first), taps.weights)
     means, values = (
-        decode(each["height"].values[first:], "data").astype(float) for each in (channels, found)
+        decode(each["own"].values[first:], "data").astype(float) for each in (channels, found)
     )
     low, high = (0.0, 1.0) if dtype == "uint16" else (-np.inf, np.inf)
     weights = samples.shares / SHARE_STEPS
