@@ -5,39 +5,48 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
-from octex.channels import ALPHA, ChannelFormat, decode, encode
+from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
+from octex.channels import ALPHA, ONE, ChannelFormat, decode, encode
 from octex.conversion.levels import assemble, cell_levels
-from octex.editing.averages import average
+from octex.editing.averages import average, with_summed_areas
 from octex.editing.draft import Tiles
-from octex.editing.nodes import all_nodes
-from octex.editing.split import rows_facing
+from octex.editing.nodes import all_nodes, nodes_at
+from octex.editing.refined import Below, refined_below, refined_rows, with_rows
+from octex.editing.runs import carried
+from octex.editing.split import refaced, rows_facing
 from octex.errors import ArgumentError, own_making
-from octex.painting.blend import Merge
-from octex.painting.layer import (
-    COVERAGE,
-    SurfaceCells,
-    blocks_meeting,
-    empty_texture,
-    paint_of,
-    painted_channel,
+from octex.painting.blend import (
+    Above,
+    Blended,
+    Merge,
+    Raised,
+    averaged,
+    blended,
+    facings_of_paint,
+    may_differ,
+    no_parts,
+    with_split_cells,
+    writable,
 )
+from octex.painting.layer import COVERAGE, Paint, blocks_meeting, empty_texture, painted_channel
 from octex.painting.merge import paint_by_tiles
 from octex.painting.multigrid import added, graph_of, solve
 from octex.painting.options import Holes
 from octex.painting.picture import Blend
 from octex.painting.sheets import Sheets, sheets_of
-from octex.painting.steps import cull_cells, merge_paint, raise_texture
+from octex.painting.steps import cull_cells
 from octex.painting.surface import Job
 from octex.source.base import Source
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
-from octex.tree.edit import among, locate, rebuilt
-from octex.tree.octree import distinct
+from octex.tree.edit import among, locate, rebuilt, with_all_above
+from octex.tree.layout import FACING_FLAGS, SPLIT
+from octex.tree.octree import Octree, distinct
 from octex.tree.placement import on_grid
 from octex.tree.split import rows_of
 from octex.voxelize.fragments import divided, whole
@@ -198,6 +207,18 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
     return texture.with_cells(tree, channels)
 
 
+#: Coverage that hides the fill.
+_FULL = ONE[COVERAGE.dtype]
+
+
+class Leaves(NamedTuple):
+    """Leaves of one level that the layer lacks."""
+
+    codes: Int64s  # (n,)   Morton codes, ascending
+    flags: Uint8s  # (n,)
+    areas: Uint8s  # (n,)
+
+
 def started(job: Job, layer: OctreeTexture, holes: Holes, blend: Blend) -> tuple[OctreeTexture, bool]:
     """Return a new texture for a layer, and whether it includes the layer.
 
@@ -210,9 +231,9 @@ def started(job: Job, layer: OctreeTexture, holes: Holes, blend: Blend) -> tuple
 
 
 def _laid_over(job: Job, fill: OctreeTexture, layer: OctreeTexture) -> OctreeTexture:
-    """Merge a layer into its fill, raised to the layer's leaves without kept coefficients or skirts.
+    """Lay a layer over its fill, whose leaves have one level: the layer's leaves, and leaves that it lacks.
 
-    Nothing has shown the fill before, so its field may move.
+    No cell existed before, so there are no coefficients to keep and no skirts, as there are in `merge`.
     """
     name = painted_channel(layer)
     if not fill.tree.n_leaves:
@@ -220,28 +241,150 @@ def _laid_over(job: Job, fill: OctreeTexture, layer: OctreeTexture) -> OctreeTex
     task = Merge(job, fill, layer, name, "over", 1.0, 0)
     job.progress("merge", 0, 1)
     with own_making():
-        leaves, met = _united(task)
-        paint, is_skirt = paint_of(layer, 1.0), np.zeros(fill.tree.n_cells, np.bool_)
-        raised = raise_texture(task, fill, rebuilt(fill.tree, leaves), met, paint, is_skirt)
-        made = merge_paint(task, fill, raised, paint)
+        lacking, paint = _lacking(task), _showing(task)
+        made = _with_paint(task, *_united(task, lacking), paint, lacking)
     job.progress("merge", 1, 1)
-    return made.texture
+    return made
 
 
-def _united(task: Merge) -> tuple[list[Int64s], SurfaceCells]:
-    """Return the leaves of a layer and those that it lacks, by level, and the surface in the fill's leaves.
+def _united(task: Merge, lacking: Sequence[Leaves]) -> tuple[OctreeTexture, Bools]:
+    """Return the filled texture with the layer's leaves and those that it lacks, and the layer's cells."""
+    layer, name = task.layer, task.target
+    leaves = [
+        distinct(np.concatenate([codes[~is_node], more.codes]))
+        for (codes, is_node), more in zip(layer.tree.walk(), lacking, strict=True)
+    ]
+    edited = rebuilt(layer.tree, leaves)
+    tree, channel = edited.tree, carried(layer, edited)[name]
+    flags, areas, added = tree.arrays.flags.copy(), tree.arrays.areas.copy(), []
+    for level, each in enumerate(lacking):
+        cells, below = locate(tree, each.codes, level).cells, _filled(task, each.codes, level, each.flags)
+        flags[cells], areas[cells] = each.flags, each.areas
+        channel.values[cells] = encode(below.values[name], channel.format.dtype, channel.format.space)
+        added.append((cells, below))
+    tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
+    texture = refaced(with_rows(task.texture.with_cells(tree, {name: channel}), added))
+    above = with_all_above([each.codes for each in lacking])[1:]
+    tree = with_summed_areas(texture.tree, nodes_at(tree, [distinct(codes >> 3) for codes in above]))
+    return texture.with_cells(tree, texture.channels), edited.old >= 0
 
-    A layer lacks leaves of the fill, and surface in these next to finer paint.
-    """
-    layer, level = task.layer.tree, task.texture.tree.max_depth
-    walk = list(layer.walk())
-    found = [[codes[~is_node]] for codes, is_node in walk]
-    codes = task.texture.tree.level_codes(level)
+
+def _with_paint(
+    task: Merge, texture: OctreeTexture, is_painted: Bools, paint: Sequence[Paint], lacking: Sequence[Leaves]
+) -> OctreeTexture:
+    """Blend paint with the fill below it, and average the nodes above both."""
+    name, tree = task.target, texture.tree
+    cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
+    below = [_filled(task, each.codes, level, each.flags) for level, each in enumerate(paint)]
+    split = np.concatenate([at[each.is_split] for at, each in zip(cells, below, strict=True)])
+    texture = with_split_cells(texture, split[tree.arrays.flags[split] & SPLIT == 0])
+    changed = [
+        distinct(np.concatenate([bare.codes, each.codes])) for bare, each in zip(lacking, paint, strict=True)
+    ]
+    codes = [distinct(each >> 3) for each in with_all_above(changed)[1:]]
+    nodes, none = nodes_at(tree, codes), np.empty(0, np.int64)
+    absent = nodes._replace(numbers=np.full_like(nodes.numbers, -1))
+    above = Above(nodes, absent, nodes_at(task.layer.tree, codes))
+    may_split = may_differ(texture.tree, none, none.astype(np.uint8), above)
+    base = with_split_cells(texture, may_split)
+    channels, parts = writable(base, [name]), no_parts(base.tree, [name])
+    parts[name].values[is_painted] = 1.0
+    parts[name].split_values[is_painted[rows_of(base.tree.split).cells]] = 1.0
+    for level, on_level in enumerate(zip(cells, paint, below, strict=True)):
+        _put_paint(task, base.tree, level, *on_level, channels[name], parts[name])
+    is_fresh = np.ones(tree.n_cells, np.bool_)
+    raised = Raised(texture, np.where(is_painted, 0, -1), is_fresh, ~is_fresh, [])
+    return averaged(
+        task, task.texture, raised, Blended(base, channels, parts, above, may_split), changed
+    ).texture
+
+
+def _lacking(task: Merge) -> list[Leaves]:
+    """Return the leaves that a layer lacks, by level: the fill's, or surface in them next to finer paint."""
+    fill, layer, level = task.texture.tree, task.layer.tree, task.texture.tree.max_depth
+    none = Leaves(np.empty(0, np.int64), *np.empty((2, 0), np.uint8))
+    found = [none] * (layer.max_depth + 1)
+    codes = fill.level_codes(level)
     where = locate(layer, codes, level)
-    found[level].append(codes[~where.is_leaf & (where.levels < level)])
-    opened = codes[~where.is_leaf & (where.levels == level)]
+    is_open = ~where.is_leaf & (where.levels == level)
+    cells = np.flatnonzero(~where.is_leaf & (where.levels < level))
+    found[level] = _leaves_at(fill, level, cells)
+    opened = codes[is_open]
     met = cull_cells(task, [(level, opened)], layer.max_depth)
+    walk = list(layer.walk())
     for deeper in range(level + 1, layer.max_depth + 1):
-        (above, is_node), codes = walk[deeper - 1], met.codes[deeper]
-        found[deeper].append(codes[among(codes >> 3, above[is_node]) & ~among(codes, walk[deeper][0])])
-    return [distinct(np.concatenate(leaves)) for leaves in found], met
+        nodes = walk[deeper - 1][0][walk[deeper - 1][1]]
+        nodes = nodes[among(nodes >> 3 * (deeper - 1 - level), opened)]
+        codes = met.codes[deeper]
+        lacks = among(codes >> 3, nodes) & ~among(codes, walk[deeper][0])
+        found[deeper] = _leaves_at(met.tree, deeper, np.flatnonzero(lacks))
+    return found
+
+
+def _leaves_at(tree: Octree, level: int, chosen: Int64s) -> Leaves:
+    """Return chosen cells of a level as leaves."""
+    cells = chosen + int(tree.arrays.level_cells[level])
+    flags = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
+    return Leaves(tree.level_codes(level)[chosen], flags, tree.arrays.areas[cells])
+
+
+def _showing(task: Merge) -> list[Paint]:
+    """Return the paint, by level, on leaves through which the fill shows."""
+    layer, name = task.layer, task.target
+    alpha, rows = layer.channels[ALPHA.name], rows_of(layer.tree.split)
+    shows = alpha.values[:, 0] < _FULL
+    shows[rows.cells[alpha.split_values[:, 0] < _FULL]] = True
+    found = []
+    for level, (codes, is_node) in enumerate(layer.tree.walk()):
+        first = int(layer.tree.arrays.level_cells[level])
+        chosen = np.flatnonzero(~is_node & shows[first : first + codes.size])
+        where = locate(task.texture.tree, codes[chosen], level)
+        chosen = chosen[(where.levels == level) | where.is_leaf]
+        cells = chosen + first
+        values = decode(layer.channels[name].values[cells], layer.channels[name].format.space)
+        coverage = decode(alpha.values[cells, 0], "data")
+        found.append(Paint(codes[chosen], values, coverage, cells, layer.tree.arrays.flags[cells]))
+    return found
+
+
+def _filled(task: Merge, codes: Int64s, level: int, facings: Uint8s) -> Below:
+    """Return the fill's values in cells (n,) of a level with these facings."""
+    fill, name = task.texture, task.target
+    if level > fill.tree.max_depth:
+        return refined_below(fill, codes, level, facings & np.uint8(FACING_FLAGS), task.job.executor)
+    cells, form = locate(fill.tree, codes, level).cells, fill.channels[name].format
+    rows = rows_of(fill.tree.split, cells).rows
+    is_split = fill.tree.arrays.flags[cells] & SPLIT != 0
+    stored = fill.channels[name]
+    return Below(
+        {name: decode(stored.values[cells], form.space)},
+        is_split,
+        {name: decode(stored.split_values[rows], form.space)},
+    )
+
+
+def _put_paint(
+    task: Merge,
+    tree: Octree,
+    level: int,
+    cells: Int64s,
+    paint: Paint,
+    below: Below,
+    channel: Channel,
+    part: Channel,
+) -> None:
+    """Blend paint on cells of a level with the fill ``below`` it, and record its ``part``, in place."""
+    fill, name, form = task.texture, task.target, channel.format
+    new = blended(below.values[name], paint.values, paint.coverage, "over")
+    channel.values[cells] = encode(new, form.dtype, form.space)
+    part.values[cells, 0] = paint.coverage
+    rows = rows_of(tree.split, cells)
+    paint = paint.of(np.searchsorted(cells, rows.cells))
+    values, coverage = facings_of_paint(task.layer, paint, rows.bits, 1.0)
+    if level > fill.tree.max_depth:
+        old = refined_rows(fill, paint.codes, level, rows.bits)[name]
+    else:
+        old = rows_facing(fill, fill.channels[name], locate(fill.tree, paint.codes, level).cells, rows.bits)
+    new = blended(old, values, coverage, "over")
+    channel.split_values[rows.rows] = encode(new, form.dtype, form.space)
+    part.split_values[rows.rows, 0] = coverage
