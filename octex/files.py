@@ -38,6 +38,8 @@ _TEMPORARY = re.compile(r"\.octex-[0-9a-f]{16}")
 #: The start of a Git LFS pointer.
 _POINTER = b"version https://git-lfs."
 _ADDRESS = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+(://|::)")
+#: Errors of a full disk, of a full share of it, and of a file that is too large for it.
+_FULL = errno.ENOSPC, errno.EDQUOT, errno.EFBIG
 
 _undos: dict[object, Callable[[], None]] = {}
 
@@ -198,10 +200,9 @@ def replacing(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
                 temporary.replace(real)
         _remove_leavings(real.parent)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise OutputError(
-            f"{target}: cannot be written: {reason}; make room or choose another place"
-        ) from error
+        reason, is_full = error.strerror or str(error), error.errno in _FULL
+        what = "make room or choose another place" if is_full else "choose another place"
+        raise OutputError(f"{target}: cannot be written: {reason}; {what}") from error
 
 
 @contextlib.contextmanager

@@ -12,7 +12,7 @@ from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse,
 from octex.cli.options import DEFAULT_CHANNEL
 from octex.cli.parser import Options
 from octex.cli.shots import patch_of
-from octex.errors import ArgumentError
+from octex.errors import ArgumentError, CameraError
 from octex.files import replacing
 
 if TYPE_CHECKING:
@@ -176,7 +176,10 @@ def _frame(options: Options, kind: str) -> Frame | None:
     frames = read_cameras(file)
     frame = frames[0]
     if name is not None or len(frames) > 1:
-        frame = find_frame(frames, options.OUTPUT.name if name is None else name, file)
+        try:
+            frame = find_frame(frames, options.OUTPUT.name if name is None else name, file)
+        except CameraError as error:
+            raise error if name else CameraError(f"{error}; choose one with --camera {file}#NAME") from None
     if frame.size is None or options.size is None or kind in ("panels", "difference"):
         return frame
     if not frame.fits(options.size):

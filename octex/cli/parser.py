@@ -162,7 +162,7 @@ class Parser:
         usage = " ".join(each.usage for each in self._command.files)
         if left:
             if late is not None:
-                self.error(f"{late} is no file for its place: write {self.program} {usage}")
+                self.error(f"{late} stands in the wrong place: write {self.program} {usage}")
             self.error(f"{left[0]} is one file too many for {self.program} {usage}".rstrip())
         missing = [
             each.word for each in self._command.files if each.number == "one" and each.word not in files

@@ -96,11 +96,11 @@ IDLE = {
         ("overlaps a.glb --margin --json", "--margin needs a value, SIZE"),
         (
             "bake a.glb b.octex c.glb",
-            "b.octex is no file for its place: write octex bake [TEXTURE] MODEL OUTPUT",
+            "b.octex stands in the wrong place: write octex bake [TEXTURE] MODEL OUTPUT",
         ),
         (
             "view a.octex b.html c.glb",
-            "c.glb is no file for its place: write octex view [TEXTURE] [MODEL] [PAGE]",
+            "c.glb stands in the wrong place: write octex view [TEXTURE] [MODEL] [PAGE]",
         ),
         ("paint a.glb --camera", "--camera needs a value, FILE[#NAME]"),
     ],

@@ -142,7 +142,8 @@ def test_a_view_needs_a_camera_that_can_be_found_again(scene, tmp_path, cli):
         "--as paint without --camera needs --camera-out: only with its camera can you paint it back"
     )
     assert cli.refusal(*view, "--camera", scene.cameras) == (
-        f"{scene.cameras}: there is no frame 'view.png'; there are: 'square.png', 'blue.png'"
+        f"{scene.cameras}: there is no frame 'view.png'; there are: 'square.png', 'blue.png'; "
+        f"choose one with --camera {scene.cameras}#NAME"
     )
     message = cli.refusal(*view, "--camera", f"{scene.cameras}#blue.png", "--size", "7,9")
     assert message == (

@@ -102,9 +102,7 @@ def test_the_fit_is_the_least_squares_between_the_bounds(dtype):
     first = tree.n_cells - tree.n_leaves
     lookups = np.zeros((len(chosen), tree.n_leaves))
     np.add.at(lookups, (np.repeat(chosen, np.diff(taps.starts)), taps.rows - first), taps.weights)
-    means, values = (
-        decode(each["own"].values[first:], "data").astype(float) for each in (channels, found)
-    )
+    means, values = (decode(each["own"].values[first:], "data").astype(float) for each in (channels, found))
     low, high = (0.0, 1.0) if dtype == "uint16" else (-np.inf, np.inf)
     weights = samples.shares / SHARE_STEPS
     problem = lookups, weights, samples.values.astype(float), means, float(SHRINK)
