@@ -274,14 +274,15 @@ def better_placed(
             break
         moved = [replace(each, camera=placings[number].of(cast(Camera, each.camera))) for each in few]
         found = read_points(_seen_on(surface, moved, executor), surface).agreements()
-        is_known |= number == 0 and bool(np.isfinite(found).any())
         agreed = float(np.nan_to_num(found).mean())
-        if agreed > most:
+        if number == 0:  # the mesh as it is
+            is_known = bool(np.isfinite(found).any())
+        elif agreed > most:
             best, most = placings[number], agreed
     advice = "; change that, and paint again"
     if most >= max(_AGREES, now + _GAIN):
         return f"pictures agree if {best.words()}{advice}"
-    is_seen = filled[0] > 0 or not filled.max() > _FILLED  # the first is the mesh as it is
+    is_seen = filled[0] > 0 or not filled.max() > _FILLED
     if is_seen or is_known:  # if pictures can be compared there, they do not agree
         return None
     return f"the cameras see the model if {best.words()}{advice}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Int64s
+from octex.arrays import Bools, Int64s
 from octex.channels import ALPHA, ONE
 from octex.checks import as_flag, as_number
 from octex.editing.runs import carried
@@ -14,6 +14,7 @@ from octex.parallel import Run, as_run, workers
 from octex.processing.edit import noted
 from octex.processing.mapping import in_format
 from octex.processing.mixing import Amount, Mixing
+from octex.processing.resize import with_leaves
 from octex.source.parts import SEPARATION
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.areas import SKIRT
@@ -157,6 +158,9 @@ def _same_formats(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTe
 
 def _without_hidden(texture: OctreeTexture, over: OctreeTexture) -> OctreeTexture:
     """Return a texture without the cells that ``over`` hides; leaves of both get the facings of ``over``."""
+    is_idle = _idle_skirts(texture.tree, over.tree)
+    if is_idle.any():
+        texture = with_leaves(texture, ~is_idle)
     edited = rebuilt(texture.tree, _not_hidden(texture.tree, over.tree))
     texture = texture.with_cells(edited.tree, carried(texture, edited))
     tree = texture.tree
@@ -176,25 +180,29 @@ def _without_hidden(texture: OctreeTexture, over: OctreeTexture) -> OctreeTextur
     return refaced(texture.with_cells(tree, texture.channels))
 
 
-def _not_hidden(tree: Octree, over: Octree) -> list[Int64s]:
-    """Return the codes of the leaves that another tree does not hide, by level.
-
-    Nodes become leaves where the other has leaves. Skirt leaves remain only next to surface that the other
-    lacks.
-    """
-    leaves: list[Int64s] = []
-    skirts: list[Int64s] = []
-    lacked: list[Int64s] = []  # surface that the other tree lacks
+def _idle_skirts(tree: Octree, over: Octree) -> Bools:
+    """Return which cells (cells,) are skirt leaves without surface beside them that the other tree lacks."""
+    found: list[Bools] = []
+    lacked: list[Int64s] = []
     for level, (codes, is_node) in enumerate(tree.walk()):
         where = locate(over, codes, level)
         is_lacking = ~is_node & ~where.is_leaf & (where.levels < level)
         first, end = tree.arrays.level_cells[level : level + 2]
-        is_skirt = is_lacking & (tree.arrays.areas[first:end] == SKIRT)
-        is_left = np.where(where.is_leaf, where.levels == level, ~is_node & ~is_skirt)
-        leaves.append(codes[is_left])
-        skirts.append(codes[is_skirt])
-        lacked.append(codes[is_lacking & ~is_skirt])
-    for level, codes in enumerate(skirts):
-        stays = codes[are_beside(codes, lacked, level)]
-        leaves[level] = np.sort(np.concatenate([leaves[level], stays]), kind="stable")
+        found.append(is_lacking & (tree.arrays.areas[first:end] == SKIRT))
+        lacked.append(codes[is_lacking & ~found[-1]])
+    for level, (codes, _) in enumerate(tree.walk()):
+        is_skirt = found[level]
+        is_skirt[is_skirt] = ~are_beside(codes[is_skirt], lacked, level)
+    return np.concatenate(found)
+
+
+def _not_hidden(tree: Octree, over: Octree) -> list[Int64s]:
+    """Return the codes of the leaves that another tree does not hide, by level.
+
+    Nodes become leaves where the other has leaves.
+    """
+    leaves: list[Int64s] = []
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        where = locate(over, codes, level)
+        leaves.append(codes[np.where(where.is_leaf, where.levels == level, ~is_node)])
     return leaves

@@ -7,7 +7,7 @@ from concurrent.futures import Executor
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Int64s
+from octex.arrays import Bools, Int64s
 from octex.channels import ALPHA, encode
 from octex.checks import as_depth, as_reals
 from octex.editing.averages import average, residuals_at, with_summed_areas
@@ -98,17 +98,14 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     corners = np.array([as_reals(low, "low", (3,)), as_reals(high, "high", (3,))])
     if not np.isfinite(corners).all() or (corners[0] > corners[1]).any():
         raise ArgumentError(f"a box needs a finite lowest and highest corner, not {corners.tolist()}")
-    tree = texture.tree
     box = texture.placement.to_texture_space(corners)
-    meets, lost = [np.zeros(0, np.bool_)], []
-    for level, (codes, is_node) in enumerate(tree.walk()):
+    meets = [np.zeros(0, np.bool_)]
+    for level, (codes, _) in enumerate(texture.tree.walk()):
         cells = decode_cells(codes)
         scaled = box * 2.0**level
-        meets.append(is_node | ((cells <= scaled[1]) & (cells + 1 > scaled[0])).all(axis=1))
-        lost.append(codes[~meets[-1]])
-    is_kept = np.concatenate(meets)
-    edited = cull(tree, is_kept)
-    if not edited.tree.n_leaves:
+        meets.append(((cells <= scaled[1]) & (cells + 1 > scaled[0])).all(axis=1))
+    made = with_leaves(texture, np.concatenate(meets))
+    if not made.tree.n_leaves:
         raise ArgumentError(
             f"no leaf of the texture meets the box from {corners[0].tolist()} to {corners[1].tolist()}; its "
             f"surface is from {texture.bounds[0].tolist()} to {texture.bounds[1].tolist()}"
@@ -116,8 +113,22 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
     low, high = np.maximum(corners[0], texture.bounds[0]), np.minimum(corners[1], texture.bounds[1])
     bounds = np.array([np.minimum(low, high), np.maximum(low, high)])
     metadata = noted(texture.metadata, "crop", box=corners.tolist())
+    return OctreeTexture(made.tree, made.channels, texture.placement, bounds, metadata)
+
+
+def with_leaves(texture: OctreeTexture, is_kept: Bools) -> OctreeTexture:
+    """Return a texture with some of its leaves; ``is_kept`` (cells,) counts for leaves only.
+
+    Nodes that lose cells are averaged again over the remaining ones.
+    """
+    tree, first = texture.tree, texture.tree.arrays.level_cells
+    lost = [
+        codes[~is_node & ~is_kept[first[level] : first[level + 1]]]
+        for level, (codes, is_node) in enumerate(tree.walk())
+    ]
+    edited = cull(tree, is_kept)
     left = carried(texture, edited)
-    made = refaced(OctreeTexture(edited.tree, left, texture.placement, bounds, metadata))
+    made = refaced(texture.with_cells(edited.tree, left))
     above = [distinct(codes >> 3) for codes in with_all_above(lost)[1:]]
     nodes = nodes_at(made.tree, above)
     cut = nodes.numbers >= 0

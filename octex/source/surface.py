@@ -337,8 +337,9 @@ class Surface(Mesh):
         This is the surface itself, unless the texture was made from a ``separated`` surface. Raises
         ArgumentError if the parts are not those of the texture's surface.
         """
-        metadata = getattr(texture, "metadata", None)  # this room does not know the class of textures
-        if not isinstance(metadata, Mapping):
+        # This room does not know the class of textures; sets of them have no levels.
+        metadata, has_levels = getattr(texture, "metadata", None), hasattr(texture, "level")
+        if not (isinstance(metadata, Mapping) and has_levels):
             raise ArgumentError(f"texture must be an octex.OctreeTexture, not {texture!r}")
         separation = metadata.get(SEPARATION)
         moves = self.provenance.get(SEPARATION)
