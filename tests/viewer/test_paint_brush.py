@@ -225,6 +225,7 @@ def test_the_outline_shows_how_the_surface_is_turned(page):
         [box["x"] + box["width"] / 2 + 100, box["y"] + box["height"] / 2],
     )
     page.wait_for_function(f"(({{ width, height }}) => {turned[100, 0]})({needle})", timeout=60_000)
+    page.wait_for_function("viewer.isSharp")
     found, drawn = page.evaluate("""async () => {
       const { under } = await import("./under.js"), { gl, canvas } = viewer.gpu, drawn = [];
       const names = Object.getOwnPropertyNames(WebGL2RenderingContext.prototype);

@@ -286,6 +286,7 @@ class Painting {
       return;
     }
     if (event.isPasses || !this.viewer.isComplete) return;
+    this.viewer.drawNow(); // or nothing is known under the pen
     const isSized = (event.ctrlKey || event.metaKey) && event.button !== 1 && this.tool.hasRing;
     if (!isSized && !this.isForTool(event)) return;
     event.stopPropagation();

@@ -309,6 +309,11 @@ class Viewer {
     return this.isBegun && !this.jobs.length && !this.near;
   }
 
+  // Draw what waits for the next frame, for one who asks what is seen now.
+  drawNow() {
+    if (!this.isDrawn) this.frame();
+  }
+
   again() {
     this.asked ||= requestAnimationFrame(() => this.frame());
   }
