@@ -338,3 +338,16 @@ def test_a_stroke_stays_on_its_part_and_is_seen_to(mirror, pair):
     parts = pair.surface.parts[pair.surface.scatter(4000, 0).triangles]
     assert painted[parts == 0].mean() > 0.04
     assert (painted[parts == 1].mean() > 0.04) == bool(mirror)  # cells at the border hold both
+
+
+def test_a_pen_that_comes_down_before_the_picture_is_drawn_stays_on_its_part(pair):
+    with pair.restored() as page:
+        turned(page, 0.0)
+        page.evaluate("(brush) => viewer.painting.set(brush)", {"onePart": True, "size": 20})
+        moves = '"pointerdown", () => viewer.move(), { capture: true, once: true }'
+        page.evaluate(f"window.addEventListener({moves})")
+        with pair.held(page):
+            pair.drag(page, (-40, -10), (-20, -10))
+        at = page.evaluate("viewer.painting.sending.waiting[0].at")
+        pair.bake(page)
+    assert at is not None
