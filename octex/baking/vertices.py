@@ -112,13 +112,13 @@ def bake_vertices(
         positions = in_order(points.positions[edges[halved]])
         near = _have_two(settled, points.positions, positions[positions[:, 1] < first])
         ends, cut, others = _cut_at(np.concatenate([triangles, settled[near]]), points.positions, positions)
-        is_done, count = not len(ends), len(triangles) + len(settled) + int((cut[1] >= 0).sum())
-        if longest is not None and count > most:
+        is_too_many = len(triangles) + len(settled) + int((cut[1] >= 0).sum()) > most
+        if len(ends) and is_too_many and longest is not None:
             raise ArgumentError(
                 f"edges no longer than {longest:g} make more than {most:,} triangles; edges of up to "
                 f"{lengths.max():g} make {len(triangles) + len(settled):,}; allow longer edges"
             )
-        if is_done or count > most:
+        if not len(ends) or is_too_many:
             break
         first = int(points.positions.max()) + 1
         points = points.with_middles(ends, texture)

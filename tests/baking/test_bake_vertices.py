@@ -91,6 +91,8 @@ def test_edges_are_halved_until_none_is_longer():
     assert np.linalg.norm(sides, axis=2).max() <= 0.004
     with pytest.raises(ArgumentError, match=r"0\.1 make more than 200 triangles; edges of up to"):
         octex.bake_vertices(texture, surface, subdivide=0.1, most_triangles=200)
+    same = octex.bake_vertices(texture, surface, subdivide=9.0, most_triangles=1)  # nothing to halve
+    assert len(same.triangles) == len(surface.triangles)
     for most in (20, 200):
         few = octex.bake_vertices(texture, surface, subdivide="auto", max_error=0.0, most_triangles=most)
         assert most / 6 < len(few.triangles) <= most

@@ -405,8 +405,10 @@ def test_names_in_stl_text_may_be_any_words_in_any_encoding(tmp_path):
     path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES, ascii=True)
     text = path.read_bytes()
     for name in ("Körper".encode("latin-1"), "Körper".encode(), b"vertex one"):
-        path.write_bytes(text.replace(b"solid a\n", b"solid " + name + b"\n"))
-        assert len(load_surface(path).triangles) == 2
+        named = text.replace(b"solid a\n", b"solid " + name + b"\n")
+        for end in (b"\n", b"\r\n"):
+            path.write_bytes(named.replace(b"\n", end))
+            assert len(load_surface(path).triangles) == 2
 
 
 def test_nothing_is_printed_of_what_other_libraries_log(tmp_path):

@@ -22,6 +22,8 @@ from octex.source.images.decode import global_settings
 from octex.source.models.reading import Options, colored_surface, cut_part, parse_numbers, whole_numbers
 from octex.source.surface import Surface
 
+#: A solid's name in STL text: up to the end of the line, or to its first facet.
+_NAME = re.compile(r"((?:^|[\r\n])[ \t]*(?:end)?solid\b)(?:(?!\bfacet\b)[^\r\n])*", re.IGNORECASE)
 # Keeps trimesh's messages about damaged normals off the screen.
 _quiet = logging.NullHandler()
 
@@ -39,8 +41,7 @@ def load_stl(path: Path, options: Options) -> Surface:
         if b"endsolid" not in data.lower():
             raise damaged(f"{path.name} is truncated, or not an STL file")
         # trimesh takes words of names for those of facets, and needs a package for text that is not UTF-8.
-        text = re.sub(r"^(\s*(?:end)?solid\b).*$", r"\1", data.decode("latin-1"), flags=re.I | re.M)
-        data = text.encode()
+        data = _NAME.sub(r"\1", data.decode("latin-1")).encode()
     with global_settings():
         warnings.simplefilter("ignore")
         # Without this trimesh drops everything after the first word that is no number.
