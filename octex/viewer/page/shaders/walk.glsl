@@ -387,6 +387,11 @@ uvec3 parityAt(uvec3 place, uint bit) {
   return uvec3(notEqual(place & uvec3(bit), uvec3(0u)));
 }
 
+// The words of a node whose only child is the root.
+uvec2 aboveRoot() {
+  return uvec2(uint(!u_leafRoot), uint(u_leafRoot));
+}
+
 // The block of one node with some words, above the level of a bit, and of seven that there are not.
 Block blockOf(uvec2 words, uvec3 place, uint bit) {
   uvec3 parity = parityAt(place, bit);
@@ -437,8 +442,8 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
   ivec3 low = (ivec3(cellOf(place, levels.x)) - 1) >> uvec3(1u);
   ivec3 least = max(low, ivec3(0)), most = min(low + 1, ivec3((1 << uint(max(levels.x - 1, 0))) - 1));
   uvec3 span = uvec3(least ^ most) << uvec3(uint(24 - levels.x));
-  // Begin with the last node that all of them descend from. The root is the only child of a node.
-  uvec2 words = uvec2(uint(!u_leafRoot), uint(u_leafRoot));
+  // Begin with the last node that all of them descend from.
+  uvec2 words = aboveRoot();
   uint bit = uint(FINEST), widest = max(span.x, max(span.y, span.z));
   int level = 0;
   for (; level < levels.x && widest < bit && words.x != 0u; level++) {
@@ -477,34 +482,67 @@ uvec3 leafAt(vec3 point, int last) {
 }
 
 #if defined(MIXED) && !defined(NEAREST)
-// Leaves of several depths. Each cell of the 3×3×3 around the point has what it adds to the sums; what it has is
-// refined from level to level, and leaves replace it, until none of them is a node.
-float m_total[27], m_cover[27], m_alpha[27];
+// Leaves of several depths. From the first level with leaves or kept coefficients around the point on, each of the 3×3×3
+// cells there has its part of the sums. Parts are refined from level to level, and replaced by those of leaves.
+float m_total[27], m_weight[27];  // how much of a cell comes from cells that were read
 vec4 m_sum{N}[27];
-uint m_node[27];  // numbers of nodes, counted from 1; 0: none
+#ifdef ALPHA
+float m_cover[27], m_alpha[27];  // without alpha, m_total is both
+#endif
 #ifdef KEPT
-float m_weight[27];  // the coefficients' weights
 bool m_keeps[27];  // nodes that keep a coefficient
 #endif
 #ifdef LINEAR
 // Linear interpolation refines leaves alone: what lies below them is made of leaves, and of nothing else.
-float m_color[27];  // how much of a cell comes from such
 bool m_leaf[27];  // leaves, and what lies below them
 #endif
 
 void put(int at, float weight) {
   m_total[at] = weight * r_total;
+  m_weight[at] = weight;
+  m_sum{N}[at] = weight * r_sum{N};
+#ifdef ALPHA
   m_cover[at] = weight * r_cover;
   m_alpha[at] = weight * r_alpha;
-  m_sum{N}[at] = weight * r_sum{N};
-#ifdef KEPT
-  m_weight[at] = weight;
 #endif
 }
 
+// Begin with cells without parts.
+void clearMixed() {
+  r_total = r_cover = r_alpha = 0.0;
+  r_sum{N} = vec4(0.0);
+  for (int at = 0; at < 27; at++) {
+    put(at, 0.0);
+#ifdef KEPT
+    m_keeps[at] = false;
+#endif
+#ifdef LINEAR
+    m_leaf[at] = false;
+#endif
+  }
+}
+
+#ifdef LINEAR
+// Leave in refined cells what lies below leaves: which are those of the level above.
+void keepBelow(uvec3 parity) {
+  bool leaves[27] = m_leaf;
+  for (int at = 0; at < 27; at++) {
+    ivec3 owner = (ivec3(at % 3, at / 3 % 3, at / 9) + ivec3(parity) + 1) >> uvec3(1u);
+    m_leaf[at] = leaves[owner.x + 3 * owner.y + 9 * owner.z];
+    float scale = m_leaf[at] && m_weight[at] > 0.0 ? 1.0 / m_weight[at] : 0.0;
+    m_total[at] *= scale;
+    m_weight[at] *= scale;
+    m_sum{N}[at] *= scale;
+#ifdef ALPHA
+    m_cover[at] *= scale;
+    m_alpha[at] *= scale;
+#endif
+  }
+}
+#endif
+
 // Chaikin's rule along a line of three cells: of a cell's halves each takes a quarter of its neighbour.
-#define MIXED_LINE(M) M[i] = mix(a, b, low.x), M[j] = mix(odd ? b : a, odd ? c : b, low.y), M[k] = mix(b, c, low.z)
-#define LINE(M, V) { V a = M[i], b = M[j], c = M[k]; MIXED_LINE(M); }
+#define LINE(M, V) { V a = M[i], b = M[j], c = M[k]; M[i] = mix(a, b, low.x), M[j] = mix(odd ? b : a, odd ? c : b, low.y), M[k] = mix(b, c, low.z); }
 
 void refine(uvec3 parity) {
   int step = 1;
@@ -514,144 +552,104 @@ void refine(uvec3 parity) {
     for (int line = 0; line < 9; line++) {
       int i = line / step * step * 3 + line % step, j = i + step, k = j + step;
       LINE(m_total, float)
-      LINE(m_cover, float)
-      LINE(m_alpha, float)
-#ifdef KEPT
+#if defined(KEPT) || defined(LINEAR)
       LINE(m_weight, float)
 #endif
-#ifdef LINEAR
-      LINE(m_color, float)
-#endif
       LINE(m_sum{N}, vec4)
+#ifdef ALPHA
+      LINE(m_cover, float)
+      LINE(m_alpha, float)
+#endif
     }
     step *= 3;
   }
+#ifdef LINEAR
+  keepBelow(parity);
+#endif
 }
 
-#ifdef LINEAR
-// Leave in refined cells what lies below leaves: which are those of the level above.
-void keepBelow(bool leaves[27], uvec3 parity) {
-  for (int at = 0; at < 27; at++) {
-    ivec3 owner = (ivec3(at % 3, at / 3 % 3, at / 9) + ivec3(parity) + 1) >> uvec3(1u);
-    m_leaf[at] = leaves[owner.x + 3 * owner.y + 9 * owner.z];
-    float scale = m_leaf[at] && m_color[at] > 0.0 ? 1.0 / m_color[at] : 0.0;
-    m_total[at] *= scale;
-    m_cover[at] *= scale;
-    m_alpha[at] *= scale;
-    m_sum{N}[at] *= scale;
-    m_color[at] = m_leaf[at] ? 1.0 : 0.0;
-  }
+// The word of a block's node, by its place along the axes.
+uint wordAt(Eight words, uvec3 place) {
+  uvec4 four = place.z == 0u ? words.low : words.high;
+  return four[place.x + 2u * place.y];
 }
+
+// Put the cells around the point in place of what was refined; says whether any of them is refined further.
+bool putCells(Block block, bool isLast, bool averages) {
+#ifdef KEPT
+  bool kept[27] = m_keeps;
 #endif
+  bool goesOn = false;
+  for (int at = 0; at < 27; at++) {
+    uvec3 place = uvec3(uint(at % 3), uint(at / 3 % 3), uint(at / 9)) + 1u - block.parity;
+    uvec3 parent = place >> uvec3(1u), octant = place & uvec3(1u);
+    uint first = wordAt(block.first, parent), second = wordAt(block.second, parent), masks = (first | second) & 255u;
+    uint bit = (1u + octant.x) * (1u + 3u * octant.y) * (1u + 15u * octant.z), cell = (first >> 8u) + bitsOf(masks & (bit - 1u));
+    bool isNode = (first & bit) != 0u, isLeaf = (second & bit) != 0u, isBelow = false, keeps = false;
+    float weight = 1.0;
+#ifdef KEPT
+#ifndef LINEAR
+    uvec3 owner = parent + block.parity;
+    isBelow = kept[owner.x + 3u * owner.y + 9u * owner.z];
+#endif
+    if (isBelow) weight = m_weight[at];
+#endif
+    if (isLeaf || (isNode && isLast)) {
+      read(cell, averages && isNode);
+      put(at, weight);
+#ifdef LINEAR
+      m_leaf[at] = true;
+#endif
+    } else if (isNode || (masks != 0u && !isBelow)) {
+#ifdef KEPT
+      keeps = isNode && (FLAGS_AT(texelOf(cell)) & 64u) != 0u && u_kept.y > 0u;
+      if (keeps) readKept(cell);
+#endif
+      put(at, keeps ? weight : 0.0);
+    }
+#ifdef KEPT
+    m_keeps[at] = keeps;
+#endif
+    goesOn = goesOn || (isNode && !isLast);
+  }
+  return goesOn;
+}
+
+// Whether any word of a block's nodes has bits of the cells around the point.
+bool isAround(Eight words, uvec3 parity) {
+  uvec4 plane = parity.x == 1u ? uvec4(0xFFu, 0x55u, 0xFFu, 0x55u) : uvec4(0xAAu, 0xFFu, 0xAAu, 0xFFu);
+  plane &= parity.y == 1u ? uvec4(0xFFu, 0xFFu, 0x33u, 0x33u) : uvec4(0xCCu, 0xCCu, 0xFFu, 0xFFu);
+  uvec4 low = plane & uvec4(parity.z == 1u ? 0xFFu : 0xF0u), high = plane & uvec4(parity.z == 1u ? 0x0Fu : 0xFFu);
+  return any(notEqual(words.low & low | words.high & high, uvec4(0u)));
+}
 
 // Go down to the first level, at most `last`, without nodes around the point; add what is there.
 void addMixed(vec3 point, int last, float share, bool averages) {
   uvec3 place = fixedAt(point);
-  r_total = r_cover = r_alpha = 0.0;
-  r_sum{N} = vec4(0.0);
-  for (int at = 0; at < 27; at++) {
-    put(at, 0.0);
-    m_node[at] = 0u;
-#ifdef KEPT
-    m_keeps[at] = false;
-#endif
-#ifdef LINEAR
-    m_color[at] = 0.0;
-    m_leaf[at] = false;
-#endif
-  }
-  bool isRootLeaf = u_leafRoot || last == 0;
-  if (isRootLeaf) {
-    read(0u, averages);
-    put(13, 1.0);
-#ifdef LINEAR
-    m_color[13] = 1.0;
-    m_leaf[13] = true;
-#endif
-  } else {
-    m_node[13] = 1u;
-  }
-  bool filled = isRootLeaf, goesOn = !isRootLeaf;
+  Block block = blockOf(aboveRoot(), place, uint(FINEST));
   int level = 0;
+  bool hasNodes = true, isMixed = false, goesOn = true;
   while (goesOn) {
-    level++;
-    uvec3 parity = parityAt(place, uint(FINEST) >> uint(level));
-    uint above[27] = m_node;
+    hasNodes = isAround(block.first, block.parity);
+    isMixed = hasNodes && isAround(block.second, block.parity);
 #ifdef KEPT
-    bool kept[27] = m_keeps;
+    isMixed = isMixed || (hasNodes && level < last && level >= u_keptLevel);
 #endif
-#ifdef LINEAR
-    bool leaves[27] = m_leaf;
-#endif
-    if (filled) refine(parity);
-#ifdef LINEAR
-    keepBelow(leaves, parity);
-#endif
-    goesOn = false;
-    for (int at = 0; at < 27; at++) {
-      m_node[at] = 0u;
-#ifdef KEPT
-      m_keeps[at] = false;
-#endif
-    }
-    for (int parent = 0; parent < 8; parent++) {
-      // The two parents along an axis: the cell before and that in the middle, or this and the one after.
-      ivec3 corner = ivec3(parent & 1, parent >> 1 & 1, parent >> 2) + ivec3(parity);
-      int owner = corner.x + 3 * corner.y + 9 * corner.z;
-      uint number = above[owner];
-      if (number == 0u) continue;
-      uvec2 words = nodeAt(number);
-      uint cell = words.x >> 8u, node = words.y >> 8u;
-      bool below = false;
-#if defined(KEPT) && !defined(LINEAR)
-      below = kept[owner];
-#endif
-      for (int octant = 0; octant < 8; octant++) {
-        bool isNode = (words.x >> uint(octant) & 1u) != 0u, isLeaf = (words.y >> uint(octant) & 1u) != 0u;
-        ivec3 to = 2 * (corner - 1) + ivec3(octant & 1, octant >> 1 & 1, octant >> 2) - ivec3(parity) + 1;
-        if (all(greaterThanEqual(to, ivec3(0))) && all(lessThanEqual(to, ivec3(2)))) {
-          int at = to.x + 3 * to.y + 9 * to.z;
-#ifdef KEPT
-          float weight = below ? m_weight[at] : 1.0;
-#else
-          float weight = 1.0;
-#endif
-          if (isLeaf || (isNode && level == last)) {
-            read(cell, averages && isNode);
-            put(at, weight);
-            filled = true;
-#ifdef LINEAR
-            m_color[at] = 1.0;
-            m_leaf[at] = true;
-#endif
-          } else if (isNode || !below) {
-            bool keeps = false;
-#ifdef KEPT
-            if (isNode) {
-              ivec2 texel = texelOf(cell);
-              keeps = (FLAGS_AT(texel) & 64u) != 0u && u_kept.y > 0u;
-              m_keeps[at] = keeps;
-              if (keeps) {
-                readKept(cell);
-                put(at, weight);
-                filled = true;
-#ifdef LINEAR
-                m_color[at] = 1.0;
-#endif
-              }
-            }
-#endif
-            if (!keeps) put(at, 0.0);
-          }
-          if (isNode && level < last) {
-            m_node[at] = node + 1u;
-            goesOn = true;
-          }
-        }
-        cell += uint(isNode || isLeaf);
-        node += uint(isNode);
-      }
-    }
+    goesOn = hasNodes && !isMixed && level < last;
+    if (goesOn) goDown(block, place, uvec3(uint(FINEST)));
+    level += int(goesOn);
+  }
+  if (!isMixed) {
+    gather(block, point * float(1 << uint(level)) - vec3(cellOf(place, level)), share, averages && hasNodes);
+    return;
+  }
+  clearMixed();
+  goesOn = true;
+  while (goesOn) {
+    refine(block.parity);
+    goesOn = putCells(block, level == last, averages);
+    if (goesOn) goDown(block, place, uvec3(uint(FINEST)));
+    level += int(goesOn);
   }
   vec3 inside = point * float(1 << uint(level)) - vec3(cellOf(place, level));
 #ifdef LINEAR
@@ -659,42 +657,22 @@ void addMixed(vec3 point, int last, float share, bool averages) {
 #else
   vec3 low = 0.5 * (1.0 - inside) * (1.0 - inside), high = 0.5 * inside * inside, middle = 1.0 - low - high;
 #endif
+  float total = 0.0;
   for (int at = 0; at < 27; at++) {
     ivec3 index = ivec3(at % 3, at / 3 % 3, at / 9);
     float weight = share;
     for (int axis = 0; axis < 3; axis++) weight *= index[axis] == 0 ? low[axis] : index[axis] == 1 ? middle[axis] : high[axis];
-    g_total += weight * m_total[at];
+    total += weight * m_total[at];
+    g_sum{N} += weight * m_sum{N}[at];
+#ifdef ALPHA
     g_cover += weight * m_cover[at];
     g_alpha += weight * m_alpha[at];
-    g_sum{N} += weight * m_sum{N}[at];
-  }
-}
-
-// Add what is around a point if all of that is of one level, as it is far from changes of depth; else say that it is not.
-bool addAlike(vec3 point, int last, float share, bool averages) {
-  uvec3 place = fixedAt(point);
-  Block block = blockOf(nodeAt(1u), place, uint(FINEST) >> 1u);
-  for (int level = 1; level <= last; level++) {
-    // Which children of each node of the block are among the 27 cells.
-    uvec3 parity = block.parity;
-    uvec4 plane = parity.x == 1u ? uvec4(0xFFu, 0x55u, 0xFFu, 0x55u) : uvec4(0xAAu, 0xFFu, 0xAAu, 0xFFu);
-    plane &= parity.y == 1u ? uvec4(0xFFu, 0xFFu, 0x33u, 0x33u) : uvec4(0xCCu, 0xCCu, 0xFFu, 0xFFu);
-    uvec4 low = plane & uvec4(parity.z == 1u ? 0xFFu : 0xF0u), high = plane & uvec4(parity.z == 1u ? 0x0Fu : 0xFFu);
-    Eight nodes = block.first, leaves = block.second;
-    bool hasNodes = any(notEqual(nodes.low & low | nodes.high & high, uvec4(0u)));
-    bool hasLeaves = any(notEqual(leaves.low & low | leaves.high & high, uvec4(0u)));
-    if (hasNodes && hasLeaves) return false;
-    if (!hasNodes || level == last) {
-      vec3 inside = point * float(1 << uint(level)) - vec3(cellOf(place, level));
-      gather(block, inside, share, averages && hasNodes);
-      return true;
-    }
-#ifdef KEPT
-    if (level >= u_keptLevel) return false;
 #endif
-    goDown(block, place, uvec3(uint(FINEST)));
   }
-  return false;
+  g_total += total;
+#ifndef ALPHA
+  g_cover += total;
+#endif
 }
 #endif
 
@@ -708,7 +686,7 @@ void addAll(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     uvec3 cell = leafAt(point, levels[look]);
     tap(cell.x, shares[look], averages && cell.z == 1u);
 #else
-    if (!addAlike(point, levels[look], shares[look], averages)) addMixed(point, levels[look], shares[look], averages);
+    addMixed(point, levels[look], shares[look], averages);
 #endif
   }
 #else
