@@ -92,6 +92,9 @@ def test_two_pages_see_the_same_and_one_saves(studio, page):
     other.wait_for_function("viewer.painting.last.isSaved", timeout=60_000)
     assert_same(octex.open(studio.output), studio.session.shown.texture)
     assert "all is saved" in other.locator("#saved").inner_text()
+    other.evaluate("() => { viewer.painting.sending.post = () => new Promise(() => {}); }")
+    studio.drag(other, (-20, 20), (-40, 30))
+    assert "not saved" in other.locator("#saved").inner_text()
     assert other.complaints == []
     other.close()
 
@@ -102,9 +105,11 @@ def test_a_line_that_is_lost_holds_no_stroke_up_and_loses_none(studio, page):
         studio.drag(page, (-30, offset), (30, offset))
     page.wait_for_function("document.getElementById('paint-note').textContent.startsWith('3 changes wait')")
     assert studio.session.shown.told["done"] == 0
+    page.wait_for_function("document.getElementById('saved').textContent.endsWith('working …')")
     page.unroute("**/session")
     studio.is_done(page)
     assert studio.session.shown.told["done"] == 3
+    assert page.locator("#saved").inner_text().endswith("not saved")
     assert page.locator("#paint-note").inner_text() == ""
     assert page.complaints
     page.complaints.clear()

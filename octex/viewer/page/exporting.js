@@ -44,10 +44,9 @@ export class Exporting {
 
   // Make a file once all that was painted here is in the texture. Painting goes on meanwhile.
   async begin() {
-    const { sending } = this.painting;
     this.events = { close() {} }; // it may be cancelled from now on
     const waits = this.events;
-    while (this.events === waits && (this.painting.last.baked[sending.page] ?? 0) < sending.number) {
+    while (this.events === waits && this.painting.isBusy) {
       this.show("Waiting for your strokes");
       await new Promise((resume) => setTimeout(resume, 50));
     }

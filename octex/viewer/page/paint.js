@@ -21,6 +21,7 @@ import { under } from "./under.js";
 
 const LEAST_SIZE = 1, MOST_SIZE = 400;
 const STEP = 1.15; // of the size, by a key
+const LONG = 1000; // milliseconds after which a command takes long
 const LEAST_PRESSURE = 0.15; // what part of the size a pen has that barely touches
 const THOUSANDTH = 0.001; // of the root cell’s edge: sizes in the model’s units are counted in these
 
@@ -48,7 +49,7 @@ class Painting {
     Object.assign(this.brush, { ticked: ["base_color"], values: {}, used: [] }, JSON.parse(sessionStorage.getItem(KEPT)));
     this.other = [245, 245, 245]; // the colour that X changes to
     this.layers = new Layers(this);
-    this.sending = new Sending((text) => this.say(text), () => this.layers.target);
+    this.sending = new Sending((text) => this.say(text), () => this.layers.target, () => this.showSaved());
     this.strokes = new Strokes(viewer);
     this.beneath = new Beneath(this);
     this.exporting = new Exporting(this);
@@ -58,7 +59,7 @@ class Painting {
     this.pen = null; // which pointer draws, and its drag
     this.end = null; // where the last stroke has ended, and how the model was posed
     this.hindered = ""; // why nothing could be painted last
-    this.last = { steps: [], done: 0 }; // what the server told last
+    this.last = { steps: [], done: 0, baked: {} }; // what the server told last
   }
 
   async open() {
@@ -408,11 +409,24 @@ class Painting {
     this.strokes.painted(told.baked[this.sending.page] ?? 0);
     element("undo").disabled = told.done === 0;
     element("redo").disabled = told.done === told.steps.length;
-    element("saved").textContent = `${told.output}: ${told.isSaved ? "all is saved" : "not saved"}`;
+    this.showSaved();
     this.exporting.ask(told.question);
     if (told.fault || this.hadFault) this.say(told.fault);
     this.hadFault = told.fault;
     this.showSteps(before);
+  }
+
+  // Whether the server still has commands of this page to run.
+  get isBusy() {
+    return (this.last.baked[this.sending.page] ?? 0) < this.sending.number;
+  }
+
+  // Say whether all is saved, or that commands take long.
+  showSaved(isLong = false) {
+    const { output, isSaved } = this.last, state = this.isBusy && isLong ? "working …" : isSaved && !this.isBusy ? "all is saved" : "not saved";
+    element("saved").textContent = `${output}: ${state}`;
+    clearTimeout(this.slow);
+    if (this.isBusy) this.slow = setTimeout(() => this.showSaved(true), LONG);
   }
 
   // List the steps, of which these were listed before. Rows that stay the same are not touched: there may be thousands.

@@ -5,10 +5,10 @@ const COMMON = ["undo", "redo", "save", "layer"]; // commands that paint nothing
 const AGAIN = [429, 503, 507]; // answers that a later one may differ from
 
 export class Sending {
-  // `tell` is called with what is wrong, or with nothing once that is over; `target` says what commands paint.
-  constructor(tell, target = () => ({})) {
-    this.tell = tell;
-    this.target = target;
+  // `tell` is called with what is wrong, or with nothing once that is over, `sent` after each command; `target` says
+  // what commands paint.
+  constructor(tell, target, sent) {
+    Object.assign(this, { tell, target, sent });
     this.begin();
     this.waiting = [];
   }
@@ -23,6 +23,7 @@ export class Sending {
     const target = COMMON.includes(command.kind) ? {} : this.target();
     this.waiting.push({ ...target, ...command, number: ++this.number, content });
     this.running ||= this.run().finally(() => (this.running = null));
+    this.sent();
     return this.number;
   }
 

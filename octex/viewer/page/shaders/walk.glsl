@@ -484,7 +484,8 @@ uvec3 leafAt(vec3 point, int last) {
 #if defined(MIXED) && !defined(NEAREST)
 // Leaves of several depths. From the first level with leaves or kept coefficients around the point on, each of the 3×3×3
 // cells there has its part of the sums. Parts are refined from level to level, and replaced by those of leaves.
-float m_total[27], m_weight[27];  // how much of a cell comes from cells that were read
+float m_total[27];
+float m_weight[27];  // how much of a cell comes from cells that were read
 vec4 m_sum{N}[27];
 #ifdef ALPHA
 float m_cover[27], m_alpha[27];  // without alpha, m_total is both
