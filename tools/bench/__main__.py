@@ -29,7 +29,7 @@ from light import light
 from lookups import lookup, mixed, questions, resident, today
 from measuring import Report, Setup, octex_worker
 from painting import painting, ring
-from painting_page import session
+from painting_page import frames, session
 from processing import processing
 from sources import cloud, transfer
 from texture import paper
@@ -38,8 +38,8 @@ from whole import whole
 BENCHMARKS = {
     each.__name__: each for each in (
         paper, torus, boombox, materials, filters, large, adaptive, lookup, questions, mixed, resident, today,
-        far, footprints, stretched, pages, ring, whole, painting, session, transfer, cloud, processing,
-        baking, light, archive,
+        far, footprints, stretched, pages, ring, whole, painting, session, frames, transfer, cloud,
+        processing, baking, light, archive,
     )
 }  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Benchmarks of painting in the browser: what the server takes from a stroke to its change."""
+"""Benchmarks of the page: its frames, and what the server takes from a stroke to its change."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ from pathlib import Path
 from statistics import median
 
 import numpy as np
+import pytest
 from inputs import painted_torus
-from measuring import HERE, Report, Setup, Spent
+from measuring import DROID, HERE, Report, Setup, Spent
 
 import octex
+from octex.viewer import write_page
 
 sys.path.append(str(HERE.parents[1]))
+from tests.make.browser import driven, file_url, opened, started
 from tests.make.paint_server import PaintServer, disc
 
 _TOWARD = (0.0, 0.9, 0.35)
@@ -58,6 +61,38 @@ def session(setup: Setup, report: Report) -> None:
         small, large = (spent[leaves, finer, size] for leaves in (few, many))
         growth = large.cpu / max(small.cpu, 0.01)
         report.at_most(f"session: {size}² pixels{finer}, growth with the texture", growth, 1.2, "×")
+
+
+#: Milliseconds of frames of 640 × 480 of what is shown.
+_FRAMES = """([shown, count]) => {
+  const { gpu, look, camera } = viewer, times = [];
+  look.shown = shown;
+  for (let n = 0; n <= count; n++) {
+    const begin = performance.now();
+    gpu.draw(look, camera, 640, 480);
+    gpu.finish();
+    times.push(performance.now() - begin);
+  }
+  return times.slice(1);
+}"""
+
+
+def frames(setup: Setup, report: Report) -> None:
+    """Frames of the page in Chromium: of a texture, and of one with cells of several sizes."""
+    surface, depth = octex.load_surface(DROID), 6 if setup.quick else 10
+    report.title(f"frames: the droid at depth {depth}, 640 × 480, without a GPU")
+    try:
+        with driven() as driver, started(driver) as browser:
+            for kind, error in (("even", None), ("max_error=3", 3)):
+                path = setup.folder / f"{kind}.html"
+                write_page(octex.convert(surface, depth, max_error=error), path, surface)
+                page = opened(browser, file_url(path))
+                for shown in ("unlit", "lit"):
+                    seconds = median(page.evaluate(_FRAMES, [shown, setup.repeats])) / 1000
+                    report.at_most(f"frames: {kind}, {shown}", seconds, 0.125, "s")
+                page.close()
+    except pytest.skip.Exception as why:
+        report.note(str(why))
 
 
 def _strokes(
