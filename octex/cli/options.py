@@ -39,7 +39,7 @@ _TABLE = """
 --transfer FILE       take colours from the nearest surface of a model, from points, or a .ptx
 --within D[,DEGREES]  leave cells empty where --transfer is farther, or faces another way; mean:R: the
                       mean of the points within R
---filter NAME         filter of images: nearest, bilinear, bicubic, trilinear, ripmap, sat or ewa (default)
+--filter NAME         filter of images: nearest, bilinear, bicubic, trilinear or ewa (default)
 
 --crop BOX            keep only cells that meet the box x0,y0,z0,x1,y1,z1, in rest positions
 --combine FILE        lay another texture with the same root cell over it

@@ -24,7 +24,7 @@ USD_ENDINGS = ".usdz", ".usd", ".usda", ".usdc"
 BAKED_ENDINGS = ".glb", ".gltf", ".obj", *USD_ENDINGS, ".3mf", ".ply", PTEX_ENDING
 #: Known names, equal to those in the modules that use them.
 DTYPES = "uint8", "uint16", "float16", "float32"
-FILTERS = "nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa"
+FILTERS = "nearest", "bilinear", "bicubic", "trilinear", "ewa"
 PROJECTIONS = "planar", "box", "cylindrical", "spherical"
 AXES = "x", "-x", "y", "-y", "z", "-z"
 BLENDS = "over", "multiply", "screen", "add", "erase", "replace"

@@ -11,7 +11,7 @@ from octex.jit import inlined, kernel
 from octex.source.corners import Corners, Frames
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint
 from octex.source.images.pyramid import Images
-from octex.source.images.taps import TAP_ROOM, Footprint, gather
+from octex.source.images.taps import MOST_TAPS, Footprint, gather
 from octex.source.tangents import axes_at
 from octex.source.vectors import Vector, between, cross_product, dot_product, edges_from, length_of, unit
 
@@ -101,8 +101,8 @@ def evaluate(
     values: Float32s,
 ) -> None:
     """Fill in the values (n, columns) at points of triangles; ``filter`` is a `filters.kernel_code`."""
-    indices = np.empty(TAP_ROOM, np.int64)
-    weights = np.empty(TAP_ROOM, np.float64)
+    indices = np.empty(MOST_TAPS, np.int64)
+    weights = np.empty(MOST_TAPS, np.float64)
     most_stacks = most_images = 0
     for material in range(tables.first_stacks.size - 1):
         first, end = tables.first_stacks[material], tables.first_stacks[material + 1]

@@ -23,9 +23,9 @@ from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
 from octex.source.base import Placeable, Source, SpatialSource, placed
 from octex.source.images.decode import read_image
-from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint, kernel_code, levels_of
+from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint, kernel_code, reads_mips
 from octex.source.images.pyramid import MIRROR, REPEAT, WRAPS, Images, Picture, as_wraps, store
-from octex.source.images.taps import TAP_ROOM, Footprint, gather
+from octex.source.images.taps import MOST_TAPS, Footprint, gather
 from octex.source.materials import light_format, unit_directions
 from octex.source.mesh import Mesh
 from octex.source.tangents import carried
@@ -140,7 +140,7 @@ class MappedSource(SpatialSource):
         self._flat = flat
         self._frames = mesh.frames if form.space == "direction" else None
         self._filter = kernel_code(filter)
-        self._images, _ = store([picture], levels_of(self._filter))
+        self._images, _ = store([picture], reads_mips(self._filter))
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
@@ -181,8 +181,8 @@ class MappedSource(SpatialSource):
     def with_filter(self, name: str) -> MappedSource:
         """Return the same source with its image read by another filter."""
         code, images = kernel_code(name), self._images
-        if levels_of(code) != levels_of(self._filter):
-            images, _ = store([self._picture], levels_of(code))
+        if reads_mips(code) != reads_mips(self._filter):
+            images, _ = store([self._picture], reads_mips(code))
         return self._changed(_filter=code, _images=images)
 
 
@@ -280,7 +280,7 @@ def read_mapped(
 
     ``normals`` (n, 3) are face normals. Normal maps refer to the shading normals ``shading``.
     """
-    indices, weights = np.empty(TAP_ROOM, np.int64), np.empty(TAP_ROOM, np.float64)
+    indices, weights = np.empty(MOST_TAPS, np.int64), np.empty(MOST_TAPS, np.float64)
     lanes = np.empty(4, np.float32)
     level = images.layouts[0, 0]
     across, down = images.levels[level, 1], images.levels[level, 2]

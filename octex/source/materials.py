@@ -17,7 +17,7 @@ from octex.source.base import DEFAULTS, Source, in_order
 from octex.source.corners import Corners, Frames, stacked
 from octex.source.evaluate import Tables, evaluate, measure, texel_edges
 from octex.source.images.decode import is_translucent
-from octex.source.images.filters import kernel_code, levels_of
+from octex.source.images.filters import kernel_code, reads_mips
 from octex.source.images.pyramid import REPEAT, Images, Picture, Texels, store
 from octex.source.tangents import carried
 
@@ -167,7 +167,7 @@ class MaterialSource(Source):
     def with_filter(self, name: str) -> MaterialSource:
         """Return the same source with its images read by another filter."""
         code = kernel_code(name)
-        stale = [] if levels_of(code) == levels_of(self._filter) else ["_tables"]
+        stale = [] if reads_mips(code) == reads_mips(self._filter) else ["_tables"]
         return self._changed(*stale, _filter=code)
 
     def only(self, names: Sequence[str]) -> MaterialSource:
@@ -245,7 +245,7 @@ class MaterialSource(Source):
                     offsets[number, columns] = entry.offset or 0.0
                 if entry is not None and entry.texture is not None:
                     lanes[number, columns] = lane_of[form.name] + np.array(entry.lanes[: form.components])
-        images, layout_of = store(shelf.pictures, levels_of(self._filter))
+        images, layout_of = store(shelf.pictures, reads_mips(self._filter))
         stacks = [(layout_of[image], *rest) for image, *rest in shelf.stacks]
         stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
         nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))

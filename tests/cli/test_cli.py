@@ -74,7 +74,7 @@ IDLE = {
         ("a.glb b.octex --dtype normal=uint16,normal=uint8", "--dtype: normal is named twice"),
         (
             "a.glb b.octex --filter cubic",
-            "--filter: 'cubic' is not one of nearest, bilinear, bicubic, trilinear, ripmap, sat, ewa",
+            "--filter: 'cubic' is not one of nearest, bilinear, bicubic, trilinear, ewa",
         ),
         (
             "a.glb b.octex --source roughness",

@@ -100,7 +100,7 @@ def test_a_texture_can_be_made_coarser_but_not_finer(made, tmp_path, cli):
         ["--cell", "0.1"],
         ["--rest", str(made.with_suffix(".glb"))],
         ["--source", "alpha=1"],
-        ["--filter", "sat"],
+        ["--filter", "trilinear"],
         ["--depth", "2"],
         ["--max-error", "2"],
         ["--detail", "stretch"],

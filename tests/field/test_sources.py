@@ -68,7 +68,7 @@ def test_a_source_needs_channels_and_values_alone():
 
     plain = Plain()
     assert plain.with_rest(SQUARE.astype(float)) is plain
-    assert plain.with_filter("sat") is plain
+    assert plain.with_filter("trilinear") is plain
     np.testing.assert_array_equal(values(plain.only(["emissive"])), [[2, 3, 4]] * 2)
     np.testing.assert_array_equal(values(plain.only(["emissive", "metallic"])), [[1, 2, 3, 4]] * 2)
     surface = Surface(SQUARE.astype(float), SQUARE_TRIANGLES.astype(np.int32), plain)
@@ -101,10 +101,10 @@ def test_other_rest_positions_and_filters_reach_every_source():
     both = Combined({"metallic": first, "roughness": second, "emissive": second})
     larger = both.with_rest(SQUARE.astype(float) * 4)
     np.testing.assert_array_equal(values(larger, 2.0), values(both, 0.5))
-    changed = both.with_filter("sat")
+    changed = both.with_filter("trilinear")
     sources = changed._inputs
     assert {(each.filter, *each.names) for each in sources if isinstance(each, Ramp)} == {
-        ("sat", "metallic"), ("sat", "roughness", "emissive")
+        ("trilinear", "metallic"), ("trilinear", "roughness", "emissive")
     }  # fmt: skip
     assert len(sources) == 2
     assert first.filter == second.filter == "ewa"

@@ -94,10 +94,6 @@ class Axis:
             total += (end - start) * read((start + end) / 2 / size)
         return total / (high - low)
 
-    def coarser(self, coordinate: float, level: int, part: float) -> Weights:
-        """A mixture of two levels."""
-        return (1 - part) * self.linear(coordinate, level) + part * self.linear(coordinate, level + 1)
-
 
 def level_of(variance: float, flat: bool, levels: int) -> tuple[int, float]:
     """The finer of two levels that mixed have a footprint's and the image's variance, and the coarser's part.
@@ -130,19 +126,12 @@ def weights(
     """
     u, v = map(float, np.asarray(uv))
     covariance = covariance_of(jacobian)
-    wide, high = np.sqrt(12 * covariance.diagonal())
     if name == "nearest" or (name == "bilinear" and flat):
         return np.outer(down.nearest(v), across.nearest(u))
     if name == "bilinear":
         return np.outer(down.linear(v), across.linear(u))
     if name == "bicubic":
         return np.outer(down.cubic(v), across.cubic(u))
-    if name == "sat":
-        own = 0.0 if flat else 1.0
-        return np.outer(
-            down.mean(down.nearest, v, math.hypot(high, own)),
-            across.mean(across.nearest, u, math.hypot(wide, own)),
-        )
     if name == "trilinear":
         longest = float(np.linalg.eigvalsh(covariance)[-1])
         level, part = level_of(longest, flat, max(len(across.sizes), len(down.sizes)))
@@ -151,12 +140,6 @@ def weights(
         finer = np.outer(down.linear(v, level), across.linear(u, level))
         coarser = np.outer(down.linear(v, level + 1), across.linear(u, level + 1))
         return (1 - part) * finer + part * coarser
-    if name == "ripmap":
-        level_x, part_x = level_of(float(covariance[0, 0]), flat, len(across.sizes))
-        level_y, part_y = level_of(float(covariance[1, 1]), flat, len(down.sizes))
-        if flat and level_x == level_y == part_x == part_y == 0:
-            return box(across, down, u, v, wide, high, flat)
-        return np.outer(down.coarser(v, level_y, part_y), across.coarser(u, level_x, part_x))
     return ewa(across, down, u, v, covariance, flat)
 
 

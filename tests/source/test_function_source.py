@@ -115,7 +115,7 @@ def test_no_points_are_not_asked_for():
 
 
 def test_other_rest_positions_and_filters_are_followed():
-    surface = cube().with_sources({"base_color": ramp}).with_filter("sat").with_rest(CUBE / 4)
+    surface = cube().with_sources({"base_color": ramp}).with_filter("trilinear").with_rest(CUBE / 4)
     samples = surface.scatter(20)
     np.testing.assert_allclose(surface.evaluate(samples), ramp(samples.rest), rtol=1e-6)
     assert json.loads(surface.provenance["source_base_color"]) == {"function": "ramp"}

@@ -1,14 +1,11 @@
 """Stored images and their levels, against sums written out; footprints of surfaces."""
 
-from itertools import product
-
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.channels import srgb_to_linear
-from octex.source.images.pyramid import AREAS, DATA, FLOAT, MIPS, RIPS, SRGB, SUMS, WHOLE, Picture, store
+from octex.source.images.pyramid import DATA, FLOAT, SRGB, Picture, store
 from octex.source.surface import Surface
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 from tests.oracles.naive_filters import halved, reduction
@@ -32,8 +29,7 @@ def read(surface, points, width):
 
 def levels_of(images, image=0, layout=0):
     """Each level (height + 2, width + 2, 4) of an image with its rim, decoded: light or fractions."""
-    first, across, down = images.layouts[layout].tolist()
-    count = across if across == down and len(images.levels) < across * down else across * down
+    first, count = images.layouts[layout].tolist()
     kind, base = images.kinds[image], images.bases[image]
     found = []
     for start, width, height in images.levels[first : first + count].tolist():
@@ -97,7 +93,7 @@ def decoded(picture):
 @given(pictures())
 def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(picture):
     height, width = picture.texels.shape[:2]
-    levels = levels_of(store([picture], MIPS)[0])
+    levels = levels_of(store([picture], True)[0])
     expected = around(decoded(picture))
     assert len(levels) == len(halved(max(height, width)))
     for number, level in enumerate(levels):
@@ -108,44 +104,10 @@ def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(picture):
     assert (height, width) == (1, 1)
 
 
-@given(pictures())
-def test_a_ripmap_has_every_width_with_every_height(picture):
-    height, width = picture.texels.shape[:2]
-    stored = store([picture], RIPS)[0]
-    sizes = list(product(halved(height), halved(width)))
-    assert stored.levels[:, [2, 1]].tolist() == [list(size) for size in sizes]
-    assert stored.layouts.tolist() == [[0, len(halved(width)), len(halved(height))]]
-    finest = around(decoded(picture))
-    for (high, wide), level in zip(sizes, levels_of(stored), strict=True):
-        expected = finest
-        for smaller in halved(width)[1 : halved(width).index(wide) + 1]:
-            expected = reduced(expected, height, smaller, picture.covered)
-        for smaller in halved(height)[1 : halved(height).index(high) + 1]:
-            expected = reduced(expected, smaller, wide, picture.covered)
-        np.testing.assert_allclose(level, expected, atol=4e-5)
-
-
-@given(pictures(), st.sampled_from([-1.0, 0.4, np.inf]))
-def test_a_summed_area_table_holds_the_sums_of_all_texels_above_and_left(picture, threshold):
-    picture = picture._replace(threshold=threshold)
-    height, width = picture.texels.shape[:2]
-    images = store([picture], AREAS)[0]
-    assert (images.kinds.tolist(), images.levels.tolist()) == ([SUMS], [[0, width, height]])
-    values = decoded(picture)
-    if picture.covered:
-        if threshold >= 0:
-            values[..., 3] = values[..., 3] >= threshold
-        values[..., :3] *= values[..., 3:]
-    table = images.sums.reshape(height + 1, width + 1, 4)
-    for y, x in product(range(height + 1), range(width + 1)):
-        np.testing.assert_allclose(table[y, x], values[:y, :x].sum((0, 1)), rtol=1e-6, atol=1e-9)
-
-
-@pytest.mark.parametrize("what", [MIPS, RIPS])
-def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_is(what):
+def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_is():
     texels = random_image(7, 6, 4, "uint16")
     threshold = 0.6
-    levels = levels_of(store([Picture(texels, True, True, threshold)], what)[0])
+    levels = levels_of(store([Picture(texels, True, True, threshold)], True)[0])
     values = decoded(Picture(texels, True))
     np.testing.assert_allclose(levels[0], around(values), atol=1e-6)
     values[..., 3] = values[..., 3] >= threshold
@@ -163,16 +125,16 @@ def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other():
         Picture(small, True), Picture(large, False, True), Picture(light, True), Picture(small[::-1], False),
         Picture(light * 2, True),
     ]  # fmt: skip
-    stored = store(given, WHOLE)
+    stored = store(given, False)
     images = stored[0]
     assert stored[1] == [0, 1, 0, 0, 0]
     assert images.kinds.tolist() == [SRGB, DATA, FLOAT, DATA, FLOAT]
     assert images.covered.tolist() == [False, True, False, False, False]
-    assert images.layouts.tolist() == [[0, 1, 1], [1, 1, 1]]
+    assert images.layouts.tolist() == [[0, 1], [1, 1]]
     # A row is two texels wider than the image; the first texel comes after a rim's row and one texel.
     assert images.levels.tolist() == [[6, 3, 2], [7, 4, 4]]
     assert images.bases.tolist() == [0, 20, 0, 56, 20]
-    assert (len(images.codes), len(images.floats), len(images.sums)) == (76, 40, 0)
+    assert (len(images.codes), len(images.floats)) == (76, 40)
     for number, picture in enumerate(given):
         [level] = levels_of(images, number, stored[1][number])
         np.testing.assert_allclose(level, around(decoded(picture)), atol=1e-6)
@@ -181,26 +143,24 @@ def test_images_of_one_size_share_a_layout_and_lie_one_after_the_other():
 
 
 def test_without_images_nothing_is_stored():
-    for what in (WHOLE, MIPS, RIPS, AREAS):
-        stored = store([], what)
+    for has_mips in (False, True):
+        stored = store([], has_mips)
         assert stored[1] == []
-        assert [len(part) for part in stored[0][:-1]] == [0] * 8
+        assert [len(part) for part in stored[0][:-1]] == [0] * 7
 
 
 def test_a_long_footprint_does_not_blur_across():
     # Stripes of one texel along u: a footprint 8 texels along u must leave rows apart.
     rows = np.repeat(np.array([0, 255] * 8, np.uint8)[:, None, None], 16, axis=1).repeat(3, axis=2)
     centres = np.stack([np.full(16, 0.4), (np.arange(16) + 0.5) / 16], axis=1)
-    surface = square(rows, size=(1.0, 12.0), mag_filter="nearest", filter="sat")
+    surface = square(rows, size=(1.0, 12.0), mag_filter="nearest")
     values = read(surface, centres, 8 / 16)[:, 0]
-    np.testing.assert_allclose(values, np.arange(16) % 2 == 0, atol=1e-5)
-    values = read(surface.with_filter("ripmap"), centres, 8 / 16)[:, 0]
     np.testing.assert_allclose(values, np.arange(16) % 2 == 0, atol=0.2)
 
 
 def test_small_footprints_approach_points():
     points = np.random.default_rng(0).random((100, 2))
-    for filter in ("trilinear", "ripmap", "ewa"):
+    for filter in ("trilinear", "ewa"):
         for mag_filter in ("linear", "nearest"):
             surface = square(random_image(8, 8), mag_filter=mag_filter, filter=filter)
             np.testing.assert_allclose(read(surface, points, 1e-5), read(surface, points, 0), atol=2e-3)

@@ -157,7 +157,7 @@ def test_coordinates_are_kept_with_v_down_without_an_image_too():
     np.testing.assert_allclose(surface.uv.values, SQUARE_UV * [1, -1] + [0, 1])
     np.testing.assert_array_equal(surface.uv.rows, SQUARE_TRIANGLES)
     surface.provenance["source"] = "quad.glb"
-    for other in (surface.with_rest(SQUARE * 2), surface.with_filter("sat"), surface.with_sources({})):
+    for other in (surface.with_rest(SQUARE * 2), surface.with_filter("trilinear"), surface.with_sources({})):
         assert other.uv is surface.uv
         assert other.provenance["source"] == "quad.glb"
         other.provenance["rest"] = "another.glb"  # each keeps its own
@@ -201,7 +201,7 @@ def test_shading_normals_are_kept_and_follow_the_rest_mesh():
     tangents = Corners(np.tile(np.float32([1, 0, 0, 1]), (4, 1)), triangles)
     plain = square()
     surface = Surface(plain.vertices, triangles, plain.source, frames=Frames(normals, tangents))
-    assert surface.with_filter("sat").frames is surface.frames
+    assert surface.with_filter("trilinear").frames is surface.frames
     turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
     turned = surface.with_rest(SQUARE @ turn.T).frames
     assert turned is not None

@@ -14,7 +14,7 @@ from octex.channels import linear_to_srgb
 
 Floats = npt.NDArray[np.floating]
 
-_FILTERS = ("trilinear", "ripmap", "sat", "ewa")
+_FILTERS = ("trilinear", "ewa")
 _STRETCHES = (1, 2, 4, 8, 16)
 _WIDTHS = (0.7, 1.5, 4.0)  # of the footprint's short side, in texels
 _ANGLES = (0.0, 0.3, 0.8, 1.2)

@@ -15,7 +15,7 @@ import numpy as np
 from octex.arrays import Float64s, Int64s
 from octex.checks import as_choice
 from octex.jit import inlined
-from octex.source.images.pyramid import AREAS, CLAMP, MIPS, REPEAT, RIPS, WHOLE, Images
+from octex.source.images.pyramid import Images
 from octex.source.images.taps import (
     EACH,
     MOST_TAPS,
@@ -31,11 +31,9 @@ from octex.source.images.taps import (
 )
 from octex.source.vectors import Vector
 
-#: The image filters, by name; the default last. Mip levels: Williams 1983; sums of areas: Crow 1984;
-#: ellipses: Greene & Heckbert 1986.
-FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ripmap", "sat", "ewa")
-NEAREST, BILINEAR, BICUBIC, TRILINEAR, RIPMAP, SAT, EWA = range(7)
-_LEVELS_OF = (WHOLE, WHOLE, WHOLE, MIPS, RIPS, AREAS, MIPS)
+#: The image filters, by name; the default last. Mip levels: Williams 1983; ellipses: Greene & Heckbert 1986.
+FILTERS = ("nearest", "bilinear", "bicubic", "trilinear", "ewa")
+NEAREST, BILINEAR, BICUBIC, TRILINEAR, EWA = range(5)
 
 #: Largest variance of a footprint, in texels²: its ends must fit integers.
 MOST_VARIANCE = 1e24
@@ -60,9 +58,9 @@ def kernel_code(filter: str) -> int | None:
     return None if number == EWA else number
 
 
-def levels_of(code: int | None) -> int:
-    """Return which levels the filter of a kernel code reads."""
-    return _LEVELS_OF[EWA if code is None else code]
+def reads_mips(code: int | None) -> bool:
+    """Return whether the filter of a kernel code reads all levels."""
+    return code is None or code == TRILINEAR
 
 
 @inlined
@@ -86,10 +84,8 @@ def find_taps(
             return _wide(images, row, foot, indices, weights), EACH, 1.0
         return _ellipse(images, layout, foot, indices, weights)
     cut = SUM
-    if filter in (TRILINEAR, RIPMAP):
-        count, cut = _mixed_levels(images, layout, foot, filter == RIPMAP, indices, weights)
-    elif filter == SAT:
-        count, cut = _areas(images, row, foot, indices, weights), NEVER
+    if filter == TRILINEAR:
+        count, cut = _mixed_levels(images, layout, foot, indices, weights)
     elif filter == BICUBIC:
         count = _bicubic(images, row, foot, indices, weights)
     elif filter == NEAREST or foot.flat:
@@ -267,24 +263,17 @@ def _level_of(variance: float, flat: bool, levels: int) -> tuple[int, float]:
 
 @inlined
 def _mixed_levels(
-    images: Images, layout: int, foot: Footprint, is_ripmap: bool, indices: Int64s, weights: Float64s
+    images: Images, layout: int, foot: Footprint, indices: Int64s, weights: Float64s
 ) -> tuple[int, int]:
-    """List the texels of the levels whose mixture has the footprint's variances, or the larger one."""
-    base, across, most = images.layouts[layout, 0], images.layouts[layout, 1], foot.most
-    xx, yy = (foot.xx, foot.yy) if is_ripmap else (most, most)
-    level_x, part_x = _level_of(xx, foot.flat, across)
-    level_y, part_y = _level_of(yy, foot.flat, images.layouts[layout, 2]) if is_ripmap else (0, 0.0)
-    is_whole = level_x == 0 and level_y == 0
-    is_finest = is_whole and part_x == 0.0 and part_y == 0.0
+    """List the texels of the two levels whose mixture has the footprint's larger variance."""
+    level, part = _level_of(foot.most, foot.flat, images.layouts[layout, 1])
+    row, is_finest = images.layouts[layout, 0] + level, level == 0 and part == 0.0
     if is_finest and foot.flat:
-        return flat_texels(images, base, foot, xx, yy, indices, weights), SUM
-    count = 0
-    for step_y in range(2 if part_y > 0.0 else 1):
-        for step_x in range(2 if part_x > 0.0 else 1):
-            weight = (part_x if step_x else 1.0 - part_x) * (part_y if step_y else 1.0 - part_y)
-            row = base + (level_y + step_y) * across + level_x + step_x
-            count = bilinear(images, row, foot, weight, indices, weights, count)
-    return count, SUM if is_finest else EACH if is_whole else NEVER
+        return flat_texels(images, row, foot, foot.most, foot.most, indices, weights), SUM
+    count = bilinear(images, row, foot, 1.0 - part, indices, weights, 0)
+    if part > 0.0:
+        count = bilinear(images, row + 1, foot, part, indices, weights, count)
+    return count, SUM if is_finest else EACH if level == 0 else NEVER
 
 
 @inlined
@@ -294,51 +283,3 @@ def _bicubic(images: Images, row: int, foot: Footprint, indices: Int64s, weights
     left, top = math.floor(x), math.floor(y)
     across, down = catmull_rom(np.float32(x - left)), catmull_rom(np.float32(y - top))
     return window(images, row, foot, left - 1, top - 1, across, down, indices, weights, 0)
-
-
-@inlined
-def _areas(images: Images, row: int, foot: Footprint, indices: Int64s, weights: Float64s) -> int:
-    """List the entries of a summed-area table for the mean over a box; their weights sum to 0."""
-    width, height = images.levels[row, 1], images.levels[row, 2]
-    texel = 1e-6 if foot.flat else 1.0
-    across, down = math.sqrt(12.0 * foot.xx + texel), math.sqrt(12.0 * foot.yy + texel)
-    at = MOST_TAPS
-    n_x = _span(foot.u * width, across, width, foot.wrap_u, at, indices, weights)
-    n_y = _span(foot.v * height, down, height, foot.wrap_v, at + 8, indices, weights)
-    count = 0
-    for j in range(at + 8, at + 8 + n_y):
-        for i in range(at, at + n_x):
-            indices[count] = indices[j] * (width + 1) + indices[i]
-            weights[count] = weights[j] * weights[i]
-            count += 1
-    return count
-
-
-@inlined
-def _span(
-    middle: float, width: float, size: int, mode: int, at: int, indices: Int64s, weights: Float64s
-) -> int:
-    """List, from ``at`` on, the sums for the mean over a span, which may lie beyond the image."""
-    count = 0
-    for end in range(2):
-        sign = (1.0 if end else -1.0) / width
-        x = middle + (0.5 if end else -0.5) * width
-        if mode != CLAMP:
-            period = size if mode == REPEAT else 2 * size
-            turns = math.floor(x / period)
-            x -= turns * period
-            whole = turns if mode == REPEAT else 2.0 * turns  # copies of the whole image's sum
-            if x > size:
-                whole += 2.0
-                x = 2.0 * size - x
-                sign = -sign
-                whole = -whole
-            if whole != 0.0:
-                indices[at + count], weights[at + count] = size, sign * whole
-                count += 1
-        # Beyond the border of a clamped image its last texel repeats.
-        left = min(max(math.floor(x), 0), size - 1)
-        indices[at + count], weights[at + count] = int(left) + 1, sign * (x - left)
-        indices[at + count + 1], weights[at + count + 1] = int(left), sign * (1.0 - (x - left))
-        count += 2
-    return count

@@ -1,4 +1,4 @@
-"""Images as filters read them: whole, as mip pyramids, as ripmaps, or as summed-area tables.
+"""Images as filters read them: whole, or as mip pyramids.
 
 Every level has the exact means of decoded texels over its texels' areas; colours under an alpha are averaged
 with it as weight and stored unmultiplied. Around each level lies a rim, one texel wide: the border texels,
@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s, Uint64s
+from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint64s
 from octex.channels import decode_table, encode
 from octex.checks import as_choice
 from octex.errors import ArgumentError
@@ -35,10 +35,8 @@ def as_wraps(wrap: str | tuple[str, str]) -> tuple[int, int]:
     return WRAPS.index(as_choice(names[0], WRAPS, "wrap")), WRAPS.index(as_choice(names[1], WRAPS, "wrap"))
 
 
-#: How an image is stored: 16-bit codes of sRGB or of fractions, floats, or sums of floats.
-SRGB, DATA, FLOAT, SUMS = range(4)
-#: The stored levels of an image.
-WHOLE, MIPS, RIPS, AREAS = range(4)
+#: How an image is stored: 16-bit codes of sRGB or of fractions, or floats.
+SRGB, DATA, FLOAT = range(3)
 
 #: Weight of a texel of alpha 0: its colour counts only where all have alpha 0.
 FAINT = 2.0**-40
@@ -61,37 +59,34 @@ class Images(NamedTuple):
     A level's rows are ``width + 2`` texels apart; ``first`` is the index of texel (0, 0) in the image.
     """
 
-    kinds: Uint8s  # (images,)   SRGB, DATA, FLOAT or SUMS
+    kinds: Uint8s  # (images,)   SRGB, DATA or FLOAT
     covered: Bools  # (images,)
-    bases: Int64s  # (images,)   first word in codes, or row in floats or sums
-    layouts: Int64s  # (layouts, 3)   first level, levels in x, levels in y
+    bases: Int64s  # (images,)   first word in codes, or row in floats
+    layouts: Int64s  # (layouts, 2)   first level, number of levels
     levels: Int64s  # (levels, 3)   first, width, height
     codes: Uint64s  # (words,)   four codes each, red in the lowest bits
     floats: Float32s  # (rows, 4)
-    sums: Float64s  # (rows, 4)   premultiplied by alpha if covered
     linear: Float32s  # (65536,)   linear light of an sRGB code
 
 
-def store(pictures: Sequence[Picture], kind: int) -> tuple[Images, list[int]]:
-    """Store images with the levels of ``kind``: WHOLE, MIPS, RIPS or AREAS; return the layout of each too."""
+def store(pictures: Sequence[Picture], has_mips: bool) -> tuple[Images, list[int]]:
+    """Store images, with all levels if ``has_mips``; return the layout of each too."""
     sizes = list(dict.fromkeys(picture.texels.shape[:2] for picture in pictures))
-    layouts: list[tuple[int, int, int]] = []
+    layouts: list[tuple[int, int]] = []
     levels: list[tuple[int, int, int]] = []
     rows_of: list[int] = []  # of an image, by layout
-    rim = 0 if kind == AREAS else 1
     for height, width in sizes:
-        shapes, across, down = _shapes(width, height, kind)
-        layouts.append((len(levels), across, down))
+        shapes = _shapes(width, height, has_mips)
+        layouts.append((len(levels), len(shapes)))
         first = 0
         for wide, high in shapes:
-            stride = wide + 1 + rim
-            levels.append((first + rim * stride + rim, wide, high))
-            first += stride * (high + 1 + rim)
+            levels.append((first + wide + 3, wide, high))
+            first += (wide + 2) * (high + 2)
         rows_of.append(first)
     layout_of = [sizes.index(picture.texels.shape[:2]) for picture in pictures]
-    bases, storage, ends = [], [], {SRGB: 0, FLOAT: 0, SUMS: 0}
+    bases, storage, ends = [], [], {SRGB: 0, FLOAT: 0}
     for each, layout in zip(pictures, layout_of, strict=True):
-        array = SUMS if kind == AREAS else FLOAT if each.texels.dtype == np.float32 else SRGB
+        array = FLOAT if each.texels.dtype == np.float32 else SRGB
         storage.append(DATA if array == SRGB and not each.is_light else array)
         bases.append(ends[array])
         ends[array] += rows_of[layout]
@@ -99,76 +94,54 @@ def store(pictures: Sequence[Picture], kind: int) -> tuple[Images, list[int]]:
         np.array(storage, np.uint8),
         np.array([picture.covered for picture in pictures], np.bool_),
         np.array(bases, np.int64),
-        np.array(layouts, np.int64).reshape(-1, 3),
+        np.array(layouts, np.int64).reshape(-1, 2),
         np.array(levels, np.int64).reshape(-1, 3),
         np.empty(ends[SRGB], np.uint64),
         np.empty((ends[FLOAT], 4), np.float32),
-        np.empty((ends[SUMS], 4), np.float64),
         decode_table("uint16", "srgb"),
     )
 
     def fill(number: int) -> None:
         rows = slice(bases[number], bases[number] + rows_of[layout_of[number]])
-        if storage[number] == SUMS:
-            _add_up(pictures[number], images.sums[rows])
-        elif storage[number] == FLOAT:
-            _fill(pictures[number], kind, images.floats[rows])
-        else:
-            _fill(pictures[number], kind, images.codes[rows].view(np.uint16).reshape(-1, 4))
+        is_float = storage[number] == FLOAT
+        texels = images.floats[rows] if is_float else images.codes[rows].view(np.uint16).reshape(-1, 4)
+        _fill(pictures[number], has_mips, texels)
 
     with pool_of(cpu_count()) as pool:
         list(pool.map(fill, range(len(pictures))))
     return images, layout_of
 
 
-def _shapes(width: int, height: int, kind: int) -> tuple[list[tuple[int, int]], int, int]:
-    """Return (width, height) of each level in order, and how many there are across and down."""
-    wides, highs = ([size >> level for level in range(size.bit_length())] for size in (width, height))
-    if kind == RIPS:
-        return [(wide, high) for high in highs for wide in wides], len(wides), len(highs)
-    count = max(len(wides), len(highs)) if kind == MIPS else 1
-    wides += [1] * (count - len(wides))
-    highs += [1] * (count - len(highs))
-    return list(zip(wides, highs, strict=False))[:count], count, count
+def _shapes(width: int, height: int, has_mips: bool) -> list[tuple[int, int]]:
+    """Return (width, height) of each level, the finest first."""
+    count = max(width, height).bit_length() if has_mips else 1
+    return [(max(width >> level, 1), max(height >> level, 1)) for level in range(count)]
 
 
-def _add_up(picture: Picture, sums: Float64s) -> None:
-    """Fill in a summed-area table (rows, 4), a texel wider and higher than the image."""
+def _fill(picture: Picture, has_mips: bool, rows: Texels) -> None:
     height, width = picture.texels.shape[:2]
-    table = sums.reshape(height + 1, width + 1, 4)
-    table[0], table[:, 0] = 0.0, 0.0
-    np.cumsum(_decoded(picture), axis=0, dtype=np.float64, out=table[1:, 1:])
-    np.cumsum(table[1:, 1:], axis=1, out=table[1:, 1:])
-
-
-def _fill(picture: Picture, kind: int, rows: Texels) -> None:
-    height, width = picture.texels.shape[:2]
-    shapes, across, _ = _shapes(width, height, kind)
+    shapes = _shapes(width, height, has_mips)
     finest = _take(rows, 0, width, height)
     finest[1:-1, 1:-1] = picture.texels
     finest[0, 1:-1], finest[-1, 1:-1] = picture.texels[0], picture.texels[-1]
     finest[:, 0], finest[:, -1] = finest[:, 1], finest[:, -2]
     if len(shapes) == 1:
         return
-    done: dict[int, Float32s] = {}
+    made = None
     texels = picture.texels
     borders = (texels[:, :1], texels[:, -1:], texels[:1], texels[-1:], texels[[0, -1]][:, [0, -1]])
-    rims = {0: [_decoded(picture._replace(texels=border)) for border in borders]}
+    rims = [_decoded(picture._replace(texels=border)) for border in borders]
     first = finest.shape[0] * finest.shape[1]
-    for number, (wide, high) in enumerate(shapes[1:], 1):
-        # Each level halves one before it: down, or for ripmaps also across.
-        below = number - 1 if kind == MIPS or number % across else number - across
-        done[number] = resized(done[below], high, wide) if below else _shrunk(picture, high, wide)
+    for wide, high in shapes[1:]:
+        made = _shrunk(picture, high, wide) if made is None else resized(made, high, wide)
         sizes = (high, 1), (high, 1), (1, wide), (1, wide), (2, 2)
-        rims[number] = [resized(part, *size) for part, size in zip(rims[below], sizes, strict=True)]
+        rims = [resized(part, *size) for part, size in zip(rims, sizes, strict=True)]
         target = _take(rows, first, wide, high)
         first += target.shape[0] * target.shape[1]
         corners = target[:: high + 1, :: wide + 1]
         sides = target[1:-1, :1], target[1:-1, -1:], target[:1, 1:-1], target[-1:, 1:-1], corners
-        for part, values in zip((target[1:-1, 1:-1], *sides), (done[number], *rims[number]), strict=True):
+        for part, values in zip((target[1:-1, 1:-1], *sides), (made, *rims), strict=True):
             part[...] = _encoded(values, picture, target.dtype == np.float32)
-        if kind == MIPS:
-            done.pop(below, None)
 
 
 def _shrunk(picture: Picture, height: int, width: int) -> Float32s:

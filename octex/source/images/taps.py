@@ -9,15 +9,14 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.jit import inlined
-from octex.source.images.pyramid import CLAMP, DATA, FAINT, FLOAT, MIRROR, REPEAT, SRGB, Images
+from octex.source.images.pyramid import CLAMP, DATA, FAINT, MIRROR, REPEAT, SRGB, Images
 
 #: How a threshold acts on alpha: not at all, on each texel of the finest level, on their sum.
 NEVER, EACH, SUM = 0, 1, 2
 
-#: Most taps of a footprint; the spans of summed-area tables lie behind them. Indices and weights are two
-#: arguments: a tuple of them costs EWA up to a tenth of its time.
+#: Most taps of a footprint. Indices and weights are two arguments: a tuple of them costs EWA up to a tenth of
+#: its time.
 MOST_TAPS = 4096
-TAP_ROOM = MOST_TAPS + 16
 
 # Images are read in single precision: 17 ns where double takes 26 (bilinear, in cache).
 _NONE, _ALL, _CODES, _FAINT = np.float32(0), np.float32(1), np.float32(65535), np.float32(FAINT)
@@ -143,7 +142,7 @@ def gather(
             alpha += weight * np.float32(np.int64(word >> _ALPHA))
         factor /= _CODES
         opacity = factor
-    elif kind in (SRGB, FLOAT):
+    else:
         row = images.layouts[layout, 0]
         fine = (images.levels[row, 1] + 2) * (images.levels[row, 2] + 2)  # texels of the finest level
         weighed = _NONE
@@ -171,20 +170,6 @@ def gather(
             alpha = _ALL if alpha * factor >= threshold else _NONE
             opacity = _ALL
         factor = _ALL / weighed
-    else:
-        sums = images.sums
-        total_red = total_green = total_blue = total_alpha = 0.0
-        for i in range(count):
-            entry = base + indices[i]
-            total_red += weights[i] * sums[entry, 0]
-            total_green += weights[i] * sums[entry, 1]
-            total_blue += weights[i] * sums[entry, 2]
-            total_alpha += weights[i] * sums[entry, 3]
-        if covered:
-            total_alpha = max(total_alpha, 0.0)  # only rounding makes it negative
-            factor = np.float32(1.0 / (total_alpha + FAINT))
-        red, green, blue = np.float32(total_red), np.float32(total_green), np.float32(total_blue)
-        alpha = np.float32(total_alpha)
     lanes[at] = red * factor
     lanes[at + 1] = green * factor
     lanes[at + 2] = blue * factor
