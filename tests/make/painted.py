@@ -39,14 +39,14 @@ def square(height: float = 0.0, side: float = 1.0, steps: int = 4) -> tuple[Arra
     line = np.linspace(-side / 2, side / 2, steps + 1)
     x, y = np.meshgrid(line, line)
     points = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, height)])
-    first = (np.arange(steps)[:, None] * (steps + 1) + np.arange(steps)).ravel()
-    triangles = np.concatenate(
-        [
-            np.column_stack([first, first + 1, first + steps + 2]),
-            np.column_stack([first, first + steps + 2, first + steps + 1]),
-        ]
-    )
-    return points, triangles
+    return points, halved_quads(steps + 1, steps + 1)
+
+
+def halved_quads(rows: int, columns: int) -> Array:
+    """Triangles between the vertices of a grid, which are numbered row by row."""
+    grid = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
+    return np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
 
 
 def together(*parts: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -8,6 +8,7 @@ import numpy.typing as npt
 from octex.channels import BASE_COLOR, EMISSIVE, METALLIC, NORMAL, ROUGHNESS, ChannelFormat
 from octex.source.base import Source
 from octex.source.surface import Surface
+from tests.make.painted import halved_quads
 
 TETRAHEDRON = np.array([[0.0, 0, 0], [1, 0.1, 0], [0.2, 1, 0.1], [0.3, 0.2, 0.9]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32)
@@ -63,9 +64,7 @@ def sheet(turn: npt.NDArray[np.float64], thickness: float, *, gap: float = 0.0) 
     steps = np.linspace(-0.5, 0.5, 7)
     x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
     flat = np.column_stack([x, y, np.full(49, gap)])
-    grid = np.arange(49).reshape(7, 7)
-    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
-    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    faces = halved_quads(7, 7)
     half = np.array([0.0, 0.0, thickness / 2])
     vertices = np.concatenate([flat + half, flat - half])
     colors = np.repeat([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 49, axis=0)
@@ -87,9 +86,7 @@ def bent(thickness: float) -> Surface:
     turn, along = (grid.ravel() for grid in np.meshgrid(np.linspace(0, np.pi, 61), np.linspace(0, 1, 11)))
     outward = np.column_stack([np.cos(turn), np.sin(turn), np.zeros_like(turn)])
     axis = np.column_stack([np.zeros_like(turn), np.zeros_like(turn), along])
-    grid = np.arange(11 * 61).reshape(11, 61)
-    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
-    faces = np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])
+    faces = halved_quads(11, 61)
     vertices = np.concatenate([outward + axis, (1 - thickness) * outward + axis])
     bands = 0.5 + 0.5 * np.sin(9 * turn)
     none = np.zeros_like(bands)

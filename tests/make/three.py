@@ -27,6 +27,8 @@ VIEWER = Path(octex.__file__).parent / "viewer"
 needs_three = pytest.mark.skipif(not THREE, reason="OCTEX_TEST_THREE names no package of three")
 #: Pixels along a side of the canvas.
 SIZE = 64
+_CORNERS = np.array([[0, 0, 0.3], [1, 0, 0.3], [0, 1, 0.3], [1, 1, 0.3]])
+RED, BLUE = [240, 60, 60], [60, 60, 240]
 _HEAD = """<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,">
 <script type="importmap">{"imports": {"three": "/three/build/three.%s.js",
 "three/webgpu": "/three/build/three.webgpu.js", "three/tsl": "/three/build/three.tsl.js",
@@ -68,8 +70,11 @@ class Handler(http.server.SimpleHTTPRequestHandler):
 
 @contextmanager
 def opened(browser: Any, folder: Path, script: str, build: str = "module") -> Iterator[Any]:
-    """Serve files of a folder beside a page that runs a script, which sets ``told``; it must not complain."""
-    (folder / "index.html").write_text(_HEAD % (build, script))
+    """Serve files of a folder beside a page that runs a script, which sets ``told``; it must not complain.
+
+    Before the script stand ``camera`` and ``read``.
+    """
+    (folder / "index.html").write_text(_HEAD % (build, _LOADING + script))
     kind = type("Own", (Handler,), {"folder": folder, "asked": [], "gate": threading.Event()})
     with http.server.ThreadingHTTPServer(("127.0.0.1", 0), kind) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -91,8 +96,14 @@ def waves(points: Any) -> Any:
 
 def square() -> Surface:
     """Return a square of side 1, which fills the canvas."""
-    corners = np.array([[0, 0, 0.3], [1, 0, 0.3], [0, 1, 0.3], [1, 1, 0.3]], float)
-    return Surface.from_arrays(corners, [[0, 1, 2], [1, 3, 2]]).with_sources({"base_color": waves})
+    return Surface.from_arrays(_CORNERS, [[0, 1, 2], [1, 3, 2]]).with_sources({"base_color": waves})
+
+
+def two_sided(*alpha: int) -> Surface:
+    """Return that square red in front and blue behind, perhaps translucent."""
+    faces = [[0, 1, 2], [1, 3, 2], [2, 1, 0], [2, 3, 1]]
+    sides = np.repeat([[*RED, *alpha], [*BLUE, *alpha]], 2, axis=0).astype(np.uint8)
+    return Surface.from_arrays(_CORNERS, faces, face_colors=sides)
 
 
 def pixel_points() -> Any:
@@ -114,7 +125,16 @@ def write_plain_ball(path: Path) -> None:
     write_page(octex.convert(surface, depth=4), path, surface)
 
 
-#: A function that returns the middle pixels of pictures of a mesh in the plane z = 0.5 and of one instance of
+#: A camera that sees the square, and a function that reads a web file; the script imports what they need.
+_LOADING = """const camera = new THREE.OrthographicCamera(-0.5, 0.5, 0.5, -0.5, 0.1, 20);
+camera.position.set(0.5, 0.5, 10);
+const read = async (name) => {
+  const loaded = await new OctreeTextureLoader().loadAsync(name);
+  await loaded.complete;
+  return loaded;
+};
+"""
+#: A function that returns the middle pixels of pictures of a mesh parallel to z = 0 and of one instance of
 #: it: as it is, mirrored, turned around, and both.
 TURNED = """async (THREE, mesh, pictured) => {
   const seen = [], middle = 4 * (32 * 64 + 32);

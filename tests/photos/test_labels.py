@@ -64,12 +64,16 @@ def test_moves_only_lower_the_energy():
     assert labelling.energy(graph, views, labelling.passed(graph, views)) < energies[-1]
 
 
+def labelled(random):
+    """Sheets of a ball, how many, and a label of each."""
+    sheets, _ = cut(ball(rings=6), 3)
+    count = len(sheets.codes)
+    return sheets, count, random.integers(-1, 3, count).astype(np.int32)
+
+
 def test_what_levels_borders_is_that_of_least_squares():
     random = np.random.default_rng(2)
-    surface = ball(rings=6)
-    sheets, _ = cut(surface, 3)
-    count = len(sheets.codes)
-    labels = random.integers(-1, 3, count).astype(np.int32)
+    sheets, count, labels = labelled(random)
     paint = random.random((3, count, 3)).astype(np.float32)
     weights = (random.random((3, count)) < 0.7).astype(np.float32)
     found = labelling.levelling(sheets, labels, paint, weights)
@@ -79,10 +83,7 @@ def test_what_levels_borders_is_that_of_least_squares():
 
 def test_labels_fade_into_those_beside_them():
     random = np.random.default_rng(5)
-    surface = ball(rings=6)
-    sheets, _ = cut(surface, 3)
-    count = len(sheets.codes)
-    labels = random.integers(-1, 3, count).astype(np.int32)
+    sheets, count, labels = labelled(random)
     exposures = random.normal(size=(count, 3))
     weights = (random.random((3, count)) < 0.7).astype(np.float32)
     graph = graph_of(sheets.pairs, sheets.ties, count)

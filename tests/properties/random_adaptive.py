@@ -4,6 +4,7 @@ import numpy as np
 
 import octex
 from octex.channels import ALPHA, linear_to_srgb
+from tests.make.painted import halved_quads
 from tests.make.small_surfaces import turned
 
 #: By how many codes more than ``max_error`` and what the full tree is off a texture may be off its source.
@@ -134,7 +135,7 @@ def _ball(count):
     u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(0, 1, 2 * count + 1), np.linspace(0, 1, count)))
     turn, rise = 2 * np.pi * u, np.pi * v
     vertices = np.column_stack([np.cos(turn) * np.sin(rise), np.sin(turn) * np.sin(rise), np.cos(rise)])
-    return vertices, _squares(2 * count + 1, count)[:, ::-1], np.column_stack([u, v])
+    return vertices, halved_quads(count, 2 * count + 1)[:, ::-1], np.column_stack([u, v])
 
 
 def _box(size):
@@ -158,14 +159,7 @@ def _sheet(thickness, bend):
     count = 2 if bend == 0 else 17
     u, v = (grid.ravel() for grid in np.meshgrid(*[np.linspace(0, 1, count)] * 2))
     front = np.column_stack([u, v, bend * np.sin(5 * u) * np.cos(4 * v)])
-    faces = _squares(count, count)
+    faces = halved_quads(count, count)
     uv = np.concatenate([np.column_stack([u / 2 + half / 2, v]) for half in range(2)])
     back = front - [0, 0, thickness]
     return np.concatenate([front, back]), np.concatenate([faces, faces[:, ::-1] + len(u)]), uv
-
-
-def _squares(columns, rows):
-    """The triangles of a grid of vertices."""
-    grid = np.arange(rows * columns).reshape(rows, columns)
-    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
-    return np.concatenate([np.column_stack([a, b, c]), np.column_stack([a, c, d])])

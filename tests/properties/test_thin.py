@@ -9,6 +9,7 @@ from octex.source.surface import Surface
 from octex.texture import FILTERS
 from octex.tree.layout import SPLIT
 from tests.conftest import needs_jit
+from tests.make.painted import halved_quads
 from tests.make.small_surfaces import bent, sheet, turned
 from tests.make.small_textures import unit
 
@@ -99,9 +100,7 @@ def test_a_model_without_thin_places_has_no_leaf_split_and_pays_nothing():
     steps = np.linspace(0, 2 * np.pi, 41)
     u, v = (grid.ravel() for grid in np.meshgrid(steps, np.linspace(0, np.pi, 21)))
     vertices = np.column_stack([np.cos(u) * np.sin(v), np.sin(u) * np.sin(v), np.cos(v)])
-    grid = np.arange(21 * 41).reshape(21, 41)
-    a, b, c, d = (part.ravel() for part in (grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]))
-    faces = np.concatenate([np.column_stack([a, c, b]), np.column_stack([a, d, c])])
+    faces = halved_quads(21, 41)[:, [0, 2, 1]]
     surface = Surface.from_arrays(vertices, faces, colors=np.abs(np.sin(5 * vertices)))
     texture = octex.convert(surface, depth=6)
     assert (texture.tree.split.cells < texture.tree.arrays.level_cells[3]).all()

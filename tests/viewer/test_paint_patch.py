@@ -17,7 +17,7 @@ from tests.make.painted import balls
 from tests.make.same import assert_same
 from tests.make.studio import pictured
 from tests.viewer.test_paint_poses import Bending, bending
-from tests.viewer.test_session import NAN, SIZE, canvas, plain, stroke, take
+from tests.viewer.test_session import NAN, SIZE, assert_mirrored, canvas, plain, stroke, take
 
 SPOT = {"center": [0.4, 0.2, 0.9], "radius": 0.6, "up": [0.0, 1.0, 0.1]}
 
@@ -70,27 +70,11 @@ def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(t
 
 
 @pytest.mark.parametrize("axis", range(3))
-def test_the_mirror_of_a_patch_lands_where_a_mirror_has_it(axis, tmp_path):
-    texture, surface = canvas()
-    session = Session(texture, surface, tmp_path / "out.octex")
+def test_the_mirror_of_a_patch_lands_where_a_mirror_has_it(axis, session):
     spot = {"center": [0.5, 0.5, 0.7], "radius": 0.5, "up": [0.1, 1.0, 0.0]}
     take(session, stroke(1, patch=spot, camera=flat_camera(0.5), mirror="xyz"[axis], opacity=1.0))
     assert session.shown.told["fault"] == ""
-    points = np.random.default_rng(0).normal(size=(6000, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-    image = points.copy()
-    image[:, axis] *= -1
-
-    def is_painted(points):
-        apart = session.shown.texture.sample(points) - texture.sample(points)
-        return np.abs(apart).max(axis=1) > 0.1
-
-    here, there = is_painted(points), is_painted(image)
-    assert 30 < here.sum() < 2000
-    assert (here != there).sum() < 0.2 * here.sum()
-    assert here[points[:, axis] > 0.2].any()
-    assert here[points[:, axis] < -0.2].any()
-    session.close()
+    assert_mirrored(session, axis, 6000, 30, 0.2, 0.2)
 
 
 BAD = [

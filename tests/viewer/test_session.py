@@ -399,23 +399,29 @@ def test_a_part_is_filled_and_the_one_that_a_mirror_shows(tmp_path):
     session.close()
 
 
+def assert_mirrored(session, axis, count, least, most_apart, beyond):
+    """Check that paint on the ball is its own mirror image, and on both sides."""
+    points = np.random.default_rng(0).normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    image = points.copy()
+    image[:, axis] *= -1
+
+    def is_painted(points):
+        apart = session.shown.texture.sample(points) - canvas()[0].sample(points)
+        return np.abs(apart).max(axis=1) > 0.1
+
+    here, there = is_painted(points), is_painted(image)
+    assert least < here.sum() < 2000
+    assert (here != there).sum() < most_apart * here.sum()  # cells are not where a mirror has them
+    assert here[points[:, axis] > beyond].any()
+    assert here[points[:, axis] < -beyond].any()
+
+
 def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session):
     texture, _ = canvas()
     take(session, stroke(1, mirror="x", name="Brush"))
     assert session.shown.told["steps"] == ["Brush"]
-    random = np.random.default_rng(0)
-    points = random.normal(size=(4000, 3))
-    points /= np.linalg.norm(points, axis=1, keepdims=True)
-
-    def is_painted(points):
-        apart = session.shown.texture.sample(points) - texture.sample(points)
-        return np.abs(apart).max(axis=1) > 0.1
-
-    here, there = is_painted(points), is_painted(points * [-1, 1, 1])
-    assert 50 < here.sum() < 2000
-    assert (here != there).sum() < 0.15 * here.sum()  # cells are not where a mirror has them
-    assert here[points[:, 0] > 0.3].any()
-    assert here[points[:, 0] < -0.3].any()
+    assert_mirrored(session, 0, 4000, 50, 0.15, 0.3)
     take(session, plain("undo", 2))
     assert_same(session.shown.texture, texture)
     with pytest.raises(ArgumentError, match="mirror must be x, y, z"):

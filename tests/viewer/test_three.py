@@ -8,18 +8,9 @@ from octex.channels import linear_to_srgb
 from octex.source.surface import Surface
 from octex.viewer.export import write_page
 from tests.conftest import needs_jit
+from tests.make import three
 from tests.make.painted import ball
-from tests.make.three import (
-    SCENES,
-    SIZE,
-    TURNED,
-    needs_three,
-    opened,
-    pixel_points,
-    square,
-    waves,
-    write_plain_ball,
-)
+from tests.make.three import SIZE, needs_three, opened, pixel_points, square, waves
 
 pytestmark = [needs_jit, needs_three]
 SCRIPT = """
@@ -29,18 +20,11 @@ import { GLTFOctreeTexture, OctreeTextureLoader } from "octex-three";
 const renderer = new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
 renderer.setPixelRatio(1);
 renderer.setSize(64, 64);
-const camera = new THREE.OrthographicCamera(-0.5, 0.5, 0.5, -0.5, 0.1, 20);
-camera.position.set(0.5, 0.5, 10);
 const pictured = (scene, view = camera) => {
   renderer.render(scene, view);
   const gl = renderer.getContext(), codes = new Uint8Array(4 * 64 * 64);
   gl.readPixels(0, 0, 64, 64, gl.RGBA, gl.UNSIGNED_BYTE, codes);
   return Array.from(codes);
-};
-const read = async (name) => {
-  const loaded = await new OctreeTextureLoader().loadAsync(name);
-  await loaded.complete;
-  return loaded;
 };
 const unlit = ({ textures: [texture], group }) => {
   group.children[0].material = texture.applyTo(new THREE.MeshBasicMaterial({ side: THREE.DoubleSide }));
@@ -154,13 +138,7 @@ def test_models_that_carry_their_octree_show_it(page, tmp_path, ending):
 
 
 def test_mirrored_sheets_show_the_side_that_is_seen(page, tmp_path):
-    corners, faces = (
-        np.array([[0, 0, 0.5], [1, 0, 0.5], [0, 1, 0.5], [1, 1, 0.5]], float),
-        [[0, 1, 2], [1, 3, 2]],
-    )
-    both = np.concatenate([faces, np.array(faces)[:, ::-1]])
-    sides = np.array([[240, 60, 60]] * 2 + [[60, 60, 240]] * 2, np.uint8)
-    sheet = Surface.from_arrays(corners, both, face_colors=sides)
+    sheet = three.two_sided()
     texture = octex.convert(sheet, depth=4)
     assert texture.tree.split.cells.size
     write_page(texture, tmp_path / "sheet.octw", sheet)
@@ -169,11 +147,10 @@ def test_mirrored_sheets_show_the_side_that_is_seen(page, tmp_path):
           const loaded = await told.read("/sheet.octw");
           told.unlit(loaded);
           loaded.group.children[0].material.side = told.THREE.FrontSide;
-          return ({TURNED})(told.THREE, loaded.group.children[0], told.pictured);
+          return ({three.TURNED})(told.THREE, loaded.group.children[0], told.pictured);
         }}"""
     )
-    wanted = [[240, 60, 60]] * 4 + [[60, 60, 240]] * 4
-    np.testing.assert_allclose(np.array(seen)[:, :3], wanted, atol=4)
+    np.testing.assert_allclose(np.array(seen)[:, :3], [three.RED] * 4 + [three.BLUE] * 4, atol=4)
 
 
 def test_one_material_may_serve_several_meshes_and_own_colours_do_not_count(page, tmp_path):
@@ -197,7 +174,7 @@ def test_one_material_may_serve_several_meshes_and_own_colours_do_not_count(page
 
 def test_a_texture_of_one_value_draws_as_the_material_does(page, tmp_path):
     """With lights, shadows, fog, instances and a skin: three's own material of that value is the measure."""
-    write_plain_ball(tmp_path / "ball.octw")
+    three.write_plain_ball(tmp_path / "ball.octw")
     asked = """async () => {
       const { THREE, read, renderer, pictured } = told, scene = %s;
       const { group, textures: [texture] } = await read("/ball.octw");
@@ -205,7 +182,7 @@ def test_a_texture_of_one_value_draws_as_the_material_does(page, tmp_path):
       const material = texture.applyTo(new THREE.MeshStandardMaterial());
       return scene(THREE, group.children[0].geometry, material).map((each) => pictured(...each));
     }"""
-    found, wanted, still = map(codes, page.evaluate(asked % SCENES))
+    found, wanted, still = map(codes, page.evaluate(asked % three.SCENES))
     assert len(np.unique(wanted.reshape(-1, 3), axis=0)) > 500  # it is a picture with light in it
     assert np.abs(found - wanted).max() <= 2.0
     assert (np.abs(found - still).max(axis=2) > 20).mean() > 0.02

@@ -7,22 +7,12 @@ import pytest
 
 import octex
 from octex.channels import linear_to_srgb
-from octex.source.surface import Surface
 from octex.viewer.export import write_page
 from tests.conftest import needs_jit
+from tests.make import three
 from tests.make.browser import started
 from tests.make.painted import ball
-from tests.make.three import (
-    SCENES,
-    SIZE,
-    TURNED,
-    needs_three,
-    opened,
-    pixel_points,
-    square,
-    waves,
-    write_plain_ball,
-)
+from tests.make.three import SIZE, needs_three, opened, pixel_points, square, waves
 
 is_chromium = os.environ.get("OCTEX_TEST_BROWSER", "chromium") == "chromium"
 pytestmark = [needs_jit, needs_three, pytest.mark.skipif(not is_chromium, reason="WebGPU is chromium's")]
@@ -30,8 +20,6 @@ SCRIPT = """
 import * as THREE from "three/webgpu";
 import { OctreeTextureLoader } from "octex-three";
 import { applyNodes } from "octex-three/nodes";
-const camera = new THREE.OrthographicCamera(-0.5, 0.5, 0.5, -0.5, 0.1, 20);
-camera.position.set(0.5, 0.5, 10);
 const begin = async (forceWebGL) => {
   const renderer = new THREE.WebGPURenderer({ antialias: false, forceWebGL });
   const target = new THREE.RenderTarget(64, 64, { type: THREE.FloatType });
@@ -43,11 +31,6 @@ const begin = async (forceWebGL) => {
     return Array.from(await renderer.readRenderTargetPixelsAsync(target, 0, 0, 64, 64));
   };
   return renderer.backend.isWebGPUBackend ? "webgpu" : "webgl";
-};
-const read = async (name) => {
-  const loaded = await new OctreeTextureLoader().loadAsync(name);
-  await loaded.complete;
-  return loaded;
 };
 globalThis.told = { THREE, begin, read, applyNodes };
 """
@@ -66,10 +49,6 @@ def page(browser, tmp_path, request):
         page.backend = page.evaluate("name => told.begin(name === 'webgl')", request.param)
         assert page.backend == request.param
         yield page
-
-
-def constant(value):
-    return lambda points: np.tile(np.array(value), (len(points), 1))
 
 
 def light(page, found):
@@ -101,10 +80,7 @@ def test_pixels_are_samples(page, tmp_path, max_error):
 
 
 def test_sheets_show_the_side_that_is_seen_with_alpha(page, tmp_path):
-    corners = np.array([[0, 0, 0.5], [1, 0, 0.5], [0, 1, 0.5], [1, 1, 0.5]], float)
-    both = np.array([[0, 1, 2], [1, 3, 2], [2, 1, 0], [2, 3, 1]])
-    sides = np.array([[240, 60, 60, 128]] * 2 + [[60, 60, 240, 128]] * 2, np.uint8)
-    sheet = Surface.from_arrays(corners, both, face_colors=sides)
+    sheet = three.two_sided(128)
     texture = octex.convert(sheet, depth=4)
     assert texture.tree.split.cells.size and "alpha" in texture.channels
     write_page(texture, tmp_path / "sheet.octw", sheet)
@@ -113,12 +89,12 @@ def test_sheets_show_the_side_that_is_seen_with_alpha(page, tmp_path):
           const {{ THREE, read, applyNodes, pictured }} = told;
           const {{ textures: [texture] }} = await read("/sheet.octw");
           texture.mesh.material = applyNodes(texture, new THREE.MeshBasicNodeMaterial());
-          return ({TURNED})(THREE, texture.mesh, pictured);
+          return ({three.TURNED})(THREE, texture.mesh, pictured);
         }}"""
     )
     alpha = 128 / 255
     codes = 255 * linear_to_srgb(np.array(seen)[:, :3] / alpha)  # over black
-    np.testing.assert_allclose(codes, [[240, 60, 60]] * 4 + [[60, 60, 240]] * 4, atol=4)
+    np.testing.assert_allclose(codes, [three.RED] * 4 + [three.BLUE] * 4, atol=4)
 
 
 def test_lit_models_look_as_by_webglrenderer(page, tmp_path):
@@ -174,7 +150,7 @@ def test_lit_models_look_as_by_webglrenderer(page, tmp_path):
 
 def test_a_texture_of_one_value_draws_as_the_material_does(page, tmp_path):
     """With lights, shadows, fog, instances and a skin: three's own material of that value is the measure."""
-    write_plain_ball(tmp_path / "ball.octw")
+    three.write_plain_ball(tmp_path / "ball.octw")
     asked = """async () => {
       const { THREE, read, applyNodes, renderer, pictured } = told, scenes = %s;
       const { group, textures: [texture] } = await read("/ball.octw"), pictures = [];
@@ -184,7 +160,7 @@ def test_a_texture_of_one_value_draws_as_the_material_does(page, tmp_path):
       for (const each of scenes(THREE, geometry, material)) pictures.push(await pictured(...each));
       return pictures;
     }"""
-    found, wanted, still = (light(page, each) for each in page.evaluate(asked % SCENES))
+    found, wanted, still = (light(page, each) for each in page.evaluate(asked % three.SCENES))
     assert len(np.unique(wanted.reshape(-1, 3), axis=0)) > 500  # it is a picture with light in it
     assert 255 * np.abs(linear_to_srgb(found) - linear_to_srgb(wanted)).max() <= 2.0
     assert (np.abs(found - still).max(axis=2) > 0.05).mean() > 0.02
