@@ -31,6 +31,13 @@ def all_nodes(tree: Octree) -> Nodes:
     return Nodes(np.arange(tree.n_nodes), node_cells(tree.arrays))
 
 
+def all_leaves(tree: Octree) -> Bools:
+    """Return which cells (cells,) of a tree are leaves."""
+    is_leaf = np.ones(tree.n_cells, np.bool_)
+    is_leaf[node_cells(tree.arrays)] = False
+    return is_leaf
+
+
 def nodes_at(tree: Octree, codes: Sequence[Int64s]) -> Nodes:
     """Return the nodes of a tree at places (n,), listed as Morton codes by level.
 

@@ -16,7 +16,7 @@ from octex.channels import ALPHA, BASE_COLOR, ONE, alpha_of, channel_in, decode,
 from octex.checks import as_choice
 from octex.editing.averages import Residuals, average, residuals
 from octex.editing.draft import change_of_values, places_in
-from octex.editing.nodes import Nodes, all_children, nodes_at
+from octex.editing.nodes import Nodes, all_children, all_leaves, nodes_at
 from octex.editing.refined import refined_rows, refined_values
 from octex.editing.split import rows_facing
 from octex.painting.blend import writable
@@ -30,7 +30,6 @@ from octex.painting.stack import (
     with_layer_channels,
 )
 from octex.texture import Channel, OctreeTexture
-from octex.tree.children import node_cells
 from octex.tree.edit import locate, with_all_above
 from octex.tree.layout import KEPT
 from octex.tree.morton import decode_cells
@@ -137,8 +136,7 @@ def restored(texture: OctreeTexture, opened: OctreeTexture, erased: Channel) -> 
     Values blend in linear light. Nodes are averages, with the residuals of both.
     """
     tree = texture.tree
-    is_leaf = np.ones(tree.n_cells, np.bool_)
-    is_leaf[node_cells(tree.arrays)] = False
+    is_leaf = all_leaves(tree)
     rows = rows_of(tree.split)
     places = [
         np.flatnonzero(is_leaf & (erased.values[:, 0] > 0)),

@@ -14,7 +14,7 @@ from octex.channels import ALPHA, ONE, ChannelFormat, decode, encode
 from octex.conversion.levels import assemble, cell_levels
 from octex.editing.averages import average, with_summed_areas
 from octex.editing.draft import Tiles
-from octex.editing.nodes import all_nodes, nodes_at
+from octex.editing.nodes import all_leaves, nodes_at
 from octex.editing.refined import Below, refined_below, refined_rows, with_rows
 from octex.editing.runs import carried
 from octex.editing.split import refaced, rows_facing
@@ -176,9 +176,7 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
     tree = texture.tree
     form = COVERAGE._replace(name=COVERED)
     rows = rows_of(tree.split)
-    leaves = np.ones(tree.n_cells, np.bool_)
-    leaves[all_nodes(tree).cells] = False
-    of_leaves = leaves[rows.cells]
+    of_leaves = all_leaves(tree)[rows.cells]
     if COVERED in texture.channels:
         had = texture.channels[COVERED]
         if had.format.components != 1 or had.format.space != "data":

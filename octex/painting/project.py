@@ -54,22 +54,17 @@ class Sight(NamedTuple):
     seen: Visibility
     margins: Float32s
 
-    def within(self, window: Window) -> Sight:
-        """Return the surface visible in a part of the picture, with pixels counted from its corner."""
-        if (window.bottom - window.top, window.right - window.left) == self.margins.shape:
-            return self
-        shift = np.array([[1.0, 0.0, -window.left], [0.0, 1.0, -window.top], [0.0, 0.0, 1.0]])
-        K = shift @ self.camera.K
-        camera = self.camera._replace(K=K, inverse_k=np.linalg.inv(K).astype(np.float64))
-        corner = self.seen.corner + np.array([window.left, window.top])
-        seen = self.seen._replace(rows=np.ascontiguousarray(window.of(self.seen.rows)), corner=corner)
-        margins = np.ascontiguousarray(window.of(self.margins))
-        return Sight(camera, shift @ self.K, self.lens, seen, margins)
-
-    def shot(self, mips: Mips) -> Shot:
-        """Return the shot of a picture from this camera."""
-        gains, falloff = np.ones(3, np.float32), np.zeros(2)
-        return Shot(self.camera, self.K, self.lens, mips, self.seen, self.margins, gains, falloff, 1.0)
+    def shot(self, mips: Mips, window: Window | None = None) -> Shot:
+        """Return the shot of a picture, or of its part in a window, with pixels counted from its corner."""
+        camera, K, lens, seen, margins = self
+        if window is not None and (window.bottom - window.top, window.right - window.left) != margins.shape:
+            shift = np.array([[1.0, 0.0, -window.left], [0.0, 1.0, -window.top], [0.0, 0.0, 1.0]])
+            inner = shift @ camera.K
+            camera = camera._replace(K=inner, inverse_k=np.linalg.inv(inner).astype(np.float64))
+            corner = seen.corner + np.array([window.left, window.top])
+            seen = seen._replace(rows=np.ascontiguousarray(window.of(seen.rows)), corner=corner)
+            K, margins = shift @ K, np.ascontiguousarray(window.of(margins))
+        return Shot(camera, K, lens, mips, seen, margins, np.ones(3, np.float32), np.zeros(2), 1.0)
 
 
 def sight_of(
@@ -132,7 +127,7 @@ def take_shots(
     queue = deque(islice(decoded, most_ahead()))
     for sight in sights:
         mips, window = queue.popleft().result()
-        yield sight.within(window).shot(stages.placed(mips))
+        yield sight.shot(stages.placed(mips), window)
         queue.extend(islice(decoded, 1))
 
 
@@ -149,22 +144,6 @@ def order_key(camera: View, K: Float64s, lens: Float64s, mips: Mips) -> bytes:
     for array in (camera.world_to_camera, camera.K, K, lens, mips.pixels):
         made.update(np.ascontiguousarray(array).data)
     return made.digest()
-
-
-def near_paint(shot: Shot, reach: int) -> Shot:
-    """Return a shot that sees nothing beyond ``reach`` of its paint; unchanged if its lens distorts."""
-    painted = has_paint(shot)
-    if is_bent(shot.lens) or painted.all():
-        return shot
-    rows = np.where(_spread(painted, reach), shot.seen.rows, np.int32(-1))
-    return shot._replace(seen=shot.seen._replace(rows=large.moved(rows)))
-
-
-def has_paint(shot: Shot) -> Bools:
-    """Return which pixels (height, width) of a shot's picture are not transparent."""
-    width, height = shot.mips.sizes[0, 1:]
-    painted: Bools = shot.mips.pixels[: width * height, 3].reshape(height, width) > 0
-    return painted
 
 
 def _spread(marked: Bools, reach: int) -> Bools:
@@ -211,8 +190,16 @@ class Projected(PaintSource):
         return replace(self, shots=list(shots))
 
     def near_paint(self, reach: int) -> Projected:
-        """Return this paint, from pixels within ``reach`` of paint only."""
-        return self.with_shots([near_paint(shot, reach) for shot in self.shots])
+        """Return this paint, from pixels within ``reach`` of paint only; all of pictures with distortion."""
+        shots = []
+        for shot in self.shots:
+            width, height = shot.mips.sizes[0, 1:]
+            has_paint = shot.mips.pixels[: width * height, 3].reshape(height, width) > 0
+            if not is_bent(shot.lens) and not has_paint.all():
+                rows = np.where(_spread(has_paint, reach), shot.seen.rows, np.int32(-1))
+                shot = shot._replace(seen=shot.seen._replace(rows=large.moved(rows)))
+            shots.append(shot)
+        return self.with_shots(shots)
 
     @built_once
     def _normals(self) -> Float32s:

@@ -20,7 +20,7 @@ from octex.arrays import Array, Bools, Float32s, Floats, Int64s
 from octex.channels import ALPHA, alpha_of, channel_in, decode, encode, plain_name
 from octex.checks import as_choice, as_flag, as_number
 from octex.editing.averages import Residuals, average, residuals
-from octex.editing.nodes import Nodes
+from octex.editing.nodes import Nodes, all_leaves
 from octex.errors import ArgumentError
 from octex.painting.blend import mixed
 from octex.painting.layer import COVERAGE
@@ -160,8 +160,7 @@ def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> Octr
     visible = [each for each in stack if each.is_visible and each.opacity > 0]
     layers = [each for each in visible if _has_paint(texture, each)]
     covered = list(_covered(texture, layers)) if visible else []
-    is_leaf = np.ones(tree.n_cells, np.bool_)
-    is_leaf[node_cells(tree.arrays)] = False
+    is_leaf = all_leaves(tree)
     owners = rows_of(tree.split).cells
     chosen = is_leaf.copy()
     chosen[:first] = False
@@ -427,8 +426,7 @@ def _digest(channels: Mapping[str, Channel], texture: OctreeTexture) -> str:
 def _looks_like(made: OctreeTexture, texture: OctreeTexture) -> bool:
     """Return whether a stack's composite equals a file's in leaves: `crop` changes the nodes."""
     tree = made.tree
-    is_leaf = np.ones(tree.n_cells, np.bool_)
-    is_leaf[node_cells(tree.arrays)] = False
+    is_leaf = all_leaves(tree)
     chosen = is_leaf, is_leaf[rows_of(tree.split).cells], np.ones(tree.kept.cells.size, np.bool_)
     return all(
         np.array_equal(one[rows], other[rows])

@@ -81,7 +81,7 @@ from octex.painting.surface import Job
 from octex.texture import OctreeTexture
 from octex.tree.areas import SKIRT
 from octex.tree.beside import is_within, with_boundary
-from octex.tree.edit import Edited, among, locate, raised, rebuilt, unchanged, with_all_above
+from octex.tree.edit import Edited, among, locate, places, raised, rebuilt, unchanged, with_all_above
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
@@ -388,34 +388,26 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
 
     The paper does so for translucent paint; here for all, since lookups are faster in trees of even depth.
     """
-    found = list(paint)
-    while len(found) <= tree.max_depth:
-        found.append(paint[0].of(slice(0)))
+    none = paint[0].of(slice(0))
+    refined = [*paint, *[none] * (tree.max_depth + 1 - len(paint))]
     if all(locate(tree, each.codes, level).is_leaf.all() for level, each in enumerate(paint)):
-        return found
-    name, walk = painted_channel(layer), list(tree.walk())
-    for level in range(len(walk) - 1):
-        codes, is_node = walk[level]
-        is_above = among(found[level].codes, codes[is_node])
-        if not is_above.any():
-            continue
-        coarse = found[level].of(is_above)
-        found[level] = found[level].of(~is_above)
-        parents = coarse.codes
-        for deeper in range(level + 1, len(walk)):
-            codes, is_node = walk[deeper]
-            children = codes[among(codes >> 3, parents)]
-            if not children.size:
-                break
-            is_leaf = ~is_node[np.searchsorted(codes, children)]
-            leaves, parents = children[is_leaf], children[~is_leaf]
-            if leaves.size:
-                owners = np.searchsorted(coarse.codes, leaves >> 3 * (deeper - level))
-                values = refined_values(layer.tree, layer.channels, leaves, deeper)
+        return refined
+    name, divided = painted_channel(layer), list[Paint]()  # the paint on nodes, by level
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        is_divided = among(refined[level].codes, codes[is_node])
+        divided.append(refined[level].of(is_divided))
+        parts, leaves = [refined[level].of(~is_divided)], codes[~is_node]
+        for above, coarse in enumerate(divided[:level]):
+            if not coarse.codes.size:
+                continue
+            owners = places(leaves >> 3 * (level - above), coarse.codes)
+            below, owners = leaves[owners >= 0], owners[owners >= 0]
+            if below.size:
+                values = refined_values(layer.tree, layer.channels, below, level)
                 coverage = values[ALPHA.name][:, 0] * np.float32(opacity)
-                fine = Paint(leaves, values[name], coverage, coarse.cells[owners], coarse.flags[owners])
-                found[deeper] = joined(found[deeper], fine)
-    return found
+                parts.append(Paint(below, values[name], coverage, coarse.cells[owners], coarse.flags[owners]))
+        refined[level] = joined(*parts)
+    return refined
 
 
 def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[Paint]) -> Merged:

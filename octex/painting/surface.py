@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import cached_property, partial
@@ -13,13 +13,13 @@ import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from octex.cameras.camera import Camera
-from octex.channels import ChannelFormat
+from octex.channels import BASE_COLOR, ChannelFormat
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
 from octex.painting.options import triangles_of
-from octex.painting.picture import Projection
+from octex.painting.picture import Mips, Projection
 from octex.painting.project import Projected, Shading, Sight, sight_of
-from octex.painting.reading import Shot, Terms
+from octex.painting.reading import Shot, Terms, terms_of
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.unwrap import Patch
 from octex.parallel import Progress
@@ -31,6 +31,8 @@ from octex.tree.placement import Placement, on_grid
 from octex.view.shading import corner_normals, corner_normals_of, face_normals
 from octex.voxelize.fragments import Blocks, whole
 
+#: Surfaces tilted from the camera by this many degrees or more are not compared.
+_COMPARED_ANGLE = 75.0
 #: The level of the coarse cells: 128³, whose coordinates fit a byte.
 _COARSE = 7
 
@@ -113,6 +115,14 @@ class PaintedSurface:
                 f"region must be triangles of the surface: numbers from 0 to {count - 1}, or {count} bools"
             )
         return Projected(list(shots), form, terms, *mesh, self.stretches, self.shading, chosen)
+
+    def comparable(
+        self, cameras: Sequence[Camera], pictures: Iterable[Mips], rim: float, executor: Executor
+    ) -> Projected:
+        """Return the base colour of pictures on surface that cameras see well, to compare pictures."""
+        sights = self.sights(cameras, rim, executor)
+        shots = [sight.shot(mips) for sight, mips in zip(sights, pictures, strict=True)]
+        return self.projected(shots, BASE_COLOR, terms_of(_COMPARED_ANGLE, 0.0, back_faces=False))
 
     def sights(
         self,

@@ -18,13 +18,12 @@ import numpy as np
 from octex.arrays import Float32s
 from octex.jit import inlined, kernel
 from octex.painting.project import Projected
-from octex.painting.reading import Shot
 from octex.painting.resume import NOT_STORED, Stages
 from octex.parallel import ordered_map, sharing
 from octex.photos.patches import (
     batches,
+    colors_of,
     grown,
-    patch_of,
     patches_of,
     put_mask,
     seen_at,
@@ -73,7 +72,7 @@ def agreeing(
         return source
     far = float(np.clip(_TIMES * np.quantile(known, _QUANTILE), _LEAST_FAR, _MOST_FAR))
     for shot, each in zip(source.shots, found, strict=True):
-        put_mask(shot.mips, _mask(each, _looks(shot), far))
+        put_mask(shot.mips, _mask(each, as_codes(colors_of(shot)), far))
     return source
 
 
@@ -191,25 +190,14 @@ def find_modes(colors: Float32s, weights: Float32s, picture: int, found: Float32
                 found[n, component] = codes[best, component]
 
 
-def _looks(shot: Shot) -> Float32s:
-    """Return the mean colour and alpha of a picture's patches (rows, columns, 4), in codes."""
-    rows, columns = patches_of(shot)
-    mips = shot.mips
-    first, across, down = mips.sizes[min(patch_of(shot).bit_length(), len(mips.sizes)) - 1].tolist()
-    level = mips.pixels[first : first + across * down].reshape(down, across, 4)
-    return as_codes(
-        level[np.minimum(np.arange(rows), down - 1)][:, np.minimum(np.arange(columns), across - 1)]
-    )
-
-
-def _mask(differences: Float32s, looks: Float32s, far: float) -> Float32s:
+def _mask(differences: Float32s, colors: Float32s, far: float) -> Float32s:
     """Return a mask (rows, columns), 1 on patches that agree with the others, else 0."""
     known = np.isfinite(differences)
     is_far = np.where(known, np.nan_to_num(differences) > far, False).astype(np.float32)
     sees = known.astype(np.float32)
     around = sums_around(sees)
     share = np.where(known, sums_around(is_far) / np.maximum(around, np.float32(1e-9)), np.float32(np.nan))
-    fill_unknown(share, looks)
+    fill_unknown(share, colors)
     unlike = share > _MAJORITY
     say = sums_around(is_far, 2)
     group = unlike & (say >= _CERTAIN) & (say > _MAJORITY * sums_around(sees, 2))

@@ -16,7 +16,7 @@ from octex.painting.reading import Shot
 from octex.parallel import ordered_map, sharing
 from octex.photos.agreement import as_codes
 from octex.photos.consensus import agreed_step, medians, robust_weights
-from octex.photos.patches import batches, grown, patch_of, patches_of, put_mask, seen_at, widths_of
+from octex.photos.patches import batches, colors_of, grown, patches_of, put_mask, seen_at, widths_of
 from octex.source.surface import Surface
 
 #: Points of the surface at which pictures are compared.
@@ -141,7 +141,9 @@ def _mask(before: Projected, evened: Projected, number: int) -> Float32s:
     if not _is_limited(shot.mips):
         return np.ones((1, 1), np.float32)
     rows, columns = patches_of(shot)
-    patches, triangles, barycentric = seen_at(before, shot, grown(_clipped(shot)))
+    colors = colors_of(shot)
+    is_clipped = colors[..., :3].max(axis=2) > _CUT * colors[..., 3]
+    patches, triangles, barycentric = seen_at(before, shot, grown(is_clipped))
     widths = widths_of(before.with_shots([shot]), triangles, barycentric)
     is_wrong = np.zeros(rows * columns, np.bool_)
     others_see = np.ones(rows * columns, np.bool_)  # also where no centre sees the surface
@@ -150,17 +152,6 @@ def _mask(before: Projected, evened: Projected, number: int) -> Float32s:
         is_wrong[patches[batch]], others_see[patches[batch]] = _compared(before, evened, number, *where)
     mask = ~grown(is_wrong.reshape(rows, columns)) | ~others_see.reshape(rows, columns)
     return mask.astype(np.float32)
-
-
-def _clipped(shot: Shot) -> Bools:
-    """Return the clipped patches (rows, columns) of a picture, read from the mip whose pixels are patches."""
-    level = patch_of(shot).bit_length() - 1
-    first, width, height = shot.mips.sizes[min(level, len(shot.mips.sizes) - 1)].tolist()
-    pixels = shot.mips.pixels[first : first + width * height].reshape(height, width, 4)
-    light = pixels[..., :3].max(axis=2) > _CUT * pixels[..., 3]
-    rows, columns = patches_of(shot)
-    found: Bools = np.pad(light, ((0, max(rows - height, 0)), (0, max(columns - width, 0))), mode="edge")
-    return found[:rows, :columns]
 
 
 def _compared(

@@ -20,15 +20,12 @@ from octex.channels import BASE_COLOR
 from octex.errors import ImageError
 from octex.painting.picture import Projection, content_of, mips_of, texels_of
 from octex.painting.project import Projected
-from octex.painting.reading import terms_of
 from octex.painting.surface import PaintedSurface, key_of
 from octex.parallel import ordered_map, sharing
 from octex.source.surface import Surface
 
 #: Side of the small copies in pixels, at most; points at which they are compared.
 _PIXELS, _POINTS = 256, 8000
-#: Surfaces tilted from the camera by this many degrees or more are not compared.
-_MAX_ANGLE = 75.0
 #: Least numbers of other photographs and of shared points for a comparison; least range of light there.
 _OTHERS, _SHARED, _PLAIN = 2, 200, 1e-3
 #: Detail is the light in footprints of the first width in pixels, less that in footprints of the second.
@@ -82,7 +79,7 @@ def misfits(
     small = [copy for copy in read if isinstance(copy, Projection)]
     if not small:
         return {}, None  # painting reports the error
-    source = _seen_on(surface, small, executor)
+    source = _projected(surface, small, executor)
     is_blind = [bool((shot.seen.rows < 0).all()) for shot in source.shots]
     if all(is_blind):
         return found, better_placed(surface, small, 0.0, executor)
@@ -133,12 +130,11 @@ def _small(projection: Projection) -> Projection | ImageError:
     return Projection(means, camera.resized((columns, rows)), key=projection.key)
 
 
-def _seen_on(surface: Surface, small: Sequence[Projection], executor: Executor) -> Projected:
+def _projected(surface: Surface, small: Sequence[Projection], executor: Executor) -> Projected:
     """Project pictures onto a surface."""
-    painted = PaintedSurface(surface)
-    sights = painted.sights([cast(Camera, each.camera) for each in small], 0.0, executor)
-    shots = [sight.shot(mips_of(each, BASE_COLOR)) for sight, each in zip(sights, small, strict=True)]
-    return painted.projected(shots, BASE_COLOR, terms_of(_MAX_ANGLE, 0.0, False))
+    cameras = [cast(Camera, each.camera) for each in small]
+    pictures = (mips_of(each, BASE_COLOR) for each in small)
+    return PaintedSurface(surface).comparable(cameras, pictures, 0.0, executor)
 
 
 class LightSamples(NamedTuple):
@@ -273,7 +269,7 @@ def better_placed(
         if is_turned[number] and not is_turned[ranked[0]] and most >= max(_FITS, now + _GAIN):
             break
         moved = [replace(each, camera=placings[number].of(cast(Camera, each.camera))) for each in few]
-        found = read_points(_seen_on(surface, moved, executor), surface).agreements()
+        found = read_points(_projected(surface, moved, executor), surface).agreements()
         agreed = float(np.nan_to_num(found).mean())
         if number == 0:  # the mesh as it is
             is_known = bool(np.isfinite(found).any())

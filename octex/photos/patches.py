@@ -36,6 +36,17 @@ def patches_of(shot: Shot) -> tuple[int, int]:
     return -(-height // patch), -(-width // patch)
 
 
+def colors_of(shot: Shot) -> Float32s:
+    """Return the mean colour, times alpha, and alpha of a picture's patches (rows, columns, 4)."""
+    rows, columns = patches_of(shot)
+    level = min(patch_of(shot).bit_length(), len(shot.mips.sizes)) - 1
+    first, width, height = shot.mips.sizes[level].tolist()
+    pixels = shot.mips.pixels[first : first + width * height].reshape(height, width, 4)
+    i, j = np.minimum(np.arange(rows), height - 1), np.minimum(np.arange(columns), width - 1)
+    colors: Float32s = pixels[i][:, j]
+    return colors
+
+
 def widths_of(source: Projected, triangles: Int32s, barycentric: Float64s) -> Float32s:
     """Return the width, at rest, of the patches of a source's only picture at points of the surface."""
     widths = source.widths(triangles, barycentric)

@@ -34,7 +34,7 @@ from octex.painting.picture import (
     room_for,
 )
 from octex.painting.project import Projected, most_ahead, order_key
-from octex.painting.reading import Shot, terms_of
+from octex.painting.reading import Shot
 from octex.painting.resume import Stages, stages_in
 from octex.painting.surface import PaintedSurface, key_of
 from octex.parallel import Progress, Run, as_run, ordered_map, workers
@@ -68,8 +68,6 @@ _OFF, _NOISE, _OWN = 4.0, 0.02, 0.01
 _DAMPING, _RIGHT, _WRONG = 1e-4, 0.2, 10.0
 #: A camera changes if its picture's difference from the others, 0 to 1, falls to this part and by this much.
 _BETTER, _BY = 0.7, 0.002
-#: Surfaces tilted from the camera by this many degrees or more are not compared.
-_MAX_ANGLE = 75.0
 
 
 def refine_cameras(
@@ -154,7 +152,7 @@ def _refined(
     stays = np.zeros(len(order), np.bool_) if reference is None else np.array(order) == reference
 
     def lit(cameras: list[Camera], balance: Balance | None) -> Projected:
-        source = _source(painted, cameras, mips, pool)
+        source = painted.comparable(cameras, mips, _RIM * 2 ** max(_LEVELS), pool)
         return source if balance is None else balanced(source, surface, balance, fixed)
 
     def observed(cameras: list[Camera], level: int, balance: Balance | None) -> Observations:
@@ -184,14 +182,6 @@ def _refined(
     report("refine", len(_LEVELS), len(_LEVELS))
     found = dict(zip(order, cameras, strict=True))
     return [found[number] for number in range(len(shown))]
-
-
-def _source(
-    painted: PaintedSurface, cameras: Sequence[Camera], mips: Sequence[Mips], executor: Executor
-) -> Projected:
-    sights = painted.sights(cameras, _RIM * 2 ** max(_LEVELS), executor)
-    shots = [sight.shot(each) for sight, each in zip(sights, mips, strict=True)]
-    return painted.projected(shots, BASE_COLOR, terms_of(_MAX_ANGLE, 0.0, False))
 
 
 def _share(pictures: int) -> float:
@@ -333,10 +323,23 @@ class Observations(NamedTuple):
         return self._replace(points=self.points[chosen], weights=self.weights[:, chosen])
 
     def seen_by(self, n: int, numbers: Float64s) -> tuple[Float64s, Float64s]:
-        """Return a picture's values at the points that it sees (k, 3), and their derivatives."""
+        """Return a picture's values at the points that it sees (k, 3), and their derivatives by numbers."""
+        picture, camera, (gains, falloff) = self.pictures[n], self.cameras[n], self.lights[n]
         points = self.points[self.weights[n] > 0]
-        picture, camera, scale = self.pictures[n], self.cameras[n], self.scales[n]
-        return _seen(picture, self.level, camera, points, scale, numbers, *self.lights[n])
+        level = min(self.level, len(picture.sizes) - 1)
+        size = picture.sizes[level, 1:] / [camera.width, camera.height]
+        pixels, _ = adjusted(camera, self.scales[n], numbers).project(points)
+        read = np.empty((len(points), 9))
+        _read(picture.pixels, picture.sizes[level], falloff, pixels * size, read)
+        read *= np.tile(np.sqrt(gains), 3)
+        slopes = np.empty((len(points), 3, NUMBERS))
+        for number in range(NUMBERS):
+            step = numbers.copy()
+            step[number] += _TRIAL
+            there, _ = adjusted(camera, self.scales[n], step).project(points)
+            shift = (there - pixels) * size / _TRIAL
+            slopes[..., number] = read[:, 3:6] * shift[:, :1] + read[:, 6:] * shift[:, 1:]
+        return read[:, :3], slopes
 
     def seen(self, numbers: Float64s) -> tuple[Float64s, Float64s]:
         """Return the pictures' values (pictures, n · 3), and their derivatives by the cameras' numbers."""
@@ -345,33 +348,6 @@ class Observations(NamedTuple):
         for n, sees in enumerate(self.weights > 0):
             values[n, sees], slopes[n, sees] = self.seen_by(n, numbers[n])
         return values.reshape(len(values), -1), np.nan_to_num(slopes).reshape(len(slopes), -1, NUMBERS)
-
-
-def _seen(
-    picture: Mips,
-    level: int,
-    camera: Camera,
-    points: Float64s,
-    scale: float,
-    numbers: Float64s,
-    gains: Float32s,
-    falloff: Float64s,
-) -> tuple[Float64s, Float64s]:
-    """Return a picture's values at points (n, 3), and their derivatives by the camera's numbers."""
-    level = min(level, len(picture.sizes) - 1)
-    size = picture.sizes[level, 1:] / [camera.width, camera.height]
-    pixels, _ = adjusted(camera, scale, numbers).project(points)
-    read = np.empty((len(points), 9))
-    _read(picture.pixels, picture.sizes[level], falloff, pixels * size, read)
-    read *= np.tile(np.sqrt(gains), 3)
-    slopes = np.empty((len(points), 3, NUMBERS))
-    for number in range(NUMBERS):
-        step = numbers.copy()
-        step[number] += _TRIAL
-        there, _ = adjusted(camera, scale, step).project(points)
-        shift = (there - pixels) * size / _TRIAL
-        slopes[..., number] = read[:, 3:6] * shift[:, :1] + read[:, 6:] * shift[:, 1:]
-    return read[:, :3], slopes
 
 
 @kernel

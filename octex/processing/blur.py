@@ -10,11 +10,11 @@ from octex.arrays import Float32s, Float64s, Uint8s
 from octex.channels import ALPHA, decode, encode
 from octex.checks import as_number
 from octex.editing.averages import average_plain, coverage, weighted_means
+from octex.editing.nodes import all_leaves
 from octex.parallel import Run, as_run
 from octex.processing.edit import Centres, names_of, noted, with_values
 from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import AREAS
-from octex.tree.children import node_cells
 from octex.tree.layout import FACING_FLAGS
 from octex.tree.split import Rows, rows_of
 
@@ -47,8 +47,7 @@ def blur(
     tree = texture.tree
     arrays = {name: [array.copy() for array in texture.channels[name][1:]] for name in names}
     made = {name: Channel(texture.channels[name].format, *stored) for name, stored in arrays.items()}
-    is_leaf = np.ones(tree.n_cells, np.bool_)
-    is_leaf[node_cells(tree.arrays)] = False
+    is_leaf = all_leaves(tree)
     rows = rows_of(tree.split)
     rows = rows.of(is_leaf[rows.cells])
     is_leaf[rows.cells] = False

@@ -43,7 +43,8 @@ def test_points_are_compared_at_the_coarsest_level_too():
     samples = surface.scatter(500)
     with workers(Run(threads=1)) as executor:
         mips = [mips_of(octex.Projection(*each), BASE_COLOR) for each in zip(images, cameras, strict=True)]
-        source = refine._source(PaintedSurface(surface), cameras, mips, executor)
+        rim = refine._RIM * 2 ** max(refine._LEVELS)
+        source = PaintedSurface(surface).comparable(cameras, mips, rim, executor)
     counts = []
     for level in (0, max(refine._LEVELS)):
         rim = refine._RIM * 2**level
