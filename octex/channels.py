@@ -185,16 +185,11 @@ def _unit(value: float) -> float:
     return positive if positive < 1.0 else 1.0
 
 
-@inlined
-def unit_code(value: float, scale: float, shift: float, one: float) -> np.int32:
-    """Return value · scale + shift, clamped to 0 … 1, as an integer of which ``one`` stands for 1."""
-    return np.int32(np.rint(_unit(value * scale + shift) * one))
-
-
 @kernel
 def _encode_unit(values: Float64s, scale: float, shift: float, one: float, codes: ChannelCodes) -> None:
+    """Write value · scale + shift, clamped to 0 … 1, as integers of which ``one`` stands for 1."""
     for i in range(values.size):
-        codes[i] = unit_code(values[i], scale, shift, one)
+        codes[i] = np.int32(np.rint(_unit(values[i] * scale + shift) * one))
 
 
 @kernel
@@ -224,15 +219,10 @@ def srgb_encoder(dtype: str) -> tuple[ChannelCodes, Float64s]:
 _SRGB_BINS = {"uint8": 1 << 12, "uint16": 1 << 20}
 
 
-@inlined
-def srgb_code(value: float, guesses: ChannelCodes, thresholds: Float64s) -> int:
-    """Return linear light as an sRGB code; the arrays are those of `srgb_encoder`."""
-    light = _unit(value)
-    guess = np.uint64(guesses[np.uint64(np.int64(light * (guesses.size - 1)))])
-    return int(np.int64(guess) + (light >= thresholds[guess]))
-
-
 @kernel
 def _encode_srgb(values: Float64s, guesses: ChannelCodes, thresholds: Float64s, codes: ChannelCodes) -> None:
+    """Write linear light as sRGB codes; ``guesses`` and ``thresholds`` are those of `srgb_encoder`."""
     for i in range(values.size):
-        codes[i] = srgb_code(values[i], guesses, thresholds)
+        light = _unit(values[i])
+        guess = np.uint64(guesses[np.uint64(np.int64(light * (guesses.size - 1)))])
+        codes[i] = np.int64(guess) + (light >= thresholds[guess])

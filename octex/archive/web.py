@@ -23,7 +23,7 @@ from octex.errors import ModelError
 from octex.files import OCTREE_EXTENSION, open_file
 from octex.gltf import Document
 from octex.tree.areas import AREAS, area_codes, shared_codes
-from octex.tree.children import groups_of
+from octex.tree.children import groups_of, octants_of
 from octex.tree.layout import FACING_FLAGS, KEPT, MAX_CELLS, MAX_DEPTH, SPLIT
 
 VERSION = 1
@@ -133,9 +133,9 @@ class _Tree:
             rows = slice(*level_nodes[level - 1 : level + 1].tolist())
             count = rows.stop - rows.start
             nodes, leaves = self.masks[:, rows] = stream.take(2 * count).reshape(2, count)
-            is_there = _bits(nodes | leaves)
-            is_node = _bits(nodes)[is_there]
-            parents = np.repeat(self.above, bit_counts(nodes | leaves))
+            owners, octants = octants_of(nodes | leaves)
+            is_node = nodes[owners] >> octants & np.uint8(1) != 0
+            parents = self.above[owners]
         if parents.size != end - first or is_node.sum() != np.diff(level_nodes)[level]:
             raise stream.damaged()
         above = parents[is_node]
@@ -176,11 +176,6 @@ class _Tree:
         for name, values in self.values.items():
             rows = stream.take(values.shape[1] * owners.size).reshape(values.shape[1], -1).T
             self.row_values[name] = np.ascontiguousarray(rows + values[owners])
-
-
-def _bits(masks: Uint8s) -> Bools:
-    """Return the bits (n, 8) of masks (n,), the lowest first."""
-    return np.unpackbits(masks[:, None], axis=1, bitorder="little").view(np.bool_)
 
 
 def apart(values: Uint8s) -> Uint8s:

@@ -15,7 +15,7 @@ from octex.conversion.levels import CellLevels, assemble, climb
 from octex.editing.averages import average, with_summed_areas
 from octex.editing.nodes import all_nodes
 from octex.errors import ArgumentError, ModelError
-from octex.nearest.boxes import order_of, rows_in
+from octex.nearest.boxes import order_of
 from octex.parallel import Progress
 from octex.source.cloud import PointCloud
 from octex.source.voxels import Values, Voxels
@@ -111,7 +111,7 @@ def _leaves(cloud: PointCloud, placement: Placement, depth: int, names: Sequence
     starts = np.flatnonzero(np.diff(codes, prepend=-1))
     counts = np.diff(starts, append=codes.size)
     areas = np.repeat(1.0 / counts, counts)
-    rows = rows_in(order, cloud.colors).astype(np.float64)
+    rows = cloud.colors.take(order, axis=0).astype(np.float64)
     if ALPHA.name in names:
         rows[:, 3] *= areas
         rows[:, :3] *= rows[:, 3:]

@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s, Uint32s, bit_counts, in_runs
-from octex.jit import kernel
+from octex.arrays import Array, Bools, Int64s, Uint32s, bit_counts, in_runs
 from octex.texture import Channel, OctreeTexture
 from octex.tree.children import children_before, groups_of, masks_of
 from octex.tree.edit import Edited, among
@@ -91,7 +90,11 @@ def joined_runs(
     masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
     for word, mask in enumerate(masks):
         mask[:n_nodes] = above.of([masks_of(each.tree.arrays.groups, word) for each in textures])
-    _turn(masks, turned)
+    # The children of the first nodes are the first cells, from cell 1 on.
+    last = int(level_nodes[max(np.searchsorted(level_cells, turned.size) - 1, 0)])
+    bits = np.unpackbits(masks[0, :last] | masks[1, :last], bitorder="little").view(np.bool_)
+    bits[bits] = turned[1:]
+    masks[:, :last] ^= np.packbits(bits, bitorder="little")
     trees = [each.tree for each in textures]
     flags = every.of([tree.arrays.flags for tree in trees])
     areas = every.of([tree.arrays.areas for tree in trees])
@@ -115,23 +118,6 @@ def joined_runs(
             kept_runs.of([each.kept_values for each in stored]),
         )
     return like.with_cells(tree, channels)
-
-
-@kernel
-def _turn(masks: Uint8s, turned: Bools) -> None:
-    """Turn those of the first cells that are ``turned`` from nodes to leaves, or from leaves to nodes."""
-    cell = 1
-    for node in range(masks.shape[1]):
-        if cell >= turned.size:
-            break
-        children = masks[0, node] | masks[1, node]
-        for octant in range(8):
-            bit = np.uint8(1 << octant)
-            if children & bit:
-                if cell < turned.size and turned[cell]:
-                    masks[0, node] ^= bit
-                    masks[1, node] ^= bit
-                cell += 1
 
 
 def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Runs]:

@@ -231,16 +231,16 @@ def _refine_block(rows: Float32s, source: int, stride: int, side: int, target: i
     below = 2 * side - 2
     for line in range(side * side):
         at = source + stride * (line % side + stride * (line // side))
-        refine_rows(rows, 4 * at, 4, 4, 4 * (_AT_WIDE + below * line), 4, 8, side - 1)
+        refine_rows(rows, 4 * at, 4, 4 * (_AT_WIDE + below * line), 4, 8, side - 1)
     width = 4 * below
     for z in range(side):
         for y in range(side - 1):
             at, to = 4 * _AT_WIDE + width * (y + side * z), 4 * _AT_FLAT + width * (2 * y + below * z)
-            refine_rows(rows, at, width, 4, to, width, 4, below)
+            refine_rows(rows, at, width, to, width, 4, below)
     width *= below
     for z in range(side - 1):
         at, to = 4 * _AT_FLAT + width * z, 4 * target + 2 * width * z
-        refine_rows(rows, at, width, 4, to, width, 4, below * below)
+        refine_rows(rows, at, width, to, width, 4, below * below)
 
 
 @inlined

@@ -25,7 +25,6 @@ from octex.jit.decorators import step as step
 from octex.jit.decorators import summing_kernel as summing_kernel
 from octex.jit.decorators import unlocked as unlocked
 from octex.jit.instructions import decoded as decoded
-from octex.jit.instructions import low_bits as low_bits
 from octex.jit.instructions import popcount as popcount
 from octex.jit.instructions import prefetch as prefetch
 from octex.jit.instructions import trailing_zeros as trailing_zeros

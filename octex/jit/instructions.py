@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from octex.jit.decorators import DISABLED, Function, kernel
+from octex.jit.decorators import DISABLED, Function
 
 
 def instruction(kind: Callable[..., Any], write: Callable[..., Any]) -> Callable[[Function], Function]:
@@ -92,9 +92,3 @@ def _write_decoded(context: Any, builder: Any, signature: Any, values: Any) -> A
 def decoded(table: Any, code: Any) -> Any:
     """Return the entry of ``table`` for an unsigned code; a float32 number unchanged."""
     return code if isinstance(code, np.floating) else table[code]
-
-
-@kernel
-def low_bits(count: int) -> np.uint64:
-    """Return a mask of the lowest ``count`` bits, 0 ≤ count ≤ 63."""
-    return (np.uint64(1) << np.uint64(count)) - np.uint64(1)

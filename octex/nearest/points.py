@@ -21,7 +21,6 @@ from octex.nearest.boxes import (
     new_search,
     next_node,
     reach,
-    rows_in,
 )
 
 _MOST_POINTS = 0.95
@@ -40,11 +39,11 @@ class Points(NamedTuple):
     def of(cls, positions: Float64s, values: Float32s, normals: Float32s | None = None) -> Points:
         """Build from positions (n, 3), n > 0, values (n, components) and unit normals (n, 3)."""
         order = morton_order(positions)
-        placed = rows_in(order, positions)
+        placed = positions.take(order, axis=0)
         starts = np.arange(0, len(placed), WIDTH)
         low, high = np.minimum.reduceat(placed, starts), np.maximum.reduceat(placed, starts)
-        facing = np.empty((0, 3), np.float32) if normals is None else rows_in(order, normals)
-        return cls(boxes_of(low, high), placed, rows_in(order, values), facing, order)
+        facing = np.empty((0, 3), np.float32) if normals is None else normals.take(order, axis=0)
+        return cls(boxes_of(low, high), placed, values.take(order, axis=0), facing, order)
 
     def around(
         self,
@@ -120,7 +119,7 @@ def _around(
             sums[:] = 0.0
             waiting = begin(boxes, search)
             while waiting > 0:
-                node, near, waiting = next_node(boxes, search, waiting, 0, at, bound)
+                node, near, waiting = next_node(boxes, search, waiting, at, bound)
                 while near != np.uint64(0):
                     group = node * 8 + trailing_zeros(near)
                     near &= near - np.uint64(1)
@@ -152,7 +151,7 @@ def _nearest(cloud: Points, search: Search, sought: Sought, farthest: float, gue
     bound = reach(best, slack)
     waiting = begin(boxes, search)
     while waiting > 0:
-        node, near, waiting = next_node(boxes, search, waiting, 0, sought.local, bound)
+        node, near, waiting = next_node(boxes, search, waiting, sought.local, bound)
         while near != np.uint64(0):
             child = trailing_zeros(near)
             near &= near - np.uint64(1)

@@ -147,7 +147,7 @@ def _best(mesh: Triangles, search: Search, sought: Sought, distance: float, gues
     bound = reach(best[0], slack)
     waiting = begin(mesh.boxes, search)
     while waiting > 0:
-        node, near, waiting = next_node(mesh.boxes, search, waiting, 0, sought.local, bound)
+        node, near, waiting = next_node(mesh.boxes, search, waiting, sought.local, bound)
         while near != np.uint64(0):
             child = trailing_zeros(near)
             near &= near - np.uint64(1)
@@ -221,7 +221,7 @@ def _gap(few: Float64s, many: MeshBoxes, most: float, stride: int) -> float:
         bound = reach(best, at[3] + radius)
         waiting = begin(many.boxes, search)
         while waiting > 0:
-            node, near, waiting = next_node(many.boxes, search, waiting, 0, at, bound)
+            node, near, waiting = next_node(many.boxes, search, waiting, at, bound)
             while near != np.uint64(0):
                 j = node * 8 + trailing_zeros(near)
                 near &= near - np.uint64(1)

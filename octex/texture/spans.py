@@ -17,7 +17,7 @@ from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.parallel import Run
 from octex.texture.lookup import Request, each_block
 from octex.tree.beside import with_boundary
-from octex.tree.children import children_before
+from octex.tree.children import children_before, octants_of
 from octex.tree.layout import SplitTable
 from octex.tree.octree import Octree, count_before, distinct
 from octex.tree.split import counts_of, rows_of
@@ -135,7 +135,7 @@ def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, In
     """Return the child nodes of nodes: the index of each parent, their Morton codes, and their numbers."""
     groups = tree.arrays.groups
     masks = (groups[nodes >> 3, 0] >> (8 * (nodes & 7)).astype(np.uint64)).astype(np.uint8)
-    parents, octants = np.nonzero(np.unpackbits(masks[:, None], axis=1, bitorder="little"))
+    parents, octants = octants_of(masks)
     counts = bit_counts(masks).astype(np.int64)
     firsts = children_before(groups, nodes)[1] - (np.cumsum(counts) - counts)
     numbers = np.minimum(firsts[parents] + np.arange(parents.size), tree.n_nodes - 1)

@@ -41,6 +41,12 @@ def masks_of(groups: Uint64s, word: int) -> Uint8s:
     return np.ascontiguousarray(groups[:, word]).astype("<u8", copy=False).view(np.uint8)
 
 
+def octants_of(masks: Uint8s) -> tuple[Int64s, Uint8s]:
+    """Return the children (m,) that masks (n,) tell of: the index of each one's mask, and its octant."""
+    places = np.flatnonzero(np.unpackbits(masks, bitorder="little").view(np.bool_))
+    return places >> 3, (places & 7).astype(np.uint8)
+
+
 def groups_of(masks: Uint8s) -> Uint64s:
     """Return the groups for masks of nodes (2, a multiple of 8), as `masks_of` returns them."""
     groups = np.zeros((masks.shape[1] // 8, 3), np.uint64)

@@ -19,7 +19,7 @@ from octex.arrays import Array, Bools, Int64s, Uint8s
 from octex.editing.draft import Change, places_in
 from octex.formats.streams import planes
 from octex.texture import OctreeTexture
-from octex.tree.children import masks_of, node_cells
+from octex.tree.children import masks_of, node_cells, octants_of
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.split import rows_of
@@ -157,9 +157,9 @@ def _packed(
     masks, areas = _nodes_data(texture.tree)
     if is_closed is not None:
         nodes, closed = node_cells(texture.tree.arrays), np.flatnonzero(is_closed)
-        stored = np.unpackbits(np.bitwise_or.reduce(masks[nodes], axis=1)[:, None], axis=1, bitorder="little")
-        parents, octants = (each[closed - 1] for each in np.nonzero(stored))  # of all cells but the root
-        np.bitwise_xor.at(masks, nodes[parents], np.uint8(1) << octants.astype(np.uint8)[:, None])
+        stored = octants_of(np.bitwise_or.reduce(masks[nodes], axis=1))
+        parents, octants = (each[closed - 1] for each in stored)  # of all cells but the root
+        np.bitwise_xor.at(masks, nodes[parents], np.uint8(1) << octants[:, None])
     channels = list(texture.channels.values())
     parts: list[Array] = [masks[new].T, areas[new], texture.tree.arrays.flags[new]]
     parts += [channel.values[new].T for channel in channels]

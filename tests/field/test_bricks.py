@@ -55,7 +55,7 @@ def test_many_points_of_any_type(dtype, monkeypatch):
 
 @kernel
 def refine_and_weigh(rows, weights, sums):
-    refine_rows(rows, 4, 8, 4, 40, 16, 8, 2)
+    refine_rows(rows, 4, 8, 40, 16, 8, 2)
     x, y, z = (weights[0], weights[1], weights[2]), (weights[3], weights[4], weights[5]), weights
     sums[0], sums[1], sums[2], sums[3] = weighted_cube(rows, 3, 4, x, y, (z[6], z[7], z[8]))
 

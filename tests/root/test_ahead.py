@@ -132,10 +132,10 @@ def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(tmp_
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
     listed = tmp_path / "list.txt"
     listed.write_text(
-        "# what\n[some]\noctex.jit.instructions:low_bits int64\noctex.jit.instructions:gone int64\n"
-        "octex.gone:low_bits int64\noctex.jit.instructions:low_bits int64, int64\n"
-        "octex.jit.instructions:low_bits gone\nnonsense\n\n[other]\n"
-        "octex.jit.instructions:low_bits int32\n"
+        "# what\n[some]\noctex.tree.normals:_facing_sum int64\noctex.tree.normals:gone int64\n"
+        "octex.gone:_facing_sum int64\noctex.tree.normals:_facing_sum int64, int64\n"
+        "octex.tree.normals:_facing_sum gone\nnonsense\n\n[other]\n"
+        "octex.tree.normals:_facing_sum int32\n"
     )
     code = f"from octex import ahead; ahead.LIST = ahead.Path({str(listed)!r}); ahead.main()"
     call = [sys.executable, "-c", code, "0", "1", "some"]
@@ -146,7 +146,7 @@ def test_a_helper_compiles_what_is_listed_and_passes_over_what_does_not_fit(tmp_
         assert helper.stdout is not None
         assert helper.stdout.read() == b""
     (kept,) = (tmp_path / "cache").rglob("*.nbc")
-    assert kept.name.startswith("instructions.low_bits-")
+    assert kept.name.startswith("normals._facing_sum-")
 
 
 @needs_jit

@@ -23,6 +23,7 @@ from octex.channels import decode, encode, linear_to_srgb, srgb_to_linear
 from octex.errors import ArgumentError, ExitCode
 from octex.jit import cache
 from octex.parallel import Run
+from octex.tree import normals
 from octex.tree.layout import MAX_DEPTH
 from tests.conftest import needs_jit
 
@@ -242,20 +243,15 @@ def _bit_counts(bits):
     return jit.popcount(bits), jit.trailing_zeros(bits)
 
 
-@pytest.mark.parametrize("count", [0, 1, 31, 63])
-def test_low_bits_is_a_mask(count):
-    assert int(jit.low_bits(count)) == (1 << count) - 1
-
-
 @needs_jit
 def test_code_whose_types_are_gone_is_compiled_anew(tmp_path):
-    call = [sys.executable, "-c", "from octex import jit; print(jit.low_bits(3))"]
+    call = [sys.executable, "-c", "from octex.tree import normals; print(normals._facing_sum(33))"]
     options = {"env": os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}, "capture_output": True}
-    assert subprocess.run(call, **options, check=True).stdout == b"7\n"
-    (kept,) = tmp_path.rglob("*instructions.low_bits-*.nbc")
+    assert subprocess.run(call, **options, check=True).stdout == b"(1.0, 0.0, -1.0)\n"
+    (kept,) = tmp_path.rglob("*normals._facing_sum-*.nbc")
     gone = kept.read_bytes()[:32] + b"coctex.a_module_that_was\nIts_type\n."
     kept.write_bytes(gone)
-    assert subprocess.run(call, **options, check=True).stdout == b"7\n"
+    assert subprocess.run(call, **options, check=True).stdout == b"(1.0, 0.0, -1.0)\n"
     assert kept.read_bytes() != gone
 
 
@@ -466,10 +462,10 @@ def test_exit_codes_are_the_shells_and_say_what_they_mean():
 @needs_jit
 def test_compiled_code_on_disk_is_of_this_state_of_all_that_it_is_compiled_from():
     # numba alone looks at the kernel's own file, and keeps callers of a function that has changed elsewhere.
-    folder = Path(jit.low_bits.compiled.stats.cache_path).parent
-    assert folder == cache._folder_of("octex.jit.instructions")
+    folder = Path(normals._facing_sum.compiled.stats.cache_path).parent
+    assert folder == cache._folder_of("octex.tree.normals")
     others = {cache.digest_behind(f"octex.{name}") for name in ("channels", "checks")}
-    assert cache.digest_behind("octex.jit.instructions") not in others
+    assert cache.digest_behind("octex.tree.normals") not in others
 
 
 @needs_jit
