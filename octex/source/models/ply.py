@@ -167,6 +167,8 @@ class Ply:
         positions, vertex = self._positions(), self._numbers("vertex")
         if not len(positions):
             raise ModelError(f"{self.name} has no points; export the model again")
+        if "tristrips" in self.data:
+            raise ModelError(f"{self.name} has triangle strips, which octex does not read; export triangles")
         colors = _element_colors(vertex)
         if colors is None:
             raise ModelError(f"{self.name} has points without colours; export them with red, green and blue")
