@@ -169,8 +169,19 @@ class RemoteFile:
     def _failed(self, error: Exception) -> TextureFileError:
         what = str(error) or type(error).__name__
         if isinstance(error, FileNotFoundError):
-            what = f"there is no such file, or nobody answers ({what})"
+            what = _why_not_found(error, self.address)
         return TextureFileError(f"{self.address}: cannot be read: {what}")
+
+
+def _why_not_found(error: FileNotFoundError, address: str) -> str:
+    """Return the reason of an error; of HTTP, fsspec raises it for silent servers and refusals too."""
+    cause = error.__cause__ if address.startswith("http") else None
+    status = getattr(cause, "status", None)
+    if status is not None and status not in (404, 410):
+        return f"its server answers {status} {getattr(cause, 'message', '')}".rstrip()
+    if status is None and cause is not None and not isinstance(cause, FileNotFoundError):
+        return f"its server does not answer: {str(cause) or type(cause).__name__}"
+    return f"there is no such file ({error})"
 
 
 def _made(cache: Path | None, address: str, stamp: tuple[str, ...], size: int) -> tuple[BinaryIO, Uint8s]:

@@ -44,6 +44,8 @@ def _frames(path: Path, chunk: Element) -> list[Frame]:
         name = camera.get("label")
         if camera.find("transform") is None or name is None:
             continue  # not aligned
+        if camera.get("enabled") in ("false", "0"):
+            continue  # Metashape does not texture with it either
         with within(f"frame {name!r}"):
             sensor = sensors.get(camera.get("sensor_id"))
             if sensor is None:

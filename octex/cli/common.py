@@ -136,12 +136,15 @@ def _write(stdout: TextIO | None, text: str) -> None:
             raise OutputError(f"standard output cannot be written: {error.strerror or error}") from error
 
 
+def answer(options: SimpleNamespace, made: Mapping[str, Any], lines: Iterable[str]) -> None:
+    """Print what the command was asked for: with --json as a JSON object, else as lines."""
+    say(json.dumps(made) if options.json else "\n".join(lines))
+
+
 def tell(options: SimpleNamespace, made: Mapping[str, Any], *lines: str) -> None:
-    """Print results: with --json as a JSON object, with --quiet nothing, else as lines."""
-    if options.json:
-        say(json.dumps(made))
-    elif not options.quiet:
-        say("\n".join(lines))
+    """Print what was done: with --json as a JSON object, with --quiet nothing, else as lines."""
+    if options.json or not options.quiet:
+        answer(options, made, lines)
 
 
 def tell_file(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import SECTIONS, ahead, compile_listed
-from octex.cli.common import Reporter, say, tell
+from octex.cli.common import Reporter, answer, say, tell
 from octex.cli.convert import INDEX, overlaps_as_json
 from octex.cli.inputs import check_model, check_texture, is_texture, open_texture, read_model, refuse
 from octex.cli.parser import Options
@@ -29,7 +29,7 @@ def info(options: Options, _program: str) -> int:
     """Run octex info."""
     information = _opened(options.TEXTURE).info()
     lines = _set_text if "parts" in information else _texture_text
-    say(json.dumps(information) if options.json else "\n".join(lines(information)))
+    answer(options, information, lines(information))
     return ExitCode.DONE
 
 
@@ -61,7 +61,8 @@ def overlaps(options: Options, program: str) -> int:
             surface = octex.load_surface(path, options.rest, channels=["alpha"], sources={"alpha": 1.0})
         with progress.stage("compare"):
             pairs = surface.overlapping_parts(options.margin)
-    tell(options, {"model": str(path), "margin": pairs.margin, **overlaps_as_json(pairs)}, f"{path}: {pairs}")
+    facts = {"model": str(path), "margin": pairs.margin, **overlaps_as_json(pairs)}
+    answer(options, facts, [f"{path}: {pairs}"])
     return ExitCode.DONE
 
 
@@ -95,7 +96,7 @@ def diff(options: Options, program: str) -> int:
         "areas": dict(zip("ab", differences.areas, strict=True)),
         "uncovered": dict(zip("ab", differences.uncovered, strict=True)),
     }
-    tell(options, facts, *_readable(paths, (texture, other), differences))
+    answer(options, facts, _readable(paths, (texture, other), differences))
     return ExitCode.DONE
 
 

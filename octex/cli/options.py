@@ -111,7 +111,7 @@ _TABLE = """
 --points N            number of points at which a model is compared (default 1,000,000)
 --force               overwrite existing files
 --threads N           number of threads (default: all processors)
---quiet               print only errors, and the result of --json
+--quiet               print only errors, and the results of diff, overlaps and --json
 --json                print the result as one JSON object
 """
 #: Parsers of option values; options in no row are flags.

@@ -61,7 +61,9 @@ def draw_difference(
     supersample: int = 3,
     view: Viewpoint = USUAL,
 ) -> Uint8s:
-    """Draw a, b and their difference side by side, one row a channel, as sRGB codes (height, width, 3).
+    """Draw both and their difference side by side, one row a channel, as sRGB codes (height, width, 3).
+
+    A model is the first panel, as in previews; of two textures, a is.
 
     differences    the result of ``octex.difference``
     names          captions of a and b
@@ -92,6 +94,8 @@ def draw_difference(
             captioned(picture, name, caption(side, channel), room)
             for picture, name, side in zip(pictures, names, whole, strict=True)
         ]
+        if isinstance(whole[1], Surface):
+            panels.reverse()
         panels.append(_difference_panel(film, ring, channel, result.angle or result, room))
         rows.append(np.hstack([np.asarray(panel) for panel in panels]))
     return np.vstack(rows)

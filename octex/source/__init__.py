@@ -11,6 +11,7 @@ overrides   channels of one's own: functions, images, numbers; mapped: images la
 transfer    another model's nearest surface; cloud: coloured points
 voxels      values in cells of a grid, a texture by themselves
 surface     triangles with a source
+misplaced   surfaces that are not the texture's
 implicit    where a function is zero, as triangles
 subdivided  limit surfaces of cages; subdivision: their rules
 parts       what hangs together, what intersects or nearly touches, and these moved apart at rest

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,7 @@ import PIL.Image
 from octex.arrays import Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_entries, as_items, as_names, as_number, as_reals, as_text
-from octex.errors import ArgumentError, ModelWarning
+from octex.errors import ArgumentError
 from octex.source.base import Combined, Joined, Picked, Source, by_channel
 from octex.source.colors import linear_colors
 from octex.source.corners import Corners, Creases, Frames, Polygons, frames_of, unit
@@ -24,6 +23,7 @@ from octex.source.images.pyramid import as_wraps
 from octex.source.implicit import ImplicitFunction, level_set
 from octex.source.materials import ALPHA_MODES, AlphaMode, Input, Material, MaterialSource, Texture
 from octex.source.mesh import FARTHEST, Mesh, SurfaceSamples, as_positions, as_triangles
+from octex.source.misplaced import check_place
 from octex.source.overrides import override_source
 from octex.source.parts import SEPARATION, Overlaps, separated_rest, separation_of
 
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
 
 #: The entry of provenance that counts the triangles left out because their vertices are not finite.
 NOT_FINITE = "not_finite"
-#: The level at which a surface and a texture are tested for shared points.
-_COARSE = 6
 
 
 class Surface(Mesh):
@@ -353,18 +351,12 @@ class Surface(Mesh):
         return self._separated(separation)
 
     def placed_on(self, texture: OctreeTexture) -> Surface:
-        """Return the surface ``placed_in`` a texture, or raise ArgumentError if they share no point.
+        """Return the surface ``placed_in`` a texture, or raise ArgumentError if it is not the texture's.
 
         Warns with ModelWarning if less than half of the surface lies in the texture.
         """
         placed = self.placed_in(texture)
-        coarse = texture.level(_COARSE)  # of a remote texture little is read
-        share = coarse.contains(placed.scatter(10_000, seed=0).rest).mean()
-        if share == 0:
-            raise ArgumentError(f"{self.name} has no point in the texture; is it of another model?")
-        if share < 0.5:
-            outside = f"{1 - share:.0%} of {self.name} lies outside of the texture"
-            warnings.warn(f"{outside}; is it of another model?", ModelWarning, stacklevel=3)
+        check_place(placed, texture)
         return placed
 
     def rest_positions(self, texture: OctreeTexture) -> Float64s:

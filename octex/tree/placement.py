@@ -6,6 +6,7 @@ that the faces of a box do not lie on cell planes, where rounding decides which 
 
 from __future__ import annotations
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -13,12 +14,14 @@ import numpy.typing as npt
 
 from octex.arrays import Float64s, Int32s
 from octex.checks import as_depth, as_points, as_positive, as_real, as_reals
-from octex.errors import ArgumentError
+from octex.errors import ArgumentError, ModelWarning
 from octex.tree.layout import GRID_BITS, MAX_DEPTH
 
 #: The least and the largest edge of a root cell, and how far from 0 its corner may be: slopes by position,
 #: footprints and the squares of distances then stay inside the range of single precision.
 SMALLEST, LARGEST = 1e-15, 1e30
+#: Cells along the longest side at depth 10, the default of conversions.
+_USUAL = 1021
 
 
 class Placement(NamedTuple):
@@ -53,10 +56,17 @@ class Placement(NamedTuple):
     def with_cell(cls, bounds: npt.ArrayLike, cell: float) -> tuple[Placement, int]:
         """Fit a root cell around ``bounds`` (2, 3) whose finest cells have the edge ``cell``, and the depth.
 
-        Raises ArgumentError if that takes more than 21 levels.
+        Raises ArgumentError if that takes more than 21 levels; warns if the model is smaller than one.
         """
         bounds, extent = _checked(bounds)
         cell = as_positive(cell, "cell")
+        if 0 < extent < cell:
+            warnings.warn(
+                f"cell {cell:g} is larger than the model, whose longest side is {extent:.4g}; the default "
+                f"depth has cells of {extent / _USUAL:.2g}",
+                ModelWarning,
+                stacklevel=4,
+            )
         for depth in range(2, MAX_DEPTH + 1):
             if ((1 << depth) - 3) * cell >= extent:
                 return cls._centred(bounds, (1 << depth) * cell, depth), depth

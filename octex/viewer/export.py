@@ -47,8 +47,8 @@ WEB_ENDING = ".octw"
 _SMALLEST = 9
 #: The share of a page's size for animations, and for images, before base64.
 _SHARE = 0.25 * 3 / 4
-#: Images are included if the page without levels, times this, fits.
-_ROOMY = 1.2
+#: Where nothing more can be left out, the error names the page's size times this, which rounding needs.
+_ROOMY = 1.02
 
 
 def page_text(name: str) -> str:
@@ -70,9 +70,10 @@ def write_page(
 
     A ``path`` that ends in .octw gets a web file instead, for three.js: without motion and source images.
     ``motion`` animates the surface. ``max_size``, in bytes, leaves out the finest levels until the file fits;
-    animations take at most a quarter of it, and source images too. Returns notes on what the page shows
-    differently from the textures. Raises ArgumentError if it does not fit without any level, for a surface
-    that is not the textures', and for sets of more than 255 parts; OutputError if the file cannot be written.
+    animations take at most a quarter of it, and source images too. If it does not fit without any level, it
+    gets no images, and then no animations. Returns notes on how the page differs from the textures.
+    Raises ArgumentError if it does not fit then either, for a surface that is not the textures', and for sets
+    of more than 255 parts; OutputError if the file cannot be written.
     """
     parts = parts_of(textures, surface)
     level = deepest = max(part.texture.tree.max_depth for part in parts)
@@ -83,6 +84,7 @@ def write_page(
         maps = maps_of(surface, small=True, room=room)
     motion = motion if is_page else None
     progress("pack", 0, 1)
+    left_out: list[str] = []
     while True:
         cut = [
             part._replace(texture=part.texture.level(min(level, part.texture.tree.max_depth)))
@@ -92,6 +94,7 @@ def write_page(
         if level < deepest:
             note = f"depth {level} of {deepest}, to fit {max_size:,} bytes"
             packed.header["parts"][0]["notes"].insert(0, note)
+        packed.header["parts"][0]["notes"] += left_out
         if is_page:
             page = _inlined(packed).encode()
         else:
@@ -100,7 +103,14 @@ def write_page(
         if max_size is None or len(page) <= max_size:
             break
         level = _level_within(packed, len(page) - max_size)
-        if level < 0:
+        if level >= 0:
+            continue
+        level = deepest
+        if maps is not None:
+            maps, left_out = None, ["source: no images, for the page to fit"]
+        elif motion is not None and room:
+            room = 0
+        else:
             raise ArgumentError(
                 f"the page takes {bytes_text(len(page))} even without any level; allow "
                 f"{bytes_text(int(_ROOMY * len(page)))}"

@@ -1,6 +1,7 @@
 """Baking: texels against counting, gutters against unfolding by hand, maps against the field."""
 
 import json
+import re
 from functools import cache
 
 import numpy as np
@@ -393,14 +394,43 @@ def test_the_texture_of_another_model_is_refused(bake):
     surface = whole()
     texture = octex.convert(surface, 3)
     other = Surface.from_arrays(surface.vertices + 10.0, surface.triangles)
-    with pytest.raises(ArgumentError, match="has no point in the texture; is it of another model"):
+    with pytest.raises(ArgumentError, match=r"has no point in the texture; it lies at \(10, 10, 10\) from"):
         bake(texture, other)
     if bake is octex.bake:
         with pytest.raises(ArgumentError, match="has no point in the texture"):
             bake(texture, surface, source=other)
-    shifted = Surface.from_arrays(surface.vertices + np.array([0.7, 0, 0]), surface.triangles, name="b")
-    with pytest.warns(ModelWarning, match=r"\d+% of b lies outside of the texture; is it of another model"):
-        bake(texture, shifted)
+    for away, stops in ((0.5, pytest.warns(ModelWarning)), (0.7, pytest.raises(ArgumentError))):
+        shifted = Surface.from_arrays(surface.vertices + np.array([away, 0, 0]), surface.triangles, name="b")
+        with stops as found:
+            bake(texture, shifted)
+        text = str(found.value if away == 0.7 else found[0].message)
+        where = f"; it lies at ({away:g}, 0, 0) from the texture's model: move it back"
+        assert re.fullmatch(r"\d+% of b lies outside of the texture" + re.escape(where), text)
+
+
+def test_the_refusal_of_a_misplaced_surface_names_the_cause():
+    surface = moved(octex.load_surface("samples/droid.glb"), np.eye(3))
+    texture = octex.convert(surface, 6)
+    for turn, cause in (
+        (100 * np.eye(3), "it is 100 times as large as the texture's model: use the same units"),
+        (2.54 * np.eye(3), "it is 2.54 times as large as the texture's model: use the same units"),
+        (np.eye(3)[[0, 2, 1]], "its axes are not those of the texture's model: turn it"),
+        (np.diag([2.0, 1, 3]), "is it of another model?"),
+    ):
+        with pytest.raises(ArgumentError, match=re.escape(cause)):
+            moved(surface, turn).placed_on(texture)
+
+
+def test_the_texture_of_a_part_fits_the_whole_and_that_of_the_whole_a_part():
+    whole = octex.load_surface("samples/droid.glb")
+    part = Surface.from_arrays(whole.rest, whole.triangles[:1000])
+    with pytest.warns(ModelWarning, match="lies outside of the texture; is it of another model"):
+        whole.placed_on(octex.convert(part, 8))
+    part.placed_on(octex.convert(whole, 6, channels=["base_color"]))
+
+
+def moved(surface, matrix):
+    return Surface.from_arrays(surface.rest @ matrix, surface.triangles, name="b")
 
 
 def test_triangles_that_have_an_area_by_rounding_alone_are_baked():

@@ -393,6 +393,9 @@ def test_metashape_cameras_see_what_its_manual_says(tmp_path):
     pixels = np.stack([320 + cx + right * f + right * b1 + down * b2, 240 + cy + down * f], axis=1)
     for frame in frames:
         sees(frame.camera(), pixels)
+    for word in ("false", "0"):
+        path.write_text(metashape().replace('label="b"', f'label="b" enabled="{word}"'), encoding="utf-8")
+        assert [frame.name for frame in read_cameras(path)] == ["a.jpg"]
 
 
 def test_metashape_cameras_may_be_fisheyes(tmp_path):

@@ -53,6 +53,16 @@ def test_the_same_texture_twice_is_exact(folder, cli):
     assert (found["psnr"], found["rms"]) == (None, 0)
 
 
+def test_quiet_leaves_out_progress_but_not_the_numbers(folder, cli):
+    arguments = "diff", folder / "4.octex", folder / "3.octex"
+    loud = cli.result(*arguments)
+    cli.run(*arguments, "--quiet")
+    assert cli.said() == (loud, "")
+    cli.run("overlaps", folder / "box.glb", "--quiet")
+    text, errors = cli.said()
+    assert (str(folder / "box.glb") in text, errors) == (True, "")
+
+
 def test_a_texture_and_its_model_are_compared_at_points(folder, cli):
     model, texture = folder / "box.glb", folder / "4.octex"
     lines = cli.result("diff", texture, model, "--points", 5000).splitlines()

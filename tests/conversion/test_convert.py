@@ -9,7 +9,7 @@ import pytest
 import octex
 from octex.channels import BASE_COLOR, ChannelFormat, linear_to_srgb
 from octex.conversion import levels
-from octex.errors import ArgumentError, ModelError
+from octex.errors import ArgumentError, ModelError, ModelWarning
 from octex.source.surface import Surface
 from octex.tree.layout import AREA_ONE, AREA_STEPS, GRID_BITS, SPLIT
 from octex.tree.morton import decode_cells
@@ -107,6 +107,10 @@ def test_cell_sets_the_edge_of_the_leaves():
     texture = octex.convert(tetrahedron(), cell=0.1)
     assert texture.placement.size / 2**texture.tree.max_depth == pytest.approx(0.1, rel=1e-12)
     assert texture.tree.max_depth == 4
+    longest = (tetrahedron().bounds[1] - tetrahedron().bounds[0]).max()
+    with pytest.warns(ModelWarning, match=f"cell 5 is larger than the model, .* side is {longest:.4g}; the"):
+        assert octex.convert(tetrahedron(), cell=5).tree.n_leaves > 0
+    octex.convert(tetrahedron(), cell=longest)
 
 
 def test_lookups_on_the_surface_give_its_colours():

@@ -120,6 +120,18 @@ def test_what_only_one_has_is_blue_and_the_legend_says_so(surface):
     assert not (np.abs(apart - _ALONE).max(axis=2) < 12).any()
 
 
+def test_the_model_is_left_of_the_texture_whichever_is_given_first(surface, texture):
+    other = spotted(texture)
+    (left, right, _), _ = drawn(surface, other, channels=["base_color"])
+    found = difference(other, surface, points=1000, channels=["base_color"])
+    names = "texture", "model"
+    turned = draw_difference(other, surface, found, names, size=SIZE, supersample=1)
+    first, second, _ = np.split(turned.astype(np.int64)[:75], 3, axis=1)
+    assert np.abs(first - left[:75]).max() <= 2
+    assert np.abs(second - right[:75]).max() <= 2
+    assert np.abs(first - second).max() > 40
+
+
 def test_of_two_textures_the_finer_leaves_show_the_difference(surface):
     fine, coarse = spotted(octex.convert(surface, 5)), octex.convert(surface, 4)
     for a, b in ((fine, coarse), (coarse, fine)):

@@ -34,6 +34,7 @@ class Server(ThreadingHTTPServer):
     tag = '"1"'
     has_ranges = True
     is_broken = False
+    refusal: int | None = None
     sent = 0
     largest = 0
     requests = 0
@@ -61,6 +62,9 @@ class Handler(BaseHTTPRequestHandler):
         server.requests += 1
         if server.is_broken:
             self.close_connection = True
+            return
+        if server.refusal is not None:
+            self.send_error(server.refusal)
             return
         body, asked = server.content, re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers["Range"] or "")
         if asked and server.has_ranges:
@@ -358,8 +362,12 @@ def test_what_goes_wrong_on_the_way_names_the_address(server, large):
     server.is_broken = True
     with pytest.raises(TextureFileError, match=r"a\.octex: cannot be read: "):
         there.validate()
-    fails("cannot be read: there is no such file, or nobody answers")
+    fails("cannot be read: its server does not answer: Server disconnected")
     server.is_broken = False
+    for status, reason in ((404, "there is no such file"), (403, "its server answers 403 Forbidden")):
+        server.refusal = status
+        fails(f"cannot be read: {reason}")
+    server.refusal = None
     there.validate()
     there = octex.open(server.address)
     server.tag = '"2"'
@@ -380,6 +388,8 @@ def test_addresses_that_cannot_be_opened_are_refused(tmp_path, monkeypatch):
         octex.open("memory://octex/none")
     with pytest.raises(TextureFileError, match=r"^nothing://a: .*not known"):
         octex.open("nothing://a")
+    with pytest.raises(TextureFileError, match=r"its server does not answer: .*127\.0\.0\.1"):
+        octex.open("http://127.0.0.1:1/a.octex")
     with pytest.raises(ArgumentError, match="cache is for addresses"):
         octex.open(tmp_path / "a.octex", cache=tmp_path)
     monkeypatch.setitem(__import__("sys").modules, "fsspec.core", None)

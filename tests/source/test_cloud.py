@@ -214,6 +214,12 @@ def test_files_of_every_kind_hold_the_same_points(tmp_path):
         ("a.npz", b"nonsense", "is not an .npz file; save"),
         ("a.obj", b"", "not a point cloud that octex reads"),
         ("a.ply", _BARE, "without colours"),
+        ("a.ply", _BARE.replace(b"vertex 1", b"vertex 0").replace(b"0 1 2\n", b""), "has no points; export"),
+        (
+            "a.ply",
+            _BARE.replace(b"end_", b"element tristrips 1\nproperty list int int i\nend_") + b"2 0 -1\n",
+            "has triangle strips, which octex does not read; export triangles",
+        ),
         ("a.ply", _LISTED % (b"list int float x", b"uchar red"), "no vertices with x, y and z"),
         ("a.ply", _LISTED % (b"float x", b"list int uchar red"), "without colours"),
     ],

@@ -174,6 +174,23 @@ def test_images_are_found_beside_the_model_however_their_path_is_written(tmp_pat
     assert load_surface(path).evaluate(load_surface(path).scatter(50)).std() > 0.05
 
 
+@pytest.mark.parametrize(("name", "there"), [("WOOD.PNG", "wood.png"), ("Maps/Wood.png", "wood.PNG")])
+def test_images_are_found_in_any_case_as_windows_does(tmp_path, name, there):
+    files = {there: png(random_image(4, 4)), "b.png": png(np.zeros((4, 4, 3), np.uint8))}
+    mtl = f"newmtl wood\nmap_Kd {name}\n"
+    path = obj(tmp_path / "a.obj", OBJ_SQUARE + "usemtl wood\n" + FACES, mtl, files)
+    assert load_surface(path).evaluate(load_surface(path).scatter(50)).std() > 0.05
+
+
+def test_names_in_the_code_page_of_windows_are_read(tmp_path):
+    (tmp_path / "wände.png").write_bytes(png(random_image(4, 4)))
+    (tmp_path / "a.mtl").write_bytes("newmtl grün\nmap_Kd wände.png\n".encode("cp1252"))
+    lines = "mtllib a.mtl\n" + OBJ_SQUARE + "usemtl grün\n" + FACES
+    (tmp_path / "a.obj").write_bytes(lines.encode("cp1252"))
+    surface = load_surface(tmp_path / "a.obj")
+    assert surface.evaluate(surface.scatter(50)).std() > 0.05
+
+
 def test_a_material_file_may_have_blanks_in_its_name_and_there_may_be_several(tmp_path):
     (tmp_path / "my wood.mtl").write_text(WOOD)
     (tmp_path / "red.mtl").write_text("newmtl red\nKd 1 0 0\n")

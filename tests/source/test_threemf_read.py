@@ -55,6 +55,16 @@ def test_groups_of_colours_and_base_materials_are_read(tmp_path):
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
+def test_slices_and_beams_are_left_out_with_a_warning(tmp_path):
+    extra = 'xmlns:s="http://schemas.microsoft.com/3dmanufacturing/slice/2015/07" s:slicestackid="1"'
+    beams = '<b:beamlattice xmlns:b="beams"><b:beams><b:beam v1="0" v2="1"/></b:beams></b:beamlattice></mesh>'
+    plain = square(3, '<triangle v1="0" v2="1" v3="2"/>', extra)
+    for content, words in ((plain, "slices"), (plain.replace("</mesh>", beams), "beams and slices")):
+        path = package(tmp_path / "a.3mf", {"3D/3dmodel.model": f"<resources>{content}</resources>{BUILD}"})
+        with pytest.warns(ModelWarning, match=f"a.3mf: octex reads triangles, and leaves out {words};"):
+            assert len(octex.load_surface(path).triangles) == 1
+
+
 def test_images_lie_where_their_coordinates_say(tmp_path):
     image = np.zeros((2, 2, 3), np.uint8)
     image[:, :, 0], image[:, :, 1] = [[10, 200], [10, 200]], [[250, 250], [60, 60]]

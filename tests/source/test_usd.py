@@ -364,6 +364,22 @@ def test_a_material_of_another_kind_is_white_with_a_warning(tmp_path):
     np.testing.assert_allclose(colors_at(read, QUARTERS), 1.0)
 
 
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ("brass.mtlx", "model.usda has MaterialX files, which are not read; use UsdPreviewSurface"),
+        ("absent.usda", "is not whole: Could not open asset"),
+    ],
+)
+def test_files_that_a_stage_refers_to_and_are_not_read_are_named(file, words, tmp_path):
+    made = Stage(tmp_path)
+    made.square()
+    made.stage.DefinePrim("/materials").GetReferences().AddReference(f"./{file}")
+    with pytest.warns(ModelWarning, match=words) as said:
+        made.read()
+    assert len(said) == 1
+
+
 def test_what_is_connected_and_not_read_is_said(tmp_path):
     made = Stage(tmp_path)
     surface = made.material(made.square())

@@ -365,6 +365,7 @@ def test_a_point_without_extent_is_placed():
     assert ((inside > 0) & (inside < 1)).all()
 
 
+@pytest.mark.filterwarnings("ignore:.* is larger than the model")
 @given(st.floats(1e-3, 1e3), st.floats(1e-3, 1e2))
 def test_a_placement_with_a_given_cell_is_no_deeper_than_needed(extent, cell):
     bounds = np.array([[0.0, 0.0, 0.0], [extent, extent / 2, 0.0]])

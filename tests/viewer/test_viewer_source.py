@@ -5,7 +5,9 @@ import pytest
 
 import octex
 from octex.channels import encode
+from octex.cli.values import file_size
 from octex.drawing.hits import rest_normals, visible_hits
+from octex.errors import ArgumentError
 from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from octex.viewer import Viewer, write_page
@@ -109,6 +111,17 @@ def test_images_are_halved_until_they_fit(tmp_path):
     texture = octex.convert(surface, depth=6)
     assert write_page(texture, tmp_path / "a.html", surface, max_size=500_000)
     assert (tmp_path / "a.html").stat().st_size <= 500_000
+
+
+def test_a_page_with_images_fits_the_size_that_its_refusal_names(tmp_path):
+    surface = octex.load_surface("samples/droid.glb")
+    texture, page = octex.convert(surface, depth=6), tmp_path / "a.html"
+    with pytest.raises(ArgumentError, match="even without any level; allow ") as caught:
+        write_page(texture, page, surface, max_size=1000)
+    size = file_size(str(caught.value).split("allow ")[1].replace(" ", ""))
+    notes = write_page(texture, page, surface, max_size=size)
+    assert notes[-1] == "source: no images, for the page to fit"
+    assert 0.95 * size < page.stat().st_size <= size
 
 
 def test_without_images_there_is_no_source():

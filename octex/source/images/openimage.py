@@ -94,7 +94,7 @@ def decode_deep(data: bytes, ending: str, name: str) -> Texels:
         config.attribute("oiio:UnassociatedAlpha", 1)
         file = OpenImageIO.ImageInput.open(str(path), config)
         if file is None:
-            _refuse(name, OpenImageIO.geterror())
+            _refuse(name, OpenImageIO.geterror().replace(str(path), path.name))
         with closing(file):
             return _read(OpenImageIO, file, len(data), ending, name)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path, PureWindowsPath
 from typing import NamedTuple
 
@@ -81,7 +82,10 @@ def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         text = data.decode("utf-16", errors="replace")
     else:
-        text = data.decode("utf-8-sig", errors="replace")
+        try:
+            text = data.decode("utf-8-sig")
+        except UnicodeDecodeError:  # older programs write the code page of western Windows
+            text = data.decode("cp1252", errors="replace")
     if "\0" in text:
         raise ModelError(f"{path.name} is not a text file, so not an {path.suffix[1:].upper()} file")
     if "\\" in text:
@@ -98,7 +102,7 @@ def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
 
 
 def beside(folder: Path, name: str) -> Path | None:
-    """Find a file by a path relative to a folder, or by its name there if the path leads nowhere."""
+    """Find a file by a path relative to a folder, else by its name there, else by its name in any case."""
     windows = PureWindowsPath(name)
     for spelling in (name, windows.as_posix(), windows.name):
         try:
@@ -107,6 +111,9 @@ def beside(folder: Path, name: str) -> Path | None:
                 return candidate
         except (OSError, ValueError):
             continue
+    alike = windows.name.casefold()  # Windows finds files in any case
+    with suppress(OSError):
+        return next((each for each in sorted(folder.iterdir()) if each.name.casefold() == alike), None)
     return None
 
 

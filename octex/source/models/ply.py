@@ -165,6 +165,10 @@ class Ply:
     def points(self) -> tuple[Float64s, Float32s, Float64s | None]:
         """Return points (n, 3), linear colours and alpha (n, 4), and normals (n, 3)."""
         positions, vertex = self._positions(), self._numbers("vertex")
+        if not len(positions):
+            raise ModelError(f"{self.name} has no points; export the model again")
+        if "tristrips" in self.data:
+            raise ModelError(f"{self.name} has triangle strips, which octex does not read; export triangles")
         colors = _element_colors(vertex)
         if colors is None:
             raise ModelError(f"{self.name} has points without colours; export them with red, green and blue")

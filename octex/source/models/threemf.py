@@ -77,6 +77,7 @@ class _Package:
         self._coordinates: list[Float64s] = [np.zeros((1, 2))]
         self._parts: dict[str, Element] = {}
         self._meshes: dict[tuple[str, str], list[_Mesh]] = {}  # of objects, not placed
+        self._left_out: set[str] = set()
 
     def surface(self) -> Surface:
         """Return all placed meshes as one surface."""
@@ -91,6 +92,9 @@ class _Package:
         ]
         if not meshes:
             raise ModelError(f"{self._name} has no triangles; octex needs a surface, not slices or beams")
+        if self._left_out:
+            left_out = " and ".join(sorted(self._left_out))
+            warn(f"{self._name}: octex reads triangles, and leaves out {left_out}; export them as a mesh")
         firsts = np.cumsum([0, *(len(mesh.positions) for mesh in meshes)])
         triangles = np.concatenate([m.triangles + first for m, first in zip(meshes, firsts, strict=False)])
         rows = np.concatenate([mesh.rows for mesh in meshes]).astype(np.int32)
@@ -193,6 +197,10 @@ class _Package:
         ]
         if (part, number) not in self._meshes:
             self._meshes[part, number] = [self._mesh(part, entry, mesh) for mesh in _within(entry, "mesh")]
+            if any(name.endswith("}slicestackid") for name in entry.attrib):
+                self._left_out.add("slices")
+            if _within(entry, "mesh", "beamlattice"):
+                self._left_out.add("beams")
         meshes += self._meshes[part, number]
         self._left -= _PLACEMENT + sum(array.nbytes for mesh in meshes for array in mesh)
         if self._left < 0:

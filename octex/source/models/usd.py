@@ -75,9 +75,12 @@ def load_usd(path: Path, options: Options) -> Surface:
                     f"{path.name} refers to {each}; absolute paths are not followed; name it from its folder"
                 )
         faults = dict.fromkeys(" ".join(str(fault).split()) for fault in stage.GetCompositionErrors())
-        if faults:
-            more = f" … and {len(faults) - 1} more like that" if len(faults) > 1 else ""
-            warn(f"{path.name} is not whole: {next(iter(faults))[:200]}{more}")
+        others = [fault for fault in faults if ".mtlx@" not in fault]
+        if len(others) < len(faults):
+            warn(f"{path.name} has MaterialX files, which are not read; use UsdPreviewSurface")
+        if others:
+            more = f" … and {len(others) - 1} more like that" if len(others) > 1 else ""
+            warn(f"{path.name} is not whole: {others[0][:200]}{more}")
         return _Scene(stage, path.name, options).surface()
     except Tf.ErrorException:
         raise damaged(f"{path.name} is damaged, or is not a USD stage") from None
