@@ -335,15 +335,15 @@ def _bake_band(task: tuple[_Job, Drawing, slice, Values, Bools]) -> None:
     """Write the channels at the texels of a band of rows, and the covered part of each texel."""
     job, drawing, band, maps, is_drawn = task
     n, lanes = job.supersample, maps.values.shape[2]
-    which, drawn = drawing.rows(n * band.start, n * band.stop)
+    drawn = drawing.rows(n * band.start, n * band.stop)
     is_drawn[band] = (drawn.triangles >= 0).reshape(-1, n, maps.areas.shape[1], n).any(axis=(1, 3))
     values, areas = maps.values[band], maps.areas[band]
     if n == 1:
         areas[:] = drawn.areas
-        _bake_drawn(job, drawing, which, drawn, n * band.start, maps.lanes, values.reshape(-1, lanes), areas)
+        _bake_drawn(job, drawing.layout, drawn, band.start, maps.lanes, values.reshape(-1, lanes), areas)
         return
     fine = np.zeros((drawn.areas.size, lanes), np.float32)
-    _bake_drawn(job, drawing, which, drawn, n * band.start, maps.lanes, fine, drawn.areas)
+    _bake_drawn(job, drawing.layout, drawn, n * band.start, maps.lanes, fine, drawn.areas)
     average(fine.reshape(*drawn.areas.shape, lanes), drawn.areas, n, values, areas)
     if NORMAL.name in maps.lanes:
         normals = values[..., maps.lanes[NORMAL.name]]
@@ -351,14 +351,12 @@ def _bake_band(task: tuple[_Job, Drawing, slice, Values, Bools]) -> None:
 
 
 def _bake_drawn(
-    job: _Job, drawing: Drawing, which: Int64s, drawn: Drawn, first: int, lanes: Mapping[str, slice],
-    values: Float32s, areas: Float32s,
+    job: _Job, layout: Layout, drawn: Drawn, first: int, lanes: Mapping[str, slice], values: Float32s,
+    areas: Float32s,
 ) -> None:  # fmt: skip
     """Write the channels of rows from ``first`` on; texels without a value get area 0."""
-    layout, surface = drawing.layout, job.surface
-    shown = texel_points(
-        layout.corners[which], layout.faces[which], drawn, first, surface.rest, surface.triangles
-    )
+    surface = job.surface
+    shown = texel_points(layout.corners, layout.faces, drawn, first, surface.rest, surface.triangles)
     if not shown.texels.size:
         return
     missed = np.arange(shown.texels.size)

@@ -194,17 +194,8 @@ def _stored(values: dict[str, Float32s]) -> Float64s:
 
 def _drawn(layout: Layout, pool: Executor) -> Drawn:
     """Draw a layout in parallel; ``triangles`` are those of the layout."""
-    drawing = Drawing.of(layout)
-
-    def draw(rows: tuple[int, int]) -> Drawn:
-        which, drawn = drawing.rows(*rows)
-        if not which.size:
-            return drawn
-        return drawn._replace(
-            triangles=np.where(drawn.triangles < 0, -1, which[drawn.triangles]).astype(np.int32)
-        )
-
-    parts = list(ordered_map(pool, draw, list(pairwise([*range(0, layout.height, _ROWS), layout.height]))))
+    drawing, ends = Drawing.of(layout), [*range(0, layout.height, _ROWS), layout.height]
+    parts = list(ordered_map(pool, lambda rows: drawing.rows(*rows), list(pairwise(ends))))
     return Drawn(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 

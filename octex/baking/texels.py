@@ -41,12 +41,15 @@ class Drawing(NamedTuple):
         rows = layout.corners[..., 1]
         return cls(layout, rows.min(axis=1), rows.max(axis=1))
 
-    def rows(self, first: int, end: int) -> tuple[Int64s, Drawn]:
-        """Draw rows; ``triangles`` of the result index the returned numbers (t,)."""
-        which = np.flatnonzero((self.tops <= end) & (self.bottoms >= first))
+    def rows(self, first: int, end: int) -> Drawn:
+        """Draw rows; ``triangles`` of the result are the layout's."""
+        numbers = np.flatnonzero((self.tops <= end) & (self.bottoms >= first)).astype(np.int32)
         layout = self.layout
-        chosen = layout.corners[which], layout.charts[which], layout.edges[which], layout.width
-        return which, draw_texels(*chosen, first, end)
+        chosen = layout.corners[numbers], layout.charts[numbers], layout.edges[numbers], layout.width
+        drawn = draw_texels(*chosen, first, end)
+        is_drawn = drawn.triangles >= 0
+        drawn.triangles[is_drawn] = numbers[drawn.triangles[is_drawn]]
+        return drawn
 
 
 def draw_texels(corners: Float64s, charts: Int32s, edges: Bools, width: int, first: int, end: int) -> Drawn:

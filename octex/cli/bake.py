@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import octex
 from octex.cli.common import Reporter, check_outputs, tell_file
 from octex.cli.inputs import kind_of, open_texture, refuse, shaped_model, told_repair
+from octex.cli.options import RUNNING, SHAPE
 from octex.cli.parser import Options, arguments
 from octex.cli.values import BAKED_ENDINGS, PTEX_ENDING, USD_ENDINGS
 from octex.errors import ArgumentError
@@ -123,8 +124,8 @@ def bake(options: Options, program: str) -> int:
 
 
 def _write_ptex(options: Options, program: str) -> int:
-    allowed = {"--channels", "--rest", "--pose", "--subdiv", "--force", "--threads", "--quiet", "--json"}
-    refuse(options, set(options.words) - allowed, f"cannot be used for {options.OUTPUT}")
+    others = set(options.words) - {"--channels", *SHAPE, *RUNNING}
+    refuse(options, others, f"cannot be used for {options.OUTPUT}")
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             texture = open_texture(options.TEXTURE)

@@ -314,15 +314,20 @@ def check_outputs(
         if path.suffix.lower() not in known:
             ending = f"the ending {path.suffix!r}" if path.suffix else "no ending"
             raise InputError(f"{path}: {word} has {ending}; octex writes {listed(known)} here")
-        if not path.parent.is_dir():
-            raise OutputError(f"{path}: there is no folder {path.parent}; make it first")
+        check_folder(path, path.parent)
         other = taken.setdefault(identity(path), word)
         if other != word:
             raise OutputError(f"{path}: {word} is also {other}; give it another name")
         if path.exists() and not force:
             raise OutputError(f"{path}: exists already; --force overwrites it")
-        if not os.access(path.parent, os.W_OK):
-            raise OutputError(f"{path}: the folder {path.parent} cannot be written")
+
+
+def check_folder(path: Path, folder: Path) -> None:
+    """Refuse a folder for the output ``path`` that is missing or cannot be written."""
+    if not folder.is_dir():
+        raise OutputError(f"{path}: there is no folder {folder}; make it first")
+    if not os.access(folder, os.W_OK):
+        raise OutputError(f"{path}: the folder {folder} cannot be written")
 
 
 def listed(words: Sequence[str]) -> str:

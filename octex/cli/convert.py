@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
 from octex.ahead import ahead
-from octex.cli.common import Reporter, check_outputs, facts_of, tell_file
+from octex.cli.common import Reporter, check_folder, check_outputs, facts_of, tell_file
 from octex.cli.inputs import check_model, kind_of, open_texture, read_model, refuse, tell_layers, told_repair
+from octex.cli.options import RUNNING
 from octex.cli.parser import Options, arguments
 from octex.cli.values import (
     ARCHIVE_ENDING,
@@ -68,8 +68,7 @@ def _check(options: Options) -> None:
     if options.parts:
         refuse(options, ("--separate", "--preview", "--memory"), "cannot be used with --parts")
     if kind != "model":
-        anywhere = {"--force", "--threads", "--quiet", "--json"}
-        refuse(options, set(options.words) - _FOR[kind] - anywhere, _WHY[kind], path)
+        refuse(options, set(options.words).difference(_FOR[kind], RUNNING), _WHY[kind], path)
     check_output_kind(path, options.OUTPUT)
 
 
@@ -216,13 +215,9 @@ def _check_folder(folder: Path, *, force: bool) -> None:
         raise OutputError(f"{folder}: is a file; --parts writes a folder, give OUTPUT another name")
     if folder.suffix.lower() in OUTPUT_ENDINGS:
         raise ArgumentError(f"{folder}: --parts writes a folder; give OUTPUT no ending")
-    if not folder.parent.is_dir():
-        raise OutputError(f"{folder}: there is no folder {folder.parent}; make it first")
     if (folder / INDEX).exists() and not force:
         raise OutputError(f"{folder}: holds a texture set already; --force replaces it")
-    place = folder if folder.exists() else folder.parent
-    if not os.access(place, os.W_OK):
-        raise OutputError(f"{folder}: the folder {place} cannot be written")
+    check_folder(folder, folder if folder.exists() else folder.parent)
 
 
 def edit(options: Options, program: str) -> int:

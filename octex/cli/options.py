@@ -284,10 +284,9 @@ warm-up  Compile everything now, so that later commands start at once.
 """
 #: Text in help instead of "default 10", for commands with another default depth.
 _DEPTHS = {"view": "default 9", "edit": "default: all"}
-_SHORT = {
-    "SHAPE": "--rest --pose --subdiv",
-    "RUNNING": "--force --threads --quiet --json",
-}
+#: Options of a model's shape, and those that change no result.
+SHAPE, RUNNING = ("--rest", "--pose", "--subdiv"), ("--force", "--threads", "--quiet", "--json")
+_SHORT = {"SHAPE": SHAPE, "RUNNING": RUNNING}
 _FILES: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys(("INPUT", "TEXTURE", "OTHER"), v.texture_file),
     **dict.fromkeys(("OUTPUT", "PAGE"), v.output_file),
@@ -314,8 +313,7 @@ def _command(text: str) -> Command:
             number: Any = "any" if dots else "maybe" if bracket else "one"
             files.append(File(word, read, help, number, _FITS.get(word, bool)))
         else:
-            words = " ".join(_SHORT.get(word, word) for word in line.split())
-            options += [OPTIONS[word] for word in words.split()]
+            options += [OPTIONS[each] for word in line.split() for each in _SHORT.get(word, (word,))]
     depth = _DEPTHS.get(name, "default 10")
     options = [each._replace(help=each.help.replace("default 10", depth)) for each in options]
     return Command(name, summary, files, options, examples)

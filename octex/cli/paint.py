@@ -13,7 +13,7 @@ import octex
 from octex.ahead import ahead
 from octex.cli.common import Reporter, check_outputs, facts_of, fail, identity, tell_file
 from octex.cli.inputs import bare_model, is_texture, only, open_texture, refuse, shaped_model, tell_layers
-from octex.cli.options import DEFAULT_CHANNEL
+from octex.cli.options import DEFAULT_CHANNEL, RUNNING, SHAPE
 from octex.cli.parser import Options, arguments
 from octex.cli.shots import NOTHING, Shot, flat_shots, images_of, shots_of
 from octex.cli.values import TEXTURE_ENDING
@@ -28,8 +28,7 @@ if TYPE_CHECKING:
     from octex.texture import OctreeTexture
 
 #: The options that merging layers accepts.
-_OF_LAYERS = {"--blend", "--opacity", "--preview", "--rest", "--pose", "--subdiv"}
-_OF_LAYERS |= {"--force", "--threads", "--quiet", "--json"}
+_OF_LAYERS = {"--blend", "--opacity", "--preview", *SHAPE, *RUNNING}
 
 
 def paint(options: Options, program: str) -> int:

@@ -23,13 +23,7 @@ from octex.drawing.compare import (
 )
 from octex.drawing.directions import USUAL, Viewpoint, leaf_camera, surface_camera
 from octex.drawing.hits import rest_normals, visible_hits
-from octex.drawing.panels import (
-    caption_height,
-    captioned,
-    named,
-    source_caption,
-    texture_facts,
-)
+from octex.drawing.panels import caption_height, captioned, named, source_caption, texture_facts
 from octex.drawing.pictures import Film, Leaves, film_leaves, film_surface, visible_level
 from octex.drawing.shaders import Appearance, Shader, source_shader, texture_shader
 from octex.drawing.soft_light import background
@@ -46,7 +40,8 @@ _SCALE = np.array(
 #: Colour where only one side has a surface.
 _ALONE = np.array([0, 190, 255])
 
-
+#: The size of a panel, the height of its caption, and where the camera views from.
+_Panel = tuple[tuple[int, int], int, Viewpoint]
 #: The pictures of both sides; the difference in red, and surface of one side only in green; and the pixel
 #: coordinates of the maximum, if it is visible.
 _Row = tuple[list[Float32s], Film, tuple[float, float] | None]
@@ -87,7 +82,8 @@ def draw_difference(
     whole = placed(a, b)
     room = round(1.6 * caption_height(size[1]))
     draw = _drawn_on_model if any(isinstance(side, Surface) for side in whole) else _drawn_leaves
-    drawn = draw(in_common(*whole), differences, (size[0] // 3, size[1]), room, supersample, view)
+    panel = (size[0] // 3, size[1]), room, view
+    drawn = draw(in_common(*whole), differences, panel, supersample)
     rows = []
     for (channel, result), (pictures, film, ring) in zip(differences.items(), drawn, strict=True):
         panels = [
@@ -102,17 +98,12 @@ def draw_difference(
 
 
 def _drawn_on_model(
-    sides: tuple[Side, Side],
-    differences: Differences,
-    size: tuple[int, int],
-    room: int,
-    supersample: int,
-    view: Viewpoint,
+    sides: tuple[Side, Side], differences: Differences, panel: _Panel, supersample: int
 ) -> Iterator[_Row]:
     """Draw a model coloured by itself and by a texture, channel by channel."""
     (model,) = (side for side in sides if isinstance(side, Surface))
     (texture,) = (side for side in sides if isinstance(side, OctreeTexture))
-    camera = surface_camera(model, _look(sides[0], next(iter(differences))), size, room, view)
+    camera = surface_camera(model, _look(sides[0], next(iter(differences))), *panel)
     covers = inside_cells(texture)
     for channel, result in differences.items():
         looks = [_look(side, channel) for side in sides]
@@ -141,16 +132,11 @@ def _difference_look(
 
 
 def _drawn_leaves(
-    sides: tuple[Side, Side],
-    differences: Differences,
-    size: tuple[int, int],
-    room: int,
-    supersample: int,
-    view: Viewpoint,
+    sides: tuple[Side, Side], differences: Differences, panel: _Panel, supersample: int
 ) -> Iterator[_Row]:
     """Draw the leaves of two textures, no smaller than half a pixel, channel by channel."""
     whole = [side for side in sides if isinstance(side, OctreeTexture)]
-    camera = leaf_camera(whole, next(iter(differences)), size, room, view)
+    camera = leaf_camera(whole, next(iter(differences)), *panel)
     a, b = (texture.level(visible_level(texture, camera, pixels=0.5)) for texture in whole)
     textures, both = (a, b), (Leaves.of(a), Leaves.of(b))
     # Draw the difference on the finer texture's leaves, and on the other's where the finer has none.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +19,8 @@ from octex.drawing.shaders import Bump, Shown, as_bump, source_shader, texture_s
 from octex.drawing.soft_light import background
 from octex.errors import ArgumentError
 from octex.files import bytes_text, count_text, replacing
-from octex.source.surface import as_surface
-from octex.texture import as_texture
-
-if TYPE_CHECKING:
-    from octex.source.surface import Surface
-    from octex.texture import OctreeTexture
+from octex.source.surface import Surface, as_surface
+from octex.texture import OctreeTexture, as_texture
 
 
 def write_preview(

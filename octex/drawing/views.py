@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -27,12 +26,8 @@ from octex.drawing.pictures import (
 )
 from octex.drawing.shaders import Appearance, Bump, Shader, as_bump, source_shader, texture_shader
 from octex.errors import ArgumentError
-from octex.source.surface import as_surface
-from octex.texture import as_texture
-
-if TYPE_CHECKING:
-    from octex.source.surface import Surface
-    from octex.texture import OctreeTexture
+from octex.source.surface import Surface, as_surface
+from octex.texture import OctreeTexture, as_texture
 
 
 def render(

@@ -80,12 +80,7 @@ FACE_INFO = np.dtype(
     ]
 )  # fmt: skip
 LEVEL_INFO = np.dtype([("bytes", "<u8"), ("header", "<u4"), ("faces", "<u4")])
-assert (HEADER.itemsize, EXTENDED_HEADER.itemsize, FACE_INFO.itemsize, LEVEL_INFO.itemsize) == (
-    64,
-    40,
-    20,
-    16,
-)
+assert [each.itemsize for each in (HEADER, EXTENDED_HEADER, FACE_INFO, LEVEL_INFO)] == [64, 40, 20, 16]
 
 
 class Faces(NamedTuple):

@@ -66,11 +66,8 @@ def write_contents(contents: Contents, path: Path, executor: Executor) -> None:
     zipped = zlib.compress(entries) if entries else b""
 
     header = np.zeros(1, layout.HEADER)
-    header["magic"], header["version"], header["minor_version"] = (
-        layout.MAGIC,
-        layout.VERSION,
-        layout.MINOR_VERSION,
-    )
+    header["magic"] = layout.MAGIC
+    header["version"], header["minor_version"] = layout.VERSION, layout.MINOR_VERSION
     header["mesh_type"] = layout.MESH_TYPES.index(contents.mesh_type)
     header["data_type"] = layout.DTYPES.index(texels.dtype.name)
     header["alpha_channel"] = -1 if contents.alpha_channel is None else contents.alpha_channel
