@@ -32,12 +32,12 @@ player divider pointed viewer
 MODULES = [f"{name}.js" for name in _NAMES.split()]
 #: Modules, styles and shaders of painting pages, which files never contain.
 _PAINTING_NAMES = """
-panel path hand dabs under outline mirror stroke sending brush images stencil retouch beneath elsewhere
+panel path hand dabs under outline mirror stroke sending brush images stencil retouch beneath external
 tools layers material palette exporting flat paint
 """
 PAINTING = [*(f"{name}.js" for name in _PAINTING_NAMES.split()), "paint.css"]
 PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]
-SHADERS = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag"]
+SHADERS = ["directions.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "gbuffer.frag", "source.frag"]
 SHADERS += ["tiles.vert"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"

@@ -41,14 +41,14 @@ _PROBE = """([look, asked]) => {
     for (let n = 0; n < bytes.length; n += 4096) made += String.fromCharCode(...bytes.subarray(n, n + 4096));
     return btoa(made);
   };
-  return [text(found.places), text(found.values), text(found.normals)];
+  return [text(found.positions), text(found.values), text(found.normals)];
 }"""
 #: Returns the normals that pixels are lit by, in view space, as codes of an unfolded octahedron.
 _NORMALS = """([look, [width, height]]) => {
   const { gpu, camera } = viewer, { gl } = gpu;
   const target = gpu.target("lit", width, height, [gl.RGBA32UI, gl.RGBA32UI]);
   const bits = new Uint32Array(4 * width * height);
-  gpu.drawPlaces({ ...viewer.look, ...look }, camera, target, width, height);
+  gpu.drawGBuffer({ ...viewer.look, ...look }, camera, target, width, height);
   gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
   gl.readBuffer(gl.COLOR_ATTACHMENT1);
   gl.readPixels(0, 0, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);

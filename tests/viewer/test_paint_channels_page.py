@@ -278,5 +278,5 @@ _TEXTURES = """() => {
 
 def test_no_program_has_more_textures_than_webgl_promises(page):
     names = page.evaluate(_TEXTURES)
-    assert {"u_srgb", "u_linear", "u_source", "u_heights", "u_behind", "u_studio", "u_strokes"} < set(names)
+    assert {"u_srgb", "u_linear", "u_source", "u_heights", "u_background", "u_studio", "u_strokes"} < set(names)
     assert len(names) <= 16

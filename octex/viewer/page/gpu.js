@@ -89,10 +89,10 @@ export class Gpu {
   }
 
   // Make an octree ready to be looked up, with other textures by their names.
-  setTree(program, part, look, places = {}) {
+  setTree(program, part, look, textures = {}) {
     const { gl } = this, { octree } = part;
     part.stores.forEach(({ name, kind, texture }, unit) => this.bind(program, { [name]: texture }, unit, kind));
-    this.bind(program, places, part.stores.length);
+    this.bind(program, textures, part.stores.length);
     for (const [name, value] of Object.entries(walkUniforms(octree, Math.min(look.level, part.deepest)))) {
       if (Array.isArray(value)) gl.uniform3ui(program.at(name), ...value);
       else gl.uniform1i(program.at(name), value);
@@ -121,7 +121,7 @@ export class Gpu {
 
   // Draw where the surface rests that each pixel sees, of one pixel or of all: the nearest of some alpha. Translucent
   // surfaces are in front of the opaque ones, which are drawn before them.
-  drawPlaces(look, camera, target, width, height, { pixel = null, alphas = NEAREST } = {}) {
+  drawGBuffer(look, camera, target, width, height, { pixel = null, alphas = NEAREST } = {}) {
     const { gl } = this, isOver = alphas === TRANSLUCENTS;
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.viewport(0, 0, target.width, target.height);
@@ -134,7 +134,7 @@ export class Gpu {
     const draw = (part, isLayered) => {
       gl.stencilFunc(gl.ALWAYS, this.parts.indexOf(part) + 1, 255);
       const planes = isLayered ? planesFor(part, { ...look, shown: "layers" }) : 0;
-      const program = this.programs.use(isLayered ? "layers" : "places", part, { ...look, shown: "layers" }, planes);
+      const program = this.programs.use(isLayered ? "layers" : "gbuffer", part, { ...look, shown: "layers" }, planes);
       if (isLayered) {
         this.setTree(program, part, look);
         gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
@@ -182,8 +182,8 @@ export class Gpu {
 
   drawSurface(look, camera, width, height) {
     const { gl } = this, { only } = look, isLayered = this.parts.some((part) => part.mesh && part.hasAlpha);
-    const places = this.targetOfTwo("places", width, height);
-    const picture = this.target("picture", width, height, [gl.RGBA8], places);
+    const gbuffer = this.targetOfTwo("gbuffer", width, height);
+    const picture = this.target("picture", width, height, [gl.RGBA8], gbuffer);
     if (only) {
       gl.enable(gl.SCISSOR_TEST);
       gl.scissor(...only);
@@ -191,13 +191,13 @@ export class Gpu {
     gl.bindFramebuffer(gl.FRAMEBUFFER, picture.buffer);
     gl.clearColor(...this.background);
     if (!look.near) gl.clear(gl.COLOR_BUFFER_BIT);
-    this.drawLayer(look, camera, places, picture, OPAQUES, {}, (only || look.near) && !isLayered);
+    this.drawLayer(look, camera, gbuffer, picture, OPAQUES, {}, (only || look.near) && !isLayered);
     let last = picture;
     if (isLayered) {
-      last = this.target("blended", width, height, [gl.RGBA8], places);
+      last = this.target("blended", width, height, [gl.RGBA8], gbuffer);
       this.copy(picture, last);
-      const behind = { u_behind: picture.textures[0] };
-      this.drawLayer({ ...look, isOver: true }, camera, places, last, TRANSLUCENTS, behind);
+      const behind = { u_background: picture.textures[0] };
+      this.drawLayer({ ...look, isOver: true }, camera, gbuffer, last, TRANSLUCENTS, behind);
     }
     gl.disable(gl.SCISSOR_TEST);
     this.present(last);
@@ -208,9 +208,9 @@ export class Gpu {
     const { gl, canvas, pictures: { picture: last } } = this, small = last && this.target("small", last.width, last.height, [gl.RGBA8]);
     if (last) this.copy(last, small);
     [canvas.width, canvas.height] = [width, height];
-    const places = this.targetOfTwo("places", width, height), picture = this.target("picture", width, height, [gl.RGBA8], places);
+    const gbuffer = this.targetOfTwo("gbuffer", width, height), picture = this.target("picture", width, height, [gl.RGBA8], gbuffer);
     if (last) this.copy(small, picture);
-    this.drawPlaces(look, camera, places, width, height, { alphas: OPAQUES });
+    this.drawGBuffer(look, camera, gbuffer, width, height, { alphas: OPAQUES });
     this.present(picture);
   }
 
@@ -231,27 +231,27 @@ export class Gpu {
     gl.blitFramebuffer(0, 0, width, height, 0, 0, to.width, to.height, gl.COLOR_BUFFER_BIT, isLike ? gl.NEAREST : gl.LINEAR);
   }
 
-  // Draw the nearest surface of some alpha, over what is `behind` it; `isKnown`: places are drawn already. The octree of
+  // Draw the nearest surface of some alpha, over what is `behind` it; `isKnown`: the G-buffer is drawn already. The octree of
   // `look.beneath` is looked up instead of the part's own.
-  drawLayer(look, camera, places, target, alphas, behind = {}, isKnown = false) {
-    const { gl } = this, { width, height } = target, [u_places, u_ways] = places.textures, drawn = { u_places, u_ways, ...behind };
-    if (!isKnown) this.drawPlaces(look, camera, places, width, height, { alphas });
+  drawLayer(look, camera, gbuffer, target, alphas, behind = {}, isKnown = false) {
+    const { gl } = this, { width, height } = target, [u_positions, u_directions] = gbuffer.textures, drawn = { u_positions, u_directions, ...behind };
+    if (!isKnown) this.drawGBuffer(look, camera, gbuffer, width, height, { alphas });
     if (look.paint) Object.assign(drawn, look.paint.textures);
     const beside = this.parts.find((part) => showsSource(part, look));
-    if (beside) drawn.u_source = this.drawSource(beside, look, camera, places);
-    if (showsRelief(this.parts, look)) drawn.u_heights = this.drawHeights(look, camera, places, drawn);
+    if (beside) drawn.u_source = this.drawSource(beside, look, camera, gbuffer);
+    if (showsRelief(this.parts, look)) drawn.u_heights = this.drawHeights(look, camera, gbuffer, drawn);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    this.drawSeen(places, (part, number) => this.useSurface(look.beneath ?? part, number, look, camera, drawn, target));
+    this.drawSeen(gbuffer, (part, number) => this.useSurface(look.beneath ?? part, number, look, camera, drawn, target));
   }
 
   // Draw the heights of what is seen; returns the texture.
-  drawHeights(look, camera, places, drawn) {
-    const { gl } = this, target = this.target("heights", places.width, places.height, [gl.R32UI], places);
+  drawHeights(look, camera, gbuffer, drawn) {
+    const { gl } = this, target = this.target("heights", gbuffer.width, gbuffer.height, [gl.R32UI], gbuffer);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     const { only } = look; // relief is made of what is beside a pixel, too
     if (only) gl.scissor(only[0] - 1, only[1] - 1, only[2] + 2, only[3] + 2);
     if (!look.near) gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
-    this.drawSeen(places, (part, number) => this.useSurface(part, number, { ...look, shown: "height" }, camera, drawn, target));
+    this.drawSeen(gbuffer, (part, number) => this.useSurface(part, number, { ...look, shown: "height" }, camera, drawn, target));
     if (only) gl.scissor(...only);
     return target.textures[0];
   }
@@ -268,12 +268,12 @@ export class Gpu {
     gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
     gl.uniform1i(program.at("u_kind"), KINDS[part.channel(look.channel)?.space] ?? 0);
     gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
-    gl.uniform1i(program.at("u_isNear"), look.near ? 1 : 0);
+    gl.uniform1i(program.at("u_hasRegion"), look.near ? 1 : 0);
     if (look.near) {
       const [low, high] = look.near;
-      gl.uniform3fv(program.at("u_nearLow"), low.slice(0, 3));
-      gl.uniform3fv(program.at("u_nearHigh"), high.slice(0, 3));
-      gl.uniform4f(program.at("u_nearPart"), ...low.slice(3), ...high.slice(3));
+      gl.uniform3fv(program.at("u_regionLow"), low.slice(0, 3));
+      gl.uniform3fv(program.at("u_regionHigh"), high.slice(0, 3));
+      gl.uniform4f(program.at("u_regionPart"), ...low.slice(3), ...high.slice(3));
       gl.uniform2f(program.at("u_size"), width, height);
     }
     const marked = look.marked?.part === number ? look.marked : { index: [0, 0, 0], edge: 0 };
@@ -282,9 +282,9 @@ export class Gpu {
   }
 
   // Draw what the model's own images have of what is seen; returns the texture.
-  drawSource(part, look, camera, places) {
-    const { gl } = this, { width, height } = places;
-    const target = this.target("source", width, height, [gl.SRGB8_ALPHA8], places);
+  drawSource(part, look, camera, gbuffer) {
+    const { gl } = this, { width, height } = gbuffer;
+    const target = this.target("source", width, height, [gl.SRGB8_ALPHA8], gbuffer);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.EQUAL);
@@ -343,7 +343,7 @@ export class Gpu {
   awayAt(look, camera, pixel, [width, height]) {
     if (this.showsCubes(look)) return this.probeCubes(look, camera, pixel, [width, height])?.away ?? null;
     const target = this.targetOfTwo("probed away", 1, 1);
-    this.drawPlaces({ ...look, asksAway: true }, camera, target, width, height, { pixel, alphas: SEEN });
+    this.drawGBuffer({ ...look, asksAway: true }, camera, target, width, height, { pixel, alphas: SEEN });
     return new Float32Array(this.words(target).buffer)[3] || null;
   }
 
@@ -363,19 +363,19 @@ export class Gpu {
   // numbers: of one that is seen, or of the nearest surface in a whole picture.
   probe(look, camera, { width, height, pixel = null, plane = 0, footprint = -1 }) {
     const { gl } = this, [w, h] = pixel ? [1, 1] : [width, height];
-    const places = this.targetOfTwo("probed places", w, h), values = this.targetOfTwo("probed values", w, h, places);
-    this.drawPlaces(look, camera, places, width, height, { pixel, alphas: pixel ? SEEN : NEAREST });
+    const gbuffer = this.targetOfTwo("probed gbuffer", w, h), values = this.targetOfTwo("probed values", w, h, gbuffer);
+    this.drawGBuffer(look, camera, gbuffer, width, height, { pixel, alphas: pixel ? SEEN : NEAREST });
     gl.bindFramebuffer(gl.FRAMEBUFFER, values.buffer);
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
-    this.drawSeen(places, (part, number) => {
+    this.drawSeen(gbuffer, (part, number) => {
       const planes = part.header.planes.length, program = this.programs.use("probe", part, look, planes);
-      this.setTree(program, part, look, { u_places: places.textures[0], u_ways: places.textures[1] });
+      this.setTree(program, part, look, { u_positions: gbuffer.textures[0], u_directions: gbuffer.textures[1] });
       gl.uniform1f(program.at("u_width"), look.footprints ? footprint : 0);
       gl.uniform1i(program.at("u_plane"), plane);
       gl.uniform1f(program.at("u_part"), number);
     });
     const read = (target, number) => new Float32Array(this.words(target, number).buffer);
-    return { places: read(places, 0), values: read(values, 0), normals: read(values, 1) };
+    return { positions: read(gbuffer, 0), values: read(values, 0), normals: read(values, 1) };
   }
 
   // What a box (left, bottom, right, top) of a target holds, the lowest row first, four numbers a pixel: whole numbers of one
@@ -406,7 +406,7 @@ export class Gpu {
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   }
 
-  // A target that drawing of places, or of what is probed there, fills.
+  // Targets of the G-buffer, or of what a probe reads there.
   targetOfTwo(name, width, height, shared = null) {
     return this.target(name, width, height, [this.gl.RGBA32UI, this.gl.RGBA32UI], shared);
   }

@@ -45,9 +45,9 @@ export class Mirror {
     projection[14] = (-2 * far * near) / (far - near);
     Object.assign(this, { axis, place, camera: product(seen, inRoot) });
     this.eye = camera.position.map((x, n) => ((n === axis ? 2 * place - x : x) - origin[n]) / size);
-    this.places = gpu.targetOfTwo("mirror places", width, height);
+    this.gbuffer = gpu.targetOfTwo("mirror gbuffer", width, height);
     const shown = { view: product(camera.view, reflection(axis, place)), projection: () => projection };
-    gpu.drawPlaces({ ...look, paint: true, asksPart: true }, shown, this.places, width, height);
+    gpu.drawGBuffer({ ...look, paint: true, asksPart: true }, shown, this.gbuffer, width, height);
   }
 
   // Where the picture may show the other half of what is drawn around a place of the surface, so many CSS pixels wide; see

@@ -51,11 +51,11 @@ export class Outline {
 
   // How far it reaches at angles around the middle, in radii: paint, and half the radius along the surface.
   reach([x, y], radius, { away }, { angle, backFaces }) {
-    const { viewer } = this, { gpu, canvas, camera, parts: [part], look } = viewer, { gl } = gpu, { places } = gpu.pictures, count = ANGLES;
-    const target = gpu.target("outline", count, 1, [gl.RGBA32UI]), program = gpu.programs.use("outline", part, look, 0), times = places.height / canvas.clientHeight;
-    const [u_places, u_ways] = places.textures;
-    gpu.bind(program, { u_places, u_ways });
-    gl.uniform3f(program.at("u_brush"), x * times, places.height - y * times, radius * times);
+    const { viewer } = this, { gpu, canvas, camera, parts: [part], look } = viewer, { gl } = gpu, { gbuffer } = gpu.pictures, count = ANGLES;
+    const target = gpu.target("outline", count, 1, [gl.RGBA32UI]), program = gpu.programs.use("outline", part, look, 0), times = gbuffer.height / canvas.clientHeight;
+    const [u_positions, u_directions] = gbuffer.textures;
+    gpu.bind(program, { u_positions, u_directions });
+    gl.uniform3f(program.at("u_brush"), x * times, gbuffer.height - y * times, radius * times);
     gl.uniform1f(program.at("u_half"), (radius * Math.tan(camera.fov / 2) * away) / canvas.clientHeight / part.header.size);
     gl.uniform2f(program.at("u_limits"), Math.cos((angle * Math.PI) / 180), backFaces ? 1 : 0);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);

@@ -2,7 +2,7 @@
 
 import { Beneath } from "./beneath.js";
 import { element, make } from "./elements.js";
-import { Elsewhere } from "./elsewhere.js";
+import { External } from "./external.js";
 import { Exporting } from "./exporting.js";
 import { Flat } from "./flat.js";
 import { SizeDrag } from "./hand.js";
@@ -71,8 +71,8 @@ class Painting {
     this.build();
     this.stencil = new Stencil(this);
     this.retouch = new Retouch(this);
-    this.elsewhere = new Elsewhere(this);
-    onDrop((file) => this.elsewhere.take(file), (text) => this.say(text));
+    this.external = new External(this);
+    onDrop((file) => this.external.take(file), (text) => this.say(text));
     viewer.look.paint = this.strokes;
     this.strokes.build();
     const usual = matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";

@@ -8,9 +8,9 @@ function pointedCube({ gpu, look, camera }, pixel, size) {
 }
 
 function pointedSurface({ gpu, look, camera, parts }, pixel, [width, height]) {
-  const ask = (plane) => gpu.probe(look, camera, { width, height, pixel, plane }), { places, values, normals } = ask(-1);
+  const ask = (plane) => gpu.probe(look, camera, { width, height, pixel, plane }), { positions, values, normals } = ask(-1);
   if (values[3] === 0) return null;
-  const point = Array.from(places.subarray(0, 3)), part = normals[3], { octree } = parts[part];
+  const point = Array.from(positions.subarray(0, 3)), part = normals[3], { octree } = parts[part];
   const looked = {}, at = (plane) => (looked[plane] ??= ask(plane).values);
   const valuesOf = ({ name, at: [plane, slot], components }) =>
     name === "alpha" ? [values[0]] : Array.from(at(plane).slice(slot, slot + components));

@@ -3,21 +3,21 @@
 import { readShaders } from "./data.js";
 import { lanesOf, planeLines, repeated, sumOf, walkLines } from "./field.js";
 
-const FILES = ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "places.frag", "source.frag", "tiles.vert"];
+const FILES = ["directions.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "gbuffer.frag", "source.frag", "tiles.vert"];
 for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
 export const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal", "height"];
 export const TILE = 16; // pixels along the sides of tiles, see tiles.vert
 const STAGES = {
-  places: ["surface.vert", ["ways.glsl", "places.frag"]],
-  layers: ["surface.vert", ["ways.glsl", "walk.glsl", "places.frag"]],
+  gbuffer: ["surface.vert", ["directions.glsl", "gbuffer.frag"]],
+  layers: ["surface.vert", ["directions.glsl", "walk.glsl", "gbuffer.frag"]],
   source: ["surface.vert", ["source.frag"]],
-  surface: ["tiles.vert", ["ways.glsl", "walk.glsl", "colors.glsl", "light.glsl", "surface.frag"]],
-  probe: ["tiles.vert", ["ways.glsl", "walk.glsl", "surface.frag"]],
+  surface: ["tiles.vert", ["directions.glsl", "walk.glsl", "colors.glsl", "light.glsl", "surface.frag"]],
+  probe: ["tiles.vert", ["directions.glsl", "walk.glsl", "surface.frag"]],
   cubes: ["cubes.vert", ["walk.glsl", "colors.glsl", "cubes.frag"]],
   stroke: ["screen.vert", ["stroke.frag"]],
-  retouch: ["screen.vert", ["ways.glsl", "colors.glsl", "retouch.frag"]],
+  retouch: ["screen.vert", ["directions.glsl", "colors.glsl", "retouch.frag"]],
   dabs: ["screen.vert", ["dabs.frag"]],
-  outline: ["screen.vert", ["ways.glsl", "outline.frag"]],
+  outline: ["screen.vert", ["directions.glsl", "outline.frag"]],
 };
 
 export const readPrograms = () => readShaders(FILES);
@@ -69,17 +69,17 @@ export class Programs {
   // Where channels are, among the first planes, and what is shown, as the shaders name it.
   defines(kind, part, look, planes) {
     const { paint } = look;
-    if (kind === "places" || kind === "source") look = { moved: look.moved, asksAway: look.asksAway, asksPart: look.asksPart, shown: kind };
+    if (kind === "gbuffer" || kind === "source") look = { moved: look.moved, asksAway: look.asksAway, asksPart: look.asksPart, shown: kind };
     const { mesh, motion, channels } = part.header, isCubes = kind === "cubes";
     const lines = [`#define SHOWS_${kind === "probe" ? "PROBE" : look.shown.toUpperCase()}`];
     lines.push(...planeLines(part.header, planes), ...walkLines(isCubes ? { ...part.header, kept: 0 } : part.header, look.facing && !isCubes, look.filter));
     const flags = { PROBE: kind === "probe", PICKED: look.picked };
     Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
     Object.assign(flags, { TURNS: look.moved && motion?.turns });
-    Object.assign(flags, { SOURCE: kind === "source", BESIDE: kind === "surface" && showsSource(part, look) });
-    Object.assign(flags, { LAYERED: kind === "layers", AWAY: look.asksAway, PARTS: look.asksPart, OVER: kind === "surface" && look.isOver });
+    Object.assign(flags, { SOURCE: kind === "source", COMPARES: kind === "surface" && showsSource(part, look) });
+    Object.assign(flags, { LAYERED: kind === "layers", AWAY: look.asksAway, PARTS: look.asksPart, BLENDS: kind === "surface" && look.isOver });
     Object.assign(flags, { RELIEF: kind === "surface" && showsRelief(this.parts, look) });
-    Object.assign(flags, { KNOWN: look.beneath, PAINTS: paint && ["places", "layers", "surface"].includes(kind) });
+    Object.assign(flags, { KNOWN: look.beneath, PAINTS: paint && ["gbuffer", "layers", "surface"].includes(kind) });
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
     const define = (name, text) => lines.push(`#define ${name} ${text}`);
     for (const channel of channels) {

@@ -43,8 +43,8 @@ export class Seen {
     this.size = strokes.size;
     this.viewer = viewer;
     this.drawn = drawn;
-    this.places = strokes.places;
-    this.target = gpu.target(`seen${beneath ? ` ${channel} beneath` : ""}`, ...this.size, [gpu.gl.RGBA8], this.places);
+    this.gbuffer = strokes.gbuffer;
+    this.target = gpu.target(`seen${beneath ? ` ${channel} beneath` : ""}`, ...this.size, [gpu.gl.RGBA8], this.gbuffer);
     this.across = Math.ceil(this.size[0] / TILE);
     this.known = new Set();
     this.look = lookOf({ viewer, strokes }, beneath, channel);
@@ -67,7 +67,7 @@ export class Seen {
     const { viewer: { gpu, camera }, target } = this, { gl } = gpu;
     gpu.drawOn(target, box, () => {
       gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
-      gpu.drawLayer(this.look, camera, this.places, target, null, {}, true);
+      gpu.drawLayer(this.look, camera, this.gbuffer, target, null, {}, true);
     });
     this.drawn(box);
   }
@@ -94,7 +94,7 @@ export class Made {
     const { gpu, seen } = this, { gl } = gpu, { viewer } = seen, program = gpu.programs.use("retouch", viewer.parts[0], viewer.look, 0);
     const part = clipped(box, seen.size);
     if (!part) return;
-    gpu.bind(program, { u_from: from.textures[0], u_before: before.textures[0], u_seen: seen.places.textures[0], u_paint: paint ?? from.textures[0] });
+    gpu.bind(program, { u_from: from.textures[0], u_before: before.textures[0], u_positions: seen.gbuffer.textures[0], u_paint: paint ?? from.textures[0] });
     gl.uniform1i(program.at("u_action"), action);
     gl.uniform2i(program.at("u_step"), ...step);
     gl.uniform1f(program.at("u_sigma"), sigma);

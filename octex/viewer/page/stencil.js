@@ -34,7 +34,7 @@ export class Stencil {
     this.shown = make("canvas", { "aria-hidden": "true" });
     this.frame = make("div", { id: "stencil", hidden: true }, this.shown, ...corners);
     stage.append(this.frame);
-    this.file = make("input", { type: "file", accept: KINDS, hidden: true, "aria-label": "Picture", onchange: ({ target }) => target.files[0] && this.painting.elsewhere.take(target.files[0]) });
+    this.file = make("input", { type: "file", accept: KINDS, hidden: true, "aria-label": "Picture", onchange: ({ target }) => target.files[0] && this.painting.external.take(target.files[0]) });
     const act = (id, text, run) => make("button", { type: "button", id, onclick: run }, text);
     const settings = (this.settings = new Settings("stencil-", () => this, (change) => this.set(change)));
     this.controls = make("div", { hidden: true },

@@ -47,8 +47,8 @@ export class Strokes {
     this.view = view;
     this.isMoved = Boolean(look.moved ?? look.patch);
     this.sent = [];
-    this.places = gpu.targetOfTwo("stroke places", width, height);
-    gpu.drawPlaces({ ...look, paint: this, asksPart: true }, camera, this.places, width, height);
+    this.gbuffer = gpu.targetOfTwo("stroke gbuffer", width, height);
+    gpu.drawGBuffer({ ...look, paint: this, asksPart: true }, camera, this.gbuffer, width, height);
     const { origin, size } = parts[0].header, root = [size, 0, 0, 0, 0, size, 0, 0, 0, 0, size, 0, ...origin, 1];
     this.camera = product(camera.projection(), product(camera.view, root));
     this.eye = camera.position.map((x, n) => (x - origin[n]) / size);
@@ -174,7 +174,7 @@ export class Strokes {
     const own = picture && { color: undefined, values: undefined, colors, picture: null };
     const look = led ? { ...current.look, picture: null, colors: leads, known } : current.look;
     const isOnPart = current.part >= 0 && !this.mirror.isOf(current, this.view);
-    const parts = isOnPart && this.partsIn(this.places, current.box), row = (n) => height - 1 - Math.floor(n / width);
+    const parts = isOnPart && this.partsIn(this.gbuffer, current.box), row = (n) => height - 1 - Math.floor(n / width);
     const shown = parts ? coverage.map((each, n) => (parts[row(n) * width + (n % width)] === current.part ? each : 0)) : coverage;
     return { ...current, ...own, look, shown, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
   }
@@ -183,13 +183,13 @@ export class Strokes {
   partsOf({ at, begin: [x, y] = [] }) {
     if (!at) return { part: -1, otherPart: -1 };
     const { times } = this.viewer.film, column = Math.floor(x * times), row = Math.floor(this.size[1] - y * times);
-    const [part, otherPart] = [this.places, this.mirror.places].map((places) => (places ? this.partsIn(places, [column, row, column + 1, row + 1])[0] : -1));
+    const [part, otherPart] = [this.gbuffer, this.mirror.gbuffer].map((gbuffer) => (gbuffer ? this.partsIn(gbuffer, [column, row, column + 1, row + 1])[0] : -1));
     return { part, otherPart };
   }
 
   // The numbers of the parts that pixels of a box see, the lowest row first; −1 for none.
-  partsIn(places, box) {
-    const read = this.viewer.gpu.words(places, 1, box);
+  partsIn(gbuffer, box) {
+    const read = this.viewer.gpu.words(gbuffer, 1, box);
     return Int32Array.from({ length: read.length / 4 }, (_, n) => read[4 * n + 3] - 1);
   }
 
@@ -248,9 +248,9 @@ export class Strokes {
 
   // What the picture is drawn with.
   get textures() {
-    const [u_strokesPlaces, u_strokesWays] = this.places.textures, [u_mirrorPlaces] = (this.mirror.places ?? this.places).textures;
+    const [u_strokesPositions, u_strokesDirections] = this.gbuffer.textures, [u_mirrorPositions] = (this.mirror.gbuffer ?? this.gbuffer).textures;
     const [u_stroke] = this.target.textures, u_colors = seen(this.current).picture?.texture ?? u_stroke;
-    return { u_stroke, u_colors, u_strokesPlaces, u_strokesWays, u_mirrorPlaces };
+    return { u_stroke, u_colors, u_strokesPositions, u_strokesDirections, u_mirrorPositions };
   }
 
   set(program, width, height, planes) {

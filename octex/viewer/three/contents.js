@@ -28,7 +28,7 @@ export async function* contents(given) {
 }
 
 // The same, read in a worker; in this thread where there can be none, as on pages of other origins.
-export async function* contentsElsewhere(given) {
+export async function* contentsInWorker(given) {
   const worker = started();
   if (!worker) return yield* contents(given);
   const arrived = [];

@@ -1,7 +1,7 @@
 // Reads web files: textures, and their meshes if they have any.
 
 import { Group, Loader } from "three";
-import { contentsElsewhere } from "./contents.js";
+import { contentsInWorker } from "./contents.js";
 import { Shaders, OctreeTexture } from "./texture.js";
 
 export class OctreeTextureLoader extends Loader {
@@ -33,7 +33,7 @@ export class OctreeTextureLoader extends Loader {
 
   // Read a file: its name, and its url and fetch's options, or its buffer.
   async parse(given, onProgress = () => {}) {
-    const arriving = contentsElsewhere(given), [{ value: { header } }, shaders] = await Promise.all([arriving.next(), Shaders.read()]);
+    const arriving = contentsInWorker(given), [{ value: { header } }, shaders] = await Promise.all([arriving.next(), Shaders.read()]);
     const { parts } = header, textures = parts.map((part) => new OctreeTexture(part, shaders));
     const total = parts.flatMap((part) => [...part.chunks, part.mesh]).reduce((sum, each) => sum + (each?.bytes ?? 0), 0);
     let loaded = 0, hasLevels = 0;

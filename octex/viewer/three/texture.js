@@ -54,7 +54,7 @@ export class Shaders {
       if (!response.ok) throw new Error(`octex-three: ${response.url}: ${response.status}; serve the package's page folder too`);
       return response.text();
     };
-    this.known ??= Promise.all(["ways.glsl", "walk.glsl"].map(text)).then((texts) => texts.join("\n"));
+    this.known ??= Promise.all(["directions.glsl", "walk.glsl"].map(text)).then((texts) => texts.join("\n"));
     this.known.catch(() => (this.known = null));
     return this.known;
   }

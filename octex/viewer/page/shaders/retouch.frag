@@ -1,18 +1,18 @@
-// Pictures made of the colours that the view sees: copied, blurred, sharpened, smudged. See retouch.js.
+// Copies, blurs, sharpens and smudges the colours of the view. See retouch.js.
 
 layout(location = 0) out vec4 o_color;
 
 uniform sampler2D u_from;  // sRGB; alpha 0: no surface is seen
-uniform sampler2D u_before;  // what is blurred, or sharpened against that
-uniform highp usampler2D u_seen;  // the places of pixels, as places.frag has drawn them
-uniform sampler2D u_paint;  // what is painted beneath other layers
-uniform int u_action;  // 0: copy, 1: blur, 2: smudge, 3: paint beneath other layers
-uniform ivec2 u_step;  // from where a pixel takes its colour, or the line that it is blurred along
+uniform sampler2D u_before;  // the original of a blurred picture, to mix or sharpen
+uniform highp usampler2D u_positions;  // by gbuffer.frag
+uniform sampler2D u_paint;  // paint of a layer below others
+uniform int u_action;  // 0: copy, 1: blur, 2: smudge, 3: paint below other layers
+uniform ivec2 u_step;  // offset that colours are copied by, or direction of the blur
 uniform float u_sigma;  // of the blur, in pixels
-uniform float u_share;  // of the blurred colour, or of that which is smudged; below 0: away from the blurred one
-uniform vec4 u_disc;  // the brush: its middle, its radius, and the part of that which is covered in full
+uniform float u_share;  // of the blurred or smudged colour; below 0 it sharpens
+uniform vec4 u_disc;  // the brush: centre, radius, and the share of the radius that is fully covered
 
-const float NEAR = 2.5;  // footprints a pixel that places of one surface are apart, at most
+const float NEAR = 2.5;  // the most footprints, for each pixel between them, that positions of one surface are apart
 
 vec4 colorAt(ivec2 at) {
   ivec2 size = textureSize(u_from, 0);
@@ -20,11 +20,11 @@ vec4 colorAt(ivec2 at) {
 }
 
 vec4 placeAt(ivec2 at) {
-  return uintBitsToFloat(texelFetch(u_seen, at, 0));
+  return uintBitsToFloat(texelFetch(u_positions, at, 0));
 }
 
-// Whether two pixels, so far from each other, see the same surface.
-bool isNear(vec4 a, vec4 b, float pixels) {
+// Return whether two pixels, `pixels` apart, show the same surface.
+bool isSameSurface(vec4 a, vec4 b, float pixels) {
   return distance(a.xyz, b.xyz) <= NEAR * 0.5 * (a.w + b.w) * pixels;
 }
 
@@ -34,7 +34,7 @@ vec4 blurred(ivec2 at, vec4 place) {
   for (int n = -reach; n <= reach; n++) {
     ivec2 other = at + n * u_step;
     vec4 color = colorAt(other);
-    if (color.a == 0.0 || (n != 0 && !isNear(place, placeAt(other), abs(float(n))))) continue;
+    if (color.a == 0.0 || (n != 0 && !isSameSurface(place, placeAt(other), abs(float(n))))) continue;
     float weight = exp(-0.5 * float(n * n) / (u_sigma * u_sigma));
     sum += weight * vec4(toLight(color.rgb), 1.0);
   }
@@ -47,11 +47,12 @@ vec4 smudged(ivec2 at, vec4 place, vec4 color) {
   float share = u_share * (1.0 - smoothstep(inner, radius + 0.5, distance(gl_FragCoord.xy, u_disc.xy)));
   ivec2 other = at - u_step;
   vec4 moved = colorAt(other);
-  if (share <= 0.0 || moved.a == 0.0 || !isNear(place, placeAt(other), length(vec2(u_step)))) return color;
+  if (share <= 0.0 || moved.a == 0.0 || !isSameSurface(place, placeAt(other), length(vec2(u_step)))) return color;
   return vec4(toSrgb(mix(toLight(color.rgb), toLight(moved.rgb), share)), 1.0);
 }
 
-// What paint leads to: between what black paint does, and white. Of one colour, in `u_disc`, if u_share is below 0.
+// Show paint through the layers above it: between the result of black paint and that of white. Its colour is u_disc if
+// u_share is below 0.
 vec4 ledTo(ivec2 at) {
   vec4 black = colorAt(at), paint = texelFetch(u_paint, at, 0);
   if (u_share < 0.0) paint = vec4(u_disc.rgb, 1.0);

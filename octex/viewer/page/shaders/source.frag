@@ -1,4 +1,4 @@
-// The base colour as the model's own images have it, of what places.frag has drawn.
+// The base colour as the model's own images have it, of what gbuffer.frag has drawn.
 
 precision highp float;
 

@@ -1,16 +1,16 @@
-// The field of an octree at a point of texture space: the cells around it, blended. See octex/field.
+// Evaluates the octree's field at a point of texture space, from the cells around it. See octex/field.
 //
 // u_nodes    a texel a node: first child cell << 8 | node mask, first child node << 8 | leaf mask
 // u_srgb, u_linear   a layer a plane, a texel a cell: values of channels; in alpha of the first the code of the cell's
 //            area. PLANEn(at) reads plane n.
 //
-// A line with N in braces stands there for each plane that is read. Channels' names in capitals are their
-// components among the sums, ALPHA those of one cell.
+// A line with N in braces is repeated for each plane that is read. A channel's name in capitals selects its components
+// of the sums; ALPHA those of one cell.
 //
 // The 3×3×3 cells around a point are children of a block of 2×2×2 nodes of the level above. The walk goes down
 // from block to block, eight nodes at a time, in two vectors: x varies first, then y; z is 0 in `low`.
 //
-// NEAREST, LINEAR or else quadratic is the filter. three/wgsl.js translates all this and says what that asks for.
+// The filter is NEAREST, LINEAR or else quadratic. three/wgsl.js translates this file; its first lines say what it accepts.
 
 precision highp float;
 precision highp int;
@@ -26,35 +26,34 @@ uniform usampler2D u_nodes;
 uniform highp sampler2DArray u_srgb;
 uniform highp sampler2DArray u_linear;
 vec4 g_sum{N} = vec4(0.0);
-uniform int u_depth;  // the deepest level that is looked up
+uniform int u_depth;  // the deepest level that is sampled
 uniform bool u_leafRoot;  // the root is a leaf
 #if defined(SPLIT) || defined(KEPT)
 uniform usampler2D u_entries;  // a texel an entry: a cell, and the first of its rows
 uniform uvec3 u_split;  // of split cells: the first entry, how many, the row of planes that their rows begin at
 uniform uvec3 u_kept;  // of nodes with kept coefficients likewise
-uniform int u_keptLevel;  // the first level that has such
+uniform int u_keptLevel;  // the first level with such nodes
 #endif
 
 int g_fetches = 0;
 
-struct Eight {
+struct PerNode {
   uvec4 low, high;
 };
 
-// The words of the nodes of a block, the parity there of the cells that are their children, and those cells' size in
-// fixed point: the bit of their level in positions.
+// Eight nodes around a point: their words, the parity of the child cell that holds the point, and the bit of the
+// children's level in fixed-point positions.
 struct Block {
-  Eight first, second;
+  PerNode first, second;
   uvec3 parity;
   uint bit;
 };
 
-// What is looked up are the sums g_sumN under weights; these are their sums: with alpha and without, and that
-// of alpha itself.
+// Samples add to weighted sums g_sumN. These are the sums of the weights: times alpha, without alpha, and of alpha itself.
 float g_total = 0.0, g_cover = 0.0, g_alpha = 0.0;
 bool g_ignoresAlpha = false;
 
-// What one cell adds to the sums, for a weight of 1.
+// The terms of one cell in the sums, for a weight of 1.
 float r_total, r_cover, r_alpha;
 vec4 r_sum{N};
 
@@ -69,7 +68,7 @@ ivec2 texelOf(uint row) {
   return ivec2(uvec2(row & ROW, row >> 12u));
 }
 
-// Add a row of the planes to what a cell adds.
+// Add a row of the planes to a cell's terms.
 void readRow(uint row, float weight) {
   ivec2 at = texelOf(row);
   vec4 value{N} = PLANE{N}(at);
@@ -83,13 +82,13 @@ void readRow(uint row, float weight) {
   r_sum{N} += weight * value{N};
 }
 
-// How many of eight bits are set. Renderers without a GPU take as long for a shift as for ten products.
+// Count the set bits of eight. Software renderers take as long for a shift as for ten products.
 uint bitsOf(uint bits) {
   return (bits * 0x08040201u >> 3u & 0x11111111u) * 0x11111111u >> 28u;
 }
 
 #if defined(SPLIT) || defined(KEPT)
-// Where a cell stands in one of the ascending tables, which begins at `first` and has `count` cells.
+// Return a cell's row in an ascending table that begins at `first` and has `count` cells.
 uint tableRow(uint cell, uint first, uint count) {
   uint low = 0u, high = count;
   while (low + 1u < high) {
@@ -103,7 +102,7 @@ uint tableRow(uint cell, uint first, uint count) {
 #endif
 
 #ifdef FACING
-// The sizes of the normal's cosines with the axes, and the facings there that are seen: what faces away is not.
+// The absolute cosines of the normal with the axes, and the three facings on its side.
 vec3 g_cosines;
 uvec3 g_facings;
 const float AWAY = 1e-6;
@@ -118,7 +117,7 @@ float ramp(float cosine) {
   return t * t * (3.0 - 2.0 * t);
 }
 
-// The cosines with those facings of a cell that are seen, and what it weighs by them.
+// The cosines with a cell's facings on the normal's side, and the cell's weight by them.
 vec3 seenOf(uint flags) {
   return g_cosines * vec3(uvec3(notEqual(uvec3(flags) & g_facings, uvec3(0u))));
 }
@@ -133,7 +132,7 @@ bool isSplit(uint flags, vec3 seen) {
   return all(bvec3((flags & 128u) != 0u, max(seen.x, max(seen.y, seen.z)) > 0.0, u_split.y > 0u));
 }
 
-// Read the rows of a split cell that are seen; says whether it is one.
+// Read the rows of a split cell for the facings on the normal's side; return whether the cell is split.
 bool readSides(uint cell, uint flags, vec3 seen, float weight) {
   if (!isSplit(flags, seen)) return false;
   float most = max(seen.x, max(seen.y, seen.z));
@@ -148,13 +147,13 @@ bool readSides(uint cell, uint flags, vec3 seen, float weight) {
 }
 #endif
 
-// What an average weighs: the root of its area. An area of 0 weighs 1, as leaves do.
+// The weight of an average: the square root of its area. An area of 0 weighs 1, as leaves do.
 float areaWeight(float area) {
   float code = round(area * 255.0);
   return exp2(min(code, 1.0) * (code - 207.0) / 16.0);
 }
 
-// Look at one cell: `averages` says that it weighs by its area.
+// Read a cell's terms, weighted by its area if `averages`.
 void read(uint cell, bool averages) {
   r_total = r_cover = r_alpha = 0.0;
   r_sum{N} = vec4(0.0);
@@ -195,7 +194,7 @@ void tap(uint cell, float weight, bool averages) {
   add(weight);
 }
 
-// Add one cell at once, unless it is split; says whether it is.
+// Add a cell to the sums, unless it is split; return whether it is.
 bool addWhole(uint cell, float weight, bool averages) {
   ivec2 at = texelOf(cell);
   bool isLeft = false;
@@ -234,7 +233,7 @@ void addSides(uint cell, float weight, bool averages) {
 }
 #endif
 
-// Weights of the four cells along an axis that a block has, from their distances to the point.
+// The weights of a block's four cells along an axis, by their distances from the point.
 vec4 kernel(vec4 away) {
   vec4 d = abs(away);
 #ifdef LINEAR
@@ -252,16 +251,16 @@ uvec2 nodeAt(uint number) {
   return texelFetch(u_nodes, texelOf(number), 0).xy;
 }
 
-// The children of a block that there are, and those that are left to be taken, a bit each: of the lower four nodes, and
-// of the upper ones. Loops over such bits take few turns. Renderers without a GPU run both ways of each `if` for all
-// pixels, and the body of each loop at least once: what is in fewer loops, and less often, is faster.
+// The children of a block, a bit each: those present, and those still to be taken; of the lower four nodes, and of the
+// upper four. Loops over bits take few turns. Software renderers run both branches of each `if` for all pixels, and the
+// body of each loop at least once: fewer and shorter loops are faster.
 struct Taps {
-  Eight cells;  // the first child of each node
-  uvec2 there, left;
+  PerNode cells;  // the first child of each node
+  uvec2 present, pending;
   vec4 x, y, z;  // weights by the places along the axes
 };
 
-// The bits of children by their places along an axis; along z they are alike in both words.
+// The bits of children by their position along an axis; along z both words have the same.
 const uvec4 ALONG_X = uvec4(0x00550055u, 0x00AA00AAu, 0x55005500u, 0xAA00AA00u);
 const uvec4 ALONG_Y = uvec4(0x00003333u, 0x0000CCCCu, 0x33330000u, 0xCCCC0000u);
 const uvec4 ALONG_Z = uvec4(0x0F0F0F0Fu, 0xF0F0F0F0u, 0x0F0F0F0Fu, 0xF0F0F0F0u);
@@ -270,7 +269,7 @@ uint joined(uvec4 masks) {
   return masks.x + masks.y * 0x100u + masks.z * 0x10000u + masks.w * 0x1000000u;
 }
 
-// Which places along an axis are looked at.
+// The bits of positions along an axis with a weight, or near enough.
 uvec4 wanted(vec4 along) {
 #ifdef NEAREST
   return uvec4(lessThan(along, vec4(FAR)));
@@ -284,26 +283,26 @@ Taps tapsOf(Block block, vec4 x, vec4 y, vec4 z) {
   uvec2 there = uvec2(joined(low), joined(high));
   uvec4 inX = ALONG_X * wanted(x), inY = ALONG_Y * wanted(y), inZ = ALONG_Z * wanted(z);
   uint plane = (inX.x | inX.y | inX.z | inX.w) & (inY.x | inY.y | inY.z | inY.w);
-  Eight cells = Eight(block.first.low >> uvec4(8u), block.first.high >> uvec4(8u));
+  PerNode cells = PerNode(block.first.low >> uvec4(8u), block.first.high >> uvec4(8u));
   return Taps(cells, there, there & uvec2(plane) & (inZ.xz | inZ.yw), x, y, z);
 }
 
-// The first of two if a bit is among some, else the second: exactly, and without a branch.
+// Select the first of two numbers if a bit is among some, else the second, without a branch.
 float either(uint bit, uint bits, vec2 both) {
   float is = float((bit & bits) != 0u);
   return is * both.x + (1.0 - is) * both.y;
 }
 
-// Take the first of those that are left; returns its bit.
+// Take the first pending child; return its bit.
 uvec2 take(inout Taps taps, out uint cell, out float weight) {
-  uint upper = uint(taps.left.x == 0u), left = taps.left.x + upper * taps.left.y;
+  uint upper = uint(taps.pending.x == 0u), left = taps.pending.x + upper * taps.pending.y;
   uvec2 word = uvec2(1u - upper, upper);
   uint lowest = left & (~left + 1u);
   uvec4 is = uvec4(notEqual(uvec4(lowest) & uvec4(0xFFu, 0xFF00u, 0xFF0000u, 0xFF000000u), uvec4(0u)));
   uvec4 first = is * (word.x * taps.cells.low + word.y * taps.cells.high);
   // The node's byte becomes the highest.
   uint up = is.x * 0x1000000u + is.y * 0x10000u + is.z * 0x100u + is.w;
-  uint below = ((word.x * taps.there.x + word.y * taps.there.y) & (lowest - 1u)) * up;
+  uint below = ((word.x * taps.present.x + word.y * taps.present.y) & (lowest - 1u)) * up;
   cell = first.x + first.y + first.z + first.w + bitsOf(below >> 24u);
   vec2 x = vec2(either(lowest, 0x00FF00FFu, taps.x.xz), either(lowest, 0x00FF00FFu, taps.x.yw));
   vec2 y = vec2(either(lowest, 0x0000FFFFu, taps.y.xz), either(lowest, 0x0000FFFFu, taps.y.yw));
@@ -315,19 +314,19 @@ uvec2 take(inout Taps taps, out uint cell, out float weight) {
   weight = along.x * along.y * along.z;
 #endif
   uvec2 bit = lowest * word;
-  taps.left ^= bit;
+  taps.pending ^= bit;
   return bit;
 }
 
-// Squared distances along an axis from the point to the four cells; none beyond the 27 is that near.
+// Squared distances along an axis from the point to the four cells; FAR beyond the 27.
 vec4 distances(vec4 away) {
   vec4 d = max(abs(away) - 0.5, vec4(0.0));
   return mix(d * d, vec4(FAR), vec4(greaterThan(abs(away), vec4(1.5))));
 }
 
-// Take the cells around a point that is `inside` the cell in their middle, 0 to 1.
+// Add the cells around a point; `inside` is its position in the middle cell, 0 to 1.
 void gather(Block block, vec3 inside, float share, bool averages) {
-  // The block's cells begin two below that cell, or one where it is odd.
+  // The block begins two cells before the middle one, or one where that is odd.
   vec3 begin = vec3(block.parity) - 1.5 - inside;
   vec4 steps = vec4(0.0, 1.0, 2.0, 3.0);
   vec4 x = steps + begin.x, y = steps + begin.y, z = steps + begin.z;
@@ -337,7 +336,7 @@ void gather(Block block, vec3 inside, float share, bool averages) {
   Taps taps = tapsOf(block, distances(x), distances(y), distances(z));
   float least = FAR;
   uint nearest = 0u;
-  while ((taps.left.x | taps.left.y) != 0u) {
+  while ((taps.pending.x | taps.pending.y) != 0u) {
     take(taps, cell, weight);
     if (weight < least) nearest = cell;
     least = min(weight, least);
@@ -346,13 +345,13 @@ void gather(Block block, vec3 inside, float share, bool averages) {
 #else
   Taps taps = tapsOf(block, kernel(x), kernel(y), kernel(z) * share);
   uvec2 split = uvec2(0u);
-  while ((taps.left.x | taps.left.y) != 0u) {
+  while ((taps.pending.x | taps.pending.y) != 0u) {
     uvec2 bit = take(taps, cell, weight);
     split |= bit * uint(addWhole(cell, weight, averages));
   }
 #ifdef SPLIT
-  taps.left = split;
-  while ((taps.left.x | taps.left.y) != 0u) {
+  taps.pending = split;
+  while ((taps.pending.x | taps.pending.y) != 0u) {
     take(taps, cell, weight);
     addSides(cell, weight, averages);
   }
@@ -360,8 +359,8 @@ void gather(Block block, vec3 inside, float share, bool averages) {
 #endif
 }
 
-// For each child of the block below, the word of its parent.
-Eight parents(Eight all, uvec3 other, uvec3 side) {
+// Return the parent's word for each node of the block below.
+PerNode parents(PerNode all, uvec3 other, uvec3 side) {
   uvec3 before = other * side, after = 1u - other * (1u - side);
   uvec4 x = uvec2(before.x, after.x).xyxy, y = uvec2(before.y, after.y).xxyy;
   all.low = all.low.xxzz + x * (all.low.yyww - all.low.xxzz);
@@ -369,16 +368,16 @@ Eight parents(Eight all, uvec3 other, uvec3 side) {
   all.low = all.low.xyxy + y * (all.low.zwzw - all.low.xyxy);
   all.high = all.high.xyxy + y * (all.high.zwzw - all.high.xyxy);
   uvec4 apart = all.high - all.low;
-  return Eight(all.low + before.z * apart, all.low + after.z * apart);
+  return PerNode(all.low + before.z * apart, all.low + after.z * apart);
 }
 
-// Numbers of child nodes, counted from 1; 0 for none. `nodes` are first child nodes << 8 | node masks.
+// Return the numbers of child nodes plus 1; 0 for none. `nodes` are first child nodes << 8 | node masks.
 uvec4 childNodes(uvec4 nodes, uvec4 bits) {
   uvec4 below = (nodes & (bits - 1u)) * 0x08040201u >> uvec4(3u) & uvec4(0x11111111u);
   return uvec4(notEqual(nodes & bits, uvec4(0u))) * ((nodes >> uvec4(8u)) + (below * 0x11111111u >> uvec4(28u)) + 1u);
 }
 
-// Where a point lies, in fixed point, and the parity there of the cells of a level.
+// A point in fixed point, and the parity of the cell there of a bit's level.
 uvec3 fixedAt(vec3 point) {
   return min(uvec3(clamp(point, vec3(0.0), vec3(1.0)) * FINEST), uvec3(vec3(FINEST - 1.0)));
 }
@@ -397,22 +396,22 @@ Block blockOf(uvec2 words, uvec3 place, uint bit) {
   uvec3 parity = parityAt(place, bit);
   uvec4 at = uvec4(equal(uvec4(0u, 1u, 2u, 3u), uvec4(3u - parity.x - 2u * parity.y)));
   uvec4 low = at * parity.z, high = at * (1u - parity.z);
-  return Block(Eight(low * words.x, high * words.x), Eight(low * words.y, high * words.y), parity, bit);
+  return Block(PerNode(low * words.x, high * words.x), PerNode(low * words.y, high * words.y), parity, bit);
 }
 
-// Go down by a level around a place. `span` has the bits in which parents that are wanted differ: along axes where it has none
-// of the level, only the ancestor of the place is read.
+// Descend a level around a position. `span` has the bits in which the wanted parents differ: along an axis without any at
+// this level, only the ancestor of the position is read.
 void goDown(inout Block block, uvec3 place, uvec3 span) {
   uvec3 straddles = uvec3(greaterThanEqual(span, uvec3(block.bit)));
   block.bit = block.bit >> 1u;
   uvec3 side = parityAt(place, block.bit), other = side ^ block.parity;
   const uvec4 masks = uvec4(255u);
-  Eight nodes = Eight(block.second.low & ~masks | block.first.low & masks, block.second.high & ~masks | block.first.high & masks);
+  PerNode nodes = PerNode(block.second.low & ~masks | block.first.low & masks, block.second.high & ~masks | block.first.high & masks);
   nodes = parents(nodes, other, side);
   uvec3 low = uvec3(2u, 4u, 16u) - other * uvec3(1u, 3u, 15u), high = 1u + other * uvec3(1u, 3u, 15u);
   uvec4 bits = uvec2(low.x, high.x).xyxy * uvec2(low.y, high.y).xxyy;
   uvec4 lower = childNodes(nodes.low, bits * low.z), upper = childNodes(nodes.high, bits * high.z);
-  block = Block(Eight(uvec4(0u), uvec4(0u)), Eight(uvec4(0u), uvec4(0u)), side, block.bit);
+  block = Block(PerNode(uvec4(0u), uvec4(0u)), PerNode(uvec4(0u), uvec4(0u)), side, block.bit);
   uvec3 own = uvec3(0xAAu, 0xCCu, 0xF0u) - side * uvec3(0x55u, 0x99u, 0xE1u);
   own |= straddles * 0xFFu;
   const uvec4 ones = uvec4(1u, 2u, 4u, 8u);
@@ -435,14 +434,14 @@ uvec3 cellOf(uvec3 place, int level) {
   return place >> uvec3(uint(23 - level));
 }
 
-// Add the looks at two levels: `shares` of them, `levels` of which the second is the same or the next.
-void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
+// Add samples of two levels with their shares; the second level is the same as the first, or the next.
+void addLevels(vec3 point, ivec2 levels, vec2 shares, int leaves) {
   uvec3 place = fixedAt(point);
-  // The parents of the cells that the first look takes, and the bits in which their positions differ.
+  // The parents of the cells of the first sample, and the bits in which their positions differ.
   ivec3 low = (ivec3(cellOf(place, levels.x)) - 1) >> uvec3(1u);
   ivec3 least = max(low, ivec3(0)), most = min(low + 1, ivec3((1 << uint(max(levels.x - 1, 0))) - 1));
   uvec3 span = uvec3(least ^ most) << uvec3(uint(24 - levels.x));
-  // Begin with the last node that all of them descend from.
+  // Begin with their last common ancestor.
   uvec2 words = aboveRoot();
   uint bit = uint(FINEST), widest = max(span.x, max(span.y, span.z));
   int level = 0;
@@ -454,15 +453,15 @@ void addLooks(vec3 point, ivec2 levels, vec2 shares, int leaves) {
     bit = bit >> 1u;
   }
   Block block = blockOf(words, place, bit);
-  for (int look = levels.x; look <= levels.y; look++) {
-    for (; level < look; level++) goDown(block, place, span);
+  for (int sampled = levels.x; sampled <= levels.y; sampled++) {
+    for (; level < sampled; level++) goDown(block, place, span);
     vec3 inside = point * float(1 << uint(level)) - vec3(cellOf(place, level));
-    gather(block, inside, look == levels.x ? shares.x : shares.y, level < leaves);
+    gather(block, inside, sampled == levels.x ? shares.x : shares.y, level < leaves);
     span = uvec3(uint(FINEST));
   }
 }
 
-// The leaf that holds a point, or the deepest cell above it: its number, its level, and 1 if it is a node.
+// Return the leaf that holds a point, or its deepest ancestor: its number, its level, and 1 for a node.
 uvec3 leafAt(vec3 point, int last) {
   uvec3 place = fixedAt(point);
   uvec3 found = uvec3(0u, 0u, uint(!u_leafRoot));
@@ -482,8 +481,9 @@ uvec3 leafAt(vec3 point, int last) {
 }
 
 #if defined(MIXED) && !defined(NEAREST)
-// Leaves of several depths. From the first level with leaves or kept coefficients around the point on, each of the 3×3×3
-// cells there has its part of the sums. Parts are refined from level to level, and replaced by those of leaves.
+// Leaves of several depths. The walk descends to the first level with leaves or kept coefficients around the point. From
+// there on, each of the 3×3×3 cells holds terms of the sums. Refinement carries them to the next level, and leaves there
+// replace them.
 float m_total[27];
 float m_weight[27];  // how much of a cell comes from cells that were read
 vec4 m_sum{N}[27];
@@ -491,11 +491,11 @@ vec4 m_sum{N}[27];
 float m_cover[27], m_alpha[27];  // without alpha, m_total is both
 #endif
 #ifdef KEPT
-bool m_keeps[27];  // nodes that keep a coefficient
+bool m_keeps[27];  // nodes with a kept coefficient
 #endif
 #ifdef LINEAR
-// Linear interpolation refines leaves alone: what lies below them is made of leaves, and of nothing else.
-bool m_leaf[27];  // leaves, and what lies below them
+// Linear interpolation refines leaves only.
+bool m_leaf[27];  // leaves, and cells below leaves
 #endif
 
 void put(int at, float weight) {
@@ -508,7 +508,7 @@ void put(int at, float weight) {
 #endif
 }
 
-// Begin with cells without parts.
+// Set the terms of all cells to 0.
 void clearMixed() {
   r_total = r_cover = r_alpha = 0.0;
   r_sum{N} = vec4(0.0);
@@ -524,7 +524,7 @@ void clearMixed() {
 }
 
 #ifdef LINEAR
-// Leave in refined cells what lies below leaves: which are those of the level above.
+// Keep only the terms of cells below the leaves of the level above, and only what these leaves give.
 void keepBelow(uvec3 parity) {
   bool leaves[27] = m_leaf;
   for (int at = 0; at < 27; at++) {
@@ -569,13 +569,13 @@ void refine(uvec3 parity) {
 #endif
 }
 
-// The word of a block's node, by its place along the axes.
-uint wordAt(Eight words, uvec3 place) {
+// Return the word of a block's node, by its position along the axes.
+uint wordAt(PerNode words, uvec3 place) {
   uvec4 four = place.z == 0u ? words.low : words.high;
   return four[place.x + 2u * place.y];
 }
 
-// Put the cells around the point in place of what was refined; says whether any of them is refined further.
+// Replace refined terms by those of the cells around the point; return whether any cell is refined further.
 bool putCells(Block block, bool isLast, bool averages) {
 #ifdef KEPT
   bool kept[27] = m_keeps;
@@ -616,16 +616,16 @@ bool putCells(Block block, bool isLast, bool averages) {
   return goesOn;
 }
 
-// Whether any word of a block's nodes has bits of the cells around the point.
-bool isAround(Eight words, uvec3 parity) {
+// Return whether any of the cells around the point has its bit in the words of a block's nodes.
+bool isAround(PerNode words, uvec3 parity) {
   uvec4 plane = parity.x == 1u ? uvec4(0xFFu, 0x55u, 0xFFu, 0x55u) : uvec4(0xAAu, 0xFFu, 0xAAu, 0xFFu);
   plane &= parity.y == 1u ? uvec4(0xFFu, 0xFFu, 0x33u, 0x33u) : uvec4(0xCCu, 0xCCu, 0xFFu, 0xFFu);
   uvec4 low = plane & uvec4(parity.z == 1u ? 0xFFu : 0xF0u), high = plane & uvec4(parity.z == 1u ? 0x0Fu : 0xFFu);
   return any(notEqual(words.low & low | words.high & high, uvec4(0u)));
 }
 
-// Go down to the first level, at most `last`, without nodes around the point; add what is there.
-void addMixed(vec3 point, int last, float share, bool averages) {
+// Descend to the first level, at most `last`, without nodes around the point; add its cells.
+void addMixedDepths(vec3 point, int last, float share, bool averages) {
   uvec3 place = fixedAt(point);
   Block block = blockOf(aboveRoot(), place, uint(FINEST));
   int level = 0;
@@ -677,25 +677,25 @@ void addMixed(vec3 point, int last, float share, bool averages) {
 }
 #endif
 
-// Add the looks at two levels, in any tree.
-void addAll(vec3 point, ivec2 levels, vec2 shares, int leaves) {
+// Add samples of two levels, in any tree.
+void addSamples(vec3 point, ivec2 levels, vec2 shares, int leaves) {
 #ifdef MIXED
-  for (int look = 0; look < 2; look++) {
-    if (shares[look] <= 0.0) continue;
-    bool averages = levels[look] < leaves;
+  for (int n = 0; n < 2; n++) {
+    if (shares[n] <= 0.0) continue;
+    bool averages = levels[n] < leaves;
 #ifdef NEAREST
-    uvec3 cell = leafAt(point, levels[look]);
-    tap(cell.x, shares[look], averages && cell.z == 1u);
+    uvec3 cell = leafAt(point, levels[n]);
+    tap(cell.x, shares[n], averages && cell.z == 1u);
 #else
-    addMixed(point, levels[look], shares[look], averages);
+    addMixedDepths(point, levels[n], shares[n], averages);
 #endif
   }
 #else
-  addLooks(point, levels, shares, leaves);
+  addLevels(point, levels, shares, leaves);
 #endif
 }
 
-// Look the field up; `width` is the side of the square to average over, 0 for none.
+// Sample the field; `width` is that of the footprint, 0 for none.
 void lookUp(vec3 point, float width) {
   point = clamp(point, vec3(0.0), vec3(1.0));
   g_sum{N} = vec4(0.0);
@@ -716,11 +716,11 @@ void lookUp(vec3 point, float width) {
     levels.y = shares.y > 0.0 ? levels.x + 1 : levels.x;
   }
   int leaves = width > 0.0 ? u_depth : 0;
-  // Off the surface it is the averages of the deepest level that has one there.
+  // Off the surface, use the averages of the deepest level that has a cell there.
   for (;;) {
-    addAll(point, levels, shares, leaves);
+    addSamples(point, levels, shares, leaves);
 #ifdef ALPHA
-    // Where alpha is zero throughout, values do not weigh by it.
+    // Where all alphas are zero, values are not weighted by them.
     if (g_cover > 0.0 && g_total <= 0.0 && !g_ignoresAlpha) {
       g_ignoresAlpha = true;
       g_cover = g_alpha = 0.0;

@@ -11,7 +11,7 @@ const NAME = /-view-([0-9a-f]{8})/; // of files
 const MOST = 20; // views that are kept, the latest ones
 const EXACTLY = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
 
-export class Elsewhere {
+export class External {
   constructor(painting) {
     this.painting = painting;
     element("history").before(section("elsewhere", "Paint in another program",

@@ -1,5 +1,5 @@
-// What the pixels of a picture see: rest positions and directions. Looked up are then pixels, each once, and not
-// what hides behind them, nor pixels' neighbours for each of many small triangles.
+// The G-buffer: rest position, footprint and directions of the surface at each pixel. The octree is then sampled once a
+// pixel: not for hidden surface, and not for the helper pixels of small triangles.
 
 #ifdef PARTS
 flat in uint v_part;
@@ -10,12 +10,12 @@ in vec3 v_seen;
 in vec3 v_normal;
 in vec3 v_restNormal;
 
-layout(location = 0) out uvec4 o_place;  // bits of the rest position and of the footprint's side, or how far away it is; the last one: it faces away
-layout(location = 1) out uvec4 o_ways;  // unit vectors in bytes: the normal, towards the camera, the side at rest, across, or 1 and the part's number
+layout(location = 0) out uvec4 o_position;  // bits of the rest position and of the footprint's width, or of the depth; the lowest bit of the last: a back face
+layout(location = 1) out uvec4 o_directions;  // packed unit vectors: normal, direction to the camera, normal at rest, tangent (or the part's number plus 1)
 
 #ifdef LAYERED
 uniform bool u_footprints;  // as in surface.frag
-uniform vec2 u_alphas;  // only what has an alpha from the first to below the second is seen
+uniform vec2 u_alphas;  // discard alphas below the first or from the second on
 #endif
 
 void main() {
@@ -31,7 +31,7 @@ void main() {
   side = size > 0.0 ? side / size : vec3(0.0, 0.0, 1.0);
   vec3 across = normal;
 #ifdef POSED
-  across = carried(tangent(side), v_rest, v_seen);
+  across = tangentToView(tangent(side), v_rest, v_seen);
 #endif
   float width = footprint(v_rest);
 #ifdef LAYERED
@@ -44,12 +44,12 @@ void main() {
 #ifdef AWAY
   width = 1.0 / gl_FragCoord.w;
 #endif
-  o_place = floatBitsToUint(vec4(v_rest, width));
+  o_position = floatBitsToUint(vec4(v_rest, width));
 #ifdef PAINTS
-  o_place.w = (o_place.w & ~1u) | (gl_FrontFacing ? 0u : 1u);
+  o_position.w = (o_position.w & ~1u) | (gl_FrontFacing ? 0u : 1u);
 #endif
-  o_ways = uvec4(packed(normal), packed(toward), packed(side), packed(across));
+  o_directions = uvec4(packDirection(normal), packDirection(toward), packDirection(side), packDirection(across));
 #ifdef PARTS
-  o_ways.w = v_part + 1u;
+  o_directions.w = v_part + 1u;
 #endif
 }
