@@ -37,8 +37,8 @@ tools layers material palette exporting flat paint
 """
 PAINTING = [*(f"{name}.js" for name in _PAINTING_NAMES.split()), "paint.css"]
 PAINTING_SHADERS = ["stroke.frag", "dabs.frag", "retouch.frag", "outline.frag"]
-SHADERS = ["directions.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "gbuffer.frag", "source.frag"]
-SHADERS += ["tiles.vert"]
+SHADERS = ["directions.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "gbuffer.frag"]
+SHADERS += ["source.frag", "tiles.vert"]
 SHADERS += [f"{name}.{stage}" for name in ("surface", "cubes") for stage in ("vert", "frag")]
 _PAGE = files(__name__.rpartition(".")[0]) / "page"
 #: The ending of web files.
