@@ -21,7 +21,7 @@ from octex.tree.layout import GRID_BITS, MAX_DEPTH
 #: footprints and the squares of distances then stay inside the range of single precision.
 SMALLEST, LARGEST = 1e-15, 1e30
 #: Cells along the longest side at depth 10, the default of conversions.
-_USUAL = 1021
+_USUAL = (1 << 10) - 3
 
 
 class Placement(NamedTuple):

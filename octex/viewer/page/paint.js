@@ -421,12 +421,12 @@ class Painting {
     return (this.last.baked[this.sending.page] ?? 0) < this.sending.number;
   }
 
-  // Say whether all is saved, or that commands take long.
+  // Tell whether all is saved, or that commands take long.
   showSaved(isLong = false) {
-    const { output, isSaved } = this.last, state = this.isBusy && isLong ? "working …" : isSaved && !this.isBusy ? "all is saved" : "not saved";
-    element("saved").textContent = `${output}: ${state}`;
+    const { isBusy, last: { output, isSaved } } = this, finished = isSaved ? "all is saved" : "not saved";
+    element("saved").textContent = `${output}: ${!isBusy ? finished : isLong ? "working …" : "not saved"}`;
     clearTimeout(this.slow);
-    if (this.isBusy) this.slow = setTimeout(() => this.showSaved(true), LONG);
+    if (isBusy) this.slow = setTimeout(() => this.showSaved(true), LONG);
   }
 
   // List the steps, of which these were listed before. Rows that stay the same are not touched: there may be thousands.

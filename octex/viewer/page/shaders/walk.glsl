@@ -577,7 +577,7 @@ uint wordAt(PerNode words, uvec3 place) {
 
 // Replace refined terms by those of the cells around the point; return whether any cell is refined further.
 bool putCells(Block block, bool isLast, bool averages) {
-#ifdef KEPT
+#if defined(KEPT) && !defined(LINEAR)
   bool kept[27] = m_keeps;
 #endif
   bool goesOn = false;
@@ -586,15 +586,13 @@ bool putCells(Block block, bool isLast, bool averages) {
     uvec3 parent = place >> uvec3(1u), octant = place & uvec3(1u);
     uint first = wordAt(block.first, parent), second = wordAt(block.second, parent), masks = (first | second) & 255u;
     uint bit = (1u + octant.x) * (1u + 3u * octant.y) * (1u + 15u * octant.z), cell = (first >> 8u) + bitsOf(masks & (bit - 1u));
-    bool isNode = (first & bit) != 0u, isLeaf = (second & bit) != 0u, isBelow = false, keeps = false;
-    float weight = 1.0;
-#ifdef KEPT
-#ifndef LINEAR
+    bool isNode = (first & bit) != 0u, isLeaf = (second & bit) != 0u;
+    bool isBelow = false, keeps = false;  // whether the parent has a kept coefficient, and whether the cell has
+#if defined(KEPT) && !defined(LINEAR)
     uvec3 owner = parent + block.parity;
     isBelow = kept[owner.x + 3u * owner.y + 9u * owner.z];
 #endif
-    if (isBelow) weight = m_weight[at];
-#endif
+    float weight = isBelow ? m_weight[at] : 1.0;
     if (isLeaf || (isNode && isLast)) {
       read(cell, averages && isNode);
       put(at, weight);
