@@ -122,10 +122,10 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
                 shots = _refined(options, surface, shots, stored)
             if has_layers:
                 layers = [open_texture(path) for path in options.IMAGE]
+                made = _merged(options, surface, texture, layers, run)
             else:
-                texture, layers = _projected(options, surface, texture, shots, stored, progress)
-            made = _merged(options, surface, texture, layers, options.IMAGE if has_layers else [], run)
-        if made is None:
+                made, layers = _painted(options, surface, texture, shots, stored, progress)
+        if made is None or options.opacity == 0:
             compares = any(shot.picture.since is not None for shot in shots)
             return _nothing_painted(options, program, compares)
         channel = _channel_of(layers[0])
@@ -193,7 +193,7 @@ def _refined(options: Options, surface: Surface, shots: Sequence[Shot], run: Run
     return [shot._replace(picture=replace(shot.picture, camera=camera)) for shot, camera in pairs]
 
 
-def _projected(
+def _painted(
     options: Options,
     surface: Surface,
     texture: OctreeTexture | None,
@@ -201,38 +201,28 @@ def _projected(
     run: Run,
     progress: Reporter,
 ) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
-    """Project images; return the texture to merge them into (None: a new one), and their layer."""
-    settings: dict[str, Any] = {
+    """Paint images; return the texture, None for no paint, and the layers of paint."""
+    from octex.painting.options import PaintOptions
+    from octex.painting.paint import painted_layers
+
+    settings = PaintOptions(
         **arguments(options, "max_depth", "edge_feather", "pictures", "balance"),
         **options.max_angle,
-        "channel": options.channel or DEFAULT_CHANNEL,
-        "reference": _reference(options, shots),
-        "fit": not options.no_fit,
-        "run": run,
-    }
-    pictures = [shot.picture for shot in shots]
-    background = _value_of(options) if isinstance(options.holes, tuple) else None
-    layer = octex.project(surface, pictures, like=texture, **settings)
-    if texture is not None and layer.tree.n_leaves > texture.tree.n_leaves:
+        channel=options.channel or DEFAULT_CHANNEL,
+        reference=_reference(options, shots),
+        fit=not options.no_fit,
+    )
+    pictures = [replace(shot.picture, opacity=options.opacity) for shot in shots]
+    made, layers = painted_layers(
+        texture, surface, pictures, settings, run, _holes(options), coverage=options.coverage
+    )
+    count = sum(layer.tree.n_leaves for layer in layers)
+    if texture is not None and count > texture.tree.n_leaves:
         progress.note(
-            f"the paint has {layer.tree.n_leaves:,} leaves, the texture {texture.tree.n_leaves:,}; "
+            f"the paint has {count:,} leaves, the texture {texture.tree.n_leaves:,}; "
             f"--max-depth {texture.tree.max_depth} paints with cells as small as the texture's"
         )
-    if background is None or not layer.tree.n_leaves:
-        return texture, [layer]
-    depth = layer.tree.max_depth if options.max_depth is None else options.max_depth
-    channel = _channel_of(layer)
-    texture = octex.convert(
-        surface,
-        depth,
-        channels=[channel],
-        sources={channel: background},
-        fit=not options.no_fit,
-        run=Run(executor=run.executor, progress=progress),
-    )
-    if texture.placement != layer.placement:
-        layer = octex.project(surface, pictures, like=texture, **settings)
-    return texture, [layer]
+    return made if count and made is not texture else None, layers
 
 
 def _merged(
@@ -240,34 +230,26 @@ def _merged(
     surface: Surface,
     texture: OctreeTexture | None,
     layers: Sequence[OctreeTexture],
-    files: Sequence[Path],
     run: Run,
 ) -> OctreeTexture | None:
-    """Merge layers, read from ``files`` if any, into a texture or a new one; None if they paint nothing."""
-    if options.opacity == 0:
-        return None
+    """Merge layers, the IMAGEs, into a texture or a new one; None if they paint nothing."""
     is_in = False
     if texture is None:
         from octex.painting.first import started
         from octex.painting.surface import Job, PaintedSurface
 
-        holes: Any = "leave" if files else options.holes if isinstance(options.holes, str) else "smooth"
         assert run.executor is not None
         job = Job(PaintedSurface(surface), run.executor, run.report)
-        texture, is_in = started(job, layers[0], holes, options.blend)
+        texture, is_in = started(job, layers[0], "leave", options.blend)
     made = texture
     for number, layer in enumerate(layers):
-        if not layer.tree.n_leaves or (is_in and number == 0):
-            continue
-        how = {"opacity": options.opacity, "blend": options.blend}
-        try:
-            made = octex.merge(made, layer, surface, **how, run=run)
-        except ArgumentError as error:
-            raise ArgumentError(f"{files[number]}: {error}" if files else str(error)) from None
-    if options.coverage and any(layer.tree.n_leaves for layer in layers):
-        from octex.painting.first import with_coverage
-
-        made = with_coverage(made, layers)
+        if layer.tree.n_leaves and not (is_in and number == 0):
+            try:
+                made = octex.merge(
+                    made, layer, surface, opacity=options.opacity, blend=options.blend, run=run
+                )
+            except ArgumentError as error:
+                raise ArgumentError(f"{options.IMAGE[number]}: {error}") from None
     return made if is_in or made is not texture else None
 
 
@@ -282,22 +264,16 @@ def _reference(options: Options, shots: Sequence[Shot]) -> int | None:
     raise ArgumentError(f"--reference {path} must name exactly one of the pictures")
 
 
-def _value_of(options: Options) -> tuple[float, ...]:
-    """Return the colour of --holes as the channel's decoded value, linear light for colours."""
-    import numpy as np
+def _holes(options: Options) -> Any:
+    """Return the argument ``holes`` of octex.paint."""
+    from octex.channels import CHANNELS
 
-    from octex.channels import CHANNELS, decode
-    from octex.checks import as_choice
-
-    form = CHANNELS[as_choice(options.channel or DEFAULT_CHANNEL, CHANNELS, "channel")]
-    codes: tuple[int, ...] = options.holes
-    if form.space == "direction":
-        raise ArgumentError(f"--holes is a colour, but {form.name} holds directions")
-    if form.components == 1:
-        if len(set(codes)) > 1:
-            raise ArgumentError(f"--holes is a colour, but {form.name} has one component; give a grey")
-        codes = codes[:1]
-    return tuple(decode(np.array(codes, np.uint8), form.space).tolist())
+    if not isinstance(options.holes, tuple):
+        return options.holes or "smooth"
+    form = CHANNELS.get(options.channel or DEFAULT_CHANNEL)
+    if form is not None and form.components == 1 and len(set(options.holes)) == 1:
+        return options.holes[0] / 255
+    return "#" + bytes(options.holes).hex()
 
 
 def _channel_of(layer: OctreeTexture) -> str:

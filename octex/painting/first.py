@@ -35,12 +35,13 @@ from octex.painting.blend import (
 from octex.painting.layer import COVERAGE, Paint, blocks_meeting, empty_texture, painted_channel
 from octex.painting.merge import paint_by_tiles
 from octex.painting.multigrid import added, graph_of, solve
-from octex.painting.options import Holes
+from octex.painting.options import Fill
 from octex.painting.picture import Blend
 from octex.painting.sheets import Sheets, sheets_of
 from octex.painting.steps import cull_cells
 from octex.painting.surface import Job
 from octex.source.base import Source
+from octex.source.overrides import FunctionSource
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.beside import with_boundary
@@ -87,31 +88,28 @@ class SheetValues(Source):
         return found
 
 
-def begun(job: Job, layer: OctreeTexture, holes: Holes, *, is_hidden: bool = False) -> OctreeTexture:
-    """Return the texture below the first layer: ``smooth`` where the layer has no paint.
+def begun(job: Job, layer: OctreeTexture, fill: Fill | Float32s, *, is_hidden: bool = False) -> OctreeTexture:
+    """Return the texture below the first layer; its cells are as large as most leaves of the layer.
 
-    Values that the layer covers by half or more are known, in cells as large as most of its leaves. The rest
-    is harmonic; a part without known values gets the mean. If the layer hides the fill (``is_hidden``), only
-    the surroundings of uncovered surface have cells.
+    All have the value ``fill``, or are "smooth": values that the layer covers by half or more are known, the
+    rest is harmonic, and a part without known values gets the mean. If the layer hides the fill
+    (``is_hidden``), only the surroundings of uncovered surface have cells.
     """
     name, surface = painted_channel(layer), job.surface.surface
     form = layer.channels[name].format
     nothing = empty_texture([form], layer.placement, layer.bounds, surface)
-    if holes == "leave" or not layer.tree.n_leaves:
+    if (isinstance(fill, str) and fill == "leave") or not layer.tree.n_leaves:
         return nothing
     job.progress("fill", 0, 1)
     level, region = _uncovered(layer, surface)
-    if not region.codes.size:
-        return nothing
-    sheets = sheets_of(surface, layer.placement, level, job.executor, region)
-    where = locate(layer.tree, sheets.codes, level)
-    values = rows_facing(layer, layer.channels[name], where.cells, sheets.bits).astype(np.float64)
-    coverage = rows_facing(layer, layer.channels[ALPHA.name], where.cells, sheets.bits)[:, 0]
-    is_there = where.is_leaf | (where.levels == level)
-    coverage[~is_there | (layer.tree.arrays.flags[where.cells] & sheets.bits == 0)] = 0.0
-    mean = decode(layer.channels[name].values[0], form.space).astype(np.float64)
-    values = np.concatenate([filled(sheets, values, coverage >= _KNOWN, mean), mean[None]])
-    source = SheetValues(form, sheets, values.astype(np.float32))
+    if isinstance(fill, str):
+        if not region.codes.size:
+            return nothing
+        source: Source = _smooth(job, layer, level, region)
+    else:
+        source = FunctionSource(
+            form, lambda points: np.tile(fill, (len(points), 1)), surface.rest, surface.triangles
+        )
     made = cell_levels(
         surface, source, (form,), layer.placement, level, job.executor, job.progress,
         has_samples=False, reached=partial(blocks_meeting, [region]) if is_hidden else None,
@@ -119,6 +117,21 @@ def begun(job: Job, layer: OctreeTexture, holes: Holes, *, is_hidden: bool = Fal
     tree, channels, *_ = assemble(made)
     job.progress("fill", 1, 1)
     return nothing.with_cells(tree, channels)
+
+
+def _smooth(job: Job, layer: OctreeTexture, level: int, region: Tiles) -> SheetValues:
+    """Return the smooth values of the surface in cells of a level, within a region."""
+    name = painted_channel(layer)
+    form = layer.channels[name].format
+    sheets = sheets_of(job.surface.surface, layer.placement, level, job.executor, region)
+    where = locate(layer.tree, sheets.codes, level)
+    values = rows_facing(layer, layer.channels[name], where.cells, sheets.bits).astype(np.float64)
+    coverage = rows_facing(layer, layer.channels[ALPHA.name], where.cells, sheets.bits)[:, 0]
+    is_there = where.is_leaf | (where.levels == level)
+    coverage[~is_there | (layer.tree.arrays.flags[where.cells] & sheets.bits == 0)] = 0.0
+    mean = decode(layer.channels[name].values[0], form.space).astype(np.float64)
+    values = np.concatenate([filled(sheets, values, coverage >= _KNOWN, mean), mean[None]])
+    return SheetValues(form, sheets, values.astype(np.float32))
 
 
 def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Tiles]:
@@ -217,15 +230,17 @@ class Leaves(NamedTuple):
     areas: Uint8s  # (n,)
 
 
-def started(job: Job, layer: OctreeTexture, holes: Holes, blend: Blend) -> tuple[OctreeTexture, bool]:
+def started(
+    job: Job, layer: OctreeTexture, fill: Fill | Float32s, blend: Blend
+) -> tuple[OctreeTexture, bool]:
     """Return a new texture for a layer, and whether it includes the layer.
 
-    It does unless the layer erases: with nothing below there is nothing to blend with. Else the texture holds
-    only the fill of ``holes``.
+    It does unless the layer erases or the ``fill`` is a value: else there is nothing to blend with. Without
+    it the texture holds only the fill.
     """
-    is_in = blend != "erase" and layer.tree.n_leaves > 0
-    fill = begun(job, layer, holes, is_hidden=is_in)
-    return (_laid_over(job, fill, layer) if is_in else fill), is_in
+    is_in = blend != "erase" and isinstance(fill, str) and layer.tree.n_leaves > 0
+    made = begun(job, layer, fill, is_hidden=is_in)
+    return (_laid_over(job, made, layer) if is_in else made), is_in
 
 
 def _laid_over(job: Job, fill: OctreeTexture, layer: OctreeTexture) -> OctreeTexture:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, get_args
+from typing import Literal, TypeAlias, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Bools
-from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat
-from octex.checks import as_array, as_choice, as_depth, as_flag, as_number, as_whole
+from octex.arrays import Bools, Float32s
+from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat, color_in_light
+from octex.checks import as_array, as_choice, as_depth, as_flag, as_number, as_reals, as_whole
 from octex.errors import ArgumentError
 from octex.painting.picture import Projection
 from octex.texture import OctreeTexture, as_texture
@@ -23,9 +23,10 @@ PICTURES: tuple[Pictures, ...] = get_args(Pictures)
 Balance = Literal["gain", "full"]
 BALANCES: tuple[Balance, ...] = get_args(Balance)
 
-#: Contents of a new texture where no picture sees the surface.
-Holes = Literal["leave", "smooth"]
-HOLES: tuple[Holes, ...] = get_args(Holes)
+#: Contents of a new texture where no picture sees the surface: cells or none, or a value of the channel.
+Fill = Literal["leave", "smooth"]
+FILLS: tuple[Fill, ...] = get_args(Fill)
+Holes: TypeAlias = Fill | npt.ArrayLike
 
 #: Largest angles in degrees: photographs blur surface at grazing angles, drawings do not.
 TAKEN_ANGLE, DRAWN_ANGLE = 75.0, 85.0
@@ -102,3 +103,27 @@ def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
     if form.components > 3:
         raise ArgumentError(f"channel {channel!r} has {form.components} components; pictures have three")
     return form
+
+
+def value_of(color: npt.ArrayLike | str, form: ChannelFormat) -> Float32s:
+    """Return a colour as a channel's values (components,), or raise ArgumentError."""
+    if isinstance(color, str):
+        return color_in_light(color, form)
+    shapes = [(form.components,), *([()] if form.components == 1 else [])]
+    most = float(np.finfo(np.float32).max)
+    value = np.atleast_1d(as_reals(color, f"color of {form.name!r}", *shapes, most=most))
+    least = -1.0 if form.space == "direction" else 0.0
+    if form.dtype.startswith("u") and not ((value >= least) & (value <= 1.0)).all():
+        example = ', or write "#rrggbb"' if form.space == "srgb" else ""
+        raise ArgumentError(
+            f"color of {form.name!r} must be from {least:g} to 1, not {color!r}; divide numbers up to 255 by "
+            f"255{example}"
+        )
+    return value.astype(np.float32)
+
+
+def fill_of(holes: Holes, form: ChannelFormat) -> Fill | Float32s:
+    """Return how to fill unseen surface, checked; a colour as a channel's values (components,)."""
+    if isinstance(holes, str) and not holes.startswith("#"):
+        return cast(Fill, as_choice(holes, FILLS, "holes"))
+    return value_of(holes, form)

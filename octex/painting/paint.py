@@ -10,15 +10,16 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from octex.arrays import Float32s
 from octex.cameras.camera import Camera
 from octex.channels import ChannelFormat
-from octex.checks import as_choice, as_flag
+from octex.checks import as_flag
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.first import started, with_coverage
 from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
 from octex.painting.merge import Merging, merged
-from octex.painting.options import HOLES, Balance, Holes, PaintOptions, Pictures, format_of
+from octex.painting.options import Balance, Fill, Holes, PaintOptions, Pictures, fill_of, format_of
 from octex.painting.picture import Projection, check_projections, content_of, room_for
 from octex.painting.project import AROUND, in_fixed_order, take_shots
 from octex.painting.reading import Shot, terms_of
@@ -51,7 +52,7 @@ def paint(
     back_faces: bool = False,
     hidden: bool = False,
     region: npt.ArrayLike | None = None,
-    holes: Holes | None = None,
+    holes: Holes = "smooth",
     coverage: bool = False,
     fit: bool = True,
     threads: int | None = None,
@@ -81,7 +82,7 @@ def paint(
     hidden        also paint surface that other surface hides from the camera
     region        triangles to paint, as numbers or one bool each; others still hide. Default: all
     holes         what a new texture has where no picture sees: "smooth" (default) continues the colours
-                  harmonically over the surface; "leave" stores no cells
+                  harmonically over the surface; "leave" stores no cells; a value as in ``octex.fill``
     coverage      also store the part of each cell that pictures cover, 0 … 1, as channel "coverage"
     fit           choose leaf values so that lookups match the pictures; False stores plain averages
     run           how to work (octex.Run)
@@ -95,21 +96,38 @@ def paint(
     4.1 and 4.2.)
     """
     run = as_run(run, threads, progress, "memory", "folder", "resume")
-    as_surface(surface)
     options = PaintOptions(
         channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit, hidden,
         region,
     )  # fmt: skip
-    filling: Holes = "smooth" if holes is None else as_choice(holes, HOLES, "holes")
-    layers: list[OctreeTexture] | None = [] if as_flag(coverage, "coverage") else None
-    given = check_projections(projections)
+    return painted_layers(texture, surface, projections, options, run, holes, coverage=coverage)[0]
+
+
+def painted_layers(
+    texture: OctreeTexture | None,
+    surface: Surface,
+    projections: Projection | Sequence[Projection],
+    options: PaintOptions,
+    run: Run,
+    holes: Holes = "smooth",
+    *,
+    coverage: bool = False,
+) -> tuple[OctreeTexture, list[OctreeTexture]]:
+    """Paint as `paint` does; return the texture and the layers that were merged into it."""
+    as_surface(surface)
+    fill = fill_of(holes, format_of(texture, options.channel))
+    is_covered, layers, given = (
+        as_flag(coverage, "coverage"),
+        list[OctreeTexture](),
+        check_projections(projections),
+    )
     model = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     with workers(run) as pool, room_for(given, run):
         job = Job(model, pool, run.report, stages_in(run.resume))
-        for made, _ in painted(job, texture, given, options, filling, layers):
+        for made, _ in painted(job, texture, given, options, fill, layers):
             texture = made
     assert texture is not None
-    return with_coverage(texture, layers) if layers else texture
+    return with_coverage(texture, layers) if is_covered else texture, layers
 
 
 def painted(
@@ -117,7 +135,7 @@ def painted(
     texture: OctreeTexture | None,
     projections: list[Projection],
     options: PaintOptions,
-    holes: Holes = "smooth",
+    fill: Fill | Float32s = "smooth",
     layers: list[OctreeTexture] | None = None,
     merge: Merging = merged,
     put: Callable[[Change, OctreeTexture], OctreeTexture] = Change.put_into,
@@ -131,7 +149,7 @@ def painted(
         if layers is not None:
             layers.append(layer)
         if texture is None:
-            texture, is_in = started(job, layer, holes, blend)
+            texture, is_in = started(job, layer, fill, blend)
             if is_in:
                 yield texture, None
                 continue
@@ -188,7 +206,8 @@ def layer_of(
     form = format_of(like, options.channel)
 
     def parts() -> list[Any]:
-        shown = [(content_of(each), key_of(cast(Camera, each.camera)), each.opacity) for each in pictures]
+        cameras = [key_of(cast(Camera, each.camera)) for each in pictures]
+        shown = [*zip(map(content_of, pictures), cameras, _scales(pictures), strict=True)]
         return [job.surface.content, like and like.placement, form, shown, *astuple(options)]
 
     stages = job.stages.of(parts)
@@ -250,15 +269,21 @@ def _look(
     sights = job.surface.sights(
         cameras, options.edge_feather, job.executor, job.stages, hidden=options.hidden
     )
-    largest = max(each.opacity for each in pictures) or 1.0
-    scales = [each.opacity / largest for each in pictures]
     shots = []
-    taken = take_shots(pictures, form, scales, sights, job.executor, around=around, stages=job.stages)
+    taken = take_shots(
+        pictures, form, _scales(pictures), sights, job.executor, around=around, stages=job.stages
+    )
     job.progress("look", 0, len(pictures))
     for shot in taken:
         shots.append(shot)
         job.progress("look", len(shots), len(pictures))
     return shots
+
+
+def _scales(pictures: Sequence[Projection]) -> list[float]:
+    """Return the opacities of pictures relative to the largest one."""
+    largest = max(each.opacity for each in pictures) or 1.0
+    return [each.opacity / largest for each in pictures]
 
 
 def check_inside(surface: Surface, placement: Placement) -> None:

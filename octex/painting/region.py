@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, Bools, Float32s, Float64s, Int32s, Int64s
-from octex.channels import BASE_COLOR, ChannelFormat, color_in_light, linear_to_srgb
+from octex.channels import BASE_COLOR, ChannelFormat, linear_to_srgb
 from octex.checks import answer, as_choice, as_depth, as_number, as_points, as_positive, as_reals
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.layer import Depths, PaintSource, empty_texture
 from octex.painting.merge import Merging, merged
-from octex.painting.options import format_of, triangles_of
+from octex.painting.options import format_of, triangles_of, value_of
 from octex.painting.paint import check_inside
 from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import layer_from, rasterize_surface
@@ -158,7 +158,7 @@ def filled(
     painted, opacity = job.surface, as_number(opacity, "opacity", 0.0, 1.0)
     as_choice(blend, BLENDS, "blend")
     form = format_of(texture, channel)
-    value = _value(color, form)
+    value = value_of(color, form)
     if max_depth is not None:
         depth = as_depth(max_depth, "max_depth")
     else:
@@ -169,23 +169,6 @@ def filled(
     layer = layer_from(job, rasterize_surface(job, source, placement, Depths(depth, depth), fit=False))
     base = texture or empty_texture([form], placement, painted.surface.bounds, painted.surface)
     return base, merge(job, base, layer, opacity, blend)
-
-
-def _value(color: npt.ArrayLike | str, form: ChannelFormat) -> Float32s:
-    """Return a colour as a channel's values (components,), or raise ArgumentError."""
-    if isinstance(color, str):
-        return color_in_light(color, form)
-    shapes = [(form.components,), *([()] if form.components == 1 else [])]
-    most = float(np.finfo(np.float32).max)
-    value = np.atleast_1d(as_reals(color, f"color of {form.name!r}", *shapes, most=most))
-    least = -1.0 if form.space == "direction" else 0.0
-    if form.dtype.startswith("u") and not ((value >= least) & (value <= 1.0)).all():
-        example = ', or write "#rrggbb"' if form.space == "srgb" else ""
-        raise ArgumentError(
-            f"color of {form.name!r} must be from {least:g} to 1, not {color!r}; divide numbers up to 255 by "
-            f"255{example}"
-        )
-    return value.astype(np.float32)
 
 
 @dataclass(eq=False)

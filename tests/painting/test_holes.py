@@ -218,10 +218,32 @@ def test_translucent_paint_lies_on_the_fill():
     np.testing.assert_allclose(texture.sample(points.rest), np.tile([0.2, 0.4, 0.8], (3000, 1)), atol=0.01)
 
 
+@needs_jit
+@pytest.mark.parametrize("blend", ["over", "multiply", "erase"])
+def test_holes_may_have_a_colour_and_paint_blends_with_it(blend):
+    surface = ball(rings=24)
+    camera = octex.Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(48, 48))
+    image = one_color(camera, (1.0, 0.5, 0.25))
+    picture = octex.Projection(image, camera, opacity=0.75, blend=blend)
+    color = np.array([0.2, 0.4, 0.8])
+    texture = octex.paint(None, surface, picture, holes=color)
+    texture.validate()
+    points = surface.scatter(2000)
+    found = texture.sample(points.rest)
+    front, back = points.rest[:, 2] > 0.85, points.rest[:, 2] < 0.15
+    over = {"over": [1.0, 0.5, 0.25], "multiply": color * [1.0, 0.5, 0.25], "erase": color}[blend]
+    np.testing.assert_allclose(
+        found[front], np.tile(0.25 * color + 0.75 * np.array(over), (front.sum(), 1)), atol=0.01
+    )
+    np.testing.assert_allclose(found[back], np.tile(color, (back.sum(), 1)), atol=0.003)
+
+
 def test_what_is_not_known_of_holes_is_refused():
     surface = plain(square())
     picture = octex.Projection(one_color(above(), (1.0, 0.0, 0.0)), above())
     with pytest.raises(ArgumentError, match="unknown holes 'fill'; there are: leave, smooth"):
         octex.paint(None, surface, picture, holes="fill")
+    with pytest.raises(ArgumentError, match="color of 'base_color' must be from 0 to 1"):
+        octex.paint(None, surface, picture, holes=(0, 0, 255))
     with pytest.raises(ArgumentError, match="coverage must be"):
         octex.paint(None, surface, picture, coverage="yes")
