@@ -319,7 +319,7 @@ _FEW, _FEW_KEPT = 8, 2
 class Targets(NamedTuple):
     """The points to look up, and their results."""
 
-    places: Float64s  # (n, 3)   in texture space
+    coords: Float64s  # (n, 3)   in texture space
     keys: Int64s  # (n,)   ascending: of each the Morton code of level SORTED << NUMBER_BITS | its number
     results: Float32s  # (n · components,)   the mean of the channel
     components: int
@@ -343,7 +343,7 @@ def _write_mean(
 @inlined
 def _look_up_by_walk(values: Values, way: Way, found: Taps, targets: Targets, n: int, n_missed: int) -> int:
     """Look a point up by the walk (`neighborhood`); return the number missed."""
-    x, y, z = targets.places[n, 0], targets.places[n, 1], targets.places[n, 2]
+    x, y, z = targets.coords[n, 0], targets.coords[n, 1], targets.coords[n, 2]
     end, _ = taps_around(way, x, y, z, True, found, 0)
     sum_a = sum_b = sum_c = sum_d = total = 0.0
     for tap in range(end):
@@ -377,16 +377,16 @@ def _blend_brick(
     n_missed: int,
 ) -> int:
     """Look points up in a block of a level whose first cell is ``low``; return the number missed."""
-    rows, places, keys = bricks.rows, targets.places, targets.keys
+    rows, coords, keys = bricks.rows, targets.coords, targets.keys
     cells = np.float64(np.int64(1) << level)
     for m in range(begin, end):
         ahead = int(keys[min(m + AHEAD, keys.size - 1)] & _NUMBER)
-        prefetch(places, ahead)
+        prefetch(coords, ahead)
         prefetch(targets.results, ahead * targets.components)
         n = np.uint64(keys[m] & _NUMBER)
-        x = (places[n, 0] + 1.0 - 1.0) * cells
-        y = (places[n, 1] + 1.0 - 1.0) * cells
-        z = (places[n, 2] + 1.0 - 1.0) * cells
+        x = (coords[n, 0] + 1.0 - 1.0) * cells
+        y = (coords[n, 1] + 1.0 - 1.0) * cells
+        z = (coords[n, 2] + 1.0 - 1.0) * cells
         most = cells - 1.0
         i, j, k = min(np.floor(x), most), min(np.floor(y), most), min(np.floor(z), most)
         of_x, of_y, of_z = _brick_weights(x - i), _brick_weights(y - j), _brick_weights(z - k)

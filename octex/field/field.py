@@ -23,7 +23,7 @@ from octex.field.taps import (
     Taps,
     clear_outside_slopes,
     new_taps,
-    place_points,
+    to_coordinates,
 )
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_levels
 from octex.field.weights import MOST_ROWS, Facings, Weighing, facings_of, weigh_taps
@@ -207,7 +207,7 @@ class Finder:
         self._walk: Walk | None = None
         self._taps: Taps | None = None
         self._all = self._next = self._empty = self._rim = np.empty(0, np.int64)
-        self.places = np.empty((0, 3))  # of the latest block, in texture space
+        self.coords = np.empty((0, 3))  # of the latest block, in texture space
 
     def blocks(
         self,
@@ -226,11 +226,11 @@ class Finder:
         for begin in range(0, len(points), BLOCK):
             block = slice(begin, begin + BLOCK)
             some = points[block]
-            self.places = memory[: len(some)]
-            fault = place_points(positions(some), *self._placement, self.places)
+            self.coords = memory[: len(some)]
+            fault = to_coordinates(positions(some), *self._placement, self.coords)
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
-            taps = self.find(self.places, rows)
+            taps = self.find(self.coords, rows)
             if by.faces or by.areas.size:
                 end = int(taps.ends.max(initial=0))
                 if by.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
@@ -239,12 +239,12 @@ class Finder:
                 weigh_taps(taps, by, facing, _NO_ROWS, passed[0][block], passed[1][block])
             yield block, taps
 
-    def find(self, places: Float64s, rows: Uint8s = _NO_ROWS) -> Taps:
+    def find(self, coords: Float64s, rows: Uint8s = _NO_ROWS) -> Taps:
         """Return the taps of at most BLOCK points (n, 3), valid until the next call.
 
         ``rows``, which are read of the cells next, are prefetched.
         """
-        n = len(places)
+        n = len(coords)
         tiles = self.field.tiles_for(self.filter)
         most = MOST_TAPS + n * (_WALKED if tiles is None else MOST_TILED[self.filter])
         if self._taps is None or self._taps.starts.size < n:
@@ -256,17 +256,17 @@ class Finder:
             taps = taps._replace(starts=taps.starts[:n], ends=taps.ends[:n], covers=taps.covers[:n])
         which, end, n_rim = self._all[:n], 0, n
         if tiles is not None:
-            taps, end, n_rim = self._tiled(places, taps, which, rows)
+            taps, end, n_rim = self._tiled(coords, taps, which, rows)
             which = self._rim[:n_rim]
         if tiles is None and self.filter == NEAREST:
-            taps = self._nearest(places, taps)
+            taps = self._nearest(coords, taps)
         elif n_rim:
-            taps = self._walked(places, taps, end, which)
+            taps = self._walked(coords, taps, end, which)
         if self._gradient:
-            clear_outside_slopes(taps, places)
+            clear_outside_slopes(taps, coords)
         return taps
 
-    def _tiled(self, places: Float64s, taps: Taps, which: Int64s, rows: Uint8s) -> tuple[Taps, int, int]:
+    def _tiled(self, coords: Float64s, taps: Taps, which: Int64s, rows: Uint8s) -> tuple[Taps, int, int]:
         """Find taps by tiles, and list the points for the walk in the rim; return how many these are."""
         ahead = Ahead(rows, _NO_ROWS[:0], NO_BYTES, NO_BYTES)
         end = n_rim = 0
@@ -275,7 +275,7 @@ class Finder:
             room = end + MOST_TILED[self.filter] * which.size + 8
             if room > taps.rows.size:
                 taps = _with_room(taps, end, room)
-            here = places if number == 0 else places[which]
+            here = coords if number == 0 else coords[which]
             batch = Batch(here, which, last, self._empty, self._rim[n_rim:], ahead)
             end, n_empty, more = FINDERS[self.filter](above, number > 0, batch, taps, end)
             n_rim += more
@@ -284,7 +284,7 @@ class Finder:
                 break
         return taps, end, n_rim
 
-    def _walked(self, places: Float64s, taps: Taps, end: int, which: Int64s) -> Taps:
+    def _walked(self, coords: Float64s, taps: Taps, end: int, which: Int64s) -> Taps:
         """Find the taps of points ``which`` by the walk."""
         if self._walk is None:
             self._walk = new_walk()
@@ -294,15 +294,15 @@ class Finder:
             if end + MOST_TAPS > taps.rows.size:
                 taps = _with_room(taps, end, end + MOST_TAPS)
             done, end = walked_taps(
-                *(tree.arrays, tree.kept.cells, self._whole.n_cells, places, which, done),
+                *(tree.arrays, tree.kept.cells, self._whole.n_cells, coords, which, done),
                 *(self.filter, not self._adds, self._walk, taps, end),
             )
         return taps
 
-    def _nearest(self, places: Float64s, taps: Taps) -> Taps:
-        tree, n = self.field.tree, len(places)
+    def _nearest(self, coords: Float64s, taps: Taps) -> Taps:
+        tree, n = self.field.tree, len(coords)
         cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
-        nearest_cells(tree.arrays, positions(places), (0.0, 0.0, 0.0), 1.0, cells, held)
+        nearest_cells(tree.arrays, positions(coords), (0.0, 0.0, 0.0), 1.0, cells, held)
         taps.rows[:n], taps.weights[:n] = cells, np.where(held, np.float32(1), OFF)
         taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], held
         return taps

@@ -267,14 +267,14 @@ def _put_probe(
     y: float,
     z: float,
     owner: int,
-    places: Floats,
+    coords: Floats,
     owners: Int32s,
     shares: Float32s,
 ) -> None:
     """Write a probe unless its share is 0."""
     if share != 0.0:
         at = ends[level]
-        places[at, 0], places[at, 1], places[at, 2] = x, y, z
+        coords[at, 0], coords[at, 1], coords[at, 2] = x, y, z
         owners[at], shares[at] = owner, share
         ends[level] = at + 1
 
@@ -290,7 +290,7 @@ def _write_probes(
     rows: int,
     least: float,
     ends: Int64s,
-    places: Floats,
+    coords: Floats,
     owners: Int32s,
     shares: Float32s,
 ) -> None:
@@ -298,7 +298,7 @@ def _write_probes(
     for n in range(first, end):
         x, y, z = points[n, 0], points[n, 1], points[n, 2]
         lower, before, at_lower, after = _level_shares(levels[n], depth, shape.sharpness)
-        target = n - first, places, owners, shares
+        target = n - first, coords, owners, shares
         if rows == 0:
             _put_probe(ends, lower - 1, before, x, y, z, *target)
             _put_probe(ends, lower, at_lower, x, y, z, *target)
@@ -340,13 +340,13 @@ def spread(
         counts = np.zeros(depth + 1, np.int64)
         end = _count(shape, levels, first, depth, rows, least, _ROOM, counts)
         starts = np.concatenate([[0], np.cumsum(counts)])
-        places, owners = np.empty((starts[-1], 3), points.dtype), np.empty(starts[-1], np.int32)
+        coords, owners = np.empty((starts[-1], 3), points.dtype), np.empty(starts[-1], np.int32)
         shares = np.empty(starts[-1], np.float32)
         ends = starts[:-1].copy()
-        _write_probes(points, shape, levels, first, end, depth, rows, least, ends, places, owners, shares)
+        _write_probes(points, shape, levels, first, end, depth, rows, least, ends, coords, owners, shares)
         probes = {}
         for level in np.flatnonzero(counts).tolist():
             at = slice(starts[level], starts[level + 1])
-            probes[level] = Probes(places[at], owners[at], shares[at])
+            probes[level] = Probes(coords[at], owners[at], shares[at])
         yield slice(first, end), probes
         first = end

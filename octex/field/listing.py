@@ -88,8 +88,8 @@ class Listing(Lookup):
 
     def _read(self, taps: Taps, level: int) -> Reads:
         """Return the rows that the latest block reads, and the cells that hold its points."""
-        places = self.finder(self._field.level(level)).places
-        return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), _cells_at(places, level))
+        coords = self.finder(self._field.level(level)).coords
+        return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), _cells_at(coords, level))
 
     def _weigh_all(self, taps: Taps, *, always: bool) -> None:
         """Weigh taps as lookups of the channel do."""
@@ -97,10 +97,10 @@ class Listing(Lookup):
             pass
 
 
-def _cells_at(places: Float64s, level: int) -> Int64s:
+def _cells_at(coords: Float64s, level: int) -> Int64s:
     """Return the Morton codes of the cells of a level that hold points of texture space, ascending."""
     side = 1 << level
-    return distinct(encode_cells(np.minimum((places * side).astype(np.int64), side - 1)))
+    return distinct(encode_cells(np.minimum((coords * side).astype(np.int64), side - 1)))
 
 
 def joined_reads(found: Iterable[Mapping[int, Reads]]) -> dict[int, Reads]:

@@ -14,7 +14,7 @@ from octex.field.bricks import NUMBER_BITS, SORTED, Targets, look_up_crowded, ne
 from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, NotFiniteError, positions
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
-from octex.field.taps import Codes, Taps, place_points
+from octex.field.taps import Codes, Taps, to_coordinates
 from octex.field.tiled import Additions, Search, Weighed, look_up_tiled
 from octex.field.weights import Weighing
 from octex.jit import direct, unlocked
@@ -159,13 +159,13 @@ class Lookup:
         alpha = channel.codes._replace(values=channel.codes.values[:0])
         if self._alpha is not None and not channel.is_alpha:
             alpha = self._alpha.codes
-        places, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
-        fault = place_points(positions(points), *self._placement, places)
+        coords, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
+        fault = to_coordinates(positions(points), *self._placement, coords)
         if fault >= 0:
             raise NotFiniteError(fault)
-        keys = keys_of(places, SORTED, NUMBER_BITS)
+        keys = keys_of(coords, SORTED, NUMBER_BITS)
         keys.sort()
-        targets = Targets(places, keys, results.reshape(-1), results.shape[1], missed)
+        targets = Targets(coords, keys, results.reshape(-1), results.shape[1], missed)
         tree = self._field.tree
         n_missed = look_up_crowded(tree.arrays, tree.kept.cells, channel.codes, alpha, targets, new_bricks())
         if n_missed:

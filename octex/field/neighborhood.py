@@ -217,7 +217,7 @@ def walked_taps(
     arrays: TreeArrays,
     kept_cells: Uint32s,
     first_kept: int,
-    places: Float64s,
+    coords: Float64s,
     which: Int64s,
     begin: int,
     filter_code: int,
@@ -239,7 +239,7 @@ def walked_taps(
             return m, end
         n = which[m]
         start = end
-        x, y, z = places[n, 0], places[n, 1], places[n, 2]
+        x, y, z = coords[n, 0], coords[n, 1], coords[n, 2]
         found = x, y, z, is_constant, taps, start
         if filter_code == QUARTIC:
             end, cover = taps_around(Way(arrays, kept_cells, walk, QUARTIC, 3, columns, False), *found)

@@ -44,7 +44,7 @@ from octex.tree.search import UNITS, nearer_box
 
 @inlined
 def _place_linear(
-    places: Float64s,
+    coords: Float64s,
     begin: int,
     count: int,
     depth: int,
@@ -58,9 +58,9 @@ def _place_linear(
     one, two, three = np.int32(1), np.int32(2), np.int32(3)
     for n in range(count):
         first = np.uint64(3 * (begin + n))
-        x = places[first] * cells - 0.5
-        y = places[first + np.uint64(1)] * cells - 0.5
-        z = places[first + np.uint64(2)] * cells - 0.5
+        x = coords[first] * cells - 0.5
+        y = coords[first + np.uint64(1)] * cells - 0.5
+        z = coords[first + np.uint64(2)] * cells - 0.5
         u, v, w = np.floor(x), np.floor(y), np.floor(z)
         at = np.uint64(n)
         steps[at] = x - u
@@ -95,20 +95,20 @@ def _slope_linear(steps: Float32s, n: int, depth: int, stored: int, slopes: Floa
 @fused_kernel
 def linear_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
     """Find the taps of trilinear interpolation."""
-    places, which, ahead, last = batch.places, batch.which, batch.ahead, batch.last
+    coords, which, ahead, last = batch.coords, batch.which, batch.ahead, batch.last
     near = new_near()
     steps, octants, bits = (
         np.zeros(3 * GROUP, np.float32),
         np.zeros(8 * GROUP, np.uint8),
         np.zeros(8 * GROUP, np.uint8),
     )
-    flat = places.reshape(-1)
+    flat = coords.reshape(-1)
     gradient, one = taps.slopes.shape[0] > 0, np.float32(1.0)
     n_empty = n_rim = 0
     # Seldom used steps stay outside the loop over eight cells, which takes a fifth longer with them.
     prefetches_more = ahead.alpha.shape[0] + ahead.flags.size + ahead.areas.size > 0
-    for begin in range(0, places.shape[0], GROUP):
-        count = min(GROUP, places.shape[0] - begin)
+    for begin in range(0, coords.shape[0], GROUP):
+        count = min(GROUP, coords.shape[0] - begin)
         _place_linear(flat, begin, count, tiles.depth, near, steps, octants, bits)
         find_tiles(tiles, near, count)
         for n in range(count):
@@ -215,10 +215,10 @@ def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, sid
 
 
 @inlined
-def _lowest(places: Float64s, point: int, cells: float) -> tuple[float, float, float, float, float, float]:
+def _lowest(coords: Float64s, point: int, cells: float) -> tuple[float, float, float, float, float, float]:
     """Return a point in cells, and the cell that holds it, as floats."""
     at = np.uint64(3 * point)
-    x, y, z = places[at] * cells, places[at + np.uint64(1)] * cells, places[at + np.uint64(2)] * cells
+    x, y, z = coords[at] * cells, coords[at + np.uint64(1)] * cells, coords[at + np.uint64(2)] * cells
     most = cells - 1.0
     return x, y, z, min(np.floor(x), most), min(np.floor(y), most), min(np.floor(z), most)
 
@@ -234,18 +234,18 @@ def _put_products(to: Float32s, at: np.uint64, factor: Any, left: Any, right: An
 @by_constants
 @inlined
 def _place(
-    places: Float64s, begin: int, count: int, depth: int, group: Group, weights: Any, slopes: Any, side: int
+    coords: Float64s, begin: int, count: int, depth: int, group: Group, weights: Any, slopes: Any, side: int
 ) -> None:
     """Find each point's tile, window, and weights and slopes along the axes: functions of its place."""
     cells, one, reach = float(1 << depth), np.float32(1.0), np.int32(side // 2)
     for n in range(count):
         at = np.uint64(n)
-        x, y, z, u, v, w = _lowest(places, begin + n, cells)
+        x, y, z, u, v, w = _lowest(coords, begin + n, cells)
         _find_place(group, n, np.int32(u) - reach, np.int32(v) - reach, np.int32(w) - reach, side)
         _put_products(group.along, at, one, (one,), weights(x - u))
         _put_products(group.along, at + np.uint64(side * GROUP), one, weights(y - v), weights(z - w))
     for n in range(count if group.slopes.size > 0 else 0):
-        x, y, z, u, v, w = _lowest(places, begin + n, cells)
+        x, y, z, u, v, w = _lowest(coords, begin + n, cells)
         scale, at = np.float32(cells), np.uint64(n)
         _put_products(group.slopes, at, scale, (one,), slopes(x - u))
         at += np.uint64(side * GROUP)
@@ -352,10 +352,10 @@ def _spline_taps(
     side: int,
 ) -> tuple[int, int, int]:
     """Find the taps of a spline over ``side``³ cells."""
-    flat = batch.places.reshape(-1)
+    flat = batch.coords.reshape(-1)
     n_empty = n_rim = 0
-    for begin in range(0, batch.places.shape[0], GROUP):
-        count = min(GROUP, batch.places.shape[0] - begin)
+    for begin in range(0, batch.coords.shape[0], GROUP):
+        count = min(GROUP, batch.coords.shape[0] - begin)
         _place(flat, begin, count, tiles.depth, group, weights, slopes, side)
         find_tiles(tiles, group.near, count)
         for n in range(count):
@@ -390,21 +390,21 @@ def quartic_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int)
 @part
 def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
     """Find the nearest of the 27 cells around points without a leaf; the first of equally near ones."""
-    places, which = batch.places, batch.which
+    coords, which = batch.coords, batch.which
     group = new_group(False)
     shift, one = MAX_DEPTH - tiles.depth, np.int32(1)
     n_empty = 0
-    for begin in range(0, places.shape[0], GROUP):
-        count = min(GROUP, places.shape[0] - begin)
+    for begin in range(0, coords.shape[0], GROUP):
+        count = min(GROUP, coords.shape[0] - begin)
         for n in range(count):
-            a = rounded_cell(places[begin + n, 0], tiles.depth) - one
-            b = rounded_cell(places[begin + n, 1], tiles.depth) - one
-            c = rounded_cell(places[begin + n, 2], tiles.depth) - one
+            a = rounded_cell(coords[begin + n, 0], tiles.depth) - one
+            b = rounded_cell(coords[begin + n, 1], tiles.depth) - one
+            c = rounded_cell(coords[begin + n, 2], tiles.depth) - one
             _find_place(group, n, a, b, c, 3)
         find_tiles(tiles, group.near, count)
         for n in range(count):
             _find_window(tiles, group, n, 3, batch.ahead)
-            x, y, z = places[begin + n, 0], places[begin + n, 1], places[begin + n, 2]
+            x, y, z = coords[begin + n, 0], coords[begin + n, 1], coords[begin + n, 2]
             a, b, c = rounded_cell(x, tiles.depth), rounded_cell(y, tiles.depth), rounded_cell(z, tiles.depth)
             point = x * UNITS, y * UNITS, z * UNITS
             parity, mask = np.int64(group.parities[n]), group.masks[0]
@@ -435,12 +435,12 @@ def nearest_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int)
     if is_off:
         return _nearest_around(tiles, batch, taps, end)
     n_empty = nearest_rows(tiles, batch, taps.rows)
-    for n in range(batch.places.shape[0]):
+    for n in range(batch.coords.shape[0]):
         taps.starts[n], taps.ends[n] = n, n + 1
         taps.weights[n] = taps.covers[n] = np.float32(1.0)
     for m in range(n_empty):
         taps.ends[batch.empty[m]] = taps.starts[batch.empty[m]]
-    return batch.places.shape[0], n_empty, 0
+    return batch.coords.shape[0], n_empty, 0
 
 
 #: By the number of the filter.

@@ -55,7 +55,7 @@ def prefetch_cell(ahead: Ahead, cell: int) -> None:
 class Batch(NamedTuple):
     """Points whose taps tiles look for, and lists of those without an answer."""
 
-    places: Float64s  # (n, 3)   in texture space
+    coords: Float64s  # (n, 3)   in texture space
     which: Int64s  # (n,)   the points' numbers among the taps
     last: int  # the largest number of a cell
     empty: Int64s  # (n,)   output: points without any cell around them
@@ -149,40 +149,40 @@ def scale_off(taps: Taps, which: Int64s) -> None:
 
 
 @kernel
-def clear_outside_slopes(taps: Taps, places: Float64s) -> None:
-    """Zero the slopes of points outside the root cell, along the axes that ``places`` (n, 3) clamp."""
-    for n in range(places.shape[0]):
+def clear_outside_slopes(taps: Taps, coords: Float64s) -> None:
+    """Zero the slopes of points outside the root cell, along the axes that ``coords`` (n, 3) clamp."""
+    for n in range(coords.shape[0]):
         for axis in range(3):
-            if 0.0 < places[n, axis] < 1.0:
+            if 0.0 < coords[n, axis] < 1.0:
                 continue
             for tap in range(taps.starts[n], taps.ends[n]):
                 taps.slopes[tap, axis] = 0.0
 
 
 @inlined
-def _place_rows(rows: Floats, origin: Origin, inverse: float, places: Float64s) -> bool:
-    """Write the places of rows (n, 3); return whether any row is not finite."""
+def _to_coordinates(rows: Floats, origin: Origin, inverse: float, coords: Float64s) -> bool:
+    """Write the coordinates of rows (n, 3); return whether any row is not finite."""
     faults = 0
     for n in range(rows.shape[0]):
         x, y, z = np.float64(rows[n, 0]), np.float64(rows[n, 1]), np.float64(rows[n, 2])
         faults |= int(not ((abs(x) < np.inf) & (abs(y) < np.inf) & (abs(z) < np.inf)))
         x, y, z = placed(x, y, z, origin, inverse)
-        places[n, 0] = min(max(0.0, x), 1.0)
-        places[n, 1] = min(max(0.0, y), 1.0)
-        places[n, 2] = min(max(0.0, z), 1.0)
+        coords[n, 0] = min(max(0.0, x), 1.0)
+        coords[n, 1] = min(max(0.0, y), 1.0)
+        coords[n, 2] = min(max(0.0, z), 1.0)
     return faults != 0
 
 
 @kernel
-def place_points(points: Positions, origin: Origin, size: float, places: Float64s) -> int:
-    """Write points' places in texture space (n, 3), clamped to 0 … 1; return the first not finite, or −1."""
+def to_coordinates(points: Positions, origin: Origin, size: float, coords: Float64s) -> int:
+    """Write points in texture space (n, 3), clamped to 0 … 1; return the first one not finite, or −1."""
     if points.singles.shape[0] > 0:
-        is_faulty = _place_rows(points.singles, origin, 1.0 / size, places)
+        is_faulty = _to_coordinates(points.singles, origin, 1.0 / size, coords)
     else:
-        is_faulty = _place_rows(points.doubles, origin, 1.0 / size, places)
+        is_faulty = _to_coordinates(points.doubles, origin, 1.0 / size, coords)
     if not is_faulty:
         return -1
-    for n in range(places.shape[0]):
+    for n in range(coords.shape[0]):
         x, y, z = position(points, n)
         if not ((abs(x) < np.inf) & (abs(y) < np.inf) & (abs(z) < np.inf)):
             return n

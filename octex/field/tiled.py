@@ -22,7 +22,7 @@ from octex.field.taps import (
     Taps,
     clear_outside_slopes,
     new_taps,
-    place_points,
+    to_coordinates,
 )
 from octex.field.tiles import Tiles, nearest_rows
 from octex.field.weights import MOST_ROWS, Weighing, weigh_taps
@@ -62,7 +62,7 @@ class Additions(NamedTuple):
 
 @part
 def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
-    """Return room for the taps of points at once, of split cells too, for their places, and their numbers."""
+    """Return room for the taps of points at once, of split cells too, for their coordinates and numbers."""
     # Half a page more, so that rows and weights do not begin at like places of their pages: reading the one
     # would wait for writing the other, and `linear` take 8 % longer.
     room = points * MOST_TILED[search.filter_code] + 520
@@ -103,7 +103,7 @@ def look_up_tiled(
     all_points = count_of(points)
     step = max(min(_STEP, all_points), 1)
     is_split = search.by.facings.rows.size > 0 and faces and not (adds or is_faced)
-    room, places, each = _new_room(search, step, is_split, gradient)
+    room, coords, each = _new_room(search, step, is_split, gradient)
     facing = np.empty((step if faces else 0, 3), np.float32)
     if is_faced:  # points own one probe each
         shares, none = np.ones(step, np.float32), np.empty(0, np.float32)
@@ -116,8 +116,8 @@ def look_up_tiled(
     for begin in range(0, all_points, step):
         end = min(begin + step, all_points)
         count = end - begin
-        here, empty, rim = places[:count], lost[0, n_empty:], lost[1, n_rim:]
-        fault = place_points(
+        here, empty, rim = coords[:count], lost[0, n_empty:], lost[1, n_rim:]
+        fault = to_coordinates(
             Positions(points.singles[begin:end], points.doubles[begin:end]), origin, size, here
         )
         if fault >= 0:

@@ -87,8 +87,8 @@ def build_tiles(tree: Octree) -> Tiles:
         offset = 0 if of_cells else row - level_nodes[level + 3]
         _fill_tiles(groups, first, of_cells, offset, masks[some], firsts[some])
     top = np.full((1 << top_level,) * 3, rows, np.int32)
-    places = decode_cells(tree.level_codes(top_level)[tree.is_node(top_level)])
-    top[tuple(places.T[::-1])] = np.arange(len(places))
+    cells = decode_cells(tree.level_codes(top_level)[tree.is_node(top_level)])
+    top[tuple(cells.T[::-1])] = np.arange(len(cells))
     return Tiles(depth, top_level, top.reshape(-1), masks, firsts, _NO_MARKS)
 
 
@@ -334,12 +334,12 @@ def rounded_cell(x: float, depth: int) -> np.int32:
 @fused_part
 def nearest_rows(tiles: Tiles, batch: Batch, found: Uint32s) -> int:
     """Write the cells that hold points to ``found`` (n,); list the points without, return their number."""
-    places, last, empty, ahead = batch.places, batch.last, batch.empty, batch.ahead
+    coords, last, empty, ahead = batch.coords, batch.last, batch.empty, batch.ahead
     near, codes = new_near(), np.zeros(GROUP, np.int32)
-    flat = places.reshape(-1)
+    flat = coords.reshape(-1)
     three, seven, n_empty = np.int32(3), np.int32(7), 0
-    for begin in range(0, places.shape[0], GROUP):
-        count = min(GROUP, places.shape[0] - begin)
+    for begin in range(0, coords.shape[0], GROUP):
+        count = min(GROUP, coords.shape[0] - begin)
         for n in range(count):
             at = np.uint64(3 * (begin + n))
             i = rounded_cell(flat[at], tiles.depth)

@@ -16,7 +16,7 @@ from octex.painting.layer import Paint, SurfaceCells, among_at, joined, leave_ba
 from octex.parallel import ordered_map, sharing
 from octex.tree import morton
 from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
-from octex.tree.edit import Located, among, first_not_below, locate, places, with_all_above
+from octex.tree.edit import Located, among, first_not_below, indices_in, locate, with_all_above
 from octex.tree.layout import FACING_FLAGS, KEPT, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree, distinct
 
@@ -228,7 +228,7 @@ def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[I
         is_bare = ~is_node & ~is_skirt[here]
         for above, each in enumerate(paint[: level + 1]):
             if each.codes.size:
-                at = places(codes >> 3 * (level - above), each.codes)
+                at = indices_in(codes >> 3 * (level - above), each.codes)
                 there = at >= 0
                 is_bare[there] &= leave_bare(flags[there], each.flags[at[there]])
         found.append(codes[is_bare])

@@ -19,7 +19,7 @@ from octex.source.parts import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
-from octex.tree.edit import among, first_not_below, locate, places
+from octex.tree.edit import among, first_not_below, indices_in, locate
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
@@ -274,7 +274,7 @@ def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> Uint8s:
     found = np.zeros(codes.size, np.uint8)
     for above, each in enumerate(paint[: level + 1]):
         if each.codes.size:
-            at = places(codes >> 3 * (level - above), each.codes)
+            at = indices_in(codes >> 3 * (level - above), each.codes)
             found[at >= 0] |= each.flags[at[at >= 0]]
     return found & np.uint8(FACING_FLAGS)
 

@@ -81,7 +81,7 @@ from octex.painting.surface import Job
 from octex.texture import OctreeTexture
 from octex.tree.areas import SKIRT
 from octex.tree.beside import is_within, with_boundary
-from octex.tree.edit import Edited, among, locate, places, raised, rebuilt, unchanged, with_all_above
+from octex.tree.edit import Edited, among, indices_in, locate, raised, rebuilt, unchanged, with_all_above
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
@@ -400,7 +400,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
         for above, coarse in enumerate(divided[:level]):
             if not coarse.codes.size:
                 continue
-            owners = places(leaves >> 3 * (level - above), coarse.codes)
+            owners = indices_in(leaves >> 3 * (level - above), coarse.codes)
             below, owners = leaves[owners >= 0], owners[owners >= 0]
             if below.size:
                 values = refined_values(layer.tree, layer.channels, below, level)

@@ -8,7 +8,7 @@ import numpy as np
 
 from octex.arrays import Bools, Int64s, Uint64s, bit_counts
 from octex.jit import inlined, kernel, trailing_zeros
-from octex.tree.edit import among, places
+from octex.tree.edit import among, indices_in
 from octex.tree.morton import decode, spread
 from octex.tree.octree import distinct
 
@@ -41,7 +41,7 @@ def near(codes: Int64s, others: Int64s, level: int) -> Bools:
     if not codes.size or not others.size:
         return np.zeros(codes.size, np.bool_)
     blocks = distinct(codes >> 6)
-    masks = _masks_around(others, level, blocks)[places(codes >> 6, blocks)]
+    masks = _masks_around(others, level, blocks)[indices_in(codes >> 6, blocks)]
     return np.asarray(masks >> (codes & 63).astype(np.uint64) & np.uint64(1) != 0)
 
 

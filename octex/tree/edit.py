@@ -160,22 +160,22 @@ def among(codes: Int64s, known: Int64s) -> Bools:
     """Return which codes (n,) are among ascending ones."""
     if not known.size or not codes.size:
         return np.zeros(codes.size, np.bool_)
-    found: Bools = places(codes, known) >= 0
+    found: Bools = indices_in(codes, known) >= 0
     return found
 
 
-def places(codes: Int64s, known: Int64s) -> Int64s:
+def indices_in(codes: Int64s, known: Int64s) -> Int64s:
     """Return the index of each code (n,) among ascending ones, −1 for none.
 
     Fastest, a tenth of numpy's time, if the codes ascend or nearly do.
     """
     found = np.empty(codes.size, np.int64)
-    _places(np.ascontiguousarray(codes), np.ascontiguousarray(known), found)
+    _indices_in(np.ascontiguousarray(codes), np.ascontiguousarray(known), found)
     return found
 
 
 @kernel
-def _places(codes: Int64s, known: Int64s, found: Int64s) -> None:
+def _indices_in(codes: Int64s, known: Int64s, found: Int64s) -> None:
     at = 0
     for n in range(codes.size):
         at = first_not_below(known, codes[n], at)
@@ -228,7 +228,7 @@ def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
     for level, ((codes, nodes), (old_codes, _)) in enumerate(zip(built.walk(), tree.walk(), strict=False)):
         here = slice(int(starts[level]), int(starts[level + 1]))
         is_node[here] = nodes & (built.n_leaves > 0)  # a root without children keeps nothing
-        at = places(codes, old_codes)
+        at = indices_in(codes, old_codes)
         old[here] = np.where(at >= 0, at + old_starts[level], -1)
     del codes, nodes, old_codes, at  # at the deepest level as large as half of the arrays below
     flags, areas = np.zeros((2, built.n_cells), np.uint8)

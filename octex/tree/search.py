@@ -293,14 +293,14 @@ _RUN = 8
 
 
 @kernel
-def keys_of(places: Float64s, level: int, bits: int) -> Int64s:
+def keys_of(coords: Float64s, level: int, bits: int) -> Int64s:
     """Return the Morton codes of points' cells at a level << bits | their numbers, for points (n, 3).
 
     Sorting these takes a sixth of the time of numpy's argsort.
     """
-    keys, cells = np.empty(places.shape[0], np.int64), 1 << level
+    keys, cells = np.empty(coords.shape[0], np.int64), 1 << level
     for n in range(keys.size):
-        x, y, z = places[n, 0], places[n, 1], places[n, 2]
+        x, y, z = coords[n, 0], coords[n, 1], coords[n, 2]
         keys[n] = encode(cell_of(x, cells), cell_of(y, cells), cell_of(z, cells)) << bits | n
     return keys
 

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 from octex.field.blend import blend
 from octex.field.field import Field, Finder, NotFiniteError
 from octex.field.splines import FILTERS
-from octex.field.taps import Codes, place_points
+from octex.field.taps import Codes, to_coordinates
 from octex.field.tiles import CACHE_LINE, build_tiles
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
@@ -171,9 +171,9 @@ def test_blends_and_covers_are_those_of_the_reference(filter, drawn, dtype):
         table = random.random(np.iinfo(dtype).max + 1, np.float32 if dtype == np.uint16 else np.float64)
         values = [random.integers(0, table.size, shape, dtype) for shape in rows]
         decoded = [table[codes] for codes in values]
-    places, results = np.empty_like(points), np.empty((len(points), 3), np.float32)
-    assert place_points(Positions.of(points), *UNIT, places) == -1
-    taps = Finder(Field(tree), UNIT, filter).find(places)
+    coords, results = np.empty_like(points), np.empty((len(points), 3), np.float32)
+    assert to_coordinates(Positions.of(points), *UNIT, coords) == -1
+    taps = Finder(Field(tree), UNIT, filter).find(coords)
     blend(taps, Codes(*values, table), False, results)
     field = naive.field_of(tree, "linear" if filter == "nearest" else filter, np.concatenate(decoded[:2]))
     for n, point in enumerate(points.tolist()):

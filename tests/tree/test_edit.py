@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from octex.errors import ArgumentError
 from octex.tree.beside import boundary, near, with_boundary
 from octex.tree.children import children_of, node_cells
-from octex.tree.edit import among, cull, facings_of_nodes, locate, places, raised, rebuilt
+from octex.tree.edit import among, cull, facings_of_nodes, indices_in, locate, raised, rebuilt
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
@@ -29,7 +29,7 @@ seeds = st.integers(0, 2**32 - 1)
 def test_places_are_those_of_a_dictionary(codes, known, ascend):
     places_of = {code: place for place, code in enumerate(sorted(known))}
     asked = sorted(codes) if ascend else codes
-    found = places(np.array(asked, np.int64), np.array(sorted(known), np.int64))
+    found = indices_in(np.array(asked, np.int64), np.array(sorted(known), np.int64))
     assert found.tolist() == [places_of.get(code, -1) for code in asked]
 
 
