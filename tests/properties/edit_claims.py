@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 import octex
 from octex.channels import ALPHA, ONE, decode, encode
+from octex.tree.areas import SKIRT
 from octex.tree.layout import FACING_FLAGS, KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.split import find_rows, rows_of
@@ -277,6 +278,27 @@ def _below_leaves(cells, others):
         found |= np.isin(above, leaves)
         above = above >> 3
     return found
+
+
+def idle_skirts(before, after, other):
+    """Return the insides of the skirts that went where another texture was laid over.
+
+    A skirt that the other lacks may go if the largest cell around it that the other lacks, no larger than the
+    other's largest leaf or kept node, touches a leaf of the other: a node there changes what the field
+    spreads to, as far as it touches.
+    """
+    cells, others = cells_of(before), cells_of(other)
+    leaves = Boxes(*(each[others.is_leaf] for each in others[1:4]))
+    largest = max(leaves.edges.max(initial=0.0), kept_edge(other))
+    is_gone = cells.is_leaf & (before.tree.arrays.areas == SKIRT) & ~np.isin(cells.keys, cells_of(after).keys)
+    tops = gone = np.flatnonzero(is_gone & ~np.isin(cells.keys, others.keys) & ~_below_leaves(cells, others))
+    parents = np.searchsorted(cells.keys, cells.keys >> 3)
+    while (rises := ~np.isin(cells.keys[parents[tops]], others.keys) & (cells.edges[tops] < largest)).any():
+        tops = np.where(rises, parents[tops], tops)
+    apart = leaves.gaps(cells.low[tops], cells.high[tops]) > 1e-6
+    assert not apart.any(), f"the skirt {cells.keys[gone[apart]][0]:#o} far from the other texture is gone"
+    inset = 0.02 * cells.edges[gone, None]
+    return Boxes(cells.low[gone] + inset, cells.high[gone] - inset, cells.edges[gone])
 
 
 def adds_leaves(before, after):
