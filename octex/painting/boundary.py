@@ -150,15 +150,24 @@ def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: in
 
 
 def is_beside_old(
-    codes: Int64s, level: int, above: Sequence[Int64s], bare: Sequence[Int64s], coarsest: int
+    codes: Int64s,
+    level: int,
+    tree: Octree,
+    above: Sequence[Int64s],
+    tops: Sequence[Int64s],
+    bare: Sequence[Int64s],
 ) -> Bools:
-    """Return which cells (n,) lie in or next to painted nodes whose coefficient stays; see `on_kept`."""
-    if not codes.size:
-        return np.zeros(0, np.bool_)
-    cells = codes >> 3 * (level - coarsest)
-    around = with_boundary(distinct(cells), coarsest)
-    around = around[among(around, above[coarsest])]
-    return near(cells, around[are_beside(around, bare, coarsest)], coarsest)
+    """Return which cells (n,) lie in or next to painted nodes whose coefficient stays; see `on_kept`.
+
+    Such nodes are kept already, or are the raised ``tops``, by level.
+    """
+    found = np.zeros(codes.size, np.bool_)
+    for at, nodes in enumerate(above[:level] if codes.size else []):
+        where = locate(tree, nodes, at)
+        is_kept = (where.levels == at) & (tree.arrays.flags[where.cells] & KEPT != 0)
+        nodes = nodes[is_kept | among(nodes, tops[at])]
+        found |= near(codes >> 3 * (level - at), nodes[are_beside(nodes, bare, at)], at)
+    return found
 
 
 def bare_surface(
