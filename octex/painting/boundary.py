@@ -12,10 +12,10 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Int64s
 from octex.editing.nodes import all_children
 from octex.jit import kernel
-from octex.painting.layer import Paint, SurfaceCells, among_at, joined, leave_bare, paint_at
+from octex.painting.layer import Paint, SurfaceCells, joined, leave_bare, paint_at
 from octex.parallel import ordered_map, sharing
 from octex.tree import morton
-from octex.tree.beside import are_beside, boundary, is_within, near, with_boundary
+from octex.tree.beside import among_at, are_beside, boundary, is_within, near, touch, with_boundary
 from octex.tree.edit import Located, among, first_not_below, indices_in, locate, with_all_above
 from octex.tree.layout import FACING_FLAGS, KEPT, POSITIVE_FACINGS, SPLIT
 from octex.tree.octree import Octree, distinct
@@ -150,15 +150,24 @@ def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: in
 
 
 def is_beside_old(
-    codes: Int64s, level: int, above: Sequence[Int64s], bare: Sequence[Int64s], coarsest: int
+    codes: Int64s,
+    level: int,
+    tree: Octree,
+    above: Sequence[Int64s],
+    tops: Sequence[Int64s],
+    bare: Sequence[Int64s],
 ) -> Bools:
-    """Return which cells (n,) lie in or next to painted nodes whose coefficient stays; see `on_kept`."""
-    if not codes.size:
-        return np.zeros(0, np.bool_)
-    cells = codes >> 3 * (level - coarsest)
-    around = with_boundary(distinct(cells), coarsest)
-    around = around[among(around, above[coarsest])]
-    return near(cells, around[are_beside(around, bare, coarsest)], coarsest)
+    """Return which cells (n,) lie in or next to painted nodes whose coefficient stays; see `on_kept`.
+
+    Such nodes are kept already, or are the raised ``tops``, by level.
+    """
+    found = np.zeros(codes.size, np.bool_)
+    for at, nodes in enumerate(above[:level] if codes.size else []):
+        where = locate(tree, nodes, at)
+        is_kept = (where.levels == at) & (tree.arrays.flags[where.cells] & KEPT != 0)
+        nodes = nodes[is_kept | among(nodes, tops[at])]
+        found |= near(codes >> 3 * (level - at), nodes[are_beside(nodes, bare, at)], at)
+    return found
 
 
 def bare_surface(
@@ -248,11 +257,11 @@ def with_old_skirts(
         skirt = codes[~is_node & is_skirt[here]]
         if not skirt.size:
             continue
-        skirt = skirt[~among(skirt, paint[level].codes) & _touch(skirt, painted, level, refined=True)]
+        skirt = skirt[~among(skirt, paint[level].codes) & touch(skirt, painted, level, refined=True)]
         if skirt.size:
             around = boundary(skirt, level)
             far = [codes[among_at(codes, at, around, level)] for at, codes in enumerate(bare)]
-            far = [codes[~_touch(codes, painted, at)] for at, codes in enumerate(far)]
+            far = [codes[~touch(codes, painted, at)] for at, codes in enumerate(far)]
             added = skirt_paint(skirt, level, executor, paint_at(paint, around, level))
             found[level] = joined(found[level], _unseen(tree, added, far, level))
     return found
@@ -293,7 +302,7 @@ def on_kept(
             continue
         first = int(tree.arrays.level_cells[level])
         codes = tree.level_codes(level)[tree.kept.cells[here].astype(np.int64) - first]
-        chosen = among(codes, painted) | _touch(codes, leaves, level, refined=True)
+        chosen = among(codes, painted) | touch(codes, leaves, level, refined=True)
         chosen[chosen] = ~are_beside(codes[chosen], bare, level)
         inside = paint_at(paint, codes[chosen], level)
         off = codes[chosen & ~among(codes, painted)]
@@ -308,20 +317,6 @@ def _on_surface(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[I
     """Return the painted cells that are no skirts, by level."""
     cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
     return [each.codes[~is_skirt[at]] for each, at in zip(paint, cells, strict=True)]
-
-
-def _touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, refined: bool = False) -> Bools:
-    """Return which cells (n,) of a level lie in or next to leaves, or are ``refined`` to such cells."""
-    if not codes.size:
-        return np.zeros(0, np.bool_)
-    around = with_boundary(codes, level)
-    found = near(codes, around[is_within(around, leaves[: level + 1], level)], level)
-    for at in range(level + 1, len(leaves)):
-        reached = with_boundary(leaves[at][among_at(leaves[at], at, around, level)], at)
-        for deeper in range(at, level, -1):
-            reached = distinct((with_boundary(reached, deeper) if refined else reached) >> 3)
-        found |= among(codes, reached)
-    return found
 
 
 def skirt_paint(skirt: Int64s, level: int, executor: Executor, around: Paint) -> Paint:

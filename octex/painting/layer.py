@@ -19,9 +19,10 @@ from octex.source.parts import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
-from octex.tree.edit import among, first_not_below, indices_in, locate
+from octex.tree.beside import among_at
+from octex.tree.edit import first_not_below, indices_in, locate
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT
-from octex.tree.octree import Octree, distinct
+from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of
 from octex.voxelize.fragments import Blocks
@@ -250,15 +251,6 @@ def leave_bare(facings: Uint8s, painted: Uint8s) -> Bools:
     """Return which cells (n,) have facings without paint; paint without SPLIT covers all facings."""
     bare: Bools = (painted & SPLIT != 0) & (facings & ~painted & np.uint8(FACING_FLAGS) != 0)
     return bare
-
-
-def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> Bools:
-    """Return which cells of a level lie in others of level ``at``, or contain one."""
-    if not codes.size:
-        return np.zeros(0, np.bool_)
-    if level < at:
-        return among(codes, distinct(others >> 3 * (at - level)))
-    return among(codes >> 3 * (level - at), others)
 
 
 def blocks_meeting(cells: Sequence[tuple[int, Int64s]], blocks: Blocks) -> Bools:

@@ -84,13 +84,14 @@ def merge(
 
     Where the layer is finer, leaves of the texture become kept nodes, so the field next to the paint does not
     move. Other channels do not move, except where the layer adds surface. Near the border of finer paint some
-    old colour shows through, within three coarser cells. With black painted on white, one level finer, 99 %
-    of lookups on a robot show less than 0.09 of white in the second fine cell from the border, 0.03 in the
-    third and 0.001 in the fourth. In textures with other channels these are 0.17, 0.12, 0.07, 0.04 and 0.004
-    in the second cell to the sixth.
+    old colour shows through, within three of the largest leaves that it divides and one of its own cells.
+    With black painted on white, one level finer, 99 % of lookups on a robot show less than 0.09 of white in
+    the second fine cell from the border, 0.03 in the third and 0.001 in the fourth. In textures with other
+    channels these are 0.17, 0.12, 0.07, 0.04 and 0.004 in the second cell to the sixth.
 
-    Where a cell has several facings, lookups with normals change next to finer paint: by up to 0.13 of the
-    range in the first coarser cell, 0.07 in the first half of the second, 0.006 in the rest, and not beyond.
+    Where a cell has several facings, lookups with normals change next to finer paint, and next to later paint
+    on its cells: by up to 0.13 of the range in the first coarser cell, 0.07 in the first half of the second,
+    0.006 in the rest, and not beyond.
 
     Raises ArgumentError for a layer of another root cell, of several channels, or of a channel that the
     texture does not have.

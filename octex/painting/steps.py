@@ -264,7 +264,7 @@ def form_boundary(
             surface_cells = distinct(np.concatenate([surface_cells, faced]))
         kinds = [skirt_of(outer, painted, whole_ring, surface_cells, level)]
         absent = finer.absent[level]
-        absent = absent[is_beside_old(absent, level, above, bare, coarsest)]
+        absent = absent[is_beside_old(absent, level, tree, above, leaves, bare)]
         roots = np.maximum(locate(tree, absent, level).levels + 1, coarsest)
         for top in distinct(roots).tolist():
             around = painted, whole_ring, surface_cells, unraised[:level]

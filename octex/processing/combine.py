@@ -7,6 +7,7 @@ import numpy as np
 from octex.arrays import Bools, Int64s
 from octex.channels import ALPHA, ONE
 from octex.checks import as_flag, as_number
+from octex.editing.draft import coarsest_of
 from octex.editing.runs import carried
 from octex.editing.split import refaced, without_split
 from octex.errors import ArgumentError
@@ -18,10 +19,10 @@ from octex.processing.resize import with_leaves
 from octex.source.parts import SEPARATION
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.areas import SKIRT
-from octex.tree.beside import are_beside
+from octex.tree.beside import are_beside, touch
 from octex.tree.edit import locate, rebuilt
 from octex.tree.layout import FACING_FLAGS, SPLIT
-from octex.tree.octree import Octree
+from octex.tree.octree import Octree, distinct
 
 
 def combine(
@@ -181,18 +182,28 @@ def _without_hidden(texture: OctreeTexture, over: OctreeTexture) -> OctreeTextur
 
 
 def _idle_skirts(tree: Octree, over: Octree) -> Bools:
-    """Return which cells (cells,) are skirt leaves without surface beside them that the other tree lacks."""
+    """Return which skirt leaves (cells,) would move the other tree's field, and adjoin no surface it lacks.
+
+    They lie in cells that it lacks, no larger than its largest leaf or kept node, next to leaves of it: there
+    nodes end what the field spreads to empty cells.
+    """
     found: list[Bools] = []
     lacked: list[Int64s] = []
+    leaves, coarsest = [codes[~is_node] for codes, is_node in over.walk()], coarsest_of(over)
     for level, (codes, is_node) in enumerate(tree.walk()):
         where = locate(over, codes, level)
         is_lacking = ~is_node & ~where.is_leaf & (where.levels < level)
         first, end = tree.arrays.level_cells[level : level + 2]
-        found.append(is_lacking & (tree.arrays.areas[first:end] == SKIRT))
-        lacked.append(codes[is_lacking & ~found[-1]])
+        is_idle = is_lacking & (tree.arrays.areas[first:end] == SKIRT)
+        lacked.append(codes[is_lacking & ~is_idle])
+        tops = np.clip(where.levels + 1, min(coarsest, level), level)
+        for top in distinct(tops[is_idle]).tolist():
+            here = is_idle & (tops == top)
+            is_idle[here] = touch(codes[here] >> 3 * (level - top), leaves, top)
+        found.append(is_idle)
     for level, (codes, _) in enumerate(tree.walk()):
-        is_skirt = found[level]
-        is_skirt[is_skirt] = ~are_beside(codes[is_skirt], lacked, level)
+        is_idle = found[level]
+        is_idle[is_idle] = ~are_beside(codes[is_idle], lacked, level)
     return np.concatenate(found)
 
 

@@ -67,6 +67,29 @@ def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     return near(codes, around[is_within(around, [*leaves[:level], distinct(below)], level)], level)
 
 
+def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> Bools:
+    """Return which cells of a level lie in others of level ``at``, or contain one."""
+    if not codes.size:
+        return np.zeros(0, np.bool_)
+    if level < at:
+        return among(codes, distinct(others >> 3 * (at - level)))
+    return among(codes >> 3 * (level - at), others)
+
+
+def touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, refined: bool = False) -> Bools:
+    """Return which cells (n,) of a level lie in or next to leaves, or are ``refined`` to such cells."""
+    if not codes.size:
+        return np.zeros(0, np.bool_)
+    around = with_boundary(codes, level)
+    found = near(codes, around[is_within(around, leaves[: level + 1], level)], level)
+    for at in range(level + 1, len(leaves)):
+        reached = with_boundary(leaves[at][among_at(leaves[at], at, around, level)], at)
+        for deeper in range(at, level, -1):
+            reached = distinct((with_boundary(reached, deeper) if refined else reached) >> 3)
+        found |= among(codes, reached)
+    return found
+
+
 @kernel
 def _masks_around(codes: Int64s, level: int, blocks: Int64s) -> Uint64s:
     """Return for each block (n,) the bits of its cells that are among ``codes`` or their neighbours."""

@@ -88,10 +88,12 @@ def left(texture: OctreeTexture, over: OctreeTexture) -> set[Place]:
     """The cells of a texture that another laid over it wholly does not hide.
 
     Hidden are what is below the other's leaves, and skirts that it lacks that are beside nothing but what it
-    has.
+    has, in a cell that it lacks, no larger than its largest leaf or kept node, that touches a leaf of it.
     """
     cells, others = cells_of(texture), cells_of(over)
     is_over = {place for place, cell in others.items() if cell.is_leaf and over.tree.n_leaves}
+    kept = set(over.tree.kept.cells.tolist())
+    coarsest = min(level for (level, _), cell in others.items() if cell.is_leaf or cell.number in kept)
     leaves, skirts, alone = set(), set(), set()
     for place, cell in cells.items():
         level, code = place
@@ -101,16 +103,33 @@ def left(texture: OctreeTexture, over: OctreeTexture) -> set[Place]:
             leaves.add(place)
         elif cell.is_leaf:
             (skirts if texture.tree.arrays.areas[cell.number] == 1 else alone).add(place)
-    leaves |= alone | {place for place in skirts if any(are_beside(place, each) for each in alone)}
+    for level, code in skirts:
+        above = [(level - up, code >> 3 * up) for up in range(max(level - coarsest, 0), -1, -1)]
+        top = next(place for place in above if place not in others)
+        is_read = any(touch(top, each) for each in is_over)
+        if not is_read or any(are_beside((level, code), each) for each in alone):
+            leaves.add((level, code))
+    leaves |= alone
     return {(level - up, code >> 3 * up) for level, code in leaves for up in range(level + 1)}
 
 
 def are_beside(place: Place, other: Place) -> bool:
     """Say whether another cell is in a cell, around it, or holds a cell around it."""
+    low, high, one, two = _corners(place, other)
+    return bool(((high * two < (low + 2) * one) & ((high + 1) * two > (low - 1) * one)).all())
+
+
+def touch(place: Place, other: Place) -> bool:
+    """Say whether two cells share a point."""
+    low, high, one, two = _corners(place, other)
+    return bool(((high * two <= (low + 1) * one) & ((high + 1) * two >= low * one)).all())
+
+
+def _corners(place: Place, other: Place) -> tuple[Any, Any, int, int]:
+    """The lowest corners of two cells, each in cells of its level, and both edges in the smaller."""
     low, high = (decode_cells(np.array([code]))[0] for _, code in (place, other))
     finer = max(place[0], other[0])
-    one, two = 2 ** (finer - place[0]), 2 ** (finer - other[0])
-    return bool(((high * two < (low + 2) * one) & ((high + 1) * two > (low - 1) * one)).all())
+    return low, high, 2 ** (finer - place[0]), 2 ** (finer - other[0])
 
 
 class Mixed(NamedTuple):

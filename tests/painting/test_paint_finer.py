@@ -11,7 +11,7 @@ from tests.make.painted import ball, plain, square
 from tests.make.small_surfaces import sheet
 from tests.oracles.naive_edits import assert_averages
 from tests.painting.test_paint_sound import DROID
-from tests.properties.edit_claims import assert_one_color
+from tests.properties.edit_claims import assert_one_color, kept_edge
 from tests.properties.edit_models import beyond, cloud, waved
 
 pytestmark = needs_jit
@@ -69,6 +69,26 @@ def test_beside_finer_paint_what_is_seen_with_normals_moves_no_more_than_is_said
         here = (cells > low) & (cells <= high)
         assert here.any()
         assert moved[here].max() <= most
+
+
+@pytest.mark.parametrize(("kind", "blend", "opacity"), [("flat", "add", 1.0), ("cube", "over", 0.5)])
+def test_deep_in_fine_paint_the_old_field_shows_through_as_far_as_paint_leaves_it(kind, blend, opacity):
+    surface = waved(kind, 12, ["base_color"], 95)
+    (low, *_), (high, *_) = surface.bounds
+    cut, color = 0.4 * low + 0.6 * high, (1, 0.5, 1)
+    texture = octex.convert(
+        surface, 4, dtype="float32", fit=False, detail=lambda points: np.where(points[:, 0] > cut, 1, 5)
+    )
+    region = octex.Box((-9, -9, -9), (cut, 9, 9))  # beside the larger leaves
+    found = octex.fill(texture, surface, region, color, blend=blend, opacity=opacity, max_depth=6)
+    points = surface.scatter(4000, 1).rest
+    reach = 3 * kept_edge(found) + texture.placement.size / 64
+    points = points[texture.contains(points) & (points[:, 0] < cut - reach)]
+    assert len(points) > 1000
+    was = texture.sample(points)
+    expected = (was if blend == "add" else (1 - opacity) * was) + opacity * np.array(color)
+    # Sums of 27 taps of each of the levels 3 to 6, of values up to 2: of two lookups, and of refined values.
+    np.testing.assert_allclose(found.sample(points), expected, atol=3 * 27 * 4 * 2 * 2.0**-24)
 
 
 def test_half_a_coat_of_fine_paint_is_half_a_coat_on_kept_coefficients_too():

@@ -11,6 +11,7 @@ import octex
 from octex.channels import ALPHA, BASE_COLOR, NORMAL, ROUGHNESS, ChannelFormat, decode, encode
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
+from octex.tree.areas import SKIRT
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of
@@ -20,6 +21,7 @@ from tests.make.small_textures import UNIT, UNIT_BOUNDS, eight_colors, shell
 from tests.make.solids import cube
 from tests.make.strategies import leaf_sets, random_values, with_random_data
 from tests.oracles import naive_processing as naive
+from tests.properties.edit_claims import cells_of
 from tests.properties.edit_models import waved
 
 COLOR = ChannelFormat("base_color", 3, "srgb")
@@ -137,6 +139,21 @@ def test_what_prevails_everywhere_is_the_result_also_over_what_is_finer(kind):
                 wanted = one.sample(samples.rest, normals=normals)
                 np.testing.assert_array_equal(made.sample(samples.rest, normals=normals), wanted)
     assert_same(octex.mix(texture, finer, 0), texture)
+
+
+@needs_jit
+def test_skirts_far_from_what_lies_on_top_stay():
+    surface = waved("flat", 5, ["base_color"], 94)
+    place = octex.Sphere((0.0, 0.0, 0.0), 0.5)
+    finer = octex.fill(octex.convert(surface, 3), surface, place, (1, 0, 0), max_depth=4)
+    texture = octex.resize(finer, 5)  # skirts among skirts
+    assert (texture.tree.arrays.areas == SKIRT).sum() > 1000
+    part = octex.crop(texture, (0.02, 0.02, -0.1), (0.03, 0.03, 0.1))
+    cells, left, top = (cells_of(each) for each in (texture, octex.combine(texture, part), part))
+    gone = ~np.isin(cells.keys, left.keys)
+    edge = texture.placement.size / 8  # of the largest leaves that were divided
+    assert (cells.high[gone] <= top.high[top.is_leaf].max(axis=0) + edge).all()
+    assert (cells.low[gone] >= top.low[top.is_leaf].min(axis=0) - edge).all()
 
 
 def test_rows_are_mixed_facing_by_facing():

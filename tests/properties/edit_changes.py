@@ -109,6 +109,7 @@ def draw_combine(random, run):
         where = claims.Boxes(other.low[leaves], other.high[leaves], other.edges[leaves])
         if not before.tree.n_leaves:
             return
+        where += claims.idle_skirts(before, after, run.names["other"])
         claims.assert_far_cells_stay(before, after, where, 0.01)
         if not over:
             claims.assert_prevails(after, run.names["other"], before, run.surface)

@@ -10,7 +10,8 @@ import numpy.typing as npt
 
 import octex
 from octex.channels import ALPHA, ONE, decode, encode
-from octex.tree.layout import FACING_FLAGS, KEPT
+from octex.tree.areas import SKIRT
+from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 from octex.tree.morton import decode_cells
 from octex.tree.split import find_rows, rows_of
 from tests.make.same import arrays_of, assert_equal
@@ -279,6 +280,27 @@ def _below_leaves(cells, others):
     return found
 
 
+def idle_skirts(before, after, other):
+    """Return the insides of the skirts that went where another texture was laid over.
+
+    A skirt that the other lacks may go if the largest cell around it that the other lacks, no larger than the
+    other's largest leaf or kept node, touches a leaf of the other: a node there changes what the field
+    spreads to, as far as it touches.
+    """
+    cells, others = cells_of(before), cells_of(other)
+    leaves = Boxes(*(each[others.is_leaf] for each in others[1:4]))
+    largest = max(leaves.edges.max(initial=0.0), kept_edge(other))
+    is_gone = cells.is_leaf & (before.tree.arrays.areas == SKIRT) & ~np.isin(cells.keys, cells_of(after).keys)
+    tops = gone = np.flatnonzero(is_gone & ~np.isin(cells.keys, others.keys) & ~_below_leaves(cells, others))
+    parents = np.searchsorted(cells.keys, cells.keys >> 3)
+    while (rises := ~np.isin(cells.keys[parents[tops]], others.keys) & (cells.edges[tops] < largest)).any():
+        tops = np.where(rises, parents[tops], tops)
+    apart = leaves.gaps(cells.low[tops], cells.high[tops]) > 1e-6
+    assert not apart.any(), f"the skirt {cells.keys[gone[apart]][0]:#o} far from the other texture is gone"
+    inset = 0.02 * cells.edges[gone, None]
+    return Boxes(cells.low[gone] + inset, cells.high[gone] - inset, cells.edges[gone])
+
+
 def adds_leaves(before, after):
     """Whether there are leaves where nothing was."""
     cells, known = cells_of(after), cells_of(before)
@@ -353,8 +375,8 @@ def assert_far_field_stays(before, after, surface, region, reach, seed):
 
     Farther than a cell, too, from nodes where nothing was: no field spreads into what of these is empty.
     With normals, farther than a cell too from leaves that were divided, as smaller ones face fewer ways, and
-    from nodes that keep a coefficient and face other ways now, or show facings something else: rows are means
-    of what is below.
+    from nodes that keep a coefficient and face other ways now, or show facings something else: they show the
+    coefficient until they are split, then rows, the means of what is below.
     """
     samples = surface.placed_in(before).scatter(300, seed)
     points, normals = samples.rest, samples.normals
@@ -367,7 +389,7 @@ def assert_far_field_stays(before, after, surface, region, reach, seed):
     at = np.minimum(np.searchsorted(known.keys, cells.keys), known.keys.size - 1)
     was_divided = cells.is_leaf & ~((known.keys[at] == cells.keys) & known.is_leaf[at])
     flags, now = before.tree.arrays.flags, after.tree.arrays.flags[at]
-    was_divided |= (flags & KEPT != 0) & (flags & FACING_FLAGS != now & FACING_FLAGS)
+    was_divided |= (flags & KEPT != 0) & ((flags ^ now) & (FACING_FLAGS | SPLIT) != 0)
     was_divided[_with_other_rows(before, after, at)] = True
     divided = Boxes(cells.low[was_divided], cells.high[was_divided], cells.edges[was_divided])
     far &= divided.gaps(points, points) > 1.0
