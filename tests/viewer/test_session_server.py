@@ -90,7 +90,7 @@ def test_a_flood_of_strokes_is_held_up_and_loses_none(served, monkeypatch):
         assert status == 200
     assert 429 in statuses
     served.session.wait()
-    assert served.session.shown.told["done"] == 40
+    assert served.session.shown.status["done"] == 40
 
 
 @pytest.mark.parametrize(
