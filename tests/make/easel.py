@@ -44,7 +44,7 @@ class Easel(Studio):
               painting.set({ size: 40, hardness: 0.7, opacity: 1, mirror: "" });
               viewer.camera.reset(0.55, 0.3);
               for (let n = painting.status.done; n > 0; n--) painting.commands.send({ kind: "undo" });
-              await painting.commands.all();
+              await painting.commands.flush();
             }"""
         )
         self.done()
@@ -54,8 +54,8 @@ class Easel(Studio):
     def done(self) -> None:
         """Wait until the page shows all that it has sent."""
         self.shown.wait_for_function(
-            """(({ sending, last }) =>
-              !sending.waiting.length && (last.baked[sending.page] ?? 0) === sending.number
+            """(({ commands, status }) =>
+              !commands.waiting.length && (status.finished[commands.page] ?? 0) === commands.number
             )(viewer.painting)""",
             timeout=60_000,
         )

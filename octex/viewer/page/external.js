@@ -60,12 +60,15 @@ export class External {
     const { kind, bitmap } = await readImage(file, EXACT);
     if (title !== viewer.header.title) return `${file.name} is a view of ${title}: open that to paint it.`;
     if (kind !== "png") return `${file.name} is no PNG, and other kinds change every pixel: save it as PNG.`;
-    if (bitmap.width !== width || bitmap.height !== height) return `${file.name} has ${bitmap.width} × ${bitmap.height} pixels, the view has ${width} × ${height}: keep its size.`;
+    if (bitmap.width !== width || bitmap.height !== height) {
+      return `${file.name} has ${bitmap.width} × ${bitmap.height} pixels, the view has ${width} × ${height}: keep its size.`;
+    }
     const pixels = this.pixelsOf(bitmap), stroke = difference(pixels, this.pixelsOf(await createImageBitmap(png, EXACT)), width, height);
     if (!stroke) return `${file.name} is the view as it was saved: nothing is painted.`;
     const isSameView = viewKey === viewer.viewKey && screenSize.width === width && screenSize.height === height;
     if (isSameView) strokes.prepareView();
-    sendStroke(this.painting, { name: "Painted elsewhere", camera, moved, patch, opacity: 1, angle, backFaces, mirror: "", ...stroke }, isSameView);
+    const settings = { name: "Painted elsewhere", camera, moved, patch, opacity: 1, angle, backFaces, mirror: "" };
+    sendStroke(this.painting, { ...settings, ...stroke }, isSameView);
     viewer.invalidate();
     return "";
   }
@@ -97,7 +100,10 @@ function difference(after, before, width, height) {
   return { box, coverage, colors };
 }
 
-const resultOf = (request) => new Promise((resolve, reject) => Object.assign(request, { onsuccess: () => resolve(request.result), onerror: () => reject(request.error) }));
+const resultOf = (request) => new Promise((resolve, reject) => {
+  request.onsuccess = () => resolve(request.result);
+  request.onerror = () => reject(request.error);
+});
 
 // Run a request on the browser's store of views.
 async function withViews(mode, run) {

@@ -107,9 +107,11 @@ export class Layers {
   row(layer) {
     const number = layer?.number ?? null, isVisible = layer?.isVisible ?? true, title = layer?.title ?? "Texture", action = isVisible ? "Hide" : "Show";
     const toggle = () => this.painting.commands.send({ kind: "layer", name: `${action} a layer`, action: "set", layer: number, isVisible: !isVisible });
-    const eye = make("button", { type: "button", class: "eye", title: action, "aria-label": `${action} ${title}`, disabled: !layer, onclick: toggle }, icon(isVisible ? "visible" : "hidden"));
+    const eyeAttributes = { type: "button", class: "eye", title: action, "aria-label": `${action} ${title}`, disabled: !layer, onclick: toggle };
+    const eye = make("button", eyeAttributes, icon(isVisible ? "visible" : "hidden"));
     const blending = layer ? [layer.blend === "over" ? "" : layer.blend, layer.opacity < 1 ? percent(layer.opacity) : ""].filter(Boolean).join(", ") : "";
-    const name = make("button", { type: "button", class: "name", "aria-current": number === this.active ? "true" : false, onclick: () => this.select(number) }, title, make("small", {}, blending));
+    const nameAttributes = { type: "button", class: "name", "aria-current": number === this.active ? "true" : false, onclick: () => this.select(number) };
+    const name = make("button", nameAttributes, title, make("small", {}, blending));
     return make("li", { class: isVisible ? "" : "unseen" }, eye, name);
   }
 }

@@ -86,8 +86,10 @@ class Painting {
 
   // Build the tools beside the picture, and the panel.
   build() {
-    const toolButton = ({ name, text, key, shownKey = key.toUpperCase() }) =>
-      make("button", { type: "button", id: `tool-${name}`, title: `${text} (${shownKey})`, "aria-pressed": "false", onclick: () => this.selectTool(name) }, icon(name), make("span", {}, text));
+    const toolButton = ({ name, text, key, shownKey = key.toUpperCase() }) => {
+      const attributes = { type: "button", id: `tool-${name}`, title: `${text} (${shownKey})`, "aria-pressed": "false", onclick: () => this.selectTool(name) };
+      return make("button", attributes, icon(name), make("span", {}, text));
+    };
     this.tools = make("nav", { id: "tools", "aria-label": "Tools" }, ...TOOLS.map(toolButton));
     this.stage = element("stage");
     this.stage.append(this.outline.ring, this.outline.string);

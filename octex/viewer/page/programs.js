@@ -76,7 +76,8 @@ export class Programs {
     if (!looksUp) display = { moment, writesDepth, writesPart, mode: kind };
     const { mesh, motion, channels } = part.header, isCubes = kind === "cubes";
     const lines = [`#define SHOWS_${kind === "probe" ? "PROBE" : display.mode.toUpperCase()}`];
-    if (looksUp) lines.push(...planeDefines(part.header, planes), ...walkDefines(isCubes ? { ...part.header, kept: 0 } : part.header, display.facing && !isCubes, display.filter));
+    const header = isCubes ? { ...part.header, kept: 0 } : part.header;
+    if (looksUp) lines.push(...planeDefines(header, planes), ...walkDefines(header, display.facing && !isCubes, display.filter));
     const flags = {
       PROBE: kind === "probe", PICKED: display.isPicked, SOURCE: kind === "source", LAYERED: kind === "layers",
       MOVED: moment, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || moment, TURNS: moment && motion?.turns,

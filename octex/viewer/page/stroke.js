@@ -236,7 +236,8 @@ export class Strokes {
 
   // Blend a stroke over the `cover` and `added` of a plane, in a box. A picture paints the first three components in its own
   // colours, where these are known.
-  blendStroke({ box: [left, top, right, bottom], coverage, shown = coverage, colors, isPreviewed, opacity, blend = "over" }, [covers, adds], isPicture, [first, low, end], cover, added) {
+  blendStroke(stroke, [covers, adds], isPicture, [first, low, end], cover, added) {
+    const { box: [left, top, right, bottom], coverage, shown = coverage, colors, isPreviewed, opacity, blend = "over" } = stroke;
     const [, height] = this.size, width = end - first, [coverOf, addedOf] = TABLES[blend], area = coverage.length;
     const components = [0, 1, 2, 3].filter((k) => covers[k] || adds[k] || (isPicture && k < 3));
     for (let row = top, n = 0; row < bottom; row++) {

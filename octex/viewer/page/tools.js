@@ -21,7 +21,10 @@ export const TOOLS = [
   { name: "brush", text: "Brush", key: "b", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, stencilOverrides(painting)) },
   { name: "eraser", text: "Eraser", key: "e", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, { name: "Eraser", erases: true }) },
   { name: "pick", text: "Pick", key: "i", shownKey: "Alt", isAnywhere: true, down: pickPaint },
-  { name: "stencil", text: "Stencil", key: "d", settings: "stencil-section", turns: true, selected: ({ stencil }) => stencil.begin(), keys: ({ stencil }, event) => stencil.keys(event) },
+  {
+    name: "stencil", text: "Stencil", key: "d", settings: "stencil-section", turns: true,
+    selected: ({ stencil }) => stencil.begin(), keys: ({ stencil }, event) => stencil.keys(event),
+  },
   {
     name: "clone", text: "Clone", key: "o", settings: "retouch", hasRing: true, selected: prepareRetouch, down: ({ retouch }, event) => retouch.clone(event),
     alt: ({ retouch }, event) => retouch.setSource(event), hovered: ({ retouch }, place) => retouch.hover(place), left: ({ retouch }) => retouch.leave(),
