@@ -172,7 +172,7 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser, t
         page.click("#material summary")
         page.select_option("#add-channel", "roughness")
         page.wait_for_function(
-            "globalThis.viewer?.painting?.last.done === 1 && viewer.isSharp", timeout=60_000
+            "globalThis.viewer?.painting?.status.done === 1 && viewer.isSharp", timeout=60_000
         )
         assert page.evaluate("viewer.painting.brush.size") == 77
         assert page.evaluate("isSame")  # the page was not loaded anew
