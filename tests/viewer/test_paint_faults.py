@@ -113,7 +113,7 @@ said = []
 def tried(body):
     try:
         take(session, body)
-        said.append(session.shown.status['fault'])
+        said.append(session.shown.status['error'])
     except OutputError as error:
         said.append(str(error))
 tried(plain('save', 2))

@@ -139,7 +139,7 @@ def closes(count: int, seed: int = 0) -> None:
             page.close(run_before_unload=False)
         for name, number in answered.items():
             told = studio.wait(number, name) if number else {}
-            lost += max(number - told.get("baked", {}).get(name, 0), 0)
+            lost += max(number - told.get("finished", {}).get(name, 0), 0)
         _, *bodies = _records(studio.output.with_name("out.octex.strokes").read_bytes())
         assert not lost, f"{lost} strokes are lost"
         assert_same(studio.saved(1), studio.painted(bodies))
