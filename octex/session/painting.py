@@ -75,7 +75,7 @@ class Shown(NamedTuple):
     """The texture after a command, and the session's status for pages."""
 
     texture: OctreeTexture
-    told: dict[str, Any]
+    status: dict[str, Any]
     before: OctreeTexture | None  # the texture before that command
     changes: tuple[Change, ...]  # made by that command
     stacked: Stacked  # the layers and the texture below them
@@ -108,10 +108,10 @@ class Session:
         self._queue: queue.Queue[Command | None] = queue.Queue()
         self._lock = threading.Lock()  # guards _numbers
         self._numbers: dict[str, int] = {}  # by page: the last command in the journal
-        self._baked: dict[str, int] = {}  # by page: the last finished command
+        self._finished: dict[str, int] = {}  # by page: the last finished command
         self._steps: list[_Step] = []
         self._undone: list[_Step] = []
-        self._fault, self._is_ending, self._count = "", False, 0
+        self._error, self._is_ending, self._count = "", False, 0
         self._question = ""  # why the last save asks before replacing OUTPUT
         self._stamp = _stamp_of(output)  # of OUTPUT when the session last read or wrote it
         self._saved: list[int] | None = []  # the steps saved in OUTPUT; []: the input texture; None: unknown
@@ -172,7 +172,7 @@ class Session:
         self._is_ending = True
         self._queue.put(None)
         self._worker.join()
-        steps, is_saved = len(self._steps), self._is_saved and self._numbers == self._baked
+        steps, is_saved = len(self._steps), self._is_saved and self._numbers == self._finished
         self._journal.close(remove=is_saved)
         if is_saved:
             return ""
@@ -208,30 +208,30 @@ class Session:
         status = {
             "steps": [step.name for step in (*self._steps, *self._undone[::-1])],
             "done": len(self._steps),
-            "baked": dict(self._baked),
+            "finished": dict(self._finished),
             "output": self.output.name,
             "isSaved": self._is_saved,
             "layers": [fields_of(layer) for layer in self._painter.layers],
-            "fault": self._fault,
+            "error": self._error,
             "question": self._question,
         }
         return Shown(self._painter.texture(), status, self._before, self._changes, self._painter.stacked)
 
     def _do(self, command: Command) -> None:
-        """Run a command; one that fails changes nothing, and sets the fault."""
-        self._fault, self._before, self._changes = "", self._painter.texture(), ()
+        """Run a command; one that fails changes nothing, and sets the error."""
+        self._error, self._before, self._changes = "", self._painter.texture(), ()
         try:
             layer, in_mask = target_of(command)
             self._painter.choose(layer, mask=in_mask)
             getattr(self, f"_do_{command.kind}")(command)
         except (OctexError, MemoryError) as error:
-            self._fault = str(error) or "out of memory"
+            self._error = str(error) or "out of memory"
         except Exception as error:  # a defect must not end the session
-            self._fault = f"this is a defect of octex: {type(error).__name__}: {error}"
+            self._error = f"this is a defect of octex: {type(error).__name__}: {error}"
         while self._painter.count > sum(step.strokes for step in self._steps):
             self._painter.undo()  # a part of the failed command
             self._undone.clear()
-        self._baked[command.page] = command.number
+        self._finished[command.page] = command.number
 
     def _do_stroke(self, command: Command) -> None:
         projection, options, where = stroke_of(command)

@@ -5,34 +5,38 @@ maps        packs the model's own images
 pack        packs everything for a page: levels one after another, the mesh, its motion; a set part by part
 changes     packs the cells of a changed texture that a page lacks
 page/       the page: plain modules and shaders, served as they are
-    elements    its elements by name
-    kept        what survives a reload: camera and controls
-    data        loads data from a server, or from the page itself
-    octree      levels as they arrive: words for nodes, planes of values for cells; the value at a point
-    patch       applies changes to the octree
-    mesh        positions, normals, triangles
-    motion      bones and targets at frames
+    viewer      loads a texture and its mesh, follows changes, handles controls; frames: when it draws what
+    elements    finds and makes elements; reload: reloads the page with the same camera and controls
+    data        loads data from the server, or from the page itself
+    connection  the server's event stream, which announces versions
+    octree      levels as they load: words of nodes, planes of values; the cell at a point
+    change      applies changes to the octree
+    mesh        positions, normals, triangles; motion: bones and morph targets by frame
     source      the model's own images; divider: between these and the octree
-    part        a texture and its mesh: what the GPU holds of them
-    programs    shaders, compiled for what is shown of a part
-    gpu         what is drawn with them of all parts; rest positions and values of pixels
-    camera      goes around a point; its file for octex's cameras; controls: mouse, touch and keys
-    legend      what the colours of levels and facings stand for
-    connection  the line to the server, which tells the version that is shown
-    player      which animation is played, at what time
-    paint       tools and the pen, of pages that paint; stroke: what is not painted yet; sending: it;
-                exporting: what is downloaded; flat: a piece laid flat, beside the model; beneath:
-                what strokes below layers and erasers lead to; outline: of the brush on the surface;
-                hand: what helps it; palette: colours used last, ready brushes
-    pointed     what lies under the cursor
-    viewer      what is shown, when it is drawn, and what its controls do
-    shaders/    places: where pixels see the surface rest, opaque or translucent; tiles: those in which
-                something is seen; walk: the field there, as octex.field has it; light; colors; surface;
-                source; cubes; ways: directions
+    part        a texture and its mesh in GPU memory
+    walk        the code and uniforms that walk.glsl needs for a texture
+    programs    compiles shaders for a part's channels and the display mode
+    gpu         draws all parts; reads back what pixels show
+    camera      orbits a target; its file for octex's cameras; controls: pointer, wheel and keys
+    legend      the colours of levels and facings; pick: the cell under the pointer
+    player      plays animations
+    shaders/    gbuffer: rest positions of pixels; tiles: which are drawn; walk: the field, as octex.field has
+                it; directions, light, colors; surface, cubes, source; the rest is for painting
+  of pages that paint:
+    paint       the panel, pointers and keys, the status of the session
+    tools       the tools; brush: draws a stroke; path: smooths it; dabs: flow and spacing
+    stroke      the current stroke, and strokes that the texture does not have yet; mirror: its mirror image
+    preview     strokes below layers, and erasers, until the texture has them
+    commands    the queue of commands for the server
+    retouch     clone, smudge, blur; stencil; external: views painted in other programs; images: files
+    layers, material, palette, exporting    sections of the panel; panel: its controls
+    outline     of the brush on the surface; hit: the surface under the pointer; resize: the brush by dragging
+    flat        a patch that is laid flat, next to the model
+    boxes       boxes of pixels
 export      one file that has all of that in it
 downloads   files for a page that paints to download: the texture, or the model with it
 key         a secret of the user, which makes a file's address the same each time
-answers     admits requests; sends pieces laid flat, and what strokes in layers lead to
+answers     admits requests; sends patches that are laid flat, and composites of layers
 server      serves the page to this machine only
 """
 

@@ -68,17 +68,18 @@ def packed_patch(session: Session, asked: str) -> bytes:
     return line + b"\n" + deflated(stream, _QUICK)
 
 
-def packed_beneath(session: Session, asked: str) -> bytes:
-    """Return the result of full strokes in a layer (`octex.painting.beneath`): a line of JSON, and streams.
+def packed_composite(session: Session, asked: str) -> bytes:
+    """Return the composite that full strokes in a layer lead to: a line of JSON, and streams.
 
-    ``asked`` is JSON with the layer and the kind of stroke. Raises ArgumentError for anything else.
+    ``asked`` is JSON with the layer and the kind of stroke (see `octex.painting.beneath`). Raises
+    ArgumentError for anything else.
     """
     from octex.session.commands import object_of
 
-    fields = object_of(asked, "a request for the texture beneath")
+    fields = object_of(asked, "a request for a composite")
     layer = fields.get("layer")
     number = None if layer is None else as_whole(layer, "layer", 1, 2**53)
-    texture = beneath(session.shown.stacked, number, fields.get("leads"))  # type: ignore[arg-type]
+    texture = beneath(session.shown.stacked, number, fields.get("stroke"))  # type: ignore[arg-type]
     if texture is None:
         return b"null\n"
     header, streams = pack(texture, None, level=_QUICK)
@@ -86,7 +87,7 @@ def packed_beneath(session: Session, asked: str) -> bytes:
 
 
 #: Makers of answers from a session.
-_MADE = {"patch": packed_patch, "beneath": packed_beneath}
+_MADE = {"patch": packed_patch, "composite": packed_composite}
 
 
 class Server(ThreadingHTTPServer):

@@ -26,13 +26,13 @@ if TYPE_CHECKING:
 
 #: Modules, each after those that it imports.
 _NAMES = """
-elements kept octree data patch mesh motion camera controls legend connection source part field programs gpu
-player divider pointed viewer
+elements reload octree data change mesh motion camera controls legend connection source part walk programs gpu
+player divider pick frames viewer
 """
 MODULES = [f"{name}.js" for name in _NAMES.split()]
 #: Modules, styles and shaders of painting pages, which files never contain.
 _PAINTING_NAMES = """
-panel path hand dabs under outline mirror stroke sending brush images stencil retouch beneath external
+panel path boxes dabs hit outline mirror stroke commands brush resize images stencil retouch preview external
 tools layers material palette exporting flat paint
 """
 PAINTING = [*(f"{name}.js" for name in _PAINTING_NAMES.split()), "paint.css"]

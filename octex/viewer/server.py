@@ -296,6 +296,6 @@ def _change(before: _State, after: _State) -> Packed | None:
             counts, stream = change_between(moved, now.texture)
         streams[f"change-{number}"] = deflated(stream, _QUICK)
         fields = {name: value for name, value in now.header.items() if name != "notes"}
-        entries = {"header": fields, "counts": counts, "touched": touched, "isOther": is_other}
+        entries = {"header": fields, "counts": counts, "touched": touched, "hasNewChannels": is_other}
         header["parts"].append(entries)
     return Packed(header, streams)

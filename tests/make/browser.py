@@ -34,7 +34,7 @@ _PROGRAMS = {
 _OPTIONS = ["--headless=new", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
 #: Returns what ``Gpu.probe`` finds as base64.
 _PROBE = """([look, asked]) => {
-  const found = viewer.gpu.probe({ ...viewer.look, ...look }, viewer.camera, asked);
+  const found = viewer.gpu.probe({ ...viewer.display, ...look }, viewer.camera, asked);
   const text = (array) => {
     const bytes = new Uint8Array(array.buffer);
     let made = "";
@@ -48,7 +48,7 @@ _NORMALS = """([look, [width, height]]) => {
   const { gpu, camera } = viewer, { gl } = gpu;
   const target = gpu.target("lit", width, height, [gl.RGBA32UI, gl.RGBA32UI]);
   const bits = new Uint32Array(4 * width * height);
-  gpu.drawGBuffer({ ...viewer.look, ...look }, camera, target, width, height);
+  gpu.drawGBuffer({ ...viewer.display, ...look }, camera, target, width, height);
   gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
   gl.readBuffer(gl.COLOR_ATTACHMENT1);
   gl.readPixels(0, 0, width, height, gl.RGBA_INTEGER, gl.UNSIGNED_INT, bits);
@@ -60,7 +60,7 @@ _NORMALS = """([look, [width, height]]) => {
 #: Draws a picture and returns its codes, the lowest row first, as base64.
 _DRAWN = """([look, [width, height]]) => {
   const { gpu, camera } = viewer, { gl } = gpu, codes = new Uint8Array(4 * width * height);
-  gpu.draw({ ...viewer.look, ...look }, camera, width, height);
+  gpu.draw({ ...viewer.display, ...look }, camera, width, height);
   gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
   let text = "";
   for (const code of codes) text += String.fromCharCode(code);
@@ -85,8 +85,7 @@ UNLIKE = """async () => {
     const packed = (await fetch(`data/${header.version}/0-levels-${n}`)).body;
     const unpacked = packed.pipeThrough(new DecompressionStream("deflate-raw"));
     const bytes = new Uint8Array(await new Response(unpacked).arrayBuffer());
-    if (chunk.levels) anew.take(chunk, bytes);
-    else anew.takeTables(bytes);
+    anew.readChunk(chunk, bytes);
   }
   const isLike = (a, b) => {
     if (ArrayBuffer.isView(a)) return a.length === b.length && a.every((each, n) => each === b[n]);
@@ -164,12 +163,12 @@ def opened(
     page.complaints = []
     page.on("pageerror", lambda error: page.complaints.append(str(error)))
     page.on("console", lambda line: _is_fault(line) and page.complaints.append(line.text))
-    page.add_init_script(_CHANGED % f"{{ finest: {finest}{'' if is_drawn else ', frame() {}'} }}")
+    page.add_init_script(_CHANGED % f"{{ maxScale: {finest}{'' if is_drawn else ', frame() {}'} }}")
     if bypass_csp and browser.browser_type.name == "firefox":
         url = _without_policy(page, url)
     page.goto(url)
     if bypass_csp:
-        done = "viewer.isComplete && viewer.pictures > 0" if is_drawn else "viewer.isComplete"
+        done = "viewer.isLoaded && viewer.pictureCount > 0" if is_drawn else "viewer.isLoaded"
         done += " || !document.getElementById('message').hidden"
         page.wait_for_function(f"globalThis.viewer && ({done})", timeout=60_000)
     return page
@@ -245,13 +244,13 @@ def file_url(path: Path) -> str:
 def lose_gpu(page: Any) -> None:
     """Take a page's GPU away."""
     page.evaluate("globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context'); lose.loseContext()")
-    page.wait_for_function("viewer.isLost")
+    page.wait_for_function("viewer.isContextLost")
 
 
 def restore_gpu(page: Any) -> None:
     """Give it back, and wait for a picture."""
     page.evaluate("lose.restoreContext()")
-    page.wait_for_function("!viewer.isLost && viewer.isSharp", timeout=60_000)
+    page.wait_for_function("!viewer.isContextLost && viewer.isSharp", timeout=60_000)
 
 
 def camera_of(page: Any, size: tuple[int, int]) -> octex.Camera:

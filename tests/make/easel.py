@@ -39,12 +39,12 @@ class Easel(Studio):
               const { painting } = viewer;
               painting.stencil.remove();
               painting.stencil.set({ colors: "own", isThrough: true, isMirrored: false });
-              painting.retouch.set({ point: null, step: null, way: "softer", width: 4 });
-              painting.choose("brush");
+              painting.retouch.set({ point: null, offset: null, effect: "blur", radius: 4 });
+              painting.selectTool("brush");
               painting.set({ size: 40, hardness: 0.7, opacity: 1, mirror: "" });
               viewer.camera.reset(0.55, 0.3);
-              for (let n = painting.last.done; n > 0; n--) painting.sending.send({ kind: "undo" });
-              await painting.sending.all();
+              for (let n = painting.status.done; n > 0; n--) painting.commands.send({ kind: "undo" });
+              await painting.commands.flush();
             }"""
         )
         self.done()
@@ -54,8 +54,8 @@ class Easel(Studio):
     def done(self) -> None:
         """Wait until the page shows all that it has sent."""
         self.shown.wait_for_function(
-            """(({ sending, last }) =>
-              !sending.waiting.length && (last.baked[sending.page] ?? 0) === sending.number
+            """(({ commands, status }) =>
+              !commands.waiting.length && (status.finished[commands.page] ?? 0) === commands.number
             )(viewer.painting)""",
             timeout=60_000,
         )

@@ -98,7 +98,7 @@ class PaintServer:
         """Read changes until a command of a page is done; return what is told of the session."""
         if not self.version:
             self._heard(self.ask("data/header"))
-        while self.told["baked"].get(page, 0) < number:
+        while self.told["finished"].get(page, 0) < number:
             answer = self.ask(f"data/{self.version}/change")
             if isinstance(answer, bytes):
                 self.ask(f"data/{self.version}/change-0")
@@ -111,4 +111,4 @@ class PaintServer:
         assert isinstance(answer, bytes)
         header = json.loads(answer)
         self.version, self.told = header["version"], header["session"]
-        assert not self.told["fault"], self.told["fault"]
+        assert not self.told["error"], self.told["error"]

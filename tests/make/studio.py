@@ -38,11 +38,11 @@ _RESTORE = """({ brush, view, open }) => {
   const { painting, camera } = viewer;
   globalThis.release?.(); // a test that failed holds answers back
   painting.set(brush);
-  painting.choose("brush");
+  painting.selectTool("brush");
   for (const each of document.querySelectorAll("aside details")) each.open = open.includes(each.id);
   camera.restore(view);
-  viewer.move();
-  for (let n = painting.last.done; n > 0; n--) painting.undo();
+  viewer.invalidate();
+  for (let n = painting.status.done; n > 0; n--) painting.undo();
 }"""
 
 
@@ -93,14 +93,14 @@ class Studio:
         yield page
         page.evaluate(_RESTORE, self._state)
         self.is_done(page)
-        assert page.evaluate("viewer.painting.last.done") == 0
+        assert page.evaluate("viewer.painting.status.done") == 0
         assert page.complaints == []
 
     def is_done(self, page: Any, number: int | None = None) -> None:
         """Wait until a page shows its command of a number, or all that it has sent."""
         page.wait_for_function(
-            "(n) => (viewer.painting.last.baked[viewer.painting.sending.page] ?? 0) === n",
-            arg=page.evaluate("viewer.painting.sending.number") if number is None else number,
+            "(n) => (viewer.painting.status.finished[viewer.painting.commands.page] ?? 0) === n",
+            arg=page.evaluate("viewer.painting.commands.number") if number is None else number,
             timeout=60_000,
         )
 
@@ -109,7 +109,7 @@ class Studio:
         """Keep the server's answers back while strokes are drawn, until so many commands wait."""
         page.evaluate(_HOLD)
         yield
-        page.wait_for_function("(n) => viewer.painting.sending.waiting.length === n", arg=count)
+        page.wait_for_function("(n) => viewer.painting.commands.waiting.length === n", arg=count)
 
     def bake(self, page: Any, number: int | None = None) -> None:
         """Let the server answer, and wait until what was kept back is painted."""
@@ -129,5 +129,5 @@ class Studio:
 
 
 def pictured(page: Any, **more: Any) -> npt.NDArray[np.int64]:
-    look = more | {"shown": "channel", "channel": "base_color", "marked": None, "facing": False}
+    look = more | {"mode": "channel", "channel": "base_color", "highlight": None, "facing": False}
     return drawn(page, (240, 200), **look).astype(np.int64)

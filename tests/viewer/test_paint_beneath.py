@@ -8,7 +8,7 @@ import pytest
 import octex
 from octex.errors import ArgumentError
 from octex.painting.beneath import beneath
-from octex.viewer.answers import packed_beneath
+from octex.viewer.answers import packed_composite
 from tests.conftest import needs_jit
 from tests.make.browser import served
 from tests.make.painted import ball
@@ -17,9 +17,7 @@ from tests.painting.test_layers import everywhere
 
 pytestmark = needs_jit
 
-_KEY = (
-    "(viewer.painting.beneath.key ?? viewer.painting.beneath.known.key) === viewer.painting.beneath.known.key"
-)
+_KEY = "[null, viewer.painting.preview.composite.key].includes(viewer.painting.preview.key)"
 
 
 def stacked():
@@ -66,10 +64,10 @@ def test_nothing_is_told_where_no_other_paint_is_met():
     assert beneath(layers.stacked, number, "painted") is None
     session = SimpleNamespace(shown=SimpleNamespace(stacked=layers.stacked))
     for asked in (number, number + 1):  # a page may ask for a layer that is being undone
-        assert packed_beneath(session, f'{{"layer": {asked}, "leads": "painted"}}') == b"null\n"
-    for refused in ("", "[]", '{"layer": -1, "leads": "painted"}', '{"layer": null, "leads": "up"}'):
+        assert packed_composite(session, f'{{"layer": {asked}, "stroke": "painted"}}') == b"null\n"
+    for refused in ("", "[]", '{"layer": -1, "stroke": "painted"}', '{"layer": null, "stroke": "up"}'):
         with pytest.raises(ArgumentError):
-            packed_beneath(session, refused)
+            packed_composite(session, refused)
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +88,7 @@ def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio):
     def stroke(tool, **brush):
         """Draw a stroke; return how far what is shown is from what is baked, inside it, in codes."""
         page.evaluate(
-            "([tool, brush]) => (viewer.painting.choose(tool), viewer.painting.set(brush))", [tool, brush]
+            "([tool, brush]) => (viewer.painting.selectTool(tool), viewer.painting.set(brush))", [tool, brush]
         )
         told(_KEY)
         plain = pictured(page)
@@ -107,8 +105,8 @@ def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio):
 
     colors = {"color": [250, 210, 40], "hardness": 0.7, "size": 30}
     for number, color in ((1, [30, 60, 220]), (2, [20, 200, 90])):
-        page.evaluate("viewer.painting.layers.make('add', 'Add a layer')")
-        told(f"viewer.painting.layers.chosen === {number}")
+        page.evaluate("viewer.painting.layers.sendNew('add', 'Add a layer')")
+        told(f"viewer.painting.layers.active === {number}")
         page.evaluate("(brush) => viewer.painting.set(brush)", {"color": color, "size": 40})
         studio.drag(page, (-20 * number, -30), (20, 30))
         told("!viewer.painting.strokes.sent.length")
@@ -116,7 +114,7 @@ def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio):
     told("viewer.painting.layers.stack[1].blend === 'multiply'")
     found = {}
     for chosen in (None, 1, 2):
-        page.evaluate("(chosen) => viewer.painting.layers.choose(chosen)", chosen)
+        page.evaluate("(chosen) => viewer.painting.layers.select(chosen)", chosen)
         found["paint", chosen] = stroke("brush", **colors)
         found["eraser", chosen] = stroke("eraser", **colors)
     assert max(found.values()) <= 2

@@ -124,7 +124,7 @@ def test_a_size_in_the_model_s_units_stays_the_same_on_the_surface(studio, page)
     page.evaluate("viewer.painting.set({ unit: 'model', size: 100, hardness: 1 })")
     edge = studio.texture.placement.size
     for zoom in (1, 2.5):
-        page.evaluate("(zoom) => { viewer.camera.zoom(zoom); viewer.move(); }", zoom)
+        page.evaluate("(zoom) => { viewer.camera.zoom(zoom); viewer.invalidate(); }", zoom)
         page.wait_for_function("viewer.isSharp", timeout=60_000)
         before = studio.session.shown.texture
         studio.drag(page, (0, 0), (0, 0))
@@ -140,13 +140,13 @@ def test_a_size_in_the_model_s_units_stays_the_same_on_the_surface(studio, page)
 def test_the_unit_changes_and_the_size_stays(page):
     box = page.locator("#picture").bounding_box()
     page.mouse.move(box["width"] / 2, box["height"] / 2)
-    page.evaluate("document.getElementById('tip').open = true")
+    page.evaluate("document.getElementById('brush-section').open = true")
     page.select_option("#unit", "model")
     assert page.evaluate("viewer.painting.brush.size") != 40
-    assert page.evaluate("viewer.painting.width") == pytest.approx(40, rel=0.03)
+    assert page.evaluate("viewer.painting.brushWidth") == pytest.approx(40, rel=0.03)
     page.select_option("#unit", "pixels")
     assert page.evaluate("viewer.painting.brush.size") == pytest.approx(40, abs=2)
-    page.evaluate("document.getElementById('tip').open = false")
+    page.evaluate("document.getElementById('brush-section').open = false")
 
 
 def test_a_pen_s_pressure_changes_what_it_is_set_to(studio, page):
@@ -218,7 +218,7 @@ def test_the_outline_shows_how_the_surface_is_turned(page):
         page.wait_for_function(f"(({{ width, height }}) => {expected})({needle})", timeout=60_000)
     page.evaluate(  # moved to a place before the picture is drawn
         """([x, y]) => {
-          viewer.move();
+          viewer.invalidate();
           const place = { clientX: x, clientY: y, bubbles: true };
           viewer.canvas.dispatchEvent(new PointerEvent("pointermove", place));
         }""",
@@ -227,15 +227,15 @@ def test_the_outline_shows_how_the_surface_is_turned(page):
     page.wait_for_function(f"(({{ width, height }}) => {turned[100, 0]})({needle})", timeout=60_000)
     page.wait_for_function("viewer.isSharp")
     found, drawn = page.evaluate("""async () => {
-      const { under } = await import("./under.js"), { gl, canvas } = viewer.gpu, drawn = [];
+      const { hitAt } = await import("./hit.js"), { gl, canvas } = viewer.gpu, drawn = [];
       const names = Object.getOwnPropertyNames(WebGL2RenderingContext.prototype);
       const draws = names.filter((name) => name.startsWith("draw"));
       for (const name of draws) gl[name] = () => drawn.push(name);
-      const found = under(viewer, canvas.clientWidth / 2, canvas.clientHeight / 2);
+      const found = hitAt(viewer, canvas.clientWidth / 2, canvas.clientHeight / 2);
       for (const name of draws) delete gl[name];
       return [found, drawn];
     }""")
-    assert found["away"] > 0
+    assert found["depth"] > 0
     assert drawn == []  # the pointer moves too often for that
 
 
@@ -250,7 +250,7 @@ def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio, page):
     for name in ("backFaces", "hidden", "onePart"):
         page.check(f"#{name}")
     page.select_option("#mirror", "y")
-    page.fill("#mirrorAt", "10")
+    page.fill("#mirrorPosition", "10")
     page.select_option("#blend", "screen")
     studio.drag(page, (0, 0), (20, 0))
     studio.is_done(page)
@@ -266,7 +266,7 @@ def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio, page):
         ("part", [None, None]),
         ("all", [None] * 2),
     ):
-        page.select_option("#filled", filled)
+        page.select_option("#fills", filled)
         if like[0]:
             page.fill("#tolerance", "8")
         page.click("#tool-fill")
@@ -280,14 +280,16 @@ def test_pages_send_what_the_controls_of_strokes_and_fills_say(studio, page):
 
 
 def turned(page, turn):
-    page.evaluate("(turn) => { viewer.camera.turn = turn; viewer.camera.tilt = 0.1; viewer.move(); }", turn)
+    page.evaluate(
+        "(turn) => { viewer.camera.turn = turn; viewer.camera.tilt = 0.1; viewer.invalidate(); }", turn
+    )
     page.wait_for_function("viewer.isSharp", timeout=60_000)
 
 
 @pytest.mark.parametrize("offset", [0, 5])
 def test_the_other_half_of_a_stroke_is_seen_at_once_where_it_is_baked(offset, studio, page):
     turned(page, 0.0)
-    brush = {"mirror": "x", "mirrorAt": offset, "hardness": 0.6}
+    brush = {"mirror": "x", "mirrorPosition": offset, "hardness": 0.6}
     pictures = drawn_and_baked(studio, page, [(brush, [(40, 10), (80, -40)])])
     inside = assert_same_inside(pictures)
     half = inside.shape[1] // 2
@@ -302,7 +304,7 @@ def test_a_stroke_that_goes_through_is_seen_when_the_view_turns_before_it_is_bak
     with studio.held(page):
         studio.drag(page, (-30, 0), (40, 30))
     page.evaluate("viewer.camera.turn = Math.PI")
-    before, shown = pictured(page, paint=None), pictured(page)
+    before, shown = pictured(page, strokes=None), pictured(page)
     studio.bake(page)
     assert_same_inside((before, shown, pictured(page)))
 
@@ -344,10 +346,10 @@ def test_a_pen_that_comes_down_before_the_picture_is_drawn_stays_on_its_part(pai
     with pair.restored() as page:
         turned(page, 0.0)
         page.evaluate("(brush) => viewer.painting.set(brush)", {"onePart": True, "size": 20})
-        moves = '"pointerdown", () => viewer.move(), { capture: true, once: true }'
+        moves = '"pointerdown", () => viewer.invalidate(), { capture: true, once: true }'
         page.evaluate(f"window.addEventListener({moves})")
         with pair.held(page):
             pair.drag(page, (-40, -10), (-20, -10))
-        at = page.evaluate("viewer.painting.sending.waiting[0].at")
+        at = page.evaluate("viewer.painting.commands.waiting[0].at")
         pair.bake(page)
     assert at is not None

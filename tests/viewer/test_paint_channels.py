@@ -82,7 +82,7 @@ def session(tmp_path):
 def test_mirrored_and_blended_strokes_paint_all_channels(session):
     texture, _ = canvas()
     take(session, stroke(1, values={"metallic": [1]}, mirror="x", blend="screen"))
-    assert session.shown.told["done"] == 1
+    assert session.shown.status["done"] == 1
     points = np.random.default_rng(0).normal(size=(4000, 3))
     points /= np.linalg.norm(points, axis=1, keepdims=True)
     for name in ("base_color", "metallic"):
@@ -139,9 +139,9 @@ def test_values_that_a_channel_cannot_hold_change_nothing_and_are_told(values, w
         (stroke(1, values=values), plain("fill", 2, values=values, color=[1, 2, 3])), 1
     ):
         take(session, body)
-        assert why in session.shown.told["fault"]
-        assert session.shown.told["baked"] == {json.loads(body.partition(b"\n")[0])["page"]: number}
-    assert session.shown.told["steps"] == []
+        assert why in session.shown.status["error"]
+        assert session.shown.status["finished"] == {json.loads(body.partition(b"\n")[0])["page"]: number}
+    assert session.shown.status["steps"] == []
     assert_same(session.shown.texture, texture)
     session.close()
 
@@ -159,7 +159,7 @@ def test_an_added_channel_is_a_step_and_can_be_painted(session, tmp_path):
     seen = []
     for body in bodies:
         take(session, body)
-        assert session.shown.told["fault"] == ""
+        assert session.shown.status["error"] == ""
         seen.append(session.shown.texture)
     added = seen[0].channels["occlusion"]
     assert added.format == ChannelFormat("occlusion", 1, "data")
@@ -173,7 +173,7 @@ def test_an_added_channel_is_a_step_and_can_be_painted(session, tmp_path):
     assert_same(seen[3], texture)
     assert_same(seen[4], seen[0])
     assert_same(seen[5], seen[1])
-    assert session.shown.told["steps"] == ["Add occlusion", "Brush 2"]
+    assert session.shown.status["steps"] == ["Add occlusion", "Brush 2"]
     session.close()
     again = Session(*canvas(), tmp_path / "out.octex", recover=True)
     assert_same(again.shown.texture, seen[5])
@@ -192,7 +192,7 @@ def test_an_added_channel_has_its_neutral_value(name, least, tmp_path):
     session = Session(octex.convert(surface, depth=3), surface, tmp_path / "out.octex")
     take(session, plain("channel", 1, channel=name), plain("channel", 2, channel=name))
     np.testing.assert_allclose(session.shown.texture.sample([[0.0, 0.0, 1.0]], name), least, atol=0.5 / 255)
-    assert f"has the channel '{name}' already" in session.shown.told["fault"]
+    assert f"has the channel '{name}' already" in session.shown.status["error"]
     session.close()
 
 
@@ -207,8 +207,8 @@ def test_a_channel_without_a_name_is_refused(given, why, session):
 @pytest.mark.parametrize("name", ["normal", "base_color", "colour", "../x"])
 def test_a_channel_that_pages_do_not_add_is_told(name, session):
     take(session, plain("channel", 1, channel=name))
-    assert "unknown channel to add" in session.shown.told["fault"]
-    assert session.shown.told["steps"] == []
+    assert "unknown channel to add" in session.shown.status["error"]
+    assert session.shown.status["steps"] == []
 
 
 def test_pages_are_sent_a_stroke_of_several_channels_by_its_tiles():
@@ -276,9 +276,9 @@ def test_random_commands_do_what_calls_of_the_library_do_and_are_recovered(seed,
             history[done + 1 :], done = [painter.texture()], done + 1
         take(session, body)
         assert_same(session.shown.texture, history[done])
-        assert session.shown.told["done"] == done
+        assert session.shown.status["done"] == done
     session.close()
     again = Session(*canvas(), tmp_path / "out.octex", recover=True)
     assert_same(again.shown.texture, history[done])
-    assert again.shown.told["done"] == done
+    assert again.shown.status["done"] == done
     again.close()

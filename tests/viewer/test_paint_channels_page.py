@@ -53,12 +53,12 @@ def page(shop):
 
 
 def pictured(page, shown, channel="base_color"):
-    return drawn(page, VIEW, shown=shown, channel=channel, marked=None, facing=False).astype(np.int64)
+    return drawn(page, VIEW, mode=shown, channel=channel, highlight=None, facing=False).astype(np.int64)
 
 
 def ticked(page, **values):
     known = page.evaluate("viewer.painting.brush.values")
-    page.evaluate("(brush) => viewer.painting.set(brush)", {"ticked": [*values], "values": known | values})
+    page.evaluate("(brush) => viewer.painting.set(brush)", {"channels": [*values], "values": known | values})
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,9 @@ def test_channels_are_seen_at_once_as_they_will_be_painted(values, shop, page):
     ticked(page, **values)
     looks = [*(("channel", name) for name in values), ("lit", "base_color")]
     plain = {look: pictured(page, *look) for look in looks}
-    page.evaluate("viewer.look.shown = 'channel'; viewer.look.channel = viewer.painting.brush.ticked[0]")
+    page.evaluate(
+        "viewer.display.mode = 'channel'; viewer.display.channel = viewer.painting.brush.channels[0]"
+    )
     with shop.held(page, 2):
         for places in (((-60, 0), (0, -40)), ((0, -40), (60, 20))):
             shop.drag(page, *places)
@@ -99,26 +101,26 @@ def test_channels_are_seen_at_once_as_they_will_be_painted(values, shop, page):
 
 def test_relief_near_a_change_is_drawn_anew_as_if_all_were(shop, page):
     ticked(page, height=1.0)
-    page.evaluate("viewer.look.shown = 'lit'; viewer.move(); viewer.tell = () => {}")
+    page.evaluate("viewer.display.mode = 'lit'; viewer.invalidate(); viewer.showPicked = () => {}")
     page.evaluate("viewer.painting.set({ size: 8 })")
     page.wait_for_function("viewer.isSharp", timeout=60_000)
     near = 0
     for number in range(1, 5):
-        looked_up, pictures = page.evaluate("[viewer.lookedUp, viewer.pictures]")
+        looked_up, pictures = page.evaluate("[viewer.lookupKey, viewer.pictureCount]")
         shop.drag(page, (10 * number, 0), (10 * number, 20))
         shop.is_done(page)
-        page.wait_for_function("!viewer.near && viewer.isSharp", timeout=60_000)
+        page.wait_for_function("!viewer.changedRegion && viewer.isSharp", timeout=60_000)
         unlike, shown = page.evaluate(_UNLIKE)
         assert unlike == 0
         assert shown > 100
-        if looked_up == page.evaluate("viewer.lookedUp"):
-            near += page.evaluate("viewer.pictures") == pictures
+        if looked_up == page.evaluate("viewer.lookupKey"):
+            near += page.evaluate("viewer.pictureCount") == pictures
     assert near > 0
 
 
 def test_the_picker_takes_what_is_ticked_and_a_fill_paints_it(shop, page):
     ticked(page, roughness=0.0, moisture=1.0)
-    page.evaluate("viewer.painting.set({ filled: 'all' })")
+    page.evaluate("viewer.painting.set({ fills: 'all' })")
     color = page.evaluate("viewer.painting.brush.color")
     page.keyboard.press("f")
     shop.drag(page, (0, 0))
@@ -139,25 +141,25 @@ def test_the_picker_takes_what_is_ticked_and_a_fill_paints_it(shop, page):
 
 
 def test_what_is_ticked_is_shown_and_what_is_not_seen_is_not_painted(shop, page):
-    look = "[viewer.look.shown, viewer.look.channel]"
-    page.evaluate("viewer.painting.set({ ticked: ['base_color'] }); viewer.painting.material.lookAt()")
+    look = "[viewer.display.mode, viewer.display.channel]"
+    page.evaluate("viewer.painting.set({ channels: ['base_color'] }); viewer.painting.material.showPainted()")
     page.evaluate("document.getElementById('material').open = true")
     page.check("#paints-moisture")
     assert page.evaluate(look)[0] == "lit"
     page.uncheck("#paints-base_color")
     assert page.evaluate(look) == ["channel", "moisture"]
-    assert page.evaluate("document.getElementById('shown').value") == "channel moisture"
+    assert page.evaluate("document.getElementById('mode').value") == "channel moisture"
     page.check("#paints-roughness")
     page.uncheck("#paints-moisture")
     assert page.evaluate(look)[0] == "lit"
-    page.evaluate("viewer.look.shown = 'channel'; viewer.look.channel = 'metallic'")
+    page.evaluate("viewer.display.mode = 'channel'; viewer.display.channel = 'metallic'")
     shop.drag(page, (0, 0), (20, 0))
     assert page.locator("#paint-note").inner_text() == "Tick Metal under Material to paint it."
-    page.evaluate("viewer.look.shown = 'lit'")
+    page.evaluate("viewer.display.mode = 'lit'")
     page.uncheck("#paints-roughness")
     shop.drag(page, (0, 0), (20, 0))
     assert page.locator("#paint-note").inner_text() == "Tick under Material what to paint."
-    assert page.evaluate("viewer.painting.last.done") == 0
+    assert page.evaluate("viewer.painting.status.done") == 0
     page.locator("#value-metallic").fill("0.5")
     assert page.evaluate("viewer.painting.material.paint") == {"color": None, "values": {"metallic": [0.5]}}
 
@@ -170,15 +172,15 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser, t
         page.click("#material summary")
         page.select_option("#add-channel", "roughness")
         page.wait_for_function(
-            "globalThis.viewer?.painting?.last.done === 1 && viewer.isSharp", timeout=60_000
+            "globalThis.viewer?.painting?.status.done === 1 && viewer.isSharp", timeout=60_000
         )
         assert page.evaluate("viewer.painting.brush.size") == 77
         assert page.evaluate("isSame")  # the page was not loaded anew
-        assert page.evaluate("viewer.painting.last.steps") == ["Add roughness"]
+        assert page.evaluate("viewer.painting.status.steps") == ["Add roughness"]
         assert page.is_checked("#paints-roughness")
         assert page.locator("#value-roughness").is_visible()
         studio.drag(page, (-20, 0), (20, 0))
-        page.wait_for_function("viewer.painting.last.done === 2", timeout=60_000)
+        page.wait_for_function("viewer.painting.status.done === 2", timeout=60_000)
         rough = studio.session.shown.texture.channels["roughness"].values
         assert (rough.min(), rough.max()) == (76, 255)
         again = studio.page()
@@ -187,7 +189,7 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser, t
         again.close()
         for done in (1, 0):
             page.keyboard.press("Control+z")
-            page.wait_for_function("(n) => viewer.painting.last.done === n", arg=done, timeout=60_000)
+            page.wait_for_function("(n) => viewer.painting.status.done === n", arg=done, timeout=60_000)
         assert page.locator("#paints-roughness").count() == 0
         assert page.locator("#add-channel option[value=roughness]").count() == 1
         assert page.evaluate("isSame && viewer.parts[0].channel('roughness') === undefined")
@@ -257,7 +259,7 @@ def test_a_posed_page_is_lit_by_the_surfaces_own_normals_as_the_librarys_picture
 
 #: Counts the textures of the program that shows all that there can be, of the most channels.
 _TEXTURES = """() => {
-  const { gpu, parts: [part], look } = viewer, { gl } = gpu, channels = [];
+  const { gpu, parts: [part], display } = viewer, { gl } = gpu, channels = [];
   const names = { base_color: 3, emissive: 3, specular: 3, normal: 3 };
   for (const name of ["metallic", "roughness", "occlusion", "height", "alpha"]) names[name] = 1;
   for (const [name, components] of Object.entries(names)) {
@@ -267,7 +269,7 @@ _TEXTURES = """() => {
   Object.assign(header, { isMixed: true, kept: 1, split: [1, 2] });
   const full = Object.create(part, { header: { value: header }, source: { value: {} } });
   const programs = Object.create(gpu.programs, { parts: { value: [full] } });
-  const all = { ...look, shown: "lit", relief: 0.1, divider: 0.5, isOver: true, facing: true };
+  const all = { ...display, mode: "lit", relief: 0.1, divider: 0.5, isTranslucent: true, facing: true };
   const { handle } = programs.use("surface", full, all, 9), kinds = [gl.UNSIGNED_INT_SAMPLER_2D];
   kinds.push(gl.SAMPLER_2D, gl.SAMPLER_2D_ARRAY);
   const count = gl.getProgramParameter(handle, gl.ACTIVE_UNIFORMS);

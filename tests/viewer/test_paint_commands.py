@@ -100,7 +100,7 @@ def test_what_is_hit_is_bit_for_bit_what_the_library_hits(given, tmp_path):
     body = stroke(1, **given)
     take(session, body)
     library_calls(painter, surface, body)
-    assert session.shown.told["fault"] == ""
+    assert session.shown.status["error"] == ""
     assert_same(session.shown.texture, painter.texture())
     ways = np.array([FRONT, BACK]) / np.linalg.norm([FRONT, BACK], axis=1, keepdims=True)
     points = np.array([ways[0], BACK - 0.8 * ways[1]])  # where both face the camera
@@ -150,9 +150,9 @@ def test_random_commands_do_bit_for_bit_what_the_library_does_also_after_a_crash
             done.append(strokes)
             undone.clear()
         session.wait()
-        assert session.shown.told["fault"] == ""
+        assert session.shown.status["error"] == ""
         assert_same(session.shown.texture, painter.texture())
-        assert (session.shown.told["done"], session.shown.told["baked"]) == (len(done), {PAGE: number})
+        assert (session.shown.status["done"], session.shown.status["finished"]) == (len(done), {PAGE: number})
     session.close()
     again = Session(texture, surface, tmp_path / "out.octex", recover=True)
     assert_same(again.shown.texture, painter.texture())

@@ -67,7 +67,7 @@ def test_a_file_is_what_the_library_writes_of_the_painted_texture(wanted, name, 
     (tmp_path / "there").mkdir()
     write(served.session.shown.texture, canvas()[1], tmp_path / "there" / name)
     assert exported(served, **wanted) == (name, (tmp_path / "there" / name).read_bytes())
-    assert served.session.shown.told["isSaved"] is False  # an export is no save
+    assert served.session.shown.status["isSaved"] is False  # an export is no save
 
 
 def test_the_last_file_alone_is_kept_and_none_in_the_end(served, tmp_path):
@@ -121,7 +121,7 @@ def test_painting_goes_on_while_a_file_is_made_and_only_one_is_made_at_a_time(se
     assert begun.wait(20)
     served.post(stroke(1))
     served.session.wait()
-    assert served.session.shown.told["done"] == 1
+    assert served.session.shown.status["done"] == 1
     assert told(served, kind="octz")[-1] == (
         "fault",
         {"why": "another export is under way; wait until it is done"},
@@ -181,7 +181,7 @@ def test_the_page_downloads_a_file_with_a_proper_name_and_says_what_is_wrong(bro
         page.wait_for_function("viewer.painting", timeout=60_000)
         page.click("#export summary")
         page.evaluate(
-            "viewer.painting.sending.send({ kind: 'fill', color: [9, 9, 9], opacity: 1, mirror: '' })"
+            "viewer.painting.commands.send({ kind: 'fill', color: [9, 9, 9], opacity: 1, mirror: '' })"
         )
         page.select_option("#export-kind", "octz")
         assert page.locator("#export-images").is_hidden()
@@ -191,7 +191,7 @@ def test_the_page_downloads_a_file_with_a_proper_name_and_says_what_is_wrong(bro
         assert download.suggested_filename == "Kugel ä.octz"
         download.save_as(tmp_path / "saved.octz")
         assert_same(octex.open(tmp_path / "saved.octz"), session.shown.texture)
-        assert session.shown.told["done"] == 1
+        assert session.shown.status["done"] == 1
         with page.expect_download() as waited:
             page.keyboard.press("Control+Shift+S")
         assert waited.value.suggested_filename == "Kugel ä.octex"

@@ -39,24 +39,24 @@ def test_a_file_that_another_program_has_written_is_replaced_only_when_asked(the
         session.take(stroke(1))
         session.take(plain("save", 2))  # --force was said
         session.wait()
-        assert session.shown.told["isSaved"]
+        assert session.shown.status["isSaved"]
     first = 3 if there else 1
     session.take(stroke(first))
     other = touched(output)
     take(session, plain("save", first + 1))
-    assert session.shown.told["question"] == "Another program has changed out.octex."
-    assert not session.shown.told["isSaved"]
+    assert session.shown.status["question"] == "Another program has changed out.octex."
+    assert not session.shown.status["isSaved"]
     assert output.read_bytes() == other
     take(session, stroke(first + 2))
-    assert session.shown.told["question"]  # it stays asked
+    assert session.shown.status["question"]  # it stays asked
     take(session, plain("save", first + 3, replace=True))
-    assert session.shown.told["question"] == ""
-    assert session.shown.told["isSaved"]
+    assert session.shown.status["question"] == ""
+    assert session.shown.status["isSaved"]
     assert_same(octex.open(output), session.shown.texture)
     session.take(stroke(first + 4))
     session.take(plain("save", first + 5))  # now it is this session's again
     session.wait()
-    assert session.shown.told["isSaved"]
+    assert session.shown.status["isSaved"]
     with pytest.raises(ArgumentError, match="replace must be True or False"):
         session.take(plain("save", first + 6, replace="yes"))
     assert session.close() == ""
@@ -69,7 +69,7 @@ def test_a_file_that_was_removed_meanwhile_is_written_again(tmp_path):
     session.wait()
     (tmp_path / "out.octex").unlink()
     take(session, plain("save", 3))
-    assert session.shown.told["question"] == ""
+    assert session.shown.status["question"] == ""
     assert_same(octex.open(tmp_path / "out.octex"), session.shown.texture)
     assert session.close() == ""
 
@@ -113,7 +113,7 @@ said = []
 def tried(body):
     try:
         take(session, body)
-        said.append(session.shown.told['fault'])
+        said.append(session.shown.status['error'])
     except OutputError as error:
         said.append(str(error))
 tried(plain('save', 2))
@@ -123,7 +123,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 number = 3 if 'File too large' in said[1] else 4
 tried(stroke(number))
 tried(plain('save', number + 1))
-told = session.shown.told
+told = session.shown.status
 print(json.dumps([said, told['done'], told['isSaved'], session.close()]))
 """
 
@@ -160,7 +160,7 @@ def test_the_page_asks_whether_to_replace_what_another_program_has_written(brows
         assert_same(octex.open(tmp_path / "copy.octex"), session.shown.texture)
         assert output.read_bytes() == other
         page.click("#replace")
-        page.wait_for_function("viewer.painting.last.isSaved", timeout=60_000)
+        page.wait_for_function("viewer.painting.status.isSaved", timeout=60_000)
         assert page.locator("#question").is_hidden()
         assert_same(octex.open(output), session.shown.texture)
         assert page.complaints == []
@@ -184,7 +184,7 @@ def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(studio, page):
     assert (pictured(page) == before).all()
     studio.drag(page, (0, 20), (30, 20))
     studio.is_done(page)
-    assert studio.session.shown.told["done"] == 2
+    assert studio.session.shown.status["done"] == 2
     assert np.abs(pictured(page) - before).max() > 60
 
 
@@ -200,7 +200,7 @@ def test_strokes_are_painted_while_many_lines_wait_and_many_are_refused(served, 
         for number in range(1, 6):
             assert served.post(stroke(number))[0] == 200
         served.session.wait()
-        assert served.session.shown.told["done"] == 5
+        assert served.session.shown.status["done"] == 5
         for n, each in enumerate(idle):  # each is answered, or given up
             assert each.recv(4096).startswith(b"HTTP/1.1 403" if n % 2 == 0 else b"")
     assert len(served.lines) == 1

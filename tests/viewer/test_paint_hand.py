@@ -41,11 +41,11 @@ def test_with_shift_a_stroke_goes_on_from_the_last_one_in_a_straight_line(studio
         assert coverage[round(y + 30 * part) - top, round(x + 60 * part) - left] > 250
     assert coverage[round(y) - top - 20, round(x) - left] == 0
     view = page.evaluate("String(viewer.camera.view)")
-    page.evaluate("viewer.camera.orbit(0.15, 0.1); viewer.move()")
+    page.evaluate("viewer.camera.orbit(0.15, 0.1); viewer.invalidate()")
     page.wait_for_function("viewer.isDrawn")
-    point = np.array(page.evaluate("viewer.painting.end.point"))
+    point = np.array(page.evaluate("viewer.painting.lastEnd.point"))
     assert np.linalg.norm(point - studio.surface.vertices.mean(axis=0)) == pytest.approx(1, abs=0.05)
-    size = page.evaluate("[viewer.film.width, viewer.film.height]")
+    size = page.evaluate("[viewer.screenSize.width, viewer.screenSize.height]")
     (at,), _ = camera_of(page, size).project(point[None])
     studio.drag(page, (0, -60))
     page.keyboard.up("Shift")
@@ -96,11 +96,11 @@ def test_dragging_with_control_changes_size_and_hardness(page):
     page.keyboard.up("Control")
     assert page.locator("#ring b").inner_text() == ""
     assert page.evaluate("String(viewer.camera.view)") == view
-    assert page.evaluate("viewer.painting.sending.waiting.length + viewer.painting.last.done") == 0
+    assert page.evaluate("viewer.painting.commands.waiting.length + viewer.painting.status.done") == 0
 
 
 def test_colours_are_typed_and_those_used_last_are_at_hand(studio, page):
-    field, used = page.locator("#color-text"), page.locator("#used button")
+    field, used = page.locator("#color-text"), page.locator("#recent button")
     for text, color in (("#0f8", [0, 255, 136]), ("C83C28", [200, 60, 40])):
         field.fill(text)
         field.press("Enter")
@@ -136,6 +136,6 @@ def test_ready_brushes_change_all_but_size_and_colour(page):
         assert own.items() <= found.items()
         assert [found["size"], found["color"]] == [before["size"], before["color"]]
     for tool, then in (("eraser", "eraser"), ("fill", "brush")):
-        page.evaluate("(tool) => viewer.painting.choose(tool)", tool)
+        page.evaluate("(tool) => viewer.painting.selectTool(tool)", tool)
         page.locator("#brushes button", has_text="Hard").click()
         assert page.evaluate("viewer.painting.tool.name") == then

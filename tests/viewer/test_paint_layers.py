@@ -29,13 +29,13 @@ class Both:
         make = stroke(self.number, **given) if kind == "stroke" else plain(kind, self.number, **given)
         self.session.take(make)
         self.session.wait()
-        assert self.session.shown.told["fault"] == ""
+        assert self.session.shown.status["error"] == ""
         assert_same(self.session.shown.texture, self.layers.texture())
         told = [
-            (each["number"], each["title"], each["opacity"]) for each in self.session.shown.told["layers"]
+            (each["number"], each["title"], each["opacity"]) for each in self.session.shown.status["layers"]
         ]
         assert told == [(each.number, each.name, each.opacity) for each in self.layers.layers]
-        assert self.session.shown.told["done"] == len(self.layers.strokes)
+        assert self.session.shown.status["done"] == len(self.layers.strokes)
 
     def do(self, random):
         """Do one thing at random."""
@@ -96,8 +96,8 @@ def test_random_commands_do_what_the_library_does_and_a_crash_loses_none(seed, t
     again = Session(*canvas(), tmp_path / "out.octex", recover=True)
     assert again.repeated == both.number
     assert_same(again.shown.texture, both.layers.texture())
-    assert again.shown.told["layers"] == session.shown.told["layers"]
-    assert again.shown.told["steps"] == session.shown.told["steps"]
+    assert again.shown.status["layers"] == session.shown.status["layers"]
+    assert again.shown.status["steps"] == session.shown.status["steps"]
     again.close()
 
 
@@ -121,10 +121,10 @@ def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told
         with pytest.raises(ArgumentError):
             session.take(stroke(1, **given))
     take(session, stroke(1, layer=5))
-    assert session.shown.told["fault"] == "there is no layer 5"
-    assert session.shown.told["baked"] == {PAGE: 1}
+    assert session.shown.status["error"] == "there is no layer 5"
+    assert session.shown.status["finished"] == {PAGE: 1}
     take(session, plain("layer", 2, action="move", layer=5, place=0))
-    assert (session.shown.told["fault"], session.shown.told["done"]) == ("there is no layer 5", 0)
+    assert (session.shown.status["error"], session.shown.status["done"]) == ("there is no layer 5", 0)
     assert_same(session.shown.texture, canvas()[0])
 
 
@@ -132,7 +132,7 @@ def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_era
     page.evaluate("document.getElementById('layers').open = true")
     page.click("#layer-add")
     studio.is_done(page)
-    assert page.evaluate("viewer.painting.layers.chosen") == 1
+    assert page.evaluate("viewer.painting.layers.active") == 1
     pictures = drawn_and_baked(studio, page, [({}, LINE)])
     assert_same_inside(pictures)
     page.keyboard.press("e")
@@ -142,7 +142,7 @@ def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_era
     assert np.abs(pictured(page) - pictures[0]).max() <= 1
     page.click("#layer-delete")
     studio.is_done(page)
-    assert page.evaluate("[viewer.painting.layers.chosen, viewer.painting.last.steps.at(-1)]") == [
+    assert page.evaluate("[viewer.painting.layers.active, viewer.painting.status.steps.at(-1)]") == [
         None,
         "Delete a layer",
     ]
@@ -152,7 +152,7 @@ def test_the_list_of_layers_hides_names_moves_and_sets_them(studio, page):
 
     def done():
         studio.is_done(page)
-        return studio.session.shown.told["layers"]
+        return studio.session.shown.status["layers"]
 
     page.evaluate("document.getElementById('layers').open = true")
     for _ in range(2):
@@ -190,13 +190,13 @@ def test_layers_are_saved_beside_the_output_and_a_session_goes_on_with_them(tmp_
     session = Session(*canvas(), tmp_path / "out.octz")
     session.take(plain("layer", 1, action="add", blend="multiply", title="Dirt"))
     take(session, stroke(2, layer=1), plain("save", 3))
-    assert session.shown.told["isSaved"]
+    assert session.shown.status["isSaved"]
     assert session.close() == ""
     assert sorted(each.name for each in tmp_path.iterdir()) == ["out.layers.octex", "out.octz"]
     assert_same(octex.open(tmp_path / "out.octz"), session.shown.texture)
     _, surface = canvas()
     again = Session(octex.open(tmp_path / "out.layers.octex"), surface, tmp_path / "more.octex")
-    assert again.shown.told["layers"] == session.shown.told["layers"]
+    assert again.shown.status["layers"] == session.shown.status["layers"]
     assert_same(again.shown.texture, session.shown.texture)
     again.take(plain("layer", 1, action="set", layer=1, isVisible=False))
     again.wait()
@@ -245,8 +245,8 @@ def test_of_a_file_with_layers_that_a_command_edits_nothing_is_lost(tmp_path, mo
         assert main([*words, "--keep", choice]) == ExitCode.DONE
     for name, own in found[0].texture.channels.items():
         assert np.array_equal(own.values, octex.open(edited).channels[name].values)
-    assert found[0].told["layers"] == []
-    assert [each["title"] for each in found[1].told["layers"]] == ["Dirt"]
+    assert found[0].status["layers"] == []
+    assert [each["title"] for each in found[1].status["layers"]] == ["Dirt"]
     assert np.array_equal(
         found[1].texture.channels["base_color"].values, layers.texture().channels["base_color"].values
     )

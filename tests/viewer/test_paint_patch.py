@@ -59,7 +59,7 @@ def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(t
             other = replace(other, camera=replace(patch, camera=other.camera))
             expected = octex.paint(expected, surface, other, **options)
         session.wait()
-        assert session.shown.told["fault"] == ""
+        assert session.shown.status["error"] == ""
         assert_same(session.shown.texture, expected)
     take(session, plain("undo", 6), plain("redo", 7))
     assert_same(session.shown.texture, expected)
@@ -73,7 +73,7 @@ def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(t
 def test_the_mirror_of_a_patch_lands_where_a_mirror_has_it(axis, session):
     spot = {"center": [0.5, 0.5, 0.7], "radius": 0.5, "up": [0.1, 1.0, 0.0]}
     take(session, stroke(1, patch=spot, camera=flat_camera(0.5), mirror="xyz"[axis], opacity=1.0))
-    assert session.shown.told["fault"] == ""
+    assert session.shown.status["error"] == ""
     assert_mirrored(session, axis, 6000, 30, 0.2, 0.2)
 
 
@@ -109,7 +109,7 @@ def test_a_patch_beside_the_surface_is_said_and_paints_nothing(tmp_path):
     with pytest.raises(ModelError, match="farther than the radius"):
         session.patch(json.dumps({"patch": beside}))
     take(session, stroke(1, patch=beside, camera=flat_camera()))
-    assert "farther than the radius" in session.shown.told["fault"]
+    assert "farther than the radius" in session.shown.status["error"]
     assert_same(session.shown.texture, texture)
     session.close()
 
@@ -140,20 +140,20 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         page.wait_for_selector("#flat:visible")
         assert page.evaluate("viewer.painting.tool.name") == "brush"
         assert page.locator("#other-view").is_visible()  # of the model
-        radius = page.evaluate("viewer.look.patch.spot.radius")
+        radius = page.evaluate("viewer.display.patch.spot.radius")
         for _ in range(2):  # at once
             page.click("#flat-wider")
-        page.wait_for_function("(most) => viewer.look.patch.spot.radius > most", arg=1.9 * radius)
+        page.wait_for_function("(most) => viewer.display.patch.spot.radius > most", arg=1.9 * radius)
         for _ in range(2):
             page.click("#flat-narrower")
-        page.wait_for_function("(most) => viewer.look.patch.spot.radius < most", arg=1.1 * radius)
+        page.wait_for_function("(most) => viewer.display.patch.spot.radius < most", arg=1.1 * radius)
         page.evaluate("viewer.camera.orbit(0.2, 0.1)")
         assert page.evaluate("[viewer.camera.turn, viewer.camera.tilt]") == [0, 0]  # it is moved
         page.evaluate("viewer.camera.reset(1, 1)")
         before = pictured(page)
         with studio.held(page):
             studio.drag(page, (-60, 0), (0, -50), (60, 20))
-        sent = page.evaluate("viewer.painting.sending.waiting[0]")
+        sent = page.evaluate("viewer.painting.commands.waiting[0]")
         assert sent["moved"] == {"animation": 0, "time": 0.9}
         assert 0.1 < sent["patch"]["radius"] < 1
         drawn_flat = pictured(page)
@@ -161,13 +161,13 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         assert 0.02 < is_painted.mean() < 0.3
         box = page.locator("#other-view").bounding_box()
         page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
-        assert page.evaluate("[viewer.look.patch, viewer.camera.isFlat]") == [None, False]
+        assert page.evaluate("[viewer.display.patch, viewer.camera.isFlat]") == [None, False]
         page.keyboard.press("Escape")
         assert page.evaluate("JSON.stringify(viewer.camera.state)") == camera
         page.wait_for_function("viewer.isDrawn")
         assert (pictured(page) == model).all()  # of another view nothing is shown until it is painted
         studio.bake(page, 1)
-        assert studio.session.shown.told["fault"] == ""
+        assert studio.session.shown.status["error"] == ""
         assert (np.abs(pictured(page) - model).max(axis=2) > 60).mean() > 0.005
         spot = [sent["patch"], sent["moved"]]
         page.evaluate("([spot, moved]) => viewer.painting.flat.show(spot, moved)", spot)
@@ -179,7 +179,7 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         page.keyboard.press("v")  # back to the model, which moves again
         assert page.locator("#flat").is_hidden()
         assert (np.abs(pictured(page) - model).max(axis=2) > 60).mean() > 0.005
-        assert page.evaluate("viewer.look.moved") == sent["moved"]
+        assert page.evaluate("viewer.display.moment") == sent["moved"]
 
 
 def test_parts_that_were_moved_apart_are_painted_posed_and_flat(tmp_path):
@@ -198,7 +198,7 @@ def test_parts_that_were_moved_apart_are_painted_posed_and_flat(tmp_path):
             picture = replace(picture, camera=replace(patch, camera=picture.camera))
         expected = octex.paint(expected, posed if "moved" in fields else whole, picture, **options)
         session.wait()
-        assert session.shown.told["fault"] == ""
-        assert session.shown.told["done"] == number
+        assert session.shown.status["error"] == ""
+        assert session.shown.status["done"] == number
         assert_same(session.shown.texture, expected)
     session.close()

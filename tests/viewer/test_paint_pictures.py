@@ -44,13 +44,13 @@ def smooth(width=200, height=160):
 
 
 def middle(easel):
-    width, height = easel.shown.evaluate("[viewer.film.width, viewer.film.height]")
+    width, height = easel.shown.evaluate("[viewer.screenSize.width, viewer.screenSize.height]")
     return width // 2, height // 2
 
 
 def assert_shown_as_baked(easel, plain):
     """Wait until what is held back is painted, and compare; return where the picture has changed."""
-    easel.shown.wait_for_function("viewer.painting.sending.waiting.length > 0")
+    easel.shown.wait_for_function("viewer.painting.commands.waiting.length > 0")
     before = seen(easel).astype(int)
     easel.shown.evaluate("release()")
     easel.done()
@@ -99,10 +99,10 @@ def test_a_stencil_is_mirrored_only_if_that_is_asked(clean):
     clean.shown.evaluate("viewer.painting.set({ mirror: 'x' })")
     for is_asked in (False, True):
         clean.shown.locator("#stencil-isMirrored").set_checked(is_asked)
-        clean.shown.locator("#stencil-put").click()
+        clean.shown.locator("#stencil-stamp").click()
         clean.done()
         assert clean.sent()[0]["mirror"] == ("x" if is_asked else "")
-    steps = clean.shown.evaluate("viewer.painting.last.steps")
+    steps = clean.shown.evaluate("viewer.painting.status.steps")
     assert steps == ["Picture", "Picture, mirrored"]
 
 
@@ -113,7 +113,7 @@ def test_a_stencil_is_paint_of_one_colour_where_it_is_dark(clean):
     clean.shown.evaluate("viewer.painting.set({ color: [10, 200, 30] })")
     clean.shown.evaluate("viewer.painting.stencil.set({ scale: 1, x: 0, y: 0 })")
     clean.shown.select_option("#stencil-colors", "dark")
-    clean.shown.locator("#stencil-put").click()
+    clean.shown.locator("#stencil-stamp").click()
     clean.done()
     _, sent, _ = clean.sent()
     x, y = middle(clean)
@@ -205,8 +205,8 @@ def chunk(name, content):
 
 def seen(easel):
     """Return the colours of the view, as large as strokes are."""
-    size = easel.shown.evaluate("[viewer.film.width, viewer.film.height]")
-    look = {"shown": "channel", "channel": "base_color", "marked": None, "facing": False}
+    size = easel.shown.evaluate("[viewer.screenSize.width, viewer.screenSize.height]")
+    look = {"mode": "channel", "channel": "base_color", "highlight": None, "facing": False}
     return drawn(easel.shown, tuple(size), **look)
 
 
@@ -250,14 +250,14 @@ def test_a_clone_asks_for_its_source_and_says_when_that_is_hidden(clean):
     page = clean.shown
     page.keyboard.press("o")
     clean.drag(page, (0, 0))
-    clean.says("Now paint where these colours go.")
+    clean.says("The source is set: now paint.")
     assert clean.bodies == []
     clean.drag(page, (30, 30), (40, 30))
     clean.done()
     assert len(clean.bodies) == 1
     page.evaluate("viewer.camera.orbit(3, 0)")
     clean.drag(page, (0, 0), (10, 0))
-    clean.says("hidden: Alt and click on another one.")
+    clean.says("hidden: Alt and click sets another one.")
     assert len(clean.bodies) == 1
 
 
@@ -267,8 +267,8 @@ def test_what_is_smudged_or_blurred_is_shown_as_it_is_baked(clean, tool):
     stripes(clean)
     page.keyboard.press("u" if tool == "Smudge" else "r")
     page.evaluate(
-        "(way) => viewer.painting.retouch.set({ way, width: 8 })",
-        "sharper" if tool == "Sharpen" else "softer",
+        "(effect) => viewer.painting.retouch.set({ effect, radius: 8 })",
+        "sharpen" if tool == "Sharpen" else "blur",
     )
     before = seen(clean)
     page.evaluate(_HOLD)
@@ -326,8 +326,8 @@ def test_colours_of_another_surface_and_of_nothing_do_not_bleed_in(browser, tmp_
     surface = Surface.from_arrays(points, triangles).with_sources({"base_color": colors_at})
     with painted_in_a_page(browser, tmp_path_factory.mktemp("squares"), surface) as easel:
         page = easel.shown
-        page.evaluate("viewer.camera.reset(0.2, 0.1); viewer.move()")
-        page.evaluate("viewer.painting.retouch.set({ width: 12 })")
+        page.evaluate("viewer.camera.reset(0.2, 0.1); viewer.invalidate()")
+        page.evaluate("viewer.painting.retouch.set({ radius: 12 })")
         page.evaluate("viewer.painting.set({ opacity: 1 })")
         for key in "ru":
             page.keyboard.press(key)
@@ -353,7 +353,7 @@ def drop(easel, name, content):
 
 def saved_view(easel):
     """Save the view for another program; return the name and the picture of the file."""
-    easel.shown.locator("#elsewhere").evaluate("(section) => section.open = true")
+    easel.shown.locator("#external").evaluate("(section) => section.open = true")
     with easel.shown.expect_download() as found:
         easel.shown.click("#save-view")
     with PIL.Image.open(found.value.path()) as image:
@@ -379,7 +379,7 @@ def test_a_view_painted_in_another_program_comes_back_after_the_page_was_loaded_
     page.reload()
     page.wait_for_function("globalThis.viewer?.painting && viewer.isSharp", timeout=60_000)
     drop(clean, name.replace(".png", " (1).png"), saved(edited))
-    page.wait_for_function("viewer.painting.sending.number === 1")
+    page.wait_for_function("viewer.painting.commands.number === 1")
     clean.done()
     assert clean.sent()[0]["name"] == "Painted elsewhere"
     assert_same(clean.session.shown.texture, clean.painted(edited, camera, since=before))

@@ -56,7 +56,7 @@ def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_
             middle = float((used[:, 0].min() + used[:, 0].max()) / 2)
             expected = octex.paint(expected, posed, mirrored(picture, 0, middle), **options)
         session.wait()
-        assert session.shown.told["fault"] == ""
+        assert session.shown.status["error"] == ""
         assert_same(session.shown.texture, expected)
     before = session.shown.texture
     take(session, plain("undo", 7), plain("redo", 8))
@@ -71,7 +71,7 @@ def test_a_frame_of_an_animation_that_is_not_there_is_refused(tmp_path):
     texture, surface = canvas()
     session = Session(texture, surface, tmp_path / "a.octex", motion=bending(surface))
     take(session, stroke(1, moved={"animation": 2, "time": 0.0}))
-    assert session.shown.told["fault"] == f"there is no animation 2; {surface.name} has 2"
+    assert session.shown.status["error"] == f"there is no animation 2; {surface.name} has 2"
     bad = [([0, 1], "moved"), ({}, "animation"), ({"animation": 0}, "time")]
     bad += [({"animation": number, "time": 0.0}, "animation") for number in (0.5, -1, "A", 1e9)]
     bad += [({"animation": 0, "time": time}, "time") for time in (NAN, -1.0, 1e300)]
@@ -83,7 +83,7 @@ def test_a_frame_of_an_animation_that_is_not_there_is_refused(tmp_path):
     still = Session(texture, surface, tmp_path / "b.octex")
     still.take(stroke(1, moved={"animation": 0, "time": 0.0}))
     still.wait()
-    assert still.shown.told["fault"] == f"there is no animation 0; {surface.name} has 0"
+    assert still.shown.status["error"] == f"there is no animation 0; {surface.name} has 0"
     still.close()
 
 
@@ -110,19 +110,19 @@ def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the
         with studio.held(page):
             page.evaluate("viewer.player.play(true)")
             studio.drag(page, (-60, 0), (0, -40), (40, -60))
-        moved = page.evaluate("viewer.painting.sending.waiting[0].moved")
+        moved = page.evaluate("viewer.painting.commands.waiting[0].moved")
         assert moved["animation"] == 0
-        assert page.evaluate("viewer.player.since") is None  # the pen stops it
+        assert page.evaluate("viewer.player.steppedAt") is None  # the pen stops it
         page.evaluate("(time) => viewer.player.seek(time)", 0.9)
         assert (pictured(page) == plain_picture).all()  # of another pose nothing is shown until it is painted
         page.evaluate("(time) => viewer.player.seek(time)", moved["time"])
-        before, plain_picture = pictured(page), pictured(page, paint=None)
+        before, plain_picture = pictured(page), pictured(page, strokes=None)
         is_painted = np.abs(before - plain_picture).max(axis=2) > 60
         assert 0.01 < is_painted.mean() < 0.3
         studio.bake(page, 1)
         inside = (before - pictured(page))[is_painted]
         assert np.sqrt((inside**2).mean()) <= 2
-        assert studio.session.shown.told["fault"] == ""
+        assert studio.session.shown.status["error"] == ""
         page.evaluate("viewer.player.choose(-1)")
         studio.drag(page, (-30, 30), (30, 30))
         studio.is_done(page, 2)

@@ -33,7 +33,7 @@ def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio, page):
     assert 0.02 < is_painted.mean() < 0.3
     assert_same(studio.session.shown.texture, studio.texture)
     page.evaluate("viewer.camera.orbit(0.5, 0.15)")
-    turned, plain_turned = pictured(page), pictured(page, paint=None)
+    turned, plain_turned = pictured(page), pictured(page, strokes=None)
     studio.bake(page)
     turned_after = pictured(page)
     is_seen = np.abs(turned_after - plain_turned).max(axis=2) > 60
@@ -58,20 +58,20 @@ def test_undo_gives_the_texture_back_and_redo_the_stroke(studio, page):
     twice = studio.session.shown.texture
     for key, done in (("Control+z", 1), ("Control+z", 0), ("Control+Shift+Z", 1), ("Control+y", 2)):
         page.keyboard.press(key)
-        page.wait_for_function("(n) => viewer.painting.last.done === n", arg=done, timeout=60_000)
+        page.wait_for_function("(n) => viewer.painting.status.done === n", arg=done, timeout=60_000)
         if done == 0:
             assert_same(studio.session.shown.texture, studio.texture)
             assert (pictured(page) == plain).all()
     assert_same(studio.session.shown.texture, twice)
     page.locator("#steps button", has_text="Opened").click()
-    page.wait_for_function("viewer.painting.last.done === 0", timeout=60_000)
+    page.wait_for_function("viewer.painting.status.done === 0", timeout=60_000)
     assert_same(studio.session.shown.texture, studio.texture)
     listed = """() => Array.from(document.querySelectorAll("#steps li"),
       (row) => [row.textContent, row.className, row.firstChild.ariaCurrent])"""
     brush = ["Brush", "undone", None]
     assert page.evaluate(listed) == [["Opened", "", "step"], brush, brush]
     page.click("#redo")
-    page.wait_for_function("viewer.painting.last.done === 1", timeout=60_000)
+    page.wait_for_function("viewer.painting.status.done === 1", timeout=60_000)
     assert page.evaluate(listed) == [["Opened", "", None], ["Brush", "", "step"], brush]
     page.click("#undo")
     page.click("#tool-eraser")
@@ -83,16 +83,16 @@ def test_undo_gives_the_texture_back_and_redo_the_stroke(studio, page):
 def test_two_pages_see_the_same_and_one_saves(studio, page):
     other = studio.page()
     studio.drag(page, (0, 0), (10, 10))
-    other.wait_for_function("viewer.painting.last.done === 1", timeout=60_000)
+    other.wait_for_function("viewer.painting.status.done === 1", timeout=60_000)
     studio.drag(other, (-20, 0), (-40, 10))
-    page.wait_for_function("viewer.painting.last.done === 2", timeout=60_000)
+    page.wait_for_function("viewer.painting.status.done === 2", timeout=60_000)
     assert (pictured(page) == pictured(other)).all()
     assert not studio.output.exists()
     page.keyboard.press("Control+s")
-    other.wait_for_function("viewer.painting.last.isSaved", timeout=60_000)
+    other.wait_for_function("viewer.painting.status.isSaved", timeout=60_000)
     assert_same(octex.open(studio.output), studio.session.shown.texture)
     assert "all is saved" in other.locator("#saved").inner_text()
-    other.evaluate("() => { viewer.painting.sending.post = () => new Promise(() => {}); }")
+    other.evaluate("() => { viewer.painting.commands.post = () => new Promise(() => {}); }")
     studio.drag(other, (-20, 20), (-40, 30))
     assert "not saved" in other.locator("#saved").inner_text()
     assert other.complaints == []
@@ -104,11 +104,11 @@ def test_a_line_that_is_lost_holds_no_stroke_up_and_loses_none(studio, page):
     for offset in (-30, 0, 30):
         studio.drag(page, (-30, offset), (30, offset))
     page.wait_for_function("document.getElementById('paint-note').textContent.startsWith('3 changes wait')")
-    assert studio.session.shown.told["done"] == 0
+    assert studio.session.shown.status["done"] == 0
     page.wait_for_function("document.getElementById('saved').textContent.endsWith('working …')")
     page.unroute("**/session")
     studio.is_done(page)
-    assert studio.session.shown.told["done"] == 3
+    assert studio.session.shown.status["done"] == 3
     assert page.locator("#saved").inner_text().endswith("not saved")
     assert page.locator("#paint-note").inner_text() == ""
     assert page.complaints
@@ -124,7 +124,7 @@ def test_the_view_turns_with_other_buttons_and_beside_the_model(studio, page):
     studio.drag(page, (0, 0), (20, 10))
     assert page.evaluate("String(viewer.camera.view)") == before
     studio.is_done(page)
-    assert studio.session.shown.told["done"] == 1
+    assert studio.session.shown.status["done"] == 1
 
 
 def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(studio, page):
@@ -140,16 +140,16 @@ def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(stu
         page.mouse.up()
         page.keyboard.press("Control+z")
     studio.bake(page)
-    assert page.evaluate("[viewer.painting.last.steps, viewer.painting.last.done]") == [["Brush"], 0]
+    assert page.evaluate("[viewer.painting.status.steps, viewer.painting.status.done]") == [["Brush"], 0]
     assert_same(studio.session.shown.texture, studio.texture)
 
 
 def test_nothing_is_painted_that_is_not_seen(studio, page):
-    for look in ("viewer.look.cubes = true", "viewer.look.shown = 'depth'"):
+    for look in ("viewer.display.cubes = true", "viewer.display.mode = 'depth'"):
         page.evaluate(look)
         studio.drag(page, (0, 0), (10, 0))
         assert "to paint" in page.locator("#paint-note").inner_text()
-        page.evaluate("viewer.look.cubes = false; viewer.look.shown = 'lit'")
+        page.evaluate("viewer.display.cubes = false; viewer.display.mode = 'lit'")
     studio.drag(page, (0, 0), (10, 0))
     studio.is_done(page)
     assert page.locator("#paint-note").inner_text() == ""
@@ -177,7 +177,7 @@ def test_keys_and_the_picker_set_the_brush(studio, page):
     assert page.locator("#tolerance").is_visible()
     studio.drag(page, (0, 0))
     studio.is_done(page)
-    assert page.evaluate("viewer.painting.last.steps") == ["Fill a part"]
+    assert page.evaluate("viewer.painting.status.steps") == ["Fill a part"]
 
 
 @pytest.mark.parametrize("size", [(1180, 760), (800, 340), (844, 390), (390, 780)])
@@ -277,7 +277,7 @@ def test_keys_undo_text_where_it_is_typed_and_work_with_alt_gr(studio, page):
     studio.is_done(page)
     page.locator("#color-text").press("Control+z")
     studio.is_done(page)
-    assert page.evaluate("viewer.painting.last.done") == 1
+    assert page.evaluate("viewer.painting.status.done") == 1
     size = page.evaluate("viewer.painting.brush.size")
     page.evaluate(
         """() => {

@@ -120,28 +120,28 @@ def test_what_is_sent_again_is_painted_once(session):
     for body in (stroke(1), stroke(1), stroke(2), stroke(1)):
         session.take(body)
     session.wait()
-    assert session.shown.told["steps"] == ["Brush 1", "Brush 2"]
+    assert session.shown.status["steps"] == ["Brush 1", "Brush 2"]
     with pytest.raises(OrderError, match="number is 5; the next one is 3"):
         session.take(stroke(5))
     session.take(stroke(1, "ffffffff-0000"))  # another page
     session.wait()
-    assert session.shown.told["done"] == 3
+    assert session.shown.status["done"] == 3
 
 
 def test_steps_are_named_and_a_new_one_forgets_those_undone(session):
     for body in (stroke(1), stroke(2), plain("undo", 3)):
         session.take(body)
     session.wait()
-    assert (session.shown.told["steps"], session.shown.told["done"]) == (["Brush 1", "Brush 2"], 1)
+    assert (session.shown.status["steps"], session.shown.status["done"]) == (["Brush 1", "Brush 2"], 1)
     take(session, stroke(4))
-    assert session.shown.told["steps"] == ["Brush 1", "Brush 4"]
+    assert session.shown.status["steps"] == ["Brush 1", "Brush 4"]
 
 
 @pytest.mark.parametrize("name", ["out.octex", "out.octz"])
 def test_saving_writes_output_alone_and_a_clean_end_leaves_no_journal(name, tmp_path):
     session = Session(*canvas(), tmp_path / name)
     take(session, stroke(1), plain("save", 2))
-    assert session.shown.told["isSaved"]
+    assert session.shown.status["isSaved"]
     assert_same(octex.open(tmp_path / name), session.shown.texture)
     assert session.close() == ""
     assert [each.name for each in tmp_path.iterdir()] == [name]
@@ -152,7 +152,7 @@ def test_what_is_undone_needs_no_saving(tmp_path):
     said = []
     for body in (stroke(1), plain("undo", 2), plain("redo", 3), plain("save", 4), plain("undo", 5)):
         take(session, body)
-        said.append(session.shown.told["isSaved"])
+        said.append(session.shown.status["isSaved"])
     assert said == [False, True, False, True, False]
     take(session, plain("redo", 6))
     assert session.close() == ""
@@ -163,10 +163,10 @@ def test_a_save_that_fails_is_told_and_changes_nothing(session, tmp_path):
     session.take(stroke(1))
     (tmp_path / "out.octex").mkdir()
     take(session, plain("save", 2), stroke(3))
-    assert session.shown.told["done"] == 2
+    assert session.shown.status["done"] == 2
     take(session, plain("save", 4))
-    assert "out.octex" in session.shown.told["fault"]
-    assert not session.shown.told["isSaved"]
+    assert "out.octex" in session.shown.status["error"]
+    assert not session.shown.status["isSaved"]
 
 
 def test_after_a_crash_the_same_session_is_painted_again(tmp_path):
@@ -196,14 +196,14 @@ def test_after_a_crash_the_same_session_is_painted_again(tmp_path):
     painted(painter, 1)
     painted(painter, 4)
     assert_same(session.shown.texture, painter.texture())
-    assert session.shown.told["steps"] == ["Brush 1", "Brush 4"]
-    assert not session.shown.told["isSaved"]
+    assert session.shown.status["steps"] == ["Brush 1", "Brush 4"]
+    assert not session.shown.status["isSaved"]
     session.take(stroke(4))  # its page has not heard that it came
     take(session, stroke(5))
-    assert session.shown.told["done"] == 3
+    assert session.shown.status["done"] == 3
     assert "--recover" in session.close()
     again = Session(texture, surface, output, recover=True)
-    assert again.shown.told["done"] == 3
+    assert again.shown.status["done"] == 3
     again.close()
 
 
@@ -276,7 +276,7 @@ def test_a_stroke_that_no_disk_takes_is_refused_and_can_be_sent_again(session, m
             session.take(stroke(1))
     assert session.take(stroke(1)) == 1
     session.wait()
-    assert session.shown.told["done"] == 1
+    assert session.shown.status["done"] == 1
 
 
 def test_of_too_many_strokes_the_last_ones_are_to_be_sent_later(session, monkeypatch):
@@ -295,13 +295,13 @@ def test_of_too_many_strokes_the_last_ones_are_to_be_sent_later(session, monkeyp
 
 def test_what_fails_or_hits_nothing_is_no_step(session, monkeypatch):
     take(session, stroke(1, content=deflated(bytes(30 * 24))))
-    assert session.shown.told["steps"] == []
+    assert session.shown.status["steps"] == []
     with monkeypatch.context() as patched:
         patched.setattr(octex.Painter, "paint", lambda *_, **__: 1 / 0)
         take(session, stroke(2))
-    assert "ZeroDivisionError" in session.shown.told["fault"]
+    assert "ZeroDivisionError" in session.shown.status["error"]
     take(session, stroke(3))
-    assert (session.shown.told["fault"], session.shown.told["done"]) == ("", 1)
+    assert (session.shown.status["error"], session.shown.status["done"]) == ("", 1)
 
 
 def test_a_mirrored_stroke_of_which_half_fails_leaves_nothing(session, monkeypatch):
@@ -319,7 +319,7 @@ def test_a_mirrored_stroke_of_which_half_fails_leaves_nothing(session, monkeypat
     for number, kind in enumerate(("redo", "undo", "redo"), 5):
         session.take(plain(kind, number))
     session.wait()
-    assert session.shown.told["steps"] == ["Brush 1"]
+    assert session.shown.status["steps"] == ["Brush 1"]
     assert_same(session.shown.texture, before)
 
 
@@ -391,7 +391,7 @@ def test_a_part_is_filled_and_the_one_that_a_mirror_shows(tmp_path):
     painter.fill(surface.parts == 1, color)
     step = session.shown.texture
     assert_same(step, painter.texture())
-    assert session.shown.told["done"] == 1
+    assert session.shown.status["done"] == 1
     take(session, plain("undo", 4))
     assert_same(session.shown.texture, texture)
     take(session, plain("redo", 5))
@@ -420,7 +420,7 @@ def assert_mirrored(session, axis, count, least, most_apart, beyond):
 def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session):
     texture, _ = canvas()
     take(session, stroke(1, mirror="x", name="Brush"))
-    assert session.shown.told["steps"] == ["Brush"]
+    assert session.shown.status["steps"] == ["Brush"]
     assert_mirrored(session, 0, 4000, 50, 0.15, 0.3)
     take(session, plain("undo", 2))
     assert_same(session.shown.texture, texture)

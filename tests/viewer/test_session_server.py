@@ -24,7 +24,7 @@ def test_a_command_is_posted_and_the_change_is_there_for_pages(served):
     assert served.viewer.version()[0] != before
     change = served.viewer.of_version(before)[1]
     assert change.header["session"]["steps"] == ["Brush 1"]
-    assert change.header["session"]["baked"] == {PAGE: 1}
+    assert change.header["session"]["finished"] == {PAGE: 1}
     assert served.viewer.packed().header["session"]["done"] == 1
     assert served.lines == []
 
@@ -90,7 +90,7 @@ def test_a_flood_of_strokes_is_held_up_and_loses_none(served, monkeypatch):
         assert status == 200
     assert 429 in statuses
     served.session.wait()
-    assert served.session.shown.told["done"] == 40
+    assert served.session.shown.status["done"] == 40
 
 
 @pytest.mark.parametrize(

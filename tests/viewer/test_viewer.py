@@ -148,8 +148,8 @@ def small(tmp_path_factory):
 
 def sharp(page):
     """The picture, once it stands still."""
-    page.evaluate("viewer.move()")
-    page.wait_for_function("viewer.isSharp && !viewer.asked", timeout=60_000)
+    page.evaluate("viewer.invalidate()")
+    page.wait_for_function("viewer.isSharp && !viewer.frameRequest", timeout=60_000)
     return page.locator("canvas").screenshot()
 
 
@@ -168,7 +168,8 @@ def test_each_control_changes_the_picture_and_the_first_view_comes_back(opens, s
     assert sharp(page) == before
     box = canvas.bounding_box()
     page.evaluate(
-        "(move => viewer.move = held => { globalThis.held = held; move(held); })(viewer.move.bind(viewer))"
+        "(draw => viewer.invalidate = held => { globalThis.held = held; draw(held); })"
+        "(viewer.invalidate.bind(viewer))"
     )
     for button in ("left", "right"):
         page.mouse.move(box["x"] + 100, box["y"] + 100)
@@ -180,12 +181,12 @@ def test_each_control_changes_the_picture_and_the_first_view_comes_back(opens, s
         page.evaluate("viewer.camera.reset(0.55, 0.3)")
     page.mouse.wheel(0, -300)
     assert sharp(page) != before
-    page.evaluate("viewer.camera.reset(0.55, 0.3); viewer.move()")
+    page.evaluate("viewer.camera.reset(0.55, 0.3); viewer.invalidate()")
     pictures = {sharp(page)}
     for value in ("unlit", "channel base_color", "channel roughness", "depth", "facing"):
-        page.select_option("#shown", value)
+        page.select_option("#mode", value)
         pictures.add(sharp(page))
-    page.select_option("#shown", "unlit")
+    page.select_option("#mode", "unlit")
     page.select_option("#filter", "nearest")
     pictures.add(sharp(page))
     page.locator("#level").fill("2")
@@ -234,7 +235,7 @@ def test_pictures_are_drawn_up_to_their_rims(opens, small):
     page.evaluate("viewer.camera.distance *= 0.33")  # the ball fills the picture
     background = np.rint(255 * np.array(page.evaluate("viewer.gpu.background"))[:3])
     for size in ((37, 21), (16, 33), (5, 3), (1, 1)):
-        picture = drawn(page, size, shown="unlit")
+        picture = drawn(page, size, mode="unlit")
         assert (np.abs(picture - background).max(axis=2) > 2).all(), size
 
 
@@ -260,7 +261,7 @@ def test_a_lost_context_is_restored(opens, small):
     page.wait_for_function("document.getElementById('status').textContent.includes('lost')")
     page.evaluate("lose.restoreContext()")
     page.wait_for_function("document.getElementById('status').textContent === ''")
-    page.evaluate("viewer.move()")
+    page.evaluate("viewer.invalidate()")
     assert sharp(page) == before
 
 
@@ -309,7 +310,7 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(opens
         page.wait_for_function(said, timeout=60_000)
 
     def until_depth(depth):
-        shown = f"globalThis.viewer?.header?.parts[0].depth === {depth} && viewer.isComplete"
+        shown = f"globalThis.viewer?.header?.parts[0].depth === {depth} && viewer.isLoaded"
         page.wait_for_function(shown, timeout=60_000)
 
     server, url = served(path)
@@ -320,7 +321,7 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(opens
     page.evaluate("viewer.camera.orbit(1, 0)")
     assert page.locator("#status").inner_text() == ""
     ended(server)
-    until_said("The connection is lost; it is tried again in")
+    until_said("Connection lost; next attempt in")
     page.keyboard.press("ArrowLeft")  # what has come is still shown
     turn = page.evaluate("viewer.camera.turn")
 
@@ -341,7 +342,7 @@ def test_a_page_goes_on_with_the_next_server_of_its_file_and_with_no_other(opens
     assert page.locator("#filter").input_value() == "nearest"
     assert page.evaluate("viewer.camera.turn") == pytest.approx(turn)
     ended(server)
-    until_said("The connection is lost")
+    until_said("Connection lost")
     server, _ = served(path)  # nothing has changed
     page.evaluate("window.dispatchEvent(new Event('focus'))")
     page.wait_for_function("document.getElementById('status').textContent === ''", timeout=60_000)
@@ -399,7 +400,7 @@ def test_of_a_set_each_pixel_is_what_a_lookup_in_its_part_gives(opens, tmp_path)
     found = [page.evaluate("(at) => viewer.pick(...at)", [x * size[0], size[1] / 2]) for x in (0.3, 0.7)]
     assert [each["name"] for each in found] == list(textures)
     for value in ("channel roughness", "depth", "lit"):
-        page.select_option("#shown", value)
+        page.select_option("#mode", value)
         sharp(page)
     page.check("#cubes")
     sharp(page)

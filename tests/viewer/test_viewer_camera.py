@@ -8,7 +8,7 @@ from octex.viewer import Viewer, write_page
 from tests.make.painted import ball
 
 #: What a place of the picture sees, as a position at rest; null beside the model.
-_SEEN = "(at) => viewer.seen(...at)"
+_SEEN = "(at) => viewer.surfaceAt(...at)"
 #: Presses a key many times, without a picture in between.
 _PRESSED = """([key, times]) => {
   for (let n = 0; n < times; n++) viewer.canvas.dispatchEvent(new KeyboardEvent("keydown", { key }));
@@ -26,7 +26,7 @@ def small(tmp_path_factory):
 @pytest.mark.parametrize("cubes", [False, True])
 def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(cubes, opens, small):
     page = opens(small, (320, 240))
-    page.evaluate("(on) => void (viewer.look.cubes = on)", cubes)
+    page.evaluate("(on) => void (viewer.display.cubes = on)", cubes)
     wide, high = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
     at = [round(0.58 * wide), round(0.4 * high)]
     before = page.evaluate(_SEEN, at)
@@ -64,23 +64,25 @@ def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls
     viewer = Viewer(lambda: octex.open(path), path, surface, log=lines.append)
     page = opens(viewer, (760, 300), is_drawn=False, is_lost=True)
     assert page.evaluate("viewer.header.parts[0].depth") == 4
-    page.select_option("#shown", "depth")
+    page.select_option("#mode", "depth")
     page.uncheck("#footprints")
-    page.evaluate("viewer.camera.orbit(0.4, 0.2); viewer.camera.zoom(2, viewer.camera.low); viewer.move()")
+    page.evaluate(
+        "viewer.camera.orbit(0.4, 0.2); viewer.camera.zoom(2, viewer.camera.low); viewer.invalidate()"
+    )
     before = page.evaluate("viewer.camera.state")
     octex.convert(surface, depth=5).save(path)
     page.wait_for_function(
-        "globalThis.viewer?.header?.parts[0].depth === 5 && viewer.isComplete", timeout=60_000
+        "globalThis.viewer?.header?.parts[0].depth === 5 && viewer.isLoaded", timeout=60_000
     )
     after = page.evaluate("viewer.camera.state")
     for name in ("turn", "tilt", "target", "distance"):
         np.testing.assert_allclose(after[name], before[name], atol=1e-6)
-    assert page.input_value("#shown") == "depth"
-    assert page.evaluate("[viewer.look.shown, viewer.look.footprints]") == ["depth", False]
-    assert page.evaluate("viewer.look.level") == 5  # the finest, as before
+    assert page.input_value("#mode") == "depth"
+    assert page.evaluate("[viewer.display.mode, viewer.display.footprints]") == ["depth", False]
+    assert page.evaluate("viewer.display.level") == 5  # the finest, as before
     page.reload()
-    page.wait_for_function("globalThis.viewer?.isComplete")
-    assert page.evaluate("viewer.look.shown") == "lit"  # what a user loads anew is new
+    page.wait_for_function("globalThis.viewer?.isLoaded")
+    assert page.evaluate("viewer.display.mode") == "lit"  # what a user loads anew is new
     assert lines == []
 
 
@@ -109,7 +111,7 @@ def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(opens, tmp
     page.route("**/proof*", lambda route: route.abort())
     viewer._ended.set()
     for seconds in (1, 2, 4):
-        said = f"document.getElementById('status').textContent.includes('tried again in {seconds} s')"
+        said = f"document.getElementById('status').textContent.includes('next attempt in {seconds} s')"
         page.wait_for_function(said, timeout=60_000)
     viewer._ended.clear()
     page.unroute("**/events")

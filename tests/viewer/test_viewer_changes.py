@@ -100,8 +100,10 @@ def test_a_stroke_without_new_cells_sends_the_rows_that_it_changes(opens, tmp_pa
     point = surface.scatter(1, seed=2).rest[0]
     painter.fill(octex.Sphere(point, 0.1), (1.0, 0.0, 0.0))
     told(viewer, page)
-    rows = page.evaluate("viewer.parts[0].held.reduce((sum, each) => sum + each.rows, 0)")
-    assert 0 < page.evaluate("viewer.sent") < rows / 2
+    rows = page.evaluate(
+        "viewer.parts[0].stores.reduce((sum, { rows, read }) => sum + read().length * rows, 0)"
+    )
+    assert 0 < page.evaluate("viewer.uploadedRows") < rows / 2
     version = viewer.version()[0]
     painter.undo()
     viewer.changed()
@@ -120,10 +122,11 @@ def test_strokes_with_new_cells_send_the_rows_that_they_change(opens, tmp_path):
     for radius in (0.1, 0.105, 0.11):
         painter.fill(octex.Sphere(last, radius), (1.0, 0.0, 0.0), max_depth=8)
         told(viewer, page)
-        sent.append(page.evaluate("viewer.sent"))
+        sent.append(page.evaluate("viewer.uploadedRows"))
         shown(page, painter.texture(), surface, False)
     used = page.evaluate(
-        "viewer.parts[0].held.reduce((sum, { array, size }) => sum + array.length / size / 4096, 0)"
+        "viewer.parts[0].stores.flatMap(({ read, size }) => read().map(({ length }) => length / size / 4096))"
+        ".reduce((sum, rows) => sum + rows)"
     )
     assert sent[0] > used / 2 > max(sent[1:]), (sent, used)
     assert page.evaluate("viewer.gpu.gl.getError()") == 0
@@ -136,7 +139,7 @@ def test_what_is_otherwise_than_the_page_can_be_sent_is_loaded_anew(opens, tmp_p
     viewer = Viewer(lambda: octex.open(path), path, surface)
     page = opens(viewer, (320, 240), is_drawn=False)
     octex.convert(rough, depth=3, channels=["base_color"]).save(path)
-    page.wait_for_function("globalThis.viewer?.header?.parts[0].channels.length === 1 && viewer.isComplete")
+    page.wait_for_function("globalThis.viewer?.header?.parts[0].channels.length === 1 && viewer.isLoaded")
 
 
 def test_runs_and_new_cells_make_up_the_texture_that_is_now():

@@ -12,7 +12,7 @@ from tests.make.painted import ball
 
 #: Makes the cubes of a level and returns their numbers, and how many there were after each piece.
 _CUBES = """(level) => {
-  const { octree } = viewer.parts[0], found = new Uint32Array(5 * octree.countAt(level));
+  const { octree } = viewer.parts[0], found = new Uint32Array(5 * octree.cubeCount(level));
   const counts = Array.from(octree.cubes(level, found));
   return [Array.from(found), counts];
 }"""
@@ -53,13 +53,13 @@ def test_where_cubes_are_too_many_a_coarser_level_is_drawn_and_named(painted):
     texture, page = painted
     page.check("#cubes")
     assert page.locator("#cubes-note").inner_text() == ""
-    fewer = "(most) => { viewer.gpu.mostCubes = most; viewer.explain(); viewer.move(); }"
-    most = page.evaluate("viewer.gpu.mostCubes")
+    fewer = "(most) => { viewer.gpu.maxCubes = most; viewer.showLegend(); viewer.invalidate(); }"
+    most = page.evaluate("viewer.gpu.maxCubes")
     page.evaluate(fewer, texture.tree.n_leaves - 1)
     note = "Level 6 is drawn: level 7 has too many cubes."
     assert page.locator("#cubes-note").text_content() == note
     middle = "viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2)"
-    page.wait_for_function("viewer.isSharp && !viewer.asked", timeout=60_000)
+    page.wait_for_function("viewer.isSharp && !viewer.frameRequest", timeout=60_000)
     assert page.evaluate("viewer.parts[0].cubes.level") == 6
     assert page.evaluate(middle)["level"] <= 6
     page.uncheck("#cubes")
@@ -71,7 +71,7 @@ def test_the_legend_names_the_colours_that_are_drawn(painted):
     texture, page = painted
     swatches = "[...document.querySelectorAll('#legend .swatch')].map((each) => each.style.background)"
     assert not page.locator("#legend").is_visible()
-    page.select_option("#shown", "depth")
+    page.select_option("#mode", "depth")
     leaves = [leaves for leaves, _ in texture.tree.cells_by_depth()]
     edge = texture.placement.size
     expected = [
@@ -83,10 +83,10 @@ def test_the_legend_names_the_colours_that_are_drawn(painted):
     page.locator("#level").fill("6")
     assert "level 7" not in page.locator("#legend").inner_text()
     for shown in ("depth", "facing"):
-        page.select_option("#shown", shown)
+        page.select_option("#mode", shown)
         page.check("#cubes")
-        page.evaluate("viewer.gpu.draw(viewer.look, viewer.camera, 64, 48)")
-        page.wait_for_function("viewer.isSharp && !viewer.asked", timeout=60_000)
+        page.evaluate("viewer.gpu.draw(viewer.display, viewer.camera, 64, 48)")
+        page.wait_for_function("viewer.isSharp && !viewer.frameRequest", timeout=60_000)
         colors = [[int(n) for n in text[4:-1].split(",")] for text in page.evaluate(swatches)]
         ways = np.array(colors, float)
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
@@ -97,5 +97,5 @@ def test_the_legend_names_the_colours_that_are_drawn(painted):
         assert np.median(apart) < 0.02
         page.uncheck("#cubes")
     assert page.locator("#legend li").count() == 8
-    page.select_option("#shown", "unlit")
+    page.select_option("#mode", "unlit")
     assert not page.locator("#legend").is_visible()

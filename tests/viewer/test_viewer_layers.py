@@ -35,7 +35,7 @@ def middle(opens, surface, path):
     write_page(octex.convert(surface, depth=5), path, surface)
     page = opens(path, (912, 480))
     page.evaluate("viewer.camera.reset(0, 0)")
-    color = drawn(page, SIZE, shown="unlit")[SIZE[1] // 2, SIZE[0] // 2]
+    color = drawn(page, SIZE, mode="unlit")[SIZE[1] // 2, SIZE[0] // 2]
     found = page.evaluate("viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2)")
     return color, found
 

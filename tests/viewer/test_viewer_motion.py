@@ -133,11 +133,11 @@ def test_pixels_see_the_posed_model_and_the_colours_of_where_it_rests(path, open
             "([at, size]) => Object.assign(viewer.camera, { target: at, distance: 2.5 * size })",
             [posed.vertices.mean(axis=0).tolist(), float(np.ptp(posed.vertices, axis=0).max())],
         )
-        probe = Probe(page, texture, SIZE, moved={"animation": 0, "time": time})
+        probe = Probe(page, texture, SIZE, moment={"animation": 0, "time": time})
         assert len(probe.points) != len(still) or not np.allclose(probe.points, still)
         compare_seen(posed, camera_of(page, SIZE), probe)
         page.evaluate("viewer.camera.orbit(0.5, 0.1)")
-    values = Probe(page, texture, SIZE, moved={"animation": 0, "time": 1.4})
+    values = Probe(page, texture, SIZE, moment={"animation": 0, "time": 1.4})
     base = next(each for each in pack(texture, surface).header["channels"] if each["name"] == "base_color")
     expected = texture.sample(values.points, filter="quadratic")
     assert 255 * np.abs(values.plane(base["at"][0])[:, :3] - expected).max() <= 1.0
@@ -185,9 +185,9 @@ def test_targets_turn_normals_before_bones_do(pose, opens, tmp_path):
         morphed = up + share * np.array([1.0, 0.4]) @ added
         expected = view @ turn @ (morphed / [1, 2, 0.5])
         expected /= np.linalg.norm(expected)
-        seen = Probe(page, octex.convert(surface, depth=3), SIZE, moved={"animation": 0, "time": time}).seen
+        seen = Probe(page, octex.convert(surface, depth=3), SIZE, moment={"animation": 0, "time": time}).seen
         assert seen.sum() > 200
-        found = lit_normals(page, SIZE, moved={"animation": 0, "time": time})[seen]
+        found = lit_normals(page, SIZE, moment={"animation": 0, "time": time})[seen]
         away = np.minimum(np.abs(found - expected).max(axis=1), np.abs(found + expected).max(axis=1))
         assert away.max() < 2e-3  # normals come in 2⁻¹⁰
 
@@ -197,7 +197,7 @@ def test_animations_are_chosen_played_and_sought(opens, tmp_path):
     surface = octex.load_surface(file)
     write_page(octex.convert(surface, depth=3), tmp_path / "page.html", surface, motion=load_motion(file))
     page = opens(tmp_path / "page.html", (900, 700))
-    assert page.locator("#animation option").all_text_contents() == ["as it rests", "A"]
+    assert page.locator("#animation option").all_text_contents() == ["rest pose", "A"]
     assert page.is_disabled("#time")
     page.locator("canvas").focus()
     page.keyboard.press("Space")
@@ -205,9 +205,9 @@ def test_animations_are_chosen_played_and_sought(opens, tmp_path):
     assert page.locator("#play").inner_text() == "Pause"
     page.keyboard.press("Space")
     time = page.evaluate("viewer.player.time")
-    page.wait_for_function("viewer.isSharp && !viewer.asked")
+    page.wait_for_function("viewer.isSharp && !viewer.frameRequest")
     assert page.evaluate("viewer.player.time") == time
     page.locator("#time").fill("1.5")
-    assert page.evaluate("viewer.look.moved") == {"animation": 0, "time": 1.5}
+    assert page.evaluate("viewer.display.moment") == {"animation": 0, "time": 1.5}
     page.select_option("#animation", "-1")
-    assert page.evaluate("viewer.look.moved") is None
+    assert page.evaluate("viewer.display.moment") is None

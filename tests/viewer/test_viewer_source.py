@@ -39,7 +39,7 @@ def test_each_pixel_of_the_source_is_what_the_model_has_there(opens, tmp_path):
     texture.save(path)
     page = opens(Viewer(lambda: octex.open(path), path, surface), (600, 400))
     page.evaluate("viewer.camera.reset(0.2, 0.1)")
-    codes = drawn(page, SIZE, shown="unlit", divider=1).reshape(-1, 3)
+    codes = drawn(page, SIZE, mode="unlit", divider=1).reshape(-1, 3)
     worst, count = [], 0
     for seen, hits in visible_hits(surface, camera_of(page, SIZE), rest_normals(surface)):
         ways = np.zeros_like(hits.rest)
@@ -59,16 +59,16 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     write_page(octex.convert(surface, depth=2), tmp_path / "two.html", surface)
     page = opens(tmp_path / "two.html", (900, 480))
     picture = lambda: page.locator("canvas").screenshot()  # noqa: E731
-    page.evaluate("viewer.camera.reset(0, 0); viewer.move()")
+    page.evaluate("viewer.camera.reset(0, 0); viewer.invalidate()")
     pictures = []
 
     def sharp():
-        page.evaluate("viewer.move()")
-        page.wait_for_function("viewer.isSharp && !viewer.asked", timeout=60_000)
+        page.evaluate("viewer.invalidate()")
+        page.wait_for_function("viewer.isSharp && !viewer.frameRequest", timeout=60_000)
         pictures.append(picture())
 
     sharp()
-    page.check("#beside")
+    page.check("#compare")
     sharp()
     divider = page.locator("#divider")
     assert divider.get_attribute("aria-valuenow") == "50"
@@ -80,7 +80,7 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     sharp()
     assert int(divider.get_attribute("aria-valuenow")) < 20
     divider.press("ArrowRight")
-    assert page.evaluate("viewer.look.divider") == pytest.approx(
+    assert page.evaluate("viewer.display.divider") == pytest.approx(
         100 / page.evaluate("viewer.canvas.clientWidth") + 0.02
     )
     divider.press("End")
@@ -90,7 +90,7 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     sharp()
     assert pictures.pop() == pictures[-1]  # images are there again
     divider.press("Home")
-    page.uncheck("#beside")
+    page.uncheck("#compare")
     assert not divider.is_visible()
     sharp()
     assert pictures[0] == pictures[4]

@@ -72,7 +72,7 @@ for await (const { header, mesh, rows } of contents({ name: path, buffer })) {
   if (mesh) found.mesh = [mesh.positions, mesh.normals, mesh.triangles].map((each) => Array.from(each));
   if (!rows) continue;
   found.words.push(...rows.words);
-  found.entries.push(...rows.found);
+  found.entries.push(...rows.pairs);
   rows.planes.forEach((plane, n) => (found.planes[n] ??= []).push(...plane));
 }
 console.log(JSON.stringify(found));

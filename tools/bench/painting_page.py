@@ -65,11 +65,11 @@ def session(setup: Setup, report: Report) -> None:
 
 #: Milliseconds of frames of 640 × 480 of what is shown.
 _FRAMES = """([shown, count]) => {
-  const { gpu, look, camera } = viewer, times = [];
-  look.shown = shown;
+  const { gpu, display, camera } = viewer, times = [];
+  display.mode = shown;
   for (let n = 0; n <= count; n++) {
     const begin = performance.now();
-    gpu.draw(look, camera, 640, 480);
+    gpu.draw(display, camera, 640, 480);
     gpu.finish();
     times.push(performance.now() - begin);
   }

@@ -118,7 +118,7 @@ def closes(count: int, seed: int = 0) -> None:
         for _ in range(count):
             page = opened(browser, studio.url, (800, 400))
             page.wait_for_function("viewer.painting && viewer.isDrawn")
-            name = page.evaluate("viewer.painting.sending.page")
+            name = page.evaluate("viewer.painting.commands.page")
             answered[name] = 0
 
             def heard(answer: Any, name: str = name) -> None:
@@ -139,7 +139,7 @@ def closes(count: int, seed: int = 0) -> None:
             page.close(run_before_unload=False)
         for name, number in answered.items():
             told = studio.wait(number, name) if number else {}
-            lost += max(number - told.get("baked", {}).get(name, 0), 0)
+            lost += max(number - told.get("finished", {}).get(name, 0), 0)
         _, *bodies = _records(studio.output.with_name("out.octex.strokes").read_bytes())
         assert not lost, f"{lost} strokes are lost"
         assert_same(studio.saved(1), studio.painted(bodies))
@@ -165,7 +165,8 @@ def strokes(count: int, seed: int = 0) -> None:
 
         def measure(what: str) -> None:
             devtools.send("HeapProfiler.collectGarbage")
-            held = "viewer.parts[0].held.reduce((sum, { array }) => sum + array.buffer.byteLength, 0)"
+            arrays = "viewer.parts[0].stores.flatMap(({ read }) => read())"
+            held = f"{arrays}.reduce((sum, {{ buffer }}) => sum + buffer.byteLength, 0)"
             heap, octree = devtools.send("Runtime.getHeapUsage"), page.evaluate(held) / 2**20
             used = (heap["usedSize"] + heap.get("backingStorageSize", 0)) / 2**20
             now = [_memory_of(studio.process.pid), used - octree]  # finer strokes have more cells
@@ -182,7 +183,10 @@ def strokes(count: int, seed: int = 0) -> None:
         def follow(number: int) -> dict[str, Any]:
             told = studio.wait(number)
             page.wait_for_function(
-                f"(n) => viewer.painting.last.baked['{PAGE}'] === n", arg=number, timeout=60_000, polling=50
+                f"(n) => viewer.painting.status.finished['{PAGE}'] === n",
+                arg=number,
+                timeout=60_000,
+                polling=50,
             )
             return told
 

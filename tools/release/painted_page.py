@@ -51,7 +51,8 @@ class Hand:
     def face(self, target: list[float], **camera: float) -> None:
         """Look at a point of the model."""
         self.page.evaluate(
-            "(camera) => (Object.assign(viewer.camera, camera), viewer.move())", {"target": target, **camera}
+            "(camera) => (Object.assign(viewer.camera, camera), viewer.invalidate())",
+            {"target": target, **camera},
         )
 
     def stroke(self, places: Places, *, is_looked_at: bool = False, **brush: Any) -> None:
@@ -69,7 +70,7 @@ class Hand:
 
     def wait(self) -> None:
         """Wait until all is painted."""
-        asked = "(n) => viewer.painting.last.baked[viewer.painting.sending.page] === n"
+        asked = "(n) => viewer.painting.status.finished[viewer.painting.commands.page] === n"
         self.page.wait_for_function(asked, arg=self.count, timeout=_PATIENCE)
 
 
@@ -83,7 +84,7 @@ def paint(hand: Hand) -> None:
     """Paint the droid's head; both of its sides have the same."""
     brush: dict[str, Any] = {"mirror": "x", "opacity": 1, "hardness": 0.8}
     page = hand.page
-    page.evaluate("viewer.painting.theme('dark')")
+    page.evaluate("viewer.painting.setTheme('dark')")
     hand.face([0.024, 0.535, 0.13], turn=0.95, tilt=0.25, distance=0.55)
     hand.look()
     cheek = along(245, 485, lambda x: 522 - 0.43 * (x - 245), 12)

@@ -1,45 +1,44 @@
-// A stroke of the brush, from the pen's press until it is up.
+// Draws a stroke from press to release, and sends it.
 
-import { joined } from "./dabs.js";
-import { pulled } from "./hand.js";
-import { Path } from "./path.js";
-import { deflated } from "./sending.js";
+import { unionOf } from "./boxes.js";
+import { deflate } from "./commands.js";
+import { Path, pulled } from "./path.js";
 
-// Send a stroke, if there is one; show it until it is painted.
-export function send({ strokes, sending, palette }, stroke, isShown = true) {
+// Send a stroke if there is one, and show it until the texture has it.
+export function sendStroke({ strokes, commands, palette }, stroke, isShown = true) {
   if (!stroke) return;
-  if (!stroke.erases && !stroke.colors) palette.use(stroke.color);
-  const { name, colors = new Uint8Array(), coverage, angle: maxAngle, ...own } = stroke;
-  const { camera, moved, patch, box, color, values, opacity, blend, backFaces, hidden, at, mirror, offset, erases } = own;
-  const called = mirror ? `${name}, mirrored` : name;
-  const command = { kind: "stroke", name: called, camera, moved, patch, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset, erases };
-  stroke.number = sending.send(command, deflated(new Blob([colors, coverage])));
-  if (isShown) strokes.keep(stroke);
+  if (!stroke.erases && !stroke.colors) palette.addRecent(stroke.color);
+  const { name, colors = new Uint8Array(), coverage, angle: maxAngle, mirror } = stroke;
+  const { camera, moved, patch, box, color, values, opacity, blend, backFaces, hidden, at, offset, erases } = stroke;
+  const fields = { camera, moved, patch, box, color, values, opacity, blend, maxAngle, backFaces, hidden, at, mirror, offset, erases };
+  const command = { kind: "stroke", name: mirror ? `${name}, mirrored` : name, ...fields };
+  stroke.command = commands.send(command, deflate(new Blob([colors, coverage])));
+  if (isShown) strokes.addSent(stroke);
 }
 
 export class BrushDrag {
-  // `own` replaces what the brush is set to: its name, and a picture instead of its colour.
-  constructor(painting, event, own = {}) {
+  // `overrides` replace settings of the brush: its name, and a picture instead of the colour.
+  constructor(painting, event, overrides = {}) {
     this.painting = painting;
-    const { strokes, below, offset } = painting, first = painting.place(event);
-    const from = event.shiftKey ? painting.lineTo(first) : first;
+    const { strokes, hit, mirrorOffset: offset } = painting, first = painting.place(event);
+    const from = event.shiftKey ? painting.lineStart(first) : first;
     this.path = new Path(from);
-    this.string = painting.brush.smoothing; // how long it is
-    this.tip = first; // where the brush is
-    this.dirty = null; // what of the picture has changed since the last frame
-    const brush = { name: "Brush", ...painting.brush, ...painting.material.paint, ...own };
-    const at = brush.onePart ? below?.rest : undefined, look = painting.beneath.look(brush);
-    strokes.begin({ ...brush, ...strokes.seen, offset, at, begin: first, look });
+    this.string = painting.brush.smoothing; // pixels
+    this.tip = first; // the brush's place, which the pen pulls by the string
+    this.dirty = null; // the box of the picture that has changed since the last frame
+    const brush = { name: "Brush", ...painting.brush, ...painting.material.paint, ...overrides };
+    const at = brush.onePart ? hit?.rest : undefined;
+    strokes.begin({ ...brush, ...strokes.viewFields, offset, at, begin: first, preview: painting.preview.styleOf(brush) });
     this.draw(from, from);
     if (from !== first) this.to(first);
   }
 
-  // Where the brush is, if not under the pen.
-  get at() {
+  // The brush's place if it differs from the pen's.
+  get place() {
     return this.string ? this.tip : null;
   }
 
-  moved(event) {
+  move(event) {
     const events = event.getCoalescedEvents?.() ?? [];
     for (const each of events.length ? events : [event]) {
       const next = pulled(this.tip, this.painting.place(each), this.string);
@@ -52,26 +51,26 @@ export class BrushDrag {
     for (const line of this.path.to(place)) this.draw(...line);
   }
 
-  // Draw a part of the stroke; the picture has it in the next frame.
+  // Draw a line of the stroke; the next frame shows it.
   draw(from, to) {
-    const { strokes, below, width } = this.painting, { mirror, current, view } = strokes, box = strokes.extend(from, to);
+    const { strokes, hit, brushWidth } = this.painting, { mirror, current, viewKey } = strokes, box = strokes.extend(from, to);
     if (!box) return;
-    const last = this.other;
-    this.other = below && mirror.isOf(current, view) ? mirror.around(below, width) : null;
-    this.dirty = [box, last, this.other].reduce(joined, this.dirty);
-    this.asked ||= requestAnimationFrame(() => {
-      this.asked = 0;
-      if (this.dirty) this.painting.viewer.drawPart(this.dirty);
+    const lastMirrored = this.mirroredBox;
+    this.mirroredBox = hit && mirror.isOf(current, viewKey) ? mirror.boxAround(hit, brushWidth) : null;
+    this.dirty = [box, lastMirrored, this.mirroredBox].reduce(unionOf, this.dirty);
+    this.frameRequest ||= requestAnimationFrame(() => {
+      this.frameRequest = 0;
+      if (this.dirty) this.painting.viewer.drawBox(this.dirty);
       this.dirty = null;
     });
   }
 
   up() {
-    this.painting.ended(this.tip);
-    send(this.painting, this.painting.strokes.end());
+    this.painting.rememberEnd(this.tip);
+    sendStroke(this.painting, this.painting.strokes.end());
   }
 
-  giveUp() {
+  cancel() {
     this.painting.strokes.current = null;
   }
 }

@@ -1,22 +1,22 @@
-// The camera: it goes around a point that it looks at. Angles are in radians, matrices column after column.
+// The camera, which orbits a target. Angles are in radians, matrices column by column.
 
-const NEAREST_ZOOM = 1e-3, FARTHEST_ZOOM = 100; // distances, in the model's radius
-const SAME_MODEL = 0.25; // how far the bounds of the same model may be apart, in its radius
-const MOST_TILT = Math.PI / 2 - 0.001;
+const MIN_DISTANCE = 1e-3, MAX_DISTANCE = 100; // from the target, in the model's radius
+const SAME_MODEL = 0.25; // largest difference between the bounds of one model, in its radius
+const MAX_TILT = Math.PI / 2 - 0.001;
 
-const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 
 export class Camera {
   constructor(low, high) {
-    this.low = low;
+    this.low = low; // corners of the model's bounding box
     this.high = high;
     this.turn = 0.55;
     this.tilt = 0.3;
     this.fov = 0.6;
     this.aspect = 4 / 3;
-    this.isFlat = false;
+    this.isFlat = false; // a patch that is laid flat: it is seen from the front only
     this.reset();
   }
 
@@ -24,7 +24,7 @@ export class Camera {
     return 0.5 * Math.hypot(...this.high.map((x, n) => x - this.low[n])) || 1;
   }
 
-  // See the whole model from the same side, or from a given one.
+  // Show the whole model, from the current direction or a given one.
   reset(turn = this.turn, tilt = this.tilt) {
     [this.turn, this.tilt] = this.isFlat ? [0, 0] : [turn, tilt];
     this.target = this.low.map((x, n) => (x + this.high[n]) / 2);
@@ -52,11 +52,11 @@ export class Camera {
     return new Float32Array([...columns.flat(), -dot(x, at), -dot(y, at), -dot(z, at), 1]);
   }
 
-  // Of the whole picture; or of one pixel (column, row, from the upper left) of one that is so wide and high.
+  // The projection of the whole picture, or of one pixel (column, row, from the upper left) of a picture of a size.
   projection(pixel = null, size = null) {
-    const away = dot(this.backward, this.position.map((x, n) => x - (this.low[n] + this.high[n]) / 2)); // of the middle
-    const near = Math.max(away - 1.1 * this.radius, 0.002 * Math.min(this.distance, this.radius));
-    const far = Math.max(away + 1.1 * this.radius, 2 * near);
+    const depth = dot(this.backward, this.position.map((x, n) => x - (this.low[n] + this.high[n]) / 2)); // of the model's middle
+    const near = Math.max(depth - 1.1 * this.radius, 0.002 * Math.min(this.distance, this.radius));
+    const far = Math.max(depth + 1.1 * this.radius, 2 * near);
     const high = near * Math.tan(this.fov / 2), wide = high * this.aspect;
     let [left, right, bottom, top] = [-wide, wide, -high, high];
     if (pixel) {
@@ -71,7 +71,7 @@ export class Camera {
     ]);
   }
 
-  // What octex's camera files say of it, for a picture of so many pixels.
+  // The content of an octex camera file, for a picture of a size in pixels.
   file(name, width, height) {
     const high = Math.tan(this.fov / 2), at = this.position, [x, y, z] = this.axes;
     const rows = [x, y.map((a) => -a), z.map((a) => -a)].map((axis) => [...axis, -dot(axis, at)]);
@@ -80,55 +80,56 @@ export class Camera {
     return { octex_cameras: 1, cameras: [camera] };
   }
 
-  // Of what is flat only the front is seen: it is moved instead.
+  // Turn around the target; a flat patch is panned instead.
   orbit(turn, tilt) {
     if (this.isFlat) return this.pan(-turn / 4, -tilt / 4);
     this.turn += turn;
-    this.tilt = Math.min(Math.max(this.tilt + tilt, -MOST_TILT), MOST_TILT);
+    this.tilt = Math.min(Math.max(this.tilt + tilt, -MAX_TILT), MAX_TILT);
   }
 
-  // Move what is seen by parts of the picture's height.
+  // Move the model in the picture, by shares of its height.
   pan(right, up) {
     const step = 2 * this.distance * Math.tan(this.fov / 2), [x, y] = this.axes;
     this.target = this.target.map((at, n) => at - step * (right * x[n] + up * y[n]));
   }
 
-  // The point that a pixel sees so far along the view; by default as far as the point that the camera goes around.
-  pointAt([x, y], [width, height], away = this.distance) {
-    const high = away * Math.tan(this.fov / 2), right = ((2 * x) / width - 1) * high * this.aspect, up = (1 - (2 * y) / height) * high;
+  // The point that a pixel shows at a depth along the view; by default at the target's depth.
+  pointAt([x, y], [width, height], depth = this.distance) {
+    const high = depth * Math.tan(this.fov / 2), right = ((2 * x) / width - 1) * high * this.aspect, up = (1 - (2 * y) / height) * high;
     const [along, above, back] = this.axes, at = this.position;
-    return at.map((p, n) => p + right * along[n] + up * above[n] - away * back[n]);
+    return at.map((p, n) => p + right * along[n] + up * above[n] - depth * back[n]);
   }
 
-  // Where a point is seen, in pixels from the upper left; null behind the camera.
-  placeOf(point, [width, height]) {
-    const from = point.map((p, n) => p - this.position[n]), [along, above, back] = this.axes, away = -dot(from, back), high = away * Math.tan(this.fov / 2);
-    return away > 0 ? [(1 + dot(from, along) / (high * this.aspect)) * (width / 2), (1 - dot(from, above) / high) * (height / 2)] : null;
+  // Project a point to pixels from the upper left; null behind the camera.
+  project(point, [width, height]) {
+    const from = point.map((p, n) => p - this.position[n]), [along, above, back] = this.axes;
+    const depth = -dot(from, back), high = depth * Math.tan(this.fov / 2);
+    return depth > 0 ? [(1 + dot(from, along) / (high * this.aspect)) * (width / 2), (1 - dot(from, above) / high) * (height / 2)] : null;
   }
 
-  // Come nearer to a point, which stays where it is in the picture.
-  zoom(times, point = this.target) {
+  // Move closer to a point by a factor; the point stays in place in the picture.
+  zoom(factor, point = this.target) {
     const before = this.distance;
-    this.distance = Math.min(Math.max(before / times, NEAREST_ZOOM * this.radius), FARTHEST_ZOOM * this.radius);
+    this.distance = Math.min(Math.max(before / factor, MIN_DISTANCE * this.radius), MAX_DISTANCE * this.radius);
     this.target = point.map((p, n) => p + (this.target[n] - p) * (this.distance / before));
   }
 
-  // Go around a point from now on, and come so near to it that it is seen well.
+  // Make a point the target, and move close to it.
   focus(point) {
-    const away = Math.hypot(...this.position.map((p, n) => p - point[n]));
+    const distance = Math.hypot(...this.position.map((p, n) => p - point[n]));
     this.target = point;
-    this.distance = Math.max(Math.min(away, this.radius), NEAREST_ZOOM * this.radius);
+    this.distance = Math.max(Math.min(distance, this.radius), MIN_DISTANCE * this.radius);
   }
 
-  // Where it stands, and the bounds of the model that it sees.
+  // The camera's pose, and the bounds of its model.
   get state() {
     const { turn, tilt, target, distance, low, high } = this;
     return { turn, tilt, target, distance, low, high };
   }
 
-  // Stand where it stood before, unless that was another model.
-  restore({ low, high, ...place }) {
-    const apart = [...low.map((x, n) => x - this.low[n]), ...high.map((x, n) => x - this.high[n])];
-    if (Math.max(...apart.map(Math.abs)) < SAME_MODEL * this.radius) Object.assign(this, place);
+  // Restore a state, unless it is of another model.
+  restore({ low, high, ...pose }) {
+    const differences = [...low.map((x, n) => x - this.low[n]), ...high.map((x, n) => x - this.high[n])];
+    if (Math.max(...differences.map(Math.abs)) < SAME_MODEL * this.radius) Object.assign(this, pose);
   }
 }

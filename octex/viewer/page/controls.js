@@ -1,29 +1,32 @@
-// Mouse, touch and keys on the picture: orbit, pan and zoom. `seen` returns the point of the model at a place of the
-// picture, or null. `moved` is called after each change, with whether a pointer is down; `rested` once none is any more.
+// Pointer, wheel and keys of the picture: orbit, pan and zoom.
 
-const STEP = 0.09;
+const ORBIT_STEP = 0.09; // radians that an arrow key turns
 
-// How many times larger a wheel makes what it zooms.
-export function wheelTimes({ deltaY, deltaMode }) {
-  const lines = deltaMode === 1 ? 16 : 1;
-  return Math.exp(-Math.max(-200, Math.min(200, deltaY * lines)) * 0.0015);
+// The zoom factor of a wheel event.
+export function wheelFactor({ deltaY, deltaMode }) {
+  const pixels = deltaMode === WheelEvent.DOM_DELTA_LINE ? 16 * deltaY : deltaY;
+  return Math.exp(-Math.max(-200, Math.min(200, pixels)) * 0.0015);
 }
 
-export function control(canvas, camera, seen, moved, rested) {
+// Let a canvas control a camera. `surfaceAt(x, y)` returns the point of the model there, or null. `changed` is called after
+// each change of the camera, with true while a pointer is down; `released` when the last pointer is up.
+export function addControls(canvas, camera, { surfaceAt, changed, released }) {
   const pointers = new Map();
-  let spread = 0;
-  let anchor = null; // what was last zoomed to, where, and the camera's view after that
+  let spread = 0; // distance of two pointers
+  let anchor = null; // the last point that was zoomed to, its position in the picture, and the view after that
 
-  const middle = () => [canvas.clientWidth / 2, canvas.clientHeight / 2];
-  const near = (at) => seen(...at) ?? camera.pointAt(at, [canvas.clientWidth, canvas.clientHeight]);
+  const center = () => [canvas.clientWidth / 2, canvas.clientHeight / 2];
 
-  const zoomAt = (at, times) => {
-    if (String(anchor?.at) !== String(at) || anchor.view !== String(camera.view)) anchor = { at, point: near(at) };
-    camera.zoom(times, anchor.point);
+  const zoomAt = (position, factor) => {
+    if (String(anchor?.position) !== String(position) || anchor.view !== String(camera.view)) {
+      const point = surfaceAt(...position) ?? camera.pointAt(position, [canvas.clientWidth, canvas.clientHeight]);
+      anchor = { position, point };
+    }
+    camera.zoom(factor, anchor.point);
     anchor.view = String(camera.view);
   };
 
-  const gap = () => {
+  const distance = () => {
     const [a, b] = [...pointers.values()];
     return Math.hypot(a.x - b.x, a.y - b.y);
   };
@@ -31,7 +34,7 @@ export function control(canvas, camera, seen, moved, rested) {
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
-    if (pointers.size === 2) spread = gap();
+    if (pointers.size === 2) spread = distance();
   });
   canvas.addEventListener("pointermove", (event) => {
     const before = pointers.get(event.pointerId);
@@ -39,7 +42,7 @@ export function control(canvas, camera, seen, moved, rested) {
     const dx = event.clientX - before.x, dy = event.clientY - before.y, height = canvas.clientHeight;
     pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     if (pointers.size === 2) {
-      const now = gap(), [a, b] = [...pointers.values()], frame = canvas.getBoundingClientRect();
+      const now = distance(), [a, b] = [...pointers.values()], frame = canvas.getBoundingClientRect();
       camera.pan(dx / height / 2, -dy / height / 2);
       if (spread > 0 && now > 0) zoomAt([(a.x + b.x) / 2 - frame.left, (a.y + b.y) / 2 - frame.top], now / spread);
       spread = now;
@@ -48,39 +51,38 @@ export function control(canvas, camera, seen, moved, rested) {
     } else {
       camera.orbit((-dx / height) * 4, (dy / height) * 4);
     }
-    moved(true);
+    changed(true);
   });
   for (const name of ["pointerup", "pointercancel"]) {
     canvas.addEventListener(name, (event) => {
       pointers.delete(event.pointerId);
       spread = 0;
-      if (!pointers.size) rested();
+      if (!pointers.size) released();
     });
   }
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("wheel", (event) => {
     event.preventDefault();
-    zoomAt([event.offsetX, event.offsetY], wheelTimes(event));
-    moved();
+    zoomAt([event.offsetX, event.offsetY], wheelFactor(event));
+    changed();
   }, { passive: false });
   canvas.addEventListener("dblclick", ({ offsetX, offsetY }) => {
-    const point = seen(offsetX, offsetY);
+    const point = surfaceAt(offsetX, offsetY);
     if (point) camera.focus(point);
     else camera.reset();
-    moved();
+    changed();
   });
   canvas.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const pan = event.shiftKey ? 1 : 0;
-    const turn = (x, y) => (pan ? camera.pan(-x / 2, -y / 2) : camera.orbit(x, y));
+    const move = (x, y) => (event.shiftKey ? camera.pan(-x / 2, -y / 2) : camera.orbit(x, y));
     const actions = {
-      ArrowLeft: () => turn(-STEP, 0),
-      ArrowRight: () => turn(STEP, 0),
-      ArrowUp: () => turn(0, STEP),
-      ArrowDown: () => turn(0, -STEP),
-      "+": () => zoomAt(middle(), 1.1),
-      "=": () => zoomAt(middle(), 1.1),
-      "-": () => zoomAt(middle(), 1 / 1.1),
+      ArrowLeft: () => move(-ORBIT_STEP, 0),
+      ArrowRight: () => move(ORBIT_STEP, 0),
+      ArrowUp: () => move(0, ORBIT_STEP),
+      ArrowDown: () => move(0, -ORBIT_STEP),
+      "+": () => zoomAt(center(), 1.1),
+      "=": () => zoomAt(center(), 1.1),
+      "-": () => zoomAt(center(), 1 / 1.1),
       Home: () => camera.reset(),
       0: () => camera.reset(),
       1: () => camera.reset(0, 0),
@@ -93,6 +95,6 @@ export function control(canvas, camera, seen, moved, rested) {
     if (!actions[event.key]) return;
     event.preventDefault();
     actions[event.key]();
-    moved();
+    changed();
   });
 }

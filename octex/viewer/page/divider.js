@@ -1,17 +1,17 @@
-// The divider between the source, on its left, and the octree: moved by mouse, touch and keys.
+// The divider between the model's images on its left and the octree on its right; moved by pointer and keys.
 
 import { element } from "./elements.js";
 
-const STRIDE = 0.02;
+const DIVIDER_STEP = 0.02;
 
 export class Divider {
-  // `changed` is called with where it stands, as a part of the picture's width; null where it is off.
+  // `changed` is called with the position in the picture's width, 0 … 1; with null when the divider is off.
   constructor(changed) {
     this.changed = changed;
-    this.place = 0.5;
+    this.position = 0.5;
     this.bar = element("divider");
-    element("beside-label").hidden = false;
-    element("beside").addEventListener("input", () => this.put(this.place));
+    element("compare-label").hidden = false;
+    element("compare").addEventListener("input", () => this.set(this.position));
     this.bar.addEventListener("pointerdown", (event) => {
       this.bar.setPointerCapture(event.pointerId);
       event.preventDefault();
@@ -20,22 +20,22 @@ export class Divider {
     this.bar.addEventListener("pointermove", (event) => {
       if (!this.bar.hasPointerCapture(event.pointerId)) return;
       const frame = this.bar.parentElement.getBoundingClientRect();
-      this.put((event.clientX - frame.left) / frame.width);
+      this.set((event.clientX - frame.left) / frame.width);
     });
     this.bar.addEventListener("keydown", (event) => {
-      const places = { ArrowLeft: this.place - STRIDE, ArrowRight: this.place + STRIDE, Home: 0, End: 1 };
-      if (!(event.key in places)) return;
+      const positions = { ArrowLeft: this.position - DIVIDER_STEP, ArrowRight: this.position + DIVIDER_STEP, Home: 0, End: 1 };
+      if (!(event.key in positions)) return;
       event.preventDefault();
-      this.put(places[event.key]);
+      this.set(positions[event.key]);
     });
   }
 
-  put(place) {
-    const on = element("beside").checked;
-    this.place = Math.min(Math.max(place, 0), 1);
-    this.bar.hidden = !on;
-    this.bar.style.left = `${100 * this.place}%`;
-    this.bar.ariaValueNow = Math.round(100 * this.place);
-    this.changed(on ? this.place : null);
+  set(position) {
+    const isOn = element("compare").checked;
+    this.position = Math.min(Math.max(position, 0), 1);
+    this.bar.hidden = !isOn;
+    this.bar.style.left = `${100 * this.position}%`;
+    this.bar.ariaValueNow = Math.round(100 * this.position);
+    this.changed(isOn ? this.position : null);
   }
 }

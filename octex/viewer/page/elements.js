@@ -1,12 +1,15 @@
-// The page's elements: by their names, and made; and files that it gives.
+// Finds and makes elements of the page, and downloads files.
+
+const SVG = "http://www.w3.org/2000/svg";
 
 export const element = (id) => document.getElementById(id);
 
+// Make an element. An attribute "onNAME" is a listener; true stands for an empty attribute, false and null for none.
 export function make(name, attributes = {}, ...children) {
   const made = document.createElement(name);
   for (const [key, value] of Object.entries(attributes)) {
     if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
-    else if (key === "style") made.style.cssText = value; // as an attribute the page's policy would forbid it
+    else if (key === "style") made.style.cssText = value; // the page's policy forbids the attribute
     else if (value === true) made.setAttribute(key, "");
     else if (value !== false && value !== null) made.setAttribute(key, value);
   }
@@ -14,13 +17,18 @@ export function make(name, attributes = {}, ...children) {
   return made;
 }
 
-// A swatch of a color, as CSS writes it.
+export function makeSvg(name, attributes = {}, ...children) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+// A swatch of a CSS colour.
 export const swatch = (color) => make("span", { class: "swatch", style: `background: ${color}` });
 
 export function download(name, blob) {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(blob);
-  link.download = name;
+  const link = make("a", { href: URL.createObjectURL(blob), download: name });
   link.click();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }

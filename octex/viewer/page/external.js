@@ -1,89 +1,92 @@
-// Views that are painted in other programs: saved as PNG, kept by the browser with their cameras, and taken back.
+// Painting on a view in another program: the page saves the view as PNG, stores it in the browser with its camera, and
+// paints the pixels that differ when the file comes back.
 
-import { send } from "./brush.js";
-import { boxOf } from "./dabs.js";
+import { boxOfPixels } from "./boxes.js";
+import { sendStroke } from "./brush.js";
 import { download, element, make } from "./elements.js";
 import { readImage } from "./images.js";
-import { section } from "./panel.js";
-import { Seen } from "./retouch.js";
+import { button, section } from "./panel.js";
+import { ViewColors } from "./retouch.js";
 
-const NAME = /-view-([0-9a-f]{8})/; // of files
-const MOST = 20; // views that are kept, the latest ones
-const EXACTLY = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
+const FILE_NAME = /-view-([0-9a-f]{8})/;
+const MAX_VIEWS = 20; // that are stored, the latest ones
+const EXACT = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
 
 export class External {
   constructor(painting) {
     this.painting = painting;
-    element("history").before(section("elsewhere", "Paint in another program",
+    element("history").before(section("external", "Paint in another program",
       make("p", { class: "hint" }, "Save the view and paint on it in any program. Save that as PNG under the same name, and load it here or drop it on the page. octex paints only the pixels that you changed. You may turn the view meanwhile."),
-      make("div", { class: "buttons" }, make("button", { type: "button", id: "save-view", onclick: () => this.save() }, "Save the view"),
-        make("button", { type: "button", onclick: () => painting.stencil.file.click() }, "Load it …"))));
+      make("div", { class: "buttons" }, button("save-view", "Save the view", () => this.save()), button("load-view", "Load it …", () => painting.stencil.file.click()))));
   }
 
-  // Save the colours of the view without light, transparent beside the model.
+  // Save the colours of the view without light; the background is transparent.
   async save() {
-    const { painting } = this, { viewer } = painting, { name, width, height } = viewer.film, why = painting.hindrance;
-    painting.say(why);
+    const { painting } = this, { viewer } = painting, { screenSize: { width, height }, fileName } = viewer, why = painting.blockReason;
+    painting.showMessage(why);
     if (why) return;
-    const seen = new Seen(painting), id = crypto.randomUUID().slice(0, 8);
-    seen.need([0, 0, width, height]);
-    const picture = Object.assign(document.createElement("canvas"), { width, height }), pixels = new ImageData(width, height);
-    const rows = viewer.gpu.codes(seen.target);
+    const colors = new ViewColors(painting), id = crypto.randomUUID().slice(0, 8);
+    colors.require([0, 0, width, height]);
+    const canvas = Object.assign(document.createElement("canvas"), { width, height }), pixels = new ImageData(width, height);
+    const rows = viewer.gpu.readBytes(colors.target); // from below
     for (let row = 0; row < height; row++) pixels.data.set(rows.subarray(4 * width * (height - 1 - row), 4 * width * (height - row)), 4 * width * row);
-    picture.getContext("2d").putImageData(pixels, 0, 0);
-    const view = { id, title: viewer.header.title, at: Date.now(), ...painting.strokes.seen, seen: viewer.viewed };
-    view.png = await new Promise((resolve) => picture.toBlob(resolve));
+    canvas.getContext("2d").putImageData(pixels, 0, 0);
+    const view = { id, title: viewer.header.title, at: Date.now(), ...painting.strokes.viewFields, viewKey: viewer.viewKey };
+    view.png = await new Promise((resolve) => canvas.toBlob(resolve));
     try {
-      await keep(view);
-      download(`${name}-view-${id}.png`, view.png);
+      await storeView(view);
+      download(`${fileName}-view-${id}.png`, view.png);
     } catch {
-      painting.say("This browser cannot keep the view, so it could not be loaded again.");
+      painting.showMessage("This browser cannot store the view, so it could not be loaded again.");
     }
   }
 
-  // Paint what has changed in a view that comes back; other pictures become stencils.
+  // Paint the pixels that differ in a saved view; any other picture becomes the stencil.
   async take(file) {
-    const { painting } = this, [, id] = NAME.exec(file.name) ?? [];
+    const { painting } = this, [, id] = FILE_NAME.exec(file.name) ?? [];
     try {
-      const view = id && (await kept(id));
-      if (view) painting.say(await this.paint(file, view));
+      const view = id && (await storedView(id));
+      if (view) painting.showMessage(await this.paint(file, view));
       else await painting.stencil.read(file);
-      if (id && !view) painting.say(`${file.name} is no view that this browser has saved: it lies over the model as a stencil.`);
+      if (id && !view) painting.showMessage(`${file.name} is no view that this browser has saved: it lies over the model as a stencil.`);
     } catch (error) {
-      painting.say(error.message);
+      painting.showMessage(error.message);
     }
   }
 
-  // Paint what differs from a view; returns why nothing is, or nothing.
-  async paint(file, { title, camera, moved, patch, png, seen }) {
-    const { viewer, strokes, brush: { angle, backFaces } } = this.painting, { width, height } = camera, { film } = viewer;
-    const { kind, bitmap } = await readImage(file, EXACTLY);
+  // Paint the pixels that differ from a view; returns the reason if nothing is painted, else "".
+  async paint(file, { title, camera, moved, patch, png, viewKey }) {
+    const { viewer, strokes, brush: { angle, backFaces } } = this.painting, { width, height } = camera, { screenSize } = viewer;
+    const { kind, bitmap } = await readImage(file, EXACT);
     if (title !== viewer.header.title) return `${file.name} is a view of ${title}: open that to paint it.`;
     if (kind !== "png") return `${file.name} is no PNG, and other kinds change every pixel: save it as PNG.`;
-    if (bitmap.width !== width || bitmap.height !== height) return `${file.name} has ${bitmap.width} × ${bitmap.height} pixels, the view has ${width} × ${height}: keep its size.`;
-    const codes = this.codes(bitmap), stroke = difference(codes, this.codes(await createImageBitmap(png, EXACTLY)), width, height);
+    if (bitmap.width !== width || bitmap.height !== height) {
+      return `${file.name} has ${bitmap.width} × ${bitmap.height} pixels, the view has ${width} × ${height}: keep its size.`;
+    }
+    const pixels = this.pixelsOf(bitmap), stroke = difference(pixels, this.pixelsOf(await createImageBitmap(png, EXACT)), width, height);
     if (!stroke) return `${file.name} is the view as it was saved: nothing is painted.`;
-    const isHere = seen === viewer.viewed && film.width === width && film.height === height;
-    if (isHere) strokes.fit();
-    send(this.painting, { name: "Painted elsewhere", camera, moved, patch, opacity: 1, angle, backFaces, mirror: "", ...stroke }, isHere);
-    viewer.move();
+    const isSameView = viewKey === viewer.viewKey && screenSize.width === width && screenSize.height === height;
+    if (isSameView) strokes.prepareView();
+    const settings = { name: "Painted elsewhere", camera, moved, patch, opacity: 1, angle, backFaces, mirror: "" };
+    sendStroke(this.painting, { ...settings, ...stroke }, isSameView);
+    viewer.invalidate();
     return "";
   }
 
-  // The codes of an image, row by row from above; alpha is not multiplied in.
-  codes(bitmap) {
+  // The pixels of an image, row by row from above, without premultiplied alpha: a 2D canvas would premultiply.
+  pixelsOf(bitmap) {
     const { gpu } = this.painting.viewer, { gl } = gpu, target = gpu.target("read", bitmap.width, bitmap.height, [gl.RGBA8]);
     gl.bindTexture(gl.TEXTURE_2D, target.textures[0]);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, bitmap.width, bitmap.height, gl.RGBA, gl.UNSIGNED_BYTE, bitmap);
     bitmap.close();
-    return gpu.codes(target);
+    return gpu.readBytes(target);
   }
 }
 
-// What has changed: the box, its coverage and the planes of its colours; null for nothing.
+// The stroke of the pixels that differ: box, coverage, and planes of colours; null if all are equal.
 function difference(after, before, width, height) {
-  const [now, was] = [after, before].map(({ buffer }) => new Uint32Array(buffer)), isPainted = (n) => now[n] !== was[n] && after[4 * n + 3] > 0;
-  const box = boxOf(width, height, isPainted);
+  const [now, old] = [after, before].map(({ buffer }) => new Uint32Array(buffer)), isPainted = (n) => now[n] !== old[n] && after[4 * n + 3] > 0;
+  const box = boxOfPixels(width, height, isPainted);
   if (!box) return null;
   const [left, top, right, bottom] = box;
   const pixels = (right - left) * (bottom - top), coverage = new Uint8Array(pixels), colors = new Uint8Array(3 * pixels);
@@ -97,23 +100,27 @@ function difference(after, before, width, height) {
   return { box, coverage, colors };
 }
 
-// Do something with the views that the browser keeps.
-async function views(mode, act) {
-  const answer = (asked) => new Promise((resolve, reject) => Object.assign(asked, { onsuccess: () => resolve(asked.result), onerror: () => reject(asked.error) }));
-  const asked = indexedDB.open("octex");
-  asked.onupgradeneeded = () => asked.result.createObjectStore("views", { keyPath: "id" });
-  const database = await answer(asked);
+const resultOf = (request) => new Promise((resolve, reject) => {
+  request.onsuccess = () => resolve(request.result);
+  request.onerror = () => reject(request.error);
+});
+
+// Run a request on the browser's store of views.
+async function withViews(mode, run) {
+  const opening = indexedDB.open("octex");
+  opening.onupgradeneeded = () => opening.result.createObjectStore("views", { keyPath: "id" });
+  const database = await resultOf(opening);
   try {
-    return await answer(act(database.transaction("views", mode).objectStore("views")));
+    return await resultOf(run(database.transaction("views", mode).objectStore("views")));
   } finally {
     database.close();
   }
 }
 
-const kept = (id) => views("readonly", (store) => store.get(id)).catch(() => null);
+const storedView = (id) => withViews("readonly", (store) => store.get(id)).catch(() => null);
 
-async function keep(view) {
-  await views("readwrite", (store) => store.put(view));
-  const all = await views("readonly", (store) => store.getAll()), old = all.sort((a, b) => b.at - a.at).slice(MOST);
-  for (const { id } of old) await views("readwrite", (store) => store.delete(id));
+async function storeView(view) {
+  await withViews("readwrite", (store) => store.put(view));
+  const all = await withViews("readonly", (store) => store.getAll()), old = all.sort((a, b) => b.at - a.at).slice(MAX_VIEWS);
+  for (const { id } of old) await withViews("readwrite", (store) => store.delete(id));
 }

@@ -1,118 +1,121 @@
-// A piece of the model, laid flat and seen from the front, beside the model: both are painted on. The GPU draws the view
-// that the pointer is over; of the other one the page has a picture, drawn anew after each change. See poses.py.
+// A patch of the model that is laid flat, next to the model: the user paints on both. The GPU draws the view under the
+// pointer; of the other view the page has a picture in a canvas, drawn again after changes. See octex/session/poses.py.
 
-import { inflated } from "./octree.js";
+import { query } from "./data.js";
 import { element, make } from "./elements.js";
+import { inflate } from "./octree.js";
 import { unpackedMesh } from "./mesh.js";
-import { act } from "./panel.js";
+import { iconButton } from "./panel.js";
 
-const SHARE = 0.25; // the radius that is laid flat, of the height of what is seen
-const STEP = 1.4; // between one radius and the next
-const PATIENCE = 160; // milliseconds that a picture of the other view may take
+const RADIUS = 0.25; // of the first patch, as a share of the view's height
+const RADIUS_STEP = 1.4;
+const REFRESH_TIME = 160; // milliseconds that a picture of the other view may take
 
 export class Flat {
   constructor(painting) {
     this.painting = painting;
-    this.views = null; // while it is open: of the model, and of the piece
-    this.asked = null; // the patch that was asked for last
-    this.isStale = false; // the picture of the other view
+    this.views = null; // while it is open: the model's view, and the patch's
+    this.requested = null; // the last patch that was asked for: { spot, moment }
+    this.isStale = false; // the other view's picture
   }
 
   get isOpen() {
     return this.views !== null;
   }
 
-  // The bar over the picture.
+  // The bar above the picture.
   get bar() {
     return make("div", { id: "flat", hidden: true },
       make("span", { id: "flat-note", role: "status" }),
-      act("flat-narrower", "less", "Lay less of the model flat", () => this.widen(1 / STEP)),
-      act("flat-wider", "more", "Lay more of the model flat", () => this.widen(STEP)),
-      act("flat-back", "back", "Close (V, Esc)", () => this.close()));
+      iconButton("flat-narrower", "less", "Lay less of the model flat", () => this.resize(1 / RADIUS_STEP)),
+      iconButton("flat-wider", "more", "Lay more of the model flat", () => this.resize(RADIUS_STEP)),
+      iconButton("flat-back", "back", "Close (V, Esc)", () => this.close()));
   }
 
-  // The picture of the other view: over it the pointer makes that the one which is painted.
-  get picture() {
-    const isMoved = ({ buttons, movementX, movementY }) => !buttons && (movementX || movementY); // not the page under it
-    return (this.other = make("canvas", { id: "other-view", hidden: true, onpointermove: (event) => isMoved(event) && this.turn(),
-      onpointerdown: ({ pointerType }) => pointerType === "touch" && this.turn() }));
+  // The canvas of the other view; a pointer over it swaps the views.
+  get canvas() {
+    const hasMoved = ({ buttons, movementX, movementY }) => !buttons && (movementX || movementY); // events without: the page has moved
+    return (this.other = make("canvas", { id: "other-view", hidden: true, onpointermove: (event) => hasMoved(event) && this.swapViews(),
+      onpointerdown: ({ pointerType }) => pointerType === "touch" && this.swapViews() }));
   }
 
-  // Lay flat what is around a place of the picture.
+  // Lay the surface around a point of the picture flat.
   async open(event) {
-    const { viewer } = this.painting, [x, y] = this.painting.place(event), center = viewer.seen(x, y);
+    const { viewer } = this.painting, [x, y] = this.painting.place(event), center = viewer.surfaceAt(x, y);
     if (!center || this.isOpen) return;
-    const { camera } = viewer, away = Math.hypot(...camera.position.map((p, n) => p - center[n]));
+    const { camera } = viewer, distance = Math.hypot(...camera.position.map((p, n) => p - center[n]));
     viewer.player?.stop();
-    const spot = { center, radius: SHARE * 2 * away * Math.tan(camera.fov / 2), up: camera.axes[1] };
-    if (await this.show(spot, viewer.look.moved)) this.painting.choose("brush");
+    const spot = { center, radius: RADIUS * 2 * distance * Math.tan(camera.fov / 2), up: camera.axes[1] };
+    if (await this.show(spot, viewer.display.moment)) this.painting.selectTool("brush");
   }
 
-  widen(times) {
-    const { spot, moved } = this.asked;
-    return this.show({ ...spot, radius: spot.radius * times }, moved);
+  resize(factor) {
+    const { spot, moment } = this.requested;
+    return this.show({ ...spot, radius: spot.radius * factor }, moment);
   }
 
-  // Show a patch; says whether there is one.
-  async show(spot, moved) {
-    const { viewer } = this.painting, asked = (this.asked = { spot, moved });
-    const answer = await fetch(`patch?${encodeURIComponent(JSON.stringify({ patch: spot, moved }))}`).catch(() => null);
-    if (!answer?.ok) {
-      this.asked = this.views?.flat.patch ?? null;
-      this.painting.say(`This cannot be laid flat: ${answer ? (await answer.text()).trim() : "the connection is lost"}`);
+  // Show the patch of a spot; returns whether it is shown.
+  async show(spot, moment) {
+    const { painting } = this, { viewer } = painting, requested = (this.requested = { spot, moment });
+    let answer, mesh;
+    try {
+      answer = await query("patch", { patch: spot, moved: moment });
+      mesh = unpackedMesh(answer.header.mesh, await inflate(new Blob([answer.bytes])), null);
+    } catch (error) {
+      if (this.requested !== requested) return false;
+      this.requested = this.views?.flat.patch ?? null;
+      painting.showMessage(`This cannot be laid flat: ${error.message}`);
       return false;
     }
-    const bytes = new Uint8Array(await answer.arrayBuffer()), end = bytes.indexOf(10);
-    const { mesh: header, faults } = JSON.parse(new TextDecoder().decode(bytes.subarray(0, end)));
-    const mesh = unpackedMesh(header, await inflated(new Blob([bytes.subarray(end + 1)]).stream()), null);
-    if (this.asked !== asked) return false;
-    viewer.turn(false);
-    element("turntable").checked = false;
-    if (element("beside").checked) element("beside").click();
+    while (painting.pen) await new Promise(requestAnimationFrame); // the view must not change under a stroke
+    if (this.requested !== requested) return false;
+    viewer.setTurntable(false);
+    if (element("compare").checked) element("compare").click();
     if (!this.isOpen) this.split();
-    else if (this.isFlat) this.turn();
+    else if (this.isFlat) this.swapViews();
     const { flat } = this.views;
-    viewer.parts[0].freeMesh(flat.surface);
-    Object.assign(flat, { mesh, header, surface: null, patch: asked, camera: null });
-    this.turn();
-    element("flat-note").textContent = element("flat-note").title = ["Laid flat", ...faults].join("; ");
+    viewer.parts[0].freeSurface(flat.surface);
+    Object.assign(flat, { mesh, header: answer.header.mesh, surface: null, patch: requested, camera: null });
+    this.swapViews();
+    element("flat-note").textContent = element("flat-note").title = ["Laid flat", ...answer.header.faults].join("; ");
     return true;
   }
 
+  // Whether the GPU draws the patch.
   get isFlat() {
-    return this.isOpen && this.painting.viewer.look.patch !== null && this.painting.viewer.look.patch !== undefined;
+    return this.painting.viewer.display.patch !== null;
   }
 
-  // Make room for both.
+  // Make room for both views.
   split() {
     const { viewer } = this.painting;
     this.views = { model: { bounds: viewer.bounds() }, flat: {} };
-    this.mark(true);
+    this.showLayout();
   }
 
-  mark(isOpen) {
-    const { main } = this.painting;
+  showLayout() {
+    const { main, viewer } = this.painting, { isOpen } = this;
     main.classList.toggle("split", isOpen);
     main.classList.toggle("flat", this.isFlat);
     this.other.hidden = element("flat").hidden = !isOpen;
-    element("player").hidden = isOpen || !this.painting.viewer.player;
+    element("player").hidden = isOpen || !viewer.player;
   }
 
-  // Keep a view as it is; show one as it was.
-  keep(view) {
-    const { camera, parts: [part], look } = this.painting.viewer;
-    Object.assign(view, { mesh: part.mesh, header: part.header.mesh, surface: part.surface, patch: look.patch, moved: look.moved, camera: camera.state });
+  // Store the current mesh, pose and camera in a view.
+  storeView(view) {
+    const { camera, parts: [part], display: { patch, moment } } = this.painting.viewer;
+    Object.assign(view, { mesh: part.mesh, header: part.header.mesh, surface: part.surface, patch, moment, camera: camera.state });
   }
 
-  put(view) {
-    const { viewer } = this.painting, { camera, parts: [part], look } = viewer, { mesh, header, surface, patch = null, moved = null } = view;
+  restoreView(view) {
+    const { viewer } = this.painting, { camera, parts: [part], display } = viewer, { mesh, header, surface, patch = null, moment = null } = view;
     part.header.mesh = header;
     if (surface) Object.assign(part, { mesh, surface });
-    else part.takeMesh(mesh);
-    if (!surface && part.motion && !patch) part.takeMotion(part.motion);
-    viewer.choose(element("shown").value);
-    Object.assign(look, { patch, moved, marked: null });
-    if (patch && look.shown === "lit") look.shown = "unlit";
+    else part.setMesh(mesh);
+    if (!surface && part.motion && !patch) part.setMotion(part.motion);
+    viewer.setMode(element("mode").value);
+    Object.assign(display, { patch, moment, highlight: null });
+    if (patch && display.mode === "lit") display.mode = "unlit"; // light on the patch would mislead
     camera.isFlat = patch !== null;
     camera.aspect = viewer.canvas.clientWidth / viewer.canvas.clientHeight;
     if (view.camera) return Object.assign(camera, view.camera);
@@ -120,62 +123,63 @@ export class Flat {
     camera.reset();
   }
 
-  // Paint on the other view.
-  turn() {
-    const { viewer } = this.painting, { views: { model, flat }, isFlat, other } = this, { gpu, canvas } = viewer, { picture } = gpu.pictures;
+  // Let the GPU draw the other view, and put the picture of the current one into the canvas.
+  swapViews() {
+    const { viewer } = this.painting, { views: { model, flat }, isFlat, other } = this, { gpu, canvas } = viewer, { picture } = gpu.targets;
     const [last, next] = isFlat ? [flat, model] : [model, flat];
-    this.keep(last);
-    if (picture) this.copy(picture);
-    this.put(next);
-    this.mark(true);
-    this.painting.outline(null);
+    this.storeView(last);
+    if (picture) this.copyPicture(picture);
+    this.restoreView(next);
+    this.showLayout();
+    this.painting.showOutline(null);
     this.isStale ||= other.clientWidth !== canvas.clientWidth;
-    viewer.move();
+    viewer.invalidate();
   }
 
-  // Give the other view's canvas what the GPU has drawn.
-  copy(picture) {
+  // Copy a picture of the GPU into the other view's canvas.
+  copyPicture(picture) {
     const { gpu, canvas } = this.painting.viewer;
     gpu.present(picture);
     [this.other.width, this.other.height] = [canvas.width, canvas.height];
     this.other.getContext("2d").drawImage(canvas, 0, 0);
   }
 
-  // Draw the other view anew, if something has changed: as sharply as there is time for.
+  // Draw the other view again if it is stale, as sharply as time allows.
   refresh() {
     if (!this.isOpen || !this.isStale) return;
-    const { viewer } = this.painting, { gpu, camera, canvas, cost } = viewer, { pictures } = gpu, { clientWidth, clientHeight } = this.other;
-    const [own, other] = this.isFlat ? [this.views.flat, this.views.model] : [this.views.model, this.views.flat], size = [canvas.width, canvas.height];
-    const times = Math.min(Math.sqrt(PATIENCE / (cost * clientWidth * clientHeight || 1)), window.devicePixelRatio || 1, 2);
+    const { viewer } = this.painting, { gpu, camera, canvas, pixelTime } = viewer, { targets } = gpu, { clientWidth, clientHeight } = this.other;
+    const [current, other] = this.isFlat ? [this.views.flat, this.views.model] : [this.views.model, this.views.flat], size = [canvas.width, canvas.height];
+    const scale = Math.min(Math.sqrt(REFRESH_TIME / (pixelTime * clientWidth * clientHeight || 1)), viewer.pixelRatio);
     this.isStale = false;
-    this.keep(own);
-    this.put(other);
+    this.storeView(current);
+    this.restoreView(other);
     camera.aspect = clientWidth / clientHeight;
-    gpu.pictures = this.pictures ??= {};
-    gpu.draw(viewer.look, camera, ...[clientWidth, clientHeight].map((pixels) => Math.max(Math.round(pixels * times), 1)));
-    this.copy(gpu.pictures.picture);
-    gpu.pictures = pictures;
-    this.put(own);
+    gpu.targets = this.targets ??= {};
+    gpu.draw(viewer.display, camera, ...[clientWidth, clientHeight].map((pixels) => Math.max(Math.round(pixels * scale), 1)));
+    this.copyPicture(gpu.targets.picture);
+    gpu.targets = targets;
+    this.restoreView(current);
     [canvas.width, canvas.height] = size;
-    gpu.present(pictures.picture);
+    gpu.present(targets.picture);
   }
 
-  // Show the model alone again; says whether a piece was laid flat.
+  // Show the model alone again; returns whether a patch was open.
   close() {
     const { viewer } = this.painting;
+    this.requested = null;
     if (!this.isOpen) return false;
-    if (this.isFlat) this.turn();
-    viewer.parts[0].freeMesh(this.views.flat.surface);
-    this.views = this.asked = this.pictures = null;
-    this.mark(false);
+    if (this.isFlat) this.swapViews();
+    viewer.parts[0].freeSurface(this.views.flat.surface);
+    this.views = this.targets = null;
+    this.showLayout();
     viewer.player?.seek(viewer.player.time);
-    viewer.move();
+    viewer.invalidate();
     return true;
   }
 
-  // The GPU is there again, with nothing of the other view.
-  restore() {
-    this.pictures = null;
+  // The context was lost: the meshes and the picture of the other view are gone.
+  restoreContext() {
+    this.targets = null;
     for (const view of Object.values(this.views ?? {})) view.surface = null;
     this.isStale = true;
   }

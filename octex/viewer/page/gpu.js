@@ -1,18 +1,21 @@
-// What the GPU holds of a texture and its mesh, and how they are drawn.
+// Draws the parts of a page with WebGL2, and reads back what pixels show.
+//
+// A picture is drawn in two passes: the G-buffer has the rest position of the surface at each pixel, then the octree is
+// sampled there. Translucent surface takes a second pair of passes. `display` says what is drawn; see viewer.js.
 
-import { walkUniforms } from "./field.js";
-import { ROW, planes } from "./octree.js";
+import { walkUniforms } from "./walk.js";
+import { ROW, fromBytePlanes } from "./octree.js";
 import { FACINGS, LEVELS } from "./legend.js";
-import { signed } from "./mesh.js";
+import { fromZigzag } from "./mesh.js";
 import { Programs, TILE, planesFor, showsRelief, showsSource } from "./programs.js";
 
-const KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 };
-const CLEAR = 0.5 / 255, OPAQUE = 1 - CLEAR; // alpha of what is not seen at all, and of what hides all behind it
-// Which surface of each pixel is drawn, by its alpha: from the first number to below the second.
-const OPAQUES = [OPAQUE, 2], TRANSLUCENTS = [CLEAR, OPAQUE], SEEN = [CLEAR, 2], NEAREST = null;
-const MOST_CUBES = 1 << 20;
-const CUBES_BY = { depth: 1, facing: 2 };
-const LIGHT_UNIT = 28, MOTION_UNIT = 30; // of textures; those before are the octree's and the picture's
+const CHANNEL_KINDS = { srgb: 0, linear: 0, data: 1, direction: 2 }; // as u_kind has them
+const CLEAR = 0.5 / 255, OPAQUE = 1 - CLEAR; // alphas that 8 bits round to 0 and to 1
+// Ranges of alpha, low to below high, of the surface that the G-buffer gets.
+const OPAQUE_ONLY = [OPAQUE, 2], TRANSLUCENT_ONLY = [CLEAR, OPAQUE], VISIBLE = [CLEAR, 2], ANY_ALPHA = null;
+const MAX_CUBES = 1 << 20;
+const CUBE_COLORS = { depth: 1, facing: 2 }; // as u_by has them
+const LIGHT_UNIT = 28, MOTION_UNIT = 30; // texture units; lower ones are the octree's and the picture's
 const BACKGROUND = [0.925, 0.93, 0.94, 1];
 
 const areaOf = ([left, bottom, right, top]) => (right - left) * (top - bottom);
@@ -20,9 +23,9 @@ const areaOf = ([left, bottom, right, top]) => (right - left) * (top - bottom);
 export class Gpu {
   constructor(canvas, shaders, studio, parts) {
     this.canvas = canvas;
-    this.mostCubes = MOST_CUBES;
+    this.maxCubes = MAX_CUBES; // that are drawn
     this.background = BACKGROUND;
-    this.studio = studio; // what the header says of its light, and the stream
+    this.studio = studio; // the header's entry of the studio light, and its stream
     this.parts = parts;
     this.gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
     if (!this.gl) throw new Error("this browser has no WebGL2");
@@ -30,23 +33,23 @@ export class Gpu {
     this.build();
   }
 
-  // The deepest level that is held of any part.
+  // The deepest level of any part that fits into textures.
   get deepest() {
     return Math.max(...this.parts.map((part) => part.deepest));
   }
 
-  // Make everything anew, as after a lost context.
+  // Create all GPU objects, at first and after a lost context.
   build() {
     this.programs.clear();
-    this.pictures = {};
+    this.targets = {};
     for (const part of this.parts) part.build(this.gl);
     this.light = this.studioLight();
   }
 
-  // A texture of the studio's numbers, see light.glsl.
+  // Create the texture of the studio light, see light.glsl.
   studioLight() {
     const { gl } = this, [{ numbers }, bytes] = this.studio, rows = Math.ceil(numbers / ROW), halves = new Uint16Array(ROW * rows);
-    planes(bytes, numbers, 0).forEach((step, n) => (halves[n] = (n ? halves[n - 1] : 0) + signed(step)));
+    fromBytePlanes(bytes, numbers, 0).forEach((step, n) => (halves[n] = (n ? halves[n - 1] : 0) + fromZigzag(step)));
     const texture = this.parts[0].texture(gl.R16F, rows);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ROW, rows, gl.RED, gl.HALF_FLOAT, halves);
     return texture;
@@ -64,11 +67,11 @@ export class Gpu {
     this.gl.uniform3fv(program.at("u_facings[0]"), FACINGS.flat());
   }
 
-  // Where the mesh is: at a time of an animation.
-  setMotion(program, part, { animation, time }) {
+  // Set the uniforms that pose a part at a time of an animation.
+  setPose(program, part, { animation, time }) {
     const { gl } = this, { motion, frames, header } = part;
-    if (!frames.has(animation)) frames.set(animation, part.numbers(motion.animations[animation].texels));
-    const { before, after, share } = motion.at(animation, time);
+    if (!frames.has(animation)) frames.set(animation, part.floatTexture(motion.animations[animation].texels));
+    const { before, after, share } = motion.framesAt(animation, time);
     this.bind(program, { u_links: part.links, u_frames: frames.get(animation) }, MOTION_UNIT);
     gl.uniform2i(program.at("u_frame"), before, after);
     gl.uniform1f(program.at("u_share"), share);
@@ -77,7 +80,7 @@ export class Gpu {
     gl.uniform4f(program.at("u_root"), ...header.origin, header.size);
   }
 
-  // Give a program textures by their names, in units from one on.
+  // Bind textures to a program's samplers, by name, to units from `first` on.
   bind(program, textures, first = 0, kind = this.gl.TEXTURE_2D) {
     const { gl } = this;
     Object.entries(textures).forEach(([name, texture], n) => {
@@ -88,12 +91,12 @@ export class Gpu {
     gl.activeTexture(gl.TEXTURE0);
   }
 
-  // Make an octree ready to be looked up, with other textures by their names.
-  setTree(program, part, look, textures = {}) {
+  // Bind an octree and other textures to a program, and set its uniforms.
+  setOctree(program, part, display, textures = {}) {
     const { gl } = this, { octree } = part;
     part.stores.forEach(({ name, kind, texture }, unit) => this.bind(program, { [name]: texture }, unit, kind));
     this.bind(program, textures, part.stores.length);
-    for (const [name, value] of Object.entries(walkUniforms(octree, Math.min(look.level, part.deepest)))) {
+    for (const [name, value] of Object.entries(walkUniforms(octree, Math.min(display.level, part.deepest)))) {
       if (Array.isArray(value)) gl.uniform3ui(program.at(name), ...value);
       else gl.uniform1i(program.at(name), value);
     }
@@ -104,49 +107,49 @@ export class Gpu {
     this.gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
   }
 
-  // Draw the picture in so many pixels, or only a part of it (left, bottom, width, height) where nothing else has changed,
-  // or that is `near` what has: see surface.frag.
-  // Before there is a mesh this makes its programs ready, while data comes.
-  draw(look, camera, width, height, only = null, near = null) {
+  // Draw the picture in a size, or only a part of it: `scissor` is a box (left, bottom, width, height), `region` a box of the
+  // root cell and of the picture, see isInRegion of surface.frag. The rest of the picture stays. While no mesh is loaded this
+  // compiles the programs.
+  draw(display, camera, width, height, scissor = null, region = null) {
     const { gl, canvas } = this;
     if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, width, height);
     gl.clearColor(...this.background);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    this.makesCubes = false; // whether there are more cubes to come
-    if (this.showsCubes(look)) this.drawCubes(look, camera);
-    else this.drawSurface({ ...look, near, only }, camera, width, height);
+    this.hasMoreCubes = false; // whether another frame will have more cubes
+    if (this.showsCubes(display)) this.drawCubes(display, camera);
+    else this.drawSurface({ ...display, region, scissor }, camera, width, height);
   }
 
-  // Draw where the surface rests that each pixel sees, of one pixel or of all: the nearest of some alpha. Translucent
-  // surfaces are in front of the opaque ones, which are drawn before them.
-  drawGBuffer(look, camera, target, width, height, { pixel = null, alphas = NEAREST } = {}) {
-    const { gl } = this, isOver = alphas === TRANSLUCENTS;
+  // Draw the G-buffer of a picture in a size, or of one pixel of it: the nearest surface whose alpha is in a range. The
+  // translucent one is drawn over the depth of the opaque one, and must be drawn after it.
+  drawGBuffer(display, camera, target, width, height, { pixel = null, alphas = ANY_ALPHA } = {}) {
+    const { gl } = this, isTranslucent = alphas === TRANSLUCENT_ONLY;
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.viewport(0, 0, target.width, target.height);
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
-    if (isOver) gl.clearBufferiv(gl.STENCIL, 0, [0]);
+    if (isTranslucent) gl.clearBufferiv(gl.STENCIL, 0, [0]);
     else gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.STENCIL_TEST);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.REPLACE);
     const draw = (part, isLayered) => {
       gl.stencilFunc(gl.ALWAYS, this.parts.indexOf(part) + 1, 255);
-      const planes = isLayered ? planesFor(part, { ...look, shown: "layers" }) : 0;
-      const program = this.programs.use(isLayered ? "layers" : "gbuffer", part, { ...look, shown: "layers" }, planes);
+      const layered = { ...display, mode: "layers" }, planes = isLayered ? planesFor(part, layered) : 0;
+      const program = this.programs.use(isLayered ? "layers" : "gbuffer", part, layered, planes);
       if (isLayered) {
-        this.setTree(program, part, look);
-        gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
+        this.setOctree(program, part, display);
+        gl.uniform1i(program.at("u_footprints"), display.footprints ? 1 : 0);
         gl.uniform2fv(program.at("u_alphas"), alphas);
       }
       this.setCamera(program, camera, pixel, [width, height]);
-      if (look.moved) this.setMotion(program, part, look.moved);
+      if (display.moment) this.setPose(program, part, display.moment);
       gl.bindVertexArray(part.surface);
       gl.drawElements(gl.TRIANGLES, part.mesh.triangles.length, gl.UNSIGNED_INT, 0);
     };
-    const isLayered = (part) => alphas !== NEAREST && part.hasAlpha, parts = this.parts.filter((part) => part.mesh);
-    if (!isOver) for (const part of parts) if (!isLayered(part)) draw(part, false);
+    const isLayered = (part) => alphas !== ANY_ALPHA && part.hasAlpha, parts = this.parts.filter((part) => part.mesh);
+    if (!isTranslucent) for (const part of parts) if (!isLayered(part)) draw(part, false);
     for (const part of parts) if (isLayered(part)) draw(part, true);
     gl.bindVertexArray(null);
     gl.disable(gl.DEPTH_TEST);
@@ -154,8 +157,8 @@ export class Gpu {
     gl.disable(gl.STENCIL_TEST);
   }
 
-  // Draw on a box (left, bottom, right, top) of a target.
-  drawOn({ buffer, width, height }, [left, bottom, right, top], draw) {
+  // Call `draw` with a box (left, bottom, right, top) of a target bound and scissored.
+  drawInBox({ buffer, width, height }, [left, bottom, right, top], draw) {
     const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
     gl.viewport(0, 0, width, height);
@@ -166,8 +169,8 @@ export class Gpu {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
-  // For each part, run a program that `use` makes ready for the pixels that see it, in tiles: see tiles.vert.
-  drawSeen({ width, height }, use) {
+  // Run a program for the pixels of the G-buffer that show each part, in tiles: see tiles.vert. `use` prepares the program.
+  drawVisible({ width, height }, use) {
     const { gl } = this, tiles = Math.ceil(width / TILE) * Math.ceil(height / TILE);
     gl.enable(gl.STENCIL_TEST);
     this.parts.forEach((part, number) => {
@@ -180,41 +183,41 @@ export class Gpu {
     gl.disable(gl.STENCIL_TEST);
   }
 
-  drawSurface(look, camera, width, height) {
-    const { gl } = this, { only } = look, isLayered = this.parts.some((part) => part.mesh && part.hasAlpha);
-    const gbuffer = this.targetOfTwo("gbuffer", width, height);
+  drawSurface(display, camera, width, height) {
+    const { gl } = this, { scissor, region } = display, isLayered = this.parts.some((part) => part.mesh && part.hasAlpha);
+    const gbuffer = this.uintTarget("gbuffer", width, height);
     const picture = this.target("picture", width, height, [gl.RGBA8], gbuffer);
-    if (only) {
+    if (scissor) {
       gl.enable(gl.SCISSOR_TEST);
-      gl.scissor(...only);
+      gl.scissor(...scissor);
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, picture.buffer);
     gl.clearColor(...this.background);
-    if (!look.near) gl.clear(gl.COLOR_BUFFER_BIT);
-    this.drawLayer(look, camera, gbuffer, picture, OPAQUES, {}, (only || look.near) && !isLayered);
+    if (!region) gl.clear(gl.COLOR_BUFFER_BIT);
+    this.drawLayer(display, camera, gbuffer, picture, OPAQUE_ONLY, { hasGBuffer: (scissor || region) && !isLayered });
     let last = picture;
     if (isLayered) {
       last = this.target("blended", width, height, [gl.RGBA8], gbuffer);
       this.copy(picture, last);
-      const behind = { u_background: picture.textures[0] };
-      this.drawLayer({ ...look, isOver: true }, camera, gbuffer, last, TRANSLUCENTS, behind);
+      const textures = { u_background: picture.textures[0] };
+      this.drawLayer({ ...display, isTranslucent: true }, camera, gbuffer, last, TRANSLUCENT_ONLY, { textures });
     }
     gl.disable(gl.SCISSOR_TEST);
     this.present(last);
   }
 
-  // Begin a picture of another size: it is what was drawn last, as large.
-  resize(look, camera, width, height) {
-    const { gl, canvas, pictures: { picture: last } } = this, small = last && this.target("small", last.width, last.height, [gl.RGBA8]);
+  // Begin a picture in another size: show the last one scaled to it.
+  resize(display, camera, width, height) {
+    const { gl, canvas, targets: { picture: last } } = this, small = last && this.target("small", last.width, last.height, [gl.RGBA8]);
     if (last) this.copy(last, small);
     [canvas.width, canvas.height] = [width, height];
-    const gbuffer = this.targetOfTwo("gbuffer", width, height), picture = this.target("picture", width, height, [gl.RGBA8], gbuffer);
+    const gbuffer = this.uintTarget("gbuffer", width, height), picture = this.target("picture", width, height, [gl.RGBA8], gbuffer);
     if (last) this.copy(small, picture);
-    this.drawGBuffer(look, camera, gbuffer, width, height, { alphas: OPAQUES });
+    this.drawGBuffer(display, camera, gbuffer, width, height, { alphas: OPAQUE_ONLY });
     this.present(picture);
   }
 
-  // Show a picture. Browsers take a canvas as drawn on once it was cleared.
+  // Copy a picture to the canvas. A browser shows the canvas only if it was cleared or drawn to; a blit alone is not enough.
   present(picture) {
     const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
@@ -227,70 +230,69 @@ export class Gpu {
     const { gl } = this, { width, height } = from;
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, from.buffer);
     gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, to.buffer);
-    const isLike = to.width === width && to.height === height;
-    gl.blitFramebuffer(0, 0, width, height, 0, 0, to.width, to.height, gl.COLOR_BUFFER_BIT, isLike ? gl.NEAREST : gl.LINEAR);
+    const isSameSize = to.width === width && to.height === height;
+    gl.blitFramebuffer(0, 0, width, height, 0, 0, to.width, to.height, gl.COLOR_BUFFER_BIT, isSameSize ? gl.NEAREST : gl.LINEAR);
   }
 
-  // Draw the nearest surface of some alpha, over what is `behind` it; `isKnown`: the G-buffer is drawn already. The octree of
-  // `look.beneath` is looked up instead of the part's own.
-  drawLayer(look, camera, gbuffer, target, alphas, behind = {}, isKnown = false) {
-    const { gl } = this, { width, height } = target, [u_positions, u_directions] = gbuffer.textures, drawn = { u_positions, u_directions, ...behind };
-    if (!isKnown) this.drawGBuffer(look, camera, gbuffer, width, height, { alphas });
-    if (look.paint) Object.assign(drawn, look.paint.textures);
-    const beside = this.parts.find((part) => showsSource(part, look));
-    if (beside) drawn.u_source = this.drawSource(beside, look, camera, gbuffer);
-    if (showsRelief(this.parts, look)) drawn.u_heights = this.drawHeights(look, camera, gbuffer, drawn);
+  // Draw the nearest surface with an alpha in a range, over `u_background` if `textures` have it. With `hasGBuffer` the
+  // G-buffer is drawn already. `display.composite` is an octree that is looked up instead of the parts'.
+  drawLayer(display, camera, gbuffer, target, alphas, { textures: more = {}, hasGBuffer = false } = {}) {
+    const { gl } = this, { width, height } = target, [u_positions, u_directions] = gbuffer.textures, textures = { u_positions, u_directions, ...more };
+    if (!hasGBuffer) this.drawGBuffer(display, camera, gbuffer, width, height, { alphas });
+    if (display.strokes) Object.assign(textures, display.strokes.textures);
+    const compared = this.parts.find((part) => showsSource(part, display));
+    if (compared) textures.u_source = this.drawSource(compared, display, camera, gbuffer);
+    if (showsRelief(this.parts, display)) textures.u_heights = this.drawHeights(display, camera, gbuffer, textures);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    this.drawSeen(gbuffer, (part, number) => this.useSurface(look.beneath ?? part, number, look, camera, drawn, target));
+    this.drawVisible(gbuffer, (part, number) => this.useSurface(display.composite ?? part, number, display, camera, textures, target));
   }
 
-  // Draw the heights of what is seen; returns the texture.
-  drawHeights(look, camera, gbuffer, drawn) {
-    const { gl } = this, target = this.target("heights", gbuffer.width, gbuffer.height, [gl.R32UI], gbuffer);
+  // Draw the height of the surface at each pixel; returns the texture.
+  drawHeights(display, camera, gbuffer, textures) {
+    const { gl } = this, { scissor } = display, target = this.target("heights", gbuffer.width, gbuffer.height, [gl.R32UI], gbuffer);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    const { only } = look; // relief is made of what is beside a pixel, too
-    if (only) gl.scissor(only[0] - 1, only[1] - 1, only[2] + 2, only[3] + 2);
-    if (!look.near) gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
-    this.drawSeen(gbuffer, (part, number) => this.useSurface(part, number, { ...look, shown: "height" }, camera, drawn, target));
-    if (only) gl.scissor(...only);
+    if (scissor) gl.scissor(scissor[0] - 1, scissor[1] - 1, scissor[2] + 2, scissor[3] + 2); // slopes need the neighbours too
+    if (!display.region) gl.clearBufferuiv(gl.COLOR, 0, [0, 0, 0, 0]);
+    this.drawVisible(gbuffer, (part, number) => this.useSurface(part, number, { ...display, mode: "height" }, camera, textures, target));
+    if (scissor) gl.scissor(...scissor);
     return target.textures[0];
   }
 
-  // Make ready what draws the surface of a part.
-  useSurface(part, number, look, camera, drawn, { width, height }) {
-    const { gl } = this, planes = planesFor(part, look), program = this.programs.use("surface", part, look, planes);
-    this.setTree(program, part, look, drawn);
+  // Prepare the program that draws the surface of a part.
+  useSurface(part, number, display, camera, textures, { width, height }) {
+    const { gl } = this, planes = planesFor(part, display), program = this.programs.use("surface", part, display, planes);
+    this.setOctree(program, part, display, textures);
     this.setLight(program);
     this.setColors(program);
-    look.paint?.set(program, width, height, planes);
-    gl.uniform1f(program.at("u_relief"), look.relief);
-    gl.uniform1f(program.at("u_divider"), look.divider * width);
+    display.strokes?.setUniforms(program, width, height, planes);
+    gl.uniform1f(program.at("u_relief"), display.relief);
+    gl.uniform1f(program.at("u_divider"), display.divider * width);
     gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
-    gl.uniform1i(program.at("u_kind"), KINDS[part.channel(look.channel)?.space] ?? 0);
-    gl.uniform1i(program.at("u_footprints"), look.footprints ? 1 : 0);
-    gl.uniform1i(program.at("u_hasRegion"), look.near ? 1 : 0);
-    if (look.near) {
-      const [low, high] = look.near;
+    gl.uniform1i(program.at("u_kind"), CHANNEL_KINDS[part.channel(display.channel)?.space] ?? 0);
+    gl.uniform1i(program.at("u_footprints"), display.footprints ? 1 : 0);
+    gl.uniform1i(program.at("u_hasRegion"), display.region ? 1 : 0);
+    if (display.region) {
+      const [low, high] = display.region;
       gl.uniform3fv(program.at("u_regionLow"), low.slice(0, 3));
       gl.uniform3fv(program.at("u_regionHigh"), high.slice(0, 3));
       gl.uniform4f(program.at("u_regionPart"), ...low.slice(3), ...high.slice(3));
       gl.uniform2f(program.at("u_size"), width, height);
     }
-    const marked = look.marked?.part === number ? look.marked : { index: [0, 0, 0], edge: 0 };
-    gl.uniform3fv(program.at("u_marked"), marked.index.map((n) => n * marked.edge));
-    gl.uniform1f(program.at("u_markedEdge"), marked.edge);
+    const { index, edge } = display.highlight?.part === number ? display.highlight : { index: [0, 0, 0], edge: 0 };
+    gl.uniform3fv(program.at("u_marked"), index.map((n) => n * edge));
+    gl.uniform1f(program.at("u_markedEdge"), edge);
   }
 
-  // Draw what the model's own images have of what is seen; returns the texture.
-  drawSource(part, look, camera, gbuffer) {
+  // Draw the colours of the model's own images; returns the texture.
+  drawSource(part, display, camera, gbuffer) {
     const { gl } = this, { width, height } = gbuffer;
     const target = this.target("source", width, height, [gl.SRGB8_ALPHA8], gbuffer);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.EQUAL);
-    const program = this.programs.use("source", part, look, 0);
+    const program = this.programs.use("source", part, display, 0);
     this.setCamera(program, camera);
-    if (look.moved) this.setMotion(program, part, look.moved);
+    if (display.moment) this.setPose(program, part, display.moment);
     gl.bindVertexArray(part.surface);
     part.source.draw(gl, program);
     gl.bindVertexArray(null);
@@ -299,35 +301,35 @@ export class Gpu {
     return target.textures[0];
   }
 
-  // The deepest level, up to the one that is wanted, whose cubes are no more than are drawn.
-  cubesLevel(look) {
-    const count = (level) => this.parts.reduce((sum, { octree }) => sum + octree.countAt(level), 0);
-    let level = look.level;
-    while (level > 0 && count(level) > this.mostCubes) level--;
+  // The deepest level, down to the chosen one, that has at most `maxCubes` cubes.
+  cubesLevel(display) {
+    const count = (level) => this.parts.reduce((sum, { octree }) => sum + octree.cubeCount(level), 0);
+    let level = display.level;
+    while (level > 0 && count(level) > this.maxCubes) level--;
     return level;
   }
 
-  // Cells of a level as cubes: colours, or which of them a pixel sees.
-  drawCubes(look, camera, pixel = null, picture = null) {
-    const { gl } = this, level = this.cubesLevel(look);
+  // Draw the cells of a level as cubes; for one pixel of a picture in a size, draw the cells' numbers.
+  drawCubes(display, camera, pixel = null, size = null) {
+    const { gl } = this, level = this.cubesLevel(display);
     gl.enable(gl.DEPTH_TEST);
     for (const [number, part] of this.parts.entries()) {
       if (part.octree.depth < 0) continue;
-      const { origin, size, channels, flags } = part.header, cubes = part.cubesAt(level);
-      this.makesCubes ||= !cubes.isComplete;
-      const channel = part.channel(look.shown === "channel" ? look.channel : "base_color") ?? channels[0];
-      const shown = { shown: "channel", channel: channel.name, picked: pixel };
-      const planes = 1 + Math.max(channel.at[0], look.shown === "facing" ? flags[0] : 0);
+      const { origin, size: edge, channels, flags } = part.header, cubes = part.cubesAt(level);
+      this.hasMoreCubes ||= !cubes.isComplete;
+      const channel = part.channel(display.mode === "channel" ? display.channel : "base_color") ?? channels[0];
+      const shown = { mode: "channel", channel: channel.name, isPicked: pixel !== null };
+      const planes = 1 + Math.max(channel.at[0], display.mode === "facing" ? flags[0] : 0);
       const program = this.programs.use("cubes", part, shown, planes);
-      this.setTree(program, part, look);
-      this.setCamera(program, camera, pixel, picture);
+      this.setOctree(program, part, display);
+      this.setCamera(program, camera, pixel, size);
       gl.uniform1ui(program.at("u_part"), number);
-      gl.uniform1i(program.at("u_kind"), KINDS[channel.space]);
-      gl.uniform1i(program.at("u_by"), CUBES_BY[look.shown] ?? 0);
+      gl.uniform1i(program.at("u_kind"), CHANNEL_KINDS[channel.space]);
+      gl.uniform1i(program.at("u_by"), CUBE_COLORS[display.mode] ?? 0);
       this.setColors(program);
       gl.uniform3fv(program.at("u_low"), origin);
-      gl.uniform1f(program.at("u_edge"), size);
-      gl.uniform3fv(program.at("u_camera"), camera.position.map((x, n) => (x - origin[n]) / size));
+      gl.uniform1f(program.at("u_edge"), edge);
+      gl.uniform3fv(program.at("u_camera"), camera.position.map((x, n) => (x - origin[n]) / edge));
       gl.bindVertexArray(cubes.array);
       gl.drawArraysInstanced(gl.TRIANGLES, 0, 18, cubes.count);
     }
@@ -335,83 +337,85 @@ export class Gpu {
     gl.bindVertexArray(null);
   }
 
-  showsCubes(look) {
-    return look.cubes || !this.parts.some((part) => part.header.mesh);
+  showsCubes(display) {
+    return display.cubes || !this.parts.some((part) => part.header.mesh);
   }
 
-  // How far along the view the surface is that a pixel sees, or the cube; or null.
-  awayAt(look, camera, pixel, [width, height]) {
-    if (this.showsCubes(look)) return this.probeCubes(look, camera, pixel, [width, height])?.away ?? null;
-    const target = this.targetOfTwo("probed away", 1, 1);
-    this.drawGBuffer({ ...look, asksAway: true }, camera, target, width, height, { pixel, alphas: SEEN });
-    return new Float32Array(this.words(target).buffer)[3] || null;
+  // The depth along the view of the surface or cube at a pixel; null for the background.
+  depthAt(display, camera, pixel, [width, height]) {
+    if (this.showsCubes(display)) return this.probeCubes(display, camera, pixel, [width, height])?.depth ?? null;
+    const target = this.uintTarget("probed depth", 1, 1);
+    this.drawGBuffer({ ...display, writesDepth: true }, camera, target, width, height, { pixel, alphas: VISIBLE });
+    return new Float32Array(this.readUints(target).buffer)[3] || null;
   }
 
-  // The cube that a pixel sees: its cell's number, x, y, z and level, the part's, and how far away it is; or null.
-  probeCubes(look, camera, pixel, size) {
-    const { gl } = this, target = this.targetOfTwo("probed cubes", 1, 1);
+  // The cell whose cube is at a pixel, with the part's number and the depth; null for the background.
+  probeCubes(display, camera, pixel, size) {
+    const { gl } = this, target = this.uintTarget("probed cubes", 1, 1);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.viewport(0, 0, 1, 1);
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
     gl.clearBufferfi(gl.DEPTH_STENCIL, 0, 1, 0);
-    this.drawCubes(look, camera, pixel, size);
-    const [[x, y, z, level], [cell, part, away, isSeen]] = [0, 1].map((number) => this.words(target, number));
-    return isSeen ? { cell, level, index: [x, y, z], edge: 2 ** -level, part, away: new Float32Array(Uint32Array.of(away).buffer)[0] } : null;
+    this.drawCubes(display, camera, pixel, size);
+    const [[x, y, z, level], [cell, part, depthBits, isHit]] = [0, 1].map((number) => this.readUints(target, number));
+    const [depth] = new Float32Array(Uint32Array.of(depthBits).buffer);
+    return isHit ? { cell, level, index: [x, y, z], edge: 2 ** -level, part, depth } : null;
   }
 
-  // Rest positions, footprints and looked-up values of pixels, the sides that they see and, fourth, the parts'
-  // numbers: of one that is seen, or of the nearest surface in a whole picture.
-  probe(look, camera, { width, height, pixel = null, plane = 0, footprint = -1 }) {
+  // Look up pixels: one of a picture in a size, or the whole picture. Returns four numbers a pixel: rest position and
+  // footprint; the values of a plane (of −1: alpha, the number of fetches, and fourth 1 for a hit); the facing side and the
+  // part's number.
+  probe(display, camera, { width, height, pixel = null, plane = 0, footprint = -1 }) {
     const { gl } = this, [w, h] = pixel ? [1, 1] : [width, height];
-    const gbuffer = this.targetOfTwo("probed gbuffer", w, h), values = this.targetOfTwo("probed values", w, h, gbuffer);
-    this.drawGBuffer(look, camera, gbuffer, width, height, { pixel, alphas: pixel ? SEEN : NEAREST });
+    const gbuffer = this.uintTarget("probed gbuffer", w, h), values = this.uintTarget("probed values", w, h, gbuffer);
+    this.drawGBuffer(display, camera, gbuffer, width, height, { pixel, alphas: pixel ? VISIBLE : ANY_ALPHA });
     gl.bindFramebuffer(gl.FRAMEBUFFER, values.buffer);
     for (const number of [0, 1]) gl.clearBufferuiv(gl.COLOR, number, [0, 0, 0, 0]);
-    this.drawSeen(gbuffer, (part, number) => {
-      const planes = part.header.planes.length, program = this.programs.use("probe", part, look, planes);
-      this.setTree(program, part, look, { u_positions: gbuffer.textures[0], u_directions: gbuffer.textures[1] });
-      gl.uniform1f(program.at("u_width"), look.footprints ? footprint : 0);
+    this.drawVisible(gbuffer, (part, number) => {
+      const planes = part.header.planes.length, program = this.programs.use("probe", part, display, planes);
+      this.setOctree(program, part, display, { u_positions: gbuffer.textures[0], u_directions: gbuffer.textures[1] });
+      gl.uniform1f(program.at("u_width"), display.footprints ? footprint : 0);
       gl.uniform1i(program.at("u_plane"), plane);
       gl.uniform1f(program.at("u_part"), number);
     });
-    const read = (target, number) => new Float32Array(this.words(target, number).buffer);
+    const read = (target, number) => new Float32Array(this.readUints(target, number).buffer);
     return { positions: read(gbuffer, 0), values: read(values, 0), normals: read(values, 1) };
   }
 
-  // What a box (left, bottom, right, top) of a target holds, the lowest row first, four numbers a pixel: whole numbers of one
-  // of its textures, or the codes of its only one.
-  words(target, number = 0, box = [0, 0, target.width, target.height]) {
-    const { gl } = this, found = new Uint32Array(4 * areaOf(box));
+  // Read a box (left, bottom, right, top) of one of a target's integer textures: four numbers a pixel, the lowest row first.
+  readUints(target, number = 0, box = [0, 0, target.width, target.height]) {
+    const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
     gl.readBuffer(gl.COLOR_ATTACHMENT0 + number);
-    return this.read(box, gl.RGBA_INTEGER, gl.UNSIGNED_INT, found);
+    return this.readPixels(box, gl.RGBA_INTEGER, gl.UNSIGNED_INT, new Uint32Array(4 * areaOf(box)));
   }
 
-  codes(target, box = [0, 0, target.width, target.height]) {
+  // The same of a target with one 8-bit texture.
+  readBytes(target, box = [0, 0, target.width, target.height]) {
     const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, target.buffer);
-    return this.read(box, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4 * areaOf(box)));
+    return this.readPixels(box, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4 * areaOf(box)));
   }
 
-  read([left, bottom, right, top], format, type, found) {
+  readPixels([left, bottom, right, top], format, type, values) {
     const { gl } = this;
-    gl.readPixels(left, bottom, right - left, top - bottom, format, type, found);
+    gl.readPixels(left, bottom, right - left, top - bottom, format, type, values);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    return found;
+    return values;
   }
 
-  // Wait until all is drawn.
+  // Wait until the GPU has drawn everything: reading a pixel blocks.
   finish() {
     const { gl } = this;
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4));
   }
 
-  // Targets of the G-buffer, or of what a probe reads there.
-  targetOfTwo(name, width, height, shared = null) {
+  // A target with two integer textures, as the G-buffer has.
+  uintTarget(name, width, height, shared = null) {
     return this.target(name, width, height, [this.gl.RGBA32UI, this.gl.RGBA32UI], shared);
   }
 
-  // Make a target's only texture 0.
+  // Clear a target's first texture to 0.
   clear({ buffer }) {
     const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
@@ -419,15 +423,15 @@ export class Gpu {
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
-  // Textures to draw to and to read; of each name the latest size is kept. Depth and what the surface covers may be
-  // another target's.
+  // A framebuffer with textures of these formats, created again when its size changes. It may share the depth and stencil
+  // buffer of another target.
   target(name, width, height, formats, shared = null) {
-    const { gl } = this, known = this.pictures[name];
-    if (known?.width === width && known.height === height && (!shared || known.depth === shared.depth)) return known;
-    if (known) {
-      known.textures.forEach((texture) => gl.deleteTexture(texture));
-      if (!shared) gl.deleteRenderbuffer(known.depth);
-      gl.deleteFramebuffer(known.buffer);
+    const { gl } = this, old = this.targets[name];
+    if (old?.width === width && old.height === height && (!shared || old.depth === shared.depth)) return old;
+    if (old) {
+      old.textures.forEach((texture) => gl.deleteTexture(texture));
+      if (!shared) gl.deleteRenderbuffer(old.depth);
+      gl.deleteFramebuffer(old.buffer);
     }
     const buffer = gl.createFramebuffer(), depth = shared?.depth ?? gl.createRenderbuffer(), textures = [];
     gl.bindFramebuffer(gl.FRAMEBUFFER, buffer);
@@ -444,6 +448,6 @@ export class Gpu {
     if (!shared) gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH24_STENCIL8, width, height);
     gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_STENCIL_ATTACHMENT, gl.RENDERBUFFER, depth);
     gl.drawBuffers(textures.map((_, number) => gl.COLOR_ATTACHMENT0 + number));
-    return (this.pictures[name] = { buffer, textures, depth, width, height });
+    return (this.targets[name] = { buffer, textures, depth, width, height });
   }
 }

@@ -1,86 +1,87 @@
-// Layers: the list of them, and what the chosen one is set to. The server has the paint; see layers.py.
+// The list of layers, and the settings of the active one. The server has their paint; see octex/painting/layers.py.
 
 import { element, make } from "./elements.js";
-import { BLENDS, act, check, choice, icon, percent, section, slider } from "./panel.js";
+import { BLENDS, check, choice, icon, iconButton, percent, section, slider } from "./panel.js";
 
 export class Layers {
   constructor(painting) {
     this.painting = painting;
-    this.stack = []; // from the lowest to the highest, as the server tells
-    this.chosen = null; // a layer's number; null: the texture itself
-    this.mask = false; // whether the chosen layer's mask is painted
-    this.wanted = 0; // layers that were asked for and are to be chosen
+    this.stack = []; // from the lowest to the highest
+    this.active = null; // the number of the layer to paint; null: the texture itself
+    this.mask = false; // paint the active layer's mask
+    this.expected = null; // the command whose new layer becomes active
   }
 
   build() {
-    const set = (name, text) => (value) => this.send("set", text, { [name]: value }), part = { min: 0, max: 1, step: 0.01 };
-    const opacity = slider("layer-opacity", "Opacity", part, (value) => (element("layer-opacity-text").textContent = percent(value)));
+    const set = (name, text) => (value) => this.send("set", text, { [name]: value });
+    const opacity = slider("layer-opacity", "Opacity", { min: 0, max: 1, step: 0.01 }, (value) => (element("layer-opacity-text").textContent = percent(value)));
     opacity[1].addEventListener("change", ({ target }) => set("opacity", "Opacity of a layer")(Number(target.value)));
-    const title = make("input", { type: "text", id: "layer-title", maxlength: 40, onchange: ({ target }) => (target.value.trim() ? set("title", "Rename a layer")(target.value.trim()) : this.show()) });
+    const rename = ({ target }) => (target.value.trim() ? set("title", "Rename a layer")(target.value.trim()) : this.show());
     return section("layers", "Layers",
       make("div", { class: "bar" },
-        act("layer-add", "more", "Add a layer above", () => this.make("add", "Add a layer")),
-        act("layer-up", "up", "Move the layer up", () => this.move(1)),
-        act("layer-down", "down", "Move the layer down", () => this.move(-1)),
-        act("layer-copy", "copy", "Copy the layer", () => this.make("copy", "Copy a layer")),
-        act("layer-merge", "merge", "Merge with the layer below", () => this.make("merge", "Merge layers")),
-        act("layer-delete", "remove", "Delete the layer", () => this.send("delete", "Delete a layer"))),
+        iconButton("layer-add", "more", "Add a layer above", () => this.sendNew("add", "Add a layer")),
+        iconButton("layer-up", "up", "Move the layer up", () => this.move(1)),
+        iconButton("layer-down", "down", "Move the layer down", () => this.move(-1)),
+        iconButton("layer-copy", "copy", "Duplicate the layer", () => this.sendNew("copy", "Copy a layer")),
+        iconButton("layer-merge", "merge", "Merge down", () => this.sendNew("merge", "Merge layers")),
+        iconButton("layer-delete", "remove", "Delete the layer", () => this.send("delete", "Delete a layer"))),
       make("ul", { id: "stack" }),
       make("div", { id: "layer" },
-        make("label", { for: "layer-title" }, "Name"), title,
+        make("label", { for: "layer-title" }, "Name"),
+        make("input", { type: "text", id: "layer-title", maxlength: 40, onchange: rename }),
         ...opacity,
         ...choice("layer-blend", "Blend mode", BLENDS, set("blend", "Blend mode of a layer")),
-        check("layer-mask", "has a mask", set("hasMask", "Mask of a layer")),
-        check("layer-masked", "paint the mask: the brush shows, the eraser hides", (mask) => this.choose(this.chosen, mask))));
+        check("layer-mask", "layer mask", set("hasMask", "Mask of a layer")),
+        check("layer-masked", "paint the mask: the brush shows, the eraser hides", (mask) => this.select(this.active, mask))));
   }
 
+  // The active layer; undefined for the texture itself.
   get layer() {
-    return this.stack.find(({ number }) => number === this.chosen);
+    return this.stack.find(({ number }) => number === this.active);
   }
 
-  // What commands that paint name.
+  // The fields of commands that paint.
   get target() {
-    return this.chosen === null ? {} : { layer: this.chosen, mask: this.mask };
+    return this.active === null ? {} : { layer: this.active, mask: this.mask };
   }
 
-  // Why nothing can be painted; or nothing.
-  get hindrance() {
+  // The reason why nothing can be painted, or "".
+  get blockReason() {
     return this.layer?.isVisible === false ? "This layer is hidden: show it to paint on it." : "";
   }
 
-  choose(number, mask = false) {
-    this.chosen = number;
+  select(number, mask = false) {
+    this.active = number;
     this.mask = mask && Boolean(this.layer?.hasMask);
-    this.painting.beneath.ask();
+    this.painting.preview.load();
     this.show();
   }
 
-  send(action, name, more = {}) {
-    this.painting.sending.send({ kind: "layer", name, action, ...(this.chosen === null ? {} : { layer: this.chosen }), ...more });
+  send(action, name, fields = {}) {
+    return this.painting.commands.send({ kind: "layer", name, action, ...(this.active === null ? {} : { layer: this.active }), ...fields });
   }
 
-  make(action, name) {
-    this.wanted += 1;
-    this.send(action, name);
+  // Send an action that makes a layer, which becomes active.
+  sendNew(action, name) {
+    this.expected = this.send(action, name);
   }
 
   move(by) {
     this.send("move", "Move a layer", { place: this.stack.indexOf(this.layer) + by });
   }
 
-  // The server has told of the stack as it is now.
-  arrived(stack = []) {
-    const known = new Set(this.stack.map(({ number }) => number)), fresh = stack.find(({ number }) => !known.has(number));
+  // Show the server's layers. `finished` is the number of this page's last finished command.
+  setStack(stack, finished) {
+    const known = new Set(this.stack.map(({ number }) => number)), added = stack.find(({ number }) => !known.has(number));
     this.stack = stack;
-    if (fresh && this.wanted) {
-      this.wanted -= 1;
-      this.chosen = fresh.number;
+    if (added && this.expected) {
+      this.active = added.number;
       this.mask = false;
     }
-    if (!this.layer) this.chosen = null;
+    if (this.expected?.number <= finished) this.expected = null;
+    if (!this.layer) this.active = null;
     this.mask &&= Boolean(this.layer?.hasMask);
-    if (stack.length) element("layers").open ||= !this.wasOpened;
-    this.wasOpened ||= stack.length > 0;
+    if (stack.length && !this.hasOpened) this.hasOpened = element("layers").open = true;
     this.show();
   }
 
@@ -102,12 +103,15 @@ export class Layers {
     element("layer-masked").parentElement.hidden = !layer.hasMask;
   }
 
+  // The row of a layer, or of the texture itself.
   row(layer) {
-    const number = layer?.number ?? null, isSeen = layer?.isVisible ?? true, title = layer?.title ?? "Texture";
-    const eye = make("button", { type: "button", class: "eye", title: isSeen ? "Hide" : "Show", "aria-label": `${isSeen ? "Hide" : "Show"} ${title}`, disabled: !layer, onclick: () => this.painting.sending.send({ kind: "layer", name: isSeen ? "Hide a layer" : "Show a layer", action: "set", layer: number, isVisible: !isSeen }) }, icon(isSeen ? "seen" : "hidden"));
-    const name = make("button", { type: "button", class: "name", "aria-current": number === this.chosen ? "true" : false, onclick: () => this.choose(number) }, title);
-    const how = layer ? [layer.blend === "over" ? "" : layer.blend, layer.opacity < 1 ? percent(layer.opacity) : ""].filter(Boolean).join(", ") : "";
-    name.append(make("small", {}, how));
-    return make("li", { class: isSeen ? "" : "unseen" }, eye, name);
+    const number = layer?.number ?? null, isVisible = layer?.isVisible ?? true, title = layer?.title ?? "Texture", action = isVisible ? "Hide" : "Show";
+    const toggle = () => this.painting.commands.send({ kind: "layer", name: `${action} a layer`, action: "set", layer: number, isVisible: !isVisible });
+    const eyeAttributes = { type: "button", class: "eye", title: action, "aria-label": `${action} ${title}`, disabled: !layer, onclick: toggle };
+    const eye = make("button", eyeAttributes, icon(isVisible ? "visible" : "hidden"));
+    const blending = layer ? [layer.blend === "over" ? "" : layer.blend, layer.opacity < 1 ? percent(layer.opacity) : ""].filter(Boolean).join(", ") : "";
+    const nameAttributes = { type: "button", class: "name", "aria-current": number === this.active ? "true" : false, onclick: () => this.select(number) };
+    const name = make("button", nameAttributes, title, make("small", {}, blending));
+    return make("li", { class: isVisible ? "" : "unseen" }, eye, name);
   }
 }

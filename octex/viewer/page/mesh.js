@@ -1,36 +1,36 @@
-// The mesh as it arrives. See pack.py.
+// Unpacks the mesh; octex/viewer/mesh.py describes its stream.
 
-import { planes } from "./octree.js";
+import { fromBytePlanes } from "./octree.js";
 
-export const signed = (number) => (number >>> 1) ^ -(number & 1);
+export const fromZigzag = (number) => (number >>> 1) ^ -(number & 1);
 
-function interleaved(columns, Kind, scale) {
-  const found = new Kind(columns.length * columns[0].length);
-  columns.forEach((column, k) => column.forEach((x, n) => (found[columns.length * n + k] = x * scale)));
-  return found;
+function interleaved(columns, Type, scale) {
+  const values = new Type(columns.length * columns[0].length);
+  columns.forEach((column, k) => column.forEach((x, n) => (values[columns.length * n + k] = x * scale)));
+  return values;
 }
 
-// A unit vector from its place on an unfolded octahedron.
-export function unfolded(x, y) {
+// The unit vector of a point (−1 … 1) on the unfolded octahedron.
+export function octahedronDirection(x, y) {
   const z = 1 - Math.abs(x) - Math.abs(y);
   if (z < 0) [x, y] = [(1 - Math.abs(y)) * (x < 0 ? -1 : 1), (1 - Math.abs(x)) * (y < 0 ? -1 : 1)];
   const length = Math.hypot(x, y, z) || 1;
   return [x / length, y / length, z / length];
 }
 
-// Positions at rest in the root cell and in the world, normals, all (n, 3); triangles; of a mesh that moves the
-// surface's vertices, which own these, and if it is posed the normals at rest; of one with maps coordinates (n, 2), and
-// colours (n, 3) in sRGB's codes; of one that is painted the numbers of its parts, if it has several.
+// Unpack a mesh: rest positions in the root cell, world positions and normals (3 a vertex), and triangles. Optional, else
+// null: `owners`, the surface's vertices, of an animated mesh; `restNormals` of one that is posed too; `uv` (2) and sRGB
+// `colors` (3) of a mesh with images; `parts`, the connected part of each vertex, of a mesh to paint.
 export function unpackedMesh(header, bytes, source) {
   const { vertices: count, low, edge } = header;
-  const { triangles, predictors, end } = followed(header, bytes);
+  const { triangles, predictors, end } = connectivity(header, bytes);
   let at = end;
-  const column = () => predicted(planes(bytes, count, (at += 4 * count) - 4 * count), predictors);
+  const column = () => predicted(fromBytePlanes(bytes, count, (at += 4 * count) - 4 * count), predictors);
   const columns = (n) => Array.from({ length: n }, column);
-  const steps = columns(3), flat = columns(2), posed = header.posed ? columns(3) : steps;
-  const owners = header.moves ? column() : null, flatRest = header.moves && header.posed ? columns(2) : null;
+  const steps = columns(3), octahedral = columns(2), posed = header.posed ? columns(3) : steps;
+  const owners = header.moves ? column() : null, restOctahedral = header.moves && header.posed ? columns(2) : null;
   const rest = new Float32Array(3 * count), positions = new Float32Array(3 * count), normals = new Float32Array(3 * count);
-  const upright = flatRest && new Float32Array(3 * count);
+  const restNormals = restOctahedral && new Float32Array(3 * count);
   const uv = source ? interleaved(columns(2), Float32Array, 2 ** -source.bits) : null;
   const colors = source?.hasColors ? interleaved(columns(3), Uint8Array, 1) : null, parts = header.parts ? Uint32Array.from(column()) : null;
   const scale = 2 ** -header.bits;
@@ -39,18 +39,18 @@ export function unpackedMesh(header, bytes, source) {
       rest[3 * n + axis] = steps[axis][n] * scale;
       positions[3 * n + axis] = low[axis] + posed[axis][n] * scale * edge;
     }
-    normals.set(unfolded(flat[0][n] / 1023, flat[1][n] / 1023), 3 * n);
-    upright?.set(unfolded(flatRest[0][n] / 1023, flatRest[1][n] / 1023), 3 * n);
+    normals.set(octahedronDirection(octahedral[0][n] / 1023, octahedral[1][n] / 1023), 3 * n);
+    restNormals?.set(octahedronDirection(restOctahedral[0][n] / 1023, restOctahedral[1][n] / 1023), 3 * n);
   }
-  return { rest, positions, normals, upright, triangles, owners, uv, colors, parts };
+  return { rest, positions, normals, restNormals, triangles, owners, uv, colors, parts };
 }
 
-// Triangles as they follow one another, and of each vertex the three that predict it: an edge's ends, and the vertex opposite.
-function followed(header, bytes) {
-  const corners = planes(bytes, header.corners, 0), triangles = new Uint32Array(3 * header.triangles), predictors = new Uint32Array(3 * header.vertices);
-  const waiting = []; // edges of triangles, by their first corner, the next one last
+// Decode the triangles, and the three vertices that predict each vertex: the ends of an edge, and the vertex opposite.
+function connectivity(header, bytes) {
+  const corners = fromBytePlanes(bytes, header.corners, 0), triangles = new Uint32Array(3 * header.triangles), predictors = new Uint32Array(3 * header.vertices);
+  const waiting = []; // edges of decoded triangles, by their first corner; the next one is last
   let corner = 0, edge = 4 * header.corners, last = 0, next = 0;
-  // The vertex of a corner; a new one is predicted.
+  // Read the vertex of a corner: one that is known, or a new one with its predictors.
   const vertex = (...predictor) => {
     const back = corners[corner++];
     if (back) return next - back;
@@ -77,12 +77,12 @@ function followed(header, bytes) {
   return { triangles, predictors, end: 4 * header.corners + header.edges };
 }
 
-// A column's numbers, of what they are less than what is predicted.
+// Add the parallelogram's prediction to each number of a column.
 function predicted(numbers, predictors) {
-  const found = new Int32Array(numbers.length);
-  found[0] = signed(numbers[0]);
+  const values = new Int32Array(numbers.length);
+  values[0] = fromZigzag(numbers[0]);
   for (let n = 1, at = 3; n < numbers.length; n++, at += 3) {
-    found[n] = found[predictors[at]] + found[predictors[at + 1]] - found[predictors[at + 2]] + signed(numbers[n]);
+    values[n] = values[predictors[at]] + values[predictors[at + 1]] - values[predictors[at + 2]] + fromZigzag(numbers[n]);
   }
-  return found;
+  return values;
 }

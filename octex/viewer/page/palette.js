@@ -1,11 +1,11 @@
-// The brush's colour, the colours that were used last, and brushes that are ready made.
+// The brush's colour, recent colours, and ready brushes.
 
 import { element, make } from "./elements.js";
 import { fromHex, toHex } from "./material.js";
 
-const MOST_USED = 9; // colours, which are one row
-// What each brush sets; size and colour stay.
-const PLAIN = { opacity: 1, flow: 1, spacing: 0.1, smoothing: 0, pressure: "size", blend: "over" };
+const MAX_RECENT = 9; // colours: one row
+const DEFAULTS = { opacity: 1, flow: 1, spacing: 0.1, smoothing: 0, pressure: "size", blend: "over" };
+// Ready brushes: what differs from the defaults. Size and colour stay.
 const BRUSHES = {
   Soft: { hardness: 0, pressure: "opacity" },
   Hard: { hardness: 0.9 },
@@ -14,8 +14,8 @@ const BRUSHES = {
   Dots: { hardness: 0.9, spacing: 1.5 },
 };
 
-// The codes of a colour that is written as three or six digits; null for anything else.
-function colorOf(text) {
+// Parse a colour of three or six hexadecimal digits; null for anything else.
+function parsedColor(text) {
   const [, digits] = /^#?([0-9a-f]{3}|[0-9a-f]{6})$/i.exec(text.trim()) ?? [];
   return digits ? fromHex(`#${digits.length === 3 ? digits.replace(/./g, "$&$&") : digits}`) : null;
 }
@@ -23,49 +23,48 @@ function colorOf(text) {
 export class Palette {
   constructor(painting) {
     this.painting = painting;
-    const swap = { type: "button", id: "other", title: "Change to the other colour (X)", onclick: () => painting.swap() };
-    this.parts = [
+    this.elements = [
       make("div", { class: "colors" },
         make("input", { type: "color", id: "color", "aria-label": "Colour", oninput: ({ target }) => painting.set({ color: fromHex(target.value) }) }),
-        make("button", swap),
-        make("input", { type: "text", id: "color-text", maxlength: 7, spellcheck: "false", autocomplete: "off", "aria-label": "Colour as hexadecimal digits", onchange: ({ target }) => this.read(target.value) })),
-      make("div", { id: "used", role: "group", "aria-label": "Colours used last" }),
-      make("div", { id: "brushes", role: "group", "aria-label": "Brushes" }, ...Object.entries(BRUSHES).map(([name, own]) => this.brush(name, { ...PLAIN, ...own }))),
+        make("button", { type: "button", id: "second-color", title: "Swap the two colours (X)", onclick: () => painting.swapColors() }),
+        make("input", { type: "text", id: "color-text", maxlength: 7, spellcheck: "false", autocomplete: "off", "aria-label": "Colour as hexadecimal digits", onchange: ({ target }) => this.setText(target.value) })),
+      make("div", { id: "recent", role: "group", "aria-label": "Recent colours" }),
+      make("div", { id: "brushes", role: "group", "aria-label": "Brushes" }, ...Object.entries(BRUSHES).map(([name, settings]) => this.brushButton(name, { ...DEFAULTS, ...settings }))),
     ];
   }
 
-  brush(name, settings) {
+  brushButton(name, settings) {
     const dab = make("i", { class: settings.spacing > 1 ? "dots" : "", style: `--hardness: ${100 * settings.hardness}%; --flow: ${Math.max(settings.flow, 0.5)}` });
-    return make("button", { type: "button", title: `${name} brush`, onclick: () => this.take(settings) }, dab, name);
+    return make("button", { type: "button", title: `${name} brush`, onclick: () => this.useBrush(settings) }, dab, name);
   }
 
-  take(settings) {
+  useBrush(settings) {
     const { painting } = this;
     painting.set(settings);
-    if (!painting.tool.hasRing) painting.choose("brush");
+    if (!painting.tool.hasRing) painting.selectTool("brush");
   }
 
-  read(text) {
-    const color = colorOf(text);
-    this.painting.say(color ? "" : "A colour is three or six hexadecimal digits, like #c83c28.");
+  setText(text) {
+    const color = parsedColor(text);
+    this.painting.showMessage(color ? "" : "A colour is three or six hexadecimal digits, like #c83c28.");
     this.painting.set(color ? { color } : {});
   }
 
-  // A colour is painted.
-  use(color) {
-    const { used } = this.painting.brush, isOther = (each) => toHex(each) !== toHex(color);
-    if (color) this.painting.set({ used: [color, ...used.filter(isOther)].slice(0, MOST_USED) });
+  // Add a painted colour to the recent ones.
+  addRecent(color) {
+    const { recent } = this.painting.brush, isOther = (each) => toHex(each) !== toHex(color);
+    if (color) this.painting.set({ recent: [color, ...recent.filter(isOther)].slice(0, MAX_RECENT) });
   }
 
   show() {
-    const { painting } = this, { color, used } = painting.brush, list = element("used");
+    const { painting } = this, { color, recent } = painting.brush, list = element("recent");
     element("color").value = element("color-text").value = toHex(color);
-    element("other").style.background = toHex(painting.other);
-    used.forEach((each, n) => {
-      const button = list.children[n] ?? list.appendChild(make("button", { type: "button", onclick: () => painting.set({ color: painting.brush.used[n] }) }));
+    element("second-color").style.background = toHex(painting.secondColor);
+    recent.forEach((each, n) => {
+      const button = list.children[n] ?? list.appendChild(make("button", { type: "button", onclick: () => painting.set({ color: painting.brush.recent[n] }) }));
       button.title = toHex(each);
       button.style.background = toHex(each);
     });
-    while (list.children.length > used.length) list.lastChild.remove();
+    while (list.children.length > recent.length) list.lastChild.remove();
   }
 }

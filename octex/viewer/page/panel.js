@@ -1,7 +1,8 @@
-// What controls are made of.
+// Icons, and controls with labels.
 
-import { make } from "./elements.js";
+import { make, makeSvg } from "./elements.js";
 
+// Paths of icons, 24 × 24.
 const ICONS = {
   brush: "M20.7 3.3a2 2 0 0 0-2.8 0l-9 9 2.8 2.8 9-9a2 2 0 0 0 0-2.8zM7.5 13.7c-2 0-3.3 1.5-3.3 3.3 0 1.4-.8 2.2-2 2.5.9 1 2.3 1.6 3.8 1.6 2.6 0 4.7-1.8 4.7-4.2 0-1.8-1.4-3.2-3.2-3.2z",
   pick: "M20.5 3.5a2.6 2.6 0 0 0-3.7 0l-2.6 2.6-1.1-1.1-1.6 1.6 1.2 1.2L5 15.4 4 20l4.6-1 7.6-7.7 1.2 1.2 1.6-1.6-1.1-1.1 2.6-2.6a2.6 2.6 0 0 0 0-3.7zM7.7 17.3l-1.5.4.4-1.5 6.9-7 1.2 1.2z",
@@ -23,35 +24,31 @@ const ICONS = {
   copy: "M8 3h12v14H8zm2.2 2.2v9.6h7.6V5.2zM4 7h2.2v11.8H16V21H4z",
   merge: "M4 4h16v2.2H4zm0 13.8h16V20H4zM10.8 7.5h2.4v4.6l2-2L16.9 11.8 12 16.6 7.1 11.8l1.7-1.7 2 2z",
   remove: "M9 3h6l1 2h4v2.2H4V5h4zM5.5 8.6h13L17.6 21H6.4zm4 2.2v8h1.6v-8zm3.4 0v8h1.6v-8z",
-  seen: "M12 5C6.5 5 2.7 9.4 1.5 12c1.2 2.6 5 7 10.5 7s9.3-4.4 10.5-7C21.3 9.4 17.5 5 12 5zm0 2.2c3.8 0 6.7 2.8 8 4.8-1.3 2-4.2 4.8-8 4.8S5.3 14 4 12c1.3-2 4.2-4.8 8-4.8zm0 1.6a3.2 3.2 0 1 0 0 6.4 3.2 3.2 0 0 0 0-6.4z",
+  visible: "M12 5C6.5 5 2.7 9.4 1.5 12c1.2 2.6 5 7 10.5 7s9.3-4.4 10.5-7C21.3 9.4 17.5 5 12 5zm0 2.2c3.8 0 6.7 2.8 8 4.8-1.3 2-4.2 4.8-8 4.8S5.3 14 4 12c1.3-2 4.2-4.8 8-4.8zm0 1.6a3.2 3.2 0 1 0 0 6.4 3.2 3.2 0 0 0 0-6.4z",
   hidden: "m3.5 2.5-1.5 1.5 4 4C3.7 9.3 2.2 11 1.5 12c1.2 2.6 5 7 10.5 7 1.7 0 3.2-.4 4.5-1l4 4 1.5-1.5zM12 16.8c-3.8 0-6.7-2.8-8-4.8.700-1.1 1.9-2.4 3.5-3.4l1.7 1.7A3.2 3.2 0 0 0 13.6 15l1.2 1.2c-.9.4-1.8.600-2.8.600zM12 5c5.5 0 9.3 4.4 10.5 7-.5 1.1-1.5 2.5-2.9 3.8L18 14.2c.9-.7 1.5-1.5 2-2.2-1.3-2-4.2-4.8-8-4.8-.6 0-1.1.100-1.7.200L8.5 5.6A11 11 0 0 1 12 5z",
   fold: "m12 16.5-8.5-8.5 1.7-1.7 6.8 6.8 6.8-6.8 1.7 1.7z",
   theme: "M12 2a10 10 0 1 0 0 20 10 10 0 0 0 0-20zm0 2.4v15.2a7.6 7.6 0 0 1 0-15.2z",
 };
 
-// How paint or a layer combines with what is below, and what that is called.
+// Blend modes of paint and layers, with their names.
 export const BLENDS = [["over", "normal"], ["multiply", "multiply"], ["screen", "screen"], ["add", "add"]];
 
-export function icon(name) {
-  const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg"), path = document.createElementNS(svg.namespaceURI, "path");
-  svg.setAttribute("viewBox", "0 0 24 24");
-  svg.setAttribute("aria-hidden", "true");
-  path.setAttribute("d", ICONS[name]);
-  svg.append(path);
-  return svg;
-}
+export const icon = (name) => makeSvg("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, makeSvg("path", { d: ICONS[name] }));
 
-// A button of the bar, with a name for those who do not see its icon.
-export const act = (id, name, title, run) => make("button", { type: "button", id, title, "aria-label": title, onclick: run }, icon(name));
+// A button with an icon; the title is also its name for screen readers.
+export const iconButton = (id, name, title, onclick) => make("button", { type: "button", id, title, "aria-label": title, onclick }, icon(name));
 
-// A label with what its slider is set to, and the slider.
+export const button = (id, text, onclick) => make("button", { type: "button", id, onclick }, text);
+
+// A slider, after a label that shows its value.
 export const slider = (id, text, attributes, set) => [
   make("label", { for: id }, text, make("output", { id: `${id}-text`, for: id })),
   make("input", { type: "range", id, ...attributes, oninput: ({ target }) => set(Number(target.value)) }),
 ];
 
-// A box to tick, and a choice of one thing with its label.
 export const check = (id, text, set) => make("label", { class: "check" }, make("input", { type: "checkbox", id, oninput: ({ target }) => set(target.checked) }), text);
+
+// A list to choose from, after its label; `options` are pairs of value and text.
 export const choice = (id, text, options, set) => [
   make("label", { for: id }, text),
   make("select", { id, oninput: ({ target }) => set(target.value) }, ...options.map(([value, name]) => new Option(name, value))),
@@ -59,43 +56,44 @@ export const choice = (id, text, options, set) => [
 
 export const percent = (share) => `${Math.round(100 * share)} %`;
 
-// Controls of settings, which they show: of what `read` returns, each by its name. `change` takes others.
+// A part of the panel that opens and closes.
+export const section = (id, text, ...children) => make("details", { id }, make("summary", {}, text), ...children);
+
+// Controls of an object's settings. `read` returns the object; `change` is called with the settings that a control changes.
 export class Settings {
   constructor(prefix, read, change) {
-    Object.assign(this, { prefix, read, change, shown: [] });
+    Object.assign(this, { prefix, read, change, updates: [] });
   }
 
   set(name) {
     return (value) => this.change({ [name]: value });
   }
 
-  // `say` tells what it is set to; it is disabled where `isUseful` is not so.
-  slider(name, text, attributes, say = percent, isUseful = () => true) {
+  // `textOf` returns the text of a value; the slider is disabled unless `isUsed` of all settings.
+  slider(name, text, attributes, textOf = percent, isUsed = () => true) {
     const made = slider(this.prefix + name, text, attributes, this.set(name)), [label, input] = made;
-    this.shown.push((settings) => {
+    this.updates.push((settings) => {
       input.value = settings[name];
-      label.lastChild.textContent = say(settings[name]);
-      input.disabled = !isUseful(settings);
+      label.lastChild.textContent = textOf(settings[name]);
+      input.disabled = !isUsed(settings);
     });
     return made;
   }
 
   check(name, text) {
     const made = check(this.prefix + name, text, this.set(name));
-    this.shown.push((settings) => (made.firstChild.checked = settings[name]));
+    this.updates.push((settings) => (made.firstChild.checked = settings[name]));
     return made;
   }
 
   choice(name, text, options, change = this.set(name)) {
     const made = choice(this.prefix + name, text, options, change);
-    this.shown.push((settings) => (made[1].value = settings[name]));
+    this.updates.push((settings) => (made[1].value = settings[name]));
     return made;
   }
 
+  // Show the current settings.
   show() {
-    for (const show of this.shown) show(this.read());
+    for (const update of this.updates) update(this.read());
   }
 }
-
-// What is opened when it is needed.
-export const section = (id, text, ...children) => make("details", { id }, make("summary", {}, text), ...children);

@@ -1,9 +1,10 @@
-// A texture and its mesh: of a set, one of several. What the GPU holds of them.
+// A texture and its mesh in GPU memory; the page of a set has several parts.
 
-import { MORE, Octree, ROW } from "./octree.js";
-import { patch } from "./patch.js";
+import { GROWTH, Octree, ROW } from "./octree.js";
+import { applyChange } from "./change.js";
 
-const PIECES = 20; // milliseconds of a picture in which cells become cubes
+const CUBES_TIME = 20; // milliseconds in each frame to make cubes of cells
+const CUBE_BYTES = 20;
 
 export class Part {
   constructor(header) {
@@ -16,10 +17,10 @@ export class Part {
 
   // The deepest level whose rows fit into this GPU's textures.
   get deepest() {
-    return this.octree.deepestIn(this.mostRows);
+    return this.octree.deepestIn(this.maxRows);
   }
 
-  // The lowest and the highest corner of what is drawn.
+  // The lowest and the highest corner of the mesh, or of the root cell.
   get bounds() {
     const { origin, size } = this.header, { mesh } = this;
     if (!mesh) return [origin, origin.map((x) => x + size)];
@@ -31,7 +32,7 @@ export class Part {
     return [low, high];
   }
 
-  // Whether some of it may be translucent, as far as its data has come.
+  // Whether loaded cells may be translucent.
   get hasAlpha() {
     return this.octree.depth >= 0 && this.channel("alpha")?.components === 1;
   }
@@ -40,49 +41,44 @@ export class Part {
     return this.header.channels.find((channel) => channel.name === name);
   }
 
-  // Make everything anew, as after a lost context.
+  // Create all GPU objects, at first and after a lost context.
   build(gl) {
     const { octree } = this;
     this.gl = gl;
-    this.buildTree();
+    this.createStores();
     const last = octree.tables.kept + octree.tables.split ? octree.planes[0].length / 4 : octree.cells[octree.depth + 1];
     const entries = [0, octree.entries.length / 2];
     if (octree.depth >= 0) this.upload({ nodes: [0, octree.nodes[octree.depth]], cells: [0, last], entries });
-    if (this.mesh) this.takeMesh(this.mesh);
-    if (this.motion && this.mesh.owners) this.takeMotion(this.motion);
+    if (this.mesh) this.setMesh(this.mesh);
+    if (this.motion && this.mesh.owners) this.setMotion(this.motion);
     this.source?.build(gl);
     this.cubes = null;
   }
 
-  // What the GPU holds of the octree: textures of words, of tables, and one of a layer a plane for those that are sRGB,
-  // and for the others.
-  buildTree() {
-    const { gl, octree } = this, { planes } = octree.header, two = [gl.RG_INTEGER, gl.UNSIGNED_INT], four = [gl.RGBA, gl.UNSIGNED_BYTE];
-    const store = (name, size, format, known, read, kind = gl.TEXTURE_2D) => ({ name, size, format, known, read, kind, texture: null, rows: 0 });
-    const layered = (name, format, isSrgb) => store(name, 4, format, four, () => octree.planes.filter((_, n) => planes[n] === isSrgb), gl.TEXTURE_2D_ARRAY);
-    const all = [store("u_nodes", 2, gl.RG32UI, two, () => [octree.words]), store("u_entries", 2, gl.RG32UI, two, () => [octree.entries])];
+  // Create the octree's textures: nodes, entries, and an array texture each for sRGB planes and for other planes. A store is
+  // a texture with the arrays (`read`) whose rows it holds.
+  createStores() {
+    const { gl, octree } = this, { planes } = octree.header, pairs = [gl.RG_INTEGER, gl.UNSIGNED_INT], bytes = [gl.RGBA, gl.UNSIGNED_BYTE];
+    const store = (name, size, format, source, read, kind = gl.TEXTURE_2D) => ({ name, size, format, source, read, kind, texture: null, rows: 0 });
+    const layered = (name, format, isSrgb) => store(name, 4, format, bytes, () => octree.planes.filter((_, n) => planes[n] === isSrgb), gl.TEXTURE_2D_ARRAY);
+    const all = [store("u_nodes", 2, gl.RG32UI, pairs, () => [octree.words]), store("u_entries", 2, gl.RG32UI, pairs, () => [octree.entries])];
     all.push(layered("u_srgb", gl.SRGB8_ALPHA8, true), layered("u_linear", gl.RGBA8, false));
     this.stores = all.filter((each) => each.read().length);
     for (const each of this.stores) this.allocate(each);
   }
 
-  // The arrays that textures hold, with their rows.
-  get held() {
-    return this.stores.flatMap(({ read, size, rows }) => read().map((array) => ({ array, size, rows })));
-  }
-
-  // Make a texture for arrays, with room for a part more.
-  allocate(store, more = 0) {
+  // Create the texture of a store, with spare room as a share of its size.
+  allocate(store, room = 0) {
     const arrays = store.read();
-    store.rows = Math.min(Math.ceil((arrays[0].length / (store.size * ROW)) * (1 + more)), this.mostRows);
+    store.rows = Math.min(Math.ceil((arrays[0].length / (store.size * ROW)) * (1 + room)), this.maxRows);
     store.texture = this.texture(store.format, store.rows, store.kind === this.gl.TEXTURE_2D ? 0 : arrays.length);
   }
 
-  get mostRows() {
+  get maxRows() {
     return this.gl.getParameter(this.gl.MAX_TEXTURE_SIZE);
   }
 
-  // A texture of rows, or of several layers of them.
+  // Create a texture of ROW texels a row; an array texture if it has layers.
   texture(format, rows, layers = 0) {
     const { gl } = this, texture = gl.createTexture(), kind = layers ? gl.TEXTURE_2D_ARRAY : gl.TEXTURE_2D;
     gl.bindTexture(kind, texture);
@@ -93,84 +89,84 @@ export class Part {
     return texture;
   }
 
-  // Send the rows from one up to another; returns how many.
-  send({ read, size, known, kind, texture, rows }, begin, end) {
+  // Upload texture rows `begin` … `end - 1` of a store; returns how many, of all layers.
+  uploadRows({ read, size, source, kind, texture, rows }, begin, end) {
     const { gl } = this, count = Math.min(end, rows) - begin, arrays = read();
     if (count <= 0) return 0;
     gl.bindTexture(kind, texture);
     arrays.forEach((array, layer) => {
-      const part = array.subarray(size * ROW * begin, size * ROW * (begin + count));
-      if (kind === gl.TEXTURE_2D) gl.texSubImage2D(kind, 0, 0, begin, ROW, count, ...known, part);
-      else gl.texSubImage3D(kind, 0, 0, begin, layer, ROW, count, 1, ...known, part);
+      const texels = array.subarray(size * ROW * begin, size * ROW * (begin + count));
+      if (kind === gl.TEXTURE_2D) gl.texSubImage2D(kind, 0, 0, begin, ROW, count, ...source, texels);
+      else gl.texSubImage3D(kind, 0, 0, begin, layer, ROW, count, 1, ...source, texels);
     });
     return count * arrays.length;
   }
 
-  // Send the rows that hold some nodes and cells.
-  upload({ nodes, cells, entries = [0, 0] }) {
+  // Upload the texture rows of ranges of nodes, cells and entries.
+  upload({ nodes, cells, entries }) {
     for (const store of this.stores) {
       const [first, end] = { u_nodes: nodes, u_entries: entries }[store.name] ?? cells;
-      this.send(store, Math.floor(first / ROW), Math.ceil(end / ROW));
+      this.uploadRows(store, Math.floor(first / ROW), Math.ceil(end / ROW));
     }
   }
 
-  // Take a change of the octree: only rows that differ are sent. Textures that get too small are made anew, with room
-  // for what comes next. `added` are values of channels that it did not have, if the channels are others. Returns how many
-  // rows were sent.
+  // Apply a change of the octree, and upload the texture rows that differ; textures that are too small are created again with
+  // spare room. `added` has the values of new channels, if there are any. Returns the number of rows uploaded.
   change(header, counts, bytes, added) {
     const { octree } = this;
     if (added) {
       octree.relayout(header, added);
       Object.assign(this.header, { channels: header.channels, area: header.area, flags: header.flags, planes: header.planes });
-      this.free();
-      this.buildTree();
+      this.freeStores();
+      this.createStores();
     }
-    const { nodes, entries, cells } = patch(octree, header, counts, bytes);
+    const { nodes, entries, cells } = applyChange(octree, header, counts, bytes);
     octree.header = Object.assign(this.header, header);
-    let sent = 0;
+    let uploaded = 0;
     for (const store of this.stores) {
       const marks = { u_nodes: nodes, u_entries: entries }[store.name] ?? cells;
-      const rows = Math.min(marks.length, this.mostRows), isSmall = rows > store.rows, fits = !isSmall && !added;
+      const rows = Math.min(marks.length, this.maxRows), isSmall = rows > store.rows, fits = !isSmall && !added;
       if (isSmall) {
         this.gl.deleteTexture(store.texture);
-        this.allocate(store, MORE);
+        this.allocate(store, GROWTH);
       }
       for (let begin = 0, end; begin < rows; begin = end + 1) {
         for (end = begin; end < rows && (!fits || marks[end]); ) end++;
-        sent += this.send(store, begin, end);
+        uploaded += this.uploadRows(store, begin, end);
       }
     }
-    this.cubes = null;
-    return sent;
+    this.freeCubes();
+    return uploaded;
   }
 
-  // Keep nothing but what the GPU has: it is only looked up.
-  keepOnGpu() {
+  // Free the arrays that the GPU has a copy of: the octree can then be looked up, but not changed.
+  freeArrays() {
     const { octree } = this;
     octree.words = octree.planes = octree.owners = null;
   }
 
-  free() {
+  freeStores() {
     for (const { texture } of this.stores) this.gl.deleteTexture(texture);
   }
 
-  takeMesh(mesh) {
+  setMesh(mesh) {
     const { gl } = this;
     this.mesh = mesh;
     this.surface = gl.createVertexArray();
     gl.bindVertexArray(this.surface);
-    const { buffers } = Object.assign(this.surface, { buffers: [] }), buffer = (kind, array) => {
+    const { buffers } = Object.assign(this.surface, { buffers: [] });
+    const buffer = (kind, array) => {
       buffers.push(gl.createBuffer());
       gl.bindBuffer(kind, buffers.at(-1));
       gl.bufferData(kind, array, gl.STATIC_DRAW);
     };
-    const attribute = (place, array, components, type) => {
+    const attribute = (location, array, components, type) => {
       buffer(gl.ARRAY_BUFFER, array);
-      gl.enableVertexAttribArray(place);
-      gl.vertexAttribPointer(place, components, type, type !== gl.FLOAT, 0, 0);
+      gl.enableVertexAttribArray(location);
+      gl.vertexAttribPointer(location, components, type, type !== gl.FLOAT, 0, 0);
     };
-    [mesh.rest, mesh.positions, mesh.normals].forEach((array, place) => attribute(place, array, 3, gl.FLOAT));
-    if (mesh.upright) attribute(6, mesh.upright, 3, gl.FLOAT);
+    [mesh.rest, mesh.positions, mesh.normals].forEach((array, location) => attribute(location, array, 3, gl.FLOAT));
+    if (mesh.restNormals) attribute(6, mesh.restNormals, 3, gl.FLOAT);
     if (mesh.uv) attribute(4, mesh.uv, 2, gl.FLOAT);
     if (mesh.colors) attribute(5, mesh.colors, 3, gl.UNSIGNED_BYTE);
     gl.vertexAttrib3f(5, 1, 1, 1);
@@ -184,76 +180,80 @@ export class Part {
     gl.bindVertexArray(null);
   }
 
-  // Forget a mesh that was laid flat.
-  freeMesh(surface) {
+  // Free the vertex array of a mesh, and its buffers.
+  freeSurface(surface) {
     if (!surface) return;
     this.gl.deleteVertexArray(surface);
     for (const buffer of surface.buffers) this.gl.deleteBuffer(buffer);
   }
 
-  takeSource(source) {
+  setSource(source) {
     this.source = source;
     source.build(this.gl);
   }
 
-  // Take what moves the mesh: a texel an entry of its vertices, and of each animation one a row of a bone.
-  takeMotion(motion) {
+  // Create the textures of bone weights and of bones, and the vertex attribute that refers to them.
+  setMotion(motion) {
     const { gl } = this;
     this.motion = motion;
-    this.links = this.numbers(motion.links);
-    this.frames = new Map();
+    this.links = this.floatTexture(motion.links);
+    this.frames = new Map(); // by animation: its texture, which is created when it is first shown
     gl.bindVertexArray(this.surface);
     gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ARRAY_BUFFER, motion.linksOf(this.mesh.owners), gl.STATIC_DRAW);
+    gl.bufferData(gl.ARRAY_BUFFER, motion.rangesOf(this.mesh.owners), gl.STATIC_DRAW);
     gl.enableVertexAttribArray(3);
     gl.vertexAttribIPointer(3, 4, gl.UNSIGNED_INT, 0, 0);
     gl.bindVertexArray(null);
   }
 
-  // A texture of numbers, four in a texel.
-  numbers(values) {
-    const { gl } = this, rows = Math.max(Math.ceil(values.length / 4 / ROW), 1), made = this.texture(gl.RGBA32F, rows);
+  // Create a texture of numbers, four a texel.
+  floatTexture(values) {
+    const { gl } = this, rows = Math.max(Math.ceil(values.length / 4 / ROW), 1), texture = this.texture(gl.RGBA32F, rows);
     const padded = new Float32Array(4 * ROW * rows);
     padded.set(values);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, ROW, rows, gl.RGBA, gl.FLOAT, padded);
-    return made;
+    return texture;
   }
 
-  // The cells of a level as cubes: those that are ready, and more of them at each call.
+  // Make instances of cubes of the cells of a level. Each call makes more of them, until `isComplete`.
   cubesAt(wanted) {
     const { gl, octree } = this, level = Math.min(wanted, octree.depth, this.deepest);
     if (this.cubes?.level !== level || this.cubes.depth !== octree.depth) this.beginCubes(level);
-    const { cubes } = this, end = performance.now() + PIECES;
+    const { cubes } = this, end = performance.now() + CUBES_TIME;
     if (cubes.isComplete) return cubes;
     const before = cubes.count;
     while (!cubes.isComplete && performance.now() < end) {
-      const { value, done } = cubes.pieces.next();
+      const { value, done } = cubes.counts.next();
       cubes.isComplete = done;
       cubes.count = value ?? cubes.count;
     }
     gl.bindBuffer(gl.ARRAY_BUFFER, cubes.buffer);
-    gl.bufferSubData(gl.ARRAY_BUFFER, 20 * before, cubes.cells.subarray(5 * before, 5 * cubes.count));
+    gl.bufferSubData(gl.ARRAY_BUFFER, CUBE_BYTES * before, cubes.cells.subarray(5 * before, 5 * cubes.count));
     if (cubes.isComplete) cubes.cells = null;
     return cubes;
   }
 
   beginCubes(level) {
     const { gl, octree } = this;
-    if (this.cubes) {
-      gl.deleteBuffer(this.cubes.buffer);
-      gl.deleteVertexArray(this.cubes.array);
-    }
-    const cells = new Uint32Array(5 * octree.countAt(level)), array = gl.createVertexArray(), buffer = gl.createBuffer();
+    this.freeCubes();
+    const cells = new Uint32Array(5 * octree.cubeCount(level)), array = gl.createVertexArray(), buffer = gl.createBuffer();
     gl.bindVertexArray(array);
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
     gl.bufferData(gl.ARRAY_BUFFER, cells.byteLength, gl.STATIC_DRAW);
-    for (const [place, components, offset] of [[0, 4, 0], [1, 1, 16]]) {
-      gl.enableVertexAttribArray(place);
-      gl.vertexAttribIPointer(place, components, gl.UNSIGNED_INT, 20, offset);
-      gl.vertexAttribDivisor(place, 1);
+    for (const [location, components, offset] of [[0, 4, 0], [1, 1, 16]]) {
+      gl.enableVertexAttribArray(location);
+      gl.vertexAttribIPointer(location, components, gl.UNSIGNED_INT, CUBE_BYTES, offset);
+      gl.vertexAttribDivisor(location, 1);
     }
     gl.bindVertexArray(null);
-    const pieces = octree.cubes(level, cells);
-    this.cubes = { level, depth: octree.depth, array, buffer, cells, pieces, count: 0, isComplete: false };
+    const counts = octree.cubes(level, cells);
+    this.cubes = { level, depth: octree.depth, array, buffer, cells, counts, count: 0, isComplete: false };
+  }
+
+  freeCubes() {
+    if (!this.cubes) return;
+    this.gl.deleteBuffer(this.cubes.buffer);
+    this.gl.deleteVertexArray(this.cubes.array);
+    this.cubes = null;
   }
 }

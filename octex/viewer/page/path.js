@@ -1,36 +1,44 @@
-// The way of a pen through the places that its events tell, as a smooth curve. It ends at the pen: it needs no place
-// that is still to come.
+// The path of a brush: a smooth curve through the places of pointer events, and a string that smooths a pen's moves.
 
-const CORNER = Math.PI * 0.4; // the pen has turned by so much, in radians, at a corner, which stays one
-const STEP = Math.PI / 36; // that lines of the curve turn by
+const CORNER = Math.PI * 0.4; // radians: sharper turns of the pen stay corners
+const STEP = Math.PI / 36; // radians between the lines of the curve
 
 const wrapped = (angle) => angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));
 
+// A curve that ends at the last place: it does not wait for the next one.
 export class Path {
-  // A place is x, y and numbers that go evenly from one place to the next.
-  constructor(at) {
-    this.at = at;
-    this.way = null; // the direction, in radians, that it has come in
+  // A place is x, y and other numbers, which are interpolated linearly.
+  constructor(place) {
+    this.place = place;
+    this.direction = null; // radians, at the end of the last line
   }
 
-  // Go on to a place; returns lines of the curve, each from one place to another.
+  // Continue to a place; returns the lines of the curve, each a pair of places.
   to(next) {
-    const from = this.at, across = next[0] - from[0], down = next[1] - from[1], length = Math.hypot(across, down);
-    this.at = next;
+    const from = this.place, across = next[0] - from[0], down = next[1] - from[1], length = Math.hypot(across, down);
+    this.place = next;
     if (!length) return [[from, next]];
-    const straight = Math.atan2(down, across), turn = this.way === null ? 0 : wrapped(this.way - straight);
-    const begin = Math.abs(turn) < CORNER ? turn : 0, end = -begin / 2; // of an arc it were −begin, which sways
+    const straight = Math.atan2(down, across), turn = this.direction === null ? 0 : wrapped(this.direction - straight);
+    const begin = Math.abs(turn) < CORNER ? turn : 0, end = -begin / 2; // an arc would end at −begin, but then curves oscillate
     const count = Math.ceil((Math.abs(begin - end) + 1e-9) / STEP), lines = [];
-    this.way = straight + end;
-    const [x0, y0, x1, y1] = [straight + begin, this.way].flatMap((way) => [length * Math.cos(way), length * Math.sin(way)]);
+    this.direction = straight + end;
+    const [x0, y0, x1, y1] = [straight + begin, this.direction].flatMap((angle) => [length * Math.cos(angle), length * Math.sin(angle)]);
     for (let n = 1, last = from; n <= count; n++) {
-      const t = n / count, out = t * (1 - t) * (1 - t), into = t * t * (t - 1), share = t * t * (3 - 2 * t); // Hermite's
-      const at = from.map((number, k) => number + t * (next[k] - number));
-      at[0] = from[0] + share * across + out * x0 + into * x1;
-      at[1] = from[1] + share * down + out * y0 + into * y1;
-      lines.push([last, at]);
-      last = at;
+      const t = n / count, out = t * (1 - t) * (1 - t), into = t * t * (t - 1), share = t * t * (3 - 2 * t); // Hermite basis
+      const place = from.map((number, k) => number + t * (next[k] - number));
+      place[0] = from[0] + share * across + out * x0 + into * x1;
+      place[1] = from[1] + share * down + out * y0 + into * y1;
+      lines.push([last, place]);
+      last = place;
     }
     return lines;
   }
+}
+
+// The place of a brush that the pen at `pen` pulls by a string of a length in pixels.
+export function pulled(brush, pen, length) {
+  if (!length) return pen;
+  const [x, y] = [0, 1].map((k) => brush[k] - pen[k]), distance = Math.hypot(x, y);
+  if (distance <= length) return brush;
+  return [pen[0] + (x * length) / distance, pen[1] + (y * length) / distance, ...pen.slice(2)];
 }

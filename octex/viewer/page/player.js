@@ -1,20 +1,20 @@
-// Plays the model's animations: which one, at what time.
+// Plays the model's animations.
 
 import { element } from "./elements.js";
 
 export class Player {
-  // `changed` is called with where the mesh is to be drawn: an animation and a time, or null as it stands.
+  // `changed` is called with the animation's number and time, or with null for the model without animation.
   constructor(header, changed) {
     this.animations = header.animations;
     this.number = -1;
     this.time = 0;
-    this.since = null; // when it was last moved on, while it plays
+    this.steppedAt = null; // time of the last step; null while it does not play
     this.changed = changed;
-    const names = [header.start === "rest" ? "as it is posed" : "as it rests", ...this.animations.map((each) => each.name)];
+    const names = [header.start === "rest" ? "pose of the file" : "rest pose", ...this.animations.map((each) => each.name)];
     element("animation").replaceChildren(...names.map((name, n) => new Option(name, n - 1)));
     element("player").hidden = false;
     element("animation").addEventListener("input", (event) => this.choose(Number(event.target.value)));
-    element("play").addEventListener("click", () => this.play(this.since === null));
+    element("play").addEventListener("click", () => this.play(this.steppedAt === null));
     element("time").addEventListener("input", (event) => {
       const time = Number(event.target.value);
       this.play(false);
@@ -25,24 +25,23 @@ export class Player {
 
   choose(number) {
     this.number = number;
-    const length = this.animations[number]?.length ?? 0;
     element("animation").value = number;
-    element("time").max = length;
+    element("time").max = this.animations[number]?.length ?? 0;
     element("time").disabled = number < 0;
     if (number < 0) this.play(false);
     this.seek(0);
   }
 
-  // Play, the first animation if none is chosen, or stop.
+  // Play or pause; without a chosen animation the first one is played.
   play(on) {
     if (on && this.number < 0) this.choose(0);
-    this.since = on ? performance.now() : null;
+    this.steppedAt = on ? performance.now() : null;
     element("play").textContent = on ? "Pause" : "Play";
     this.seek(this.time);
   }
 
   stop() {
-    if (this.since !== null) this.play(false);
+    if (this.steppedAt !== null) this.play(false);
   }
 
   seek(time) {
@@ -52,11 +51,11 @@ export class Player {
     this.changed(this.number < 0 ? null : { animation: this.number, time });
   }
 
-  // Move on to now; says whether anything plays.
+  // Advance to `now`; returns whether an animation plays.
   step(now) {
-    if (this.since === null) return false;
-    const { length } = this.animations[this.number], seconds = (now - this.since) / 1000;
-    this.since = now;
+    if (this.steppedAt === null) return false;
+    const { length } = this.animations[this.number], seconds = (now - this.steppedAt) / 1000;
+    this.steppedAt = now;
     this.seek(length > 0 ? (this.time + Math.max(seconds, 0)) % length : 0);
     return true;
   }

@@ -1,12 +1,13 @@
-// Shaders, compiled for what is shown of a part: which channels there are and where, and what is drawn of them.
+// Compiles programs for a part's channels and the display mode, and keeps them.
 
 import { readShaders } from "./data.js";
-import { lanesOf, planeLines, repeated, sumOf, walkLines } from "./field.js";
+import { swizzleOf, planeDefines, withEachPlane, channelSum, walkDefines } from "./walk.js";
 
 const FILES = ["directions.glsl", "walk.glsl", "colors.glsl", "light.glsl", "screen.vert", "gbuffer.frag", "source.frag", "tiles.vert"];
 for (const name of ["surface", "cubes"]) FILES.push(`${name}.vert`, `${name}.frag`);
 export const MATERIALS = ["base_color", "metallic", "roughness", "occlusion", "emissive", "specular", "normal", "height"];
 export const TILE = 16; // pixels along the sides of tiles, see tiles.vert
+// The vertex shader and the parts of the fragment shader of each kind of program.
 const STAGES = {
   gbuffer: ["surface.vert", ["directions.glsl", "gbuffer.frag"]],
   layers: ["surface.vert", ["directions.glsl", "walk.glsl", "gbuffer.frag"]],
@@ -20,7 +21,9 @@ const STAGES = {
   outline: ["screen.vert", ["directions.glsl", "outline.frag"]],
 };
 
-export const readPrograms = () => readShaders(FILES);
+const LOOKUPS = ["layers", "surface", "probe", "cubes"]; // programs that look the octree up; others are the same in all display modes
+
+export const readViewerShaders = () => readShaders(FILES);
 
 export class Programs {
   constructor(gl, shaders, parts) {
@@ -29,28 +32,28 @@ export class Programs {
   }
 
   clear() {
-    this.known = new Map();
+    this.compiled = new Map();
   }
 
   get size() {
-    return this.known.size;
+    return this.compiled.size;
   }
 
-  // A program that draws or probes, for what is shown of a part; it is in use then.
-  use(kind, part, look, planes) {
-    const defines = this.defines(kind, part, look, planes), key = `${kind}\n${defines}`;
-    if (!this.known.has(key)) this.known.set(key, this.compiled(kind, defines, planes));
-    const program = this.known.get(key);
+  // Use the program of a kind for a part, compiled if it is new.
+  use(kind, part, display, planes) {
+    const defines = this.defines(kind, part, display, planes), key = `${kind}\n${defines}`;
+    if (!this.compiled.has(key)) this.compiled.set(key, this.compile(kind, defines, planes));
+    const program = this.compiled.get(key);
     this.gl.useProgram(program.handle);
     return program;
   }
 
-  compiled(kind, defines, planes) {
+  compile(kind, defines, planes) {
     const { gl, shaders } = this, handle = gl.createProgram(), [vertex, fragment] = STAGES[kind];
     const head = `#version 300 es\n#define TILE ${TILE}\n${defines}\n`;
-    const all = repeated(fragment.map((name) => shaders[name]).join(""), planes);
-    const check = (is, log) => {
-      if (!gl.isContextLost() && !is) throw new Error(`${kind}: ${log}`);
+    const all = withEachPlane(fragment.map((name) => shaders[name]).join(""), planes);
+    const check = (isGood, log) => {
+      if (!gl.isContextLost() && !isGood) throw new Error(`${kind}: ${log}`);
     };
     const sources = [[gl.VERTEX_SHADER, head + shaders[vertex]], [gl.FRAGMENT_SHADER, head + all]];
     for (const [type, source] of sources) {
@@ -62,32 +65,35 @@ export class Programs {
     }
     gl.linkProgram(handle);
     check(gl.getProgramParameter(handle, gl.LINK_STATUS), gl.getProgramInfoLog(handle));
-    const places = {};
-    return { handle, at: (name) => (places[name] ??= gl.getUniformLocation(handle, name)) };
+    const locations = {};
+    return { handle, at: (name) => (locations[name] ??= gl.getUniformLocation(handle, name)) };
   }
 
-  // Where channels are, among the first planes, and what is shown, as the shaders name it.
-  defines(kind, part, look, planes) {
-    const { paint } = look;
-    if (kind === "gbuffer" || kind === "source") look = { moved: look.moved, asksAway: look.asksAway, asksPart: look.asksPart, shown: kind };
+  // Define the display mode, and how to read the channels in the first planes.
+  defines(kind, part, display, planes) {
+    const { strokes, moment, writesDepth, writesPart } = display;
+    const looksUp = LOOKUPS.includes(kind);
+    if (!looksUp) display = { moment, writesDepth, writesPart, mode: kind };
     const { mesh, motion, channels } = part.header, isCubes = kind === "cubes";
-    const lines = [`#define SHOWS_${kind === "probe" ? "PROBE" : look.shown.toUpperCase()}`];
-    lines.push(...planeLines(part.header, planes), ...walkLines(isCubes ? { ...part.header, kept: 0 } : part.header, look.facing && !isCubes, look.filter));
-    const flags = { PROBE: kind === "probe", PICKED: look.picked };
-    Object.assign(flags, { MOVED: look.moved, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || look.moved });
-    Object.assign(flags, { TURNS: look.moved && motion?.turns });
-    Object.assign(flags, { SOURCE: kind === "source", COMPARES: kind === "surface" && showsSource(part, look) });
-    Object.assign(flags, { LAYERED: kind === "layers", AWAY: look.asksAway, PARTS: look.asksPart, BLENDS: kind === "surface" && look.isOver });
-    Object.assign(flags, { RELIEF: kind === "surface" && showsRelief(this.parts, look) });
-    Object.assign(flags, { KNOWN: look.beneath, PAINTS: paint && ["gbuffer", "layers", "surface"].includes(kind) });
+    const lines = [`#define SHOWS_${kind === "probe" ? "PROBE" : display.mode.toUpperCase()}`];
+    const header = isCubes ? { ...part.header, kept: 0 } : part.header;
+    if (looksUp) lines.push(...planeDefines(header, planes), ...walkDefines(header, display.facing && !isCubes, display.filter));
+    const flags = {
+      PROBE: kind === "probe", PICKED: display.isPicked, SOURCE: kind === "source", LAYERED: kind === "layers",
+      MOVED: moment, FROM_REST: motion?.start === "rest", POSED: mesh?.posed || moment, TURNS: moment && motion?.turns,
+      AWAY: writesDepth, PARTS: writesPart, KNOWN: display.composite,
+      COMPARES: kind === "surface" && showsSource(part, display), BLENDS: kind === "surface" && display.isTranslucent,
+      RELIEF: kind === "surface" && showsRelief(this.parts, display),
+      PAINTS: strokes && ["gbuffer", "layers", "surface"].includes(kind),
+    };
     for (const [name, is] of Object.entries(flags)) if (is) lines.push(`#define ${name}`);
     const define = (name, text) => lines.push(`#define ${name} ${text}`);
     for (const channel of channels) {
       const { name, components, at } = channel;
       if (at[0] >= planes) continue;
-      if (MATERIALS.includes(name) && (name !== "height" || components === 1)) define(name.toUpperCase(), sumOf(channel));
-      if (name !== look.channel) continue;
-      const color = (from) => (components === 2 ? `vec3(${from}.${lanesOf(channel)}, 0.0)` : `vec3(${from}.${lanesOf(channel)})`);
+      if (MATERIALS.includes(name) && (name !== "height" || components === 1)) define(name.toUpperCase(), channelSum(channel));
+      if (name !== display.channel) continue;
+      const color = (from) => (components === 2 ? `vec3(${from}.${swizzleOf(channel)}, 0.0)` : `vec3(${from}.${swizzleOf(channel)})`);
       define("CHANNEL", name === "alpha" ? "vec3(g_alpha)" : color(`g_sum${at[0]}`));
       define("CHANNEL_AT(at)", `PLANE${at[0]}(at)`);
       define("CHANNEL_STORED", color("stored"));
@@ -96,25 +102,25 @@ export class Programs {
   }
 }
 
-// Whether the source is shown beside the octree.
-export function showsSource(part, look) {
-  const isColor = ["lit", "unlit"].includes(look.shown) || (look.shown === "channel" && look.channel === "base_color");
-  return Boolean(part.source && isColor && look.divider > 0);
+// Whether the model's images are shown beside the octree.
+export function showsSource(part, display) {
+  const isColor = ["lit", "unlit"].includes(display.mode) || (display.mode === "channel" && display.channel === "base_color");
+  return Boolean(part.source && isColor && display.divider > 0);
 }
 
-// How many planes of a part are read to show something.
-export function planesFor(part, look) {
+// The number of planes that a display mode reads.
+export function planesFor(part, display) {
   const read = ["alpha"];
-  if (look.shown === "lit") read.push(...MATERIALS);
-  if (look.shown === "height") read.push("height");
-  if (look.shown === "unlit") read.push("base_color", "emissive");
-  if (["channel", "spread"].includes(look.shown)) read.push(look.channel);
-  const known = read.map((name) => part.channel(name)).filter(Boolean).map((channel) => channel.at[0]);
-  if (look.shown === "facing" || look.facing || part.header.kept) known.push(part.header.flags[0]);
-  return Math.max(0, ...known) + 1;
+  if (display.mode === "lit") read.push(...MATERIALS);
+  if (display.mode === "height") read.push("height");
+  if (display.mode === "unlit") read.push("base_color", "emissive");
+  if (["channel", "spread"].includes(display.mode)) read.push(display.channel);
+  const planes = read.map((name) => part.channel(name)).filter(Boolean).map((channel) => channel.at[0]);
+  if (display.mode === "facing" || display.facing || part.header.kept) planes.push(part.header.flags[0]);
+  return Math.max(0, ...planes) + 1;
 }
 
-// Whether heights bend the light.
-export function showsRelief(parts, look) {
-  return look.shown === "lit" && look.relief > 0 && parts.some((part) => part.channel("height")?.components === 1);
+// Whether heights change the shading.
+export function showsRelief(parts, display) {
+  return display.mode === "lit" && display.relief > 0 && parts.some((part) => part.channel("height")?.components === 1);
 }

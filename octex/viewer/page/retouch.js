@@ -1,194 +1,192 @@
-// Tools that paint with colours that the view sees: clone, smudge, blur and sharpen. What they paint are pictures of the
-// view, a texel a pixel, made by retouch.frag where the brush comes.
+// Tools that paint with the colours of the view: clone, smudge, blur and sharpen. Each makes a picture of the view, one texel
+// a pixel, which retouch.frag draws where the brush comes.
 
+import { clippedBox, grownBox, movedBox } from "./boxes.js";
 import { BrushDrag } from "./brush.js";
-import { clipped } from "./dabs.js";
 import { element, make } from "./elements.js";
 import { Settings, section } from "./panel.js";
 import { planesFor } from "./programs.js";
 
-const TILE = 16; // pixels along the sides of squares that are drawn or not yet; neighbours in a row are drawn at once
-const COPY = 0, BLUR = 1, SMUDGE = 2; // as retouch.frag names them; beneath.js has one more
-const REACH = 2.5; // of a blur, in standard deviations
-const SHARPER = -1; // how much is added of what a blur would take away
-const DABS = 8; // of a smudge, within the brush's fading edge: fewer leave ribs
-const CARRIED = 0.97; // what part of a colour a dab takes along, at most
-const LEAST_WIDTH = 1, MOST_WIDTH = 20;
-const SAME = 0.02; // how far from the source, in the model's radius, is what hides it
+const TILE = 16; // pixels along the sides of tiles, in which colours of the view are drawn
+const COPY = 0, BLUR = 1, SMUDGE = 2; // as u_action has them
+const BLUR_REACH = 2.5; // standard deviations
+const SHARPEN = -1; // share of the blur to add: below 0 it is taken away
+const SMUDGE_DABS = 8; // within the fading edge of the brush: fewer dabs leave ribs
+const SMUDGE_SHARE = 0.97; // the most that a dab carries along
+const MIN_RADIUS = 1, MAX_RADIUS = 20; // pixels of the blur
+const SAME_SURFACE = 0.02; // of the model's radius: farther in front, something hides the clone source
 
-const grown = ([left, bottom, right, top], x, y) => [left - x, bottom - y, right + x, top + y];
-const moved = ([left, bottom, right, top], [x, y]) => [left + x, bottom + y, right + x, top + y];
-
-// What is looked up of it: all of its colours, or an octree that is `beneath`.
-function lookOf({ viewer: { gpu, look, parts }, strokes }, beneath, channel) {
-  const facing = (beneath ? [beneath] : parts).some(({ header }) => header.split[0] > 0);
-  const paint = beneath ? null : Object.create(strokes, { current: { value: null } });
-  const shown = { shown: "channel", channel, filter: "quadratic", footprints: true, level: gpu.deepest };
-  return { ...look, ...shown, facing, paint, beneath, divider: 0, marked: null };
+// The display of plain colours in a channel: of the page, or of a composite (see preview.js).
+function colorDisplay({ viewer: { gpu, display, parts }, strokes }, composite, channel) {
+  const facing = (composite ? [composite] : parts).some(({ header }) => header.split[0] > 0);
+  const sentStrokes = composite ? null : Object.create(strokes, { current: { value: null } });
+  const plain = { mode: "channel", channel, filter: "quadratic", footprints: true, level: gpu.deepest, divider: 0, highlight: null };
+  return { ...display, ...plain, facing, strokes: sentStrokes, composite };
 }
 
-// Compile what draws it, so that a first stroke does not wait for that.
-export function prepare(painting, beneath = null, channel = "base_color") {
-  const { gpu, parts: [part], look } = painting.viewer, seen = lookOf(painting, beneath, channel);
-  gpu.programs.use("surface", beneath ?? part, seen, planesFor(beneath ?? part, seen));
-  gpu.programs.use("retouch", part, look, 0);
+// Compile the programs, so that the first stroke does not wait for them.
+export function compilePrograms(painting, composite = null, channel = "base_color") {
+  const { gpu, parts: [part], display } = painting.viewer, plain = colorDisplay(painting, composite, channel);
+  gpu.programs.use("surface", composite ?? part, plain, planesFor(composite ?? part, plain));
+  gpu.programs.use("retouch", part, display, 0);
 }
 
-// The colours of the surface without light, as the view sees them; drawn where they are needed. Alpha 0: none.
-export class Seen {
-  // `drawn` is called with each box that gets drawn; `beneath` is an octree that is looked up instead, in a channel.
-  constructor({ viewer, strokes }, drawn = () => {}, beneath = null, channel = "base_color") {
+// The colours of the view without light, drawn on demand. The background has alpha 0.
+export class ViewColors {
+  // `drawn` is called with each box that is drawn. With a `composite`, its octree is looked up, in a channel.
+  constructor({ viewer, strokes }, { drawn = () => {}, composite = null, channel = "base_color" } = {}) {
     const { gpu } = viewer;
-    strokes.fit();
+    strokes.prepareView();
     this.size = strokes.size;
     this.viewer = viewer;
     this.drawn = drawn;
     this.gbuffer = strokes.gbuffer;
-    this.target = gpu.target(`seen${beneath ? ` ${channel} beneath` : ""}`, ...this.size, [gpu.gl.RGBA8], this.gbuffer);
-    this.across = Math.ceil(this.size[0] / TILE);
-    this.known = new Set();
-    this.look = lookOf({ viewer, strokes }, beneath, channel);
+    this.target = gpu.target(`view colors${composite ? ` of ${channel} in a composite` : ""}`, ...this.size, [gpu.gl.RGBA8], this.gbuffer);
+    this.columns = Math.ceil(this.size[0] / TILE);
+    this.drawnTiles = new Set();
+    this.display = colorDisplay({ viewer, strokes }, composite, channel);
   }
 
-  // Draw what there is of a box (left, bottom, right, top).
-  need(box) {
-    const [left, bottom, right, top] = clipped(box, this.size) ?? [0, 0, 0, 0], at = (pixel) => Math.floor(pixel / TILE), end = at(right - 1) + 1;
+  // Draw the missing tiles of a box; neighbours in a row are drawn at once.
+  require(box) {
+    const [left, bottom, right, top] = clippedBox(box, this.size) ?? [0, 0, 0, 0], at = (pixel) => Math.floor(pixel / TILE), end = at(right - 1) + 1;
     for (let row = at(bottom); row <= at(top - 1); row++) {
-      const isNew = (column) => column < end && !this.known.has(row * this.across + column);
+      const isMissing = (column) => column < end && !this.drawnTiles.has(row * this.columns + column);
       for (let column = at(left); column < end; column++) {
         const first = column;
-        for (; isNew(column); column++) this.known.add(row * this.across + column);
-        if (column > first) this.draw(clipped([first * TILE, row * TILE, column * TILE, (row + 1) * TILE], this.size));
+        for (; isMissing(column); column++) this.drawnTiles.add(row * this.columns + column);
+        if (column > first) this.draw(clippedBox([first * TILE, row * TILE, column * TILE, (row + 1) * TILE], this.size));
       }
     }
   }
 
   draw(box) {
     const { viewer: { gpu, camera }, target } = this, { gl } = gpu;
-    gpu.drawOn(target, box, () => {
+    gpu.drawInBox(target, box, () => {
       gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
-      gpu.drawLayer(this.look, camera, this.gbuffer, target, null, {}, true);
+      gpu.drawLayer(this.display, camera, this.gbuffer, target, null, { hasGBuffer: true });
     });
     this.drawn(box);
   }
 }
 
-// A picture that is made of what is seen: `ready` makes it within a box, before the brush covers that.
-export class Made {
-  constructor(painting, beneath = null) {
+// A picture that a stroke paints, made from colours of the view. `prepare` draws a box of it, before the brush covers that.
+export class Picture {
+  constructor(painting, composite = null) {
     this.gpu = painting.viewer.gpu;
-    this.seen = new Seen(painting, (box) => this.drawn(box), beneath);
-    this.made = this.target(beneath ? "led to" : "retouched");
-    [this.texture] = this.made.textures;
-    this.buffer = this.made.buffer;
+    this.colors = new ViewColors(painting, { drawn: (box) => this.colorsDrawn(box), composite });
+    this.target = this.newTarget(composite ? "preview" : "retouched");
+    [this.texture] = this.target.textures;
+    this.buffer = this.target.buffer;
   }
 
-  drawn() {}
+  colorsDrawn() {}
 
-  target(name) {
-    return this.gpu.target(name, ...this.seen.size, [this.gpu.gl.RGBA8]);
+  newTarget(name) {
+    return this.gpu.target(name, ...this.colors.size, [this.gpu.gl.RGBA8]);
   }
 
-  // Run retouch.frag from one target to another, within a box.
+  // Run retouch.frag from one target to another, in a box.
   run(action, from, to, box, { step = [0, 0], sigma = 1, share = 1, disc = [0, 0, 1, 1], before = from, paint = null } = {}) {
-    const { gpu, seen } = this, { gl } = gpu, { viewer } = seen, program = gpu.programs.use("retouch", viewer.parts[0], viewer.look, 0);
-    const part = clipped(box, seen.size);
-    if (!part) return;
-    gpu.bind(program, { u_from: from.textures[0], u_before: before.textures[0], u_positions: seen.gbuffer.textures[0], u_paint: paint ?? from.textures[0] });
+    const { gpu, colors } = this, { gl } = gpu, { viewer } = colors, program = gpu.programs.use("retouch", viewer.parts[0], viewer.display, 0);
+    const clipped = clippedBox(box, colors.size);
+    if (!clipped) return;
+    gpu.bind(program, { u_from: from.textures[0], u_before: before.textures[0], u_positions: colors.gbuffer.textures[0], u_paint: paint ?? from.textures[0] });
     gl.uniform1i(program.at("u_action"), action);
     gl.uniform2i(program.at("u_step"), ...step);
     gl.uniform1f(program.at("u_sigma"), sigma);
     gl.uniform1f(program.at("u_share"), share);
     gl.uniform4f(program.at("u_disc"), ...disc);
-    gpu.drawOn(to, part, () => gl.drawArrays(gl.TRIANGLES, 0, 3));
+    gpu.drawInBox(to, clipped, () => gl.drawArrays(gl.TRIANGLES, 0, 3));
   }
 }
 
-// What is seen, moved by whole pixels.
-class Copied extends Made {
-  constructor(painting, step) {
+// The view, moved by whole pixels.
+class ClonedPicture extends Picture {
+  constructor(painting, offset) {
     super(painting);
-    this.step = step;
+    this.offset = offset;
   }
 
-  ready(box) {
-    this.seen.need(moved(box, this.step.map((n) => -n)));
-    this.run(COPY, this.seen.target, this.made, box, { step: this.step });
+  prepare(box) {
+    this.colors.require(movedBox(box, this.offset.map((n) => -n)));
+    this.run(COPY, this.colors.target, this.target, box, { step: this.offset });
   }
 }
 
-// What is seen, blurred; or sharpened by a share below 0.
-class Blurred extends Made {
+// The view, blurred by a share; or sharpened, if that is below 0.
+class BlurredPicture extends Picture {
   constructor(painting, sigma, share) {
     super(painting);
     this.sigma = sigma;
     this.share = share;
-    this.rows = this.target("blurred rows");
+    this.rows = this.newTarget("blurred rows");
   }
 
-  ready(box) {
-    const { sigma, share, rows, seen: { target } } = this, reach = Math.ceil(REACH * sigma);
-    this.seen.need(grown(box, reach, reach));
-    this.run(BLUR, target, rows, grown(box, 0, reach), { step: [1, 0], sigma });
-    this.run(BLUR, rows, this.made, box, { step: [0, 1], sigma, share, before: target });
+  prepare(box) {
+    const { sigma, share, rows, colors: { target } } = this, reach = Math.ceil(BLUR_REACH * sigma);
+    this.colors.require(grownBox(box, reach, reach));
+    this.run(BLUR, target, rows, grownBox(box, 0, reach), { step: [1, 0], sigma });
+    this.run(BLUR, rows, this.target, box, { step: [0, 1], sigma, share, before: target });
   }
 }
 
-// What is seen, dragged along by the brush.
-class Smudged extends Made {
+// The view, whose colours the brush drags along.
+class SmudgedPicture extends Picture {
   constructor(painting, share, hardness) {
     super(painting);
     this.share = share;
     this.hardness = hardness;
-    this.at = null;
-    this.copy = this.target("smudged before");
+    this.place = null; // of the last dab
+    this.copy = this.newTarget("smudged before");
   }
 
-  // Begin with what is seen.
-  drawn(box) {
-    this.run(COPY, this.seen.target, this.made, box);
+  // Begin with the colours of the view.
+  colorsDrawn(box) {
+    this.run(COPY, this.colors.target, this.target, box);
   }
 
-  ready(box, from, to) {
+  prepare(box, from, to) {
     const radius = to[2];
-    this.at ??= from.slice(0, 2).map(Math.round);
-    const far = Math.hypot(to[0] - this.at[0], to[1] - this.at[1]), step = Math.max((radius * (1 - this.hardness)) / DABS, 1), dabs = Math.floor(far / step);
-    this.seen.need(box);
-    const start = this.at;
+    this.place ??= from.slice(0, 2).map(Math.round);
+    const start = this.place, distance = Math.hypot(to[0] - start[0], to[1] - start[1]);
+    const dabs = Math.floor(distance / Math.max((radius * (1 - this.hardness)) / SMUDGE_DABS, 1));
+    this.colors.require(box);
     for (let n = 1; n <= dabs; n++) {
       const next = start.map((x, axis) => Math.round(x + ((to[axis] - x) * n) / dabs));
-      this.dab(next.map((x, axis) => x - this.at[axis]), next, radius);
-      this.at = next;
+      this.dab(next.map((x, axis) => x - this.place[axis]), next, radius);
+      this.place = next;
     }
   }
 
   dab(step, [x, y], radius) {
-    const reach = Math.ceil(radius) + 1, box = [x - reach, y - reach, x + reach, y + reach], far = Math.max(...step.map(Math.abs));
-    this.seen.need(grown(box, far, far));
-    this.run(COPY, this.made, this.copy, grown(box, far, far));
-    this.run(SMUDGE, this.copy, this.made, box, { step, share: this.share, disc: [x, y, radius, this.hardness] });
+    const reach = Math.ceil(radius) + 1, box = [x - reach, y - reach, x + reach, y + reach], length = Math.max(...step.map(Math.abs));
+    const around = grownBox(box, length, length);
+    this.colors.require(around);
+    this.run(COPY, this.target, this.copy, around);
+    this.run(SMUDGE, this.copy, this.target, box, { step, share: this.share, disc: [x, y, radius, this.hardness] });
   }
 }
 
 export class Retouch {
   constructor(painting) {
     this.painting = painting;
-    this.point = null; // of the model, that clones come from
-    this.step = null; // from there to where they go, in pixels of the film, and the view in which it is so
-    this.width = 4;
-    this.way = "softer";
+    this.point = null; // the clone source, on the model
+    this.offset = null; // from the source to the brush in pixels of the screen, for the view `offsetView`
+    this.radius = 4;
+    this.effect = "blur";
     this.build();
   }
 
   build() {
-    this.mark = make("div", { id: "source", hidden: true });
+    this.mark = make("div", { id: "clone-source", hidden: true });
     this.painting.stage.append(this.mark);
     this.settings = new Settings("blur-", () => this, (change) => this.set(change));
     element("history").before(section("retouch", "Clone and blur",
-      make("p", { class: "hint" }, "Clone: Alt and click where colours come from, then paint."),
-      make("div", { class: "buttons" }, make("button", { type: "button", id: "clone-again", onclick: () => this.forget() }, "Choose another place")),
-      ...this.settings.choice("way", "The blur tool", [["softer", "blurs"], ["sharper", "sharpens"]]),
-      ...this.settings.slider("width", "Radius", { min: LEAST_WIDTH, max: MOST_WIDTH, step: 1 }, (pixels) => `${pixels} px`)));
+      make("p", { class: "hint" }, "Clone: Alt and click sets the source, then paint."),
+      make("div", { class: "buttons" }, make("button", { type: "button", id: "clone-again", onclick: () => this.forgetSource() }, "Set another source")),
+      ...this.settings.choice("effect", "The blur tool", [["blur", "blurs"], ["sharpen", "sharpens"]]),
+      ...this.settings.slider("radius", "Radius", { min: MIN_RADIUS, max: MAX_RADIUS, step: 1 }, (pixels) => `${pixels} px`)));
     this.set({});
   }
 
@@ -197,68 +195,67 @@ export class Retouch {
     this.settings.show();
   }
 
-  drag(event, own) {
-    return new BrushDrag(this.painting, event, { ...own, mirror: "", blend: "over", hidden: false });
+  drag(event, overrides) {
+    return new BrushDrag(this.painting, event, { ...overrides, mirror: "", blend: "over", hidden: false });
   }
 
   blur(event) {
-    const isSofter = this.way === "softer", picture = new Blurred(this.painting, (this.width / REACH) * this.painting.viewer.film.times, isSofter ? 1 : SHARPER);
-    return this.drag(event, { name: isSofter ? "Blur" : "Sharpen", picture });
+    const isBlur = this.effect === "blur", sigma = (this.radius / BLUR_REACH) * this.painting.viewer.pixelRatio;
+    return this.drag(event, { name: isBlur ? "Blur" : "Sharpen", picture: new BlurredPicture(this.painting, sigma, isBlur ? 1 : SHARPEN) });
   }
 
   smudge(event) {
-    const { opacity, hardness } = this.painting.brush, picture = new Smudged(this.painting, CARRIED * opacity, hardness);
+    const { opacity, hardness } = this.painting.brush, picture = new SmudgedPicture(this.painting, SMUDGE_SHARE * opacity, hardness);
     return this.drag(event, { name: "Smudge", picture, opacity: 1 });
   }
 
-  forget() {
-    this.set({ point: null, step: null });
+  forgetSource() {
+    this.set({ point: null, offset: null });
     this.mark.hidden = true;
-    this.painting.choose("clone");
-    this.painting.say("Click where colours come from.");
+    this.painting.selectTool("clone");
+    this.painting.showMessage("Click to set the source.");
   }
 
-  // Take colours from this place of the model.
-  aim(event) {
+  setSource(event) {
     const [x, y] = this.painting.place(event);
-    this.set({ point: this.painting.viewer.seen(x, y), step: null });
+    this.set({ point: this.painting.viewer.surfaceAt(x, y), offset: null });
     this.hover([x, y]);
-    this.painting.say("");
+    this.painting.showMessage("");
   }
 
-  // The view, as long as nothing in it moves.
+  // A key of the view and its size.
   get view() {
-    const { viewed, film: { width, height } } = this.painting.viewer;
-    return `${viewed} ${width} ${height}`;
+    const { viewKey, screenSize: { width, height } } = this.painting.viewer;
+    return `${viewKey} ${width} ${height}`;
   }
 
-  // Where the source is seen, in CSS pixels; null if it is not.
-  get source() {
-    const { camera, canvas } = this.painting.viewer, size = [canvas.clientWidth, canvas.clientHeight], at = camera.placeOf(this.point, size);
-    const seen = at && this.painting.viewer.seen(...at);
-    return seen && Math.hypot(...seen.map((x, n) => x - this.point[n])) < SAME * camera.radius ? at : null;
+  // The position of the source in the picture, in CSS pixels; null if it is hidden.
+  get sourcePosition() {
+    const { viewer } = this.painting, { camera, canvas } = viewer;
+    const position = camera.project(this.point, [canvas.clientWidth, canvas.clientHeight]), visible = position && viewer.surfaceAt(...position);
+    return visible && Math.hypot(...visible.map((x, n) => x - this.point[n])) < SAME_SURFACE * camera.radius ? position : null;
   }
 
   clone(event) {
-    const { painting } = this, [x, y] = painting.place(event), { times } = painting.viewer.film;
+    const { painting } = this, [x, y] = painting.place(event), { pixelRatio } = painting.viewer;
     if (!this.point) {
-      this.aim(event);
-      return painting.say("Now paint where these colours go.");
+      this.setSource(event);
+      return painting.showMessage("The source is set: now paint.");
     }
-    if (!this.step || this.seenFrom !== this.view) {
-      const from = this.source;
-      if (!from) return painting.say("The place that colours come from is hidden: Alt and click on another one.");
-      this.set({ step: [Math.round((x - from[0]) * times), Math.round((from[1] - y) * times)], seenFrom: this.view });
+    if (!this.offset || this.offsetView !== this.view) {
+      const from = this.sourcePosition;
+      if (!from) return painting.showMessage("The source is hidden: Alt and click sets another one.");
+      this.set({ offset: [Math.round((x - from[0]) * pixelRatio), Math.round((from[1] - y) * pixelRatio)], offsetView: this.view });
     }
-    painting.say("");
-    return this.drag(event, { name: "Clone", picture: new Copied(painting, this.step) });
+    painting.showMessage("");
+    return this.drag(event, { name: "Clone", picture: new ClonedPicture(painting, this.offset) });
   }
 
-  // Show where colours come from while the pointer is at a place, in CSS pixels, or nowhere.
-  hover(at) {
+  // Mark the source of the colours for a pointer at a place, in CSS pixels; null if the pointer has left.
+  hover(place) {
     if (!this.point) return;
-    const isHeld = this.step && this.seenFrom === this.view, { times } = this.painting.viewer.film;
-    const from = isHeld ? at && [at[0] - this.step[0] / times, at[1] + this.step[1] / times] : this.source;
+    const isFixed = this.offset && this.offsetView === this.view, { pixelRatio } = this.painting.viewer;
+    const from = isFixed ? place && [place[0] - this.offset[0] / pixelRatio, place[1] + this.offset[1] / pixelRatio] : this.sourcePosition;
     this.mark.hidden = !from;
     if (from) this.mark.style.transform = `translate(${from[0]}px, ${from[1]}px)`;
   }

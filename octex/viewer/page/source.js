@@ -1,6 +1,7 @@
-// The base colour's own images, drawn on the mesh by its texture coordinates. See maps.py.
+// The model's own images of base colour, drawn on the mesh by its texture coordinates. See octex/viewer/maps.py.
 
 const WRAPS = { repeat: "REPEAT", mirror: "MIRRORED_REPEAT", clamp: "CLAMP_TO_EDGE" };
+const IMAGE_UNIT = 2; // of textures
 
 export class Source {
   constructor(header, images) {
@@ -8,9 +9,9 @@ export class Source {
     this.images = images; // ImageBitmaps
   }
 
-  // Make the textures of parts of the mesh anew.
+  // Create the textures of the mesh's materials, at first and after a lost context.
   build(gl) {
-    const most = gl.getExtension("EXT_texture_filter_anisotropic");
+    const anisotropy = gl.getExtension("EXT_texture_filter_anisotropic");
     this.textures = this.header.parts.map(({ image, wraps, isNearest }) => {
       const texture = gl.createTexture();
       gl.bindTexture(gl.TEXTURE_2D, texture);
@@ -26,15 +27,15 @@ export class Source {
       set("TEXTURE_WRAP_T", gl[WRAPS[wraps[1]]]);
       set("TEXTURE_MIN_FILTER", gl.LINEAR_MIPMAP_LINEAR);
       set("TEXTURE_MAG_FILTER", isNearest ? gl.NEAREST : gl.LINEAR);
-      if (most) gl.texParameterf(gl.TEXTURE_2D, most.TEXTURE_MAX_ANISOTROPY_EXT, 8);
+      if (anisotropy) gl.texParameterf(gl.TEXTURE_2D, anisotropy.TEXTURE_MAX_ANISOTROPY_EXT, 8);
       return texture;
     });
   }
 
-  // Draw the parts with a program that is in use.
+  // Draw all materials with the program in use.
   draw(gl, program) {
-    gl.activeTexture(gl.TEXTURE0 + 2);
-    gl.uniform1i(program.at("u_image"), 2);
+    gl.activeTexture(gl.TEXTURE0 + IMAGE_UNIT);
+    gl.uniform1i(program.at("u_image"), IMAGE_UNIT);
     this.header.parts.forEach(({ first, count, factor }, n) => {
       gl.bindTexture(gl.TEXTURE_2D, this.textures[n]);
       gl.uniform3fv(program.at("u_factor"), factor);

@@ -1,20 +1,20 @@
-// A stencil: an image laid over the view, that the brush paints through, or that is put down as it lies.
+// A stencil: a picture over the view. The brush paints through it, or the whole picture is painted at once.
 
-import { send } from "./brush.js";
-import { wheelTimes } from "./controls.js";
-import { boxOf } from "./dabs.js";
+import { boxOfPixels } from "./boxes.js";
+import { sendStroke } from "./brush.js";
+import { wheelFactor } from "./controls.js";
 import { element, make } from "./elements.js";
-import { KINDS, readImage } from "./images.js";
-import { Settings, section } from "./panel.js";
+import { IMAGE_TYPES, readImage } from "./images.js";
+import { Settings, button, section } from "./panel.js";
 
-const SHARE = 0.6; // of the picture, that a new image takes
-const MOST_SHOWN = 1024; // pixels along a side of the overlay
-const STEP = 1, LEAP = 10; // pixels, by a key and with Shift
-const TURN = Math.PI / 180, LARGER = 1.02; // by a key
-const LEAST_SCALE = 1e-3, MOST_SCALE = 1e3;
+const FIT = 0.6; // share of the view that a new picture takes
+const MAX_OVERLAY = 1024; // pixels along a side of the overlay
+const KEY_STEP = 1, SHIFT_STEP = 10; // pixels that an arrow key moves, without and with Shift
+const KEY_TURN = Math.PI / 180, KEY_SCALE = 1.02;
+const MIN_SCALE = 1e-3, MAX_SCALE = 1e3;
 
-// The brush as it paints: through the stencil, if there is one.
-export const through = ({ stencil }) => (stencil.bitmap && stencil.isThrough ? stencil.stroke("Stencil") : {});
+// The settings that replace the brush's, if the brush paints through a stencil.
+export const stencilOverrides = ({ stencil }) => (stencil.bitmap && stencil.isThrough ? stencil.overrides("Stencil") : {});
 
 export class Stencil {
   constructor(painting) {
@@ -23,83 +23,83 @@ export class Stencil {
     this.isThrough = true;
     this.isMirrored = false;
     this.opacity = 0.6; // of the overlay
-    this.colors = "own";
-    this.changes = 0; // of what the stencil paints
+    this.colors = "own"; // or "dark", "light": the brush's colour where the picture is so
+    this.changes = 0; // of its placement and settings
     this.pointers = new Map();
     this.build();
   }
 
   build() {
     const { stage } = this.painting, corners = ["nw", "ne", "se", "sw"].map((name) => make("span", { class: name }));
-    this.shown = make("canvas", { "aria-hidden": "true" });
-    this.frame = make("div", { id: "stencil", hidden: true }, this.shown, ...corners);
+    this.overlay = make("canvas", { "aria-hidden": "true" });
+    this.frame = make("div", { id: "stencil", hidden: true }, this.overlay, ...corners);
     stage.append(this.frame);
-    this.file = make("input", { type: "file", accept: KINDS, hidden: true, "aria-label": "Picture", onchange: ({ target }) => target.files[0] && this.painting.external.take(target.files[0]) });
-    const act = (id, text, run) => make("button", { type: "button", id, onclick: run }, text);
+    this.file = make("input", { type: "file", accept: IMAGE_TYPES, hidden: true, "aria-label": "Picture", onchange: ({ target }) => target.files[0] && this.painting.external.take(target.files[0]) });
     const settings = (this.settings = new Settings("stencil-", () => this, (change) => this.set(change)));
     this.controls = make("div", { hidden: true },
       ...settings.slider("opacity", "Opacity on the screen", { min: 0.05, max: 1, step: 0.01 }),
       settings.check("isThrough", "the brush paints through it"),
       ...settings.choice("colors", "Paint", [["own", "its colours"], ["dark", "my colour where it is dark"], ["light", "my colour where it is light"]]),
       settings.check("isMirrored", "mirror it with the strokes"),
-      make("div", { class: "buttons" }, act("stencil-put", "Paint it", () => this.putDown()), act("stencil-remove", "Remove", () => this.remove())));
+      make("div", { class: "buttons" }, button("stencil-stamp", "Stamp it", () => this.stamp()), button("stencil-remove", "Remove", () => this.remove())));
     element("history").before(section("stencil-section", "Stencil",
       make("p", { class: "hint" }, "A picture over the model. Choose the tool Stencil to move it; drag a corner to turn and scale it."),
-      make("div", { class: "buttons" }, act("stencil-choose", "Choose a picture …", () => this.file.click())), this.file, this.controls));
+      make("div", { class: "buttons" }, button("stencil-choose", "Choose a picture …", () => this.file.click())), this.file, this.controls));
     const on = (name, run) => this.frame.addEventListener(name, (event) => {
       event.preventDefault();
       event.stopPropagation();
       run(event);
     }, { passive: false });
     on("pointerdown", (event) => this.down(event));
-    on("pointermove", (event) => this.moved(event));
+    on("pointermove", (event) => this.move(event));
     for (const name of ["pointerup", "pointercancel"]) on(name, (event) => this.pointers.delete(event.pointerId));
-    on("wheel", (event) => this.zoom(wheelTimes(event), this.at(event)));
+    on("wheel", (event) => this.zoom(wheelFactor(event), this.positionOf(event)));
     new ResizeObserver(() => this.show()).observe(this.painting.viewer.canvas);
   }
 
-  // The tool is chosen: show its controls.
+  // Tell the user what to do when the tool is selected without a picture.
   begin() {
-    if (!this.bitmap) this.painting.say("Choose a picture, or drop one on the page.");
+    if (!this.bitmap) this.painting.showMessage("Choose a picture, or drop one on the page.");
   }
 
-  // Lay a file over the view; says what is wrong with it.
+  // Lay a file over the view, or show what is wrong with it.
   async read(file) {
     try {
-      this.lay((await readImage(file)).bitmap);
-      this.painting.say("");
+      this.place((await readImage(file)).bitmap);
+      this.painting.showMessage("");
     } catch (error) {
-      this.painting.say(error.message);
+      this.painting.showMessage(error.message);
     } finally {
       this.file.value = "";
     }
   }
 
-  lay(bitmap) {
-    const { viewer: { canvas } } = this.painting, times = Math.min(1, MOST_SHOWN / Math.max(bitmap.width, bitmap.height));
+  // Place a picture in the middle of the view.
+  place(bitmap) {
+    const { viewer: { canvas } } = this.painting, reduction = Math.min(1, MAX_OVERLAY / Math.max(bitmap.width, bitmap.height));
     this.bitmap?.close();
     this.bitmap = bitmap;
-    this.shown.width = Math.max(Math.round(bitmap.width * times), 1);
-    this.shown.height = Math.max(Math.round(bitmap.height * times), 1);
-    const context = this.shown.getContext("2d");
+    this.overlay.width = Math.max(Math.round(bitmap.width * reduction), 1);
+    this.overlay.height = Math.max(Math.round(bitmap.height * reduction), 1);
+    const context = this.overlay.getContext("2d");
     context.imageSmoothingQuality = "high";
-    context.drawImage(bitmap, 0, 0, this.shown.width, this.shown.height);
-    const scale = SHARE * Math.min(canvas.clientWidth / bitmap.width, canvas.clientHeight / bitmap.height);
+    context.drawImage(bitmap, 0, 0, this.overlay.width, this.overlay.height);
+    const scale = FIT * Math.min(canvas.clientWidth / bitmap.width, canvas.clientHeight / bitmap.height);
     this.set({ x: 0, y: 0, angle: 0, scale });
-    this.painting.choose("stencil");
+    this.painting.selectTool("stencil");
   }
 
   remove() {
     this.bitmap?.close();
     this.bitmap = null;
     this.set({});
-    if (this.painting.tool.name === "stencil") this.painting.choose("brush");
+    if (this.painting.tool.name === "stencil") this.painting.selectTool("brush");
   }
 
-  // Its middle x, y in CSS pixels from the picture's middle, its angle, its scale, and how it paints.
+  // Change the placement (x, y of its middle in CSS pixels from the view's middle, angle, scale), or other settings.
   set(change) {
     Object.assign(this, change);
-    this.scale = Math.min(Math.max(this.scale, LEAST_SCALE), MOST_SCALE);
+    this.scale = Math.min(Math.max(this.scale, MIN_SCALE), MAX_SCALE);
     this.changes++;
     this.settings.show();
     this.frame.hidden = this.controls.hidden = !this.bitmap;
@@ -113,11 +113,11 @@ export class Stencil {
     frame.style.width = `${width}px`;
     frame.style.height = `${height}px`;
     frame.style.transform = `translate(${canvas.clientWidth / 2 + x - width / 2}px, ${canvas.clientHeight / 2 + y - height / 2}px) rotate(${angle}rad)`;
-    this.shown.style.opacity = this.opacity;
+    this.overlay.style.opacity = this.opacity;
   }
 
-  // A place of the picture from its middle.
-  at({ clientX, clientY }) {
+  // The position of a pointer, in CSS pixels from the view's middle.
+  positionOf({ clientX, clientY }) {
     const { left, top, width, height } = this.painting.viewer.canvas.getBoundingClientRect();
     return [clientX - left - width / 2, clientY - top - height / 2];
   }
@@ -125,22 +125,22 @@ export class Stencil {
   down(event) {
     document.activeElement?.blur();
     this.frame.setPointerCapture(event.pointerId);
-    this.pointers.set(event.pointerId, { at: this.at(event), isCorner: event.target.tagName === "SPAN" });
+    this.pointers.set(event.pointerId, { position: this.positionOf(event), isCorner: event.target.tagName === "SPAN" });
   }
 
-  // One pointer moves it, or turns and scales it around its middle; two hold a place of it each.
-  moved(event) {
+  // One pointer moves the picture; at a corner it turns and scales it. Two pointers each hold a point of it.
+  move(event) {
     const pointer = this.pointers.get(event.pointerId);
     if (!pointer) return;
-    const from = pointer.at, to = this.at(event), others = [...this.pointers.values()].filter((each) => each !== pointer);
-    pointer.at = to;
-    if (others.length) this.turn(from, to, others[0].at);
-    else if (pointer.isCorner) this.turn(from, to, [this.x, this.y]);
+    const from = pointer.position, to = this.positionOf(event), others = [...this.pointers.values()].filter((each) => each !== pointer);
+    pointer.position = to;
+    if (others.length) this.rotateAndScale(from, to, others[0].position);
+    else if (pointer.isCorner) this.rotateAndScale(from, to, [this.x, this.y]);
     else this.set({ x: this.x + to[0] - from[0], y: this.y + to[1] - from[1] });
   }
 
-  // Turn and scale around a place, so that one place comes to another.
-  turn(from, to, [x, y]) {
+  // Rotate and scale around a centre, so that `from` comes to `to`.
+  rotateAndScale(from, to, [x, y]) {
     const [a, b] = [from[0] - x, from[1] - y], [c, d] = [to[0] - x, to[1] - y], square = a * a + b * b;
     if (square < 1) return;
     const [real, imaginary] = [(a * c + b * d) / square, (a * d - b * c) / square], [u, v] = [this.x - x, this.y - y];
@@ -148,44 +148,44 @@ export class Stencil {
     this.set({ ...change, x: x + real * u - imaginary * v, y: y + imaginary * u + real * v });
   }
 
-  zoom(times, [x, y]) {
-    this.set({ scale: this.scale * times, x: x + times * (this.x - x), y: y + times * (this.y - y) });
+  zoom(factor, [x, y]) {
+    this.set({ scale: this.scale * factor, x: x + factor * (this.x - x), y: y + factor * (this.y - y) });
   }
 
-  // What keys do while the tool is chosen.
+  // The keys of the tool, with their functions.
   keys(event) {
     if (!this.bitmap || event.target.matches?.("input, select, button, summary")) return {};
-    const step = event.shiftKey ? LEAP : STEP, move = (x, y) => () => this.set({ x: this.x + x * step, y: this.y + y * step });
-    const turn = (by) => () => this.set({ angle: this.angle + by * step * TURN }), scale = (times) => () => this.set({ scale: this.scale * times });
+    const step = event.shiftKey ? SHIFT_STEP : KEY_STEP, move = (x, y) => () => this.set({ x: this.x + x * step, y: this.y + y * step });
+    const turn = (by) => () => this.set({ angle: this.angle + by * step * KEY_TURN }), scale = (factor) => () => this.set({ scale: this.scale * factor });
     return {
       arrowleft: move(-1, 0), arrowright: move(1, 0), arrowup: move(0, -1), arrowdown: move(0, 1),
-      "+": scale(LARGER), "=": scale(LARGER), "-": scale(1 / LARGER), ",": turn(-1), ".": turn(1), "<": turn(-1), ">": turn(1),
-      enter: () => this.putDown(), delete: () => this.remove(), escape: () => this.painting.choose("brush"),
+      "+": scale(KEY_SCALE), "=": scale(KEY_SCALE), "-": scale(1 / KEY_SCALE), ",": turn(-1), ".": turn(1), "<": turn(-1), ">": turn(1),
+      enter: () => this.stamp(), delete: () => this.remove(), escape: () => this.painting.selectTool("brush"),
     };
   }
 
-  // What a stroke with it paints.
-  stroke(name) {
+  // The settings that replace the brush's.
+  overrides(name) {
     const { brush } = this.painting;
     return { name, picture: this.picture(), mirror: this.isMirrored ? brush.mirror : "" };
   }
 
-  // It as it lies, with a pixel for each of the view.
+  // The stencil drawn in the size of the view, as a target with its texture and the box of its pixels.
   picture() {
-    const { viewer, brush } = this.painting, { gpu, film: { width, height, times } } = viewer, { gl } = gpu;
+    const { viewer, brush } = this.painting, { gpu, screenSize: { width, height, pixelRatio } } = viewer, { gl } = gpu;
     const target = gpu.target("stencil", width, height, [gl.RGBA8]), color = this.colors === "own" ? "" : String(brush.color);
-    const state = `${this.changes} ${color} ${times}`;
+    const state = `${this.changes} ${color} ${pixelRatio}`;
     if (target.state === state) return target;
     const context = Object.assign(document.createElement("canvas"), { width, height }).getContext("2d", { willReadFrequently: true });
     context.imageSmoothingQuality = "high";
-    context.setTransform(times, 0, 0, -times, width / 2, height / 2); // rows from below, as the GPU has them
+    context.setTransform(pixelRatio, 0, 0, -pixelRatio, width / 2, height / 2); // rows from below, as in textures
     context.translate(this.x, this.y);
     context.rotate(this.angle);
     context.scale(this.scale, this.scale);
     context.drawImage(this.bitmap, -this.bitmap.width / 2, -this.bitmap.height / 2);
     const { data } = context.getImageData(0, 0, width, height);
-    if (color) colored(data, brush.color, this.colors === "dark");
-    target.box = boxOf(width, height, (n) => data[4 * n + 3]);
+    if (color) fillWithColor(data, brush.color, this.colors === "dark");
+    target.box = boxOfPixels(width, height, (n) => data[4 * n + 3]);
     target.texture = target.textures[0];
     gl.bindTexture(gl.TEXTURE_2D, target.texture);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, data);
@@ -193,26 +193,27 @@ export class Stencil {
     return target;
   }
 
-  // Paint all of it as it lies.
-  putDown() {
-    const { painting } = this, { strokes, brush, viewer } = painting, why = painting.hindrance;
+  // Paint the whole picture.
+  stamp() {
+    const { painting } = this, { strokes, brush, viewer } = painting, why = painting.blockReason;
     if (!this.bitmap || painting.pen) return;
-    painting.say(why);
+    painting.showMessage(why);
     if (why) return;
-    const own = this.stroke("Picture");
-    if (!own.picture.box) return painting.say("The picture lies beside the view: move it over the model.");
-    strokes.begin({ ...brush, offset: painting.offset, ...own, ...strokes.seen, look: painting.beneath.look({ ...brush, ...own }) });
-    strokes.cover(own.picture.box);
-    send(painting, strokes.end());
-    viewer.move();
+    const overrides = this.overrides("Picture");
+    if (!overrides.picture.box) return painting.showMessage("The picture lies beside the view: move it over the model.");
+    const stroke = { ...brush, ...overrides };
+    strokes.begin({ ...stroke, offset: painting.mirrorOffset, ...strokes.viewFields, preview: painting.preview.styleOf(stroke) });
+    strokes.coverBox(overrides.picture.box);
+    sendStroke(painting, strokes.end());
+    viewer.invalidate();
   }
 }
 
-// Give pixels one colour; where they are light, or dark, they get transparent.
-function colored(data, color, isDark) {
+// Fill pixels with a colour; they are opaque where the picture is dark, or light.
+function fillWithColor(data, color, whereDark) {
   for (let at = 0; at < data.length; at += 4) {
     const luma = (0.2126 * data[at] + 0.7152 * data[at + 1] + 0.0722 * data[at + 2]) / 255;
-    data[at + 3] *= isDark ? 1 - luma : luma;
+    data[at + 3] *= whereDark ? 1 - luma : luma;
     for (let k = 0; k < 3; k++) data[at + k] = color[k];
   }
 }

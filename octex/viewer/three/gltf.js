@@ -1,4 +1,4 @@
-// EXT_octree_texture for GLTFLoader: models that carry their octree.
+// The glTF extension EXT_octree_texture for GLTFLoader: models that contain their octree.
 
 import { BufferAttribute, BufferGeometry, LoaderUtils } from "three";
 import { OctreeTextureLoader } from "./loader.js";
@@ -6,8 +6,8 @@ import { OctreeTextureLoader } from "./loader.js";
 const NAME = "EXT_octree_texture";
 
 export class GLTFOctreeTexture {
-  // For `loader.register((parser) => new GLTFOctreeTexture(parser))`. The loaded glTF then has `octrees`: of each web file
-  // its `texture`, and `complete`, which resolves when the finest levels are there.
+  // Register it with `loader.register((parser) => new GLTFOctreeTexture(parser))`. The loaded glTF then has `octrees`: for
+  // each web file its `texture`, and `complete`, a promise that resolves when the finest levels are loaded.
   constructor(parser) {
     Object.assign(this, { name: NAME, parser });
   }
@@ -17,14 +17,14 @@ export class GLTFOctreeTexture {
     gltf.octrees = await Promise.all(files.map((file) => this.read(file)));
     const meshes = new Set();
     for (const scene of gltf.scenes) scene.traverse((mesh) => mesh.isMesh && meshes.add(mesh));
-    const taken = new Map(); // the geometries and materials of primitives
+    const done = new Map(); // by primitive: its geometry and material
     for (const mesh of meshes) {
       const { meshes: number, primitives = 0 } = associations.get(mesh) ?? {};
       const rest = json.meshes?.[number]?.primitives[primitives].extensions?.[NAME];
       if (!rest) continue;
       const { texture } = gltf.octrees[rest.octree], key = `${number} ${primitives}`;
-      if (!taken.has(key)) taken.set(key, [await this.atRest(mesh.geometry, rest), texture.applyTo(mesh.material.clone())]);
-      [mesh.geometry, mesh.material] = taken.get(key);
+      if (!done.has(key)) done.set(key, [await this.withRest(mesh.geometry, rest), texture.applyTo(mesh.material.clone())]);
+      [mesh.geometry, mesh.material] = done.get(key);
     }
   }
 
@@ -32,24 +32,24 @@ export class GLTFOctreeTexture {
     const { options } = this.parser, loader = new OctreeTextureLoader(options.manager);
     const headers = options.requestHeader, credentials = options.crossOrigin === "use-credentials" ? "include" : "same-origin";
     const url = uri && LoaderUtils.resolveURL(uri, options.path);
-    const given = uri
+    const source = uri
       ? { name: url, url: new URL(url, location.href).href, options: { headers, credentials } }
       : { name: NAME, buffer: await this.parser.getDependency("bufferView", bufferView) };
-    const { textures: [texture], complete } = await loader.parse(given);
+    const { textures: [texture], complete } = await loader.parse(source);
     return { texture, complete };
   }
 
-  // Give a primitive its places in the root cell, and its normals there.
-  async atRest(geometry, { rest, scale = 1, offset = [0, 0, 0] }) {
-    const own = rest === undefined ? geometry : new BufferGeometry().setIndex(geometry.index);
-    if (rest !== undefined) own.setAttribute("position", await this.parser.getDependency("accessor", rest));
-    const { position } = own.attributes, places = new Float32Array(3 * position.count);
-    if (!own.attributes.normal) own.computeVertexNormals();
+  // Give a geometry the attributes of rest positions in the root cell, and of normals at rest.
+  async withRest(geometry, { rest, scale = 1, offset = [0, 0, 0] }) {
+    const atRest = rest === undefined ? geometry : new BufferGeometry().setIndex(geometry.index);
+    if (rest !== undefined) atRest.setAttribute("position", await this.parser.getDependency("accessor", rest));
+    const { position } = atRest.attributes, positions = new Float32Array(3 * position.count);
+    if (!atRest.attributes.normal) atRest.computeVertexNormals();
     for (let n = 0; n < position.count; n++) {
-      for (let axis = 0; axis < 3; axis++) places[3 * n + axis] = position.getComponent(n, axis) * scale + offset[axis];
+      for (let axis = 0; axis < 3; axis++) positions[3 * n + axis] = position.getComponent(n, axis) * scale + offset[axis];
     }
-    geometry.setAttribute("octexRest", new BufferAttribute(places, 3));
-    geometry.setAttribute("octexNormal", own.attributes.normal);
+    geometry.setAttribute("octexRest", new BufferAttribute(positions, 3));
+    geometry.setAttribute("octexNormal", atRest.attributes.normal);
     return geometry;
   }
 }

@@ -2,37 +2,37 @@ import type { BufferGeometry, Group, Loader, Material, Mesh, MeshStandardMateria
 
 export type Filter = "nearest" | "linear" | "quadratic";
 
-/** An octree texture, which materials look up by positions at rest. */
+/** An octree texture, which materials look up by rest positions. */
 export class OctreeTexture {
-  /** What the file says of it: depth, origin and size of the root cell, channels. */
+  /** Depth, origin and size of the root cell, channels. */
   readonly header: { depth: number; origin: [number, number, number]; size: number; channels: { name: string; components: number }[] };
   /** Its mesh, if the file has one. */
   readonly mesh: Mesh<BufferGeometry, MeshStandardMaterial> | null;
-  /** How cells are blended. Default: "quadratic". */
+  /** The filter between cells. Default: "quadratic". */
   filter: Filter;
-  /** The deepest level that is looked up. Default: all. */
+  /** The finest level that is looked up. Default: all levels. */
   level: number;
-  /** Whether each pixel averages over what it covers. Default: true. */
+  /** Whether lookups average over a pixel's footprint. Default: true. */
   footprints: boolean;
-  /** Have a material take its channels from this texture instead of its own maps and values; returns the material. */
+  /** Replace a material's own maps and values by the channels of this texture; returns the material. */
   applyTo<T extends Material>(material: T): T;
-  /** Give the meshes of an object positions at rest, as it stands now, and materials of this texture: clones of its own by default. */
+  /** Give the meshes of an object rest positions, as it stands now, and materials of this texture; by default clones of its own. */
   applyToObject(object: Object3D, material?: (own: Material) => Material): void;
   dispose(): void;
 }
 
-/** What a web file holds. */
+/** The content of a web file. */
 export interface Loaded {
   textures: OctreeTexture[];
   /** The meshes of the textures; null if the file has none. */
   group: Group | null;
-  /** Resolves when the finest levels are there. */
+  /** Resolves when the finest levels are loaded. */
   complete: Promise<void>;
 }
 
-/** Reads web files, NAME.octw, coarse levels first. */
+/** Loads web files, NAME.octw, coarse levels first. */
 export class OctreeTextureLoader extends Loader<Loaded> {
-  /** Take a web file that is in memory. */
+  /** Load a web file from memory. */
   parseBuffer(buffer: ArrayBuffer, name?: string): Promise<Loaded>;
 }
 
@@ -40,13 +40,13 @@ export class OctreeTextureLoader extends Loader<Loaded> {
 export class GLTFOctreeTexture {
   readonly name: "EXT_octree_texture";
   constructor(parser: object);
-  /** Textures the primitives that have the extension; gives the glTF `octrees`. */
+  /** Textures the primitives that have the extension, and sets `octrees` of the glTF. */
   afterRoot(gltf: object): Promise<void>;
 }
 
-/** An entry of `octrees` of a glTF that was read so. */
+/** An entry of `octrees` of a loaded glTF. */
 export interface GLTFOctree {
   texture: OctreeTexture;
-  /** Resolves when the finest levels are there. */
+  /** Resolves when the finest levels are loaded. */
   complete: Promise<void>;
 }

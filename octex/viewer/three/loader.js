@@ -1,4 +1,4 @@
-// Reads web files: textures, and their meshes if they have any.
+// Loads web files: textures, and their meshes if they have any.
 
 import { Group, Loader } from "three";
 import { contentsInWorker } from "./contents.js";
@@ -9,8 +9,8 @@ export class OctreeTextureLoader extends Loader {
     this.loadAsync(url, onProgress).then(onLoad, onError ?? console.error);
   }
 
-  // Returns an object with `textures`, `group` (their meshes; null without), and `complete`, which resolves when the finest
-  // levels are there. What is returned shows the first levels at once.
+  // Returns `textures`, `group` (their meshes, or null), and `complete`, a promise that resolves when the finest levels are
+  // loaded. Coarse levels show at once.
   async loadAsync(url, onProgress) {
     const path = this.manager.resolveURL(this.path + url), options = { headers: this.requestHeader, credentials: this.withCredentials ? "include" : "same-origin" };
     this.manager.itemStart(url);
@@ -26,33 +26,37 @@ export class OctreeTextureLoader extends Loader {
     }
   }
 
-  // Take a web file that is in memory.
+  // Load a web file from memory.
   parseBuffer(buffer, name = "the web file") {
     return this.parse({ name, buffer });
   }
 
-  // Read a file: its name, and its url and fetch's options, or its buffer.
-  async parse(given, onProgress = () => {}) {
-    const arriving = contentsInWorker(given), [{ value: { header } }, shaders] = await Promise.all([arriving.next(), Shaders.read()]);
+  // Load a source, see contents.js. An error ends the worker.
+  async parse(source, onProgress = () => {}) {
+    const reader = contentsInWorker(source);
+    const orClose = (promise) => promise.catch(async (error) => {
+      await reader.return();
+      throw error;
+    });
+    const [{ value: { header } }, shaders] = await orClose(Promise.all([reader.next(), Shaders.read()]));
     const { parts } = header, textures = parts.map((part) => new OctreeTexture(part, shaders));
     const total = parts.flatMap((part) => [...part.chunks, part.mesh]).reduce((sum, each) => sum + (each?.bytes ?? 0), 0);
-    let loaded = 0, hasLevels = 0;
-    const takeNext = async () => {
-      const { value, done } = await arriving.next();
-      if (done) return false;
-      const { part, mesh, rows, bytes } = value;
-      if (mesh) textures[part].takeMesh(mesh);
-      else textures[part].take(rows);
-      hasLevels += rows ? 1 : 0;
-      onProgress({ loaded: (loaded += bytes), total, lengthComputable: true });
-      return true;
+    let loaded = 0, levelCount = 0;
+    // Load until there are so many chunks of levels, or all.
+    const load = async (count) => {
+      while (levelCount < count) {
+        const { value, done } = await reader.next();
+        if (done) return;
+        const { part, mesh, rows, bytes } = value;
+        if (mesh) textures[part].setMesh(mesh);
+        else textures[part].setRows(rows);
+        levelCount += rows ? 1 : 0;
+        onProgress({ loaded: (loaded += bytes), total, lengthComputable: true });
+      }
     };
-    while (hasLevels < parts.length && (await takeNext()));
-    const rest = async () => {
-      while (await takeNext());
-    };
+    await orClose(load(parts.length));
     const meshes = textures.map((texture) => texture.mesh).filter(Boolean);
     const group = meshes.length ? new Group().add(...meshes) : null;
-    return { textures, group, complete: rest() };
+    return { textures, group, complete: orClose(load(Infinity)) };
   }
 }

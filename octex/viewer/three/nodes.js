@@ -5,7 +5,7 @@ import {
   attribute, code, faceDirection, Fn, normalFlat, normalLocal, normalView, positionView, reference, select, texture as bound,
   transformNormalToView, varying, vec2,
 } from "three/tsl";
-import { repeated, sumOf } from "../page/field.js";
+import { withEachPlane, channelSum } from "../page/walk.js";
 import { wgslOf } from "./wgsl.js";
 
 const NODES = {
@@ -13,9 +13,9 @@ const NODES = {
   normal: "normalNode",
 };
 const UNIFORMS = { u_kept: "vec3", u_split: "vec3", u_keptLevel: "float", u_leafRoot: "float", u_depth: "float", u_footprints: "float" };
-// The look itself; functions of channels follow it. Numbers of cells are exact in floats: they have 24 bits.
-const LOOK = `
-float octexLook(vec3 rest, vec3 side, vec3 kept, vec3 split, float keptLevel, float leafRoot, float depth, float footprints) {
+// The lookup; functions of channels follow it. Cell numbers are exact in floats: they have at most 24 bits.
+const LOOKUP = `
+float octexLookUp(vec3 rest, vec3 side, vec3 kept, vec3 split, float keptLevel, float leafRoot, float depth, float footprints) {
 #if defined(SPLIT) || defined(KEPT)
   u_kept = uvec3(kept);
   u_split = uvec3(split);
@@ -30,12 +30,12 @@ float octexLook(vec3 rest, vec3 side, vec3 kept, vec3 split, float keptLevel, fl
   return g_cover;
 }
 
-float octex_alpha(float look) {
+float octex_alpha(float lookup) {
   return g_alpha;
 }
 `;
 
-// A call of a function of the walk. What it reads of the look is built before it, as its first input.
+// A call of a shader function. A channel's function has the lookup as its first input, so that it is built before.
 class Call extends Node {
   constructor(type, name, inputs) {
     super(type);
@@ -47,9 +47,9 @@ class Call extends Node {
   }
 }
 
-class Look extends Call {
+class Lookup extends Call {
   constructor(octree, names, inputs) {
-    super("float", "octexLook", inputs);
+    super("float", "octexLookUp", inputs);
     this.textures = octree.stores.filter(([name]) => octree.uniforms[name]).map(([name]) => {
       const { value } = octree.uniforms[name];
       value.internalFormat = null; // WebGPU's names differ
@@ -60,7 +60,7 @@ class Look extends Call {
 
   generate(builder) {
     const { backend } = builder.renderer, { octree } = this, isWebGl = Boolean(backend.isWebGLBackend);
-    octree.check(isWebGl ? backend.gl.getParameter(backend.gl.MAX_TEXTURE_SIZE) : backend.device.limits.maxTextureDimension2D);
+    octree.checkSize(isWebGl ? backend.gl.getParameter(backend.gl.MAX_TEXTURE_SIZE) : backend.device.limits.maxTextureDimension2D);
     for (const each of this.textures) each.build(builder, "texture");
     const text = this.text();
     code(isWebGl ? text.replace(/^uniform .*sampler.*$/gm, "").replace(/^uniform /gm, "") : wgslOf(text)).build(builder);
@@ -68,34 +68,34 @@ class Look extends Call {
   }
 
   text() {
-    const { octree, names } = this, defines = octree.lines(names).join("\n"), planes = Number(/PLANES (\d+)/.exec(defines)[1]);
-    const sums = names.map((name) => `vec3 octex_${name}(float look) {\n  return vec3(${sumOf(octree.channel(name))});\n}`);
-    const normal = "vec3 octexNormal(float look, vec3 rest, vec3 side, vec3 seen, vec3 normal) {\n  return shownNormal(2.0 * (NORMAL) - 1.0, side, rest, seen, normal);\n}";
-    return [defines, repeated(octree.walk + LOOK, planes), ...sums, ...(names.includes("normal") ? [normal] : [])].join("\n");
+    const { octree, names } = this, defines = octree.defines(names).join("\n"), planes = Number(/PLANES (\d+)/.exec(defines)[1]);
+    const sums = names.map((name) => `vec3 octex_${name}(float lookup) {\n  return vec3(${channelSum(octree.channel(name))});\n}`);
+    const normal = "vec3 octexNormal(float lookup, vec3 rest, vec3 side, vec3 position, vec3 normal) {\n  return shownNormal(2.0 * (NORMAL) - 1.0, side, rest, position, normal);\n}";
+    return [defines, withEachPlane(octree.walk + LOOKUP, planes), ...sums, ...(names.includes("normal") ? [normal] : [])].join("\n");
   }
 }
 
-// 1 where one sees the side of the normal, else −1. Three's own takes instances that are mirrored for others.
-const seenSide = Fn((builder) => {
+// 1 where the camera sees the side of the normal, else −1. Three's own faceDirection is wrong for mirrored instances.
+const visibleSide = Fn((builder) => {
   if (!builder.hasGeometryAttribute("normal")) return faceDirection;
   return select(varying(transformNormalToView(normalLocal)).dot(normalFlat).lessThan(0), -1, 1);
 });
 
-// Have a material of WebGPURenderer take its channels from a texture, with the filter that it has now; returns the material.
+// Replace a material's own maps and values by the channels of a texture with its current filter; returns the material.
 export function applyNodes(octree, material) {
-  const rest = varying(attribute("octexRest", "vec3")), side = varying(attribute("octexNormal", "vec3")).normalize().mul(seenSide());
+  const rest = varying(attribute("octexRest", "vec3")), side = varying(attribute("octexNormal", "vec3")).normalize().mul(visibleSide());
   const uniforms = Object.entries(UNIFORMS).map(([name, type]) => reference("value", type, octree.uniforms[name]));
-  const names = octree.claim(material);
-  const look = new Look(octree, names, [rest, side, ...uniforms]).toVar();
+  const names = octree.clearFields(material);
+  const lookup = new Lookup(octree, names, [rest, side, ...uniforms]).toVar();
   for (const name of names) {
-    const value = new Call("vec3", `octex_${name}`, [look]);
+    const value = new Call("vec3", `octex_${name}`, [lookup]);
     material[NODES[name]] = ["base_color", "emissive"].includes(name) ? value : value.x;
-    if (name === "normal") material.normalNode = new Call("vec3", "octexNormal", [look, rest, side, positionView, normalView]);
+    if (name === "normal") material.normalNode = new Call("vec3", "octexNormal", [lookup, rest, side, positionView, normalView]);
   }
-  if (octree.channel("alpha")) material.opacityNode = new Call("float", "octex_alpha", [look]);
-  // Of materials that are no node materials three takes this alone for the key of their programs.
+  if (octree.channel("alpha")) material.opacityNode = new Call("float", "octex_alpha", [lookup]);
+  // For materials other than node materials, three uses this alone as the program's key.
   const key = material.customProgramCacheKey;
-  material.customProgramCacheKey = () => `${key.call(material)} ${look.id}`;
+  material.customProgramCacheKey = () => `${key.call(material)} ${lookup.id}`;
   material.needsUpdate = true;
   return material;
 }

@@ -1,27 +1,27 @@
-// An octree texture: what the GPU holds of it, and how materials of three.js look it up.
+// An octree texture: its data textures, and the shader code by which materials of three.js look it up.
 
 import {
   BufferAttribute, BufferGeometry, DataArrayTexture, DataTexture, Matrix3, Matrix4, Mesh, MeshStandardMaterial,
   NearestFilter, NoColorSpace, RGBAFormat, RGIntegerFormat, SRGBColorSpace, UnsignedByteType, UnsignedIntType, Vector3,
 } from "three";
-import { planeLines, repeated, sumOf, walkLines, walkUniforms } from "../page/field.js";
+import { planeDefines, withEachPlane, channelSum, walkDefines, walkUniforms } from "../page/walk.js";
 import { Octree, ROW } from "../page/octree.js";
 
 const FILTERS = ["nearest", "linear", "quadratic"];
-// Where materials of three.js take what is looked up: after which chunk, and what then is done.
-const PLACES = [
+// Code to insert into fragment shaders of three.js: after which chunk, for which channel, and the code.
+const INSERTIONS = [
   ["map_fragment", "BASE_COLOR", "diffuseColor.rgb *= BASE_COLOR;"],
   ["roughnessmap_fragment", "ROUGHNESS", "roughnessFactor *= ROUGHNESS;"],
   ["metalnessmap_fragment", "METALLIC", "metalnessFactor *= METALLIC;"],
   ["emissivemap_fragment", "EMISSIVE", "totalEmissiveRadiance += EMISSIVE;"],
   ["aomap_fragment", "OCCLUSION", "reflectedLight.indirectDiffuse *= OCCLUSION; reflectedLight.indirectSpecular *= OCCLUSION;"],
 ];
-// What a material has of a channel itself: its map, its value, and what the value becomes.
-const OWN = {
+// A material's own map and value of each channel, and the value that leaves the channel as it is.
+const MATERIAL_FIELDS = {
   base_color: ["map", "color", "#ffffff"], roughness: ["roughnessMap", "roughness", 1], metallic: ["metalnessMap", "metalness", 1],
   emissive: ["emissiveMap", "emissive", "#000000"], occlusion: ["aoMap"], normal: ["normalMap"],
 };
-// Materials without light have none of these.
+// Channels of materials with light only.
 const LIT = ["roughness", "metallic", "emissive", "occlusion", "normal"];
 const NORMAL = "normal = shownNormal(2.0 * (NORMAL) - 1.0, octexSide, vOctexRest, -vViewPosition, normal);";
 const VARYINGS = "varying vec3 vOctexRest;\nvarying vec3 vOctexNormal;\nvarying float vOctexMirror;\n";
@@ -34,8 +34,8 @@ vOctexMirror = sign(determinant(mat3(modelMatrix)));
 vOctexMirror *= sign(determinant(mat3(instanceMatrix)));
 #endif
 `;
-// The side at rest that is looked at, then the look itself.
-const LOOK = `
+// Finds the normal at rest of the visible side, then looks the texture up.
+const LOOKUP = `
 vec3 octexSide = vOctexMirror * cross(dFdx(vOctexRest), dFdy(vOctexRest));
 octexSide = dot(octexSide, vOctexNormal) < 0.0 ? -vOctexNormal : vOctexNormal;
 octexSide /= max(length(octexSide), 1e-20);
@@ -47,16 +47,16 @@ diffuseColor.a *= g_alpha;
 `;
 
 export class Shaders {
-  // The walk and what it needs, read once.
+  // Read walk.glsl and what it needs, once.
   static read() {
     const text = async (name) => {
       const response = await fetch(new URL(`../page/shaders/${name}`, import.meta.url));
       if (!response.ok) throw new Error(`octex-three: ${response.url}: ${response.status}; serve the package's page folder too`);
       return response.text();
     };
-    this.known ??= Promise.all(["directions.glsl", "walk.glsl"].map(text)).then((texts) => texts.join("\n"));
-    this.known.catch(() => (this.known = null));
-    return this.known;
+    this.texts ??= Promise.all(["directions.glsl", "walk.glsl"].map(text)).then((texts) => texts.join("\n"));
+    this.texts.catch(() => (this.texts = null));
+    return this.texts;
   }
 }
 
@@ -70,7 +70,7 @@ export class OctreeTexture {
     this.uniforms = { u_footprints: { value: true } };
     const { octree } = this, { planes } = header;
     this.stores = [["u_nodes", () => [octree.words], RGIntegerFormat, 2], ["u_entries", () => [octree.entries], RGIntegerFormat, 2]];
-    const layered = (name, is) => [name, () => octree.planes.filter((_, n) => planes[n] === is), RGBAFormat, 4, is];
+    const layered = (name, isSrgb) => [name, () => octree.planes.filter((_, n) => planes[n] === isSrgb), RGBAFormat, 4, isSrgb];
     this.stores.push(layered("u_srgb", true), layered("u_linear", false));
     for (const [name, read, format, size, isSrgb] of this.stores) {
       if (read().length) this.uniforms[name] = { value: this.texture(read(), format, size, isSrgb) };
@@ -92,9 +92,9 @@ export class OctreeTexture {
     return this.header.channels.find((channel) => channel.name === name);
   }
 
-  // Take rows of levels, or those of kept nodes and split cells.
-  take(rows) {
-    this.octree.takeRows(rows);
+  // Set the rows of a chunk, see Octree.copyRows.
+  setRows(rows) {
+    this.octree.setRows(rows);
     for (const [name, read, format] of this.stores) {
       const arrays = read();
       if (!arrays.length) continue;
@@ -106,24 +106,24 @@ export class OctreeTexture {
   }
 
   get filter() {
-    return this.known.filter;
+    return this.options.filter;
   }
 
   // "nearest", "linear" or "quadratic".
   set filter(filter) {
     if (!FILTERS.includes(filter)) throw new Error(`filter must be one of ${FILTERS.join(", ")}, not ${filter}`);
-    this.known = { ...this.known, filter };
-    for (const material of this.materials) material.needsUpdate = true; // programs differ
+    this.options = { ...this.options, filter };
+    for (const material of this.materials) material.needsUpdate = true; // each filter has its own program
     this.update();
   }
 
   get level() {
-    return this.known.level ?? this.header.depth;
+    return this.options.level ?? this.header.depth;
   }
 
-  // The deepest level that is looked up.
+  // The finest level that is looked up.
   set level(level) {
-    this.known = { ...this.known, level };
+    this.options = { ...this.options, level };
     this.update();
   }
 
@@ -131,9 +131,9 @@ export class OctreeTexture {
     return this.uniforms.u_footprints.value;
   }
 
-  // Whether each pixel averages over what it covers.
-  set footprints(is) {
-    this.uniforms.u_footprints.value = is;
+  // Whether lookups average over a pixel's footprint.
+  set footprints(isOn) {
+    this.uniforms.u_footprints.value = isOn;
   }
 
   update() {
@@ -142,15 +142,15 @@ export class OctreeTexture {
     }
   }
 
-  // Have a material take its channels from this texture instead of its own maps and values; returns the material.
+  // Replace a material's own maps and values by the channels of this texture; returns the material.
   applyTo(material) {
     if (this.materials.has(material)) return material;
-    const before = material.onBeforeCompile, key = material.customProgramCacheKey, names = this.claim(material);
-    const defines = () => this.lines(names).join("\n");
+    const before = material.onBeforeCompile, key = material.customProgramCacheKey, names = this.clearFields(material);
+    const defines = () => this.defines(names).join("\n");
     material.onBeforeCompile = (shader, renderer) => {
       before.call(material, shader, renderer);
       Object.assign(shader.uniforms, this.uniforms);
-      this.check(renderer.capabilities.maxTextureSize);
+      this.checkSize(renderer.capabilities.maxTextureSize);
       this.compile(shader, names, defines());
     };
     material.customProgramCacheKey = () => `${key.call(material)} ${defines()}`;
@@ -159,13 +159,13 @@ export class OctreeTexture {
     return material;
   }
 
-  // Take away what a material has of the texture's channels itself; returns their names.
-  claim(material) {
+  // Clear a material's own maps and values of the texture's channels; returns the names of these channels.
+  clearFields(material) {
     const isLit = !material.isMeshBasicMaterial && !material.isMeshBasicNodeMaterial;
-    const names = Object.keys(OWN).filter((name) => this.channel(name) && (isLit || !LIT.includes(name)));
+    const names = Object.keys(MATERIAL_FIELDS).filter((name) => this.channel(name) && (isLit || !LIT.includes(name)));
     if (names.includes("base_color")) material.vertexColors = false;
     for (const name of names) {
-      const [map, value, plain] = OWN[name];
+      const [map, value, plain] = MATERIAL_FIELDS[name];
       if (map in material) material[map] = null;
       if (material[value]?.isColor) material[value].set(plain);
       else if (value in material) material[value] = plain;
@@ -174,64 +174,65 @@ export class OctreeTexture {
     return names;
   }
 
-  // Refuse a GPU whose textures are too small.
-  check(most) {
+  // Throw an error if the GPU's largest textures are too small.
+  checkSize(maxSize) {
     const rows = Math.max(...this.octree.planes.map((plane) => plane.length / 4 / ROW));
-    if (Math.max(rows, ROW) > most) throw new Error(`this GPU has textures of ${most}, and the octree needs ${Math.max(rows, ROW)}: write the file with a --max-size`);
+    if (Math.max(rows, ROW) > maxSize) throw new Error(`this GPU has textures of ${maxSize}, and the octree needs ${Math.max(rows, ROW)}: write the file with a --max-size`);
   }
 
-  lines(names) {
+  // The defines of the shaders that look up channels.
+  defines(names) {
     const read = [...names, "alpha"].map((name) => this.channel(name)).filter(Boolean).map(({ at: [plane] }) => plane);
     const { header } = this, isFacing = header.split[0] > 0;
     if (isFacing || header.kept) read.push(header.flags[0]);
     const planes = Math.max(0, ...read) + 1;
-    return [...planeLines(header, planes), ...walkLines(header, isFacing, this.filter), ...names.map((name) => `#define ${name.toUpperCase()} ${sumOf(this.channel(name))}`)];
+    return [...planeDefines(header, planes), ...walkDefines(header, isFacing, this.filter), ...names.map((name) => `#define ${name.toUpperCase()} ${channelSum(this.channel(name))}`)];
   }
 
   compile(shader, names, defines) {
     const planes = Number(/PLANES (\d+)/.exec(defines)[1]);
     shader.vertexShader = VERTEX_HEAD + shader.vertexShader.replace("#include <begin_vertex>", `$&${VERTEX}`);
-    let text = shader.fragmentShader.replace("#include <map_fragment>", `${LOOK}$&`);
-    for (const [chunk, name, then] of PLACES) {
+    let text = shader.fragmentShader.replace("#include <map_fragment>", `${LOOKUP}$&`);
+    for (const [chunk, name, then] of INSERTIONS) {
       if (defines.includes(`#define ${name} `)) text = text.replace(`#include <${chunk}>`, `$&\n${then}`);
     }
     if (names.includes("normal")) text = text.replace("#include <normal_fragment_maps>", `$&${NORMAL}`);
-    shader.fragmentShader = [defines, VARYINGS, "uniform bool u_footprints;", repeated(this.walk, planes), text].join("\n");
+    shader.fragmentShader = [defines, VARYINGS, "uniform bool u_footprints;", withEachPlane(this.walk, planes), text].join("\n");
   }
 
-  // Give the meshes of an object, such as a scene that GLTFLoader has read, positions at rest and materials of this texture.
-  // The object stands as it does in its file. Geometries that several meshes share are copied.
+  // Give the meshes of an object, such as a scene of GLTFLoader, rest positions and materials of this texture. The object must
+  // stand as it does in its file. Geometries that meshes share are copied. `material` makes a material from a mesh's own.
   applyToObject(object, material = (own) => own.clone()) {
     object.updateMatrixWorld(true);
     const toRoot = object.parent ? new Matrix4().copy(object.matrixWorld).multiply(new Matrix4().copy(object.matrix).invert()).invert() : new Matrix4();
-    const seen = new Set();
+    const geometries = new Set();
     object.traverse((mesh) => {
       if (!mesh.isMesh) return;
-      if (seen.has(mesh.geometry)) mesh.geometry = mesh.geometry.clone();
-      seen.add(mesh.geometry);
-      this.rest(mesh, toRoot);
+      if (geometries.has(mesh.geometry)) mesh.geometry = mesh.geometry.clone();
+      geometries.add(mesh.geometry);
+      this.addRest(mesh, toRoot);
       mesh.material = Array.isArray(mesh.material) ? mesh.material.map((each) => this.applyTo(material(each))) : this.applyTo(material(mesh.material));
     });
   }
 
-  // Store where a mesh rests in the root cell, as it stands now.
-  rest(mesh, toRoot) {
+  // Add the attributes of rest positions in the root cell, and of normals at rest, from a mesh as it stands now.
+  addRest(mesh, toRoot) {
     const { geometry } = mesh, { position, normal } = geometry.attributes, { origin, size } = this.header;
-    const places = new Float32Array(3 * position.count), sides = new Float32Array(3 * position.count), at = new Vector3();
-    const whole = new Matrix4().multiplyMatrices(toRoot, mesh.matrixWorld), low = new Vector3(...origin);
-    const turn = new Matrix3().getNormalMatrix(whole);
+    const positions = new Float32Array(3 * position.count), normals = new Float32Array(3 * position.count), vector = new Vector3();
+    const matrix = new Matrix4().multiplyMatrices(toRoot, mesh.matrixWorld), low = new Vector3(...origin);
+    const normalMatrix = new Matrix3().getNormalMatrix(matrix);
     if (!normal) geometry.computeVertexNormals();
     for (let n = 0; n < position.count; n++) {
-      mesh.getVertexPosition(n, at).applyMatrix4(whole).sub(low).divideScalar(size).toArray(places, 3 * n);
-      at.fromBufferAttribute(geometry.attributes.normal, n).applyNormalMatrix(turn).toArray(sides, 3 * n);
+      mesh.getVertexPosition(n, vector).applyMatrix4(matrix).sub(low).divideScalar(size).toArray(positions, 3 * n);
+      vector.fromBufferAttribute(geometry.attributes.normal, n).applyNormalMatrix(normalMatrix).toArray(normals, 3 * n);
     }
-    geometry.setAttribute("octexRest", new BufferAttribute(places, 3));
-    geometry.setAttribute("octexNormal", new BufferAttribute(sides, 3));
+    geometry.setAttribute("octexRest", new BufferAttribute(positions, 3));
+    geometry.setAttribute("octexNormal", new BufferAttribute(normals, 3));
   }
 
-  takeMesh(mesh) {
+  setMesh(mesh) {
     const geometry = new BufferGeometry();
-    const attributes = { position: mesh.positions, normal: mesh.normals, octexRest: mesh.rest, octexNormal: mesh.upright ?? mesh.normals };
+    const attributes = { position: mesh.positions, normal: mesh.normals, octexRest: mesh.rest, octexNormal: mesh.restNormals ?? mesh.normals };
     for (const [name, array] of Object.entries(attributes)) geometry.setAttribute(name, new BufferAttribute(array, 3));
     geometry.setIndex(new BufferAttribute(mesh.triangles, 1));
     const material = new MeshStandardMaterial({ roughness: 1, metalness: this.channel("metallic") ? 1 : 0 });

@@ -1,5 +1,5 @@
-// WGSL from GLSL that is written so that both have the same types: vectors meet scalars in sums and products alone, shifts
-// are by unsigned numbers, constructors convert whole vectors, functions have names of their own.
+// Translates GLSL to WGSL, for shaders that keep these rules: only sums and products mix vectors and scalars, shifts are by
+// unsigned numbers, constructors convert whole vectors, and no function is overloaded.
 
 const BINARY = [["||"], ["&&"], ["|"], ["^"], ["&"], ["==", "!="], ["<", ">", "<=", ">="], ["<<", ">>"], ["+", "-"], ["*", "/", "%"]];
 const COMPARED = { lessThan: "<", greaterThan: ">", lessThanEqual: "<=", greaterThanEqual: ">=", equal: "==", notEqual: "!=" };
@@ -9,7 +9,7 @@ const TYPES = { float: "f32", int: "i32", uint: "u32", bool: "bool" };
 for (const [letter, scalar] of Object.entries(SCALARS)) for (const size of [2, 3, 4]) TYPES[`${letter}vec${size}`] = `vec${size}<${scalar}>`;
 const TOKEN = /[A-Za-z_]\w*|0x[\dA-F]+u?|\d+\.?\d*(?:e[+-]?\d+)?u?|<<|>>|[<>=!+\-*/%&|^]=|&&|\|\||\+\+|--|\S/g;
 
-// What stands in parentheses that begin at a place: the parts between its commas, and where it ends.
+// Split the arguments in parentheses that begin at a place; returns them, and where they end.
 function argumentsAt(text, begin) {
   const parts = [""];
   for (let at = begin, depth = 0; ; at++) {
@@ -21,10 +21,10 @@ function argumentsAt(text, begin) {
   }
 }
 
-// The text with macros in place of their names, and without what conditions leave out.
+// Expand macros, and drop the lines that conditions leave out.
 export function preprocessed(text) {
-  const macros = new Map(), lives = [true];
-  const isKnown = (text) => {
+  const macros = new Map(), isLive = [true]; // of each nested condition, whether its lines count
+  const isDefined = (text) => {
     const [, not, name] = /(!?)\s*defined\((\w+)\)/.exec(text);
     return macros.has(name) !== Boolean(not);
   };
@@ -34,42 +34,43 @@ export function preprocessed(text) {
     const { parameters, body } = macros.get(name), begin = line.search(new RegExp(`\\b${name}\\b`));
     let end = begin + name.length, made = body;
     if (parameters) {
-      const [given, after] = argumentsAt(line, end), values = Object.fromEntries(parameters.map((each, n) => [each, given[n].trim()]));
+      const [texts, after] = argumentsAt(line, end), values = Object.fromEntries(parameters.map((each, n) => [each, texts[n].trim()]));
       made = body.replace(/\b\w+\b/g, (word) => values[word] ?? word);
       end = after;
     }
     return expanded(line.slice(0, begin) + made + line.slice(end));
   };
-  const kept = [];
+  const output = [];
   for (const line of text.replace(/\/\/.*$/gm, "").split("\n")) {
-    const [, word, rest] = /^\s*#(\w+)\s*(.*)$/.exec(line) ?? [], isAlive = lives.every(Boolean);
-    if (word === "ifdef") lives.push(macros.has(rest.trim()));
-    else if (word === "ifndef") lives.push(!macros.has(rest.trim()));
-    else if (word === "if") lives.push(rest.split("||").some((or) => or.split("&&").every(isKnown)));
-    else if (word === "else") lives.push(!lives.pop());
-    else if (word === "endif") lives.pop();
-    else if (isAlive && word === "define") {
+    const [, word, rest] = /^\s*#(\w+)\s*(.*)$/.exec(line) ?? [], counts = isLive.every(Boolean);
+    if (word === "ifdef") isLive.push(macros.has(rest.trim()));
+    else if (word === "ifndef") isLive.push(!macros.has(rest.trim()));
+    else if (word === "if") isLive.push(rest.split("||").some((or) => or.split("&&").every(isDefined)));
+    else if (word === "else") isLive.push(!isLive.pop());
+    else if (word === "endif") isLive.pop();
+    else if (counts && word === "define") {
       const [, name, listed, body] = /^(\w+)(?:\(([^)]*)\))?\s*(.*)$/.exec(rest);
       macros.set(name, { parameters: listed?.split(/,\s*/), body });
-    } else if (isAlive) kept.push(expanded(line));
+    } else if (counts) output.push(expanded(line));
   }
-  return kept.join("\n");
+  return output.join("\n");
 }
 
-// A reader of GLSL, which writes WGSL as it goes.
+// Parses GLSL by recursive descent; each method returns the WGSL of what it parses.
 class Translator {
   constructor(text) {
     this.tokens = text.match(TOKEN);
     this.at = 0;
     this.types = { ...TYPES };
-    this.functions = {}; // of each, which parameters it writes to
-    this.pointers = [];
+    this.functions = {}; // by name: whether each parameter is an output
+    this.pointers = []; // names of the current function's outputs
   }
 
   get next() {
     return this.tokens[this.at];
   }
 
+  // Skip the next token if it is this one; returns whether it was.
   has(token) {
     if (this.next !== token) return false;
     this.at++;
@@ -81,7 +82,8 @@ class Translator {
     return token;
   }
 
-  skipped(end) {
+  // Skip all up to a token.
+  skipTo(end) {
     while (!this.has(end)) this.at++;
     return "";
   }
@@ -93,12 +95,12 @@ class Translator {
   }
 
   top() {
-    if (this.next === "precision") return this.skipped(";");
+    if (this.next === "precision") return this.skipTo(";");
     if (this.has("struct")) return this.struct();
     if (this.has("const")) return `${this.declared("const")};`;
     if (this.has("uniform")) {
       this.has("highp");
-      return this.next.includes("sampler") ? this.skipped(";") : `${this.declared("var<private>")};`;
+      return this.next.includes("sampler") ? this.skipTo(";") : `${this.declared("var<private>")};`;
     }
     return this.tokens[this.at + 2] === "(" ? this.function() : `${this.declared("var<private>")};`;
   }
@@ -117,7 +119,7 @@ class Translator {
     return `struct ${name} { ${fields.join(", ")} }`;
   }
 
-  // A type, or an array of it if a size follows the name.
+  // A type, or an array type if a size follows the name.
   sized(type) {
     if (!this.has("[")) return type;
     const size = this.expression();
@@ -152,7 +154,7 @@ class Translator {
     return `fn ${name}(${head.join(", ")})${result} { ${copies.join(" ")} ${body} }`;
   }
 
-  // The statements in braces, or one without.
+  // Statements in braces, or a single statement.
   block() {
     if (!this.has("{")) return this.statement();
     const made = [];
@@ -244,13 +246,13 @@ class Translator {
       this.has(",");
     }
     if (COMPARED[name]) return `(${given.join(` ${COMPARED[name]} `)})`;
-    // Of an array of textures the layer is an argument of its own.
+    // WGSL takes the layer of an array texture as an argument of its own.
     if (name === "texelFetch") given[1] = given[1].replace(/^vec3<i32>\((.*), (\d+)\)$/, "$1, $2");
     return `${this.types[name] ?? CALLED[name] ?? name}(${given.join(", ")})`;
   }
 }
 
-// Translate a shader's functions. Samplers are declared elsewhere, by their names; other uniforms become variables.
+// Translate a shader. The caller declares the samplers; other uniforms become variables.
 export function wgslOf(text) {
   const translator = new Translator(preprocessed(text)), made = [];
   while (translator.next) made.push(translator.top());

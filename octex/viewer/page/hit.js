@@ -1,0 +1,23 @@
+// Reads the surface under the pointer from the G-buffer of the last picture.
+
+import { octahedronDirection } from "./mesh.js";
+
+// Unpack a unit vector, as packDirection of directions.glsl packs it.
+const unpackDirection = (bits) => octahedronDirection(...[bits << 16, bits].map((half) => Math.max((half >> 16) / 32767, -1)));
+
+// At a position of the picture, in CSS pixels: the rest position, the normal and the direction to the camera in view space,
+// and the depth along the view. Null for the background.
+export function hitAt(viewer, x, y) {
+  const { gpu, canvas, parts, camera, display } = viewer, { gbuffer } = gpu.targets;
+  if (!gbuffer || !viewer.isDrawn || viewer.isContextLost || gpu.showsCubes(display)) return null;
+  const column = Math.floor((x / canvas.clientWidth) * gbuffer.width), row = Math.floor((1 - y / canvas.clientHeight) * gbuffer.height);
+  if (!(column >= 0 && column < gbuffer.width && row >= 0 && row < gbuffer.height)) return null;
+  const [positions, directions] = [0, 1].map((number) => gpu.readUints(gbuffer, number, [column, row, column + 1, row + 1]));
+  const [a, b, c, footprint] = new Float32Array(positions.buffer);
+  if (!(footprint > 0)) return null;
+  const { origin, size, mesh } = parts[0].header, { view } = camera;
+  const rest = [a, b, c].map((at, n) => origin[n] + size * at), [p, q, r] = rest;
+  const isPosed = mesh.posed || display.moment; // then the rest position is not where the surface is
+  const depth = isPosed ? gpu.depthAt(display, camera, [x, y], [canvas.clientWidth, canvas.clientHeight]) : -(view[2] * p + view[6] * q + view[10] * r + view[14]);
+  return { rest, normal: unpackDirection(directions[0]), toward: unpackDirection(directions[1]), depth };
+}
