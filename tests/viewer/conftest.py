@@ -15,7 +15,7 @@ from octex.viewer import Viewer, server
 from tests.make.browser import driven, file_url, opened, started
 from tests.make.browser import served as served_pages
 from tests.make.studio import Studio
-from tests.viewer.test_session import OCTETS, canvas
+from tests.make.strokes import OCTETS, canvas
 
 
 @pytest.fixture(scope="package")

@@ -15,7 +15,7 @@ from octex.viewer import Viewer, downloads, write_page
 from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
-from tests.viewer.test_session import canvas, plain, stroke
+from tests.make.strokes import canvas, plain, stroke
 
 
 def told(served, **wanted):

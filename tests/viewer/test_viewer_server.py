@@ -257,19 +257,3 @@ def test_of_a_folder_all_parts_are_shown_or_one(tmp_path, monkeypatch):
         assert header["leaves"] == textures[name].tree.n_leaves
         assert header["mesh"]["triangles"] == (two.parts == number).sum()
     assert main(["view", str(tmp_path / "set"), "--part", "none"]) == ExitCode.REFUSED
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["a.octex", "--depth", "3"], "--depth is for models; choose the level of a.octex in the page"),
-        (["a.glb", "b.glb"], "b.glb: PAGE has the ending '.glb'; octex writes .html and .octw here"),
-        (["a.octex", "--max-size", "1MB"], "--max-size is for pages, NAME.html"),
-        (["a.octex", "a.html", "--port", "80"], "--port cannot be used when a page is written"),
-        (["a.octex", "--port", "0"], "--port: 0 is not a port from 1 to 65535"),
-        (["a.octex", "--part", "x"], "--part needs a folder of parts; a.octex is not one"),
-        (["a.octex", "--rest", "b.glb"], "--rest needs a MODEL"),
-    ],
-)
-def test_words_of_octex_view_that_make_no_sense_are_refused(words, message, cli):
-    assert message in cli.refusal("view", *words)
