@@ -32,18 +32,15 @@ def cli(capsys):
 
 @needs_jit
 def test_the_doors_are_two_of_the_commands(tmp_path, cli):
-    model, texture, coarse = colored_box(tmp_path), tmp_path / "box.octex", tmp_path / "coarse.octex"
+    model, texture, other = colored_box(tmp_path), tmp_path / "box.octex", tmp_path / "other.octex"
     assert cli.result("convert", "--depth", 4, model, texture, "--quiet") == ""
-    assert main(["convert", str(model), str(coarse), "--depth", "4", "--quiet"], "octree-convert") == 0
-    assert coarse.read_bytes() == texture.read_bytes()
-    cli.result("edit", texture, "--depth", 3, coarse, "--force")
-    assert octex.open(coarse).tree.max_depth == 3
+    assert main(["convert", str(model), str(other), "--depth", "4", "--quiet"], "octree-convert") == 0
+    assert other.read_bytes() == texture.read_bytes()
     for door in ("convert", "paint"):
-        assert main([door, "--help"], f"octree-{door}") == 0
-        text = cli.said()[0]
-        assert text == cli.result(door, "--help").replace(f"octex {door}", f"octree-{door}")
-        assert main([door, "--version"], f"octree-{door}") == 0
-        assert cli.said()[0] == cli.result("--version").replace("octex", f"octree-{door}")
+        for word, text in (("--help", cli.result(door, "--help")), ("--version", cli.result("--version"))):
+            assert main([door, word], f"octree-{door}") == 0
+            own = f"octex {door}" if word == "--help" else "octex"
+            assert cli.said()[0] == text.replace(own, f"octree-{door}")
     assert cli.result("--version") == f"octex {octex.__version__}\n"
 
 
@@ -94,30 +91,18 @@ def test_each_page_is_there(name, cli):
 
 def test_what_is_no_command_is_refused_with_those_that_there_are(cli):
     names = "convert, view, draw, paint, bake, edit, info, diff, validate, overlaps, warm-up, help"
-    end = f"the commands are {names}; see octex --help"
-    assert cli.refused() == f"octex: error: a command is missing: {end}"
-    assert (
-        cli.refused("convrt", "a") == f"octex: error: 'convrt' is not a command, do you mean 'convert': {end}"
-    )
-    assert cli.refused("a.glb") == f"octex: error: 'a.glb' is not a command: {end}"
-    assert cli.refused("--quiet", "info") == f"octex: error: --quiet stands before the command: {end}"
+    for words, said in (
+        ("", "a command is missing"),
+        ("convrt a", "'convrt' is not a command, do you mean 'convert'"),
+        ("a.glb", "'a.glb' is not a command"),
+        ("--quiet info", "--quiet stands before the command"),
+    ):
+        expected = f"octex: error: {said}: the commands are {names}; see octex --help"
+        assert cli.refused(*words.split()) == expected
     assert cli.refused("help", "x").startswith("octex: error: there is no page on 'x'; there are tutorial, ")
     assert cli.refused("help", "printing") == (
         "octex: error: there is no page on 'printing'; do you mean 'print'? octex help lists all"
     )
-    message = "octex edit: error: a.obj: is not a .octex file; octex convert makes one from a model"
-    assert cli.refused("edit", "a.obj", "b.octex") == message
-    message = cli.refused("convert", "shapes.py", "a.octex")
-    assert message.endswith("shapes.py: name the function in it, like shapes.py:NAME")
-
-
-def test_a_model_is_not_converted_to_another_but_baked_to(cli):
-    for given, file, end in (
-        ("a.glb", "b.glb", "baked onto its model: octex bake TEXTURE a.glb b.glb"),
-        ("a.octex", "b.ptx", "baked onto its model: octex bake TEXTURE MODEL b.ptx"),
-        ("a.glb", "b.html", "b.html: a page is written by octex view TEXTURE a.glb b.html"),
-    ):
-        assert cli.refused("convert", given, file).endswith(end)
 
 
 INTERRUPTED = """
@@ -138,15 +123,22 @@ sys.exit(function())
 """
 
 
+SCRIPTS = tomllib.loads((Path(octex.__file__).parents[1] / "pyproject.toml").read_text())["project"][
+    "scripts"
+]
+MODULES = "octex.errors", "octex.cli.common", "octex.cli.values"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of POSIX")
-@pytest.mark.parametrize("module", ["octex.cli.main", "octex.errors", "octex.cli.common", "octex.cli.values"])
-def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(module):
-    scripts = tomllib.loads((Path(octex.__file__).parents[1] / "pyproject.toml").read_text())["project"]
-    for command, target in scripts["scripts"].items():
-        home, _, function = target.partition(":")
-        assert home == "octex.cli.start"
-        done = python(INTERRUPTED, module, function, "--version")
-        assert (done.returncode, done.stderr) == (130, f"{command}: interrupted\n")
+@pytest.mark.parametrize(
+    ("command", "module"),
+    [*((each, "octex.cli.main") for each in SCRIPTS), *(("octex", each) for each in MODULES)],
+)
+def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(command, module):
+    home, _, function = SCRIPTS[command].partition(":")
+    assert home == "octex.cli.start"
+    done = python(INTERRUPTED, module, function, "--version")
+    assert (done.returncode, done.stderr) == (130, f"{command}: interrupted\n")
 
 
 def test_a_page_is_not_viewed_again(tmp_path, cli):

@@ -4,31 +4,21 @@ import json
 from pathlib import Path
 
 import numpy as np
-import pytest
 from PIL import Image
 
 import octex
 from octex.cli.values import camera
 from octex.errors import ExitCode
 from tests.conftest import needs_jit
-from tests.make.command import OUT, Painting
+from tests.make.command import OUT
 from tests.make.scene import SIZE, assert_painted
-
-
-@pytest.fixture
-def cli(capsys):
-    """Runs octex paint, or octex draw for a view to paint on."""
-    return Painting(capsys)
 
 
 @needs_jit
 def test_pictures_are_matched_to_frames_by_their_file_names(scene, tmp_path, cli):
-    out = tmp_path / "out.octex"
-    arguments = [scene.texture, scene.model, "--camera", scene.cameras, OUT, out, "--force"]
-    made = json.loads(cli.result(*arguments, scene.blue, scene.square, "--json", "--quiet"))
-    assert made["painted"] == ["blue.png", "square.png"]
-    made = json.loads(cli.result(*arguments, "--json", "--quiet"))  # they lie beside their cameras
-    assert made["painted"] == ["square.png", "blue.png"]
+    arguments = [*scene.shot[:2], "--camera", scene.cameras, OUT, tmp_path / "out.octex", "--force"]
+    assert cli.facts(*arguments, scene.blue, scene.square)["painted"] == ["blue.png", "square.png"]
+    assert cli.facts(*arguments)["painted"] == ["square.png", "blue.png"]  # they lie beside their cameras
 
 
 @needs_jit
@@ -123,24 +113,17 @@ def test_pictures_that_cannot_be_used_are_refused_by_file_and_frame(scene, tmp_p
 
 @needs_jit
 def test_masks_are_one_for_all_or_one_each(scene, tmp_path, cli):
-    out = tmp_path / "out.octex"
-    black, white = tmp_path / "black.png", tmp_path / "white.png"
-    Image.new("L", (SIZE, SIZE), 0).save(black)
-    Image.new("L", (SIZE, SIZE), 255).save(white)
-    both = [scene.texture, scene.model, scene.square, scene.blue, "--camera", scene.cameras, OUT, out]
+    out, black, white = (tmp_path / name for name in ("out.octex", "black.png", "white.png"))
+    for path, code in ((black, 0), (white, 255)):
+        Image.new("L", (SIZE, SIZE), code).save(path)
+    both = [*scene.shot[:2], scene.square, scene.blue, "--camera", scene.cameras, OUT, out, "--force"]
     cli.result(*both, "--mask", white, "--mask", black, "--quiet")
-    picture = octex.Projection(scene.square, scene.camera, white)
-    assert_painted(
-        octex.open(out),
-        octex.paint(
-            octex.open(scene.texture),
-            scene.surface,
-            [picture, octex.Projection(scene.blue, scene.camera, black)],
-        ),
-    )
-    assert cli.run(*both, "--mask", black, "--force") == ExitCode.NOTHING_PAINTED
+    masked = ((scene.square, white), (scene.blue, black))
+    pictures = [octex.Projection(picture, scene.camera, mask) for picture, mask in masked]
+    assert_painted(octex.open(out), octex.paint(octex.open(scene.texture), scene.surface, pictures))
+    assert cli.run(*both, "--mask", black) == ExitCode.NOTHING_PAINTED
     cli.said()
-    message = cli.refusal(*both, "--force", *["--mask", white] * 3)
+    message = cli.refusal(*both, *["--mask", white] * 3)
     assert message == "--mask gives 3 for 2 IMAGEs; give one for all, or one an IMAGE"
 
 

@@ -29,30 +29,18 @@ COUNTS = {"not_finite": 1, "degenerate": 1, "duplicate": 1, "inner": 12, "moved"
 
 
 def test_convert_and_bake_tell_what_they_left_out(messy, tmp_path, cli):
-    assert "repair the model" in cli.refusal(messy, tmp_path / "a.octex", "--quiet")
-    words = ["--depth", 3, "--repair"]
-    facts = json.loads(cli.result(messy, tmp_path / "a.octex", *words, "--quiet", "--json"))
-    assert facts["repair"] == COUNTS
-    texture = octex.open(tmp_path / "a.octex")
+    made, baked, words = tmp_path / "a.octex", tmp_path / "a.glb", ["--depth", 3, "--repair"]
+    assert "repair the model" in cli.refusal(messy, made, "--quiet")
+    assert cli.facts(messy, made, *words, "--quiet")["repair"] == COUNTS
+    texture = octex.open(made)
     box = octex.Surface.from_arrays(trimesh.creation.box().vertices, trimesh.creation.box().faces)
     assert texture.tree.n_leaves == octex.convert(box, 3).tree.n_leaves
     assert json.loads(texture.metadata["repair"]) == COUNTS
-    baked = tmp_path / "a.glb"
-    told = cli.result("bake", tmp_path / "a.octex", messy, baked, "--repair", "--texture-size", 64)
+    told = cli.result("bake", made, messy, baked, "--repair", "--texture-size", 64)
     left_out = "repair: left out triangles: 1 not finite, 1 without area, 1 duplicate, 12 inner"
     assert left_out in told.splitlines()
     assert len(octex.load_surface(baked).triangles) == 12
     assert "12 inner" in cli.result(messy, tmp_path / "parts", *words, "--parts")
-
-
-def test_a_repair_needs_one_mesh(messy, tmp_path, cli):
-    said = cli.refusal(messy, tmp_path / "a.octex", "--repair", "--quiet", "--also", messy)
-    assert "--repair applies to one model; leave out --also" in said
-    (tmp_path / "ball.py").write_text("def ball(p):\n    return (p**2).sum(axis=1) - 1\n")
-    said = cli.refusal(
-        f"{tmp_path / 'ball.py'}:ball", tmp_path / "a.octex", "--repair", "--grid=-2,-2,-2,2,2,2,1"
-    )
-    assert "--repair applies to meshes" in said
 
 
 @pytest.mark.parametrize("ending", ["obj", "ply", "off", "stl", "glb"])

@@ -2,13 +2,13 @@
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
 
 import octex
 from octex.errors import ExitCode
-from octex.formats.ply import write_points
 from tests.make.command import run
 from tests.make.fixtures import obj_lines
 from tests.source.test_surface import CUBE, CUBE_TRIANGLES
@@ -34,21 +34,17 @@ def made(model):
 
 
 def test_parts_become_a_folder_of_textures(model, tmp_path, cli):
-    folder = tmp_path / "out"
-    options = ("--parts", "--cell", 0.25, "--channels", "base_color", "--dtype", "uint16", "--no-fit")
-    text = cli.result(model, folder, *options, "--threads", 1)
+    folder, options = tmp_path / "out", ("--cell", 0.25, "--channels", "base_color", "--dtype", "uint16")
+    given = model, folder, "--parts", "--no-fit", *options
+    text = cli.result(*given, "--threads", 1)
     assert re.fullmatch(rf"{re.escape(str(folder))}: 2 parts, [\d,]+ leaves, [\d.]+ kB, [\d.]+ s\n", text)
-    found = octex.TextureSet.open(folder)
     wanted = octex.convert_set(model, cell=0.25, channels=["base_color"], dtype="uint16", fit=False)
-    assert found.info() == wanted.info()
-    told = json.loads(cli.result(model, folder, *options, "--force", "--json"))
+    assert octex.TextureSet.open(folder).info() == wanted.info()
+    told = cli.facts(*given, "--force")
     assert told.pop("seconds") >= 0
-    assert told == {
-        "output": str(folder),
-        "parts": 2,
-        "leaves": sum(texture.tree.n_leaves for texture in wanted.values()),
-        "bytes": wanted.info()["bytes"],
-    }
+    leaves = sum(texture.tree.n_leaves for texture in wanted.values())
+    size = wanted.info()["bytes"]
+    assert told == {"output": str(folder), "parts": 2, "leaves": leaves, "bytes": size}
     assert len(list(folder.iterdir())) == 3
 
 
@@ -69,7 +65,7 @@ def test_info_lists_parts_cells_and_bytes(made, cli):
 
 def test_validate_proves_all_parts_or_names_what_is_broken(made, tmp_path, cli):
     assert cli.result("validate", made) == "valid\n"
-    octex.TextureSet.open(made).save(tmp_path / "copy")
+    shutil.copytree(made, tmp_path / "copy")
     path = tmp_path / "copy" / "part-1.octex"
     damaged = bytearray(path.read_bytes())
     damaged[4096] ^= 0xFF  # the node masks of the root
@@ -79,43 +75,15 @@ def test_validate_proves_all_parts_or_names_what_is_broken(made, tmp_path, cli):
     path.unlink()
     assert cli.run("validate", tmp_path / "copy", "--json") == ExitCode.INVALID
     assert "the file of part 'part-1' is missing" in json.loads(cli.said()[0])["broken"]
-    assert "set.json: No such file" in cli.refusal("validate", tmp_path)
-    assert "is not the folder of a texture set" in cli.refusal("info", tmp_path)
 
 
-def test_what_cannot_be_written_is_refused_before_any_work(model, made, tmp_path, cli, monkeypatch):
+def test_what_cannot_be_written_is_refused_before_any_work(model, tmp_path, cli, monkeypatch):
     monkeypatch.setattr(octex, "load_surface", None)
-    (tmp_path / "file").write_text("mine")
-    before = sorted(made.iterdir())
-    cases = [
-        (made, "holds a texture set already; --force replaces it"),
-        (tmp_path / "file", "is a file; --parts writes a folder, give OUTPUT another name"),
-        *(
-            (tmp_path / f"a.{ending}", "--parts writes a folder; give OUTPUT no ending")
-            for ending in ("octex", "octz", "ply", "npz")
-        ),
-        (tmp_path / "no" / "folder", "there is no folder"),
-    ]
-    for folder, message in cases:
-        assert message in cli.refusal(model, folder, "--parts")
+    for ending in ("octex", "octz", "ply", "npz"):
+        said = cli.refusal(model, tmp_path / f"a.{ending}", "--parts")
+        assert said.endswith("--parts writes a folder; give OUTPUT no ending")
     monkeypatch.setattr("os.access", lambda *_: False)
     assert "cannot be written" in cli.refusal(model, tmp_path / "new", "--parts")
-    assert sorted(made.iterdir()) == before
-
-
-def test_options_that_do_not_go_with_parts_are_refused(model, made, tmp_path, cli):
-    out = tmp_path / "out"
-    for words in (("--separate", "3"), ("--preview", "a.png"), ("--memory", "1GB")):
-        message = cli.refusal(model, out, "--parts", *words)
-        assert f"{words[0]} cannot be used with --parts" in message
-    texture = made / "part-0.octex"
-    assert "--parts needs the model, but this is a texture" in cli.refusal(texture, out, "--parts")
-    write_points(octex.open(texture), tmp_path / "dots.ply")
-    assert "--parts needs a surface" in cli.refusal(tmp_path / "dots.ply", out, "--parts")
-    assert "--depth: 22 is not from 0 to 21" in cli.refusal(model, out, "--parts", "--depth", 22)
-    message = cli.refusal(model, out, "--parts", "--crop", "0,0,0,1,1,1")
-    assert message.startswith("--crop is an option of octex edit, not of octree-convert")
-    assert not out.exists()
 
 
 def test_lookups_by_part_do_not_bleed(model, made):

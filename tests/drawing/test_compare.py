@@ -9,9 +9,8 @@ import pytest
 import octex
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat, encode, linear_to_srgb
 from octex.drawing import compare
-from octex.drawing.compare import Difference, difference
+from octex.drawing.compare import difference
 from octex.errors import ArgumentError
-from octex.source.base import Source
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import AREA_ONE
@@ -94,7 +93,7 @@ def test_textures_are_read_with_the_filter_asked_for():
     a, b = sheet({ROUGHNESS: 0.0}), sheet({ROUGHNESS: values})
     for options, filter, most in (({}, "quadratic", 0.75**2), ({"filter": "nearest"}, "nearest", 1.0)):
         found = difference(a, b, **options)
-        assert found.filter == filter
+        assert (found.filter, found["roughness"].measure) == (filter, "0 to 1")
         assert found["roughness"].maximum == pytest.approx(most)  # the spline's weight in the middle
 
 
@@ -116,19 +115,18 @@ def test_which_is_first_does_not_matter_but_for_the_names():
     assert there.uncovered == back.uncovered[::-1]
 
 
-def test_leaves_count_by_their_area():
+@pytest.mark.parametrize(
+    ("larger", "rms", "p99"),
+    [(16, math.sqrt(4 / 67), 1.0), (-16, math.sqrt(0.25 / 63.25), 0.0)],  # at last less than a hundredth
+)
+def test_leaves_count_by_their_area(larger, rms, p99):
     values, areas = np.zeros((8, 8, 1)), np.full((8, 8), AREA_ONE)
     values[2, 5] = 1.0
-    areas[2, 5] += 16  # four times as much
-    a, b = sheet({ROUGHNESS: 0.0}, areas=areas), sheet({ROUGHNESS: values}, areas=areas)
+    areas[2, 5] += larger  # four times as much, or a quarter
+    a, b = (sheet({ROUGHNESS: each}, areas=areas) for each in (0.0, values))
     result = difference(a, b, filter="nearest")["roughness"]
-    assert result.rms == pytest.approx(math.sqrt(4 / 67))
-    assert result.p99 == 1.0
-    areas[2, 5] -= 32
-    a, b = sheet({ROUGHNESS: 0.0}, areas=areas), sheet({ROUGHNESS: values}, areas=areas)
-    result = difference(a, b, filter="nearest")["roughness"]
-    assert result.rms == pytest.approx(math.sqrt(0.25 / 63.25))
-    assert (result.p99, result.maximum) == (0.0, 1.0)  # less than a hundredth of the area
+    assert result.rms == pytest.approx(rms)
+    assert (result.p99, result.maximum) == (p99, 1.0)
 
 
 def test_textures_of_another_placement_and_depth_are_compared_where_they_are():
@@ -147,37 +145,29 @@ def test_textures_of_another_placement_and_depth_are_compared_where_they_are():
 
 def test_what_only_one_texture_covers_is_left_out_and_counted():
     a = sheet({ROUGHNESS: 0.0}, rows=slice(0, 6))
-    b = sheet({ROUGHNESS: np.full((8, 8, 1), 1.0)}, rows=slice(4, 8))
-    found = difference(a, b)
+    found = difference(a, sheet({ROUGHNESS: 1.0}, rows=slice(4, 8)))
     assert found.uncovered == pytest.approx((4 / 6, 2 / 4))
     assert found.areas == pytest.approx((6 / 8, 4 / 8))
     assert found.points == 2 * 2 * 8
-    assert found["roughness"].rms == 1.0
-    with pytest.raises(ArgumentError, match="do not overlap: do they have the same rest positions"):
-        difference(a, sheet({ROUGHNESS: 0.0}, rows=slice(6, 8)))
-    with pytest.raises(ArgumentError, match="do not overlap"):
-        difference(a, sheet({ROUGHNESS: 0.0}, layer=1))
+    assert (found["roughness"].rms, found["roughness"].psnr) == (1.0, 0.0)
+    for place in ({"rows": slice(6, 8)}, {"layer": 1}):
+        with pytest.raises(ArgumentError, match="do not overlap: do they have the same rest positions"):
+            difference(a, sheet({ROUGHNESS: 0.0}, **place))
 
 
 def test_channels_that_only_one_has_are_named():
-    a = sheet({BASE_COLOR: 0.5, ROUGHNESS: 0.5})
-    b = sheet({ROUGHNESS: 0.25, ALPHA: 0.5})
+    a, b = sheet({BASE_COLOR: 0.5, ROUGHNESS: 0.5}), sheet({ROUGHNESS: 0.25, ALPHA: 0.5})
     found = difference(a, b)
     assert list(found) == ["roughness"]
     assert found.unmatched == (("base_color",), ("alpha",))
-    with pytest.raises(ArgumentError, match="unknown channel in both 'alpha'; there are: roughness"):
-        difference(a, b, channels=["alpha"])
-    with pytest.raises(
-        ArgumentError, match="no channel to compare: one has base_color, roughness, the other alpha"
+    assert list(difference(a, a, channels=["roughness", "base_color"])) == ["roughness", "base_color"]
+    for other, channels, message in (
+        (b, ["alpha"], "unknown channel in both 'alpha'; there are: roughness"),
+        (sheet({ALPHA: 0.5}), None, "no channel to compare: one has base_color, roughness, the other alpha"),
+        (b, [], "no channel to compare"),
     ):
-        difference(a, sheet({ALPHA: 0.5}))
-    with pytest.raises(ArgumentError, match="no channel to compare"):
-        difference(a, b, channels=[])
-
-
-def test_only_the_channels_asked_for_are_compared():
-    both = sheet({BASE_COLOR: noise(1), ALPHA: noise(2, 1), ROUGHNESS: noise(3, 1)})
-    assert list(difference(both, both, channels=["roughness", "base_color"])) == ["roughness", "base_color"]
+        with pytest.raises(ArgumentError, match=message):
+            difference(a, other, channels=channels)
 
 
 def test_a_channel_that_means_something_else_is_refused():
@@ -191,27 +181,23 @@ def test_a_channel_that_means_something_else_is_refused():
 
 def test_light_is_compared_alike_however_it_is_stored():
     linear = ChannelFormat("base_color", 3, "linear", "float32")
-    a, b = sheet({BASE_COLOR: 0.25}), sheet({linear: 0.25})
-    assert difference(a, b)["base_color"].maximum < 0.5  # as stored in eight bits
-    # Above 1, the curve goes on.
+    stored = difference(sheet({BASE_COLOR: 0.25}), sheet({linear: 0.25}))["base_color"]
+    assert stored.maximum < 0.5  # as stored in eight bits
     result = difference(sheet({linear: 1.0}), sheet({linear: 16.0}))["base_color"]
-    assert result.maximum == pytest.approx(code(16.0) - 255, rel=1e-6)
+    assert result.maximum == pytest.approx(code(16.0) - 255, rel=1e-6)  # above 1, the curve goes on
     assert result.b == pytest.approx((code(16.0),) * 3)
 
 
 def test_light_counts_as_far_as_it_is_covered():
-    clear = {ALPHA: 0.0}
-    found = difference(sheet({BASE_COLOR: 0.0, **clear}), sheet({BASE_COLOR: 1.0, **clear}))
-    assert found["base_color"].maximum == 0.0
-    half = {ALPHA._replace(dtype="float32"): 0.5}
-    found = difference(sheet({BASE_COLOR: 0.0, **half}), sheet({BASE_COLOR: 1.0, **half}))
-    assert found["base_color"].maximum == pytest.approx(code(0.5))
-    # Without alpha on one side, light counts whole.
-    found = difference(sheet({BASE_COLOR: 0.0}), sheet({BASE_COLOR: 1.0, **clear}))
-    assert found["base_color"].maximum == pytest.approx(255)
-    # Data do not fade.
-    found = difference(sheet({ROUGHNESS: 0.0, **clear}), sheet({ROUGHNESS: 1.0, **clear}))
-    assert found["roughness"].maximum == 1.0
+    clear, half = {ALPHA: 0.0}, {ALPHA._replace(dtype="float32"): 0.5}
+    for form, one, other, expected in (
+        (BASE_COLOR, clear, clear, 0.0),
+        (BASE_COLOR, half, half, code(0.5)),
+        (BASE_COLOR, {}, clear, 255),  # without alpha on one side, light counts whole
+        (ROUGHNESS, clear, clear, 1.0),  # data do not fade
+    ):
+        found = difference(sheet({form: 0.0, **one}), sheet({form: 1.0, **other}))
+        assert found[form.name].maximum == pytest.approx(expected)
 
 
 def test_directions_are_compared_by_components_and_by_angle():
@@ -314,33 +300,15 @@ def test_both_are_averaged_over_a_wider_footprint():
 
 def test_parts_of_a_model_that_the_texture_lacks_are_counted():
     surface = quarters()
-    texture = octex.convert(surface, 5)
-    twice = Surface(
-        np.concatenate([surface.vertices, surface.vertices + np.array([0.0, 0.0, 2.0])]),
-        np.concatenate([surface.triangles, surface.triangles + 4]),
-        Twice(surface.source),
-    )
-    found = difference(twice, texture, points=2000)
+    above = Surface(surface.vertices + np.array([0.0, 0.0, 2.0]), surface.triangles, surface.source)
+    twice = Surface.joined([surface, above])
+    found = difference(twice, octex.convert(surface, 5), points=2000)
     first, second = found.uncovered
     assert first == pytest.approx(0.5, abs=0.05)
     assert second is None
     assert found.points == round(2000 * (1 - first))
     assert found["base_color"].rms < 60
     assert found.areas[0] == pytest.approx(2 * math.hypot(1, 0.3))
-
-
-class Twice(Source):
-    """Two copies of what a source colours."""
-
-    def __init__(self, source):
-        self.source = source
-
-    @property
-    def channels(self):
-        return self.source.channels
-
-    def evaluate(self, triangles, barycentric, widths):
-        return self.source.evaluate(triangles % 2, barycentric, widths)
 
 
 def test_a_model_is_compared_where_it_is_at_rest():
@@ -361,26 +329,13 @@ def test_a_model_is_compared_where_it_is_at_rest():
         ({"width": -1.0}, "width must be from 0 to 1e.30, not -1"),
         ({"width": math.nan}, "width must be from 0 to 1e.30, not nan"),
         ({"filter": "cubic"}, "unknown filter 'cubic'; there are: nearest"),
+        ({"b": quarters()}, "two models cannot be compared with each other"),
     ],
 )
 def test_bad_arguments_are_refused_by_name(arguments, message):
     surface = quarters()
     with pytest.raises(ArgumentError, match=message):
-        difference(surface, octex.convert(surface, 2), **arguments)
-
-
-def test_two_models_are_refused():
-    with pytest.raises(ArgumentError, match="two models cannot be compared with each other"):
-        difference(quarters(), quarters())
-
-
-def test_every_difference_says_what_it_is_measured_in():
-    found = difference(sheet({BASE_COLOR: 0.0, ROUGHNESS: 0.0}), sheet({BASE_COLOR: 1.0, ROUGHNESS: 1.0}))
-    assert isinstance(found["roughness"], Difference)
-    assert {name: (each.measure, each.psnr) for name, each in found.items()} == {
-        "base_color": ("sRGB codes", pytest.approx(0.0, abs=1e-6)),
-        "roughness": ("0 to 1", 0.0),
-    }
+        difference(surface, **{"b": octex.convert(surface, 2), **arguments})
 
 
 def test_values_that_are_not_finite_are_refused_by_their_channel():

@@ -6,7 +6,7 @@ from PIL import Image
 
 import octex
 from octex.cameras.camera import Camera
-from octex.channels import BASE_COLOR, CHANNELS, decode, linear_to_srgb, srgb_to_linear
+from octex.channels import BASE_COLOR, CHANNELS, linear_to_srgb, srgb_to_linear
 from octex.drawing import (
     Viewpoint,
     draw_preview,
@@ -59,29 +59,20 @@ def quarters():
 
 
 def test_a_picture_shows_colours_where_they_are():
-    surface = _square(colors=np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]]))
+    colors = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
+    surface = _square(colors=colors)
     picture = render_surface(surface, _camera(), source_shader(surface)) / FRONT
-    for (row, column), color in {
-        (-1, 0): (1, 0, 0),
-        (-1, -1): (0, 1, 0),
-        (0, -1): (0, 0, 1),
-        (0, 0): (1, 1, 1),
-    }.items():
-        assert np.allclose(picture[row, column], color, atol=0.14)  # within a pixel of the corner
+    corners = picture[[-1, -1, 0, 0], [0, -1, -1, 0]]
+    assert np.allclose(corners, colors, atol=0.14)  # within a pixel of the corner
 
 
 def test_a_texture_shows_the_same_as_its_source(quarters):
     surface, texture = quarters
-    camera = _camera(4)
-    colors = decode(np.array([[[255, 255, 255]]], np.uint8), "srgb")
-    assert colors.max() == 1.0
-    from_source = render_surface(surface, camera, source_shader(surface))
-    from_texture = render_surface(surface, camera, texture_shader(texture))
-    assert np.allclose(from_source[0, 0] / FRONT, [1, 0, 0], atol=0.01)
-    assert np.allclose(from_source[0, 3] / FRONT, [0, 1, 0], atol=0.01)
-    assert np.allclose(from_source[3, 0] / FRONT, [0, 0, 1], atol=0.01)
+    looks = source_shader(surface), texture_shader(texture)
     outer = np.ix_([0, 3], [0, 3])
-    assert np.allclose(from_source[outer], from_texture[outer], atol=0.01)
+    one, other = (render_surface(surface, _camera(4), look)[outer] for look in looks)
+    assert np.allclose(one / FRONT, [[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 1, 1]]], atol=0.01)
+    assert np.allclose(one, other, atol=0.01)
 
 
 def test_samples_are_averaged_in_linear_light():
@@ -185,11 +176,12 @@ def test_what_is_translucent_ends_where_cells_do():
     np.testing.assert_allclose(coverage, [128 / 255, 0], atol=0.01)
 
 
+FITTED = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)
+
+
 @pytest.mark.parametrize("cubes", [False, True])
 def test_leaves_show_the_colours_of_the_model(quarters, cubes):
-    _, texture = quarters
-    camera = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)
-    picture = render_leaves(texture, camera, cubes=cubes, supersample=2)
+    picture = render_leaves(quarters[1], FITTED, cubes=cubes, supersample=2)
     at = np.ix_([20, 44], [20, 44])
     expected = np.array([[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 1, 1]]])
     assert np.allclose(picture[at] / FRONT, expected, atol=0.03)
@@ -210,11 +202,9 @@ def test_cubes_have_the_values_of_their_leaves_and_lie_in_the_picture():
 
 
 def test_leaves_are_drawn_no_finer_than_asked(quarters):
-    _, texture = quarters
-    camera = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)
-    root = render_leaves(texture, camera, level=0, cubes=True, supersample=1)
+    root = render_leaves(quarters[1], FITTED, level=0, cubes=True, supersample=1)
     assert np.allclose(root[32, 32] / FRONT, 0.5, atol=0.02)
-    deep, finest = (render_leaves(texture, camera, level=level, supersample=1) for level in (9, 5))
+    deep, finest = (render_leaves(quarters[1], FITTED, level=level, supersample=1) for level in (9, 5))
     assert np.array_equal(deep, finest)
 
 
@@ -239,10 +229,22 @@ def test_a_preview_shows_source_and_octree_side_by_side(quarters, tmp_path):
     assert {(True, False, False), (False, True, False), (False, False, True)} <= colors
 
 
-@pytest.mark.parametrize(("size", "panel"), [((1, 90), "0 × 90"), ((90, 24), "45 × 24")])
-def test_a_preview_too_small_for_its_captions_is_refused(quarters, size, panel):
-    with pytest.raises(ArgumentError, match=f"size must be larger: a panel of {panel} pixels has no room"):
-        draw_preview(quarters[1], quarters[0], size)
+def test_what_cannot_be_drawn_is_refused(quarters):
+    surface, texture = quarters
+    none = np.zeros((0, 3), np.uint8)
+    channel = {"base_color": Channel(BASE_COLOR, np.zeros((1, 3), np.uint8), none, none)}
+    empty = OctreeTexture(Octree.from_leaves([], 0), channel, Placement((0, 0, 0), 1), [[0] * 3, [1] * 3])
+    too_small = "size must be larger: a panel of {} pixels has no room"
+    for draw, message in (
+        (lambda: draw_preview(texture, surface, (1, 90)), too_small.format("0 × 90")),
+        (lambda: draw_preview(texture, surface, (90, 24)), too_small.format("45 × 24")),
+        (lambda: draw_preview(None), "a surface, a texture or both"),
+        (lambda: draw_preview(empty), "no leaves to draw"),
+        (lambda: texture_shader(SimpleNamespace(channels={})), "there is no channel to draw"),
+        (lambda: source_shader(surface, "height"), "unknown channel 'height'; there are: base_color"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            draw()
 
 
 def test_a_preview_of_one_thing_shows_it_alone(quarters, tmp_path):
@@ -255,16 +257,22 @@ def test_a_preview_of_one_thing_shows_it_alone(quarters, tmp_path):
         assert red.any()
 
 
-def test_captions_name_the_model_and_count_the_leaves(quarters, monkeypatch):
+@pytest.fixture
+def captions(monkeypatch):
+    """The captions of panels that are drawn, which are left blank."""
+    texts = []
+    monkeypatch.setattr(panels, "captioned", lambda _, *text: texts.append(text) or np.zeros((1, 1, 3)))
+    return texts
+
+
+def test_captions_name_the_model_and_count_the_leaves(quarters, captions):
     surface, texture = quarters
-    said = []
-    monkeypatch.setattr(panels, "captioned", lambda _, *text: said.append(text) or np.zeros((1, 1, 3)))
     draw_preview(texture, surface, (60, 60), 1)
     draw_preview(texture, None, (60, 60), 1)
     octree = f"{texture.tree.n_leaves:,} leaves, {texture.nbytes / 1e3:.3g} kB"
-    assert said[0] == ("surface", "model, 2 triangles")
-    assert said[1] == said[2] == ("octree, depth 5", octree)
-    assert said[3][0].startswith("level ")
+    assert captions[0] == ("surface", "model, 2 triangles")
+    assert captions[1] == captions[2] == ("octree, depth 5", octree)
+    assert captions[3][0].startswith("level ")
 
 
 def test_captions_are_dark_on_the_background(quarters):
@@ -287,56 +295,27 @@ def test_a_preview_that_cannot_be_written_leaves_what_stood_there(quarters, tmp_
     assert [path.name for path in tmp_path.iterdir()] == ["preview.png"]
 
 
-def test_a_preview_of_nothing_is_refused(tmp_path):
-    with pytest.raises(ArgumentError, match="a surface, a texture or both"):
-        write_preview(tmp_path / "preview.png", None)
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_texture_without_channels_is_refused():
-    with pytest.raises(ArgumentError, match="there is no channel to draw"):
-        texture_shader(SimpleNamespace(channels={}))
-
-
-def test_an_unknown_channel_is_refused(quarters):
-    with pytest.raises(ArgumentError, match="unknown channel 'height'; there are: base_color"):
-        source_shader(quarters[0], "height")
-
-
-def test_a_texture_without_leaves_is_refused():
-    tree = Octree.from_leaves([], 0)
-    none = np.zeros((0, 3), np.uint8)
-    channel = Channel(BASE_COLOR, np.zeros((1, 3), np.uint8), none, none)
-    empty = OctreeTexture(tree, {"base_color": channel}, Placement((0, 0, 0), 1), [[0, 0, 0], [1, 1, 1]])
-    with pytest.raises(ArgumentError, match="no leaves to draw"):
-        draw_preview(empty)
-
-
 # --- what is shown
 
 
 def _textured(values, **channels):
     """The square's cells of depth 2, with channels of one value each."""
-    formats = {name: CHANNELS[name] if form is None else form for name, form in channels.items()}
-    tree = octex.convert(_square(), 2).tree
-    stored = {}
-    for name, form in formats.items():
-        array = np.broadcast_to(np.array(values[name]), (tree.n_cells, form.components))
-        array = np.ascontiguousarray(array.astype(form.dtype))
+    square, stored = octex.convert(_square(), 2), {}
+    for name, own in channels.items():
+        form = own or CHANNELS[name]
+        array = np.tile(np.array(values[name], form.dtype), (square.tree.n_cells, 1))
         stored[name] = Channel(form, array, array[:0], array[:0])
-    return OctreeTexture(tree, stored, octex.convert(_square(), 2).placement, [[0, 0, 0], [1, 1, 0]])
+    return OctreeTexture(square.tree, stored, square.placement, [[0, 0, 0], [1, 1, 0]])
 
 
 def test_what_is_emitted_is_added_to_what_is_lit():
     values = {"base_color": [0.25, 0.5, 0.0], "emissive": [0.0, 0.25, 3.0]}
     floats = {name: CHANNELS[name]._replace(space="linear", dtype="float32") for name in values}
-    texture = _textured(values, **floats)
-    picture = render_surface(_square(), _camera(4), texture_shader(texture))
+    texture, surface = _textured(values, **floats), _square().with_sources(values)
     expected = np.array([0.25, 0.5, 0.0]) * FRONT + [0.0, 0.25, 1.0]  # emission ends at white
-    assert np.allclose(picture, expected, atol=1e-3)
+    for look in (texture_shader(texture), source_shader(surface)):
+        assert np.allclose(render_surface(_square(), _camera(4), look), expected, atol=1e-3)
     assert np.allclose(render_leaves(texture, _camera(4)), expected, atol=0.05)
-    surface = _square().with_sources({"base_color": (0.25, 0.5, 0.0), "emissive": (0.0, 0.25, 1.0)})
-    assert np.allclose(render_surface(surface, _camera(4), source_shader(surface)), expected, atol=1e-3)
 
 
 NORMAL = np.array([100, 150, 200]) / 255 * 2 - 1
@@ -353,15 +332,13 @@ NORMAL = np.array([100, 150, 200]) / 255 * 2 - 1
         (["alpha"], "alpha", srgb_to_linear([100 / 255] * 3)),
     ],
 )
-def test_without_base_colour_another_channel_is_shown_as_it_is(stored, shown, picture, monkeypatch):
+def test_without_base_colour_another_channel_is_shown_as_it_is(stored, shown, picture, captions):
     codes = {name: [100, 150, 200][: CHANNELS[name].components] for name in stored}
     texture = _textured(codes, **dict.fromkeys(stored))
     assert np.allclose(render_surface(_square(), _camera(4), texture_shader(texture)), picture, atol=0.01)
     assert np.allclose(render_leaves(texture, _camera(4)), picture, atol=0.01)
-    said = []
-    monkeypatch.setattr(panels, "captioned", lambda _, *text: said.append(text[1]) or np.zeros((1, 1, 3)))
     draw_preview(texture, None, (40, 40), 1)
-    assert said[0].startswith(f"{shown}: ")
+    assert captions[0][1].startswith(f"{shown}: ")
 
 
 def test_a_channel_of_one_or_four_numbers_is_shown_too():
@@ -371,14 +348,11 @@ def test_a_channel_of_one_or_four_numbers_is_shown_too():
         assert np.allclose(render_surface(_square(), _camera(2), texture_shader(texture)), expected)
 
 
-def test_a_model_and_a_texture_of_fewer_channels_show_the_same_one(monkeypatch):
+def test_a_model_and_a_texture_of_fewer_channels_show_the_same_one(captions):
     surface = _square().with_sources({"roughness": 0.5})
     assert {form.name for form in surface.channels} == {"base_color", "roughness"}
-    texture = octex.convert(surface.with_channels(["roughness"]), 2)
-    said = []
-    monkeypatch.setattr(panels, "captioned", lambda _, *text: said.append(text[1]) or np.zeros((1, 1, 3)))
-    draw_preview(texture, surface, (40, 40), 1)
-    assert [text.split(":")[0] for text in said] == ["roughness", "roughness"]
+    draw_preview(octex.convert(surface.with_channels(["roughness"]), 2), surface, (40, 40), 1)
+    assert [text.split(":")[0] for _, text in captions] == ["roughness", "roughness"]
 
 
 def test_only_what_is_drawn_is_evaluated():
@@ -414,22 +388,16 @@ def test_a_preview_is_drawn_from_where_it_is_asked_for(quarters):
 
 
 def test_pictures_are_seen_from_where_their_cameras_stand():
-    points = np.random.default_rng(0).random((20, 3))
-    up = (0.0, 0.0, 1.0)
+    points, up = np.random.default_rng(0).random((20, 3)), (0.0, 0.0, 1.0)
     ways = np.array([[1.0, -0.4, 0.2], [1.0, 0.0, 0.2], [1.0, 0.4, 0.2]])
-    row = [Camera.fitted(points, way, size=(40, 30), up=up) for way in ways]
-    units = ways / np.linalg.norm(ways, axis=1, keepdims=True)
-    for some, direction in ((row, units.mean(axis=0)), (row[:1], units[0])):
-        made = viewpoint_among(some).camera(
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+
+    def seen(ways):
+        return [Camera.fitted(points, way, size=(40, 30), up=up) for way in ways]
+
+    for some, direction in ((ways, ways.mean(axis=0)), (ways[:1], ways[0]), ([ways[2], *-ways[2:]], ways[2])):
+        made = viewpoint_among(seen(some)).camera(
             points, lambda: (np.eye(3), np.ones(3)), lambda _: points, (40, 30), 0
         )
-        expected = Camera.fitted(points, direction, size=(40, 30), up=up)
+        (expected,) = seen([direction])
         np.testing.assert_allclose(made.world_to_camera, expected.world_to_camera, atol=1e-9)
-    around = [Camera.fitted(points, way, size=(40, 30), up=up) for way in (*units[2:], *-units[2:])]
-    made = viewpoint_among(around).camera(
-        points, lambda: (np.eye(3), np.ones(3)), lambda _: points, (40, 30), 0
-    )
-    np.testing.assert_allclose(made.world_to_camera, around[0].world_to_camera, atol=1e-9)
-
-
-# --- what is transparent

@@ -4,8 +4,6 @@ import ast
 import builtins
 import json
 import re
-import subprocess
-import sys
 import tomllib
 from functools import cache
 from pathlib import Path
@@ -69,10 +67,8 @@ project read_cameras refine_cameras render repair resize separate simplify subdi
 write_model write_osl write_preview write_ptex
 """
 EXPORTED = _NAMES.split()
-HEAVY = ["numba", "llvmlite", "numpy", "trimesh", "manifold3d", "PIL", "tqdm"]
 
 PROJECT = tomllib.loads((ROOT.parent / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-COMMANDS = {"octex.cli.main", *(target.partition(":")[0] for target in PROJECT["scripts"].values())}
 
 
 @cache
@@ -140,6 +136,8 @@ def test_the_exported_names_are_these_and_each_exists():
     for name in [*EXPORTED, "map", "open"]:
         assert getattr(octex, name) is not None
         assert name in dir(octex)
+    with pytest.raises(AttributeError, match="no attribute 'paint_it_black'"):
+        octex.paint_it_black  # noqa: B018
 
 
 def test_there_is_one_version_and_the_changelog_has_it():
@@ -160,21 +158,8 @@ def test_a_star_import_leaves_what_python_has():
     assert not set(EXPORTED) & set(dir(builtins)) - {"__version__"}
 
 
-def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="no attribute 'paint_it_black'"):
-        octex.paint_it_black  # noqa: B018
-
-
-@pytest.mark.parametrize("module", ["octex", *sorted(COMMANDS)])
-def test_importing_octex_or_a_command_loads_nothing_heavy(module):
-    code = f"import sys, {module}; print(*sorted(set({HEAVY}) & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == []
-
-
 def test_the_extra_test_brings_what_tests_are_skipped_without():
-    project = tomllib.loads((ROOT.parent / "pyproject.toml").read_text("utf-8"))["project"]
-    listed = [each for extra in project["optional-dependencies"].values() for each in extra]
+    listed = [each for extra in PROJECT["optional-dependencies"].values() for each in extra]
     brought = {re.split(r"[^\w-]", each)[0].lower() for each in listed} | {"aiohttp"}  # with fsspec[http]
     packages = {
         "fast_simplification": "fast-simplification", "opengl_basisu": "opengl-basisu", "pxr": "usd-core",

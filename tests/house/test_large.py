@@ -59,12 +59,12 @@ def test_a_texture_made_in_files_has_the_same_bytes(name, fit, tmp_path):
         assert in_memory == in_files
 
 
-@pytest.mark.parametrize("options", [{"max_error": 16}, {"max_error": 8, "fit": False}, {"detail": None}])
-def test_an_adaptive_texture_made_in_files_has_the_same_bytes(options, tmp_path):
-    def detail(points):
-        return np.where(points[:, 0] > 0, 5, 3)
+def depths(points):
+    return np.where(points[:, 0] > 0, 5, 3)
 
-    options = {**options, **({"detail": detail} if "detail" in options else {})}
+
+@pytest.mark.parametrize("options", [{"max_error": 16}, {"max_error": 8, "fit": False}, {"detail": depths}])
+def test_an_adaptive_texture_made_in_files_has_the_same_bytes(options, tmp_path):
     paths = tmp_path / "memory.octex", tmp_path / "files.octex"
     in_memory = octex.convert(torus(), 5, **options)
     assert in_memory.tree.n_leaves < octex.convert(torus(), 5, fit=False).tree.n_leaves
@@ -81,23 +81,26 @@ def test_what_fits_into_memory_is_made_there(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(("needed", "is_mapped"), [(160, False), (170, True)])
-def test_memory_is_what_a_conversion_takes_at_its_peak(needed, is_mapped, tmp_path, monkeypatch):
+def test_memory_is_what_a_conversion_takes_at_its_peak(needed, is_mapped, scratched, tmp_path, monkeypatch):
     # A conversion takes up to six times the least that it could.
-    made, scratch = [], large.scratch
-    monkeypatch.setattr(large, "scratch", lambda parent: made.append(parent) or scratch(parent))
     monkeypatch.setattr("octex.conversion.convert.memory_needed", lambda *_, **__: needed)
     octex.convert(tetrahedron(), 3, run=octex.Run(memory=1000), path=tmp_path / "a.octex")
-    assert bool(made) is is_mapped
+    assert bool(scratched) is is_mapped
 
 
-def test_files_of_a_conversion_lie_in_the_folder_of_the_run(tmp_path, monkeypatch):
+@pytest.fixture
+def scratched(monkeypatch):
+    """The folders beside which conversions made some for files of arrays."""
     made, scratch = [], large.scratch
     monkeypatch.setattr(large, "scratch", lambda parent: made.append(parent) or scratch(parent))
-    other = tmp_path / "other"
-    other.mkdir()
-    for folder, expected in ((None, tmp_path), (other, other)):
+    return made
+
+
+def test_files_of_a_conversion_lie_in_the_folder_of_the_run(scratched, tmp_path):
+    (tmp_path / "other").mkdir()
+    for folder, expected in ((None, tmp_path), (tmp_path / "other", tmp_path / "other")):
         octex.convert(tetrahedron(), 3, run=octex.Run(memory=1, folder=folder), path=tmp_path / "a.octex")
-        assert made.pop() == expected
+        assert scratched.pop() == expected
 
 
 OPEN_FILES = Path("/proc/self/fd")
@@ -125,16 +128,14 @@ def test_files_of_arrays_go_when_nobody_has_the_array(tmp_path):
 
 @needs_jit
 def test_large_arrays_of_a_conversion_take_no_memory(tmp_path, monkeypatch):
-    made = []
-    joined = large.joined
+    made, joined = [], large.joined
     monkeypatch.setattr(large, "joined", lambda arrays: made.append(joined(arrays)) or made[-1])
     octex.convert(torus(), 6, run=octex.Run(memory=1), path=tmp_path / "a.octex")
-    owners = {
-        type(array.base.base if array.ndim > 1 else array.base).__name__ for array in made if array.size
-    }
+    filled = [array for array in made if array.size]
+    owners = {type(array.base.base if array.ndim > 1 else array.base).__name__ for array in filled}
     assert len(made) > 9
     assert owners <= {"mmap", "memoryview", "ndarray"}
-    assert not any(array.flags.owndata for array in made if array.size)
+    assert not any(array.flags.owndata for array in filled)
 
 
 def test_processes_pass_files_and_the_same_bytes_come_out(processes, tmp_path):
@@ -237,17 +238,13 @@ class Failing:
 
 
 def test_what_a_task_raises_comes_back(processes, tmp_path):
-    surface = torus().with_sources({"base_color": Failing()})
+    given = {"depth": 5, "path": tmp_path / "a.octex", "run": octex.Run(executor=processes)}
     with pytest.raises(InputError, match="it is not there"):
-        octex.convert(surface, 5, path=tmp_path / "a.octex", run=octex.Run(executor=processes))
+        octex.convert(torus().with_sources({"base_color": Failing()}), **given)
     assert not list(tmp_path.iterdir())
+    here = torus().with_sources({"base_color": lambda points: points})
     with pytest.raises(ArgumentError, match=r"cannot be sent to workers: .*define its functions in a module"):
-        octex.convert(
-            torus().with_sources({"base_color": lambda points: points}),
-            5,
-            path=tmp_path / "a.octex",
-            run=octex.Run(executor=processes),
-        )
+        octex.convert(here, **given)
 
 
 def test_a_full_disk_is_an_error_and_leaves_nothing(tmp_path, monkeypatch):
@@ -275,18 +272,15 @@ def test_a_dask_cluster_makes_the_same_bytes(tmp_path):
 
 
 def test_what_cannot_be_made_in_files_is_refused(tmp_path):
-    surface = tetrahedron()
-    with pytest.raises(ArgumentError, match="memory needs a path"):
-        octex.convert(surface, 3, run=octex.Run(memory="1GB"))
-    with pytest.raises(ArgumentError, match="memory: '2 elephants' is not a size"):
-        octex.convert(surface, 3, run=octex.Run(memory="2 elephants"), path=tmp_path / "a.octex")
-    with pytest.raises(ArgumentError, match=r"is converted to NAME\.octex"):
-        octex.convert(surface, 3, path=tmp_path / "a.ply")
-    with pytest.raises(OutputError, match="there is no folder"):
-        octex.convert(surface, 3, path=tmp_path / "b" / "a.octex")
-    with (
-        ProcessPoolExecutor(1) as pool,
-        pytest.raises(ArgumentError, match="max_error and detail run on one machine only"),
-    ):
-        octex.convert(surface, 3, max_error=2, run=octex.Run(executor=pool), path=tmp_path / "a.octex")
+    with ProcessPoolExecutor(1) as pool:
+        for options, message in (
+            ({"path": tmp_path / "a.ply"}, r"is converted to NAME\.octex"),
+            ({"path": tmp_path / "b" / "a.octex"}, "there is no folder"),
+            (
+                {"max_error": 2, "run": octex.Run(executor=pool), "path": tmp_path / "a.octex"},
+                "max_error and detail run on one machine only",
+            ),
+        ):
+            with pytest.raises((ArgumentError, OutputError), match=message):
+                octex.convert(tetrahedron(), 3, **options)
     assert not list(tmp_path.iterdir())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -31,12 +32,16 @@ def run(*arguments: object, program: str = "octree-convert") -> int:
 
     Where OUT or VIEW stands among the words, they are those of `painting`.
     """
-    words = [str(argument) for argument in arguments]
-    if not {OUT, VIEW}.isdisjoint(words):
-        words = painting(*words)
+    words = words_of(*arguments)
     if words and words[0] in COMMANDS:
         return main(words)
     return main([program.removeprefix("octree-"), *words], program)
+
+
+def words_of(*arguments: object) -> list[str]:
+    """Return the words of a command: see `run`."""
+    words = [str(argument) for argument in arguments]
+    return words if {OUT, VIEW}.isdisjoint(words) else painting(*words)
 
 
 class Cli:
@@ -60,6 +65,10 @@ class Cli:
         assert code == ExitCode.DONE, err
         return out
 
+    def facts(self, *arguments: object) -> dict[str, Any]:
+        """Run a command with --json, which must succeed; return what it tells."""
+        return dict(json.loads(self.result(*arguments, "--json")))
+
     def errors(self, *arguments: object, code: int = ExitCode.DONE) -> str:
         """Run a command; return what it prints on stderr."""
         assert self.run(*arguments) == code
@@ -74,26 +83,13 @@ class Cli:
 
     def refusal(self, *arguments: object) -> str:
         """Run a command, which must refuse; return what it says."""
-        program, _, message = self.refused(*arguments).partition(": error: ")
-        first = str(arguments[0]) if arguments else ""
-        assert program == (f"octex {first}" if first in COMMANDS else "octree-convert")
-        return message
-
-
-class Painting(Cli):
-    """Runs octex paint, or octex draw for a view to paint on: see `painting`."""
-
-    def run(self, *arguments: object) -> int:
-        """Run one of both; return its exit code."""
-        return main(painting(*arguments))
-
-    def refusal(self, *arguments: object) -> str:
-        """Run one of both, which must refuse; return what it says at last."""
+        words = words_of(*arguments)
         assert self.run(*arguments) == ExitCode.REFUSED
         out, err = self.said()
-        assert out == ""
         program, _, message = err.splitlines()[-1].partition(": error: ")
-        assert program in ("octex paint", "octex draw")
+        first = words[0] if words else ""
+        assert (out, program) == ("", f"octex {first}" if first in COMMANDS else "octree-convert")
+        assert first in ("paint", "draw") or err.count("\n") == 1  # these tell what they have read
         return message
 
 

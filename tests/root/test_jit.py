@@ -110,18 +110,17 @@ def test_a_kernel_is_compiled_once(compiled):
     assert said(compiled) == ""
 
 
-@pytest.mark.parametrize("damage", ["a page of zeros", "cut off", "empty", "no checksums"])
-def test_damaged_code_is_compiled_anew(damage, compiled_room):
+@pytest.mark.parametrize("damages", [("a page of zeros", "cut off"), ("empty", "empty"), ("", "")])
+def test_damaged_code_is_compiled_anew(damages, compiled_room):
     room = compiled_room
     for path in code_files(room):
         content = path.read_bytes()
         middle = len(content) // 2
+        damage = damages["whole" in path.name]
         if damage == "a page of zeros":
             path.write_bytes(content[:middle] + bytes(256) + content[middle + 256 :])
-        elif damage == "cut off":
-            path.write_bytes(content[:middle])
-        elif damage == "empty":
-            path.write_bytes(b"")
+        elif damage:
+            path.write_bytes(content[: middle if damage == "cut off" else 0])
         else:
             (path.parent / "checksums").unlink(missing_ok=True)
     assert said(room) == "square whole"

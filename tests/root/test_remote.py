@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import pickle
 import re
+import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -105,10 +107,9 @@ def large(tmp_path_factory):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_texture_elsewhere_answers_as_here(seed, ending, tmp_path):
     random = np.random.default_rng(seed)
-    path, address = tmp_path / f"a{ending}", f"memory://octex/a{ending}"
+    path = tmp_path / f"a{ending}"
     random_texture(random, ("uint8",)).save(path)
-    fsspec.filesystem("memory").pipe(f"/octex/a{ending}", path.read_bytes())
-    here = octex.open(path)
+    here, address = octex.open(path), elsewhere(path)
     names = list(here.channels)
     for filter in octex.texture.FILTERS:
         there = octex.open(address)
@@ -138,10 +139,15 @@ def test_a_texture_elsewhere_answers_as_here(seed, ending, tmp_path):
     np.testing.assert_array_equal(sent.sample(points, names[0]), here.sample(points, names[0]))
 
 
+def elsewhere(path, content=None):
+    """Put a file, or other content under its name, into fsspec's memory; return its address."""
+    content = path.read_bytes() if content is None else content
+    fsspec.filesystem("memory").pipe(f"/octex/{path.name}", content)
+    return f"memory://octex/{path.name}"
+
+
 def test_a_channel_elsewhere_is_replaced_by_one_here():
-    files = fsspec.filesystem("memory")
-    files.pipe("/octex/a.octz", next(iter(sorted(GOLDEN.glob("*.octz")))).read_bytes())
-    channel = octex.open("memory://octex/a.octz").channels["base_color"]
+    channel = octex.open(elsewhere(min(GOLDEN.glob("*.octz")))).channels["base_color"]
     values = channel.values.copy()
     changed = channel._replace(values=255 - values)
     assert type(changed) is octex.texture.Channel
@@ -151,54 +157,55 @@ def test_a_channel_elsewhere_is_replaced_by_one_here():
 
 @pytest.mark.parametrize("path", sorted(GOLDEN.glob("*.octz")), ids=lambda path: path.name)
 def test_archives_of_every_version_are_read_in_part(path):
-    fsspec.filesystem("memory").pipe("/octex/a.octz", path.read_bytes())
-    here = octex.open(path)
+    here, address = octex.open(path), elsewhere(path)
     for level in range(here.tree.max_depth + 1):
-        coarse, expected = octex.open("memory://octex/a.octz").level(level), here.level(level)
+        coarse, expected = octex.open(address).level(level), here.level(level)
         np.testing.assert_array_equal(coarse.rows(), expected.rows())
         for one, other in zip(coarse.tree.arrays, expected.tree.arrays, strict=True):
             np.testing.assert_array_equal(one, other)
     points = np.random.default_rng(0).uniform(*here.bounds, (50, 3))
-    there = octex.open("memory://octex/a.octz")
+    there = octex.open(address)
     for width in (0.5, 0.1, None):
         found, expected = (each.sample(points, width=width) for each in (there, here))
         np.testing.assert_array_equal(found, expected)
 
 
 def test_damaged_archives_elsewhere_are_named(tmp_path):
-    shell(5).save(tmp_path / "a.octz")
-    content = (tmp_path / "a.octz").read_bytes()
-    files = fsspec.filesystem("memory")
+    path = tmp_path / "a.octz"
+    shell(5).save(path)
+    content = path.read_bytes()
     for length in (8, 20, 31, 32, len(content) - 9):
-        files.pipe("/octex/a.octz", content[:length])
         with pytest.raises(TextureFileError, match=r"^memory://octex/a\.octz: .*copy it again"):
-            octex.open("memory://octex/a.octz")
-    files.pipe("/octex/a.octz", content[:200] + bytes([content[200] ^ 1]) + content[201:])
-    there = octex.open("memory://octex/a.octz")
+            octex.open(elsewhere(path, content[:length]))
+    there = octex.open(elsewhere(path, content[:200] + bytes([content[200] ^ 1]) + content[201:]))
     with pytest.raises(TextureFileError, match=r"^memory://octex/a\.octz: its bytes from \d+ on are damaged"):
         there.validate()
 
 
 @pytest.mark.parametrize("ending", [".octex", ".octz"])
-def test_what_was_asked_before_does_not_matter(ending, tmp_path):
-    surface = octex.load_surface(DROID, channels=["base_color"])
-    octex.convert(surface, 8, max_error=3).save(tmp_path / f"a{ending}")
-    here = octex.open(tmp_path / f"a{ending}")
-    fsspec.filesystem("memory").pipe(f"/octex/a{ending}", (tmp_path / f"a{ending}").read_bytes())
+def test_what_was_asked_before_does_not_matter(ending, droid, tmp_path):
+    surface, texture = droid
+    path = tmp_path / f"a{ending}"
+    texture.save(path)
+    here, address = octex.open(path), elsewhere(path)
     samples = surface.scatter(300)
-    views = [
-        {"normals": samples.normals},
-        {},
-        *({"width": here.placement.size * 2.0**-n} for n in range(2, 8)),
-    ]
+    views = [{"normals": samples.normals}, {}]
+    views += [{"width": here.placement.size * 2.0**-n} for n in range(2, 8)]
     for number in range(6):
-        there = octex.open(f"memory://octex/a{ending}")
+        there = octex.open(address)
         random = np.random.default_rng(number)
         for n in random.permutation(len(views)):
             some = slice(*sorted(random.integers(0, 300, 2)))
             view = {name: each[some] if name == "normals" else each for name, each in views[n].items()}
             found, expected = (each.sample(samples.rest[some], **view) for each in (there, here))
             np.testing.assert_array_equal(found, expected)
+
+
+@pytest.fixture(scope="module")
+def droid():
+    """The droid, and a texture of it with leaves of several depths."""
+    surface = octex.load_surface(DROID, channels=["base_color"])
+    return surface, octex.convert(surface, 7, max_error=3)
 
 
 def test_a_view_of_an_archive_moves_less_than_one_of_a_file(server, tmp_path):
@@ -246,20 +253,15 @@ def test_a_view_moves_little_of_a_file(server, large, tmp_path):
     assert len(list((tmp_path / "cache").iterdir())) == 2
 
 
-def test_a_whole_file_comes_in_pieces(server, large, monkeypatch):
+def test_a_whole_file_comes_in_pieces_and_again_if_it_is_lost(server, large, tmp_path, monkeypatch):
     monkeypatch.setattr("octex.remote._MOST", 32 * BLOCK)
     server.content = large.read_bytes()
-    np.testing.assert_array_equal(octex.open(server.address).rows(), octex.open(large).rows())
-    assert server.largest <= 32 * BLOCK
-
-
-def test_a_cache_without_its_bytes_is_fetched_again(server, large, tmp_path):
-    server.content = large.read_bytes()
-    octex.open(server.address, cache=tmp_path).rows()
-    (part,) = tmp_path.glob("*.part")
-    part.unlink()
-    again = octex.open(server.address, cache=tmp_path)
-    np.testing.assert_array_equal(again.rows(), octex.open(large).rows())
+    for _ in range(2):
+        found = octex.open(server.address, cache=tmp_path).rows()
+        np.testing.assert_array_equal(found, octex.open(large).rows())
+        assert server.largest <= 32 * BLOCK
+        (part,) = tmp_path.glob("*.part")
+        part.unlink()
 
 
 def test_only_what_lies_around_the_points_is_fetched(server, large):
@@ -294,58 +296,38 @@ def test_a_set_of_textures_elsewhere_fetches_no_more_than_they_do_alone(ending, 
     server.content = (tmp_path / f"a{ending}").read_bytes()
     cells = decode_cells(here.tree.level_codes(8)[:5]) + 0.5
     near = here.placement.origin + here.placement.size * (cells / 256)
+    points, parts = np.repeat(near, 2, axis=0)[1:7], np.arange(6) % 2
     for views in ({}, {"width": here.placement.size / 64}, {"normals": near}):
-        moved = []
-        for in_set in (False, True):
-            begin, there = server.sent, octex.open(server.address)
-            if in_set:
-                local = octex.TextureSet({"here": here, "there": there})
-                parts = np.arange(6) % 2
-                points = np.repeat(near, 2, axis=0)[1:7]
-                given = {
-                    name: np.repeat(each, 2, axis=0)[1:7] if name == "normals" else each
-                    for name, each in views.items()
-                }
-                np.testing.assert_array_equal(
-                    local.sample(points, parts, **given), here.sample(points, **given)
-                )
-                np.testing.assert_array_equal(local.contains(points, parts), here.contains(points))
-            else:
-                there.sample(near, **views)
-                there.contains(near)
-            moved.append(server.sent - begin)
-        assert 0 < moved[1] <= moved[0]
-    local = octex.TextureSet({"here": here, "there": octex.open(server.address)})
+        begin, there = server.sent, octex.open(server.address)
+        there.sample(near, **views)
+        there.contains(near)
+        alone, begin = server.sent - begin, server.sent
+        local = octex.TextureSet({"here": here, "there": octex.open(server.address)})
+        given = {"normals": np.repeat(near, 2, axis=0)[1:7]} if "normals" in views else views
+        np.testing.assert_array_equal(local.sample(points, parts, **given), here.sample(points, **given))
+        np.testing.assert_array_equal(local.contains(points, parts), here.contains(points))
+        assert 0 < server.sent - begin <= alone
     points = near.copy()
     points[3] = np.nan
     with pytest.raises(ArgumentError, match=r"points must be finite, but points\[3\]"):
         local.sample(points, [0, 1, 0, 1, 1])
 
 
-def test_a_full_disk_under_a_cache_names_its_folder(tmp_path, monkeypatch):
-    class Full:
-        def seek(self, _begin):
-            raise OSError(28, "No space left on device")
-
-    shell(5).save(tmp_path / "a.octex")
-    fsspec.filesystem("memory").pipe("/octex/full.octex", (tmp_path / "a.octex").read_bytes())
-    there = octex.open("memory://octex/full.octex", cache=tmp_path / "cache")
-    monkeypatch.setattr(there.source.file, "_file", Full())
-    with pytest.raises(
-        OutputError, match=rf"^{re.escape(str(tmp_path / 'cache'))}: the cache for memory://octex"
-    ):
-        there.rows()
-
-
-def test_a_full_disk_under_an_archive_names_the_folder(tmp_path, monkeypatch):
+def test_a_full_disk_names_the_folder_of_the_cache_or_of_the_archive(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    shell(5).save(tmp_path / "a.octz")
-    fsspec.filesystem("memory").pipe("/octex/a.octz", (tmp_path / "a.octz").read_bytes())
+    paths = [tmp_path / f"full.{ending}" for ending in ("octex", "octz")]
+    for path in paths:
+        shell(5).save(path)
+    there = octex.open(elsewhere(paths[0]), cache=tmp_path / "cache")
+    monkeypatch.setattr(there.source.file, "_file", SimpleNamespace(seek=full))
+    folder = re.escape(str(tmp_path / "cache"))
+    with pytest.raises(OutputError, match=rf"^{folder}: the cache for memory://octex"):
+        there.rows()
     monkeypatch.setattr("octex.archive.read.zeros", partial(arrays.zeros, most_in_memory=0))
     monkeypatch.setattr(arrays, "zeros_in", full)
-    for path in (tmp_path / "a.octz", "memory://octex/a.octz"):
+    for path in (paths[1], elsewhere(paths[1])):
         with pytest.raises(OutputError, match=r"has no room for .* bytes: No space left on device"):
             octex.open(path)
 
@@ -384,15 +366,16 @@ def test_what_goes_wrong_on_the_way_names_the_address(server, large):
 
 
 def test_addresses_that_cannot_be_opened_are_refused(tmp_path, monkeypatch):
-    with pytest.raises(TextureFileError, match=r"^memory://octex/none: .*no such file"):
-        octex.open("memory://octex/none")
-    with pytest.raises(TextureFileError, match=r"^nothing://a: .*not known"):
-        octex.open("nothing://a")
-    with pytest.raises(TextureFileError, match=r"its server does not answer: .*127\.0\.0\.1"):
-        octex.open("http://127.0.0.1:1/a.octex")
+    for address, message in (
+        ("memory://octex/none", r"^memory://octex/none: .*no such file"),
+        ("nothing://a", r"^nothing://a: .*not known"),
+        ("http://127.0.0.1:1/a.octex", r"its server does not answer: .*127\.0\.0\.1"),
+    ):
+        with pytest.raises(TextureFileError, match=message):
+            octex.open(address)
     with pytest.raises(ArgumentError, match="cache is for addresses"):
         octex.open(tmp_path / "a.octex", cache=tmp_path)
-    monkeypatch.setitem(__import__("sys").modules, "fsspec.core", None)
+    monkeypatch.setitem(sys.modules, "fsspec.core", None)
     with pytest.raises(MissingExtraError, match=r"^https://a/b: .*octex\[remote\]"):
         octex.open("https://a/b")
 
@@ -403,8 +386,7 @@ def test_what_an_archive_has_of_others_is_kept(tmp_path):
     others = {"channels/other": np.arange(7.0), "kept/channels/other": np.ones(3, np.int16)}
     container.write(tmp_path / "b.octex", {**contents.tensors, **others}, contents.metadata)
     octex.open(tmp_path / "b.octex").save(tmp_path / "b.octz")
-    fsspec.filesystem("memory").pipe("/octex/b.octz", (tmp_path / "b.octz").read_bytes())
-    there = octex.open("memory://octex/b.octz")
+    there = octex.open(elsewhere(tmp_path / "b.octz"))
     there.level(2)
     there.save(tmp_path / "c.octex")
     assert (tmp_path / "c.octex").read_bytes() == (tmp_path / "b.octex").read_bytes()

@@ -8,7 +8,7 @@ import pytest
 
 import octex
 from octex.errors import ArgumentError
-from octex.parallel import as_run, silent, workers
+from octex.parallel import as_run, silent
 from tests.make.small_surfaces import tetrahedron
 
 WRONG = [
@@ -29,11 +29,6 @@ def test_a_field_that_cannot_be_used_is_named(fields, message):
         octex.Run(**fields)
 
 
-def test_threads_beside_an_executor_are_refused():
-    with ThreadPoolExecutor(1) as pool, pytest.raises(ArgumentError, match="threads or an executor, not"):
-        octex.Run(threads=2, executor=pool)
-
-
 def test_shortcuts_set_the_fields_that_a_run_leaves_open(tmp_path):
     run = octex.Run(memory="1kB", folder=tmp_path)
     assert as_run(run, 3, print, "memory", "folder") == replace(run, threads=3, progress=print)
@@ -42,26 +37,29 @@ def test_shortcuts_set_the_fields_that_a_run_leaves_open(tmp_path):
     assert as_run(run, None, None, "memory", "folder") is run
     assert octex.Run().report is silent
     assert octex.Run(progress=print).report is print
-    with ThreadPoolExecutor(1) as pool, pytest.raises(ArgumentError, match="threads or an executor, not"):
-        as_run(octex.Run(executor=pool), 2)
-    with pytest.raises(ArgumentError, match="give threads or a run with threads, not both"):
-        as_run(octex.Run(threads=2), 2)
-    with pytest.raises(ArgumentError, match="threads must be a whole number from 1"):
-        as_run(run, 0, None, "memory", "folder")
-    with pytest.raises(ArgumentError, match="give progress or a run with progress, not both"):
-        as_run(octex.Run(progress=print), None, print)
-    with workers(octex.Run(threads=2)) as made:
-        assert made._max_workers == 2
+    with ThreadPoolExecutor(1) as pool:
+        for given, message in (
+            ((octex.Run(executor=pool), 2), "threads or an executor, not"),
+            ((octex.Run(threads=2), 2), "give threads or a run with threads, not both"),
+            ((run, 0, None, "memory", "folder"), "threads must be a whole number from 1"),
+            ((octex.Run(progress=print), None, print), "give progress or a run with progress, not both"),
+        ):
+            with pytest.raises(ArgumentError, match=message):
+                as_run(*given)
+        with pytest.raises(ArgumentError, match="threads or an executor, not"):
+            octex.Run(threads=2, executor=pool)
 
 
 def test_what_a_function_cannot_do_with_a_run_is_refused(tmp_path):
-    for wrong in (octex.Run(resume="a"), octex.Run(memory=1)):
-        with pytest.raises(ArgumentError, match=r"resume of run is not used here|memory needs a path"):
-            octex.convert(tetrahedron(), 2, run=wrong)
-    with pytest.raises(ArgumentError, match="folder: no/such is not a folder; name an existing one"):
-        octex.convert(tetrahedron(), 2, path=tmp_path / "a.octex", run=octex.Run(memory=1, folder="no/such"))
-    with pytest.raises(ArgumentError, match=r"run must be an octex\.Run, not 2"):
-        octex.convert(tetrahedron(), 2, run=2)
+    nowhere = octex.Run(memory=1, folder="no/such")
+    for options, message in (
+        ({"run": octex.Run(resume="a")}, "resume of run is not used here"),
+        ({"run": octex.Run(memory=1)}, "memory needs a path"),
+        ({"run": nowhere, "path": tmp_path / "a.octex"}, "folder: no/such is not a folder; name an existing"),
+        ({"run": 2}, r"run must be an octex\.Run, not 2"),
+    ):
+        with pytest.raises(ArgumentError, match=message):
+            octex.convert(tetrahedron(), 2, **options)
 
 
 def functions_with(names):

@@ -14,8 +14,8 @@ from octex.session.painting import Session
 from octex.viewer import Viewer, server
 from tests.make.browser import driven, file_url, opened, started
 from tests.make.browser import served as served_pages
+from tests.make.strokes import OCTETS, canvas
 from tests.make.studio import Studio
-from tests.viewer.test_session import OCTETS, canvas
 
 
 @pytest.fixture(scope="package")
@@ -103,7 +103,7 @@ class Served:
 @pytest.fixture
 def served(tmp_path, monkeypatch):
     """A viewer that paints."""
-    monkeypatch.setattr(server, "_FIRST", 400)
+    monkeypatch.setattr(server, "_FIRST", 4000)
     texture, surface = canvas()
     session = Session(texture, surface, tmp_path / "out.octex")
     path = tmp_path / "ball.octex"

@@ -1,22 +1,20 @@
 """Painting of any channel, several at once: as the same calls of the library do, and added channels."""
 
-import json
 import os
 
 import numpy as np
 import pytest
 
 import octex
-from octex.channels import NORMAL, ChannelFormat, decode, encode
+from octex.channels import ChannelFormat, decode, encode
 from octex.editing.draft import Change, joined_change
-from octex.errors import ArgumentError
 from octex.session.painting import Session
 from octex.texture import Channel
 from octex.texture.channel import row_counts
 from octex.viewer.changes import change_between, change_of
 from tests.make.painted import ball
 from tests.make.same import assert_same
-from tests.viewer.test_session import SIZE, camera, disc, ones, picture_sent, plain, stroke, take
+from tests.make.strokes import SIZE, camera, disc, ones, picture_sent, plain, stroke, take, without_color
 
 #: What the values of a command are, beside its colour.
 GIVEN = {"roughness": [0.25], "metallic": [1], "emissive": [10, 200, 30], "height": [1.75]}
@@ -66,12 +64,6 @@ def color_of(number):
     return [200, 10 * (number % 20), 30]
 
 
-def without_color(body):
-    line, _, content = body.partition(b"\n")
-    fields = {name: value for name, value in json.loads(line).items() if name != "color"}
-    return json.dumps(fields).encode() + b"\n" + content
-
-
 @pytest.fixture
 def session(tmp_path):
     found = Session(*canvas(), tmp_path / "out.octex")
@@ -92,69 +84,12 @@ def test_mirrored_and_blended_strokes_paint_all_channels(session):
         assert is_painted[points[:, 0] < -0.3].any()
 
 
-NAN = float("nan")
-
-
-@pytest.mark.parametrize(
-    ("values", "why"),
-    [
-        ([0.5], "values must be an object"),
-        ("roughness", "values must be an object"),
-        ({str(n): [0] for n in range(17)}, "at most 16 channels"),
-        ({"roughness": 0.5}, "roughness must be finite numbers"),
-        ({"roughness": [NAN]}, "roughness must be finite numbers"),
-        ({"roughness": [1e300]}, "roughness must be finite numbers"),
-        ({"roughness": ["0.5"]}, "roughness must be finite numbers"),
-        ({"roughness": [[0.5]]}, "roughness must be finite numbers"),
-        ({"roughness": None}, "roughness must be finite numbers"),
-    ],
-)
-def test_values_that_are_no_numbers_are_refused(values, why, session):
-    for body in (stroke(1, values=values), plain("fill", 1, values=values)):
-        with pytest.raises(ArgumentError, match=why):
-            session.take(body)
-    assert session.take(stroke(1)) == 1
-
-
-@pytest.mark.parametrize(
-    ("values", "why"),
-    [
-        ({"roughness": [1.01]}, "values of 'roughness' must be from 0 to 1"),
-        ({"roughness": [-0.01]}, "values of 'roughness' must be from 0 to 1"),
-        ({"roughness": [0.5, 0.5]}, "values of 'roughness' must be 1, not 2"),
-        ({"base_color": [1, 2, 3]}, "color is the value of 'base_color'"),
-        ({"roughness": []}, "values of 'roughness' must be 1, not 0"),
-        ({"emissive": [0, 0, 256]}, "values of 'emissive' must be codes of 0 to 255"),
-        ({"emissive": [0.5]}, "values of 'emissive' must be 3, not 1"),
-        ({"occlusion": [0.5]}, "unknown channel of the texture 'occlusion'"),
-        ({"alpha": [0.5]}, "alpha is painted with blend"),
-        ({"normal": [0, 0, 1]}, "'normal' holds directions, which values do not paint"),
-    ],
-)
-def test_values_that_a_channel_cannot_hold_change_nothing_and_are_told(values, why, tmp_path):
-    more = ball(12).with_sources({"roughness": 0.5, "emissive": (0.0, 0.0, 0.0), "alpha": 1.0})
-    texture = with_values(octex.convert(more, depth=4), NORMAL, 0)
-    session = Session(texture, more, tmp_path / "out.octex")
-    for number, body in enumerate(
-        (stroke(1, values=values), plain("fill", 2, values=values, color=[1, 2, 3])), 1
-    ):
-        take(session, body)
-        assert why in session.shown.status["error"]
-        assert session.shown.status["finished"] == {json.loads(body.partition(b"\n")[0])["page"]: number}
-    assert session.shown.status["steps"] == []
-    assert_same(session.shown.texture, texture)
-    session.close()
-
-
 def test_an_added_channel_is_a_step_and_can_be_painted(session, tmp_path):
     texture, surface = canvas()
     bodies = [
         plain("channel", 1, channel="occlusion", name="Add occlusion"),
         stroke(2, values={"occlusion": [0.5]}),
-        plain("undo", 3),
-        plain("undo", 4),
-        plain("redo", 5),
-        plain("redo", 6),
+        *(plain(kind, number) for number, kind in enumerate(("undo", "undo", "redo", "redo"), 3)),
     ]
     seen = []
     for body in bodies:
@@ -168,47 +103,30 @@ def test_an_added_channel_is_a_step_and_can_be_painted(session, tmp_path):
     assert_same(texture.with_cells(seen[0].tree, others), texture)
     painter = octex.Painter(seen[0], surface)
     painted(painter, 2, {"occlusion": [0.5], "base_color": color_of(2)})
-    assert_same(seen[1], painter.texture())
-    assert_same(seen[2], seen[0])
-    assert_same(seen[3], texture)
-    assert_same(seen[4], seen[0])
-    assert_same(seen[5], seen[1])
+    for found, expected in zip(
+        seen[1:], (painter.texture(), seen[0], texture, seen[0], seen[1]), strict=True
+    ):
+        assert_same(found, expected)
     assert session.shown.status["steps"] == ["Add occlusion", "Brush 2"]
     session.close()
     again = Session(*canvas(), tmp_path / "out.octex", recover=True)
-    assert_same(again.shown.texture, seen[5])
-    again.take(plain("save", 7))
-    again.wait()
-    assert_same(octex.open(tmp_path / "out.octex"), seen[5])
+    take(again, plain("save", 7))
+    for found in (again.shown.texture, octex.open(tmp_path / "out.octex")):
+        assert_same(found, seen[5])
     again.close()
 
 
-@pytest.mark.parametrize(
-    ("name", "least"),
-    [("metallic", 0.0), ("roughness", 1.0), ("occlusion", 1.0), ("emissive", 0.0), ("height", 0.5)],
-)
-def test_an_added_channel_has_its_neutral_value(name, least, tmp_path):
-    surface = ball(8)
+def test_an_added_channel_has_its_neutral_value(tmp_path):
+    surface, number = ball(8), 0
     session = Session(octex.convert(surface, depth=3), surface, tmp_path / "out.octex")
-    take(session, plain("channel", 1, channel=name), plain("channel", 2, channel=name))
-    np.testing.assert_allclose(session.shown.texture.sample([[0.0, 0.0, 1.0]], name), least, atol=0.5 / 255)
-    assert f"has the channel '{name}' already" in session.shown.status["error"]
+    neutral = {"metallic": 0.0, "roughness": 1.0, "occlusion": 1.0, "emissive": 0.0, "height": 0.5}
+    for name, value in neutral.items():
+        take(session, *(plain("channel", number + n, channel=name) for n in (1, 2)))
+        number += 2
+        found = session.shown.texture.sample([[0.0, 0.0, 1.0]], name)
+        np.testing.assert_allclose(found, value, atol=0.5 / 255)
+        assert f"has the channel '{name}' already" in session.shown.status["error"]
     session.close()
-
-
-@pytest.mark.parametrize(
-    ("given", "why"), [({}, "channel must be a name"), ({"channel": 3}, "channel must be a name")]
-)
-def test_a_channel_without_a_name_is_refused(given, why, session):
-    with pytest.raises(ArgumentError, match=why):
-        session.take(plain("channel", 1, **given))
-
-
-@pytest.mark.parametrize("name", ["normal", "base_color", "colour", "../x"])
-def test_a_channel_that_pages_do_not_add_is_told(name, session):
-    take(session, plain("channel", 1, channel=name))
-    assert "unknown channel to add" in session.shown.status["error"]
-    assert session.shown.status["steps"] == []
 
 
 def test_pages_are_sent_a_stroke_of_several_channels_by_its_tiles():

@@ -15,7 +15,7 @@ from octex.viewer import Viewer, downloads, write_page
 from tests.make.browser import opened
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
-from tests.viewer.test_session import canvas, plain, stroke
+from tests.make.strokes import canvas, plain, stroke
 
 
 def told(served, **wanted):
@@ -42,22 +42,13 @@ KINDS = [
     ({"kind": "octex"}, "out.octex", lambda t, s, p: t.save(p)),  # noqa: ARG005
     ({"kind": "octz"}, "out.octz", lambda t, s, p: t.save(p)),  # noqa: ARG005
     ({"kind": "html"}, "out.html", lambda t, s, p: write_page(t, p, s, title="ball.octex")),
-    (
-        {"kind": "glb", "uv": "atlas", "size": "512"},
-        "out.glb",
-        lambda t, s, p: octex.write_model(octex.bake(t, s, uv="atlas", texture_size=512), p),
-    ),
-    (
-        {"kind": "vertices"},
-        "out-vertices.glb",
-        lambda t, s, p: octex.write_model(octex.bake_vertices(t, s), p),
-    ),
-    (
-        {"kind": "ply", "divide": "yes"},
-        "out-vertices.ply",
-        lambda t, s, p: octex.write_model(octex.bake_vertices(t, s, subdivide="auto"), p),
-    ),
-]
+    ({"kind": "glb", "uv": "atlas", "size": "512"}, "out.glb",
+     lambda t, s, p: octex.write_model(octex.bake(t, s, uv="atlas", texture_size=512), p)),
+    ({"kind": "vertices"}, "out-vertices.glb",
+     lambda t, s, p: octex.write_model(octex.bake_vertices(t, s), p)),
+    ({"kind": "ply", "divide": "yes"}, "out-vertices.ply",
+     lambda t, s, p: octex.write_model(octex.bake_vertices(t, s, subdivide="auto"), p)),
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("wanted", "name", "write"), KINDS)
@@ -84,9 +75,8 @@ def test_the_last_file_alone_is_kept_and_none_in_the_end(served, tmp_path):
         assert served.ask(path)[0] == 404
 
 
-@pytest.mark.parametrize(
-    ("wanted", "why"),
-    [
+def test_what_cannot_be_exported_is_said_in_one_line(served, tmp_path):
+    for wanted, why in (
         ({}, "unknown kind"),
         ({"kind": "exe"}, "unknown kind"),
         ({"kind": "glb", "uv": "../.."}, "unknown uv"),
@@ -94,14 +84,12 @@ def test_the_last_file_alone_is_kept_and_none_in_the_end(served, tmp_path):
         ({"kind": "ply", "divide": "NaN"}, "unknown divide"),
         ({"kind": "octex", "path": "/etc/passwd"}, "unknown field of the download 'path'"),
         ({"kind": "glb", "uv": "keep"}, "has no texture coordinates"),
-    ],
-)
-def test_what_cannot_be_exported_is_said_in_one_line(wanted, why, served, tmp_path):
-    *_, (name, last) = told(served, **wanted)
-    assert name == "fault"
-    assert why in last["why"]
-    assert "\n" not in last["why"]
-    assert not [*tmp_path.glob(".octex-*")]
+    ):
+        *_, (name, last) = told(served, **wanted)
+        assert name == "fault"
+        assert why in last["why"]
+        assert "\n" not in last["why"]
+        assert not [*tmp_path.glob(".octex-*")]
     assert exported(served, kind="octex")[0] == "out.octex"
 
 

@@ -13,14 +13,13 @@ import numpy as np
 import pytest
 
 import octex
-from octex.errors import ArgumentError
 from octex.session.painting import Session
 from octex.viewer import Viewer, answers, server
 from tests.make.browser import lose_gpu, opened, restore_gpu
 from tests.make.browser import served as serving
 from tests.make.same import assert_same
+from tests.make.strokes import canvas, plain, stroke, take
 from tests.make.studio import pictured
-from tests.viewer.test_session import canvas, plain, stroke, take
 
 
 def touched(path):
@@ -35,10 +34,8 @@ def test_a_file_that_another_program_has_written_is_replaced_only_when_asked(the
     if there:
         canvas()[0].save(output)
     session = Session(*canvas(), output)
-    if there:
-        session.take(stroke(1))
-        session.take(plain("save", 2))  # --force was said
-        session.wait()
+    if there:  # --force was said
+        take(session, stroke(1), plain("save", 2))
         assert session.shown.status["isSaved"]
     first = 3 if there else 1
     session.take(stroke(first))
@@ -53,24 +50,12 @@ def test_a_file_that_another_program_has_written_is_replaced_only_when_asked(the
     assert session.shown.status["question"] == ""
     assert session.shown.status["isSaved"]
     assert_same(octex.open(output), session.shown.texture)
-    session.take(stroke(first + 4))
-    session.take(plain("save", first + 5))  # now it is this session's again
-    session.wait()
+    take(session, stroke(first + 4), plain("save", first + 5))  # now it is this session's again
     assert session.shown.status["isSaved"]
-    with pytest.raises(ArgumentError, match="replace must be True or False"):
-        session.take(plain("save", first + 6, replace="yes"))
-    assert session.close() == ""
-
-
-def test_a_file_that_was_removed_meanwhile_is_written_again(tmp_path):
-    session = Session(*canvas(), tmp_path / "out.octex")
-    for body in (stroke(1), plain("save", 2)):
-        session.take(body)
-    session.wait()
-    (tmp_path / "out.octex").unlink()
-    take(session, plain("save", 3))
+    output.unlink()
+    take(session, plain("save", first + 6))  # a file that was removed is written again
     assert session.shown.status["question"] == ""
-    assert_same(octex.open(tmp_path / "out.octex"), session.shown.texture)
+    assert_same(octex.open(output), session.shown.texture)
     assert session.close() == ""
 
 
@@ -102,9 +87,10 @@ def test_pages_hear_that_the_texture_which_was_opened_has_changed(tmp_path, monk
 
 #: Paints and saves with files of at most so many bytes, and says what it hears.
 _FULL = """
-import json, resource, sys; sys.path.insert(0, '.')
+import json, resource, sys
 from pathlib import Path
-from tests.viewer.test_session import *
+from octex.errors import OutputError
+from tests.make.strokes import *
 most, session = int(sys.argv[2]), Session(*canvas(), Path(sys.argv[1]))
 take(session, stroke(1))
 soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)

@@ -1,6 +1,7 @@
 """Layers and the eraser of pages that paint: commands do what the library does, and pages show it."""
 
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,9 @@ from octex.session.painting import Session, Shown
 from octex.viewer import Viewer
 from tests.make.fixtures import obj_lines
 from tests.make.same import assert_same
+from tests.make.strokes import canvas, ones, painted, plain, stroke, take
 from tests.make.studio import pictured
 from tests.viewer.test_paint_brush import LINE, assert_same_inside, drawn_and_baked
-from tests.viewer.test_session import PAGE, canvas, ones, painted, plain, stroke, take
 
 
 class Both:
@@ -26,53 +27,41 @@ class Both:
 
     def send(self, kind, **given):
         self.number += 1
-        make = stroke(self.number, **given) if kind == "stroke" else plain(kind, self.number, **given)
-        self.session.take(make)
-        self.session.wait()
-        assert self.session.shown.status["error"] == ""
+        take(self.session, (stroke if kind == "stroke" else partial(plain, kind))(self.number, **given))
+        told = self.session.shown.status
+        assert told["error"] == ""
         assert_same(self.session.shown.texture, self.layers.texture())
-        told = [
-            (each["number"], each["title"], each["opacity"]) for each in self.session.shown.status["layers"]
-        ]
-        assert told == [(each.number, each.name, each.opacity) for each in self.layers.layers]
-        assert self.session.shown.status["done"] == len(self.layers.strokes)
+        layers = [(each["number"], each["title"], each["opacity"]) for each in told["layers"]]
+        assert layers == [(each.number, each.name, each.opacity) for each in self.layers.layers]
+        assert told["done"] == len(self.layers.strokes)
 
     def do(self, random):
         """Do one thing at random."""
         layers, numbers = self.layers, [each.number for each in self.layers.layers]
-        move = random.choice(["stroke", "fill", "add", "set", "move", "copy", "merge", "delete", "undo",
-                              "redo"],
-                             p=[0.3, 0.1, 0.12, 0.12, 0.06, 0.04, 0.06, 0.04, 0.1, 0.06])  # fmt: skip
+        move = random.choice(MOVES, p=LIKELY)
         number = int(random.choice(numbers)) if numbers else None
         if move in ("stroke", "fill"):
             target = {} if number is None or random.random() < 0.2 else {"layer": number}
             if target and random.random() < 0.15:
                 target["mask"] = True
-            erases = bool(random.random() < 0.3)
+            target["erases"] = bool(random.random() < 0.3)
             layers.choose(target.get("layer"), mask="mask" in target)
-            blend = "erase" if erases else "over"
+            blend = "erase" if target["erases"] else "over"
             if move == "stroke":
                 painted(layers, self.number + 1, blend)
-                self.send("stroke", erases=erases, **target)
+                self.send("stroke", **target)
             else:
                 layers.fill(ones, (1.0, 0.0, 0.0), opacity=0.5, blend=blend)
-                self.send("fill", color=[255, 0, 0], opacity=0.5, erases=erases, **target)
+                self.send("fill", color=[255, 0, 0], opacity=0.5, **target)
         elif move == "add" and len(numbers) < 4:
+            given = {"blend": "screen", "opacity": 0.7}
             layers.choose(number)
-            layers.add_layer(blend="screen", opacity=0.7)
-            self.send(
-                "layer", action="add", blend="screen", opacity=0.7, **({"layer": number} if number else {})
-            )
+            layers.add_layer(**given)
+            self.send("layer", action="add", **given, **({"layer": number} if number else {}))
         elif move == "set" and number is not None:
-            wanted, own = (
-                ({"opacity": 0.3}, {"opacity": 0.3}),
-                ({"isVisible": False}, {"is_visible": False}),
-                ({"isVisible": True, "blend": "multiply"}, {"is_visible": True, "blend": "multiply"}),
-                ({"title": "Dirt"}, {"name": "Dirt"}),
-                ({"hasMask": True}, {"has_mask": True}),
-            )[random.integers(5)]
-            layers.change_layer(number, **own)
-            self.send("layer", action="set", layer=number, **wanted)
+            name, own, value = SETTINGS[random.integers(5)]
+            layers.change_layer(number, **{own: value})
+            self.send("layer", action="set", layer=number, **{name: value})
         elif move == "move" and number is not None:
             place = int(random.integers(len(numbers)))
             layers.move_layer(number, place)
@@ -84,6 +73,18 @@ class Both:
         elif move in ("undo", "redo"):
             getattr(layers, move)()
             self.send(move)
+
+
+MOVES = ["stroke", "fill", "add", "set", "move", "copy", "merge", "delete", "undo", "redo"]
+LIKELY = [0.3, 0.1, 0.12, 0.12, 0.06, 0.04, 0.06, 0.04, 0.1, 0.06]
+#: Settings of layers: of a page, of the library, and a value.
+SETTINGS = [
+    ("opacity", "opacity", 0.3),
+    ("isVisible", "is_visible", False),
+    ("blend", "blend", "multiply"),
+    ("title", "name", "Dirt"),
+    ("hasMask", "has_mask", True),
+]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -101,33 +102,6 @@ def test_random_commands_do_what_the_library_does_and_a_crash_loses_none(seed, t
     again.close()
 
 
-def test_what_is_wrong_with_a_layer_is_said_at_once_and_one_that_is_gone_is_told(session):
-    for given, message in (
-        ({"action": "add", "title": ""}, "name must be a line of 1 to 40"),
-        ({"action": "add", "opacity": 2}, "opacity"),
-        ({"action": "add", "opacity": "much"}, "opacity"),
-        ({"action": "add", "blend": "erase"}, "unknown blend"),
-        ({"action": "set", "layer": 1, "isVisible": 1}, "is_visible"),
-        ({"action": "set", "layer": 0}, "layer"),
-        ({"action": "set", "layer": "1"}, "layer"),
-        ({"action": "set"}, "name the layer to set"),
-        ({"action": "move", "layer": 1}, "place"),
-        ({"action": "split", "layer": 1}, "unknown action 'split'; there are: add, set, move, copy"),
-        ({}, "unknown action"),
-    ):
-        with pytest.raises(ArgumentError, match=message):
-            session.take(plain("layer", 1, **given))
-    for given in ({"mask": True}, {"layer": 1, "mask": "yes"}, {"layer": -1}, {"erases": 3}):
-        with pytest.raises(ArgumentError):
-            session.take(stroke(1, **given))
-    take(session, stroke(1, layer=5))
-    assert session.shown.status["error"] == "there is no layer 5"
-    assert session.shown.status["finished"] == {PAGE: 1}
-    take(session, plain("layer", 2, action="move", layer=5, place=0))
-    assert (session.shown.status["error"], session.shown.status["done"]) == ("there is no layer 5", 0)
-    assert_same(session.shown.texture, canvas()[0])
-
-
 def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_erased(studio, page):
     page.evaluate("document.getElementById('layers').open = true")
     page.click("#layer-add")
@@ -142,10 +116,8 @@ def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_era
     assert np.abs(pictured(page) - pictures[0]).max() <= 1
     page.click("#layer-delete")
     studio.is_done(page)
-    assert page.evaluate("[viewer.painting.layers.active, viewer.painting.status.steps.at(-1)]") == [
-        None,
-        "Delete a layer",
-    ]
+    last = page.evaluate("[viewer.painting.layers.active, viewer.painting.status.steps.at(-1)]")
+    assert last == [None, "Delete a layer"]
 
 
 def test_the_list_of_layers_hides_names_moves_and_sets_them(studio, page):
@@ -198,14 +170,10 @@ def test_layers_are_saved_beside_the_output_and_a_session_goes_on_with_them(tmp_
     again = Session(octex.open(tmp_path / "out.layers.octex"), surface, tmp_path / "more.octex")
     assert again.shown.status["layers"] == session.shown.status["layers"]
     assert_same(again.shown.texture, session.shown.texture)
-    again.take(plain("layer", 1, action="set", layer=1, isVisible=False))
-    again.wait()
+    take(again, plain("layer", 1, action="set", layer=1, isVisible=False))
     hits = surface.scatter(500, 0)
     assert np.abs(again.shown.texture.sample(hits) - canvas()[0].sample(hits)).max() < 2 / 255
-    again.take(plain("save", 2))
-    again.take(plain("layer", 3, action="delete", layer=1))
-    again.take(plain("save", 4))
-    again.wait()
+    take(again, plain("save", 2), plain("layer", 3, action="delete", layer=1), plain("save", 4))
     assert again.close() == ""
     assert sorted(each.name for each in tmp_path.iterdir()) == ["more.octex", "out.layers.octex", "out.octz"]
 

@@ -2,7 +2,6 @@
 
 import json
 import socket
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +12,8 @@ from octex.session import painting as sessions
 from octex.viewer import Viewer, answers
 from tests.make.fixtures import obj_lines
 from tests.make.painted import ball
-from tests.viewer.test_session import BAD, OCTETS, PAGE, canvas, plain, stroke
+from tests.make.strokes import OCTETS, PAGE, canvas, plain, stroke
+from tests.viewer.test_session_refusals import BAD
 
 
 def test_a_command_is_posted_and_the_change_is_there_for_pages(served):
@@ -91,34 +91,6 @@ def test_a_flood_of_strokes_is_held_up_and_loses_none(served, monkeypatch):
     assert 429 in statuses
     served.session.wait()
     assert served.session.shown.status["done"] == 40
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["a.octex", "--paint", "b.octex"], "--paint needs a MODEL"),
-        (["a.octex", "a.glb", "--recover"], "--recover needs --paint"),
-        (["a.octex", "a.glb", "--paint", "a.octex"], "--paint is also an input"),
-        (["a.octex", "a.glb", "--paint", "b.png"], "--paint has the ending '.png'"),
-        (
-            ["a.octex", "a.glb", "a.html", "--paint", "b.octex"],
-            "--paint cannot be used when a page is written",
-        ),
-        (
-            ["a.octex", "a.glb", "--paint", "there.octex"],
-            "there.octex: exists already; --force overwrites it",
-        ),
-    ],
-)
-def test_words_that_make_no_sense_are_refused(
-    words, message, capsys, tmp_path,
-    monkeypatch,
-):  # fmt: skip
-    monkeypatch.chdir(tmp_path)
-    for name in ("a.octex", "a.glb", "there.octex"):
-        Path(name).touch()
-    assert main(["view", *words]) == ExitCode.REFUSED
-    assert message in capsys.readouterr().err
 
 
 def test_a_port_that_is_taken_leaves_no_journal(served, tmp_path):

@@ -1,6 +1,5 @@
 """What a browser shows: each pixel as lookups have it; the page, its tools, and pages of one file."""
 
-import json
 import re
 import subprocess
 import sys
@@ -18,7 +17,7 @@ from octex.texture import OctreeTexture
 from octex.viewer import write_page
 from octex.viewer.export import MODULES, page_text
 from octex.viewer.pack import pack
-from tests.make.browser import Probe, differences, drawn, file_url
+from tests.make.browser import Probe, differences, drawn, file_url, opened
 from tests.make.fixtures import obj_lines
 from tests.make.painted import ball, balls
 from tests.make.small_surfaces import sheet
@@ -146,6 +145,26 @@ def small(tmp_path_factory):
     return path
 
 
+@pytest.fixture(scope="module")
+def shared(browser, small):
+    page = opened(browser, file_url(small), (900, 480))
+    yield page
+    assert page.complaints == []
+    page.close()
+
+
+@pytest.fixture
+def page(shared):
+    """The page of the small ball, as it looks at first."""
+    shared.evaluate("viewer.camera.reset(0.55, 0.3)")
+    yield shared
+    shared.set_viewport_size({"width": 900, "height": 480})
+    for name, value in (("shown", "lit"), ("filter", "quadratic")):
+        shared.select_option(f"#{name}", value)
+    shared.uncheck("#cubes")
+    shared.locator("#level").fill("4")
+
+
 def sharp(page):
     """The picture, once it stands still."""
     page.evaluate("viewer.invalidate()")
@@ -153,8 +172,7 @@ def sharp(page):
     return page.locator("canvas").screenshot()
 
 
-def test_each_control_changes_the_picture_and_the_first_view_comes_back(opens, small):
-    page = opens(small, (900, 480))
+def test_each_control_changes_the_picture_and_the_first_view_comes_back(page):
     canvas = page.locator("canvas")
     canvas.focus()
     page.keyboard.press("0")
@@ -196,10 +214,8 @@ def test_each_control_changes_the_picture_and_the_first_view_comes_back(opens, s
     assert len(pictures) == 8  # without emitted light, colours as they are are the channel
 
 
-def test_under_the_cursor_is_the_cell_that_a_lookup_finds(opens, small):
-    surface = colored(ball(8))
-    texture = octex.convert(surface, depth=4)
-    page = opens(small, (900, 480))
+def test_under_the_cursor_is_the_cell_that_a_lookup_finds(page):
+    texture = octex.convert(colored(ball(8)), depth=4)
     size = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
     found = page.evaluate("viewer.pick(viewer.canvas.clientWidth / 2, viewer.canvas.clientHeight / 2 - 30)")
     assert found["level"] == 4
@@ -229,9 +245,8 @@ def test_under_the_cursor_is_the_cell_that_a_lookup_finds(opens, small):
     page.wait_for_function("document.getElementById('cell').textContent.includes('level 3')")
 
 
-def test_pictures_are_drawn_up_to_their_rims(opens, small):
+def test_pictures_are_drawn_up_to_their_rims(page):
     """What is seen is drawn in tiles, and the last ones reach beyond the picture."""
-    page = opens(small)
     page.evaluate("viewer.camera.distance *= 0.33")  # the ball fills the picture
     background = np.rint(255 * np.array(page.evaluate("viewer.gpu.background"))[:3])
     for size in ((37, 21), (16, 33), (5, 3), (1, 1)):
@@ -254,8 +269,7 @@ def test_the_file_loads_nothing_and_obeys_its_own_policy(browser, small):
     page.close()
 
 
-def test_a_lost_context_is_restored(opens, small):
-    page = opens(small, (900, 480))
+def test_a_lost_context_is_restored(page):
     before = sharp(page)
     page.evaluate("(globalThis.lose = viewer.gpu.gl.getExtension('WEBGL_lose_context')).loseContext()")
     page.wait_for_function("document.getElementById('status').textContent.includes('lost')")
@@ -275,7 +289,7 @@ def test_without_webgl2_the_page_says_so(browser, small):
 
 
 def test_controls_are_named_and_within_the_window(opens, small):
-    page = opens(small, (1280, 720))
+    page = opens(small, (1280, 720), is_drawn=False)
     unnamed = """[...document.querySelectorAll("select, input, button, progress, canvas")]
       .filter((each) => !(each.labels?.length || each.ariaLabel || each.textContent.trim()))
       .map((each) => each.id)"""
@@ -428,21 +442,18 @@ def test_no_two_modules_of_the_page_have_a_name_in_common():
 
 def test_octex_view_writes_pages(made, model, cli):
     page = made.with_name("page.html")
-    told = json.loads(cli.result("view", made, model, page, "--quiet", "--json"))
-    assert told["bytes"] == page.stat().st_size
-    assert told["notes"] == []
+    told = cli.facts("view", made, model, page, "--quiet")
+    assert (told["bytes"], told["notes"]) == (page.stat().st_size, [])
     text = page.read_text("utf-8")
     assert all(f'id="data-{name}"' in text for name in ("header", "0-levels-0", "0-mesh"))
     assert not re.search(r"(?:src|href)=.?https?:|^import ", text, re.MULTILINE)
     cli.result("view", made, page, "--force", "--quiet", "--max-size", "500kB")
     assert 'id="data-0-mesh"' not in page.read_text("utf-8")
-    assert "'much' is not a size like 20MB" in cli.refusal("view", made, page, "--max-size", "much")
 
 
 def test_octex_view_writes_a_page_of_a_folder_of_parts(tmp_path, cli):
     textures, _ = two_parts(tmp_path)
     textures.save(tmp_path / "set")
-    given = tmp_path / "set", tmp_path / "two.obj", tmp_path / "set.html"
-    cli.result("view", *given, "--quiet")
-    text = given[2].read_text("utf-8")
+    cli.result("view", tmp_path / "set", tmp_path / "two.obj", tmp_path / "set.html", "--quiet")
+    text = (tmp_path / "set.html").read_text("utf-8")
     assert all(f'id="data-{number}-{name}"' in text for number in range(2) for name in ("levels-0", "mesh"))

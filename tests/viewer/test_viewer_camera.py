@@ -23,23 +23,23 @@ def small(tmp_path_factory):
     return path
 
 
-@pytest.mark.parametrize("cubes", [False, True])
-def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(cubes, opens, small):
+def test_the_wheel_zooms_to_what_is_under_the_cursor_and_never_inside(opens, small):
     page = opens(small, (320, 240))
-    page.evaluate("(on) => void (viewer.display.cubes = on)", cubes)
     wide, high = page.evaluate("[viewer.canvas.clientWidth, viewer.canvas.clientHeight]")
     at = [round(0.58 * wide), round(0.4 * high)]
-    before = page.evaluate(_SEEN, at)
     page.mouse.move(*at)
-    for _ in range(30):
-        page.mouse.wheel(0, -200)
-    page.wait_for_function("viewer.camera.distance < 0.01 * viewer.camera.radius")
-    after, radius = page.evaluate(_SEEN, at), page.evaluate("viewer.camera.radius")
-    np.testing.assert_allclose(after, before, atol=0.002 * radius)  # still there, and in front of the camera
-    page.keyboard.press("0")
-    page.locator("canvas").focus()
-    page.evaluate(_PRESSED, ["+", 120])
-    assert page.evaluate(_SEEN, [wide / 2, high / 2]) is not None
+    for cubes in (False, True):
+        page.evaluate("(on) => { viewer.display.cubes = on; viewer.camera.reset(); }", cubes)
+        before = page.evaluate(_SEEN, at)
+        for _ in range(30):
+            page.mouse.wheel(0, -200)
+        page.wait_for_function("viewer.camera.distance < 0.01 * viewer.camera.radius")
+        after, radius = page.evaluate(_SEEN, at), page.evaluate("viewer.camera.radius")
+        np.testing.assert_allclose(after, before, atol=0.002 * radius)  # still before the camera
+        page.locator("canvas").focus()
+        page.keyboard.press("0")
+        page.evaluate(_PRESSED, ["+", 120])
+        assert page.evaluate(_SEEN, [wide / 2, high / 2]) is not None
 
 
 def test_a_double_click_turns_around_what_is_there_and_beside_the_model_shows_all(opens, small):
@@ -86,36 +86,46 @@ def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls
     assert lines == []
 
 
-def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(opens, tmp_path):
+def says(page, text):
+    """Wait until the page's status has a text."""
+    page.wait_for_function("(text) => document.getElementById('status').textContent.includes(text)", arg=text)
+
+
+@pytest.fixture
+def plain(tmp_path):
+    """A viewer without a model, and what it logs."""
     path, lines = tmp_path / "ball.octex", list[str]()
     octex.convert(ball(8), depth=3).save(path)
-    first = Viewer(lambda: octex.open(path), path, None, log=lines.append)
-    page = opens(first, (600, 300), is_drawn=False)
+    return Viewer(lambda: octex.open(path), path, None, log=lines.append), lines
+
+
+def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(opens, plain):
+    viewer, lines = plain
+    page = opens(viewer, (600, 300), is_drawn=False)
     asked = []
     page.on("request", lambda request: asked.append(request.url))
-    first.token = "another"
-    first._ended.set()  # its pages lose their lines
-    page.wait_for_function("document.getElementById('status').textContent.includes('new address')")
-    page.wait_for_timeout(2500)
+    viewer.token = "another"
+    viewer._ended.set()  # its pages lose their lines
+    says(page, "new address")
+    page.evaluate("window.dispatchEvent(new Event('focus'))")
+    says(page, "tried again in 4 s")
     assert all("/proof?" in each for each in asked)
     assert len(asked) < 5
     assert lines == []
 
 
-def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(opens, tmp_path):
-    path = tmp_path / "ball.octex"
-    octex.convert(ball(8), depth=3).save(path)
-    viewer = Viewer(lambda: octex.open(path), path, None)
+def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(opens, plain):
+    viewer, _ = plain
     page = opens(viewer, (600, 300), is_drawn=False, is_lost=True)
-    page.route("**/events", lambda route: route.abort())
-    page.route("**/proof*", lambda route: route.abort())
+    for name in ("**/events", "**/proof*"):
+        page.route(name, lambda route: route.abort())
     viewer._ended.set()
     for seconds in (1, 2, 4):
-        said = f"document.getElementById('status').textContent.includes('next attempt in {seconds} s')"
-        page.wait_for_function(said, timeout=60_000)
+        says(page, f"next attempt in {seconds} s")
     viewer._ended.clear()
-    page.unroute("**/events")
-    page.unroute("**/proof*")
+    for name in ("**/events", "**/proof*"):
+        page.unroute(name)
+    page.evaluate("window.dispatchEvent(new Event('focus'))")
     page.wait_for_function("document.getElementById('status').textContent === ''", timeout=60_000)
 
 

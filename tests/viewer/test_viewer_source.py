@@ -97,8 +97,14 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     assert len(set(pictures)) == 4
 
 
-def test_images_are_halved_until_they_fit(tmp_path):
+@pytest.fixture(scope="module")
+def droid():
     surface = octex.load_surface("samples/droid.glb")
+    return octex.convert(surface, depth=6), surface
+
+
+def test_images_are_halved_until_they_fit(droid, tmp_path):
+    texture, surface = droid
     maps = maps_of(surface, small=True)
     assert maps is not None
     assert sum(part["count"] for part in maps.header["parts"]) == len(surface.triangles)
@@ -108,14 +114,12 @@ def test_images_are_halved_until_they_fit(tmp_path):
     assert smaller is not None
     assert sum(smaller.header["bytes"]) < size
     assert smaller.notes == ["source: images at 1/2 of their size"]
-    texture = octex.convert(surface, depth=6)
     assert write_page(texture, tmp_path / "a.html", surface, max_size=500_000)
     assert (tmp_path / "a.html").stat().st_size <= 500_000
 
 
-def test_a_page_with_images_fits_the_size_that_its_refusal_names(tmp_path):
-    surface = octex.load_surface("samples/droid.glb")
-    texture, page = octex.convert(surface, depth=6), tmp_path / "a.html"
+def test_a_page_with_images_fits_the_size_that_its_refusal_names(droid, tmp_path):
+    (texture, surface), page = droid, tmp_path / "a.html"
     with pytest.raises(ArgumentError, match="even without any level; allow ") as caught:
         write_page(texture, page, surface, max_size=1000)
     size = file_size(str(caught.value).split("allow ")[1].replace(" ", ""))
