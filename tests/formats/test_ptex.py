@@ -69,7 +69,7 @@ def waves(points):
     return np.stack([np.sin(3 * x + y), np.cos(2 * y - 2 * z), np.sin(2 * z + 2 * x)], axis=1) * 0.35 + 0.5
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_what_is_written_is_read_by_a_simple_reader_and_by_octex(seed, tmp_path):
     contents = tool("bench/peers/ptex_peer").random_contents(seed)
     path = tmp_path / "made.ptx"
@@ -251,12 +251,11 @@ def octaves(points):
 
 
 @pytest.mark.parametrize("triangles", [False, True])
-@pytest.mark.parametrize("colors", [waves, octaves])
-def test_there_and_back_a_texture_stays_within_40_decibels(triangles, colors, house, tmp_path):
+def test_there_and_back_a_texture_stays_within_40_decibels(triangles, house, tmp_path):
     surface = octex.load_surface(house)
     if triangles:
         surface = octex.Surface.from_arrays(surface.vertices, surface.triangles)
-    texture = octex.convert(surface, 5, sources={"base_color": colors})
+    texture = octex.convert(surface, 5, sources={"base_color": octaves})
     octex.write_ptex(texture, surface, tmp_path / "made.ptx", texels=texture.tree.n_leaves)
     with PtexFile(tmp_path / "made.ptx") as file:
         assert texture.tree.n_leaves / 4 < file.faces.counts.sum() <= texture.tree.n_leaves

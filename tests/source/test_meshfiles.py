@@ -27,15 +27,6 @@ def interpolated(surface, colors):
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
-def test_ply_geometry_is_the_same_in_every_encoding(tmp_path, encoding):
-    unread = {"s": ("float", [0, 1, 2, 3]), "t": ("float", [0, 1, 2, 3])}  # coordinates without an image
-    surface = load_surface(ply(tmp_path / "a.ply", ply_square(**unread), encoding=encoding))
-    np.testing.assert_array_equal(surface.vertices, SQUARE)
-    np.testing.assert_array_equal(surface.triangles, SQUARE_TRIANGLES)
-    assert (surface.evaluate(surface.scatter(5)) == 1).all()
-
-
-@pytest.mark.parametrize("encoding", ENCODINGS)
 @pytest.mark.parametrize(
     ("kind", "scale"),
     [("uchar", 1), ("ushort", 257), ("float", 1 / 255), ("double", 1 / 255), ("float", 1), ("int", 1)],
@@ -95,7 +86,8 @@ def test_ply_faces_of_mixed_sizes_keep_their_colours(tmp_path, encoding):
 
 
 def test_ply_elements_before_and_after_are_passed_over(tmp_path):
-    square = ply_square()
+    unread = {"s": ("float", [0, 1, 2, 3]), "t": ("float", [0, 1, 2, 3])}  # coordinates without an image
+    square = ply_square(**unread)
     elements = {
         "camera": {"view": ("list uchar double", [[1, 2, 3], []]), "f": ("short", [-4, 5])},
         **square,
@@ -103,7 +95,9 @@ def test_ply_elements_before_and_after_are_passed_over(tmp_path):
     }
     for encoding in ENCODINGS:
         surface = load_surface(ply(tmp_path / "a.ply", elements, encoding=encoding))
+        np.testing.assert_array_equal(surface.vertices, SQUARE)
         np.testing.assert_array_equal(surface.triangles, SQUARE_TRIANGLES)
+        assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
 
 def test_ply_headers_may_end_their_lines_like_windows(tmp_path):
@@ -339,22 +333,16 @@ def test_off_faces_have_colours_of_their_own_and_any_number_of_corners(tmp_path)
     [
         ("", "is empty"),
         ("# only\n", "first word is not OFF"),
-        ("ply\n", "first word is not OFF"),
         ("4OFF\n1 1 0\n", "a kind of OFF file"),
         ("OFF BINARY\n1 1 0\n", "a kind of OFF file"),
         ("OFF\n", "numbers of vertices and faces are missing"),
-        ("OFF\nthree\n", "numbers of vertices and faces are missing"),
-        ("OFF\n3\n", "numbers of vertices and faces are missing"),
         ("OFF\n3 1 0\n0 0 0\n", "is truncated"),
-        ("OFF\n-3 1 0\n0 0 0\n", "is truncated"),
         ("OFF\n3 0 0\n0 0 0\n1 0 0\n0 1 0\n", "no triangles"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 zero\n3 0 1 2\n", "not numbers"),
         ("OFF\n3 1 0\n0 0 0\n1 0\n0 1 0\n3 0 1 2\n", "less than three numbers"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\nnan 0 1 2\n", "fewer corners"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 1.5\n", "not among the 3"),
-        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n1e300 0 1 2\n", "fewer corners"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1\n", "fewer corners than it says"),
-        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n", "not among the 3"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 -1\n", "not among the 3"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n2 0 1\n", "no triangles"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 nan\n3 0 1 2\n", "not all finite"),

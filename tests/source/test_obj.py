@@ -35,25 +35,6 @@ def test_a_texture_is_bound_with_v_up_and_repeats(tmp_path):
     assert_agrees(wooden(tmp_path, square=OBJ_SQUARE.replace("vt 1 1", "vt 2.5 -1.5")))
 
 
-def test_the_first_row_of_the_image_lies_at_v_1(tmp_path):
-    path = wooden(tmp_path)
-    image = np.array([[[255] * 3], [[0] * 3]], np.uint8)
-    (tmp_path / "wood.png").write_bytes(png(image))
-    surface = load_surface(path)
-    samples = surface.scatter(100)
-    values = surface.evaluate(samples)[:, 0]
-    assert (values[samples.points[:, 1] > 0.75] > 0.9).sum() > 0
-    assert np.corrcoef(values, samples.points[:, 1])[0, 1] > 0
-
-
-def test_kd_is_an_srgb_value_and_multiplies_the_map(tmp_path):
-    surface = assert_agrees(wooden(tmp_path, WOOD + "Kd 0.5 0.25 1\n"))
-    plain = assert_agrees(wooden(tmp_path))
-    samples = surface.scatter(20)
-    expected = plain.evaluate(samples) * srgb_to_linear([0.5, 0.25, 1])
-    np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-5)
-
-
 def test_opaque_materials_ignore_the_alpha_of_their_map(tmp_path):
     path = wooden(tmp_path, WOOD + "d 1\n")
     (tmp_path / "wood.png").write_bytes(png(random_image(4, 4, 4)))
@@ -61,7 +42,7 @@ def test_opaque_materials_ignore_the_alpha_of_their_map(tmp_path):
 
 
 def test_each_face_keeps_its_material(tmp_path):
-    mtl = WOOD + "newmtl red\nKd 1 0 0\nd 0.5\nnewmtl stone\nmap_Kd stone.png\n"
+    mtl = WOOD + "Kd 0.5 0.25 1\nnewmtl red\nKd 1 0 0\nd 0.5\nnewmtl stone\nmap_Kd stone.png\n"
     faces = [("wood", "1/1 2/2 3/3"), ("red", "1 3 4"), ("stone", "1/4 2/1 4/2"), ("wood", "2/1 3/2 4/4")]
     lines = "".join(f"usemtl {material}\nf {corners}\n" for material, corners in faces)
     images = {"wood.png": png(random_image(4, 4)), "stone.png": png(random_image(3, 5, seed=1))}
@@ -141,25 +122,14 @@ def test_every_form_of_a_corner_is_understood(tmp_path):
 
 
 def test_the_way_lines_are_written_does_not_matter(tmp_path):
-    lines = [
-        "\ufeff# a comment",
-        "\tv  0 0\t0 # here",
-        "v 1e0 +0 -0.0",
-        "v .0 1. 0",
-        "g x y",
-        "s off",
-        "o z",
-        "l 1 2",
-        "f 1 \\",
-        " 2 3 ",
-    ]
+    lines = ["\ufeff# a comment", "\tv  0 0\t0 # here", "v 1e0 +0 -0.0", "v .0 1. 0"]
+    lines += ["g x y", "s off", "o z", "l 1 2", "f 1 \\", " 2 3 "]
     path = tmp_path / "a.obj"
-    for text in ("\r\n".join(lines), "\n".join(lines) + "\n"):
-        for encoding in ("utf-8", "utf-16-le"):
-            path.write_bytes(text.encode(encoding))
-            surface = load_surface(path)
-            np.testing.assert_array_equal(surface.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-            np.testing.assert_array_equal(surface.triangles, [[0, 1, 2]])
+    for end, encoding in (("\r\n", "utf-8"), ("\n", "utf-16-le")):
+        path.write_bytes(end.join(lines).encode(encoding))
+        surface = load_surface(path)
+        np.testing.assert_array_equal(surface.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        np.testing.assert_array_equal(surface.triangles, [[0, 1, 2]])
 
 
 @pytest.mark.parametrize(
@@ -230,21 +200,16 @@ def test_a_rest_mesh_needs_no_materials(tmp_path):
         ("", "is empty"),
         ("# nothing\n", "no triangles"),
         (OBJ_SQUARE, "no triangles"),
-        (OBJ_SQUARE + "l 1 2\np 3\n", "no triangles"),
         (OBJ_SQUARE + "f 1 2\n", "no triangles"),
         (OBJ_SQUARE + "f 1 2 9\n", "a face uses a vertex that is not among the 4"),
-        (OBJ_SQUARE + "f 1 2 -5\n", "a face uses a vertex that is not among the 4"),
         (OBJ_SQUARE + "f 1 2 0\n", "a face uses a vertex that is not among the 4"),
         (OBJ_SQUARE + "f 1/1 2/2 3/7\n", "a face uses a texture coordinate that is not among the 4"),
         (OBJ_SQUARE + FACES + "f 1 2 x\n", "'f 1 2 x' is not a face"),
-        (OBJ_SQUARE + "f 1 2 3.5\n", "'f 1 2 3.5' is not a face"),
         (OBJ_SQUARE + "f 1 2 3/1/1/1\n", "is not a face"),
         (OBJ_SQUARE + "f 1 2 /3\n", "is not a face"),
-        (OBJ_SQUARE + "f 1 2 3/-\n", "is not a face"),
         ("v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n", "'v 1 0' has too few numbers"),
         ("v 0 0 0\nv 1 0 zero\nv 0 1 0\nf 1 2 3\n", "'v 1 0 zero' is not numbers"),
         ("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "not all finite"),
-        ("v 0 0 0\nv 1 0 1e999\nv 0 1 0\nf 1 2 3\n", "not all finite"),
         ("v 0 0 0\0\nv 1 0 1\nv 0 1 0\nf 1 2 3\n", "not a text file"),
     ],
 )

@@ -164,20 +164,14 @@ def broken(changes):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {WEIGHTS_0: rows(*[[2, -1, 0, 0]] * 4)},
-            rf"vertex 0 are \[2\.0, -1\.0, 0\.0, 0\.0\], {NOT_WEIGHTS}",
-        ),
+        ({WEIGHTS_0: rows(*[[2, -1, 0, 0]] * 4)}, rf"\[2\.0, -1\.0, 0\.0, 0\.0\], {NOT_WEIGHTS}"),
         ({WEIGHTS_0: rows(*[[np.inf, 1, 0, 0]] * 4)}, NOT_WEIGHTS),
         ({WEIGHTS_0: rows(*[[np.nan, 1, 0, 0]] * 4)}, NOT_WEIGHTS),
         ({WEIGHTS_0: MISSING}, "has JOINTS_0 without weights"),
         ({JOINTS_0: MISSING}, "has a skin but no JOINTS_0"),
         (NO_SUCH_JOINT, "vertex 2 is moved by joint 3, but its skin has 3"),
         ({f"accessors.{MATRICES}.count": 2}, "has 2 inverse bind matrices for 3 joints"),
-        (
-            {"skins.0.joints.1": lambda gltf: gltf.add("nodes")},
-            r"joint nodes\[5\], which the scene does not show",
-        ),
+        ({"skins.0.joints.1": lambda gltf: gltf.add("nodes")}, r"joint nodes\[5\], which the scene does not"),
         ({"skins.0.joints": []}, "has no joints"),
         ({"skins": []}, r"refers to skins\[0\]"),
         (

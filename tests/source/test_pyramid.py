@@ -149,30 +149,6 @@ def test_without_images_nothing_is_stored():
         assert [len(part) for part in stored[0][:-1]] == [0] * 7
 
 
-def test_a_long_footprint_does_not_blur_across():
-    # Stripes of one texel along u: a footprint 8 texels along u must leave rows apart.
-    rows = np.repeat(np.array([0, 255] * 8, np.uint8)[:, None, None], 16, axis=1).repeat(3, axis=2)
-    centres = np.stack([np.full(16, 0.4), (np.arange(16) + 0.5) / 16], axis=1)
-    surface = square(rows, size=(1.0, 12.0), mag_filter="nearest")
-    values = read(surface, centres, 8 / 16)[:, 0]
-    np.testing.assert_allclose(values, np.arange(16) % 2 == 0, atol=0.2)
-
-
-def test_small_footprints_approach_points():
-    points = np.random.default_rng(0).random((100, 2))
-    for filter in ("trilinear", "ewa"):
-        for mag_filter in ("linear", "nearest"):
-            surface = square(random_image(8, 8), mag_filter=mag_filter, filter=filter)
-            np.testing.assert_allclose(read(surface, points, 1e-5), read(surface, points, 0), atol=2e-3)
-
-
-def test_widths_are_measured_on_rest_positions():
-    plain = square(random_image(32, 32))
-    points = np.random.default_rng(0).random((50, 2))
-    larger = plain.with_rest(plain.vertices * 10)
-    np.testing.assert_allclose(read(larger, points, 1.0), read(plain, points, 0.1), atol=1e-6)
-
-
 def test_turning_the_model_changes_no_footprint():
     plain = square(random_image(32, 32), size=(1.0, 3.0))
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]

@@ -1,18 +1,13 @@
 """Surfaces from arrays: samples, values, errors."""
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import PIL.Image
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from octex.channels import srgb_to_linear
 from octex.errors import ArgumentError, ImageError, ModelError
 from octex.source.corners import Corners, Frames
-from octex.source.images.filters import FILTERS
-from octex.source.surface import Surface, SurfaceSamples
+from octex.source.surface import Surface
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 
 CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
@@ -172,8 +167,10 @@ def test_some_channels_alone_are_those_values():
         alone = surface.with_channels([name])
         assert [channel.name for channel in alone.channels] == [name]
         assert alone.provenance is not surface.provenance
-        for width in (0.0, 0.3):
+        for width in np.float32([0.0, 0.3]):
+            values = surface.evaluate_all(samples.triangles, samples.barycentric, np.full(30, width))
             expected = surface.evaluate(samples, name, width)
+            np.testing.assert_array_equal(expected, values[:, :3] if name == "base_color" else values[:, 3:])
             np.testing.assert_allclose(alone.evaluate(samples, name, width), expected, atol=1e-6)
     both = surface.with_channels(["alpha", "base_color"])
     assert both.channels == surface.channels
@@ -181,33 +178,6 @@ def test_some_channels_alone_are_those_values():
         surface.with_channels(["alpha", "metallic"])
     with pytest.raises(ArgumentError, match="channels must name at least one channel"):
         surface.with_channels([])
-
-
-@pytest.mark.parametrize("filter", FILTERS)
-def test_images_are_read_by_the_filter_asked_for(filter):
-    usual = square(uv=SQUARE_UV, image=random_image(8, 8))
-    asked = square(uv=SQUARE_UV, image=random_image(8, 8), filter=filter)
-    samples = usual.scatter(30)
-    values = usual.with_filter(filter).evaluate(samples, width=0.4)
-    np.testing.assert_array_equal(values, asked.evaluate(samples, width=0.4))
-    assert (filter == "ewa") == np.array_equal(values, usual.evaluate(samples, width=0.4))
-    with pytest.raises(ArgumentError, match="unknown filter 'sharp'"):
-        usual.with_filter("sharp")
-
-
-def test_shading_normals_are_kept_and_follow_the_rest_mesh():
-    triangles = SQUARE_TRIANGLES.astype(np.int32)
-    normals = Corners(np.tile(np.float32([0, 0.6, 0.8]), (4, 1)), triangles)
-    tangents = Corners(np.tile(np.float32([1, 0, 0, 1]), (4, 1)), triangles)
-    plain = square()
-    surface = Surface(plain.vertices, triangles, plain.source, frames=Frames(normals, tangents))
-    assert surface.with_filter("trilinear").frames is surface.frames
-    turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
-    turned = surface.with_rest(SQUARE @ turn.T).frames
-    assert turned is not None
-    np.testing.assert_allclose(turned.normals.values, [turn @ [0, 0.6, 0.8]] * 6, atol=1e-6)
-    np.testing.assert_allclose(turned.tangents.values[:, :3], [turn @ [1, 0, 0]] * 6, atol=1e-6)
-    assert plain.frames is None
 
 
 def test_samples_keep_their_values_at_other_rest_positions():
@@ -222,12 +192,16 @@ def test_samples_keep_their_values_at_other_rest_positions():
     assert (moved.name, moved.provenance) == ("quad", {"source": "quad.glb"})
 
 
-def test_a_pose_moves_vertices_and_normals_and_no_rest_or_values():
+def test_shading_normals_follow_the_rest_mesh_and_a_pose_which_moves_no_rest_or_values():
     triangles, plain = SQUARE_TRIANGLES.astype(np.int32), square(uv=SQUARE_UV, image=random_image(4, 4))
     normals = Corners(np.tile(np.float32([0, 0.6, 0.8]), (4, 1)), triangles)
     tangents = Corners(np.tile(np.float32([1, 0, 0, 1]), (4, 1)), triangles)
     surface = Surface(plain.vertices, triangles, plain.source, frames=Frames(normals, tangents))
+    assert surface.with_filter("trilinear").frames is surface.frames
     turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
+    turned = surface.with_rest(SQUARE @ turn.T).frames
+    np.testing.assert_allclose(turned.normals.values, [turn @ [0, 0.6, 0.8]] * 6, atol=1e-6)
+    np.testing.assert_allclose(turned.tangents.values[:, :3], [turn @ [1, 0, 0]] * 6, atol=1e-6)
     posed = surface.with_pose(SQUARE @ turn.T).with_pose(SQUARE @ turn)
     np.testing.assert_array_equal(posed.vertices, SQUARE @ turn)
     assert posed.rest is surface.rest is surface.vertices
@@ -239,30 +213,6 @@ def test_a_pose_moves_vertices_and_normals_and_no_rest_or_values():
     np.testing.assert_array_equal(posed.evaluate(posed_samples), surface.evaluate(samples))
     with pytest.raises(ModelError, match="surface: 3 posed positions for 4 vertices; give one each"):
         surface.with_pose(SQUARE[:3])
-
-
-@given(st.integers(0, 40), st.floats(0, 1))
-def test_each_channel_is_its_columns_of_all(count, width):
-    surface = square(uv=SQUARE_UV, image=random_image(4, 4, 4))
-    samples = surface.scatter(count)
-    values = surface.evaluate_all(samples.triangles, samples.barycentric, np.full(count, width, np.float32))
-    np.testing.assert_array_equal(surface.evaluate(samples, "base_color", width), values[:, :3])
-    np.testing.assert_array_equal(surface.evaluate(samples, "alpha", width), values[:, 3:])
-    assert values.dtype == np.float32
-
-
-def test_threads_give_the_same_values():
-    surface = square(uv=SQUARE_UV * 3, image=random_image(16, 16))
-    samples = surface.scatter(4000)
-    widths = np.full(500, 0.1, np.float32)
-
-    def part(start):
-        at = slice(start, start + 500)
-        return surface.evaluate_all(samples.triangles[at], samples.barycentric[at], widths)
-
-    with ThreadPoolExecutor(4) as pool:
-        together = np.concatenate(list(pool.map(part, range(0, 4000, 500))))
-    np.testing.assert_array_equal(together, surface.evaluate(samples, width=0.1))
 
 
 @pytest.mark.parametrize(
@@ -314,12 +264,6 @@ def test_what_does_not_fit_the_surface_is_refused(options, error, message):
         square(**options)
 
 
-def test_coordinates_that_no_texture_uses_may_be_anything():
-    surface = square(uv=np.full((4, 2), np.nan), factor=(0.2, 0.5, 0.8, 1.0))
-    samples = surface.scatter(20)
-    np.testing.assert_allclose(surface.evaluate(samples), [(0.2, 0.5, 0.8)] * 20, atol=1e-6)
-
-
 def test_lookups_of_what_is_not_there_are_refused():
     surface = square()
     samples = surface.scatter(3)
@@ -352,10 +296,6 @@ def test_surfaces_may_be_tiny_and_huge(size):
         np.testing.assert_allclose(scaled.evaluate(samples, width=width * size), expected, atol=1e-6)
     with pytest.raises(ModelError, match=r"not all finite \(and below 1e\+30\)"):
         Surface.from_arrays(SQUARE * 1e31, SQUARE_TRIANGLES)
-
-
-def test_a_sample_is_a_point_a_rest_position_a_normal_and_a_place():
-    assert SurfaceSamples._fields == ("points", "rest", "normals", "triangles", "barycentric", "rest_normals")
 
 
 def test_points_of_a_posed_surface_come_with_the_normals_of_its_rest_triangles():

@@ -1,9 +1,7 @@
 """USD: what is written as OpenUSD reads and validates it, and stages made by OpenUSD as octex reads them."""
 
-import io
 import json
 import sys
-import zipfile
 
 import numpy as np
 import PIL.Image
@@ -15,19 +13,12 @@ from octex.channels import srgb_to_linear
 from octex.errors import ImageError, MissingExtraError, ModelError, ModelWarning
 from octex.source.mesh import SurfaceSamples
 from tests.make.refusal import refused
-from tests.make.small_surfaces import whole
 
 pxr = pytest.importorskip("pxr", reason="the extra octex[usd] is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt  # noqa: E402
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
 ST = [(0, 0), (1, 0), (1, 1), (0, 1)]
-
-
-@pytest.fixture(scope="module")
-def baked():
-    surface = whole()
-    return octex.bake(octex.convert(surface, 4), surface, texture_size=64)
 
 
 class Stage:
@@ -324,7 +315,7 @@ def test_damaged_point_instancers_are_refused(tmp_path, monkeypatch):
         made.read()
 
 
-def test_damaged_stages_are_refused_in_one_line(tmp_path, baked):
+def test_damaged_stages_are_refused_in_one_line(tmp_path):
     def without(change, words, error=ModelError, name="model.usda"):
         folder = tmp_path / str(len(list(tmp_path.iterdir())))
         folder.mkdir()
@@ -347,12 +338,13 @@ def test_damaged_stages_are_refused_in_one_line(tmp_path, baked):
         lambda made, _: UsdShade.Shader.Get(made.stage, "/material/image").GetInput("file").Set("/etc/a.png"),
         "absolute paths are not followed", ImageError,
     )  # fmt: skip
-    octex.write_model(baked, tmp_path / "whole.usdz")
+    colored = octex.Surface.from_arrays(SQUARE, [[0, 1, 2], [0, 2, 3]], colors=np.full((4, 3), 0.5))
+    octex.write_model(colored, tmp_path / "whole.usdz")
     data = (tmp_path / "whole.usdz").read_bytes()
     for number, length in enumerate((10, 200, len(data) // 2)):
         (tmp_path / f"cut{number}.usdz").write_bytes(data[:length])
-        words = rf"cut{number}\.usdz.* (is damaged, or is not a USD stage|is missing)"
-        with pytest.raises((ModelError, ImageError), match=words):
+        words = rf"cut{number}\.usdz.* is damaged, or is not a USD stage"
+        with pytest.raises(ModelError, match=words):
             octex.load_surface(tmp_path / f"cut{number}.usdz")
 
 
@@ -445,13 +437,3 @@ def test_without_usd_core_its_extra_is_named(tmp_path, monkeypatch):
     words = r"a.usda: to read USD, usd-core is needed; install it: pip install 'octex\[usd\]'"
     with pytest.raises(MissingExtraError, match=words):
         octex.load_surface(tmp_path / "a.usda")
-
-
-def test_images_inside_packages_are_read_from_there(baked, tmp_path):
-    octex.write_model(baked, tmp_path / "a.usdz")
-    with zipfile.ZipFile(tmp_path / "a.usdz") as package:
-        (name, *_) = [each for each in package.namelist() if each.endswith("0.png")]
-        image = np.array(PIL.Image.open(io.BytesIO(package.read(name))))
-    read = octex.load_surface(tmp_path / "a.usdz", channels=["base_color"])
-    texels = read.source.materials[0].inputs["base_color"].texture.texels
-    np.testing.assert_array_equal(texels[..., :3] // 257, image[..., :3])

@@ -98,7 +98,7 @@ def test_floats_are_linear_light_and_stay_so_above_1():
         octex.convert(octex.Voxels(COORDS, {"emissive": light}), dtype="uint8")
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_random_voxels_are_textures_that_can_be_edited(seed):
     random = np.random.default_rng(seed)
     depth = int(random.integers(1, 6))
@@ -189,9 +189,11 @@ def moved(index):
     return whole(chunks=chunks)
 
 
-@pytest.mark.parametrize("compression", ["none", "deflate", "lzma", "zstd"])
-@pytest.mark.parametrize("style", ["none", "as_is", "all"])
-@pytest.mark.parametrize("filtered", ["none", "parent", "neighbor"])
+@pytest.mark.parametrize(
+    ("compression", "style", "filtered"),
+    [(compression, "as_is", "none") for compression in ("none", "deflate", "zstd")]
+    + [("lzma", *both) for both in product(("none", "as_is", "all"), ("none", "parent", "neighbor"))],
+)
 def test_o_voxels_files_are_read(tmp_path, compression, style, filtered):
     data = vxz(COORDS, VALUES, compression=compression, style=style, filtered=filtered)
     (tmp_path / "a.vxz").write_bytes(data)
