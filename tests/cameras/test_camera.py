@@ -156,7 +156,6 @@ def test_a_nearly_exact_rotation_becomes_exact():
         ({"focal": None, "K": np.ones((3, 3))}, "K must be upper triangular"),
         ({"distortion": (0.1,)}, "distortion must be finite numbers of shape"),
         ({"distortion": (0.1, np.nan)}, "distortion must be finite numbers of shape"),
-        ({"distortion": "fisheye"}, "distortion must be finite numbers of shape"),
         ({"convention": "blender"}, "unknown camera convention 'blender'; there are: opengl, opencv"),
         ({"pose": np.eye(3)}, "pose must be finite numbers of shape"),
         ({"pose": np.full((4, 4), np.nan)}, "pose must be finite numbers of shape"),

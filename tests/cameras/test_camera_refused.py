@@ -98,6 +98,12 @@ REFUSED = {
         (one_camera() | lens("perspective", yfov=0), "'eye': perspective: yfov must be above zero"),
         (one_camera() | lens("orthographic", xmag=-1, ymag=1), "'eye': orthographic: xmag must be above"),
     ],
+    "a.glb": [
+        (glb(gltf())[:10], "is truncated: a GLB header has 20 bytes, the file 10"),
+        (glb(gltf())[:100], "is truncated: it should have"),
+        (glb(gltf())[:4] + struct.pack("<I", 1) + glb(gltf())[8:], "is GLB version 1"),
+        (glb(gltf())[:16] + b"BIN\0" + glb(gltf())[20:], "its first chunk is not JSON"),
+    ],
     "ours.json": [
         ({"name": 3}, "camera 0: name must be a text, not 3"),
         ({"width": 0}, "frame 'front': width must be a whole number"),

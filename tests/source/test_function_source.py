@@ -2,7 +2,6 @@
 
 import json
 import re
-import threading
 from functools import partial
 
 import numpy as np
@@ -109,21 +108,6 @@ def test_other_rest_positions_and_filters_are_followed():
     samples = surface.scatter(20)
     np.testing.assert_allclose(surface.evaluate(samples), ramp(samples.rest), rtol=1e-6)
     assert json.loads(surface.provenance["source_base_color"]) == {"function": "ramp"}
-
-
-@needs_jit
-def test_a_function_is_converted_in_batches_from_worker_threads():
-    seen = []
-
-    def gradient(points):
-        seen.append((len(points), threading.get_ident()))
-        return ramp(points)
-
-    texture = octex.convert(cube(), 6, sources={"base_color": gradient})
-    samples = cube().scatter(1000)
-    np.testing.assert_allclose(texture.sample(samples.rest), ramp(samples.rest), atol=0.01)
-    assert max(count for count, _ in seen) > 100
-    assert json.loads(texture.metadata["source_base_color"]) == {"function": "gradient"}
 
 
 @needs_jit

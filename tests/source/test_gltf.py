@@ -183,9 +183,7 @@ def test_a_rest_mesh_of_another_topology_is_refused(tmp_path):
         gltf = Gltf()
         gltf.show(gltf.primitive(triangles=triangles))
         rest = gltf.save(tmp_path / f"rest{number}.glb")
-        with pytest.raises(
-            ModelError, match=r"rest.\.glb cannot be the rest mesh of posed\.glb: the topology differs"
-        ):
+        with pytest.raises(ModelError, match=r"the rest mesh of posed\.glb: the topology differs"):
             load_surface(posed, rest=rest)
     with pytest.raises(ModelError, match="3 rest positions for 4 vertices"):
         load_surface(posed, rest=np.zeros((3, 3)))
@@ -204,18 +202,3 @@ def test_compressed_content_with_a_plain_copy_beside_it_is_read(tmp_path):
         view["extensions"] = {"EXT_meshopt_compression": {}}
     gltf.show(entry)
     assert_agrees(gltf.save(tmp_path / "a.gltf"))
-
-
-def test_real_models_agree(models):
-    for name in (
-        "BoxTextured/BoxTextured.gltf",
-        "BoxVertexColors/BoxVertexColors.gltf",
-        "Cube/Cube.gltf",
-        "TwoSidedPlane/TwoSidedPlane.gltf",
-        "TextureCoordinateTest/TextureCoordinateTest.gltf",
-        "TextureSettingsTest/TextureSettingsTest.gltf",
-        "assimp-glTF2/textureTransform/TextureTransformTest.gltf",
-        "assimp-glTF2/BoxTexcoords-glTF/boxTexcoords.gltf",
-        "assimp-glTF2/BoxTextured-glTF-pbrSpecularGlossiness/BoxTextured.gltf",
-    ):
-        assert_agrees(models / name, 300)

@@ -174,9 +174,8 @@ def test_what_is_wrong_with_a_material_is_named(tmp_path, place, value, message)
     entry = {"occlusionTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}
     put(entry, {place: value})
     gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.add("materials", **entry)))
-    with pytest.raises(ModelError, match=message) as caught:
+    with pytest.raises(ModelError, match=f"^bad.glb.*{message}") as caught:
         load_surface(gltf.save(tmp_path / "bad.glb"))
-    assert str(caught.value).startswith("bad.glb")
     assert len(str(caught.value)) < 250
 
 

@@ -100,21 +100,14 @@ def test_buffers_and_images_may_lie_in_files_with_blanks_and_in_other_folders(tm
     (tmp_path / "model").mkdir()
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "a ü.png").write_bytes(png(random_image(4, 4)))
-    gltf = Gltf()
-    image = gltf.add("images", uri="../maps/a%20%C3%BC.png")
-    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(gltf.texture(image))))
-    assert_agrees(gltf.save(tmp_path / "model" / "a.gltf", external=True))
+    assert_agrees(textured_square(tmp_path / "model" / "a.gltf", "../maps/a%20%C3%BC.png", external=True))
 
 
 def test_a_name_with_a_percent_sign_is_found_as_it_stands(tmp_path):
     data = png(random_image(4, 4))
     (tmp_path / "50%25.png").write_bytes(data)
-    surfaces = []
-    for uri in ("50%25.png", "data:image/png;base64," + base64.b64encode(data).decode()):
-        gltf = Gltf()
-        image = gltf.add("images", uri=uri)
-        gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(gltf.texture(image))))
-        surfaces.append(load_surface(gltf.save(tmp_path / "a.gltf")))
+    paths = [textured_square(tmp_path / f"{n}.gltf", each) for n, each in enumerate(("50%25.png", data))]
+    surfaces = [load_surface(path) for path in paths]
     samples = surfaces[0].scatter(100)
     values = [surface.evaluate(samples) for surface in surfaces]
     assert values[0].std() > 0.05
@@ -129,7 +122,5 @@ def test_images_may_be_data_uris(tmp_path, style):
         "base64": f"data:image/png;base64,{text}",
         "percent": "data:image/png," + "".join(f"%{byte:02x}" for byte in data),
     }.get(style, f"data:image/png;base64,{text[:8]}\n{text[8:].rstrip('=')}")
-    gltf = Gltf()
-    gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.material(gltf.texture(gltf.add("images", uri=uri)))))
-    surface = load_surface(gltf.save(tmp_path / "a.gltf"))
+    surface = load_surface(textured_square(tmp_path / "a.gltf", uri))
     assert surface.evaluate(surface.scatter(100)).std() > 0.05

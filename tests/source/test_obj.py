@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from octex.channels import srgb_to_linear
-from octex.errors import ModelError, ModelWarning, OctexError
+from octex.errors import ModelError, ModelWarning
 from octex.source.load import load_surface
-from octex.source.materials import MaterialSource
 from tests.make.agreement import assert_agrees
 from tests.make.fixtures import OBJ_SQUARE, Gltf, obj, png, random_image
 from tests.make.refusal import refused
@@ -35,12 +34,6 @@ def test_a_texture_is_bound_with_v_up_and_repeats(tmp_path):
     assert_agrees(wooden(tmp_path, square=OBJ_SQUARE.replace("vt 1 1", "vt 2.5 -1.5")))
 
 
-def test_opaque_materials_ignore_the_alpha_of_their_map(tmp_path):
-    path = wooden(tmp_path, WOOD + "d 1\n")
-    (tmp_path / "wood.png").write_bytes(png(random_image(4, 4, 4)))
-    assert len(assert_agrees(path).channels) == 1
-
-
 def test_each_face_keeps_its_material(tmp_path):
     mtl = WOOD + "Kd 0.5 0.25 1\nnewmtl red\nKd 1 0 0\nd 0.5\nnewmtl stone\nmap_Kd stone.png\n"
     faces = [("wood", "1/1 2/2 3/3"), ("red", "1 3 4"), ("stone", "1/4 2/1 4/2"), ("wood", "2/1 3/2 4/4")]
@@ -53,11 +46,8 @@ def test_materials_that_no_face_uses_are_not_read(tmp_path):
     expected = load_surface(wooden(tmp_path))
     mtl = WOOD + "newmtl other\nKd red\nmap_Kd gone.png\n"
     surface = load_surface(wooden(tmp_path, mtl))
-    assert isinstance(surface.source, MaterialSource)
     assert [material.name for material in surface.source.materials if material.name] == ["wood"]
     assert_alike(surface, expected)
-    with pytest.raises(OctexError, match="other"):  # it would be refused
-        load_surface(wooden(tmp_path, mtl, FACES + "usemtl other\nf 1/1 3/3 4/4\n"))
 
 
 def test_colours_of_vertices_are_srgb_values(tmp_path):
@@ -133,19 +123,18 @@ def test_the_way_lines_are_written_does_not_matter(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["wood.png", "maps/wood.png", "maps\\wood.png", "C:\\temp\\my models\\wood.png", "old wood.png"]
+    ("name", "there"),
+    [
+        ("wood.png", "wood.png"),
+        ("maps/wood.png", "maps/wood.png"),
+        ("old wood.png", "old wood.png"),
+        ("maps\\wood.png", "maps/wood.png"),
+        ("C:\\temp\\my models\\wood.png", "wood.png"),
+        ("WOOD.PNG", "wood.png"),
+        ("Maps/Wood.png", "wood.PNG"),
+    ],
 )
-def test_images_are_found_beside_the_model_however_their_path_is_written(tmp_path, name):
-    place = {"maps\\wood.png": "maps/wood.png", "C:\\temp\\my models\\wood.png": "wood.png"}.get(name, name)
-    mtl = f"newmtl wood\nmap_Kd {name}\n"
-    path = obj(
-        tmp_path / "a.obj", OBJ_SQUARE + "usemtl wood\n" + FACES, mtl, {place: png(random_image(4, 4))}
-    )
-    assert load_surface(path).evaluate(load_surface(path).scatter(50)).std() > 0.05
-
-
-@pytest.mark.parametrize(("name", "there"), [("WOOD.PNG", "wood.png"), ("Maps/Wood.png", "wood.PNG")])
-def test_images_are_found_in_any_case_as_windows_does(tmp_path, name, there):
+def test_images_are_found_beside_the_model_however_their_path_is_written(tmp_path, name, there):
     files = {there: png(random_image(4, 4)), "b.png": png(np.zeros((4, 4, 3), np.uint8))}
     mtl = f"newmtl wood\nmap_Kd {name}\n"
     path = obj(tmp_path / "a.obj", OBJ_SQUARE + "usemtl wood\n" + FACES, mtl, files)
@@ -216,11 +205,6 @@ def test_a_rest_mesh_needs_no_materials(tmp_path):
 def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path, lines, message):
     with refused(ModelError, message, "bad.obj"):
         load_surface(obj(tmp_path / "bad.obj", lines))
-
-
-def test_coordinates_that_are_not_finite_are_refused(tmp_path):
-    with pytest.raises(ModelError, match="texture coordinates are not all finite"):
-        load_surface(wooden(tmp_path, square=OBJ_SQUARE.replace("vt 1 1", "vt inf 1")))
 
 
 @pytest.mark.parametrize(("square", "faces"), [(OBJ_SQUARE, "f 1 2 3\n" + FACES), ("", "f 1/1 2/2 3/3\n")])
@@ -347,7 +331,6 @@ def test_normals_of_the_model_are_kept_if_asked_for_and_there(tmp_path):
         assert load_surface(path).frames is None
         surface = load_surface(path, normals=True)
         if has_normals:
-            assert surface.frames is not None
             corners = surface.frames.normals.values[surface.frames.normals.rows]
             np.testing.assert_allclose(corners, bent[surface.triangles], atol=1e-6)
         else:
@@ -380,7 +363,6 @@ def test_normals_that_are_no_directions_are_those_of_their_faces(tmp_path):
 
 def test_the_first_texture_coordinates_are_kept_where_every_face_has_them(tmp_path):
     surface = load_surface(wooden(tmp_path, "newmtl wood\nmap_Kd -s 5 wood.png\n"))
-    assert surface.uv is not None
     corners = surface.vertices[surface.triangles]
     np.testing.assert_allclose(surface.uv.values[surface.uv.rows][..., 0], corners[..., 0])
     np.testing.assert_allclose(surface.uv.values[surface.uv.rows][..., 1], 1 - corners[..., 1])

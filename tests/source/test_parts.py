@@ -19,13 +19,6 @@ from tests.make.solids import colored, cube, inside_out, open_cube, sphere, torn
 from tests.oracles.naive_parts import components, distance, solid
 
 
-def test_the_gap_between_cubes_is_found_up_to_the_margin():
-    surface = colored(cube([0, 0, 0]), cube([1.3, 1.4, 0.2]), cube([-3, 0, 0]))
-    assert surface.overlapping_parts(0.49).pairs == ()
-    (pair,) = surface.overlapping_parts(0.51).pairs
-    assert pair == Overlap(0, 1, 0.0, pytest.approx(0.5, rel=1e-12))
-
-
 def test_cubes_that_touch_share_nothing_and_are_too_near_for_any_margin():
     surface = colored(cube([0, 0, 0]), cube([1, 0.25, 0.25]))
     assert surface.overlapping_parts().pairs == ()

@@ -81,7 +81,6 @@ def test_weights_of_another_sum_are_normalized_with_a_warning(tmp_path):
     np.testing.assert_allclose(surface.vertices, posed(file, 0, np.float32(1.2)), atol=1e-5)
     with pytest.warns(ModelWarning, match=words):
         motion = load_motion(file)
-    assert motion is not None
     np.testing.assert_allclose(np.add.reduceat(motion.bones.shares, motion.bones.first[:-1]), 1, atol=1e-12)
 
 
@@ -109,7 +108,6 @@ def test_posed_normals_turn_with_the_joints(tmp_path):
     gltf.add("animations", name="turn", channels=[channel], samplers=[sampler])
     surface = octex.load_surface(gltf.save(tmp_path / "a.glb"), normals=True, pose="turn@0.5")
     frames = surface.posed_frames()
-    assert frames is not None
     normals = frames.normals.values[frames.normals.rows]
     np.testing.assert_allclose(normals, np.broadcast_to([0, -(0.5**0.5), 0.5**0.5], (2, 3, 3)), atol=1e-6)
     np.testing.assert_allclose(surface.scatter(9).normals, normals[0, :1].repeat(9, 0), atol=1e-6)

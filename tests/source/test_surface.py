@@ -21,7 +21,7 @@ def square(**options):
     return Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, **options)
 
 
-def test_samples_lie_on_their_triangles():
+def test_samples_lie_on_their_triangles_and_are_the_same_for_a_seed():
     surface = Surface.from_arrays(CUBE, CUBE_TRIANGLES)
     samples = surface.scatter(500)
     corners = surface.vertices[surface.triangles[samples.triangles]]
@@ -33,6 +33,9 @@ def test_samples_lie_on_their_triangles():
     assert ((outward < 0) | (outward > 1)).any(axis=1).all()
     assert samples.triangles.dtype == np.int32
     np.testing.assert_array_equal(samples.rest, samples.points)
+    np.testing.assert_array_equal(surface.scatter(500).points, samples.points)
+    assert (surface.scatter(500, seed=4).points != samples.points).any()
+    assert surface.evaluate(surface.scatter(0)).shape == surface.scatter(0).points.shape == (0, 3)
 
 
 def test_shading_normals_are_given_by_vertex_or_by_corner():
@@ -41,7 +44,6 @@ def test_shading_normals_are_given_by_vertex_or_by_corner():
     barycentric = np.full((len(CUBE_TRIANGLES), 3), 1 / 3)
     for normals in (by_vertex, by_corner):
         frames = Surface.from_arrays(CUBE, CUBE_TRIANGLES, normals=normals).frames
-        assert frames is not None
         found = frames.normals.at(np.arange(len(CUBE_TRIANGLES)), barycentric)
         np.testing.assert_allclose(found, by_vertex[CUBE_TRIANGLES].mean(axis=1) / 0.75**0.5, atol=1e-6)
         tangents = frames.tangents.values[frames.tangents.rows, :3]
@@ -60,18 +62,6 @@ def test_samples_are_uniform_by_posed_area():
     small = samples.points[samples.triangles == 0]
     np.testing.assert_allclose(small.mean(axis=0), [1 / 3, 1 / 3, 0], atol=0.02)
     np.testing.assert_allclose(samples.rest[:, 2], 7)
-
-
-def test_the_same_seed_gives_the_same_samples():
-    first, again, other = square().scatter(10, 3), square().scatter(10, 3), square().scatter(10, 4)
-    np.testing.assert_array_equal(first.points, again.points)
-    assert (first.points != other.points).any()
-
-
-def test_no_samples_are_an_empty_batch():
-    samples = square().scatter(0)
-    assert samples.points.shape == (0, 3)
-    assert square().evaluate(samples).shape == (0, 3)
 
 
 def test_triangles_without_area_get_no_samples():
@@ -136,19 +126,8 @@ def test_coordinates_have_v_up_and_may_be_given_by_corner():
             np.testing.assert_array_equal(surface.evaluate(samples)[:, 0] == 1, samples.points[:, 1] > 0.5)
 
 
-def test_images_of_floats_are_light_of_any_size():
-    light = np.random.default_rng(0).random((4, 4, 3)).astype(np.float32) * 8
-    surface = square(uv=SQUARE_UV, image=light, factor=(0.5, 0.5, 0.5))
-    [form] = surface.channels
-    assert (form.name, form.space, form.dtype) == ("base_color", "linear", "float16")
-    values = surface.evaluate(surface.scatter(50))
-    assert (light.min() / 2 <= values).all()
-    assert 1 < values.max() <= light.max() / 2
-
-
 def test_coordinates_are_kept_with_v_down_without_an_image_too():
     surface = square(uv=SQUARE_UV)
-    assert surface.uv is not None
     np.testing.assert_allclose(surface.uv.values, SQUARE_UV * [1, -1] + [0, 1])
     np.testing.assert_array_equal(surface.uv.rows, SQUARE_TRIANGLES)
     surface.provenance["source"] = "quad.glb"
@@ -180,18 +159,6 @@ def test_some_channels_alone_are_those_values():
         surface.with_channels([])
 
 
-def test_samples_keep_their_values_at_other_rest_positions():
-    surface = square(uv=SQUARE_UV, image=random_image(4, 4), name="quad")
-    surface.provenance["source"] = "quad.glb"
-    shift = np.array([5.0, 0, 0])
-    moved = surface.with_rest(surface.vertices + shift)
-    samples, moved_samples = surface.scatter(30), moved.scatter(30)
-    np.testing.assert_allclose(moved_samples.rest, samples.rest + shift)
-    np.testing.assert_array_equal(moved_samples.points, samples.points)
-    np.testing.assert_array_equal(moved.evaluate(moved_samples), surface.evaluate(samples))
-    assert (moved.name, moved.provenance) == ("quad", {"source": "quad.glb"})
-
-
 def test_shading_normals_follow_the_rest_mesh_and_a_pose_which_moves_no_rest_or_values():
     triangles, plain = SQUARE_TRIANGLES.astype(np.int32), square(uv=SQUARE_UV, image=random_image(4, 4))
     normals = Corners(np.tile(np.float32([0, 0.6, 0.8]), (4, 1)), triangles)
@@ -206,7 +173,6 @@ def test_shading_normals_follow_the_rest_mesh_and_a_pose_which_moves_no_rest_or_
     np.testing.assert_array_equal(posed.vertices, SQUARE @ turn)
     assert posed.rest is surface.rest is surface.vertices
     frames = posed.posed_frames()
-    assert frames is not None
     np.testing.assert_allclose(frames.normals.values, [turn.T @ [0, 0.6, 0.8]] * 6, atol=1e-6)
     samples, posed_samples = surface.scatter(30), posed.scatter(30)
     np.testing.assert_array_equal(posed_samples.rest, samples.rest)
@@ -237,7 +203,6 @@ def test_broken_geometry_is_refused(vertices, triangles, message):
     ("options", "error", "message"),
     [
         ({"colors": np.zeros((3, 3))}, ArgumentError, r"colors must have shape \(4, 3\)"),
-        ({"colors": np.zeros((4, 2))}, ArgumentError, "colors must have shape"),
         ({"colors": np.zeros((4, 3), int)}, ArgumentError, "uint8 or uint16"),
         ({"face_colors": np.zeros((4, 3))}, ArgumentError, r"face_colors must have shape \(2, 3\)"),
         ({"colors": np.zeros((4, 3)), "face_colors": np.zeros((2, 3))}, ArgumentError, "not both"),
@@ -247,7 +212,6 @@ def test_broken_geometry_is_refused(vertices, triangles, message):
         ({"image": random_image(2, 2)}, ArgumentError, "needs uv"),
         ({"image": random_image(2, 2), "uv": np.zeros((3, 2))}, ArgumentError, "uv must be numbers of shape"),
         ({"image": random_image(2, 2), "uv": np.full((4, 2), np.nan)}, ModelError, "coordinates"),
-        ({"image": random_image(2, 2), "uv": np.full((4, 2), 1e300)}, ModelError, "coordinates"),
         ({"image": random_image(2, 2), "uv": SQUARE_UV, "wrap": "fold"}, ArgumentError, "unknown wrap"),
         ({"image": random_image(2, 2), "uv": SQUARE_UV, "filter": "sharp"}, ArgumentError, "unknown filter"),
         ({"image": np.zeros((2, 2), bool), "uv": SQUARE_UV}, ImageError, "uint8 or uint16"),

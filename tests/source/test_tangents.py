@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from octex.source.corners import Corners
 from octex.source.tangents import carried, corner_frames, transformed
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV
+from tests.make.small_surfaces import turned
 from tests.oracles import naive_tangents
 
 SQUARE_ROWS = SQUARE_TRIANGLES.astype(np.int32)
@@ -181,12 +182,6 @@ def test_a_mesh_may_be_empty():
     assert_sound(frames, 0)
 
 
-def rotation(seed):
-    q, r = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    q *= np.sign(np.diag(r))
-    return q * np.sign(np.linalg.det(q))
-
-
 def leaning(points, triangles):
     """Frames whose normals are not those of the triangles."""
     normals = np.column_stack([0.3 * np.cos(points[:, 0]), 0.2 * np.sin(points[:, 1]), np.ones(len(points))])
@@ -197,7 +192,7 @@ def leaning(points, triangles):
 @pytest.mark.parametrize("scale", [1.0, 0.01, 40.0])
 def test_frames_turn_with_a_body_that_is_turned_moved_and_scaled(scale):
     points, triangles = wavy(4, 4)
-    frames, turn = leaning(points, triangles), rotation(1)
+    frames, turn = leaning(points, triangles), turned(3)
     moved = carried(frames, triangles, points, scale * points @ turn.T + (5, 6, 7))
     assert_sound(moved, len(triangles))
     np.testing.assert_allclose(at_corners(moved.normals), at_corners(frames.normals) @ turn.T, atol=1e-5)
@@ -240,7 +235,7 @@ def test_frames_stay_where_a_triangle_has_no_area():
 @pytest.mark.parametrize("sizes", [(1, 1, 1), (3, 3, 3), (-1, 1, 1), (-2, -2, -2), (2, -2, 2), (0.5, 2, -3)])
 def test_a_transform_takes_the_frames_of_a_body_to_those_of_its_image(sizes):
     points, triangles = wavy(4, 4)
-    matrix = rotation(2) @ np.diag(sizes)
+    matrix = turned(2) @ np.diag(sizes)
     uv = Corners(points[:, :2].astype(np.float32), triangles)
     found = transformed(corner_frames(points, triangles, None, None, uv), matrix)
     assert_sound(found, len(triangles))

@@ -92,9 +92,7 @@ def test_floats_are_linear_light_and_stay_so_above_1():
     leaves = stored(found, "emissive")
     for place, value in zip(COORDS, light / 5, strict=True):
         np.testing.assert_allclose(leaves[tuple((place + 0.5) / 16)], value, rtol=1e-6)
-    with pytest.raises(
-        ArgumentError, match="voxels: channel 'emissive' has values above 1, which uint8 cannot"
-    ):
+    with pytest.raises(ArgumentError, match="channel 'emissive' has values above 1, which uint8 cannot"):
         octex.convert(octex.Voxels(COORDS, {"emissive": light}), dtype="uint8")
 
 
