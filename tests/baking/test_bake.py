@@ -69,15 +69,20 @@ def tiles(step, border=0.0):
     return Surface.from_arrays(np.concatenate([points, points + np.array([1.5, 0.0, 0.0])]), triangles, uv=uv)
 
 
+def scattered_triangles(count):
+    """Triangles that are a chart each."""
+    random = np.random.default_rng(0)
+    vertices = np.repeat(random.random((count, 3)), 3, axis=0) + 0.05 * random.random((3 * count, 3))
+    return Surface.from_arrays(vertices, np.arange(3 * count).reshape(-1, 3))
+
+
 def psnr(a, b):
     difference = linear_to_srgb(np.clip(a, 0, 1)) - linear_to_srgb(np.clip(b, 0, 1))
     return float(-10 * np.log10(max(np.mean(difference**2), 1e-20)))
 
 
 def test_a_map_grows_until_charts_fit_and_texels_are_as_small_as_cells():
-    random = np.random.default_rng(0)
-    vertices = np.repeat(random.random((300, 3)), 3, axis=0) + 0.05 * random.random((900, 3))
-    surface = Surface.from_arrays(vertices, np.arange(900).reshape(-1, 3)).with_sources({"base_color": waves})
+    surface = scattered_triangles(300).with_sources({"base_color": waves})
     texture = octex.convert(surface, 6)
     baked = octex.bake(texture, surface)
     image = baked.source.materials[0].inputs["base_color"].texture

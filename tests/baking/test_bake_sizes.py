@@ -20,7 +20,7 @@ from octex.errors import ModelError
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
-from tests.baking.test_bake import cube_with_charts, psnr, two_squares
+from tests.baking.test_bake import cube_with_charts, psnr, scattered_triangles, two_squares
 from tests.make.painted import square, waves
 from tests.make.small_surfaces import whole
 from tests.oracles.naive_gltf import Document
@@ -91,13 +91,6 @@ def test_maps_of_smooth_colours_are_no_finer_than_the_leaves():
     leaves_a_side = 64  # the root cell is about 2 wide
     assert sizes_of(octex.bake(slow, surface))[0] == leaves_a_side
     assert sizes_of(octex.bake(sharp, surface))[0] == 4 * leaves_a_side
-
-
-def scattered_triangles(count):
-    """Return triangles that are a chart each."""
-    random = np.random.default_rng(0)
-    vertices = np.repeat(random.random((count, 3)), 3, axis=0) + 0.05 * random.random((3 * count, 3))
-    return Surface.from_arrays(vertices, np.arange(3 * count).reshape(-1, 3))
 
 
 @pytest.mark.parametrize(("count", "padding"), [(6, 4), (100, 2), (300, 1), (1200, 0)])

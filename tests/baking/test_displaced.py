@@ -9,9 +9,9 @@ from octex.cli.main import main
 from octex.errors import ArgumentError
 from tests.conftest import needs_jit
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES
+from tests.make.small_surfaces import OCTAHEDRON, OCTAHEDRON_FACES
 
-OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
-FACES = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
+FACES = OCTAHEDRON_FACES.astype(np.int64)
 
 
 def ball(levels):

@@ -13,6 +13,7 @@ from octex.source.surface import Surface
 from tests.conftest import needs_jit
 from tests.make.fixtures import ply
 from tests.make.painted import ball, halved_quads
+from tests.make.small_surfaces import OCTAHEDRON, OCTAHEDRON_FACES
 
 pytest.importorskip("fast_simplification", reason="needs the extra simplify")
 
@@ -244,11 +245,9 @@ def test_damaged_meshes_have_a_light_model(tmp_path, repairs):
 
 @needs_jit
 def test_thousands_of_parts_have_a_light_model():
-    octahedron = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
-    faces = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
     places = np.stack(np.meshgrid(*[3.0 * np.arange(n) for n in (15, 12, 12)]), axis=-1).reshape(-1, 3)
-    vertices = (places[:, None] + octahedron).reshape(-1, 3)
-    triangles = (6 * np.arange(len(places))[:, None, None] + faces).reshape(-1, 3)
+    vertices = (places[:, None] + OCTAHEDRON).reshape(-1, 3)
+    triangles = (6 * np.arange(len(places))[:, None, None] + OCTAHEDRON_FACES).reshape(-1, 3)
     surface = Surface.from_arrays(vertices, triangles, name="crowd")
     assert len(octex.simplify(surface, 20_000).triangles) == len(triangles)
     with pytest.warns(ModelWarning, match="crowd: .* triangles are left, not 100: its loose parts"):

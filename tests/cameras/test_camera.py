@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from octex.cameras.camera import Camera
 from octex.errors import ArgumentError
+from tests.make.small_surfaces import turned
 from tests.make.small_textures import unit
 
 LENS = (-0.3, 0.1, 1e-3, -2e-3)
@@ -12,8 +13,7 @@ LENS = (-0.3, 0.1, 1e-3, -2e-3)
 
 def _pose(seed):
     pose = np.eye(4)
-    matrix, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
-    pose[:3, :3] = matrix * np.sign(np.linalg.det(matrix))
+    pose[:3, :3] = turned(seed)
     pose[:3, 3] = np.random.default_rng(seed).normal(size=3)
     return pose
 

@@ -19,6 +19,7 @@ from octex.formats.ptex.patches import faces_of, neighbors_of, patches_of
 from octex.formats.ptex.reader import PtexFile
 from octex.formats.ptex.writer import Contents, write_contents
 from octex.parallel import Run, workers
+from tests.make.small_surfaces import OCTAHEDRON, OCTAHEDRON_FACES
 from tests.oracles import naive_ptex
 
 TOOLS = Path(__file__).parents[2] / "tools"
@@ -41,9 +42,6 @@ f 7 10 9 8
 f 4 8 9 5 1
 f 2 6 10 7 3
 """
-# An octahedron.
-OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
-EIGHT = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
 
 
 def tool(name):
@@ -265,7 +263,7 @@ def test_there_and_back_a_texture_stays_within_40_decibels(triangles, house, tmp
 
 @pytest.mark.parametrize("sizes", [(3, 3), (1, 4), (0, 2)])
 def test_across_edges_of_triangles_values_go_on_whatever_the_faces_resolutions(sizes, tmp_path):
-    surface = octex.Surface.from_arrays(OCTAHEDRON, EIGHT)  # closed: each vertex has four faces
+    surface = octex.Surface.from_arrays(OCTAHEDRON, OCTAHEDRON_FACES)  # closed: each vertex has four faces
     patches = patches_of(surface)
     log2 = np.array([[sizes[n % 2]] * 2 for n in range(8)], np.int8)  # neighbours differ
     faces = faces_of(surface, patches, log2)

@@ -109,15 +109,6 @@ def test_each_channel_is_lanes_of_its_texture_times_factors(tmp_path):
     assert_gives(dark, "emissive", 0 * emitted, samples)
 
 
-def test_unlit_materials_give_their_base_colour_and_alpha_only(tmp_path):
-    pbr = {"metallicFactor": 0.5, "baseColorFactor": [0.5, 1, 1, 0.5], "baseColorTexture": MAP}
-    entry = {"extensions": {"KHR_materials_unlit": {}}, "emissiveFactor": [1, 1, 1], "alphaMode": "BLEND"}
-    surface = load_surface(model(tmp_path / "a.glb", pbr=pbr, **entry))
-    assert names(surface) == ["base_color", "alpha"]
-    samples = surface.scatter(50)
-    assert_gives(surface, "alpha", 0.5 * texels(samples, (3,)), samples)
-
-
 @pytest.mark.parametrize(
     ("layer", "index", "along"),
     [

@@ -360,16 +360,6 @@ def test_stl_models_are_white(tmp_path, ascii):
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
 
-def _facet_words(path, words, header=b""):
-    """The model of a binary STL file with a header and a word of colour for each facet."""
-    data = bytearray(stl(path, SQUARE, SQUARE_TRIANGLES).read_bytes())
-    data[: len(header)] = header
-    for facet, word in enumerate(words):
-        struct.pack_into("<H", data, 84 + 50 * facet + 48, word)
-    path.write_bytes(data)
-    return load_surface(path)
-
-
 @pytest.mark.parametrize(
     ("header", "words", "colors"),
     [
@@ -381,7 +371,13 @@ def _facet_words(path, words, header=b""):
     ],
 )
 def test_facets_of_binary_stl_files_have_colours(tmp_path, header, words, colors):
-    surface = _facet_words(tmp_path / "a.stl", words, header)
+    path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES)
+    data = bytearray(path.read_bytes())
+    data[: len(header)] = header
+    for facet, word in enumerate(words):
+        struct.pack_into("<H", data, 84 + 50 * facet + 48, word)
+    path.write_bytes(data)
+    surface = load_surface(path)
     samples = surface.scatter(20)
     expected = srgb_to_linear(np.array(colors)[samples.triangles] / 255)
     np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-6)

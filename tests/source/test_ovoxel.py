@@ -27,16 +27,12 @@ PACKED = {"dual_vertices": (DUAL * 255).astype(np.uint8), "intersected": BITS.as
 FLAT = {"coords": COORDS, "base_color": COLORS, "dual_vertices": DUAL, "intersected": CROSSED}
 
 
-def edges(surface):
-    rows = surface.triangles
-    return Counter(zip(rows.ravel().tolist(), np.roll(rows, -1, axis=1).ravel().tolist(), strict=True))
-
-
 def test_a_vxz_is_a_closed_surface_with_its_values(tmp_path):
     path = tmp_path / "ball.vxz"
     path.write_bytes(vxz(COORDS, {"base_color": COLORS, "roughness": ROUGHNESS, **PACKED}, filtered="parent"))
     surface = octex.load_surface(path)
-    both = edges(surface)
+    rows = surface.triangles
+    both = Counter(zip(rows.ravel().tolist(), np.roll(rows, -1, axis=1).ravel().tolist(), strict=True))
     assert set(both.values()) == {1}
     assert all((b, a) in both for a, b in both)  # closed, and all of it winds one way
     corners = surface.vertices[surface.triangles]

@@ -132,13 +132,6 @@ def test_images_of_one_size_share_a_layout_and_each_comes_back():
         np.testing.assert_allclose(level, around(decoded(picture)), atol=1e-6)
 
 
-def test_without_images_nothing_is_stored():
-    for has_mips in (False, True):
-        stored = store([], has_mips)
-        assert stored[1] == []
-        assert [len(part) for part in stored[0][:-1]] == [0] * 7
-
-
 def test_turning_the_model_changes_no_footprint():
     plain = square(random_image(32, 32), size=(1.0, 3.0))
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]

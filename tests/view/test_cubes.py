@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 
 from octex.cameras.camera import Camera
 from octex.view.cubes import rasterize_cubes
+from tests.make.small_surfaces import turned
 from tests.oracles import naive_view
 from tests.view.test_shading import CUBE, TRIANGLES
 
@@ -13,8 +14,7 @@ SIZE = (17, 13)
 
 def _pose(random):
     pose = np.eye(4)
-    pose[:3, :3] = np.linalg.qr(random.normal(size=(3, 3)))[0]
-    pose[:3, :3] *= np.sign(np.linalg.det(pose[:3, :3]))
+    pose[:3, :3] = turned(int(random.integers(1000)))
     pose[2, 3] = 6.0
     return pose
 

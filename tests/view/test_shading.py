@@ -4,22 +4,12 @@ import pytest
 from octex.cameras.camera import Camera
 from octex.drawing.soft_light import background, light
 from octex.view.shading import corner_normals, corner_normals_of, face_normals
+from tests.make.solids import sphere
 
 # A cube of 12 triangles, counter-clockwise seen from outside; its faces share vertices.
 CUBE = np.array([[x, y, z] for z in (0.0, 1.0) for y in (0.0, 1.0) for x in (0.0, 1.0)])
 QUADS = [[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2], [1, 3, 7, 5]]
 TRIANGLES = np.array([[q[0], q[k], q[k + 1]] for q in QUADS for k in (1, 2)], np.int32)
-
-
-def _sphere(n):
-    u, v = np.meshgrid(np.linspace(0, 2 * np.pi, 2 * n + 1)[:-1], np.linspace(0.1, np.pi - 0.1, n))
-    points = np.column_stack(
-        [(np.sin(v) * np.cos(u)).ravel(), (np.sin(v) * np.sin(u)).ravel(), np.cos(v).ravel()]
-    )
-    i, j = np.meshgrid(np.arange(n - 1), np.arange(2 * n), indexing="ij")
-    a, b = (i * 2 * n + j).ravel(), (i * 2 * n + (j + 1) % (2 * n)).ravel()
-    triangles = np.vstack([np.column_stack([a, a + 2 * n, b]), np.column_stack([b, a + 2 * n, b + 2 * n])])
-    return points, triangles.astype(np.int32)
 
 
 def test_face_normals_point_outward_and_are_zero_without_area():
@@ -40,18 +30,17 @@ def test_a_cube_is_sharp_but_round_by_a_large_crease_angle_whichever_way_its_fac
 
 
 def test_a_sphere_is_smooth_also_across_doubled_vertices():
-    points, triangles = _sphere(12)
+    points, triangles = sphere([0.0, 0.0, 0.0], 1.0, 32)
     shared = corner_normals(points, triangles)
     own = corner_normals(
         points[triangles].reshape(-1, 3), np.arange(triangles.size, dtype=np.int32).reshape(-1, 3)
     )
     assert np.allclose(shared, own, atol=1e-6)
-    inner = np.abs(points[triangles][..., 2]).max(axis=1) < 0.9
-    assert np.einsum("nkc,nkc->nk", shared, points[triangles])[inner].min() > 0.995
+    assert np.einsum("nkc,nkc->nk", shared, points[triangles]).min() > 0.995
 
 
 def test_some_triangles_have_the_normals_that_they_have_among_all():
-    points, triangles = _sphere(12)
+    points, triangles = sphere([0.0, 0.0, 0.0], 1.0, 32)
     both = np.vstack([points, points]), np.vstack([triangles[::2], triangles[1::2] + len(points)])
     whole = corner_normals(*both)
     for chosen in ([], [7], [200, 3, 250, 3], np.arange(len(triangles))):

@@ -15,6 +15,7 @@ from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from octex.view.visibility import distances_to_edges, straight, view_of, visibility_of
 from tests.make.painted import above, ball, one_color, picture_of, plain, square, together
+from tests.make.small_surfaces import OCTAHEDRON, OCTAHEDRON_FACES
 from tests.make.solids import cube
 
 
@@ -196,9 +197,7 @@ def test_paint_on_a_cube_keeps_its_creases():
 
 @pytest.mark.parametrize("posed", [False, True])
 def test_normals_of_the_model_itself_come_first(posed):
-    rest = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
-    faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
-    triangles = np.array(faces, np.int32)
+    rest, triangles = OCTAHEDRON, OCTAHEDRON_FACES
     given = Corners(rest.astype(np.float32), triangles)
     frames = corner_frames(rest, triangles, given, None, None)
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]) if posed else np.eye(3)
