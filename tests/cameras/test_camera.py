@@ -1,3 +1,5 @@
+"""Cameras: what they project, the rays through pixels, and fits."""
+
 import numpy as np
 import pytest
 from hypothesis import given

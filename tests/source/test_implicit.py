@@ -132,7 +132,7 @@ def test_it_is_grey_or_has_the_sources_that_are_given():
 
 @needs_jit
 def test_the_cells_are_those_of_the_true_sphere():
-    depth, edge, shift = 5, 0.35, 0.123
+    depth, edge, shift = 4, 0.35, 0.123
 
     def sphere(points):
         return np.linalg.norm(points - shift, axis=1) - 1

@@ -1,3 +1,5 @@
+"""Pictures of cubes, against rays."""
+
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,3 +1,5 @@
+"""Shading normals of corners, and soft light."""
+
 import numpy as np
 import pytest
 
