@@ -15,6 +15,7 @@ from octex.errors import ArgumentError, ModelError, ModelWarning
 from octex.source.corners import Corners
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
+from octex.source.tangents import corner_frames
 from tests.make import solids
 from tests.make.painted import ball, square, waves
 from tests.make.small_surfaces import whole
@@ -49,21 +50,42 @@ def painted_sphere():
     return octex.convert(surface, 6), surface
 
 
+def turned_ball(rings):
+    """A ball with the normals of a round one, which its pose turns."""
+    points, triangles = solids.sphere([0.0, 0.0, 0.0], 1.0, rings)
+    normals = Corners((points / np.linalg.norm(points, axis=1, keepdims=True)).astype(np.float32), triangles)
+    frames = corner_frames(points, triangles, normals, None, None)
+    turned = points @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    source = Surface.from_arrays(points, triangles).source
+    return Surface(turned, triangles, source, rest=points, frames=frames)
+
+
+def tiles(step, border=0.0):
+    """Two squares, each with a square of the coordinates but for its border, so far apart there."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    flat = border + (1 - 2 * border) * points[:, :2]
+    uv = np.concatenate([flat, flat + step])
+    triangles = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
+    return Surface.from_arrays(np.concatenate([points, points + np.array([1.5, 0.0, 0.0])]), triangles, uv=uv)
+
+
+def scattered_triangles(count):
+    """Triangles that are a chart each."""
+    random = np.random.default_rng(0)
+    vertices = np.repeat(random.random((count, 3)), 3, axis=0) + 0.05 * random.random((3 * count, 3))
+    return Surface.from_arrays(vertices, np.arange(3 * count).reshape(-1, 3))
+
+
 def psnr(a, b):
     difference = linear_to_srgb(np.clip(a, 0, 1)) - linear_to_srgb(np.clip(b, 0, 1))
     return float(-10 * np.log10(max(np.mean(difference**2), 1e-20)))
 
 
 def test_a_map_grows_until_charts_fit_and_texels_are_as_small_as_cells():
-    random = np.random.default_rng(0)
-    vertices = np.repeat(random.random((300, 3)), 3, axis=0) + 0.05 * random.random((900, 3))
-    surface = Surface.from_arrays(vertices, np.arange(900).reshape(-1, 3)).with_sources({"base_color": waves})
+    surface = scattered_triangles(300).with_sources({"base_color": waves})
     texture = octex.convert(surface, 6)
     baked = octex.bake(texture, surface)
-    assert isinstance(baked.source, MaterialSource)
     image = baked.source.materials[0].inputs["base_color"].texture
-    assert baked.uv is not None
-    assert image is not None
     side = image.texels.shape[0]
     rest, flat = surface.rest[surface.triangles], side * baked.uv.values[baked.uv.rows].astype(np.float64)
     area = np.linalg.norm(np.cross(rest[:, 1] - rest[:, 0], rest[:, 2] - rest[:, 0]), axis=1).sum()
@@ -108,9 +130,8 @@ def test_all_channels_of_a_material_are_baked():
 
 def test_coordinates_that_repeat_are_drawn_in_each_square():
     square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    uv = square[:, :2] * 0.8 + (0.5, -0.4)
-    surface = Surface.from_arrays(square, [[0, 1, 2], [0, 2, 3]], uv=uv).with_sources({"base_color": waves})
-    texture = octex.convert(surface, 6)
+    surface = Surface.from_arrays(square, [[0, 1, 2], [0, 2, 3]], uv=square[:, :2] * 0.8 + (0.5, -0.4))
+    texture = painted(surface)
     baked = octex.bake(texture, surface, uv="keep", texture_size=256)
     points = baked.scatter(5000)
     assert psnr(baked.evaluate(points), texture.sample(points, "base_color")) > 45.0
@@ -132,7 +153,6 @@ def test_coordinates_that_cannot_be_kept_are_refused_or_made_anew(uv, words):
     with pytest.raises(ModelError, match=words):
         octex.bake(texture, surface, uv="keep")
     baked = octex.bake(texture, surface, texture_size=64)
-    assert baked.uv is not None
     assert 0.0 <= baked.uv.values.min() <= baked.uv.values.max() <= 1.0
 
 
@@ -157,11 +177,6 @@ def two_squares():
     return Surface(vertices, triangles, source, uv=uv)
 
 
-def as_source(surface):
-    assert isinstance(surface.source, MaterialSource)
-    return surface.source
-
-
 def painted(surface):
     return octex.convert(surface.with_sources({"base_color": waves}), 6)
 
@@ -174,20 +189,20 @@ def test_each_material_gets_maps_and_keeps_what_it_is(ending, tmp_path):
     points = baked.scatter(5000)
     field = texture.sample(points, "base_color")
     assert psnr(baked.evaluate(points), field) > 45.0
-    left, right = as_source(baked).materials
+    left, right = baked.source.materials
     assert (left.name, left.double_sided, left.alpha_mode) == ("left", True, "opaque")
     assert (right.name, right.double_sided, right.alpha_mode) == ("right", False, "blend")
     octex.write_model(baked, tmp_path / f"two{ending}")
     read = octex.load_surface(tmp_path / f"two{ending}")
     assert psnr(read.evaluate(points), field) > 40.0  # images of .obj files repeat
     if ending == ".glb":
-        known = [each[2:] for each in as_source(read).materials]
+        known = [each[2:] for each in read.source.materials]
         assert known == [(0.5, "left", True), (0.5, "right", False)]
 
 
 def test_materials_that_read_one_image_share_maps_and_an_atlas_joins_those_alike():
     surface = two_squares()
-    own = as_source(surface)
+    own = surface.source
     first = own.materials[0]
     uv = np.concatenate(
         [own.coordinates[0].values * (0.5, 1.0), own.coordinates[0].values * (0.5, 1.0) + (0.5, 0)]
@@ -201,38 +216,29 @@ def test_materials_that_read_one_image_share_maps_and_an_atlas_joins_those_alike
     )
     shared = Surface(surface.vertices, surface.triangles, source, uv=corners)
     texture = painted(shared)
-    kept = as_source(octex.bake(texture, shared, uv="keep", texture_size=64))
+    kept = octex.bake(texture, shared, uv="keep", texture_size=64).source
     one, two = (each.inputs["base_color"].texture for each in kept.materials)
-    assert one is not None
-    assert two is not None
     assert one.texels is two.texels
     assert [each.name for each in kept.materials] == ["left", "other"]
-    joined = as_source(octex.bake(texture, shared, uv="atlas", texture_size=64))
+    joined = octex.bake(texture, shared, uv="atlas", texture_size=64).source
     assert [(each.name, each.double_sided) for each in joined.materials] == [("", True)]
-    apart = as_source(octex.bake(painted(surface), surface, uv="atlas", texture_size=64))
+    apart = octex.bake(painted(surface), surface, uv="atlas", texture_size=64).source
     assert [each.name for each in apart.materials] == ["left", "right"]
 
 
 def test_tiles_become_materials_and_what_overlaps_and_looks_otherwise_is_refused():
-    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    points = np.concatenate([square, square + np.array([1.5, 0.0, 0.0])])
-    triangles = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
-    flat = square[:, :2]
-    for moved, words in (((1.0, 0.0), None), ((0.0, 1.0), None), ((0.0, 0.0), "texture coordinates overlap")):
-        surface = Surface.from_arrays(points, triangles, uv=np.concatenate([flat, flat + moved]))
+    for step, expected in (((1.0, 0.0), [".1001", ".1002"]), ((0.0, 1.0), [".1001", ".1011"])):
+        surface = tiles(step)
         texture = painted(surface)
-        if words is not None:
-            with pytest.raises(ModelError, match=words):
-                octex.bake(texture, surface, uv="keep")
-            continue
         baked = octex.bake(texture, surface, uv="keep", texture_size=128)
-        names = [each.name for each in as_source(baked).materials]
-        assert names == ([".1001", ".1002"] if moved[0] else [".1001", ".1011"])
+        assert [each.name for each in baked.source.materials] == expected
         seen = baked.scatter(5000)
         assert psnr(baked.evaluate(seen), texture.sample(seen, "base_color")) > 45.0
+    surface = tiles((0.0, 0.0))
+    with pytest.raises(ModelError, match="texture coordinates overlap"):
+        octex.bake(painted(surface), surface, uv="keep")
     # What overlaps but looks alike may stay.
-    plain = octex.convert(surface, 5)
-    assert octex.bake(plain, surface, uv="keep", texture_size=64).uv is not None
+    assert octex.bake(octex.convert(surface, 5), surface, uv="keep", texture_size=64).uv is not None
 
 
 @pytest.mark.parametrize("across", [0.0, 1.0])
@@ -244,7 +250,6 @@ def test_squeezed_coordinates_are_kept_only_where_what_they_show_is_alike(across
     plain = Surface.from_arrays(points, triangles, uv=uv, image=palette)
     texture = octex.convert(plain, 5)
     kept = octex.bake(texture, plain)
-    assert kept.uv is not None
     np.testing.assert_allclose(kept.uv.values[kept.uv.rows], plain.uv.values[plain.uv.rows], atol=1e-6)
     seen = plain.scatter(2000)
     colors = texture.sample(seen, "base_color")
@@ -254,7 +259,7 @@ def test_squeezed_coordinates_are_kept_only_where_what_they_show_is_alike(across
     assert psnr(baked.evaluate(seen), disc.sample(seen, "base_color")) > 35.0
     with pytest.warns(ModelWarning, match="its texture coordinates are too small: on .* % of it"):
         flat = octex.bake(disc, plain, uv="keep")
-    texture_of = as_source(flat).materials[0].inputs["base_color"].texture
+    texture_of = flat.source.materials[0].inputs["base_color"].texture
     assert (texture_of is not None) == (across > 0.0)
     if texture_of is not None:
         assert texture_of.texels.shape[:2] == (64, 64)
@@ -277,8 +282,7 @@ def test_a_palette_is_kept_part_by_part(supersample):
     )
     texture = octex.convert(surface, 6)
     baked = octex.bake(texture, surface, supersample=supersample)
-    texture_of = as_source(baked).materials[0].inputs["base_color"].texture
-    assert texture_of is not None
+    texture_of = baked.source.materials[0].inputs["base_color"].texture
     assert texture_of.texels.shape[:2] == (64, 64)
     seen = surface.scatter(2000)
     np.testing.assert_allclose(baked.evaluate(seen), texture.sample(seen, "base_color"), atol=2e-3)
@@ -298,8 +302,7 @@ def test_another_mesh_of_the_object_shows_its_nearest_points():
     plane = Surface.from_arrays(square, [[0, 1, 2], [0, 2, 3]], uv=(square[:, :2] + 1) / 2)
     near = octex.bake(texture, plane, source=fine, max_distance=0.01, texture_size=64)
     middle = np.array([[0.0, 0.0, 1.0]])
-    texels = as_source(near).materials[0].inputs["base_color"].texture
-    assert texels is not None
+    texels = near.source.materials[0].inputs["base_color"].texture
     codes = encode(texture.sample(middle, "base_color", normals=middle), "uint8", "srgb")[0].astype(int)
     assert abs((texels.texels[..., :3] // 257).astype(int) - codes).max() < 30
     with pytest.raises(ArgumentError, match="give source too"):
@@ -346,8 +349,7 @@ def test_texels_are_the_means_of_so_many_lookups(monkeypatch):
     maps = []
     for size, times in ((96, 3), (288, 1)):
         baked = octex.bake(texture, surface, texture_size=size, supersample=times, bits=32)
-        given = as_source(baked).materials[0].inputs["base_color"].texture
-        assert given is not None
+        given = baked.source.materials[0].inputs["base_color"].texture
         maps.append(given.texels[..., :3])
     means = maps[1].reshape(96, 3, 96, 3, 3).mean(axis=(1, 3))
     layout = kept_layout(surface, 96)
@@ -408,9 +410,9 @@ def test_the_texture_of_another_model_is_refused(bake):
         assert re.fullmatch(r"\d+% of b lies outside of the texture" + re.escape(where), text)
 
 
-def test_the_refusal_of_a_misplaced_surface_names_the_cause():
-    surface = moved(octex.load_surface("samples/droid.glb"), np.eye(3))
-    texture = octex.convert(surface, 6)
+def test_a_surface_that_is_not_the_textures_is_refused_with_the_cause_but_a_part_fits():
+    whole = octex.load_surface("samples/droid.glb")
+    texture = octex.convert(whole, 6, channels=["base_color"])
     for turn, cause in (
         (100 * np.eye(3), "it is 100 times as large as the texture's model: use the same units"),
         (2.54 * np.eye(3), "it is 2.54 times as large as the texture's model: use the same units"),
@@ -418,19 +420,11 @@ def test_the_refusal_of_a_misplaced_surface_names_the_cause():
         (np.diag([2.0, 1, 3]), "is it of another model?"),
     ):
         with pytest.raises(ArgumentError, match=re.escape(cause)):
-            moved(surface, turn).placed_on(texture)
-
-
-def test_the_texture_of_a_part_fits_the_whole_and_that_of_the_whole_a_part():
-    whole = octex.load_surface("samples/droid.glb")
+            Surface.from_arrays(whole.rest @ turn, whole.triangles).placed_on(texture)
     part = Surface.from_arrays(whole.rest, whole.triangles[:1000])
+    part.placed_on(texture)
     with pytest.warns(ModelWarning, match="lies outside of the texture; is it of another model"):
-        whole.placed_on(octex.convert(part, 8))
-    part.placed_on(octex.convert(whole, 6, channels=["base_color"]))
-
-
-def moved(surface, matrix):
-    return Surface.from_arrays(surface.rest @ matrix, surface.triangles, name="b")
+        whole.placed_on(octex.convert(part, 7))
 
 
 def test_triangles_that_have_an_area_by_rounding_alone_are_baked():

@@ -20,7 +20,7 @@ from octex.errors import ModelError
 from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
-from tests.baking.test_bake import cube_with_charts, psnr, two_squares
+from tests.baking.test_bake import cube_with_charts, psnr, scattered_triangles, two_squares
 from tests.make.painted import square, waves
 from tests.make.small_surfaces import whole
 from tests.oracles.naive_gltf import Document
@@ -42,23 +42,22 @@ def fine_droid(droid):
 
 def sizes_of(baked):
     """Return the sizes of the base colours' maps."""
-    assert isinstance(baked.source, MaterialSource)
     textures = [each.inputs["base_color"].texture for each in baked.source.materials]
     return [each.texels.shape[0] for each in textures if each is not None]
 
 
-@pytest.mark.parametrize(("uv", "size"), [("atlas", 64), ("atlas", 512), ("xatlas", 64)])
-def test_all_charts_of_the_droid_have_room_in_small_maps(droid, size, uv):
+@pytest.mark.parametrize("uv", ["atlas", "xatlas"])
+def test_all_charts_of_the_droid_have_room_in_small_maps(droid, uv):
     if uv == "xatlas":
         pytest.importorskip("xatlas", reason="the extra octex[atlas] is not installed")
     texture, surface = droid
-    baked = octex.bake(texture, surface, uv=uv, texture_size=size)
-    assert sizes_of(baked) == [size]
+    baked = octex.bake(texture, surface, uv=uv, texture_size=64)
+    assert sizes_of(baked) == [64]
     points = baked.scatter(20_000, seed=1)
-    assert psnr(baked.evaluate(points), texture.sample(points, "base_color")) > {64: 19.0, 512: 34.0}[size]
+    assert psnr(baked.evaluate(points), texture.sample(points, "base_color")) > 19.0
 
 
-@pytest.mark.parametrize("size", [64, 128, 512, None])
+@pytest.mark.parametrize("size", [64, None])
 def test_whether_coordinates_are_kept_does_not_depend_on_the_size(droid, fine_droid, size):
     _, surface = droid
     with ThreadPoolExecutor(1) as pool:
@@ -66,7 +65,6 @@ def test_whether_coordinates_are_kept_does_not_depend_on_the_size(droid, fine_dr
             fine_droid, surface.placed_on(fine_droid), ["base_color"], "auto", size, None, pool
         )
     kept = coordinates_of(sheets, len(surface.triangles))
-    assert isinstance(surface.source, MaterialSource)
     (own,) = surface.source.coordinates
     is_same = np.isclose(kept.values[kept.rows], own.values[own.rows], atol=1e-6).all(axis=(1, 2))
     has_coordinates = (own.values[own.rows] != 0.0).any(axis=(1, 2))  # parts without get an atlas
@@ -95,14 +93,7 @@ def test_maps_of_smooth_colours_are_no_finer_than_the_leaves():
     assert sizes_of(octex.bake(sharp, surface))[0] == 4 * leaves_a_side
 
 
-def scattered_triangles(count):
-    """Return triangles that are a chart each."""
-    random = np.random.default_rng(0)
-    vertices = np.repeat(random.random((count, 3)), 3, axis=0) + 0.05 * random.random((3 * count, 3))
-    return Surface.from_arrays(vertices, np.arange(3 * count).reshape(-1, 3))
-
-
-@pytest.mark.parametrize(("count", "padding"), [(6, 4), (30, 2), (100, 2), (300, 1), (1200, 0)])
+@pytest.mark.parametrize(("count", "padding"), [(6, 4), (100, 2), (300, 1), (1200, 0)])
 def test_an_atlas_with_more_charts_has_less_padding(count, padding):
     layout = atlas.atlas_layout(scattered_triangles(count), [256], None, 1e-4)
     assert layout.padding == padding
@@ -137,7 +128,6 @@ def test_where_a_texture_is_not_its_finest_cells_count():
 
 
 def inputs_of(baked):
-    assert isinstance(baked.source, MaterialSource)
     return dict(baked.source.materials[0].inputs)
 
 
@@ -158,7 +148,7 @@ PLAIN = {
 
 @pytest.mark.parametrize(
     ("plain", "bits"),
-    [*((plain, 8) for plain in (*PLAIN, "all")), *product(("alpha", "metallic", "all"), (16, 32))],
+    [*((plain, 8) for plain in (*PLAIN, "all")), ("metallic", 16), ("alpha", 32), ("all", 16), ("all", 32)],
 )
 def test_channels_that_do_not_vary_are_numbers(plain, bits, tmp_path):
     names = list(PLAIN) if plain == "all" else [plain]
@@ -195,7 +185,6 @@ def test_a_number_between_two_codes_needs_no_image():
 def test_occlusion_that_is_not_1_stays_an_image():
     surface = cube_with_charts().with_sources({"base_color": waves, "occlusion": 0.5})
     given = inputs_of(octex.bake(octex.convert(surface, 4), surface, texture_size=64))["occlusion"]
-    assert given.texture is not None
     assert abs(given.texture.texels[..., 0] / 65535 - 0.5).max() < 0.01
 
 
@@ -205,7 +194,6 @@ def test_normals_of_the_surface_need_no_image(tilt):
     codes = np.rint((image + 1) * 32767.5).astype(np.uint16)
     points, triangles = square(side=1.0, steps=2)
     plain = Surface.from_arrays(points, triangles, uv=0.1 + 0.8 * (points[:, :2] + 0.5))
-    assert plain.uv is not None
     texels = np.concatenate([codes, np.full((4, 4, 1), 65535, np.uint16)], axis=2)
     frames = corner_frames(plain.rest, plain.triangles, None, None, plain.uv)
     source = MaterialSource(
@@ -228,22 +216,17 @@ def baked_whole():
     return octex.bake(octex.convert(surface, 4), surface, texture_size=64, channels=channels)
 
 
+KINDS = {"png": ["png"] * 3, "webp": ["webp"] * 3, "jpeg": ["jpeg", "png", "png"], "jpeg-all": ["jpeg"] * 3}
+
+
 @pytest.mark.parametrize(
-    ("images", "kinds"),
-    [
-        ("png", ["png", "png", "png"]),
-        ("webp", ["webp", "webp", "webp"]),
-        ("jpeg", ["jpeg", "png", "png"]),
-        ("jpeg-all", ["jpeg", "jpeg", "jpeg"]),
-    ],
+    ("ending", "images"),
+    [*product((".glb", ".gltf"), KINDS), *product((".obj", ".usdc"), ("jpeg", "jpeg-all"))],
 )
-@pytest.mark.parametrize("ending", [".glb", ".gltf", ".obj", ".usdc"])
-def test_jpeg_is_for_colours_unless_all_is_asked_for(baked_whole, images, kinds, ending, tmp_path):
+def test_jpeg_is_for_colours_unless_all_is_asked_for(baked_whole, images, ending, tmp_path):
     if ending == ".usdc":
         pytest.importorskip("pxr", reason="the extra octex[usd] is not installed")
-        if images == "webp":
-            pytest.skip("USD holds no webp images")
-    baked = baked_whole
+    baked, kinds = baked_whole, KINDS[images]
     written = octex.write_model(baked, tmp_path / f"a{ending}", images=images)
     assert sorted(written.files) == sorted(tmp_path.iterdir())
     if ending != ".glb":
@@ -293,7 +276,6 @@ def test_large_images_are_told_and_smaller_formats_offered(tmp_path, cli, monkey
 
 def test_a_material_whose_image_gltf_would_multiply_by_its_number_is_refused(tmp_path):
     plain = cube_with_charts()
-    assert plain.uv is not None
     texture = Texture(np.full((4, 4, 4), 30000, np.uint16))
     owners = np.zeros(len(plain.triangles), np.int32)
     for inputs, words in (

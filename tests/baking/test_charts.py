@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import octex
@@ -15,6 +15,7 @@ from octex.baking.unfold import SIDE, ChartMesh
 from octex.errors import ModelError
 from octex.source.corners import area_vectors, unit
 from octex.source.mesh import Mesh
+from tests.make.painted import halved_quads
 from tests.make.solids import sphere
 from tests.make.vxz import dual_grid
 
@@ -99,16 +100,14 @@ def test_an_atlas_is_the_same_each_time_and_on_more_threads():
     first, *others = (
         octex.bake(texture, surface, uv="atlas", texture_size=256, threads=threads) for threads in (1, 1, 2)
     )
-    assert first.uv is not None
     for other in others:
-        assert other.uv is not None
         np.testing.assert_array_equal(other.uv.values, first.uv.values)
         np.testing.assert_array_equal(other.uv.rows, first.uv.rows)
         points = first.scatter(1000)
         np.testing.assert_array_equal(other.evaluate(points), first.evaluate(points))
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(10))
 def test_charts_with_borders_of_one_length_are_merged(seed):
     """A flat cone of three charts: each border is as long as the others, but for the order of its sum."""
     sectors, rings, per_sector = 3, 9, 4
@@ -141,10 +140,7 @@ def test_charts_with_borders_of_one_length_are_merged(seed):
 def test_what_is_flat_is_one_chart_and_keeps_its_lengths():
     across = np.linspace(0.0, 1.0, 9)
     points = np.stack(np.meshgrid(across, across, indexing="ij"), axis=-1).reshape(-1, 2)
-    corners = np.arange(81).reshape(9, 9)
-    quads = np.stack([corners[:-1, :-1], corners[1:, :-1], corners[1:, 1:], corners[:-1, 1:]], axis=-1)
-    triangles = quads.reshape(-1, 4)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
-    mesh = Mesh(np.column_stack([points, 0.3 * points[:, 0]]), triangles)
+    mesh = Mesh(np.column_stack([points, 0.3 * points[:, 0]]), halved_quads(9, 9))
     flat, charts, _ = laid_flat(mesh)
     assert charts.max() == 0
     np.testing.assert_allclose(stretched(mesh, flat), 1.0, atol=1e-9)
@@ -183,6 +179,7 @@ def test_a_strip_over_a_part_of_a_large_sheet_is_cut():
     assert charts[-1] != charts[2 * (14 * 16 + 8)]  # they are one above the other
 
 
+@settings(max_examples=20)
 @given(st.integers(0, 10_000))
 def test_any_triangles_are_laid_flat_without_folds(seed):
     rng = np.random.default_rng(seed)
@@ -200,12 +197,12 @@ def test_any_triangles_are_laid_flat_without_folds(seed):
         atlas.atlas_layout(mesh, [128], None, 1e-9)
 
 
-def test_a_thousand_parts_have_room():
+def test_hundreds_of_parts_have_room():
     points, triangles = sphere([0.0, 0.0, 0.0], 0.3, 4)
-    places = np.stack(np.meshgrid(*[np.arange(10.0)] * 3), axis=-1).reshape(-1, 3)
+    places = np.stack(np.meshgrid(*[np.arange(8.0)] * 3), axis=-1).reshape(-1, 3)
     every = (points + places[:, None]).reshape(-1, 3)
     rows = (triangles + len(points) * np.arange(len(places))[:, None, None]).reshape(-1, 3)
-    layout = atlas.atlas_layout(Mesh(every, rows), [2048], None, 1e-9)
+    layout = atlas.atlas_layout(Mesh(every, rows), [1536], None, 1e-9)
     assert len(places) <= layout.charts.max() + 1 <= 8 * len(places)
 
 

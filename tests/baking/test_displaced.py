@@ -9,9 +9,9 @@ from octex.cli.main import main
 from octex.errors import ArgumentError
 from tests.conftest import needs_jit
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES
+from tests.make.small_surfaces import OCTAHEDRON, OCTAHEDRON_FACES
 
-OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
-FACES = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
+FACES = OCTAHEDRON_FACES.astype(np.int64)
 
 
 def ball(levels):
@@ -46,9 +46,7 @@ def test_parts_of_triangles_meet_at_vertices_and_fill_their_parents(seed):
 
 
 @needs_jit
-@pytest.mark.parametrize(
-    ("scale", "degrees"), [(0.1, 1.0), (0.5, 1.0), (1.0, 1.0), (2.0, 1.1)]
-)  # slopes of up to 7, 32, 52 and 71 degrees
+@pytest.mark.parametrize(("scale", "degrees"), [(0.5, 1.0), (2.0, 1.1)])  # slopes up to 32 and 71 degrees
 def test_a_displaced_sphere_is_its_formula(scale, degrees):
     surface = ball(6).with_sources({"occlusion": height})
     texture = octex.convert(surface, 7, dtype="float32")
@@ -70,7 +68,6 @@ def test_a_displaced_sphere_is_its_formula(scale, degrees):
     normals = np.cross(*ways)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     frames = made.posed_frames()
-    assert frames is not None
     cosines = np.einsum("mkc,mkc->mk", frames.normals.values[frames.normals.rows], normals[made.triangles])
     assert np.degrees(np.arccos(np.clip(cosines, -1, 1))).max() < degrees
     samples = made.scatter(1000)
@@ -91,7 +88,6 @@ def test_a_flat_sheet_moves_in_its_pose_and_keeps_its_rest(channel):
     # Twice a half along the normal, whichever way that is.
     side = surface.scatter(1).normals[0]
     np.testing.assert_allclose(made.vertices, made.rest[:, [1, 2, 0]] + 3.0 + side, atol=1e-5)
-    assert made.uv is not None
     corners = made.uv.values[made.uv.rows]
     np.testing.assert_allclose(corners[..., 0], made.rest[made.triangles][..., 0], atol=1e-6)
     np.testing.assert_allclose(1 - corners[..., 1], made.rest[made.triangles][..., 1], atol=1e-6)
@@ -104,7 +100,6 @@ def test_triangles_without_area_are_displaced_beside_others():
     surface = octex.Surface.from_arrays(vertices, triangles).with_sources({"roughness": 0.25})
     made = octex.displace(octex.convert(surface, 4), surface, "roughness", 0.1)
     frames = made.posed_frames()
-    assert frames is not None
     assert np.isfinite(frames.normals.values).all() and np.isfinite(frames.tangents.values).all()
     assert np.isfinite(made.vertices).all()
 

@@ -26,16 +26,6 @@ def test_colmap_cameras_see_what_their_numbers_say(tmp_path, write):
         sees(frame.camera(), colmap_pixels(model, values, view(key)))
 
 
-def test_both_forms_of_a_colmap_model_give_the_same_cameras(tmp_path):
-    frames = read_cameras(colmap_text(tmp_path / "text")), read_cameras(colmap_binary(tmp_path / "binary"))
-    for text, binary in zip(*frames, strict=True):
-        assert text.name == binary.name
-        assert text.size == binary.size
-        assert np.array_equal(text.camera().K, binary.camera().K)
-        assert np.array_equal(text.camera().world_to_camera, binary.camera().world_to_camera)
-        assert text.camera().distortion == binary.camera().distortion
-
-
 def test_a_colmap_model_is_found_below_its_folder_and_by_each_of_its_files(tmp_path):
     colmap_binary(tmp_path / "a/sparse/0")
     colmap_text(tmp_path / "b/sparse")

@@ -1,8 +1,6 @@
 """Files of cameras, from known poses."""
 
 import json
-import struct
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +12,7 @@ from tests.make.camera_files import (
     MESHROOM_LENS,
     METASHAPE,
     POINTS,
+    as_bytes,
     bent,
     bundler,
     expected,
@@ -35,6 +34,12 @@ from tests.make.camera_files import (
 def bent_by_brown(k1, k2, k3, p1, p2):
     """Return where the lens of Brown's model puts POINTS."""
     return bent("FULL_OPENCV", (k1, k2, p1, p2, k3))
+
+
+def written(path, content):
+    """Return the frames of a new file."""
+    path.write_bytes(as_bytes(content))
+    return read_cameras(path)
 
 
 # transforms.json
@@ -150,9 +155,7 @@ def test_arrays_may_have_names_and_lenses(tmp_path):
 
 @pytest.mark.parametrize("ending", [".gltf", ".glb"])
 def test_cameras_of_nested_gltf_nodes_stand_where_the_scene_puts_them(tmp_path, ending):
-    path = tmp_path / f"scene{ending}"
-    path.write_bytes(glb(gltf()) if ending == ".glb" else json.dumps(gltf()).encode())
-    first, second = read_cameras(path)
+    first, second = written(tmp_path / f"scene{ending}", glb(gltf()) if ending == ".glb" else gltf())
     assert (first.name, second.name) == ("eye", "camera_1")
     assert first.size is None
     focal = 240 / np.tan(0.35)
@@ -181,23 +184,8 @@ def test_gltf_cameras_of_one_name_are_numbered(tmp_path):
 def test_an_orthographic_camera_is_for_pictures_of_its_shape(tmp_path):
     frame = read_cameras(write_json(tmp_path / "a.gltf", gltf()))[1]
     frame.camera((403, 300))
-    with pytest.raises(
-        CameraError, match=r"'camera_1' of .*xmag 2 and ymag 1\.5 do not have the aspect ratio of"
-    ):
+    with pytest.raises(CameraError, match=r"'camera_1' of .*xmag 2 and ymag 1\.5 do not have the aspect"):
         frame.camera((410, 300))
-
-
-def test_a_broken_glb_is_refused(tmp_path):
-    whole = glb(gltf())
-    path = tmp_path / "a.glb"
-    for content, complaint in [
-        (whole[:10], "is truncated: a GLB header has 20 bytes, the file 10"),
-        (whole[:100], "is truncated: it should have"),
-        (whole[:4] + struct.pack("<I", 1) + whole[8:], "is GLB version 1"),
-        (whole[:16] + b"BIN\0" + whole[20:], "its first chunk is not JSON"),
-    ]:
-        path.write_bytes(content)
-        assert complaint in refusal(path)
 
 
 # Our own
@@ -244,20 +232,6 @@ def test_cameras_that_cannot_be_written_leave_what_was_there(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
 
 
-def test_a_full_disk_leaves_the_cameras_that_were_there(tmp_path, monkeypatch):
-    path = tmp_path / "cameras.json"
-    path.write_text("old", encoding="utf-8")
-
-    def full(_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("os.fsync", full)
-    with pytest.raises(OutputError, match=r"cameras\.json: cannot be written: No space left on device; "):
-        write_cameras(path, ours())
-    assert path.read_text(encoding="utf-8") == "old"
-    assert list(tmp_path.iterdir()) == [path]
-
-
 # Metashape
 
 
@@ -280,12 +254,10 @@ def test_metashape_cameras_see_what_its_manual_says(tmp_path):
 
 
 def test_metashape_cameras_may_be_fisheyes(tmp_path):
-    path = tmp_path / "cameras.xml"
     numbers = {name: METASHAPE[name] for name in ("f", "k1", "k2", "k3", "p1", "p2")} | {"k4": -0.02}
-    path.write_text(metashape(numbers, "fisheye"), encoding="utf-8")
+    frames = written(tmp_path / "cameras.xml", metashape(numbers, "fisheye"))
     lens = -0.2, 0.05, -1e-3, 2e-3, 0.01, -0.02, 0.0, 0.0
-    pixels = bent("THIN_PRISM_FISHEYE", lens) * 500 + [320, 240]
-    sees(read_cameras(path)[0].camera(), pixels)
+    sees(frames[0].camera(), bent("THIN_PRISM_FISHEYE", lens) * 500 + [320, 240])
 
 
 # OpenMVS
@@ -293,10 +265,8 @@ def test_metashape_cameras_may_be_fisheyes(tmp_path):
 
 @pytest.mark.parametrize("version", range(1, 8))
 def test_openmvs_cameras_see_what_their_numbers_say(tmp_path, version):
-    path = tmp_path / "scene.mvs"
     for size in ((640, 480), (0, 0)):
-        path.write_bytes(openmvs(version, size))
-        (frame,) = read_cameras(path)
+        (frame,) = written(tmp_path / "scene.mvs", openmvs(version, size))
         assert (frame.name, frame.image) == ("images/a.jpg", tmp_path / "images/a.jpg")
         assert frame.size == (size if any(size) else None)
         # Whole numbers are the middles of OpenMVS's pixels.
@@ -308,9 +278,7 @@ def test_openmvs_cameras_see_what_their_numbers_say(tmp_path, version):
 
 @pytest.mark.parametrize("version", [(1, 2, 11), (1, 2, 8), (1, 2, 5), (1, 2, 4), (1, 2, 2), (1, 2, 1)])
 def test_meshroom_cameras_see_what_their_numbers_say(tmp_path, version):
-    path = tmp_path / "cameras.sfm"
-    path.write_text(meshroom(version))
-    (frame,) = read_cameras(path)
+    (frame,) = written(tmp_path / "cameras.sfm", meshroom(version))
     assert (frame.name, frame.image, frame.size) == ("/far/a.jpg", tmp_path / "a.jpg", (640, 480))
     sees(frame.camera(), bent_by_brown(*MESHROOM_LENS) * [500, 510] + [310, 250])
 
@@ -320,23 +288,20 @@ def test_meshroom_cameras_see_what_their_numbers_say(tmp_path, version):
     ("kind", "numbers"), [("none", []), ("radialk1", [-0.2]), ("radialk3", [-0.2, 0.05, 0.0])]
 )
 def test_meshroom_cameras_may_have_simpler_lenses(tmp_path, version, kind, numbers):
-    path = tmp_path / "cameras.sfm"
-    path.write_text(meshroom(version, kind, numbers))
+    (frame,) = written(tmp_path / "cameras.sfm", meshroom(version, kind, numbers))
     lens = (*numbers[:2], *[0.0] * (2 - len(numbers[:2])), 0.0, 0.0)
     down = 500.0 if version < (1, 2) else 510.0
-    sees(read_cameras(path)[0].camera(), expected(view(1), 500.0, down, (310.0, 250.0), lens))
+    sees(frame.camera(), expected(view(1), 500.0, down, (310.0, 250.0), lens))
 
 
 def test_meshroom_views_of_a_rig_may_have_poses_of_their_own(tmp_path):
-    path = tmp_path / "cameras.sfm"
-    path.write_text(meshroom().replace('"path"', '"rigId": "1", "path"'))
-    assert len(read_cameras(path)) == 1
+    assert written(tmp_path / "cameras.sfm", meshroom().replace('"path"', '"rigId": "1", "path"'))
 
 
 def test_meshroom_cameras_may_be_fisheyes(tmp_path):
-    path, lens = tmp_path / "cameras.sfm", [-0.2, 0.05, 0.01, -0.02]
-    path.write_text(meshroom(kind="fisheye", numbers=lens))
-    sees(read_cameras(path)[0].camera(), bent("OPENCV_FISHEYE", lens) * [500, 510] + [310, 250])
+    lens = [-0.2, 0.05, 0.01, -0.02]
+    (frame,) = written(tmp_path / "cameras.sfm", meshroom(kind="fisheye", numbers=lens))
+    sees(frame.camera(), bent("OPENCV_FISHEYE", lens) * [500, 510] + [310, 250])
 
 
 # Bundler
@@ -372,11 +337,6 @@ def test_an_absolute_path_of_a_picture_is_a_name_beside_the_file(tmp_path):
     path.write_text(json.dumps({"fl_x": 700.0, "frames": frames}))
     assert [frame.image for frame in read_cameras(path)] == [tmp_path / "a.png", tmp_path / "b.png"]
     assert [frame.name for frame in read_cameras(path)] == names
-
-
-@pytest.mark.skipif(not Path("/dev/null").exists(), reason="this system has no devices among its files")
-def test_a_device_is_not_read():
-    assert "/dev/null: cannot be read: it is a pipe or a device, not a file" in refusal("/dev/null")
 
 
 def test_a_file_that_cannot_be_is_refused(tmp_path):

@@ -26,6 +26,17 @@ from tests.make.camera_files import (
     transforms,
 )
 
+RIG = '"rigId": "1", "isPoseIndependant"'
+
+
+def posed(matrix):
+    return {"frames": [{"file_path": "x", "transform_matrix": np.asarray(matrix, object).tolist()}]}
+
+
+def lens(kind, **numbers):
+    return {"cameras": [{"type": kind, kind: numbers}]}
+
+
 #: By the file's name: its content, and a part of what is said of it.
 REFUSED = {
     "transforms.json": [
@@ -37,7 +48,6 @@ REFUSED = {
         ({"fl_y": 0}, "fl_y must be above zero, not 0"),
         ({"fl_y": True}, "fl_y must be a finite number, not True"),
         ({"cx": float("nan")}, "cx must be a finite number, not nan"),
-        ({"cx": 1e300}, "cx must be a finite number"),
         ({"w": 1.5}, "w must be a whole number from 1 to 1000000"),
         ({"w": None}, "w is missing; it must be a number"),
         ({"fl_x": None}, "fl_x is missing, and so is camera_angle_x"),
@@ -47,19 +57,9 @@ REFUSED = {
         ({"frames": [1]}, "frames must be a list of objects, not of 1"),
         ({"frames": [{}]}, "frame 0: file_path is missing"),
         ({"frames": [{"file_path": "x"}]}, "frame 'x': transform_matrix is missing"),
-        (
-            {"frames": [{"file_path": "x", "transform_matrix": [[1, 2], [3]]}]},
-            "must be a matrix of 4×4 or 3×4 numbers",
-        ),
-        ({"frames": [{"file_path": "x", "transform_matrix": [*np.eye(4).tolist()[:2], 0, 1]}]}, "4×4 or 3×4"),
-        (
-            {"frames": [{"file_path": "x", "transform_matrix": np.zeros((4, 4)).tolist()}]},
-            "transform_matrix: a camera's pose must have the last row",
-        ),
-        (
-            {"frames": [{"file_path": "x", "transform_matrix": np.diag([1, 1, 0, 1]).tolist()}]},
-            "transform_matrix: a camera's pose must not scale",
-        ),
+        (posed([[1, 2], [3]]), "must be a matrix of 4×4 or 3×4 numbers"),
+        (posed(np.zeros((4, 4))), "transform_matrix: a camera's pose must have the last row"),
+        (posed(np.diag([1, 1, 0, 1])), "transform_matrix: a camera's pose must not scale"),
     ],
     "a.npz": [
         ({"viewmats": None}, "must have one of viewmats, w2c"),
@@ -72,10 +72,7 @@ REFUSED = {
         ({"Ks": np.ones((3, 3, 3))}, "Ks has 3 rows for 2 cameras"),
         ({"camtoworlds": np.ones((2, 4, 4))}, "must have one of"),
         ({"viewmats": None, "poses": np.ones((2, 4, 4))}, "convention is missing; it must be a text"),
-        (
-            {"viewmats": None, "poses": np.zeros((2, 3, 4)), "convention": "opencv"},
-            "poses: its upper left 3×3 must be a rotation",
-        ),
+        ({"viewmats": None, "poses": np.zeros((2, 3, 4)), "convention": "opencv"}, "3×3 must be a rotation"),
         ({"width": 1.5, "height": 3}, "camera 0: width must be a whole number from 1 to 1000000, not 1.5"),
         ({"distortion": [1.0]}, "distortion must be"),
         ({"distortion_model": "x"}, "distortion_model must be one of opencv, fisheye, fov"),
@@ -83,17 +80,13 @@ REFUSED = {
     ],
     "a.gltf": [
         (one_camera(scale=[1, 1, -1]), "frame 'eye': a camera's pose must not mirror"),
-        (
-            one_camera(scale=[1, 0, 1]),
-            "frame 'eye': its node, with the nodes above it, must not scale to nothing",
-        ),
+        (one_camera(scale=[1, 0, 1]), "'eye': its node, with the nodes above it, must not scale to nothing"),
         (one_camera(matrix=[1, 0.5, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "must not scale or shear"),
         (one_camera(matrix=[1, 2]), "nodes[0]: matrix must be 16 numbers, not [1, 2]"),
         (one_camera(rotation=[0, 0, 0, 0]), "nodes[0]: rotation must not be zero"),
         (one_camera(rotation=None), "nodes[0]: rotation must be 4 numbers, not None"),
         (one_camera(translation=[0, 10**400, 0]), "nodes[0]: translation must be 3 numbers"),
         (one_camera(children=1), "nodes[0]: children must be a list of indices"),
-        (one_camera(rotation="x"), "nodes[0]: rotation must be 4 numbers, not 'x'"),
         (one_camera(camera=2), "refers to cameras[2], which it does not have"),
         (one_camera(children=[0]), "nodes[0] is reached twice"),
         (one_camera(children=[-1]), "refers to nodes[-1], which it does not have"),
@@ -102,14 +95,14 @@ REFUSED = {
         (gltf(scenes=[{}], scene=0), "has no cameras"),
         (one_camera() | {"cameras": [{"type": "fisheye"}]}, "type must be one of perspective, orthographic"),
         (one_camera() | {"cameras": [{"type": "perspective"}]}, "'eye': perspective is missing"),
-        (
-            one_camera() | {"cameras": [{"type": "perspective", "perspective": {"yfov": 0}}]},
-            "'eye': perspective: yfov must be above zero",
-        ),
-        (
-            one_camera() | {"cameras": [{"type": "orthographic", "orthographic": {"xmag": -1, "ymag": 1}}]},
-            "'eye': orthographic: xmag must be above zero",
-        ),
+        (one_camera() | lens("perspective", yfov=0), "'eye': perspective: yfov must be above zero"),
+        (one_camera() | lens("orthographic", xmag=-1, ymag=1), "'eye': orthographic: xmag must be above"),
+    ],
+    "a.glb": [
+        (glb(gltf())[:10], "is truncated: a GLB header has 20 bytes, the file 10"),
+        (glb(gltf())[:100], "is truncated: it should have"),
+        (glb(gltf())[:4] + struct.pack("<I", 1) + glb(gltf())[8:], "is GLB version 1"),
+        (glb(gltf())[:16] + b"BIN\0" + glb(gltf())[20:], "its first chunk is not JSON"),
     ],
     "ours.json": [
         ({"name": 3}, "camera 0: name must be a text, not 3"),
@@ -156,13 +149,9 @@ REFUSED = {
         (meshroom().replace('"poses"', '"pose"'), "is not a camera file"),
         (meshroom().replace('"version": [', '"version": ["0", '), "version must be 3 numbers, not 4"),
         (meshroom().replace('"center"', '"centre"'), "pose: center is missing"),
-        (
-            meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": "false", "path"'),
-            "view '/far/a.jpg': belongs to a rig",
-        ),
-        (
-            meshroom().replace('"path"', '"rigId": "1", "isPoseIndependant": false, "path"'),
-            "view '/far/a.jpg': belongs to a rig",
+        *(
+            (meshroom().replace('"path"', f'{RIG}: {no}, "path"'), "view '/far/a.jpg': belongs to a rig")
+            for no in ("false", '"false"')
         ),
         (meshroom().replace('"poseId": "3"', '"poseId": "5"', 1), "has no cameras"),
     ],
@@ -222,7 +211,7 @@ def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
     wholes = [file.read_bytes() for file in files]
     random = np.random.default_rng(0)
     refused = 0
-    for turn in range(400):
+    for turn in range(120):
         which = turn % len(files)
         content = bytearray(wholes[which])
         for _ in range(random.integers(1, 4)):
@@ -243,5 +232,5 @@ def test_a_damaged_file_of_each_kind_is_read_or_refused(tmp_path, kind):
         except CameraError:
             refused += 1
         files[which].write_bytes(wholes[which])
-    assert 100 < refused < 400
+    assert 30 < refused < 120
     assert read_cameras(path)

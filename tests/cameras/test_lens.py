@@ -9,6 +9,8 @@ from octex.view.visibility import straight
 from tests.oracles.naive_lens import through
 
 LENSES = [
+    ("OPENCV", "opencv", [-0.3, 0.1, 1e-3, -2e-3]),
+    ("OPENCV", "opencv", [0.1, 0.05, 0.01, 0.02]),
     ("FULL_OPENCV", "opencv", [-0.2, 0.05, 1e-3, -2e-3, 0.02, 0.1, 0.03, -0.01]),
     ("FULL_OPENCV", "opencv", [0.4, 0.1, 0.0, 0.0, 0.01, 0.5, 0.2, 0.02]),
     ("OPENCV_FISHEYE", "fisheye", [0.1, -0.05, 0.02, -0.01]),
@@ -18,11 +20,10 @@ LENSES = [
 ]
 
 
-def camera_of(model, lens, **options):
-    return Camera.pinhole(
-        (640, 480), pose=np.eye(4), convention="opencv", focal=options.pop("focal", 400.0), distortion=lens,
-        distortion_model=model,
-    )  # fmt: skip
+def camera_of(model, lens, focal=400.0):
+    K = [[focal, 3.0, 320.0], [0.0, focal + 10.0, 240.0], [0.0, 0.0, 1.0]]
+    options = {"pose": np.eye(4), "convention": "opencv", "K": K}
+    return Camera.pinhole((640, 480), **options, distortion=lens, distortion_model=model)
 
 
 @pytest.mark.parametrize(("name", "model", "lens"), LENSES)
@@ -30,7 +31,8 @@ def test_points_land_where_the_formulas_of_their_model_say(name, model, lens):
     camera = camera_of(model, lens)
     points = np.random.default_rng(0).uniform([-0.8, -0.6, 1], [0.8, 0.6, 1], (200, 3))
     pixels, _ = camera.project(points * 2.5)
-    written = [400 * through(name, lens, x, y) + [320, 240] for x, y, _ in points]
+    places = (through(name, lens, x, y) for x, y, _ in points)
+    written = [(400 * right + 3 * down + 320, 410 * down + 240) for right, down in places]
     np.testing.assert_allclose(pixels, written, rtol=0, atol=1e-9)
     np.testing.assert_allclose(camera.project([[0.0, 0.0, 2.0]])[0], [[320, 240]])
 
@@ -52,14 +54,16 @@ def test_a_fisheye_lens_reaches_to_where_its_angles_stop_rising():
     assert np.isnan(far).all()
 
 
-def test_a_rational_lens_reaches_to_its_first_turn_or_pole():
+def test_a_lens_reaches_to_its_first_turn_or_pole():
     radii = np.linspace(1e-3, 4, 40_000)
     points = np.column_stack([radii, np.zeros_like(radii)])
-    for lens in ([0.0, 0, 0, 0, 0, -0.25, 0, 0], [-0.1, 0, 0, 0, 0.01, 0.2, -0.02, 0]):
+    radial = ((-0.3, 0.0), (0.0, -0.2), (0.1, -0.2), (-1.0, 0.4), (0.3, 0.1), (-0.3, 0.1))
+    rational = [0.0, 0, 0, 0, 0, -0.25, 0, 0], [-0.1, 0, 0, 0, 0.01, 0.2, -0.02, 0]
+    for lens in (*rational, *((*each, *[0.0] * 6) for each in radial)):
         found = camera_of("opencv", lens).distort(points)[:, 0]
-        k1, _, _, _, k3, k4, k5, _ = lens
+        k1, k2, _, _, k3, k4, k5, _ = lens
         s = radii**2
-        written = radii * (1 + k1 * s + k3 * s**3) / (1 + k4 * s + k5 * s**2)
+        written = radii * (1 + k1 * s + k2 * s**2 + k3 * s**3) / (1 + k4 * s + k5 * s**2)
         falls = np.flatnonzero(np.diff(written) <= 0)
         first = falls[0] if falls.size else radii.size - 1
         assert abs(np.isfinite(found).sum() - 1 - first) <= 2

@@ -56,8 +56,6 @@ def test_copies_and_slivers_are_left_out_and_the_others_keep_what_they_have():
     assert json.loads(found.provenance["repair"]) == counts._asdict()
     kept = np.delete(np.arange(len(every)), [0, 1, 2, len(every) - 3, len(every) - 2])
     np.testing.assert_array_equal(found.vertices[found.triangles], surface.vertices[surface.triangles[kept]])
-    assert found.uv is not None
-    assert surface.uv is not None
     np.testing.assert_array_equal(found.uv.values[found.uv.rows], surface.uv.values[surface.uv.rows[kept]])
     middles = np.full((len(kept), 3), 1 / 3)
     values = found.evaluate_all(np.arange(len(kept)), middles, np.zeros(len(kept)))

@@ -12,15 +12,11 @@ from octex.channels import ChannelFormat, srgb_to_linear
 from octex.errors import ArgumentError
 from octex.formats import osl
 from octex.texture import Channel
-
-CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.3, 1.0]])
-FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
-COLORS = np.array([[0.9, 0.1, 0.2], [0.1, 0.8, 0.3], [0.2, 0.3, 0.7], [0.5, 0.5, 0.1]])
+from tests.make.small_surfaces import TETRAHEDRON, tetrahedron
 
 
 def surface(**sources):
-    made = octex.Surface.from_arrays(CORNERS, FACES, colors=COLORS)
-    return made.with_sources(sources) if sources else made
+    return tetrahedron().with_sources(sources)
 
 
 def texels_of(path):
@@ -147,7 +143,9 @@ def test_leaves_of_several_depths_are_divided(tmp_path):
 def test_a_root_without_children_is_the_only_cell(tmp_path):
     texture = octex.resize(octex.convert(surface(), 3), 0)
     np.testing.assert_allclose(
-        Written(texture, tmp_path).nearest(np.zeros(3))[:3] / 65535, texture.sample(CORNERS[:1])[0], atol=1e-5
+        Written(texture, tmp_path).nearest(np.zeros(3))[:3] / 65535,
+        texture.sample(TETRAHEDRON[:1])[0],
+        atol=1e-5,
     )
 
 

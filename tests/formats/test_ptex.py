@@ -19,6 +19,7 @@ from octex.formats.ptex.patches import faces_of, neighbors_of, patches_of
 from octex.formats.ptex.reader import PtexFile
 from octex.formats.ptex.writer import Contents, write_contents
 from octex.parallel import Run, workers
+from tests.make.small_surfaces import OCTAHEDRON, OCTAHEDRON_FACES
 from tests.oracles import naive_ptex
 
 TOOLS = Path(__file__).parents[2] / "tools"
@@ -41,16 +42,11 @@ f 7 10 9 8
 f 4 8 9 5 1
 f 2 6 10 7 3
 """
-# An octahedron.
-OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
-EIGHT = np.array([[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]])
 
 
 def tool(name):
     """A program of tools/, as a module."""
     spec = importlib.util.spec_from_file_location(name, TOOLS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     spec.loader.exec_module(module)
@@ -69,7 +65,7 @@ def waves(points):
     return np.stack([np.sin(3 * x + y), np.cos(2 * y - 2 * z), np.sin(2 * z + 2 * x)], axis=1) * 0.35 + 0.5
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_what_is_written_is_read_by_a_simple_reader_and_by_octex(seed, tmp_path):
     contents = tool("bench/peers/ptex_peer").random_contents(seed)
     path = tmp_path / "made.ptx"
@@ -251,12 +247,11 @@ def octaves(points):
 
 
 @pytest.mark.parametrize("triangles", [False, True])
-@pytest.mark.parametrize("colors", [waves, octaves])
-def test_there_and_back_a_texture_stays_within_40_decibels(triangles, colors, house, tmp_path):
+def test_there_and_back_a_texture_stays_within_40_decibels(triangles, house, tmp_path):
     surface = octex.load_surface(house)
     if triangles:
         surface = octex.Surface.from_arrays(surface.vertices, surface.triangles)
-    texture = octex.convert(surface, 5, sources={"base_color": colors})
+    texture = octex.convert(surface, 5, sources={"base_color": octaves})
     octex.write_ptex(texture, surface, tmp_path / "made.ptx", texels=texture.tree.n_leaves)
     with PtexFile(tmp_path / "made.ptx") as file:
         assert texture.tree.n_leaves / 4 < file.faces.counts.sum() <= texture.tree.n_leaves
@@ -268,7 +263,7 @@ def test_there_and_back_a_texture_stays_within_40_decibels(triangles, colors, ho
 
 @pytest.mark.parametrize("sizes", [(3, 3), (1, 4), (0, 2)])
 def test_across_edges_of_triangles_values_go_on_whatever_the_faces_resolutions(sizes, tmp_path):
-    surface = octex.Surface.from_arrays(OCTAHEDRON, EIGHT)  # closed: each vertex has four faces
+    surface = octex.Surface.from_arrays(OCTAHEDRON, OCTAHEDRON_FACES)  # closed: each vertex has four faces
     patches = patches_of(surface)
     log2 = np.array([[sizes[n % 2]] * 2 for n in range(8)], np.int8)  # neighbours differ
     faces = faces_of(surface, patches, log2)

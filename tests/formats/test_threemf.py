@@ -88,7 +88,6 @@ def test_the_file_says_colours_as_the_specification_has_them(tmp_path):
     np.testing.assert_allclose(read.vertices[read.triangles], surface.vertices[surface.triangles][:2])
     np.testing.assert_allclose(read.evaluate(samples), surface.evaluate(samples), atol=1e-6)
     group = tree.find(f".//{MATERIALS}colorgroup")
-    assert group is not None
     texts = [str(each.get("color")).upper() for each in group]
     assert sorted(texts) == ["#0000FF40", "#008000FF", "#010203FF", "#FF0000FF"]
     places = [[float(each.get(axis, "")) for axis in "xyz"] for each in tree.iter(f"{CORE}vertex")]

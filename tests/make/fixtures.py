@@ -238,15 +238,21 @@ def put(document: Any, changes: Mapping[str, Any], gltf: Gltf | None = None) -> 
 
 
 def textured_square(
-    path: Path, image: bytes, *, scale: float = 1.0, shift: float = 0.0, **options: Any
+    path: Path,
+    image: bytes | str,
+    *,
+    scale: float = 1.0,
+    shift: float = 0.0,
+    external: bool = False,
+    **options: Any,
 ) -> Path:
-    """A glTF square with an image; ``options`` are those of Gltf.texture and of Gltf.material."""
+    """A glTF square with an image, or its URI; ``options`` are those of Gltf.texture and of Gltf.material."""
     gltf = Gltf()
     sampler = {key: options.pop(key) for key in ("wrap", "mag", "minify") if key in options}
-    texture = gltf.texture(gltf.image(image), **sampler)
-    material = gltf.material(texture, **options)
+    number = gltf.add("images", uri=image) if isinstance(image, str) else gltf.image(image)
+    material = gltf.material(gltf.texture(number, **sampler), **options)
     gltf.show(gltf.primitive(uv=(SQUARE_UV * scale + shift).astype(np.float32), material=material))
-    return gltf.save(path)
+    return gltf.save(path, external=external)
 
 
 def obj(path: Path, lines: str, mtl: str | None = None, images: Mapping[str, bytes] | None = None) -> Path:

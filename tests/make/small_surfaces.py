@@ -12,6 +12,10 @@ from tests.make.painted import halved_quads
 
 TETRAHEDRON = np.array([[0.0, 0, 0], [1, 0.1, 0], [0.2, 1, 0.1], [0.3, 0.2, 0.9]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32)
+OCTAHEDRON = np.concatenate([np.eye(3), -np.eye(3)])
+OCTAHEDRON_FACES = np.array(
+    [[0, 1, 2], [1, 3, 2], [3, 4, 2], [4, 0, 2], [1, 0, 5], [3, 1, 5], [4, 3, 5], [0, 4, 5]], np.int32
+)
 
 
 def tetrahedron(**options: object) -> Surface:

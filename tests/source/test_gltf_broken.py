@@ -37,6 +37,11 @@ def assert_refused(path, message):
 _NAN = np.where(SQUARE == 1, np.float32(np.nan), SQUARE)
 _SIGNALLING = np.where(SQUARE == 1, np.uint32(0x7FA00000), SQUARE.view(np.uint32)).view(np.float32)
 
+RESTART = {
+    f"{ATTRIBUTES}.POSITION": rows(*np.repeat(SQUARE, 64, axis=0)),
+    f"{PRIMITIVE}.indices": rows(0, 100, 255, dtype="uint8"),
+}
+
 
 def sparse_outside(gltf):
     where = {"bufferView": gltf.view(b"\x63"), "componentType": 5121}
@@ -50,31 +55,18 @@ def sparse_outside(gltf):
         ({f"{PRIMITIVE}.indices": rows(0, 1, 9, dtype="uint8")}, "uses vertex 9, but there are 4"),
         ({f"{PRIMITIVE}.indices": rows(0, 1, -1, dtype="int8")}, "uses vertex -1, but there are 4"),
         ({f"{PRIMITIVE}.indices": rows(0, 1, 2)}, r"the indices of meshes\[0\].* are not integers"),
-        (
-            {
-                f"{ATTRIBUTES}.POSITION": rows(*np.repeat(SQUARE, 64, axis=0)),
-                f"{PRIMITIVE}.indices": rows(0, 100, 255, dtype="uint8"),
-            },
-            "uses vertex 255, but uint8 indices keep this number",
-        ),
+        (RESTART, "uses vertex 255, but uint8 indices keep this number"),
         ({f"{ATTRIBUTES}.POSITION": lambda gltf: gltf.accessor(_NAN)}, "vertices that are not finite"),
         ({f"{ATTRIBUTES}.POSITION": lambda gltf: gltf.accessor(_SIGNALLING)}, "vertices that are not finite"),
         ({f"{ATTRIBUTES}.COLOR_0": rows(*[[np.nan] * 3] * 4)}, "colours are not all finite"),
-        (
-            {"materials.0.pbrMetallicRoughness.baseColorFactor": [1e999, 1, 1, 1]},
-            "Infinity is not JSON|colours are not all finite",
-        ),
+        ({"materials.0.pbrMetallicRoughness.baseColorFactor": [1e999, 1, 1, 1]}, "Infinity is not JSON"),
         ({"nodes.0.scale": [1e200, 1, 1]}, "not all finite"),
         ({"nodes.0.rotation": [1e308, 1e308, 0, 1], "nodes.0.scale": [1e308, -1e308, 1]}, "not all finite"),
         ({"nodes.0.scale": 0.5}, r"nodes\[0\]: scale must be 3 numbers, not 0\.5"),
-        ({"nodes.0.translation": True}, r"nodes\[0\]: translation must be 3 numbers"),
-        ({"nodes.0.scale": [1e999, 1, 1]}, "Infinity is not JSON|not all finite"),
         ({f"{ATTRIBUTES}.TEXCOORD_0": rows(*[[np.inf] * 2] * 4)}, "texture coordinates are not all finite"),
-        ({f"{ATTRIBUTES}.TEXCOORD_0": rows(*SQUARE_UV[:2])}, "has 2 rows for 4 vertices"),
         ({"nodes.0.children": [0]}, "reached twice"),
         ({"nodes.0.mesh": 7}, r"meshes\[7\]"),
         ({f"{PRIMITIVE}.mode": 0}, "no triangles"),
-        ({"scenes": [{}]}, "no triangles"),
         ({"bufferViews.0.byteLength": 10**6}, "outside its buffer"),
         ({"accessors.0.count": 1000}, "outside its buffer view"),
         ({"accessors.0.bufferView": MISSING, "accessors.0.count": 10**12}, "elements without data"),
@@ -156,17 +148,14 @@ def test_a_bad_image_is_named(tmp_path, image, message):
     [
         ("pbrMetallicRoughness", ["x"], "pbrMetallicRoughness must be an object, not"),
         ("pbrMetallicRoughness.baseColorFactor", [1, 1, 1], "baseColorFactor must be 4 numbers"),
-        ("pbrMetallicRoughness.baseColorFactor", [1, 1, 1, "a"], "baseColorFactor must be 4 numbers"),
         ("pbrMetallicRoughness.baseColorFactor", 0.5, "baseColorFactor must be 4 numbers, not 0.5"),
         ("pbrMetallicRoughness.metallicFactor", "shiny", "metallicFactor must be a number, not 'shiny'"),
-        ("pbrMetallicRoughness.roughnessFactor", True, "roughnessFactor must be a number, not True"),
         ("pbrMetallicRoughness.roughnessFactor", 10**400, "roughnessFactor must be a number, not 1000"),
         ("pbrMetallicRoughness.baseColorTexture", 0, "baseColorTexture must be an object, not 0"),
         ("pbrMetallicRoughness.baseColorTexture", {}, r"refers to textures\[None\]"),
         ("normalTexture.scale", "not a number", r"normalTexture.scale must be a number, not 'not a number'"),
         ("occlusionTexture.strength", None, "occlusionTexture.strength must be a number, not None"),
         ("occlusionTexture.index", 5, r"refers to textures\[5\]"),
-        ("occlusionTexture.index", "first", r"refers to textures\['first'\]"),
         ("emissiveFactor", {}, "emissiveFactor must be 3 numbers"),
         ("extensions.KHR_materials_emissive_strength.emissiveStrength", [], "emissiveStrength must be a"),
         ("extensions.KHR_materials_pbrSpecularGlossiness.glossinessFactor", "a", "glossinessFactor must be"),
@@ -174,11 +163,9 @@ def test_a_bad_image_is_named(tmp_path, image, message):
         ("extensions", "none", r"materials\[0\].extensions must be an object, not 'none'"),
         ("alphaCutoff", "half", "alphaCutoff must be a number"),
         ("occlusionTexture.texCoord", -1, "texCoord must be a whole number, not -1"),
-        ("occlusionTexture.texCoord", 0.5, "texCoord must be a whole number, not 0.5"),
         ("occlusionTexture.extensions.KHR_texture_transform", "turned", "transform must be an object"),
         ("occlusionTexture.extensions.KHR_texture_transform.rotation", "left", "rotation must be a number"),
         ("occlusionTexture.extensions.KHR_texture_transform.scale", 2, "scale must be 2 numbers, not 2"),
-        ("occlusionTexture.extensions.KHR_texture_transform.offset", [1], "offset must be 2 numbers"),
     ],
 )
 def test_what_is_wrong_with_a_material_is_named(tmp_path, place, value, message):
@@ -187,9 +174,8 @@ def test_what_is_wrong_with_a_material_is_named(tmp_path, place, value, message)
     entry = {"occlusionTexture": {"index": 0}, "emissiveFactor": [1, 1, 1]}
     put(entry, {place: value})
     gltf.show(gltf.primitive(uv=SQUARE_UV, material=gltf.add("materials", **entry)))
-    with pytest.raises(ModelError, match=message) as caught:
+    with pytest.raises(ModelError, match=f"^bad.glb.*{message}") as caught:
         load_surface(gltf.save(tmp_path / "bad.glb"))
-    assert str(caught.value).startswith("bad.glb")
     assert len(str(caught.value)) < 250
 
 

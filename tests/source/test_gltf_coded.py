@@ -142,9 +142,11 @@ def assert_same(surface, expected, atol=1e-5):
         )
 
 
-def test_draco_meshes_are_as_the_plain_ones(tmp_path):
-    coded = load_surface(grid(draco).save(tmp_path / "coded.glb"))
-    assert_same(coded, load_surface(grid().save(tmp_path / "plain.glb")))
+def test_draco_meshes_are_as_the_plain_ones_also_beside_a_plain_one(tmp_path):
+    coded, plain = grid(draco), grid()
+    for each in (coded, plain):
+        each.show(each.primitive(SQUARE))
+    assert_same(load_surface(coded.save(tmp_path / "a.glb")), load_surface(plain.save(tmp_path / "b.glb")))
 
 
 def test_draco_positions_may_be_quantized(tmp_path):
@@ -163,12 +165,6 @@ def test_draco_positions_may_be_quantized(tmp_path):
     gltf.show(entry)
     surface = load_surface(gltf.save(tmp_path / "a.glb"))
     np.testing.assert_allclose(surface.vertices, rows / 32767.0, atol=1e-6)
-
-
-def test_primitives_beside_a_draco_mesh_may_be_plain(tmp_path):
-    gltf = grid(draco)
-    gltf.show(gltf.primitive(SQUARE))
-    assert len(load_surface(gltf.save(tmp_path / "a.glb")).triangles) == len(TRIANGLES) + 2
 
 
 @pytest.mark.parametrize("version", [0, 1])
@@ -256,18 +252,15 @@ def test_a_missing_extra_is_named_with_the_command_that_installs_it(tmp_path, mo
     extra, make = MISSING[package]
     path = make(tmp_path / "a.glb")
     monkeypatch.setitem(sys.modules, package, None)
-    with pytest.raises(
-        MissingExtraError, match=rf"needed; install it: pip install 'octex\[{extra}\]'"
-    ) as caught:
+    with refused(MissingExtraError, rf"needed; install it: pip install 'octex\[{extra}\]'", path.name):
         load_surface(path)
-    assert path.name in str(caught.value)
 
 
-def encoded(gltf):
-    """Return the content that a Draco mesh is decoded from."""
+def half_of_it(gltf):
+    """Return the first half of what a Draco mesh is decoded from."""
     extensions = gltf.json["meshes"][0]["primitives"][0]["extensions"]
     view = gltf.json["bufferViews"][extensions["KHR_draco_mesh_compression"]["bufferView"]]
-    return bytes(gltf.binary[view["byteOffset"] :][: view["byteLength"]])
+    return gltf.view(bytes(gltf.binary[view["byteOffset"] :][: view["byteLength"] // 2]))
 
 
 def points_alone(gltf):
@@ -287,28 +280,16 @@ MESHOPT = "bufferViews.3.extensions.EXT_meshopt_compression"
 @pytest.mark.parametrize(
     ("place", "value", "message"),
     [
-        (
-            f"{DRACO}.bufferView",
-            lambda gltf: gltf.view(encoded(gltf)[: len(encoded(gltf)) // 2]),
-            r"primitives\[0\]: its Draco content is damaged",
-        ),
-        (
-            f"{DRACO}.bufferView",
-            lambda gltf: gltf.view(b""),
-            r"primitives\[0\]: its Draco content is damaged",
-        ),
+        (f"{DRACO}.bufferView", half_of_it, r"primitives\[0\]: its Draco content is damaged"),
+        (f"{DRACO}.bufferView", lambda gltf: gltf.view(b""), "its Draco content is damaged"),
         (f"{DRACO}.attributes.NORMAL", 77, "no attribute 77, for NORMAL"),
         (f"{DRACO}.attributes.NORMAL", color_of, "does not fit what was decoded for it, uint8"),
         (f"{DRACO}.bufferView", points_alone, "its Draco content has no triangles"),
         (f"{DRACO}.attributes", [0], r"attributes must be an object, not \[0\]"),
         (f"{MESHOPT}.byteLength", 40, r"bufferViews\[3\]: its meshopt content is damaged"),
         (f"{MESHOPT}.byteOffset", 10**6, r"bufferViews\[3\] reaches outside its buffer"),
-        (
-            f"{MESHOPT}.count",
-            10**9,
-            r"bufferViews\[3\]: .* bytes of meshopt content cannot hold 1000000000 rows of 12",
-        ),
-        (f"{MESHOPT}.count", 3, "damaged|reaches outside its buffer view"),
+        (f"{MESHOPT}.count", 10**9, "bytes of meshopt content cannot hold 1000000000 rows of 12"),
+        (f"{MESHOPT}.count", 3, "(damaged|reaches outside its buffer view)"),
         (f"{MESHOPT}.byteStride", 7, "its meshopt content is damaged .*4 to 256 bytes"),
         (f"{MESHOPT}.filter", "BLUR", "its meshopt content is damaged .*filter must be"),
         (f"{MESHOPT}.mode", 7, "its meshopt content is damaged .*mode must be"),
@@ -325,10 +306,8 @@ def test_damaged_content_is_refused_in_one_line_that_names_it(tmp_path, place, v
         header = json.loads(path.read_text())
         put(header, {place: value})
         path.write_text(json.dumps(header))
-    with pytest.raises(ModelError, match=message) as caught:
+    with refused(ModelError, f"^{path.name}.*{message}"):
         load_surface(path)
-    assert str(caught.value).startswith(path.name)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("code", KTX2)

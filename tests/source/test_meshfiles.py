@@ -19,20 +19,15 @@ ENCODINGS = ["ascii", "binary_little_endian", "binary_big_endian"]
 CODES = np.array([[255, 0, 10], [0, 255, 20], [128, 128, 30], [1, 2, 250]])
 
 
+#: Coordinates of the square's vertices as PLY has them, v up.
+ST = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
+
+
 def interpolated(surface, colors):
     """The surface's values at samples, and those of colours of the square's vertices, as linear light."""
     samples = surface.scatter(40)
     corners = colors[SQUARE_TRIANGLES[samples.triangles]]
     return surface.evaluate(samples), (samples.barycentric[:, :, None] * corners).sum(axis=1)
-
-
-@pytest.mark.parametrize("encoding", ENCODINGS)
-def test_ply_geometry_is_the_same_in_every_encoding(tmp_path, encoding):
-    unread = {"s": ("float", [0, 1, 2, 3]), "t": ("float", [0, 1, 2, 3])}  # coordinates without an image
-    surface = load_surface(ply(tmp_path / "a.ply", ply_square(**unread), encoding=encoding))
-    np.testing.assert_array_equal(surface.vertices, SQUARE)
-    np.testing.assert_array_equal(surface.triangles, SQUARE_TRIANGLES)
-    assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
 
 @pytest.mark.parametrize("encoding", ENCODINGS)
@@ -95,7 +90,8 @@ def test_ply_faces_of_mixed_sizes_keep_their_colours(tmp_path, encoding):
 
 
 def test_ply_elements_before_and_after_are_passed_over(tmp_path):
-    square = ply_square()
+    unread = {"s": ("float", [0, 1, 2, 3]), "t": ("float", [0, 1, 2, 3])}  # coordinates without an image
+    square = ply_square(**unread)
     elements = {
         "camera": {"view": ("list uchar double", [[1, 2, 3], []]), "f": ("short", [-4, 5])},
         **square,
@@ -103,7 +99,9 @@ def test_ply_elements_before_and_after_are_passed_over(tmp_path):
     }
     for encoding in ENCODINGS:
         surface = load_surface(ply(tmp_path / "a.ply", elements, encoding=encoding))
+        np.testing.assert_array_equal(surface.vertices, SQUARE)
         np.testing.assert_array_equal(surface.triangles, SQUARE_TRIANGLES)
+        assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
 
 def test_ply_headers_may_end_their_lines_like_windows(tmp_path):
@@ -129,18 +127,15 @@ def test_ply_textures_are_bound_with_v_up(tmp_path, names):
 
 def test_ply_textures_take_precedence_over_colours(tmp_path):
     (tmp_path / "a.png").write_bytes(png(np.full((2, 2, 3), 204, np.uint8)))
-    properties = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
-    properties |= {name: ("uchar", [192] * 4) for name in ("red", "green", "blue")}
-    properties["alpha"] = ("uchar", [128] * 4)
-    surface = load_surface(ply(tmp_path / "a.ply", ply_square(**properties), comments=["TextureFile a.png"]))
+    codes = {name: ("uchar", [192] * 4) for name in ("red", "green", "blue", "alpha")}
+    surface = load_surface(ply(tmp_path / "a.ply", ply_square(**ST, **codes), comments=["TextureFile a.png"]))
     assert [form.name for form in surface.channels] == ["base_color"]
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), srgb_to_linear(0.8), rtol=1e-5)
 
 
 def test_ply_textures_may_be_named_after_the_file(tmp_path):
     (tmp_path / "square.v2_A.png").write_bytes(png(np.full((2, 2, 3), 51, np.uint8)))
-    properties = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
-    path = ply(tmp_path / "square.v2.ply", ply_square(**properties), comments=["TextureFile <this>_A.png"])
+    path = ply(tmp_path / "square.v2.ply", ply_square(**ST), comments=["TextureFile <this>_A.png"])
     surface = load_surface(path)
     np.testing.assert_allclose(surface.evaluate(surface.scatter(5)), srgb_to_linear(0.2), rtol=1e-5)
 
@@ -241,9 +236,8 @@ def test_a_binary_ply_file_that_ends_early_is_refused(tmp_path, encoding):
 
 
 def test_bad_textures_of_a_ply_file_are_named(tmp_path):
-    st = {"s": ("float", [0, 1, 1, 0]), "t": ("float", [0, 0, 1, 1])}
     comments = ["TextureFile wood.png"]
-    path = ply(tmp_path / "a.ply", ply_square(**st), comments=comments)
+    path = ply(tmp_path / "a.ply", ply_square(**ST), comments=comments)
     with pytest.raises(ImageError, match=r"a\.ply: wood\.png cannot be read: No such file"):
         load_surface(path)
     (tmp_path / "wood.png").write_bytes(b"no image")
@@ -253,12 +247,10 @@ def test_bad_textures_of_a_ply_file_are_named(tmp_path):
     with pytest.warns(ModelWarning, match=r"a\.ply names the image wood\.png but has no texture coordinates"):
         load_surface(ply(tmp_path / "a.ply", ply_square(), comments=comments))
     with pytest.raises(ModelError, match="texnumber is not among its 1 TextureFiles"):
-        load_surface(ply(tmp_path / "a.ply", ply_square(**st, texnumber=("int", [0, 1])), comments=comments))
+        load_surface(ply(tmp_path / "a.ply", ply_square(**ST, texnumber=("int", [0, 1])), comments=comments))
     elsewhere = [f"TextureFile {tmp_path / 'wood.png'}"]
-    with pytest.raises(
-        ImageError, match=r"a\.ply: .*wood\.png cannot be read: absolute paths are not followed"
-    ):
-        load_surface(ply(tmp_path / "a.ply", ply_square(**st), comments=elsewhere))
+    with pytest.raises(ImageError, match=r"a\.ply: .*wood\.png .*: absolute paths are not followed"):
+        load_surface(ply(tmp_path / "a.ply", ply_square(**ST), comments=elsewhere))
 
 
 def off(path, text):
@@ -339,22 +331,16 @@ def test_off_faces_have_colours_of_their_own_and_any_number_of_corners(tmp_path)
     [
         ("", "is empty"),
         ("# only\n", "first word is not OFF"),
-        ("ply\n", "first word is not OFF"),
         ("4OFF\n1 1 0\n", "a kind of OFF file"),
         ("OFF BINARY\n1 1 0\n", "a kind of OFF file"),
         ("OFF\n", "numbers of vertices and faces are missing"),
-        ("OFF\nthree\n", "numbers of vertices and faces are missing"),
-        ("OFF\n3\n", "numbers of vertices and faces are missing"),
         ("OFF\n3 1 0\n0 0 0\n", "is truncated"),
-        ("OFF\n-3 1 0\n0 0 0\n", "is truncated"),
         ("OFF\n3 0 0\n0 0 0\n1 0 0\n0 1 0\n", "no triangles"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 zero\n3 0 1 2\n", "not numbers"),
         ("OFF\n3 1 0\n0 0 0\n1 0\n0 1 0\n3 0 1 2\n", "less than three numbers"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\nnan 0 1 2\n", "fewer corners"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 1.5\n", "not among the 3"),
-        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n1e300 0 1 2\n", "fewer corners"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1\n", "fewer corners than it says"),
-        ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 3\n", "not among the 3"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 -1\n", "not among the 3"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n2 0 1\n", "no triangles"),
         ("OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 nan\n3 0 1 2\n", "not all finite"),
@@ -374,16 +360,6 @@ def test_stl_models_are_white(tmp_path, ascii):
     assert (surface.evaluate(surface.scatter(5)) == 1).all()
 
 
-def _facet_words(path, words, header=b""):
-    """The model of a binary STL file with a header and a word of colour for each facet."""
-    data = bytearray(stl(path, SQUARE, SQUARE_TRIANGLES).read_bytes())
-    data[: len(header)] = header
-    for facet, word in enumerate(words):
-        struct.pack_into("<H", data, 84 + 50 * facet + 48, word)
-    path.write_bytes(data)
-    return load_surface(path)
-
-
 @pytest.mark.parametrize(
     ("header", "words", "colors"),
     [
@@ -395,7 +371,13 @@ def _facet_words(path, words, header=b""):
     ],
 )
 def test_facets_of_binary_stl_files_have_colours(tmp_path, header, words, colors):
-    surface = _facet_words(tmp_path / "a.stl", words, header)
+    path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES)
+    data = bytearray(path.read_bytes())
+    data[: len(header)] = header
+    for facet, word in enumerate(words):
+        struct.pack_into("<H", data, 84 + 50 * facet + 48, word)
+    path.write_bytes(data)
+    surface = load_surface(path)
     samples = surface.scatter(20)
     expected = srgb_to_linear(np.array(colors)[samples.triangles] / 255)
     np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-6)

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from octex.channels import srgb_to_linear
-from octex.errors import ModelError, ModelWarning, OctexError
+from octex.errors import ModelError, ModelWarning
 from octex.source.load import load_surface
-from octex.source.materials import MaterialSource
 from tests.make.agreement import assert_agrees
 from tests.make.fixtures import OBJ_SQUARE, Gltf, obj, png, random_image
 from tests.make.refusal import refused
@@ -35,33 +34,8 @@ def test_a_texture_is_bound_with_v_up_and_repeats(tmp_path):
     assert_agrees(wooden(tmp_path, square=OBJ_SQUARE.replace("vt 1 1", "vt 2.5 -1.5")))
 
 
-def test_the_first_row_of_the_image_lies_at_v_1(tmp_path):
-    path = wooden(tmp_path)
-    image = np.array([[[255] * 3], [[0] * 3]], np.uint8)
-    (tmp_path / "wood.png").write_bytes(png(image))
-    surface = load_surface(path)
-    samples = surface.scatter(100)
-    values = surface.evaluate(samples)[:, 0]
-    assert (values[samples.points[:, 1] > 0.75] > 0.9).sum() > 0
-    assert np.corrcoef(values, samples.points[:, 1])[0, 1] > 0
-
-
-def test_kd_is_an_srgb_value_and_multiplies_the_map(tmp_path):
-    surface = assert_agrees(wooden(tmp_path, WOOD + "Kd 0.5 0.25 1\n"))
-    plain = assert_agrees(wooden(tmp_path))
-    samples = surface.scatter(20)
-    expected = plain.evaluate(samples) * srgb_to_linear([0.5, 0.25, 1])
-    np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-5)
-
-
-def test_opaque_materials_ignore_the_alpha_of_their_map(tmp_path):
-    path = wooden(tmp_path, WOOD + "d 1\n")
-    (tmp_path / "wood.png").write_bytes(png(random_image(4, 4, 4)))
-    assert len(assert_agrees(path).channels) == 1
-
-
 def test_each_face_keeps_its_material(tmp_path):
-    mtl = WOOD + "newmtl red\nKd 1 0 0\nd 0.5\nnewmtl stone\nmap_Kd stone.png\n"
+    mtl = WOOD + "Kd 0.5 0.25 1\nnewmtl red\nKd 1 0 0\nd 0.5\nnewmtl stone\nmap_Kd stone.png\n"
     faces = [("wood", "1/1 2/2 3/3"), ("red", "1 3 4"), ("stone", "1/4 2/1 4/2"), ("wood", "2/1 3/2 4/4")]
     lines = "".join(f"usemtl {material}\nf {corners}\n" for material, corners in faces)
     images = {"wood.png": png(random_image(4, 4)), "stone.png": png(random_image(3, 5, seed=1))}
@@ -72,11 +46,8 @@ def test_materials_that_no_face_uses_are_not_read(tmp_path):
     expected = load_surface(wooden(tmp_path))
     mtl = WOOD + "newmtl other\nKd red\nmap_Kd gone.png\n"
     surface = load_surface(wooden(tmp_path, mtl))
-    assert isinstance(surface.source, MaterialSource)
     assert [material.name for material in surface.source.materials if material.name] == ["wood"]
     assert_alike(surface, expected)
-    with pytest.raises(OctexError, match="other"):  # it would be refused
-        load_surface(wooden(tmp_path, mtl, FACES + "usemtl other\nf 1/1 3/3 4/4\n"))
 
 
 def test_colours_of_vertices_are_srgb_values(tmp_path):
@@ -141,41 +112,29 @@ def test_every_form_of_a_corner_is_understood(tmp_path):
 
 
 def test_the_way_lines_are_written_does_not_matter(tmp_path):
-    lines = [
-        "\ufeff# a comment",
-        "\tv  0 0\t0 # here",
-        "v 1e0 +0 -0.0",
-        "v .0 1. 0",
-        "g x y",
-        "s off",
-        "o z",
-        "l 1 2",
-        "f 1 \\",
-        " 2 3 ",
-    ]
+    lines = ["\ufeff# a comment", "\tv  0 0\t0 # here", "v 1e0 +0 -0.0", "v .0 1. 0"]
+    lines += ["g x y", "s off", "o z", "l 1 2", "f 1 \\", " 2 3 "]
     path = tmp_path / "a.obj"
-    for text in ("\r\n".join(lines), "\n".join(lines) + "\n"):
-        for encoding in ("utf-8", "utf-16-le"):
-            path.write_bytes(text.encode(encoding))
-            surface = load_surface(path)
-            np.testing.assert_array_equal(surface.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
-            np.testing.assert_array_equal(surface.triangles, [[0, 1, 2]])
+    for end, encoding in (("\r\n", "utf-8"), ("\n", "utf-16-le")):
+        path.write_bytes(end.join(lines).encode(encoding))
+        surface = load_surface(path)
+        np.testing.assert_array_equal(surface.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+        np.testing.assert_array_equal(surface.triangles, [[0, 1, 2]])
 
 
 @pytest.mark.parametrize(
-    "name", ["wood.png", "maps/wood.png", "maps\\wood.png", "C:\\temp\\my models\\wood.png", "old wood.png"]
+    ("name", "there"),
+    [
+        ("wood.png", "wood.png"),
+        ("maps/wood.png", "maps/wood.png"),
+        ("old wood.png", "old wood.png"),
+        ("maps\\wood.png", "maps/wood.png"),
+        ("C:\\temp\\my models\\wood.png", "wood.png"),
+        ("WOOD.PNG", "wood.png"),
+        ("Maps/Wood.png", "wood.PNG"),
+    ],
 )
-def test_images_are_found_beside_the_model_however_their_path_is_written(tmp_path, name):
-    place = {"maps\\wood.png": "maps/wood.png", "C:\\temp\\my models\\wood.png": "wood.png"}.get(name, name)
-    mtl = f"newmtl wood\nmap_Kd {name}\n"
-    path = obj(
-        tmp_path / "a.obj", OBJ_SQUARE + "usemtl wood\n" + FACES, mtl, {place: png(random_image(4, 4))}
-    )
-    assert load_surface(path).evaluate(load_surface(path).scatter(50)).std() > 0.05
-
-
-@pytest.mark.parametrize(("name", "there"), [("WOOD.PNG", "wood.png"), ("Maps/Wood.png", "wood.PNG")])
-def test_images_are_found_in_any_case_as_windows_does(tmp_path, name, there):
+def test_images_are_found_beside_the_model_however_their_path_is_written(tmp_path, name, there):
     files = {there: png(random_image(4, 4)), "b.png": png(np.zeros((4, 4, 3), np.uint8))}
     mtl = f"newmtl wood\nmap_Kd {name}\n"
     path = obj(tmp_path / "a.obj", OBJ_SQUARE + "usemtl wood\n" + FACES, mtl, files)
@@ -230,32 +189,22 @@ def test_a_rest_mesh_needs_no_materials(tmp_path):
         ("", "is empty"),
         ("# nothing\n", "no triangles"),
         (OBJ_SQUARE, "no triangles"),
-        (OBJ_SQUARE + "l 1 2\np 3\n", "no triangles"),
         (OBJ_SQUARE + "f 1 2\n", "no triangles"),
         (OBJ_SQUARE + "f 1 2 9\n", "a face uses a vertex that is not among the 4"),
-        (OBJ_SQUARE + "f 1 2 -5\n", "a face uses a vertex that is not among the 4"),
         (OBJ_SQUARE + "f 1 2 0\n", "a face uses a vertex that is not among the 4"),
         (OBJ_SQUARE + "f 1/1 2/2 3/7\n", "a face uses a texture coordinate that is not among the 4"),
         (OBJ_SQUARE + FACES + "f 1 2 x\n", "'f 1 2 x' is not a face"),
-        (OBJ_SQUARE + "f 1 2 3.5\n", "'f 1 2 3.5' is not a face"),
         (OBJ_SQUARE + "f 1 2 3/1/1/1\n", "is not a face"),
         (OBJ_SQUARE + "f 1 2 /3\n", "is not a face"),
-        (OBJ_SQUARE + "f 1 2 3/-\n", "is not a face"),
         ("v 0 0 0\nv 1 0\nv 0 1 0\nf 1 2 3\n", "'v 1 0' has too few numbers"),
         ("v 0 0 0\nv 1 0 zero\nv 0 1 0\nf 1 2 3\n", "'v 1 0 zero' is not numbers"),
         ("v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "not all finite"),
-        ("v 0 0 0\nv 1 0 1e999\nv 0 1 0\nf 1 2 3\n", "not all finite"),
         ("v 0 0 0\0\nv 1 0 1\nv 0 1 0\nf 1 2 3\n", "not a text file"),
     ],
 )
 def test_a_bad_model_is_refused_in_one_line_that_names_it(tmp_path, lines, message):
     with refused(ModelError, message, "bad.obj"):
         load_surface(obj(tmp_path / "bad.obj", lines))
-
-
-def test_coordinates_that_are_not_finite_are_refused(tmp_path):
-    with pytest.raises(ModelError, match="texture coordinates are not all finite"):
-        load_surface(wooden(tmp_path, square=OBJ_SQUARE.replace("vt 1 1", "vt inf 1")))
 
 
 @pytest.mark.parametrize(("square", "faces"), [(OBJ_SQUARE, "f 1 2 3\n" + FACES), ("", "f 1/1 2/2 3/3\n")])
@@ -382,7 +331,6 @@ def test_normals_of_the_model_are_kept_if_asked_for_and_there(tmp_path):
         assert load_surface(path).frames is None
         surface = load_surface(path, normals=True)
         if has_normals:
-            assert surface.frames is not None
             corners = surface.frames.normals.values[surface.frames.normals.rows]
             np.testing.assert_allclose(corners, bent[surface.triangles], atol=1e-6)
         else:
@@ -415,7 +363,6 @@ def test_normals_that_are_no_directions_are_those_of_their_faces(tmp_path):
 
 def test_the_first_texture_coordinates_are_kept_where_every_face_has_them(tmp_path):
     surface = load_surface(wooden(tmp_path, "newmtl wood\nmap_Kd -s 5 wood.png\n"))
-    assert surface.uv is not None
     corners = surface.vertices[surface.triangles]
     np.testing.assert_allclose(surface.uv.values[surface.uv.rows][..., 0], corners[..., 0])
     np.testing.assert_allclose(surface.uv.values[surface.uv.rows][..., 1], 1 - corners[..., 1])

@@ -1,14 +1,12 @@
 """Textures as PLY point clouds, read back by another library."""
 
-import sys
-
 import numpy as np
 import pytest
 import trimesh
 
 from octex import channels, jit
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat, linear_to_srgb
-from octex.errors import OutputError, TextureFileError
+from octex.errors import TextureFileError
 from octex.formats.ply import write_points
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import AREA_ONE
@@ -150,22 +148,9 @@ def test_a_damaged_tree_is_named_and_what_stood_there_stays(tmp_path):
     texture = texture_of()
     texture.tree.arrays.groups[0, :2] = 0
     (tmp_path / "points.ply").write_bytes(b"old")
-    with pytest.raises(
-        TextureFileError, match=r"points\.ply: not written: the octree is damaged, with 0 of 5"
-    ):
+    with pytest.raises(TextureFileError, match=r"points\.ply: not written: .* damaged, with 0 of 5"):
         write_points(texture, tmp_path / "points.ply")
     assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"old"]
-
-
-def test_a_place_that_cannot_be_written_is_named(tmp_path):
-    with pytest.raises(OutputError, match=r"points\.ply: cannot be written"):
-        write_points(texture_of(), tmp_path / "nowhere" / "points.ply")
-    with pytest.raises(OutputError, match="is not a file"):
-        write_points(texture_of(), tmp_path)
-    if sys.platform.startswith("linux"):
-        (tmp_path / "full.ply").symlink_to("/dev/full")
-        with pytest.raises(OutputError, match=r"full\.ply: is not a file that can be replaced"):
-            write_points(texture_of(), tmp_path / "full.ply")
 
 
 @pytest.mark.skipif(jit.DISABLED, reason="too slow without compilation")

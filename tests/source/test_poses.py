@@ -81,7 +81,6 @@ def test_weights_of_another_sum_are_normalized_with_a_warning(tmp_path):
     np.testing.assert_allclose(surface.vertices, posed(file, 0, np.float32(1.2)), atol=1e-5)
     with pytest.warns(ModelWarning, match=words):
         motion = load_motion(file)
-    assert motion is not None
     np.testing.assert_allclose(np.add.reduceat(motion.bones.shares, motion.bones.first[:-1]), 1, atol=1e-12)
 
 
@@ -109,7 +108,6 @@ def test_posed_normals_turn_with_the_joints(tmp_path):
     gltf.add("animations", name="turn", channels=[channel], samplers=[sampler])
     surface = octex.load_surface(gltf.save(tmp_path / "a.glb"), normals=True, pose="turn@0.5")
     frames = surface.posed_frames()
-    assert frames is not None
     normals = frames.normals.values[frames.normals.rows]
     np.testing.assert_allclose(normals, np.broadcast_to([0, -(0.5**0.5), 0.5**0.5], (2, 3, 3)), atol=1e-6)
     np.testing.assert_allclose(surface.scatter(9).normals, normals[0, :1].repeat(9, 0), atol=1e-6)
@@ -164,20 +162,14 @@ def broken(changes):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (
-            {WEIGHTS_0: rows(*[[2, -1, 0, 0]] * 4)},
-            rf"vertex 0 are \[2\.0, -1\.0, 0\.0, 0\.0\], {NOT_WEIGHTS}",
-        ),
+        ({WEIGHTS_0: rows(*[[2, -1, 0, 0]] * 4)}, rf"\[2\.0, -1\.0, 0\.0, 0\.0\], {NOT_WEIGHTS}"),
         ({WEIGHTS_0: rows(*[[np.inf, 1, 0, 0]] * 4)}, NOT_WEIGHTS),
         ({WEIGHTS_0: rows(*[[np.nan, 1, 0, 0]] * 4)}, NOT_WEIGHTS),
         ({WEIGHTS_0: MISSING}, "has JOINTS_0 without weights"),
         ({JOINTS_0: MISSING}, "has a skin but no JOINTS_0"),
         (NO_SUCH_JOINT, "vertex 2 is moved by joint 3, but its skin has 3"),
         ({f"accessors.{MATRICES}.count": 2}, "has 2 inverse bind matrices for 3 joints"),
-        (
-            {"skins.0.joints.1": lambda gltf: gltf.add("nodes")},
-            r"joint nodes\[5\], which the scene does not show",
-        ),
+        ({"skins.0.joints.1": lambda gltf: gltf.add("nodes")}, r"joint nodes\[5\], which the scene does not"),
         ({"skins.0.joints": []}, "has no joints"),
         ({"skins": []}, r"refers to skins\[0\]"),
         (

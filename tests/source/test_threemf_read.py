@@ -154,9 +154,8 @@ def test_of_blended_materials_one_is_read_with_a_warning(tmp_path):
 )  # fmt: skip
 def test_damaged_packages_are_refused_in_one_line(tmp_path, model, message):
     parts = {} if model is None else {"3D/3dmodel.model": model}
-    with pytest.raises(ModelError, match=message) as caught:
+    with pytest.raises(ModelError, match=f"^bad.3mf.*{message}"):
         octex.load_surface(package(tmp_path / "bad.3mf", parts))
-    assert str(caught.value).startswith("bad.3mf")
     (tmp_path / "bad.3mf").write_bytes(b"PK and no more")
     with pytest.raises(ModelError, match="is damaged, or is not a 3MF package"):
         octex.load_surface(tmp_path / "bad.3mf")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import octex
-from octex.channels import BASE_COLOR, DETAIL, EMISSIVE, ROUGHNESS
+from octex.channels import BASE_COLOR, DETAIL, ROUGHNESS
 from octex.errors import ArgumentError, ModelError
 from octex.source.surface import Surface
 from tests.conftest import needs_jit
@@ -38,16 +38,6 @@ def test_a_model_transferred_to_itself_is_itself():
         np.testing.assert_allclose(
             made.evaluate(samples, form.name), surface.evaluate(samples, form.name), atol=1e-6
         )
-
-
-def test_one_channel_alone_leaves_the_others_as_they_are():
-    surface = tetrahedron()
-    other = FaceSource((BASE_COLOR, EMISSIVE), np.full((4, 6), 0.25))
-    transfer = octex.Transfer(Surface(surface.vertices, surface.triangles, other))
-    made = surface.with_sources({"emissive": transfer})
-    samples = surface.scatter(50)
-    assert np.allclose(made.evaluate(samples, "emissive"), 0.25)
-    assert np.allclose(made.evaluate(samples), surface.evaluate(samples))
 
 
 @needs_jit
@@ -139,16 +129,9 @@ def test_files_are_read_and_channels_that_are_not_there_refused(tmp_path):
     assert "square.ply" in repr(transfer)
 
 
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        ({"distance": -1.0}, "distance"),
-        ({"max_angle": 200.0}, "max_angle"),
-        ({"distance": np.nan}, "distance"),
-    ],
-)
-def test_numbers_out_of_range_are_refused(options, complaint):
-    with pytest.raises(ArgumentError, match=complaint):
+@pytest.mark.parametrize("options", [{"distance": -1.0}, {"distance": np.nan}, {"max_angle": 200.0}])
+def test_numbers_out_of_range_are_refused(options):
+    with pytest.raises(ArgumentError, match=next(iter(options))):
         octex.Transfer(tetrahedron(), **options)
 
 
@@ -194,8 +177,7 @@ def test_gaps_do_not_darken_averages_of_what_is_transparent_beside_them():
 
 
 @needs_jit
-@pytest.mark.parametrize("alpha", [1.0, 0.5, in_half])
-@pytest.mark.parametrize("kind", ["transfer", "radius", "distance"])
+@pytest.mark.parametrize(("kind", "alpha"), [("transfer", 0.5), ("radius", 1.0), ("distance", in_half)])
 def test_alpha_from_elsewhere_does_not_fill_gaps(kind, alpha):
     red, both = two_squares()
     colors = octex.Transfer(red, distance=0.1)

@@ -1,9 +1,7 @@
 """USD: what is written as OpenUSD reads and validates it, and stages made by OpenUSD as octex reads them."""
 
-import io
 import json
 import sys
-import zipfile
 
 import numpy as np
 import PIL.Image
@@ -15,19 +13,12 @@ from octex.channels import srgb_to_linear
 from octex.errors import ImageError, MissingExtraError, ModelError, ModelWarning
 from octex.source.mesh import SurfaceSamples
 from tests.make.refusal import refused
-from tests.make.small_surfaces import whole
 
 pxr = pytest.importorskip("pxr", reason="the extra octex[usd] is not installed")
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdShade, Vt  # noqa: E402
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
 ST = [(0, 0), (1, 0), (1, 1), (0, 1)]
-
-
-@pytest.fixture(scope="module")
-def baked():
-    surface = whole()
-    return octex.bake(octex.convert(surface, 4), surface, texture_size=64)
 
 
 class Stage:
@@ -51,20 +42,21 @@ class Stage:
             UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", kind, how).Set(Vt.Vec2fArray(st))
         return mesh
 
+    def shader(self, at, kind, **inputs):
+        """Define a shader; inputs have a type and a value."""
+        shader = UsdShade.Shader.Define(self.stage, at)
+        shader.CreateIdAttr(kind)
+        for name, (type_name, value) in inputs.items():
+            shader.CreateInput(name, getattr(Sdf.ValueTypeNames, type_name)).Set(value)
+        return shader
+
     def material(self, mesh, at="/material", **inputs):
         """Bind an image, whose shader has these inputs, as the diffuse colour."""
         material = UsdShade.Material.Define(self.stage, at)
-        surface = UsdShade.Shader.Define(self.stage, f"{at}/surface")
-        surface.CreateIdAttr("UsdPreviewSurface")
+        surface = self.shader(f"{at}/surface", "UsdPreviewSurface")
         material.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
-        image = UsdShade.Shader.Define(self.stage, f"{at}/image")
-        image.CreateIdAttr("UsdUVTexture")
-        image.CreateInput("file", Sdf.ValueTypeNames.Asset).Set("image.png")
-        for name, (kind, value) in inputs.items():
-            image.CreateInput(name, getattr(Sdf.ValueTypeNames, kind)).Set(value)
-        reader = UsdShade.Shader.Define(self.stage, f"{at}/reader")
-        reader.CreateIdAttr("UsdPrimvarReader_float2")
-        reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+        image = self.shader(f"{at}/image", "UsdUVTexture", file=("Asset", "image.png"), **inputs)
+        reader = self.shader(f"{at}/reader", "UsdPrimvarReader_float2", varname=("String", "st"))
         reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
         image.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
         image.CreateOutput("rgb", Sdf.ValueTypeNames.Float3)
@@ -109,7 +101,6 @@ def test_images_are_read_at_primvars_however_these_are_spread(how, tmp_path):
     read = made.read()
     expected = srgb_to_linear(made.codes.reshape(-1, 3) / 255.0)
     np.testing.assert_allclose(colors_at(read, QUARTERS), expected, atol=1e-4)
-    assert read.polygons is not None
     assert (read.polygons.numbers == 0).all()
     *_, vertices = read.loops()
     assert vertices.tolist() == [0, 1, 2, 3]
@@ -129,10 +120,8 @@ def test_images_are_scaled_moved_and_read_in_the_space_that_is_said(tmp_path):
 def test_a_transform_turns_coordinates_counter_clockwise(tmp_path):
     made = Stage(tmp_path)
     made.material(made.square())
-    turn = UsdShade.Shader.Define(made.stage, "/material/turn")
-    turn.CreateIdAttr("UsdTransform2d")
-    turn.CreateInput("rotation", Sdf.ValueTypeNames.Float).Set(90.0)
-    turn.CreateInput("translation", Sdf.ValueTypeNames.Float2).Set(Gf.Vec2f(1, 0))
+    change = {"rotation": ("Float", 90.0), "translation": ("Float2", Gf.Vec2f(1, 0))}
+    turn = made.shader("/material/turn", "UsdTransform2d", **change)
     reader = UsdShade.Shader.Get(made.stage, "/material/reader")
     turn.CreateInput("in", Sdf.ValueTypeNames.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
     turn.CreateOutput("result", Sdf.ValueTypeNames.Float2)
@@ -181,13 +170,11 @@ def test_subsets_have_their_own_materials_and_constants_count(tmp_path):
     mesh.CreateFaceVertexIndicesAttr([0, 1, 2, 0, 2, 3])
     made.material(mesh)
     plain = UsdShade.Material.Define(made.stage, "/plain")
-    surface = UsdShade.Shader.Define(made.stage, "/plain/surface")
-    surface.CreateIdAttr("UsdPreviewSurface")
+    surface = made.shader("/plain/surface", "UsdPreviewSurface", roughness=("Float", 0.3))
     # The colour comes from the material's own input.
     public = plain.CreateInput("tint", Sdf.ValueTypeNames.Color3f)
     public.Set(Gf.Vec3f(0.2, 0.4, 0.6))
     surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(public)
-    surface.CreateInput("roughness", Sdf.ValueTypeNames.Float).Set(0.3)
     plain.CreateSurfaceOutput().ConnectToSource(surface.ConnectableAPI(), "surface")
     subset = UsdShade.MaterialBindingAPI.Apply(mesh.GetPrim()).CreateMaterialBindSubset(
         "half", Vt.IntArray([1])
@@ -324,7 +311,7 @@ def test_damaged_point_instancers_are_refused(tmp_path, monkeypatch):
         made.read()
 
 
-def test_damaged_stages_are_refused_in_one_line(tmp_path, baked):
+def test_damaged_stages_are_refused_in_one_line(tmp_path):
     def without(change, words, error=ModelError, name="model.usda"):
         folder = tmp_path / str(len(list(tmp_path.iterdir())))
         folder.mkdir()
@@ -347,12 +334,13 @@ def test_damaged_stages_are_refused_in_one_line(tmp_path, baked):
         lambda made, _: UsdShade.Shader.Get(made.stage, "/material/image").GetInput("file").Set("/etc/a.png"),
         "absolute paths are not followed", ImageError,
     )  # fmt: skip
-    octex.write_model(baked, tmp_path / "whole.usdz")
+    colored = octex.Surface.from_arrays(SQUARE, [[0, 1, 2], [0, 2, 3]], colors=np.full((4, 3), 0.5))
+    octex.write_model(colored, tmp_path / "whole.usdz")
     data = (tmp_path / "whole.usdz").read_bytes()
     for number, length in enumerate((10, 200, len(data) // 2)):
         (tmp_path / f"cut{number}.usdz").write_bytes(data[:length])
-        words = rf"cut{number}\.usdz.* (is damaged, or is not a USD stage|is missing)"
-        with pytest.raises((ModelError, ImageError), match=words):
+        words = rf"cut{number}\.usdz.* is damaged, or is not a USD stage"
+        with pytest.raises(ModelError, match=words):
             octex.load_surface(tmp_path / f"cut{number}.usdz")
 
 
@@ -383,9 +371,7 @@ def test_files_that_a_stage_refers_to_and_are_not_read_are_named(file, words, tm
 def test_what_is_connected_and_not_read_is_said(tmp_path):
     made = Stage(tmp_path)
     surface = made.material(made.square())
-    reader = UsdShade.Shader.Define(made.stage, "/material/colors")
-    reader.CreateIdAttr("UsdPrimvarReader_float3")
-    reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("Cd")
+    reader = made.shader("/material/colors", "UsdPrimvarReader_float3", varname=("String", "Cd"))
     color = reader.CreateOutput("result", Sdf.ValueTypeNames.Float3)
     surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f).ConnectToSource(color)
     with pytest.warns(ModelWarning, match="what diffuseColor is connected to is not read; bake it"):
@@ -445,13 +431,3 @@ def test_without_usd_core_its_extra_is_named(tmp_path, monkeypatch):
     words = r"a.usda: to read USD, usd-core is needed; install it: pip install 'octex\[usd\]'"
     with pytest.raises(MissingExtraError, match=words):
         octex.load_surface(tmp_path / "a.usda")
-
-
-def test_images_inside_packages_are_read_from_there(baked, tmp_path):
-    octex.write_model(baked, tmp_path / "a.usdz")
-    with zipfile.ZipFile(tmp_path / "a.usdz") as package:
-        (name, *_) = [each for each in package.namelist() if each.endswith("0.png")]
-        image = np.array(PIL.Image.open(io.BytesIO(package.read(name))))
-    read = octex.load_surface(tmp_path / "a.usdz", channels=["base_color"])
-    texels = read.source.materials[0].inputs["base_color"].texture.texels
-    np.testing.assert_array_equal(texels[..., :3] // 257, image[..., :3])

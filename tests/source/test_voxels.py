@@ -92,13 +92,11 @@ def test_floats_are_linear_light_and_stay_so_above_1():
     leaves = stored(found, "emissive")
     for place, value in zip(COORDS, light / 5, strict=True):
         np.testing.assert_allclose(leaves[tuple((place + 0.5) / 16)], value, rtol=1e-6)
-    with pytest.raises(
-        ArgumentError, match="voxels: channel 'emissive' has values above 1, which uint8 cannot"
-    ):
+    with pytest.raises(ArgumentError, match="channel 'emissive' has values above 1, which uint8 cannot"):
         octex.convert(octex.Voxels(COORDS, {"emissive": light}), dtype="uint8")
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(4))
 def test_random_voxels_are_textures_that_can_be_edited(seed):
     random = np.random.default_rng(seed)
     depth = int(random.integers(1, 6))
@@ -189,9 +187,11 @@ def moved(index):
     return whole(chunks=chunks)
 
 
-@pytest.mark.parametrize("compression", ["none", "deflate", "lzma", "zstd"])
-@pytest.mark.parametrize("style", ["none", "as_is", "all"])
-@pytest.mark.parametrize("filtered", ["none", "parent", "neighbor"])
+@pytest.mark.parametrize(
+    ("compression", "style", "filtered"),
+    [(compression, "as_is", "none") for compression in ("none", "deflate", "zstd")]
+    + [("lzma", *both) for both in product(("none", "as_is", "all"), ("none", "parent", "neighbor"))],
+)
 def test_o_voxels_files_are_read(tmp_path, compression, style, filtered):
     data = vxz(COORDS, VALUES, compression=compression, style=style, filtered=filtered)
     (tmp_path / "a.vxz").write_bytes(data)

@@ -15,6 +15,7 @@ from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from octex.view.visibility import distances_to_edges, straight, view_of, visibility_of
 from tests.make.painted import above, ball, one_color, picture_of, plain, square, together
+from tests.make.small_surfaces import OCTAHEDRON, OCTAHEDRON_FACES
 from tests.make.solids import cube
 
 
@@ -83,9 +84,8 @@ def blobs_of(random):
     return plain(together(*blobs))
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_hidden_points_are_painted_if_asked_for_wherever_they_face_the_camera(seed):
-    random = np.random.default_rng(seed)
+def test_hidden_points_are_painted_if_asked_for_wherever_they_face_the_camera():
+    seed, random = 0, np.random.default_rng(0)
     surface = blobs_of(random)
     camera = Camera.fitted(0.6 * surface.vertices, random.normal(size=3), size=(96, 80))
     samples = surface.scatter(3000, seed)
@@ -129,21 +129,6 @@ def test_a_crease_is_seen_right_into_its_corner():
     beside &= ((pixels > 2) & (pixels < 126)).all(axis=1) & (np.abs(samples.points[:, 0]) < 0.45)
     assert beside.sum() > 10
     assert (seen(surface, camera, samples.triangles, samples.barycentric)[beside] > 0.5).all()
-
-
-def test_paint_fades_at_grazing_angles():
-    surface, camera = ball(), above(4.0, 200)
-    samples = surface.scatter(5000, 1)
-    toward = camera.position - samples.points
-    normals = samples.points / np.linalg.norm(samples.points, axis=1)[:, None]
-    cosine = np.einsum("nx,nx->n", normals, toward) / np.linalg.norm(toward, axis=1)
-    angles = np.degrees(np.arccos(cosine))
-    found = seen(surface, camera, samples.triangles, samples.barycentric, max_angle=60.0)
-    assert (found[angles > 60.5] == 0).all()
-    assert (found[angles < 49.5] == 1).all()
-    between = (angles > 52) & (angles < 58)
-    assert (found[between] > 0).all()
-    assert (found[between] < 1).all()
 
 
 def faded(cosines, max_angle):
@@ -212,9 +197,7 @@ def test_paint_on_a_cube_keeps_its_creases():
 
 @pytest.mark.parametrize("posed", [False, True])
 def test_normals_of_the_model_itself_come_first(posed):
-    rest = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
-    faces = [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
-    triangles = np.array(faces, np.int32)
+    rest, triangles = OCTAHEDRON, OCTAHEDRON_FACES
     given = Corners(rest.astype(np.float32), triangles)
     frames = corner_frames(rest, triangles, given, None, None)
     turn = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]) if posed else np.eye(3)
@@ -295,15 +278,8 @@ def test_beside_an_edge_paint_is_that_of_the_surface_itself():
 def test_a_lens_is_seen_through_a_pinhole_that_is_wide_enough():
     surface = ball()
     plain_camera = above(3.0, 120, 100.0)
-    camera = Camera.pinhole(
-        (120, 120),
-        pose=np.linalg.inv(plain_camera.world_to_camera),
-        convention="opengl",
-        focal=100.0,
-        distortion=(-0.2, 0.02, 0.001, -0.002),
-    )
-    # The pose is ours, world-to-camera with y down: read it as it is.
-    camera = Camera(120, 120, camera.K, plain_camera.world_to_camera, "pinhole", camera.distortion)
+    lens, world_to_camera = (-0.2, 0.02, 0.001, -0.002), plain_camera.world_to_camera
+    camera = Camera(120, 120, plain_camera.K, world_to_camera, "pinhole", lens)
     wide = straight(camera)
     assert wide.width > 120
     samples = surface.scatter(2000, 4)
