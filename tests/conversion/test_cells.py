@@ -74,9 +74,10 @@ def test_a_triangle_that_rises_by_parts_of_a_millionth_has_no_area_above_its_hig
     check([[(low, low + 1, high), (high, low, high - 19), (high, 5 * CELL, high)]], 5)
 
 
-def test_blocks_do_not_show_in_large_triangles():
-    top, cell = (1 << GRID_BITS) - 1, 1 << GRID_BITS - 6
-    check([[(5, 9, 30 * cell), (top, top // 3, 33 * cell + 5), (top // 7, top, 31 * cell - 11)]], 6)
+def test_blocks_do_not_show_in_triangles_of_several():
+    cell = 1 << GRID_BITS - 6
+    corners = [(28, 29, 30), (36, 31, 33), (31, 36, 34)]  # blocks meet at 32
+    check([[tuple(cell * step + 7 for step in corner) for corner in corners]], 6)
 
 
 def test_a_triangle_in_a_cell_plane_belongs_to_the_cell_above_it():

@@ -22,7 +22,7 @@ from octex.conversion.differences import (
 )
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, POSITION_STEPS, Samples, lay_out
-from octex.jit import DISABLED, kernel
+from octex.jit import DISABLED, kernel, spline_box
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, SPLIT, SplitTable
 from octex.tree.morton import decode_cells, encode_cells
@@ -274,3 +274,22 @@ def test_a_patch_covers_what_the_plane_of_a_sample_has_in_its_cell(seed):
     # They go around: each side turns the same way.
     turns = np.cross(np.roll(corners, -1, axis=0) - middle, corners - middle) @ normal
     assert turns.max() < 1e-4 or turns.min() > -1e-4
+
+
+@kernel
+def _spline_box(rows, first, weights):
+    x = weights[0, 0], weights[0, 1], weights[0, 2]
+    y = weights[1, 0], weights[1, 1], weights[1, 2]
+    z = weights[2, 0], weights[2, 1], weights[2, 2]
+    return spline_box(rows, first, (2, 8, 40), x, y, z)
+
+
+def test_rows_are_summed_under_products_of_weights():
+    random = np.random.default_rng(0)
+    rows, weights = random.random((40, 4)).astype(np.float32), random.random((3, 3)).astype(np.float32)
+    block = rows[5:32].reshape(3, 3, 3, 4).astype(np.float64)
+    expected = np.einsum("zyxc,x,y,z->c", block, *weights.astype(np.float64))
+    apart = np.zeros((6, 5, 4, 2, 4), np.float32)  # every other row of a box of 4 × 5 × 6
+    apart[2:5, 1:4, 1:, 1] = block
+    found = _spline_box(apart.reshape(-1, 4), 2 * 40 + 8 + 2 + 1, weights)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
