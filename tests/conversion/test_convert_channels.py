@@ -75,12 +75,14 @@ def test_channels_converted_together_are_as_converted_alone():
 
 
 @needs_jit
-def test_the_same_bytes_of_all_channels_come_from_any_number_of_threads(tmp_path, monkeypatch):
+@pytest.mark.parametrize("options", [{}, {"max_error": 2}])
+def test_the_same_bytes_of_all_channels_come_from_any_number_of_threads(options, tmp_path, monkeypatch):
+    monkeypatch.setattr("octex.conversion.fit.BRICK_SAMPLES", 500)
     with ThreadPoolExecutor(1) as alone:
-        octex.convert(whole(), depth=7, run=octex.Run(executor=alone)).save(tmp_path / "alone.octex")
-    monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 5_000)
+        octex.convert(whole(), 6, run=octex.Run(executor=alone), **options).save(tmp_path / "alone.octex")
+    monkeypatch.setattr(fragments, "TASK_FRAGMENTS", 2_000)
     with ThreadPoolExecutor(3) as pool:
-        octex.convert(whole(), depth=7, run=octex.Run(executor=pool)).save(tmp_path / "many.octex")
+        octex.convert(whole(), 6, run=octex.Run(executor=pool), **options).save(tmp_path / "many.octex")
     assert (tmp_path / "alone.octex").read_bytes() == (tmp_path / "many.octex").read_bytes()
 
 

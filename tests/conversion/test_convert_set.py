@@ -113,13 +113,6 @@ def test_triangles_that_are_not_there_are_refused(triangles, error, message):
         pair().part(triangles)
 
 
-def test_parts_are_numbered_as_those_that_overlap():
-    surface = pair()
-    assert surface.parts.dtype == np.int32
-    assert np.array_equal(surface.parts, surface.overlapping_parts().parts)
-    assert surface.parts is surface.parts
-
-
 # --- conversion
 
 

@@ -10,9 +10,9 @@ from octex.channels import ChannelFormat
 from octex.conversion.convert import with_detail
 from octex.conversion.detail import deepest_wanted, wanted_levels
 from octex.errors import ArgumentError, ModelError
-from octex.source.base import Source
 from octex.voxelize.fragments import Fragments
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES
+from tests.make.small_surfaces import FaceSource
 
 DEPTH = 10
 MIDDLES = np.full((2, 3), 1 / 3)
@@ -20,28 +20,13 @@ NO_WIDTHS = np.zeros(2, np.float32)
 BOTH = np.arange(2, dtype=np.int32)  # the square's triangles
 
 
-class Painted(Source):
-    """A channel with a value for each triangle."""
-
-    def __init__(self, values, form):
-        self.values = np.asarray(values, np.float32).reshape(-1, form.components)
-        self.form = form
-
-    @property
-    def channels(self):
-        return (self.form,)
-
-    def evaluate(self, triangles, _barycentric, _widths):
-        return self.values[triangles]
-
-
 def square(posed=SQUARE):
     return octex.Surface.from_arrays(posed, SQUARE_TRIANGLES, rest=SQUARE)
 
 
 def painted(values):
-    source = Painted(values, ChannelFormat("wear", 1, "data"))
-    return square().with_sources({"wear": source})
+    form = ChannelFormat("wear", 1, "data")
+    return square().with_sources({"wear": FaceSource((form,), np.reshape(values, (-1, 1)))})
 
 
 def levels(detail, surface, depth=DEPTH):
@@ -62,43 +47,53 @@ def test_a_function_is_asked_at_rest_positions():
     np.testing.assert_allclose(found, expected[:, 0] * 9)
 
 
-def test_what_a_function_returns_is_cut_to_the_depths_there_are():
-    assert levels(lambda _: [-3, 40], square()) == [0, DEPTH]
-    assert levels(lambda _: [np.inf, -np.inf], square()) == [DEPTH, 0]
+@pytest.mark.parametrize(
+    ("detail", "message"),
+    [
+        *((odd, "detail must return an array of shape (2,), not (") for odd in (7, [7], [[7, 7]], [7] * 3)),
+        *((odd, "detail must return") for odd in (["deep", "deeper"], [[1], [2, 3]], None)),
+        ([3, np.nan], "returned nan at (0.333333, 0.666667, 0); values must be numbers"),
+    ],
+)
+def test_a_function_must_return_a_number_for_each_point(detail, message):
+    with pytest.raises(ArgumentError, match=re.escape(message)):
+        levels(lambda _: detail, square())
 
 
 @pytest.mark.parametrize(
-    ("answers", "message"),
+    ("detail", "message"),
     [
-        ([7, [7], [[7, 7]], [7, 7, 7]], "detail must return an array of shape (2,), not ("),
-        ([["deep", "deeper"], [[1], [2, 3]], None], "detail must return"),
+        ("wear", "unknown detail 'wear'; there are: base_color, flow, stretch"),
+        *((name, f"with one component in 0 … 1, and '{name}' is not") for name in ("base_color", "flow")),
+        *((odd, 'a function, the name of a channel or "stretch"') for odd in (3, ["wear"], b"stretch")),
     ],
 )
-def test_a_function_must_return_a_number_for_each_point(answers, message):
-    for answer in answers:
-        with pytest.raises(ArgumentError, match=re.escape(message)):
-            levels(lambda _, answer=answer: answer, square())
+def test_a_detail_that_is_none_is_refused(detail, message):
+    flow = FaceSource((ChannelFormat("flow", 1, "direction"),), [[1], [1]])
+    with pytest.raises(ArgumentError, match=message):
+        levels(detail, square().with_sources({"flow": flow}))
 
 
-def test_a_function_must_not_return_nan():
-    with pytest.raises(
-        ArgumentError, match=r"returned nan at \(0\.333333, 0\.666667, 0\); values must be numbers"
-    ):
-        levels(lambda _: np.array([3, np.nan]), square())
+@pytest.mark.parametrize(
+    ("detail", "expected"),
+    [
+        ([1, 0.5], [DEPTH, DEPTH - 1]),  # the resolution relative to the finest
+        ([0.25, 1 / 256], [DEPTH - 2, DEPTH - 8]),
+        ([0, -1], [DEPTH - 8, DEPTH - 8]),  # cells at most 256 times as wide
+        ([7, np.nan], [DEPTH, DEPTH]),
+        (lambda _: [-3, 40], [0, DEPTH]),
+        (lambda _: [np.inf, -np.inf], [DEPTH, 0]),
+        ("stretch", [DEPTH, DEPTH]),  # of no pose
+    ],
+)
+def test_channels_and_functions_say_how_deep_to_go(detail, expected):
+    is_channel = isinstance(detail, list)
+    found = levels("wear", painted(detail)) if is_channel else levels(detail, square())
+    assert found == expected
 
 
-def test_a_channel_is_the_resolution_relative_to_the_finest():
-    assert levels("wear", painted([1, 0.5])) == [DEPTH, DEPTH - 1]
-    assert levels("wear", painted([0.25, 1 / 256])) == [DEPTH - 2, DEPTH - 8]
-
-
-def test_a_channel_makes_cells_at_most_256_times_as_wide():
-    assert levels("wear", painted([0, -1])) == [DEPTH - 8, DEPTH - 8]
+def test_a_channel_goes_no_higher_than_the_root():
     assert levels("wear", painted([0, 0.5]), 3) == [0, 2]
-
-
-def test_a_channel_above_one_or_not_a_number_goes_to_the_full_depth():
-    assert levels("wear", painted([7, np.nan])) == [DEPTH, DEPTH]
 
 
 def test_an_image_of_the_channel_detail_says_how_deep_to_go():
@@ -108,33 +103,11 @@ def test_an_image_of_the_channel_detail_says_how_deep_to_go():
     np.testing.assert_allclose(found, DEPTH + np.log2(128 / 255), atol=1e-6)
 
 
-def test_a_detail_that_is_no_channel_lists_those_there_are():
-    with pytest.raises(ArgumentError, match="unknown detail 'wear'; there are: base_color, stretch"):
-        levels("wear", square())
-
-
-@pytest.mark.parametrize("name", ["base_color", "flow"])
-def test_a_channel_must_be_one_number(name):
-    source = Painted([1, 1], ChannelFormat("flow", 1, "direction"))
-    with pytest.raises(ArgumentError, match=f"with one component in 0 … 1, and '{name}' is not"):
-        levels(name, square().with_sources({"flow": source}))
-
-
-@pytest.mark.parametrize("detail", [3, ["wear"], b"stretch"])
-def test_detail_must_be_a_function_or_a_name(detail):
-    with pytest.raises(ArgumentError, match='detail must be a function, the name of a channel or "stretch"'):
-        levels(detail, square())
-
-
 def test_a_channel_that_detail_names_is_read_with_the_others():
     assert with_detail(["a"], "wear") == ["a", "wear"]
     for detail in ("stretch", "a", None, lambda points: points[:, 0]):
         assert with_detail(["a"], detail) == ["a"]
     assert with_detail(None, "wear") is None
-
-
-def test_without_a_pose_stretch_goes_to_the_full_depth_everywhere():
-    assert levels("stretch", square()) == [DEPTH, DEPTH]
 
 
 def test_stretch_is_the_largest_singular_value():
@@ -177,14 +150,11 @@ def test_a_part_that_shrinks_in_the_pose_goes_less_deep():
     np.testing.assert_allclose(wanted(some, MIDDLES, NO_WIDTHS), [DEPTH, DEPTH - 3])
 
 
-def test_triangles_without_area_at_rest_do_not_count():
+def test_a_rest_mesh_or_a_pose_without_area_has_no_stretch():
     flat = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 2, 0]], float)  # the second triangle is a line
     surface = octex.Surface.from_arrays(SQUARE, [[0, 1, 2], [0, 2, 3]], rest=flat)
     with pytest.raises(ModelError, match="its rest mesh has no area"):
         levels("stretch", surface)
-
-
-def test_a_pose_without_area_has_no_stretch():
     with pytest.raises(ModelError, match='its pose has no area, which detail="stretch" needs'):
         levels("stretch", square(SQUARE * [1, 0, 0]))
 

@@ -22,8 +22,7 @@ from octex.conversion.differences import (
 )
 from octex.conversion.prune import Finest, Pruned, limits_of, prune
 from octex.conversion.samples import MOST_POINTS, NORMAL_STEPS, POSITION_STEPS, Samples, lay_out
-from octex.jit import DISABLED, kernel, put, spline_at_eight, spline_box
-from octex.jit.vectors import eight_at
+from octex.jit import DISABLED, kernel, spline_box
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, SPLIT, SplitTable
 from octex.tree.morton import decode_cells, encode_cells
@@ -278,18 +277,6 @@ def test_a_patch_covers_what_the_plane_of_a_sample_has_in_its_cell(seed):
 
 
 @kernel
-def _spline_at_eight(rows, first, weights, found):
-    x = eight_at(weights, 0), eight_at(weights, 8), eight_at(weights, 16)
-    y = eight_at(weights, 24), eight_at(weights, 32), eight_at(weights, 40)
-    z = eight_at(weights, 48), eight_at(weights, 56), eight_at(weights, 64)
-    one, two, three, four = spline_at_eight(rows, first, x, y, z)
-    put(found, 0, one)
-    put(found, 8, two)
-    put(found, 16, three)
-    put(found, 24, four)
-
-
-@kernel
 def _spline_box(rows, first, weights):
     x = weights[0, 0], weights[0, 1], weights[0, 2]
     y = weights[1, 0], weights[1, 1], weights[1, 2]
@@ -305,14 +292,4 @@ def test_rows_are_summed_under_products_of_weights():
     apart = np.zeros((6, 5, 4, 2, 4), np.float32)  # every other row of a box of 4 × 5 × 6
     apart[2:5, 1:4, 1:, 1] = block
     found = _spline_box(apart.reshape(-1, 4), 2 * 40 + 8 + 2 + 1, weights)
-    np.testing.assert_allclose(found, expected, rtol=1e-5)
-
-
-def test_rows_are_summed_at_eight_points():
-    random = np.random.default_rng(1)
-    rows, weights = random.random((40, 4)).astype(np.float32), random.random((3, 3, 8)).astype(np.float32)
-    block = rows[5:32].reshape(3, 3, 3, 4).astype(np.float64)
-    expected = np.einsum("zyxc,xp,yp,zp->cp", block, *weights.astype(np.float64))
-    found = np.zeros((4, 8), np.float32)
-    _spline_at_eight(rows, 5, weights, found)
     np.testing.assert_allclose(found, expected, rtol=1e-5)

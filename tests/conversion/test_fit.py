@@ -26,14 +26,14 @@ from octex.conversion.samples import SHARE_STEPS, sample_points
 from octex.conversion.solve import SHRINK
 from octex.errors import ArgumentError
 from octex.field.field import Field
-from octex.jit import add_to_rows, kernel, weighted_rows
 from octex.parallel import silent
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from tests.conftest import needs_jit
-from tests.make.small_surfaces import FACES, LIGHT, TETRAHEDRON, FaceSource, tetrahedron, whole
+from tests.make.small_surfaces import FACES, LIGHT, TETRAHEDRON, FaceSource, tetrahedron
+from tests.make.solids import cube
 from tests.make.taps import taps_of
 from tests.oracles import naive_fit
 
@@ -113,31 +113,33 @@ def test_the_fit_is_the_least_squares_between_the_bounds(dtype):
         assert np.sqrt(np.mean((values - best) ** 2)) < 0.35 * np.sqrt(np.mean((means - best) ** 2))
 
 
-@needs_jit
-@pytest.mark.parametrize("texels", [16, 64])
-def test_a_fitted_field_is_nearer_to_a_smooth_map(texels):
-    surface = painted(waves(texels))
-    means, fitted = pair(surface, 6)
-    fitted.validate()
-    assert error(fitted, surface) < 0.56 * error(means, surface)  # by 5 dB
-    assert error(fitted, surface) < 0.63 * error(means, surface, "linear")  # by 4 dB
-
-
-@needs_jit
-def test_what_a_leaf_is_rounded_by_its_neighbours_make_good():
+def shaded():
+    """A slanted square of hardly more than one colour."""
     colors = np.array([[0.1] * 3, [0.11] * 3, [0.112] * 3, [0.1025] * 3])
-    surface = Surface.from_arrays(SQUARE, HALVES, colors=colors)
-    means, fitted = pair(surface, 6)
-    assert error(fitted, surface) < 0.56 * error(means, surface) < 0.25
+    return Surface.from_arrays(SQUARE, HALVES, colors=colors)
+
+
+def checkered(squares, texels):
+    checkers = (np.indices((squares, squares)).sum(axis=0) % 2 * 255).astype(np.uint8)
+    return painted(checkers.repeat(texels, axis=0).repeat(texels, axis=1))
 
 
 @needs_jit
-def test_a_hard_edge_is_sharper_and_stays_in_range():
-    checkers = (np.indices((16, 16)).sum(axis=0) % 2 * 255).astype(np.uint8)
-    surface = painted(np.repeat(np.repeat(checkers, 4, axis=0), 4, axis=1))
-    means, fitted = pair(surface, 7)
-    assert error(fitted, surface) < 0.71 * error(means, surface)
-    assert error(fitted, surface) < 0.71 * error(means, surface, "linear")
+@pytest.mark.parametrize(
+    ("surface", "depth", "part", "part_of_linear"),
+    [
+        (painted(waves(16)), 6, 0.56, 0.63),  # by 5 dB, and by 4
+        (painted(waves(64)), 6, 0.56, 0.63),
+        (checkered(16, 4), 7, 0.71, 0.71),
+        (shaded(), 6, 0.56, 1.0),  # what a leaf is rounded by its neighbours make good
+    ],
+    ids=["smooth", "smooth texels", "checkers", "shades"],
+)
+def test_a_fitted_field_is_nearer_to_the_source(surface, depth, part, part_of_linear):
+    means, fitted = pair(surface, depth)
+    fitted.validate()
+    assert error(fitted, surface) < part * error(means, surface)
+    assert error(fitted, surface) < part_of_linear * error(means, surface, "linear")
 
 
 @pytest.mark.parametrize("dtype", ONE)
@@ -159,9 +161,7 @@ def test_values_stay_inside_the_range_of_every_type(dtype):
 
 @pytest.mark.parametrize("dtype", ["float16", "float32"])
 def test_light_that_is_nowhere_above_one_is_fitted_below_it_and_other_light_is_not(dtype):
-    checkers = (np.indices((8, 8)).sum(axis=0) % 2 * 255).astype(np.uint8)
-    surface = painted(np.repeat(np.repeat(checkers, 2, axis=0), 2, axis=1))
-    texture = octex.convert(surface, 4, dtype=dtype)
+    texture = octex.convert(checkered(8, 2), 4, dtype=dtype)
     values = texture.channels["base_color"].values
     assert values.max() <= 1 + 1e-6
     whole = octex.cast(texture, "uint8")
@@ -225,7 +225,7 @@ def tiles(across, first=0):
     return Surface.from_arrays(vertices, triangles.reshape(-1, 3).astype(np.int32))
 
 
-@pytest.mark.parametrize("depth", range(6))
+@pytest.mark.parametrize("depth", [0, 1, 3, 5])
 @pytest.mark.parametrize("channel", ["base_color", "roughness"])
 @pytest.mark.parametrize(("across", "first"), [(24, 12), (24, 0), (96, 0)])
 def test_fitted_fields_of_cells_of_many_pieces_are_no_farther_from_the_source_than_means(
@@ -253,7 +253,7 @@ def checkers(points):
     return np.repeat(np.floor(points[:, :2] * 96).sum(axis=1)[:, None] % 2, 3, axis=1)
 
 
-@pytest.mark.parametrize("depth", range(7))
+@pytest.mark.parametrize("depth", [0, 2, 4, 6])
 def test_a_fitted_field_sends_out_the_light_of_what_its_cells_cannot_show(depth):
     surface = tiles(96).with_sources({"base_color": checkers})
     points = surface.scatter(20_000, seed=1)
@@ -265,7 +265,7 @@ def test_a_fitted_field_sends_out_the_light_of_what_its_cells_cannot_show(depth)
     assert np.sqrt(np.mean(fitted**2)) < 1.6 * np.sqrt(np.mean(plain**2)) + 0.001
 
 
-@pytest.mark.parametrize("depth", range(3, 7))
+@pytest.mark.parametrize("depth", [3, 6])
 def test_a_function_read_at_one_point_a_cell_keeps_its_mean_light(depth):
     surface = Surface.from_arrays(SQUARE, HALVES).with_sources({"base_color": checkers})
     points = surface.scatter(20_000, seed=1)
@@ -286,10 +286,7 @@ def test_a_leaf_of_two_values_is_fitted_to_their_mean_in_linear_light():
 
 
 def test_a_cell_met_without_area_is_fitted_like_others():
-    # The lower faces lie in cell planes: cells on the other side are only touched.
-    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
-    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    triangles = np.array([t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))], np.int32)
+    corners, triangles = cube((0, 0, 0))  # whose lower faces touch the cells below
     surface = Surface.from_arrays(corners, triangles, colors=corners)
     texture = octex.convert(surface, cell=3 / 20)
     texture.validate()
@@ -325,16 +322,6 @@ def test_bricks_meet_without_seams(monkeypatch):
     assert apart.max() > 0  # there are several
     assert apart.mean() < 0.5
     assert error(bricks, surface) < 1.25 * error(whole, surface)
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_the_result_does_not_depend_on_threads(threads, monkeypatch):
-    monkeypatch.setattr(fit, "BRICK_SAMPLES", 100)
-    expected = octex.convert(whole(), 4)
-    with ThreadPoolExecutor(threads) as pool:
-        texture = octex.convert(whole(), 4, run=octex.Run(executor=pool))
-    for name, channel in texture.channels.items():
-        assert np.array_equal(channel.values, expected.channels[name].values), name
 
 
 def merged(tree, channels):
@@ -385,27 +372,3 @@ def test_components_that_weigh_alike_are_solved_together_and_alpha_first():
         ("alpha", [3]), ("base_color", [0, 1, 2]), ("metallic", [4, 5]), ("height", [6]),
         ("emissive", [7, 8, 9]), ("four", [10, 11, 12]), ("four", [13]),
     ]  # fmt: skip
-
-
-# --- samples
-
-
-@kernel
-def _through(rows, numbers, weights, step):
-    total = weighted_rows(rows, numbers, weights, 1, numbers.size)
-    add_to_rows(rows, numbers, weights, 1, numbers.size, step)
-    return total
-
-
-def test_rows_of_four_are_summed_and_added_to():
-    random = np.random.default_rng(3)
-    rows = random.random((5, 4), np.float32)
-    numbers = np.array([0, 4, 2, 4], np.int32)
-    weights = random.random(4, np.float32)
-    expected = rows.astype(float)
-    total = sum(weights[i] * expected[numbers[i]] for i in (1, 2, 3))
-    for i in (1, 2, 3):
-        expected[numbers[i]] += weights[i] * expected[numbers[i], 3] * np.array([1.0, 2.0, 3.0, 0.0])
-    found = _through(rows, numbers, weights, tuple(np.float32(k) for k in (1, 2, 3, 0)))
-    assert np.allclose(found, total, rtol=1e-6)
-    assert np.allclose(rows, expected, rtol=1e-6)

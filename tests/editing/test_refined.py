@@ -14,9 +14,8 @@ from octex.channels import ChannelFormat
 from octex.field import neighborhood
 from octex.field.neighborhood import refined_taps
 from octex.texture import Channel, OctreeTexture
-from octex.tree.edit import locate, raised
+from octex.tree.edit import raised
 from octex.tree.octree import Octree
-from tests.conftest import needs_jit
 from tests.make.small_textures import UNIT, UNIT_BOUNDS
 from tests.make.strategies import leaf_sets, points_around, with_random_data
 from tests.oracles import naive
@@ -212,19 +211,3 @@ def test_leaves_raised_to_refined_values_do_not_move_the_quadratic_field(all_chi
     twice = raise_leaves(once, *some_below(once.tree, 0.2, all_children, random))
     assert_unmoved(before, once, points)
     assert_unmoved(before, twice, points)
-
-
-@needs_jit
-@pytest.mark.parametrize("keep", [0.0, 0.5])
-@pytest.mark.parametrize("all_children", [True, False])
-def test_a_shell_of_which_half_is_raised_keeps_its_quadratic_field(all_children, keep):
-    random = np.random.default_rng(4)
-    directions = random.normal(size=(4_000, 3))
-    points = 0.5 + 0.4 * directions / np.linalg.norm(directions, axis=1)[:, None]
-    codes = np.unique([naive.morton(place) for place in np.floor(points * 16).astype(int).tolist()])
-    before = textured(with_random_data(Octree.from_leaves(codes, 4), 0, keep), 0)
-    after = raise_leaves(before, *some_below(before.tree, 0.5, all_children, random))
-    assert after.tree.n_leaves > 2 * before.tree.n_leaves
-    assert locate(before.tree, after.tree.level_codes(6), 6).is_leaf.all()
-    points += 0.02 * random.normal(size=points.shape)
-    assert_unmoved(before, after, np.round(points * 2.0**24) / 2.0**24)

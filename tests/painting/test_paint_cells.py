@@ -10,6 +10,7 @@ from octex.tree.morton import decode_cells
 from tests.conftest import needs_jit
 from tests.make.painted import above, ball, one_color, plain, square
 from tests.painting.test_paint import spot
+from tests.properties.edit_claims import cells_of
 
 pytestmark = needs_jit
 
@@ -18,8 +19,6 @@ def test_the_boundary_is_one_cell_of_the_same_size_around_paint():
     surface, camera = plain(square()), above(3.0, 64, 192.0)
     layer = octex.project(surface, octex.Projection(spot(camera, (1, 0, 0), 8), camera))
     paint = paint_of(layer, 1.0)
-    from octex.tree.morton import decode_cells
-
     for level, each in enumerate(paint):
         around = boundary(each.codes, level)
         if not each.codes.size:
@@ -31,31 +30,6 @@ def test_the_boundary_is_one_cell_of_the_same_size_around_paint():
         assert (apart == 1).all()
 
 
-def test_paint_goes_no_deeper_than_asked_for_and_as_deep_as_pixels_are_fine():
-    surface = plain(square())
-    near, far = above(1.5, 128, 192.0), above(6.0, 128, 192.0)
-    depths = [
-        octex.paint(None, surface, octex.Projection(one_color(camera, (1, 0, 0)), camera)).tree.max_depth
-        for camera in (near, far)
-    ]
-    assert depths[0] == depths[1] + 2
-    cell = 1.0 / 2 ** depths[0]
-    assert 0.5 / 128 <= cell <= 1.1 / 128
-    shallow = octex.paint(None, surface, octex.Projection(one_color(near, (1, 0, 0)), near), max_depth=4)
-    assert shallow.tree.max_depth == 4
-
-
-def places_of(texture, cells):
-    """The middles of cells at rest (n, 3)."""
-    levels = np.searchsorted(texture.tree.arrays.level_cells, cells, side="right") - 1
-    found = np.empty((len(cells), 3))
-    for level in np.unique(levels):
-        own = levels == level
-        codes = texture.tree.level_codes(int(level))[cells[own] - texture.tree.arrays.level_cells[level]]
-        found[own] = texture.placement.to_rest((decode_cells(codes) + 0.5) / 2 ** int(level))
-    return found
-
-
 @pytest.mark.parametrize(("opacity", "blend"), [(1.0, "over"), (0.5, "over"), (0.5, "replace"), (1.0, "add")])
 def test_what_opaque_paint_covers_keeps_nothing_and_has_no_skirts(opacity, blend):
     surface = ball(24)
@@ -64,8 +38,10 @@ def test_what_opaque_paint_covers_keeps_nothing_and_has_no_skirts(opacity, blend
     sphere = octex.Sphere((1.0, 0.0, 0.0), 0.8)
     found = octex.fill(texture, surface, sphere, (0.2, 0.5, 0.7), max_depth=7, opacity=opacity, blend=blend)
     leaves = found.tree.leaf_cells()
-    skirts = places_of(found, leaves[found.tree.arrays.areas[leaves] == 1])
-    kept = places_of(found, found.tree.kept.cells.astype(np.int64))
+    cells = cells_of(found)
+    middles = (cells.low + cells.high) / 2
+    skirts = middles[leaves[found.tree.arrays.areas[leaves] == 1]]
+    kept = middles[found.tree.kept.cells]
     hides = (opacity == 1.0 and blend == "over") or blend == "replace"
     for off in (skirts, kept):
         inside = 0.8 - np.linalg.norm(off - [1.0, 0.0, 0.0], axis=1)
@@ -129,8 +105,7 @@ def test_one_level_serves_where_pixels_vary_little():
     assert [level for level, (leaves, _) in enumerate(layer.tree.cells_by_depth()) if leaves] == [7]
 
 
-@pytest.mark.parametrize("size", [(512, 384), (391, 450)])
-@pytest.mark.parametrize("place", [(0.5, 0.5), (0.02, 0.9)])
+@pytest.mark.parametrize(("size", "place"), [((512, 384), (0.02, 0.9)), ((391, 450), (0.5, 0.5))])
 @pytest.mark.parametrize(("max_depth", "feather"), [(7, 0.0), (3, 0.0), (6, 20.0), (6, 100.0)])
 def test_transparent_parts_far_from_paint_are_not_looked_at(size, place, max_depth, feather, monkeypatch):
     """Nor do they change the paint, but for how pixels fit into those of smaller pictures."""

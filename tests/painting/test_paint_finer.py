@@ -5,14 +5,13 @@ import pytest
 
 import octex
 from octex.channels import decode
-from octex.source.surface import Surface
 from tests.conftest import needs_jit
 from tests.make.painted import ball, plain, square
 from tests.make.small_surfaces import sheet
 from tests.oracles.naive_edits import assert_averages
 from tests.painting.test_paint_sound import DROID
-from tests.properties.edit_claims import assert_one_color, kept_edge
-from tests.properties.edit_models import beyond, cloud, waved
+from tests.properties.edit_claims import assert_one_color, code_width, kept_edge
+from tests.properties.edit_models import vars_of_scripts, waved
 
 pytestmark = needs_jit
 
@@ -23,22 +22,6 @@ def within(surface, texture, center, low, high):
     away = np.linalg.norm(points - center, axis=1)
     points = points[(away > low) & (away < high)]
     return np.asarray(points[texture.contains(points)])
-
-
-@pytest.mark.parametrize(("kind", "depth"), [("grown", 5), ("divided", 3)])
-def test_what_is_erased_over_kept_coefficients_leaves_nothing(kind, depth):
-    if kind == "grown":
-        surface = waved("open", 6, ["base_color"], 99)
-        texture = octex.fill(None, surface, octex.Sphere(surface.rest[0], 0.387), (0, 0.2, 0.2), max_depth=3)
-    else:
-        surface = waved("triangle", 7, ["base_color", "roughness"], 3)
-        texture = octex.resize(octex.convert(surface, 3), 4)
-    everywhere = np.ones(len(surface.triangles), bool)
-    found = octex.fill(texture, surface, everywhere, (0, 0, 1), blend="erase", max_depth=depth)
-    found.validate()
-    points = within(surface, texture, np.zeros(3), 0, 9)
-    assert len(points) > 30
-    np.testing.assert_array_equal(found.sample(points, "alpha"), 0)
 
 
 def test_deep_in_fine_paint_there_is_nothing_but_paint_and_beyond_it_nothing_moves():
@@ -91,43 +74,6 @@ def test_deep_in_fine_paint_the_old_field_shows_through_as_far_as_paint_leaves_i
     np.testing.assert_allclose(found.sample(points), expected, atol=3 * 27 * 4 * 2 * 2.0**-24)
 
 
-def test_half_a_coat_of_fine_paint_is_half_a_coat_on_kept_coefficients_too():
-    surface = waved("triangle", 7, ["base_color"], 3)
-    texture = octex.resize(octex.convert(surface, 3, dtype="float32"), 4)
-    everywhere = np.ones(len(surface.triangles), bool)
-    found = octex.fill(texture, surface, everywhere, (0, 0, 1), opacity=0.5, max_depth=3)
-    points = within(surface, texture, np.zeros(3), 0, 9)
-    expected = 0.5 * texture.sample(points) + [0, 0, 0.5]
-    np.testing.assert_allclose(found.sample(points), expected, atol=2e-5)
-    assert found.tree.kept.cells.size
-
-
-@pytest.mark.parametrize(("radius", "depth"), [(0.3, 4), (0.8, 5)])
-def test_half_erased_over_finer_paint_is_half_everywhere(radius, depth):
-    surface = waved("overlapping", 14, ["base_color"], 26)
-    texture = octex.convert(surface, 3, dtype="float16", fit=False)
-    place = octex.Sphere(tuple(surface.rest[0]), radius)
-    texture = octex.fill(texture, surface, place, (1, 0, 0), max_depth=depth)
-    everything = np.ones(len(surface.triangles), np.bool_)
-    texture = octex.fill(
-        texture, surface, everything, (0, 0, 0), opacity=0.5, blend="erase", max_depth=depth + 1
-    )
-    found = texture.sample(surface.scatter(3000).rest, "alpha")
-    np.testing.assert_allclose(found, np.full((3000, 1), 0.5), atol=0.003)
-
-
-def test_a_coat_is_on_kept_coefficients_also_where_a_texture_faces_other_ways_than_the_surface():
-    surface = ball(16)
-    colors = 0.5 + 0.4 * surface.vertices
-    inside_out = Surface.from_arrays(surface.vertices, surface.triangles[:, ::-1], colors=colors)
-    texture = octex.convert(inside_out, 4)
-    texture = octex.fill(texture, inside_out, octex.Sphere((0, 0, 1), 0.7), (1, 0, 0), max_depth=5)
-    assert texture.tree.kept.cells.size
-    everywhere = np.ones(len(surface.triangles), bool)
-    found = octex.fill(texture, surface, everywhere, (0, 0, 0), opacity=0.2, blend="erase", max_depth=4)
-    np.testing.assert_allclose(found.sample(surface.scatter(2000).rest, "alpha"), 0.8, atol=1e-6)
-
-
 def test_a_second_coat_over_part_of_finer_paint_adds_no_cells():
     for surface in (plain(square(steps=8), (0.2, 0.5, 0.7)), ball(16)):
         texture = octex.convert(surface, 3)
@@ -137,41 +83,6 @@ def test_a_second_coat_over_part_of_finer_paint_adds_no_cells():
         once = octex.fill(found, surface, second, (0, 1, 0), max_depth=5)
         twice = octex.fill(once, surface, second, (0, 1, 0), max_depth=5)
         assert found.tree.n_leaves < once.tree.n_leaves == twice.tree.n_leaves
-
-
-def test_nodes_beside_the_surface_are_means_in_all_channels_when_skirts_are_added_below():
-    surface = waved("open", 9, ["base_color", "normal"], 34)
-    texture = octex.convert(surface, 2, dtype="float16", fit=False)
-    blue, up, place = (
-        (0.2, 0.0, 0.7),
-        (0.0, 0.0, 1.0),
-        octex.Sphere((-0.624, 0.262, 1.046), 0.654, soft=0.164),
-    )
-    texture = octex.fill(texture, surface, [0, 7], blue, opacity=0.5, blend="replace", max_depth=4)
-    found = octex.fill(texture, surface, place, up, channel="normal", blend="multiply", max_depth=4)
-    assert found.tree.n_leaves > texture.tree.n_leaves
-    assert_averages(texture, found)
-
-
-def test_rows_that_nothing_but_skirts_faces_are_means_of_new_ones_too():
-    surface = waved("sphere", 17, ["base_color", "alpha"], 41)
-    start = octex.convert(
-        surface, 2, dtype="float16", fit=False, detail=lambda points: 1 + points[:, 0] * 3 % 1
-    )
-    cyan = (0.7, 1.0, 1.0)
-    texture = octex.fill(start, surface, beyond(1, 0.193, 0.2), cyan, blend="add", max_depth=3)
-    everywhere = np.ones(len(surface.triangles), bool)
-    found = octex.fill(texture, surface, everywhere, (0.2, 0.2, 0), blend="replace", max_depth=3)
-    assert_averages(texture, found)
-
-
-def test_averages_of_hardly_any_surface_are_means_of_new_skirts_too():
-    surface = waved("open", 16, ["base_color", "alpha"], 4)
-    start = octex.convert(surface, 4, dtype="float32")
-    texture = octex.mix(start, octex.resize(start, 3), beyond(1, 0.226, 0.2))
-    pink = (1.0, 0.2, 0.2)
-    found = octex.fill(texture, surface, beyond(0, -0.507, 0.171), pink, opacity=0.2, blend="screen")
-    assert_averages(texture, found)
 
 
 @pytest.mark.parametrize(("max_error", "deeper"), [(None, 1), (None, 2), (4, 0), (4, 1)])
@@ -185,45 +96,6 @@ def test_finer_paint_moves_no_other_channel(kind, max_error, deeper):
     assert found.tree.n_leaves > texture.tree.n_leaves
     before, after = (each.sample(points, "roughness") for each in (texture, found))
     np.testing.assert_allclose(after, before, atol=1e-5)
-
-
-@pytest.mark.parametrize("blend", ["multiply", "screen"])
-def test_rows_above_leaves_that_paint_splits_are_means_of_them_in_all_channels(blend):
-    surface = waved("overlapping", 18, ["base_color", "alpha"], 92)
-    texture = octex.convert(surface, 3, fit=False, dtype="float32")
-    green = (0.0, 0.2, 0.0)
-    found = octex.fill(texture, surface, beyond(1, 0.477, 0.09), green, blend=blend, max_depth=2)
-    assert_averages(texture, found)
-
-
-@pytest.mark.parametrize("seed", [1, 2, 5])
-def test_rows_of_colours_weigh_by_the_alpha_that_newly_split_leaves_have(seed):
-    surface = waved("overlapping", seed, ["base_color", "alpha"], 11 * seed)
-    texture = octex.convert(surface, 2)
-    place = octex.Sphere(tuple(surface.rest[0]), 0.4)
-    yellow = (0.7, 0.7, 0.0)
-    found = octex.fill(texture, surface, place, yellow, opacity=0.5, blend="screen", max_depth=3)
-    assert_averages(texture, found)
-
-
-def test_rows_above_leaves_divided_beside_paint_are_means_of_what_faces_that_way_then():
-    surface = waved("sheet", 4, ["base_color"], 26)
-    texture = octex.convert(cloud(surface, 1), 5, dtype="float32")
-    blue = (0.2, 0.7, 1.0)
-    found = octex.fill(texture, surface, beyond(2, 0.41, 0.132), blue, opacity=0.2, max_depth=6)
-    assert_averages(texture, found)
-
-
-@pytest.mark.parametrize("depth", [3, 5, 6])
-@pytest.mark.parametrize("kind", ["triangle", "sphere"])
-def test_paint_over_all_leaves_nothing_of_finer_paint_below(kind, depth):
-    surface = waved(kind, 11, ["base_color"], 98)
-    texture = octex.convert(surface, 4)
-    place = octex.Sphere(tuple(surface.rest[surface.triangles[0]].mean(axis=0)), 0.5)
-    red = octex.fill(texture, surface, place, (1, 0, 0), max_depth=5)
-    green = octex.fill(red, surface, octex.Sphere((0, 0, 0), 9.0), (0, 1, 0), max_depth=depth)
-    points = surface.scatter(2000).rest
-    np.testing.assert_allclose(green.sample(points), np.tile([0.0, 1, 0], (2000, 1)), atol=1e-6)
 
 
 @pytest.mark.parametrize("blend", ["over", "replace"])
@@ -258,17 +130,6 @@ def test_paint_over_one_side_of_a_thin_sheet_is_seen_on_it_where_there_was_finer
     assert np.abs(found - before)[back].max() < 0.13
 
 
-@pytest.mark.parametrize("depth", [4, 5])
-@pytest.mark.parametrize("kind", ["overlapping", "triangle"])
-def test_finer_paint_over_all_changes_the_field_by_its_part_everywhere(kind, depth):
-    surface = waved(kind, 17, ["base_color", "roughness"], 16)
-    texture = octex.convert(surface, 3, dtype="float32")
-    whole = octex.Sphere((0, 0, 0), 9.0)
-    found = octex.fill(texture, surface, whole, (0, 0, 0), opacity=0.5, max_depth=depth)
-    points = surface.scatter(2000).rest
-    np.testing.assert_allclose(found.sample(points), 0.5 * texture.sample(points), atol=1e-5)
-
-
 @pytest.mark.parametrize("max_depth", [None, 5, 3])
 def test_a_transparent_picture_paints_what_its_opaque_part_alone_paints(max_depth):
     surface = ball()
@@ -294,54 +155,150 @@ def test_a_transparent_picture_paints_what_its_opaque_part_alone_paints(max_dept
     assert whole.tree.n_leaves >= texture.tree.n_leaves
 
 
-@pytest.mark.parametrize("deeper", [0, 1])
-def test_nothing_shows_through_paint_on_cells_that_were_divided_off_the_surface_too(deeper):
-    """The squares lie in planes of cells, beside cells of a resize that they are not in."""
-    surface = waved("planes", 16, ["base_color", "alpha", "roughness"], 52)
-    texture = octex.resize(octex.convert(surface, 4, dtype="uint8", max_error=20), 5)
-    everything = octex.Box((-2, -2, -2), (2, 2, 2))
-    made = octex.fill(texture, surface, everything, (0, 0, 0), blend="erase", max_depth=5 + deeper)
-    made.validate()
-    found = made.sample(surface.scatter(3000).rest, "alpha")
-    assert found.max() < 1e-6
+#: Scripts that make a surface, a texture, and the depths at which all of it is painted.
+COATED = {
+    "nothing but a fill of its own": """
+surface = waved("open", 6, ["base_color"], 99)
+texture = octex.fill(None, surface, octex.Sphere(surface.rest[0], 0.387), (0, 0.2, 0.2), max_depth=3)
+depths = (5,)
+""",
+    "one triangle, divided": """
+surface = waved("triangle", 7, ["base_color", "roughness"], 3)
+texture = octex.resize(octex.convert(surface, 3, dtype="float32"), 4)
+depths = (3,)
+""",
+    "facings other than the surface's, and finer paint": """
+surface = ball(16)
+colors = 0.5 + 0.4 * surface.vertices
+inside_out = octex.Surface.from_arrays(surface.vertices, surface.triangles[:, ::-1], colors=colors)
+texture = octex.convert(inside_out, 4)
+texture = octex.fill(texture, inside_out, octex.Sphere((0, 0, 1), 0.7), (1, 0, 0), max_depth=5)
+depths = (4,)
+""",
+    "a little finer paint": """
+surface = waved("overlapping", 14, ["base_color"], 26)
+texture = octex.convert(surface, 3, dtype="float16", fit=False)
+texture = octex.fill(texture, surface, octex.Sphere(surface.rest[0], 0.3), (1, 0, 0), max_depth=4)
+depths = (5,)
+""",
+    "much finer paint": """
+surface = waved("overlapping", 14, ["base_color"], 26)
+texture = octex.convert(surface, 3, dtype="float16", fit=False)
+texture = octex.fill(texture, surface, octex.Sphere(surface.rest[0], 0.8), (1, 0, 0), max_depth=5)
+depths = (6,)
+""",
+    "finer paint on one triangle": """
+surface = waved("triangle", 11, ["base_color"], 98)
+place = octex.Sphere(surface.rest[surface.triangles[0]].mean(axis=0), 0.5)
+texture = octex.fill(octex.convert(surface, 4), surface, place, (1, 0, 0), max_depth=5)
+depths = 3, 5, 6
+""",
+    "no finer paint": """
+surface = waved("overlapping", 17, ["base_color", "roughness"], 16)
+texture = octex.convert(surface, 3, dtype="float32")
+depths = 4, 5
+""",
+    "cells divided in the planes of squares": """
+surface = waved("planes", 16, ["base_color", "alpha", "roughness"], 52)
+texture = octex.resize(octex.convert(surface, 4, dtype="uint8", max_error=20), 5)
+depths = 5, 6
+""",
+    "cells divided beside thin walls": """
+surface = waved("sheet", 0, ["base_color", "roughness"], 0)
+texture = octex.resize(octex.convert(surface, 4, dtype="float32", max_error=20), 5)
+depths = 5, 6
+""",
+    "finer paint made coarser": """
+surface = waved("cube", 16, ["base_color"], 48)
+texture = octex.convert(surface, 5, dtype="float32")
+texture = octex.fill(texture, surface, octex.Sphere(surface.rest[0], 0.4), (1, 0, 0), max_depth=7)
+texture = octex.resize(texture, 4)
+depths = 4, 5
+""",
+    "divided cells of points, beside finer paint": """
+surface = waved("sheet", 0, ["base_color", "roughness"], 0)
+texture = octex.resize(octex.convert(cloud(surface, 11), 3, dtype="float32"), 4)
+texture = octex.fill(texture, surface, octex.Sphere(surface.rest[0], 0.3), (1, 0, 0), max_depth=5)
+depths = (5,)
+""",
+    "an adaptive tree, divided": """
+surface = waved("flat", 17, ["base_color", "alpha"], 22)
+texture = octex.convert(surface, 3, dtype="float32", detail=lambda points: 1 + 2 * (points[:, 0] * 3 % 1))
+texture = octex.resize(texture, 4)
+depths = (6,)
+""",
+}
 
 
-@pytest.mark.parametrize("depth", [5, 6])
-@pytest.mark.parametrize("kind", ["planes", "sheet"])
-def test_paint_over_all_of_a_divided_texture_leaves_nothing(kind, depth):
-    surface = waved(kind, 0, ["base_color", "roughness"], 0)
-    texture = octex.resize(octex.convert(surface, 4, dtype="float32", max_error=20), 5)
-    everywhere = np.ones(len(surface.triangles), bool)
-    found = octex.fill(texture, surface, everywhere, (0.2, 0.7, 0.4), max_depth=depth)
-    assert_one_color(found, surface, "base_color", (0.2, 0.7, 0.4), 0, averages=False)
+@pytest.mark.parametrize("name", COATED)
+def test_a_coat_over_all_changes_the_field_by_its_part_everywhere(name):
+    names = {**vars_of_scripts(), "ball": ball}
+    exec(COATED[name], names)
+    surface, texture = names["surface"], names["texture"]
+    points = within(surface, texture, np.zeros(3), 0, 9)
+    assert len(points) > 30
+    before, color = texture.sample(points), np.array([0.2, 0.7, 0.4])
+    slack = 1.5 * code_width(texture.channels["base_color"].format) + 2e-5
+    everywhere = octex.Sphere((0, 0, 0), 9.0)
+    is_opaque = "alpha" not in texture.channels and len(points) == 4000  # all of the surface is
+    for depth in names["depths"]:
+        for opacity in (1.0, 0.5) if is_opaque else (1.0,):
+            coat = {"opacity": opacity, "max_depth": depth}
+            painted = octex.fill(texture, surface, everywhere, color, **coat)
+            erased = octex.fill(texture, surface, everywhere, color, blend="erase", **coat)
+            expected = (1 - opacity) * before + opacity * color
+            np.testing.assert_allclose(painted.sample(points), expected, atol=slack)
+            erased.validate()
+            left, rounding = 1 - opacity, 0.006 * (1 - opacity) + 1e-6
+            np.testing.assert_allclose(erased.sample(points, "alpha"), left, atol=rounding)
+            if opacity == 1.0:
+                assert_one_color(painted, surface, "base_color", color, 0, averages="divided" not in name)
 
 
-@pytest.mark.parametrize("depth", [4, 5])
-@pytest.mark.parametrize("kind", ["cube", "sheet"])
-def test_paint_over_all_leaves_nothing_of_finer_paint_that_was_made_coarser(kind, depth):
-    surface = waved(kind, 16, ["base_color"], 48)
-    place = octex.Sphere(tuple(surface.rest[0]), 0.4)
-    texture = octex.fill(octex.convert(surface, 5, dtype="float32"), surface, place, (1, 0, 0), max_depth=7)
-    coarse = octex.resize(texture, depth)
-    found = octex.fill(coarse, surface, np.ones(len(surface.triangles), bool), (0.2, 0.7, 0.4))
-    assert_one_color(found, surface, "base_color", (0.2, 0.7, 0.4), 0)
+#: Scripts whose last line paints a texture, by what its averages are means of.
+AVERAGED = {
+    "nodes beside the surface, in all channels, above new skirts": """
+surface = waved("open", 9, ["base_color", "normal"], 34)
+texture = octex.convert(surface, 2, dtype="float16", fit=False)
+texture = octex.fill(texture, surface, [0, 7], (0.2, 0.0, 0.7), opacity=0.5, blend="replace", max_depth=4)
+place = octex.Sphere((-0.624, 0.262, 1.046), 0.654, soft=0.164)
+made = octex.fill(texture, surface, place, (0.0, 0.0, 1.0), channel="normal", blend="multiply", max_depth=4)
+""",
+    "rows that nothing but skirts faces": """
+surface = waved("sphere", 17, ["base_color", "alpha"], 41)
+detail = lambda points: 1 + points[:, 0] * 3 % 1
+texture = octex.convert(surface, 2, dtype="float16", fit=False, detail=detail)
+texture = octex.fill(texture, surface, beyond(1, 0.193, 0.2), (0.7, 1.0, 1.0), blend="add", max_depth=3)
+everywhere = np.ones(len(surface.triangles), bool)
+made = octex.fill(texture, surface, everywhere, (0.2, 0.2, 0), blend="replace", max_depth=3)
+""",
+    "skirts of cells of hardly any surface": """
+surface = waved("open", 16, ["base_color", "alpha"], 4)
+texture = octex.convert(surface, 4, dtype="float32")
+texture = octex.mix(texture, octex.resize(texture, 3), beyond(1, 0.226, 0.2))
+made = octex.fill(texture, surface, beyond(0, -0.507, 0.171), (1, 0.2, 0.2), opacity=0.2, blend="screen")
+""",
+    "leaves that paint splits, in all channels": """
+surface = waved("overlapping", 18, ["base_color", "alpha"], 92)
+texture = octex.convert(surface, 3, fit=False, dtype="float32")
+made = octex.fill(texture, surface, beyond(1, 0.477, 0.09), (0.0, 0.2, 0.0), blend="multiply", max_depth=2)
+""",
+    "colours of newly split leaves, by alpha": """
+surface = waved("overlapping", 2, ["base_color", "alpha"], 22)
+texture, place = octex.convert(surface, 2), octex.Sphere(surface.rest[0], 0.4)
+made = octex.fill(texture, surface, place, (0.7, 0.7, 0), opacity=0.5, blend="screen", max_depth=3)
+""",
+    "facings of leaves divided beside paint": """
+surface = waved("sheet", 4, ["base_color"], 26)
+texture = octex.convert(cloud(surface, 1), 5, dtype="float32")
+made = octex.fill(texture, surface, beyond(2, 0.41, 0.132), (0.2, 0.7, 1), opacity=0.2, max_depth=6)
+""",
+}
 
 
-@pytest.mark.parametrize("kind", ["planes", "sheet"])
-def test_cells_divided_off_the_surface_are_told_also_beside_finer_paint(kind):
-    surface = waved(kind, 0, ["base_color", "roughness"], 0)
-    texture = octex.resize(octex.convert(cloud(surface, 11), 3, dtype="float32"), 4)
-    place = octex.Sphere(tuple(surface.rest[0]), 0.3)
-    finer = octex.fill(texture, surface, place, (1, 0, 0), max_depth=5)
-    everywhere = np.ones(len(surface.triangles), bool)
-    found = octex.fill(finer, surface, everywhere, (0.2, 0.7, 0.4), max_depth=5)
-    assert_one_color(found, surface, "base_color", (0.2, 0.7, 0.4), 0, averages=False)
-
-
-def test_cells_off_the_surface_take_paint_as_far_as_they_are_refined():
-    surface = waved("flat", 17, ["base_color", "alpha"], 22)
-    start = octex.convert(surface, 3, dtype="float32", detail=lambda points: 1 + 2 * (points[:, 0] * 3 % 1))
-    blue, everything = (0.0, 0.0, 0.7), octex.Box((-2, -2, -2), (2, 2, 2))
-    made = octex.fill(octex.resize(start, 4), surface, everything, blue, max_depth=6)
-    found = made.sample(surface.scatter(3000).rest)
-    np.testing.assert_allclose(found, np.broadcast_to(blue, found.shape), atol=1e-5)
+@pytest.mark.parametrize("script", AVERAGED.values(), ids=AVERAGED)
+def test_averages_above_finer_paint_are_means_of_what_is_there(script):
+    names = dict(vars_of_scripts())
+    exec(script, names)
+    assert names["made"].tree.n_leaves != 0
+    assert_averages(names["texture"], names["made"])

@@ -12,12 +12,13 @@ import numpy as np
 import pytest
 
 import octex
+from octex import container
 from octex.errors import OutputError
 from octex.painting import paint, picture, project
 from octex.painting.resume import digest_of
 from octex.photos import agreement, refine
 from tests.conftest import needs_jit
-from tests.photos.test_agreement import projections, ring
+from tests.make.photographs import projections, ring
 from tests.properties.edit_claims import digest
 
 WORK = {
@@ -60,52 +61,54 @@ def scene():
     return surface, projections(images, cameras), {"max_depth": 4, "balance": "full"}
 
 
+def painted(surface, shown, options, resume=None, **how):
+    """Paint; return the digest of the texture, and what was done for it."""
+    with Counted() as counts:
+        made = octex.paint(None, surface, shown, run=octex.Run(resume=resume, **how), **options)
+    return digest(made), counts
+
+
+def counted(**counts):
+    return dict.fromkeys(WORK, 0) | counts
+
+
 @needs_jit
 @pytest.mark.usefixtures("few_points")
 def test_what_is_done_is_not_done_again(tmp_path):
-    surface, shown, options = scene()
-    expected = digest(octex.paint(None, surface, shown, **options))
+    surface, shown, options = given = scene()
+    expected, _ = painted(*given)
     folder = tmp_path / "kept"
+    everything = counted(decoded=5, seen=5, compared=5, projected=1)
+    assert painted(*given, folder) == (expected, everything)
+    assert painted(*given, folder) == (expected, counted())
     with Counted() as counts:
-        assert digest(octex.paint(None, surface, shown, run=octex.Run(resume=folder), **options)) == expected
-    assert counts == {"decoded": 5, "seen": 5, "compared": 5, "projected": 1, "refined": 0}
-    with Counted() as counts:
-        assert digest(octex.paint(None, surface, shown, run=octex.Run(resume=folder), **options)) == expected
         layer = octex.project(surface, shown, run=octex.Run(resume=folder), **options)
     assert not any(counts.values())
     assert digest(layer) == digest(octex.project(surface, shown, **options))
     for path in folder.glob("layer-*"):
         path.unlink()
-    with Counted() as counts:
-        made = octex.paint(
-            None, surface, shown, run=octex.Run(memory="1kB", folder=tmp_path, resume=folder), **options
-        )
-    assert digest(made) == expected
-    assert counts == {"decoded": 0, "seen": 0, "compared": 0, "projected": 1, "refined": 0}
+    assert painted(*given, folder, memory="1kB", folder=tmp_path) == (expected, counted(projected=1))
 
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
 def test_only_what_has_changed_is_done_anew(tmp_path):
     surface, shown, options = scene()
-    octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options)
+    painted(surface, shown, options, tmp_path)
 
     def repainted(given, surface=surface, **changed):
-        with Counted() as counts:
-            made = octex.paint(None, surface, given, run=octex.Run(resume=tmp_path), **{**options, **changed})
-        assert digest(made) == digest(octex.paint(None, surface, given, **{**options, **changed}))
+        found, counts = painted(surface, given, {**options, **changed}, tmp_path)
+        assert found == painted(surface, given, {**options, **changed})[0]
         return counts
 
     image = np.array(shown[1].image)
     image[0, 0] = 0.5
     other = [shown[0], dataclasses.replace(shown[1], image=image), *shown[2:]]
-    assert repainted(other) == {"decoded": 1, "seen": 0, "compared": 5, "projected": 1, "refined": 0}
-    dimmed = [*shown[:4], dataclasses.replace(shown[4], opacity=0.5)]
-    assert repainted(dimmed)["decoded"] == 1
-    masked = [*shown[:4], dataclasses.replace(shown[4], mask=image)]
-    assert repainted(masked)["decoded"] == 1
+    assert repainted(other) == counted(decoded=1, compared=5, projected=1)
+    for change in ({"opacity": 0.5}, {"mask": image}):
+        assert repainted([*shown[:4], dataclasses.replace(shown[4], **change)])["decoded"] == 1
     moved = [dataclasses.replace(shown[0], camera=shown[1].camera), *shown[1:]]
-    assert repainted(moved) == {"decoded": 0, "seen": 0, "compared": 5, "projected": 1, "refined": 0}
+    assert repainted(moved) == counted(compared=5, projected=1)
     changes = [
         {"max_depth": 3},
         {"max_angle": 50.0},
@@ -130,26 +133,17 @@ def test_only_what_has_changed_is_done_anew(tmp_path):
 @needs_jit
 @pytest.mark.usefixtures("few_points")
 def test_damaged_files_are_made_anew(tmp_path):
-    surface, shown, options = scene()
-    expected = digest(octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options))
+    given = scene()
+    expected, _ = painted(*given, tmp_path)
     for kind, work in (("picture", "decoded"), ("sight", "seen"), ("differences", "compared")):
         for damage in (cut_off, emptied, other_kind):
             for layer in tmp_path.glob("layer-*"):
                 layer.unlink()
             damage(next(tmp_path.glob(f"{kind}-*")), tmp_path)
-            with Counted() as counts:
-                assert (
-                    digest(octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options))
-                    == expected
-                )
-            assert counts == {**dict.fromkeys(WORK, 0), work: 1, "projected": 1}
+            assert painted(*given, tmp_path) == (expected, counted(**{work: 1}, projected=1))
     [layer] = tmp_path.glob("layer-*")
     cut_off(layer, tmp_path)
-    with Counted() as counts:
-        assert (
-            digest(octex.paint(None, surface, shown, run=octex.Run(resume=tmp_path), **options)) == expected
-        )
-    assert counts["projected"] == 1
+    assert painted(*given, tmp_path) == (expected, counted(projected=1))
 
 
 def cut_off(path, _folder):
@@ -168,9 +162,7 @@ def other_kind(path, folder):
 @needs_jit
 def test_numbers_of_triangles_that_are_not_there_are_not_believed(tmp_path):
     surface, shown, options = scene()
-    expected = digest(octex.paint(None, surface, shown[:1], run=octex.Run(resume=tmp_path), **options))
-    from octex import container
-
+    expected, _ = painted(surface, shown[:1], options, tmp_path)
     for name, number in (("rows", 1 << 20), ("rows", -2), ("triangles", len(surface.triangles))):
         for layer in tmp_path.glob("layer-*"):
             layer.unlink()
@@ -178,10 +170,7 @@ def test_numbers_of_triangles_that_are_not_there_are_not_believed(tmp_path):
         tensors = {key: np.array(each) for key, each in container.read(path).tensors.items()}
         tensors[name][tensors[name].shape[0] // 2] = number
         container.write(path, tensors, {})
-        assert (
-            digest(octex.paint(None, surface, shown[:1], run=octex.Run(resume=tmp_path), **options))
-            == expected
-        )
+        assert painted(surface, shown[:1], options, tmp_path)[0] == expected
 
 
 @needs_jit
@@ -245,8 +234,7 @@ def test_a_painting_that_was_killed_goes_on(tmp_path):
     assert not out.exists()
     kept = len(list(folder.glob("picture-*")))
     assert kept >= 3
-    with Counted() as counts:
-        made = octex.paint(None, surface, shown, run=octex.Run(resume=folder), **options)
+    found, counts = painted(surface, shown, options, folder)
     assert counts["decoded"] <= 5 - kept
-    assert digest(made) == digest(octex.paint(None, surface, shown, **options))
+    assert found == painted(surface, shown, options)[0]
     assert all(path.name[0] != "." for path in folder.iterdir())

@@ -1,7 +1,5 @@
 """What only one picture saw is left out; and pictures of other exposures come to agree."""
 
-from concurrent.futures import ThreadPoolExecutor
-from itertools import permutations
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,13 +10,12 @@ from octex.channels import BASE_COLOR, decode
 from octex.conversion import large
 from octex.errors import ArgumentError
 from octex.painting.picture import falloff_at, mips_of
-from octex.painting.reading import terms_of
-from octex.painting.surface import PaintedSurface
 from octex.photos import agreement, weigh
 from octex.photos.consensus import agreed_step, medians, robust_weights
 from octex.photos.patches import patch_of, patches_of, put_mask
 from tests.conftest import needs_jit
-from tests.make.painted import ball, codes, picture_of
+from tests.make.painted import codes
+from tests.make.photographs import error, projections, ring, source_of
 from tests.oracles import naive_agreement
 from tests.properties.edit_claims import LARGEST_GAIN, digest
 from tests.properties.edit_models import camera, picture, waved
@@ -119,29 +116,6 @@ def test_a_mask_fades_between_the_middles_of_its_patches():
     )
 
 
-def ring(count=8, size=96):
-    surface = ball(rings=32)
-    cameras = [
-        octex.Camera.fitted(
-            surface.vertices, (np.sin(turn), 0.2 * (-1) ** n, np.cos(turn)), size=(size, size)
-        )
-        for n, turn in enumerate(2 * np.pi * np.arange(count) / count)
-    ]
-    return surface, cameras, [picture_of(surface, camera) for camera in cameras]
-
-
-def projections(images, cameras):
-    return [octex.Projection(*pair) for pair in zip(images, cameras, strict=True)]
-
-
-def error(found, surface):
-    samples = surface.scatter(5000)
-    seen = found.contains(samples.rest)
-    assert seen.mean() > 0.85
-    apart = codes(found.sample(samples.rest)) - codes(surface.evaluate(samples))
-    return float(np.sqrt((apart[seen] ** 2).mean()))
-
-
 @needs_jit
 def test_a_passer_by_is_left_out_in_any_order_of_pictures():
     surface, cameras, images = ring()
@@ -180,13 +154,7 @@ def test_a_passer_by_is_left_out_also_where_only_one_picture_sees_the_surface():
 def test_of_many_pictures_those_are_compared_that_see_most_of_the_same(monkeypatch):
     surface, cameras, images = ring()
     monkeypatch.setattr(agreement, "_MOST", 5)
-    painted = PaintedSurface(surface)
-    with ThreadPoolExecutor(1) as pool:
-        sights = painted.sights(cameras, 0.0, pool)
-        mips = [mips_of(each, BASE_COLOR) for each in projections(images, cameras)]
-        shots = [sight.shot(own) for sight, own in zip(sights, mips, strict=True)]
-        source = painted.projected(shots, BASE_COLOR, terms_of(75.0, 0.0, False))
-        found = agreement._compared(source, surface)
+    found = agreement._compared(source_of(surface, projections(images, cameras)), surface)
     assert found == [sorted((number + step) % 8 for step in range(-2, 3)) for number in range(8)]
     images[2][30:60, 40:70, :3] = 0.9, 0.02, 0.02
     clean = octex.paint(None, surface, projections(ring()[2], cameras), max_depth=5)
@@ -378,15 +346,6 @@ def test_pictures_that_no_lens_took_are_not_evened_towards_their_corners(kind, f
     layer = octex.project(surface, shots, like=texture, max_depth=4, balance="full", fit=False)
     colors = decode(layer.channels["base_color"].values, "srgb")
     assert colors.max() < LARGEST_GAIN
-
-
-def test_all_orders_of_three_pictures_give_the_same_bits():
-    surface, cameras, images = ring(3, 24)
-    shots = projections(images, cameras)
-    found = [octex.paint(None, surface, order, max_depth=3, balance="full") for order in permutations(shots)]
-    for other in found[1:]:
-        for name, channel in found[0].channels.items():
-            assert np.array_equal(other.channels[name].values, channel.values)
 
 
 def test_large_pictures_have_larger_patches():

@@ -9,7 +9,8 @@ from octex.painting.reading import terms_of
 from octex.photos import labels as labelling
 from octex.photos.weigh import BestPaint
 from tests.conftest import needs_jit
-from tests.make.painted import ball, codes, picture_of
+from tests.make.painted import ball, codes
+from tests.make.photographs import projections, ring
 from tests.oracles import naive_labels
 from tests.painting.test_holes import cut, places
 
@@ -118,13 +119,8 @@ def test_borders_of_other_exposures_are_levelled():
 @needs_jit
 def test_each_patch_comes_from_one_picture_and_no_border_shows():
     """A smooth ball seen by six pictures of other colour casts: what is out of place shows in an average."""
-    surface = ball(rings=32)
-    cameras = [
-        octex.Camera.fitted(surface.vertices, (np.sin(turn), 0.3 * (-1) ** n, np.cos(turn)), size=(96, 96))
-        for n, turn in enumerate(np.arange(6) * np.pi / 3)
-    ]
-    images = [picture_of(surface, camera) for camera in cameras]
-    shots = [octex.Projection(*pair) for pair in zip(images, cameras, strict=True)]
+    surface, cameras, images = ring(6)
+    shots = projections(images, cameras)
     samples = surface.scatter(5000)
     truth = codes(surface.evaluate(samples))
 
@@ -139,12 +135,9 @@ def test_each_patch_comes_from_one_picture_and_no_border_shows():
     rms = [float(np.sqrt(((each - truth)[seen] ** 2).mean())) for each in (average, found)]
     assert rms[1] < rms[0] + 0.5
     np.testing.assert_array_equal(painted(shots[::-1], "best")[0], found)
-    casts = np.random.default_rng(3).uniform(0.9, 1.1, (6, 3))
-    changed = [
-        octex.Projection(np.dstack([image[..., :3] * cast, image[..., 3:]]).astype(np.float32), camera)
-        for image, camera, cast in zip(images, cameras, casts, strict=True)
-    ]
-    found, _ = painted(changed, "best")
+    casts = np.random.default_rng(3).uniform(0.9, 1.1, (6, 3)).astype(np.float32)
+    changed = [image * np.append(cast, np.float32(1)) for image, cast in zip(images, casts, strict=True)]
+    found, _ = painted(projections(changed, cameras), "best")
     assert np.sqrt(((found - truth)[seen] ** 2).mean()) < 10
 
 

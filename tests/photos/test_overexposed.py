@@ -9,8 +9,7 @@ from octex.photos import balance, weigh
 from octex.photos.balance import balanced, without_overexposed
 from tests.conftest import needs_jit
 from tests.make.painted import codes
-from tests.photos.test_agreement import projections, ring
-from tests.photos.test_sharpness import source_of
+from tests.make.photographs import projections, ring, source_of
 
 GAINS = (1.0, 1.0, 2.4, 1.8, 1.1, 0.8, 3.0, 2.0, 1.0, 0.9, 1.5, 2.0)
 

@@ -12,6 +12,8 @@ from octex.painting.sharpened import sharpened
 from octex.source.images.decode import PNG_SIGNATURE, orientation_of, turned
 from octex.texture import open_texture
 from tests.make.command import OUT, run
+from tests.make.deep_images import pfm
+from tests.make.fixtures import png
 from tests.make.painted import above
 
 
@@ -87,22 +89,12 @@ def test_a_backdrop_is_keyed_out_as_codes_are_near():
 def test_pictures_of_16_bits_keep_them_and_floats_are_linear_light(tmp_path):
     pytest.importorskip("OpenImageIO")
     codes = np.random.default_rng(2).integers(0, 65536, (4, 6, 3), np.uint16)
-    write_deep(tmp_path / "a.png", codes)
+    (tmp_path / "a.png").write_bytes(png(codes))
     found = pixels_of(Projection(tmp_path / "a.png", wide()))
     np.testing.assert_allclose(found, held(srgb_to_linear(codes / 65535)), atol=2e-6)
     light = np.random.default_rng(3).uniform(0, 4, (4, 6, 3)).astype(np.float32)
-    write_deep(tmp_path / "a.exr", light)
-    np.testing.assert_array_equal(pixels_of(Projection(tmp_path / "a.exr", wide())), held(light))
-
-
-def write_deep(path, values):
-    import OpenImageIO
-
-    out = OpenImageIO.ImageOutput.create(str(path))
-    kind = "float" if values.dtype == np.float32 else "uint16"
-    assert out.open(str(path), OpenImageIO.ImageSpec(values.shape[1], values.shape[0], 3, kind))
-    assert out.write_image(values)
-    out.close()
+    (tmp_path / "a.pfm").write_bytes(pfm(light))
+    np.testing.assert_array_equal(pixels_of(Projection(tmp_path / "a.pfm", wide())), held(light))
 
 
 # From the shell

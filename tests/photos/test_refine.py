@@ -1,6 +1,7 @@
 """Cameras that are a little off find back to where their pictures agree."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import PIL.Image
@@ -15,8 +16,9 @@ from octex.photos import refine
 from octex.photos.refine import _better, _read, adjusted, pixel_at
 from tests.conftest import fewer_points, needs_jit
 from tests.make.command import OUT, run
+from tests.make.fixtures import obj_lines
 from tests.make.painted import above, ball, picture_of
-from tests.photos.test_agreement import ring
+from tests.make.photographs import ring
 
 pytestmark = needs_jit
 
@@ -25,6 +27,7 @@ def off(camera, number, points):
     return adjusted(camera, pixel_at(camera, points), np.random.default_rng(number).normal(0, 0.7, 7))
 
 
+@cache
 def textured(count, size):
     """A ball with waves of many lengths, and pictures all around."""
     plain, random = ball(rings=64), np.random.default_rng(5)
@@ -217,11 +220,7 @@ def test_pictures_are_read_with_their_slopes():
 @pytest.mark.usefixtures("few_points")
 def test_refined_cameras_are_kept_in_a_file(tmp_path):
     surface, cameras, images = ring(4, 64)
-    (tmp_path / "ball.obj").write_text(
-        "".join(f"v {x} {y} {z}\n" for x, y, z in surface.vertices.tolist())
-        + "".join(f"f {a + 1} {b + 1} {c + 1}\n" for a, b, c in surface.triangles.tolist()),
-        encoding="utf-8",
-    )
+    (tmp_path / "ball.obj").write_text(obj_lines(surface.vertices, surface.triangles))
     points = surface.scatter(300).points
     names = [f"{n}.png" for n in range(4)]
     for name, image in zip(names, images, strict=True):

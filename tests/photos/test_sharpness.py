@@ -1,25 +1,21 @@
 """Blurred pictures count for less: by the detail that they share with the others."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 import octex
-from octex.channels import BASE_COLOR
-from octex.painting.project import take_shots
-from octex.painting.reading import terms_of
-from octex.painting.surface import PaintedSurface
-from octex.parallel import pool_of
 from octex.photos import sharpness, weigh
 from octex.photos.sharpness import Details, details_of, shown_of, weighed_by_sharpness
 from tests.conftest import needs_jit
-from tests.make.painted import ball, picture_of
-from tests.photos.test_agreement import error, projections
-from tests.photos.test_agreement import ring as smooth_ring
+from tests.make.painted import picture_of
+from tests.make.photographs import error, projections, source_of
+from tests.make.photographs import ring as smooth_ring
 from tests.properties.edit_claims import digest
 
-SIZE = 96
 
-
+@cache
 def ring(count=8):
     """A sphere with waves four to eight pixels long, and pictures of it."""
 
@@ -27,14 +23,8 @@ def ring(count=8):
         values = 0.4 + 0.1 * (np.sin(31 * points) + np.sin(23 * points[:, [1, 2, 0]] + 1))
         return np.asarray(values + 0.05 * np.sin(9 * points.sum(axis=1))[:, None])
 
-    surface = ball(rings=32).with_sources({"base_color": waves})
-    turns = 2 * np.pi * np.arange(count) / count
-    cameras = [
-        octex.Camera.fitted(
-            surface.vertices, (np.sin(turn), 0.2 * (-1) ** n, np.cos(turn)), size=(SIZE, SIZE)
-        )
-        for n, turn in enumerate(turns)
-    ]
+    surface, cameras, _ = smooth_ring(count)
+    surface = surface.with_sources({"base_color": waves})
     return surface, cameras, [picture_of(surface, camera) for camera in cameras]
 
 
@@ -47,14 +37,6 @@ def blurred(image, pixels):
         made = np.apply_along_axis(lambda row: np.convolve(row, weights / weights.sum(), "same"), axis, made)
     colors = made[..., :3] / np.maximum(made[..., 3:], 1e-6)
     return np.concatenate([colors, image[..., 3:]], axis=2).astype(np.float32)
-
-
-def source_of(surface, shown):
-    with pool_of(1) as pool:
-        painted = PaintedSurface(surface)
-        sights = painted.sights([each.camera for each in shown], 0.0, pool)
-        shots = list(take_shots(shown, BASE_COLOR, [1.0] * len(shown), sights, pool))
-    return painted.projected(shots, BASE_COLOR, terms_of(75, 0, False))
 
 
 def shown_by(surface, images, cameras):

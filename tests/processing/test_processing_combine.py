@@ -114,18 +114,6 @@ def test_what_does_not_meet_stays_as_it_was():
 
 
 @needs_jit
-def test_a_field_that_prevails_alone_stays_as_it_was_among_finer_cells():
-    fine = shell(4)
-    coarse = octex.map(fine.level(3), lambda values: 1 - values)
-    points = np.random.default_rng(0).normal(size=(500, 3))
-    points = 0.5 + 0.45 * points / np.linalg.norm(points, axis=1)[:, None]
-    for one, other in ((coarse, fine), (fine, coarse)):
-        made = octex.mix(one, other, lambda points: np.zeros(len(points)))
-        assert made.tree.n_leaves == fine.tree.n_leaves
-        np.testing.assert_allclose(made.sample(points), one.sample(points), atol=0.01)
-
-
-@needs_jit
 @pytest.mark.parametrize("kind", ["sheet", "overlapping"])
 def test_what_prevails_everywhere_is_the_result_also_over_what_is_finer(kind):
     surface = waved(kind, 4, ["base_color"], 7)

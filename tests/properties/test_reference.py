@@ -11,6 +11,7 @@ from octex.errors import ModelWarning
 from tests.conftest import needs_jit
 from tests.make.fixtures import CLAMP, LINEAR, MIRROR, NEAREST, REPEAT, Gltf, png, random_image
 from tests.oracles.naive_gltf import Reference
+from tests.oracles.naive_sheets import clipped
 
 CODE = 1 / 255
 
@@ -110,23 +111,6 @@ def around(corners, triangles, points, centers, cell):
             near += [other] * len(positions)
             at.append(barycentric_of(positions, corners[other]))
     return np.array(owners), np.array(near), np.concatenate(at)
-
-
-def clipped(polygon, low, high):
-    """What of a polygon lies in a box (Sutherland and Hodgman)."""
-    for axis in range(3):
-        for sign, bound in ((1, high[axis]), (-1, -low[axis])):
-            kept = []
-            for here, there in zip(polygon, np.roll(polygon, -1, axis=0), strict=True):
-                inside, beyond = bound - sign * here[axis], bound - sign * there[axis]
-                if inside >= 0:
-                    kept.append(here)
-                if inside * beyond < 0:
-                    kept.append(here + (there - here) * inside / (inside - beyond))
-            polygon = np.array(kept).reshape(-1, 3)
-            if not len(polygon):
-                return polygon
-    return polygon
 
 
 def barycentric_of(positions, corners):
