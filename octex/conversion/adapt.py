@@ -35,7 +35,7 @@ from octex.errors import ArgumentError
 from octex.field.weights import facings_of
 from octex.parallel import Progress, ordered_map, sharing
 from octex.texture import Channel
-from octex.tree.beside import near
+from octex.tree.neighbours import near
 from octex.tree.octree import Octree, distinct
 
 #: Finest cells, or nodes, that are tested at once.

@@ -21,10 +21,10 @@ from octex.channels import ALPHA, ONE
 from octex.editing.runs import ROOT, Runs, add_below, children_in, joined_runs
 from octex.errors import ArgumentError
 from octex.texture import Channel, OctreeTexture
-from octex.tree.beside import with_boundary
 from octex.tree.children import children_before
 from octex.tree.edit import among, locate, with_all_above
 from octex.tree.layout import KEPT, KeptTable
+from octex.tree.neighbours import with_boundary
 from octex.tree.octree import Octree, distinct
 from octex.tree.split import rows_of
 
@@ -287,7 +287,7 @@ def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Octr
     return put_together(draft, texture, [(tiles, draft)])
 
 
-def places_in(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Int64s:
+def numbers_in(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Int64s:
     """Return each draft cell's number in the texture; −1 for closed ones."""
     tree = texture.tree
     place = np.full(draft.tree.n_cells, -1, np.int64)
@@ -316,7 +316,7 @@ def _overwritten(
     It writes to arrays that ``shared`` lacks.
     """
     tree, draft = texture.tree, after.tree
-    place = places_in(texture, tiles, after)
+    place = numbers_in(texture, tiles, after)
     if tiles.level <= draft.max_depth:  # leaves next to the tiles stay
         here = slice(*draft.arrays.level_cells[tiles.level : tiles.level + 2].tolist())
         place[here][~among(draft.level_codes(tiles.level), tiles.codes)] = -1

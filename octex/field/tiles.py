@@ -27,10 +27,10 @@ from octex.arrays import Array, Int32s, Int64s, Uint8s, Uint32s, Uint64s, zeros
 from octex.errors import OutputError
 from octex.field.taps import Batch, prefetch_cell
 from octex.jit import by_constants, fused_part, inlined, kernel, part, popcount, prefetch, trailing_zeros
-from octex.tree.beside import with_boundary
 from octex.tree.children import children, rank_in
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode, decode_cells
+from octex.tree.neighbours import with_boundary
 from octex.tree.octree import Octree
 
 #: Deepest level of the dense grid, which then takes 128 kB.

@@ -13,6 +13,6 @@ blend       each cell is blended once, and the nodes above are averaged
 merge       a layer is merged into a texture, in one draft or in pieces
 first       a new texture: filled where no picture sees, by multigrid on a graph of sheets; then merged
 layers      strokes into layers above a texture; stack: the layers, their composite and file;
-            beneath: the composite that strokes below others lead to; restore: an eraser on the bottom
+            composites: the composites that strokes lead to, and the eraser on the bottom
 resume      finished stages, stored in a folder for the next call
 """

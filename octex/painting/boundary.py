@@ -15,9 +15,9 @@ from octex.jit import kernel
 from octex.painting.layer import Paint, SurfaceCells, joined, leave_bare, paint_at
 from octex.parallel import ordered_map, sharing
 from octex.tree import morton
-from octex.tree.beside import among_at, are_beside, boundary, is_within, near, touch, with_boundary
 from octex.tree.edit import Located, among, first_not_below, indices_in, locate, with_all_above
 from octex.tree.layout import FACING_FLAGS, KEPT, POSITIVE_FACINGS, SPLIT
+from octex.tree.neighbours import among_at, are_adjacent, boundary, is_within, near, touch, with_boundary
 from octex.tree.octree import Octree, distinct
 
 #: Cells of a skirt that are painted in one task.
@@ -136,11 +136,11 @@ def skirt_on_nothing(
     outer = met[near(met >> shift, tops, top)]
     outer = outer[~among(outer, ring) & ~is_within(outer, painted, level)]
     taken = distinct(with_boundary(outer, level) >> shift)
-    free = tops[~among(tops, taken) & ~are_beside(tops, unraised, top)]
+    free = tops[~among(tops, taken) & ~are_adjacent(tops, unraised, top)]
     return absent[among(absent >> shift, free)]
 
 
-def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: int) -> Bools:
+def are_next_to_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: int) -> Bools:
     """Return which cells (n,) of a level adjoin larger leaves of a tree other than ``tops``, by level."""
     around = boundary(codes, level)
     where = locate(tree, around, level)
@@ -149,7 +149,7 @@ def beside_larger(codes: Int64s, tree: Octree, tops: Sequence[Int64s], level: in
     return near(codes, around, level)
 
 
-def is_beside_old(
+def are_next_to_old(
     codes: Int64s,
     level: int,
     tree: Octree,
@@ -166,7 +166,7 @@ def is_beside_old(
         where = locate(tree, nodes, at)
         is_kept = (where.levels == at) & (tree.arrays.flags[where.cells] & KEPT != 0)
         nodes = nodes[is_kept | among(nodes, tops[at])]
-        found |= near(codes >> 3 * (level - at), nodes[are_beside(nodes, bare, at)], at)
+        found |= near(codes >> 3 * (level - at), nodes[are_adjacent(nodes, bare, at)], at)
     return found
 
 
@@ -221,7 +221,7 @@ def free_leaves(
             where = locate(tree, around, level)
             is_read = where.is_leaf | (tree.arrays.flags[where.cells] & KEPT != 0)
             read = around[(where.levels == level) & is_read]
-            around = around[are_beside(around, seen, level)]
+            around = around[are_adjacent(around, seen, level)]
             is_held |= near(codes, read, level) & near(codes, around, level)
         held = codes[is_held]
         freed.append(tops[level][~among(tops[level], held)])
@@ -272,7 +272,7 @@ def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Pa
 
     Next to leaves with one facing only, paint of the opposite facing stays.
     """
-    adjoins = are_beside(skirt.codes, far, level)
+    adjoins = are_adjacent(skirt.codes, far, level)
     chosen = ~adjoins
     for bit in np.unique(skirt.flags[adjoins] & np.uint8(FACING_FLAGS)).tolist():
         if bit.bit_count() == 1:
@@ -280,7 +280,7 @@ def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Pa
             flags = [tree.arrays.flags[locate(tree, codes, at).cells] for at, codes in enumerate(far)]
             seeing = [codes[each & FACING_FLAGS != opposite] for codes, each in zip(far, flags, strict=True)]
             has_bit = adjoins & (skirt.flags & FACING_FLAGS == bit)
-            chosen[has_bit] = ~are_beside(skirt.codes[has_bit], seeing, level)
+            chosen[has_bit] = ~are_adjacent(skirt.codes[has_bit], seeing, level)
     skirt.coverage[adjoins] = 0.0
     skirt.flags[adjoins] |= np.uint8(SPLIT)
     return skirt.of(chosen)
@@ -303,7 +303,7 @@ def on_kept(
         first = int(tree.arrays.level_cells[level])
         codes = tree.level_codes(level)[tree.kept.cells[here].astype(np.int64) - first]
         chosen = among(codes, painted) | touch(codes, leaves, level, refined=True)
-        chosen[chosen] = ~are_beside(codes[chosen], bare, level)
+        chosen[chosen] = ~are_adjacent(codes[chosen], bare, level)
         inside = paint_at(paint, codes[chosen], level)
         off = codes[chosen & ~among(codes, painted)]
         outside = skirt_paint(off, level, executor, paint_at(paint, boundary(off, level), level))

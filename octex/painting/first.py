@@ -44,9 +44,9 @@ from octex.source.base import Source
 from octex.source.overrides import FunctionSource
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
-from octex.tree.beside import with_boundary
 from octex.tree.edit import among, locate, rebuilt, with_all_above
 from octex.tree.layout import FACING_FLAGS, SPLIT
+from octex.tree.neighbours import with_boundary
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import on_grid
 from octex.tree.split import rows_of

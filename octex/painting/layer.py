@@ -19,9 +19,9 @@ from octex.source.parts import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel
-from octex.tree.beside import among_at
 from octex.tree.edit import first_not_below, indices_in, locate
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT
+from octex.tree.neighbours import among_at
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of

@@ -11,7 +11,7 @@ from octex.channels import ALPHA, BASE_COLOR, alpha_of, plain_name
 from octex.checks import as_flag, as_whole
 from octex.editing.draft import Change, as_change, change_of_values, with_alpha
 from octex.errors import ArgumentError
-from octex.painting.beneath import ERASED, Stacked, restored, without_erased
+from octex.painting.composites import ERASED, Stacked, restored, without_erased
 from octex.painting.layer import painted_channel
 from octex.painting.merge import merged
 from octex.painting.painter import History, Painter, Stroke
@@ -95,7 +95,7 @@ class Layers(Painter):
 
     @property
     def stacked(self) -> Stacked:
-        """The stack as it is now, for ``octex.painting.beneath``; later strokes do not change it."""
+        """The stack as it is now, for ``octex.painting.composites``; later strokes do not change it."""
         return Stacked(super().texture(), self._stack, self._opened)
 
     @property

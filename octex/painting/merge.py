@@ -44,8 +44,8 @@ from octex.parallel import Progress, Run, as_run, ordered_map, sharing, silent, 
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.areas import SKIRT
-from octex.tree.beside import with_boundary
 from octex.tree.edit import among, locate, rebuilt, with_all_above
+from octex.tree.neighbours import with_boundary
 from octex.tree.octree import distinct
 
 #: Cells of layer and texture up to which one draft has all paint: it takes 600 bytes for each, as the pieces

@@ -80,10 +80,10 @@ from octex.painting.layer import (
 from octex.painting.surface import Job
 from octex.texture import OctreeTexture
 from octex.tree.areas import SKIRT
-from octex.tree.beside import is_within, with_boundary
 from octex.tree.edit import Edited, among, indices_in, locate, raised, rebuilt, unchanged, with_all_above
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 from octex.tree.morton import decode_cells
+from octex.tree.neighbours import is_within, with_boundary
 from octex.tree.octree import Octree, distinct
 from octex.tree.placement import Placement
 from octex.tree.split import rows_of

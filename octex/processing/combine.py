@@ -19,9 +19,9 @@ from octex.processing.resize import with_leaves
 from octex.source.parts import SEPARATION
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.areas import SKIRT
-from octex.tree.beside import are_beside, touch
 from octex.tree.edit import locate, rebuilt
 from octex.tree.layout import FACING_FLAGS, SPLIT
+from octex.tree.neighbours import are_adjacent, touch
 from octex.tree.octree import Octree, distinct
 
 
@@ -203,7 +203,7 @@ def _idle_skirts(tree: Octree, over: Octree) -> Bools:
         found.append(is_idle)
     for level, (codes, _) in enumerate(tree.walk()):
         is_idle = found[level]
-        is_idle[is_idle] = ~are_beside(codes[is_idle], lacked, level)
+        is_idle[is_idle] = ~are_adjacent(codes[is_idle], lacked, level)
     return np.concatenate(found)
 
 

@@ -21,7 +21,7 @@ from octex.channels import BASE_COLOR
 from octex.editing.draft import Change
 from octex.errors import ArgumentError, ModelError, OctexError, OutputError
 from octex.nearest.triangles import Triangles
-from octex.painting.beneath import Stacked
+from octex.painting.composites import Stacked
 from octex.painting.layers import Layers
 from octex.painting.options import format_of
 from octex.painting.painter import Painter

@@ -16,9 +16,9 @@ from octex.field.listing import Reads, joined_reads
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.parallel import Run
 from octex.texture.lookup import Request, each_block
-from octex.tree.beside import with_boundary
 from octex.tree.children import children_before, octants_of
 from octex.tree.layout import SplitTable
+from octex.tree.neighbours import with_boundary
 from octex.tree.octree import Octree, count_before, distinct
 from octex.tree.split import counts_of, rows_of
 

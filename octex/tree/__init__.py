@@ -7,7 +7,7 @@ children    the children of nodes, counted from the flags of groups
 placement   rest positions ⇄ texture space, the root cell
 octree      builds from leaves, truncates, walks the leaves
 edit        trees made from trees
-beside      neighbouring cells
+neighbours  neighbouring cells
 split       reads and changes the split table
 validate    checks of all arrays
 search      the stored cell at a point, or nearest to it; points in Morton order

@@ -16,7 +16,7 @@ from urllib.parse import quote, unquote
 from octex.checks import as_whole
 from octex.errors import OctexError, OutputError
 from octex.formats.streams import deflated
-from octex.painting.beneath import beneath
+from octex.painting.composites import composite_after
 from octex.viewer.export import MODULES, PAINTING, PAINTING_SHADERS, SHADERS, page_text
 from octex.viewer.mesh import packed_mesh
 from octex.viewer.pack import pack
@@ -71,7 +71,7 @@ def packed_patch(session: Session, asked: str) -> bytes:
 def packed_composite(session: Session, asked: str) -> bytes:
     """Return the composite that full strokes in a layer lead to: a line of JSON, and streams.
 
-    ``asked`` is JSON with the layer and the kind of stroke (see `octex.painting.beneath`). Raises
+    ``asked`` is JSON with the layer and the kind of stroke (see `octex.painting.composites`). Raises
     ArgumentError for anything else.
     """
     from octex.session.commands import object_of
@@ -79,7 +79,7 @@ def packed_composite(session: Session, asked: str) -> bytes:
     fields = object_of(asked, "a request for a composite")
     layer = fields.get("layer")
     number = None if layer is None else as_whole(layer, "layer", 1, 2**53)
-    texture = beneath(session.shown.stacked, number, fields.get("stroke"))  # type: ignore[arg-type]
+    texture = composite_after(session.shown.stacked, number, fields.get("stroke"))  # type: ignore[arg-type]
     if texture is None:
         return b"null\n"
     header, streams = pack(texture, None, level=_QUICK)

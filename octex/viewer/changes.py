@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Bools, Int64s, Uint8s
-from octex.editing.draft import Change, places_in
+from octex.editing.draft import Change, numbers_in
 from octex.formats.streams import planes
 from octex.texture import OctreeTexture
 from octex.tree.children import masks_of, node_cells, octants_of
@@ -92,13 +92,13 @@ def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tu
     tiles, draft = change.tiles, change.after
     if tiles is None:
         return change_between(before, after)
-    here = places_in(after, tiles, draft)
+    here = numbers_in(after, tiles, draft)
     is_open = here >= 0
     if change.has_same_cells:
         is_known = _as_before(change.before, draft) | ~is_open
         return _packed(_around(here[~is_known], after.tree.n_cells), draft, is_known, ~is_open)
     old, is_known = _known(change.before, draft)
-    there = places_in(before, tiles, change.before)
+    there = numbers_in(before, tiles, change.before)
     known = np.flatnonzero(is_known & is_open)
     opened = _Runs.of_cells(here[known], there[old[known]])
     numbers = (each[each >= 0] for each in (here, there))

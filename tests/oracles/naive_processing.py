@@ -107,13 +107,13 @@ def left(texture: OctreeTexture, over: OctreeTexture) -> set[Place]:
         above = [(level - up, code >> 3 * up) for up in range(max(level - coarsest, 0), -1, -1)]
         top = next(place for place in above if place not in others)
         is_read = any(touch(top, each) for each in is_over)
-        if not is_read or any(are_beside((level, code), each) for each in alone):
+        if not is_read or any(are_adjacent((level, code), each) for each in alone):
             leaves.add((level, code))
     leaves |= alone
     return {(level - up, code >> 3 * up) for level, code in leaves for up in range(level + 1)}
 
 
-def are_beside(place: Place, other: Place) -> bool:
+def are_adjacent(place: Place, other: Place) -> bool:
     """Say whether another cell is in a cell, around it, or holds a cell around it."""
     low, high, one, two = _corners(place, other)
     return bool(((high * two < (low + 2) * one) & ((high + 1) * two > (low - 1) * one)).all())

@@ -5,8 +5,8 @@ import pytest
 
 import octex
 from octex.painting.layer import paint_of, wanted_depths
-from octex.tree.beside import boundary
 from octex.tree.morton import decode_cells
+from octex.tree.neighbours import boundary
 from tests.conftest import needs_jit
 from tests.make.painted import above, ball, one_color, plain, square
 from tests.painting.test_paint import spot

@@ -10,11 +10,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from octex.errors import ArgumentError
-from octex.tree.beside import boundary, near, with_boundary
 from octex.tree.children import children_of, node_cells
 from octex.tree.edit import among, cull, facings_of_nodes, indices_in, locate, raised, rebuilt
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 from octex.tree.morton import decode_cells, encode_cells
+from octex.tree.neighbours import boundary, near, with_boundary
 from octex.tree.octree import Octree
 from tests.conftest import needs_jit
 from tests.make.strategies import leaf_sets, with_random_data

@@ -1,6 +1,6 @@
 // Previews strokes that plain blending cannot show: the eraser, and paint in a layer that others cover or blend. The server
 // computes the composite that full strokes lead to, of cells with paint of layers; the page blends it over by the stroke's
-// coverage. Elsewhere, strokes look by their own colour. See octex/painting/beneath.py.
+// coverage. Elsewhere, strokes look by their own colour. See octex/painting/composites.py.
 
 import { query } from "./data.js";
 import { inflate } from "./octree.js";

@@ -15,7 +15,7 @@ from octex.arrays import Float32s, Int64s, Uint8s
 from octex.channels import ALPHA, BASE_COLOR, ONE, alpha_of, channel_in, decode, encode
 from octex.checks import as_choice
 from octex.editing.averages import Residuals, average, residuals
-from octex.editing.draft import change_of_values, places_in
+from octex.editing.draft import change_of_values, numbers_in
 from octex.editing.nodes import Nodes, all_children, all_leaves, nodes_at
 from octex.editing.refined import refined_rows, refined_values
 from octex.editing.split import rows_facing
@@ -37,8 +37,8 @@ from octex.tree.octree import Octree, distinct
 from octex.tree.split import rows_of
 
 #: The kinds of strokes: the layer is erased, its mask hides nothing, or it is painted.
-Leads = Literal["erased", "unmasked", "painted"]
-_LEADS: tuple[Leads, ...] = get_args(Leads)
+StrokeKind = Literal["erased", "unmasked", "painted"]
+_STROKES: tuple[StrokeKind, ...] = get_args(StrokeKind)
 #: The channel of the composite with white paint.
 WHITE = "white"
 
@@ -51,19 +51,19 @@ class Stacked(NamedTuple):
     opened: OctreeTexture  # the bottom as it was opened
 
 
-def beneath(stacked: Stacked, number: int | None, leads: Leads) -> OctreeTexture | None:
+def composite_after(stacked: Stacked, number: int | None, stroke: StrokeKind) -> OctreeTexture | None:
     """Return the base colour of the composite to which strokes in a layer lead; None is the bottom.
 
     For paint it is the composite with black paint, and channel ``white`` that with white. Alpha is 0 in
     unknown cells, which no layer above covers. Returns None if no paint matters, for textures with alpha, and
     for an unknown layer: a page may ask while the layer is undone.
     """
-    as_choice(leads, _LEADS, "leads")
+    as_choice(stroke, _STROKES, "stroke")
     texture, stack, opened = stacked
     place = next((at for at, each in enumerate(stack) if each.number == number), -1)
     if ALPHA.name in texture.channels or (place < 0 and number is not None):
         return None
-    if place < 0 and leads != "painted":
+    if place < 0 and stroke != "painted":
         if stack:
             erased = _filled(texture, Channel(COVERAGE, *texture.channels[BASE_COLOR.name][1:]), 1)
             color = _composite(restored(texture, opened, erased), stack)
@@ -71,7 +71,7 @@ def beneath(stacked: Stacked, number: int | None, leads: Leads) -> OctreeTexture
         return opened.with_cells(opened.tree, {BASE_COLOR.name: opened.channels[BASE_COLOR.name]})
     layer = stack[place] if place >= 0 else None
     met = [each for each in stack[place + 1 :] if each.is_visible and each.opacity > 0]
-    if layer is not None and (leads != "painted" or layer.opacity < 1 or layer.blend != "over"):
+    if layer is not None and (stroke != "painted" or layer.opacity < 1 or layer.blend != "over"):
         met.append(layer)
     names = [alpha_of(each.paints(name)) or "" for each in met for name in each.painted(texture.channels)]
     bare = {name: _filled(texture, texture.channels[name], 0) for name in names}
@@ -81,11 +81,11 @@ def beneath(stacked: Stacked, number: int | None, leads: Leads) -> OctreeTexture
     draft = change.after
     known = np.ones(draft.tree.n_cells, np.bool_)
     if change.tiles is not None:
-        known = places_in(texture, change.tiles, draft) >= 0
-    if leads == "painted":
+        known = numbers_in(texture, change.tiles, draft) >= 0
+    if stroke == "painted":
         colors = {name: _composite(_painted(draft, layer, value), stack) for name, value in _PAINTS.items()}
     else:
-        left = () if leads == "erased" or layer is None else (layer._replace(has_mask=False),)
+        left = () if stroke == "erased" or layer is None else (layer._replace(has_mask=False),)
         colors = {BASE_COLOR.name: _composite(draft, (*stack[:place], *left, *stack[place + 1 :]))}
     tree, rows = draft.tree, rows_of(draft.tree.split).cells
     alphas = (np.where(known[at], ONE[ALPHA.dtype], 0) for at in (slice(None), rows, tree.kept.cells))

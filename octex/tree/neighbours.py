@@ -54,7 +54,7 @@ def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
     return found
 
 
-def are_beside(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
+def are_adjacent(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
     """Return which cells (n,) of a level contain or neighbour any leaf, listed by level."""
     if not codes.size:
         return np.zeros(0, np.bool_)

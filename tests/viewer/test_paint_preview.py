@@ -7,7 +7,7 @@ import pytest
 
 import octex
 from octex.errors import ArgumentError
-from octex.painting.beneath import beneath
+from octex.painting.composites import composite_after
 from octex.viewer.answers import packed_composite
 from tests.conftest import needs_jit
 from tests.make.browser import served
@@ -35,15 +35,15 @@ def stacked():
 
 @pytest.mark.parametrize("place", [None, 0, 1])
 @pytest.mark.parametrize(
-    ("leads", "channel"), [("erased", "base_color"), ("painted", "base_color"), ("painted", "white")]
+    ("stroke", "channel"), [("erased", "base_color"), ("painted", "base_color"), ("painted", "white")]
 )
-def test_what_strokes_lead_to_is_what_they_make_of_all(place, leads, channel):
+def test_what_strokes_lead_to_is_what_they_make_of_all(place, stroke, channel):
     layers, numbers = stacked()
     number = None if place is None else numbers[place]
-    found = beneath(layers.stacked, number, leads)
+    found = composite_after(layers.stacked, number, stroke)
     assert found is not None
     layers.choose(number)
-    layers.fill(everywhere, [float(channel == "white")] * 3, blend="erase" if leads == "erased" else "over")
+    layers.fill(everywhere, [float(channel == "white")] * 3, blend="erase" if stroke == "erased" else "over")
     made = layers.texture()
     points = ball(32).rest
     own, wanted = (
@@ -61,7 +61,7 @@ def test_nothing_is_told_where_no_other_paint_is_met():
     surface = ball(8)
     layers = octex.Layers(octex.convert(surface.with_sources({"base_color": np.ones_like}), depth=3), surface)
     number = layers.add_layer().number
-    assert beneath(layers.stacked, number, "painted") is None
+    assert composite_after(layers.stacked, number, "painted") is None
     session = SimpleNamespace(shown=SimpleNamespace(stacked=layers.stacked))
     for asked in (number, number + 1):  # a page may ask for a layer that is being undone
         assert packed_composite(session, f'{{"layer": {asked}, "stroke": "painted"}}') == b"null\n"
