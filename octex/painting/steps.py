@@ -49,13 +49,13 @@ from octex.painting.blend import (
 )
 from octex.painting.boundary import (
     Finer,
+    are_next_to_larger,
+    are_next_to_old,
     bare_leaves,
     bare_surface,
-    beside_larger,
     doubted_leaves,
     find_finer,
     free_leaves,
-    is_beside_old,
     on_kept,
     skirt_of,
     skirt_on_nothing,
@@ -264,7 +264,7 @@ def form_boundary(
             surface_cells = distinct(np.concatenate([surface_cells, faced]))
         kinds = [skirt_of(outer, painted, whole_ring, surface_cells, level)]
         absent = finer.absent[level]
-        absent = absent[is_beside_old(absent, level, tree, above, leaves, bare)]
+        absent = absent[are_next_to_old(absent, level, tree, above, leaves, bare)]
         roots = np.maximum(locate(tree, absent, level).levels + 1, coarsest)
         for top in distinct(roots).tolist():
             around = painted, whole_ring, surface_cells, unraised[:level]
@@ -274,7 +274,7 @@ def form_boundary(
         where = locate(tree, skirt, level)
         # Which cells the surface meets in unraised leaves next to kept nodes is unknown.
         is_below_kept = (where.levels < level) & (tree.arrays.flags[where.cells] & KEPT != 0)
-        is_below_kept[is_below_kept] = beside_larger(skirt[is_below_kept], tree, leaves, level)
+        is_below_kept[is_below_kept] = are_next_to_larger(skirt[is_below_kept], tree, leaves, level)
         skirt, where = skirt[~is_below_kept], where.of(~is_below_kept)
         skirts.append(skirt)
         is_free = ~is_within(skirt, painted, level)  # the larger cells around the others are painted
