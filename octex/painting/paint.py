@@ -206,8 +206,10 @@ def layer_of(
     form = format_of(like, options.channel)
 
     def parts() -> list[Any]:
-        cameras = [key_of(cast(Camera, each.camera)) for each in pictures]
-        shown = [*zip(map(content_of, pictures), cameras, _scales(pictures), strict=True)]
+        largest = max(each.opacity for each in pictures) or 1.0
+        shown = [
+            (content_of(each), key_of(cast(Camera, each.camera)), each.opacity / largest) for each in pictures
+        ]
         return [job.surface.content, like and like.placement, form, shown, *astuple(options)]
 
     stages = job.stages.of(parts)
@@ -269,21 +271,15 @@ def _look(
     sights = job.surface.sights(
         cameras, options.edge_feather, job.executor, job.stages, hidden=options.hidden
     )
+    largest = max(each.opacity for each in pictures) or 1.0
+    scales = [each.opacity / largest for each in pictures]
     shots = []
-    taken = take_shots(
-        pictures, form, _scales(pictures), sights, job.executor, around=around, stages=job.stages
-    )
+    taken = take_shots(pictures, form, scales, sights, job.executor, around=around, stages=job.stages)
     job.progress("look", 0, len(pictures))
     for shot in taken:
         shots.append(shot)
         job.progress("look", len(shots), len(pictures))
     return shots
-
-
-def _scales(pictures: Sequence[Projection]) -> list[float]:
-    """Return the opacities of pictures relative to the largest one."""
-    largest = max(each.opacity for each in pictures) or 1.0
-    return [each.opacity / largest for each in pictures]
 
 
 def check_inside(surface: Surface, placement: Placement) -> None:

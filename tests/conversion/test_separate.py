@@ -149,7 +149,7 @@ def test_no_cell_and_no_neighbourhood_is_shared(options):
 
 
 @needs_jit
-@settings(max_examples=10)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1), st.integers(2, 9), st.integers(5, 6))
 def test_cubes_anywhere_are_separated(seed, count, depth):
     random = np.random.default_rng(seed)

@@ -159,7 +159,7 @@ def page(shared):
     shared.evaluate("viewer.camera.reset(0.55, 0.3)")
     yield shared
     shared.set_viewport_size({"width": 900, "height": 480})
-    for name, value in (("shown", "lit"), ("filter", "quadratic")):
+    for name, value in (("mode", "lit"), ("filter", "quadratic")):
         shared.select_option(f"#{name}", value)
     shared.uncheck("#cubes")
     shared.locator("#level").fill("4")

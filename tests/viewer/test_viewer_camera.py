@@ -108,7 +108,7 @@ def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(opens,
     viewer._ended.set()  # its pages lose their lines
     says(page, "new address")
     page.evaluate("window.dispatchEvent(new Event('focus'))")
-    says(page, "tried again in 4 s")
+    says(page, "next attempt in 4 s")
     assert all("/proof?" in each for each in asked)
     assert len(asked) < 5
     assert lines == []
