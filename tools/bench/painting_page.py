@@ -92,7 +92,7 @@ def frames(setup: Setup, report: Report) -> None:
                     report.at_most(f"frames: {kind}, {shown}", seconds, 0.125, "s")
                 page.close()
     except pytest.skip.Exception as why:
-        report.note(str(why))
+        report.note(f"frames: left out without a browser: {why}")
 
 
 def _strokes(
