@@ -203,7 +203,7 @@ def _painted(
 ) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
     """Paint images; return the texture, None for no paint, and the layers of paint."""
     from octex.painting.options import PaintOptions
-    from octex.painting.paint import painted_layers
+    from octex.painting.paint import painted_by
 
     settings = PaintOptions(
         **arguments(options, "max_depth", "edge_feather", "pictures", "balance"),
@@ -213,8 +213,9 @@ def _painted(
         fit=not options.no_fit,
     )
     pictures = [replace(shot.picture, opacity=options.opacity) for shot in shots]
-    made, layers = painted_layers(
-        texture, surface, pictures, settings, run, _holes(options), coverage=options.coverage
+    layers: list[OctreeTexture] = []
+    made = painted_by(
+        texture, surface, pictures, settings, run, _holes(options), coverage=options.coverage, layers=layers
     )
     count = sum(layer.tree.n_leaves for layer in layers)
     if texture is not None and count > texture.tree.n_leaves:

@@ -100,10 +100,10 @@ def paint(
         channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit, hidden,
         region,
     )  # fmt: skip
-    return painted_layers(texture, surface, projections, options, run, holes, coverage=coverage)[0]
+    return painted_by(texture, surface, projections, options, run, holes, coverage=coverage)
 
 
-def painted_layers(
+def painted_by(
     texture: OctreeTexture | None,
     surface: Surface,
     projections: Projection | Sequence[Projection],
@@ -112,22 +112,21 @@ def painted_layers(
     holes: Holes = "smooth",
     *,
     coverage: bool = False,
-) -> tuple[OctreeTexture, list[OctreeTexture]]:
-    """Paint as `paint` does; return the texture and the layers that were merged into it."""
+    layers: list[OctreeTexture] | None = None,
+) -> OctreeTexture:
+    """Paint as `paint` does; the layers of paint are appended to ``layers``."""
     as_surface(surface)
     fill = fill_of(holes, format_of(texture, options.channel))
-    is_covered, layers, given = (
-        as_flag(coverage, "coverage"),
-        list[OctreeTexture](),
-        check_projections(projections),
-    )
+    is_covered, given = as_flag(coverage, "coverage"), check_projections(projections)
+    if is_covered and layers is None:
+        layers = []
     model = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     with workers(run) as pool, room_for(given, run):
         job = Job(model, pool, run.report, stages_in(run.resume))
         for made, _ in painted(job, texture, given, options, fill, layers):
             texture = made
     assert texture is not None
-    return with_coverage(texture, layers) if is_covered else texture, layers
+    return with_coverage(texture, layers) if is_covered and layers else texture
 
 
 def painted(

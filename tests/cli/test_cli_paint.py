@@ -202,13 +202,13 @@ def test_a_new_texture_may_have_a_background(depth, scene, tmp_path, cli):
 
 @needs_jit
 def test_the_options_of_painting_reach_the_library(scene, tmp_path, monkeypatch, cli):
-    seen, painted_layers = {}, paint.painted_layers
+    seen, painted_by = {}, paint.painted_by
 
     def painted(*arguments, **options):
         seen.update(asdict(arguments[3]), run=arguments[4])
-        return painted_layers(*arguments, **options)
+        return painted_by(*arguments, **options)
 
-    monkeypatch.setattr(paint, "painted_layers", painted)
+    monkeypatch.setattr(paint, "painted_by", painted)
     more = "--max-depth 3 --max-angle 60,both --edge-feather 1.5 --balance gain --pictures average"
     more += f" --no-fit --threads 2 --memory 1kB --resume {tmp_path / 'kept'}"
     cli.result(*scene.shot, OUT, tmp_path / "out.octex", *more.split(), "--channel", "base_color")

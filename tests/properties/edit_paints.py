@@ -183,12 +183,10 @@ def assert_filled(run, before, after, where, name, color, blend, opacity):
     is_stored = before.contains(samples.rest)
     points, facing = samples.rest[is_stored], samples.normals[is_stored]
     edge = where.edge if isinstance(where, claims.Ball) else where.edges[0]
-    # A node of edge k keeps its old coefficient where unpainted surface is in it or in a cell of its size
-    # next to it: so the region ends less than 2 k from all of it. Its spline reaches k farther. Empty cells
-    # of edge k next to it take painted ones that hide the coefficient; leaves that touch such a cell read
-    # these.
+    # A node that keeps a coefficient keeps the old one where unpainted surface is in or beside it. Cells off
+    # the surface are refined from it, level by level to half a cell beyond, and reach as far as the spline.
     kept = claims.kept_edge(after)
-    is_deep = where.depths(points) > max(4.0 * edge, 3.0 * kept + edge if kept else 0.0)
+    is_deep = where.depths(points) > max(4.0 * edge, 3.0 * kept + 0.5 * edge if kept else 0.0)
     points, facing = points[is_deep], facing[is_deep]
     if not len(points):
         return
