@@ -65,14 +65,16 @@ def agreeing(
         made = stored.arrays("differences", lambda: {"codes": _differences(source, compared[number], number)})
         return made["codes"]
 
+    def mask(number: int) -> None:
+        shot = source.shots[number]
+        put_mask(shot.mips, _mask(found[number], as_codes(colors_of(shot)), far))
+
     with sharing(executor) as pool:
         found = list(ordered_map(pool, differences, numbers))
-    known = np.concatenate([each[np.isfinite(each)] for each in found])
-    if not known.size:
-        return source
-    far = float(np.clip(_TIMES * np.quantile(known, _QUANTILE), _LEAST_FAR, _MOST_FAR))
-    for shot, each in zip(source.shots, found, strict=True):
-        put_mask(shot.mips, _mask(each, as_codes(colors_of(shot)), far))
+        known = np.concatenate([each[np.isfinite(each)] for each in found])
+        if known.size:
+            far = float(np.clip(_TIMES * np.quantile(known, _QUANTILE), _LEAST_FAR, _MOST_FAR))
+            list(ordered_map(pool, mask, numbers))
     return source
 
 

@@ -43,7 +43,7 @@ def colors_of(shot: Shot) -> Float32s:
     first, width, height = shot.mips.sizes[level].tolist()
     pixels = shot.mips.pixels[first : first + width * height].reshape(height, width, 4)
     i, j = np.minimum(np.arange(rows), height - 1), np.minimum(np.arange(columns), width - 1)
-    colors: Float32s = pixels[i][:, j]
+    colors: Float32s = pixels[i[:, None], j]
     return colors
 
 

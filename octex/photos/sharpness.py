@@ -7,12 +7,14 @@ others at the same points is blurred or misplaced.
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.painting.project import Projected
+from octex.parallel import ordered_map, sharing
 from octex.photos.patches import batches
 from octex.source.surface import Surface
 
@@ -46,11 +48,11 @@ class Details(NamedTuple):
     values: Float32s  # (n, 3)   its detail there, of square roots of light
 
 
-def weighed_by_sharpness(source: Projected, surface: Surface) -> Projected:
+def weighed_by_sharpness(source: Projected, surface: Surface, executor: Executor) -> Projected:
     """Return the same paint with blurred pictures weighted by their variance; a sharp pixel's is 1/12."""
     if len(source.shots) <= _OTHERS:
         return source
-    shown = shown_of(details_of(source, surface), len(source.shots))
+    shown = shown_of(details_of(source, surface, executor), len(source.shots))
     blurs = -_FALL * np.log(np.clip(shown / _SHARP, 1e-3, 1.0))  # variances
     weights = ((1.0 + 12.0 * blurs) ** -4.0).tolist()
     return source.with_shots(
@@ -102,13 +104,16 @@ def _compared(details: Details, is_sharp: Bools) -> Float64s:
     return found
 
 
-def details_of(source: Projected, surface: Surface) -> Details:
+def details_of(source: Projected, surface: Surface, executor: Executor) -> Details:
     """Read pictures at points of the surface."""
     samples = surface.scatter(_POINTS)
-    parts = []
-    for batch in batches(_POINTS, len(source.shots)):
+
+    def read(batch: slice) -> Details:
         part = _details_at(source, samples.triangles[batch], samples.barycentric[batch])
-        parts.append(part._replace(points=part.points + batch.start))
+        return part._replace(points=part.points + batch.start)
+
+    with sharing(executor) as pool:
+        parts = list(ordered_map(pool, read, list(batches(_POINTS, len(source.shots)))))
     return Details(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 

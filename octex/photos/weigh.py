@@ -101,7 +101,7 @@ def weighed(
         source = agreeing(source, surface, executor, stages)
         if balance is not None:  # again, without what only one picture saw
             source = balanced(source, surface, balance, reference)
-    source = weighed_by_sharpness(source, surface)
+    source = weighed_by_sharpness(source, surface, executor)
     if pictures == "best":
         return best(source, surface, placement, depth, executor)
     enough = _ENOUGH * placement.size / 2**depth

@@ -1,6 +1,7 @@
 """octex, the one command: its first word, its helps and pages, and that it does what octree-convert does."""
 
 import re
+import subprocess
 import sys
 import tomllib
 from pathlib import Path
@@ -139,6 +140,12 @@ def test_a_command_that_is_interrupted_while_it_is_imported_says_so_in_one_line(
     assert home == "octex.cli.start"
     done = python(INTERRUPTED, module, function, "--version")
     assert (done.returncode, done.stderr) == (130, f"{command}: interrupted\n")
+
+
+def test_python_runs_octex_as_a_module():
+    call = [sys.executable, "-m", "octex", "--version"]
+    done = subprocess.run(call, capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout == f"octex {octex.__version__}\n"
 
 
 def test_a_page_is_not_viewed_again(tmp_path, cli):

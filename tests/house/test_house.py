@@ -39,7 +39,7 @@ ROWS = [
     {"drawing"},
     {"session"},
     {"viewer"},
-    {"cli"},
+    {"cli", "__main__"},
 ]
 # The wing of what models look like does not know the wing of what is stored; what works on textures alone
 # needs neither what makes them of models nor what paints them: it shares its tools with these in editing.

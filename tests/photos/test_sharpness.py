@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import octex
+from octex.parallel import Run, workers
 from octex.photos import sharpness, weigh
 from octex.photos.sharpness import Details, details_of, shown_of, weighed_by_sharpness
 from tests.conftest import needs_jit
@@ -41,7 +42,13 @@ def blurred(image, pixels):
 
 def shown_by(surface, images, cameras):
     source = source_of(surface, projections(images, cameras))
-    return shown_of(details_of(source, surface), len(images))
+    with workers(Run(threads=2)) as pool:
+        return shown_of(details_of(source, surface, pool), len(images))
+
+
+def weighed(source, surface):
+    with workers(Run(threads=2)) as pool:
+        return weighed_by_sharpness(source, surface, pool)
 
 
 def test_what_a_picture_shows_is_what_a_loop_over_pairs_says():
@@ -121,7 +128,7 @@ def test_a_blurred_picture_is_painted_where_no_other_sees(pictures):
     clean = error(octex.paint(None, surface, projections(images, cameras), **options), surface)
     made = octex.paint(None, surface, projections(given, cameras), **options)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(weigh, "weighed_by_sharpness", lambda source, _: source)
+        patch.setattr(weigh, "weighed_by_sharpness", lambda source, *_: source)
         plain = octex.paint(None, surface, projections(given, cameras), **options)
     assert error(made, surface) - clean < 0.6 * (error(plain, surface) - clean)
     others = projections(given[:2] + given[3:], cameras[:2] + cameras[3:])
@@ -133,7 +140,7 @@ def test_a_blurred_picture_is_painted_where_no_other_sees(pictures):
 def test_what_cannot_be_told_changes_nothing():
     surface, cameras, images = ring(4)
     two = source_of(surface, projections(images[:2], cameras[:2]))
-    assert weighed_by_sharpness(two, surface) is two
+    assert weighed(two, surface) is two
     plain = [np.full_like(image, 0.5) for image in images]
     apart = [cameras[0], cameras[0], cameras[2], cameras[2]]  # never three of one place
     for source in (
@@ -141,5 +148,4 @@ def test_what_cannot_be_told_changes_nothing():
         source_of(surface, projections([images[0], blurred(images[0], 3), *images[2:]], apart)),
         source_of(surface, projections(images, cameras)),
     ):
-        weighed = weighed_by_sharpness(source, surface)
-        assert all(shot.weight == 1.0 for shot in weighed.shots)
+        assert all(shot.weight == 1.0 for shot in weighed(source, surface).shots)
