@@ -6,7 +6,7 @@ photograph with other detail shows another scene, or is turned.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from itertools import permutations, product
@@ -153,20 +153,35 @@ class LightSamples(NamedTuple):
 
     def agreement(self, number: int, light: Float32s) -> float:
         """Return the correlation of light (n,) with the others' median; NaN if few points are shared."""
-        others = self.seen.copy()
-        others[number] = False
-        shared = self.seen[number] & (others.sum(axis=0) >= _OTHERS)
-        if shared.sum() < _SHARED:
-            return np.nan
-        theirs = np.where(others[:, shared], self.light[:, shared], np.nan)[others[:, shared].any(axis=1)]
-        middle, here = np.nanmedian(theirs, axis=0), light[shared]
-        if min(np.ptp(here), np.ptp(middle)) < _PLAIN:
-            return np.nan
-        return float(np.corrcoef(here, middle)[0, 1])
+        return self._correlation(number, light, next(self._medians([number])))
 
     def agreements(self) -> Float64s:
         """Return the agreement of each picture with the others (pictures,)."""
-        return np.array([self.agreement(number, light) for number, light in enumerate(self.light)])
+        medians = enumerate(self._medians(range(len(self.light))))
+        return np.array([self._correlation(number, self.light[number], middle) for number, middle in medians])
+
+    def _correlation(self, number: int, light: Float32s, middle: Float32s) -> float:
+        shared = self.seen[number] & np.isfinite(middle)
+        if shared.sum() < _SHARED:
+            return np.nan
+        here, there = light[shared], middle[shared]
+        if min(np.ptp(here), np.ptp(there)) < _PLAIN:
+            return np.nan
+        return float(np.corrcoef(here, there)[0, 1])
+
+    def _medians(self, numbers: Iterable[int]) -> Iterator[Float32s]:
+        """Yield for each picture the median (n,) of the others that see a point; NaN for too few of them."""
+        order = np.argsort(np.where(self.seen, self.light, np.inf), axis=0, kind="stable")
+        ranks = np.argsort(order, axis=0, kind="stable")
+        ordered = np.take_along_axis(self.light, order, axis=0)
+        counts, points = self.seen.sum(axis=0), np.arange(self.seen.shape[1])
+        for number in numbers:
+            others = counts - self.seen[number]
+            is_known = others >= _OTHERS
+            middles = (others - 1) // 2, others // 2
+            rows = (np.where(is_known, rank + (rank >= ranks[number]), 0) for rank in middles)
+            low, high = (ordered[row, points] for row in rows)
+            yield np.where(is_known, (low + high) / 2, np.float32(np.nan))
 
 
 def _agree(agreements: Float64s) -> bool:

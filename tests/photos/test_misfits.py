@@ -13,7 +13,7 @@ from octex.cameras.camera import Camera
 from octex.cameras.files import write_cameras
 from octex.channels import linear_to_srgb
 from octex.painting.picture import Projection
-from octex.photos.misfits import misfits
+from octex.photos.misfits import LightSamples, misfits
 from octex.source.surface import Surface
 from tests.make.command import OUT
 from tests.make.fixtures import obj_lines
@@ -67,6 +67,26 @@ def ring(count=6):
 def found(projections, surface=None):
     with ThreadPoolExecutor(2) as pool:
         return misfits(Surface.from_arrays(*relief()) if surface is None else surface, projections, pool)
+
+
+def test_a_picture_agrees_as_it_correlates_with_the_median_of_the_others():
+    random = np.random.default_rng(0)
+    for count, share in ((1, 0.8), (2, 0.8), (3, 0.5), (8, 0.3), (41, 0.8)):
+        light = random.normal(size=1000) + random.normal(0, 0.5, (count, 1000))
+        light = light.round(1).astype(np.float32)  # equal values too
+        seen = random.random(light.shape) < share
+        samples = LightSamples(*(np.empty(0),) * 3, light, seen)
+        expected = []
+        for number in range(count):
+            others = np.where(seen, light, np.nan)
+            others[number] = np.nan
+            at = np.flatnonzero(seen[number] & (np.isfinite(others).sum(axis=0) >= 2))
+            middle = [np.nanmedian(others[:, point]) for point in at]
+            expected.append(np.corrcoef(light[number, at], middle)[0, 1] if at.size >= 200 else np.nan)
+        np.testing.assert_allclose(samples.agreements(), expected, rtol=1e-12)
+        other = random.normal(size=1000).astype(np.float32)  # the same picture turned
+        again = samples._replace(light=np.vstack([other, light[1:]]))
+        np.testing.assert_array_equal(samples.agreement(0, other), again.agreements()[0])
 
 
 def test_pictures_of_different_exposures_that_agree_are_all_painted():
