@@ -56,8 +56,9 @@ class Run:
 
     threads   number of threads. Default: all processors for large batches, the calling thread for small ones
     executor  a concurrent.futures.Executor that does the work, instead of threads
-    memory    bytes, or a text like "2GB": store the excess in files. ``convert`` takes it with ``path``;
-              ``paint``, ``project`` and ``refine_cameras`` need 64 bytes a pixel, merging some 700 MB
+    memory    bytes, or a text like "2GB": store the excess in files. ``convert`` takes it with ``path``.
+              ``paint``, ``project`` and ``refine_cameras`` need 64 bytes a pixel; by default half of the
+              machine's memory, and merging some 700 MB more
     folder    for these files. Default: that of ``path``, or the folder of temporary files
     resume    a folder that stores finished stages of painting. A later call with the same folder reuses
               unchanged stages. It holds 29 bytes a pixel; you may delete it
@@ -141,6 +142,12 @@ def memory_size() -> float:
     with suppress(ValueError, OSError):  # no container, or one without a limit: "max"
         sizes.append(float(Path("/sys/fs/cgroup/memory.max").read_text("utf-8")))
     return min(sizes)
+
+
+def usual_memory() -> int | None:
+    """Return the bytes that pictures may take by default: half of this machine's; None if unknown."""
+    size = memory_size()
+    return int(size / 2) if math.isfinite(size) else None
 
 
 _most: int | None = None  # the limit of ``at_most``

@@ -19,7 +19,7 @@ from octex.cli.shots import NOTHING, Shot, flat_shots, images_of, shots_of
 from octex.cli.values import TEXTURE_ENDING
 from octex.errors import ArgumentError, ExitCode
 from octex.files import open_file
-from octex.parallel import Run, workers
+from octex.parallel import Run, usual_memory, workers
 
 if TYPE_CHECKING:
     from octex.arrays import Float64s
@@ -113,8 +113,9 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
                 )
         with workers() as executor:
             run = octex.Run(executor=executor, progress=progress)
-            room = None if options.memory is None else options.OUTPUT.absolute().parent
-            stored = replace(run, memory=options.memory, folder=room, resume=options.resume)
+            memory = options.memory or usual_memory()
+            room = None if memory is None else options.OUTPUT.absolute().parent
+            stored = replace(run, memory=memory, folder=room, resume=options.resume)
             if by_camera:
                 shots, left_out = _fitting(surface, shots, run, progress)
                 skipped += left_out

@@ -28,7 +28,7 @@ from octex.jit import inlined, kernel
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.sharpened import sharpened
 from octex.painting.unwrap import Patch
-from octex.parallel import Run, folder_of
+from octex.parallel import Run, folder_of, usual_memory
 from octex.source.images.decode import as_texels, orientation_of, read_image_file, turned
 from octex.source.images.pyramid import resized
 from octex.source.images.taps import catmull_rom
@@ -99,7 +99,8 @@ class Projection:
 def room_for(projections: Sequence[Projection], run: Run) -> AbstractContextManager[object]:
     """Store pictures in files until the end of the block, if they exceed the memory of a run."""
     pixels = sum(each.camera.width * each.camera.height for each in projections)
-    if run.memory is None or as_memory(run.memory) >= _PIXEL_MEMORY * pixels:
+    memory = usual_memory() if run.memory is None else as_memory(run.memory)
+    if memory is None or memory >= _PIXEL_MEMORY * pixels:
         return nullcontext()
     return scratch(folder_of(run, Path(tempfile.gettempdir())))
 

@@ -10,6 +10,7 @@ import pytest
 from PIL import Image
 
 import octex
+from octex import parallel
 from octex.channels import decode
 from octex.cli.options import COMMANDS, DEFAULT_CHANNEL
 from octex.cli.parser import Parser
@@ -220,6 +221,9 @@ def test_the_options_of_painting_reach_the_library(scene, tmp_path, monkeypatch,
         "pictures": "average", "balance": "gain", "reference": None, "back_faces": True, "hidden": False,
         "fit": False, "region": None,
     }  # fmt: skip
+    monkeypatch.setattr(parallel, "memory_size", lambda: 2000)  # by default, half of that
+    cli.result(*scene.shot, OUT, tmp_path / "usual.octex")
+    assert (seen["run"].memory, seen["run"].folder) == (1000, tmp_path)
     cli.result(*scene.shot, OUT, tmp_path / "hidden.octex", "--max-angle", "hidden")
     assert (seen["max_angle"], seen["back_faces"], seen["hidden"]) == (None, False, True)
 

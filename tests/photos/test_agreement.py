@@ -1,11 +1,14 @@
 """What only one picture saw is left out; and pictures of other exposures come to agree."""
 
+import math
+import tempfile
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import octex
+from octex import parallel
 from octex.channels import BASE_COLOR, decode
 from octex.conversion import large
 from octex.errors import ArgumentError
@@ -226,7 +229,7 @@ def test_changes_to_what_lies_in_a_file_lie_there_too(tmp_path, monkeypatch):
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
-def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path):
+def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path, monkeypatch):
     surface, cameras, images = ring(5, 48)
     images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02
     shots = [*projections(images[:4], cameras[:4]), octex.Projection(images[4][..., :3], cameras[4])]
@@ -248,6 +251,13 @@ def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path):
     expected_matrices = [camera.matrix for camera in octex.refine_cameras(surface, shots)]
     np.testing.assert_array_equal([camera.matrix for camera in refined], expected_matrices)
     assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(tempfile, "tempdir", str(other))
+    for size in (2 * need, math.inf):
+        monkeypatch.setattr(parallel, "memory_size", lambda size=size: size)
+        assert digest(octex.paint(None, surface, shots, **options)) == expected
+    monkeypatch.setattr(parallel, "memory_size", lambda: 2 * need - 2)
+    with pytest.raises(ArgumentError, match=r"folder: .*other is not a folder"):
+        octex.paint(None, surface, shots, **options)
     with pytest.raises(ArgumentError, match="folder needs memory"):
         octex.paint(None, surface, shots, run=octex.Run(folder=tmp_path))
 
