@@ -231,7 +231,7 @@ def averaged(
             takes_on = (
                 name == task.target and task.blend in ("over", "replace") and alpha_of(name) is not None
             )
-            layer = task.layer if takes_on else None
+            layer = task.layer if takes_on and not _has_one_value(task.layer) else None
             left[name] = _with_paint(
                 after, channels[name].format, parts[name], above, rows, left[name], layer
             )
@@ -258,6 +258,13 @@ def averaged(
     return Merged(texture, parts_left, is_fresh, is_new, painted, has_rows, raised.added)
 
 
+def _has_one_value(layer: OctreeTexture) -> bool:
+    """Return whether all cells of a layer store the same integers: then no residual differs from 0."""
+    _, values, rows, _ = layer.channels[painted_channel(layer)]
+    is_one = values.dtype.kind == "u" and np.array_equal(values[1:], values[:-1])
+    return bool(is_one and (rows == values[0]).all())
+
+
 def averaged_with(channels: Iterable[str], changed: Collection[str]) -> list[str]:
     """Return the channels that changed, or whose alpha did."""
     return [name for name in channels if name in changed or alpha_of(name) in changed]
@@ -271,10 +278,13 @@ def _residuals_before(draft: OctreeTexture, raised: Raised, name: str, above: Ab
     """Return the residuals of nodes and their ``rows`` before the merge; 0 where the texture had no cell."""
     nodes, was = above.nodes, above.before.numbers >= 0
     owners = np.searchsorted(nodes.cells, rows.cells)
-    numbers = np.where(was | raised.is_fresh[nodes.cells], -1, nodes.numbers)
-    kinds = (draft, above.before), (raised.texture, nodes._replace(numbers=numbers))
-    one, other = (residuals_at(texture, name, places, owners, rows.bits) for texture, places in kinds)
-    return Residuals(one.nodes + other.nodes, one.rows + other.rows)
+    found = residuals_at(draft, name, above.before, owners, rows.bits)
+    is_done = was | raised.is_fresh[nodes.cells]
+    if is_done.all():
+        return found
+    places = nodes._replace(numbers=np.where(is_done, -1, nodes.numbers))
+    more = residuals_at(raised.texture, name, places, owners, rows.bits)
+    return Residuals(found.nodes + more.nodes, found.rows + more.rows)
 
 
 def _with_paint(
