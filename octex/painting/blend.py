@@ -198,7 +198,7 @@ def may_differ(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> In
 
 def nodes_above(tree: Octree, codes: Sequence[Int64s], is_new: Bools, before: Octree, layer: Octree) -> Above:
     """Find the nodes above leaves, listed by level, and split old nodes above new cells."""
-    above = [distinct(each >> 3) for each in with_all_above(codes)[1:]]
+    above = with_all_above([each >> 3 for each in codes[1:]])
     has_turned = bool(is_new.any() and before.split.cells.size)
     over_new = np.empty(0, np.int64)
     for level, (cells, is_node) in reversed(list(enumerate(tree.walk())) if has_turned else []):

@@ -158,12 +158,16 @@ def order_key(camera: View, K: Float64s, lens: Float64s, mips: Mips) -> bytes:
 
 def _spread(marked: Bools, reach: int) -> Bools:
     """Mark all pixels in the squares that reach ``reach`` pixels around marked ones."""
-    counts = _summed(marked)
-    for axis, size in enumerate(marked.shape):
-        ends = np.arange(size)
-        last, first = np.minimum(ends + reach + 1, size), np.maximum(ends - reach, 0)
-        counts = counts.take(last, axis) - counts.take(first, axis)
-    return counts > 0
+    wide = marked.copy()
+    for along in (wide, wide.T):
+        reached = 0
+        while reached < reach:
+            step = min(2 * reached + 1, reach - reached)  # wider steps would leave gaps
+            before = along.copy("K")
+            along[step:] |= before[:-step]
+            along[:-step] |= before[step:]
+            reached += step
+    return wide
 
 
 #: Rows and columns of pixels that are tried for a triangle whose corners and centroid no picture shows.
