@@ -336,7 +336,7 @@ def _overwritten(
             return whole
         made = whole if whole.flags.writeable else whole.base
         is_free = shared is not None and whole.ctypes.data not in taken
-        if not (is_free and isinstance(made, np.ndarray) and made.flags.writeable):
+        if not (is_free and isinstance(made, np.ndarray) and made.flags.carray):
             made = whole.copy()
         written.append((made, now, place))
         return made
@@ -351,12 +351,9 @@ def _overwritten(
         channels[name] = Channel(form, *(changed(*part) for part in zip(*parts, strict=True)))
     made = texture.with_cells(tree.with_cell_data(flags, areas, tree.split, tree.kept), channels)
     for array, rows, place in written:
-        _write(_bytes_of(array), _bytes_of(rows), place)
+        new = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)
+        _write(array.view(np.uint8).reshape(len(array), -1), new, place)
     return made
-
-
-def _bytes_of(rows: Array) -> Uint8s:
-    return np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)
 
 
 @kernel

@@ -224,6 +224,9 @@ def averaged(
     after = base.with_cells(base.tree, channels)
     names = channels if is_new.any() else averaged_with(channels, parts)
     rows = rows_of(base.tree.split, above.nodes.cells)
+    _, values, facings, _ = task.layer.channels[painted_channel(task.layer)]
+    is_one = values.dtype.kind == "u" and np.array_equal(values[1:], values[:-1])
+    is_one = is_one and bool((facings == values[0]).all())  # then none of its residuals differs from 0
     left = {}
     for name in sorted(names, key=_after_alpha):
         left[name] = _residuals_before(draft, raised, name, above, rows)
@@ -231,7 +234,7 @@ def averaged(
             takes_on = (
                 name == task.target and task.blend in ("over", "replace") and alpha_of(name) is not None
             )
-            layer = task.layer if takes_on and not _has_one_value(task.layer) else None
+            layer = task.layer if takes_on and not is_one else None
             left[name] = _with_paint(
                 after, channels[name].format, parts[name], above, rows, left[name], layer
             )
@@ -256,13 +259,6 @@ def averaged(
             average_rows(texture, copies[name], rows_left[name], above.nodes)
     parts_left = without_split(base.with_cells(base.tree, parts), excess)
     return Merged(texture, parts_left, is_fresh, is_new, painted, has_rows, raised.added)
-
-
-def _has_one_value(layer: OctreeTexture) -> bool:
-    """Return whether all cells of a layer store the same integers: then no residual differs from 0."""
-    _, values, rows, _ = layer.channels[painted_channel(layer)]
-    is_one = values.dtype.kind == "u" and np.array_equal(values[1:], values[:-1])
-    return bool(is_one and (rows == values[0]).all())
 
 
 def averaged_with(channels: Iterable[str], changed: Collection[str]) -> list[str]:

@@ -250,7 +250,7 @@ def with_old_skirts(
 ) -> list[Paint]:
     """Add the tree's skirts, by level, next to paint whose neighbours in ``bare`` all adjoin paint."""
     found = list(paint)
-    painted = _on_surface(paint, skirts)
+    painted = _on_surface(paint, skirts) if skirts else []
     for level, skirt in enumerate(skirts):
         if not skirt.size:
             continue

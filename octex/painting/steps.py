@@ -451,12 +451,12 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
             if kind != "kept_values":
                 getattr(parts[name], kind)[rows, 0] = part
 
-    def blend_block(here: slice) -> None:
+    def blend_block(begin: int) -> None:
+        here = slice(begin, begin + _BLOCK)
         blend("values", cells[here], on_leaves.values[here], on_leaves.coverage[here], is_fresh[cells[here]])
 
-    blocks = [slice(begin, begin + _BLOCK) for begin in range(0, cells.size, _BLOCK)]
     with sharing(task.job.executor) as pool:
-        list(ordered_map(pool, blend_block, blocks))
+        list(ordered_map(pool, blend_block, range(0, cells.size, _BLOCK)))
     kept = on_kept(tree, paint, bare, skirts, task.job.executor)
     if kept[0].size:
         blend("kept_values", *kept, np.zeros(kept[0].size, np.bool_))
