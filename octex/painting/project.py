@@ -162,7 +162,7 @@ def _spread(marked: Bools, reach: int) -> Bools:
     for along in (wide, wide.T):
         reached = 0
         while reached < reach:
-            step = min(2 * reached + 1, reach - reached)  # wider steps would leave gaps
+            step = min(reached + 1, reach - reached)  # wider steps would leave gaps
             before = along.copy("K")
             along[step:] |= before[:-step]
             along[:-step] |= before[step:]
