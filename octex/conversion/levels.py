@@ -61,7 +61,7 @@ SAMPLE_MEMORY, SAMPLE_VALUE_MEMORY = 28, 2
 #: The memory at the peak, as a multiple of the least for all leaves.
 _PEAK_PER_LEAF = 2.0
 #: This many blocks or fewer are cut into blocks of 8³ cells, of which only the reached ones are converted.
-_FEW_BLOCKS, _SMALL_BITS = 1024, 3
+_FEW_BLOCKS, SMALL_BITS = 1024, 3
 #: Files of parts that are joined into one.
 _JOINED = 16
 #: A smaller alpha weighs hardly more than gaps: their sum loses it in float32's rounding.
@@ -173,7 +173,7 @@ def cell_levels(
     has_gaps = source is not None and source.has_gaps
     coverage = source.only([]) if source is not None and has_gaps and not source.alpha_is_coverage else None
     if reached is not None and blocks.level and blocks.codes.size <= _FEW_BLOCKS:
-        coarse, smaller = blocks, divided(blocks, _SMALL_BITS)
+        coarse, smaller = blocks, divided(blocks, SMALL_BITS)
         is_reached = reached(smaller)
         blocks = smaller.chosen(is_reached)
         outside = _outside(coarse.of_cells(blocks.level), ~is_reached, columns) if has_gaps else None

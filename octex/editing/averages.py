@@ -88,7 +88,7 @@ def residuals(
     for here in [slice(None)] if 0 < nodes.cells.size <= _FEW else by_level(tree, nodes):
         cells = nodes.cells[here]
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
-        _keep_apart(form, channel.values[cells], means, cells, change, of_nodes[here])
+        _keep_apart(form, channel.values.take(cells, axis=0), means, cells, change, of_nodes[here])
     of_rows = np.zeros((rows_of(tree.split, nodes.cells).rows.size, form.components))
     for here, rows, owners in rows_by_level(tree, nodes):
         means, has = _row_means(texture, channel, rows, owners)
@@ -122,7 +122,7 @@ def residuals_at(texture: OctreeTexture, name: str, places: Nodes, owners: Int64
         return Residuals(of_nodes, of_nodes[owners])
     nodes = places.of(has)
     known = residuals(texture, name, nodes)
-    of_nodes[has] = known.nodes
+    of_nodes[slice(None) if has.all() else has] = known.nodes
     of_rows = of_nodes[owners]
     there, rows = find_rows(texture.tree.split, np.where(has, places.cells, -1)[owners], bits)
     if rows.size:

@@ -16,10 +16,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s
+from octex.arrays import Array, Bools, Int64s, Uint8s
 from octex.channels import ALPHA, ONE
 from octex.editing.runs import ROOT, Runs, add_below, children_in, joined_runs
 from octex.errors import ArgumentError
+from octex.jit import kernel
 from octex.texture import Channel, OctreeTexture
 from octex.tree.children import children_before
 from octex.tree.edit import among, locate, with_all_above
@@ -323,24 +324,21 @@ def _overwritten(
     sources = np.flatnonzero(place >= 0)
     sizes = draft.split.areas.size, draft.kept.cells.size
     places = [place, *(np.full(size, -1, np.int64) for size in sizes)]
-    places[1][rows_of(draft.split, sources).rows] = rows_of(tree.split, place[sources]).rows
+    targets = place[sources]
+    places[1][rows_of(draft.split, sources).rows] = rows_of(tree.split, targets).rows
     kept, draft_kept = (each.kept.cells.astype(np.int64) for each in (tree, draft))
-    places[2][among(draft_kept, sources)] = np.flatnonzero(among(kept, place[sources]))
+    places[2][among(draft_kept, sources)] = np.flatnonzero(among(kept, targets))
     taken = set() if shared is None else {each.ctypes.data for each in _arrays(shared)}
-    written: list[tuple[Array, Array, Array]] = []  # once all copies exist: an error changes nothing
+    written: list[tuple[Array, Array, Int64s]] = []  # once all copies exist: an error changes nothing
 
-    def changed(whole: Array, was: Array, changed_rows: Array, place: Int64s) -> Array:
-        differs = was != changed_rows
-        if differs.ndim > 1:
-            differs = np.logical_or.reduce(list(differs.T))  # twice as fast as along an axis of three
-        rows = np.flatnonzero(differs & (place >= 0))
-        if not rows.size:
+    def changed(whole: Array, was: Array, now: Array, place: Int64s) -> Array:
+        if np.array_equal(was, now):
             return whole
         made = whole if whole.flags.writeable else whole.base
         is_free = shared is not None and whole.ctypes.data not in taken
-        if not (is_free and isinstance(made, np.ndarray) and made.flags.writeable):
+        if not (is_free and isinstance(made, np.ndarray) and made.flags.carray):
             made = whole.copy()
-        written.append((made, place[rows], changed_rows[rows]))
+        written.append((made, now, place))
         return made
 
     flags, areas = (
@@ -352,9 +350,19 @@ def _overwritten(
         parts = stored, before.channels[name][1:], after.channels[name][1:], places
         channels[name] = Channel(form, *(changed(*part) for part in zip(*parts, strict=True)))
     made = texture.with_cells(tree.with_cell_data(flags, areas, tree.split, tree.kept), channels)
-    for array, at, values in written:
-        array[at] = values
+    for array, rows, place in written:
+        new = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)
+        _write(array.view(np.uint8).reshape(len(array), -1), new, place)
     return made
+
+
+@kernel
+def _write(whole: Uint8s, rows: Uint8s, place: Int64s) -> None:
+    """Write rows of bytes to their places in a whole; a place of −1 is none."""
+    for n in range(place.size):
+        if 0 <= place[n] < whole.shape[0]:
+            for k in range(whole.shape[1]):
+                whole[place[n], k] = rows[n, k]
 
 
 def put_together(

@@ -198,7 +198,7 @@ def may_differ(tree: Octree, cells: Int64s, painted: Uint8s, above: Above) -> In
 
 def nodes_above(tree: Octree, codes: Sequence[Int64s], is_new: Bools, before: Octree, layer: Octree) -> Above:
     """Find the nodes above leaves, listed by level, and split old nodes above new cells."""
-    above = [distinct(each >> 3) for each in with_all_above(codes)[1:]]
+    above = with_all_above([each >> 3 for each in codes[1:]])
     has_turned = bool(is_new.any() and before.split.cells.size)
     over_new = np.empty(0, np.int64)
     for level, (cells, is_node) in reversed(list(enumerate(tree.walk())) if has_turned else []):
@@ -224,6 +224,9 @@ def averaged(
     after = base.with_cells(base.tree, channels)
     names = channels if is_new.any() else averaged_with(channels, parts)
     rows = rows_of(base.tree.split, above.nodes.cells)
+    _, values, facings, _ = task.layer.channels[painted_channel(task.layer)]
+    is_one = values.dtype.kind == "u" and np.array_equal(values[1:], values[:-1])
+    is_one = is_one and bool((facings == values[0]).all())  # then none of its residuals differs from 0
     left = {}
     for name in sorted(names, key=_after_alpha):
         left[name] = _residuals_before(draft, raised, name, above, rows)
@@ -231,7 +234,7 @@ def averaged(
             takes_on = (
                 name == task.target and task.blend in ("over", "replace") and alpha_of(name) is not None
             )
-            layer = task.layer if takes_on else None
+            layer = task.layer if takes_on and not is_one else None
             left[name] = _with_paint(
                 after, channels[name].format, parts[name], above, rows, left[name], layer
             )
@@ -271,10 +274,13 @@ def _residuals_before(draft: OctreeTexture, raised: Raised, name: str, above: Ab
     """Return the residuals of nodes and their ``rows`` before the merge; 0 where the texture had no cell."""
     nodes, was = above.nodes, above.before.numbers >= 0
     owners = np.searchsorted(nodes.cells, rows.cells)
-    numbers = np.where(was | raised.is_fresh[nodes.cells], -1, nodes.numbers)
-    kinds = (draft, above.before), (raised.texture, nodes._replace(numbers=numbers))
-    one, other = (residuals_at(texture, name, places, owners, rows.bits) for texture, places in kinds)
-    return Residuals(one.nodes + other.nodes, one.rows + other.rows)
+    found = residuals_at(draft, name, above.before, owners, rows.bits)
+    is_done = was | raised.is_fresh[nodes.cells]
+    if is_done.all():
+        return found
+    places = nodes._replace(numbers=np.where(is_done, -1, nodes.numbers))
+    more = residuals_at(raised.texture, name, places, owners, rows.bits)
+    return Residuals(found.nodes + more.nodes, found.rows + more.rows)
 
 
 def _with_paint(

@@ -180,7 +180,7 @@ def bare_surface(
 ) -> tuple[list[Int64s], list[Int64s]]:
     """Return the unpainted surface, by level: leaves other than the raised ``tops``, and all cells."""
     painted = [each.codes for each in paint]
-    leaves = bare_leaves(tree, paint, is_skirt)
+    leaves, _ = bare_leaves(tree, paint, is_skirt)
     unraised = [codes[~among(codes, tops[level])] for level, codes in enumerate(leaves)]
     bare = [*unraised, *[np.empty(0, np.int64)] * (len(met.codes) - len(unraised))]
     for level, codes in enumerate(met.codes):
@@ -228,12 +228,13 @@ def free_leaves(
     return freed
 
 
-def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
-    """Return the leaves with unpainted surface, by level."""
-    found = []
+def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> tuple[list[Int64s], list[Int64s]]:
+    """Return the leaves with unpainted surface, and the skirts, by level."""
+    found, skirts = [], []
     for level, (codes, is_node) in enumerate(tree.walk()):
         here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
         flags = tree.arrays.flags[here]
+        skirts.append(codes[~is_node & is_skirt[here]])
         is_bare = ~is_node & ~is_skirt[here]
         for above, each in enumerate(paint[: level + 1]):
             if each.codes.size:
@@ -241,20 +242,16 @@ def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[I
                 there = at >= 0
                 is_bare[there] &= leave_bare(flags[there], each.flags[at[there]])
         found.append(codes[is_bare])
-    return found
+    return found, skirts
 
 
 def with_old_skirts(
-    tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], is_skirt: Bools, executor: Executor
+    tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], skirts: Sequence[Int64s], executor: Executor
 ) -> list[Paint]:
-    """Add the tree's skirts (cells,) next to paint whose neighbours in ``bare`` all adjoin paint."""
+    """Add the tree's skirts, by level, next to paint whose neighbours in ``bare`` all adjoin paint."""
     found = list(paint)
-    if not is_skirt.any():
-        return found
-    painted = _on_surface(tree, paint, is_skirt)
-    for level, (codes, is_node) in enumerate(tree.walk()):
-        here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
-        skirt = codes[~is_node & is_skirt[here]]
+    painted = _on_surface(paint, skirts) if skirts else []
+    for level, skirt in enumerate(skirts):
         if not skirt.size:
             continue
         skirt = skirt[~among(skirt, paint[level].codes) & touch(skirt, painted, level, refined=True)]
@@ -287,7 +284,7 @@ def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Pa
 
 
 def on_kept(
-    tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], is_skirt: Bools, executor: Executor
+    tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], skirts: Sequence[Int64s], executor: Executor
 ) -> tuple[Int64s, Float32s, Float32s]:
     """Return the rows of kept nodes without ``bare`` neighbours, and the paint in or next to them.
 
@@ -295,7 +292,7 @@ def on_kept(
     """
     found = [(np.empty(0, np.int64), paint[0].values[:0], paint[0].coverage[:0])]
     above = with_all_above([each.codes for each in paint]) if tree.kept.cells.size else []
-    leaves = _on_surface(tree, paint, is_skirt) if above else []
+    leaves = _on_surface(paint, skirts) if above else []
     for level, painted in enumerate(above):
         here = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())
         if here.start == here.stop:
@@ -313,10 +310,9 @@ def on_kept(
     return rows, values, coverage
 
 
-def _on_surface(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> list[Int64s]:
+def _on_surface(paint: Sequence[Paint], skirts: Sequence[Int64s]) -> list[Int64s]:
     """Return the painted cells that are no skirts, by level."""
-    cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
-    return [each.codes[~is_skirt[at]] for each, at in zip(paint, cells, strict=True)]
+    return [each.codes[~among(each.codes, skirt)] for each, skirt in zip(paint, skirts, strict=False)]
 
 
 def skirt_paint(skirt: Int64s, level: int, executor: Executor, around: Paint) -> Paint:

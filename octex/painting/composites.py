@@ -157,7 +157,7 @@ def restored(texture: OctreeTexture, opened: OctreeTexture, erased: Channel) -> 
             stored[at] = encode(new, form.dtype, form.space)
     made = texture.with_cells(tree, channels)
     levels = [tree.level_codes(level)[each] for level, each in _by_level(tree, places[0])]
-    above = [distinct(codes >> 3) for codes in with_all_above(levels)[1:]]
+    above = with_all_above([codes >> 3 for codes in levels[1:]])
     nodes = nodes_at(tree, above)
     split = rows_of(tree.split, nodes.cells)
     part, row_part = (

@@ -294,7 +294,7 @@ def _with_paint(
     changed = [
         distinct(np.concatenate([bare.codes, each.codes])) for bare, each in zip(lacking, paint, strict=True)
     ]
-    codes = [distinct(each >> 3) for each in with_all_above(changed)[1:]]
+    codes = with_all_above([each >> 3 for each in changed[1:]])
     nodes, none = nodes_at(tree, codes), np.empty(0, np.int64)
     absent = nodes._replace(numbers=np.full_like(nodes.numbers, -1))
     above = Above(nodes, absent, nodes_at(task.layer.tree, codes))

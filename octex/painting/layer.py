@@ -230,12 +230,12 @@ def paint_of(layer: OctreeTexture, opacity: float) -> list[Paint]:
     np.bitwise_or.at(flags, rows.cells, rows.bits * (coverage.split_values[:, 0] > 0))
     found = []
     for level, (codes, is_node) in enumerate(layer.tree.walk()):
-        cells = np.flatnonzero(~is_node) + int(layer.tree.arrays.level_cells[level])
-        part = decode(coverage.values[cells], "data")[:, 0] * np.float32(opacity)
-        has_paint = part > 0
-        codes, cells = codes[~is_node][has_paint], cells[has_paint]
-        colors = decode(values.values[cells], values.format.space)
-        found.append(Paint(codes, colors, part[has_paint], cells, flags[cells]))
+        leaves = np.flatnonzero(~is_node)
+        cells = leaves + int(layer.tree.arrays.level_cells[level])
+        part = decode(coverage.values.take(cells), "data") * np.float32(opacity)
+        colors = decode(values.values.take(cells, axis=0), values.format.space)
+        each, has_paint = Paint(codes[leaves], colors, part, cells, flags[cells]), part > 0
+        found.append(each if has_paint.all() else each.of(has_paint))
     return found
 
 

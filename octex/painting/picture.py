@@ -198,8 +198,7 @@ def _window_of(
         del colors
     del texels  # as large as the mips
     pixels[:, :, 3] *= np.clip(factor, 0.0, 1.0)
-    limits = _ends(pixels)
-    pixels[:, :, :3] *= pixels[:, :, 3:]
+    limits = _multiply(pixels)
     for above, level in pairwise(mips):
         level[:] = resized(above, *level.shape[:2])
     if (limits[0] != limits[1]).any():
@@ -236,18 +235,20 @@ def _sizes(width: int, height: int) -> Int64s:
 
 
 @kernel
-def _ends(pixels: Float32s) -> Float32s:
-    """Return the range of each component where alpha is not 0; zeros if it is 0 everywhere."""
+def _multiply(pixels: Float32s) -> Float32s:
+    """Multiply colours by alpha; return their range before, where alpha is not 0, or zeros for none."""
     ends = np.zeros((2, 3), np.float32)
     is_first = True
     for row in range(pixels.shape[0]):
         for column in range(pixels.shape[1]):
-            if pixels[row, column, 3] > 0:
-                for part in range(3):
-                    value = pixels[row, column, part]
+            alpha = pixels[row, column, 3]
+            for part in range(3):
+                value = pixels[row, column, part]
+                pixels[row, column, part] = value * alpha
+                if alpha > 0:
                     ends[0, part] = value if is_first else min(value, ends[0, part])
                     ends[1, part] = value if is_first else max(value, ends[1, part])
-                is_first = False
+            is_first = is_first and not alpha > 0
     return ends
 
 

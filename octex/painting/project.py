@@ -17,6 +17,7 @@ from octex.cameras.camera import Camera
 from octex.cameras.lens import is_bent
 from octex.channels import ChannelFormat
 from octex.conversion import large
+from octex.conversion.levels import SMALL_BITS
 from octex.jit import inlined, kernel
 from octex.painting.layer import PaintSource
 from octex.painting.picture import Mips, Projection, Window, window_of
@@ -28,6 +29,7 @@ from octex.painting.reading import (
     box_in,
     corners_in,
     finish,
+    is_turned_away,
     narrow,
     weighted,
 )
@@ -38,7 +40,15 @@ from octex.source.vectors import Vector
 from octex.tree.morton import decode_cells
 from octex.tree.placement import Placement
 from octex.view.shading import face_normals
-from octex.view.visibility import View, Visibility, distances_to_edges, straight, view_of, visibility_of
+from octex.view.visibility import (
+    View,
+    Visibility,
+    distances_to_edges,
+    plane_through,
+    straight,
+    view_of,
+    visibility_of,
+)
 from octex.voxelize.fragments import Blocks
 
 #: Pixels around its paint within which a single picture is decoded, a power of two.
@@ -148,12 +158,16 @@ def order_key(camera: View, K: Float64s, lens: Float64s, mips: Mips) -> bytes:
 
 def _spread(marked: Bools, reach: int) -> Bools:
     """Mark all pixels in the squares that reach ``reach`` pixels around marked ones."""
-    counts = _summed(marked)
-    for axis, size in enumerate(marked.shape):
-        ends = np.arange(size)
-        last, first = np.minimum(ends + reach + 1, size), np.maximum(ends - reach, 0)
-        counts = counts.take(last, axis) - counts.take(first, axis)
-    return counts > 0
+    wide = marked.copy()
+    for along in (wide, wide.T):
+        reached = 0
+        while reached < reach:
+            step = min(reached + 1, reach - reached)  # wider steps would leave gaps
+            before = along.copy("K")
+            along[step:] |= before[:-step]
+            along[:-step] |= before[step:]
+            reached += step
+    return wide
 
 
 #: Rows and columns of pixels that are tried for a triangle whose corners and centroid no picture shows.
@@ -233,9 +247,10 @@ class Projected(PaintSource):
         found, edge = np.zeros(blocks.codes.size, np.bool_), placement.size / 2**blocks.level
         corners = placement.to_rest(decode_cells(blocks.codes) / 2**blocks.level)
         mesh = self.vertices, self.triangles, rest
+        back_faces = self.terms.back_faces or blocks.bits > SMALL_BITS  # larger blocks count for cells above
         for shot in self.shots:
             seen = _summed(shot.seen.rows >= 0)
-            _mark_seen(shot.camera, seen, *mesh, blocks, corners, edge, found)
+            _mark_seen(shot.camera, seen, *mesh, back_faces, blocks, corners, edge, found)
         return found
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
@@ -391,12 +406,13 @@ def _mark_seen(
     vertices: Float64s,
     faces: Int32s,
     rest: Float64s,
+    back_faces: bool,
     blocks: Blocks,
     corners: Float64s,
     edge: float,
     found: Bools,
 ) -> None:
-    """Mark the blocks with triangles that a view may see.
+    """Mark the blocks with triangles that a view may see and that face it, unless ``back_faces`` count.
 
     A triangle's part in a block lies in a rectangle. One of the four pixels around a painted point sees it.
     """
@@ -405,6 +421,9 @@ def _mark_seen(
             if found[block]:
                 break
             triangle = blocks.members[row]
+            a, b, c = corners_in(view, vertices, faces, triangle)
+            if is_turned_away(view, plane_through(a, b, c), back_faces):
+                continue
             p, q, r = rest[faces[triangle, 0]], rest[faces[triangle, 1]], rest[faces[triangle, 2]]
             axis, area = 0, 0.0  # the largest of the projections along an axis, at rest
             for each in range(3):
@@ -418,7 +437,6 @@ def _mark_seen(
             u, v = (axis + 1) % 3, (axis + 2) % 3
             low_u, high_u = _overlap(corners[block, u], edge, p[u], q[u], r[u])
             low_v, high_v = _overlap(corners[block, v], edge, p[v], q[v], r[v])
-            a, b, c = corners_in(view, vertices, faces, triangle)
             part = (
                 _posed(low_u - p[u], low_v - p[v], p, q, r, u, v, area, a, b, c),
                 _posed(low_u - p[u], high_v - p[v], p, q, r, u, v, area, a, b, c),

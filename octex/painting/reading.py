@@ -128,6 +128,13 @@ def _facing(view: View, plane: tuple[float, float, float, float], area: float, f
 
 
 @inlined
+def is_turned_away(view: View, plane: tuple[float, float, float, float], back_faces: bool) -> bool:
+    """Return whether a camera sees no paintable side of a plane."""
+    toward = -plane[3] if view.is_pinhole else -plane[2]
+    return not (abs(toward) if back_faces else toward) > 0.0
+
+
+@inlined
 def _turned(view: View, normals: Float32s, triangle: int, corner: int) -> Vector:
     """Return a normal in camera axes."""
     M = view.world_to_camera
@@ -282,10 +289,9 @@ def add_paint(
             last = triangle
             a, b, c = corners_in(view, vertices, faces, triangle)
             plane = plane_through(a, b, c)
-            toward = -plane[3] if view.is_pinhole else -plane[2]
-            is_unseen = not (abs(toward) if terms.back_faces else toward) > 0.0
             left, top, right, bottom, behind = box_in(view, (a, b, c))
             is_outside = right < -1.0 or left > width + 1.0 or bottom < -1.0 or top > height + 1.0
+            is_unseen = is_turned_away(view, plane, terms.back_faces)
             is_unseen = is_unseen or behind == 3 or (behind == 0 and is_outside)
             if not is_unseen:
                 of_a = _turned(view, normals, triangle, 0)

@@ -78,6 +78,7 @@ from octex.painting.layer import (
     with_bare_facings,
 )
 from octex.painting.surface import Job
+from octex.parallel import ordered_map, sharing
 from octex.texture import OctreeTexture
 from octex.tree.areas import SKIRT
 from octex.tree.edit import Edited, among, indices_in, locate, raised, rebuilt, unchanged, with_all_above
@@ -356,7 +357,7 @@ def raise_texture(
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     made = refaced(with_rows(draft.with_cells(tree, channels), rows))
     if any(codes.size for codes in added):
-        nodes = nodes_at(made.tree, [distinct(codes >> 3) for codes in with_all_above(added)[1:]])
+        nodes = nodes_at(made.tree, with_all_above([codes >> 3 for codes in added[1:]]))
         made = made.with_cells(with_summed_areas(made.tree, nodes), made.channels)
     is_skirt = edited.carried(is_skirt) | (made.tree.arrays.areas == SKIRT)
     return Raised(made, edited.old, is_fresh, is_skirt, added)
@@ -413,8 +414,9 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
 def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[Paint]) -> Merged:
     """5. Merge the paint: blend each leaf, skirt and kept coefficient under it once; average nodes above."""
     tree, is_skirt, is_fresh, is_new = raised.texture.tree, raised.is_skirt, raised.is_fresh, raised.old < 0
-    bare = bare_leaves(tree, paint, is_skirt) if tree.kept.cells.size or is_skirt.any() else []
-    paint = with_old_skirts(tree, paint, bare, is_skirt, task.job.executor)
+    has_skirts = tree.kept.cells.size or is_skirt.any()
+    bare, skirts = bare_leaves(tree, paint, is_skirt) if has_skirts else ([], [])
+    paint = with_old_skirts(tree, paint, bare, skirts, task.job.executor)
     painted = [each.codes for each in paint]
     cells, on_leaves = paint_on_leaves(tree, paint)
     above = nodes_above(tree, painted, is_new, draft.tree, task.layer.tree)
@@ -449,10 +451,13 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
             if kind != "kept_values":
                 getattr(parts[name], kind)[rows, 0] = part
 
-    for begin in range(0, cells.size, _BLOCK):
+    def blend_block(begin: int) -> None:
         here = slice(begin, begin + _BLOCK)
         blend("values", cells[here], on_leaves.values[here], on_leaves.coverage[here], is_fresh[cells[here]])
-    kept = on_kept(tree, paint, bare, is_skirt, task.job.executor)
+
+    with sharing(task.job.executor) as pool:
+        list(ordered_map(pool, blend_block, range(0, cells.size, _BLOCK)))
+    kept = on_kept(tree, paint, bare, skirts, task.job.executor)
     if kept[0].size:
         blend("kept_values", *kept, np.zeros(kept[0].size, np.bool_))
     rows = rows_of(base.tree.split, cells)

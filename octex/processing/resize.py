@@ -23,7 +23,6 @@ from octex.tree.areas import shared_codes
 from octex.tree.edit import cull, locate, raised, with_all_above
 from octex.tree.layout import FACING_FLAGS, MAX_CELLS
 from octex.tree.morton import decode_cells
-from octex.tree.octree import distinct
 from octex.tree.split import rows_of
 
 
@@ -129,7 +128,7 @@ def with_leaves(texture: OctreeTexture, is_kept: Bools) -> OctreeTexture:
     edited = cull(tree, is_kept)
     left = carried(texture, edited)
     made = refaced(texture.with_cells(edited.tree, left))
-    above = [distinct(codes >> 3) for codes in with_all_above(lost)[1:]]
+    above = with_all_above([codes >> 3 for codes in lost[1:]])
     nodes = nodes_at(made.tree, above)
     cut = nodes.numbers >= 0
     nodes, old = nodes.of(cut), nodes_at(tree, above).of(cut)

@@ -30,10 +30,14 @@ def children(groups: Uint64s, node: int) -> tuple[np.uint64, np.uint64, int, int
     return nodes >> shift & np.uint64(0xFF), cells >> shift & np.uint64(0xFF), first_node, first_cell
 
 
+@kernel
 def children_of(groups: Uint64s, nodes: Int64s) -> tuple[Int64s, Int64s]:
     """Return the first child of nodes (n,), by node number, and their numbers of children."""
-    firsts = children_before(groups, nodes)[0]
-    return firsts, children_before(groups, nodes + 1)[0] - firsts
+    firsts, counts = np.empty(nodes.size, np.int64), np.empty(nodes.size, np.int64)
+    for n in range(nodes.size):
+        _, stored, _, firsts[n] = children(groups, nodes[n])
+        counts[n] = popcount(stored)
+    return firsts, counts
 
 
 def masks_of(groups: Uint64s, word: int) -> Uint8s:

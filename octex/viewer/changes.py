@@ -127,9 +127,9 @@ def touched_by(changes: Sequence[Change]) -> list[list[float]] | None:
 
 def _around(new: Int64s, count: int) -> _Runs:
     """Return the runs of all other cells of ``count``, whose numbers do not change."""
-    first, end = np.append(0, new + 1), np.append(new, count)
-    is_some = first < end
-    return _Runs(first[is_some], first[is_some], (end - first)[is_some])
+    ends = np.concatenate([[-1], new, [count]])
+    at = np.flatnonzero(np.diff(ends) > 1)
+    return _Runs(ends[at] + 1, ends[at] + 1, ends[at + 1] - ends[at] - 1)
 
 
 def _closed(here: Int64s, count: int, there: Int64s, old_count: int) -> _Runs:
@@ -157,12 +157,13 @@ def _packed(
     masks, areas = _nodes_data(texture.tree)
     if is_closed is not None:
         nodes, closed = node_cells(texture.tree.arrays), np.flatnonzero(is_closed)
+        nodes = nodes[: np.searchsorted(nodes, closed.max(initial=0))]  # all above closed cells
         stored = octants_of(np.bitwise_or.reduce(masks[nodes], axis=1))
         parents, octants = (each[closed - 1] for each in stored)  # of all cells but the root
         np.bitwise_xor.at(masks, nodes[parents], np.uint8(1) << octants[:, None])
     channels = list(texture.channels.values())
-    parts: list[Array] = [masks[new].T, areas[new], texture.tree.arrays.flags[new]]
-    parts += [channel.values[new].T for channel in channels]
+    columns = masks, areas, texture.tree.arrays.flags, *(channel.values for channel in channels)
+    parts: list[Array] = [each.take(new, axis=0).T for each in columns]
     kept, sides = _owners(texture.tree)
     kept_rows, side_rows = np.flatnonzero(~is_known[kept]), np.flatnonzero(~is_known[sides])
     for channel in channels:
@@ -170,7 +171,7 @@ def _packed(
         parts.append(rows.T)
     counts = {"runs": runs.now.size, "cells": new.size, "kept": kept_rows.size, "sides": side_rows.size}
     numbers = [planes(each) for each in (gaps, runs.before, runs.lengths)]
-    return counts, b"".join([*numbers, *(np.ascontiguousarray(part, np.uint8).tobytes() for part in parts)])
+    return counts, b"".join([*numbers, *(np.ascontiguousarray(part, np.uint8).data for part in parts)])
 
 
 def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:
