@@ -257,7 +257,7 @@ def test_a_clone_asks_for_its_source_and_says_when_that_is_hidden(clean):
     assert len(clean.bodies) == 1
     page.evaluate("viewer.camera.orbit(3, 0)")
     clean.drag(page, (0, 0), (10, 0))
-    clean.says("hidden: Alt and click sets another one.")
+    clean.says("hidden: press Set another source, or Alt and click.")
     assert len(clean.bodies) == 1
 
 

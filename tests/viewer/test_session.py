@@ -21,6 +21,7 @@ from tests.make.strokes import (
     SIZE,
     assert_mirrored,
     camera,
+    camera_sent,
     canvas,
     deflated,
     disc,
@@ -246,6 +247,20 @@ def test_a_part_is_filled_and_the_one_that_a_mirror_shows(tmp_path):
         take(session, plain(kind, number))
         assert_same(session.shown.texture, expected)
     session.close()
+
+
+def test_a_fill_after_a_stroke_from_close_up_is_as_deep_as_most_of_the_texture(session, monkeypatch):
+    monkeypatch.setattr(sessions, "_MOST_FILLED", 1 << 12)
+    near = octex.Camera.fitted([[0.0, 0.1, 1.0], [0.2, 0.3, 1.0]], (0.0, 0.0, 1.0), size=SIZE)
+    take(session, stroke(1, camera=camera_sent(near)))
+    before = session.shown.texture
+    assert before.tree.max_depth >= canvas()[0].tree.max_depth + 3
+    take(session, plain("fill", 2, color=[250, 0, 10]))
+    filled = session.shown.texture
+    assert filled.tree.n_leaves <= before.tree.n_leaves
+    points = canvas()[1].scatter(2000).rest
+    color = decode(np.array([250, 0, 10], np.uint8), "srgb")
+    np.testing.assert_allclose(filled.sample(points), np.tile(color, (2000, 1)), atol=1 / 255)
 
 
 def test_mirrored_strokes_are_one_step_and_land_where_a_mirror_has_them(session):

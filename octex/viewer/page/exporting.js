@@ -69,6 +69,7 @@ export class Exporting {
   exportCopy() {
     if (this.events) return;
     element("export").open = true;
+    element("export").scrollIntoView({ block: "nearest" });
     element("export-kind").value = "octex";
     this.set({ kind: "octex" });
     this.begin();
@@ -92,6 +93,7 @@ export class Exporting {
     const replace = button("replace", "Replace it", () => commands.send({ kind: "save", replace: true }));
     const copy = button("copy", "Keep it, download a copy", () => this.exportCopy());
     box.replaceChildren(make("span", {}, question), make("div", { class: "buttons" }, replace, copy));
+    box.scrollIntoView({ block: "nearest" });
   }
 
   // End or cancel: the server stops its work when the event stream closes.

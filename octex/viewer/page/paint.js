@@ -94,20 +94,21 @@ class Painting {
     this.stage = element("stage");
     this.stage.append(this.outline.ring, this.outline.string);
     this.main.before(this.tools, this.flat.bar);
-    this.main.append(this.flat.canvas);
+    this.main.append(this.flat.canvas, make("p", { id: "paint-note", role: "status" }));
     const [minLog, maxLog] = [MIN_SIZE, MAX_SIZE].map(Math.log);
     const share = { min: 0, max: 1, step: 0.01 }, settings = (this.settings = new Settings("", () => this.brush, (change) => this.set(change)));
     this.material = new Material(this);
     const toggleTheme = () => this.setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
     const toggleFolded = ({ currentTarget }) => (currentTarget.ariaExpanded = !document.querySelector("aside").classList.toggle("folded"));
     const painting = make("section", { id: "painting", "aria-label": "Painting" },
-      make("div", { class: "bar" },
-        iconButton("undo", "undo", "Undo (Ctrl+Z)", () => this.undo()),
-        iconButton("redo", "redo", "Redo (Ctrl+Shift+Z)", () => this.redo()),
-        iconButton("store", "save", "Save (Ctrl+S)", () => this.save()),
-        iconButton("theme", "theme", "Dark or light", toggleTheme),
-        iconButton("fold", "fold", "Panel", toggleFolded)),
-      make("p", { id: "saved", role: "status" }),
+      make("header", {},
+        make("div", { class: "bar" },
+          iconButton("undo", "undo", "Undo (Ctrl+Z)", () => this.undo()),
+          iconButton("redo", "redo", "Redo (Ctrl+Shift+Z)", () => this.redo()),
+          iconButton("store", "save", "Save (Ctrl+S)", () => this.save()),
+          iconButton("theme", "theme", "Dark or light", toggleTheme),
+          iconButton("fold", "fold", "Panel", toggleFolded)),
+        make("p", { id: "saved", role: "status" })),
       make("div", { id: "question", role: "alert", hidden: true }),
       ...this.palette.elements,
       ...slider("size", "Size", { min: minLog, max: maxLog, step: 0.01 }, (x) => this.set({ size: Math.round(Math.exp(x)) })),
@@ -133,8 +134,7 @@ class Painting {
         ...settings.slider("tolerance", "Tolerance", { min: 0, max: 100, step: 1 }, (codes) => `${codes} of 255`, ({ fills }) => fills.startsWith("color"))),
       this.layers.build(),
       section("history", "Steps", make("ol", { id: "steps", onclick: (event) => this.goToStep(event.target.closest("li")) })),
-      this.exporting.section,
-      make("p", { id: "paint-note", role: "status" }));
+      this.exporting.section);
     document.querySelector("aside").prepend(painting);
     element("help").textContent = HELP;
     element("history").open = true;
@@ -154,6 +154,7 @@ class Painting {
     for (const button of this.tools.children) button.setAttribute("aria-pressed", String(button.id === `tool-${name}`));
     this.main.dataset.tool = name;
     this.main.classList.toggle("hasRing", Boolean(this.tool.hasRing));
+    if (this.pointer) this.showOutline(this.pointer);
     this.preview.load();
   }
 
@@ -308,7 +309,7 @@ class Painting {
     if (event.altKey) return (this.tool.alt ?? pickPaint)(this, event);
     if (this.tool.isAnywhere) return this.tool.down(this, event);
     const why = this.blockReason;
-    if (why !== this.shownReason) this.showMessage((this.shownReason = why));
+    if (why || this.shownReason) this.showMessage((this.shownReason = why));
     if (why) return;
     this.viewer.display.highlight = null;
     this.viewer.setTurntable(false);
@@ -327,6 +328,7 @@ class Painting {
     const place = this.place(event), isDrag = this.pen && event.pointerId === this.pen.id;
     if (!isDrag) {
       if (event.target !== this.viewer.canvas) return;
+      if (document.activeElement?.matches("select")) document.activeElement.blur(); // keys then go to the tools
       this.updateHit(place);
       return this.showOutline(place, event.shiftKey ? this.lineStart(place) : place);
     }
@@ -363,11 +365,11 @@ class Painting {
   }
 
   undo() {
-    if (this.status.done > 0 || this.strokes.sent.length) this.commands.send({ kind: "undo" });
+    if (this.status.done > 0 || this.isBusy) this.commands.send({ kind: "undo" });
   }
 
   redo() {
-    if (this.status.done < this.status.steps.length) this.commands.send({ kind: "redo" });
+    if (this.status.done < this.status.steps.length || this.isBusy) this.commands.send({ kind: "redo" });
   }
 
   save() {
@@ -389,6 +391,7 @@ class Painting {
       "}": () => this.set({ hardness: hardness + 0.1 }),
       ...this.tool.keys?.(this, event),
     };
+    if (isText && key === "enter") return event.target.blur(); // keys then go to the tools
     if (isCommand && isText && key !== "s") return; // the text field undoes its own input
     const run = isCommand ? commands[key] : isTyping || (event.altKey && !isAltGr) ? null : tools[key];
     if (run || this.pen) event.stopImmediatePropagation(); // no key turns the view during a stroke
@@ -422,8 +425,6 @@ class Painting {
     this.layers.setStack(status.layers, finished);
     this.preview.load();
     this.strokes.removeFinished(finished);
-    element("undo").disabled = status.done === 0;
-    element("redo").disabled = status.done === status.steps.length;
     this.showSaved();
     this.exporting.showQuestion(status.question);
     if (status.error || before.error) this.showMessage(status.error);
@@ -437,7 +438,9 @@ class Painting {
 
   // Show whether all is saved, or that a command takes long.
   showSaved(isLong = false) {
-    const { isBusy, status: { output, isSaved } } = this, state = isSaved ? "all is saved" : "not saved";
+    const { isBusy, status: { steps, done, output, isSaved } } = this, state = isSaved ? "all is saved" : "not saved";
+    element("undo").disabled = done === 0 && !isBusy;
+    element("redo").disabled = done === steps.length && !isBusy;
     element("saved").textContent = `${output}: ${!isBusy ? state : isLong ? "working …" : "not saved"}`;
     clearTimeout(this.longTimer);
     if (isBusy) this.longTimer = setTimeout(() => this.showSaved(true), LONG);

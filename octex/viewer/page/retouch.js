@@ -244,7 +244,7 @@ export class Retouch {
     }
     if (!this.offset || this.offsetView !== this.view) {
       const from = this.sourcePosition;
-      if (!from) return painting.showMessage("The source is hidden: Alt and click sets another one.");
+      if (!from) return painting.showMessage("The source is hidden: press Set another source, or Alt and click.");
       this.set({ offset: [Math.round((x - from[0]) * pixelRatio), Math.round((from[1] - y) * pixelRatio)], offsetView: this.view });
     }
     painting.showMessage("");
