@@ -58,7 +58,7 @@ class Handler(http.server.SimpleHTTPRequestHandler):
         if begin:
             self.gate.wait(60)
         content = found.read_bytes()
-        self.send_response(206)
+        self.send_response(206 if begin < len(content) else 416)
         self.send_header("Content-Length", str(len(content[begin : end + 1])))
         self.end_headers()
         self.wfile.write(content[begin : end + 1])

@@ -85,6 +85,7 @@ def test_the_readers_agree_on_the_file_of_version_1():
     tree, channel = wanted.tree, wanted.channels["base_color"]
     assert tree.kept.cells.size > 50 and tree.split.cells.size > 50
     back = octex.open(path)
+    np.testing.assert_array_equal(WebFile(path).values["base_color"], channel.values)
     for one, other in zip(
         [*back.tree.arrays[:4], *back.tree.split[:2], *back.tree.kept, *back.channels["base_color"][1:]],
         [*tree.arrays[:4], *tree.split[:2], *tree.kept, *channel[1:]],
@@ -164,7 +165,8 @@ def _turned(triangles):
 def test_the_package_has_all_that_it_imports_and_is_small():
     """As npm packs it: gzip of a tar archive of its files, at most 60 kB."""
     package = json.loads((VIEWER / "package.json").read_text())
-    paths = [VIEWER / "package.json"]
+    paths = [VIEWER / name for name in ("package.json", "README.md", "LICENSE")]  # npm packs these by itself
+    assert paths[2].read_bytes() == (GOLDEN.parents[1] / "LICENSE").read_bytes()
     for name in package["files"]:
         paths += sorted((VIEWER / name).iterdir()) if (VIEWER / name).is_dir() else [VIEWER / name]
     for path in paths:

@@ -21,6 +21,7 @@ export class WebFile {
     let first = null, whole = null; // `whole`: the file, if the server ignores ranges
     const request = async (begin, end) => {
       const response = await fetch(url, { ...options, headers: { ...options.headers, Range: `bytes=${begin}-${end - 1}` } });
+      if (response.status === 416) return new ArrayBuffer(0); // the file ends before
       if (!response.ok) throw new Error(`${name}: ${response.status} ${response.statusText}`);
       if (response.status !== 206) whole = response.arrayBuffer();
       return whole ? (await whole).slice(begin, end) : response.arrayBuffer();

@@ -1,4 +1,4 @@
-// Octree textures in three.js. See README.md.
+// Octree textures in three.js. See ../README.md.
 
 export { OctreeTexture } from "./texture.js";
 export { OctreeTextureLoader } from "./loader.js";
