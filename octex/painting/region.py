@@ -31,11 +31,14 @@ from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode_cells, encode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement, on_grid
+from octex.view.shading import face_normals
 
 #: Returns the coverage (n,), 0 … 1, of a region at rest positions (n, 3).
 RegionFunction: TypeAlias = Callable[[Float64s], npt.ArrayLike]
 
 _DEPTH = 10
+#: Number of cells that a region may always have, and the cost of surface that it does not cover, as a share.
+_FEW, _UNCOVERED = 1 << 18, 1 / 16
 _FARTHEST = 1e100
 
 
@@ -127,7 +130,8 @@ def fill(
     channel    the channel to fill
     opacity    0 … 1
     blend      how the value combines with the texture: one of BLENDS
-    max_depth  the resolution of the region's border. Default: the texture's; 10 for a new one
+    max_depth  the resolution of the region's border. Default: the texture's, or a coarser one if only a small
+               part of the texture is so fine; 10 for a new one
     run        how to work (octex.Run)
 
     Raises ArgumentError for another kind of region, for a function whose result has another shape, is NaN or
@@ -159,12 +163,12 @@ def filled(
     as_choice(blend, BLENDS, "blend")
     form = format_of(texture, channel)
     value = value_of(color, form)
+    source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
     if max_depth is not None:
         depth = as_depth(max_depth, "max_depth")
     else:
-        depth = _DEPTH if texture is None or not texture.tree.n_leaves else texture.tree.max_depth
+        depth = _DEPTH if texture is None or not texture.tree.n_leaves else _depth_of(source, texture)
     placement = Placement.around(surface.bounds, depth) if texture is None else texture.placement
-    source = RegionSource(form, value, surface.rest, surface.triangles, *_coverage(region, surface))
     check_inside(painted.surface, placement)
     layer = layer_from(job, rasterize_surface(job, source, placement, Depths(depth, depth), fit=False))
     base = texture or empty_texture([form], placement, painted.surface.bounds, painted.surface)
@@ -203,6 +207,20 @@ class RegionSource(PaintSource):
                 self.covers, [points], [shape], "region", points.__getitem__, least=0.0, most=1.0
             )
         return found
+
+
+def _depth_of(source: RegionSource, texture: OctreeTexture) -> int:
+    """Return the depth of a region's border in a texture: that of most cells on as much surface.
+
+    Paint from close up makes a texture deeper in a few places. All of a region so deep would take minutes.
+    """
+    touched = source.touched()
+    areas = face_normals(source.rest, source.triangles[touched])[1] / texture.placement.size**2
+    middles, widths = np.full((touched.size, 3), 1 / 3), np.zeros(touched.size, np.float32)
+    covered = areas * source.evaluate(touched, middles, widths)[:, -1]
+    area = max(covered.sum(), _UNCOVERED * areas.sum())
+    levels = enumerate(np.diff(texture.tree.arrays.level_cells).tolist())
+    return max((level for level, cells in levels if area * 4**level <= max(_FEW, 2 * cells)), default=0)
 
 
 def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:

@@ -44,7 +44,7 @@ from octex.session.commands import (
 from octex.session.journal import Journal, layers_file
 from octex.session.material import paint_of, pictures_of, with_channel
 from octex.session.poses import Poses, mirrored_spot
-from octex.source.corners import area_vectors, at_corners
+from octex.source.corners import at_corners
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.texture import OctreeTexture
@@ -53,8 +53,6 @@ from octex.texture import OctreeTexture
 _MOST_WAITING = 64
 #: Largest number of pages whose last command number is remembered.
 _MOST_PAGES = 1000
-#: Number of cells that a fill may always have, and the work for surface outside of it, as a share.
-_MOST_FILLED, _UNFILLED = 1 << 18, 1 / 16
 
 
 class BusyError(OctexError):
@@ -277,24 +275,11 @@ class Session:
         values = {value.form.name: value.light for value in paint_of(command, texture)}
         if covered is not None:
             values = {name: np.zeros(texture.channels[name].format.components) for name in covered}
-        strokes = []
-        for each in regions:
-            options["max_depth"] = self._depth_of_fill(each, texture)
-            strokes += [self._painter.fill(each, values[name], channel=name, **options) for name in values]
-        self._did(command, strokes)
-
-    def _depth_of_fill(self, region: Any, texture: OctreeTexture) -> int:
-        """Return the depth of a region's border: the texture's, unless only a small part is that deep.
-
-        A stroke from close up makes the texture deeper in a few places. To fill all that deep takes minutes.
-        """
-        corners = self._surface.rest[self._surface.triangles]
-        areas = np.linalg.norm(area_vectors(corners), axis=1) / (2 * texture.placement.size**2)
-        covered = areas * (region(corners.mean(axis=1)) if callable(region) else region)
-        area = max(covered.sum(), _UNFILLED * areas.sum())
-        counts = np.diff(texture.tree.arrays.level_cells)
-        levels = (n for n in range(len(counts)) if area * 4**n <= max(_MOST_FILLED, 2 * counts[n]))
-        return max(levels, default=0)
+        calls = [(each, name) for each in regions for name in values]
+        self._did(
+            command,
+            [self._painter.fill(each, values[name], channel=name, **options) for each, name in calls],
+        )
 
     def _do_channel(self, command: Command) -> None:
         texture = self._painter.texture()

@@ -13,6 +13,7 @@ import pytest
 import octex
 from octex.channels import decode
 from octex.errors import ArgumentError, OutputError
+from octex.painting import region
 from octex.session import painting as sessions
 from octex.session.painting import BusyError, OrderError, Session
 from tests.make.painted import ball, balls
@@ -250,7 +251,7 @@ def test_a_part_is_filled_and_the_one_that_a_mirror_shows(tmp_path):
 
 
 def test_a_fill_after_a_stroke_from_close_up_is_as_deep_as_most_of_the_texture(session, monkeypatch):
-    monkeypatch.setattr(sessions, "_MOST_FILLED", 1 << 12)
+    monkeypatch.setattr(region, "_FEW", 1 << 12)
     near = octex.Camera.fitted([[0.0, 0.1, 1.0], [0.2, 0.3, 1.0]], (0.0, 0.0, 1.0), size=SIZE)
     take(session, stroke(1, camera=camera_sent(near)))
     before = session.shown.texture
