@@ -73,18 +73,26 @@ def test_what_the_page_saves_is_shown(used):
     assert used["painted"]["worst"] <= 0.51
 
 
+def test_operators_go_on_after_one_that_has_failed(used):
+    assert not used["stuck"]
+
+
 def test_images_that_are_unsaved_or_packed_are_read_and_others_refused(kinds):
     images = kinds["images"]
     assert max(images[kind] for kind in ("unsaved", "packed", "file")) <= 2
     assert "is missing: find or remove it first" in images["missing"]
-    assert "has UDIM tiles: bake it to one image first" in images["tiles"]
+    for kind in ("tiles", "tiles in a group"):
+        assert "has UDIM tiles: bake it to one image first" in images[kind]
+    assert images["baked over tiles"] == "it did not refuse"  # neither reads the material's images
+    assert images["painted over tiles"] == ""
 
 
 @pytest.mark.parametrize("layout", ["KEEP", "ATLAS"])
 def test_strokes_on_baked_images_are_taken_over(kinds, layout):
     assert "bake to images first" in kinds["strokes"]["not baked"]
     assert "nothing was painted" in kinds["strokes"]["not painted"]
-    assert kinds["strokes"][layout]["corners"] > 50
+    assert "nothing was painted" in kinds["strokes"][f"not painted {layout}, but another texture"]
+    assert kinds["strokes"][layout]["corners"] > 50 and kinds["strokes"][layout]["is_kept"]
     assert kinds["strokes"][layout]["red"] <= 2
     assert kinds["strokes"][layout]["moved"] <= 1
 
@@ -106,7 +114,7 @@ def test_photographs_of_a_colmap_folder_land_where_its_cameras_see_them(kinds):
 
 
 def test_objects_without_material_and_with_shape_keys_are_coloured(kinds):
-    assert kinds["plain"] == {"spread": 0.0, "slots": 1}
+    assert kinds["plain"] == {"spread": 0.0, "slots": 1, "own": 0}
     assert kinds["shape_keys"]["worst"] <= 2
 
 
@@ -118,6 +126,6 @@ def test_what_cannot_take_a_texture_says_what_to_do(kinds):
 
 
 def test_the_texture_of_another_object_is_refused(kinds):
-    assert len(kinds["another"]) == 5
+    assert len(kinds["another"]) == 6
     for said in kinds["another"].values():
-        assert "another model" in said
+        assert "no point in the texture" in said or "belongs to another model" in said

@@ -10,14 +10,16 @@ import json
 import os
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import bpy  # type: ignore[import-not-found]
 import extension
 import numpy as np
 from bpy_extras.object_utils import world_to_camera_view  # type: ignore[import-not-found]
-from extension import objects, watching
+from extension import objects, operators, watching
 from mathutils import Vector  # type: ignore[import-not-found]
 
 import octex
@@ -40,6 +42,7 @@ def main() -> int:
     told["exact plate"] = exact("plate", folder)
     channels()
     told["exact channels"] = exact("channels", folder)
+    told["stuck"] = stuck()
     extension.unregister()
     print(json.dumps(told))
     return 0
@@ -50,9 +53,16 @@ def ball(name: str = "ball") -> bpy.types.Object:
     bpy.ops.mesh.primitive_uv_sphere_add(segments=48, ring_count=24)
     made = bpy.context.active_object
     made.name = name
-    bpy.ops.object.mode_set(mode="EDIT")
-    bpy.ops.mesh.quads_convert_to_tris()
-    bpy.ops.object.mode_set(mode="OBJECT")
+    mesh = made.data
+    mesh.calc_loop_triangles()
+    triangles, loops = np.empty((2, 3 * len(mesh.loop_triangles)), np.int32)  # Blender's own are in any order
+    mesh.loop_triangles.foreach_get("vertices", triangles)
+    mesh.loop_triangles.foreach_get("loops", loops)
+    uv = np.empty((len(mesh.loops), 2), np.float32)
+    mesh.uv_layers[0].uv.foreach_get("vector", uv.reshape(-1))
+    made.data = bpy.data.meshes.new(name)
+    made.data.from_pydata([each.co for each in mesh.vertices], [], triangles.reshape(-1, 3).tolist())
+    made.data.uv_layers.new().uv.foreach_set("vector", uv[loops].reshape(-1))
     made.location, made.rotation_euler, made.scale = (3, -2, 1), (0.3, 0.2, 1.0), (-1.5, 1.5, 1.5)
     made.octex.depth = 7
     return made
@@ -209,6 +219,8 @@ def photograph(folder: Path) -> dict[str, Any]:
 def painted() -> dict[str, Any]:
     """Open the painting page, save a grey texture as it does, and return what the object then shows."""
     chosen = bpy.data.objects["ball"]
+    chosen.data.color_attributes.remove(chosen.data.color_attributes[objects.NAME])
+    chosen.data.materials.clear()  # it shows no bake
     os.environ["BROWSER"] = "true"
     bpy.context.view_layer.objects.active = chosen
     bpy.ops.octex.paint()
@@ -217,11 +229,34 @@ def painted() -> dict[str, Any]:
     bpy.ops.octex.make()
     objects.texture_path(chosen).rename(output)
     began = time.monotonic()
-    while np.abs(colors(chosen)[:, :3] - 0.5).max() > 0.01 and time.monotonic() - began < 60:
+    while not objects.shows_colors(chosen) and time.monotonic() - began < 60:
         watching.look()
         time.sleep(0.05)
     is_open = watching._painted[chosen.name].process.poll() is None
     return {"worst": worst(colors(chosen)[:, :3] - 0.5), "path": chosen.octex.path, "is_open": is_open}
+
+
+class Stubborn(operators.Working):
+    """An operator whose job is done, and which cannot take over what it has made."""
+
+    job = SimpleNamespace(poll=dict, close=lambda: None, warnings=[])
+
+    def report(self, *_: object) -> None:
+        """Say nothing."""
+
+    def finish(self, _context: bpy.types.Context, _answer: dict[str, Any]) -> str:
+        """Fail."""
+        raise OSError
+
+
+def stuck() -> bool:
+    """Return whether operators are refused after one has failed in a way that nobody foresaw."""
+    manager = bpy.context.window_manager
+    operators.Working.running = own = Stubborn()
+    own._timer = manager.event_timer_add(1, window=manager.windows[0])
+    with suppress(OSError):
+        own.modal(bpy.context, SimpleNamespace(type="TIMER"))
+    return operators.Working.running is not None
 
 
 def plate() -> None:

@@ -7,7 +7,11 @@ usage: tools/blender/try_objects.py FOLDER, by a Python that has bpy and octex
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
+import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +19,7 @@ import bpy  # type: ignore[import-not-found]
 import extension
 import numpy as np
 from bpy_extras.object_utils import world_to_camera_view  # type: ignore[import-not-found]
-from extension import objects
+from extension import objects, watching
 from mathutils import Matrix, Vector  # type: ignore[import-not-found]
 from PIL import Image
 from try_extension import SIZE, ball, colors, gradient, own_material, worst
@@ -83,7 +87,34 @@ def images(folder: Path) -> dict[str, Any]:
     told["missing"] = refusal("make")
     node.image = bpy.data.images.new("tiles", SIZE, SIZE, tiled=True)
     told["tiles"] = refusal("make")
+    own = node.id_data
+    group = own.nodes.new("ShaderNodeGroup")
+    group.node_tree = bpy.data.node_groups.new("group", "ShaderNodeTree")
+    group.node_tree.nodes.new("ShaderNodeTexImage").image = node.image
+    chosen.octex.origin, chosen.octex.texture_size = "GREY", 64
+    bpy.ops.octex.make()
+    told["baked over tiles"] = refusal("images")
+    told["painted over tiles"] = page_failure(chosen)
+    node.image = None
+    chosen.octex.origin = "MATERIAL"
+    told["tiles in a group"] = refusal("make")
     return told
+
+
+def page_failure(chosen: bpy.types.Object) -> str:
+    """Open the painting page of an object; return why it ends, or nothing if it serves."""
+    os.environ["BROWSER"] = "true"
+    bpy.ops.octex.paint()
+    page = watching._painted[chosen.name]
+    model = Path(page.folder.name) / "model.glb"
+    while chosen.name in watching._painted and not model.exists():
+        watching.look()
+        time.sleep(0.05)
+    with suppress(subprocess.TimeoutExpired):
+        page.process.wait(10)
+    watching.look()
+    watching.unregister()
+    return watching.failures.get(chosen.name, "")
 
 
 def strokes(_folder: Path) -> dict[str, Any]:
@@ -97,6 +128,13 @@ def strokes(_folder: Path) -> dict[str, Any]:
         told["not baked"] = refusal("strokes")
         bpy.ops.octex.images()
         told["not painted"] = refusal("strokes")
+        texture = objects.texture_path(chosen)
+        texture.rename(texture.with_suffix(".old"))
+        chosen.octex.origin = "GREY"
+        bpy.ops.octex.make()
+        told[f"not painted {layout}, but another texture"] = refusal("strokes")
+        texture.with_suffix(".old").replace(texture)
+        content = texture.read_bytes()
         bpy.ops.octex.colors()
         before = colors(chosen)
         bpy.ops.octex.images()
@@ -110,12 +148,14 @@ def strokes(_folder: Path) -> dict[str, Any]:
         uv = np.empty(2 * len(chosen.data.loops), np.float32)
         layer.uv.foreach_get("vector", uv)
         bpy.ops.octex.strokes()
+        is_kept = texture.with_suffix(".octex1").read_bytes() == content
         bpy.ops.octex.colors()
         u, v = 512 * uv.reshape(-1, 2).T
         inside = (u > 120) & (u < 200) & (v > 220) & (v < 280)
         beside = (u < 80) | (u > 240) | (v < 180) | (v > 320)
         told[layout] = {
             "corners": int(inside.sum()),
+            "is_kept": is_kept,
             "red": middle(colors(chosen)[inside, :3] - RED),  # next to charts' edges there is old paint
             "moved": middle((colors(chosen) - before)[beside]),
         }
@@ -206,7 +246,14 @@ def plain(_folder: Path) -> dict[str, Any]:
     bpy.ops.octex.make()
     bpy.ops.octex.colors()
     found = colors(chosen)[:, :3]
-    return {"spread": worst(found - found[0]), "slots": len(chosen.material_slots)}
+    told = {"spread": worst(found - found[0]), "slots": len(chosen.material_slots)}
+    other = ball("other")
+    own = bpy.data.materials.new("other octree")  # the user's, though the extension's would have this name
+    own.node_tree.nodes.clear() if own.node_tree is not None else None
+    other.data.materials.append(own)
+    bpy.ops.octex.make()
+    bpy.ops.octex.colors()
+    return told | {"own": len(own.node_tree.nodes) if own.node_tree is not None else 0}
 
 
 def shape_keys(_folder: Path) -> dict[str, Any]:
@@ -254,7 +301,8 @@ def another(_folder: Path) -> dict[str, Any]:
     cube = bpy.context.active_object
     cube.octex.path = "//ball.octex"
     camera_at((30, -20, 10), cube).data.background_images.new().image = gradient("gradient")
-    return {command: refusal(command) for command in ("colors", "images", "exact", "photographs", "view")}
+    told = {command: refusal(command) for command in ("colors", "images", "exact", "photographs", "view")}
+    return told | {"paint": page_failure(cube)}
 
 
 if __name__ == "__main__":

@@ -77,7 +77,7 @@ class Job:
         """Run a command, pass what it says on, and return its complaints if it fails."""
         self._process = process = subprocess.Popen(
             call, env=variables, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-            text=True, encoding="utf-8",
+            text=True, encoding="utf-8", errors="replace",
         )  # fmt: skip
         if self._is_closed:
             process.terminate()

@@ -17,6 +17,8 @@ import numpy as np
 
 #: Names of the colour attribute and of the UV map, which differ, and the mark of the extension's materials.
 NAME, UV_MAP, MARK = "octex", "octex UV", "octex"
+#: The property of baked materials that names the image of base colour.
+BAKED = "octex baked"
 #: The property of cameras that names the view which they drew, before it was painted on.
 VIEW = "octex view"
 #: Modifiers that move vertices but make none.
@@ -78,12 +80,14 @@ def texture_path(chosen: bpy.types.Object, exists: bool = True) -> Path:
 def hand_over(chosen: bpy.types.Object, folder: Path, form: str) -> tuple[list[str], dict[str, np.ndarray]]:
     """Write an object to a folder, for a Blender of its own, which takes its time to make of it a form.
 
-    That is its "arrays", or a "model" with the mesh's materials, or with those that are "shown". Returns the
-    command that makes it, and what must be stored before: the pixels of images that are not saved.
+    That is its "arrays", a "model" with the mesh's materials or with those that are "shown", or such a model
+    "without images". Returns the command that makes it, and what must be stored before: the pixels of images
+    that are not saved.
     """
     pixels: dict[str, np.ndarray] = {}
     files = {}
-    for image in [] if form == "arrays" else {node.image for _, node in image_nodes(chosen, form == "shown")}:
+    nodes = image_nodes(chosen, form == "shown") if form in ("model", "shown") else ()
+    for image in {node.image for _, node in nodes}:
         if image.is_dirty:
             files[image.name] = f"pixels-{len(files)}"
             pixels[files[image.name]] = values = np.empty(len(image.pixels), np.float32)
@@ -144,15 +148,14 @@ def posed_positions(context: bpy.types.Context, chosen: bpy.types.Object) -> np.
     return positions @ matrix[:3, :3].T + matrix[:3, 3]
 
 
-def write_model(
-    context: bpy.types.Context, chosen: bpy.types.Object, path: Path, shown: bool = False
-) -> None:
-    """Write an object as .glb, at rest, in its own axes, with its mesh's materials or those ``shown``."""
+def write_model(context: bpy.types.Context, chosen: bpy.types.Object, path: Path, form: str) -> None:
+    """Write an object as .glb, at rest, in its own axes, in one of the forms of models: see `hand_over`."""
+    shown, images = form == "shown", "NONE" if form == "without images" else "AUTO"
     with _alone(chosen, shown) as scene, context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
         bpy.ops.export_scene.gltf(
             filepath=str(path), export_format="GLB", use_active_scene=True, export_apply=False,
             export_animations=False, export_skins=False, export_morph=False, export_yup=True,
-            export_tangents=False, export_materials="EXPORT",
+            export_tangents=False, export_materials="EXPORT", export_image_format=images,
         )  # fmt: skip
 
 
@@ -182,9 +185,17 @@ def image_nodes(
 ) -> Iterator[tuple[bpy.types.Material, bpy.types.ShaderNode]]:
     """Yield the nodes with images of an object's materials, as `write_model` writes them."""
     for material in _materials(chosen, shown):
-        for node in material.node_tree.nodes:
+        for node in _nodes(material.node_tree):
             if node.type == "TEX_IMAGE" and node.image is not None:
                 yield material, node
+
+
+def _nodes(tree: bpy.types.NodeTree) -> Iterator[bpy.types.Node]:
+    """Yield the nodes of a tree and of its groups."""
+    for node in tree.nodes:
+        yield node
+        if node.type == "GROUP" and node.node_tree is not None:
+            yield from _nodes(node.node_tree)
 
 
 def _materials(chosen: bpy.types.Object, shown: bool) -> Iterator[bpy.types.Material]:
@@ -359,6 +370,12 @@ def show(chosen: bpy.types.Object, baked: Sequence[dict[str, Any]] = ()) -> None
     put(chosen, shown)
 
 
+def shows_colors(chosen: bpy.types.Object) -> bool:
+    """Return whether an object shows its colour attribute."""
+    shown = [each.material and each.material.name for each in chosen.material_slots]
+    return bool(shown) and all(each == f"{chosen.name} octree" for each in shown)
+
+
 def put(chosen: bpy.types.Object, shown: Callable[[bpy.types.Material | None], bpy.types.Material]) -> None:
     """Have an object's slots show other materials in the place of its mesh's, which stay."""
     if not chosen.material_slots:
@@ -402,6 +419,8 @@ def _material(chosen: bpy.types.Object, baked: dict[str, Any]) -> bpy.types.Mate
             links.new(output, turn.inputs["Color"])
             output = turn.outputs["Normal"]
         links.new(output, shader.inputs[SOCKETS[channel]])
+    image = baked["maps"].get("base_color")
+    material[BAKED] = "" if image is None else bpy.path.abspath(image.filepath)
     if "emissive" in baked["maps"] or "emissive" in baked["values"]:
         shader.inputs["Emission Strength"].default_value = 1.0
     return material
@@ -409,7 +428,8 @@ def _material(chosen: bpy.types.Object, baked: dict[str, Any]) -> bpy.types.Mate
 
 def emptied(name: str) -> tuple[bpy.types.Material, bpy.types.ShaderNode]:
     """Return one of the extension's materials, with a Principled shader alone."""
-    material = bpy.data.materials.get(name) or bpy.data.materials.new(name)
+    found = bpy.data.materials.get((name, None))  # not one of a library
+    material = found if found is not None and MARK in found else bpy.data.materials.new(name)
     material[MARK] = True
     if material.node_tree is None:  # as before Blender 5
         material.use_nodes = True

@@ -78,20 +78,29 @@ class Working:
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC":
-            return self._ended(context, {"CANCELLED"})
+            self.cancel(context)
+            return {"CANCELLED"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
         for area in context.screen.areas:
             if area.type == "VIEW_3D":
                 area.tag_redraw()
+        result = {"CANCELLED"}
         try:
             answer = self.job.poll()
+            result = {"PASS_THROUGH"} if answer is None else self._finished(context, answer)
         except JobError as error:
             self.report({"ERROR"}, str(error))
-            return self._ended(context, {"CANCELLED"})
-        if answer is None:
-            return {"PASS_THROUGH"}
-        return self._ended(context, self._finished(context, answer))
+        finally:
+            if result != {"PASS_THROUGH"}:
+                self.cancel(context)
+        return result
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """End the job: it is over, or Blender opens another file or closes."""
+        Working.running = None
+        context.window_manager.event_timer_remove(self._timer)
+        self.job.close()
 
     def _finished(self, context: bpy.types.Context, answer: dict[str, Any]) -> set[str]:
         for warning in self.job.warnings:
@@ -102,12 +111,6 @@ class Working:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return {"FINISHED"}
-
-    def _ended(self, context: bpy.types.Context, result: set[str]) -> set[str]:
-        Working.running = None
-        context.window_manager.event_timer_remove(self._timer)
-        self.job.close()
-        return result
 
 
 class OCTEX_OT_make(Working, bpy.types.Operator):
@@ -145,6 +148,9 @@ class OCTEX_OT_colors(Working, bpy.types.Operator):
     bl_label = "Bake to Colour Attribute"
 
     def begin(self, _context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
+        if chosen.data.users > 1:
+            said = f"{chosen.data.users} objects share the mesh {chosen.data.name}, and these colours with it"
+            self.report({"WARNING"}, said)
         return colors_job(chosen)
 
     def finish(self, _context: bpy.types.Context, _answer: dict[str, Any]) -> str:
@@ -169,12 +175,13 @@ class OCTEX_OT_images(Working, bpy.types.Operator):
             return job_of("images", chosen, **given)
         if not chosen.data.uv_layers:
             raise objects.ObjectError(f"{chosen.name} has no UV map; choose new UVs")
-        return job_of("images", chosen, "model", **given)
+        return job_of("images", chosen, "without images", **given)
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         chosen = self.chosen()
-        if chosen.octex.layout == "ATLAS":
-            objects.set_uv(chosen, np.load(self.job.folder / "uv.npy"))
+        uv = self.job.folder / "uv.npy"
+        if uv.exists():
+            objects.set_uv(chosen, np.load(uv))
         for each in answer["materials"]:
             each["maps"] = {name: _image(path, name) for name, path in each["maps"].items()}
         objects.show(chosen, answer["materials"])
@@ -263,12 +270,12 @@ class OCTEX_OT_strokes(Working, bpy.types.Operator):
 
     def begin(self, _context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         texture = objects.texture_path(chosen)
-        if not any(
-            each.material is not None and objects.MARK in each.material for each in chosen.material_slots
-        ):
+        shown = [each.material for each in chosen.material_slots if each.material is not None]
+        images = {each.name: each[objects.BAKED] for each in shown if each.get(objects.BAKED)}
+        if not images:
             raise objects.ObjectError(f"{chosen.name} shows no baked images: bake to images first")
         objects.check_images(chosen, shown=True)
-        return job_of("strokes", chosen, "shown", name=chosen.name, texture=str(texture))
+        return job_of("strokes", chosen, "shown", name=chosen.name, texture=str(texture), images=images)
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         return f"{objects.texture_path(self.chosen()).name} has {answer['texels']:,} painted texels"

@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panel in the sidebar of the 3D view."""
 
+import textwrap
+
 import bpy
 
 from .operators import Working
+from .watching import failures
 
 
 class OCTEX_PT_main(bpy.types.Panel):
@@ -30,6 +33,8 @@ class OCTEX_PT_main(bpy.types.Panel):
         box.prop(settings, "depth")
         box.operator("octex.make", icon="SHADING_TEXTURE")
         layout.operator("octex.paint", icon="BRUSH_DATA")
+        for line in textwrap.wrap(failures.get(chosen.name, ""), 40):
+            layout.label(text=line, icon="ERROR")
         layout.operator("octex.view", icon="VIEW_CAMERA")
         layout.operator("octex.strokes", icon="TPAINT_HLT")
         box = layout.box()

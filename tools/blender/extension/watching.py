@@ -4,7 +4,6 @@
 import itertools
 import json
 import re
-import signal
 import subprocess
 import sys
 import tempfile
@@ -19,11 +18,14 @@ from .jobs import Job, JobError, environment
 
 #: Seconds between looks at the files that are painted.
 _PAUSE = 0.5
+#: The file of what a page's process complains of, in its folder.
+_ERRORS = "errors.txt"
 #: Writes the model by the first command, then shows it.
 _PROGRAM = """
 import json, os, subprocess, sys
 own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}  # that is Blender's
-subprocess.run(json.loads(sys.argv.pop(1)), check=True, stdout=subprocess.DEVNULL, env=own)
+written = subprocess.run(json.loads(sys.argv.pop(1)), stdout=subprocess.DEVNULL, env=own)
+written.returncode and sys.exit(written.returncode)
 from octex.cli.start import octex
 sys.exit(octex())
 """
@@ -40,6 +42,8 @@ class _Painted(NamedTuple):
 
 
 _painted: dict[str, _Painted] = {}  # by the object's name
+#: Why the page of an object ended, or why the object does not show what was saved; the panel shows it.
+failures: dict[str, str] = {}
 
 
 def paint(chosen: bpy.types.Object) -> Path:
@@ -52,20 +56,28 @@ def paint(chosen: bpy.types.Object) -> Path:
     layers = texture.with_suffix(".layers.octex")
     folder = tempfile.TemporaryDirectory(prefix="octex-")
     model = Path(folder.name) / "model.glb"
-    export, pixels = objects.hand_over(chosen, Path(folder.name), "model")
+    form = "model"
+    try:
+        objects.check_images(chosen)
+    except objects.ObjectError:  # the page then shows no source
+        form = "without images"
+    export, pixels = objects.hand_over(chosen, Path(folder.name), form)
     for name, values in pixels.items():
         np.save(Path(folder.name) / f"{name}.npy", values)
     command = ["view", layers if layers.exists() else texture, model, "--paint", output, "--quiet"]
     if output.with_name(f"{output.name}.strokes").exists():  # Blender or the page ended before it was saved
         command.append("--recover")
-    process = subprocess.Popen(
-        [sys.executable, "-c", _PROGRAM, json.dumps(export), *command],
-        env=environment(),
-        stdin=subprocess.DEVNULL,
-    )
+    with (Path(folder.name) / _ERRORS).open("wb") as errors:
+        process = subprocess.Popen(
+            [sys.executable, "-c", _PROGRAM, json.dumps(export), *command],
+            env=environment(),
+            stdin=subprocess.DEVNULL,
+            stderr=errors,
+        )
+    failures.pop(chosen.name, None)
     _painted[chosen.name] = _Painted(process, folder, output)
     if not bpy.app.timers.is_registered(look):
-        bpy.app.timers.register(look, first_interval=_PAUSE)
+        bpy.app.timers.register(look, first_interval=_PAUSE, persistent=True)
     return output
 
 
@@ -82,6 +94,9 @@ def look() -> float | None:
         chosen = bpy.data.objects.get(name)
         _painted[name] = each = each if chosen is None else _looked(chosen, each)
         if chosen is None or (each.process.poll() is not None and each.job is None):
+            if each.process.poll():
+                text = (Path(each.folder.name) / _ERRORS).read_text("utf-8", errors="replace").strip()
+                _fail(name, text.splitlines()[-1] if text else f"the page ended with {each.process.poll()}")
             _ended(_painted.pop(name))
     return _PAUSE if _painted else None
 
@@ -102,16 +117,27 @@ def _looked(chosen: bpy.types.Object, each: _Painted) -> _Painted:
         if each.job.poll() is None:
             return each
         take_colors(chosen, each.job)
+        if not objects.shows_colors(chosen):
+            objects.show(chosen)
+        failures.pop(chosen.name, None)
     except (JobError, objects.ObjectError, OSError) as error:
-        print(f"octex: {error}")
+        _fail(chosen.name, str(error))
     if each.job is not None:
         each.job.close()
     return each._replace(job=None)
 
 
+def _fail(name: str, reason: str) -> None:
+    """Have the panel show why the page of an object failed."""
+    failures[name] = reason
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            area.tag_redraw()
+
+
 def _ended(each: _Painted) -> None:
-    if each.process.poll() is None:
-        each.process.send_signal(signal.SIGINT)  # strokes that are not saved stay in its journal
+    if each.process.poll() is None:  # strokes that are not saved stay in its journal
+        each.process.terminate()
         each.process.wait()
     if each.job is not None:
         each.job.close()

@@ -6,6 +6,7 @@ Prints lines of JSON: stages with shares, warnings, and at last the answer or an
 
 import json
 import re
+import shutil
 import sys
 import traceback
 import warnings
@@ -18,7 +19,7 @@ import octex
 from octex.drawing.views import as_png, draw_paintable
 from octex.formats.images import image_file
 from octex.formats.osl import output_name
-from octex.source.images.decode import image_size
+from octex.source.images.decode import image_size, read_image_file
 from octex.source.materials import Input, MaterialSource
 
 #: Half of white in sRGB, as linear light.
@@ -62,6 +63,13 @@ def model_of(job: dict[str, Any]) -> Path:
     return Path(job["folder"]) / "model.glb"
 
 
+def save(texture: octex.OctreeTexture, path: str) -> None:
+    """Save a texture; the file that was there stays as NAME.octex1, like Blender's .blend1."""
+    if Path(path).exists():
+        shutil.copyfile(path, f"{path}1")
+    texture.save(path)
+
+
 def make(job: dict[str, Any]) -> dict[str, Any]:
     """Make a texture of a model's materials, or of grey."""
     if job["origin"] == "MATERIAL":
@@ -70,7 +78,7 @@ def make(job: dict[str, Any]) -> dict[str, Any]:
     else:
         surface, _ = surface_of(job, factor=(_GREY,) * 3)
     texture = octex.convert(surface, job["depth"], progress=progress)
-    texture.save(job["output"])
+    save(texture, job["output"])
     return {"cells": int(texture.tree.n_cells), "channels": list(texture.channels)}
 
 
@@ -121,8 +129,15 @@ def images(job: dict[str, Any]) -> dict[str, Any]:
                 path = output.with_name("-".join([output.stem, *re.findall(r"\w+", name), channel]) + ".png")
                 path.write_bytes(image_file(given.texture.texels, given.lanes)[0])
                 maps[channel] = str(path)
+        if "base_color" in maps:
+            unpainted(maps["base_color"]).write_bytes(Path(maps["base_color"]).read_bytes())
         made.append({"name": name, "maps": maps, "values": values})
     return {"materials": made}
+
+
+def unpainted(image: str) -> Path:
+    """Return the path of the copy that shows what was painted on a baked image."""
+    return Path(image).with_name(f"{Path(image).stem}-before.png")
 
 
 def at_corners(corners: np.ndarray, uv: np.ndarray) -> np.ndarray:
@@ -152,28 +167,22 @@ def exact(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def strokes(job: dict[str, Any]) -> dict[str, Any]:
-    """Merge what was painted on baked images: their texels that differ from the texture's, baked anew."""
+    """Merge what was painted on baked images: their texels that differ from those that were baked."""
     texture = octex.open(job["texture"])
     shown = octex.load_surface(model_of(job), channels=["base_color"])
     surface = shown.placed_on(texture)
-    images = [each.inputs["base_color"].texture for each in shown.source.materials]
-    sizes = {each.texels.shape[:2] for each in images if each is not None}
-    if len(sizes) != 1 or len(set(*sizes)) != 1:
-        raise octex.OctexError(f"{job['name']} shows no images that were baked: bake to images first")
-    size = sizes.pop()[0]
-    baked = octex.bake(
-        texture, surface, uv="keep", texture_size=size, channels=["base_color"], progress=progress
-    )
-    before = {each.name: each.inputs["base_color"].texture for each in baked.source.materials}
-    materials, n_painted = [], 0
-    for material, image in zip(shown.source.materials, images, strict=True):
-        old = before.get(material.name)
-        if image is None or old is None:
-            raise octex.OctexError(f"material {material.name} shows no image that was baked")
-        texels = image.texels.copy()
-        is_painted = np.abs(np.subtract(texels, old.texels, dtype=np.int32))[..., :3].max(axis=2) > _CODE
+    materials, n_painted, taken = [], 0, {}
+    for material in shown.source.materials:
+        image, baked = material.inputs["base_color"].texture, job["images"].get(material.name)
+        if image is None or baked is None or not (before := unpainted(baked)).is_file():
+            raise octex.OctexError(f"{material.name} shows no image that was baked: bake to images first")
+        texels, old = image.texels.copy(), read_image_file(before)[0]
+        if old.shape != texels.shape:
+            raise octex.OctexError(f"the image of {material.name} was resized: bake to images first")
+        is_painted = np.abs(np.subtract(texels, old, dtype=np.int32))[..., :3].max(axis=2) > _CODE
         texels[..., 3] = 65535 * is_painted
         n_painted += int(is_painted.sum())
+        taken[before] = image_file(image.texels, slice(3))[0]
         own = image._replace(texels=texels)
         paint = {"base_color": Input((1.0,) * 3, own), "alpha": Input((1.0,), own, (3,))}
         materials.append(material._replace(inputs=paint, alpha_mode="blend"))
@@ -186,7 +195,9 @@ def strokes(job: dict[str, Any]) -> dict[str, Any]:
     painted = surface.with_sources({"base_color": source, "alpha": source})
     layer = octex.convert(painted, texture.tree.max_depth, fit=False, progress=progress)
     texture = octex.merge(texture, layer, surface, progress=progress)
-    texture.save(job["texture"])
+    save(texture, job["texture"])
+    for before, content in taken.items():
+        before.write_bytes(content)
     return {"texels": n_painted}
 
 
@@ -246,7 +257,7 @@ def photographs(job: dict[str, Any]) -> dict[str, Any]:
     )
     if texture is before:
         raise octex.OctexError("No camera sees the object, or no view was painted on; nothing is changed")
-    texture.save(job["output"])
+    save(texture, job["output"])
     return {"cells": int(texture.tree.n_cells), "channels": list(texture.channels)}
 
 
