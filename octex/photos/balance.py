@@ -15,7 +15,7 @@ from octex.painting.project import Projected
 from octex.painting.reading import Shot
 from octex.parallel import ordered_map, sharing
 from octex.photos.agreement import as_codes
-from octex.photos.consensus import agreed_step, medians, robust_weights
+from octex.photos.consensus import agreed_step, few_at, medians, robust_weights
 from octex.photos.patches import batches, colors_of, grown, patches_of, put_mask, seen_at, widths_of
 from octex.source.surface import Surface
 
@@ -60,7 +60,7 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     widths = np.where(np.isfinite(widths), widths * np.float32(_WIDTH), np.float32(0))
     paint, weights = source.each(*where, widths)
     seen = np.flatnonzero((weights > 0).sum(axis=0) > 1)
-    paint, weights = paint[:, seen], weights[:, seen]
+    paint, compared = paint[:, seen], few_at(weights[:, seen].astype(np.float64)) > 0
     points = source.positions(samples.triangles[seen], samples.barycentric[seen])
     radii = []  # from the pictures' centres, 1 in the corners
     for shot in source.shots:
@@ -69,7 +69,7 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
             np.linalg.norm(np.nan_to_num(_pixels_of(shot, points)) - half, axis=1) / np.linalg.norm(half)
         )
     squares = np.minimum(np.stack(radii), 1.0) ** 2
-    usable = (weights > 0)[..., None] & (paint > _DARKEST) & (paint < _LIGHTEST)
+    usable = compared[..., None] & (paint > _DARKEST) & (paint < _LIGHTEST)
     logs = np.log(np.where(usable, paint, 1.0)).astype(np.float64).reshape(len(paint), -1)
     counted = usable.reshape(logs.shape).astype(np.float64)
     slopes = _slopes(np.repeat(squares, 3, axis=1), balance)

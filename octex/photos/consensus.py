@@ -9,6 +9,17 @@ from octex.jit import kernel
 
 #: Residuals beyond this multiple of their scale weigh less; the scale is the median residual.
 _SCALES = 2.0
+#: Pictures of a point that are compared: the time grows with their square.
+_MOST = 16
+
+
+def few_at(weights: Float64s) -> Float64s:
+    """Return weights (pictures, n) with zeros for all but a few pictures of each point, chosen at random."""
+    if len(weights) <= _MOST:
+        return weights
+    ranks = np.where(weights > 0, np.random.default_rng(0).random(weights.shape), 0.0)
+    found: Float64s = np.where(ranks < np.partition(ranks, -_MOST, axis=0)[-_MOST], 0.0, weights)
+    return found
 
 
 def consensus(values: Float64s, weights: Float64s) -> Float64s:

@@ -40,7 +40,7 @@ from octex.painting.surface import PaintedSurface, key_of
 from octex.parallel import Progress, Run, as_run, ordered_map, workers
 from octex.photos.agreement import agreeing
 from octex.photos.balance import balanced
-from octex.photos.consensus import agreed_step, consensus, robust_weights
+from octex.photos.consensus import agreed_step, consensus, few_at, robust_weights
 from octex.source.surface import Surface, as_surface
 from octex.view.visibility import straight, view_of
 
@@ -53,8 +53,6 @@ _TRIAL = 1e-3
 _POINTS, _COARSE, _TELLING, _MOST = 240_000, 10_000, 3_200, 80_000
 #: More pictures than this use fewer points, in inverse proportion, but at least this part.
 _FEW, _LEAST = 12, 0.25
-#: Pictures of a point that are compared, at random: the time grows with their square.
-_COMPARED = 16
 #: Mip levels, coarse to fine, and tries on each.
 _LEVELS, _TRIES = (2, 1, 0), 24
 #: A level ends with a step in which no number changes by this many pixels.
@@ -287,18 +285,14 @@ def _better(before: Observations, after: Observations, numbers: Float64s) -> Boo
 def _weights_at(source: Projected, triangles: Int32s, barycentric: Float64s, rim: float) -> Float64s:
     """Return how well pictures see points (pictures, n), 0 to 1; 0 within ``rim`` of the surface's end.
 
-    Each point has _COMPARED pictures at most.
+    Only few pictures see a point: see `few_at`.
     """
     _, seen = source.each(triangles, barycentric, source.widths(triangles, barycentric))
     points = source.positions(triangles, barycentric)
     for shot, weights in zip(source.shots, seen, strict=True):
         weights *= _margins(shot, points) >= rim
     share = seen / np.maximum(seen.max(axis=0), 1e-30)
-    found: Float64s = np.where((seen > 0).sum(axis=0) > 1, share.astype(np.float64), 0.0)
-    if len(found) > _COMPARED:
-        ranks = np.where(found > 0, np.random.default_rng(0).random(found.shape), 0.0)
-        found[ranks < np.partition(ranks, -_COMPARED, axis=0)[-_COMPARED]] = 0.0
-    return found
+    return few_at(np.where((seen > 0).sum(axis=0) > 1, share.astype(np.float64), 0.0))
 
 
 def _margins(shot: Shot, points: Float64s) -> Float64s:

@@ -14,7 +14,7 @@ from octex.conversion import large
 from octex.errors import ArgumentError
 from octex.painting.picture import falloff_at, mips_of
 from octex.photos import agreement, weigh
-from octex.photos.consensus import agreed_step, medians, robust_weights
+from octex.photos.consensus import agreed_step, few_at, medians, robust_weights
 from octex.photos.patches import patch_of, patches_of, put_mask
 from tests.conftest import needs_jit
 from tests.make.painted import codes
@@ -324,6 +324,18 @@ def test_a_weighted_median_halves_the_weight():
         each = np.sort(np.repeat(values[:, n], weights[:, n].astype(int)))  # as often as it weighs
         assert found[n] == (np.median(each) if len(each) else 0)
     assert np.allclose(medians(values, weights / 7), found)
+
+
+def test_of_many_pictures_that_see_a_point_sixteen_are_compared_all_as_often():
+    random = np.random.default_rng(2)
+    weights = random.uniform(0.1, 1, (40, 2000)) * (random.random((40, 2000)) < 0.6)
+    found = few_at(weights)
+    expected = np.minimum((weights > 0).sum(axis=0), 16)
+    np.testing.assert_array_equal((found > 0).sum(axis=0), expected)
+    np.testing.assert_array_equal(found[found > 0], weights[found > 0])
+    share = (found > 0).sum(axis=1) / (weights > 0).sum(axis=1)
+    assert np.ptp(share) < 0.1
+    np.testing.assert_array_equal(few_at(weights[:16]), weights[:16])
 
 
 def test_values_far_from_the_weighted_median_count_for_little():
