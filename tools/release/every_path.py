@@ -12,7 +12,7 @@ import PIL.Image
 import octex
 from octex.channels import BASE_COLOR
 from octex.drawing import Environment, write_preview
-from octex.editing.draft import Tiles, cut_out, put_back
+from octex.editing.draft import Change, Tiles, cut_out, put_back
 from octex.files import scratch_folder
 from octex.formats.ply import write_points
 from octex.source.mesh import Mesh
@@ -266,5 +266,7 @@ def _process(texture: octex.OctreeTexture, surface: octex.Surface) -> None:
     finer.sample(surface.rest, filter="nearest")
     codes, _ = list(finer.tree.walk())[2]
     tiles = Tiles(2, codes[:1])
-    put_back(finer, tiles, cut_out(finer, tiles))
+    draft = cut_out(finer, tiles)
+    put_back(finer, tiles, draft)
+    Change(tiles, draft, octex.levels(draft, gamma=2.0)).put_into(finer)
     octex.mix(finer, texture, 0.3)
