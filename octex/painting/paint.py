@@ -203,33 +203,37 @@ def layer_of(
     """Project pictures of one layer as `project` does, or return the stored layer."""
     options = options.of(pictures)
     form = format_of(like, options.channel)
+    largest = max(each.opacity for each in pictures) or 1.0
+    scales = [each.opacity / largest for each in pictures]
 
     def parts() -> list[Any]:
-        largest = max(each.opacity for each in pictures) or 1.0
-        shown = [
-            (content_of(each), key_of(cast(Camera, each.camera)), each.opacity / largest) for each in pictures
-        ]
+        cameras = [key_of(cast(Camera, each.camera)) for each in pictures]
+        shown = [*zip(map(content_of, pictures), cameras, scales, strict=True)]
         return [job.surface.content, like and like.placement, form, shown, *astuple(options)]
 
     stages = job.stages.of(parts)
     return stages.texture(
-        "layer", lambda: layer_from(job, _raster_of(job, pictures, like, form, options, stages))
+        "layer", lambda: layer_from(job, _raster_of(job, pictures, scales, like, form, options, stages))
     )
 
 
 def _raster_of(
     job: Job,
     pictures: Sequence[Projection],
+    scales: Sequence[float],
     like: OctreeTexture | None,
     form: ChannelFormat,
     options: PaintOptions,
     stages: Stages,
 ) -> Raster:
-    """Project pictures, which are released on return; ``stages`` are those of all these pictures."""
+    """Project pictures, which are released on return; ``stages`` are those of all these pictures.
+
+    ``scales`` multiply their alpha.
+    """
     surface = job.surface.surface
     is_single = len(pictures) == 1
     around = AROUND if is_single and options.edge_feather < AROUND else None
-    shots = _look(job, form, pictures, options, around)
+    shots = _look(job, form, pictures, scales, options, around)
     reference = None if options.reference is None else shots[options.reference]
     shots = in_fixed_order(shots)
     angle = cast(float, options.max_angle)
@@ -247,7 +251,7 @@ def _raster_of(
     # Footprints of larger cells reach farther.
     reach = _REACH << max(finest - depth, 0)
     if around is not None and reach > around:
-        source = source.with_shots(_look(job, form, pictures, options, None))
+        source = source.with_shots(_look(job, form, pictures, scales, options, None))
     source = near if finest <= depth else source.near_paint(reach)
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
     if like is not None:
@@ -263,15 +267,18 @@ def _raster_of(
 
 
 def _look(
-    job: Job, form: ChannelFormat, pictures: Sequence[Projection], options: PaintOptions, around: int | None
+    job: Job,
+    form: ChannelFormat,
+    pictures: Sequence[Projection],
+    scales: Sequence[float],
+    options: PaintOptions,
+    around: int | None,
 ) -> list[Shot]:
     """Return the shots of pictures, or their parts within ``around`` pixels of paint."""
     cameras = [cast(Camera, each.camera) for each in pictures]
     sights = job.surface.sights(
         cameras, options.edge_feather, job.executor, job.stages, hidden=options.hidden
     )
-    largest = max(each.opacity for each in pictures) or 1.0
-    scales = [each.opacity / largest for each in pictures]
     shots = []
     taken = take_shots(pictures, form, scales, sights, job.executor, around=around, stages=job.stages)
     job.progress("look", 0, len(pictures))
