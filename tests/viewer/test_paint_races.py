@@ -107,7 +107,9 @@ def test_a_patch_that_arrives_broken_is_reported(page):
 
 def test_a_command_is_sent_again_after_a_refusal_that_breaks_off(studio, page):
     page.evaluate("""() => {
-      const { commands } = viewer.painting, { post } = commands;
+      const { commands } = viewer.painting, { post, showMessage } = commands;
+      globalThis.messages = [];
+      commands.showMessage = (message) => (messages.push(message), showMessage(message));
       commands.post = async () => {
         commands.post = post;
         const text = () => Promise.reject(new TypeError("network error"));
@@ -115,8 +117,8 @@ def test_a_command_is_sent_again_after_a_refusal_that_breaks_off(studio, page):
       };
     }""")
     studio.drag(page, (-20, 0), (20, 0))
-    page.wait_for_function("document.getElementById('paint-note').textContent.includes('Busy')")
     studio.is_done(page)
+    assert page.evaluate("messages") == ["1 change waits to be sent: Busy", ""]
     assert page.evaluate("viewer.painting.status.done") == 1
 
 
