@@ -37,7 +37,8 @@ QUESTIONS = {
 def entered(call):
     """Return the code of the functions of octex that a call enters the second time.
 
-    Kernels are left out, and with them the room that calls them.
+    Kernels are left out, and with them the room that calls them. So are comprehensions and lambdas, which
+    newer Pythons count otherwise.
     """
     found = set()
 
@@ -51,7 +52,7 @@ def entered(call):
         call()
     finally:
         sys.setprofile(None)
-    return {code for code in found if not _is_kernel(code)}
+    return {code for code in found if not (code.co_name.startswith("<") or _is_kernel(code))}
 
 
 def _is_kernel(code):
@@ -90,16 +91,16 @@ def test_sample_enters_at_most_40_functions_of_6_files(kind, question):
 
 
 @needs_jit
-def test_convert_enters_at_most_200_functions_of_30_files():
+def test_convert_enters_at_most_145_functions_of_28_files():
     surface = ball(rings=8)
     found = entered(lambda: octex.convert(surface, 6, threads=1))
     files = {code.co_filename for code in found}
-    assert len(found) <= 200, sorted(code.co_qualname for code in found)
-    assert len(files) <= 30, sorted(files)
+    assert len(found) <= 145, sorted(code.co_qualname for code in found)
+    assert len(files) <= 28, sorted(files)
 
 
 @needs_jit
-def test_a_stroke_enters_at_most_401_functions_of_49_files():
+def test_a_stroke_enters_at_most_294_functions_of_49_files():
     surface = ball()
     texture = octex.convert(surface, 6)
     camera = octex.Camera.fitted(surface.vertices, (0.3, 0.5, 1.0), size=(64, 64))
@@ -114,5 +115,5 @@ def test_a_stroke_enters_at_most_401_functions_of_49_files():
     found = entered(stroke)
     files = {code.co_filename for code in found}
     assert painter.redo()
-    assert len(found) <= 401, len(found)
+    assert len(found) <= 294, len(found)
     assert len(files) <= 49, len(files)
