@@ -89,7 +89,8 @@ def write_osl(
     tree = texture.tree
     extra = tree.split.cells.size + tree.split.areas.size
     first, rows = (-(-count // _WIDTH) * _WIDTH for count in (max(tree.n_nodes, 1), tree.n_cells + extra))
-    texels = np.zeros((first + rows * len(planes), 4), np.uint16)
+    texels = np.zeros((first + rows * len(planes) + _WIDTH, 4), np.uint16)
+    texels[-_WIDTH:] = 65535  # tells the shader which way up the renderer reads
     texels[: tree.n_nodes] = _nodes(texture)
     ranges: dict[str, tuple[float, float]] = {}
     for number, plane in enumerate(planes):
@@ -220,7 +221,8 @@ def _shader(
     outputs, lines = [], []
     for number, plane in enumerate(planes):
         lines.append(f"  color o_values{number};")
-        call = f"blend(File, {number}, o_cells, o_weights, o_count, o_facing, o_values{number}, o_alpha);"
+        found = f"o_cells, o_weights, o_count, o_facing, o_values{number}, o_alpha"
+        call = f"blend(File, o_turned, {number}, {found});"
         lines.append(f"  {call}")
         for lane, channel in enumerate(plane.channels):
             form, (low, high) = texture.channels[channel].format, ranges[channel]
@@ -252,7 +254,8 @@ def _shader(
     begin = [
         "  int o_cells[27];",
         "  float o_weights[27], o_alpha;",
-        "  int o_count = taps(File, placed(Position, ZUp), Filter, o_cells, o_weights);",
+        "  int o_turned = is_turned(File);",
+        "  int o_count = taps(File, o_turned, placed(Position, ZUp), Filter, o_cells, o_weights);",
         '  vector o_facing = transform("object", backfacing() ? -N : N);',
         "  if (Normal != vector(0)) o_facing = Normal;",
         "  o_facing = upright(o_facing, ZUp);",

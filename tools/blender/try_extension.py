@@ -31,6 +31,7 @@ SIZE = 256
 def main() -> int:
     folder = Path(sys.argv[1])
     extension.register()
+    package = installed()
     told: dict[str, Any] = {"refused": refused(folder)}
     told["grey"] = grey()
     told["material"] = material(folder)
@@ -42,10 +43,19 @@ def main() -> int:
     told["exact plate"] = exact("plate", folder)
     channels()
     told["exact channels"] = exact("channels", folder)
-    told["stuck"] = stuck()
+    told |= {"stuck": stuck(), "packages": package.exists()}
     extension.unregister()
     print(json.dumps(told))
     return 0
+
+
+def installed() -> Path:
+    """Return a file of a package that another extension has installed."""
+    version = f"python{sys.version_info[0]}.{sys.version_info[1]}"
+    path = Path(bpy.utils.user_resource("EXTENSIONS"), ".local", "lib", version, "site-packages", "other.py")
+    path.parent.mkdir(parents=True)
+    path.touch()
+    return path
 
 
 def ball(name: str = "ball") -> bpy.types.Object:
@@ -114,7 +124,7 @@ def refused(folder: Path) -> list[str]:
         except RuntimeError as error:
             said.append(str(error).removeprefix("Error: ").strip())
 
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     ball()
     attempt("make")
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
@@ -192,6 +202,8 @@ def photograph(folder: Path) -> dict[str, Any]:
     image = gradient("photograph")
     image.filepath_raw, image.file_format = str(folder / "photograph.png"), "PNG"
     image.save()
+    image.pack()
+    (folder / "photograph.png").unlink()
     data = bpy.data.cameras.new("camera")
     data.lens, data.shift_x, data.shift_y = 40.0, 0.05, -0.02
     camera = bpy.data.objects.new("camera", data)
@@ -233,13 +245,15 @@ def painted() -> dict[str, Any]:
         watching.look()
         time.sleep(0.05)
     is_open = watching._painted[chosen.name].process.poll() is None
-    return {"worst": worst(colors(chosen)[:, :3] - 0.5), "path": chosen.octex.path, "is_open": is_open}
+    next_name = watching._next(output.with_name("other-8.octex")).name
+    told = {"path": chosen.octex.path, "is_open": is_open, "next": next_name}
+    return told | {"worst": worst(colors(chosen)[:, :3] - 0.5)}
 
 
 class Stubborn(operators.Working):
     """An operator whose job is done, and which cannot take over what it has made."""
 
-    job = SimpleNamespace(poll=dict, close=lambda: None, warnings=[])
+    job = SimpleNamespace(poll=dict, close=lambda: None, warnings=[], stage="", share=0.0)
 
     def report(self, *_: object) -> None:
         """Say nothing."""
@@ -249,14 +263,15 @@ class Stubborn(operators.Working):
         raise OSError
 
 
-def stuck() -> bool:
-    """Return whether operators are refused after one has failed in a way that nobody foresaw."""
+def stuck() -> dict[str, bool]:
+    """Return whether painting is offered while an operator runs, and what is after it has failed."""
     manager = bpy.context.window_manager
     operators.Working.running = own = Stubborn()
     own._timer = manager.event_timer_add(1, window=manager.windows[0])
+    told = {"at work": operators.OCTEX_OT_paint.poll(bpy.context)}
     with suppress(OSError):
         own.modal(bpy.context, SimpleNamespace(type="TIMER"))
-    return operators.Working.running is not None
+    return told | {"after": operators.OCTEX_OT_paint.poll(bpy.context)}
 
 
 def plate() -> None:

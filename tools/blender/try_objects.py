@@ -13,6 +13,7 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import bpy  # type: ignore[import-not-found]
@@ -32,7 +33,7 @@ def main() -> int:
     extension.register()
     told: dict[str, Any] = {}
     for task in (images, strokes, view, colmap, plain, shape_keys, modifiers, linked, another):
-        bpy.ops.wm.read_factory_settings(use_empty=True)
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         own = folder / task.__name__
         own.mkdir()
         bpy.ops.wm.save_as_mainfile(filepath=str(own / "scene.blend"))
@@ -80,11 +81,15 @@ def images(folder: Path) -> dict[str, Any]:
     image.filepath_raw, image.file_format = str(folder / "gradient.png"), "PNG"
     image.save()
     node.image = bpy.data.images.load(str(folder / "gradient.png"))
+    objects.check_images(chosen)
+    told["was read"] = node.image.has_data
     bpy.ops.octex.make()
     told["file"] = at_uv(chosen)
     (folder / "gradient.png").rename(folder / "elsewhere.png")
     node.image.reload()
     told["missing"] = refusal("make")
+    (folder / "gradient.png").write_bytes(b"no image")
+    told["damaged"] = refusal("make")
     node.image = bpy.data.images.new("tiles", SIZE, SIZE, tiled=True)
     told["tiles"] = refusal("make")
     own = node.id_data
@@ -192,6 +197,9 @@ def view(_folder: Path) -> dict[str, Any]:
     chosen.octex.origin = "GREY"
     bpy.ops.octex.make()
     told: dict[str, Any] = {"no camera": refusal("view")}
+    seen_in = SimpleNamespace(view_perspective="PERSP", view_matrix=Matrix())
+    window = SimpleNamespace(region_data=seen_in, space_data=SimpleNamespace(lens=50))
+    told["scenes"] = len(objects.view_camera(window).users_scene)
     camera = camera_at((9, -8, 4), chosen)
     bpy.ops.octex.view()
     path = Path(bpy.path.abspath(camera.data.background_images[0].image.filepath))
@@ -282,7 +290,7 @@ def linked(folder: Path) -> dict[str, Any]:
     """Return why an object of another file, which has a texture, shows none."""
     ball()
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "library.blend"))
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "scene.blend"))
     with bpy.data.libraries.load(str(folder / "library.blend"), link=True) as (_, wanted):
         wanted.objects = ["ball"]

@@ -25,7 +25,7 @@ CREASE = 40.0
 
 def opened(path: str) -> bpy.types.Scene:
     """Return a scene with a model, .glb or .ply, and nothing else, to be drawn with Cycles as it is."""
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     if path.endswith(".ply"):
         bpy.ops.wm.ply_import(filepath=path, forward_axis="NEGATIVE_Z", up_axis="Y")

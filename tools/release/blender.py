@@ -1,10 +1,12 @@
 #!/usr/bin/env python
 """Build Blender's extension for some platforms, with the wheels that it needs.
 
-usage: tools/release/blender.py OUTPUT [PLATFORM ...] [--check PYTHON]     needs: pip install build
+usage: tools/release/blender.py OUTPUT [PLATFORM ...] [--pythons 3.14 ...] [--check PYTHON]
+needs: pip install build
 
 Each PLATFORM (default: linux-x64; others windows-x64, macos-arm64) gets OUTPUT/octex-VERSION-PLATFORM.zip,
-with wheels for the Pythons of Blender 4.5 to 5.0 (3.11) and from 5.1 on (3.13). Blender brings numpy. With
+with wheels for the Pythons of Blender 4.5 to 5.0 (3.11) and from 5.1 on (3.13), or for those of --pythons:
+a Linux distribution may build Blender with its own. Blender brings numpy. With
 --check, a PYTHON that has bpy validates the linux-x64 file, installs it in an empty folder and uses it.
 """
 
@@ -19,6 +21,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
 
 import octex
@@ -53,6 +56,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("output", type=Path)
     parser.add_argument("platforms", nargs="*", choices=[*PLATFORMS, []], metavar="PLATFORM")
+    parser.add_argument("--pythons", nargs="+", default=PYTHONS, metavar="VERSION")
     parser.add_argument("--check", type=Path, metavar="PYTHON")
     options = parser.parse_args(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
@@ -61,18 +65,18 @@ def main(arguments: list[str] | None = None) -> int:
         subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
         (wheel,) = Path(folder).glob("octex-*.whl")
         for name in options.platforms or ["linux-x64"]:
-            path = built(options.output, name, wheel)
+            path = built(options.output, name, wheel, options.pythons)
             print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
             if options.check and name == "linux-x64":
                 check(path.resolve(), options.check)
     return 0
 
 
-def built(output: Path, platform: str, wheel: Path) -> Path:
+def built(output: Path, platform: str, wheel: Path, pythons: Sequence[str]) -> Path:
     """Write the extension for a platform, and return its path."""
     path = output / f"octex-{octex.__version__}-{platform}.zip"
     with tempfile.TemporaryDirectory() as folder:
-        for python in PYTHONS:
+        for python in pythons:
             places = [part for each in PLATFORMS[platform] for part in ("--platform", each)]
             subprocess.run(
                 [sys.executable, "-m", "pip", "download", "--quiet", "--only-binary=:all:", "--dest", folder,

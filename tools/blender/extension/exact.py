@@ -61,6 +61,7 @@ def show(
         place = nodes.new("ShaderNodeTexCoord")
         place.location = (-600, 0)
         links.new(place.outputs["Object"], node.inputs["Position"])
+        links.new(_outward(material.node_tree), node.inputs["Normal"])
     for name, components, channel in outputs:
         output = node.outputs.get(name) or node.outputs.new(_SOCKETS[components], name)
         if channel in objects.SOCKETS:
@@ -68,6 +69,22 @@ def show(
     if any(channel == "emissive" for _, _, channel in outputs):
         principled.inputs["Emission Strength"].default_value = 1.0
     objects.put(chosen, lambda _: material)
+
+
+def _outward(tree: bpy.types.NodeTree) -> bpy.types.NodeSocket:
+    """Return the normal of a face's front in the object's axes: Blender 5.3's shaders do not have it."""
+    kinds = ("NewGeometry", "Math", "VectorMath", "VectorTransform")
+    geometry, sign, front, turned = (tree.nodes.new(f"ShaderNode{kind}") for kind in kinds)
+    for place, node in enumerate((geometry, sign, front, turned)):
+        node.location = (200 * place - 1200, -200)
+    sign.operation, front.operation = "MULTIPLY_ADD", "SCALE"
+    sign.inputs[1].default_value, sign.inputs[2].default_value = -2.0, 1.0
+    turned.vector_type, turned.convert_from, turned.convert_to = "NORMAL", "WORLD", "OBJECT"
+    tree.links.new(geometry.outputs["Backfacing"], sign.inputs[0])
+    tree.links.new(geometry.outputs["Normal"], front.inputs["Vector"])
+    tree.links.new(sign.outputs[0], front.inputs["Scale"])
+    tree.links.new(front.outputs["Vector"], turned.inputs["Vector"])
+    return turned.outputs["Vector"]
 
 
 def compiled(shader: Path) -> str:

@@ -18,12 +18,17 @@ import objects
 def main() -> None:
     job = json.loads(Path(sys.argv[-1]).read_text(encoding="utf-8"))
     folder = Path(job["folder"])
-    bpy.ops.wm.read_factory_settings(use_empty=True)
+    # Not read_factory_settings: that uninstalls the packages of all extensions.
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     with bpy.data.libraries.load(job["blend"]) as (_, wanted):
         wanted.objects = [job["object"]]
     (chosen,) = wanted.objects
     for name, file in job["pixels"].items():
         bpy.data.images[name].pixels.foreach_set(np.load(folder / f"{file}.npy").reshape(-1))
+    if job["form"] in ("model", "shown"):
+        for _, node in objects.image_nodes(chosen, job["form"] == "shown"):
+            if not node.image.size[0]:
+                sys.exit(f"{node.image.name} cannot be read: replace or remove it first")
     if job["form"] == "arrays":
         np.savez(folder / "mesh.npz", **objects.mesh_arrays(chosen))
     else:

@@ -14,6 +14,7 @@ from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 #: Names of the colour attribute and of the UV map, which differ, and the mark of the extension's materials.
 NAME, UV_MAP, MARK = "octex", "octex UV", "octex"
@@ -134,18 +135,12 @@ def mesh_arrays(chosen: bpy.types.Object) -> dict[str, np.ndarray]:
 
 
 def posed_positions(context: bpy.types.Context, chosen: bpy.types.Object) -> np.ndarray:
-    """Return where the vertices lie in the scene (n, 3), in Blender's axes, deformed as it is seen."""
-    evaluated = chosen.evaluated_get(context.evaluated_depsgraph_get())
-    mesh = evaluated.to_mesh()
-    try:
-        if len(mesh.vertices) != len(chosen.data.vertices):
-            names = ", ".join(making_modifiers(chosen)) or "a modifier"
-            raise ObjectError(f"{chosen.name}: apply {names} first: photographs show what it makes")
-        positions = _read(mesh.vertices, "co", 3).astype(np.float64)
-    finally:
-        evaluated.to_mesh_clear()
-    matrix = np.array(chosen.matrix_world)
-    return positions @ matrix[:3, :3].T + matrix[:3, 3]
+    """Return where the vertices lie (n, 3) in the object's own axes, deformed as it is seen."""
+    mesh = chosen.evaluated_get(context.evaluated_depsgraph_get()).data
+    if len(mesh.vertices) != len(chosen.data.vertices):
+        names = ", ".join(making_modifiers(chosen)) or "a modifier"
+        raise ObjectError(f"{chosen.name}: apply {names} first: photographs show what it makes")
+    return _read(mesh.vertices, "co", 3)
 
 
 def write_model(context: bpy.types.Context, chosen: bpy.types.Object, path: Path, form: str) -> None:
@@ -211,12 +206,12 @@ def _materials(chosen: bpy.types.Object, shown: bool) -> Iterator[bpy.types.Mate
 def check_images(chosen: bpy.types.Object, shown: bool = False) -> list[str]:
     """Return what octex will not see of an object's materials, as `write_model` writes them.
 
-    Raises ObjectError for images without data.
+    Raises ObjectError for images with tiles, and for those without data.
     """
     for _, node in image_nodes(chosen, shown):
         if node.image.source == "TILED":
             raise ObjectError(f"{node.image.name} has UDIM tiles: bake it to one image first")
-        if not node.image.has_data and not node.image.size[0]:
+        if _is_missing(node.image):
             raise ObjectError(f"{node.image.name} is missing: find or remove it first")
     complaints = []
     for material in _materials(chosen, shown):
@@ -229,6 +224,13 @@ def check_images(chosen: bpy.types.Object, shown: bool = False) -> list[str]:
                         f"{material.name}: bake its {name} to an image first; octex cannot read it"
                     )
     return complaints
+
+
+def _is_missing(image: bpy.types.Image) -> bool:
+    """Return whether an image has neither data nor a file; its size would have Blender read the file."""
+    if image.has_data or image.packed_file is not None or image.source == "GENERATED":
+        return False
+    return not Path(bpy.path.abspath(image.filepath, library=image.library)).is_file()
 
 
 def photographs(context: bpy.types.Context, folder: Path, required: bool) -> list[dict]:
@@ -249,37 +251,37 @@ def photographs(context: bpy.types.Context, folder: Path, required: bool) -> lis
 
 
 def _photograph(camera: bpy.types.Object, image: bpy.types.Image, folder: Path) -> dict:
-    width, height = image.size
-    if not width or not height:
+    if _is_missing(image):
         raise ObjectError(f"{camera.name}: its background image {image.name} is missing")
-    path = Path(bpy.path.abspath(image.filepath))
-    if image.packed_file is not None or image.is_dirty or not path.is_file():
-        path = folder / f"{bpy.path.clean_name(camera.name)}.png"
+    path = Path(bpy.path.abspath(image.filepath, library=image.library))
+    own = folder / bpy.path.clean_name(camera.name)
+    if image.packed_file is not None and not image.is_dirty:
+        path = own.with_suffix(path.suffix)
+        path.write_bytes(image.packed_file.data)
+    elif image.is_dirty or not path.is_file():
+        path = own.with_suffix(".png")
         image.save(filepath=str(path))
-    return {"image": str(path), "since": camera.get(VIEW, ""), **lens_and_pose(camera, width, height)}
+    return {"image": str(path), "since": camera.get(VIEW, ""), **lens_and_pose(camera)}
 
 
-def lens_and_pose(camera: bpy.types.Object, width: int, height: int) -> dict:
-    """Return how a camera sees a picture of so many pixels; raises ObjectError."""
+def lens_and_pose(camera: bpy.types.Object) -> dict:
+    """Return how a camera sees a picture of any size; raises ObjectError."""
     data = camera.data
     if data.type != "PERSP":
         raise ObjectError(f"{camera.name} is no perspective camera")
-    fit = data.sensor_fit if data.sensor_fit != "AUTO" else ("HORIZONTAL" if width >= height else "VERTICAL")
-    side = width if fit == "HORIZONTAL" else height
-    sensor = data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width
     location, rotation, _ = camera.matrix_world.decompose()
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = np.array(rotation.to_matrix()), location
     return {
-        "size": [width, height],
-        "focal": data.lens / sensor * side,
-        "center": [width / 2 - data.shift_x * side, height / 2 + data.shift_y * side],
+        "lens": data.lens / (data.sensor_height if data.sensor_fit == "VERTICAL" else data.sensor_width),
+        "fit": data.sensor_fit,
+        "shift": [data.shift_x, data.shift_y],
         "pose": pose.tolist(),
     }
 
 
 def view_camera(context: bpy.types.Context) -> bpy.types.Object:
-    """Return a new camera that sees what the 3D view does, or the scene's own where there is none."""
+    """Return the scene's camera, or one of no scene that sees what the 3D view does."""
     seen = getattr(context, "region_data", None)
     if seen is None or seen.view_perspective == "CAMERA":
         if context.scene.camera is None:
@@ -287,11 +289,14 @@ def view_camera(context: bpy.types.Context) -> bpy.types.Object:
         return context.scene.camera
     if seen.view_perspective == "ORTHO":
         raise ObjectError("Switch the 3D view to perspective first (numpad 5)")
+    # a view shows 72 mm where a camera has 36
+    return new_camera(seen.view_matrix.inverted(), context.space_data.lens / 2)
+
+
+def new_camera(pose: Matrix, lens: float) -> bpy.types.Object:
+    """Return a camera that no scene has yet."""
     camera = bpy.data.objects.new("octex view", bpy.data.cameras.new("octex view"))
-    context.scene.collection.objects.link(camera)
-    camera.matrix_world = seen.view_matrix.inverted()
-    camera.data.lens = context.space_data.lens / 2  # a view shows 72 mm where a camera has 36
-    context.view_layer.update()
+    camera.matrix_world, camera.data.lens = pose, lens
     return camera
 
 
@@ -299,8 +304,7 @@ def set_view(camera: bpy.types.Object, path: Path) -> None:
     """Give a camera the picture that was drawn from it, to paint on, and keep the unedited one next to it."""
     before = path.with_name(f"{path.stem}-before.png")
     before.write_bytes(path.read_bytes())
-    image = bpy.data.images.load(str(path), check_existing=True)
-    image.reload()
+    image = loaded(path)
     backgrounds = camera.data.background_images
     background = next((each for each in backgrounds if each.image in (None, image)), None)
     (background or backgrounds.new()).image = image
@@ -309,6 +313,14 @@ def set_view(camera: bpy.types.Object, path: Path) -> None:
 
 
 # From octex
+
+
+def loaded(path: Path) -> bpy.types.Image:
+    """Return the image of a file; Blender reads its pixels when it shows them."""
+    image = bpy.data.images.load(str(path), check_existing=True)
+    if image.has_data:
+        image.reload()
+    return image
 
 
 def set_colors(chosen: bpy.types.Object, colors: np.ndarray) -> None:

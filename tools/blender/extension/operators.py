@@ -82,9 +82,7 @@ class Working:
             return {"CANCELLED"}
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        for area in context.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+        shown = self.job.stage, self.job.share
         result = {"CANCELLED"}
         try:
             answer = self.job.poll()
@@ -94,12 +92,15 @@ class Working:
         finally:
             if result != {"PASS_THROUGH"}:
                 self.cancel(context)
+            elif shown != (self.job.stage, self.job.share):
+                watching.redraw()
         return result
 
     def cancel(self, context: bpy.types.Context) -> None:
         """End the job: it is over, or Blender opens another file or closes."""
         Working.running = None
         context.window_manager.event_timer_remove(self._timer)
+        watching.redraw()
         self.job.close()
 
     def _finished(self, context: bpy.types.Context, answer: dict[str, Any]) -> set[str]:
@@ -242,22 +243,28 @@ class OCTEX_OT_view(Working, bpy.types.Operator):
     def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         texture = objects.texture_path(chosen)
         camera = objects.view_camera(context)
-        self.camera = camera.name
+        self.camera, self.view = camera.name, (camera.matrix_world.copy(), camera.data.lens)
         render = context.scene.render
         size = [
             max(each * render.resolution_percentage // 100, 1)
             for each in (render.resolution_x, render.resolution_y)
         ]
         output = texture.with_name(f"{texture.stem}-{bpy.path.clean_name(camera.name)}.png")
+        lens = objects.lens_and_pose(camera)
+        if not camera.users_scene:  # the scene gets it when the job is done
+            bpy.data.cameras.remove(camera.data)
         return job_of(
             "view", chosen, name=chosen.name, texture=str(texture), output=str(output),
-            camera=objects.lens_and_pose(camera, *size), posed=objects.posed_positions(context, chosen),
+            size=size, camera=lens, posed=objects.posed_positions(context, chosen),
         )  # fmt: skip
 
-    def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
-        camera, output = bpy.data.objects.get(self.camera), Path(answer["output"])
-        if camera is None or not answer["pixels"]:
+    def finish(self, context: bpy.types.Context, answer: dict[str, Any]) -> str:
+        output = Path(answer["output"])
+        if not answer["pixels"]:
             raise objects.ObjectError(f"{self.camera} does not see {self.target}")
+        camera = bpy.data.objects.get(self.camera) or objects.new_camera(*self.view)
+        if not camera.users_scene:
+            context.scene.collection.objects.link(camera)
         objects.set_view(camera, output)
         return f"Paint on {output.name}, then project photographs"
 
@@ -287,7 +294,7 @@ class OCTEX_OT_paint(bpy.types.Operator):
     bl_idname = "octex.paint"
     bl_label = "Paint in Browser"
 
-    poll = Working.poll
+    poll = classmethod(Working.poll.__func__)  # of this class: it says why it refuses
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
@@ -300,9 +307,8 @@ class OCTEX_OT_paint(bpy.types.Operator):
 
 
 def _image(path: str, channel: str) -> bpy.types.Image:
-    image = bpy.data.images.load(path, check_existing=True)
+    image = objects.loaded(Path(path))
     image.colorspace_settings.name = "sRGB" if channel in ("base_color", "emissive") else "Non-Color"
-    image.reload()
     return image
 
 
@@ -312,7 +318,10 @@ def job_of(
     """Return a job that begins with an object in a form, and where its vertices are seen: see `hand_over`."""
     job = Job(task, **given)
     call, arrays = objects.hand_over(chosen, job.folder, form)
-    return job.after(call, arrays if posed is None else arrays | {"posed": posed})
+    if posed is not None:
+        arrays["posed"] = posed
+        job.given(matrix=[list(row) for row in chosen.matrix_world])
+    return job.after(call, arrays)
 
 
 def colors_job(chosen: bpy.types.Object) -> Job:

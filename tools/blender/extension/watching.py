@@ -84,6 +84,8 @@ def paint(chosen: bpy.types.Object) -> Path:
 def _next(texture: Path) -> Path:
     """Return the first free name of NAME-2.octex, NAME-3.octex and so on."""
     stem = re.sub(r"-\d+$", "", texture.stem)
+    if not texture.with_name(f"{stem}.octex").exists():  # the number belongs to the object's name
+        stem = texture.stem
     numbers = itertools.count(2)
     return next(path for n in numbers if not (path := texture.with_name(f"{stem}-{n}.octex")).exists())
 
@@ -96,7 +98,8 @@ def look() -> float | None:
         if chosen is None or (each.process.poll() is not None and each.job is None):
             if each.process.poll():
                 text = (Path(each.folder.name) / _ERRORS).read_text("utf-8", errors="replace").strip()
-                _fail(name, text.splitlines()[-1] if text else f"the page ended with {each.process.poll()}")
+                reason = text.splitlines()[-1] if text else f"the page ended with {each.process.poll()}"
+                _fail(name, reason.replace("model.glb", name))
             _ended(_painted.pop(name))
     return _PAUSE if _painted else None
 
@@ -130,9 +133,16 @@ def _looked(chosen: bpy.types.Object, each: _Painted) -> _Painted:
 def _fail(name: str, reason: str) -> None:
     """Have the panel show why the page of an object failed."""
     failures[name] = reason
+    redraw()
+
+
+def redraw() -> None:
+    """Have Blender draw the panel again, but not the 3D view: that may take long."""
     for window in bpy.context.window_manager.windows:
         for area in window.screen.areas:
-            area.tag_redraw()
+            for region in area.regions:
+                if area.type == "VIEW_3D" and region.type == "UI":
+                    region.tag_redraw()
 
 
 def _ended(each: _Painted) -> None:

@@ -10,6 +10,7 @@ import shutil
 import sys
 import traceback
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -45,11 +46,14 @@ def surface_of(
     folder = Path(job["folder"])
     with np.load(folder / "mesh.npz") as arrays:
         mesh = dict(arrays)
-    posed = folder / "posed.npy"
+    vertices = mesh["rest"]
+    if "matrix" in job:  # as the scene shows it
+        matrix = np.array(job["matrix"])
+        vertices = np.load(folder / "posed.npy") @ matrix[:3, :3].T + matrix[:3, 3]
     if shaded:
         options["normals"] = mesh["normals"]
     surface = octex.Surface.from_arrays(
-        np.load(posed) if posed.exists() else mesh["rest"],
+        vertices,
         mesh["triangles"],
         rest=mesh["rest"],
         name=job["name"],
@@ -204,17 +208,20 @@ def strokes(job: dict[str, Any]) -> dict[str, Any]:
 def view(job: dict[str, Any]) -> dict[str, Any]:
     """Draw the texture on the mesh as a camera sees it, to be painted on."""
     surface, _ = surface_of(job)
-    camera = camera_of(job["camera"])
+    camera = camera_of(job["camera"], job["size"])
     codes = draw_paintable(octex.open(job["texture"]), surface, camera, "base_color")
     Path(job["output"]).write_bytes(as_png(codes))
     return {"output": job["output"], "pixels": int((codes[..., 3] > 0).sum())}
 
 
-def camera_of(given: dict[str, Any]) -> octex.Camera:
-    """Return a camera of Blender's."""
+def camera_of(given: dict[str, Any], size: Sequence[int]) -> octex.Camera:
+    """Return a camera of Blender's, whose pictures are so many pixels wide and high."""
+    width, height = size
+    is_wide = given["fit"] == "HORIZONTAL" or (given["fit"] == "AUTO" and width >= height)
+    side, (right, up) = width if is_wide else height, given["shift"]
     return octex.Camera.pinhole(
-        tuple(given["size"]), pose=np.array(given["pose"]), convention="opengl", focal=given["focal"],
-        center=tuple(given["center"]),
+        (width, height), pose=np.array(given["pose"]), convention="opengl", focal=given["lens"] * side,
+        center=(width / 2 - right * side, height / 2 + up * side),
     )  # fmt: skip
 
 
@@ -246,7 +253,9 @@ def photographs(job: dict[str, Any]) -> dict[str, Any]:
     """Project photographs onto the mesh, into its texture or a new one."""
     surface, _ = surface_of(job)
     pictures = [
-        octex.Projection(each["image"], camera_of(each), since=each["since"] or None)
+        octex.Projection(
+            each["image"], camera_of(each, image_size(Path(each["image"]))), since=each["since"] or None
+        )
         for each in job["photographs"]
     ]
     if job["cameras"]:
@@ -266,11 +275,15 @@ TASKS = {each.__name__: each for each in (make, colors, images, exact, strokes, 
 
 def main() -> int:
     job = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
-    warnings.showwarning = lambda message, *_: say(warning=str(message))
+
+    def named(message: object) -> str:
+        return str(message).replace(model_of(job).name, job["name"])
+
+    warnings.showwarning = lambda message, *_: say(warning=named(message))
     try:
         say(**TASKS[job["task"]](job))
     except octex.OctexError as error:
-        say(error=str(error))
+        say(error=named(error))
     except Exception:
         traceback.print_exc()
         return 1
