@@ -18,20 +18,18 @@ class Watch:
     """Tells whether another program wrote to files since the session last read or wrote them."""
 
     def __init__(self, paths: Sequence[Path]) -> None:
-        self._stamps = {path: _stamp_of(path) for path in paths}
+        self._stamps = {path: stamp_of(path) for path in paths}
 
     def has_changed(self, path: Path) -> bool:
         """Return whether a file is there that another program has written."""
-        return _stamp_of(path) not in (None, self._stamps[path])
+        return stamp_of(path) not in (None, self._stamps[path])
 
-    def renew(self, path: Path, content: bytes | None = None) -> None:
-        """Accept a file as it is now, or only if it has this content."""
-        stamp = _stamp_of(path)
-        if content is None or (stamp is not None and path.read_bytes() == content):
-            self._stamps[path] = stamp
+    def renew(self, path: Path) -> None:
+        """Accept a file as it is now."""
+        self._stamps[path] = stamp_of(path)
 
 
-def _stamp_of(path: Path) -> tuple[int, ...] | None:
+def stamp_of(path: Path) -> tuple[int, ...] | None:
     """Return a fingerprint that changes when another program writes the file; None for no file."""
     try:
         status = path.stat()

@@ -43,7 +43,7 @@ from octex.session.commands import (
 )
 from octex.session.journal import Journal, layers_file
 from octex.session.material import paint_of, pictures_of, with_channel
-from octex.session.outside import Watch, put_aside, texture_of
+from octex.session.outside import Watch, put_aside, stamp_of, texture_of
 from octex.session.poses import Poses, mirrored_spot
 from octex.source.corners import at_corners
 from octex.source.motion import Motion
@@ -119,6 +119,10 @@ class Session:
         self._error, self._is_ending, self._count = "", False, 0
         self._question = ""  # why the last save asks before replacing OUTPUT
         self._told = ""  # by the last command
+        self._taken: tuple[int, Any] = (
+            0,
+            None,
+        )  # the last step that took OUTPUT's version, and its fingerprint
         self._files = {"output": output} if opened is None else {"output": output, "opened": opened}
         self._watch = Watch([*self._files.values(), layers_file(output)])
         self._saved: list[int] | None = []  # the steps saved in OUTPUT; []: the input texture; None: unknown
@@ -375,7 +379,7 @@ class Session:
         paths = [self.output]
         if self._painter.layers or self._has_layers_file:
             paths.append(layers_file(self.output))
-        changed = [path for path in paths if self._watch.has_changed(path)]
+        changed = [path for path in paths if self._watch.has_changed(path) and not self._has_taken(path)]
         self._question = ""
         if changed and not replaces_of(command):
             names = " and ".join(path.name for path in changed)
@@ -403,8 +407,21 @@ class Session:
         except OctexError as error:
             raise ArgumentError(f"{path.name} cannot be taken: {error}") from None
         self._did(command, [self._painter.changes])
-        self._watch.renew(path, command.content)
-        self._question = "" if path == self.output else self._question
+        stamp = stamp_of(path)
+        if path == self.output:
+            self._question = ""
+        if stamp is None or path.read_bytes() != command.content:
+            return  # it has changed again
+        if path == self.output:
+            self._taken = self._count, stamp
+        else:
+            self._watch.renew(path)
+
+    def _has_taken(self, path: Path) -> bool:
+        """Return whether the texture is made from the file's version: then saving loses nothing."""
+        number, stamp = self._taken
+        is_here = any(step.number == number for step in self._steps)
+        return path == self.output and is_here and stamp_of(path) == stamp
 
     def _do_keep(self, command: Command) -> None:  # noqa: ARG002
         if "opened" in self._files:

@@ -110,16 +110,18 @@ def test_the_version_of_another_program_is_taken_as_a_step(file, tmp_path):
     assert session.shown.status["steps"][2:] == ["Take"]
     assert session.shown.status["layers"] == []
     assert_same(session.shown.texture, other)
-    take(session, stroke(4), plain("undo", 5), plain("undo", 6))
+    take(session, stroke(4), plain("undo", 5), plain("undo", 6), plain("save", 7))
     assert_same(session.shown.texture, mine)
     assert len(session.shown.status["layers"]) == 1
-    take(session, plain("redo", 7), stroke(8))
+    assert bool(session.shown.status["questions"]["output"]) == (file == "output")  # it would be lost
+    take(session, plain("redo", 8), plain("save", 9), stroke(10))
+    assert session.shown.status["questions"] == {"output": "", "opened": ""}
     expected = octex.Painter(other, canvas()[1])
-    painted(expected, 8)
+    painted(expected, 10)
     assert_same(session.shown.texture, expected.texture())
     points = canvas()[1].scatter(2000).rest
     is_red = np.abs(session.shown.texture.sample(points) - other.sample(points)).max(axis=1) > 0.3
-    take(session, stroke(9, erases=True, opacity=1.0, content=deflated(b"\xff" * 720)))  # down to it
+    take(session, stroke(11, erases=True, opacity=1.0, content=deflated(b"\xff" * 720)))  # down to it
     apart = session.shown.texture.sample(points[is_red]) - other.sample(points[is_red])
     assert is_red.sum() > 20
     assert np.abs(apart).max() < 0.1
