@@ -209,12 +209,12 @@ def test_a_small_stroke_inside_a_large_triangle_is_painted():
 
 
 def test_a_stroke_that_meets_only_surface_that_faces_away_is_no_change():
-    surface = plain(square(0.0, 2.0))
-    texture = octex.convert(surface, depth=5)
-    camera = octex.Camera.fitted(
-        [[0.4, 0.1, 0.0], [0.6, 0.3, 0.0]], (0.0, 0.0, -1.0), size=(64, 64), margin=0.0
-    )
-    seen = octex.Projection(disc(), camera)
-    painter = octex.Painter(texture, surface)
-    assert painter.paint(seen) == ()
-    assert painter.paint(seen, back_faces=True) != ()
+    x, z = np.cos(1.55), np.sin(1.55)  # a wall that is seen from behind, and whose corners' normals lean
+    corners = [[-3, -1, 0], [-3, 1, 0], [0, -1, 0], [0, 1, 0], [x, -1, z], [x, 1, z]]
+    surface = octex.Surface.from_arrays(corners, [[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]])
+    near = 0.15 * np.array([x, 0, z]) + 0.05 * np.concatenate([np.eye(3), -np.eye(3)])
+    camera = octex.Camera.fitted(near, (1.0, 0.0, 0.3), size=(64, 64), margin=0.0)
+    seen = octex.Projection(disc(radius=8.0), camera)
+    painter = octex.Painter(octex.convert(surface, depth=5), surface)
+    assert painter.paint(seen, max_angle=85) == ()
+    assert painter.paint(seen, max_angle=85, back_faces=True) != ()
