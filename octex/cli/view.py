@@ -99,7 +99,8 @@ def _session(
     try:
         if options.keep is not None:
             texture = settled(texture, options.keep)
-        session = Session(texture, surface, options.paint, motion=motion, recover=options.recover)
+        opened, recover = options.TEXTURE, options.recover
+        session = Session(texture, surface, options.paint, motion=motion, opened=opened, recover=recover)
     except ArgumentError as error:
         raise ArgumentError(f"{options.TEXTURE or options.MODEL}: {error}") from None
     if session.repeated:

@@ -14,6 +14,7 @@ from octex.errors import ArgumentError
 from octex.painting.composites import ERASED, Stacked, restored, without_erased
 from octex.painting.layer import painted_channel
 from octex.painting.merge import merged
+from octex.painting.paint import check_inside
 from octex.painting.painter import History, Painter, Stroke
 from octex.painting.picture import Blend
 from octex.painting.stack import (
@@ -34,6 +35,7 @@ from octex.painting.stack import (
     with_layer_channels,
 )
 from octex.painting.surface import Job
+from octex.source.parts import SEPARATION
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture, as_texture
 
@@ -44,6 +46,13 @@ class Restacked(NamedTuple):
     before: Stack
     after: Stack
     channels: dict[str, Channel]  # of the layers that one of them lacks
+
+
+class Replaced(NamedTuple):
+    """A change to another stack and texture."""
+
+    before: Stacked
+    after: Stacked
 
 
 class Layers(Painter):
@@ -192,6 +201,30 @@ class Layers(Painter):
         self.choose(one.number)
         return one
 
+    def replace(self, texture: OctreeTexture) -> None:
+        """Replace the texture and all layers, as a step that can be undone.
+
+        Raises ArgumentError for a texture of another model, or of parts moved apart otherwise.
+        """
+        texture, stack = from_file(as_texture(texture))
+        if texture.metadata.get(SEPARATION) != self._texture.metadata.get(SEPARATION):
+            raise ArgumentError("the model's parts are moved apart in another way")
+        check_inside(self._painted.surface, texture.placement)
+        bottom = {name: texture.channels[name] for name in bottom_names(texture)}
+        self._last = max((self._last, *(layer.number for layer in stack)))
+        step = Replaced(self.stacked, Stacked(texture, stack, texture.with_cells(texture.tree, bottom)))
+        self._apply_whole(step)
+        self._done.append(step)
+        self._undone.clear()
+
+    def _apply_whole(self, step: Replaced) -> None:
+        seen = self.texture()
+        self._texture, self._stack, self._opened = step.after
+        self._shared = self._texture
+        if self._chosen not in {layer.number for layer in self._stack}:
+            self._chosen, self._in_mask = None, False
+        self.changes = (Change(None, seen, self.texture()),)
+
     def _next(self, layer: Layer) -> Layer:
         self._last += 1
         return layer._replace(number=self._last)
@@ -329,6 +362,10 @@ class Layers(Painter):
     def _moved(self, source: History, target: History) -> bool:
         self.changes = ()
         step, undoes = source.last, source is self._done
+        if isinstance(step, Replaced):
+            self._apply_whole(Replaced(step.after, step.before) if undoes else step)
+            target.append(source.pop())
+            return True
         if not isinstance(step, Restacked):
             was_moved = super()._moved(source, target)
             self._told([change.inverted() for change in reversed(step)] if undoes else step)

@@ -245,6 +245,9 @@ def _raster_of(
     if options.max_depth is not None:
         cells, most = FINEST_CELLS, options.max_depth
     footprints = near.footprints()
+    if not np.isfinite(footprints[0]).any():  # what is seen faces away
+        nowhere = Placement.around(surface.bounds, 0) if like is None else like.placement
+        return Raster(tuple(source.channels), nowhere, surface.bounds, None)
     finest = wanted_depths(*footprints, size, FINEST_CELLS, is_single=is_single).deepest
     depths = wanted_depths(*footprints, size, cells, most, is_single=is_single)
     depth = depths.deepest

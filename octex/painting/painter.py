@@ -7,6 +7,7 @@ import tempfile
 import weakref
 import zlib
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from os import PathLike
 from pathlib import Path
 from typing import IO, Any
@@ -30,8 +31,10 @@ from octex.texture import OctreeTexture, as_texture
 #: The changes of a call, one for each layer, in order.
 Stroke = tuple[Change, ...]
 
-#: Strokes that stay in memory.
-_IN_MEMORY = 4
+#: Strokes that stay in memory, and more that may wait to be compressed.
+_IN_MEMORY, _MOST_WAITING = 4, 4
+#: Compresses strokes, so that the next one need not wait.
+_PACKER = ThreadPoolExecutor(1, thread_name_prefix="octex undo")
 
 
 class History:
@@ -41,6 +44,7 @@ class History:
         self._strokes: list[Any] = []  # in memory; `Layers` adds changes of its stack
         self._ends: list[int] = [0]  # the ends of the earlier ones in the file
         self._file: IO[bytes] | None = None
+        self._packed: Future[bytes] | None = None  # the oldest stroke in memory
 
     def __len__(self) -> int:
         return len(self._ends) - 1 + len(self._strokes)
@@ -64,31 +68,45 @@ class History:
         """Take the last stroke from the stack."""
         stroke = self.last
         (self._strokes or self._ends).pop()
+        if not self._strokes:
+            self._packed = None
         return stroke
 
     def clear(self) -> None:
         """Take all strokes from the stack."""
         self._strokes.clear()
+        self._packed = None
         del self._ends[1:]
 
-    def store(self, folder: Path | None) -> None:
+    def store(self, folder: Path | None, *, waits: bool) -> None:
         """Move all strokes but the last few to a temporary file. Raises OSError, and then keeps the rest."""
         while len(self._strokes) > _IN_MEMORY:
+            if self._packed is None:
+                self._packed = _PACKER.submit(_packed, self._strokes[0])
+            is_late = len(self._strokes) > _IN_MEMORY + _MOST_WAITING
+            if not (waits or is_late or self._packed.done()):
+                return
+            packed = self._packed.result()
             if self._file is None:
                 self._file = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115
                 weakref.finalize(self, self._file.close)
             self._file.seek(self._ends[-1])
-            self._file.write(zlib.compress(pickle.dumps(self._strokes[0], 5), 1))
+            self._file.write(packed)
             self._file.flush()
             self._ends.append(self._file.tell())
             self._file.truncate()
             del self._strokes[0]
+            self._packed = None
 
     def _stored(self, number: int) -> Any:
         assert self._file is not None
         begin, end = self._ends[number : number + 2]
         self._file.seek(begin)
         return pickle.loads(zlib.decompress(self._file.read(end - begin)))
+
+
+def _packed(stroke: Any) -> bytes:
+    return zlib.compress(pickle.dumps(stroke, 5), 1)
 
 
 class Painter:
@@ -134,16 +152,17 @@ class Painter:
         """The number of calls in effect."""
         return len(self._done)
 
-    def store(self, folder: str | PathLike[str] | None = None) -> None:
+    def store(self, folder: str | PathLike[str] | None = None, *, waits: bool = True) -> None:
         """Move all strokes but the last few from memory to a temporary file; they can still be undone.
 
-        ``folder`` holds the file, by default that of temporary files. Raises OutputError for a full disk; the
-        strokes then stay in memory.
+        ``folder`` holds the file, by default that of temporary files. Without ``waits``, strokes are
+        compressed on a thread, and a later call writes them; a few more are then in memory. Raises
+        OutputError for a full disk; the strokes then stay in memory.
         """
         path = None if folder is None else as_path(folder, "folder")
         try:
             for history in (self._done, self._undone):
-                history.store(path)
+                history.store(path, waits=waits)
         except OSError as error:
             raise OutputError(f"strokes cannot be stored: {error}") from None
 

@@ -170,8 +170,8 @@ def _spread(marked: Bools, reach: int) -> Bools:
     return wide
 
 
-#: Rows and columns of pixels that are tried for a triangle whose corners and centroid no picture shows.
-_STEPS = 16
+#: Pixels that are tried for triangles whose corners and centroid no picture shows.
+_PIXELS = 256
 #: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
 Shading = Callable[[Int32s], Float32s]
 
@@ -319,7 +319,7 @@ class Projected(PaintSource):
         for shot in self.shots:
             counts = self._counts(shot)[touched]
             edges = flat.with_shots([shot]).texel_edges(touched)
-            large_ones = np.flatnonzero(outside & (counts >= shot.seen.rows.size / (2 * _STEPS**2)))
+            large_ones = np.flatnonzero(outside & (counts >= (shot.seen.rows >= 0).sum() / (2 * _PIXELS)))
             if large_ones.size:
                 triangles = touched[large_ones]
                 inner = self._inner_points(shot, triangles)
@@ -337,11 +337,11 @@ class Projected(PaintSource):
         return widths[order], np.tile(areas / len(points), len(points))[order]
 
     def _inner_points(self, shot: Shot, triangles: Int32s) -> Float64s:
-        """Return barycentric coordinates (n, 3) of the nearest points that a grid of pixels sees."""
-        height, width = shot.seen.rows.shape
-        steps = (np.arange(_STEPS) + 0.5) / _STEPS
-        pixels = np.stack([*np.meshgrid(width * steps, height * steps), np.ones((_STEPS, _STEPS))])
-        rays = shot.camera.inverse_k @ pixels.reshape(3, -1)
+        """Return barycentric coordinates (n, 3) of the nearest points that some pixels of the shot see."""
+        rows, columns = np.nonzero(shot.seen.rows >= 0)
+        some = slice(None, None, max(rows.size // _PIXELS, 1))
+        pixels = np.stack([columns[some] + 0.5, rows[some] + 0.5, np.ones_like(rows[some])])
+        rays = shot.camera.inverse_k @ pixels
         axes, offset = shot.camera.world_to_camera[:3, :3], shot.camera.world_to_camera[:3, 3]
         corners = self.vertices[self.triangles[triangles]] @ axes.T + offset
         if not shot.camera.is_pinhole:

@@ -200,6 +200,12 @@ def replaces_of(command: Command) -> bool:
     return as_flag(command.fields.get("replace", False), "replace")
 
 
+def file_of(command: Command) -> str:
+    """Return which file's version to take: that of the saved texture, or of the opened one."""
+    file: str = as_choice(command.fields.get("file", ""), ("output", "opened"), "file")
+    return file
+
+
 def _no_content(command: Command) -> None:
     if command.content:
         raise ArgumentError(f"a command of the kind {command.kind} has no content")
@@ -214,6 +220,8 @@ _READERS: dict[str, Callable[[Command], Any]] = {
     "undo": _no_content,
     "redo": _no_content,
     "save": replaces_of,
+    "take": file_of,
+    "keep": _no_content,
 }
 
 

@@ -10,7 +10,6 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from stat import S_ISREG
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -33,6 +32,7 @@ from octex.session.commands import (
     Where,
     command_of,
     fields_of,
+    file_of,
     fill_of,
     layer_of,
     moment_of,
@@ -43,6 +43,7 @@ from octex.session.commands import (
 )
 from octex.session.journal import Journal, layers_file
 from octex.session.material import paint_of, pictures_of, with_channel
+from octex.session.outside import Watch, put_aside, stamp_of, texture_of
 from octex.session.poses import Poses, mirrored_spot
 from octex.source.corners import at_corners
 from octex.source.motion import Motion
@@ -51,6 +52,8 @@ from octex.texture import OctreeTexture
 
 #: Largest number of waiting commands; a page queues further ones itself.
 _MOST_WAITING = 64
+#: Makes pages hear of changed files.
+_LOOK = Command("", 0, "look", {}, b"")
 #: Largest number of pages whose last command number is remembered.
 _MOST_PAGES = 1000
 
@@ -85,9 +88,10 @@ class Session:
     """Runs the commands of pages with a `Painter`, in order of arrival, on a thread of its own.
 
     ``take`` returns as soon as the command is in the journal; it does not wait for paint. The session calls
-    ``changed`` after each command. ``motion`` animates the surface, to paint on its poses. Raises OutputError
-    for a journal with commands of an earlier session, unless ``recover``: then it repeats them first. Raises
-    the errors of `Painter`, and ArgumentError for a texture without base colour.
+    ``changed`` after each command. ``motion`` animates the surface, to paint on its poses. ``opened`` is the
+    texture's file: if another program changes it, pages ask which version to keep. Raises OutputError for a
+    journal with commands of an earlier session, unless ``recover``: then it repeats them first. Raises the
+    errors of `Painter`, and ArgumentError for a texture without base colour.
     """
 
     def __init__(
@@ -97,6 +101,7 @@ class Session:
         output: Path,
         *,
         motion: Motion | None = None,
+        opened: Path | None = None,
         recover: bool = False,
     ) -> None:
         format_of(texture, BASE_COLOR.name)
@@ -113,7 +118,13 @@ class Session:
         self._undone: list[_Step] = []
         self._error, self._is_ending, self._count = "", False, 0
         self._question = ""  # why the last save asks before replacing OUTPUT
-        self._stamp = _stamp_of(output)  # of OUTPUT when the session last read or wrote it
+        self._told = ""  # by the last command
+        self._taken: tuple[int, Any] = (
+            0,
+            None,
+        )  # the last step that took OUTPUT's version, and its fingerprint
+        self._files = {"output": output} if opened is None else {"output": output, "opened": opened}
+        self._watch = Watch([*self._files.values(), layers_file(output)])
         self._saved: list[int] | None = []  # the steps saved in OUTPUT; []: the input texture; None: unknown
         self._has_layers_file = False  # True once this session saved one
         self._before: OctreeTexture | None = None  # before the last command
@@ -151,6 +162,9 @@ class Session:
                 raise BusyError("too many strokes wait; send it again")
             if not last and len(self._numbers) >= _MOST_PAGES:
                 raise ArgumentError("too many pages have painted; start octex view again")
+            if command.kind == "take":
+                command = command._replace(content=self._content_of(file_of(command)))
+                body = body.partition(b"\n")[0] + b"\n" + command.content
             self._journal.append(body)
             self._numbers[command.page] = command.number
             self._queue.put(command)
@@ -162,6 +176,25 @@ class Session:
         Raises ArgumentError and ModelError.
         """
         return self._poses.asked(asked)
+
+    def look(self) -> None:
+        """Tell pages soon if another program has changed the file of the opened texture."""
+        if self._opened_question() != self.shown.status["questions"]["opened"]:
+            self._queue.put(_LOOK)
+
+    def _opened_question(self) -> str:
+        path = self._files.get("opened")
+        if path is None or not self._watch.has_changed(path):
+            return ""
+        return f"Another program has changed {path.name}. Which version do you want to paint on?"
+
+    def _content_of(self, file: str) -> bytes:
+        try:
+            return self._files[file].read_bytes()
+        except KeyError:
+            raise ArgumentError("the model was opened without a texture") from None
+        except OSError as error:
+            raise ArgumentError(f"{self._files[file]}: {error.strerror or error}") from None
 
     def wait(self) -> None:
         """Wait until all commands are done."""
@@ -191,7 +224,10 @@ class Session:
             warm_up(*warmed)
         while (command := self._queue.get()) is not None:
             if not self._is_ending:
-                self._do(command)
+                if command is _LOOK:
+                    self._before, self._changes = self._painter.texture(), ()
+                else:
+                    self._do(command)
                 self.shown = self._shown()
                 with suppress(Exception):  # pages then ask for the change, and get the error
                     self.changed()
@@ -202,7 +238,7 @@ class Session:
     def _store(self) -> None:
         """Move all but the last few strokes from memory to disk."""
         with suppress(OutputError):  # a full disk: the strokes stay in memory
-            self._painter.store(self.output.parent)
+            self._painter.store(self.output.parent, waits=False)
 
     def _shown(self) -> Shown:
         status = {
@@ -213,13 +249,14 @@ class Session:
             "isSaved": self._is_saved,
             "layers": [fields_of(layer) for layer in self._painter.layers],
             "error": self._error,
-            "question": self._question,
+            "told": self._told,
+            "questions": {"output": self._question, "opened": self._opened_question()},
         }
         return Shown(self._painter.texture(), status, self._before, self._changes, self._painter.stacked)
 
     def _do(self, command: Command) -> None:
         """Run a command; one that fails changes nothing, and sets the error."""
-        self._error, self._before, self._changes = "", self._painter.texture(), ()
+        self._error, self._told, self._before, self._changes = "", "", self._painter.texture(), ()
         try:
             layer, in_mask = target_of(command)
             self._painter.choose(layer, mask=in_mask)
@@ -339,28 +376,56 @@ class Session:
         others.append(step)
 
     def _do_save(self, command: Command) -> None:
+        paths = [self.output]
+        if self._painter.layers or self._has_layers_file:
+            paths.append(layers_file(self.output))
+        changed = [path for path in paths if self._watch.has_changed(path) and not self._has_taken(path)]
         self._question = ""
-        if not replaces_of(command) and _stamp_of(self.output) not in (None, self._stamp):
-            self._question = f"Another program has changed {self.output.name}."
+        if changed and not replaces_of(command):
+            names = " and ".join(path.name for path in changed)
+            self._question = f"Another program has changed {names}. Which version do you want to keep?"
             return
-        self._painter.texture().save(self.output)
-        self._stamp = _stamp_of(self.output)
-        path = layers_file(self.output)
-        if self._painter.layers:
-            self._painter.save(path)
-            self._has_layers_file = True
-        elif self._has_layers_file:
-            path.unlink(missing_ok=True)
+        with put_aside(changed) as others:
+            self._painter.texture().save(self.output)
+            if self._painter.layers:
+                self._painter.save(paths[1])
+        self._has_layers_file = bool(self._painter.layers)
+        if len(paths) > 1 and not self._has_layers_file:
+            paths[1].unlink(missing_ok=True)
+        for path in paths:
+            self._watch.renew(path)
         self._saved = [step.number for step in self._steps]
+        if others:
+            self._told = f"The other version is kept as {' and '.join(path.name for path in others)}."
 
+    def _do_take(self, command: Command) -> None:
+        path = self._files.get(file_of(command), self.output)
+        try:
+            texture = texture_of(command.content, path)
+            format_of(texture, BASE_COLOR.name)
+            self._painter.replace(texture)
+        except OctexError as error:
+            raise ArgumentError(f"{path.name} cannot be taken: {error}") from None
+        self._did(command, [self._painter.changes])
+        stamp = stamp_of(path)
+        if path == self.output:
+            self._question = ""
+        if stamp is None or path.read_bytes() != command.content:
+            return  # it has changed again
+        if path == self.output:
+            self._taken = self._count, stamp
+        else:
+            self._watch.renew(path)
 
-def _stamp_of(path: Path) -> tuple[int, ...] | None:
-    """Return a fingerprint that changes when another program writes the file; None for no file."""
-    try:
-        status = path.stat()
-    except OSError:
-        return None
-    return (status.st_mtime_ns, status.st_size, status.st_ino) if S_ISREG(status.st_mode) else None
+    def _has_taken(self, path: Path) -> bool:
+        """Return whether the texture is made from the file's version: then saving loses nothing."""
+        number, stamp = self._taken
+        is_here = any(step.number == number for step in self._steps)
+        return path == self.output and is_here and stamp_of(path) == stamp
+
+    def _do_keep(self, command: Command) -> None:  # noqa: ARG002
+        if "opened" in self._files:
+            self._watch.renew(self._files["opened"])
 
 
 def warm_up(texture: OctreeTexture, surface: Surface) -> None:

@@ -99,7 +99,6 @@ class Viewer:
         self._calls = 0  # number of calls of ``changed``
         self._refused: set[str] = set()
         self._news = threading.Condition()
-        self._opened = self._file_stamp()
         self._state = self._read(self._stamp())
         is_alone = surface is not None and len(self._state.parts) == 1
         self._maps = maps_of(surface) if surface is not None and is_alone else None
@@ -193,13 +192,9 @@ class Viewer:
         try:
             with self._lock:
                 version = self._now().version
-            is_other = self.session is not None and self._file_stamp() != self._opened
-            return (
-                version,
-                f"{self._path.name} has changed: you paint on the version that was opened"
-                if is_other
-                else "",
-            )
+            if self.session is not None:
+                self.session.look()
+            return version, ""
         except OctexError as error:
             return self._state.version, str(error)
 

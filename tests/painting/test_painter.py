@@ -1,6 +1,7 @@
 """Sessions of painting: what single calls give, bit for bit, forth and back."""
 
 import pickle
+import threading
 from dataclasses import replace
 from unittest import mock
 
@@ -71,7 +72,7 @@ def test_a_session_gives_what_single_calls_give_forth_and_back(seed, monkeypatch
             assert painter.redo() == (at + 1 < len(states))
             at = min(at + 1, len(states) - 1)
         if random.random() < 0.5:
-            painter.store()
+            painter.store(waits=bool(random.random() < 0.5))
         assert len(painter.strokes) == painter.count == at
         painter.texture().tree.validate()
         assert_same(painter.texture(), states[at])
@@ -123,6 +124,23 @@ def test_strokes_in_a_file_are_as_they_were_and_none_is_lost_without_one(tmp_pat
         assert_same(found.before, change.before)
         assert_same(found.after, change.after)
     assert_same(painter.last[0].after, strokes[-1][0].after)
+
+
+def test_strokes_are_compressed_while_the_next_ones_are_painted(tmp_path, monkeypatch):
+    surface, texture, painter = begun(6)
+    may_pack, pack = threading.Event(), painters._packed
+    monkeypatch.setattr(painters, "_packed", lambda stroke: may_pack.wait(20) and pack(stroke))
+    for color in range(0, 200, 25):
+        painter.paint(brush(surface, color), max_depth=6)
+        painter.store(tmp_path, waits=False)  # returns at once
+    assert len(painter._done._strokes) == painter.count == 8
+    may_pack.set()
+    painter.paint(brush(surface, 250), max_depth=6)
+    painter.store(tmp_path, waits=False)  # now too many wait
+    assert len(painter._done._strokes) <= painters._IN_MEMORY + painters._MOST_WAITING
+    while painter.undo():
+        pass
+    assert_same(painter.texture(), texture)
 
 
 @pytest.mark.parametrize("seed", range(4))

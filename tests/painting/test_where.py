@@ -194,3 +194,27 @@ def test_a_subdivided_cage_is_painted_at_its_hull(models):
     loaded = octex.load_surface(folder / "catmark_cube_level4.obj", rest=hull.vertices)
     assert np.abs(loaded.rest - loaded.vertices).max() > 0.01
     assert_painted_back(waved_at_rest(loaded.vertices, hull), (0.5, 0.4, 1), 2.0)
+
+
+def test_a_small_stroke_inside_a_large_triangle_is_painted():
+    surface = plain(square(0.0, 2.0))
+    texture = octex.convert(surface, depth=5)
+    camera = octex.Camera.fitted(
+        [[0.4, 0.1, 0.0], [0.6, 0.3, 0.0]], (0.0, 0.0, 1.0), size=(640, 640), margin=0.0
+    )
+    image = np.zeros((640, 640, 4), np.uint8)
+    image[318:322, 318:322] = (200, 30, 30, 255)
+    made = octex.paint(texture, surface, octex.Projection(image, camera))
+    assert np.abs(made.sample([[0.5, 0.2, 0.0]]) - texture.sample([[0.5, 0.2, 0.0]])).max() > 0.3
+
+
+def test_a_stroke_that_meets_only_surface_that_faces_away_is_no_change():
+    x, z = np.cos(1.55), np.sin(1.55)  # a wall that is seen from behind, and whose corners' normals lean
+    corners = [[-3, -1, 0], [-3, 1, 0], [0, -1, 0], [0, 1, 0], [x, -1, z], [x, 1, z]]
+    surface = octex.Surface.from_arrays(corners, [[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]])
+    near = 0.15 * np.array([x, 0, z]) + 0.05 * np.concatenate([np.eye(3), -np.eye(3)])
+    camera = octex.Camera.fitted(near, (1.0, 0.0, 0.3), size=(64, 64), margin=0.0)
+    seen = octex.Projection(disc(radius=8.0), camera)
+    painter = octex.Painter(octex.convert(surface, depth=5), surface)
+    assert painter.paint(seen, max_angle=85) == ()
+    assert painter.paint(seen, max_angle=85, back_faces=True) != ()

@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 
 import octex
+from octex.errors import ArgumentError, OutputError
 from octex.session.painting import Session
 from octex.viewer import Viewer, answers, server
-from tests.make.browser import lose_gpu, opened, restore_gpu
+from tests.make.browser import UNLIKE, lose_gpu, opened, restore_gpu
 from tests.make.browser import served as serving
+from tests.make.painted import ball
 from tests.make.same import assert_same
-from tests.make.strokes import canvas, plain, stroke, take
+from tests.make.strokes import canvas, deflated, painted, plain, stroke, take
 from tests.make.studio import pictured
 
 
@@ -29,7 +31,7 @@ def touched(path):
 
 
 @pytest.mark.parametrize("there", [False, True])
-def test_a_file_that_another_program_has_written_is_replaced_only_when_asked(there, tmp_path):
+def test_a_file_that_another_program_has_written_is_replaced_only_when_asked_and_kept(there, tmp_path):
     output = tmp_path / "out.octex"
     if there:
         canvas()[0].save(output)
@@ -40,48 +42,149 @@ def test_a_file_that_another_program_has_written_is_replaced_only_when_asked(the
     first = 3 if there else 1
     session.take(stroke(first))
     other = touched(output)
+    (tmp_path / "out.other.octex").mkdir()  # the name is taken
     take(session, plain("save", first + 1))
-    assert session.shown.status["question"] == "Another program has changed out.octex."
+    asked = "Another program has changed out.octex. Which version do you want to keep?"
+    assert session.shown.status["questions"]["output"] == asked
     assert not session.shown.status["isSaved"]
     assert output.read_bytes() == other
     take(session, stroke(first + 2))
-    assert session.shown.status["question"]  # it stays asked
+    assert session.shown.status["questions"]["output"]  # it stays asked
     take(session, plain("save", first + 3, replace=True))
-    assert session.shown.status["question"] == ""
+    assert session.shown.status["questions"]["output"] == ""
+    assert session.shown.status["told"] == "The other version is kept as out.other-2.octex."
+    assert (tmp_path / "out.other-2.octex").read_bytes() == other
     assert session.shown.status["isSaved"]
     assert_same(octex.open(output), session.shown.texture)
     take(session, stroke(first + 4), plain("save", first + 5))  # now it is this session's again
     assert session.shown.status["isSaved"]
     output.unlink()
     take(session, plain("save", first + 6))  # a file that was removed is written again
-    assert session.shown.status["question"] == ""
+    assert session.shown.status["questions"]["output"] == ""
     assert_same(octex.open(output), session.shown.texture)
     assert session.close() == ""
 
 
-def test_pages_hear_that_the_texture_which_was_opened_has_changed(tmp_path, monkeypatch):
+def test_layers_that_another_program_has_written_are_kept_too(tmp_path):
+    output, layers = tmp_path / "out.octex", tmp_path / "out.layers.octex"
+    session = Session(*canvas(), output)
+    other = touched(layers)
+    take(session, plain("save", 1))  # without layers that file stays
+    assert session.shown.status["isSaved"]
+    take(session, plain("layer", 2, action="add"), stroke(3, layer=1), plain("save", 4))
+    assert "changed out.layers.octex." in session.shown.status["questions"]["output"]
+    take(session, plain("save", 5, replace=True))
+    assert (tmp_path / "out.layers.other.octex").read_bytes() == other
+    assert session.shown.status["isSaved"]
+    assert session.close() == ""
+
+
+def test_a_save_that_fails_leaves_the_version_of_the_other_program(tmp_path, monkeypatch):
+    output = tmp_path / "out.octex"
+    session = Session(*canvas(), output)
+    session.take(stroke(1))
+    other = touched(output)
+
+    def full(*_):
+        raise OutputError("no room")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(octex.OctreeTexture, "save", full)
+        take(session, plain("save", 2, replace=True))
+    assert session.shown.status["error"] == "no room"
+    assert output.read_bytes() == other
+    session.close()
+
+
+@pytest.mark.parametrize("file", ["output", "opened"])
+def test_the_version_of_another_program_is_taken_as_a_step(file, tmp_path):
+    paths = {"output": tmp_path / "out.octex", "opened": tmp_path / "ball.octex"}
+    canvas()[0].save(paths["opened"])
+    session = Session(*canvas(), paths["output"], opened=paths["opened"])
+    take(session, plain("layer", 1, action="add"), stroke(2, layer=1))
+    mine = session.shown.texture
+    touched(paths[file])
+    other = octex.open(paths[file])
+    take(session, plain("take", 3, file=file, name="Take"))
+    assert session.shown.status["error"] == ""
+    assert session.shown.status["steps"][2:] == ["Take"]
+    assert session.shown.status["layers"] == []
+    assert_same(session.shown.texture, other)
+    take(session, stroke(4), plain("undo", 5), plain("undo", 6), plain("save", 7))
+    assert_same(session.shown.texture, mine)
+    assert len(session.shown.status["layers"]) == 1
+    assert bool(session.shown.status["questions"]["output"]) == (file == "output")  # it would be lost
+    take(session, plain("redo", 8), plain("save", 9), stroke(10))
+    assert session.shown.status["questions"] == {"output": "", "opened": ""}
+    expected = octex.Painter(other, canvas()[1])
+    painted(expected, 10)
+    assert_same(session.shown.texture, expected.texture())
+    points = canvas()[1].scatter(2000).rest
+    is_red = np.abs(session.shown.texture.sample(points) - other.sample(points)).max(axis=1) > 0.3
+    take(session, stroke(11, erases=True, opacity=1.0, content=deflated(b"\xff" * 720)))  # down to it
+    apart = session.shown.texture.sample(points[is_red]) - other.sample(points[is_red])
+    assert is_red.sum() > 20
+    assert np.abs(apart).max() < 0.1
+    paths[file].unlink()  # a crash needs it no more
+    session.close()
+    again = Session(*canvas(), paths["output"], recover=True)
+    assert_same(again.shown.texture, session.shown.texture)
+    again.close()
+
+
+def test_a_version_that_cannot_be_taken_changes_nothing(tmp_path):
+    output = tmp_path / "out.octex"
+    session = Session(*canvas(), output)
+    take(session, stroke(1))
+    before = session.shown.texture
+    with pytest.raises(ArgumentError, match=r"out.octex: No such file"):
+        session.take(plain("take", 2, file="output"))
+    with pytest.raises(ArgumentError, match="was opened without a texture"):
+        session.take(plain("take", 2, file="opened"))
+    small = ball(12, 0.5)
+    octex.convert(small, depth=3).save(output)
+    take(session, plain("take", 2, file="output"))
+    assert "out.octex cannot be taken: " in session.shown.status["error"]
+    assert "the texture belongs to another model" in session.shown.status["error"]
+    output.write_bytes(b"nothing")
+    take(session, plain("take", 3, file="output"))
+    assert "out.octex cannot be taken: out.octex: " in session.shown.status["error"]
+    assert session.shown.texture is before
+    assert session.shown.status["done"] == 1
+    session.close()
+
+
+def test_pages_ask_when_the_texture_which_was_opened_has_changed(tmp_path, monkeypatch):
     monkeypatch.setattr(server, "_BEAT", 0.05)
     path, (texture, surface) = tmp_path / "ball.octex", canvas()
     texture.save(path)
-    session = Session(texture, surface, tmp_path / "out.octex")
+    session = Session(texture, surface, tmp_path / "out.octex", opened=path)
     viewer = Viewer(lambda: octex.open(path), path, surface, session=session)
-    before = viewer.version()
-    assert before[1] == ""
+
+    def asked():
+        viewer.version()
+        session.wait()
+        return session.shown.status["questions"]["opened"]
+
+    assert asked() == ""
     with serving(viewer):
         connection = HTTPConnection("127.0.0.1", viewer.port, timeout=20)
         connection.request("GET", f"/{viewer.token}/events")
         line = connection.getresponse()
         touched(path)
         seen = b""
-        while b"event: changing" not in seen:
-            seen += line.readline()
-        assert line.readline() == b"data: ball.octex has changed: you paint on the version that was opened\n"
-        take(session, stroke(1))
-        while b"version\ndata: 1-" not in seen:  # strokes are told nevertheless
+        while b"version\ndata: 1-" not in seen:
             seen += line.readline()
         line.close()
         connection.close()
-    assert viewer.version()[0] != before[0]
+    assert asked() == "Another program has changed ball.octex. Which version do you want to paint on?"
+    take(session, plain("keep", 1))
+    assert asked() == ""
+    touched(path)
+    assert asked()
+    take(session, plain("take", 2, file="opened"))
+    assert asked() == ""
+    assert_same(session.shown.texture, octex.open(path))
     session.close()
 
 
@@ -128,7 +231,7 @@ def test_a_full_disk_loses_nothing_and_painting_goes_on_once_there_is_room(tmp_p
     assert [each.name for each in tmp_path.iterdir()] == ["out.octex"]
 
 
-def test_the_page_asks_whether_to_replace_what_another_program_has_written(browser, tmp_path):
+def test_the_page_asks_which_version_to_keep_and_keeps_it(browser, tmp_path):
     texture, surface = canvas()
     output = tmp_path / "out.octex"
     session = Session(texture, surface, output)
@@ -143,13 +246,26 @@ def test_the_page_asks_whether_to_replace_what_another_program_has_written(brows
         with page.expect_download() as waited:
             page.click("#copy")
         waited.value.save_as(tmp_path / "copy.octex")
-        assert_same(octex.open(tmp_path / "copy.octex"), session.shown.texture)
+        mine = session.shown.texture
+        assert_same(octex.open(tmp_path / "copy.octex"), mine)
         assert output.read_bytes() == other
-        page.click("#replace")
-        page.wait_for_function("viewer.painting.status.isSaved", timeout=60_000)
+        page.click("#take-output")  # the other one is coarser, so the page loads all again
+        done = "(n) => globalThis.viewer?.painting?.status.done === n"
+        page.wait_for_function(done, arg=2, timeout=60_000)
         assert page.locator("#question").is_hidden()
-        assert_same(octex.open(output), session.shown.texture)
-        assert page.complaints == []
+        assert_same(session.shown.texture, octex.open(output))
+        assert page.evaluate(UNLIKE) == []
+        page.keyboard.press("Control+z")
+        page.wait_for_function(done, arg=1, timeout=60_000)
+        touched(output)
+        page.keyboard.press("Control+s")
+        page.click("#replace")
+        page.wait_for_function("globalThis.viewer?.painting?.status.isSaved", timeout=60_000)
+        assert page.locator("#question").is_hidden()
+        assert page.locator("#paint-note").inner_text() == "The other version is kept as out.other.octex."
+        assert (tmp_path / "out.other.octex").read_bytes() == other
+        assert_same(octex.open(output), mine)
+        assert not [line for line in page.complaints if "410 (Gone)" not in line]
         page.close()
     session.close()
 

@@ -30,9 +30,9 @@ def test_messages_and_undo_are_seen_however_the_panel_is_scrolled(page):
         assert page.evaluate(_IS_SEEN, ["paint-note", "main"])
     page.evaluate("viewer.painting.showMessage('')")
     page.evaluate(_SCROLL, height)
-    page.evaluate("viewer.painting.exporting.showQuestion('Another program has changed out.octex.')")
+    page.evaluate("viewer.painting.exporting.showQuestions({ output: 'Which?', opened: '' })")
     assert page.evaluate(_IS_SEEN, ["question", "aside"])
-    page.evaluate("viewer.painting.exporting.showQuestion('')")
+    page.evaluate("viewer.painting.exporting.showQuestions({ output: '', opened: '' })")
     page.evaluate(_CLOSE, opened)
 
 

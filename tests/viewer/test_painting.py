@@ -127,6 +127,38 @@ def test_the_view_turns_with_other_buttons_and_beside_the_model(studio, page):
     assert studio.session.shown.status["done"] == 1
 
 
+def test_a_stroke_begins_where_the_brush_touches_the_model_and_not_farther_away(studio, page):
+    edge = page.evaluate(
+        """() => {
+          const { clientWidth: width, clientHeight: height } = viewer.canvas;
+          let x = 0;
+          while (viewer.surfaceAt(width / 2 + x, height / 2)) x++;
+          viewer.painting.set({ size: 40 });
+          return x;
+        }"""
+    )
+    for away, one_part, is_painted in ((14, False, True), (14, True, False), (26, False, False)):
+        page.evaluate("(onePart) => viewer.painting.set({ onePart })", one_part)
+        before = page.evaluate("[String(viewer.camera.view), viewer.painting.commands.number]")
+        studio.drag(page, (edge + away, 0), (edge - 20, 0))
+        view, number = page.evaluate("[String(viewer.camera.view), viewer.painting.commands.number]")
+        assert (view == before[0], number - before[1]) == (is_painted, int(is_painted))
+    studio.is_done(page)
+    assert studio.session.shown.status["done"] == 1
+
+
+def test_the_fill_stays_chosen_and_the_pick_returns_to_the_tool_before(studio, page):
+    page.evaluate("viewer.painting.set({ fills: 'all' })")
+    page.keyboard.press("f")
+    studio.drag(page, (0, 0))
+    page.keyboard.press("i")
+    page.evaluate("viewer.painting.set({ color: [1, 2, 3] })")
+    studio.is_done(page)
+    studio.drag(page, (0, 0))
+    np.testing.assert_allclose(page.evaluate("viewer.painting.brush.color"), [200, 60, 40], atol=0.01)
+    assert page.evaluate("viewer.painting.tool.name") == "fill"
+
+
 def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(studio, page):
     box = page.locator("#picture").bounding_box()
     before = page.evaluate("String(viewer.camera.view)")

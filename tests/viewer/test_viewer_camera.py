@@ -86,9 +86,19 @@ def test_a_page_of_a_model_that_is_converted_again_keeps_its_camera_and_controls
     assert lines == []
 
 
-def says(page, text):
-    """Wait until the page's status has a text."""
-    page.wait_for_function("(text) => document.getElementById('status').textContent.includes(text)", arg=text)
+#: Notes all that the page's status says from now on.
+_LISTEN = """() => {
+  const status = document.getElementById("status"), said = (globalThis.said = []);
+  new MutationObserver(() => said.push(status.textContent)).observe(status, { childList: true });
+}"""
+
+
+def has_said(page, text):
+    """Wait until the page's status has had a text, however briefly; return all that it had."""
+    page.wait_for_function(
+        "(text) => said.some((each) => each.includes(text))", arg=text, timeout=60_000, polling=50
+    )
+    return page.evaluate("said")
 
 
 @pytest.fixture
@@ -105,10 +115,11 @@ def test_a_page_whose_server_has_another_address_says_so_and_fills_no_log(opens,
     asked = []
     page.on("request", lambda request: asked.append(request.url))
     viewer.token = "another"
+    page.evaluate(_LISTEN)
     viewer._ended.set()  # its pages lose their lines
-    says(page, "new address")
+    has_said(page, "new address")
     page.evaluate("window.dispatchEvent(new Event('focus'))")
-    says(page, "next attempt in 4 s")
+    has_said(page, "next attempt in 4 s")
     assert all("/proof?" in each for each in asked)
     assert len(asked) < 5
     assert lines == []
@@ -119,9 +130,10 @@ def test_a_page_without_a_server_tries_again_after_ever_longer_pauses(opens, pla
     page = opens(viewer, (600, 300), is_drawn=False, is_lost=True)
     for name in ("**/events", "**/proof*"):
         page.route(name, lambda route: route.abort())
+    page.evaluate(_LISTEN)
     viewer._ended.set()
-    for seconds in (1, 2, 4):
-        says(page, f"next attempt in {seconds} s")
+    said = has_said(page, "next attempt in 4 s")
+    assert [text[17:36] for text in said[:3]] == [f"next attempt in {seconds} s" for seconds in (1, 2, 4)]
     viewer._ended.clear()
     for name in ("**/events", "**/proof*"):
         page.unroute(name)

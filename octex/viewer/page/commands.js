@@ -1,7 +1,7 @@
 // Sends commands to the server in order, each again until the server has it. See octex/session/commands.py.
 
 const FIRST_PAUSE = 300, MAX_PAUSE = 5000; // milliseconds before a command is sent again
-const TARGETLESS = ["undo", "redo", "save", "layer"]; // commands that paint nothing
+const TARGETLESS = ["undo", "redo", "save", "layer", "take", "keep"]; // commands that paint nothing
 const UNKNOWN_PAGE = 409, TEMPORARY = [429, 503, 507]; // HTTP statuses
 
 export class CommandQueue {

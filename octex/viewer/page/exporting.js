@@ -85,14 +85,20 @@ export class Exporting {
     else bar.removeAttribute("value");
   }
 
-  // Show the server's question about a save, with its answers; "" hides it.
-  showQuestion(question) {
-    const box = element("question"), { commands } = this.painting;
-    box.hidden = !question;
-    if (!question || box.firstChild?.textContent === question) return;
-    const replace = button("replace", "Replace it", () => commands.send({ kind: "save", replace: true }));
-    const copy = button("copy", "Keep it, download a copy", () => this.exportCopy());
-    box.replaceChildren(make("span", {}, question), make("div", { class: "buttons" }, replace, copy));
+  // Show the server's questions about changed files, with their answers: of the saved texture, and of the opened one.
+  showQuestions({ output, opened }) {
+    const box = element("question"), { commands } = this.painting, name = "Take the file’s version", key = output + opened;
+    const answer = (id, text, title, run) => Object.assign(button(id, text, run), { title });
+    const take = (file) => answer(`take-${file}`, "Take the file’s", "Undo brings back what is painted here.", () => commands.send({ kind: "take", name, file }));
+    box.hidden = !key;
+    if (!key || this.asked === key) return void (this.asked = key);
+    this.asked = key;
+    const ask = (question, ...answers) => (question ? [make("span", {}, question), make("div", { class: "buttons" }, ...answers)] : []);
+    box.replaceChildren(
+      ...ask(output,
+        answer("replace", "Keep what is painted here", "The other version stays beside it, under another name.", () => commands.send({ kind: "save", replace: true })),
+        take("output"), button("copy", "Download a copy of mine", () => this.exportCopy())),
+      ...ask(opened, answer("keep", "Keep what is painted here", "The file stays as it is.", () => commands.send({ kind: "keep" })), take("opened")));
     box.scrollIntoView({ block: "nearest" });
   }
 

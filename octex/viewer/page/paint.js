@@ -6,7 +6,7 @@ import { element, make } from "./elements.js";
 import { External } from "./external.js";
 import { Exporting } from "./exporting.js";
 import { Flat } from "./flat.js";
-import { hitAt } from "./hit.js";
+import { hitAt, isHitIn } from "./hit.js";
 import { onDrop } from "./images.js";
 import { Layers } from "./layers.js";
 import { Material } from "./material.js";
@@ -32,7 +32,7 @@ const BACKGROUNDS = { dark: [0.155, 0.165, 0.18, 1], light: [0.925, 0.93, 0.94, 
 
 const KEYS = TOOLS.map(({ key, text }) => `${key.toUpperCase()} ${text.toLowerCase()}`).join(", ");
 const HELP = [
-  "Drag on the model to paint, beside it or with the middle button to turn, with the right button to move; wheel or pinch zooms.",
+  "Drag where the brush touches the model to paint, elsewhere or with the middle button to turn, with the right button to move; wheel or pinch zooms.",
   "Shift draws straight lines, Ctrl changes the brush’s size and hardness, Alt picks a colour.",
   `Keys: ${KEYS}, X swaps the two colours, [ and ] size, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns automatically.`,
 ].join(" ");
@@ -149,6 +149,7 @@ class Painting {
     const tool = TOOLS.find((each) => each.name === name);
     if (tool.selected?.(this)) return;
     this.tool?.left?.(this);
+    if (!this.tool?.isMomentary) this.lastTool = this.tool;
     this.openSettings(tool.settings);
     this.tool = tool;
     for (const button of this.tools.children) button.setAttribute("aria-pressed", String(button.id === `tool-${name}`));
@@ -280,11 +281,13 @@ class Painting {
     return start ? [...start, ...place.slice(2)] : place;
   }
 
-  // Whether a press is for the tool. Others are for the view: they turn or move it, as a press beside the model does.
+  // Whether a press is for the tool. Others are for the view: they turn or move it, as a press does where the brush meets no model.
   isForTool(event) {
     if (this.tool.turns || event.button !== 0 || event.ctrlKey || event.metaKey || (event.shiftKey && !this.tool.hasRing)) return false;
     this.updateHit(this.place(event));
-    this.isOnModel = this.hit !== null || this.viewer.surfaceAt(...this.place(event)) !== null; // a hit lacks translucent surface
+    const isWide = this.tool.hasRing && !event.altKey && !this.brush.onePart; // such a stroke may begin beside the model
+    const isUnder = this.hit !== null || this.viewer.surfaceAt(...this.place(event)) !== null; // a hit lacks translucent surface
+    this.isOnModel = isUnder || (isWide && isHitIn(this.viewer, this.place(event)));
     return this.isOnModel;
   }
 
@@ -426,8 +429,8 @@ class Painting {
     this.preview.load();
     this.strokes.removeFinished(finished);
     this.showSaved();
-    this.exporting.showQuestion(status.question);
-    if (status.error || before.error) this.showMessage(status.error);
+    this.exporting.showQuestions(status.questions);
+    if (status.error || status.told || before.error || before.told) this.showMessage(status.error || status.told);
     this.showSteps(before);
   }
 

@@ -217,10 +217,11 @@ export class Retouch {
   }
 
   setSource(event) {
-    const [x, y] = this.painting.place(event);
-    this.set({ point: this.painting.viewer.surfaceAt(x, y), offset: null });
+    const [x, y] = this.painting.place(event), point = this.painting.viewer.surfaceAt(x, y);
+    if (!point) return this.painting.showMessage("Click on the model to set the source.");
+    this.set({ point, offset: null });
     this.hover([x, y]);
-    this.painting.showMessage("");
+    this.painting.showMessage("The source is set: now paint.");
   }
 
   // A key of the view and its size.
@@ -238,10 +239,7 @@ export class Retouch {
 
   clone(event) {
     const { painting } = this, [x, y] = painting.place(event), { pixelRatio } = painting.viewer;
-    if (!this.point) {
-      this.setSource(event);
-      return painting.showMessage("The source is set: now paint.");
-    }
+    if (!this.point) return this.setSource(event);
     if (!this.offset || this.offsetView !== this.view) {
       const from = this.sourcePosition;
       if (!from) return painting.showMessage("The source is hidden: press Set another source, or Alt and click.");

@@ -3,6 +3,7 @@
 //   settings         the section of the panel that opens with the tool
 //   hasRing          the pointer shows the brush's outline
 //   turns            a press turns the view
+//   isMomentary      after a press the tool before returns
 //   isAnywhere       a press needs no paintable surface
 //   down             handles a press on the model; may return a drag, with `move`, `up` and `cancel`
 //   alt              handles a press with Alt
@@ -20,7 +21,7 @@ const prepareRetouch = (painting) => void compilePrograms(painting);
 export const TOOLS = [
   { name: "brush", text: "Brush", key: "b", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, stencilOverrides(painting)) },
   { name: "eraser", text: "Eraser", key: "e", hasRing: true, down: (painting, event) => new BrushDrag(painting, event, { name: "Eraser", erases: true }) },
-  { name: "pick", text: "Pick", key: "i", shownKey: "Alt", isAnywhere: true, down: pickPaint },
+  { name: "pick", text: "Pick", key: "i", shownKey: "Alt", isAnywhere: true, isMomentary: true, down: pickPaint },
   {
     name: "stencil", text: "Stencil", key: "d", settings: "stencil-section", turns: true,
     selected: ({ stencil }) => stencil.begin(), keys: ({ stencil }, event) => stencil.keys(event),
@@ -35,11 +36,11 @@ export const TOOLS = [
   { name: "flat", text: "Flat", key: "v", isAnywhere: true, selected: ({ flat }) => flat.close(), down: ({ flat }, event) => void flat.open(event) },
 ];
 
-// Pick the values of all painted channels from the surface; the pick tool then returns to the brush.
+// Pick the values of all painted channels from the surface; the pick tool then returns to the tool before.
 export function pickPaint(painting, event) {
   const [x, y] = painting.place(event), picked = painting.viewer.pick(x, y);
   if (picked) painting.material.takeValues(picked.channels);
-  if (painting.tool.name === "pick") painting.selectTool("brush");
+  if (painting.tool.isMomentary) painting.selectTool(painting.lastTool.name);
 }
 
 function fill(painting, event) {
@@ -49,5 +50,4 @@ function fill(painting, event) {
   const name = { part: "Fill a part", color: "Fill a colour", colors: "Fill a colour", all: "Fill all" }[fills];
   painting.commands.send({ kind: "fill", name, ...painting.material.paint, opacity, blend, mirror, offset: painting.mirrorOffset, at, ...limits });
   painting.palette.addRecent(painting.material.paint.color);
-  painting.selectTool("brush");
 }
