@@ -285,6 +285,32 @@ def test_point_instancers_place_their_prototypes(tmp_path):
     np.testing.assert_allclose(read.areas().sum(), area, rtol=1e-3)
 
 
+def test_animated_instances_are_read_at_their_first_sample_and_prototypes_may_be_below_an_over(tmp_path):
+    made = Stage(tmp_path)
+    instancer = UsdGeom.PointInstancer.Define(made.stage, "/points")
+    made.square("/points/hidden/square", st=None)
+    made.stage.GetPrimAtPath("/points/hidden").SetSpecifier(Sdf.SpecifierOver)
+    instancer.CreatePrototypesRel().SetTargets(["/points/hidden/square"])
+    instancer.CreateProtoIndicesAttr([0, 0])
+    for time, x in ((5, 3), (6, 4)):
+        instancer.CreatePositionsAttr().Set([(x, 0, 0), (x + 4, 0, 0)], time)
+        instancer.CreateVelocitiesAttr().Set([(24, 0, 0)] * 2, time)
+    np.testing.assert_allclose(made.read().bounds, [[3, 0, 0], [8, 1, 0]])
+
+
+@pytest.mark.parametrize("purpose", ["preview", "full"])
+def test_materials_that_are_bound_for_one_purpose_are_read(purpose, tmp_path):
+    made = Stage(tmp_path)
+    mesh = made.square()
+    made.material(mesh)
+    api = UsdShade.MaterialBindingAPI(mesh)
+    material = api.GetDirectBinding().GetMaterial()
+    api.UnbindAllBindings()
+    api.Bind(material, UsdShade.Tokens.fallbackStrength, purpose)
+    seen = colors_at(made.read(), QUARTERS)
+    np.testing.assert_allclose(seen, srgb_to_linear(made.codes.reshape(-1, 3) / 255), atol=1e-3)
+
+
 def test_damaged_point_instancers_are_refused(tmp_path, monkeypatch):
     made = Stage(tmp_path)
     made.square("/many/square", st=None)
