@@ -14,6 +14,7 @@ from octex.errors import ImageError
 from octex.files import is_absolute
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
+from octex.source.images.tiles import is_udim, join_tiles, tile_grid
 from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.source.models.reading import Description, Options, Slot, warn
 
@@ -36,7 +37,7 @@ class Materials:
     def __init__(self, name: str, options: Options) -> None:
         self._name, self._options = name, options
         self._numbers: dict[tuple[str, bool], int] = {}
-        self._texels: dict[tuple[str, str], Texels] = {}
+        self._texels: dict[tuple[tuple[str, ...], str], Texels] = {}
         self.known: list[Description] = []
         self.files: dict[str, str] = {}
 
@@ -113,35 +114,52 @@ class Materials:
         made = Input(factor, None, lanes, offset if any(offset) else ())
         if not self._options.wants_image(channel):
             return made
-        texels = self._image(node, asset, _value(node, "sourceColorSpace", "auto"), channel)
+        paths = self._image_paths(node, asset)
+        texels = self._image(node, asset, paths, _value(node, "sourceColorSpace", "auto"), channel)
         wraps = [_WRAPS.get(_value(node, axis, "useMetadata"), CLAMP) for axis in ("wrapS", "wrapT")]
-        slot = slots.setdefault(_slot(node), len(slots))
+        tiles = tile_grid(paths) if is_udim(asset.path) else (1, 1)
+        slot = slots.setdefault(_slot(node)._replace(tiles=tiles), len(slots))
         return made._replace(texture=Texture(texels, wraps[0], wraps[1], False, slot))
 
-    def _image(self, node: Any, asset: Any, space: str, channel: str) -> Texels:
-        """Return an image's codes in the colour space of a channel."""
+    def _image_paths(self, node: Any, asset: Any) -> dict[int, str]:
+        """Return the resolved path of an image, or those of UDIM tiles, by number."""
         what = f"{self._name}: {node.GetPath()}"
         if is_absolute(asset.path):
             raise ImageError(
                 f"{what} names {asset.path}; absolute paths are not followed; name it from the model's folder"
             )
+        relative = asset.path.replace("\\", "/")  # it may be a Windows path
+        if is_udim(asset.path):
+            attribute = UsdShade.Utils.GetValueProducingAttributes(node.GetInput("file"))[0]
+            layer = attribute.GetPropertyStack()[0].layer
+            return {int(n): path for path, n in UsdShade.UdimUtils.ResolveUdimTilePaths(relative, layer)}
         path = asset.resolvedPath
-        if not path:  # it may be a Windows path
+        if not path:
             resolver, root = Ar.GetResolver(), node.GetPrim().GetStage().GetRootLayer()
-            relative = asset.path.replace("\\", "/")
             path = str(resolver.Resolve(resolver.CreateIdentifier(relative, root.resolvedPath)))
+        return {0: path} if path else {}
+
+    def _image(self, node: Any, asset: Any, paths: dict[int, str], space: str, channel: str) -> Texels:
+        """Return an image's codes in the colour space of a channel."""
+        what = f"{self._name}: {node.GetPath()}"
+        opened = {n: Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path)) for n, path in paths.items()}
+        if not opened or None in opened.values():
+            raise ImageError(f"{what}: its image {asset.path} is missing; put it next to the model")
+        key = tuple(paths.values())
         is_light = CHANNELS[channel].space == "srgb" or channel == "alpha"
         changes = {"raw": "to sRGB" if is_light else "", "sRGB": "" if is_light else "to linear"}
         change = changes.get(space, "")
-        if (path, "") not in self._texels:
-            file = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path)) if path else None
-            if file is None:
-                raise ImageError(f"{what}: its image {asset.path} is missing; put it next to the model")
-            data = bytes(file.GetBuffer())
-            self.files[asset.path] = hashlib.sha256(data).hexdigest()
-            self._texels[path, ""] = decode_image(data, f"{what} ({asset.path})")
-        if (path, change) not in self._texels:
-            texels = self._texels[path, ""]
+        if (key, "") not in self._texels:
+            tiles = {}
+            for number, file in opened.items():
+                data = bytes(file.GetBuffer())
+                name = asset.path.replace("<UDIM>", str(number))
+                self.files[name] = hashlib.sha256(data).hexdigest()
+                tiles[number] = decode_image(data, f"{what} ({name})")
+            is_tiled = is_udim(asset.path)
+            self._texels[key, ""] = join_tiles(tiles, f"{what} ({asset.path})") if is_tiled else tiles[0]
+        if (key, change) not in self._texels:
+            texels = self._texels[key, ""]
             if texels.dtype.kind != "f":  # floats are linear
                 table = np.arange(65536) / 65535.0
                 if change == "to sRGB":
@@ -150,8 +168,8 @@ class Materials:
                     table = encode(srgb_to_linear(table), "uint16", "data")
                 alpha, texels = texels[..., 3], np.asarray(table[texels], np.uint16)
                 texels[..., 3] = alpha
-            self._texels[path, change] = texels
-        return self._texels[path, change]
+            self._texels[key, change] = texels
+        return self._texels[key, change]
 
 
 def bound_material(api: Any) -> Any:
