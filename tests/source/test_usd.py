@@ -298,6 +298,17 @@ def test_animated_instances_are_read_at_their_first_sample_and_prototypes_may_be
     np.testing.assert_allclose(made.read().bounds, [[3, 0, 0], [8, 1, 0]])
 
 
+def test_animated_inputs_are_read_at_their_first_sample(tmp_path):
+    made = Stage(tmp_path)
+    made.material(made.square())
+    file = made.stage.GetAttributeAtPath("/material/image.inputs:file")
+    file.Clear()
+    for time, image in ((7, "image.png"), (8, "later.png")):
+        file.Set(image, time)
+    seen = colors_at(made.read(), QUARTERS)
+    np.testing.assert_allclose(seen, srgb_to_linear(made.codes.reshape(-1, 3) / 255), atol=1e-3)
+
+
 @pytest.mark.parametrize("purpose", ["preview", "full"])
 def test_materials_that_are_bound_for_one_purpose_are_read(purpose, tmp_path):
     made = Stage(tmp_path)

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import numpy as np
-from pxr import Ar, UsdShade
+from pxr import Ar, Usd, UsdShade
 
 from octex.channels import CHANNELS, encode, srgb_to_linear
 from octex.errors import ImageError
@@ -193,7 +193,7 @@ def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
     for attribute in UsdShade.Utils.GetValueProducingAttributes(entry):
         if UsdShade.Output.IsOutput(attribute):
             return UsdShade.Shader(attribute.GetPrim()), UsdShade.Output(attribute).GetBaseName(), None
-        value = attribute.Get()
+        value = attribute.Get(Usd.TimeCode.EarliestTime())
         if value is not None:
             return None, "", value
     return None
