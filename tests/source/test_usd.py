@@ -89,11 +89,13 @@ def colors_at(surface, places):
 QUARTERS = [(0.25, 0.75, 0), (0.75, 0.75, 0), (0.25, 0.25, 0), (0.75, 0.25, 0)]
 
 
-@pytest.mark.parametrize("how", ["vertex", "varying", "faceVarying", "indexed"])
+@pytest.mark.parametrize("how", ["vertex", "varying", "faceVarying", "indexed", "no indices"])
 def test_images_are_read_at_primvars_however_these_are_spread(how, tmp_path):
     made = Stage(tmp_path)
-    mesh = made.square(st=ST, how="faceVarying" if how == "indexed" else how)
-    if how == "indexed":
+    mesh = made.square(st=ST, how="faceVarying" if "ind" in how else how)
+    if how == "no indices":
+        UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").SetIndices(Vt.IntArray())
+    elif how == "indexed":
         primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
         primvar.Set(Vt.Vec2fArray([ST[n] for n in (2, 0, 3, 1)]))
         primvar.SetIndices(Vt.IntArray([1, 3, 0, 2]))

@@ -309,7 +309,7 @@ class _Primvars:
         if spread not in _SPREADS:
             raise damaged(f"{self.what}: its primvar {name} is spread by {spread!r}")
         rows = self._rows[spread]
-        if indices is not None:
+        if indices is not None and len(indices):  # some programs write an empty list
             listed = np.asarray(indices, np.int64)
             check_below(rows, len(listed), f"{self.what}: its primvar {name} lacks an index; it uses")
             rows = listed[rows]
