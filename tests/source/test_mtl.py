@@ -200,7 +200,9 @@ def test_absolute_paths_are_names_beside_the_model(tmp_path):
     found = describe(tmp_path / "near", f"map_Kd {tmp_path / 'far' / 'a.png'}").material.inputs["base_color"]
     np.testing.assert_array_equal(texels(found)[..., :3], COLORS.astype(np.uint16) * 257)
     (tmp_path / "far" / "other.png").write_bytes(png(COLORS))
-    with pytest.raises(ImageError, match=r"other\.png is missing; put it next to m\.mtl"):
+    with pytest.raises(
+        ImageError, match=r"other\.png is missing; put it next to m\.mtl, or read only other channels"
+    ):
         describe(tmp_path / "near", f"map_Kd {tmp_path / 'far' / 'other.png'}")
 
 

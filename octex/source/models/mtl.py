@@ -257,7 +257,8 @@ class _Describer:
         path = beside(self._path.parent, image.file)
         if path is None:
             raise ImageError(
-                f"{self._where}: the image {image.file} is missing; put it next to {self._path.name}"
+                f"{self._where}: the image {image.file} is missing; put it next to {self._path.name}, or "
+                "read only other channels (--channels)"
             )
         return path
 

@@ -144,7 +144,10 @@ class Materials:
         what = f"{self._name}: {node.GetPath()}"
         opened = {n: Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path)) for n, path in paths.items()}
         if not opened or None in opened.values():
-            raise ImageError(f"{what}: its image {asset.path} is missing; put it next to the model")
+            raise ImageError(
+                f"{what}: its image {asset.path} is missing; put it next to the model, or read only other "
+                "channels (--channels)"
+            )
         key = tuple(paths.values())
         is_light = CHANNELS[channel].space == "srgb" or channel == "alpha"
         changes = {"raw": "to sRGB" if is_light else "", "sRGB": "" if is_light else "to linear"}
