@@ -381,6 +381,10 @@ def test_damaged_stages_are_refused_in_one_line(tmp_path):
         words = rf"cut{number}\.usdz.* is damaged, or is not a USD stage"
         with pytest.raises(ModelError, match=words):
             octex.load_surface(tmp_path / f"cut{number}.usdz")
+    old = tmp_path / "old.usdc"
+    old.write_bytes(b"PXR-USDC" + bytes([0, 0, 1]) + bytes(77))
+    with refused(ModelError, r"old\.usdc is damaged, or is not a USD stage \(.*version 0\.0\.1\. The oldest"):
+        octex.load_surface(old)
 
 
 def test_a_material_of_another_kind_is_white_with_a_warning(tmp_path):

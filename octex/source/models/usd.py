@@ -8,6 +8,7 @@ unless the file names the other one.
 from __future__ import annotations
 
 import json
+import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -69,8 +70,11 @@ def load_usd(path: Path, options: Options) -> Surface:
             more = f" … and {len(others) - 1} more like that" if len(others) > 1 else ""
             warn(f"{path.name} is not whole: {others[0][:200]}{more}")
         return _Scene(stage, path.name, options).surface()
-    except Tf.ErrorException:
-        raise damaged(f"{path.name} is damaged, or is not a USD stage") from None
+    except Tf.ErrorException as error:
+        # The first line that tells more than that the file cannot be opened.
+        reason = re.search(r" : '(?!Failed to open)(.+?)'?$", str(error), re.MULTILINE)
+        told = f" ({reason[1].replace(str(path.absolute()), path.name)[:200]})" if reason else ""
+        raise damaged(f"{path.name} is damaged, or is not a USD stage{told}") from None
     finally:
         del quiet
 
