@@ -311,6 +311,15 @@ def test_animated_inputs_are_read_at_their_first_sample(tmp_path):
     np.testing.assert_allclose(seen, srgb_to_linear(made.codes.reshape(-1, 3) / 255), atol=1e-3)
 
 
+@pytest.mark.parametrize("name", ["/gone/image.png", "C:\\gone\\image.png", "gone/image.png"])
+def test_an_image_that_has_moved_is_found_by_its_name_next_to_the_stage(name, tmp_path):
+    made = Stage(tmp_path)
+    made.material(made.square())
+    made.stage.GetAttributeAtPath("/material/image.inputs:file").Set(name)
+    seen = colors_at(made.read(), QUARTERS)
+    np.testing.assert_allclose(seen, srgb_to_linear(made.codes.reshape(-1, 3) / 255), atol=1e-3)
+
+
 @pytest.mark.parametrize("purpose", ["preview", "full"])
 def test_materials_that_are_bound_for_one_purpose_are_read(purpose, tmp_path):
     made = Stage(tmp_path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from pathlib import PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -122,22 +123,31 @@ class Materials:
         return made._replace(texture=Texture(texels, wraps[0], wraps[1], False, slot))
 
     def _image_paths(self, node: Any, asset: Any) -> dict[int, str]:
-        """Return the resolved path of an image, or those of UDIM tiles, by number."""
-        what = f"{self._name}: {node.GetPath()}"
+        """Return the resolved path of an image, or those of UDIM tiles by number; empty if it is missing.
+
+        An image that is not where the file says is sought by its name next to the stage.
+        """
+        if asset.resolvedPath and not is_absolute(asset.path):
+            return {0: asset.resolvedPath}
+        windows, stage = PureWindowsPath(asset.path), node.GetPrim().GetStage()
+        attribute = UsdShade.Utils.GetValueProducingAttributes(node.GetInput("file"))[0]
+        layers = attribute.GetPropertyStack()[0].layer, stage.GetRootLayer()
+        spellings = [] if is_absolute(asset.path) else [(windows.as_posix(), layers[0])]
+        for name, layer in (*spellings, (windows.name, layers[1])):
+            if is_udim(name):
+                tiles = UsdShade.UdimUtils.ResolveUdimTilePaths(name, layer)
+                found = {int(number): path for path, number in tiles}
+            else:
+                path = Ar.GetResolver().Resolve(layer.ComputeAbsolutePath(name))
+                found = {0: str(path)} if path else {}
+            if found:
+                return found
         if is_absolute(asset.path):
+            what = f"{self._name}: {node.GetPath()}"
             raise ImageError(
                 f"{what} names {asset.path}; absolute paths are not followed; name it from the model's folder"
             )
-        relative = asset.path.replace("\\", "/")  # it may be a Windows path
-        if is_udim(asset.path):
-            attribute = UsdShade.Utils.GetValueProducingAttributes(node.GetInput("file"))[0]
-            layer = attribute.GetPropertyStack()[0].layer
-            return {int(n): path for path, n in UsdShade.UdimUtils.ResolveUdimTilePaths(relative, layer)}
-        path = asset.resolvedPath
-        if not path:
-            resolver, root = Ar.GetResolver(), node.GetPrim().GetStage().GetRootLayer()
-            path = str(resolver.Resolve(resolver.CreateIdentifier(relative, root.resolvedPath)))
-        return {0: path} if path else {}
+        return {}
 
     def _image(self, node: Any, asset: Any, paths: dict[int, str], space: str, channel: str) -> Texels:
         """Return an image's codes in the colour space of a channel."""
