@@ -113,7 +113,7 @@ def test_a_map_is_a_channel(tmp_path, key, channel, lanes):
     "lines",
     [
         "", "d 1", "Tr 0", "Tr 1", "Ke 0 0 0", "Ke 0", "Ks 1 1 1", "Ns 96", "map_Kd", "map_Kd -clamp on",
-        "map_Pr",
+        "map_Pr", "map_Kd .",
     ]
     + [f"{key} a.png" for key in ("map_Ns", "map_Ka", "disp", "decal", "refl", "map_Ps")]
     + [f"{key} 0.5" for key in ("Ps", "Pc", "Pcr", "aniso", "anisor", "Ni", "Tf", "Ka", "illum")],

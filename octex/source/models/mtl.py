@@ -298,7 +298,9 @@ def _parse_map(text: str, where: str) -> _Map | None:
     file = rest.strip().strip('"')
     wrap = CLAMP if options.get("-clamp", "").lower() == "on" else REPEAT
     bump, mm = numbers("-bm", 1.0), numbers("-mm", 0.0, 1.0)
-    return _Map(file, slot, wrap, "" if lane == "z" else lane, *bump, *mm) if file else None
+    if file in ("", "."):  # Blender wrote a dot for an image without a file
+        return None
+    return _Map(file, slot, wrap, "" if lane == "z" else lane, *bump, *mm)
 
 
 def _floats(text: str, most: int, what: str) -> list[float]:
