@@ -137,7 +137,9 @@ class Document:
             data = read_bytes(decoded if decoded.is_file() else exact)
         except (OSError, ValueError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise error_class(f"{self.name}: {what} cannot be read: {uri}: {reason}") from None
+            others = ", or read only other channels (--channels)" if error_class is ImageError else ""
+            remedy = f"; put it next to the model{others}" if isinstance(error, FileNotFoundError) else ""
+            raise error_class(f"{self.name}: {what} cannot be read: {uri}: {reason}{remedy}") from None
         self.files[uri] = hashlib.sha256(data).hexdigest()
         return data
 

@@ -122,6 +122,7 @@ _BY_FIELDS: dict[tuple[str, ...], Callable[[Path, dict[str, Any]], list[Frame]]]
     ("frames",): transforms.read,
     ("views", "poses"): sfm.read_meshroom,
     ("views", "extrinsics"): sfm.read_openmvg,
+    ("views", "intrinsics"): sfm.read_meshroom,  # it may lack poses
 }
 
 

@@ -50,6 +50,8 @@ def read_meshroom(path: Path, document: dict[str, Any]) -> list[Frame]:
     From version 1.2.3 on, AliceVision turns y and z of meshes round, but not of poses.
     """
     scene = Record(document, are_texts=True)
+    if "poses" not in scene:
+        raise BrokenError("has views without poses; give the .sfm file that StructureFromMotion wrote")
     version = scene.numbers("version", 3).tolist()
     optics = {each.key("intrinsicId"): each for each in scene.records("intrinsics")}
     poses = {each.key("poseId"): each for each in scene.records("poses")}

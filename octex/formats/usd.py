@@ -20,7 +20,7 @@ from octex.formats.images import encoded_images, image_names
 from octex.formats.models import METERS, Target, Written, materials_of, origin_of
 from octex.source.images.pyramid import WRAPS
 from octex.source.materials import Input, MaterialSource
-from octex.source.models.usd import INPUTS
+from octex.source.models.usd_materials import INPUTS
 from octex.source.surface import Surface
 
 _TYPES = Sdf.ValueTypeNames

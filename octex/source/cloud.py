@@ -197,7 +197,7 @@ class _FromPoints(SpatialSource):
 
 
 def is_cloud(path: Path) -> bool:
-    """Return whether a file holds points: ``.xyz``, ``.npz``, or a ``.ply`` without faces in its header."""
+    """Return whether a file holds points: ``.xyz``, ``.npz``, or a ``.ply`` whose header has no faces."""
     if path.suffix.lower() != ".ply":
         return path.suffix.lower() in CLOUD_ENDINGS
     try:
@@ -205,7 +205,8 @@ def is_cloud(path: Path) -> bool:
             head = file.read(_HEADER).partition(b"end_header")[0]
     except OSError:
         return False
-    return re.search(rb"^element\s+face\s+0*[1-9]", head, re.MULTILINE) is None and b"element" in head
+    faces = re.search(rb"^\s*element\s+(face|tristrips)\s+0*[1-9]", head, re.MULTILINE)
+    return faces is None and b"element" in head
 
 
 def _rows(array: npt.ArrayLike, what: str) -> Float64s:

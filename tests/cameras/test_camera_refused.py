@@ -146,7 +146,7 @@ REFUSED = {
         (meshroom(sensorWidth="0"), "sensorWidth and pixelRatio must be above zero"),
         (meshroom(width="a"), "width must be a number, not 'a'"),
         (meshroom(distortionParams=["1"]), "distortionParams must be 5 numbers, not 1"),
-        (meshroom().replace('"poses"', '"pose"'), "is not a camera file"),
+        (meshroom().replace('"poses"', '"pose"'), "has views without poses; give the .sfm file that Struc"),
         (meshroom().replace('"version": [', '"version": ["0", '), "version must be 3 numbers, not 4"),
         (meshroom().replace('"center"', '"centre"'), "pose: center is missing"),
         *(

@@ -217,11 +217,6 @@ def test_files_of_every_kind_hold_the_same_points(tmp_path):
         ("a.obj", b"", "not a point cloud that octex reads"),
         ("a.ply", _BARE, "without colours"),
         ("a.ply", _BARE.replace(b"vertex 1", b"vertex 0").replace(b"0 1 2\n", b""), "has no points; export"),
-        (
-            "a.ply",
-            _BARE.replace(b"end_", b"element tristrips 1\nproperty list int int i\nend_") + b"2 0 -1\n",
-            "has triangle strips, which octex does not read; export triangles",
-        ),
         ("a.ply", _LISTED % (b"list int float x", b"uchar red"), "no vertices with x, y and z"),
         ("a.ply", _LISTED % (b"float x", b"list int uchar red"), "without colours"),
     ],
@@ -242,6 +237,14 @@ def test_arrays_that_are_not_there_are_named(tmp_path):
     with pytest.raises(ModelError, match="cannot be read"):
         octex.PointCloud.load(tmp_path / "none.npz")
     assert not is_cloud(tmp_path / "none.ply")
+
+
+@pytest.mark.parametrize("element", [b"element face 1", b" element  tristrips  1"])
+def test_files_with_faces_or_strips_are_no_clouds(element, tmp_path):
+    strip = element + b"\nproperty list int int vertex_indices\ncomment end_header follows\nend_header"
+    content = _BARE.replace(b"vertex 1", b"vertex 3").replace(b"end_header", strip)
+    (tmp_path / "a.ply").write_bytes(content + b"3 1 2\n3 1 3\n3 0 1 2\n")
+    assert octex.convert(tmp_path / "a.ply", depth=2).tree.n_leaves
 
 
 @pytest.mark.parametrize(

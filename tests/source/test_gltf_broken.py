@@ -126,7 +126,7 @@ def test_buffers_that_are_not_there_are_named(tmp_path):
 @pytest.mark.parametrize(
     ("image", "message"),
     [
-        ({"uri": "wood.png"}, "wood.png: No such file"),
+        ({"uri": "wood.png"}, "wood.png: No such file or directory; put it next to the model, or read only"),
         ({"uri": "/dev/zero"}, "/dev/zero: absolute paths are not followed; name it from"),
         ({"uri": "%2Fdev%2Fzero"}, "absolute paths are not followed"),
         ({"uri": "C:\\wood.png"}, "absolute paths are not followed"),

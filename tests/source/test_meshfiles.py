@@ -388,7 +388,7 @@ def test_names_in_stl_text_may_be_any_words_in_any_encoding(tmp_path):
     text = path.read_bytes()
     for name in ("Körper".encode("latin-1"), "Körper".encode(), b"vertex one"):
         named = text.replace(b"solid a\n", b"solid " + name + b"\n")
-        for end in (b"\n", b"\r\n"):
+        for end in (b"\n", b"\r\n", b"\r"):
             path.write_bytes(named.replace(b"\n", end))
             assert len(load_surface(path).triangles) == 2
 

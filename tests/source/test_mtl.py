@@ -113,7 +113,7 @@ def test_a_map_is_a_channel(tmp_path, key, channel, lanes):
     "lines",
     [
         "", "d 1", "Tr 0", "Tr 1", "Ke 0 0 0", "Ke 0", "Ks 1 1 1", "Ns 96", "map_Kd", "map_Kd -clamp on",
-        "map_Pr",
+        "map_Pr", "map_Kd .",
     ]
     + [f"{key} a.png" for key in ("map_Ns", "map_Ka", "disp", "decal", "refl", "map_Ps")]
     + [f"{key} 0.5" for key in ("Ps", "Pc", "Pcr", "aniso", "anisor", "Ni", "Tf", "Ka", "illum")],
@@ -200,7 +200,9 @@ def test_absolute_paths_are_names_beside_the_model(tmp_path):
     found = describe(tmp_path / "near", f"map_Kd {tmp_path / 'far' / 'a.png'}").material.inputs["base_color"]
     np.testing.assert_array_equal(texels(found)[..., :3], COLORS.astype(np.uint16) * 257)
     (tmp_path / "far" / "other.png").write_bytes(png(COLORS))
-    with pytest.raises(ImageError, match=r"other\.png is missing; put it next to m\.mtl"):
+    with pytest.raises(
+        ImageError, match=r"other\.png is missing; put it next to m\.mtl, or read only other channels"
+    ):
         describe(tmp_path / "near", f"map_Kd {tmp_path / 'far' / 'other.png'}")
 
 

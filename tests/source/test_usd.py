@@ -89,11 +89,13 @@ def colors_at(surface, places):
 QUARTERS = [(0.25, 0.75, 0), (0.75, 0.75, 0), (0.25, 0.25, 0), (0.75, 0.25, 0)]
 
 
-@pytest.mark.parametrize("how", ["vertex", "varying", "faceVarying", "indexed"])
+@pytest.mark.parametrize("how", ["vertex", "varying", "faceVarying", "indexed", "no indices"])
 def test_images_are_read_at_primvars_however_these_are_spread(how, tmp_path):
     made = Stage(tmp_path)
-    mesh = made.square(st=ST, how="faceVarying" if how == "indexed" else how)
-    if how == "indexed":
+    mesh = made.square(st=ST, how="faceVarying" if "ind" in how else how)
+    if how == "no indices":
+        UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st").SetIndices(Vt.IntArray())
+    elif how == "indexed":
         primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("st")
         primvar.Set(Vt.Vec2fArray([ST[n] for n in (2, 0, 3, 1)]))
         primvar.SetIndices(Vt.IntArray([1, 3, 0, 2]))
@@ -285,6 +287,52 @@ def test_point_instancers_place_their_prototypes(tmp_path):
     np.testing.assert_allclose(read.areas().sum(), area, rtol=1e-3)
 
 
+def test_animated_instances_are_read_at_their_first_sample_and_prototypes_may_be_below_an_over(tmp_path):
+    made = Stage(tmp_path)
+    instancer = UsdGeom.PointInstancer.Define(made.stage, "/points")
+    made.square("/points/hidden/square", st=None)
+    made.stage.GetPrimAtPath("/points/hidden").SetSpecifier(Sdf.SpecifierOver)
+    instancer.CreatePrototypesRel().SetTargets(["/points/hidden/square"])
+    instancer.CreateProtoIndicesAttr([0, 0])
+    for time, x in ((5, 3), (6, 4)):
+        instancer.CreatePositionsAttr().Set([(x, 0, 0), (x + 4, 0, 0)], time)
+        instancer.CreateVelocitiesAttr().Set([(24, 0, 0)] * 2, time)
+    np.testing.assert_allclose(made.read().bounds, [[3, 0, 0], [8, 1, 0]])
+
+
+def test_animated_inputs_are_read_at_their_first_sample(tmp_path):
+    made = Stage(tmp_path)
+    made.material(made.square())
+    file = made.stage.GetAttributeAtPath("/material/image.inputs:file")
+    file.Clear()
+    for time, image in ((7, "image.png"), (8, "later.png")):
+        file.Set(image, time)
+    seen = colors_at(made.read(), QUARTERS)
+    np.testing.assert_allclose(seen, srgb_to_linear(made.codes.reshape(-1, 3) / 255), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["/gone/image.png", "C:\\gone\\image.png", "gone/image.png"])
+def test_an_image_that_has_moved_is_found_by_its_name_next_to_the_stage(name, tmp_path):
+    made = Stage(tmp_path)
+    made.material(made.square())
+    made.stage.GetAttributeAtPath("/material/image.inputs:file").Set(name)
+    seen = colors_at(made.read(), QUARTERS)
+    np.testing.assert_allclose(seen, srgb_to_linear(made.codes.reshape(-1, 3) / 255), atol=1e-3)
+
+
+@pytest.mark.parametrize("purpose", ["preview", "full"])
+def test_materials_that_are_bound_for_one_purpose_are_read(purpose, tmp_path):
+    made = Stage(tmp_path)
+    mesh = made.square()
+    made.material(mesh)
+    api = UsdShade.MaterialBindingAPI(mesh)
+    material = api.GetDirectBinding().GetMaterial()
+    api.UnbindAllBindings()
+    api.Bind(material, UsdShade.Tokens.fallbackStrength, purpose)
+    seen = colors_at(made.read(), QUARTERS)
+    np.testing.assert_allclose(seen, srgb_to_linear(made.codes.reshape(-1, 3) / 255), atol=1e-3)
+
+
 def test_damaged_point_instancers_are_refused(tmp_path, monkeypatch):
     made = Stage(tmp_path)
     made.square("/many/square", st=None)
@@ -342,6 +390,10 @@ def test_damaged_stages_are_refused_in_one_line(tmp_path):
         words = rf"cut{number}\.usdz.* is damaged, or is not a USD stage"
         with pytest.raises(ModelError, match=words):
             octex.load_surface(tmp_path / f"cut{number}.usdz")
+    old = tmp_path / "old.usdc"
+    old.write_bytes(b"PXR-USDC" + bytes([0, 0, 1]) + bytes(77))
+    with refused(ModelError, r"old\.usdc is damaged, or is not a USD stage \(.*version 0\.0\.1\. The oldest"):
+        octex.load_surface(old)
 
 
 def test_a_material_of_another_kind_is_white_with_a_warning(tmp_path):

@@ -41,7 +41,8 @@ def load_stl(path: Path, options: Options) -> Surface:
         if b"endsolid" not in data.lower():
             raise damaged(f"{path.name} is truncated, or not an STL file")
         # trimesh takes words of names for those of facets, and needs a package for text that is not UTF-8.
-        data = _NAME.sub(r"\1", data.decode("latin-1")).encode()
+        # It also splits lines at \n alone.
+        data = _NAME.sub(r"\1", data.decode("latin-1")).replace("\r", "\n").encode()
     with global_settings():
         warnings.simplefilter("ignore")
         # Without this trimesh drops everything after the first word that is no number.

@@ -20,6 +20,7 @@ from octex.errors import ImageError, ModelError
 from octex.files import read_bytes, referred
 from octex.source.images.decode import decode_image, is_translucent
 from octex.source.images.pyramid import CLAMP, REPEAT, Texels
+from octex.source.images.tiles import is_udim, join_tiles, tile_files, tile_grid
 from octex.source.materials import Input, Material, Texture
 from octex.source.models.reading import Description, Options, Slot, parse_numbers
 
@@ -102,12 +103,15 @@ def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
 
 
 def beside(folder: Path, name: str) -> Path | None:
-    """Find a file by a path relative to a folder, else by its name there, else by its name in any case."""
+    """Find a file by a path relative to a folder, else by its name there, else by its name in any case.
+
+    A path with <UDIM> in its name is found if it has tiles.
+    """
     windows = PureWindowsPath(name)
     for spelling in (name, windows.as_posix(), windows.name):
         try:
             candidate = referred(folder, spelling)
-            if candidate.is_file():
+            if candidate.is_file() or (is_udim(candidate.name) and tile_files(candidate)):
                 return candidate
         except (OSError, ValueError):
             continue
@@ -241,16 +245,22 @@ class _Describer:
         return self._placed(self._texels(image, image.base, image.gain), image)
 
     def _placed(self, texels: Texels, image: _Map) -> Texture:
-        slot = self._slots.setdefault(image.slot, len(self._slots))
+        path = self._found(image)
+        tiles = tile_grid(tile_files(path)) if is_udim(path.name) else (1, 1)
+        slot = self._slots.setdefault(image.slot._replace(tiles=tiles), len(self._slots))
         return Texture(texels, image.wrap, image.wrap, slot=slot)
 
     def _texels(self, image: _Map, base: float = 0.0, gain: float = 1.0) -> Texels:
+        return self._images.read(self._found(image), f"{self._where}: {image.file}", base, gain)
+
+    def _found(self, image: _Map) -> Path:
         path = beside(self._path.parent, image.file)
         if path is None:
             raise ImageError(
-                f"{self._where}: the image {image.file} is missing; put it next to {self._path.name}"
+                f"{self._where}: the image {image.file} is missing; put it next to {self._path.name}, or "
+                "read only other channels (--channels)"
             )
-        return self._images.read(path, f"{self._where}: {image.file}", base, gain)
+        return path
 
     def _numbers(self, key: str, most: int) -> list[float]:
         return _floats(self._entries[key.lower()].replace("-halo", ""), most, f"{self._where}: {key}")
@@ -288,7 +298,9 @@ def _parse_map(text: str, where: str) -> _Map | None:
     file = rest.strip().strip('"')
     wrap = CLAMP if options.get("-clamp", "").lower() == "on" else REPEAT
     bump, mm = numbers("-bm", 1.0), numbers("-mm", 0.0, 1.0)
-    return _Map(file, slot, wrap, "" if lane == "z" else lane, *bump, *mm) if file else None
+    if file in ("", "."):  # Blender wrote a dot for an image without a file
+        return None
+    return _Map(file, slot, wrap, "" if lane == "z" else lane, *bump, *mm)
 
 
 def _floats(text: str, most: int, what: str) -> list[float]:
@@ -317,9 +329,7 @@ class ImageFiles:
         if (path, base, gain) not in self._texels:
             texels: Texels
             if (base, gain) == (0.0, 1.0):
-                data = read_bytes(path)
-                self.note(path, data)
-                texels = decode_image(data, what)
+                texels = self._decoded(path, what)
             elif (whole := self.read(path, what)).dtype.kind == "u":
                 codes = np.clip(np.rint(65535.0 * base + gain * np.arange(65536)), 0, 65535)
                 texels = codes.astype(np.uint16)[whole]
@@ -327,6 +337,13 @@ class ImageFiles:
                 texels = np.maximum(np.float32(base) + np.float32(gain) * whole, np.float32(0))
             self._texels[path, base, gain] = texels
         return self._texels[path, base, gain]
+
+    def _decoded(self, path: Path, what: str) -> Texels:
+        if is_udim(path.name):
+            return join_tiles({n: self._decoded(each, what) for n, each in tile_files(path).items()}, what)
+        data = read_bytes(path)
+        self.note(path, data)
+        return decode_image(data, what)
 
     def luminance(self, texels: Texels) -> Texels:
         """Return an image whose red is another's luma, from stored values."""

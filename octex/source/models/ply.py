@@ -68,7 +68,7 @@ class Ply:
         self.images: list[str] = []
         self._elements: list[tuple[str, int, list[_Property]]] = []
         data = read_bytes(path)
-        head = re.match(rb"ply\s(.*?)\bend_header[^\S\n]*(\r\n|\n|\r)?", data, re.DOTALL)
+        head = re.match(rb"ply(\s.*?[\r\n])[^\S\n]*end_header[^\S\n]*(\r\n|\n|\r)?", data, re.DOTALL)
         if head is None:
             raise ModelError(f"{self.name} is not a PLY file, or its header is truncated")
         self._header(head[1].decode("latin-1"))
@@ -167,8 +167,6 @@ class Ply:
         positions, vertex = self._positions(), self._numbers("vertex")
         if not len(positions):
             raise ModelError(f"{self.name} has no points; export the model again")
-        if "tristrips" in self.data:
-            raise ModelError(f"{self.name} has triangle strips, which octex does not read; export triangles")
         colors = _element_colors(vertex)
         if colors is None:
             raise ModelError(f"{self.name} has points without colours; export them with red, green and blue")

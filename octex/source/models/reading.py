@@ -84,16 +84,17 @@ class Slot(NamedTuple):
     scale: tuple[float, ...] = (1.0, 1.0)
     rotation: float = 0.0  # radians, counter-clockwise on an image with v down
     offset: tuple[float, ...] = (0.0, 0.0)
+    tiles: tuple[int, int] = (1, 1)  # columns and rows of UDIM tiles in the image
 
     def applied(self, coordinates: Array) -> Array:
-        """Return coordinates (n, 2) scaled, rotated, then translated."""
+        """Return coordinates (n, 2) scaled, rotated, then translated, as parts of the image's tiles."""
         if self == Slot(self.name):
             return coordinates
         scaled = coordinates * np.array(self.scale)
         if self.rotation:
             cos, sin = math.cos(self.rotation), math.sin(self.rotation)
             scaled = scaled @ np.array([[cos, -sin], [sin, cos]])
-        return np.asarray(scaled + np.array(self.offset))
+        return np.asarray((scaled + np.array(self.offset)) / np.array(self.tiles))
 
 
 class Description(NamedTuple):

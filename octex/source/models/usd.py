@@ -7,31 +7,25 @@ unless the file names the other one.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import math
+import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Ar, Tf, Usd, UsdGeom, UsdShade, UsdUtils
+from pxr import Tf, Usd, UsdGeom, UsdShade, UsdUtils
 
 from octex.arrays import Array, Float64s, Int32s, Int64s
-from octex.channels import CHANNELS, encode, srgb_to_linear
-from octex.errors import ImageError, ModelError, damaged
+from octex.errors import ModelError, damaged
 from octex.files import is_absolute
 from octex.source.corners import Corners
-from octex.source.images.decode import decode_image
-from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
-from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.source.mesh import check_below
 from octex.source.models.reading import (
     Description,
     Options,
     Part,
-    Slot,
     assembled,
     cut_polygons,
     slot_coordinates,
@@ -39,22 +33,16 @@ from octex.source.models.reading import (
     warn,
     with_frames,
 )
+from octex.source.models.usd_materials import Materials, bound_material
 from octex.source.models.usd_shapes import shape_polygons
 from octex.source.surface import Surface, flip_v
 
-_WRAPS = {"repeat": REPEAT, "mirror": MIRROR}
-_LANES = {"r": (0,), "g": (1,), "b": (2,), "a": (3,), "rgb": (0, 1, 2)}
-#: The inputs of UsdPreviewSurface, by channel.
-INPUTS = {
-    "base_color": "diffuseColor", "emissive": "emissiveColor", "specular": "specularColor",
-    "metallic": "metallic", "roughness": "roughness", "occlusion": "occlusion", "normal": "normal",
-    "alpha": "opacity",
-}  # fmt: skip
-#: Connections of inputs that are read: images, and the primvars of two channels.
-_READ = ("UsdUVTexture", "base_color displayColor", "alpha displayOpacity")
-_GREY = (0.18, 0.18, 0.18)
 #: Most meshes that point instancers may place: nested instancers multiply.
 _PLACEMENTS = 2**20
+#: As in Hydra: prims that are defined, also prototypes below an "over", which hides them elsewhere.
+_DRAWN = Usd.TraverseInstanceProxies(
+    Usd.PrimIsActive & Usd.PrimHasDefiningSpecifier & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
+)
 #: The interpolations of primvars (UsdGeom's tokens).
 _SPREADS = ("constant", "uniform", "vertex", "varying", "faceVarying")
 
@@ -82,8 +70,11 @@ def load_usd(path: Path, options: Options) -> Surface:
             more = f" … and {len(others) - 1} more like that" if len(others) > 1 else ""
             warn(f"{path.name} is not whole: {others[0][:200]}{more}")
         return _Scene(stage, path.name, options).surface()
-    except Tf.ErrorException:
-        raise damaged(f"{path.name} is damaged, or is not a USD stage") from None
+    except Tf.ErrorException as error:
+        # The first line that tells more than that the file cannot be opened.
+        reason = re.search(r" : '(?!Failed to open)(.+?)'?$", str(error), re.MULTILINE)
+        told = f" ({reason[1].replace(str(path.absolute()), path.name)[:200]})" if reason else ""
+        raise damaged(f"{path.name} is damaged, or is not a USD stage{told}") from None
     finally:
         del quiet
 
@@ -95,7 +86,7 @@ class _Scene:
         self._stage, self._name, self._options = stage, name, options
         self._time = Usd.TimeCode.EarliestTime()
         self._transforms = UsdGeom.XformCache(self._time)
-        self._materials = _Materials(name, options)
+        self._materials = Materials(name, options)
         self._left = _PLACEMENTS
         # Meshes without a set of coordinates that is read, by the set's name.
         self._missing: dict[str, dict[str, None]] = {}
@@ -139,7 +130,7 @@ class _Scene:
         self, root: Any, outer: Float64s, others: Counter[str], above: tuple[Any, ...] = ()
     ) -> Iterator[tuple[Any, Float64s]]:
         """Yield the visible meshes below a prim, placed by ``outer``; ``above`` are its instancers."""
-        every = iter(Usd.PrimRange(root, Usd.TraverseInstanceProxies()))
+        every = iter(Usd.PrimRange(root, _DRAWN))
         for prim in every:
             is_instancer = prim.IsA(UsdGeom.PointInstancer)
             if is_instancer:
@@ -171,8 +162,13 @@ class _Scene:
         self, prim: Any, outer: Float64s, others: Counter[str], above: tuple[Any, ...]
     ) -> Iterator[tuple[Any, Float64s]]:
         """Yield the meshes of each instance of a point instancer, placed by ``outer``."""
-        api, now = UsdGeom.PointInstancer, self._time
+        api = UsdGeom.PointInstancer
         instancer = api(prim)
+        samples = (
+            instancer.GetPositionsAttr().GetTimeSamples() or instancer.GetOrientationsAttr().GetTimeSamples()
+        )
+        # The earliest time is −∞, where velocities would move instances.
+        now = Usd.TimeCode(samples[0]) if samples else self._time
         roots = [self._stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
         chosen = _rows(instancer.GetProtoIndicesAttr().Get(now)).astype(np.int64)
         check_below(chosen, len(roots), f"{self._name}: {prim.GetPath()} uses a prototype")
@@ -195,11 +191,12 @@ class _Scene:
         """Return the faces of a mesh by material number, and the materials, the mesh's first."""
         api = UsdShade.MaterialBindingAPI(prim)
         both = bool(UsdGeom.Gprim(prim).GetDoubleSidedAttr().Get(self._time))
-        default = self._materials.number(api.ComputeBoundMaterial()[0], both)
+        default = self._materials.number(bound_material(api), both)
         faces: dict[int, Int64s] = {default: np.empty(0, np.int64)}
         for subset in api.GetMaterialBindSubsets():
-            material, _ = UsdShade.MaterialBindingAPI(subset.GetPrim()).ComputeBoundMaterial()
-            number = self._materials.number(material, both)
+            number = self._materials.number(
+                bound_material(UsdShade.MaterialBindingAPI(subset.GetPrim())), both
+            )
             chosen = np.array(subset.GetIndicesAttr().Get(self._time) or [], np.int64)
             faces[number] = np.concatenate([faces.get(number, chosen[:0]), chosen])
         return faces, {number: self._materials.known[number] for number in faces}
@@ -316,7 +313,7 @@ class _Primvars:
         if spread not in _SPREADS:
             raise damaged(f"{self.what}: its primvar {name} is spread by {spread!r}")
         rows = self._rows[spread]
-        if indices is not None:
+        if indices is not None and len(indices):  # some programs write an empty list
             listed = np.asarray(indices, np.int64)
             check_below(rows, len(listed), f"{self.what}: its primvar {name} lacks an index; it uses")
             rows = listed[rows]
@@ -328,168 +325,3 @@ def _rows(values: Any, width: int | None = None) -> Array:
     if values is None:
         return np.empty((0,) if width is None else (0, width), np.float32)
     return np.asarray(values)
-
-
-class _Materials:
-    """The materials of a stage, numbered as they occur; each image is decoded once."""
-
-    def __init__(self, name: str, options: Options) -> None:
-        self._name, self._options = name, options
-        self._numbers: dict[tuple[str, bool], int] = {}
-        self._texels: dict[tuple[str, str], Texels] = {}
-        self.known: list[Description] = []
-        self.files: dict[str, str] = {}
-
-    def number(self, material: Any, double_sided: bool) -> int:
-        """Return a material's number; without a material it is that of displayColor."""
-        path = str(material.GetPath()) if material and self._options.materials else ""
-        key = path, double_sided
-        if key not in self._numbers:
-            described = self._described(material) if path else _plain()
-            name = material.GetPrim().GetName() if path else ""
-            made = described.material._replace(name=name, double_sided=double_sided)
-            self._numbers[key] = len(self.known)
-            self.known.append(described._replace(material=made))
-        return self._numbers[key]
-
-    def _described(self, material: Any) -> Description:
-        shader = material.ComputeSurfaceSource()[0]
-        if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
-            what = f"{self._name}: the material {material.GetPath()}"
-            warn(f"{what} is not a UsdPreviewSurface, so it is white; convert it")
-            return _plain()
-        inputs: dict[str, Input] = {"base_color": Input(_GREY)}
-        slots: dict[Slot, int] = {}
-        vertex: set[str] = set()
-        has_specular = bool(_value(shader, "useSpecularWorkflow", 0))
-        left_out = "metallic" if has_specular else "specular"
-        for channel, word in INPUTS.items():
-            producer = None if channel == left_out else _producer(shader, word)
-            if producer is None:
-                continue
-            node, output, value = producer
-            kind = None if node is None else node.GetIdAttr().Get()
-            if kind == "UsdUVTexture":
-                made = self._textured(channel, node, output, slots)
-                if made is not None:
-                    inputs[channel] = made
-            elif kind is not None and kind.startswith("UsdPrimvarReader"):
-                inputs[channel] = Input((1.0,) * CHANNELS[channel].components)
-                kind = f"{channel} {_value(node, 'varname', '')}"
-                vertex.add(kind)
-            elif value is not None and channel != "normal":
-                inputs[channel] = Input(tuple(np.atleast_1d(np.array(value, np.float64)).tolist()))
-            if node is not None and kind not in _READ:
-                warn(f"{self._name}: {shader.GetPath()}: what {word} is connected to is not read; bake it")
-        cutoff = float(_value(shader, "opacityThreshold", 0.0))
-        reads_opacity = "alpha displayOpacity" in vertex
-        mode: AlphaMode = "mask" if cutoff > 0.0 else "blend"
-        alpha = inputs.get("alpha")
-        if alpha is None or (alpha.texture is None and alpha.factor == (1.0,) and not reads_opacity):
-            mode = "opaque"
-            inputs.pop("alpha", None)
-        material = Material(inputs, mode, cutoff if mode == "mask" else 0.5)
-        reads_color = "base_color displayColor" in vertex
-        return Description(material, tuple(slots), reads_color=reads_color, reads_opacity=reads_opacity)
-
-    def _textured(self, channel: str, node: Any, output: str, slots: dict[Slot, int]) -> Input | None:
-        """Return the input of a channel that reads an image; None for normals without an image."""
-        scale = np.array(_value(node, "scale", (1.0,) * 4), np.float64)
-        bias = np.array(_value(node, "bias", (0.0,) * 4), np.float64)
-        lanes = _LANES.get(output, (0, 1, 2))
-        if CHANNELS[channel].components == 1:
-            lanes = lanes[:1]
-        elif len(lanes) == 1:
-            lanes *= 3
-        asset = _value(node, "file", None)
-        if asset is None or not asset.path:
-            warn(f"{self._name}: {node.GetPath()} names no image, so it is its fallback")
-            fallback = np.array(_value(node, "fallback", (0.0, 0.0, 0.0, 1.0)), np.float64)
-            return None if channel == "normal" else Input(tuple(fallback[list(lanes)].tolist()))
-        factor, offset = tuple(scale[list(lanes)].tolist()), tuple(bias[list(lanes)].tolist())
-        if channel == "normal":  # the factor scales 2t − 1 of a texel t
-            plain = (scale == 1.0).all() and (bias == 0.0).all()
-            factor, offset = (1.0,) * 3 if plain else tuple((scale[:3] / 2.0).tolist()), ()
-        made = Input(factor, None, lanes, offset if any(offset) else ())
-        if not self._options.wants_image(channel):
-            return made
-        texels = self._image(node, asset, _value(node, "sourceColorSpace", "auto"), channel)
-        wraps = [_WRAPS.get(_value(node, axis, "useMetadata"), CLAMP) for axis in ("wrapS", "wrapT")]
-        slot = slots.setdefault(_slot(node), len(slots))
-        return made._replace(texture=Texture(texels, wraps[0], wraps[1], False, slot))
-
-    def _image(self, node: Any, asset: Any, space: str, channel: str) -> Texels:
-        """Return an image's codes in the colour space of a channel."""
-        what = f"{self._name}: {node.GetPath()}"
-        if is_absolute(asset.path):
-            raise ImageError(
-                f"{what} names {asset.path}; absolute paths are not followed; name it from the model's folder"
-            )
-        path = asset.resolvedPath
-        if not path:  # it may be a Windows path
-            resolver, root = Ar.GetResolver(), node.GetPrim().GetStage().GetRootLayer()
-            relative = asset.path.replace("\\", "/")
-            path = str(resolver.Resolve(resolver.CreateIdentifier(relative, root.resolvedPath)))
-        is_light = CHANNELS[channel].space == "srgb" or channel == "alpha"
-        changes = {"raw": "to sRGB" if is_light else "", "sRGB": "" if is_light else "to linear"}
-        change = changes.get(space, "")
-        if (path, "") not in self._texels:
-            file = Ar.GetResolver().OpenAsset(Ar.ResolvedPath(path)) if path else None
-            if file is None:
-                raise ImageError(f"{what}: its image {asset.path} is missing; put it next to the model")
-            data = bytes(file.GetBuffer())
-            self.files[asset.path] = hashlib.sha256(data).hexdigest()
-            self._texels[path, ""] = decode_image(data, f"{what} ({asset.path})")
-        if (path, change) not in self._texels:
-            texels = self._texels[path, ""]
-            if texels.dtype.kind != "f":  # floats are linear
-                table = np.arange(65536) / 65535.0
-                if change == "to sRGB":
-                    table = encode(table, "uint16", "srgb")
-                else:
-                    table = encode(srgb_to_linear(table), "uint16", "data")
-                alpha, texels = texels[..., 3], np.asarray(table[texels], np.uint16)
-                texels[..., 3] = alpha
-            self._texels[path, change] = texels
-        return self._texels[path, change]
-
-
-def _plain() -> Description:
-    """Return the material of a mesh without one: displayColor, or white."""
-    material = Material({"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))})
-    return Description(material, reads_color=True)
-
-
-def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
-    """Return an input's shader and output, or else None, "" and its value; None for a missing input."""
-    entry = shader.GetInput(name)
-    if not entry:
-        return None
-    for attribute in UsdShade.Utils.GetValueProducingAttributes(entry):
-        if UsdShade.Output.IsOutput(attribute):
-            return UsdShade.Shader(attribute.GetPrim()), UsdShade.Output(attribute).GetBaseName(), None
-        value = attribute.Get()
-        if value is not None:
-            return None, "", value
-    return None
-
-
-def _value(shader: Any, name: str, default: Any) -> Any:
-    producer = _producer(shader, name)
-    return default if producer is None or producer[2] is None else producer[2]
-
-
-def _slot(node: Any) -> Slot:
-    """Return the set of coordinates of an image."""
-    producer = _producer(node, "st")
-    scale: tuple[float, ...] = (1.0, 1.0)
-    translation: tuple[float, ...] = (0.0, 0.0)
-    rotation = 0.0
-    if producer is not None and producer[0] is not None and producer[0].GetIdAttr().Get() == "UsdTransform2d":
-        turn = producer[0]
-        scale = tuple(map(float, _value(turn, "scale", scale)))
-        rotation = float(_value(turn, "rotation", rotation))
-        translation = tuple(map(float, _value(turn, "translation", translation)))
-        producer = _producer(turn, "in")
-    name = "st" if producer is None or producer[0] is None else str(_value(producer[0], "varname", "st"))
-    return Slot(name, scale, -math.radians(rotation), translation)  # v runs up here
