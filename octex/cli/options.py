@@ -49,8 +49,7 @@ _TABLE = """
 --loss N              for NAME.octz, lossy: let stored integers change by up to N
 
 --camera FILE[#NAME]  cameras: camera.json, transforms.json, COLMAP folder … (octex help cameras)
---unwrap X,Y,Z,R      instead of a camera: unwrap the disc of radius R around a point of the surface;
-                      X,Y,Z,R:conformal:up=X,Y,Z
+--unwrap X,Y,Z,R      instead of a camera: a disc laid flat; X,Y,Z,R:conformal:up=X,Y,Z
 --mask PNG            white = paint: one, or one per IMAGE, 'masks/{stem}.png'; or a backdrop '#rrggbb'
 --since PNG           the unedited view: paint only what differs; 'nothing': paint all pixels
 --blend MODE          over (default), multiply, screen, add, erase or replace
