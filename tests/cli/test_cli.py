@@ -243,7 +243,7 @@ def end(file):
     os.kill(os.getpid(), signal.SIGTERM)
     sync(file)
 os.fsync = end
-""", ExitCode.TERMINATED, "octree-convert: told to end",
+""", ExitCode.TERMINATED, "octree-convert: ended by SIGTERM",
     ),
 }  # fmt: skip
 
