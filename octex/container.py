@@ -32,7 +32,9 @@ _DTYPES = {
 _NAMES = {name: code for code, name in _DTYPES.items()}
 _PAGE = 4096
 _LONGEST_HEADER = 100_000_000  # safetensors' own limit
-_NO_HEADER = "is not an octree texture file (it does not begin with a safetensors header)"
+_NO_HEADER = (
+    "is not an octree texture file (it does not begin with a safetensors header); octex convert makes one"
+)
 _METADATA = "__metadata__"
 
 

@@ -40,7 +40,7 @@ class ExitCode(IntEnum):
     NOTHING_PAINTED = 3, "nothing was painted"
     CRASHED = 70, "a defect of octex itself"
     INTERRUPTED = 130, "interrupted (Ctrl-C)"
-    TERMINATED = 143, "told to end (SIGTERM)"
+    TERMINATED = 143, "ended by SIGTERM"
 
 
 class OctexError(Exception):

@@ -65,9 +65,9 @@ class Document:
                 "format"
             ) from None
         except (ValueError, RecursionError) as error:
-            raise ModelError(f"{self.name} is not a glTF file, or is damaged ({error})") from None
+            raise damaged(f"{self.name} is not a glTF file, or is damaged ({error})") from None
         if not isinstance(self.json, dict) or not isinstance(self.json.get("asset"), dict):
-            raise ModelError(f"{self.name} is not a glTF file: it has no asset")
+            raise damaged(f"{self.name} is not a glTF file: it has no asset")
         version = str(self.json["asset"].get("version"))
         needed = str(self.json["asset"].get("minVersion", "2.0"))
         if not version.startswith("2.") or needed > "2.0":

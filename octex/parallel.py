@@ -57,8 +57,8 @@ class Run:
     threads   number of threads. Default: all processors for large batches, the calling thread for small ones
     executor  a concurrent.futures.Executor that does the work, instead of threads
     memory    bytes, or a text like "2GB": store the excess in files. ``convert`` takes it with ``path``.
-              ``paint``, ``project`` and ``refine_cameras`` need 64 bytes a pixel; by default half of the
-              machine's memory, and merging some 700 MB more
+              ``paint``, ``project`` and ``refine_cameras`` need 64 bytes a pixel. Their default is half of
+              the machine's memory; merging takes about 700 MB more
     folder    for these files. Default: that of ``path``, or the folder of temporary files
     resume    a folder that stores finished stages of painting. A later call with the same folder reuses
               unchanged stages. It holds 29 bytes a pixel; you may delete it

@@ -77,8 +77,8 @@ def bake(
     max_distance   how far away that point may be, in the model's units (None: any distance). Other texels are
                    filled from their neighbours
     uv             "keep": the surface's texture coordinates, with maps for each material; "atlas": new ones
-                   for the whole surface; "xatlas": these with charts by xatlas; "auto": keep, unless in some
-                   material more than 1 % overlaps with different colours or is too small for its detail
+                   for the whole surface; "xatlas": new ones with charts by xatlas; "auto": keep, unless in
+                   some material more than 1 % overlaps with different colours or has too coarse texels
     texture_size   width of the square maps in texels, 64 to 16384. Default: the least power of two, up to
                    8192, whose texels have on average the area of a leaf; doubled, at most twice, until
                    bilinear reading is within 3/255 (RMS) of the texture where the texture varies. An atlas is

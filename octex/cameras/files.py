@@ -71,7 +71,7 @@ def _read(path: Path, content: bytes) -> list[Frame]:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
         reason = str(error) if isinstance(error, json.JSONDecodeError) else "a number or nesting too long"
-        raise BrokenError(f"is not JSON ({reason}), nor another camera file; is it damaged?") from None
+        raise BrokenError(f"is not JSON ({reason}), nor another camera file; export it again") from None
     if isinstance(document, list) and document and isinstance(document[0], dict) and "shots" in document[0]:
         return sfm.read_opensfm(path, document)
     if not isinstance(document, dict):

@@ -105,7 +105,7 @@ def run(command: str, body: Callable[[], int]) -> int:
                 command, f"error: out of memory{reason}; a smaller depth needs less", ExitCode.REFUSED
             )
         except _TerminatedError:
-            return fail(command, "told to end", ExitCode.TERMINATED)
+            return fail(command, "ended by SIGTERM", ExitCode.TERMINATED)
         except KeyboardInterrupt:
             return fail(command, "interrupted", ExitCode.INTERRUPTED)
         except Exception as error:

@@ -250,7 +250,7 @@ def _edited(options: Options, progress: Reporter) -> OctreeTexture:
         deepest = texture.tree.max_depth
         if options.depth > deepest:
             raise InputError(
-                f"{options.TEXTURE}: has depth {deepest}; --depth {options.depth} needs the model"
+                f"{options.TEXTURE}: has depth {deepest}; for --depth {options.depth} convert the model again"
             )
         # octex.resize would also divide the leaves above it, into cells without new detail.
         coarse = texture.level(options.depth)

@@ -56,7 +56,7 @@ def _by_option(message: str, command: Command) -> str:
 
 
 def _answer(first: str, rest: Sequence[str]) -> int:
-    if first in ("-h", "--help") or (first == "help" and not rest):
+    if first in ("-h", "--help") or (first == "help" and rest[:1] in ([], ["-h"], ["--help"])):
         say(_overview())
     elif first == "--version":
         say(f"{PROGRAM} {octex.__version__}")

@@ -13,9 +13,9 @@ DEFAULT_CHANNEL = "base_color"  # the channel to paint
 
 #: Every option as help shows it; its description follows after several spaces.
 _TABLE = """
---depth N             number of levels: cells are 1/2^N of the model (default 10)
+--depth N             finest level: cells are 1/2^N of the model's longest side (default 10)
 --cell SIZE           width of the finest cells in the model's units, instead of --depth
---max-error CODES     merge cells as long as no colour changes by more, in 1/255 (try 2)
+--max-error N         merge cells as long as no value changes by more than N/255 (try 2)
 --detail CHANNEL      coarser cells where this channel is below 1; stretch: by the pose's stretch
 --no-fit              store plain averages; lookups are less sharp
 --dtype TYPE          stored type: uint8, uint16, float16, float32; or by channel: normal=uint16
@@ -37,8 +37,8 @@ _TABLE = """
 --project KIND        place images of --source without UVs: planar, box, cylindrical or spherical, like
                       box:size=0.5:axis=z:center=0,0,0
 --transfer FILE       take colours from the nearest surface of a model, from points, or a .ptx
---within D[,DEGREES]  leave cells empty where --transfer is farther, or faces another way; mean:R: the
-                      mean of the points within R
+--within D[,DEGREES]  no cells where --transfer is farther than D, or its normal differs by more than
+                      DEGREES; mean:R: the mean of the points within R
 --filter NAME         filter of images: nearest, bilinear, bicubic, trilinear or ewa (default)
 
 --crop BOX            keep only cells that meet the box x0,y0,z0,x1,y1,z1, in rest positions
@@ -46,16 +46,16 @@ _TABLE = """
 --mix FILE=AMOUNT     mix in AMOUNT (0 to 1) of another texture
 --blur WIDTH          blur over the surface by this width, in the model's units
 --levels LOW,HIGH     stretch base colours from LOW,HIGH to 0,1; a third number is the gamma
---loss CODES          for NAME.octz: let stored integers change by up to CODES
+--loss N              for NAME.octz, lossy: let stored integers change by up to N
 
 --camera FILE[#NAME]  cameras: camera.json, transforms.json, COLMAP folder … (octex help cameras)
---unwrap X,Y,Z,R      unwrap a disc of the surface, no camera; X,Y,Z,R:conformal:up=X,Y,Z
+--unwrap X,Y,Z,R      instead of a camera: a disc laid flat; X,Y,Z,R:conformal:up=X,Y,Z
 --mask PNG            white = paint: one, or one per IMAGE, 'masks/{stem}.png'; or a backdrop '#rrggbb'
 --since PNG           the unedited view: paint only what differs; 'nothing': paint all pixels
 --blend MODE          over (default), multiply, screen, add, erase or replace
 --opacity X           opacity of the paint, 0 to 1 (default 1)
 --channel NAME        channel to paint or to draw (default base_color)
---max-depth N         finest level; cells up to it are 1/4 to 1/2 pixel wide (default 1/2 to 1)
+--max-depth N         finest level of paint; cells are then 1/4 to 1/2 pixel wide (default 1/2 to 1)
 --max-angle DEGREES   skip surface tilted more (default 75; 85 for views); 75,both: paint back faces;
                       75,hidden: paint hidden surface
 --edge-feather PIXELS fade paint toward the picture's border and toward edges in depth (default 0)
@@ -84,26 +84,27 @@ _TABLE = """
 
 --uv MODE             auto (default): keep UVs unless they overlap; keep; atlas: new ones; or xatlas:
                       new ones, cut by xatlas (slow for scans)
---texture-size N      width and height of the images (default: as fine as the leaves, or finer by up
-                      to 4 where images would differ from the texture by more than 3/255, RMS)
---triangles N         reduce the mesh to so many, like 50k; a normal map has the lost detail
+--texture-size N      width and height of the images (default: texels as wide as leaves, or up to 4
+                      times finer where images would be off by more than 3/255 RMS)
+--triangles N         reduce the mesh to N triangles, like 50k; a normal map stores lost detail
 --original MODEL      the model of the texture, where MODEL is a simpler mesh of it
 --max-distance D      largest distance to the surface of --original, in its units (default: any)
 --padding N           texels around each chart (default 8)
 --image-format NAME   png (default), webp, jpeg, jpeg-all, png16 or exr
 --supersample N       average this many lookups along each side of a texel (default 1)
 --vertex-colors       write colours at the vertices, no images; always so in .ply and .3mf
---max-edge SIZE       divide triangles to edges of this length; auto (default for .3mf and with
-                      --vertex-error): until --vertex-error holds; else they stay
---vertex-error CODES  largest error of vertex colours, in 1/255 (default 8)
+--max-edge SIZE       divide triangles until no edge is longer (default: keep them); auto (default for
+                      .3mf and with --vertex-error): until colours are within --vertex-error
+--vertex-error N      largest error of vertex colours, in 1/255 (default 8)
 --displace CHANNEL=H  move the surface by H where the channel is 1; CHANNEL=H,M: by 0 where it is M
 --octree              let a .glb or .gltf carry the texture too, for octex-three (EXT_octree_texture)
 --unit UNIT           unit of length in .3mf, USD: meter (default), centimeter, millimeter, inch, foot
 
 --part NAME           show only this part of a folder
---port N              port of 127.0.0.1 (default: the file's own, if it is free)
+--port N              port of 127.0.0.1 (default: the same one each time for a file, if it is free)
 --paint OUTPUT        paint in the page; Ctrl-S saves the texture here, .octex or .octz
---keep WHAT           for a texture edited after its layers were saved: keep shown or layers
+--keep WHAT           if the texture was edited after its layers were saved: shown continues with the
+                      edit and no layers, layers without the edit
 --recover             repeat the unsaved strokes of an earlier session
 --no-browser          print the page's address, and do not open a browser
 --max-size SIZE       leave out the finest levels until the page is no larger, like 20MB
@@ -232,7 +233,7 @@ paint  Project pictures through their cameras onto a model, into its texture or 
   [TEXTURE]  its texture; without it, a new one is made
   MODEL    the model, in the pose that the cameras see
   OUTPUT   the painted texture, NAME.octex; with --force it may be TEXTURE
-  [IMAGE ...]  pictures, named as their cameras (or IMAGE=CAMERA), or layers; default: the cameras'
+  [IMAGE ...]  pictures named as their cameras (or IMAGE=CAMERA), or layers; default: of --camera
   --camera --unwrap --mask --since --blend --opacity --channel --max-depth --max-angle --edge-feather
   --pictures --balance --reference --refine-cameras --holes --coverage --no-fit --memory --resume SHAPE
   --layer-out --preview RUNNING
@@ -248,14 +249,14 @@ bake  Write a model with images, or vertex colours, of a texture, for other prog
   --max-distance
   --vertex-colors --max-edge --vertex-error --displace --octree --unit SHAPE --repair RUNNING
 
-edit  Make a texture from a texture. Options are applied in the order listed here.
+edit  Crop, coarsen, combine, blur or recolour a texture. Options are applied in the order listed here.
   > droid.octex coarse.octex --depth 7
   > droid.octex worn.octex --levels 0.1,0.75,1.3 --blur 0.02
   TEXTURE  an .octex or .octz file, or its address
   OUTPUT   NAME.octex, NAME.octz (compressed), or the leaves as points, .ply, .npz; .osl: a shader
   --crop --depth --combine --mix --blur --levels --channels --dtype --loss RUNNING
 
-info  Print what a texture holds and where its bytes go.
+info  Print a texture's contents, and the size of each part of its file.
   > droid.octex
   TEXTURE  an .octex or .octz file, its address, or a folder of parts
   --json
@@ -264,7 +265,7 @@ diff  Print how two textures, or a texture and a model, differ over the surface.
   > droid.octex droid.glb
   > before.octex after.octex --channels base_color --json
   TEXTURE  an .octex or .octz file, or its address
-  OTHER    its model, or another texture; the exit code is 0 in either case
+  OTHER    its model, or another texture; the exit code is 0 however they differ
   --channels --points --source --rest --subdiv --threads --quiet --json
 
 validate  Check a texture, and print what is broken.
@@ -275,7 +276,7 @@ validate  Check a texture, and print what is broken.
 
 overlaps  List parts of a model that intersect or nearly touch: their colours would mix.
   > robot.glb --margin 0.01
-  MODEL    the model; the exit code is 0 in either case
+  MODEL    the model; the exit code is 0 also if parts overlap
   --margin --rest --threads --quiet --json
 
 warm-up  Compile everything now, so that later commands start at once.

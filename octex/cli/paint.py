@@ -54,11 +54,11 @@ def _check(options: Options, program: str) -> bool:
         if not options.IMAGE:
             raise ArgumentError(f"IMAGE is missing; see {program} --help")
     elif options.camera is None:
-        raise ArgumentError(f"--camera is missing; see {program} --help")
+        raise ArgumentError("--camera is missing: give the file with the cameras; see octex help cameras")
     if options.holes is not None and options.TEXTURE is not None:
-        raise ArgumentError(f"{options.TEXTURE} has colours; --holes is for a new texture")
+        raise ArgumentError(f"{options.TEXTURE} has colours; --holes is for a new texture: leave it out")
     if options.blend == "erase" and options.TEXTURE is None:
-        raise ArgumentError("there is no TEXTURE; there is nothing to erase")
+        raise ArgumentError("--blend erase needs a TEXTURE to erase; name it before MODEL")
     if options.reference is not None and options.balance is None and options.refine_cameras is None:
         raise ArgumentError("--reference needs --balance or --refine-cameras")
     files = [each for each in options.mask if not isinstance(each, tuple)]
@@ -185,7 +185,7 @@ def _refined(options: Options, surface: Surface, shots: Sequence[Shot], run: Run
     if len(set(names)) < len(names):
         names = [shot.path.name for shot in shots]
     if len(set(names)) < len(names):
-        raise ArgumentError("--refine-cameras: pictures of one name have one camera; refine those separately")
+        raise ArgumentError("--refine-cameras finds cameras by file name: rename pictures that have one name")
     pictures, reference = [shot.picture for shot in shots], _reference(options, shots)
     cameras = octex.refine_cameras(surface, pictures, reference=reference, run=run)
     # The next steps may take hours, so the cameras are written now.

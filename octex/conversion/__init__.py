@@ -6,7 +6,7 @@ points      points and voxels, without a surface
 levels      voxelizes the surface block by block: the means of all cells, and their tree
 samples     points of the surface in each cell, with the source's values
 fit         leaf values that fit the field to the samples: lookups finds the taps, solve the values
-detail      the depth in places
+detail      local depth, from a function or channel
 adapt       merges leaves where the field stays near: prune makes the trees, differences measures the errors,
             evaluator evaluates the field
 large       arrays in files

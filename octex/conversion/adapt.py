@@ -49,7 +49,7 @@ _PATIENCE = 2
 
 def as_max_error(max_error: float) -> float:
     """Return a number of 8-bit codes, finite and 0 or more, or raise ArgumentError."""
-    number = as_real(max_error, "max_error", "a number of 8-bit codes")
+    number = as_real(max_error, "max_error", "a number, in 1/255")
     if not 0.0 <= number < np.inf:
         raise ArgumentError(f"max_error must be finite and not negative, not {number:g}")
     return number

@@ -98,8 +98,8 @@ def convert(
     filter     how images are averaged over cells: one of ``filters.FILTERS`` (default "ewa")
     fit        choose leaf values so that "quadratic" lookups match the source; False stores plain averages
     max_error  merge leaves while no lookup changes by more than this many 1/255 of the encoded range
-    detail     the depth in places: a function of rest positions (n, 3) that returns levels (n,); the name of
-               a one-component channel, where 1 means full depth and 1/2 a level less; or "stretch", which
+    detail     local depth: a function of rest positions (n, 3) that returns depths (n,); the name of a
+               one-component channel, where 1 means full depth and 1/2 one level less; or "stretch", which
                evens out the resolution of the posed surface
     separate   move parts apart at rest that come nearer than this many finest cells (True: 3). Lookups then
                take ``Surface.rest_positions``

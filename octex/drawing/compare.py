@@ -32,10 +32,10 @@ _WIDEST = 1e30
 _BLOCK = 1 << 16
 _LIGHT = ("srgb", "linear")
 #: The unit of a channel's differences, by colour space.
-MEASURES = {"srgb": "sRGB codes", "linear": "sRGB codes", "data": "0 to 1", "direction": "components"}
+MEASURES = {"srgb": "sRGB, 1/255", "linear": "sRGB, 1/255", "data": "0 to 1", "direction": "components"}
 _ANGLE = "degrees"
 #: The PSNR peak of each unit: the largest ordinary difference.
-PEAKS = {"sRGB codes": 255.0, "0 to 1": 1.0, "components": 2.0, _ANGLE: 180.0}
+PEAKS = {"sRGB, 1/255": 255.0, "0 to 1": 1.0, "components": 2.0, _ANGLE: 180.0}
 # Percentiles come from a histogram over the top 18 bits of a float32 after the sign: bins 0.1 % wide.
 _CUT_BITS, _BINS = 13, 1 << 18
 
@@ -47,7 +47,7 @@ class Difference(NamedTuple):
     component that differs most at each point.
     """
 
-    measure: str  # "sRGB codes", "0 to 1", "components" (of directions) or "degrees"
+    measure: str  # "sRGB, 1/255", "0 to 1", "components" (of directions) or "degrees"
     rms: float
     psnr: float  # 20 · log10(peak / rms) in dB, with the unit's peak (PEAKS); infinite for no difference
     p99: float

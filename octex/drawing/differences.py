@@ -247,7 +247,7 @@ def _scale_codes(values: Float64s) -> Float64s:
 
 def _amount(number: float, measure: str) -> str:
     """Format a difference with its unit; colours are out of 255, data have no unit."""
-    return _text(number) + {"sRGB codes": "/255", "degrees": "°"}.get(measure, "")
+    return _text(number) + {"sRGB, 1/255": "/255", "degrees": "°"}.get(measure, "")
 
 
 def _text(number: float) -> str:

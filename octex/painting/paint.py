@@ -67,8 +67,8 @@ def paint(
                   averages them (square roots of light), and is blended once; pixels more than twice as wide
                   as cells, and as the finest pixel there, count for less
     channel       the channel to paint
-    max_depth     cells are a quarter to half a pixel wide, and no finer than this level: paint may come out
-                  finer than without. Default: half a pixel to one pixel, no finer than level 14
+    max_depth     cells are a quarter to half a pixel wide, but no finer than this level: paint can be finer
+                  than by default. Default: half a pixel to one pixel, no finer than level 14
     max_angle     degrees between the surface's normal and the direction to the camera beyond which nothing is
                   painted; paint fades over the last 10. Default: 75; 85 if every picture was drawn on a view
     edge_feather  pixels over which paint fades toward the picture's border and toward edges in depth
@@ -81,8 +81,8 @@ def paint(
     back_faces    also paint surface that faces away
     hidden        also paint surface that other surface hides from the camera
     region        triangles to paint, as numbers or one bool each; others still hide. Default: all
-    holes         what a new texture has where no picture sees: "smooth" (default) continues the colours
-                  harmonically over the surface; "leave" stores no cells; a value as in ``octex.fill``
+    holes         how to fill unseen surface of a new texture: "smooth" (default) continues the colours
+                  harmonically; "leave" stores no cells; a colour as in ``octex.fill`` is stored there
     coverage      also store the part of each cell that pictures cover, 0 … 1, as channel "coverage"
     fit           choose leaf values so that lookups match the pictures; False stores plain averages
     run           how to work (octex.Run)

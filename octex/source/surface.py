@@ -93,12 +93,12 @@ class Surface(Mesh):
     ) -> Surface:
         """Build a surface with one material from arrays.
 
-        colors, face_colors  (n or m, 3 or 4) per vertex or per triangle: unsigned integers are sRGB codes,
+        colors, face_colors  (n or m, 3 or 4) per vertex or per triangle: unsigned integers are sRGB,
                              floats linear light in 0 … 1; a fourth column is alpha
         factor               linear light and alpha, which multiply them
         alpha, cutoff        "opaque", "mask" (covered from the cutoff on) or "blend"; None: "blend" if any
                              alpha is below 1
-        image                multiplies too: a Pillow image, or sRGB codes (height, width) or (height, width,
+        image                multiplies too: a Pillow image, or sRGB values (height, width) or (height, width,
                              1 to 4), uint8 or uint16
         uv                   of the image, per vertex (n, 2) or per corner (m, 3, 2), v *up* from its last row
         normals              shading normals at rest, per vertex (n, 3) or per corner (m, 3, 3); of any length

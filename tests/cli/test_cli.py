@@ -83,7 +83,9 @@ print(codes, [name for name in {HEAVY} if name in sys.modules])
     assert done.stdout.splitlines()[-1] == f"{list(IDLE.values())} []"
     lines = done.stderr.splitlines()
     assert len(lines) == 3
-    assert lines[1] == "octex paint: error: --camera is missing; see octex paint --help"
+    assert lines[1] == (
+        "octex paint: error: --camera is missing: give the file with the cameras; see octex help cameras"
+    )
 
 
 @needs_jit
@@ -241,7 +243,7 @@ def end(file):
     os.kill(os.getpid(), signal.SIGTERM)
     sync(file)
 os.fsync = end
-""", ExitCode.TERMINATED, "octree-convert: told to end",
+""", ExitCode.TERMINATED, "octree-convert: ended by SIGTERM",
     ),
 }  # fmt: skip
 

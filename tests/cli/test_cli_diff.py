@@ -40,7 +40,7 @@ def test_two_textures_are_compared_in_a_table(folder, cli):
     header = "channel measure rms PSNR p99 maximum where A there B there"
     assert " ".join(lines[4].split()) == header
     row = found["base_color"]
-    for text in ("base_color", "sRGB codes", f"{row.rms:.3f}"[:3], f"{row.psnr:.2f} dB"):
+    for text in ("base_color", "sRGB, 1/255", f"{row.rms:.3f}"[:3], f"{row.psnr:.2f} dB"):
         assert text in lines[5]
     assert len(lines) == 6
 

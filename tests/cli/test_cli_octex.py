@@ -74,7 +74,7 @@ def test_the_examples_of_helps_are_understood(name, tmp_path, monkeypatch, cli):
 
 def test_the_overview_names_every_command_and_page(cli):
     text = cli.result("--help")
-    assert text == cli.result("help")
+    assert text == cli.result("help") == cli.result("help", "--help")
     for name in NAMES:
         assert f"\n  {name} " in text
     assert all(name in text for name in TOPICS)

@@ -282,7 +282,7 @@ def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(scene
         assert_painted(octex.open(out), octex.paint(None, scene.surface, square, **given))
     for holes in ("smooth", "0"):
         message = cli.refusal(*scene.shot, OUT, tmp_path / "b.octex", "--holes", holes)
-        assert message == f"{scene.texture} has colours; --holes is for a new texture"
+        assert message == f"{scene.texture} has colours; --holes is for a new texture: leave it out"
 
 
 def test_the_help_names_the_librarys_defaults():

@@ -64,7 +64,6 @@ draw box.octex x.png --as paint → --as paint needs a MODEL
 paint → MODEL OUTPUT are missing
 paint m.glb → OUTPUT is missing
 paint t.octex m.glb → OUTPUT is missing
-paint t.octex m.glb o.octex → --camera is missing
 paint a.glb --camera → --camera needs a value, FILE[#NAME]
 paint t.octex m.glb o.octex --size 3,3 → --size is an option of octex draw, not of octex paint
 paint t.octex m.glb o.octex --camera-out c.json → --camera-out is an option of octex draw, not of octex paint
@@ -126,8 +125,8 @@ broken.gltf x.ply → broken.gltf is not a glTF file, or is damaged (Expecting p
 words.txt x.ply → words.txt is not a model that octex reads; it reads .glb, .gltf, .obj, .ply, .off, .stl, …
 folder.glb x.ply → folder.glb cannot be read: Is a directory
 missing.octex x.ply → missing.octex: cannot be read: No such file or directory
-empty.octex x.ply → empty.octex: is not an octree texture file (it does not begin with a safetensors header)
-words.octex x.ply → words.octex: is not an octree texture file (it does not begin with a safetensors header)
+empty.octex x.ply → empty.octex: is not an octree texture file (it does not begin …; octex convert makes one
+words.octex x.ply → words.octex: is not an octree texture file (it does not begin …; octex convert makes one
 wide.ply x.octex --within mean:1 → --within needs --transfer
 green.npz x.octex --max-error 2 → green.npz: --max-error needs a surface, and these are points
 green.npz x.octex --transfer red.ply → green.npz: --transfer needs a surface, and these are points
@@ -190,13 +189,14 @@ paint t.octex m.glb o.octex l.octex --mask m.png → --mask cannot be used with 
 paint t.octex m.glb o.octex l.octex --channel alpha → --channel cannot be used with layers
 paint t.octex m.glb o.octex l.octex --layer-out x.octex → --layer-out cannot be used with layers
 paint t.octex m.glb o.octex l.octex --max-depth 3 → --max-depth cannot be used with layers
-paint m.glb o.octex a.png --camera c --blend erase → there is no TEXTURE; there is nothing to erase
+paint t.octex m.glb o.octex → --camera is missing: give the file with the cameras; see octex help cameras
+paint m.glb o.octex a.png --camera c --blend erase → --blend erase needs a TEXTURE to erase; …
 paint m.glb o.octex a.png --camera c --reference a.png → --reference needs --balance or --refine-cameras
 paint m.glb o.octex a.png --camera c --mask 1,2,3 --mask #ffffff → --mask gives several backdrop colours; …
 paint m.glb o.octex a.png --camera c --mask {stem}.png --mask a.png → --mask gives a pattern and more …
 paint t.octex m.glb o.ply --camera c → o.ply: OUTPUT has the ending '.ply'; octex writes .octex here
 edit box.glb x.octex --blur 1 → box.glb: is a model without EXT_octree_texture; octex convert makes a …
-edit box.octex x.octex --depth 5 → box.octex: has depth 4; --depth 5 needs the model
+edit box.octex x.octex --depth 5 → box.octex: has depth 4; for --depth 5 convert the model again
 edit box.octex x.octex --loss 1 → --loss is for NAME.octz
 edit box.octex x.octex --combine none.octex → none.octex: cannot be read: No such file or directory
 edit box.octex x.octex --channels paint → unknown channel of box.octex: 'paint'; there are: base_color

@@ -294,7 +294,7 @@ def test_an_error_must_be_a_number_from_zero_on():
         with pytest.raises(ArgumentError, match=f"max_error must be finite and not negative, not {error}"):
             octex.convert(body(), 3, max_error=error)
     for error, told in (("two", "'two'"), ([], r"\[\]")):
-        with pytest.raises(ArgumentError, match=f"max_error must be a number of 8-bit codes, not {told}"):
+        with pytest.raises(ArgumentError, match=f"max_error must be a number, in 1/255, not {told}"):
             as_max_error(error)
 
 

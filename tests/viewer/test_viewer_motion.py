@@ -73,7 +73,8 @@ def test_a_broken_animation_is_said_and_the_others_are_kept(tmp_path):
     assert motion is not None
     assert [each.name for each in motion.animations] == ["B"]
     assert motion.faults == [
-        "animation A: a.glb: animations[0].samplers[0] interpolates by 'WAVY', which is not one of glTF's"
+        "animation A: a.glb: animations[0].samplers[0] interpolates by 'WAVY', which is not one of glTF's; "
+        "export it again"
     ]
     surface = octex.load_surface(file)
     notes = pack(octex.convert(surface, depth=2), surface, motion=motion).header["notes"]

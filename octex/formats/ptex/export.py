@@ -62,7 +62,7 @@ def write_ptex(
               stores the names
     dtype     uint8, uint16, float16 or float32 (default: as stored). Integers are sRGB for colours, floats
               linear light
-    texels    the most texels in all; every face gets coarser or finer alike
+    texels    largest total number of texels; all faces get coarser or finer by the same factor
     limit     measure stretch on the Catmull–Clark limit surface of the polygons
     run       how to work (octex.Run)
 

@@ -113,7 +113,7 @@ def _sampler(document: Document, entry: Json, path: str, what: str) -> Sampler:
     values = document.accessor(entry["output"], (_COMPONENTS[path],)).astype(np.float64)
     interpolation = entry.get("interpolation", "LINEAR")
     if interpolation not in _INTERPOLATIONS:
-        raise ModelError(f"{what} interpolates by {interpolation!r}, which is not one of glTF's")
+        raise damaged(f"{what} interpolates by {interpolation!r}, which is not one of glTF's")
     if not len(times) or not np.isfinite(times).all() or times[0] < 0 or not (np.diff(times) > 0).all():
         raise damaged(f"{what} has times that do not ascend from 0 on")
     a_key = 3 if interpolation == "CUBICSPLINE" else 1
@@ -178,7 +178,7 @@ class Primitive(NamedTuple):
         with np.errstate(invalid="ignore"):
             rows = rows.astype(np.float64)
         if len(rows) != len(self.positions):
-            raise ModelError(f"{self.name} {name} has {len(rows)} rows for {len(self.positions)} vertices")
+            raise damaged(f"{self.name} {name} has {len(rows)} rows for {len(self.positions)} vertices")
         return rows
 
     def offsets(self, attribute: str) -> Iterator[Array | None]:

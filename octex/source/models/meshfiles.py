@@ -81,7 +81,7 @@ def load_off(path: Path, options: Options) -> Surface:
     first = lines.pop(0).split() if lines else [""]
     head = re.fullmatch(r"(ST)?(C)?(N)?(4)?(n)?OFF(\d*)", first[0])
     if head is None:
-        raise ModelError(f"{name} is not an OFF file: its first word is not OFF")
+        raise damaged(f"{name} is not an OFF file: its first word is not OFF")
     if head[4] or head[5] or "BINARY" in first:
         raise ModelError(f"{name} is a kind of OFF file that octex does not read; convert it to PLY")
     # A blank may be missing after the first word.
@@ -89,9 +89,9 @@ def load_off(path: Path, options: Options) -> Surface:
     try:
         n_vertices, n_faces = int(words[0]), int(words[1])
     except (IndexError, ValueError):
-        raise ModelError(f"{name}: the numbers of vertices and faces are missing") from None
+        raise damaged(f"{name}: the numbers of vertices and faces are missing") from None
     if n_vertices < 0 or n_faces < 0 or n_vertices + n_faces > len(lines):
-        raise ModelError(f"{name} is truncated: it has fewer lines than vertices and faces")
+        raise damaged(f"{name} is truncated: it has fewer lines than vertices and faces")
     values, starts, counts = _rows(lines[:n_vertices], name)
     if len(counts) and counts.min() < 3:
         raise damaged(f"{name}: a vertex has less than three numbers")

@@ -70,7 +70,7 @@ class Ply:
         data = read_bytes(path)
         head = re.match(rb"ply(\s.*?[\r\n])[^\S\n]*end_header[^\S\n]*(\r\n|\n|\r)?", data, re.DOTALL)
         if head is None:
-            raise ModelError(f"{self.name} is not a PLY file, or its header is truncated")
+            raise damaged(f"{self.name} is not a PLY file, or its header is truncated")
         self._header(head[1].decode("latin-1"))
         self._body = data[head.end() :]
         self.data = self._read()
@@ -95,11 +95,9 @@ class Ply:
                     # MeshLab writes <this> for the file's own name without its ending.
                     self.images.append(line.split(None, 2)[2].strip().replace("<this>", self.path.stem))
             except (IndexError, KeyError, ValueError):
-                raise ModelError(
-                    f"{self.name}: the header has a line '{line[:60]}' that is not PLY"
-                ) from None
+                raise damaged(f"{self.name}: the header has a line '{line[:60]}' that is not PLY") from None
         if encoding not in ("ascii", "binary_little_endian", "binary_big_endian"):
-            raise ModelError(f"{self.name}: its format '{encoding}' is not one of PLY's")
+            raise damaged(f"{self.name}: its format '{encoding}' is not one of PLY's")
         self._ascii = encoding == "ascii"
         self._order = ">" if encoding == "binary_big_endian" else "<"
 
@@ -136,7 +134,7 @@ class Ply:
         return elements
 
     def _truncated(self, element: str) -> ModelError:
-        return ModelError(f"{self.name} is truncated: data of '{element}' elements are missing")
+        return damaged(f"{self.name} is truncated: data of '{element}' elements are missing")
 
     def _values(
         self, kind: _Property, numbers: Float64s, raw: Uint8s, starts: Int64s, sizes: Int64s
@@ -159,7 +157,7 @@ class Ply:
     def _positions(self) -> Float64s:
         vertex = self._numbers("vertex")
         if not all(axis in vertex for axis in "xyz"):
-            raise ModelError(f"{self.name} has no vertices with x, y and z")
+            raise damaged(f"{self.name} has no vertices with x, y and z")
         return np.stack([vertex[axis].values for axis in "xyz"], axis=1).astype(np.float64)
 
     def points(self) -> tuple[Float64s, Float32s, Float64s | None]:
@@ -206,7 +204,7 @@ class Ply:
         if "texnumber" in face:
             chosen = whole_numbers(face["texnumber"].values)
             if not 0 <= chosen.min() <= chosen.max() < len(textures):
-                raise ModelError(
+                raise damaged(
                     f"{self.name}: a face's texnumber is not among its {len(textures)} TextureFiles"
                 )
             part = part._replace(materials=chosen[numbers].astype(np.int32))

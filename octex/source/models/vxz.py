@@ -39,9 +39,9 @@ def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
     Raises ModelError, with ``name``, for damaged or unknown data, MissingExtraError if zstd is missing.
     """
     if data[:3] != b"VXZ" or len(data) < 8:
-        raise ModelError(f"{name} is not a .vxz file, or is damaged")
+        raise ModelError(f"{name} is not a .vxz file, or is damaged; write it again")
     if data[3]:
-        raise ModelError(f"{name} is a .vxz file of version {data[3]}; octex reads version 0")
+        raise ModelError(f"{name} is a .vxz file of version {data[3]}; octex reads version 0: write it so")
     try:
         (start,) = struct.unpack_from(">I", data, 4)
         header = json.loads(data[8:start])
@@ -64,7 +64,7 @@ def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
     except (zlib.error, lzma.LZMAError, RecursionError, struct.error) as error:
         raise ModelError(f"{name} is damaged ({error}); write it again") from None
     if not parts:
-        raise ModelError(f"{name} has no voxels")
+        raise ModelError(f"{name} has no voxels; write it again")
     names = parts[0][1]
     values = {each: np.concatenate([rows[each] for _, rows in parts]) for each in names}
     return np.concatenate([coords for coords, _ in parts]), values
