@@ -44,11 +44,11 @@ _LIMITS = {"srgb": (0.0, 1.0), "linear": (0.0, 1.0), "data": (-np.inf, np.inf), 
 #: memory.
 _FEW = 1 << 16
 #: Maps cells (n,), their values and the means of their children, decoded (n, components), to residuals.
-Change = Callable[[Int64s, Float64s, Float64s], Float64s]
+ResidualsOf = Callable[[Int64s, Float64s, Float64s], Float64s]
 
 
-def difference(_cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
-    """Return unchanged residuals."""
+def as_they_are(_cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
+    """Return the residuals of values."""
     return values - means
 
 
@@ -77,7 +77,7 @@ def coverage(alpha: Array) -> Float32s:
 
 
 def residuals(
-    texture: OctreeTexture, name: str, nodes: Nodes | None = None, change: Change = difference
+    texture: OctreeTexture, name: str, nodes: Nodes | None = None, change: ResidualsOf = as_they_are
 ) -> Residuals:
     """Return the mapped residuals of nodes, by default of all."""
     tree, channel = texture.tree, texture.channels[name]
@@ -100,7 +100,7 @@ def residuals(
 
 
 def _keep_apart(
-    form: ChannelFormat, stored: Array, means: Float64s, cells: Int64s, change: Change, out: Floats
+    form: ChannelFormat, stored: Array, means: Float64s, cells: Int64s, change: ResidualsOf, out: Floats
 ) -> None:
     """Write the mapped residuals of stored values (n, components) where these differ from the means."""
     differs = encode(means, form.dtype, form.space) != stored

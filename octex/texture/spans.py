@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from octex.texture.texture import OctreeTexture
 
 
-class Rows:
+class RowsRead:
     """Gathers the rows of arrays that are read."""
 
     def rows(self, array: Array, rows: Array) -> None:
@@ -42,7 +42,7 @@ class Rows:
         self.rows(array, np.arange(min(end, len(array))))
 
 
-class Spans(Rows):
+class Spans(RowsRead):
     """Gathers rows of arrays that are views of a mapped file, as blocks of its bytes."""
 
     def __init__(self, mapping: mmap.mmap, block_size: int) -> None:
@@ -143,7 +143,7 @@ def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, In
 
 
 def add_reads(
-    texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], request: Request, spans: Rows
+    texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], request: Request, spans: RowsRead
 ) -> None:
     """Add the rows that lookups read, except the groups of nodes.
 
