@@ -124,17 +124,6 @@ def _sum_slopes(
     return (ax, ay, az), (bx, by, bz), (cx, cy, cz), (dx, dy, dz), (ox, oy, oz)
 
 
-@inlined
-def _sum_any_slopes(
-    taps: Taps, n: int, flat: Flat, components: int, mean: Four
-) -> tuple[Three, Three, Three, Three, Three]:
-    if components == 3:
-        return _sum_slopes(taps, n, flat, 3, mean)
-    if components == 1:
-        return _sum_slopes(taps, n, flat, 1, mean)
-    return _sum_slopes(taps, n, flat, components, mean)
-
-
 @fused_kernel
 def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, gradients: Float32s) -> None:
     """Write the derivatives of the known mean: Σ w′·(v − mean) / Σ w, times ``scale``.
@@ -149,7 +138,7 @@ def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, grad
             total += np.float64(taps.weights[np.uint64(tap)])
         factor = scale / total if total > 0.0 else 0.0
         mean = value_at(flat_results, flat.table, np.uint64(n * components), components)
-        slopes = _sum_any_slopes(taps, n, flat, components, mean)
+        slopes = _sum_slopes(taps, n, flat, components, mean)
         for component in range(components):
             for axis in range(3):
                 gradients[n, component, axis] = slopes[component][axis] * factor
@@ -214,7 +203,7 @@ def add_up(
             share = np.float64(shares[np.uint64(n)])
             _add_to(sums, owner, share, five, components)
             if gradient:
-                slopes = _sum_any_slopes(taps, n, flat, components, (0.0, 0.0, 0.0, 0.0))
+                slopes = _sum_slopes(taps, n, flat, components, (0.0, 0.0, 0.0, 0.0))
                 for axis in range(3):
                     share_slope = np.float64(share_slopes[n, axis])
                     sums.total_slopes[owner, axis] += share * slopes[4][axis] + share_slope * five[4]

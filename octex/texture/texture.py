@@ -18,7 +18,6 @@ from octex.checks import as_choice, as_depth, as_flag, as_path, as_reals, as_row
 from octex.errors import ArgumentError, InputError, TextureFileError
 from octex.field.blend import joined
 from octex.field.field import Field
-from octex.field.splines import FILTERS
 from octex.field.taps import TapList
 from octex.parallel import DEFAULT, Run, as_run
 from octex.texture.channel import Channel, as_channels
@@ -246,8 +245,6 @@ class OctreeTexture:
         how = DEFAULT if threads is None and run is None else as_run(run, threads)
         task = inputs, answers.arrays, look_up, how
         is_crowded = inputs.keys() <= {"points", "normals"} and lookups.field.tiles is None
-        if is_crowded:
-            lookups.field.tiles_for(FILTERS.index(filter))
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             in_space(*task, self.placement, LEAST_SORTED)
         elif lookups.field.n_leaves >= _MANY_LEAVES or is_crowded:

@@ -157,10 +157,6 @@ class Octree:
         """Return which cells of a level are nodes. Raises ArgumentError if there is no such level."""
         return self.walked_to(level)[1]
 
-    def leaves(self, level: int) -> Int64s:
-        """Numbers of the leaves of a level. Raises ArgumentError like ``level_codes``."""
-        return np.flatnonzero(~self.is_node(level)) + int(self.arrays.level_cells[level])
-
     def leaf_cells(self) -> Int64s:
         """Numbers of all leaves, level by level."""
         is_node = np.concatenate([is_node for _, is_node in self.walk()])
