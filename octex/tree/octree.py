@@ -244,12 +244,12 @@ def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
         leaves = leaves_of.pop(level, nodes[:0])
         level_cells[level + 1] = nodes.size + leaves.size
         level_nodes[level + 1] = nodes.size
+        parents, node_masks, leaf_masks = _parents(nodes, leaves)
+        if nodes.size + leaves.size and not parents.size:
+            raise ArgumentError(f"leaves of level {level} overlap others, or are out of order")
         if level:
-            count = nodes.size + leaves.size
-            nodes, *level_masks = _parents(nodes, leaves)
-            if count and not nodes.size:
-                raise ArgumentError(f"leaves of level {level} overlap others, or are out of order")
-            masks.append((level_masks[0], level_masks[1]))
+            nodes = parents
+            masks.append((node_masks, leaf_masks))
     np.cumsum(level_cells, out=level_cells)
     np.cumsum(level_nodes, out=level_nodes)
     n_cells = int(level_cells[-1])
