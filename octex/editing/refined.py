@@ -40,14 +40,13 @@ class Below(NamedTuple):
 
 
 def refined_below(
-    texture: OctreeTexture, codes: Int64s, level: int, facings: Uint8s, executor: Executor | None = None
+    texture: OctreeTexture, codes: Int64s, level: int, facings: Uint8s, executor: Executor
 ) -> Below:
     """Refine a texture to cells (n,) of a level below its leaves, from their codes and facings."""
     blocks = [slice(begin, begin + _BLOCK) for begin in range(0, codes.size, _BLOCK)] or [slice(0)]
     tasks = [(codes[here], facings[here]) for here in blocks]
     refine = partial(_refined_below, texture, level)
-    done = [refine(each) for each in tasks] if executor is None else ordered_map(executor, refine, tasks)
-    values, is_split, rows = zip(*done, strict=True)
+    values, is_split, rows = zip(*ordered_map(executor, refine, tasks), strict=True)
     return Below(_joined(values), np.concatenate(is_split), _joined(rows))
 
 

@@ -142,20 +142,9 @@ class Field:
                 )
             yield above
 
-    def runs(
-        self,
-        points: Floats,
-        placement: Placement,
-        filter: str = "quadratic",
-        *,
-        normals: Float32s | None = None,
-    ) -> Iterator[Taps]:
-        """Yield the taps of runs of rest positions (n, 3); each is valid until the next.
-
-        With ``normals`` (n, 3) only visible taps. After the kept rows come those of the split table. Raises
-        NotFiniteError.
-        """
-        finder = Finder(self, placement, filter)
+    def blocks(self, points: Floats, placement: Placement, normals: Float32s | None) -> Iterator[Taps]:
+        """Yield the taps of ``quadratic`` for blocks of rest positions (n, 3), as `Finder.blocks` does."""
+        finder = Finder(self, placement, "quadratic")
         for _, taps in finder.blocks(points, self.weighing(self, normals is not None), normals):
             yield taps
 
@@ -199,6 +188,7 @@ class Finder:
         self._adds = adds
         self._walk: Walk | None = None
         self._taps: Taps | None = None
+        # Room for the numbers of a block's points: all of them, those plus one, without cells, for the walk.
         self._all = self._next = self._empty = self._rim = np.empty(0, np.int64)
         self.coords = np.empty((0, 3))  # of the latest block, in texture space
 

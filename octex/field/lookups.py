@@ -91,6 +91,7 @@ class Lookup:
         values = (alpha or channels[self._numbers[0]]).codes.values
         #: The first values to read, as bytes, for prefetching.
         self._rows: Uint8s = values.view(np.uint8).reshape(len(values), -1)
+        #: The channel if there is only one, and `look_up_tiled` takes it.
         self._channel: Weighed | None = None
         if len(channels) == 1:
             channel, weighing = channels[0], None if channels[0].is_alpha else alpha
