@@ -104,8 +104,10 @@ def ahead(*sections: str) -> Iterator[None]:
 
 def main() -> None:
     """Run a helper: compile its share of sections, the last lines first, while standard input lasts."""
+    from octex.jit.cache import WRITING  # before a second thread imports octex
+
     number, count = map(int, sys.argv[1:3])
-    threading.Thread(target=_watch, args=[_writing()], daemon=True).start()
+    threading.Thread(target=_watch, args=[WRITING], daemon=True).start()
     for line in lines(*sys.argv[3:])[::-1][number::count]:
         _compile(line)
 
@@ -126,14 +128,8 @@ def _compile(line: str) -> None:
         kernel.compiled.compile(arguments)
 
 
-def _writing() -> AbstractContextManager[Any]:
-    """Return the lock of unfinished files; import it before a second thread imports octex."""
-    from octex.jit.cache import WRITING
-
-    return WRITING
-
-
 def _watch(writing: AbstractContextManager[Any]) -> None:
+    """End this process with its input, but not while a file is unfinished."""
     os.read(0, 1)  # not sys.stdin, whose lock a thread must not hold when Python ends
     with writing:
         os._exit(0)

@@ -39,9 +39,7 @@ from octex.texture.channel import Channel, mixed_cells, stored
 from octex.texture.lookup import BLEED_THRESHOLD
 from octex.texture.texture import OctreeTexture, as_texture
 from octex.tree.layout import MAX_DEPTH, TreeArrays
-from octex.tree.search import Scratch as Search
-from octex.tree.search import fixed, nearest_cell, placed
-from octex.tree.search import new_scratch as new_search
+from octex.tree.search import Descent, fixed, nearest_cell, new_descent, placed
 
 #: A sequence indexed by 0, 1 and 2: an array or a tuple.
 Vector = Any
@@ -85,7 +83,7 @@ class Scratch(NamedTuple):
     """Scratch of lookups, and their memory from one point to the next. Use one a thread."""
 
     walk: Walk
-    search: Search
+    descent: Descent
     taps: Taps  # of one sample, then those that face a normal
     visible: Visible
     tiles: Int64s  # (8,)   the rows of 2×2×2 tiles
@@ -107,7 +105,7 @@ def new_scratch(arrays: LookupArrays) -> Scratch:
     tree = TreeArrays(arrays.groups, arrays.level_cells, arrays.level_nodes, arrays.flags, arrays.areas)
     return Scratch(
         new_walk(),
-        new_search(tree),
+        new_descent(tree),
         new_taps(1, (1 + MOST_ROWS) * MOST_TAPS, False),
         new_visible(),
         np.empty(8, np.int64),
@@ -303,7 +301,7 @@ def nearest(arrays: LookupArrays, point: Vector, scratch: Scratch) -> Color:
         cell, is_stored = look_in(tiles, 8 * row + int(code >> 8), int(code))
         if is_stored:
             return value_of(flat, min(cell, arrays.flags.size - 1), arrays.components)
-    cell, _ = nearest_cell(_tree_of(arrays, arrays.level_cells), x, y, z, scratch.search)
+    cell, _ = nearest_cell(_tree_of(arrays, arrays.level_cells), x, y, z, scratch.descent)
     return value_of(flat, cell, arrays.components)
 
 

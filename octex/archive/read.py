@@ -62,7 +62,7 @@ _BAD_DIRECTORY = "its directory is damaged; copy it again"
 Fetch = Callable[[Sequence[tuple[int, int]]], object]
 
 
-class Contents(NamedTuple):
+class Decoded(NamedTuple):
     """The content of an archive."""
 
     tensors: dict[str, Array]  # named, and ordered, as in a render file
@@ -106,7 +106,7 @@ def naming(place: object) -> Iterator[None]:
         raise TextureFileError(f"{place}: {error}") from error
 
 
-def read(path: str | os.PathLike[str]) -> Contents:
+def read(path: str | os.PathLike[str]) -> Decoded:
     """Decode an archive into memory, or a large one into a mapped temporary file.
 
     Every stream's checksum and every count is checked. Raises TextureFileError for a file that is missing,
@@ -198,7 +198,7 @@ class Decoding:
         return list(self._codings)
 
     @property
-    def contents(self) -> Contents:
+    def contents(self) -> Decoded:
         """The decoded content, zeros for the rest."""
         names = {STRUCTURE: "structure and flags", AREAS: "areas"}
         sizes = {
@@ -207,7 +207,7 @@ class Decoding:
         }
         sizes["other"] = sum(stream.length for *_, stream in self._others)
         sizes["directory"] = len(self._content) - self._end + START
-        return Contents(self._tensors, self._metadata, sizes)
+        return Decoded(self._tensors, self._metadata, sizes)
 
     def decode_all(self) -> None:
         """Decode everything."""

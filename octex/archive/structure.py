@@ -35,8 +35,8 @@ MOST = 8 * 9 + 3
 
 
 @inlined
-def children_of(groups: Uint64s, node: int) -> tuple[int, int, int, int]:
-    """Return the result of `children` in signed integers."""
+def signed_children(groups: Uint64s, node: int) -> tuple[int, int, int, int]:
+    """Return the result of `children`, with masks as signed integers."""
     nodes, stored, first_node, first_cell = children(groups, node)
     return int(np.int64(nodes)), int(np.int64(stored)), first_node, first_cell
 
@@ -54,12 +54,12 @@ def _descended(groups: Uint64s, begin: int, above: Uint32s, first: int, last: in
     room = np.empty((4, 7), np.int64)
     inner, stored, next_node, next_cell = room[0], room[1], room[2], room[3]
     for row in range(above.shape[0]):
-        inner[OWN], stored[OWN], next_node[OWN], next_cell[OWN] = children_of(groups, begin + row)
+        inner[OWN], stored[OWN], next_node[OWN], next_cell[OWN] = signed_children(groups, begin + row)
         for k in range(6):
             node = int(np.int64(above[row, NODES + k]))
             inner[k] = stored[k] = 0
             if node != NO_NODE:
-                inner[k], stored[k], next_node[k], next_cell[k] = children_of(groups, node)
+                inner[k], stored[k], next_node[k], next_cell[k] = signed_children(groups, node)
         child, bits = next_node[OWN], inner[OWN]
         while bits:
             octant = trailing_zeros(bits)
@@ -84,7 +84,7 @@ def _parent(groups: Uint64s, low: int, high: int, node: int) -> int:
     high -= 1
     while low < high:
         middle = low + high + 1 >> 1
-        if children_of(groups, middle)[2] <= node:
+        if signed_children(groups, middle)[2] <= node:
             low = middle
         else:
             high = middle - 1
@@ -116,7 +116,7 @@ def around_children(arrays: TreeArrays, block: Block, around: Uint32s) -> Int32s
     stored, firsts = np.empty(count, np.uint8), np.empty(count, np.int32)
     has_nodes = np.empty(count, np.uint8)
     for n in range(count):
-        inner, mask, _, cell = children_of(arrays.groups, first + n)
+        inner, mask, _, cell = signed_children(arrays.groups, first + n)
         has_nodes[n], stored[n], firsts[n] = inner != 0, mask, cell - begin
     masks, begins = np.zeros(7, np.int64), np.zeros(7, np.int64)
     t = 0
@@ -178,7 +178,7 @@ def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Cod
         index = node - first
         is_node = is_leaf = 0
         if not decodes:
-            is_node, stored, _, _ = children_of(groups, node)
+            is_node, stored, _, _ = signed_children(groups, node)
             is_leaf = stored ^ is_node
         elif node & 7 == 0:
             groups[node >> 3, 0] = 0

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from octex.archive.layout import KEPT_NAME, SPLIT_NAMES, TREE_NAMES, WEB_MAGIC, DamagedError, channel_names
-from octex.archive.read import Contents, naming
+from octex.archive.read import Decoded, naming
 from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts
 from octex.channels import decode
 from octex.errors import ModelError
@@ -32,7 +32,7 @@ _AGAIN = "write it again"
 _FAULTS = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError)
 
 
-def read(path: str | os.PathLike[str]) -> Contents:
+def read(path: str | os.PathLike[str]) -> Decoded:
     """Read a web file, or the one in a .glb or .gltf file with the extension EXT_octree_texture.
 
     Raises TextureFileError for a file that is missing, damaged, of another version or without an octree.
@@ -185,7 +185,7 @@ def apart(values: Uint8s) -> Uint8s:
     return np.stack([values[:, 0] - values[:, 1], values[:, 1], values[:, 2] - values[:, 1]], axis=1)
 
 
-def _read(content: bytes) -> Contents:
+def _read(content: bytes) -> Decoded:
     if len(content) < _HEAD or not content.startswith(WEB_MAGIC):
         raise DamagedError(f"is damaged: no octex web file; {_AGAIN}")
     version, length = struct.unpack_from("<II", content, len(WEB_MAGIC))
@@ -198,7 +198,7 @@ def _read(content: bytes) -> Contents:
         raise DamagedError(f"is damaged, in header; {_AGAIN}") from None
 
 
-def _contents(header: dict[str, Any], content: bytes, first: int) -> Contents:
+def _contents(header: dict[str, Any], content: bytes, first: int) -> Decoded:
     """Return the content, with streams from ``first`` on; raises one of ``_FAULTS`` for a bad header."""
     parts = header["parts"]
     if len(parts) != 1:
@@ -226,7 +226,7 @@ def _contents(header: dict[str, Any], content: bytes, first: int) -> Contents:
             for level in range(*levels):
                 tree.take_level(level, stream)
     placement = {"origin": corner, "size": size}
-    return Contents(_tensors(tree, forms), _metadata(forms, placement, bounds), {})
+    return Decoded(_tensors(tree, forms), _metadata(forms, placement, bounds), {})
 
 
 def _tensors(tree: _Tree, forms: dict[str, tuple[str, float, float]]) -> dict[str, Array]:

@@ -61,7 +61,7 @@ def write(
     path: str | os.PathLike[str],
     tensors: Mapping[str, Array],
     metadata: Mapping[str, str],
-    max_error: int = 0,
+    max_error: int,
 ) -> None:
     """Write the tensors and metadata of a texture's render file.
 
@@ -97,10 +97,10 @@ def write(
             for stream in streams:
                 file.write(stream)
                 records += [len(stream), zlib.crc32(stream)]
-        told: list[Array] = [*content.arrays[1:3]]
+        described: list[Array] = [*content.arrays[1:3]]
         for form, weights in codings.values():
-            told += [np.array([form.error, form.unit], "<u4"), weights.astype("<i4")]
-        begins = b"".join(array.tobytes() for array in [*told, *root_arrays(content, place)])
+            described += [np.array([form.error, form.unit], "<u4"), weights.astype("<i4")]
+        begins = b"".join(array.tobytes() for array in [*described, *root_arrays(content, place)])
         parts = first[8:].rstrip(b" "), begins, np.array(records, "<u4").tobytes()
         begin, sizes = file.tell(), np.array([len(part) for part in parts], "<u4").tobytes()
         directory = sizes + packed(b"".join(parts))

@@ -298,7 +298,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         strides.append(stride)
         normals = job.samples.normals[members].astype(np.float32) if job.is_facing else None
         points = sample_points(job.samples, members, UNIT)
-        for taps in job.field.runs(points, UNIT, normals=normals):
+        for taps in job.field.blocks(points, UNIT, normals):
             room = int((taps.ends - taps.starts).sum())
             outside = outside.with_room(room)
             ends = np.empty(taps.starts.size, np.int64)
@@ -398,7 +398,7 @@ def _facing_apart(tree: Octree, leaves: Leaves, samples: Samples, executor: Exec
         for begin in range(0, mixed.size, _BLOCK):
             block = mixed[begin : begin + _BLOCK]
             normals = samples.normals[block].astype(np.float32)
-            for each in field.runs(sample_points(samples, block, UNIT), UNIT, normals=normals):
+            for each in field.blocks(sample_points(samples, block, UNIT), UNIT, normals):
                 taps = listed(each)
                 used = slice(0, taps.starts[-1])
                 rows = taps.rows[used][taps.weights[used] >= _LEAST_WEIGHT].astype(np.int64)

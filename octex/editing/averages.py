@@ -44,11 +44,11 @@ _LIMITS = {"srgb": (0.0, 1.0), "linear": (0.0, 1.0), "data": (-np.inf, np.inf), 
 #: memory.
 _FEW = 1 << 16
 #: Maps cells (n,), their values and the means of their children, decoded (n, components), to residuals.
-Change = Callable[[Int64s, Float64s, Float64s], Float64s]
+ResidualsOf = Callable[[Int64s, Float64s, Float64s], Float64s]
 
 
-def difference(_cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
-    """Return unchanged residuals."""
+def as_they_are(_cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
+    """Return the residuals of values."""
     return values - means
 
 
@@ -59,13 +59,7 @@ class Residuals(NamedTuple):
     rows: Floats  # (rows of these nodes, components)
 
 
-def _alpha_values(texture: OctreeTexture, name: str) -> Array | None:
-    """Return stored alpha (cells, 1) if it weights the averages of a channel."""
-    alpha = _alpha_channel(texture, name)
-    return None if alpha is None else alpha.values
-
-
-def _alpha_channel(texture: OctreeTexture, name: str) -> Channel | None:
+def _alpha_for(texture: OctreeTexture, name: str) -> Channel | None:
     """Return the channel that weights the averages of a channel, if the texture has it."""
     alpha = alpha_of(name)
     return None if alpha is None else texture.channels.get(alpha)
@@ -77,30 +71,30 @@ def coverage(alpha: Array) -> Float32s:
 
 
 def residuals(
-    texture: OctreeTexture, name: str, nodes: Nodes | None = None, change: Change = difference
+    texture: OctreeTexture, name: str, nodes: Nodes | None = None, change: ResidualsOf = as_they_are
 ) -> Residuals:
     """Return the mapped residuals of nodes, by default of all."""
     tree, channel = texture.tree, texture.channels[name]
     nodes = all_nodes(tree) if nodes is None else nodes
-    form, alpha = channel.format, _alpha_values(texture, name)
+    form, alpha = channel.format, _alpha_for(texture, name)
     precise = np.float64 if form.dtype == "float32" else np.float32
     of_nodes = np.zeros((nodes.cells.size, form.components), precise)
     for here in [slice(None)] if 0 < nodes.cells.size <= _FEW else by_level(tree, nodes):
         cells = nodes.cells[here]
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
-        _keep_apart(form, channel.values.take(cells, axis=0), means, cells, change, of_nodes[here])
+        _write_residuals(form, channel.values.take(cells, axis=0), means, cells, change, of_nodes[here])
     of_rows = np.zeros((rows_of(tree.split, nodes.cells).rows.size, form.components))
     for here, rows, owners in rows_by_level(tree, nodes):
         means, has = _row_means(texture, channel, rows, owners)
         stored = channel.split_values[rows.rows[has]]
         changed = np.zeros((stored.shape[0], form.components))
-        _keep_apart(form, stored, means[has], rows.cells[has], change, changed)
+        _write_residuals(form, stored, means[has], rows.cells[has], change, changed)
         of_rows[here][has] = changed
     return Residuals(of_nodes, of_rows)
 
 
-def _keep_apart(
-    form: ChannelFormat, stored: Array, means: Float64s, cells: Int64s, change: Change, out: Floats
+def _write_residuals(
+    form: ChannelFormat, stored: Array, means: Float64s, cells: Int64s, change: ResidualsOf, out: Floats
 ) -> None:
     """Write the mapped residuals of stored values (n, components) where these differ from the means."""
     differs = encode(means, form.dtype, form.space) != stored
@@ -145,7 +139,7 @@ def average(
     """
     tree, form, limits = texture.tree, channel.format, limits or limits_of(channel)
     nodes = all_nodes(tree) if nodes is None else nodes
-    alpha = _alpha_values(texture, form.name)
+    alpha = _alpha_for(texture, form.name)
     for here in reversed(by_level(tree, nodes)):
         means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
         made = means if left is None else with_residuals(limits, means, left.nodes[here])
@@ -199,12 +193,12 @@ def with_residuals(limits: tuple[float, float], means: Float64s, left: Floats) -
 
 
 def child_means(
-    tree: Octree, numbers: Int64s, values: Array, space: ColorSpace, alpha: Array | None
+    tree: Octree, numbers: Int64s, values: Array, space: ColorSpace, alpha: Channel | None
 ) -> Float64s:
     """Return the decoded means of the children of nodes (n, components).
 
     ``numbers`` (n,) number the nodes of the tree. Stored ``values`` (cells, components) are weighted by area,
-    and by stored ``alpha`` (cells, 1).
+    and by ``alpha``.
     """
     means = np.zeros((numbers.size, values.shape[1]))
     firsts, counts = children_of(tree.arrays.groups, numbers)
@@ -218,7 +212,7 @@ def child_means(
         starts = np.cumsum(counts) - counts
         children = in_runs(firsts, counts)
         children = np.clip(children, 0, tree.n_cells - 1)
-    weights = NO_TABLE if alpha is None else coverage(alpha[children])
+    weights = NO_TABLE if alpha is None else coverage(alpha.values[children])
     areas = tree.arrays.areas[children], AREAS
     _means(starts, counts, *areas, weights, *_as_codes(values[children], space), means)
     return means
@@ -278,7 +272,7 @@ def _row_means(
     """Return the means (n, components) of children's values by the rows' facings, and which rows have any."""
     tree = texture.tree
     children, bits, starts, shares = _row_shares(tree, tree.split.areas, rows, owners)
-    alpha = _alpha_channel(texture, channel.format.name)
+    alpha = _alpha_for(texture, channel.format.name)
     if alpha is not None:
         shares *= np.maximum(rows_facing(texture, alpha, children, bits)[:, 0], LEAST_COVERAGE)
     values = rows_facing(texture, channel, children, bits) * shares[:, None]

@@ -248,7 +248,7 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
         is_open = is_node & among(codes, opened)
         closed.append(is_node & ~is_open)
         codes, numbers = codes[is_open], numbers[is_open[is_node]]
-        nodes.append(Runs.of_numbers(np.zeros_like(numbers), numbers))
+        nodes.append(Runs.of_numbers(numbers))
     add_below([tree], cells, nodes)
     turned = np.concatenate(closed)
     made = joined_runs([texture], texture, cells, nodes, turned)
@@ -299,7 +299,7 @@ def numbers_in(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> In
         place[here] = np.where(is_node | where.is_leaf, where.cells, -1)
         numbers = where.nodes[is_node]
     cells: list[Runs] = []
-    add_below([tree], cells, [Runs.of_numbers(np.zeros_like(numbers), numbers)])
+    add_below([tree], cells, [Runs.of_numbers(numbers)])
     below = np.concatenate([numbers[:0], *(runs.numbers() for runs in cells)])
     place[place.size - below.size :] = below
     return place

@@ -14,6 +14,7 @@ from octex.channels import alpha_of, decode, encode
 from octex.editing.averages import weighted_means
 from octex.editing.split import differ, with_split
 from octex.field.neighborhood import refined_taps
+from octex.field.taps import TapList
 from octex.jit import kernel
 from octex.parallel import ordered_map
 from octex.texture import Channel, OctreeTexture
@@ -27,7 +28,7 @@ _BLOCK = 1 << 14
 _FAINT = np.float32(1e-6)
 #: Weight of a hidden tap, relative to a visible one: it counts only where no other does.
 _AWAY = np.float32(1e-6)
-_NO_TAPS = np.empty(0, np.uint32), np.empty(0, np.float32)
+_NO_TAPS = TapList(np.zeros(1, np.int64), np.empty(0, np.uint32), np.empty(0, np.float32))
 
 
 class Below(NamedTuple):
@@ -38,23 +39,14 @@ class Below(NamedTuple):
     rows: dict[str, Float32s]  # (rows, components)   of the split cells
 
 
-class _Taps(NamedTuple):
-    """The taps of refined cells (n,), or of their facings."""
-
-    starts: Int64s  # (n + 1,)
-    rows: Uint32s  # of cells, followed by those of kept coefficients
-    weights: Float32s
-
-
 def refined_below(
-    texture: OctreeTexture, codes: Int64s, level: int, facings: Uint8s, executor: Executor | None = None
+    texture: OctreeTexture, codes: Int64s, level: int, facings: Uint8s, executor: Executor
 ) -> Below:
     """Refine a texture to cells (n,) of a level below its leaves, from their codes and facings."""
     blocks = [slice(begin, begin + _BLOCK) for begin in range(0, codes.size, _BLOCK)] or [slice(0)]
     tasks = [(codes[here], facings[here]) for here in blocks]
     refine = partial(_refined_below, texture, level)
-    done = [refine(each) for each in tasks] if executor is None else ordered_map(executor, refine, tasks)
-    values, is_split, rows = zip(*done, strict=True)
+    values, is_split, rows = zip(*ordered_map(executor, refine, tasks), strict=True)
     return Below(_joined(values), np.concatenate(is_split), _joined(rows))
 
 
@@ -65,7 +57,7 @@ def _joined(parts: Sequence[Mapping[str, Float32s]]) -> dict[str, Float32s]:
 def _refined_below(texture: OctreeTexture, level: int, task: tuple[Int64s, Uint8s]) -> Below:
     codes, facings = task
     tree, channels = texture.tree, texture.channels
-    taps = _Taps(*refined_taps(tree, codes, level))
+    taps = refined_taps(tree, codes, level)
     values = _blended(channels, taps)
     sees_apart = np.zeros(codes.size, np.bool_)
     _see_apart(taps, tree.arrays.flags, tree.kept.cells, facings, sees_apart)
@@ -96,7 +88,7 @@ def refined_values(
     tree: Octree, channels: Mapping[str, Channel], codes: Int64s, level: int
 ) -> dict[str, Float32s]:
     """Return refined channels in cells of a level below leaves, decoded; alpha weights the others."""
-    return _blended(channels, _Taps(*refined_taps(tree, codes, level)))
+    return _blended(channels, refined_taps(tree, codes, level))
 
 
 def refined_rows(texture: OctreeTexture, codes: Int64s, level: int, bits: Uint8s) -> dict[str, Float32s]:
@@ -105,16 +97,16 @@ def refined_rows(texture: OctreeTexture, codes: Int64s, level: int, bits: Uint8s
     Taps that face only the opposite way are hidden. Taps that face sideways are not: a normal between two
     facings sees both.
     """
-    blocks = [_blended(texture.channels, _Taps(np.zeros(1, np.int64), *_NO_TAPS))]
+    blocks = [_blended(texture.channels, _NO_TAPS)]
     for begin in range(0, codes.size, _BLOCK):
         here = slice(begin, begin + _BLOCK)
         distinct_codes, owners = np.unique(codes[here], return_inverse=True)
-        taps = _Taps(*refined_taps(texture.tree, distinct_codes, level))
+        taps = refined_taps(texture.tree, distinct_codes, level)
         blocks.append(_blended(texture.channels, *_facing(texture.tree, taps, owners, bits[here])))
     return _joined(blocks)
 
 
-def _facing(tree: Octree, taps: _Taps, owners: Int64s, bits: Uint8s) -> tuple[_Taps, Bools, Int64s]:
+def _facing(tree: Octree, taps: TapList, owners: Int64s, bits: Uint8s) -> tuple[TapList, Bools, Int64s]:
     """Return the taps of cells' facings, which of them have rows in the split table, and these rows."""
     counts = np.diff(taps.starts)[owners]
     starts = np.cumsum(np.concatenate([[0], counts]))
@@ -125,11 +117,11 @@ def _facing(tree: Octree, taps: _Taps, owners: Int64s, bits: Uint8s) -> tuple[_T
     cells[is_kept] = tree.kept.cells[cells[is_kept] - tree.n_cells]
     facings = tree.arrays.flags[cells] & np.uint8(FACING_FLAGS)
     weights[(facings & bits == 0) & (facings & OPPOSITE[bits] != 0)] *= _AWAY
-    return _Taps(starts, rows, weights), *find_rows(tree.split, cells, bits)
+    return TapList(starts, rows, weights), *find_rows(tree.split, cells, bits)
 
 
 def _blended(
-    channels: Mapping[str, Channel], taps: _Taps, there: Bools | None = None, own_rows: Int64s | None = None
+    channels: Mapping[str, Channel], taps: TapList, there: Bools | None = None, own_rows: Int64s | None = None
 ) -> dict[str, Float32s]:
     """Blend channels, decoded; taps in ``there`` use ``own_rows`` of the split table."""
 
@@ -155,7 +147,7 @@ def _blended(
 
 
 @kernel
-def _see_apart(taps: _Taps, flags: Uint8s, kept_cells: Uint32s, facings: Uint8s, sees_apart: Bools) -> None:
+def _see_apart(taps: TapList, flags: Uint8s, kept_cells: Uint32s, facings: Uint8s, sees_apart: Bools) -> None:
     """Mark cells (n,) whose facings may differ in value: a tap is split, or hidden from a facing."""
     for n in range(facings.size):
         if facings[n] == 0:

@@ -33,9 +33,9 @@ class Runs(NamedTuple):
         return cls(owners[~follows[:-1]], begins[~follows[:-1]], ends[~follows[1:]])
 
     @classmethod
-    def of_numbers(cls, owners: Int64s, numbers: Int64s) -> Runs:
-        """Return the runs of consecutive numbers of one owner."""
-        return cls.joined((owners, numbers, numbers + 1))
+    def of_numbers(cls, numbers: Int64s) -> Runs:
+        """Return the runs of consecutive numbers of the first texture."""
+        return cls.joined((np.zeros_like(numbers), numbers, numbers + 1))
 
     def numbers(self) -> Int64s:
         """Return all numbers of the runs."""

@@ -95,10 +95,10 @@ def without_split(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
 def split_in_vain(texture: OctreeTexture, cells: Int64s) -> Int64s:
     """Return the split cells, ascending, whose facings all equal the cell's value."""
     rows = rows_of(texture.tree.split, cells)
-    is_told = np.zeros(rows.rows.size, np.bool_)
+    is_apart = np.zeros(rows.rows.size, np.bool_)
     for channel in texture.channels.values():
-        is_told |= differ(channel.format, channel.split_values[rows.rows], channel.values[rows.cells])
-    return cells[~among(cells, rows.cells[is_told])]
+        is_apart |= differ(channel.format, channel.split_values[rows.rows], channel.values[rows.cells])
+    return cells[~among(cells, rows.cells[is_apart])]
 
 
 def refaced(texture: OctreeTexture) -> OctreeTexture:

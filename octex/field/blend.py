@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint32s
+from octex.arrays import Float32s, Float64s, Int32s, Uint32s
 from octex.field.taps import (
     AT_ONCE,
     NO_FIVE,
@@ -16,6 +16,7 @@ from octex.field.taps import (
     Five,
     Flat,
     Four,
+    TapList,
     Taps,
     end_of,
     flat_of,
@@ -123,17 +124,6 @@ def _sum_slopes(
     return (ax, ay, az), (bx, by, bz), (cx, cy, cz), (dx, dy, dz), (ox, oy, oz)
 
 
-@inlined
-def _sum_any_slopes(
-    taps: Taps, n: int, flat: Flat, components: int, mean: Four
-) -> tuple[Three, Three, Three, Three, Three]:
-    if components == 3:
-        return _sum_slopes(taps, n, flat, 3, mean)
-    if components == 1:
-        return _sum_slopes(taps, n, flat, 1, mean)
-    return _sum_slopes(taps, n, flat, components, mean)
-
-
 @fused_kernel
 def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, gradients: Float32s) -> None:
     """Write the derivatives of the known mean: Σ w′·(v − mean) / Σ w, times ``scale``.
@@ -148,7 +138,7 @@ def blend_slopes(taps: Taps, codes: Codes, scale: float, results: Float32s, grad
             total += np.float64(taps.weights[np.uint64(tap)])
         factor = scale / total if total > 0.0 else 0.0
         mean = value_at(flat_results, flat.table, np.uint64(n * components), components)
-        slopes = _sum_any_slopes(taps, n, flat, components, mean)
+        slopes = _sum_slopes(taps, n, flat, components, mean)
         for component in range(components):
             for axis in range(3):
                 gradients[n, component, axis] = slopes[component][axis] * factor
@@ -193,7 +183,6 @@ def _add_to(sums: Sums, owner: np.uint64, factor: float, five: Five, components:
 def add_up(
     taps: Taps,
     codes: Codes,
-    is_prefetched: bool,
     owners: Int32s,
     shares: Float32s,
     share_slopes: Float32s,
@@ -207,15 +196,14 @@ def add_up(
     gradient = sums.total_slopes.shape[0] > 0
     for begin in range(0, taps.starts.size, AT_ONCE):
         end = min(begin + AT_ONCE, taps.starts.size)
-        if not is_prefetched:
-            _prefetch_rows(taps, begin, end, codes)
+        _prefetch_rows(taps, begin, end, codes)
         for n in range(begin, end):
             five = _sum_any(taps, n, flat, components)
             owner = np.uint64(owners[np.uint64(n)])
             share = np.float64(shares[np.uint64(n)])
             _add_to(sums, owner, share, five, components)
             if gradient:
-                slopes = _sum_any_slopes(taps, n, flat, components, (0.0, 0.0, 0.0, 0.0))
+                slopes = _sum_slopes(taps, n, flat, components, (0.0, 0.0, 0.0, 0.0))
                 for axis in range(3):
                     share_slope = np.float64(share_slopes[n, axis])
                     sums.total_slopes[owner, axis] += share * slopes[4][axis] + share_slope * five[4]
@@ -306,28 +294,16 @@ def weigh_by_alpha(taps: Taps, alpha: Codes, is_prefetched: bool, always: bool) 
             taps.slopes[at, axis] *= parts[at]
 
 
-class Listed(NamedTuple):
-    """The taps of points, one point after another.
-
-    A row is a cell's number, of a leaf or, off the surface, of a node. After the cells come the rows of the
-    kept table, then those of the split table.
-    """
-
-    starts: Int64s  # (points + 1,)   a point's taps are those from its start to the next one's
-    rows: Uint32s | Int64s  # (taps,)
-    weights: Float32s  # (taps,)   1 in sum for each point
-
-
-def joined(lists: Sequence[Listed]) -> Listed:
+def joined(lists: Sequence[TapList]) -> TapList:
     """Concatenate lists of taps."""
-    no_taps = Listed(np.zeros(1, np.int64), np.empty(0, np.uint32), np.empty(0, np.float32))
+    no_taps = TapList(np.zeros(1, np.int64), np.empty(0, np.uint32), np.empty(0, np.float32))
     parts = [(np.diff(each.starts), *each[1:]) for each in (no_taps, *lists)]
     counts, *columns = map(np.concatenate, zip(*parts, strict=True))
-    return Listed(np.cumsum(np.append(0, counts)), *columns)
+    return TapList(np.cumsum(np.append(0, counts)), *columns)
 
 
 @kernel
-def listed(taps: Taps) -> Listed:
+def listed(taps: Taps) -> TapList:
     """List the taps that have weight; weights sum to 1 for each point."""
     room = 1
     for n in range(taps.starts.size):
@@ -345,4 +321,4 @@ def listed(taps: Taps) -> Listed:
             rows[end], weights[end] = taps.rows[tap], weight
             end += bool(weight > 0.0)
         starts[n + 1] = end
-    return Listed(starts, rows[:end], weights[:end])
+    return TapList(starts, rows[:end], weights[:end])

@@ -38,7 +38,6 @@ from octex.tree.search import Positions, nearest_cells
 _WALKED = 24
 NO_BYTES = np.empty(0, np.uint8)
 NO_VECTORS = np.empty((0, 3), np.float32)
-_NO_DOUBLES = np.empty((0, 3))
 _NO_ROWS: Uint8s = np.empty((1, 1), np.uint8)
 #: The part of probes that mixes opposite facings, and its derivatives; empty if not wanted.
 Passed = tuple[Float32s, Float32s]
@@ -52,12 +51,6 @@ class NotFiniteError(ValueError):
     def __init__(self, row: int) -> None:
         super().__init__(f"points[{row}] is not finite")
         self.row = row
-
-
-def positions(points: Floats) -> Positions:
-    """Return rest positions (n, 3) as kernels take them, like `Positions.of`."""
-    points = unlocked(points)
-    return Positions(points, _NO_DOUBLES) if points.itemsize == 4 else Positions(NO_VECTORS, points)
 
 
 class Field:
@@ -149,20 +142,9 @@ class Field:
                 )
             yield above
 
-    def runs(
-        self,
-        points: Floats,
-        placement: Placement,
-        filter: str = "quadratic",
-        *,
-        normals: Float32s | None = None,
-    ) -> Iterator[Taps]:
-        """Yield the taps of runs of rest positions (n, 3); each is valid until the next.
-
-        With ``normals`` (n, 3) only visible taps. After the kept rows come those of the split table. Raises
-        NotFiniteError.
-        """
-        finder = Finder(self, placement, filter)
+    def blocks(self, points: Floats, placement: Placement, normals: Float32s | None) -> Iterator[Taps]:
+        """Yield the taps of ``quadratic`` for blocks of rest positions (n, 3), as `Finder.blocks` does."""
+        finder = Finder(self, placement, "quadratic")
         for _, taps in finder.blocks(points, self.weighing(self, normals is not None), normals):
             yield taps
 
@@ -206,6 +188,7 @@ class Finder:
         self._adds = adds
         self._walk: Walk | None = None
         self._taps: Taps | None = None
+        # Room for the numbers of a block's points: all of them, those plus one, without cells, for the walk.
         self._all = self._next = self._empty = self._rim = np.empty(0, np.int64)
         self.coords = np.empty((0, 3))  # of the latest block, in texture space
 
@@ -227,7 +210,7 @@ class Finder:
             block = slice(begin, begin + BLOCK)
             some = points[block]
             self.coords = memory[: len(some)]
-            fault = to_coordinates(positions(some), *self._placement, self.coords)
+            fault = to_coordinates(Positions.of(some), *self._placement, self.coords)
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
             taps = self.find(self.coords, rows)
@@ -302,7 +285,7 @@ class Finder:
     def _nearest(self, coords: Float64s, taps: Taps) -> Taps:
         tree, n = self.field.tree, len(coords)
         cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
-        nearest_cells(tree.arrays, positions(coords), (0.0, 0.0, 0.0), 1.0, cells, held)
+        nearest_cells(tree.arrays, Positions.of(coords), (0.0, 0.0, 0.0), 1.0, cells, held)
         taps.rows[:n], taps.weights[:n] = cells, np.where(held, np.float32(1), OFF)
         taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], held
         return taps

@@ -238,7 +238,6 @@ def _count(
     depth: int,
     rows: int,
     least: float,
-    room: int,
     counts: Int64s,
 ) -> int:
     """Count probes by level (depth + 1,) from point ``first`` on, while they fit; return the end."""
@@ -249,7 +248,7 @@ def _count(
             _, along, across = _lay(shape.widths[n], shape.lengths[n], rows, least)
             probes = (2 * _steps(along) + 1) * (2 if across > 0.0 else 1)
         total += probes
-        if total > room and n > first:
+        if total > _ROOM and n > first:
             return n
         lower, before, at_lower, after = _level_shares(levels[n], depth, shape.sharpness)
         counts[max(lower - 1, 0)] += probes * (before != 0.0)
@@ -338,7 +337,7 @@ def spread(
     first = 0
     while first < len(points):
         counts = np.zeros(depth + 1, np.int64)
-        end = _count(shape, levels, first, depth, rows, least, _ROOM, counts)
+        end = _count(shape, levels, first, depth, rows, least, counts)
         starts = np.concatenate([[0], np.cumsum(counts)])
         coords, owners = np.empty((starts[-1], 3), points.dtype), np.empty(starts[-1], np.int32)
         shares = np.empty(starts[-1], np.float32)

@@ -7,25 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint32s
-from octex.field.blend import Listed, joined, listed
+from octex.arrays import Float64s, Floats, Int64s, Uint32s
+from octex.field.blend import joined, listed
 from octex.field.lookups import Lookup
-from octex.field.taps import Taps
+from octex.field.taps import TapList, Taps
 from octex.tree.morton import encode_cells
 from octex.tree.octree import distinct
 
 _NO_ROWS = np.empty(0, np.uint32)
-
-
-class TapList(NamedTuple):
-    """The taps of points in compressed sparse rows: a point's value is Σ weights · values over its taps.
-
-    Rows count cells, then kept nodes, then the facings of split cells.
-    """
-
-    starts: Int64s  # (n + 1,)   a point's taps are those from its start to the next one's
-    rows: Int64s  # (taps,)   none twice for a point
-    weights: Float32s  # (taps,)   1 in sum for each point
 
 
 class Reads(NamedTuple):
@@ -38,18 +27,18 @@ class Reads(NamedTuple):
 class Listing(Lookup):
     """Lists lookups of one channel. All methods raise NotFiniteError."""
 
-    def blends(self, points: Floats) -> Listed:
+    def blends(self, points: Floats) -> TapList:
         """List the taps of points."""
         return joined(
             list(self._leaves(points) if self._query.footprints is None else self._of_probes(points))
         )
 
-    def _leaves(self, points: Floats) -> Iterator[Listed]:
+    def _leaves(self, points: Floats) -> Iterator[TapList]:
         for _, taps in self.each_block(points):
             self._weigh_all(taps, always=False)
             yield listed(taps)
 
-    def _of_probes(self, points: Floats) -> Iterator[Listed]:
+    def _of_probes(self, points: Floats) -> Iterator[TapList]:
         """List the taps of footprints: probes at all levels, added up."""
         for run, by_level in self.each_run(points):
             n_points = run.stop - run.start
@@ -76,7 +65,7 @@ class Listing(Lookup):
                 row = np.concatenate([row, more.rows])[order]
                 part = np.concatenate([part, more.weights])[order]
             starts = np.cumsum(np.append(0, np.bincount(owner, minlength=n_points)))
-            yield Listed(starts, row, part.astype(np.float32))
+            yield TapList(starts, row, part.astype(np.float32))
 
     def reads(self, points: Floats) -> dict[int, Reads]:
         """List the rows and cells read, by level."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int64s, Uint32s
+from octex.arrays import Float64s, Int64s, Uint32s
 from octex.field.splines import (
     LINEAR,
     QUADRATIC,
@@ -23,7 +23,7 @@ from octex.field.splines import (
     quartic_slopes,
     quartic_weights,
 )
-from octex.field.taps import LEAST, OFF, Taps, new_taps
+from octex.field.taps import LEAST, OFF, TapList, Taps, new_taps
 from octex.field.windows import (
     BEGIN,
     CONTENT,
@@ -252,11 +252,10 @@ def walked_taps(
     return which.size, end
 
 
-def refined_taps(tree: Octree, codes: Int64s, level: int) -> tuple[Int64s, Uint32s, Float32s]:
-    """Find the taps that the quadratic field refines to cells (n,) of a level, below leaves of a tree.
+def refined_taps(tree: Octree, codes: Int64s, level: int) -> TapList:
+    """List the taps that the quadratic field refines to cells (n,) of a level, below leaves of a tree.
 
-    ``codes`` are Morton codes. Returns starts (n + 1,), rows and weights; a cell without refinement has no
-    taps.
+    ``codes`` are Morton codes. A cell without refinement has no taps.
     """
     walk = new_walk()
     counts = np.zeros(codes.size, np.int64)
@@ -267,7 +266,7 @@ def refined_taps(tree: Octree, codes: Int64s, level: int) -> tuple[Int64s, Uint3
         begin, end = _refine_cells(tree.arrays, tree.kept.cells, codes, begin, level, walk, counts, some)
         rows.append(some.rows[:end].copy())
         weights.append(some.weights[:end].copy())
-    return np.cumsum(np.append(0, counts)), np.concatenate(rows), np.concatenate(weights)
+    return TapList(np.cumsum(np.append(0, counts)), np.concatenate(rows), np.concatenate(weights))
 
 
 @kernel

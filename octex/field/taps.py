@@ -77,6 +77,17 @@ class Taps(NamedTuple):
     covers: Float32s  # (points,)
 
 
+class TapList(NamedTuple):
+    """The taps of points in compressed sparse rows: a point's value is Σ weights · values over its taps.
+
+    Rows are numbered as those of `Taps`.
+    """
+
+    starts: Int64s  # (n + 1,)   a point's taps are those from its start to the next one's
+    rows: Uint32s | Int64s  # (taps,)   none twice for a point
+    weights: Float32s  # (taps,)   1 in sum for each point
+
+
 @kernel
 def new_taps(points: int, room: int, gradient: bool) -> Taps:
     """Return room for the taps of points."""

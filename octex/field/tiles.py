@@ -18,6 +18,7 @@ cached.
 
 from __future__ import annotations
 
+from itertools import islice
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -31,7 +32,7 @@ from octex.tree.children import children, rank_in
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode, decode_cells
 from octex.tree.neighbours import with_boundary
-from octex.tree.octree import Octree
+from octex.tree.octree import Octree, distinct
 
 #: Deepest level of the dense grid, which then takes 128 kB.
 MOST_TOP_LEVEL = 5
@@ -87,7 +88,8 @@ def build_tiles(tree: Octree) -> Tiles:
         offset = 0 if of_cells else row - level_nodes[level + 3]
         _fill_tiles(groups, first, of_cells, offset, masks[some], firsts[some])
     top = np.full((1 << top_level,) * 3, rows, np.int32)
-    cells = decode_cells(tree.level_codes(top_level)[tree.is_node(top_level)])
+    codes, is_node = tree.walked_to(top_level)
+    cells = decode_cells(codes[is_node])
     top[tuple(cells.T[::-1])] = np.arange(len(cells))
     return Tiles(depth, top_level, top.reshape(-1), masks, firsts, _NO_MARKS)
 
@@ -113,26 +115,22 @@ def marked(tiles: Tiles, tree: Octree) -> Tiles:
     """
     depth, firsts = tiles.depth, tree.arrays.level_cells
     marks = np.zeros(int(firsts[depth + 1]) + 63 >> 6, np.uint64)
-    _mark(tiles, _distinct(tree.level_codes(depth)[tree.is_node(depth)] >> 6), 0, 1, marks)
-    octants = _distinct(tree.level_codes(depth) >> 6)
-    for level in range(depth):
-        counts, kept = ~tree.is_node(level), tree.kept.cells.astype(np.int64) - int(firsts[level])
+    codes, is_node = tree.walked_to(depth)
+    _mark(tiles, distinct(codes[is_node] >> 6), 0, 1, marks)
+    octants = distinct(codes >> 6)
+    for level, (codes, is_node) in enumerate(islice(tree.walk(), depth)):
+        counts, kept = ~is_node, tree.kept.cells.astype(np.int64) - int(firsts[level])
         counts[kept[(kept >= 0) & (kept < counts.size)]] = True
         if not counts.any():
             continue
         up = max(depth - 2 - level, 0)
         reach = (1 << up) + (level <= depth - 2)
-        blocks = _distinct(tree.level_codes(level)[counts] >> 3 * max(level - depth + 2, 0))
-        near = _distinct(octants >> 3 * up)
+        blocks = distinct(codes[counts] >> 3 * max(level - depth + 2, 0))
+        near = distinct(octants >> 3 * up)
         for _ in range(2):
             near = with_boundary(near, depth - 2 - up)
         _mark(tiles, np.intersect1d(blocks, near, assume_unique=True), up, reach, marks)
     return tiles._replace(marks=marks)
-
-
-def _distinct(codes: Int64s) -> Int64s:
-    """Return ascending codes, each once."""
-    return codes[np.flatnonzero(np.diff(codes, prepend=-1))]
 
 
 @kernel

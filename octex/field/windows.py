@@ -68,7 +68,7 @@ class Walk(NamedTuple):
 
 
 class Way(NamedTuple):
-    """A walk through a tree for a filter."""
+    """What all steps of a walk share: the tree, the filter, and the memory."""
 
     arrays: TreeArrays
     kept_cells: Uint32s  # (kept nodes,)   ascending, the nodes flagged KEPT

@@ -154,19 +154,19 @@ class _Saving(event.Listener):  # type: ignore[misc]
         self._waiting = 0  # threads that compile, or wait to
         self._usual: tuple[int, ...] = ()  # Python's thresholds while none does
 
-    def on_start(self, told: Any) -> None:
+    def on_start(self, happened: Any) -> None:
         """Make Python collect less garbage."""
-        if told.kind == "numba:compiler_lock":
+        if happened.kind == "numba:compiler_lock":
             with self._lock:
                 if self._waiting == 0:
                     self._usual = gc.get_threshold()
                     gc.set_threshold(max(self._usual[0], MANY_OBJECTS) if self._usual[0] else 0)
                 self._waiting += 1
 
-    def on_end(self, told: Any) -> None:
+    def on_end(self, happened: Any) -> None:
         """Lock the folder of a compiled function; unlock it when that is saved."""
-        if told.kind == "numba:compile":
-            path = told.data["dispatcher"].stats.cache_path
+        if happened.kind == "numba:compile":
+            path = happened.data["dispatcher"].stats.cache_path
             if path is not None and Path(path) in _checked:
                 self._own.held, self._own.path = ExitStack(), Path(path)
                 with suppress(OSError):

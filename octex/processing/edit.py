@@ -12,7 +12,7 @@ import numpy as np
 from octex.arrays import Array, Float64s, Int64s
 from octex.channels import ALPHA
 from octex.checks import as_choice, as_names
-from octex.editing.averages import Change, average, coverage, difference, residuals
+from octex.editing.averages import ResidualsOf, as_they_are, average, coverage, residuals
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
@@ -30,7 +30,7 @@ class Edit(Protocol):
         """Map stored values (n, components) of ``cells``, or of all cells for None."""
 
     def changed(self, cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
-        """Return new residuals; see ``averages.Change``."""
+        """Return new residuals; see ``averages.ResidualsOf``."""
 
 
 def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[str, str]:
@@ -84,7 +84,7 @@ def edited(
     tree = texture.tree
     owners, kept = rows_of(tree.split).cells, tree.kept.cells.astype(np.int64)
     made: dict[str, Channel] = {}
-    change: dict[str, Change] = {}
+    change: dict[str, ResidualsOf] = {}
     for name in names:
         before = texture.channels[name]
         edit = edit_of(before)
@@ -100,7 +100,7 @@ def edited(
 def with_values(
     texture: OctreeTexture,
     made: Mapping[str, Channel],
-    change: Mapping[str, Change],
+    change: Mapping[str, ResidualsOf],
     metadata: Mapping[str, str],
 ) -> OctreeTexture:
     """Return a texture with other values in some of its channels, and matching averages.
@@ -120,14 +120,14 @@ def with_values(
     made = {**made, **others}
     after = texture.with_cells(texture.tree, {**texture.channels, **made}, metadata)
     for name in sorted(made, key=lambda name: name != ALPHA.name):
-        of_channel = change.get(name, difference)
+        of_channel = change.get(name, as_they_are)
         if alpha_changes and name != ALPHA.name:
             of_channel = _covered(of_channel, texture.channels[ALPHA.name].values, made[ALPHA.name].values)
         average(after, made[name], residuals(texture, name, change=of_channel))
     return after
 
 
-def _covered(change: Change, was: Array, alpha: Array) -> Change:
+def _covered(change: ResidualsOf, was: Array, alpha: Array) -> ResidualsOf:
     """Return a change that scales residuals by the ratio of old to new opacity, at most 1."""
     parts = np.minimum((coverage(was) + _FAINT) / (coverage(alpha) + _FAINT), 1)
     return lambda cells, values, means: change(cells, values, means) * parts[cells, None]

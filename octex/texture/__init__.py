@@ -10,8 +10,8 @@ open        opens textures, on disk and at addresses
 set         textures of parts by name, looked up by part; their folder
 """
 
-from octex.field.listing import TapList as TapList
 from octex.field.splines import FILTERS as FILTERS
+from octex.field.taps import TapList as TapList
 from octex.texture.channel import Channel as Channel
 from octex.texture.open import open_texture as open_texture
 from octex.texture.set import TextureSet as TextureSet

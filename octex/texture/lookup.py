@@ -14,7 +14,7 @@ from octex.checks import as_array, as_choice, as_number, as_point_rows
 from octex.errors import ArgumentError
 from octex.field.field import Field, NotFiniteError
 from octex.field.footprints import ROUND, Footprints, long_footprints
-from octex.field.listing import Listing
+from octex.field.listing import Listing, Reads
 from octex.field.lookups import ChannelRows, Lookup, Query
 from octex.field.splines import FILTERS
 from octex.parallel import Run, ordered_map, workers
@@ -437,11 +437,12 @@ class Lookups:
         query, (read, alpha) = self.query(lens, inputs, name), self.rows_of(name)
         answers += Listing(self.field, self._placement, query, read, alpha).blends(inputs["points"])
 
-    def list_reads(self, name: str, lens: Lens, inputs: Inputs, answers: list[Array]) -> None:
-        """Add the levels that a block reads, and its reads of each, to ``answers``, as a LookUp."""
+    def list_reads(
+        self, name: str, lens: Lens, reads: list[dict[int, Reads]], inputs: Inputs, _answers: list[Array]
+    ) -> None:
+        """Add the reads of a block, by level, to ``reads``, as a LookUp."""
         query, (read, _) = self.query(lens, inputs, name), self.rows_of(name)
-        found = Listing(self.field, self._placement, query, read, None).reads(inputs["points"])
-        answers += [np.array(list(found), np.int64), *(array for read in found.values() for array in read)]
+        reads.append(Listing(self.field, self._placement, query, read, None).reads(inputs["points"]))
 
     def contain(self, inputs: Inputs, answers: list[Array]) -> None:
         """Write whether leaves hold a block of points, as a LookUp."""

@@ -17,7 +17,7 @@ from octex.texture.file import Source
 from octex.texture.texture import OctreeTexture, opened
 
 if TYPE_CHECKING:
-    from octex.archive.read import Contents
+    from octex.archive.read import Decoded
 
 
 def open_texture(
@@ -61,7 +61,7 @@ def open_texture(
     return opened(source)
 
 
-def _decoder(path: Path) -> Callable[[Path], Contents] | None:
+def _decoder(path: Path) -> Callable[[Path], Decoded] | None:
     """Return the decoder of a file that begins as an archive, a web file or a glTF model does."""
     head = b""
     with suppress(OSError), open_file(path) as file:

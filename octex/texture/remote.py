@@ -24,7 +24,7 @@ from octex.remote import BLOCK, RemoteFile
 from octex.texture.channel import Channel
 from octex.texture.file import Source
 from octex.texture.lookup import Request
-from octex.texture.spans import Rows, Spans, add_reads, cells_of, lookup_reads, nodes_read
+from octex.texture.spans import RowsRead, Spans, add_reads, cells_of, lookup_reads, nodes_read
 from octex.texture.texture import OctreeTexture, opened
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import encode_cells
@@ -224,7 +224,7 @@ class _Channel(Channel):
 class RenderFile(RemoteFile):
     """A render file at an address; arrays are views of its mapping."""
 
-    def fetch_rows(self, gather: Callable[[Rows], None]) -> bool:
+    def fetch_rows(self, gather: Callable[[RowsRead], None]) -> bool:
         """Fetch the rows that a function gathers; return whether any were missing."""
         rows = Spans(self.mapping, BLOCK)
         gather(rows)
@@ -242,7 +242,7 @@ class RenderFile(RemoteFile):
         return fetch_arrays(self, split.facings[: n_split + 1]) or was_more
 
 
-class _Wanted(Rows):
+class _Wanted(RowsRead):
     """Gathers the rows to decode of an archive."""
 
     def __init__(self, archive: Archive) -> None:
@@ -298,7 +298,7 @@ class Archive:
         """Whether all of it is decoded."""
         return self.decoding.is_whole
 
-    def fetch_rows(self, gather: Callable[[Rows], None]) -> bool:
+    def fetch_rows(self, gather: Callable[[RowsRead], None]) -> bool:
         """Fetch the rows that a function gathers; return whether any were missing."""
         rows = _Wanted(self)
         gather(rows)
@@ -341,7 +341,7 @@ Elsewhere = RenderFile | Archive
 def fetch_arrays(file: Elsewhere, *arrays: Array) -> bool:
     """Fetch whole arrays of a file, or views of them; return whether any part was missing."""
 
-    def gather(rows: Rows) -> None:
+    def gather(rows: RowsRead) -> None:
         for array in arrays:
             rows.until(array, len(array))
 

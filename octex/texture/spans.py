@@ -15,7 +15,7 @@ from octex.container import header_length
 from octex.field.listing import Reads, joined_reads
 from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.parallel import Run
-from octex.texture.lookup import Request, each_block
+from octex.texture.lookup import Request, in_blocks
 from octex.tree.children import children_before, octants_of
 from octex.tree.layout import SplitTable
 from octex.tree.neighbours import with_boundary
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from octex.texture.texture import OctreeTexture
 
 
-class Rows:
+class RowsRead:
     """Gathers the rows of arrays that are read."""
 
     def rows(self, array: Array, rows: Array) -> None:
@@ -42,7 +42,7 @@ class Rows:
         self.rows(array, np.arange(min(end, len(array))))
 
 
-class Spans(Rows):
+class Spans(RowsRead):
     """Gathers rows of arrays that are views of a mapped file, as blocks of its bytes."""
 
     def __init__(self, mapping: mmap.mmap, block_size: int) -> None:
@@ -84,11 +84,9 @@ def lookup_reads(texture: OctreeTexture, request: Request) -> dict[str, dict[int
         as_choice(name, texture.channels, "channel")
     found: dict[str, dict[int, Reads]] = {}
     for name in names:
-        list_reads = partial(texture._lookups.list_reads, name, lens)
-        found[name] = joined_reads(
-            dict(zip(levels.tolist(), map(Reads, arrays[::2], arrays[1::2]), strict=True))
-            for _, (levels, *arrays) in each_block(inputs, [], list_reads, Run(threads=1))
-        )
+        reads: list[dict[int, Reads]] = []
+        in_blocks(inputs, [], partial(texture._lookups.list_reads, name, lens, reads), Run(threads=1))
+        found[name] = joined_reads(reads)
     return found
 
 
@@ -143,7 +141,7 @@ def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, In
 
 
 def add_reads(
-    texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], request: Request, spans: Rows
+    texture: OctreeTexture, reads: Mapping[str, Mapping[int, Reads]], request: Request, spans: RowsRead
 ) -> None:
     """Add the rows that lookups read, except the groups of nodes.
 

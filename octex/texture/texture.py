@@ -16,10 +16,9 @@ from octex.arrays import Bools, Float32s, Float64s, Int64s
 from octex.channels import decode
 from octex.checks import as_choice, as_depth, as_flag, as_path, as_reals, as_row_numbers, as_whole, locked
 from octex.errors import ArgumentError, InputError, TextureFileError
-from octex.field.blend import Listed, joined
+from octex.field.blend import joined
 from octex.field.field import Field
-from octex.field.listing import TapList
-from octex.field.splines import FILTERS
+from octex.field.taps import TapList
 from octex.parallel import DEFAULT, Run, as_run
 from octex.texture.channel import Channel, as_channels
 from octex.texture.file import ARCHIVE_ENDING, ENDING, Source, are_texts, described, taken, written
@@ -246,8 +245,6 @@ class OctreeTexture:
         how = DEFAULT if threads is None and run is None else as_run(run, threads)
         task = inputs, answers.arrays, look_up, how
         is_crowded = inputs.keys() <= {"points", "normals"} and lookups.field.tiles is None
-        if is_crowded:
-            lookups.field.tiles_for(FILTERS.index(filter))
         if len(answers.channels) > 2 or filter == "quartic":  # most of the time is waiting for memory
             in_space(*task, self.placement, LEAST_SORTED)
         elif lookups.field.n_leaves >= _MANY_LEAVES or is_crowded:
@@ -287,8 +284,8 @@ class OctreeTexture:
         as_choice(channel, self.channels, "channel")
         here = self.source.prepare(self, len(inputs["points"]), lambda: Request(inputs, channel, lens))
         blocks = each_block(inputs, [], partial(here._lookups.list_taps, channel, lens), as_run(run, threads))
-        starts, rows, weights = joined([Listed(*found) for _, found in blocks])
-        return TapList(starts, rows.astype(np.int64), weights)
+        taps = joined([TapList(*found) for _, found in blocks])
+        return taps._replace(rows=taps.rows.astype(np.int64))
 
     def rows(self, channel: str = "base_color", numbers: npt.ArrayLike | None = None) -> Float32s:
         """Return a channel's stored values (rows, components), float32, in the units of ``sample``.

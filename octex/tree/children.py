@@ -93,14 +93,11 @@ def children_before(groups: Uint64s, nodes: Int64s) -> tuple[Int64s, Int64s]:
     """
     cells, numbers = np.empty(nodes.size, np.int64), np.empty(nodes.size, np.int64)
     for n in range(nodes.size):
-        group = min(nodes[n] >> 3, np.int64(groups.shape[0]) - 1)
-        # Beyond the last node all masks are empty; beyond the last group all children come before.
-        below = ~np.uint64(0)
-        if nodes[n] >> 3 == group:
-            below = (np.uint64(1) << np.uint64(8 * (nodes[n] & 7))) - np.uint64(1)
-        first, second, ranks = groups[group, 0], groups[group, 1], groups[group, 2]
-        numbers[n] = np.int64(ranks & np.uint64(0xFFFFFFFF)) + popcount(first & below)
-        cells[n] = np.int64(ranks >> np.uint64(32)) + popcount((first | second) & below)
+        node = min(nodes[n], 8 * np.int64(groups.shape[0]) - 1)
+        inner, stored, numbers[n], cells[n] = children(groups, node)
+        if node < nodes[n]:  # beyond the last group all children come before
+            numbers[n] += popcount(inner)
+            cells[n] += popcount(stored)
     return cells, numbers
 
 

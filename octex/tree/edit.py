@@ -112,9 +112,10 @@ def raised(
 
     All arguments are ascending Morton codes for each level:
 
-    wanted   cells below leaves of the tree met      of all cells below these leaves, the ones to store added
-    leaves to add where the tree has nothing freed    leaves of the tree that become nodes without a kept
-    coefficient
+    wanted   cells below leaves of the tree
+    met      of all cells below these leaves, the ones to store
+    added    leaves to add where the tree has nothing
+    freed    leaves of the tree that become nodes without a kept coefficient
 
     A leaf without ``met`` cells below stays. Nodes that were leaves, and new nodes below these or below kept
     nodes, are flagged KEPT. The caller fills in their coefficients, in the order of the kept table.

@@ -94,13 +94,6 @@ class Octree:
         Flags and areas are zero. Raises ArgumentError for leaves that overlap or are out of order.
         """
         deepest = max((level for level, codes in enumerate(leaves) if codes.size), default=0)
-        above: Int64s = np.empty(0, np.int64)
-        for level in range(deepest, -1, -1):
-            codes = leaves[level]
-            at = np.minimum(np.searchsorted(above, codes), max(above.size - 1, 0))
-            if (np.diff(codes) <= 0).any() or (above.size and (above[at] == codes).any()):
-                raise ArgumentError(f"leaves of level {level} overlap others, or are out of order")
-            above = distinct(np.concatenate([above, codes]) >> 3)
         return cls(_build({level: leaves[level] for level in range(deepest + 1)}, deepest))
 
     def with_cell_data(
@@ -163,10 +156,6 @@ class Octree:
     def is_node(self, level: int) -> Bools:
         """Return which cells of a level are nodes. Raises ArgumentError if there is no such level."""
         return self.walked_to(level)[1]
-
-    def leaves(self, level: int) -> Int64s:
-        """Numbers of the leaves of a level. Raises ArgumentError like ``level_codes``."""
-        return np.flatnonzero(~self.is_node(level)) + int(self.arrays.level_cells[level])
 
     def leaf_cells(self) -> Int64s:
         """Numbers of all leaves, level by level."""
@@ -255,9 +244,12 @@ def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
         leaves = leaves_of.pop(level, nodes[:0])
         level_cells[level + 1] = nodes.size + leaves.size
         level_nodes[level + 1] = nodes.size
+        parents, node_masks, leaf_masks = _parents(nodes, leaves)
+        if nodes.size + leaves.size and not parents.size:
+            raise ArgumentError(f"leaves of level {level} overlap others, or are out of order")
         if level:
-            nodes, *level_masks = _parents(nodes, leaves)
-            masks.append((level_masks[0], level_masks[1]))
+            nodes = parents
+            masks.append((node_masks, leaf_masks))
     np.cumsum(level_cells, out=level_cells)
     np.cumsum(level_nodes, out=level_nodes)
     n_cells = int(level_cells[-1])
@@ -303,19 +295,25 @@ def _first_fault(codes: Int64s, depths: Uint8s) -> int:
 
 @kernel
 def _parents(nodes: Int64s, leaves: Int64s) -> tuple[Int64s, Uint8s, Uint8s]:
-    """Merge the nodes and leaves of a level; return their parents' codes, node masks and leaf masks."""
+    """Merge the nodes and leaves of a level; return their parents' codes, node masks and leaf masks.
+
+    Returns none where the leaves do not ascend, or one is a node.
+    """
     n_cells = nodes.size + leaves.size
     codes = np.empty(n_cells, np.int64)
     node_masks = np.empty(n_cells, np.uint8)
     leaf_masks = np.empty(n_cells, np.uint8)
     n, next_node, next_leaf = -1, 0, 0
-    parent = np.int64(-1)
+    parent = last = np.int64(-1)
     node_mask = leaf_mask = 0
     for _ in range(n_cells):
         is_node = next_node < nodes.size and (
             next_leaf == leaves.size or nodes[next_node] < leaves[next_leaf]
         )
         code = nodes[next_node] if is_node else leaves[next_leaf]
+        if code <= last:
+            return codes[:0], node_masks[:0], leaf_masks[:0]
+        last = code
         if code >> 3 != parent:
             parent = code >> 3
             n += 1

@@ -95,7 +95,7 @@ def child(arrays: TreeArrays, node: int, octant: int) -> tuple[int, int]:
     return cell, first_node + rank_in(nodes, octant)
 
 
-class Scratch(NamedTuple):
+class Descent(NamedTuple):
     """The memory of kernels from one point to the next."""
 
     path: Int64s  # (22,)   the node at each level above the previous point
@@ -106,11 +106,11 @@ class Scratch(NamedTuple):
 
 
 @kernel
-def new_scratch(arrays: TreeArrays) -> Scratch:
-    """Return a scratch with the root as its path."""
+def new_descent(arrays: TreeArrays) -> Descent:
+    """Return the memory of a descent that is at the root."""
     path = np.full(MAX_DEPTH + 1, -1, np.int64)
     path[0] = 0 if arrays.groups.shape[0] > 0 else -1
-    return Scratch(
+    return Descent(
         path,
         np.zeros(4, np.int64),
         np.empty((MAX_DEPTH + 1, 8), np.int64),
@@ -120,13 +120,13 @@ def new_scratch(arrays: TreeArrays) -> Scratch:
 
 
 @inlined
-def find_leaf(arrays: TreeArrays, i: int, j: int, k: int, scratch: Scratch) -> int:
+def find_leaf(arrays: TreeArrays, i: int, j: int, k: int, descent: Descent) -> int:
     """Return the leaf that holds the fixed-point position (i, j, k), 0 … 2²¹ − 1, or −1.
 
     The descent starts at the deepest node shared with the previous position: neighbours in an image share
     most.
     """
-    path, previous = scratch.path, scratch.previous
+    path, previous = descent.path, descent.previous
     difference = (i ^ previous[0]) | (j ^ previous[1]) | (k ^ previous[2])
     level = int(previous[3])
     while difference >> (MAX_DEPTH - level) != 0:
@@ -146,7 +146,7 @@ def find_leaf(arrays: TreeArrays, i: int, j: int, k: int, scratch: Scratch) -> i
 
 
 @inlined
-def nearest_cell(arrays: TreeArrays, x: float, y: float, z: float, scratch: Scratch) -> tuple[int, bool]:
+def nearest_cell(arrays: TreeArrays, x: float, y: float, z: float, descent: Descent) -> tuple[int, bool]:
     """Return the leaf that holds a point of texture space, else the nearest cell; and which of both it is.
 
     The point is first clamped into the root. Where no leaf holds it, the level is the deepest at which any of
@@ -155,22 +155,22 @@ def nearest_cell(arrays: TreeArrays, x: float, y: float, z: float, scratch: Scra
     """
     x, y, z = min(max(x, 0.0), 1.0), min(max(y, 0.0), 1.0), min(max(z, 0.0), 1.0)
     i, j, k = fixed(x), fixed(y), fixed(z)
-    cell = find_leaf(arrays, i, j, k, scratch)
+    cell = find_leaf(arrays, i, j, k, descent)
     if cell >= 0:
         return cell, True
-    return _nearest_neighbor(arrays, x * UNITS, y * UNITS, z * UNITS, i, j, k, scratch), False
+    return _nearest_neighbor(arrays, x * UNITS, y * UNITS, z * UNITS, i, j, k, descent), False
 
 
 @inlined
 def _nearest_neighbor(
-    arrays: TreeArrays, x: float, y: float, z: float, i: int, j: int, k: int, scratch: Scratch
+    arrays: TreeArrays, x: float, y: float, z: float, i: int, j: int, k: int, descent: Descent
 ) -> int:
     """Return the nearest stored cell of the 27 around a position, at the deepest level that has one there.
 
     The parents of 27 cells are 2×2×2. Only these are followed down from the root, each level from the one
     above (paper 3.4, after Kobbelt et al. 1997).
     """
-    cells, nodes, levels = scratch.cells, scratch.nodes, scratch.levels
+    cells, nodes, levels = descent.cells, descent.nodes, descent.levels
     cells[0] = nodes[0] = -1
     bit = MAX_DEPTH - 1
     root = 7 - (i >> bit | (j >> bit) << 1 | (k >> bit) << 2)
@@ -185,12 +185,12 @@ def _nearest_neighbor(
         u, v, w = _first(i >> shift - 1), _first(j >> shift - 1), _first(k >> shift - 1)
         u, v, w = u - 2 * _first(i >> shift), v - 2 * _first(j >> shift), w - 2 * _first(k >> shift)
         for n in range(8):
-            cell, node, at = _grandchild(arrays, scratch, level, u + (n & 1), v + (n >> 1 & 1), w + (n >> 2))
+            cell, node, at = _grandchild(arrays, descent, level, u + (n & 1), v + (n >> 1 & 1), w + (n >> 2))
             cells[level + 1, n], nodes[level + 1, n], levels[level + 1, n] = cell, node, at
             any_stored |= cell >= 0
         level += 1
     for below in range(min(level + 1, deepest), 0, -1):
-        cell = _nearest_of_27(arrays, x, y, z, i, j, k, scratch, below)
+        cell = _nearest_of_27(arrays, x, y, z, i, j, k, descent, below)
         if cell >= 0:
             return cell
     return 0
@@ -204,20 +204,20 @@ def _first(coordinate: int) -> int:
 
 @inlined
 def _grandchild(
-    arrays: TreeArrays, scratch: Scratch, level: int, u: int, v: int, w: int
+    arrays: TreeArrays, descent: Descent, level: int, u: int, v: int, w: int
 ) -> tuple[int, int, int]:
     """Return cell, node and level at (u, v, w), 0 … 3, among the children of the 2×2×2 cells of a level."""
     parent = u >> 1 | v >> 1 << 1 | w >> 1 << 2
-    node = int(scratch.nodes[level, parent])
+    node = int(descent.nodes[level, parent])
     if node < 0:  # a leaf, which stands for its children too, or nothing
-        return int(scratch.cells[level, parent]), -1, int(scratch.levels[level, parent])
+        return int(descent.cells[level, parent]), -1, int(descent.levels[level, parent])
     cell, node = child(arrays, node, u & 1 | (v & 1) << 1 | (w & 1) << 2)
     return cell, node, level + 1
 
 
 @inlined
 def _nearest_of_27(
-    arrays: TreeArrays, x: float, y: float, z: float, i: int, j: int, k: int, scratch: Scratch, level: int
+    arrays: TreeArrays, x: float, y: float, z: float, i: int, j: int, k: int, descent: Descent, level: int
 ) -> int:
     shift = MAX_DEPTH - level
     a, b, c = (i >> shift) - 1, (j >> shift) - 1, (k >> shift) - 1
@@ -227,7 +227,7 @@ def _nearest_of_27(
     nearest_code = 0
     for n in range(27):
         dn, dm, dl = n % 3, n // 3 % 3, n // 9
-        cell, _, at = _grandchild(arrays, scratch, level - 1, u + dn, v + dm, w + dl)
+        cell, _, at = _grandchild(arrays, descent, level - 1, u + dn, v + dm, w + dl)
         if cell < 0:
             continue
         size = 1 << (MAX_DEPTH - at)
@@ -261,26 +261,26 @@ def nearest_cells(
 
     Returns the index of the first position that is not finite, where it stopped, or −1.
     """
-    scratch = new_scratch(arrays)
+    descent = new_descent(arrays)
     for n in range(count_of(points)):
         is_finite, x, y, z = finite_place(points, n, origin, 1.0 / size)
         if not is_finite:
             return n
-        cells[n], held[n] = nearest_cell(arrays, x, y, z, scratch)
+        cells[n], held[n] = nearest_cell(arrays, x, y, z, descent)
     return -1
 
 
 @kernel
 def in_leaves(arrays: TreeArrays, points: Positions, origin: Origin, size: float, inside: Bools) -> int:
     """Write to ``inside`` (n,) whether a leaf holds each point; return as `nearest_cells` does."""
-    scratch = new_scratch(arrays)
+    descent = new_descent(arrays)
     for n in range(count_of(points)):
         is_finite, x, y, z = finite_place(points, n, origin, 1.0 / size)
         if not is_finite:
             return n
         inside[n] = False
         if 0.0 <= x < 1.0 and 0.0 <= y < 1.0 and 0.0 <= z < 1.0:
-            inside[n] = find_leaf(arrays, fixed(x), fixed(y), fixed(z), scratch) >= 0
+            inside[n] = find_leaf(arrays, fixed(x), fixed(y), fixed(z), descent) >= 0
     return -1
 
 

@@ -331,7 +331,7 @@ def test_a_conversion_goes_as_deep_as_a_function_says():
     middles = full.placement.to_rest((decode_cells(right) + 0.5) / 64)
     right = right[middles[:, 0] > 0.52]
     assert np.isin(right, texture.tree.level_codes(6)).all()
-    coarse = texture.tree.leaves(3)
+    coarse = np.flatnonzero(~texture.tree.is_node(3)) + texture.tree.arrays.level_cells[3]
     np.testing.assert_array_equal(
         texture.channels["base_color"].values[coarse],
         full.channels["base_color"].values[: full.tree.arrays.level_cells[4]][

@@ -154,7 +154,7 @@ def test_taps_do_not_depend_on_the_points_before_them(filter, fine, monkeypatch)
     monkeypatch.setattr("octex.field.field._WALKED", 1)
     field = Field(tree)
     again = taps_of(field, points[order], UNIT, filter)
-    assert len(list(field.runs(points, UNIT, filter))) > 1
+    assert len(list(Finder(field, UNIT, filter).blocks(points, field.weighing(field, False)))) > 1
     assert (found[order] == blended(again, values)).all()
 
 

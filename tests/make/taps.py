@@ -7,14 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Floats, Int64s, Uint32s
-from octex.field.blend import Listed, joined, listed
+from octex.field.blend import joined, listed
 from octex.field.field import Field, Finder
-from octex.field.taps import Taps
+from octex.field.taps import TapList, Taps
 from octex.tree.placement import Placement
 
 
 class ListedTaps(NamedTuple):
-    """The taps of points, one point after another: see `octex.field.blend.Listed`."""
+    """The taps of points, one point after another: see `octex.field.taps.TapList`."""
 
     starts: Int64s
     rows: Uint32s | Int64s
@@ -35,12 +35,12 @@ def taps_of(
     return ListedTaps(*joined(lists), np.concatenate(slopes), np.concatenate(covers))
 
 
-def _all_of(taps: Taps) -> Listed:
+def _all_of(taps: Taps) -> TapList:
     """List taps, also those that have slopes alone."""
     parts = [slice(*ends) for ends in zip(taps.starts.tolist(), taps.ends.tolist(), strict=True)]
     weights = [taps.weights[part] / taps.weights[part].sum() for part in parts]
     starts = np.cumsum([0, *map(len, weights)])
-    return Listed(starts, np.concatenate([taps.rows[part] for part in parts]), np.concatenate(weights))
+    return TapList(starts, np.concatenate([taps.rows[part] for part in parts]), np.concatenate(weights))
 
 
 def _slopes_of(taps: Taps, size: float) -> list[Floats]:

@@ -119,7 +119,8 @@ def test_a_helper_watches_for_the_end_of_its_input_while_it_compiles():
     code = """
 import threading, time
 from octex import ahead
-threading.Thread(target=ahead._watch, args=[ahead._writing()]).start()
+from octex.jit.cache import WRITING
+threading.Thread(target=ahead._watch, args=[WRITING]).start()
 time.sleep(60)
 print("late")
 """
