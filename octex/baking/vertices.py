@@ -22,6 +22,9 @@ from octex.texture import OctreeTexture, as_texture
 
 #: By their colours, edges are not halved below this part of the finest cells.
 _FINEST = 0.5
+#: By their colours, an edge is halved with the longest side of its triangle if that is longer by this factor:
+#: else triangles get ever thinner.
+_THIN = 1.5
 #: Most rounds in which edges are halved.
 _MOST_ROUNDS = 32
 #: Barycentric positions where colours are compared, on edges first the middle: the field is a quadratic
@@ -110,6 +113,8 @@ def bake_vertices(
             chosen = sides[inside].reshape(-1)
             halved[chosen] |= lengths[chosen] > shortest
         positions = in_order(points.positions[edges[halved]])
+        if longest is None:
+            positions = _with_longest(positions, [triangles, settled], points)
         near = _have_two(settled, points.positions, positions[positions[:, 1] < first])
         ends, cut, others = _cut_at(np.concatenate([triangles, settled[near]]), points.positions, positions)
         is_too_many = len(triangles) + len(settled) + int((cut[1] >= 0).sum()) > most
@@ -197,6 +202,28 @@ def _codes(colors: Floats) -> Int32s:
     return np.concatenate([encode(colors[:, :3], "uint16", "srgb"), alpha], axis=1).astype(np.int32)
 
 
+def _with_longest(halved: Int64s, triangles: Sequence[Int64s], points: _Points) -> Int64s:
+    """Add to ``halved`` edges (k, 2), between positions, the sides that are too long beside them."""
+    added = halved
+    while len(added):
+        near = [each[_have_two(each, points.positions, added)] for each in triangles]
+        corners = np.concatenate(near)
+        ends = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)
+        lengths = np.linalg.norm(points.rest[ends[:, 0]] - points.rest[ends[:, 1]], axis=1).reshape(-1, 3)
+        sides = in_order(points.positions[ends])
+        is_halved = np.isin(_keys(sides), _keys(halved)).reshape(-1, 3)
+        is_long = _any(is_halved) & (lengths.max(axis=1) > _THIN * (lengths * is_halved).max(axis=1))
+        rows = np.flatnonzero(is_long)
+        added = np.unique(sides[3 * rows + lengths[rows].argmax(axis=1)], axis=0)
+        halved = np.concatenate([halved, added])
+    return halved
+
+
+def _keys(pairs: Int64s) -> Int64s:
+    """Return one number for each pair of positions (k, 2)."""
+    return pairs[:, 0] << 32 | pairs[:, 1]
+
+
 def _cut_at(
     triangles: Int64s, positions: Int64s, halved: Int64s
 ) -> tuple[Int64s, tuple[Int64s, Int64s], Int64s]:
@@ -208,7 +235,7 @@ def _cut_at(
     touched = triangles[near]
     edges, sides = edges_of(touched)
     ordered = in_order(positions[edges])
-    is_cut = np.isin(ordered[:, 0] << 32 | ordered[:, 1], halved[:, 0] << 32 | halved[:, 1])
+    is_cut = np.isin(_keys(ordered), _keys(halved))
     numbers = np.full(len(edges), -1, np.int64)
     numbers[is_cut] = len(positions) + np.arange(int(is_cut.sum()))
     middles = numbers[sides]
