@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import octex
@@ -10,7 +12,7 @@ from octex.cli.inputs import kind_of, open_texture, refuse, shaped_model, told_r
 from octex.cli.options import RUNNING, SHAPE
 from octex.cli.parser import Options, arguments
 from octex.cli.values import BAKED_ENDINGS, PTEX_ENDING, USD_ENDINGS
-from octex.errors import ArgumentError
+from octex.errors import ArgumentError, OctexError
 from octex.files import bytes_text
 
 if TYPE_CHECKING:
@@ -104,8 +106,8 @@ def bake(options: Options, program: str) -> int:
             carried = {"unit": options.unit, "octree": texture if options.octree else None}
             written = octex.write_model(baked, options.OUTPUT, images=images, **carried)
     materials = materials_of(baked).materials
-    read = [each.texture for material in materials for each in material.inputs.values()]
-    size = max((each.texels.shape[1] for each in read if each is not None), default=0)
+    read = [(name, each.texture) for material in materials for name, each in material.inputs.items()]
+    size = max((texture.texels.shape[1] for _, texture in read if texture is not None), default=0)
     names = [form.name for form in baked.channels]
     made |= {
         "channels": names,
@@ -115,12 +117,29 @@ def bake(options: Options, program: str) -> int:
         "bytes": sum(path.stat().st_size for path in written.files),
         "image_bytes": written.image_bytes,
     }
-    where = f"in maps of {size} × {size}" if size else f"at {len(baked.vertices):,} vertices"
+    what = [f"{', '.join(names)} at {len(baked.vertices):,} vertices"]
+    if not at_vertices:
+        mapped = dict.fromkeys(name for name, texture in read if texture is not None)
+        constant = [name for name in names if name not in mapped]
+        what = [f"{', '.join(constant)} constant"] if constant else []
+        what += [f"{', '.join(mapped)} in maps of {size} × {size}"] if mapped else []
+    if _is_animated(options.MODEL):
+        kept = "" if at_vertices else "; --uv keep bakes images for the original model"
+        lines.append(f"its animations are not written{kept}")
     if images == "png" and written.image_bytes > _LARGE:
         webp = "" if ending in USD_ENDINGS else "webp is smaller and lossless, "
         taken = f"its images take {bytes_text(written.image_bytes)}"
         lines.append(f"{taken}: --image-format {webp}jpeg is far smaller and lossy")
-    return tell_file(options, f"{', '.join(names)} {where}", made, *lines)
+    return tell_file(options, "; ".join(what), made, *lines)
+
+
+def _is_animated(model: Path) -> bool:
+    """Return whether a model has animations."""
+    from octex.source.load import load_motion
+
+    with suppress(OctexError):
+        return load_motion(model) is not None
+    return False
 
 
 def _write_ptex(options: Options, program: str) -> int:

@@ -310,9 +310,9 @@ def _with_entries(
 
 def _nothing_painted(options: Options, program: str, compares: bool) -> int:
     reasons = [
+        *([f"nothing was drawn on the view (--since {NOTHING} paints all of it)"] if compares else []),
         "no camera sees the model (do they look away from it or stand inside it, or have other coordinates?)",
         "the pictures' alpha, the mask or --opacity are zero all over",
-        *([f"nothing was drawn on the view (--since {NOTHING} paints all of it)"] if compares else []),
     ]
     reason = ", or ".join(reasons)
     message = f"nothing was painted, and {options.OUTPUT} is not written: {reason}"

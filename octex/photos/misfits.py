@@ -254,10 +254,11 @@ class Placing(NamedTuple):
     def words(self) -> str:
         """Say what to change."""
         signed = [f"{'-' if row.sum() < 0 else ''}{'xyz'[int(np.abs(row).argmax())]}" for row in self.turn]
-        turned = "" if (self.turn == np.eye(3)).all() else f"(x, y, z) becomes ({', '.join(signed)})"
-        scaled = "" if self.factor == 1 else f"it is scaled by {self.factor:g}"
+        is_turned = (self.turn != np.eye(3)).any()
+        turned = f"turned so that (x, y, z) becomes ({', '.join(signed)})" if is_turned else ""
+        scaled = "" if self.factor == 1 else f"scaled by {self.factor:g}"
         moved = " and ".join(each for each in (scaled, turned) if each)
-        mesh = f"in the mesh {moved}" if moved else ""
+        mesh = f"the mesh is {moved}" if moved else ""
         cameras = "the cameras' y and z axes are reversed (OpenCV or OpenGL)" if self.is_reversed else ""
         return " and ".join(each for each in (mesh, cameras) if each)
 

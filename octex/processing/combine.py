@@ -130,7 +130,7 @@ def _same_formats(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTe
         )
         raise ArgumentError(
             f"the textures' root cells differ, {cells}, and octex does not resample them; "
-            "convert both models with the same bounds and depth or cell"
+            "convert both from one model, at the same depth or cell"
         )
     one, other = {}, {}
     for name, channel in first.channels.items():

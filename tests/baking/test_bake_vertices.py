@@ -1,5 +1,7 @@
 """Colours baked to vertices, and triangles divided for them."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -10,8 +12,11 @@ from octex.errors import ArgumentError
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests.baking.test_bake import cube_with_charts, painted_sphere, psnr, turned_ball
+from tests.conftest import needs_jit
 from tests.make.painted import waves
 from tests.make.small_surfaces import whole
+
+DROID = Path(__file__).parents[2] / "samples" / "droid.glb"
 
 
 def test_vertex_colours_follow_the_field_and_neighbours_divide_alike():
@@ -50,6 +55,19 @@ def test_where_vertices_are_apart_at_one_place_edges_are_divided_alike(subdivide
     crosses /= np.linalg.norm(crosses, axis=1, keepdims=True)
     found = made.frames.normals.values[made.frames.normals.rows]
     np.testing.assert_allclose(found, np.broadcast_to(crosses[:, None], found.shape), atol=1e-6)
+
+
+@needs_jit
+def test_no_triangle_gets_ever_thinner_where_edges_are_halved_by_their_colours():
+    surface = octex.load_surface(DROID)
+    made = octex.bake_vertices(octex.convert(surface, 8), surface, subdivide="auto", max_error=40.0)
+    _, places = np.unique(made.vertices.astype(np.float32), axis=0, return_inverse=True)
+    triangles = places.reshape(-1)[made.triangles]
+    assert (triangles != np.roll(triangles, 1, axis=1)).all()
+    ends = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=-1).reshape(-1, 2)
+    _, counts = np.unique(np.sort(ends, axis=1), axis=0, return_counts=True)
+    assert (counts == 2).all()
+    assert len(made.triangles) < 150_000
 
 
 @pytest.mark.parametrize("ending", [".ply", ".glb", ".obj"])

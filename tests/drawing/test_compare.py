@@ -70,7 +70,7 @@ def test_two_textures_are_compared_leaf_by_leaf():
             largest.append((max(map(abs, apart)), point[0], a.sample(point)[0], b.sample(point)[0]))
     result = found["base_color"]
     rms = math.sqrt(sum(squares) / len(squares))
-    assert result.measure == "sRGB codes"
+    assert result.measure == "sRGB, 1/255"
     assert result.rms == pytest.approx(rms, rel=1e-5)
     assert result.psnr == pytest.approx(20 * math.log10(255 / rms), rel=1e-5)
     most, where, *values = max(largest, key=lambda each: each[0])
@@ -174,7 +174,7 @@ def test_a_channel_that_means_something_else_is_refused():
     light, data = ChannelFormat("own", 3, "linear", "float32"), ChannelFormat("own", 1, "data")
     with pytest.raises(
         ArgumentError,
-        match=r"'own' has 3 components \(sRGB codes\) on one side and 1 components \(0 to 1\) on the other",
+        match=r"'own' has 3 components \(sRGB, 1/255\) on one side and 1 components \(0 to 1\) on the other",
     ):
         difference(sheet({light: 0.5}), sheet({data: 0.5}))
 

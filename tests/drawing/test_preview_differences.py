@@ -176,7 +176,7 @@ def test_a_preview_of_no_difference_is_dark(texture):
     ],
 )  # fmt: skip
 def test_the_scale_ends_at_a_round_number(p99, maximum, top):
-    shown = Difference("sRGB codes", 0.0, 0.0, p99, maximum, (0.0, 0.0, 0.0), (), ())
+    shown = Difference("sRGB, 1/255", 0.0, 0.0, p99, maximum, (0.0, 0.0, 0.0), (), ())
     assert PEAKS[shown.measure] == 255
     assert _scale_top(shown) == pytest.approx(top)
 

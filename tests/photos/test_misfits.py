@@ -167,7 +167,7 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told():
     lying = 0.001 * vertices[:, [0, 2, 1]] * [1, 1, -1]  # y is up, and it is in metres
     reasons, better = found(ring(), Surface.from_arrays(lying, triangles))
     assert reasons == {}
-    turned = "pictures agree if in the mesh it is scaled by 1000 and (x, y, z) becomes (x, -z, y)"
+    turned = "pictures agree if the mesh is scaled by 1000 and turned so that (x, y, z) becomes (x, -z, y)"
     assert better == f"{turned}; change that, and paint again"
     steep = [
         Camera.fitted(vertices, (0.1 * np.cos(n), 0.1 * np.sin(n), 1.0), size=(SIZE, SIZE)) for n in range(6)
@@ -177,7 +177,7 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told():
     reasons, better = found(given, Surface.from_arrays(lying, triangles))
     assert reasons == {}
     assert better is not None  # what is flat may also be turned about its normal
-    assert re.match(r"pictures agree if in the mesh \(x, y, z\) becomes \([^)]*, y\);", better)
+    assert re.match(r"pictures agree if the mesh is turned so that \(x, y, z\) becomes \([^)]*, y\);", better)
     far = Surface.from_arrays(np.add(vertices, [0, 0, 1e6]), triangles)
     assert found(ring(), far) == ({}, None)
 
@@ -209,9 +209,10 @@ def test_what_is_wrong_is_told_although_every_turn_of_an_egg_fills_the_pictures_
     vertices, triangles = AXES * ball().vertices, ball().triangles
     given = egg_ring()
     if change == "factor":
-        vertices, told = 1000.0 * vertices, "in the mesh it is scaled by 0.001"
+        vertices, told = 1000.0 * vertices, "the mesh is scaled by 0.001"
     elif change == "turn":
-        vertices, told = vertices[:, [0, 2, 1]] * [1, -1, 1], "in the mesh (x, y, z) becomes (x, z, -y)"
+        vertices = vertices[:, [0, 2, 1]] * [1, -1, 1]
+        told = "the mesh is turned so that (x, y, z) becomes (x, z, -y)"
     else:
         signs = np.diag([1.0, -1.0, -1.0, 1.0])
         cameras = [

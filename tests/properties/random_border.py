@@ -233,6 +233,7 @@ def calls():
         (layers.merge_layer, {"number": layers.add_layer("above").number}),
         (layers.move_layer, {"number": number, "place": 0}),
         (layers.put, {"change": same}),
+        (octex.Layers(**painted).replace, one),
         (layers.redo, {}),
         (layers.save, {"path": at / "layers.octex"}),
         (layers.texture, {}),
