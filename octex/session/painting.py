@@ -119,10 +119,7 @@ class Session:
         self._error, self._is_ending, self._count = "", False, 0
         self._question = ""  # why the last save asks before replacing OUTPUT
         self._told = ""  # by the last command
-        self._taken: tuple[int, Any] = (
-            0,
-            None,
-        )  # the last step that took OUTPUT's version, and its fingerprint
+        self._taken: tuple[int, Any] = 0, None  # the last step that took OUTPUT's version, and its stamp
         self._files = {"output": output} if opened is None else {"output": output, "opened": opened}
         self._watch = Watch([*self._files.values(), layers_file(output)])
         self._saved: list[int] | None = []  # the steps saved in OUTPUT; []: the input texture; None: unknown
