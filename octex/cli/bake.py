@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,7 +11,7 @@ from octex.cli.inputs import kind_of, open_texture, refuse, shaped_model, told_r
 from octex.cli.options import RUNNING, SHAPE
 from octex.cli.parser import Options, arguments
 from octex.cli.values import BAKED_ENDINGS, PTEX_ENDING, USD_ENDINGS
-from octex.errors import ArgumentError, OctexError
+from octex.errors import ArgumentError
 from octex.files import bytes_text
 
 if TYPE_CHECKING:
@@ -135,11 +134,9 @@ def bake(options: Options, program: str) -> int:
 
 def _is_animated(model: Path) -> bool:
     """Return whether a model has animations."""
-    from octex.source.load import load_motion
+    from octex.gltf import Document
 
-    with suppress(OctexError):
-        return load_motion(model) is not None
-    return False
+    return model.suffix.lower() in _GLTF and bool(Document(model).json.get("animations"))
 
 
 def _write_ptex(options: Options, program: str) -> int:

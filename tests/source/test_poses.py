@@ -239,6 +239,15 @@ def test_paint_put_on_the_running_fox_lies_there_when_it_looks_around(models):
     assert np.sqrt((errors**2).mean()) < 2
 
 
+@needs_jit
+def test_bake_tells_of_animations_that_it_does_not_write(tmp_path, cli):
+    animated = moving("rotation", "LINEAR").save(tmp_path / "a.glb")
+    for name, model in (("moving", animated), ("still", tmp_path / "moving.glb")):
+        cli.result(model, tmp_path / "a.octex", "--depth", 4, "--force", "--quiet")
+        told = cli.result("bake", tmp_path / "a.octex", model, tmp_path / f"{name}.glb")
+        assert ("its animations are not written" in told) == (name == "moving")
+
+
 def test_a_pose_is_an_option_of_each_command_that_reads_models(tmp_path, cli):
     file = str(moving("rotation", "LINEAR").save(tmp_path / "a.glb"))
     out = str(tmp_path / "a.octex")

@@ -127,7 +127,7 @@ class Materials:
 
         An image that is not where the file says is sought by its name next to the stage.
         """
-        if asset.resolvedPath and not is_absolute(asset.path):
+        if asset.resolvedPath and not is_absolute(asset.path) and not is_udim(asset.path):
             return {0: asset.resolvedPath}
         windows, stage = PureWindowsPath(asset.path), node.GetPrim().GetStage()
         attribute = UsdShade.Utils.GetValueProducingAttributes(node.GetInput("file"))[0]
