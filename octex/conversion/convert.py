@@ -95,7 +95,7 @@ def convert(
     sources    replacements for channels, as for ``Surface.with_sources``
     dtype      stored type: "uint8", "uint16", "float16" or "float32", one for all or a dict by channel.
                Default: uint8, and float16 for light above 1. Floats store linear light
-    filter     how images are averaged over cells: one of ``filters.FILTERS`` (default "ewa")
+    filter     of images over cells: "nearest", "bilinear", "bicubic", "trilinear" or "ewa" (default)
     fit        choose leaf values so that "quadratic" lookups match the source; False stores plain averages
     max_error  merge leaves while no lookup changes by more than this many 1/255 of the encoded range
     detail     local depth: a function of rest positions (n, 3) that returns depths (n,); the name of a

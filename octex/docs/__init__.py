@@ -28,14 +28,17 @@ TOPICS = tuple(name for names in GROUPS.values() for name in names.split())
 
 
 def topic(name: str) -> str:
-    """Return a page as text for a terminal, with indented code; raises ArgumentError for an unknown name."""
+    """Return a page as text for a terminal: code is indented, pictures are left out.
+
+    Raises ArgumentError for an unknown name.
+    """
     if name not in TOPICS:
         near = [each for each in TOPICS if name.startswith(each)] or get_close_matches(name, TOPICS, 1)
         hint = f"do you mean {near[0]!r}? octex help lists all" if near else f"there are {', '.join(TOPICS)}"
         raise ArgumentError(f"there is no page on {name!r}; {hint}")
     text = (files(__name__) / f"{name}.md").read_text("utf-8").rstrip()
     text = re.sub(r"```\w+\n(.*?)```\n?", _indented, text, flags=re.DOTALL)
-    return "\n\n".join(map(_wrapped, text.split("\n\n")))
+    return "\n\n".join(_wrapped(each) for each in text.split("\n\n") if not each.startswith("!["))
 
 
 def _wrapped(paragraph: str) -> str:

@@ -72,7 +72,7 @@ def load_surface(
                in the model's units
     channels   names of the channels to read (default: all that the materials define)
     sources    replacements for channels, as for ``Surface.with_sources``
-    filter     how images are averaged over footprints: one of ``filters.FILTERS``
+    filter     of images over footprints: "nearest", "bilinear", "bicubic", "trilinear" or "ewa"
     normals    keep the model's shading normals as ``Surface.frames``
     pose       "NAME@SECONDS": the pose of an animated glTF model, by its nodes, skins and morph targets. Rest
                positions do not change. See ``octex help surfaces``

@@ -103,7 +103,7 @@ class Surface(Mesh):
         uv                   of the image, per vertex (n, 2) or per corner (m, 3, 2), v *up* from its last row
         normals              shading normals at rest, per vertex (n, 3) or per corner (m, 3, 3); of any length
         wrap, mag_filter     "repeat", "mirror" or "clamp", or one for u and one for v; "linear" or "nearest"
-        filter               how the image is averaged over footprints: one of filters.FILTERS
+        filter               of the image over footprints, as for ``load_surface``
 
         Raises ModelError as the class does, ArgumentError for another shape or name, ImageError for an image
         that cannot be used.
@@ -247,7 +247,7 @@ class Surface(Mesh):
         return self._with(self.source.only(channels))
 
     def with_filter(self, filter: str) -> Surface:
-        """Return the same surface with its images read by another filter, one of filters.FILTERS.
+        """Return the same surface with its images read by another filter, as for ``load_surface``.
 
         Raises ArgumentError for an unknown name.
         """

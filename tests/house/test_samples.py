@@ -226,6 +226,27 @@ def is_painted_robustly(folder, _said):
     assert baked.evaluate(baked.scatter(500)).std() > 0.02
 
 
+def explains_concepts(folder, _said):
+    coarse, middle, fine, smooth = panels(folder / "cells.png", 4)
+    assert rms(fine, smooth) < rms(middle, smooth) < rms(coarse, smooth)
+    nearest, averaged, fitted, model = panels(folder / "field.png", 4)
+    assert rms(fitted, model) < min(rms(nearest, model), rms(averaged, model))
+    unaveraged, square, long = (each[: len(each) // 3] for each in panels(folder / "footprints.png", 3))
+    assert square.std() < long.std() < unaveraged.std()
+    assert all_differ(panels(folder / "kept.png", 3))
+
+
+def is_better_after_the_remedies(folder, _said):
+    faults, remedies = np.split(np.array(panels(folder / "failures.png", 4, 2)), 2)
+    truth = remedies[2]  # exact cameras and mesh
+    assert all(rms(remedies[n], truth) < 0.7 * rms(faults[n], truth) for n in range(3))
+    wrong, right = (
+        (np.ptp(each, -1) > 0.06) & (each[..., 2] > 0.36) & (each.argmax(-1) == 2)
+        for each in (faults[3], remedies[3])
+    )
+    assert right.mean() < 0.5 * wrong.mean()  # where it is as blue as the sky
+
+
 def is_fetched_in_parts(folder, said):
     rows = [numbers(r"[\d,]+", line.split(":")[1]) for line in said.splitlines()]
     size = (folder / "droid.octex").stat().st_size
@@ -313,13 +334,20 @@ CARRIED = [f"octree{ending}" for ending in ("-0.png", ".bin", ".glb", ".gltf", "
         ("28_light.py", ["light.png"], shows_different_panels("light.png", 1, 3)),
         ("29_gltf.py", CARRIED, shows_different_panels("octree.png", 2)),
         ("30_three.py", ["droid.octw", "index.html", "walls.octw", "wood.octw"], says("wood.octw")),
+        ("31_concepts.py", ["cells.png", "field.png", "footprints.png", "kept.png"], explains_concepts),
+        ("32_failures.py", ["failures.png"], is_better_after_the_remedies),
     ],
 )
 def test_the_numbered_scripts_run_from_anywhere(script, written, check, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(SAMPLES)
     # Three pictures of less than 320² do not outvote a passer-by.
-    slow = {is_painted_robustly: ("8", "160"), shows_both_sides_of_walls: ("5", "48")}
+    slow = {
+        is_painted_robustly: ("8", "160"),
+        shows_both_sides_of_walls: ("5", "48"),
+        explains_concepts: ("8", "96"),
+        is_better_after_the_remedies: ("7", "96"),
+    }
     depth, width = slow.get(check, ("5", "96"))
     monkeypatch.setenv("OCTEX_SAMPLE_DEPTH", depth)
     monkeypatch.setenv("OCTEX_SAMPLE_WIDTH", width)

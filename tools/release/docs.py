@@ -58,20 +58,14 @@ def index() -> str:
 def gallery() -> str:
     """Return a page of all pictures that the samples draw, with what each script says of itself."""
     lines = ["# Gallery", "", "The scripts of `samples/` draw these pictures."]
-    pictures = {path.stem: path.name for path in sorted((ROOT / "samples/pictures").glob("*.png"))}
+    pictures = sorted(path.name for path in (ROOT / "samples/pictures").glob("*.png"))
     for script in sorted((ROOT / "samples").glob("[0-9]*.py")):
         text = script.read_text("utf-8")
-        shown = [name for stem, name in pictures.items() if f"{stem}.png" in text]
+        shown = [name for name in pictures if f'"{name}"' in text]
         if shown:
             title = text.split('"""')[1].split("\n")[0]
-            lines += [
-                "",
-                f"## {title}",
-                "",
-                f"`samples/{script.name}`",
-                "",
-                f"![{title}](pictures/{shown[0]})",
-            ]
+            lines += ["", f"## {title}", "", f"`samples/{script.name}`"]
+            lines += [f"\n![{title}](pictures/{name})" for name in shown]
     return "\n".join(lines)
 
 
@@ -92,11 +86,14 @@ def build(site: Path) -> None:
         written = {
             "index.md": index(),
             "gallery.md": gallery(),
+            "wide.css": ".md-grid { max-width: 75rem; }",
             "commands.md": "\n".join([(pages / "commands.md").read_text("utf-8"), *commands]),
             "api.md": "# Python API\n\n" + "\n".join(api),
         }
         for path, text in written.items():
             (pages / path).write_text(text, "utf-8")
+        for page in pages.glob("*.md"):
+            page.write_text(page.read_text("utf-8").replace("../../samples/pictures/", "pictures/"), "utf-8")
         groups = [
             {title: [f"{page}.md" for page in GROUPS[group].split()]} for group, title in TITLES.items()
         ]
@@ -110,6 +107,7 @@ def build(site: Path) -> None:
             "show_root_full_path": False,
             "show_root_heading": True,
             "show_signature_annotations": True,
+            "line_length": 90,
             "show_source": False,
         }
         config = {
@@ -122,6 +120,7 @@ def build(site: Path) -> None:
                 "font": False,
                 "features": ["navigation.sections", "content.code.copy"],
             },
+            "extra_css": ["wide.css"],
             "markdown_extensions": ["tables", "fenced_code", "pymdownx.highlight", "pymdownx.superfences"],
             "plugins": [
                 "search",

@@ -1,4 +1,4 @@
-"""An extension of mkdocstrings: it makes lists of the aligned tables of parameters in docstrings."""
+"""An extension of mkdocstrings: lists for the tables of parameters in docstrings, and the names of exports."""
 
 from __future__ import annotations
 
@@ -7,6 +7,10 @@ from typing import Any
 
 import griffe
 
+from octex import _HOMES
+
+#: By path: the names of objects that octex exports under other names.
+EXPORTED = {".".join(home): name for name, home in _HOMES.items() if home[1] != name}
 ROW = re.compile(r"^(\w+(?:, \w+)*) {2,}(\S.*)$")
 
 
@@ -26,9 +30,14 @@ def with_lists(text: str) -> str:
 
 
 class Parameters(griffe.Extension):
-    """Rewrites each docstring as it is read."""
+    """Rewrites each docstring as it is read, and names objects as octex exports them."""
 
     def on_instance(self, *, obj: griffe.Object, **_: Any) -> None:
         """Rewrite an object's docstring."""
         if obj.docstring:
             obj.docstring.value = with_lists(obj.docstring.value)
+
+    def on_package(self, *, pkg: griffe.Module, **_: Any) -> None:
+        """Name objects as octex exports them."""
+        for path, name in EXPORTED.items():
+            pkg[path.split(".", 1)[1]].name = name

@@ -1,6 +1,6 @@
-"""Pictures of painting in the browser: opens a sample in Chromium and paints on it with the pointer.
+"""Pictures of the page: opens a sample in Chromium, shows it, and paints on it with the pointer.
 
-    .venv/bin/python tools/release/painted_page.py      writes samples/pictures/browser*.png
+    .venv/bin/python tools/release/painted_page.py      writes viewer.png and browser*.png to samples/pictures
 
 Needs octex[test] and Chromium. Without a graphics card it takes some minutes.
 """
@@ -102,12 +102,29 @@ def paint(hand: Hand) -> None:
     hand.look()
 
 
+def show(hand: Hand) -> PIL.Image.Image:
+    """Return the droid's head as cells on the left, and as the page shows it on the right."""
+    hand.face([0.024, 0.535, 0.13], turn=0.95, tilt=0.25, distance=0.55)
+    hand.look()
+    hand.page.get_by_label("cells as cubes").check()
+    hand.page.locator("#level").fill("8")
+    hand.look()
+    smooth, cells = hand.pictures
+    left = (SIZE[0] - _PANEL) // 2
+    smooth.paste(cells.crop((0, 0, left, SIZE[1])))
+    return smooth
+
+
 def main() -> None:
-    """Paint, and write the pictures."""
+    """Show and paint, and write the pictures."""
     model = ROOT / "samples" / "droid.glb"
     surface = octex.load_surface(model)
     texture = octex.convert(surface, depth=10)
     with tempfile.TemporaryDirectory() as folder, driven() as driver, started(driver) as browser:
+        with served(viewer := Viewer(lambda: texture, Path(folder, "droid.octex"), surface)):
+            page = opened(browser, viewer.url, SIZE, finest=2)
+            show(Hand(page)).save(PICTURES / "viewer.png", optimize=True)
+            page.close()
         session = Session(texture, surface, Path(folder, "painted.octex"))
         viewer = Viewer(lambda: texture, Path(folder, "droid.octex"), surface, session=session)
         with served(viewer):
