@@ -1,4 +1,4 @@
-"""An extension of mkdocstrings: lists for the tables of parameters in docstrings, and the names of exports."""
+"""An extension of mkdocstrings: lists for the tables of parameters in docstrings, and exported names."""
 
 from __future__ import annotations
 
