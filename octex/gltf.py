@@ -38,7 +38,7 @@ _MOST_PER_BYTE = 1024
 _LIMIT = float(np.finfo(np.float64).max)
 #: The numbers that fields of nodes have.
 _COUNTS = {"matrix": 16, "translation": 3, "rotation": 4, "scale": 3}
-_COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+COMPONENT_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 # An accessor may stand for zeros that the file does not hold; more than this is taken for damage.
 _MOST_ZEROS = 2**24
@@ -224,7 +224,7 @@ class Document:
         """
         entry = self.item("accessors", index)
         what = f"{self.name}: accessors[{index}]"
-        dtype = np.dtype(_COMPONENT_TYPES[entry["componentType"]])
+        dtype = np.dtype(COMPONENT_TYPES[entry["componentType"]])
         width = _COMPONENTS.get(entry["type"], 0)
         if width not in components:
             raise damaged(f"{what} has type {entry['type']}, which does not fit its use")
@@ -242,7 +242,7 @@ class Document:
             raise ModelError(f"{what} has {count} elements without data; export the model again")
         if "sparse" in entry and decoded is None:
             sparse, indices = entry["sparse"], entry["sparse"]["indices"]
-            kind = np.dtype(_COMPONENT_TYPES[indices["componentType"]])
+            kind = np.dtype(COMPONENT_TYPES[indices["componentType"]])
             places = self._rows(indices, sparse["count"], 1, kind, what)[:, 0]
             if len(places) and int(places.max()) >= count:
                 raise ModelError(f"{what} has sparse indices outside its {count} elements")

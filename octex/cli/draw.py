@@ -216,4 +216,4 @@ def _light(options: Options) -> Environment | None:
 
     if options.light == "studio":
         return Environment.studio(options.exposure)
-    return Environment.load(options.light, options.exposure, options.up)
+    return Environment.of(options.light, options.exposure, options.up)

@@ -7,7 +7,6 @@ import math
 import os
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple, NoReturn
 
@@ -35,22 +34,13 @@ HOLES = "leave", "smooth"
 MOST_PIXELS = 16384
 
 
-@dataclass(frozen=True)
-class Address:
+class Address(str):
     """The address of a texture, in place of a path."""
-
-    text: str
-
-    def __str__(self) -> str:
-        return self.text
-
-    def __fspath__(self) -> str:
-        return self.text
 
     @property
     def name(self) -> str:
         """The file's name, without the query."""
-        names = [PurePosixPath(re.split("[?#]", part)[0]).name for part in self.text.split("::")]
+        names = [PurePosixPath(re.split("[?#]", part)[0]).name for part in self.split("::")]
         return next((name for name in names if _is_texture(name)), names[-1])
 
     @property
@@ -64,7 +54,7 @@ class Address:
 
     def stat(self) -> NoReturn:
         """Raise FileNotFoundError: the file is remote."""
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.text)
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(self))
 
 
 class FunctionName(NamedTuple):

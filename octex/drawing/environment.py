@@ -6,21 +6,22 @@ The tables assume that the view direction equals the normal (B. Karis, "Real Sha
 
 from __future__ import annotations
 
+import os
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import PIL.Image
 
 from octex.arrays import Float32s, Float64s, Int64s
 from octex.cameras.camera import Camera, as_vector
 from octex.channels import decode
-from octex.checks import as_number, as_path, as_reals
+from octex.checks import as_number, as_reals
 from octex.errors import ArgumentError, ImageError
 from octex.jit import inlined, kernel
-from octex.source.images.decode import as_texels, read_image_file
-from octex.source.images.pyramid import Texels, resized
+from octex.source.images.decode import read_image
+from octex.source.images.pyramid import resized
 
 #: Width limit of the image: 0.35° a texel.
 _WIDEST = 1024
@@ -48,7 +49,7 @@ class Tables(NamedTuple):
 
 
 class Environment:
-    """Light from far away in every direction; make it with ``of``, ``load`` or ``studio``.
+    """Light from far away in every direction; make it with ``of`` or ``studio``.
 
     ``tables`` are for kernels. If it ``follows`` the camera, the image's middle is behind the camera. If it
     is ``tone_mapped``, renderings compress light brighter than white; otherwise they clip it.
@@ -61,29 +62,21 @@ class Environment:
 
     @classmethod
     def of(
-        cls, picture: npt.ArrayLike, exposure: float = 0.0, up: npt.ArrayLike = (0.0, 1.0, 0.0)
+        cls,
+        picture: str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike,
+        exposure: float = 0.0,
+        up: npt.ArrayLike = (0.0, 1.0, 0.0),
     ) -> Environment:
-        """Make one of an image (height, width, 1 to 4): floats are linear light, integers sRGB codes.
+        """Make one of an image file (``.hdr``, ``.exr`` or another), a Pillow image or an array.
 
-        The image's top is ``up``. With +y up its middle is +z, in front of the model, and −x is to the right
-        of it (the latitude-longitude map of OpenEXR's ImfEnvmap.h). Each stop of ``exposure`` doubles the
-        light. Values below 0, from lossy files, become black. Raises ImageError for an unusable image,
-        ArgumentError for an exposure beyond ±64 stops and an ``up`` of length 0.
+        Arrays (height, width, 1 to 4) of floats are linear light, of integers sRGB codes. The image's top is
+        ``up``. With +y up its middle is +z, in front of the model, and −x is to the right of it (the
+        latitude-longitude map of OpenEXR's ImfEnvmap.h). Each stop of ``exposure`` doubles the light. Values
+        below 0, from lossy files, become black. Raises ImageError for an unusable image, ArgumentError for an
+        exposure beyond ±64 stops and an ``up`` of length 0.
         """
-        return cls._of(as_texels(picture), exposure, up)
-
-    @classmethod
-    def load(
-        cls, path: str | Path, exposure: float = 0.0, up: npt.ArrayLike = (0.0, 1.0, 0.0)
-    ) -> Environment:
-        """Make an environment of an image file (``.hdr``, ``.exr`` or another); see ``of``."""
-        file = as_path(path)
-        return cls._of(read_image_file(file)[0], exposure, up, file.name)
-
-    @classmethod
-    def _of(
-        cls, texels: Texels, exposure: float, up: npt.ArrayLike, name: str = "the picture"
-    ) -> Environment:
+        texels, origin = read_image(picture)
+        name = "the picture" if "array" in origin else next(iter(origin))
         exposure = as_number(exposure, "exposure", -64.0, 64.0)
         height, width = texels.shape[:2]
         if height > width:  # the faces of a cube, one below another

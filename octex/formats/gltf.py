@@ -12,22 +12,23 @@ from typing import Any
 
 import numpy as np
 
-from octex.arrays import Floats, Integers
+from octex.arrays import Array, Integers
 from octex.errors import ModelError
 from octex.files import OCTREE_EXTENSION, replacing
 from octex.formats.images import FileFormat, ImageFormat, encoded_images, image_names
 from octex.formats.models import Target, Written, materials_of, origin_of
 from octex.formats.web import texture_file
-from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
+from octex.gltf import COMPONENT_TYPES
 from octex.source.materials import Input, Material, MaterialSource
+from octex.source.models.gltf import NEAREST, WRAPS
 from octex.source.surface import Surface
 from octex.source.welding import distinct_rows
 from octex.texture import OctreeTexture
 
-_FLOAT, _UINT = 5126, 5125
+_CODES = {kind: code for code, kind in COMPONENT_TYPES.items()}
 _ARRAYS, _ELEMENTS = 34962, 34963
-_WRAPS = {REPEAT: 10497, MIRROR: 33648, CLAMP: 33071}
-_NEAREST, _LINEAR, _MIPMAPS = 9728, 9729, 9987
+_WRAPS = {wrap: code for code, wrap in WRAPS.items()}
+_LINEAR, _MIPMAPS = 9729, 9987
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 #: Reflectance of a dielectric whose specular colour is 1 in KHR_materials_specular.
 _DIELECTRIC = 0.04
@@ -129,15 +130,12 @@ class _Content:
         )
         distinct, indices = distinct_rows(corners.reshape(-1, corners.shape[-1]))
         positions = surface.vertices[distinct[:, 0]] - self._origin
-        attributes = {"POSITION": self._floats(positions, limits=True)}
+        attributes = {"POSITION": self._array(positions.astype("<f4"), limits=True)}
         for number, (name, each) in enumerate(bound.items(), 1):
-            attributes[name] = self._floats(each.values[distinct[:, number]])
+            attributes[name] = self._array(each.values[distinct[:, number]].astype("<f4"))
         at_rest = self._at_rest(surface, distinct[:, 0])
-        accessor = {
-            "bufferView": self.view(indices.astype("<u4").tobytes(), _ELEMENTS),
-            "componentType": _UINT, "count": int(indices.size), "type": "SCALAR",
-        }  # fmt: skip
-        return {"attributes": attributes, "indices": self._accessor(accessor), **at_rest}
+        corners_at = self._array(indices.astype("<u4"), _ELEMENTS)
+        return {"attributes": attributes, "indices": corners_at, **at_rest}
 
     def _at_rest(self, surface: Surface, vertices: Integers) -> dict[str, Any]:
         """Return the extension for the vertices' rest positions in the octree's root cell, if they differ."""
@@ -147,7 +145,7 @@ class _Content:
         found: dict[str, Any] = {"octree": 0, "scale": 1.0 / size}
         found["offset"] = ((self._origin - origin) / size).tolist()
         if surface.rest is not surface.vertices:
-            found["rest"] = self._floats(surface.rest[vertices] - self._origin)
+            found["rest"] = self._array((surface.rest[vertices] - self._origin).astype("<f4"))
         return {"extensions": {OCTREE_EXTENSION: found}}
 
     def carry(self, file: Mapping[str, Any]) -> None:
@@ -155,17 +153,14 @@ class _Content:
         self.json["extensions"] = {OCTREE_EXTENSION: {"octrees": [file]}}
         self.json["extensionsUsed"] = sorted({*self._extensions, OCTREE_EXTENSION})
 
-    def _floats(self, values: Floats, *, limits: bool = False) -> int:
-        values = values.astype("<f4")
+    def _array(self, values: Array, target: int = _ARRAYS, *, limits: bool = False) -> int:
+        """Add numbers (n,), or vectors (n, 2 to 4), and return the number of their accessor."""
         accessor: dict[str, Any] = {
-            "bufferView": self.view(values.tobytes(), _ARRAYS), "componentType": _FLOAT,
-            "count": len(values), "type": f"VEC{values.shape[1]}",
+            "bufferView": self.view(values.tobytes(), target), "componentType": _CODES[values.dtype.str],
+            "count": len(values), "type": "SCALAR" if values.ndim == 1 else f"VEC{values.shape[1]}",
         }  # fmt: skip
         if limits:
             accessor |= {"min": values.min(axis=0).tolist(), "max": values.max(axis=0).tolist()}
-        return self._accessor(accessor)
-
-    def _accessor(self, accessor: dict[str, Any]) -> int:
         self.json.setdefault("accessors", []).append(accessor)
         return len(self.json["accessors"]) - 1
 
@@ -187,8 +182,8 @@ class _Content:
         key = (id(texture.texels), *texture[1:])
         if key not in self._textures:
             sampler = {
-                "magFilter": _NEAREST if texture.nearest else _LINEAR,
-                "minFilter": _NEAREST if texture.nearest else _MIPMAPS,
+                "magFilter": NEAREST if texture.nearest else _LINEAR,
+                "minFilter": NEAREST if texture.nearest else _MIPMAPS,
                 "wrapS": _WRAPS[texture.wrap_u], "wrapT": _WRAPS[texture.wrap_v],
             }  # fmt: skip
             samplers = self.json.setdefault("samplers", [])

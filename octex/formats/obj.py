@@ -14,19 +14,8 @@ from octex.files import replacing
 from octex.formats.images import ImageFormat, file_format, image_file, image_name
 from octex.formats.models import Target, Written, colors_of_vertices, materials_of
 from octex.source.materials import Material
+from octex.source.models.mtl import KEYS
 from octex.source.surface import Surface
-
-#: Keywords of a channel's image and of its factor in a .mtl.
-_MAPS = {
-    "base_color": ("map_Kd", "Kd"),
-    "alpha": ("map_d", "d"),
-    "specular": ("map_Ks", "Ks"),
-    "emissive": ("map_Ke", "Ke"),
-    "roughness": ("map_Pr", "Pr"),
-    "metallic": ("map_Pm", "Pm"),
-    "occlusion": ("map_ao", ""),
-    "normal": ("norm", ""),
-}
 
 
 def write(surface: Surface, target: Target) -> Written:
@@ -87,11 +76,11 @@ def _described(
 ) -> Iterator[str]:
     """Yield the lines of a material, and write its images; ``written`` are the names of finished images."""
     for channel, item in material.inputs.items():
-        if channel not in _MAPS or (channel == "alpha" and material.alpha_mode == "opaque"):
+        if channel not in KEYS or (channel == "alpha" and material.alpha_mode == "opaque"):
             continue
         if any(item.offset) or max(item.factor) > 1.0:
             raise ModelError(f"an .mtl file cannot scale {channel!r} above 1, or add to it; write a .glb")
-        word, factor = _MAPS[channel]
+        factor, word = KEYS[channel][:2]
         if item.texture is not None:
             if item.texture.slot != 0:
                 raise ModelError("an .obj file has one set of texture coordinates; write a .glb")

@@ -52,32 +52,9 @@ class Level(NamedTuple):
         return np.asarray(firsts + (within + by) % np.repeat(self.sizes, self.sizes), np.int64)
 
     @property
-    def lines(self) -> Lines:
-        """The edges, from both of their vertices."""
-        others = self.edges[:, ::-1].ravel()
-        return Lines(self.edges.ravel(), self.values, others, np.repeat(self.sharpness, 2))
-
-    @property
     def owners(self) -> Int64s:
         """The face of each corner (c,)."""
         return np.repeat(np.arange(len(self.sizes)), self.sizes)
-
-
-class Lines(NamedTuple):
-    """Edges, seen from each of their vertices."""
-
-    at: Int64s  # (n,)   vertices
-    values: Float64s  # (…, k)
-    others: Int64s  # (n,)   of these, the values at the edges' other ends
-    sharpness: Float64s  # (n,)
-
-    def kinds(self, spikes: Float64s) -> tuple[Array, Float64s]:
-        """Return each vertex's rule (v,), and the sum of the other ends of its sharp edges (v, k)."""
-        is_sharp, count = self.sharpness > 0, len(spikes)
-        at = self.at[is_sharp]
-        n_sharp = np.bincount(at, minlength=count)
-        kinds = np.where(n_sharp > 2, _CORNER, np.where(n_sharp == 2, _CREASE, _SMOOTH))
-        return np.where(spikes > 0, _CORNER, kinds), _sums(at, self.values, count, self.others[is_sharp])
 
 
 def base_level(
@@ -140,22 +117,23 @@ def divided(level: Level, scheme: Scheme) -> Level:
     before, owners = level.preceding, level.owners
     values, corners, sides = level.values, level.corners, level.sides
     middles = values[level.edges[:, 0]] + values[level.edges[:, 1]]
+    valences = np.bincount(level.edges.ravel(), minlength=count)[:, None]
     weights = np.clip(level.sharpness, 0.0, 1.0)[:, None]
     if scheme == "loop":
         added = _sums(sides, values, n_edges, corners[before])
         smooth = 0.375 * middles + 0.125 * added
         centres = np.empty((0, values.shape[1]))
-        moved = _smoothed(values, _ring_sums(level), np.bincount(level.edges.ravel(), minlength=count))
+        beta = _beta(valences)
+        moved = (1 - valences * beta) * values + beta * _ring_sums(level)
     else:
         firsts = np.cumsum(level.sizes) - level.sizes
         centres = np.add.reduceat(values[corners], firsts, axis=0) / level.sizes[:, None]
         smooth = (middles + _sums(sides, centres, n_edges, owners)) / 4
-        valences = np.bincount(level.edges.ravel(), minlength=count)[:, None]
         faces = _sums(corners, centres, count, owners)
         moved = ((valences - 2) * values + (_ring_sums(level) + faces) / valences) / valences
     made = weights * (middles / 2) + (1 - weights) * smooth
     softer = _softer(level.sharpness)
-    moved = _sharpened(level.lines, level.spikes, values, moved)
+    moved = _sharpened(level, moved)
 
     # Edges: both halves of each, then one a corner, between the new points.
     halves = 2 * sides + (level.edges[sides, 1] == corners)
@@ -197,65 +175,48 @@ def divided(level: Level, scheme: Scheme) -> Level:
     )
 
 
-def limits(level: Level, scheme: Scheme) -> Float64s:
-    """Return the limits of a level's vertices (v, k); for Catmull–Clark all faces are quads."""
-    count = len(level.values)
-    valences = np.bincount(level.edges.ravel(), minlength=count)
-    diagonals = None
+def limits(level: Level, scheme: Scheme, first: int | None = None, rounds: int = _ROUNDS) -> Float64s:
+    """Return the limits of a level's ``first`` vertices (v, k); for Catmull–Clark all faces are quads."""
+    values, count = level.values, len(level.values)
+    sums, n = _ring_sums(level), np.bincount(level.edges.ravel(), minlength=count)[:, None].astype(np.float64)
     if scheme == "catmull-clark":
         across = level.corners.reshape(-1, 4)[:, [2, 3, 0, 1]].ravel()
-        diagonals = _sums(level.corners, level.values, count, across)
-    smooth = _smooth_limits(level.values, _ring_sums(level), diagonals, valences)
-    limited = _sharp_limits(level.lines, level.spikes, level.values, smooth)
+        diagonals = _sums(level.corners, values, count, across)
+        smooth = (n * n * values + 4 * sums + diagonals) / (n * (n + 5))
+    else:
+        share = 1 / (0.375 / _beta(n) + n)
+        smooth = (1 - n * share) * values + share * sums
+    kinds, ends = _kinds(level, level.sharpness, level.spikes)
+    limited = _by_kind(kinds, values, (4 * values + ends) / 6, smooth)[:first]
+    # Where another rule will hold, and where a single edge is sharp, the limits are those of the next level.
     lone = np.bincount(level.edges[level.sharpness > 0].ravel(), minlength=count) == 1
     passing = (level.sharpness > 0) & (level.sharpness < INFINITE)
     lone[level.edges[passing]] = True
     lone |= (level.spikes > 0) & (level.spikes < INFINITE)
-    lone &= level.spikes < INFINITE
-    if lone.any():
-        limited[lone] = _around(level, scheme, lone)
+    chosen = np.flatnonzero((lone & (level.spikes < INFINITE))[:first])
+    if rounds and len(chosen):
+        following = divided(_around(level, chosen), scheme)
+        limited[chosen] = limits(following, scheme, len(chosen), rounds - 1)
     return limited
 
 
-def _around(level: Level, scheme: Scheme, chosen: Bools) -> Float64s:
-    """Return the limits of chosen vertices, by subdividing the faces around each of them repeatedly."""
-    numbers = np.cumsum(chosen) - 1
-    count = int(chosen.sum())
-    before = level.preceding
-    ends = np.stack([level.edges, level.edges[:, ::-1]]).transpose(1, 0, 2).reshape(-1, 2)  # 2e, 2e + 1
-    spokes = np.flatnonzero(chosen[ends[:, 0]])
-    spoke_of = np.full(len(ends), -1)
-    spoke_of[spokes] = np.arange(len(spokes))
-    fans = np.flatnonzero(chosen[level.corners])
-    here = level.corners[fans]
-    ahead, behind = level.sides[fans], level.sides[before[fans]]
-    ahead = spoke_of[2 * ahead + (level.edges[ahead, 1] == here)]
-    behind = spoke_of[2 * behind + (level.edges[behind, 1] == here)]
-    at, fan_at = numbers[ends[spokes, 0]], numbers[here]
-    middle, rim = level.values[chosen], level.values[ends[spokes, 1]]
-    sharpness, spikes = level.sharpness[spokes // 2], level.spikes[chosen]
-    valences, spoke = np.bincount(at, minlength=count), np.arange(len(rim))
-    far = np.empty((0, rim.shape[1]))
-    if scheme == "catmull-clark":
-        far = level.values[level.corners.reshape(-1, 4)[:, [2, 3, 0, 1]].ravel()[fans]]
-    for _ in range(_ROUNDS):
-        weights = np.clip(sharpness, 0.0, 1.0)[:, None]
-        sides, sums = middle[at] + rim, _sums(at, rim, count)
-        if scheme == "loop":
-            added = _sums(ahead, rim, len(rim), behind) + _sums(behind, rim, len(rim), ahead)
-            smooth = 0.375 * sides + 0.125 * added
-            moved = _smoothed(middle, sums, valences)
-        else:
-            far = (middle[fan_at] + rim[ahead] + rim[behind] + far) / 4
-            smooth = (sides + _sums(ahead, far, len(rim)) + _sums(behind, far, len(rim))) / 4
-            n = valences[:, None]
-            moved = ((n - 2) * middle + (sums + _sums(fan_at, far, count)) / n) / n
-        middle = _sharpened(Lines(at, rim, spoke, sharpness), spikes, middle, moved)
-        rim = weights * (sides / 2) + (1 - weights) * smooth
-        sharpness, spikes = _softer(sharpness), _softer(spikes)
-    diagonals = _sums(fan_at, far, count) if scheme == "catmull-clark" else None
-    smooth = _smooth_limits(middle, _sums(at, rim, count), diagonals, valences)
-    return _sharp_limits(Lines(at, rim, spoke, sharpness), spikes, middle, smooth)
+def _around(level: Level, chosen: Int64s) -> Level:
+    """Return the faces around chosen vertices (k,), which become the first k."""
+    size = int(level.sizes[0])
+    is_chosen, is_near = np.zeros((2, len(level.values)), np.bool_)
+    is_chosen[chosen] = True
+    faces = np.flatnonzero(is_chosen[level.corners].reshape(-1, size).any(axis=1))
+    rows = (size * faces[:, None] + np.arange(size)).ravel()
+    is_near[level.corners[rows]] = True
+    vertices = np.concatenate([chosen, np.flatnonzero(is_near & ~is_chosen)])
+    numbers = np.empty(len(level.values), np.int64)
+    numbers[vertices] = np.arange(len(vertices))
+    is_side = np.bincount(level.sides[rows], minlength=len(level.edges)) > 0
+    return Level(
+        level.values[vertices], numbers[level.corners[rows]], level.sizes[faces],
+        (np.cumsum(is_side) - 1)[level.sides[rows]], numbers[level.edges[is_side]], level.sharpness[is_side],
+        level.spikes[vertices], level.domain[rows], level.faces[faces],
+    )  # fmt: skip
 
 
 def _sums(owners: Int64s, values: Float64s, count: int, rows: Int64s | None = None) -> Float64s:
@@ -272,10 +233,9 @@ def _ring_sums(level: Level) -> Float64s:
     return _sums(ends, level.values, len(level.values), level.edges[:, ::-1].ravel())
 
 
-def _smoothed(values: Float64s, sums: Float64s, valences: Int64s) -> Float64s:
-    n = valences[:, None]
-    beta = (0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / n)) ** 2) / n
-    return (1 - n * beta) * values + beta * sums
+def _beta(n: Float64s | Int64s) -> Float64s:
+    """Return Loop's weight of a neighbour, for valences (v, 1)."""
+    return np.asarray((0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / n)) ** 2) / n)
 
 
 def _softer(sharpness: Float64s) -> Float64s:
@@ -286,42 +246,35 @@ def _by_kind(kinds: Array, values: Float64s, creased: Float64s, smooth: Float64s
     return np.select([(kinds == _CORNER)[:, None], (kinds == _CREASE)[:, None]], [values, creased], smooth)
 
 
-def _sharpened(lines: Lines, spikes: Float64s, values: Float64s, smooth: Float64s) -> Float64s:
+def _kinds(level: Level, sharpness: Float64s, spikes: Float64s) -> tuple[Array, Float64s]:
+    """Return each vertex's rule (v,), and the sum of the other ends of its sharp edges (v, k)."""
+    sharp, count = level.edges[sharpness > 0], len(spikes)
+    n_sharp = np.bincount(sharp.ravel(), minlength=count)
+    kinds = np.where(n_sharp > 2, _CORNER, np.where(n_sharp == 2, _CREASE, _SMOOTH))
+    ends = _sums(sharp.ravel(), level.values, count, sharp[:, ::-1].ravel())
+    return np.where(spikes > 0, _CORNER, kinds), ends
+
+
+def _sharpened(level: Level, smooth: Float64s) -> Float64s:
     """Return moved vertices (v, k): the ``smooth`` ones, except on creases and corners.
 
     If the next level has another rule, this one weighs by the mean of the remaining sharpness.
     """
-    if not (lines.sharpness > 0).any() and not (spikes > 0).any():
+    values, sharpness, spikes = level.values, level.sharpness, level.spikes
+    if not (sharpness > 0).any() and not (spikes > 0).any():
         return smooth
-    softer, blunter = _softer(lines.sharpness), _softer(spikes)
-    (kinds, sums), (later, later_sums) = lines.kinds(spikes), lines._replace(sharpness=softer).kinds(blunter)
+    softer, blunter = _softer(sharpness), _softer(spikes)
+    (kinds, sums), (later, later_sums) = _kinds(level, sharpness, spikes), _kinds(level, softer, blunter)
     chosen = np.flatnonzero((kinds != _SMOOTH) | (later != _SMOOTH))
     now, then = (
         _by_kind(kind[chosen], values[chosen], 0.75 * values[chosen] + 0.125 * ends[chosen], smooth[chosen])
         for kind, ends in ((kinds, sums), (later, later_sums))
     )
-    ending, blunt = (lines.sharpness > 0) & (softer <= 0), (spikes > 0) & (blunter <= 0)
-    at = lines.at[ending]
-    left = np.bincount(at, lines.sharpness[ending], len(spikes)) + np.where(blunt, spikes, 0.0)
+    ending, blunt = (sharpness > 0) & (softer <= 0), (spikes > 0) & (blunter <= 0)
+    at = level.edges[ending].ravel()
+    left = np.bincount(at, np.repeat(sharpness[ending], 2), len(spikes)) + np.where(blunt, spikes, 0.0)
     counts = np.bincount(at, minlength=len(spikes)) + blunt
     share = np.minimum(left / np.maximum(counts, 1), 1.0)[chosen, None]
     is_other = (kinds != later)[chosen, None]
     smooth[chosen] = np.where(is_other, share * now + (1 - share) * then, now)
     return smooth
-
-
-def _smooth_limits(
-    values: Float64s, sums: Float64s, diagonals: Float64s | None, valences: Int64s
-) -> Float64s:
-    n = valences[:, None].astype(np.float64)
-    if diagonals is not None:
-        return np.asarray((n * n * values + 4 * sums + diagonals) / (n * (n + 5)))
-    beta = (0.625 - (0.375 + 0.25 * np.cos(2 * np.pi / n)) ** 2) / n
-    share = 1 / (0.375 / beta + n)
-    return np.asarray((1 - n * share) * values + share * sums)
-
-
-def _sharp_limits(lines: Lines, spikes: Float64s, values: Float64s, smooth: Float64s) -> Float64s:
-    """Return limits of vertices (v, k): the ``smooth`` ones, except on creases and corners."""
-    kinds, ends = lines.kinds(spikes)
-    return _by_kind(kinds, values, (4 * values + ends) / 6, smooth)

@@ -236,7 +236,7 @@ def test_what_is_no_picture_of_all_directions_is_refused(tmp_path):
     (tmp_path / "light.hdr").write_bytes(b"nothing")
     for path in (tmp_path / "light.hdr", tmp_path / "missing.hdr"):
         with pytest.raises(ImageError, match=path.name):
-            Environment.load(path)
+            Environment.of(path)
 
 
 # --- in pictures

@@ -151,7 +151,7 @@ def calls():
         (w.camera.scaled, {"factor": 2}),
         (w.camera.resized, {"size": (5, 3)}),
         (w.camera.zoomed, {"times": 2.0}),
-        (octex.Environment.load, {"path": at / "light.png"}),
+        (octex.Environment.of, {"picture": at / "light.png"}),
         (octex.Environment.of, {"picture": rows[None] / 10}),
         (octex.Environment.studio, {}),
         (w.light.seen_by, {"camera": w.camera}),

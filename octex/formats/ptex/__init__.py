@@ -2,7 +2,7 @@
 
 layout      the file format, drawn
 reader      reads files lazily
-writer      writes files; reduction: halves texels
+writer      writes files
 patches     a mesh's polygons as Ptex faces, their neighbours, and points on them
 pyramid     texels of faces and their means, with rims
 triangles   interpolation between triangular texels

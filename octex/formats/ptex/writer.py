@@ -12,12 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float64s, Int8s, Int64s, Uint32s
+from octex.arrays import Array, Bools, Float64s, Floats, Int8s, Int64s, Uint32s
 from octex.channels import ONE
 from octex.files import replacing
 from octex.formats.ptex import layout
 from octex.formats.ptex.layout import Faces
-from octex.formats.ptex.reduction import colors, halved, multiply, stored
 from octex.parallel import ordered_map, start
 
 #: Smaller blocks, in bytes, choose their encoding by an estimate, not by trial: zlib takes 8 µs per call.
@@ -121,7 +120,7 @@ def _levels(contents: Contents, is_constant: Bools, executor: Executor) -> tuple
                 blocks[level][number] = block
     heads = [zlib.compress(each.astype("<u4").tobytes(), 9) for each in words]
     made = [[head, *level] for head, level in zip(heads, blocks, strict=True)]
-    return made, stored(sums, dtype).astype(dtype.newbyteorder("<"))
+    return made, _stored(sums, dtype).astype(dtype.newbyteorder("<"))
 
 
 class _Group(NamedTuple):
@@ -157,11 +156,11 @@ def _encoded_group(
         multiply(exact, alpha, ONE[texels.dtype.name])
     for _ in range(1, min(u, v) - 1):
         exact = halved(exact, is_triangle)
-        found.append(_encoded(stored(exact, texels.dtype)))
+        found.append(_encoded(_stored(exact, texels.dtype)))
     averages = exact.mean(axis=(1, 2))
     if alpha is not None:
         share = averages[:, alpha, None] / ONE[texels.dtype.name]
-        averages[:, colors(alpha)] /= np.where(share == 0, 1.0, share)
+        averages[:, _colors(alpha)] /= np.where(share == 0, 1.0, share)
     return averages, found
 
 
@@ -239,3 +238,31 @@ def _constant(texels: Array, counts: Int64s) -> Bools:
     differs[firsts] = False  # compared with the face before
     constant: Bools = ~np.logical_or.reduceat(differs, firsts)
     return constant
+
+
+def multiply(values: Floats, alpha: int, one: float) -> None:
+    """Multiply the colours' channels by alpha, where they are."""
+    values[..., _colors(alpha)] *= values[..., alpha : alpha + 1] / one
+
+
+def _colors(alpha: int) -> slice:
+    """Return the channels that are multiplied by alpha: those before it, or if it is the first all others."""
+    return slice(0, alpha) if alpha else slice(1, None)
+
+
+def halved(texels: Array, is_triangle: bool) -> Array:
+    """Return means (n, v/2, u/2, channels) of four texels (n, v, u, channels), a triangle's as it divides."""
+    values = texels if texels.dtype == np.float64 else texels.astype(np.float64)
+    total = values[:, ::2, ::2] + values[:, ::2, 1::2] + values[:, 1::2, ::2]
+    last = values[:, 1::2, 1::2]
+    if is_triangle:
+        last = np.swapaxes(values[:, ::-2, ::-2], 1, 2)
+    return _stored((total + last) / 4, texels.dtype)
+
+
+def _stored(values: Floats, dtype: np.dtype) -> Array:
+    """Return values as numbers of a type, whole ones rounded to nearest."""
+    if dtype.kind == "u":
+        return np.rint(np.clip(values, 0, np.iinfo(dtype).max)).astype(dtype)
+    with np.errstate(over="ignore"):
+        return values.astype(dtype)

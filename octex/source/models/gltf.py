@@ -42,8 +42,8 @@ from octex.source.tangents import corner_frames
 
 _TRIANGLES, _TRIANGLE_STRIP, _TRIANGLE_FAN = 4, 5, 6
 _ALPHA_MODES: dict[str, AlphaMode] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
-_WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
-_NEAREST = 9728
+WRAPS = {10497: REPEAT, 33648: MIRROR, 33071: CLAMP}
+NEAREST = 9728
 #: The attribute of rest positions in models that carry an octree.
 _REST = f"{OCTREE_EXTENSION}:REST"
 _IMAGE_EXTENSIONS = ("EXT_texture_avif", "EXT_texture_webp", "KHR_texture_basisu")
@@ -381,9 +381,9 @@ def _texture(
     sampler = document.item("samplers", entry["sampler"]) if "sampler" in entry else {}
     wraps = {axis: sampler.get(axis, 10497) for axis in ("wrapS", "wrapT")}
     for axis, code in wraps.items():
-        if code not in _WRAPS:
+        if code not in WRAPS:
             raise damaged(f"{document.name}: a sampler has an unknown {axis} {code}")
-    wrap_u, wrap_v = (_WRAPS[code] for code in wraps.values())
+    wrap_u, wrap_v = (WRAPS[code] for code in wraps.values())
     image, what = document.item("images", source), f"images[{source}]"
     file: str | int | None = image.get("bufferView", image.get("uri"))
     name = f"{document.name}: {what}"
@@ -406,4 +406,4 @@ def _texture(
         transform.number("rotation", 0.0),
         transform.numbers("offset", (0.0, 0.0)),
     )
-    return file, wrap_u, wrap_v, sampler.get("magFilter") == _NEAREST, slot
+    return file, wrap_u, wrap_v, sampler.get("magFilter") == NEAREST, slot

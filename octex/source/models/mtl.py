@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Array, Int64s, Uint16s
-from octex.channels import LUMINANCE, srgb_to_linear
+from octex.channels import CHANNELS, LUMINANCE, srgb_to_linear
 from octex.errors import ImageError, ModelError
 from octex.files import read_bytes, referred
 from octex.source.images.decode import decode_image, is_translucent
@@ -30,6 +30,17 @@ _OPTION_WORDS = {
     "-imfchan": 1, "-mm": 2, "-texres": 1, "-type": 1, "-o": 3, "-s": 3, "-t": 3,
 }  # fmt: skip
 _LANES = {"r": 0, "g": 1, "b": 2, "m": 3}
+#: Keywords of a channel: of its number or colour, then of its map; the first map of a material counts.
+KEYS = {
+    "alpha": ("d", "map_d"),
+    "base_color": ("Kd", "map_Kd"),
+    "metallic": ("Pm", "map_Pm", "map_metallic"),
+    "roughness": ("Pr", "map_Pr", "map_roughness"),
+    "occlusion": ("", "map_ao"),
+    "emissive": ("Ke", "map_Ke", "map_emissive"),
+    "specular": ("Ks", "map_Ks"),
+    "normal": ("", "norm", "map_Kn", "map_tangentSpaceNormal"),
+}
 
 # Grey images that went through JPEG differ by a few codes of 255; normal maps by about a hundred.
 _GREY = 8 / 255
@@ -144,30 +155,26 @@ class _Describer:
 
     def describe(self) -> Description:
         """Return the material."""
-        alpha = self._alpha()
+        special = {"alpha": self._alpha, "normal": self._normal}
+        inputs = {"base_color": Input((1.0, 1.0, 1.0))}
+        for channel in KEYS:
+            read = self._scalar if CHANNELS[channel].components == 1 else self._color
+            made = special.get(channel, read)(channel)
+            if made is not None:
+                inputs[channel] = made
         assumed = set()
-        inputs = {"base_color": self._color("base_color", "Kd", "map_Kd") or Input((1.0, 1.0, 1.0))}
-        stated = {
-            "alpha": alpha,
-            "metallic": self._scalar("metallic", "Pm", "map_Pm", "map_metallic"),
-            "roughness": self._scalar("roughness", "Pr", "map_Pr", "map_roughness"),
-            "occlusion": self._scalar("occlusion", "", "map_ao"),
-            "emissive": self._color("emissive", "Ke", "map_Ke", "map_emissive"),
-            "specular": self._color("specular", "Ks", "map_Ks"),
-            "normal": self._normal(),
-        }
-        inputs |= {channel: each for channel, each in stated.items() if each is not None}
         if "roughness" not in inputs and "ns" in self._entries:
             exponent = self._numbers("Ns", 1)[0] if self._options.wants("roughness") else 0.0
             inputs["roughness"] = Input((1.0 - (min(max(exponent, 0.0), 1000.0) / 1000.0) ** 0.5,))
             assumed.add("roughness")
-        if stated["specular"] is not None and self._map("map_Ks") is None:
+        if "specular" in inputs and self._map("map_Ks") is None:
             assumed.add("specular")
-        material = Material(inputs, "opaque" if alpha is None else "blend", name=self._name)
+        material = Material(inputs, "blend" if "alpha" in inputs else "opaque", name=self._name)
         return Description(material, tuple(self._slots), frozenset(assumed))
 
-    def _color(self, channel: str, key: str, *maps: str) -> Input | None:
+    def _color(self, channel: str) -> Input | None:
         """Return a colour and its map; None if the material has neither, or no emission."""
+        key, *maps = KEYS[channel]
         image, text = self._map(*maps), self._entries.get(key.lower())
         if image is None and text is None:
             return None
@@ -187,8 +194,9 @@ class _Describer:
         factor = tuple(max(each, 0.0) for each in color)
         return Input(factor, None if image is None else self._texture(image))
 
-    def _scalar(self, channel: str, key: str, *maps: str) -> Input | None:
+    def _scalar(self, channel: str) -> Input | None:
         """Return a map of single values, or else a number; None if the material has neither."""
+        key, *maps = KEYS[channel]
         image = self._map(*maps)
         if image is None and key.lower() not in self._entries:
             return None
@@ -199,7 +207,7 @@ class _Describer:
         texture, lane = self._lane(image)
         return Input((1.0,), texture, (lane,))
 
-    def _alpha(self) -> Input | None:
+    def _alpha(self, channel: str) -> Input | None:
         """Return opacity, and its map; None for an opaque material."""
         opacity = 1.0
         if "d" in self._entries:
@@ -208,21 +216,21 @@ class _Describer:
             # MeshLab and others write opacity here: an invisible material is meant to be opaque.
             opacity = (1.0 - self._numbers("Tr", 1)[0]) or 1.0
         opacity = min(max(opacity, 0.0), 1.0)
-        image = self._map("map_d")
+        image = self._map(*KEYS[channel][1:])
         if image is None:
             return None if opacity == 1.0 else Input((opacity,))
-        if not self._options.wants("alpha"):
+        if not self._options.wants(channel):
             return Input((1.0,))
         matte = not image.lane and is_translucent(self._texels(image))
         texture, lane = self._lane(image._replace(lane="m") if matte else image)
         return Input((opacity or 1.0,), texture, (lane,))
 
-    def _normal(self) -> Input | None:
-        normal_map = self._map("norm", "map_Kn", "map_tangentSpaceNormal")
+    def _normal(self, channel: str) -> Input | None:
+        normal_map = self._map(*KEYS[channel][1:])
         image = normal_map or self._map("map_Bump", "bump")
         if image is None:
             return None
-        if not self._options.wants("normal"):
+        if not self._options.wants(channel):
             return Input((1.0, 1.0, 1.0))
         if normal_map is None:
             texels = self._texels(image)

@@ -33,8 +33,7 @@ from octex.formats.ptex.layout import (
     Faces,
 )  # fmt: skip
 from octex.formats.ptex.reader import PtexFile
-from octex.formats.ptex.reduction import halved, multiply
-from octex.formats.ptex.writer import Contents, write_contents
+from octex.formats.ptex.writer import Contents, halved, multiply, write_contents
 from octex.parallel import workers
 
 PROGRAM = Path(__file__).with_suffix(".cpp")
