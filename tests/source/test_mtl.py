@@ -77,6 +77,17 @@ def test_a_number_is_a_channel(tmp_path, line, channel, factor):
     assert found.alpha_mode == ("blend" if channel == "alpha" else "opaque")
 
 
+def test_colors_that_blender_wrote_are_linear_light(tmp_path):
+    lines = OBJ_SQUARE + "usemtl wood\n" + FACES
+    found = obj(
+        tmp_path / "a.obj",
+        lines,
+        "# Blender 5.0.1 MTL File: 'a.blend'\n\nnewmtl wood\nKd 0.5 0.25 0.1\nKe .5 0 0\n",
+    )
+    values = octex.load_surface(found).evaluate_all([0], np.array([[1.0, 0, 0]]), [0.0])[0]
+    np.testing.assert_allclose(values, [0.5, 0.25, 0.1, 0.5, 0, 0], atol=1e-6)
+
+
 @pytest.mark.parametrize(
     ("key", "channel", "lanes"),
     [

@@ -1,7 +1,7 @@
 """MTL files: the materials of OBJ models.
 
 The specification (Alias|Wavefront, 1995) leaves open what numbers mean; octex follows the field's practice
-(see `octex help models`). Colours are sRGB values.
+(see `octex help models`). Colours are sRGB values, in files that Blender wrote linear light.
 """
 
 from __future__ import annotations
@@ -42,6 +42,8 @@ KEYS = {
     "normal": ("", "norm", "map_Kn", "map_tangentSpaceNormal"),
 }
 
+#: The first bytes of files whose colours are linear light.
+_LINEAR = b"# Blender"
 # Grey images that went through JPEG differ by a few codes of 255; normal maps by about a hundred.
 _GREY = 8 / 255
 _ROWS = 256  # rows of an image that are processed at once
@@ -69,13 +71,16 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
             if each is not None:
                 data = read_bytes(each)
                 images.note(each, data)
+                is_linear = data.startswith(_LINEAR)
                 entries: dict[str, str] = {}
                 name = None
                 for entry in [*wavefront_lines(data, each), "newmtl"]:
                     key, _, rest = entry.partition(" ")
                     if key == "newmtl":
                         if name is not None and name in wanted:
-                            materials[name] = _Describer(entries, name, each, images, options).describe()
+                            materials[name] = _Describer(
+                                entries, name, each, images, options, is_linear=is_linear
+                            ).describe()
                         name, entries = rest.strip(), {}
                     elif rest.strip():
                         entries[key.lower()] = rest.strip()
@@ -146,11 +151,12 @@ class _Describer:
     """Turns the lines of one material into its description."""
 
     def __init__(
-        self, entries: dict[str, str], name: str, path: Path, images: ImageFiles, options: Options
-    ) -> None:
+        self, entries: dict[str, str], name: str, path: Path, images: ImageFiles, options: Options,
+        *, is_linear: bool,
+    ) -> None:  # fmt: skip
         self._entries, self._name, self._path = entries, name, path
         self._where = f"{path.name}: material {name}"
-        self._images, self._options = images, options
+        self._images, self._options, self._is_linear = images, options, is_linear
         self._slots: dict[Slot, int] = {}
 
     def describe(self) -> Description:
@@ -190,7 +196,8 @@ class _Describer:
         if len(color) < 3:
             color = [color[0]] * 3
         if max(color) <= 1.0 or channel != "emissive":
-            color = srgb_to_linear(np.clip(color, 0.0, 1.0)).tolist()
+            values = np.clip(color, 0.0, 1.0)
+            color = (values if self._is_linear else srgb_to_linear(values)).tolist()
         factor = tuple(max(each, 0.0) for each in color)
         return Input(factor, None if image is None else self._texture(image))
 
