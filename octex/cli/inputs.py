@@ -53,7 +53,11 @@ def kind_of(path: Path | Address) -> str:
 
 
 def check_texture(path: Path | Address) -> None:
-    """Refuse a file whose ending is not that of a texture."""
+    """Refuse a folder, and a file whose ending is not that of a texture."""
+    if path.is_dir():
+        raise ArgumentError(
+            f"{path}: is a folder; give a texture's file (view, info and validate also read folders of --parts)"
+        )
     if not is_texture(path) and path.suffix.lower() not in (WEB_ENDING, ".glb", ".gltf"):
         raise ArgumentError(
             f"{path}: is not a {TEXTURE_ENDINGS[0]} file; octex convert makes one from a model"

@@ -204,6 +204,7 @@ edit box.octex there.octex --combine there.octex --force → there.octex: OUTPUT
 edit box.octex there.octex --mix there.octex=0.5 --force → there.octex: OUTPUT is also an input; give it …
 info missing.octex → missing.octex: cannot be read: No such file or directory
 info . → .: is not the folder of a texture set: it has no set.json
+bake . box.glb x.glb → .: is a folder; give a texture's file (view, info and validate also read folders of …
 diff a.obj b.obj → a.obj: is not a .octex file; octex convert makes one from a model
 diff a.octex b.octex --points 10 → --points needs a model, but a.octex and b.octex are textures
 diff a.octex b.octex --rest a.obj → --rest needs a model, but a.octex and b.octex are textures
