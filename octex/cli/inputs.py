@@ -56,7 +56,7 @@ def check_texture(path: Path | Address) -> None:
     """Refuse a folder, and a file whose ending is not that of a texture."""
     if path.is_dir():
         raise ArgumentError(
-            f"{path}: is a folder; give a texture's file (view, info and validate also read folders of --parts)"
+            f"{path}: is a folder; give a texture's file (view, info and validate read folders of --parts)"
         )
     if not is_texture(path) and path.suffix.lower() not in (WEB_ENDING, ".glb", ".gltf"):
         raise ArgumentError(
