@@ -1,24 +1,19 @@
-"""What a ring of pictures gives back when it is disturbed: exposures, strangers, cameras a little off, noise.
-
-Each time it is painted as an average, and then as well as octex can: robust, balanced, with refined cameras.
+"""A ring of pictures, disturbed: other exposures, strangers, cameras a little off, noise.
 
 Picture 0 is never exposed otherwise and its camera is never moved: it says how light the whole is, and where.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from measuring import Report, codes, decibels
 
 import octex
 from octex.channels import linear_to_srgb, srgb_to_linear
-from octex.photos import balance, refine, sharpness
 
 Array = npt.NDArray[Any]
 
@@ -28,6 +23,8 @@ STRANGERS, HIDDEN = (1, 5, 8), 0.1
 _VIGNETTING = 0.4
 #: Standard deviation of noise, in codes.
 _NOISE = 4.0
+#: How `octex.paint` is told to even exposures out.
+_EVENED = {"balance": "full", "reference": 0}
 
 
 class Ring(NamedTuple):
@@ -41,48 +38,46 @@ class Ring(NamedTuple):
         return [octex.Projection(*pair) for pair in zip(self.pictures, self.cameras, strict=True)]
 
 
+def disturbances(clean: Ring, surface: octex.Surface) -> Iterator[tuple[str, Ring, dict[str, Any], bool]]:
+    """Yield what disturbs a ring, the ring, what octex is told of it, and whether cameras are off."""
+    yield "as it is", clean, {}, False
+    yield "exposed", exposed(clean), _EVENED, False
+    yield "strangers", visited(clean), {}, False
+    yield "1 pixel off", moved(clean, surface, 1.0), {}, True
+    yield "2 pixels off", moved(clean, surface, 2.0), {}, True
+    yield "all together", noisy(visited(exposed(moved(clean, surface, 1.5)))), _EVENED, True
+
+
 def exposed(ring: Ring) -> Ring:
     """Gains of ± 30 %, white balance of ± 10 %, and vignetting, other for each picture."""
     random = np.random.default_rng(10)
-    made = []
-    for number, (picture, camera) in enumerate(zip(ring.pictures, ring.cameras, strict=True)):
+    made = list(ring.pictures[:1])
+    for picture, camera in zip(ring.pictures[1:], ring.cameras[1:], strict=True):
         gain = random.uniform(0.7, 1.3) * random.uniform(0.9, 1.1, 3)
-        lost = random.uniform(0.0, _VIGNETTING)
-        if number == 0:
-            gain, lost = np.ones(3), 0.0
-        made.append(picture * np.append(gain, 1).astype(np.float32))
-        made[-1][..., :3] *= 1 - np.float32(lost) * _radii(camera)[..., None] ** 2
+        y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+        x, y = x - camera.width / 2, y - camera.height / 2
+        radii = np.hypot(x, y) / np.hypot(camera.width / 2, camera.height / 2)
+        made.append(picture.copy())
+        made[-1][..., :3] *= gain * (1 - random.uniform(0.0, _VIGNETTING) * radii[..., None] ** 2)
     return ring._replace(pictures=made)
 
 
-def _radii(camera: octex.Camera) -> Array:
-    """Return how far pixels are from the middle: 1 in the corners."""
-    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
-    x, y = x - camera.width / 2, y - camera.height / 2
-    return (np.hypot(x, y) / np.hypot(camera.width / 2, camera.height / 2)).astype(np.float32)
-
-
-def visited(ring: Ring) -> tuple[Ring, list[Array]]:
-    """Put an opaque striped disc into some pictures; return also where it is in each (height, width)."""
+def visited(ring: Ring) -> Ring:
+    """Put an opaque striped disc into some pictures."""
     random = np.random.default_rng(11)
-    made, hidden = [], []
-    for number, picture in enumerate(ring.pictures):
-        there = np.zeros(picture.shape[:2], np.bool_)
-        picture = picture.copy()
-        if number in STRANGERS:
-            height, width = there.shape
-            rows, columns = np.nonzero(picture[..., 3])
-            at = random.integers(rows.size)
-            y, x = np.mgrid[:height, :width]
-            across, along = x - columns[at], y - rows[at]
-            there = np.hypot(across, along) < np.sqrt(HIDDEN * width * height / np.pi)
-            colors = random.uniform(0.02, 0.8, (2, 3)).astype(np.float32)
-            stripes = (np.sin((across + 2 * along) * 40 / width) > 0).astype(int)
-            picture[there, :3] = colors[stripes[there]]
-            picture[there, 3] = 1
-        made.append(picture)
-        hidden.append(there)
-    return ring._replace(pictures=made), hidden
+    made = [picture.copy() for picture in ring.pictures]
+    for picture in (made[number] for number in STRANGERS):
+        height, width = picture.shape[:2]
+        rows, columns = np.nonzero(picture[..., 3])
+        at = random.integers(rows.size)
+        y, x = np.mgrid[:height, :width]
+        across, along = x - columns[at], y - rows[at]
+        there = np.hypot(across, along) < np.sqrt(HIDDEN * width * height / np.pi)
+        colors = random.uniform(0.02, 0.8, (2, 3)).astype(np.float32)
+        stripes = (np.sin((across + 2 * along) * 40 / width) > 0).astype(int)
+        picture[there, :3] = colors[stripes[there]]
+        picture[there, 3] = 1
+    return ring._replace(pictures=made)
 
 
 def moved(ring: Ring, surface: octex.Surface, pixels: float) -> Ring:
@@ -93,12 +88,10 @@ def moved(ring: Ring, surface: octex.Surface, pixels: float) -> Ring:
     for camera in ring.cameras[1:]:
         turn, shift = random.normal(size=(2, 3))
         depth = float(camera.project(middle[None])[1][0])
-        pixel = float(camera.pixel_width(depth))
-        angle = 0.7 * pixels * pixel / depth * turn / np.linalg.norm(turn)
+        pixel = 0.7 * pixels * float(camera.pixel_width(depth))
         view = camera.world_to_camera.copy()
-        view[:3, :3] = _rotation(angle) @ view[:3, :3]
-        view[:3, 3] = _rotation(angle) @ view[:3, 3]
-        view[:3, 3] += 0.7 * pixels * pixel * shift / np.linalg.norm(shift)
+        view[:3] = _rotation(pixel / depth * turn / np.linalg.norm(turn)) @ view[:3]
+        view[:3, 3] += pixel * shift / np.linalg.norm(shift)
         K = camera.K.copy()
         K[[0, 1], [0, 1]] *= 1 + 0.005 * random.choice([-1, 1])
         made.append(replace(camera, world_to_camera=view, K=K))
@@ -117,124 +110,16 @@ def _rotation(angles: Array) -> Array:
 def noisy(ring: Ring) -> Ring:
     """Add noise to the codes of pictures."""
     random = np.random.default_rng(13)
-    made = []
-    for picture in ring.pictures:
-        encoded = linear_to_srgb(np.clip(picture[..., :3], 0, 1))
-        encoded = encoded + random.normal(0, _NOISE / 255, encoded.shape)
-        made.append(picture.copy())
-        made[-1][..., :3] = srgb_to_linear(np.clip(encoded, 0, 1))
+    made = [picture.copy() for picture in ring.pictures]
+    for picture in made:
+        codes = linear_to_srgb(np.clip(picture[..., :3], 0, 1))
+        codes = codes + random.normal(0, _NOISE / 255, codes.shape)
+        picture[..., :3] = srgb_to_linear(np.clip(codes, 0, 1))
     return ring._replace(pictures=made)
 
 
-def shifts(cameras: Sequence[octex.Camera], truth: Sequence[octex.Camera], points: Points) -> Array:
-    """Return by how many pixels (root of the mean square) points that a camera sees land elsewhere."""
-    found = []
-    for camera, true, seen in zip(cameras, truth, points.seen, strict=True):
-        apart = camera.project(points.samples.points[seen])[0] - true.project(points.samples.points[seen])[0]
-        found.append(np.sqrt((apart**2).sum(1).mean()))
-    return np.array(found)
-
-
-#: What octex is told for each disturbance, and by how many dB it may then stay below the clean ring.
-_TOLD: Mapping[str, tuple[Mapping[str, Any], bool, float]] = {
-    "exposed": ({"balance": "full", "reference": 0}, False, 1.0),
-    "strangers": ({}, False, 1.5),
-    "1 pixel off": ({}, True, 1.5),
-    "2 pixels off": ({}, True, 1.5),
-    "all together": ({"balance": "full", "reference": 0}, True, 4.0),
-}
-#: No figure counts for more, in dB.
-_CLEAN = 40.0
-#: Ghosts are what differs by more codes from the clean ring, at most at so many of the points, in percent.
-_GHOST, _GHOSTS = 8.0, 0.5
-#: How many pictures must see a point that ghosts are looked for at, and how many of them may be disturbed.
-_SEEN, _DISTURBED = 4, 1
-
-
-class Points(NamedTuple):
-    """Where painted textures are compared with the truth."""
-
-    samples: Any
-    truth: Array  # (n, components), codes
-    seen: Array  # (pictures, n), whether a picture sees a point
-
-
-def disturbed(
-    report: Report, name: str, surface: octex.Surface, ring: Ring, depth: int, points: Points
-) -> None:
-    """Paint a ring as it is and disturbed, as an average and as well as octex can; print a table.
-
-    Its last decibels are those at points that a picture shows: strangers do not hide them in all.
-    """
-
-    def painted(given: Ring, **options: Any) -> tuple[Array, float]:
-        texture = octex.paint(None, surface, given.projections(), max_depth=depth, **options)
-        found = texture.sample(points.samples.rest, normals=points.samples.normals)
-        return codes(found), decibels((codes(found) - points.truth)[points.seen.any(axis=0)])
-
-    clean, level = painted(ring)
-    wanted = min(level, _CLEAN)
-    rows = [["as it is", f"{painted(ring, pictures='average')[1]:.1f}", f"{level:.1f}", *[""] * 5]]
-    verdicts = []
-    if report.quick:
-        for constant in ("_POINTS", "_COARSE", "_TELLING", "_MOST"):
-            setattr(refine, constant, getattr(refine, constant) // 20)
-        refine._TRIES = 2
-        balance._POINTS, sharpness._POINTS = 500, 2000
-    for what, (given, hidden) in disturbances(ring.pictures, ring.cameras, surface).items():
-        options, refines, below = _TOLD[what]
-        if report.quick and what not in ("strangers", "all together"):
-            continue  # all together goes the same ways
-        averaged = painted(given, pictures="average")[1]
-        off = ["", ""]
-        began = process_time()
-        if refines:
-            before = shifts(given.cameras, ring.cameras, points).max()
-            cameras = octex.refine_cameras(surface, given.projections(), reference=0)
-            given = given._replace(cameras=cameras)
-            after = shifts(cameras, ring.cameras, points).max()
-            off = [f"{before:.2f}", f"{after:.2f}"]
-            verdicts.append((report.at_most, f"{what}, pixels left", float(after), 0.25, ""))
-        found, figure = painted(given, **options)
-        spent = process_time() - began
-        ghosts = shown = ""
-        if hidden is not None:
-            count, sees = _hiding(ring, hidden, points), points.seen.sum(axis=0)
-            shown = f"{decibels((found - points.truth)[sees > count]):.1f}"
-            many = (sees >= _SEEN) & (count <= _DISTURBED)
-            share = 100 * float((np.abs(found - clean).max(axis=1)[many] > _GHOST).mean())
-            ghosts = f"{share:.2f} %"
-            if not refines:
-                verdicts.append((report.at_most, f"{what}, points with ghosts", share, _GHOSTS, "%"))
-        rows.append([what, f"{averaged:.1f}", f"{figure:.1f}", *off, ghosts, shown, f"{spent:.0f} s"])
-        verdicts.append((report.at_most, f"{what}, below clean", wanted - figure, below, "dB"))
-    heads = ["averaged, dB", "octex, dB", "off, pixels", "refined", "ghosts", "shown, dB", "cpu"]
-    report.table([name, *heads], rows)
-    for judge, what, value, target, unit in verdicts:
-        judge(f"ring: {name}, {what}", value, target, unit)
-
-
-def _hiding(ring: Ring, hidden: Sequence[Array], points: Points) -> Array:
-    """Return in how many of the pictures that see a point a stranger hides it (n,)."""
-    count = np.zeros(points.seen.shape[1], np.int64)
-    for camera, there, seen in zip(ring.cameras, hidden, points.seen, strict=True):
-        pixels, _ = camera.project(points.samples.points)
-        i, j = np.clip(pixels.astype(np.int64), 0, [camera.width - 1, camera.height - 1]).T
-        count += seen & there[j, i]
-    return count
-
-
-def disturbances(
-    pictures: Sequence[Array], cameras: Sequence[octex.Camera], surface: octex.Surface
-) -> Mapping[str, tuple[Ring, Sequence[Array] | None]]:
-    """Return the ring as it is disturbed, by what, and where strangers are."""
-    clean = Ring(pictures, cameras)
-    strangers, hidden = visited(clean)
-    all_of_it, _ = visited(exposed(moved(clean, surface, 1.5)))
-    return {
-        "exposed": (exposed(clean), None),
-        "strangers": (strangers, hidden),
-        "1 pixel off": (moved(clean, surface, 1.0), None),
-        "2 pixels off": (moved(clean, surface, 2.0), None),
-        "all together": (noisy(all_of_it), hidden),
-    }
+def shift_of(cameras: Sequence[octex.Camera], truth: Sequence[octex.Camera], points: Array) -> float:
+    """Return by how many pixels (root of the mean square) points land elsewhere, at the worst camera."""
+    pairs = zip(cameras, truth, strict=True)
+    apart = (camera.project(points)[0] - true.project(points)[0] for camera, true in pairs)
+    return max(float(np.sqrt((each**2).sum(1).mean())) for each in apart)
