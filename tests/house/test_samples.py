@@ -279,7 +279,7 @@ CARRIED = [f"octree{ending}" for ending in ("-0.png", ".bin", ".glb", ".gltf", "
 
 
 @needs_jit
-@pytest.mark.usefixtures("few_points")
+@pytest.mark.usefixtures("few_points", "small_previews")
 @pytest.mark.parametrize(
     ("script", "written", "check"),
     [
@@ -319,7 +319,7 @@ def test_the_numbered_scripts_run_from_anywhere(script, written, check, tmp_path
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(SAMPLES)
     # Three pictures of less than 320² do not outvote a passer-by.
-    slow = {is_painted_robustly: ("8", "160"), shows_both_sides_of_walls: ("5", "48")}
+    slow = {is_painted_robustly: ("7", "160"), shows_both_sides_of_walls: ("5", "48")}
     depth, width = slow.get(check, ("5", "96"))
     monkeypatch.setenv("OCTEX_SAMPLE_DEPTH", depth)
     monkeypatch.setenv("OCTEX_SAMPLE_WIDTH", width)
