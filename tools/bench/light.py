@@ -41,7 +41,7 @@ class _Case(NamedTuple):
     picture: int = 512  # pixels along the sides of pictures
 
 
-_QUICK = (_Case(3, 32, 500, 256, picture=128),)
+_QUICK = (_Case(3, 24, 300, 128, picture=64),)
 #: The first is one with which xatlas ends.
 _CASES = _Case(6, 131, 0, 1024), _Case(7, 263, 50_000, 2048), _Case(8, 526, 100_000, 4096)
 
