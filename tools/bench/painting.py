@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from disturbed import Ring, disturbances, shift_of
 from inputs import painted_torus, sphere_texture, torus
 from measuring import Setup, clocked, colors_of, decibels, line, note, open3d, table, timed, title
 
 import octex
 from octex.drawing.hits import rest_normals, visible_hits
-from octex.photos import balance, refine, sharpness
+from octex.photos import refine
 from octex.view.zbuffer import z_buffer
 from tests.make import painted
 
@@ -27,55 +27,52 @@ _TOWARD = (0.3, 0.5, 1.0)
 
 
 def ring(setup: Setup) -> None:
-    """Twelve pictures of a model painted onto its bare mesh, as they are and disturbed."""
+    """Twelve pictures of a model painted onto its bare mesh, as they are and with cameras a little off."""
     size, count = (24, 500) if setup.quick else (1024, 200_000)
     title(f"ring: 12 pictures of {size}² pixels, unlit, painted onto the bare mesh; cells as wide as pixels")
-    if setup.quick:
-        for module, names in (
-            (refine, ("_POINTS", "_COARSE", "_TELLING", "_MOST")),
-            (balance, ("_POINTS",)),
-            (sharpness, ("_POINTS",)),
-        ):
-            for name in names:
-                setattr(module, name, getattr(module, name) // 20)
+    for constant in ("_POINTS", "_COARSE", "_TELLING", "_MOST") if setup.quick else ():
+        setattr(refine, constant, getattr(refine, constant) // 100)
     for name, surface in _models(setup):
-        _ring(setup, name, surface, size, count)
+        cameras = _around(surface, size)
+        pictures = [_picture(surface, camera) for camera in cameras]
+        hits = [each for c in cameras for _, each in visible_hits(surface, c, rest_normals(surface))]
+        width = float(np.concatenate([each.width for each in hits]).mean())
+        depth = int(np.round(np.log2(np.ptp(surface.bounds, axis=0).max() / width)))
+        samples = surface.scatter(count, seed=3)
+        seen = _seen(surface, cameras, samples)
+        truth = painted.codes(octex.convert(surface, depth).sample(samples.rest, normals=samples.normals))
+        off = _moved(cameras, surface, 1.5)
+        shots = [octex.Projection(*each) for each in zip(pictures, off, strict=True)]
+        spent, refined = timed(partial(octex.refine_cameras, surface, shots, reference=0))
+        line(f"{name}: cameras are refined", spent)
+        rows = []
+        for what, taken in {"as they are": cameras, "1.5 pixels off": off, "refined": refined}.items():
+            shots = [octex.Projection(*each) for each in zip(pictures, taken, strict=True)]
+            for mode in ("average", "robust", "best"):
+                paint = partial(octex.paint, None, surface, shots, max_depth=depth, pictures=mode)
+                spent, texture = timed(paint)
+                found = painted.codes(texture.sample(samples.rest, normals=samples.normals))
+                missed = 100 * float((~texture.contains(samples.rest))[seen].mean())
+                level = f"{decibels((found - truth)[seen]):.1f}"
+                rows.append([what, mode, level, f"{missed:.2f} %", f"{texture.tree.n_leaves:,}", spent])
+        table([f"{name}, depth {depth}", "pictures", "dB", "left out", "leaves", "time"], rows)
 
 
-def _ring(setup: Setup, name: str, surface: octex.Surface, size: int, count: int) -> None:
-    cameras = _around(surface, size)
-    clean = Ring([_picture(surface, camera) for camera in cameras], cameras)
-    hits = [each for c in cameras for _, each in visible_hits(surface, c, rest_normals(surface))]
-    width = float(np.concatenate([each.width for each in hits]).mean())
-    depth = int(np.round(np.log2(np.ptp(surface.bounds, axis=0).max() / width)))
-    samples = surface.scatter(count, seed=3)
-    seen = _seen(surface, cameras, samples)
-    truth = painted.codes(octex.convert(surface, depth).sample(samples.rest, normals=samples.normals))
-
-    def paint(given: Ring, **options: Any) -> octex.OctreeTexture:
-        return octex.paint(None, surface, given.projections(), max_depth=depth, **options)
-
-    def level(texture: octex.OctreeTexture) -> str:
-        found = painted.codes(texture.sample(samples.rest, normals=samples.normals))
-        return f"{decibels((found - truth)[seen]):.1f}"
-
-    def best(given: Ring, options: dict[str, Any], is_off: bool) -> tuple[Ring, octex.OctreeTexture]:
-        if is_off:
-            refined = octex.refine_cameras(surface, given.projections(), reference=0)
-            given = given._replace(cameras=refined)
-        return given, paint(given, **options)
-
-    rows = []
-    for what, given, options, is_off in disturbances(clean, surface):
-        if setup.quick and what not in ("as it is", "all together"):
-            continue  # the others go the same ways
-        averaged = level(paint(given, pictures="average"))
-        spent, (after, texture) = timed(partial(best, given, options, is_off))
-        off = [f"{shift_of(each.cameras, cameras, samples.points):.2f}" for each in (given, after)]
-        missed = f"{100 * float((~texture.contains(samples.rest))[seen].mean()):.2f} %"
-        rows.append([what, averaged, level(texture), *off, missed, f"{spent.cpu:.0f} s"])
-    heads = ["averaged, dB", "octex, dB", "off, pixels", "refined", "left out", "processor"]
-    table([f"{name}, depth {depth}", *heads], rows)
+def _moved(cameras: list[octex.Camera], surface: octex.Surface, pixels: float) -> list[octex.Camera]:
+    """Turn and move all cameras but one, so that the surface shifts by so many pixels, and zoom by 0.5 %."""
+    random, middle, made = np.random.default_rng(12), surface.bounds.mean(axis=0), cameras[:1]
+    for camera in cameras[1:]:
+        turn, shift = (each / np.linalg.norm(each) for each in random.normal(size=(2, 3)))
+        depth = float(camera.project(middle[None])[1][0])
+        pixel = 0.7 * pixels * float(camera.pixel_width(depth))
+        x, y, z = pixel / depth * turn
+        u, _, v = np.linalg.svd([[1, -z, y], [z, 1, -x], [-y, x, 1]])  # nearly a rotation
+        view, K = camera.world_to_camera.copy(), camera.K.copy()
+        view[:3] = u @ v @ view[:3]
+        view[:3, 3] += pixel * shift
+        K[[0, 1], [0, 1]] *= 1 + 0.005 * random.choice([-1, 1])
+        made = [*made, replace(camera, world_to_camera=view, K=K)]
+    return made
 
 
 def _models(setup: Setup) -> Iterator[tuple[str, octex.Surface]]:
