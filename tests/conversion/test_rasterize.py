@@ -1,13 +1,13 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from octex import jit
 from octex.cameras.camera import Camera
 from octex.parallel import pool_of
 from octex.view.zbuffer import z_buffer
-from tests.conftest import needs_jit
+from tests.conftest import few, needs_jit
 from tests.oracles import naive_view
 
 
@@ -53,7 +53,6 @@ def _assert_like_rays(positions, triangles, camera):
 
 
 FIVE_TRIANGLES = np.arange(15).reshape(5, 3)
-few = settings(max_examples=20)
 SIZE = (9, 7) if jit.DISABLED else (17, 13)
 
 

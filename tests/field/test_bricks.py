@@ -30,27 +30,17 @@ def walked(monkeypatch, texture, points, name):
 
 
 @needs_jit
-@pytest.mark.parametrize("seed", range(24))
-def test_many_points_are_answered_as_few_are(seed, monkeypatch):
-    random = np.random.default_rng(seed)
-    texture = random_texture(random, ("uint8",))
-    points = crowded(texture, random, 600)
-    for name in texture.channels:
-        found = texture.sample(points, name, normalize=False)
-        np.testing.assert_allclose(found, walked(monkeypatch, texture, points, name), rtol=0, atol=2e-6)
-
-
-@needs_jit
-@pytest.mark.parametrize("dtype", ["float16", "float32"])
-def test_many_points_of_any_type(dtype, monkeypatch):
-    for seed in range(12):
-        random = np.random.default_rng(1000 + seed)
+@pytest.mark.parametrize(("dtype", "seeds"), [("uint8", 24), ("float16", 12), ("float32", 12)])
+def test_many_points_are_answered_as_few_are(dtype, seeds, monkeypatch):
+    for seed in range(seeds):
+        random = np.random.default_rng(seed)
         texture = random_texture(random, (dtype,))
-        points = crowded(texture, random, 300)
+        points = crowded(texture, random, 600)
         for name in texture.channels:
             expected = walked(monkeypatch, texture, points, name)
             found = texture.sample(points, name, normalize=False)
-            np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6 * np.abs(expected).max())
+            limit = 2e-6 * max(np.abs(expected).max(), 1e-3)
+            np.testing.assert_allclose(found, expected, rtol=0, atol=limit, err_msg=f"seed {seed}: {name}")
 
 
 @kernel

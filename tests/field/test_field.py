@@ -24,10 +24,11 @@ from octex.field.field import Field, Finder, NotFiniteError
 from octex.field.splines import FILTERS
 from octex.field.taps import Codes, to_coordinates
 from octex.field.tiles import CACHE_LINE, build_tiles
+from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
-from tests.conftest import needs_jit
+from tests.conftest import few, needs_jit
 from tests.make.strategies import Leaves, leaf_sets, points_around, with_random_data
 from tests.make.taps import taps_of
 from tests.oracles import naive
@@ -68,6 +69,7 @@ def blended(taps, values):
 
 
 @each_filter
+@few
 @given(trees_and_points())
 def test_weights_and_slopes_are_those_of_the_reference(filter, drawn):
     tree, points = drawn
@@ -122,6 +124,53 @@ def on_sphere(directions):
 
 
 @needs_jit
+@pytest.mark.parametrize("keep", [0.0, 0.3])
+@each_filter
+def test_values_and_slopes_go_on_across_faces_where_the_depth_changes(filter, keep):
+    tree = with_random_data(shell(4, 6), 3, keep)
+    values = np.random.default_rng(7).random((tree.n_cells + tree.kept.cells.size, 1))
+    random = np.random.default_rng(5)
+    x, turns = random.integers(-8, 9, 2000) / 128, random.uniform(0, 2 * np.pi, 2000)  # faces and middles
+    radii = np.sqrt(0.31**2 - x**2) + random.uniform(-0.005, 0.005, 2000)
+    points = 0.5 + np.column_stack([x, radii * np.cos(turns), radii * np.sin(turns)])
+    step = np.array([2.0**-24, 0.0, 0.0])
+    before, after = (
+        taps_of(Field(tree), each, UNIT, filter, gradient=True) for each in (points - step, points + step)
+    )
+    jump = np.abs(blended(after, values) - blended(before, values)).max()
+    if filter == "linear":
+        assert jump > 0.05
+        return
+    assert jump < 1e-4
+    edge = 2.0**-tree.max_depth
+    by_axis = [
+        np.add.reduceat(taps.slopes * values[taps.rows], taps.starts[:-1]) * edge for taps in (before, after)
+    ]
+    assert np.abs(by_axis[0]).max() > 0.1
+    assert np.abs(by_axis[1] - by_axis[0]).max() < 1e-3
+
+
+@needs_jit
+@each_filter
+def test_leaves_have_weight_throughout(filter):
+    tree = with_random_data(shell(4, 6), 3, 0.3)
+    centers, edges = leaf_boxes(tree)
+    offsets = np.random.default_rng(1).uniform(-0.5, 0.5, centers.shape)
+    offsets[::2] = np.sign(offsets[::2]) * 0.499999
+    coords = centers + offsets * edges[:, None]
+    assert (Finder(Field(tree), UNIT, filter).find(coords).covers > 0).all()
+
+
+def leaf_boxes(tree):
+    """The middles and edges of all leaves."""
+    found = [
+        ((decode_cells(codes[~is_node]) + 0.5) / 2.0**level, np.full((~is_node).sum(), 2.0**-level))
+        for level, (codes, is_node) in enumerate(tree.walk())
+    ]
+    return tuple(np.concatenate(each) for each in zip(*found, strict=True))
+
+
+@needs_jit
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("fine", [5, 7])
 @each_filter
@@ -159,6 +208,7 @@ def test_taps_do_not_depend_on_the_points_before_them(filter, fine, monkeypatch)
 
 
 @pytest.mark.parametrize("filter", FILTERS)
+@few
 @given(trees_and_points(), st.sampled_from([np.uint8, np.uint16, np.float32]))
 def test_blends_and_covers_are_those_of_the_reference(filter, drawn, dtype):
     tree, points = drawn

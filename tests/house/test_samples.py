@@ -300,7 +300,7 @@ CARRIED = [f"octree{ending}" for ending in ("-0.png", ".bin", ".glb", ".gltf", "
 
 
 @needs_jit
-@pytest.mark.usefixtures("few_points")
+@pytest.mark.usefixtures("few_points", "small_previews")
 @pytest.mark.parametrize(
     ("script", "written", "check"),
     [
@@ -343,7 +343,7 @@ def test_the_numbered_scripts_run_from_anywhere(script, written, check, tmp_path
     monkeypatch.syspath_prepend(SAMPLES)
     # Three pictures of less than 320² do not outvote a passer-by.
     slow = {
-        is_painted_robustly: ("8", "160"),
+        is_painted_robustly: ("7", "160"),
         shows_both_sides_of_walls: ("5", "48"),
         explains_concepts: ("8", "96"),
         is_better_after_the_remedies: ("7", "96"),

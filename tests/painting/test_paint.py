@@ -318,6 +318,7 @@ def test_pictures_of_other_blend_modes_are_merged_one_after_another():
     np.testing.assert_allclose(found, np.tile(expected, (50, 1)), atol=2e-3)
 
 
+@pytest.mark.usefixtures("few_points")
 def test_balance_makes_pictures_agree():
     surface, cameras, images = ring(6, 100)
     gains = np.random.default_rng(5).uniform(0.8, 1.2, (6, 3)).astype(np.float32)

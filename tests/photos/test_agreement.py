@@ -82,7 +82,7 @@ def test_what_is_not_known_is_masked_as_it_is_around():
     found = agreement._mask(differences, looks, 20.0)
     assert not found[:, :8].any()
     assert found[:, 9:].all()
-    assert agreement._mask(np.full((4, 4), np.nan, np.float32), looks[:4, :4], 20.0).all()
+    assert agreement._mask(np.full((4, 4), np.nan, np.float32), looks[:4, :4].copy(), 20.0).all()
     differences[:, 4:12] = np.nan
     for edge in (5, 7, 10):  # the picture says where the other object ends
         looks[:] = 0

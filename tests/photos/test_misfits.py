@@ -22,6 +22,12 @@ from tests.make.painted import ball, halved_quads
 SIZE = 96
 
 
+@pytest.fixture(autouse=True)
+def few_points(monkeypatch):
+    """Compare small pictures at a third of the points."""
+    monkeypatch.setattr("octex.photos.misfits._POINTS", 2500)
+
+
 def relief():
     """Vertices and triangles of a hill that faces +z; no turn and no mirroring brings it onto itself."""
     x, y = (each.ravel() for each in np.meshgrid(*[np.linspace(-1, 1, 33)] * 2))

@@ -1,9 +1,9 @@
 #!/usr/bin/env python
-"""Measure octex, some of it beside Open3D, and say which targets are met.
+"""Measure octex, some of it beside Open3D.
 
     python tools/bench                           octex's own figures
     python tools/bench torus transfer --peer-python PYTHON
-    python tools/bench boombox adaptive --models FOLDER
+    python tools/bench models lookups --models FOLDER
     python tools/bench --quick                   everything on tiny sizes: does it still run?
 
 The peer is a Python that has Open3D. Figures without it, or without models, are left out, and said to be.
@@ -19,27 +19,21 @@ from contextlib import nullcontext
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from adaptive import adaptive
-from archive import archive
-from baking import baking
-from conversion import boombox, large, torus
-from filtered import far, footprints, pages, stretched
-from images import filters, materials
+from baking import atlas, baking
+from conversion import cloud, filters, large, models, torus, transfer
+from files import archive, mapped, paper
+from filtered import far, footprints, stretched
 from light import light
-from lookups import lookup, mixed, questions, resident, today
-from measuring import Report, Setup, octex_worker
-from painting import painting, ring
+from lookups import lookups, mixed, sphere, today
+from measuring import Setup, octex_worker
+from painting import painting, processing, ring, whole
 from painting_page import frames, session
-from processing import processing
-from sources import cloud, transfer
-from texture import paper
-from whole import whole
 
 BENCHMARKS = {
     each.__name__: each for each in (
-        paper, torus, boombox, materials, filters, large, adaptive, lookup, questions, mixed, resident, today,
-        far, footprints, stretched, pages, ring, whole, painting, session, frames, transfer, cloud,
-        processing, baking, light, archive,
+        paper, archive, mapped, sphere, lookups, mixed, today, far, footprints, stretched, torus, models,
+        large, filters, transfer, cloud, ring, whole, painting, processing, session, frames, baking, atlas,
+        light,
     )
 }  # fmt: skip
 
@@ -68,27 +62,24 @@ def main(arguments: list[str] | None = None) -> int:
     if options.peer_python and not peer_python:
         parser.error(f"there is no program {options.peer_python}")
 
-    report = Report(options.quick)
     load = os.getloadavg()[0]
     print(f"{os.cpu_count()} processors, load {load:.1f}", end="")
     print(": wall times will be disturbed" if load > 0.5 and not options.quick else "")
-    quick_worker = octex_worker() if options.quick else nullcontext()
     if options.keep:
         options.keep.mkdir(parents=True, exist_ok=True)
     room = nullcontext(options.keep) if options.keep else TemporaryDirectory(prefix="octex-bench-")
-    with room as folder, quick_worker as worker:
+    with room as folder, octex_worker() if options.quick else nullcontext() as worker:
         setup = Setup(
             quick=options.quick,
             repeats=1 if options.quick else max(options.repeats, 1),
             core=max(os.sched_getaffinity(0)) if options.core is None else options.core,
             folder=Path(folder),
             peer_python=peer_python,
-            models=options.models,
+            folder_of_models=options.models,
             worker=worker,
         )
         for name in options.names or BENCHMARKS:
-            BENCHMARKS[name](setup, report)
-    report.summary()
+            BENCHMARKS[name](setup)
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Benchmarks of light models: atlases of meshes that nobody modelled, and what few triangles keep of them."""
+"""Benchmark of light models: atlases of meshes that nobody modelled, and what few triangles keep of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import generated
 import numpy as np
 import numpy.typing as npt
 import trimesh
-from measuring import Report, Setup, codes, decibels, timed
+from measuring import Setup, decibels, line, timed, title
 
 import octex
 from octex.baking.atlas import atlas_layout
@@ -19,6 +19,7 @@ from octex.source.corners import area_vectors
 from octex.source.mesh import Mesh
 from octex.view.shading import corner_normals
 from octex.view.zbuffer import z_buffer
+from tests.make.painted import codes
 
 Floats = npt.NDArray[np.float64]
 
@@ -35,37 +36,32 @@ class _Case(NamedTuple):
 
     divided: int  # how often the ball's triangles are
     side: int  # of the dual grid with about as many triangles
-    atlas_seconds: float
-    triangles: int  # of the light model
+    triangles: int  # of the light model; 0: only an atlas is made
     size: int  # of its images
-    seconds: float
-    megabytes: float | None
     picture: int = 512  # pixels along the sides of pictures
 
 
-_CASES = _Case(7, 263, 6.0, 50_000, 2048, 25.0, 8.0), _Case(8, 526, 25.0, 100_000, 4096, 60.0, None)
-_QUICK = (_Case(3, 32, 6.0, 500, 256, 25.0, 8.0, picture=128),)
-#: A ball, a dual grid and a map with which xatlas ends.
-_BESIDE = _Case(6, 131, 6.0, 0, 1024, 0.0, None)
+_QUICK = (_Case(3, 24, 300, 128, picture=64),)
+#: The first is one with which xatlas ends.
+_CASES = _Case(6, 131, 0, 1024), _Case(7, 263, 50_000, 2048), _Case(8, 526, 100_000, 4096)
 
 
-def light(setup: Setup, report: Report) -> None:
+def light(setup: Setup) -> None:
     """Lay out and bake meshes like those of scanners and generators, and compare pictures of both."""
-    report.title("light: atlases, and models of few triangles, of a noisy ball and of a generated mesh")
-    path = setup.folder / "generated.npz"
-    for case in _QUICK if setup.quick else (_BESIDE, *_CASES):
-        depth = 5 if setup.quick else 10
+    title("light: atlases, and models of few triangles, of a noisy ball and of a generated mesh")
+    path, depth = setup.folder / "generated.npz", 5 if setup.quick else 10
+    for case in _QUICK if setup.quick else _CASES:
         ball = _ball(case.divided)
         np.savez(path, **generated.dual_grid(case.side, _NOISE_OF_CELLS))
         made = octex.load_surface(path, normals=True)
         for name, surface in (("ball", ball), ("generated", made)):
-            _atlases(report, f"{name}, {len(surface.triangles):,}", surface, case)
-        if case is _BESIDE:
-            continue
-        _models(setup, report, "ball", ball, octex.convert(ball, depth), case)
-        _models(setup, report, "generated", made, octex.convert(path), case)
+            for by_xatlas in (False, True):
+                _atlas(f"{name}, {len(surface.triangles):,}", surface, case.size, by_xatlas=by_xatlas)
+        if case.triangles:
+            _model(setup, "ball", ball, octex.convert(ball, depth), case)
+            _model(setup, "generated", made, octex.convert(path), case)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-    report.at_most("light: peak memory of the process", peak, 4.0, "GB")
+    line("peak memory of the process", f"{peak:.2f} GB")
 
 
 def _ball(divided: int) -> octex.Surface:
@@ -79,27 +75,18 @@ def _ball(divided: int) -> octex.Surface:
     return surface.with_sources({"base_color": lambda points: 0.5 + 0.4 * np.sin(9.0 * points)})
 
 
-def _atlases(report: Report, name: str, mesh: Mesh, case: _Case) -> None:
-    """Lay a mesh out: by octex, and by xatlas where that ends."""
-    for by_xatlas in (False, True):
-        what = f"{name}, {'xatlas' if by_xatlas else 'octex'}"
-        try:
-            spent, layout = timed(lambda: atlas_layout(mesh, [case.size], None, 1e-9, by_xatlas=by_xatlas))  # noqa: B023
-        except octex.OctexError as error:
-            report.line(what, str(error))
-            continue
-        areas = np.bincount(layout.charts, np.abs(doubled_areas(layout.corners)) / 2.0)
-        small, coverage = float((areas < 8).mean()), float(areas.sum()) / case.size**2
-        stretch = _stretch(mesh, layout)
-        figures = (
-            f"{areas.size:,} charts, {small:.1%} below 8 texels, {coverage:.0%} covered, L2 {stretch:.3f}"
-        )
-        report.line(what, f"{spent}; {figures}")
-        if not by_xatlas and case is not _BESIDE:
-            report.at_most(f"light: atlas, {what}", spent.wall, case.atlas_seconds, "s")
-            report.at_most(f"light: atlas, {what}, charts below 8 texels", 100.0 * small, 10.0, "%")
-            report.at_least(f"light: atlas, {what}, covered", 100.0 * coverage, 60.0, "%")
-            report.at_most(f"light: atlas, {what}, stretch", stretch, 1.15)
+def _atlas(name: str, mesh: Mesh, size: int, *, by_xatlas: bool) -> None:
+    """Lay a mesh out, by octex or by xatlas if that ends."""
+    what = f"{name}, {'xatlas' if by_xatlas else 'octex'}"
+    try:
+        spent, layout = timed(lambda: atlas_layout(mesh, [size], None, 1e-9, by_xatlas=by_xatlas))
+    except octex.OctexError as error:
+        line(what, str(error))
+        return
+    areas = np.bincount(layout.charts, np.abs(doubled_areas(layout.corners)) / 2.0)
+    figures = f"{areas.size:,} charts, {(areas < 8).mean():.1%} below 8 texels"
+    covered = f"{areas.sum() / size**2:.0%} covered, L2 {_stretch(mesh, layout):.3f}"
+    line(what, f"{spent}; {figures}, {covered}")
 
 
 def _stretch(mesh: Mesh, layout: Layout) -> float:
@@ -113,8 +100,8 @@ def _stretch(mesh: Mesh, layout: Layout) -> float:
     return float(np.sqrt(mean * flat[mapped].sum() / areas[mapped].sum()))
 
 
-def _models(
-    setup: Setup, report: Report, name: str, surface: octex.Surface, texture: octex.OctreeTexture, case: _Case
+def _model(
+    setup: Setup, name: str, surface: octex.Surface, texture: octex.OctreeTexture, case: _Case
 ) -> None:
     """Make a light model of a surface whose texture is there, and compare both."""
     path = setup.folder / f"{name}-{case.size}.glb"
@@ -126,31 +113,21 @@ def _models(
     spent, _ = timed(work)
     made = octex.load_surface(path, normals=True)
     points = made.scatter(100_000, 1)
-    nearest = Triangles.of(surface.rest, surface.triangles).nearest(
-        points.points, points.normals, least_cosine=0.0
-    )
+    triangles = Triangles.of(surface.rest, surface.triangles)
+    nearest = triangles.nearest(points.points, points.normals, least_cosine=0.0)
     wanted = codes(texture.sample(surface.rest_at(nearest.triangles, nearest.barycentric)))
-    errors = codes(made.evaluate(points)) - wanted
-    colors, wrong = decibels(errors), float((np.abs(errors) > _WRONG).any(axis=1).mean())
+    found = codes(made.evaluate(points))
+    wrong = 100.0 * float((np.abs(found - wanted) > _WRONG).any(axis=1).mean())
     lit, off = _pictures(texture, surface, made, case.picture)
     octex.write_model(octex.bake_vertices(texture, surface), path.with_suffix(".ply"))  # for suns.py
-    what = f"{name}, {len(surface.triangles):,} → {len(made.triangles):,} triangles, {case.size}²"
-    megabytes = path.stat().st_size / 1e6
-    figures = f"{megabytes:.1f} MB, colours {colors:.1f} dB, lit {lit:.1f} dB, {off} pixels"
-    report.line(what, f"{spent}; {figures}")
-    report.at_most(f"light: {what}", spent.wall, case.seconds, "s")
-    if case.megabytes is not None:
-        report.at_most(f"light: {what}, file", megabytes, case.megabytes, "MB")
-    report.at_least(f"light: {what}, colours", colors, 38.0, "dB")
-    report.at_most(f"light: {what}, points of another colour", 100.0 * wrong, 0.002, "%")
-    report.at_least(f"light: {what}, lit", lit, 32.0, "dB")
-    report.at_most(f"light: {what}, silhouette", off, 1.0, "pixels")
+    line(f"{name}, {len(surface.triangles):,} → {len(made.triangles):,} triangles, {case.size}²", spent)
+    line("  file", f"{path.stat().st_size / 1e6:.1f} MB")
+    line("  colours; points of another colour", f"{decibels(found - wanted):.1f} dB; {wrong:.4f} %")
+    line("  lit; silhouette", f"{lit:.1f} dB; {off} pixels off")
     if name == "generated":
-        from_surface = np.abs(generated.distances(points.points)) * case.side
-        back = decibels(codes(made.evaluate(points)) - codes(generated.colors(points.points)))
-        far = float(np.percentile(from_surface, 99.9))
-        report.at_most(f"light: {what}, from the exact surface (99.9 %)", far, 1.0, "voxels")
-        report.at_least(f"light: {what}, beside the exact colours", back, 40.0, "dB")
+        far = float(np.percentile(np.abs(generated.distances(points.points)) * case.side, 99.9))
+        back = decibels(found - codes(generated.colors(points.points)))
+        line("  beside the exact surface (99.9 %) and colours", f"{far:.2f} voxels, {back:.1f} dB")
 
 
 def _pictures(

@@ -1,7 +1,7 @@
-"""What the benchmarks share: processes pinned to a core, time taken in turns, memory, and the report.
+"""What the benchmarks share: processes pinned to a core, time taken in turns, memory, and what is printed.
 
-Times are those of the processor, which other programs on the machine disturb least; what the clock on the
-wall says stands beside them. Linux only.
+Times are those of the processor, which other programs disturb least, and of the clock on the wall.
+Linux only.
 """
 
 from __future__ import annotations
@@ -20,12 +20,21 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from octex.channels import linear_to_srgb
+import octex
 
 HERE = Path(__file__).parent
+sys.path.append(str(HERE.parents[1]))
 #: Programs that measure the other libraries.
 PEERS = HERE / "peers"
-DROID = HERE.parents[1] / "samples" / "droid.glb"
+#: Real models, by their paths in a folder, with the depths whose cells are half a texel to three wide.
+MODELS = {
+    "Avocado/Avocado.gltf": 10,
+    "BoomBoxWithAxes/BoomBoxWithAxes.gltf": 10,
+    "Suzanne/Suzanne.gltf": 10,
+    "spot-triangulated/spot.obj": 9,
+}
+
+Answer = dict[str, Any]
 
 
 class Spent(NamedTuple):
@@ -46,86 +55,51 @@ class Setup(NamedTuple):
     core: int
     folder: Path  # for temporary files
     peer_python: str | None
-    models: Path | None
+    folder_of_models: Path | None
     worker: Worker | None  # for all tasks of a quick run
 
-
-class Verdict(NamedTuple):
-    """A figure beside its target."""
-
-    what: str
-    value: float
-    relation: str  # "≥" or "≤"
-    target: float
-    unit: str
-    strict: bool  # False where sizes are too small for the target to mean anything
-
-    @property
-    def met(self) -> bool:
-        """Whether the target is reached."""
-        return self.value >= self.target if self.relation == "≥" else self.value <= self.target
-
-    def __str__(self) -> str:
-        word = ("met   " if self.met else "MISSED") if self.strict else "      "
-        return (
-            f"{word} {self.what:64} {self.value:10.4g} {self.unit:12} target {self.relation} {self.target:g}"
-        )
+    def models(self) -> Iterator[tuple[str, Path, int]]:
+        """Yield names, paths and depths of the sample and of real models."""
+        yield "droid", HERE.parents[1] / "samples" / "droid.glb", 5 if self.quick else 10
+        if self.folder_of_models is None:
+            note("left out: real models (--models)")
+            return
+        for path, depth in MODELS.items():
+            if (self.folder_of_models / path).is_file():
+                yield Path(path).stem, self.folder_of_models / path, depth
+            else:
+                note(f"left out: there is no {path}")
 
 
-class Report:
-    """Prints figures as they come, and all verdicts at the end."""
+def title(text: str) -> None:
+    """Begin a benchmark."""
+    print(f"\n== {text}", flush=True)
 
-    def __init__(self, quick: bool) -> None:
-        self.quick = quick
-        self.verdicts: list[Verdict] = []
 
-    def title(self, text: str) -> None:
-        """Begin a benchmark."""
-        print(f"\n== {text}", flush=True)
+def line(what: str, figure: object) -> None:
+    """Print a figure."""
+    print(f"  {what:54} {figure}", flush=True)
 
-    def line(self, what: str, figure: object) -> None:
-        """Print one figure."""
-        print(f"  {what:54} {figure}", flush=True)
 
-    def note(self, text: str) -> None:
-        """Print words."""
-        print(f"  {text}", flush=True)
+def note(text: str) -> None:
+    """Print words."""
+    print(f"  {text}", flush=True)
 
-    def table(self, heads: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
-        """Print rows under heads; figures stand to the right."""
-        texts = [[str(cell) for cell in row] for row in [heads, *rows]]
-        widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
-        for row in texts:
-            first, *others = (
-                cell.ljust(width) if i == 0 else cell.rjust(width)
-                for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-            )
-            print("  " + "  ".join([first, *others]), flush=True)
 
-    def at_least(self, what: str, value: float, target: float, unit: str = "×") -> None:
-        """Print a figure beside the least that it should be."""
-        self._judge(Verdict(what, value, "≥", target, unit, not self.quick))
-
-    def at_most(self, what: str, value: float, target: float, unit: str = "") -> None:
-        """Print a figure beside the most that it should be."""
-        self._judge(Verdict(what, value, "≤", target, unit, not self.quick))
-
-    def _judge(self, verdict: Verdict) -> None:
-        self.verdicts.append(verdict)
-        print(f"  {verdict}", flush=True)
-
-    def summary(self) -> None:
-        """Print all verdicts."""
-        self.title("targets" + (" (sizes too small to mean anything)" if self.quick else ""))
-        for verdict in self.verdicts:
-            print(f"  {verdict}")
+def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print rows under heads; figures stand to the right."""
+    texts = [[str(cell) for cell in row] for row in [heads, *rows]]
+    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
+    for first, *others in texts:
+        cells = (cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True))
+        print("  " + "  ".join([first.ljust(widths[0]), *cells]), flush=True)
 
 
 @contextmanager
-def pinned(cores: set[int]) -> Iterator[None]:
-    """Keep this thread, and those that it starts, on some cores."""
+def pinned(core: int) -> Iterator[None]:
+    """Keep this thread, and those that it starts, on a core."""
     before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, cores)
+    os.sched_setaffinity(0, {core})
     try:
         yield
     finally:
@@ -139,31 +113,34 @@ def timed(work: Callable[[], Any]) -> tuple[Spent, Any]:
     return Spent(time.process_time() - cpu, time.perf_counter() - wall), result
 
 
-def in_turns(contestants: Mapping[str, Callable[[], Spent]], repeats: int) -> dict[str, Spent]:
+def in_turns(contestants: Mapping[Any, Callable[[], Spent]], repeats: int) -> dict[Any, Spent]:
     """Run all contestants in turns; return the median of each."""
-    runs: dict[str, list[Spent]] = {name: [] for name in contestants}
-    for _ in range(repeats):
-        for name, work in contestants.items():
-            runs[name].append(work())
-    return {
-        name: Spent(median(r.cpu for r in rounds), median(r.wall for r in rounds))
-        for name, rounds in runs.items()
-    }
+    rounds = [[work() for work in contestants.values()] for _ in range(repeats)]
+    runs = zip(contestants, zip(*rounds, strict=True), strict=True)
+    return {name: Spent(median(r.cpu for r in each), median(r.wall for r in each)) for name, each in runs}
 
 
 def clocked(
-    setup: Setup, works: Mapping[str, Callable[[], object]], core: int | None = None
-) -> dict[str, Spent]:
+    setup: Setup, works: Mapping[Any, Callable[[], object]], core: int | None = None
+) -> dict[Any, Spent]:
     """Run all works once, and then in turns, on a core or on all; return the medians of what each takes."""
     contestants = {name: lambda work=work: timed(work)[0] for name, work in works.items()}
-    with nullcontext() if core is None else pinned({core}):
+    with nullcontext() if core is None else pinned(core):
         for work in works.values():
             work()
         return in_turns(contestants, setup.repeats)
 
 
+def rates(
+    setup: Setup, works: Mapping[Any, Callable[[], object]], count: int, *, pin: bool = True
+) -> dict[Any, float]:
+    """Return how many millions of so many lookups each work makes in a second of a processor."""
+    spent = clocked(setup, works, setup.core if pin else None)
+    return {name: count / each.cpu / 1e6 for name, each in spent.items()}
+
+
 class Worker:
-    """A process on one core that does the same work whenever it is told, and answers with a line of JSON.
+    """A process on one core that does work whenever it reads a line, and answers with a line of JSON.
 
     Its standard input is closed at the end, which it takes as the word to leave.
     """
@@ -186,20 +163,18 @@ class Worker:
         self._process.wait()
         self._process.stdout.close()
 
-    def run(self, words: str = "") -> dict[str, Any]:
+    def run(self, words: str = "") -> Answer:
         """Have the work done once, on a line of words; return the answer."""
         assert self._process.stdin and self._process.stdout
-        self._process.stdin.write(f"{words}\n")
-        self._process.stdin.flush()
-        for line in self._process.stdout:
-            if line.startswith("{"):
-                answer: dict[str, Any] = json.loads(line)
-                return answer
-        raise RuntimeError(f"{self._process.args!r} ended without an answer")
+        print(words, file=self._process.stdin, flush=True)
+        found = next((said for said in self._process.stdout if said.startswith("{")), None)
+        if found is None:
+            raise RuntimeError(f"{self._process.args!r} ended without an answer")
+        return dict(json.loads(found))
 
-    def spent(self, words: str = "") -> Spent:
+    def spent(self) -> Spent:
         """Have the work done once; return the time it took by its own account."""
-        answer = self.run(words)
+        answer = self.run()
         return Spent(answer["cpu"], answer["wall"])
 
 
@@ -208,58 +183,35 @@ def octex_worker(core: int | None = None) -> Worker:
     return Worker([sys.executable, str(HERE / "worker.py")], core)
 
 
-class Task(NamedTuple):
-    """A task of ``worker.py``."""
-
-    worker: Worker
-    words: str
-
-    def run(self) -> dict[str, Any]:
-        """Do it once; return the answer."""
-        return self.worker.run(self.words)
-
-    def spent(self) -> Spent:
-        """Do it once; return the time it took by its own account."""
-        return self.worker.spent(self.words)
-
-
 @contextmanager
-def task(setup: Setup, name: str, *, pin: bool = True, **arguments: object) -> Iterator[Task]:
+def task(setup: Setup, name: str, *, pin: bool = True, **arguments: object) -> Iterator[Callable[[], Answer]]:
     """Start a process for a task of ``worker.py``; in a quick run one process has them all."""
     own = octex_worker(setup.core if pin else None) if setup.worker is None else nullcontext(setup.worker)
     with own as worker:
-        yield Task(worker, json.dumps([name, arguments]))
+        yield lambda: worker.run(json.dumps([name, arguments]))
 
 
 @contextmanager
 def open3d(
-    setup: Setup, report: Report, *words: object, core: int | None = None
+    setup: Setup, name: str, *words: object, core: int | None = None, **arrays: object
 ) -> Iterator[dict[str, Callable[[], Spent]]]:
     """Start a task of ``open3d_peer.py``, and do it once; yield it by its name, or none without a Python."""
     if not setup.peer_python:
-        report.note("left out: Open3D (--peer-python)")
+        note("left out: Open3D (--peer-python)")
         yield {}
         return
-    with Worker([setup.peer_python, str(PEERS / "open3d_peer.py"), *map(str, words)], core) as worker:
+    path = setup.folder / f"{name}.npz"
+    np.savez(path, **arrays)  # type: ignore[arg-type]
+    command = [setup.peer_python, PEERS / "open3d_peer.py", name, path, *words]
+    with Worker([str(word) for word in command], core) as worker:
         worker.run()
         yield {"Open3D": worker.spent}
 
 
 def memory(field: str) -> int:
     """Bytes of this process: ``VmHWM`` at its highest, ``VmRSS`` now."""
-    for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-        if line.startswith(f"{field}:"):
-            return int(line.split()[1]) * 1024
-    raise RuntimeError(f"/proc/self/status has no {field}")
-
-
-def millions(number: float) -> str:
-    return f"{number / 1e6:.2f} M"
-
-
-def codes(linear: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return sRGB codes, 0 … 255, of linear light."""
-    return 255 * linear_to_srgb(np.clip(linear, 0, 1))
+    status = Path("/proc/self/status").read_text(encoding="ascii")
+    return int(status.partition(f"{field}:")[2].split()[0]) * 1024
 
 
 def decibels(errors: npt.NDArray[Any]) -> float:
@@ -267,5 +219,6 @@ def decibels(errors: npt.NDArray[Any]) -> float:
     return float(20 * np.log10(255 / np.sqrt((errors**2).mean())))
 
 
-def megabytes(number: float) -> str:
-    return f"{number / 2**20:.1f} MB"
+def colors_of(path: Path) -> octex.Surface:
+    """Return a model with its base colour alone."""
+    return octex.load_surface(path, channels=["base_color"])

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import os
-import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 from statistics import median
@@ -14,12 +12,10 @@ from statistics import median
 import numpy as np
 import pytest
 from inputs import painted_torus
-from measuring import DROID, HERE, Report, Setup, Spent
+from measuring import Setup, Spent, line, note, title
 
 import octex
 from octex.viewer import write_page
-
-sys.path.append(str(HERE.parents[1]))
 from tests.make.browser import driven, file_url, opened, started
 from tests.make.paint_server import PaintServer, disc
 
@@ -27,42 +23,6 @@ _TOWARD = (0.0, 0.9, 0.35)
 _VIEW = 1200, 800
 #: Cells in the width of a pixel: paint of the texture's depth, and of one more.
 _WIDTHS = {"": 1.1, ", one finer": 0.8}
-
-
-def session(setup: Setup, report: Report) -> None:
-    """Strokes sent to octex view, until their changes are read; a texture, and a seventh of it."""
-    around, across, depth, sizes = (24, 12, 6, (8,)) if setup.quick else (103, 52, 10, (32, 128, 512))
-    surface = painted_torus(around, across, 256)
-    texture = octex.convert(surface, depth)
-    textures = [texture]
-    if not setup.quick:
-        textures.insert(0, octex.crop(texture, (0.3, 0.75, -1.0), (0.75, 2.0, 2.0)))
-    counts = [each.tree.n_leaves for each in textures]
-    few, many = counts[0], counts[-1]
-    report.title(f"session: strokes on {few:,} and {many:,} leaves, from sending to the change")
-    spent: dict[tuple[int, str, int], Spent] = {}
-    for leaves, each in zip(counts, textures, strict=True):
-        with _served(setup.folder / f"{leaves}", each, surface) as server:
-            cell = texture.placement.size / 2**depth
-            strokes = [(_WIDTHS[""], sizes[0])]
-            strokes += [
-                (width, size) for width in _WIDTHS.values() for size in np.repeat(sizes, setup.repeats)
-            ]
-            first, *times = _strokes(server, surface, cell, strokes)
-        report.line(f"the first stroke, {leaves:,} leaves", f"{first.wall:.3f} s")
-        for finer, size in product(_WIDTHS, sizes):
-            own, times = times[: setup.repeats], times[setup.repeats :]
-            spent[leaves, finer, size] = Spent(median(t.cpu for t in own), median(t.wall for t in own))
-            report.line(f"a stroke of {size}² pixels{finer}, {leaves:,} leaves", spent[leaves, finer, size])
-    report.at_most("session: the first stroke", first.wall, 0.3, "s")
-    for size, target in zip(sizes, (0.08, 0.15, 0.5), strict=False):
-        report.at_most(f"session: a stroke of {size}² pixels", spent[many, "", size].wall, target, "s")
-    for finer, size in product(_WIDTHS, sizes):
-        small, large = (spent[leaves, finer, size] for leaves in (few, many))
-        growth = large.cpu / max(small.cpu, 0.01)
-        report.at_most(f"session: {size}² pixels{finer}, growth with the texture", growth, 1.2, "×")
-
-
 #: Milliseconds of frames of 640 × 480 of what is shown.
 _FRAMES = """([shown, count]) => {
   const { gpu, display, camera } = viewer, times = [];
@@ -77,32 +37,41 @@ _FRAMES = """([shown, count]) => {
 }"""
 
 
-def frames(setup: Setup, report: Report) -> None:
-    """Frames of the page in Chromium: of a texture, and of one with cells of several sizes."""
-    surface, depth = octex.load_surface(DROID), 6 if setup.quick else 10
-    report.title(f"frames: the droid at depth {depth}, 640 × 480, without a GPU")
-    try:
-        with driven() as driver, started(driver) as browser:
-            for kind, error in (("even", None), ("max_error=3", 3)):
-                path = setup.folder / f"{kind}.html"
-                write_page(octex.convert(surface, depth, max_error=error), path, surface)
-                page = opened(browser, file_url(path))
-                for shown in ("unlit", "lit"):
-                    seconds = median(page.evaluate(_FRAMES, [shown, setup.repeats])) / 1000
-                    report.at_most(f"frames: {kind}, {shown}", seconds, 0.125, "s")
-                page.close()
-    except pytest.skip.Exception as why:
-        report.note(f"frames: left out without a browser: {why}")
+def session(setup: Setup) -> None:
+    """Strokes sent to octex view, until their changes are read; a texture, and a seventh of it."""
+    around, across, depth, sizes = (24, 12, 6, (8,)) if setup.quick else (103, 52, 10, (32, 128, 512))
+    surface = painted_torus(around, across, 256)
+    textures = [octex.convert(surface, depth)]
+    if not setup.quick:
+        textures.append(octex.crop(textures[0], (0.3, 0.75, -1.0), (0.75, 2.0, 2.0)))
+    cell = textures[0].placement.size / 2**depth
+    for texture in textures:
+        title(f"session: strokes on {texture.tree.n_leaves:,} leaves, from sending to the change")
+        folder = setup.folder / f"{texture.tree.n_leaves}"
+        folder.mkdir()
+        texture.save(folder / "a.octex")
+        octex.write_model(surface, folder / "a.glb")
+        server = PaintServer(folder / "a.octex", folder / "a.glb", folder / "out.octex")
+        server.wait(0)
+        time.sleep(1.0)  # until all is compiled
+        kinds = list(product(_WIDTHS, sizes))
+        strokes = [(_WIDTHS[finer] * cell, size) for finer, size in kinds for _ in range(setup.repeats)]
+        first, *times = _strokes(server, surface, [strokes[0], *strokes])
+        server.end()
+        line("the first stroke", first)
+        for (finer, size), own in zip(kinds, zip(*[iter(times)] * setup.repeats, strict=True), strict=True):
+            spent = Spent(median(t.cpu for t in own), median(t.wall for t in own))
+            line(f"a stroke of {size}² pixels{finer}", spent)
 
 
 def _strokes(
-    server: PaintServer, surface: octex.Surface, cell: float, strokes: list[tuple[float, int]]
+    server: PaintServer, surface: octex.Surface, strokes: list[tuple[float, int]]
 ) -> Iterator[Spent]:
-    """Send discs, by the cells in the width of a pixel and the pixels across; yield what each takes."""
+    """Send discs, by the width of a pixel and the pixels across; yield what each takes."""
     toward = np.array(_TOWARD) / np.linalg.norm(_TOWARD)
     middle = surface.vertices[np.argmax(surface.vertices @ toward)]
     for number, (width, size) in enumerate(strokes, 1):
-        corners = middle + 0.5 * width * cell * _VIEW[0] * np.array([[-1, 0, 0], [1, 0, 0]])
+        corners = middle + 0.5 * width * _VIEW[0] * np.array([[-1, 0, 0], [1, 0, 0]])
         camera = octex.Camera.fitted(corners, _TOWARD, size=_VIEW, margin=0.0)
         place = camera.project(middle[None])[0][0] + 3.0 * (number % 5)
         body = disc(number, camera, place, size / 2, [200, 10 * number % 256, 30])
@@ -120,13 +89,21 @@ def _cpu_of(server: PaintServer) -> float:
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
-@contextmanager
-def _served(folder: Path, texture: octex.OctreeTexture, surface: octex.Surface) -> Iterator[PaintServer]:
-    folder.mkdir()
-    texture.save(folder / "a.octex")
-    octex.write_model(surface, folder / "a.glb")
-    server = PaintServer(folder / "a.octex", folder / "a.glb", folder / "out.octex")
-    server.wait(0)
-    time.sleep(1.0)  # until all is compiled
-    yield server
-    server.end()
+def frames(setup: Setup) -> None:
+    """Frames of the page in Chromium: of a texture, and of one with cells of several sizes."""
+    _, path, depth = next(setup.models())
+    surface = octex.load_surface(path)
+    title(f"frames: the droid at depth {depth}, 640 × 480, without a GPU")
+    try:
+        with driven() as driver, started(driver) as browser:
+            kinds = {"even": None, "max_error=3": 3}
+            for kind, error in list(kinds.items())[: 1 if setup.quick else 2]:
+                written = setup.folder / f"{kind}.html"
+                write_page(octex.convert(surface, depth, max_error=error), written, surface)
+                page = opened(browser, file_url(written))
+                for shown in ("unlit", "lit"):
+                    times = page.evaluate(_FRAMES, [shown, setup.repeats])
+                    line(f"{kind}, {shown}", f"{median(times):.1f} ms")
+                page.close()
+    except pytest.skip.Exception as why:
+        note(f"frames: left out without a browser: {why}")

@@ -2,14 +2,14 @@
 """Run random tests for an hour: seed after seed, each kind that there is, in processes of their own.
 
 usage: soak.py [edits] [lookups] [damage] … [--minutes 60] [--jobs 2] [--seed N] [--seeds N]
-                     [--limit 60] [--memory 4] [--summary FILE]
+                     [--limit 60] [--memory 4]
 
 A kind is a module random_KIND.py of tests/properties or of this folder, whose check(seed) raises where
 something fails; words that it returns are counted. Without a kind, all run in turn.
 A process that crashes, takes longer than --limit seconds for a seed, or more than --memory gigabytes, counts
 as a failure of that seed, and another goes on. Failures are grouped by where they were raised and by what was
 said, numbers aside; each group is printed once, when it is first met, with the line that repeats it. At the
-end all groups are listed, with their seeds; --summary writes that as JSON. Exit code 1 if anything failed.
+end all groups are listed, with their seeds. Exit code 1 if anything failed.
 Linux only.
 """
 
@@ -153,7 +153,6 @@ class Report:
         self.ran: Counter[str] = Counter()
         self.words: dict[str, Counter[str]] = {}
         self.failures: dict[tuple[str, str], list[int]] = {}
-        self.messages: dict[tuple[str, str], str] = {}
 
     def add(self, kind: str, seed: int, failure: Failure | str) -> None:
         """Count a seed, and print what is new of it."""
@@ -163,7 +162,6 @@ class Report:
             return
         key = kind, failure.group
         if key not in self.failures:
-            self.messages[key] = failure.message
             print(f"{kind}: {failure.group}\n{failure.message}\n    {repeated(kind, seed)}\n", flush=True)
         self.failures.setdefault(key, []).append(seed)
 
@@ -178,16 +176,6 @@ class Report:
                 yield f"  {len(seeds):5}  {group}\n         seeds {listed}"
             for word, times in sorted((+self.words.get(kind, Counter())).items()):
                 yield f"  {times:5}  {word}"
-
-    def summary(self) -> list[dict[str, object]]:
-        """Return the same for JSON."""
-        return [
-            {"kind": kind, "ran": ran, "failures": [
-                {"group": group, "seeds": seeds, "first": self.messages[each, group]}
-                for (each, group), seeds in self.failures.items() if each == kind
-            ]}
-            for kind, ran in sorted(self.ran.items())
-        ]  # fmt: skip
 
 
 def repeated(kind: str, seed: int) -> str:
@@ -267,7 +255,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, help="how many of each kind, at most")
     parser.add_argument("--limit", type=float, default=60.0, help="seconds for a seed (60)")
     parser.add_argument("--memory", type=float, default=4.0, help="gigabytes for a process (4)")
-    parser.add_argument("--summary", type=Path, metavar="FILE", help="write what was found as JSON")
     parser.add_argument("--work", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     memory = int(options.memory * 2**30)
@@ -281,8 +268,6 @@ def main(arguments: list[str] | None = None) -> int:
         chosen, 60 * options.minutes, max(options.jobs, 1), options.seed, options.seeds, options.limit, memory
     )
     print("\n".join(report.rows()))
-    if options.summary:
-        options.summary.write_text(json.dumps(report.summary(), indent=1), encoding="utf-8")
     return int(bool(report.failures))
 
 

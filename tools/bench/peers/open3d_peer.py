@@ -1,6 +1,6 @@
 """What Open3D does, once for each line read; run by a Python that has Open3D.
 
-usage: open3d_peer.py cells MESH RESOLUTION       VoxelGrid of a mesh, its cells read out
+usage: open3d_peer.py cells ARRAYS.npz RESOLUTION VoxelGrid of a mesh, its cells read out
        open3d_peer.py bake ARRAYS.npz SIZE        bake_vertex_attr_textures of a mesh
        open3d_peer.py look_up ARRAYS.npz          closest point of a mesh, its UV, a bilinear read of an image
        open3d_peer.py paint ARRAYS.npz            a picture projected into a mesh's image
@@ -12,7 +12,6 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import open3d
@@ -21,11 +20,9 @@ Work = Callable[[], float]  # its number tells that it was done
 Tensor = open3d.core.Tensor
 
 
-def cells(mesh_path: str, resolution: str) -> Work:
-    with Path(mesh_path).open("rb") as file:
-        vertices, triangles = np.fromfile(file, np.int64, 2)
-        positions = np.fromfile(file, np.float32, 3 * vertices).reshape(-1, 3).astype(np.float64)
-        corners = np.fromfile(file, np.int32, 3 * triangles).reshape(-1, 3)
+def cells(path: str, resolution: str) -> Work:
+    arrays = np.load(path)
+    positions, corners = arrays["vertices"].astype(np.float64), arrays["triangles"].astype(np.int32)
     points, faces = open3d.utility.Vector3dVector(positions), open3d.utility.Vector3iVector(corners)
     mesh = open3d.geometry.TriangleMesh(points, faces)
     create = open3d.geometry.VoxelGrid.create_from_triangle_mesh_within_bounds
