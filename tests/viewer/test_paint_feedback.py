@@ -99,3 +99,13 @@ def test_the_picture_is_as_high_as_a_low_window(page):
         page.set_viewport_size({"width": width, "height": height})
         assert page.evaluate("viewer.canvas.clientHeight") == height
     page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
+
+
+def test_enter_presses_the_tool_in_the_middle(studio, page):
+    page.locator("#picture").focus()
+    for key in ("b", "Enter", "f", "Enter", "i", "Enter"):
+        page.keyboard.press(key)
+    assert page.evaluate("document.activeElement === viewer.canvas")
+    studio.is_done(page)
+    assert page.evaluate("viewer.painting.status.steps") == ["Brush", "Fill a part"]
+    assert page.evaluate("viewer.painting.tool.name") == "fill"  # as before the press of "pick"
