@@ -1,6 +1,7 @@
 """What a painting page tells its user, and where its keys go."""
 
 from tests.make.same import assert_same
+from tests.make.studio import SIZE
 from tests.viewer.test_painting import _CLOSE, _OPEN
 
 #: Says whether an element is within another one, as that is scrolled.
@@ -82,3 +83,29 @@ def test_keys_go_to_the_tools_after_a_choice_or_a_text(page):
     page.keyboard.press("b")
     assert page.evaluate("viewer.painting.tool.name") == "brush"
     assert page.locator("#color-text").input_value() == "#00ff88"
+
+
+def test_with_forced_colours_the_chosen_tool_and_colours_are_seen(page):
+    backgrounds = "(all) => all.map((each) => getComputedStyle(each).backgroundColor)"
+    page.emulate_media(forced_colors="active")
+    chosen, *others = page.locator("#tools button").evaluate_all(backgrounds)
+    assert chosen not in others
+    assert page.locator("#second-color").evaluate_all(backgrounds) == ["rgb(245, 245, 245)"]
+    page.emulate_media(forced_colors="none")
+
+
+def test_the_picture_is_as_high_as_a_low_window(page):
+    for width, height in ((640, 340), (568, 320)):
+        page.set_viewport_size({"width": width, "height": height})
+        assert page.evaluate("viewer.canvas.clientHeight") == height
+    page.set_viewport_size({"width": SIZE[0], "height": SIZE[1]})
+
+
+def test_enter_presses_the_tool_in_the_middle(studio, page):
+    page.locator("#picture").focus()
+    for key in ("b", "Enter", "f", "Enter", "i", "Enter"):
+        page.keyboard.press(key)
+    assert page.evaluate("document.activeElement === viewer.canvas")
+    studio.is_done(page)
+    assert page.evaluate("viewer.painting.status.steps") == ["Brush", "Fill a part"]
+    assert page.evaluate("viewer.painting.tool.name") == "fill"  # as before the press of "pick"

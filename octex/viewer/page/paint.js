@@ -18,7 +18,7 @@ import { ResizeDrag } from "./resize.js";
 import { Retouch } from "./retouch.js";
 import { Stencil } from "./stencil.js";
 import { DEFAULT_ANGLE, Strokes } from "./stroke.js";
-import { TOOLS, pickPaint } from "./tools.js";
+import { TOOLS, pickPaint, pressMiddle } from "./tools.js";
 
 const MIN_SIZE = 1, MAX_SIZE = 400; // of the brush
 const SIZE_STEP = 1.15; // by a key
@@ -34,7 +34,7 @@ const KEYS = TOOLS.map(({ key, text }) => `${key.toUpperCase()} ${text.toLowerCa
 const HELP = [
   "Drag where the brush touches the model to paint, elsewhere or with the middle button to turn, with the right button to move; wheel or pinch zooms.",
   "Shift draws straight lines, Ctrl changes the brush’s size and hardness, Alt picks a colour.",
-  `Keys: ${KEYS}, X swaps the two colours, [ and ] size, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns automatically.`,
+  `Keys: ${KEYS}, X swaps the two colours, [ and ] size, Enter presses in the middle of the picture, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns automatically.`,
 ].join(" ");
 
 export async function startPainting(viewer, status) {
@@ -323,7 +323,7 @@ class Painting {
 
   // Give a pointer's events to a drag until it is up.
   beginDrag(event, drag) {
-    this.viewer.canvas.setPointerCapture(event.pointerId);
+    if (event.isTrusted) this.viewer.canvas.setPointerCapture(event.pointerId);
     this.pen = { id: event.pointerId, type: event.pointerType, first: event, drag };
   }
 
@@ -392,6 +392,7 @@ class Painting {
       "]": () => this.set({ size: Math.max(Math.round(size * SIZE_STEP), size + 1) }),
       "{": () => this.set({ hardness: hardness - 0.1 }),
       "}": () => this.set({ hardness: hardness + 0.1 }),
+      ...(event.target === this.viewer.canvas && { enter: () => pressMiddle(this) }),
       ...this.tool.keys?.(this, event),
     };
     if (isText && key === "enter") return event.target.blur(); // keys then go to the tools

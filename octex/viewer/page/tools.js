@@ -51,3 +51,12 @@ function fill(painting, event) {
   painting.commands.send({ kind: "fill", name, ...painting.material.paint, opacity, blend, mirror, offset: painting.mirrorOffset, at, ...limits });
   painting.palette.addRecent(painting.material.paint.color);
 }
+
+// Press the tool in the middle of the picture, without a pointer.
+export function pressMiddle(painting) {
+  const { canvas } = painting.viewer, { left, top, width, height } = canvas.getBoundingClientRect();
+  const press = new PointerEvent("pointerdown", { pointerId: -1, clientX: left + width / 2, clientY: top + height / 2 });
+  painting.pointerDown(press);
+  painting.pointerUp(press);
+  canvas.focus(); // a press takes the focus away
+}

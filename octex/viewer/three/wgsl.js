@@ -5,7 +5,7 @@ const BINARY = [["||"], ["&&"], ["|"], ["^"], ["&"], ["==", "!="], ["<", ">", "<
 const COMPARED = { lessThan: "<", greaterThan: ">", lessThanEqual: "<=", greaterThanEqual: ">=", equal: "==", notEqual: "!=" };
 const CALLED = { dFdx: "dpdx", dFdy: "dpdy", packSnorm2x16: "pack2x16snorm", unpackSnorm2x16: "unpack2x16snorm", texelFetch: "textureLoad" };
 const SCALARS = { "": "f32", i: "i32", u: "u32", b: "bool" };
-const TYPES = { float: "f32", int: "i32", uint: "u32", bool: "bool" };
+const TYPES = { float: "f32", int: "i32", uint: "u32", bool: "bool", mat3: "mat3x3<f32>" };
 for (const [letter, scalar] of Object.entries(SCALARS)) for (const size of [2, 3, 4]) TYPES[`${letter}vec${size}`] = `vec${size}<${scalar}>`;
 const TOKEN = /[A-Za-z_]\w*|0x[\dA-F]+u?|\d+\.?\d*(?:e[+-]?\d+)?u?|<<|>>|[<>=!+\-*/%&|^]=|&&|\|\||\+\+|--|\S/g;
 

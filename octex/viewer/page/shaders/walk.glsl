@@ -19,7 +19,7 @@ precision highp usampler2D;
 
 const uint ROW = 4095u;  // texels in a row, less one
 const float FINEST = 8388608.0;  // 2²³: positions in fixed point
-const float FAR = 4.0;  // a squared distance in cells
+const float FAR = 4.0;  // above all squared distances in cells
 
 uniform usampler2D u_nodes;
 
@@ -233,15 +233,46 @@ void addSides(uint cell, float weight, bool averages) {
 }
 #endif
 
-// The weights of a block's four cells along an axis, by their distances from the point.
-vec4 kernel(vec4 away) {
-  vec4 d = abs(away);
-#ifdef LINEAR
-  return max(1.0 - d, vec4(0.0));
+// A number for each of the 3×3×3 cells around a point: planes along z, with columns along y and rows along x.
+struct Cells {
+  mat3 low, middle, high;
+};
+
+// Their weights are products of the spline's weights along the axes. Of NEAREST, squared distances are sums.
+#ifdef NEAREST
+vec3 alongAxis(float inside) {
+  return vec3(inside * inside, 0.0, (1.0 - inside) * (1.0 - inside));
+}
+
+mat3 planeOf(vec3 x, vec3 y, float z) {
+  x = x + z;
+  return mat3(x + y.x, x + y.y, x + y.z);
+}
 #else
-  vec4 rim = max(1.5 - d, vec4(0.0));
-  return mix(0.5 * rim * rim, 0.75 - d * d, vec4(lessThan(d, vec4(0.5))));
+vec3 alongAxis(float inside) {
+  vec2 away = vec2(1.0 - inside, inside);
+#ifdef LINEAR
+  vec2 rim = max(away - 0.5, vec2(0.0));
+#else
+  vec2 rim = 0.5 * away * away;
 #endif
+  return vec3(rim.x, 1.0 - rim.x - rim.y, rim.y);
+}
+
+mat3 planeOf(vec3 x, vec3 y, float z) {
+  x = x * z;
+  return mat3(x * y.x, x * y.y, x * y.z);
+}
+#endif
+
+// The weights for a position in the middle cell, 0 to 1.
+Cells weightsAt(vec3 inside) {
+  vec3 x = alongAxis(inside.x), y = alongAxis(inside.y), z = alongAxis(inside.z);
+  return Cells(planeOf(x, y, z.x), planeOf(x, y, z.y), planeOf(x, y, z.z));
+}
+
+float totalOf(mat3 plane) {
+  return dot(plane * vec3(1.0), vec3(1.0));
 }
 
 uvec2 nodeAt(uint number) {
@@ -257,7 +288,8 @@ uvec2 nodeAt(uint number) {
 struct Taps {
   PerNode cells;  // the first child of each node
   uvec2 present, pending;
-  vec4 x, y, z;  // weights by the places along the axes
+  uvec3 parity;
+  Cells weights;
 };
 
 // The bits of children by their position along an axis; along z both words have the same.
@@ -269,28 +301,40 @@ uint joined(uvec4 masks) {
   return masks.x + masks.y * 0x100u + masks.z * 0x10000u + masks.w * 0x1000000u;
 }
 
-// The bits of positions along an axis with a weight, or near enough.
-uvec4 wanted(vec4 along) {
+uvec2 masksOf(PerNode words) {
+  return uvec2(joined(words.low & uvec4(255u)), joined(words.high & uvec4(255u)));
+}
+
+// Of four positions along an axis of a block, the three around the point.
+uvec3 around(uvec4 along, uint parity) {
+  return along.yzw + parity * (along.xyz - along.yzw);
+}
+
+// The children that lie in some of the three positions along each axis.
+uvec2 crossing(uvec3 parity, bvec3 x, bvec3 y, bvec3 z) {
+  uvec3 inX = around(ALONG_X, parity.x) * uvec3(x), inY = around(ALONG_Y, parity.y) * uvec3(y);
+  uvec3 lowZ = around(uvec4(ALONG_Z.xy, 0u, 0u), parity.z) * uvec3(z), highZ = around(uvec4(0u, 0u, ALONG_Z.zw), parity.z) * uvec3(z);
+  uint plane = (inX.x | inX.y | inX.z) & (inY.x | inY.y | inY.z);
+  return uvec2(plane & (lowZ.x | lowZ.y | lowZ.z), plane & (highZ.x | highZ.y | highZ.z));
+}
+
+// Those of some children around the point that have a weight.
+Taps tapsOf(Block block, Cells weights, uvec2 among) {
 #ifdef NEAREST
-  return uvec4(lessThan(along, vec4(FAR)));
+  vec3 x = vec3(1.0), y = x, z = x;
 #else
-  return uvec4(greaterThan(along, vec4(0.0)));
+  mat3 all = weights.low + weights.middle + weights.high;
+  vec3 x = all * vec3(1.0), y = vec3(1.0) * all, z = vec3(totalOf(weights.low), totalOf(weights.middle), totalOf(weights.high));
 #endif
-}
-
-Taps tapsOf(Block block, vec4 x, vec4 y, vec4 z) {
-  uvec4 low = (block.first.low | block.second.low) & uvec4(255u), high = (block.first.high | block.second.high) & uvec4(255u);
-  uvec2 there = uvec2(joined(low), joined(high));
-  uvec4 inX = ALONG_X * wanted(x), inY = ALONG_Y * wanted(y), inZ = ALONG_Z * wanted(z);
-  uint plane = (inX.x | inX.y | inX.z | inX.w) & (inY.x | inY.y | inY.z | inY.w);
+  const vec3 none = vec3(0.0);
+  uvec2 seen = crossing(block.parity, greaterThan(x, none), greaterThan(y, none), greaterThan(z, none));
   PerNode cells = PerNode(block.first.low >> uvec4(8u), block.first.high >> uvec4(8u));
-  return Taps(cells, there, there & uvec2(plane) & (inZ.xz | inZ.yw), x, y, z);
+  return Taps(cells, masksOf(block.first) | masksOf(block.second), among & seen, block.parity, weights);
 }
 
-// Select the first of two numbers if a bit is among some, else the second, without a branch.
-float either(uint bit, uint bits, vec2 both) {
-  float is = float((bit & bits) != 0u);
-  return is * both.x + (1.0 - is) * both.y;
+// The three places along an axis that have some of the bits.
+vec3 isAt(uvec3 bits) {
+  return vec3(notEqual(bits, uvec3(0u)));
 }
 
 // Take the first pending child; return its bit.
@@ -304,36 +348,20 @@ uvec2 take(inout Taps taps, out uint cell, out float weight) {
   uint up = is.x * 0x1000000u + is.y * 0x10000u + is.z * 0x100u + is.w;
   uint below = ((word.x * taps.present.x + word.y * taps.present.y) & (lowest - 1u)) * up;
   cell = first.x + first.y + first.z + first.w + bitsOf(below >> 24u);
-  vec2 x = vec2(either(lowest, 0x00FF00FFu, taps.x.xz), either(lowest, 0x00FF00FFu, taps.x.yw));
-  vec2 y = vec2(either(lowest, 0x0000FFFFu, taps.y.xz), either(lowest, 0x0000FFFFu, taps.y.yw));
-  vec2 z = float(word.x) * taps.z.xy + float(word.y) * taps.z.zw;
-  vec3 along = vec3(either(lowest, 0x55555555u, x), either(lowest, 0x33333333u, y), either(lowest, 0x0F0F0F0Fu, z));
-#ifdef NEAREST
-  weight = along.x + along.y + along.z;
-#else
-  weight = along.x * along.y * along.z;
-#endif
   uvec2 bit = lowest * word;
+  vec3 x = isAt(around(ALONG_X & uvec4(lowest), taps.parity.x)), y = isAt(around(ALONG_Y & uvec4(lowest), taps.parity.y));
+  vec3 z = isAt(around(ALONG_Z & bit.xxyy, taps.parity.z));
+  weight = dot(x, (z.x * taps.weights.low + z.y * taps.weights.middle + z.z * taps.weights.high) * y);
   taps.pending ^= bit;
   return bit;
 }
 
-// Squared distances along an axis from the point to the four cells; FAR beyond the 27.
-vec4 distances(vec4 away) {
-  vec4 d = max(abs(away) - 0.5, vec4(0.0));
-  return mix(d * d, vec4(FAR), vec4(greaterThan(abs(away), vec4(1.5))));
-}
-
-// Add the cells around a point; `inside` is its position in the middle cell, 0 to 1.
-void gather(Block block, vec3 inside, float share, bool averages) {
-  // The block begins two cells before the middle one, or one where that is odd.
-  vec3 begin = vec3(block.parity) - 1.5 - inside;
-  vec4 steps = vec4(0.0, 1.0, 2.0, 3.0);
-  vec4 x = steps + begin.x, y = steps + begin.y, z = steps + begin.z;
+// Add some of the cells around a point, with weights times a share.
+void gather(Block block, Cells weights, float share, bool averages, uvec2 among) {
+  Taps taps = tapsOf(block, weights, among);
   uint cell;
   float weight;
 #ifdef NEAREST
-  Taps taps = tapsOf(block, distances(x), distances(y), distances(z));
   float least = FAR;
   uint nearest = 0u;
   while ((taps.pending.x | taps.pending.y) != 0u) {
@@ -343,17 +371,16 @@ void gather(Block block, vec3 inside, float share, bool averages) {
   }
   if (least < FAR) tap(nearest, share, averages);
 #else
-  Taps taps = tapsOf(block, kernel(x), kernel(y), kernel(z) * share);
   uvec2 split = uvec2(0u);
   while ((taps.pending.x | taps.pending.y) != 0u) {
     uvec2 bit = take(taps, cell, weight);
-    split |= bit * uint(addWhole(cell, weight, averages));
+    split |= bit * uint(addWhole(cell, weight * share, averages));
   }
 #ifdef SPLIT
   taps.pending = split;
   while ((taps.pending.x | taps.pending.y) != 0u) {
     take(taps, cell, weight);
-    addSides(cell, weight, averages);
+    addSides(cell, weight * share, averages);
   }
 #endif
 #endif
@@ -456,7 +483,8 @@ void addLevels(vec3 point, ivec2 levels, vec2 shares, int leaves) {
   for (int sampled = levels.x; sampled <= levels.y; sampled++) {
     for (; level < sampled; level++) goDown(block, place, span);
     vec3 inside = point * float(1 << uint(level)) - vec3(cellOf(place, level));
-    gather(block, inside, sampled == levels.x ? shares.x : shares.y, level < leaves);
+    uvec2 every = masksOf(block.first) | masksOf(block.second);
+    gather(block, weightsAt(inside), sampled == levels.x ? shares.x : shares.y, level < leaves, every);
     span = uvec3(uint(FINEST));
   }
 }
@@ -481,197 +509,173 @@ uvec3 leafAt(vec3 point, int last) {
 }
 
 #if defined(MIXED) && !defined(NEAREST)
-// Leaves of several depths. The walk descends to the first level with leaves or kept coefficients around the point. From
-// there on, each of the 3×3×3 cells holds terms of the sums. Refinement carries them to the next level, and leaves there
-// replace them.
-float m_total[27];
-float m_weight[27];  // how much of a cell comes from cells that were read
-vec4 m_sum{N}[27];
-#ifdef ALPHA
-float m_cover[27], m_alpha[27];  // without alpha, m_total is both
-#endif
-#ifdef KEPT
-bool m_keeps[27];  // nodes with a kept coefficient
-#endif
-#ifdef LINEAR
-// Linear interpolation refines leaves only.
-bool m_leaf[27];  // leaves, and cells below leaves
-#endif
-
-void put(int at, float weight) {
-  m_total[at] = weight * r_total;
-  m_weight[at] = weight;
-  m_sum{N}[at] = weight * r_sum{N};
-#ifdef ALPHA
-  m_cover[at] = weight * r_cover;
-  m_alpha[at] = weight * r_alpha;
-#endif
-}
-
-// Set the terms of all cells to 0.
-void clearMixed() {
-  r_total = r_cover = r_alpha = 0.0;
-  r_sum{N} = vec4(0.0);
-  for (int at = 0; at < 27; at++) {
-    put(at, 0.0);
-#ifdef KEPT
-    m_keeps[at] = false;
-#endif
-#ifdef LINEAR
-    m_leaf[at] = false;
-#endif
-  }
-}
-
-#ifdef LINEAR
-// Keep only the terms of cells below the leaves of the level above, and only what these leaves give.
-void keepBelow(uvec3 parity) {
-  bool leaves[27] = m_leaf;
-  for (int at = 0; at < 27; at++) {
-    ivec3 owner = (ivec3(at % 3, at / 3 % 3, at / 9) + ivec3(parity) + 1) >> uvec3(1u);
-    m_leaf[at] = leaves[owner.x + 3 * owner.y + 9 * owner.z];
-    float scale = m_leaf[at] && m_weight[at] > 0.0 ? 1.0 / m_weight[at] : 0.0;
-    m_total[at] *= scale;
-    m_weight[at] *= scale;
-    m_sum{N}[at] *= scale;
-#ifdef ALPHA
-    m_cover[at] *= scale;
-    m_alpha[at] *= scale;
-#endif
-  }
-}
-#endif
-
-// Chaikin's rule along a line of three cells: of a cell's halves each takes a quarter of its neighbour.
-#define LINE(M, V) { V a = M[i], b = M[j], c = M[k]; M[i] = mix(a, b, low.x), M[j] = mix(odd ? b : a, odd ? c : b, low.y), M[k] = mix(b, c, low.z); }
-
-void refine(uvec3 parity) {
-  int step = 1;
-  for (int axis = 0; axis < 3; axis++) {
-    bool odd = parity[axis] == 1u;
-    vec3 low = odd ? vec3(0.75, 0.25, 0.75) : vec3(0.25, 0.75, 0.25);
-    for (int line = 0; line < 9; line++) {
-      int i = line / step * step * 3 + line % step, j = i + step, k = j + step;
-      LINE(m_total, float)
+// Leaves of several depths. The walk goes down to the first level without nodes around the point, where the spline's weights
+// fall on the cells. Leaves take theirs. Cells without a node above them are refined from cells of the level above: their
+// weights go up to those, and so on. See octex/field/neighborhood.py.
+const int LEVELS = 24;
+Block m_blocks[LEVELS];
 #if defined(KEPT) || defined(LINEAR)
-      LINE(m_weight, float)
+uvec2 m_below[LEVELS];  // the children of a block that are below kept nodes; of LINEAR, those below leaves
+uvec2 m_kept[LEVELS];  // nodes with a kept coefficient
 #endif
-      LINE(m_sum{N}, vec4)
-#ifdef ALPHA
-      LINE(m_cover, float)
-      LINE(m_alpha, float)
-#endif
-    }
-    step *= 3;
-  }
-#ifdef LINEAR
-  keepBelow(parity);
-#endif
-}
-
-// Return the word of a block's node, by its position along the axes.
-uint wordAt(PerNode words, uvec3 place) {
-  uvec4 four = place.z == 0u ? words.low : words.high;
-  return four[place.x + 2u * place.y];
-}
-
-// Replace refined terms by those of the cells around the point; return whether any cell is refined further.
-bool putCells(Block block, bool isLast, bool averages) {
 #if defined(KEPT) && !defined(LINEAR)
-  bool kept[27] = m_keeps;
+Cells m_cover[LEVELS];  // how much of a cell comes from cells that are read
 #endif
-  bool goesOn = false;
-  for (int at = 0; at < 27; at++) {
-    uvec3 place = uvec3(uint(at % 3), uint(at / 3 % 3), uint(at / 9)) + 1u - block.parity;
-    uvec3 parent = place >> uvec3(1u), octant = place & uvec3(1u);
-    uint first = wordAt(block.first, parent), second = wordAt(block.second, parent), masks = (first | second) & 255u;
-    uint bit = (1u + octant.x) * (1u + 3u * octant.y) * (1u + 15u * octant.z), cell = (first >> 8u) + bitsOf(masks & (bit - 1u));
-    bool isNode = (first & bit) != 0u, isLeaf = (second & bit) != 0u;
-    bool isBelow = false, keeps = false;  // whether the parent has a kept coefficient, and whether the cell has
-#if defined(KEPT) && !defined(LINEAR)
-    uvec3 owner = parent + block.parity;
-    isBelow = kept[owner.x + 3u * owner.y + 9u * owner.z];
-#endif
-    float weight = isBelow ? m_weight[at] : 1.0;
-    if (isLeaf || (isNode && isLast)) {
-      read(cell, averages && isNode);
-      put(at, weight);
+
+// Chaikin's rule, transposed: from three cells along an axis to those that they are refined from; ODD is the difference of
+// the rules for odd and for even parity.
+const mat3 EVEN = mat3(0.75, 0.25, 0.0, 0.25, 0.75, 0.0, 0.0, 0.75, 0.25), ODD = mat3(-0.5, 0.5, 0.0, -0.25, 0.0, 0.25, 0.0, -0.5, 0.5);
+
+// Transform cells along each axis.
+Cells transformed(Cells cells, mat3 x, mat3 y, mat3 z) {
+  mat3 across = transpose(y), low = x * cells.low * across, middle = x * cells.middle * across, high = x * cells.high * across;
+  return Cells(z[0].x * low + z[1].x * middle + z[2].x * high, z[0].y * low + z[1].y * middle + z[2].y * high,
+    z[0].z * low + z[1].z * middle + z[2].z * high);
+}
+
+mat3 timesPlane(mat3 a, mat3 b) {
+  return mat3(a[0] * b[0], a[1] * b[1], a[2] * b[2]);
+}
+
+Cells times(Cells a, Cells b) {
+  return Cells(timesPlane(a.low, b.low), timesPlane(a.middle, b.middle), timesPlane(a.high, b.high));
+}
+
 #ifdef LINEAR
-      m_leaf[at] = true;
+mat3 overPlane(mat3 a, mat3 b) {
+  const vec3 least = vec3(1e-6);
+  return mat3(a[0] / max(b[0], least), a[1] / max(b[1], least), a[2] / max(b[2], least));
+}
+
+Cells over(Cells a, Cells b) {
+  return Cells(overPlane(a.low, b.low), overPlane(a.middle, b.middle), overPlane(a.high, b.high));
+}
 #endif
-    } else if (isNode || (masks != 0u && !isBelow)) {
+
+Cells plus(Cells a, Cells b) {
+  return Cells(a.low + b.low, a.middle + b.middle, a.high + b.high);
+}
+
+mat3 marksOf(uint bits, uvec3 x, uvec3 y) {
+  return mat3(isAt(x & uvec3(y.x & bits)), isAt(x & uvec3(y.y & bits)), isAt(x & uvec3(y.z & bits)));
+}
+
+// 1 for some cells, 0 for the others.
+Cells marks(uvec2 some, uvec3 parity) {
+  uvec3 x = around(ALONG_X, parity.x), y = around(ALONG_Y, parity.y), z = around(ALONG_Z & some.xxyy, parity.z);
+  return Cells(marksOf(z.x, x, y), marksOf(z.y, x, y), marksOf(z.z, x, y));
+}
+
+// The children of a block's nodes.
+uvec2 childrenOf(Block block) {
+  uvec4 low = (block.first.low | block.second.low) & uvec4(255u), high = (block.first.high | block.second.high) & uvec4(255u);
+  return uvec2(joined(uvec4(notEqual(low, uvec4(0u))) * 255u), joined(uvec4(notEqual(high, uvec4(0u))) * 255u));
+}
+
+#if defined(KEPT) || defined(LINEAR)
+// The children of a block whose parents are among some children of the block above.
+uvec2 below(uvec2 some, uvec3 above, uvec3 parity) {
+  uvec3 x = around(ALONG_X, above.x), y = around(ALONG_Y, above.y), z = around(ALONG_Z & some.xxyy, above.z);
+  uvec2 twoX = x.xy + parity.x * (x.yz - x.xy), twoY = y.xy + parity.y * (y.yz - y.xy), twoZ = z.xy + parity.z * (z.yz - z.xy);
+  uvec4 four = twoX.xyxy & twoY.xxyy, none = uvec4(0u);
+  return uvec2(joined(uvec4(notEqual(four & twoZ.xxxx, none)) * 255u), joined(uvec4(notEqual(four & twoZ.yyyy, none)) * 255u));
+}
+
+// How much of a cell comes from cells that are read, by refinement from the level above.
+Cells refinedCover(int level) {
+  vec3 odd = vec3(m_blocks[level].parity);
+#ifdef LINEAR
+  Block above = m_blocks[level - 1];
+  Cells cover = marks(masksOf(above.second) | m_kept[level - 1] | m_below[level - 1], above.parity);
+#else
+  Cells cover = m_cover[level - 1];
+#endif
+  return transformed(cover, transpose(EVEN + odd.x * ODD), transpose(EVEN + odd.y * ODD), transpose(EVEN + odd.z * ODD));
+}
+
+// Find what later levels need to know of a level.
+void noteLevel(int level) {
+  Block block = m_blocks[level];
+  uvec2 nodes = masksOf(block.first), leaves = masksOf(block.second);
+  m_kept[level] = m_below[level] = uvec2(0u);
 #ifdef KEPT
-      keeps = isNode && (FLAGS_AT(texelOf(cell)) & 64u) != 0u && u_kept.y > 0u;
-      if (keeps) readKept(cell);
-#endif
-      put(at, keeps ? weight : 0.0);
-    }
-#ifdef KEPT
-    m_keeps[at] = keeps;
-#endif
-    goesOn = goesOn || (isNode && !isLast);
+  const vec3 one = vec3(1.0);
+  const mat3 ones = mat3(one, one, one);
+  Taps taps = tapsOf(block, Cells(ones, ones, ones), nodes * uint(level >= u_keptLevel && u_kept.y > 0u));
+  uint cell;
+  float weight;
+  while ((taps.pending.x | taps.pending.y) != 0u) {
+    uvec2 bit = take(taps, cell, weight);
+    g_fetches++;
+    m_kept[level] |= bit * uint((FLAGS_AT(texelOf(cell)) & 64u) != 0u);
   }
-  return goesOn;
+#endif
+#ifdef LINEAR
+  if (level > 0) m_below[level] = below(masksOf(m_blocks[level - 1].second) | m_below[level - 1], m_blocks[level - 1].parity, block.parity);
+#else
+  if (level > 0) m_below[level] = below(m_kept[level - 1], m_blocks[level - 1].parity, block.parity);
+  m_cover[level] = marks((leaves | m_kept[level]) & ~m_below[level], block.parity);
+  if (level > 0) {
+    uvec2 refined = ~childrenOf(block) | m_below[level] & ~(nodes & ~m_kept[level]);
+    m_cover[level] = plus(m_cover[level], times(refinedCover(level), marks(refined, block.parity)));
+  }
+#endif
 }
+#endif
 
-// Return whether any of the cells around the point has its bit in the words of a block's nodes.
-bool isAround(PerNode words, uvec3 parity) {
-  uvec4 plane = parity.x == 1u ? uvec4(0xFFu, 0x55u, 0xFFu, 0x55u) : uvec4(0xAAu, 0xFFu, 0xAAu, 0xFFu);
-  plane &= parity.y == 1u ? uvec4(0xFFu, 0xFFu, 0x33u, 0x33u) : uvec4(0xCCu, 0xCCu, 0xFFu, 0xFFu);
-  uvec4 low = plane & uvec4(parity.z == 1u ? 0xFFu : 0xF0u), high = plane & uvec4(parity.z == 1u ? 0x0Fu : 0xFFu);
-  return any(notEqual(words.low & low | words.high & high, uvec4(0u)));
-}
-
-// Descend to the first level, at most `last`, without nodes around the point; add its cells.
+// Add the cells around a point down to a level, whose nodes are read too.
 void addMixedDepths(vec3 point, int last, float share, bool averages) {
   uvec3 place = fixedAt(point);
   Block block = blockOf(aboveRoot(), place, uint(FINEST));
-  int level = 0;
-  bool hasNodes = true, isMixed = false, goesOn = true;
+  const bvec3 everywhere = bvec3(true);
+  const uvec2 none = uvec2(0u);
+  int level = 0, first = LEVELS;  // the first level with cells that are read
+  bool goesOn = true;
   while (goesOn) {
-    hasNodes = isAround(block.first, block.parity);
-    isMixed = hasNodes && isAround(block.second, block.parity);
-#ifdef KEPT
-    isMixed = isMixed || (hasNodes && level < last && level >= u_keptLevel);
+    m_blocks[level] = block;
+    uvec2 seen = crossing(block.parity, everywhere, everywhere, everywhere), own = masksOf(block.second);
+#if defined(KEPT) || defined(LINEAR)
+    noteLevel(level);
+    own |= m_kept[level];
 #endif
-    goesOn = hasNodes && !isMixed && level < last;
+    if (any(notEqual(own & seen, none))) first = min(first, level);
+    goesOn = level < last && any(notEqual(masksOf(block.first) & seen, none));
     if (goesOn) goDown(block, place, uvec3(uint(FINEST)));
     level += int(goesOn);
   }
-  if (!isMixed) {
-    gather(block, point * float(1 << uint(level)) - vec3(cellOf(place, level)), share, averages && hasNodes);
-    return;
-  }
-  clearMixed();
+  Cells weights = weightsAt(point * float(1 << uint(level)) - vec3(cellOf(place, level)));
   goesOn = true;
   while (goesOn) {
-    refine(block.parity);
-    goesOn = putCells(block, level == last, averages);
-    if (goesOn) goDown(block, place, uvec3(uint(FINEST)));
-    level += int(goesOn);
-  }
-  vec3 inside = point * float(1 << uint(level)) - vec3(cellOf(place, level));
+    block = m_blocks[level];
+    uvec2 nodes = masksOf(block.first), own = masksOf(block.second) | nodes * uint(level == last), refined = ~childrenOf(block);
+    Cells shares = weights;
+#if defined(KEPT) && !defined(LINEAR)
+    refined |= m_below[level] & ~(masksOf(block.first) | masksOf(block.second));
+    shares = times(shares, plus(marks(~m_below[level], block.parity), times(refinedCover(level), marks(m_below[level], block.parity))));
+#endif
+    gather(block, shares, share, averages, own);
+#ifdef KEPT
+    Taps taps = tapsOf(block, shares, m_kept[level] & ~own);
+    uint cell;
+    float weight;
+    while ((taps.pending.x | taps.pending.y) != 0u) {
+      take(taps, cell, weight);
+      readKept(cell);
+      add(weight * share);
+    }
+#endif
 #ifdef LINEAR
-  vec3 low = max(0.5 - inside, vec3(0.0)), high = max(inside - 0.5, vec3(0.0)), middle = 1.0 - low - high;
-#else
-  vec3 low = 0.5 * (1.0 - inside) * (1.0 - inside), high = 0.5 * inside * inside, middle = 1.0 - low - high;
+    refined = m_below[level];
+    if (level > 0) weights = over(weights, refinedCover(level));
 #endif
-  float total = 0.0;
-  for (int at = 0; at < 27; at++) {
-    ivec3 index = ivec3(at % 3, at / 3 % 3, at / 9);
-    float weight = share;
-    for (int axis = 0; axis < 3; axis++) weight *= index[axis] == 0 ? low[axis] : index[axis] == 1 ? middle[axis] : high[axis];
-    total += weight * m_total[at];
-    g_sum{N} += weight * m_sum{N}[at];
-#ifdef ALPHA
-    g_cover += weight * m_cover[at];
-    g_alpha += weight * m_alpha[at];
-#endif
+    weights = times(weights, marks(refined, block.parity));
+    goesOn = level > first && totalOf(weights.low + weights.middle + weights.high) > 0.0;
+    if (goesOn) {
+      vec3 odd = vec3(block.parity);
+      weights = transformed(weights, EVEN + odd.x * ODD, EVEN + odd.y * ODD, EVEN + odd.z * ODD);
+      level--;
+    }
   }
-  g_total += total;
-#ifndef ALPHA
-  g_cover += total;
-#endif
 }
 #endif
 
