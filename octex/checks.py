@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import reprlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
@@ -142,12 +142,16 @@ def is_several(value: object) -> TypeGuard[Iterable[Any]]:
     return isinstance(value, Iterable) and not isinstance(value, (str, bytes))
 
 
-def as_names(names: str | Iterable[str], name: str) -> list[str]:
-    """Return one name or several as a list, or raise ArgumentError for anything but text."""
+def as_names(
+    names: str | Iterable[str], name: str, known: Collection[str] | None = None, kind: str = "channel"
+) -> list[str]:
+    """Return one name or several as a list; raises ArgumentError for anything but text, or not ``known``."""
     listed: list[Any] = list(names) if is_several(names) else [names]
     for each in listed:
         if not isinstance(each, str):
             raise ArgumentError(f"{name} must be text, one or several, not {each!r}")
+        if known is not None:
+            as_choice(each, known, kind)
     return listed
 
 

@@ -204,10 +204,8 @@ def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None, has_nor
     if channels is None:
         names = [name for name in known if name in MATERIAL_CHANNELS]
     else:
-        names = as_names(channels, "channels")
-        for name in names:
-            as_choice(name, known, "channel of the texture")
-            as_choice(name, MATERIAL_CHANNELS, "channel of materials")
+        names = as_names(channels, "channels", known, "channel of the texture")
+        as_names(names, "channels", MATERIAL_CHANNELS, "channel of materials")
     if not names:
         raise ArgumentError(
             f"no channel to bake: baking to a material needs one of {', '.join(MATERIAL_CHANNELS)}"

@@ -117,10 +117,8 @@ def _chosen(texture: OctreeTexture, path: os.PathLike[str], channels: Sequence[s
     if channels is None:
         names = [name for name, each in known.items() if each.format.components <= 3]
     else:
-        names = as_names(channels, "channels")
+        names = as_names(channels, "channels", known, "channel of the texture")
         for name in names:
-            if name not in known:
-                raise ArgumentError(f"{path}: the texture has no channel {name!r}, only {', '.join(known)}")
             if known[name].format.components > 3:
                 raise ArgumentError(f"{path}: channel {name!r} has 4 components; an OSL shader has 3 at most")
     if not names:

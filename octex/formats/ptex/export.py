@@ -117,12 +117,10 @@ def _names(texture: OctreeTexture, channels: Sequence[str] | None) -> list[str]:
         if not names:
             raise ArgumentError(f"the texture has no {BASE_COLOR.name}; name the channels to write")
         return names
-    names = as_names(channels, "channels")
+    names = as_names(channels, "channels", texture.channels, "channel of the texture")
     if not names:
         raise ArgumentError("channels must name at least one channel")
-    for name in names:
-        as_choice(name, texture.channels, "channel of the texture")
-    return list(names)
+    return names
 
 
 def _dtype(texture: OctreeTexture, names: Sequence[str], dtype: str | None) -> str:
