@@ -129,7 +129,7 @@ class Ply:
                 p.name: self._values(p, numbers, raw, starts[:, i], sizes[:, i])
                 for i, p in enumerate(properties)
             }
-            if element == "face":
+            if element == "face" and count:
                 break
         return elements
 
