@@ -225,10 +225,7 @@ class _Other(NamedTuple):
     @classmethod
     def of(cls, surface: Surface, texture: OctreeTexture, distance: float) -> _Other:
         """Prepare a surface."""
-        try:
-            nearest = Triangles.of(surface.rest, surface.triangles)
-        except ModelError as error:
-            raise ModelError(f"{surface.name}: {error}") from None
+        nearest = Triangles.of(surface.rest, surface.triangles, surface.name)
         if surface.frames is None:
             normals = corner_normals(surface.rest, surface.triangles).reshape(-1, 3)
             shading = Corners(normals, np.arange(len(normals), dtype=np.int32).reshape(-1, 3))
