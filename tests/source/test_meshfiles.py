@@ -246,7 +246,7 @@ def test_bad_textures_of_a_ply_file_are_named(tmp_path):
     (tmp_path / "wood.png").write_bytes(png(random_image(2, 2)))
     with pytest.warns(ModelWarning, match=r"a\.ply names the image wood\.png but has no texture coordinates"):
         load_surface(ply(tmp_path / "a.ply", ply_square(), comments=comments))
-    with pytest.raises(ModelError, match="texnumber is not among its 1 TextureFiles"):
+    with pytest.raises(ModelError, match="a face names TextureFile 1, but there are 1"):
         load_surface(ply(tmp_path / "a.ply", ply_square(**ST, texnumber=("int", [0, 1])), comments=comments))
     elsewhere = [f"TextureFile {tmp_path / 'wood.png'}"]
     with pytest.raises(ImageError, match=r"a\.ply: .*wood\.png .*: absolute paths are not followed"):
