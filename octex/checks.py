@@ -63,16 +63,16 @@ def as_array(value: Any) -> Array:
         ) from None
 
 
-def as_row_numbers(numbers: npt.ArrayLike, count: int) -> Int64s:
-    """Return numbers of rows (n,), each below ``count``, or raise ArgumentError."""
+def as_row_numbers(numbers: npt.ArrayLike, count: int, what: str = "row") -> Int64s:
+    """Return numbers of rows, or of ``what`` (n,), each below ``count``, or raise ArgumentError."""
     array = as_array(numbers)
     if array.shape == (0,):
         return np.empty(0, np.int64)
     if array.ndim != 1 or array.dtype.kind not in "iu":
-        raise ArgumentError(f"rows must be whole numbers (n,), not {array.dtype} {array.shape}")
+        raise ArgumentError(f"{what}s must be whole numbers (n,), not {array.dtype} {array.shape}")
     if not 0 <= array.min() <= array.max() < count:
         worst = array.min() if array.min() < 0 else array.max()
-        raise ArgumentError(f"there is no row {worst}; there are 0 to {count - 1}")
+        raise ArgumentError(f"there is no {what} {worst}; there are 0 to {count - 1}")
     return array.astype(np.int64, copy=False)
 
 
