@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import os
 import reprlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
@@ -63,16 +63,16 @@ def as_array(value: Any) -> Array:
         ) from None
 
 
-def as_row_numbers(numbers: npt.ArrayLike, count: int) -> Int64s:
-    """Return numbers of rows (n,), each below ``count``, or raise ArgumentError."""
+def as_row_numbers(numbers: npt.ArrayLike, count: int, what: str = "row") -> Int64s:
+    """Return numbers of rows, or of ``what`` (n,), each below ``count``, or raise ArgumentError."""
     array = as_array(numbers)
     if array.shape == (0,):
         return np.empty(0, np.int64)
     if array.ndim != 1 or array.dtype.kind not in "iu":
-        raise ArgumentError(f"rows must be whole numbers (n,), not {array.dtype} {array.shape}")
+        raise ArgumentError(f"{what}s must be whole numbers (n,), not {array.dtype} {array.shape}")
     if not 0 <= array.min() <= array.max() < count:
         worst = array.min() if array.min() < 0 else array.max()
-        raise ArgumentError(f"there is no row {worst}; there are 0 to {count - 1}")
+        raise ArgumentError(f"there is no {what} {worst}; there are 0 to {count - 1}")
     return array.astype(np.int64, copy=False)
 
 
@@ -142,12 +142,16 @@ def is_several(value: object) -> TypeGuard[Iterable[Any]]:
     return isinstance(value, Iterable) and not isinstance(value, (str, bytes))
 
 
-def as_names(names: str | Iterable[str], name: str) -> list[str]:
-    """Return one name or several as a list, or raise ArgumentError for anything but text."""
+def as_names(
+    names: str | Iterable[str], name: str, known: Collection[str] | None = None, kind: str = "channel"
+) -> list[str]:
+    """Return one name or several as a list; raises ArgumentError for anything but text, or not ``known``."""
     listed: list[Any] = list(names) if is_several(names) else [names]
     for each in listed:
         if not isinstance(each, str):
             raise ArgumentError(f"{name} must be text, one or several, not {each!r}")
+        if known is not None:
+            as_choice(each, known, kind)
     return listed
 
 

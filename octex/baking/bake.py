@@ -204,10 +204,8 @@ def _channels_of(texture: OctreeTexture, channels: Sequence[str] | None, has_nor
     if channels is None:
         names = [name for name in known if name in MATERIAL_CHANNELS]
     else:
-        names = as_names(channels, "channels")
-        for name in names:
-            as_choice(name, known, "channel of the texture")
-            as_choice(name, MATERIAL_CHANNELS, "channel of materials")
+        names = as_names(channels, "channels", known, "channel of the texture")
+        as_names(names, "channels", MATERIAL_CHANNELS, "channel of materials")
     if not names:
         raise ArgumentError(
             f"no channel to bake: baking to a material needs one of {', '.join(MATERIAL_CHANNELS)}"
@@ -227,10 +225,7 @@ class _Other(NamedTuple):
     @classmethod
     def of(cls, surface: Surface, texture: OctreeTexture, distance: float) -> _Other:
         """Prepare a surface."""
-        try:
-            nearest = Triangles.of(surface.rest, surface.triangles)
-        except ModelError as error:
-            raise ModelError(f"{surface.name}: {error}") from None
+        nearest = Triangles.of(surface.rest, surface.triangles, surface.name)
         if surface.frames is None:
             normals = corner_normals(surface.rest, surface.triangles).reshape(-1, 3)
             shading = Corners(normals, np.arange(len(normals), dtype=np.int32).reshape(-1, 3))

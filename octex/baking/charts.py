@@ -208,14 +208,9 @@ def _average(normals: Float64s, areas: Float64s, others: Int32s, rounds: int, av
 
 @kernel
 def _grow_at_once(
-    others: Int32s,
-    facings: Float64s,
-    areas: Float64s,
-    middles: Float64s,
-    axes: Float64s,
-    seeds: Int64s,
+    others: Int32s, facings: Float64s, areas: Float64s, middles: Float64s, axes: Float64s, seeds: Int64s,
     charts: Int64s,
-) -> None:
+) -> None:  # fmt: skip
     """Grow charts from one triangle each along shortest paths; triangles off their axes keep −1."""
     charts[:] = -1
     costs = np.full(charts.size, np.inf)

@@ -183,15 +183,9 @@ def _cotangents(triangles: Int32s, positions: Float64s, cotangents: Float64s) ->
 
 @kernel
 def _even_out(
-    triangles: Int32s,
-    cotangents: Float64s,
-    positions: Float64s,
-    heights: Float64s,
-    slopes: Float64s,
-    sums: Float64s,
-    part: float,
-    lift: float,
-) -> None:
+    triangles: Int32s, cotangents: Float64s, positions: Float64s, heights: Float64s, slopes: Float64s,
+    sums: Float64s, part: float, lift: float,
+) -> None:  # fmt: skip
     """Move slopes (n, 3) by ``part`` toward their neighbours' means, and heights (n,) by ``lift``.
 
     The means are weighted by cotangents, so linear functions stay. A neighbour's height is extrapolated by
@@ -220,17 +214,9 @@ def _even_out(
 
 @kernel
 def _bend(
-    owners: Int64s,
-    points: Int64s,
-    corners: Float64s,
-    rest: Float64s,
-    normals: Float64s,
-    directions: Float64s,
-    lengths: Float64s,
-    heights: Float64s,
-    slopes: Float64s,
-    bent: Float64s,
-) -> None:
+    owners: Int64s, points: Int64s, corners: Float64s, rest: Float64s, normals: Float64s,
+    directions: Float64s, lengths: Float64s, heights: Float64s, slopes: Float64s, bent: Float64s,
+) -> None:  # fmt: skip
     """Add up normals of the displaced surface (n, 3): a tangent t becomes t + (∂h) n + h ∂n."""
     for p in range(len(points)):
         t, v = owners[p], points[p]

@@ -88,14 +88,9 @@ def tessellated(triangles: Int64s, levels: Int64s, edges: tuple[Int64s, Int64s])
 
 @kernel
 def _divide(
-    group: Int64s,
-    numbers: Int64s,
-    barycentric: Float64s,
-    fine: Int64s,
-    made: Int32s,
-    parents: Int64s,
+    group: Int64s, numbers: Int64s, barycentric: Float64s, fine: Int64s, made: Int32s, parents: Int64s,
     shares: Float64s,
-) -> int:
+) -> int:  # fmt: skip
     """Write the triangles of the parents' grids that have area; return how many there are."""
     count = 0
     for t in range(len(group)):

@@ -316,14 +316,9 @@ def _farthest_last(others: Int32s, charts: Int64s, rows: Int64s) -> None:
 
 @kernel
 def grow(
-    others: Int32s,
-    facings: Float64s,
-    areas: Float64s,
-    order: Int64s,
-    least: float,
-    count: int,
+    others: Int32s, facings: Float64s, areas: Float64s, order: Int64s, least: float, count: int,
     charts: Int64s,
-) -> int:
+) -> int:  # fmt: skip
     """Grow charts from triangles in order, nearest first, over triangles that face like the chart's mean."""
     queue = np.empty(charts.size, np.int64)
     for n in range(order.size):

@@ -52,8 +52,6 @@ def bake(options: Options, program: str) -> int:
     if ending not in _GLTF:
         refuse(options, ["--octree"], f"has no effect on {options.OUTPUT}: only .glb and .gltf carry it")
     images, bits = _IMAGES[options.image_format]
-    if images == "exr" and ending in _GLTF:
-        raise ArgumentError(f"{options.OUTPUT}: glTF holds no exr images; write a .obj or .usdz, or png16")
     if options.triangles is not None:
         refuse(options, ["--original", "--displace"], "cannot be used with --triangles")
         if options.uv == "keep":
@@ -62,9 +60,9 @@ def bake(options: Options, program: str) -> int:
 
         check_simplifier()
     from octex.baking.finish import own_texture
-    from octex.formats.models import check_extra, materials_of
+    from octex.formats.models import check_written, materials_of
 
-    check_extra(options.OUTPUT)
+    check_written(options.OUTPUT, images)
     with Reporter(program, options.quiet) as progress:
         with progress.stage("read"):
             texture = None if options.TEXTURE is None else open_texture(options.TEXTURE)

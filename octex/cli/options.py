@@ -8,6 +8,7 @@ from typing import Any
 
 from octex.cli import values as v
 from octex.cli.parser import Command, File, Option
+from octex.files import size_of
 
 DEFAULT_CHANNEL = "base_color"  # the channel to paint
 
@@ -128,7 +129,7 @@ _READERS: dict[Callable[[str], Any], str] = {
     str: "--detail --pose --channel --part",
     v.channel_names: "--channels",
     v.dtypes: "--dtype",
-    v.file_size: "--memory --max-size",
+    size_of: "--memory --max-size",
     v.file_here: "--rest --also --transfer --since --reference --original",
     v.output_file: "--refine-cameras --resume --layer-out --preview --camera-out --empty-layer --paint",
     v.texture_file: "--combine",

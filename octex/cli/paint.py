@@ -129,7 +129,7 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
         if made is None or options.opacity == 0:
             compares = any(shot.picture.since is not None for shot in shots)
             return _nothing_painted(options, program, compares)
-        channel = _channel_of(layers[0])
+        channel = next((name for name in layers[0].channels if name != "alpha"), "alpha")
         entries = _entries(options, [shot.path for shot in shots] or options.IMAGE, channel)
         made = _with_entries(made, surface, entries)
         if options.preview is not None:  # first: if the disk is full, no OUTPUT exists without a report
@@ -276,10 +276,6 @@ def _holes(options: Options) -> Any:
     if form is not None and form.components == 1 and len(set(options.holes)) == 1:
         return options.holes[0] / 255
     return "#" + bytes(options.holes).hex()
-
-
-def _channel_of(layer: OctreeTexture) -> str:
-    return next((name for name in layer.channels if name != "alpha"), "alpha")
 
 
 def _entries(options: Options, files: Sequence[Path], channel: str) -> list[dict[str, str | float]]:

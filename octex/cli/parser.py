@@ -174,7 +174,7 @@ class Parser:
     def _read(self, read: Callable[[str], Any], word: str, value: str) -> Any:
         try:
             return read(value)
-        except ArgumentError as error:
+        except ValueError as error:  # an ArgumentError is one, too
             self.error(f"{word}: {error}")
 
     def error(self, message: str) -> NoReturn:

@@ -151,16 +151,6 @@ angle = _number(float, "from 0 to 180", lambda number: 0.0 <= number <= 180.0)
 pixels = _number(float, "from 0 to 1000000", lambda number: 0.0 <= number <= 1e6)
 
 
-def file_size(text: str) -> int:
-    """Parse a number of bytes: 20MB, 800kB, 5000."""
-    from octex.files import size_of
-
-    try:
-        return size_of(text)
-    except ValueError as error:
-        raise ArgumentError(str(error)) from None
-
-
 def thousands(text: str) -> int:
     """Parse a whole number above zero: 50k, 1.5M, 50000."""
     number, factor = text[:-1], {"k": 1e3, "M": 1e6}.get(text[-1:])

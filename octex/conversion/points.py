@@ -10,7 +10,7 @@ import numpy as np
 import octex
 from octex.arrays import Array, Uint8s
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat, check_range, decode, encode
-from octex.checks import as_choice, as_names
+from octex.checks import as_names
 from octex.conversion.levels import CellLevels, assemble, climb
 from octex.editing.averages import average, with_summed_areas
 from octex.editing.nodes import all_nodes
@@ -86,9 +86,7 @@ def _stored(
 ) -> tuple[ChannelFormat, ...]:
     """Return the storage formats of the chosen channels, by default of all."""
     names = [form.name for form in known]
-    wanted = names if channels is None else as_names(channels, "channels")
-    for name in wanted:
-        as_choice(name, names, "channel")
+    wanted = names if channels is None else as_names(channels, "channels", names)
     return formats_as([form for form in known if form.name in wanted], dtype)
 
 

@@ -104,23 +104,10 @@ def smooth_normals(frames: Frames | None, positions: Float64s, triangles: Int32s
 
 @kernel
 def _hit(
-    eye: Float64s,
-    perspective: bool,
-    vertices: Float64s,
-    resting: Float64s,
-    is_posed: bool,
-    triangles: Int32s,
-    faces: Float64s,
-    corner_normals: Float32s,
-    seen: Int32s,
-    shares: Float32s,
-    weights: Float64s,
-    points: Float64s,
-    rest: Float64s,
-    right: Float64s,
-    down: Float64s,
-    normals: Float64s,
-) -> None:
+    eye: Float64s, perspective: bool, vertices: Float64s, resting: Float64s, is_posed: bool,
+    triangles: Int32s, faces: Float64s, corner_normals: Float32s, seen: Int32s, shares: Float32s,
+    weights: Float64s, points: Float64s, rest: Float64s, right: Float64s, down: Float64s, normals: Float64s,
+) -> None:  # fmt: skip
     """Write the hits at barycentric ``shares`` (n, 3) of the triangles ``seen`` (n,)."""
     for n in range(len(seen)):
         triangle = seen[n]

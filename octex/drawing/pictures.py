@@ -174,16 +174,9 @@ class Film:
 
 @kernel
 def _expose(
-    samples: Int64s,
-    width: int,
-    supersample: int,
-    reflected: Float32s,
-    emitted: Float32s,
-    coverage: Float32s,
-    passed: Float32s,
-    sums: Float64s,
-    opened: Bools,
-) -> None:
+    samples: Int64s, width: int, supersample: int, reflected: Float32s, emitted: Float32s, coverage: Float32s,
+    passed: Float32s, sums: Float64s, opened: Bools,
+) -> None:  # fmt: skip
     """Add samples to pixels, ``width`` in a row. Empty light arrays mean none; empty coverage means 1."""
     for n in range(len(samples)):
         row, column = divmod(samples[n], width * supersample)

@@ -119,16 +119,9 @@ def _reflectance(table: Float64s, cosine: float, roughness: float) -> tuple[floa
 
 @kernel
 def _reflect(
-    tables: Tables,
-    table: Float64s,
-    points: Float64s,
-    faces: Float64s,
-    normals: Float64s,
-    materials: Float64s,
-    eye: Float64s,
-    perspective: bool,
-    lit: Float32s,
-) -> None:
+    tables: Tables, table: Float64s, points: Float64s, faces: Float64s, normals: Float64s,
+    materials: Float64s, eye: Float64s, perspective: bool, lit: Float32s,
+) -> None:  # fmt: skip
     for n in range(len(points)):
         vx, vy, vz = eye[0], eye[1], eye[2]
         if perspective:

@@ -157,18 +157,13 @@ def source_shader(
         corners = height.rest[height.triangles[hits.triangles]]
         rises = []
         for step in (hits.dPdx, hits.dPdy):
-            ends = [
-                _luminance(
-                    by_channel(
-                        height.channels,
-                        height.evaluate_all(
-                            hits.triangles, hits.barycentric + way * _shares(corners, step), hits.width
-                        ),
-                    )[bump[0]]
-                )
-                for way in (-0.5, 0.5)
-            ]
-            rises.append(ends[1] - ends[0])
+            half = 0.5 * _shares(corners, step)
+            before, after = (
+                height.evaluate_all(hits.triangles, hits.barycentric + way, hits.width)
+                for way in (-half, half)
+            )
+            channels = [by_channel(height.channels, each)[bump[0]] for each in (before, after)]
+            rises.append(_luminance(channels[1]) - _luminance(channels[0]))
         return appearance.bent(hits.normals, bump[1] * _gradient(hits, *rises))
 
     return look

@@ -34,14 +34,9 @@ def light(camera: Camera, points: npt.ArrayLike, faces: npt.ArrayLike, normals: 
 
 @kernel
 def _light(
-    points: Float64s,
-    faces: Float64s,
-    normals: Float64s,
-    view: Float64s,
-    position: Float64s,
-    perspective: bool,
-    lit: Float32s,
-) -> None:
+    points: Float64s, faces: Float64s, normals: Float64s, view: Float64s, position: Float64s,
+    perspective: bool, lit: Float32s,
+) -> None:  # fmt: skip
     for n in range(len(points)):
         away = 0.0
         for axis in range(3):

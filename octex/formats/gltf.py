@@ -39,10 +39,8 @@ def write(surface: Surface, target: Target) -> Written:
 
     A model far from the origin is moved by a translation of its node. Without ``frames``, viewers shade flat.
     """
-    path, images = target.path, target.images
-    if images == "exr":
-        raise ModelError(f"{path.name}: glTF holds no exr images; write a .obj, or bake with 16 bits")
-    content = _Content(images, target.octree)
+    path = target.path
+    content = _Content(target.images, target.octree)
     content.add(surface, materials_of(surface))
     octree = None if target.octree is None else texture_file(target.octree, Path(surface.name).stem)
     image_bytes = sum(len(data) for data, _ in content.images)

@@ -41,6 +41,12 @@ _WRITERS = {
 #: Writers that need a module, its package, and the extra with it.
 _EXTRAS = {"threemf": ("lib3mf", "lib3mf", "3mf"), "usd": ("pxr", "usd-core", "usd")}
 
+#: The image format that a writer's files cannot hold, and why.
+_REFUSED = {
+    "gltf": ("exr", "glTF holds no exr images; write a .obj or .usdz, or png with 16 bits"),
+    "usd": ("webp", "USD holds no webp images; write png, jpeg or exr"),
+}
+
 #: File endings of models that octex writes.
 WRITTEN_ENDINGS = tuple(_WRITERS)
 
@@ -102,11 +108,20 @@ def origin_of(vertices: Float64s) -> Float64s:
     return np.array([float(f"{each:.{_DIGITS - 1}e}") for each in (low + high) / 2])
 
 
-def check_extra(path: Path) -> None:
-    """Raise MissingExtraError if the package that writes files with this ending is not installed."""
-    module, package, extra = _EXTRAS.get(_WRITERS.get(path.suffix.lower(), ""), ("", "", ""))
+def check_written(path: Path, images: ImageFormat) -> str:
+    """Return the module that writes a file with images; raise what ``write_model`` does if there is none."""
+    writer = _WRITERS.get(path.suffix.lower())
+    if writer is None:
+        raise ArgumentError(
+            f"{path.name} must end in {', '.join(WRITTEN_ENDINGS[:-1])} or {WRITTEN_ENDINGS[-1]}"
+        )
+    refused, why = _REFUSED.get(writer, ("", ""))
+    if images == refused:
+        raise ModelError(f"{path.name}: {why}")
+    module, package, extra = _EXTRAS.get(writer, ("", "", ""))
     if module and find_spec(module) is None:
         raise MissingExtraError.needed(f"to write {path.name}", package, extra)
+    return writer
 
 
 def write_model(
@@ -141,16 +156,11 @@ def write_model(
     path = as_path(path, "path")
     as_choice(images, IMAGE_FORMATS, "images")
     as_choice(unit, METERS, "unit")
-    writer = _WRITERS.get(path.suffix.lower())
-    if writer is None:
-        raise ArgumentError(
-            f"{path.name} must end in {', '.join(WRITTEN_ENDINGS[:-1])} or {WRITTEN_ENDINGS[-1]}"
-        )
+    writer = check_written(path, images)
     if octree is not None:
         if writer != "gltf":
             raise ArgumentError(f"{path.name} cannot carry an octree; write a .glb or .gltf")
         surface = surface.placed_on(as_texture(octree))
-    check_extra(path)
     target = Target(path, images, unit, octree)
     written: Written = import_module(f"octex.formats.{writer}").write(surface, target)
     return written

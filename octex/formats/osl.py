@@ -12,6 +12,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Sequence
 from importlib.resources import files
+from string import Template
 from typing import NamedTuple
 
 import numpy as np
@@ -104,11 +105,17 @@ def write_osl(
         "ORIGIN": f"vector({', '.join(map(repr, map(float, texture.placement.origin)))})",
         "SIZE": float(texture.placement.size),
     }  # fmt: skip
-    walk = (files(__name__.rpartition(".")[0]) / "walk.osl").read_text("utf-8")
+    template = Template((files(__name__.rpartition(".")[0]) / "walk.osl").read_text("utf-8"))
     defines = [f"#define {name} {value}" for name, value in numbers.items()]
-    shader = _shader(texture, planes, ranges, path.stem, str(image.resolve()))
+    outputs, statements = _outputs(texture, planes, ranges)
+    walk = template.substitute(
+        name=re.sub(r"\W", "_", f"octex_{path.stem}"),
+        file=str(image.resolve()).replace("\\", "\\\\").replace('"', '\\"'),
+        outputs=",\n".join(outputs),
+        statements="\n".join(statements),
+    )
     with replacing(path) as file:
-        file.write("\n".join([*defines, walk, shader]).encode())
+        file.write("\n".join([*defines, walk]).encode())
 
 
 def _chosen(texture: OctreeTexture, path: os.PathLike[str], channels: Sequence[str] | None) -> list[str]:
@@ -117,10 +124,8 @@ def _chosen(texture: OctreeTexture, path: os.PathLike[str], channels: Sequence[s
     if channels is None:
         names = [name for name, each in known.items() if each.format.components <= 3]
     else:
-        names = as_names(channels, "channels")
+        names = as_names(channels, "channels", known, "channel of the texture")
         for name in names:
-            if name not in known:
-                raise ArgumentError(f"{path}: the texture has no channel {name!r}, only {', '.join(known)}")
             if known[name].format.components > 3:
                 raise ArgumentError(f"{path}: channel {name!r} has 4 components; an OSL shader has 3 at most")
     if not names:
@@ -210,14 +215,10 @@ def _codes(channel: Channel) -> tuple[Uint16s, tuple[float, float]]:
     return np.rint(scaled).astype(np.uint16), (low, high)
 
 
-def _shader(
-    texture: OctreeTexture,
-    planes: Sequence[Plane],
-    ranges: dict[str, tuple[float, float]],
-    name: str,
-    image: str,
-) -> str:
-    """Return the shader, whose outputs are the channels."""
+def _outputs(
+    texture: OctreeTexture, planes: Sequence[Plane], ranges: dict[str, tuple[float, float]]
+) -> tuple[list[str], list[str]]:
+    """Return the shader's outputs, which are the channels, and the statements that compute them."""
     outputs, lines = [], []
     for number, plane in enumerate(planes):
         lines.append(f"  color o_values{number};")
@@ -230,37 +231,18 @@ def _shader(
             output = output_name(channel)
             if form.components == 1:
                 found = "o_alpha" if channel == ALPHA.name else f"{scale}o_values{number}[{lane}]"
-                outputs.append(f"  output float {output} = 0,")
+                outputs.append(f"  output float {output} = 0")
                 lines.append(f"  {output} = {found};")
             elif form.space == "direction" and form.components == 3:
-                outputs.append(f"  output normal {output} = N,")
+                outputs.append(f"  output normal {output} = N")
                 lines.append(f"  vector o_rest{number} = tilted((vector)({scale}o_values{number}), ZUp);")
                 lines.append(
                     f'  {output} = normalize(transform("object", "common", (normal)o_rest{number}));'
                 )
             else:
-                outputs.append(f"  output color {output} = 0,")
+                outputs.append(f"  output color {output} = 0")
                 lines.append(f"  {output} = {scale}o_values{number};")
-    outputs[-1] = outputs[-1].removesuffix(",")
-    shader = re.sub(r"\W", "_", f"octex_{name}")
-    quoted = image.replace("\\", "\\\\").replace('"', '\\"')
-    inputs = [
-        '  point Position = transform("object", P),',
-        "  vector Normal = 0,",
-        "  int Filter = 2,",
-        "  int ZUp = 1,",
-        f'  string File = "{quoted}",',
-    ]
-    begin = [
-        "  int o_cells[27];",
-        "  float o_weights[27], o_alpha;",
-        "  int o_turned = is_turned(File);",
-        "  int o_count = taps(File, o_turned, placed(Position, ZUp), Filter, o_cells, o_weights);",
-        '  vector o_facing = transform("object", backfacing() ? -N : N);',
-        "  if (Normal != vector(0)) o_facing = Normal;",
-        "  o_facing = upright(o_facing, ZUp);",
-    ]
-    return "\n".join([f"shader {shader}(", *inputs, *outputs, ")", "{", *begin, *lines, "}", ""])
+    return outputs, lines
 
 
 def output_name(channel: str) -> str:

@@ -39,8 +39,6 @@ def write(surface: Surface, target: Target) -> Written:
     are written where nothing is metallic. Raises ModelError for values that it cannot hold.
     """
     path, images, unit = target[:3]
-    if images == "webp":
-        raise ModelError(f"{path.name}: USD holds no webp images; write png, jpeg or exr")
     source = materials_of(surface)
     used = np.unique(source.triangle_materials).tolist()
     materials = [source.materials[n] for n in used]

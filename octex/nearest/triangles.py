@@ -49,10 +49,10 @@ class Triangles(NamedTuple):
     width: float  # typical size of a triangle
 
     @classmethod
-    def of(cls, vertices: Float64s, faces: Int32s) -> Triangles:
+    def of(cls, vertices: Float64s, faces: Int32s, name: str = "the surface") -> Triangles:
         """Build from triangles (m, 3) of vertices (n, 3); those without area are left out.
 
-        Raises ModelError if none has area.
+        Raises ModelError, with ``name``, if none has area.
         """
         corners = vertices[faces]
         low, high = corners.min(axis=1), corners.max(axis=1)
@@ -63,7 +63,7 @@ class Triangles(NamedTuple):
         normals[has_area] = crosses[has_area] / lengths[has_area, None]
         numbers = np.flatnonzero(has_area)
         if not numbers.size:
-            raise ModelError("all triangles are degenerate; there is no surface to search")
+            raise ModelError(f"{name}: all triangles are degenerate; there is no surface to search")
         order = numbers[morton_order((low + high)[numbers])]
         width = float(np.median((high - low)[order].max(axis=1)))
         rows = corners[order]

@@ -118,7 +118,7 @@ def unwrap(
     size = as_whole(size, "size", 1, 100_000)
     as_choice(method, METHODS, "method")
     wanted = None if up is None else as_reals(up, "up", (3,), most=1e30)
-    found = Triangles.of(surface.vertices, surface.triangles).nearest(middle[None])
+    found = Triangles.of(surface.vertices, surface.triangles, surface.name).nearest(middle[None])
     start = int(found.triangles[0])
     if start < 0:
         raise ModelError(f"{surface.name} has no point near {middle.tolist()}")

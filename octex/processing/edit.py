@@ -11,7 +11,7 @@ import numpy as np
 
 from octex.arrays import Array, Float64s, Int64s
 from octex.channels import ALPHA
-from octex.checks import as_choice, as_names
+from octex.checks import as_names
 from octex.editing.averages import ResidualsOf, as_they_are, average, coverage, residuals
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.tree.morton import decode_cells
@@ -51,8 +51,8 @@ def with_listed(metadata: Mapping[str, str], name: str, entries: Sequence[object
 def names_of(texture: OctreeTexture, channel: str | Sequence[str] | None) -> list[str]:
     """Return channel names, all for None. Raises ArgumentError, also for an argument that is no texture."""
     as_texture(texture)
-    names = list(texture.channels) if channel is None else as_names(channel, "channel")
-    return [as_choice(name, texture.channels, "channel") for name in dict.fromkeys(names)]
+    names = texture.channels if channel is None else as_names(channel, "channel", texture.channels)
+    return list(dict.fromkeys(names))
 
 
 class Centres:

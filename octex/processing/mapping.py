@@ -20,7 +20,7 @@ from octex.channels import (
     linear_to_srgb,
     srgb_to_linear,
 )
-from octex.checks import answer, as_choice, as_names, as_number, as_reals, name_of, takes_both
+from octex.checks import answer, as_names, as_number, as_reals, name_of, takes_both
 from octex.errors import ArgumentError
 from octex.processing.edit import Centres, edited, names_of, noted
 from octex.texture import Channel, OctreeTexture, as_texture
@@ -290,9 +290,7 @@ def cast(
     Raises ArgumentError for unknown names, and for an integer type if light or data exceed 0 … 1.
     """
     as_texture(texture)
-    names = list(texture.channels) if channels is None else as_names(channels, "channels")
-    for name in names:
-        as_choice(name, texture.channels, "channel")
+    names = list(texture.channels) if channels is None else as_names(channels, "channels", texture.channels)
     if len(set(names)) < len(names):
         raise ArgumentError(f"channels are named twice: {', '.join(names)}")
     forms = formats_as([texture.channels[name].format for name in names], dtype)

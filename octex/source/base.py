@@ -329,13 +329,9 @@ def placed(
 
 @kernel
 def _place(
-    rest: Float64s,
-    faces: Int32s,
-    triangles: Int32s,
-    barycentric: Float64s,
-    points: Float64s,
+    rest: Float64s, faces: Int32s, triangles: Int32s, barycentric: Float64s, points: Float64s,
     normals: Float64s,
-) -> None:
+) -> None:  # fmt: skip
     last = -1
     x = y = z = 0.0
     for n in range(triangles.size):

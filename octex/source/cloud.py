@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import zipfile
 from collections.abc import Callable
 from functools import cached_property
 from pathlib import Path
@@ -223,9 +222,6 @@ _Arrays = tuple[Array, Array, Array | None]
 
 
 def _read_npz(path: Path) -> _Arrays:
-    with open_file(path) as file:
-        if not zipfile.is_zipfile(file):
-            raise ModelError(f"{path.name} is not an .npz file; save it with np.savez(…, points=…, colors=…)")
     arrays = npz_arrays(path, {name for names in _NAMES.values() for name in names})
     chosen = {kind: next(filter(arrays.__contains__, names), "") for kind, names in _NAMES.items()}
     for kind in ("points", "colors"):

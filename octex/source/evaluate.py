@@ -91,15 +91,9 @@ def texel_edges(tables: Tables, images: Images, footprints: Float64s) -> Float32
 
 @kernel
 def evaluate(
-    tables: Tables,
-    images: Images,
-    footprints: Float64s,
-    filter: int | None,
-    triangles: Int32s,
-    barycentric: Float64s,
-    widths: Float32s,
-    values: Float32s,
-) -> None:
+    tables: Tables, images: Images, footprints: Float64s, filter: int | None, triangles: Int32s,
+    barycentric: Float64s, widths: Float32s, values: Float32s,
+) -> None:  # fmt: skip
     """Fill in the values (n, columns) at points of triangles; ``filter`` is a `filters.kernel_code`."""
     indices = np.empty(MOST_TAPS, np.int64)
     weights = np.empty(MOST_TAPS, np.float64)

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Array, Bools, Float64s, Int32s, Integers
-from octex.checks import as_array, as_reals, as_whole, locked
+from octex.checks import as_array, as_reals, as_row_numbers, as_whole, locked
 from octex.errors import ArgumentError, ModelError, damaged
 from octex.source.corners import (
     Corners,
@@ -148,14 +148,7 @@ class Mesh:
 
         Raises ArgumentError for unknown triangles, ModelError for an empty list.
         """
-        chosen = as_array(triangles)
-        if chosen.size and (chosen.ndim != 1 or chosen.dtype.kind not in "iu"):
-            raise ArgumentError(
-                f"triangles must be whole numbers of shape (k,), not {chosen.dtype} {chosen.shape}"
-            )
-        if chosen.size and not 0 <= chosen.min() <= chosen.max() < len(self.triangles):
-            raise ArgumentError(f"{self.name} has only triangles 0 to {len(self.triangles) - 1}")
-        chosen = chosen.astype(np.int32)
+        chosen = as_row_numbers(triangles, len(self.triangles), "triangle").astype(np.int32)
         faces = self.triangles[chosen]
         used = self._used(faces)
         names = np.cumsum(used, dtype=np.int32) - np.int32(1)

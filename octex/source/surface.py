@@ -239,11 +239,9 @@ class Surface(Mesh):
 
         Raises ArgumentError for a channel that it lacks, and for an empty list.
         """
-        channels = as_names(channels, "channels")
+        channels = as_names(channels, "channels", [form.name for form in self.channels])
         if not channels:
             raise ArgumentError("channels must name at least one channel")
-        for channel in channels:
-            as_choice(channel, [form.name for form in self.channels], "channel")
         return self._with(self.source.only(channels))
 
     def with_filter(self, filter: str) -> Surface:

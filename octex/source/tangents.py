@@ -159,14 +159,9 @@ def _in_plane(vector: Vector, normal: Vector) -> Vector:
 
 @kernel
 def _sum_tangents(
-    positions: Float64s,
-    triangles: Int32s,
-    normals: Corners,
-    coordinates: Corners,
-    groups: Int32s,
-    sums: Float64s,
-    rows: Int32s,
-) -> None:
+    positions: Float64s, triangles: Int32s, normals: Corners, coordinates: Corners, groups: Int32s,
+    sums: Float64s, rows: Int32s,
+) -> None:  # fmt: skip
     """Sum the directions of u, one row for mirrored, one for other triangles of each group of corners.
 
     ``rows`` receives the row of each corner, −1 for triangles without such a direction.
@@ -244,13 +239,9 @@ def _store(values: Float32s, row: int, vector: Vector, fallback: Vector) -> None
 
 @kernel
 def _carry(
-    frames: Frames,
-    triangles: Int32s,
-    before: Float64s,
-    after: Float64s,
-    normals: Float32s,
+    frames: Frames, triangles: Int32s, before: Float64s, after: Float64s, normals: Float32s,
     tangents: Float32s,
-) -> None:
+) -> None:  # fmt: skip
     """Write the moved normals (3m, 3) and tangents (3m, 4), corner by corner."""
     for triangle in range(len(triangles)):
         e, f = edges_from(before, triangles, triangle)

@@ -11,7 +11,6 @@ import numpy as np
 from octex.arrays import Float32s, Float64s
 from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_number, is_path
-from octex.errors import ModelError
 from octex.nearest.triangles import Triangles
 from octex.source.base import Combined, Placeable, Source, SpatialSource, least_cosine
 from octex.source.load import load_surface
@@ -52,10 +51,7 @@ class Transfer(Placeable):
 
     @cached_property
     def _nearest(self) -> Triangles:
-        try:
-            return Triangles.of(self._surface.rest, self._surface.triangles)
-        except ModelError as error:
-            raise ModelError(f"{self._surface.name}: {error}") from None
+        return Triangles.of(self._surface.rest, self._surface.triangles, self._surface.name)
 
     def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
         """Return the source of a channel. All channels share it on the same mesh.

@@ -195,6 +195,17 @@ paint m.glb o.octex a.png --camera c --reference a.png → --reference needs --b
 paint m.glb o.octex a.png --camera c --mask 1,2,3 --mask #ffffff → --mask gives several backdrop colours; …
 paint m.glb o.octex a.png --camera c --mask {stem}.png --mask a.png → --mask gives a pattern and more …
 paint t.octex m.glb o.ply --camera c → o.ply: OUTPUT has the ending '.ply'; octex writes .octex here
+bake box.octex box.glb x.usdz --image-format webp → x.usdz: USD holds no webp images; write png, jpeg or exr
+bake box.octex box.glb x.glb --image-format exr → x.glb: glTF holds no exr images; write a .obj or .usdz, …
+bake box.octex box.glb x.ply --uv keep → --uv cannot be used with vertex colours
+bake box.octex box.glb x.glb --max-edge 1 → --max-edge is for vertex colours; add --vertex-colors
+bake box.octex box.glb x.ply --max-edge 1 --vertex-error 2 → --vertex-error needs --max-edge auto
+bake box.octex box.glb x.obj --unit inch → --unit has no effect on x.obj: the format stores no unit
+bake box.octex box.glb x.obj --octree → --octree has no effect on x.obj: only .glb and .gltf carry it
+bake box.octex box.glb x.glb --triangles 9 --displace alpha=1 → --displace cannot be used with --triangles
+bake box.octex box.glb x.glb --triangles 9 --uv keep → --uv keep cannot be used with --triangles: the mesh …
+bake box.glb x.ptx → x.ptx: needs a texture; octex convert makes one of the model
+bake box.octex box.glb x.ptx --uv keep → --uv cannot be used for x.ptx
 edit box.glb x.octex --blur 1 → box.glb: is a model without EXT_octree_texture; octex convert makes a …
 edit box.octex x.octex --depth 5 → box.octex: has depth 4; for --depth 5 convert the model again
 edit box.octex x.octex --loss 1 → --loss is for NAME.octz

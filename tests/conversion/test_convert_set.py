@@ -100,9 +100,9 @@ def test_frames_stay_with_their_corners():
 @pytest.mark.parametrize(
     ("triangles", "error", "message"),
     [
-        ([0, 24], ArgumentError, "parts has only triangles 0 to 23"),
-        ([-1], ArgumentError, "parts has only triangles 0 to 23"),
-        ([0.0], ArgumentError, r"whole numbers of shape \(k,\), not float64 \(1,\)"),
+        ([0, 24], ArgumentError, "there is no triangle 24; there are 0 to 23"),
+        ([-1], ArgumentError, "there is no triangle -1; there are 0 to 23"),
+        ([0.0], ArgumentError, r"triangles must be whole numbers \(n,\), not float64 \(1,\)"),
         ([[0]], ArgumentError, r"not int64 \(1, 1\)"),
         (np.ones(24, bool), ArgumentError, "not bool"),
         ([], ModelError, "parts has no triangles"),

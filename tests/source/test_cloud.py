@@ -213,7 +213,7 @@ def test_files_of_every_kind_hold_the_same_points(tmp_path):
         ("a.xyz", b"", "a.xyz has no points"),
         ("a.xyz", b"1 2 3 4 5 6\n1 2 3 4 5 6\n", "a cloud needs at least three"),
         ("a.npz", b"PK\x03\x04 nonsense", "damaged|not an .npz"),
-        ("a.npz", b"nonsense", "is not an .npz file; save"),
+        ("a.npz", b"nonsense", "is not an .npz file of arrays"),
         ("a.obj", b"", "not a point cloud that octex reads"),
         ("a.ply", _BARE, "without colours"),
         ("a.ply", _BARE.replace(b"vertex 1", b"vertex 0").replace(b"0 1 2\n", b""), "has no points; export"),

@@ -246,7 +246,7 @@ def test_bad_textures_of_a_ply_file_are_named(tmp_path):
     (tmp_path / "wood.png").write_bytes(png(random_image(2, 2)))
     with pytest.warns(ModelWarning, match=r"a\.ply names the image wood\.png but has no texture coordinates"):
         load_surface(ply(tmp_path / "a.ply", ply_square(), comments=comments))
-    with pytest.raises(ModelError, match="texnumber is not among its 1 TextureFiles"):
+    with pytest.raises(ModelError, match="a face names TextureFile 1, but there are 1"):
         load_surface(ply(tmp_path / "a.ply", ply_square(**ST, texnumber=("int", [0, 1])), comments=comments))
     elsewhere = [f"TextureFile {tmp_path / 'wood.png'}"]
     with pytest.raises(ImageError, match=r"a\.ply: .*wood\.png .*: absolute paths are not followed"):
@@ -292,7 +292,11 @@ def test_triangle_strips_of_a_ply_file_are_its_faces(tmp_path, encoding):
     strips = [[0, 1, 2, 3, -1, 4, 5, 6, -1, -1, 1, 2], [3, 4, 5, 5, 6, 6, 7, 0]]
     path = ply(
         tmp_path / "a.ply",
-        {"vertex": points, "tristrips": {"vertex_indices": ("list int int", strips)}},
+        {
+            "vertex": points,
+            "face": {"vertex_indices": ("list uchar int", [])},
+            "tristrips": {"vertex_indices": ("list int int", strips)},
+        },
         encoding=encoding,
     )
     expected = [[0, 1, 2], [2, 1, 3], [4, 5, 6], [3, 4, 5], [7, 6, 0]]
@@ -381,6 +385,12 @@ def test_facets_of_binary_stl_files_have_colours(tmp_path, header, words, colors
     samples = surface.scatter(20)
     expected = srgb_to_linear(np.array(colors)[samples.triangles] / 255)
     np.testing.assert_allclose(surface.evaluate(samples), expected, atol=1e-6)
+
+
+def test_bytes_after_the_facets_of_binary_stl_files_are_passed_over(tmp_path):
+    path = stl(tmp_path / "a.stl", SQUARE, SQUARE_TRIANGLES)
+    path.write_bytes(path.read_bytes() + b"\r\n")
+    assert len(load_surface(path).triangles) == len(SQUARE_TRIANGLES)
 
 
 def test_names_in_stl_text_may_be_any_words_in_any_encoding(tmp_path):

@@ -128,6 +128,9 @@ def test_of_blended_materials_one_is_read_with_a_warning(tmp_path):
     np.testing.assert_array_equal(surface.evaluate(samples), expected)
 
 
+VERTEX = '<vertex x="0" y="0" z="0"/>'
+
+
 @pytest.mark.parametrize(
     ("model", "message"),
     [
@@ -143,7 +146,12 @@ def test_of_blended_materials_one_is_read_with_a_warning(tmp_path):
         (
             '<resources><object id="3"><mesh><vertices/><triangles><triangle v1="0" v2="1" v3="2"/>'
             f"</triangles></mesh></object></resources>{BUILD}",
-            "a triangle uses a vertex that is not among the 0",
+            "a triangle uses vertex 2, but there are 0",
+        ),
+        (
+            '<resources><m:colorgroup id="4"><m:color color="#ff0000"/></m:colorgroup><object id="3" pid="4">'
+            f'<mesh><vertices>{3 * VERTEX}</vertices><triangles><triangle v1="0" v2="1" v3="2" p1="1"/>'
+            f"</triangles></mesh></object></resources>{BUILD}", "a triangle uses property 1, but there are 1",
         ),
         (f'<resources><m:texture2dgroup id="4" texid="9"/></resources>{BUILD}', "texture '9' is missing"),
         (

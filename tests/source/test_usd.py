@@ -202,6 +202,16 @@ def test_display_colours_count_where_there_is_no_material(how, tmp_path):
     np.testing.assert_allclose(colors_at(made.read(), places), expected, atol=2e-3)
 
 
+def test_display_opacities_count_where_there_is_no_material(tmp_path):
+    made = Stage(tmp_path)
+    mesh = made.square(st=None)
+    mesh.CreateDisplayOpacityPrimvar("constant").Set(Vt.FloatArray([1.0]))
+    assert "alpha" not in [form.name for form in made.read().channels]
+    mesh.GetDisplayOpacityPrimvar().Set(Vt.FloatArray([0.25]))
+    read = made.read()
+    np.testing.assert_array_equal(read.evaluate(read.scatter(9), "alpha"), 0.25)
+
+
 def test_what_is_hidden_or_a_proxy_is_left_out_and_instances_are_read(tmp_path):
     made = Stage(tmp_path)
     made.square("/source/mesh", st=None)

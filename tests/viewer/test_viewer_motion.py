@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import octex
-from octex.cli.values import file_size
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.errors import ArgumentError, ModelError
+from octex.files import size_of
 from octex.source.load import load_motion
 from octex.viewer import write_page
 from octex.viewer.pack import pack
@@ -112,7 +112,7 @@ def test_motion_has_fewer_frames_where_there_is_little_room(tmp_path):
     page = tmp_path / "a.html"
     with pytest.raises(ArgumentError, match="even without any level; allow ") as caught:
         write_page(texture, page, surface, motion=motion, max_size=1000)
-    least = file_size(str(caught.value).split("allow ")[1].replace(" ", ""))
+    least = size_of(str(caught.value).split("allow ")[1].replace(" ", ""))
     notes = write_page(texture, page, surface, motion=motion, max_size=least)
     assert page.stat().st_size <= least
     assert any(note.startswith("no animations: they take") for note in notes)

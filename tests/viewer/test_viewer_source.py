@@ -5,9 +5,9 @@ import pytest
 
 import octex
 from octex.channels import encode
-from octex.cli.values import file_size
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.errors import ArgumentError
+from octex.files import size_of
 from octex.source.mesh import SurfaceSamples
 from octex.source.surface import Surface
 from octex.viewer import Viewer, write_page
@@ -122,7 +122,7 @@ def test_a_page_with_images_fits_the_size_that_its_refusal_names(droid, tmp_path
     (texture, surface), page = droid, tmp_path / "a.html"
     with pytest.raises(ArgumentError, match="even without any level; allow ") as caught:
         write_page(texture, page, surface, max_size=1000)
-    size = file_size(str(caught.value).split("allow ")[1].replace(" ", ""))
+    size = size_of(str(caught.value).split("allow ")[1].replace(" ", ""))
     notes = write_page(texture, page, surface, max_size=size)
     assert notes[-1] == "source: no images, for the page to fit"
     assert 0.95 * size < page.stat().st_size <= size

@@ -80,7 +80,8 @@ def write_ptex(
     if path.suffix.lower() != ENDING:
         raise ArgumentError(f"{path.name} must end in {ENDING}")
     names = _names(texture, channels)
-    kind = _dtype(texture, names, dtype)
+    stored = max((texture.channels[name].format.dtype for name in names), key=DTYPES.index)
+    kind = stored if dtype is None else as_choice(dtype, DTYPES, "dtype")
     run = as_run(run, threads, progress)
     patches = patches_of(surface)
     lengths = (
@@ -117,19 +118,10 @@ def _names(texture: OctreeTexture, channels: Sequence[str] | None) -> list[str]:
         if not names:
             raise ArgumentError(f"the texture has no {BASE_COLOR.name}; name the channels to write")
         return names
-    names = as_names(channels, "channels")
+    names = as_names(channels, "channels", texture.channels, "channel of the texture")
     if not names:
         raise ArgumentError("channels must name at least one channel")
-    for name in names:
-        as_choice(name, texture.channels, "channel of the texture")
-    return list(names)
-
-
-def _dtype(texture: OctreeTexture, names: Sequence[str], dtype: str | None) -> str:
-    if dtype is not None:
-        return as_choice(dtype, DTYPES, "dtype")
-    kinds = [texture.channels[name].format.dtype for name in names]
-    return max(kinds, key=DTYPES.index)
+    return names
 
 
 def _limit_lengths(surface: Surface, patches: Patches) -> Float64s:

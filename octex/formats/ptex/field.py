@@ -87,14 +87,9 @@ class TexelField:
 
 @kernel
 def _evaluate(
-    patches: Patches,
-    pyramid: Pyramid,
-    lengths: Float64s,
-    triangles: Int32s,
-    barycentric: Float64s,
-    widths: Float32s,
-    found: Float32s,
-) -> None:
+    patches: Patches, pyramid: Pyramid, lengths: Float64s, triangles: Int32s, barycentric: Float64s,
+    widths: Float32s, found: Float32s,
+) -> None:  # fmt: skip
     for n in range(triangles.size):
         face, u, v = locate(
             patches, int(triangles[n]), barycentric[n, 0], barycentric[n, 1], barycentric[n, 2]
@@ -111,15 +106,9 @@ def _evaluate(
 
 @inlined
 def _add(
-    pyramid: Pyramid,
-    is_triangle: bool,
-    face: int,
-    level: int,
-    u: float,
-    v: float,
-    share: np.float32,
+    pyramid: Pyramid, is_triangle: bool, face: int, level: int, u: float, v: float, share: np.float32,
     to: Float32s,
-) -> None:
+) -> None:  # fmt: skip
     across, down = 1 << pyramid.log2[level, face, 0], 1 << pyramid.log2[level, face, 1]
     first, width = pyramid.firsts[level, face], across + 2
     if is_triangle:

@@ -120,15 +120,9 @@ def _rim(edge: int, i: int, u: int, v: int, width: int, inside: int) -> int:
 
 @inlined
 def _across(
-    pyramid: Pyramid,
-    neighbors: Int32s,
-    edges: Uint8s,
-    subfaces: Bools,
-    face: int,
-    level: int,
-    edge: int,
+    pyramid: Pyramid, neighbors: Int32s, edges: Uint8s, subfaces: Bools, face: int, level: int, edge: int,
     along: float,
-) -> int:
+) -> int:  # fmt: skip
     """Return the texel across an edge at a fraction of its length, −1 for none."""
     other, there = int(neighbors[face, edge]), int(edges[face, edge])
     if other < 0:

@@ -29,15 +29,9 @@ def fill_corners(pyramid: Pyramid, neighbors: Int32s, edges: Uint8s, vertices: I
 
 @kernel
 def _fill_corners(
-    pyramid: Pyramid,
-    neighbors: Int32s,
-    edges: Uint8s,
-    vertices: Int64s,
-    coarsest: Int64s,
-    firsts: Int64s,
-    counts: Int64s,
-    values: Float32s,
-) -> None:
+    pyramid: Pyramid, neighbors: Int32s, edges: Uint8s, vertices: Int64s, coarsest: Int64s, firsts: Int64s,
+    counts: Int64s, values: Float32s,
+) -> None:  # fmt: skip
     pixels, columns = pyramid.pixels, values.shape[1]
     for face in range(vertices.shape[0]):
         log2 = int(pyramid.log2[0, face, 0])

@@ -34,42 +34,40 @@ class Sampler(NamedTuple):
 
     def at(self, time: float) -> Float64s:
         """Return the value (components,) at a time, constant before the first key and after the last."""
-        times = self.times
-        is_cubic = self.interpolation == "CUBICSPLINE"
+        value = self._at(time)
+        return _unit(value) if self.turns else value
+
+    def _at(self, time: float) -> Float64s:
+        times, is_cubic = self.times, self.interpolation == "CUBICSPLINE"
         if not times[0] < time < times[-1]:
-            end = self.values[0 if time <= times[0] else -1]
-            return _unit(end[1] if is_cubic else end, self.turns)
+            end: Float64s = self.values[0 if time <= times[0] else -1]
+            return end[1] if is_cubic else end
         after = int(np.searchsorted(times, time, side="right"))
         a, b = self.values[after - 1], self.values[after]
-        if self.interpolation == "STEP":
-            return _unit(a, self.turns)
         step = times[after] - times[after - 1]
         t = (time - times[after - 1]) / step
-        if is_cubic:
-            c, d = a[1:], b[:2]
-            mixed = (
-                (2 * t**3 - 3 * t**2 + 1) * c[0]
-                + step * (t**3 - 2 * t**2 + t) * c[1]
-                + (-2 * t**3 + 3 * t**2) * d[1]
-                + step * (t**3 - t**2) * d[0]
+        if self.interpolation == "STEP":
+            return np.asarray(a)
+        if is_cubic:  # (C.4)
+            shares = 2 * t**3 - 3 * t**2 + 1, t**3 - 2 * t**2 + t, -2 * t**3 + 3 * t**2, t**3 - t**2
+            return np.asarray(
+                shares[0] * a[1] + shares[1] * step * a[2] + shares[2] * b[1] + shares[3] * step * b[0]
             )
-            return _unit(mixed, self.turns)
         if not self.turns:
             return np.asarray((1 - t) * a + t * b)
-        a, b = _unit(a, True), _unit(b, True)  # along the shorter arc, at constant speed (C.3)
+        a, b = _unit(a), _unit(b)  # along the shorter arc, at constant speed (C.3)
         dot = float(a @ b)
         if dot < 0:
             b, dot = -b, -dot
         angle = float(np.arctan2(np.linalg.norm(b - dot * a), dot))
         if angle < 1e-6:  # where both weights are 0 / 0
-            return _unit((1 - t) * a + t * b, True)
-        return np.asarray((np.sin((1 - t) * angle) * a + np.sin(t * angle) * b) / np.sin(angle))
+            return np.asarray((1 - t) * a + t * b)
+        return np.asarray(np.sin((1 - t) * angle) * a + np.sin(t * angle) * b)
 
 
-def _unit(values: Float64s, turns: bool) -> Float64s:
-    """Return a value that ``turns``, a quaternion, at length 1; other values unchanged."""
-    length = float(np.linalg.norm(values))
-    return values / length if turns and length else values
+def _unit(value: Float64s) -> Float64s:
+    """Return a quaternion of length 1; zeros stay."""
+    return value / (float(np.linalg.norm(value)) or 1.0)
 
 
 class Moves:

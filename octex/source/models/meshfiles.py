@@ -34,8 +34,9 @@ def load_stl(path: Path, options: Options) -> Surface:
 
     logging.getLogger("trimesh").addHandler(_quiet)
     data = read_bytes(path)
-    colors = None
-    if len(data) == 84 + 50 * int.from_bytes(data[80:84], "little"):
+    colors, end = None, 84 + 50 * int.from_bytes(data[80:84], "little")
+    if end <= len(data) < end + 50:  # some programs write a few bytes after the facets
+        data = data[:end]
         colors = _stl_colors(data[:80], np.frombuffer(data, np.uint8, offset=84).reshape(-1, 50))
     else:
         if b"endsolid" not in data.lower():

@@ -79,7 +79,9 @@ def load_voxel_surface(path: Path, options: Options) -> Surface:
     if missing and options.materials:
         known = ", ".join(in_order(list(voxels.values)))
         raise ModelError(f"{path.name} has no channel {', '.join(missing)}; it has {known}")
-    columns = [_linear(voxels, name) for name in names] or [np.empty((len(voxels), 0), np.float32)]
+    columns = [np.empty((len(voxels), 0), np.float32)]
+    for form, rows in map(voxels.values.__getitem__, names):
+        columns.append(decode(rows, form.space) if rows.dtype.kind == "u" else rows.astype(np.float32))
     values = np.concatenate(columns, axis=1)
     if is_meshed:
         centres = (voxels.coords + 0.5) * edges + origin
@@ -92,11 +94,6 @@ def load_voxel_surface(path: Path, options: Options) -> Surface:
                 "vertices are near a voxel; save origin and voxel_size too"
             )
     return Surface(vertices, triangles, VertexValues(voxels, values, triangles, names), name=path.name)
-
-
-def _linear(voxels: Voxels, name: str) -> Float32s:
-    form, rows = voxels.values[name]
-    return np.asarray(decode(rows, form.space) if rows.dtype.kind == "u" else rows, np.float32)
 
 
 def _within(dual: Array, count: int, name: str) -> Float64s:

@@ -21,6 +21,7 @@ from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import Texels
 from octex.source.materials import Texture
+from octex.source.mesh import check_below
 from octex.source.models.reading import (
     Options,
     colored_surface,
@@ -129,7 +130,7 @@ class Ply:
                 p.name: self._values(p, numbers, raw, starts[:, i], sizes[:, i])
                 for i, p in enumerate(properties)
             }
-            if element == "face":
+            if element == "face" and count:
                 break
         return elements
 
@@ -203,10 +204,7 @@ class Ply:
         textures = [Texture(self._image(image)) for image in self.images]
         if "texnumber" in face:
             chosen = whole_numbers(face["texnumber"].values)
-            if not 0 <= chosen.min() <= chosen.max() < len(textures):
-                raise damaged(
-                    f"{self.name}: a face's texnumber is not among its {len(textures)} TextureFiles"
-                )
+            check_below(chosen, len(textures), f"{self.name}: a face names TextureFile")
             part = part._replace(materials=chosen[numbers].astype(np.int32))
         return colored_surface(self.name, options, part, textures)
 

@@ -24,7 +24,8 @@ from octex.source.corners import Corners
 from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import Texture
-from octex.source.models.reading import Options, Part, check_among, colored_surface, warn, winding
+from octex.source.mesh import check_below
+from octex.source.models.reading import Options, Part, colored_surface, warn, winding
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
@@ -173,7 +174,8 @@ class _Package:
             blended = self._groups.get((key[0], other))
             if blended is None:
                 return
-            taken = blended.first + self._checked(chosen, blended.size)
+            check_below(chosen, blended.size, f"{self._name}: {kind} {key[1]!r} blends property")
+            taken = blended.first + chosen
             image, colors = blended.image, np.concatenate(self._colors)[taken]
             coordinates = np.concatenate(self._coordinates)[taken]
         elif kind != "texture2dgroup":
@@ -237,15 +239,11 @@ class _Package:
                 if group.is_blended:
                     warn(f"{self._name}: of materials that are blended one is read; bake them to a texture")
                 members = groups == number
-                rows[members] = group.first + self._checked(chosen[members], group.size)
+                check_below(chosen[members], group.size, f"{self._name}: a triangle uses property")
+                rows[members] = group.first + chosen[members]
                 images[members] = group.image
-        check_among(triangles, len(corners), f"{self._name}: a triangle uses a vertex")
+        check_below(triangles, len(corners), f"{self._name}: a triangle uses vertex")
         return _Mesh(np.array(corners, np.float64).reshape(-1, 3), triangles, rows, images)
-
-    def _checked(self, chosen: Int64s, count: int) -> Int64s:
-        if chosen.size and not 0 <= chosen.min() <= chosen.max() < count:
-            raise damaged(f"{self._name}: a property {chosen.max()} is used of {count}")
-        return chosen
 
 
 def _chosen(group: Element) -> tuple[str, Int64s]:

@@ -191,11 +191,13 @@ class _Scene:
         """Return the faces of a mesh by material number, and the materials, the mesh's first."""
         api = UsdShade.MaterialBindingAPI(prim)
         both = bool(UsdGeom.Gprim(prim).GetDoubleSidedAttr().Get(self._time))
-        default = self._materials.number(bound_material(api), both)
+        opacity = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayOpacity").Get(self._time)
+        fades = opacity is not None and bool((np.asarray(opacity) < 1.0).any())
+        default = self._materials.number(bound_material(api), both, fades)
         faces: dict[int, Int64s] = {default: np.empty(0, np.int64)}
         for subset in api.GetMaterialBindSubsets():
             number = self._materials.number(
-                bound_material(UsdShade.MaterialBindingAPI(subset.GetPrim())), both
+                bound_material(UsdShade.MaterialBindingAPI(subset.GetPrim())), both, fades
             )
             chosen = np.array(subset.GetIndicesAttr().Get(self._time) or [], np.int64)
             faces[number] = np.concatenate([faces.get(number, chosen[:0]), chosen])

@@ -37,17 +37,17 @@ class Materials:
 
     def __init__(self, name: str, options: Options) -> None:
         self._name, self._options = name, options
-        self._numbers: dict[tuple[str, bool], int] = {}
+        self._numbers: dict[tuple[str, bool, bool], int] = {}
         self._texels: dict[tuple[tuple[str, ...], str], Texels] = {}
         self.known: list[Description] = []
         self.files: dict[str, str] = {}
 
-    def number(self, material: Any, double_sided: bool) -> int:
-        """Return a material's number; without a material it is that of displayColor."""
+    def number(self, material: Any, double_sided: bool, fades: bool) -> int:
+        """Return a material's number, or else that of displayColor, with displayOpacity if it ``fades``."""
         path = str(material.GetPath()) if material and self._options.materials else ""
-        key = path, double_sided
+        key = path, double_sided, fades and not path
         if key not in self._numbers:
-            described = self._described(material) if path else _plain()
+            described = self._described(material) if path else _plain(fades)
             name = material.GetPrim().GetName() if path else ""
             made = described.material._replace(name=name, double_sided=double_sided)
             self._numbers[key] = len(self.known)
@@ -192,10 +192,11 @@ def bound_material(api: Any) -> Any:
     return next(filter(None, bound), None)
 
 
-def _plain() -> Description:
-    """Return the material of a mesh without one: displayColor, or white."""
-    material = Material({"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))})
-    return Description(material, reads_color=True)
+def _plain(fades: bool = False) -> Description:
+    """Return the material of a mesh without one: displayColor, or white; displayOpacity if it ``fades``."""
+    inputs = {"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))}
+    material = Material(inputs, "blend" if fades else "opaque")
+    return Description(material, reads_color=True, reads_opacity=fades)
 
 
 def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
