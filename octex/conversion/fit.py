@@ -25,7 +25,7 @@ from octex.arrays import Array, Bools, Float32s, Floats, Int8s, Int32s, Int64s, 
 from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion import large
 from octex.conversion.evaluator import NO_KEPT, SPLIT_KIND, is_refined, kind_of
-from octex.conversion.lookups import CubeLookups, Heads, Leaves, Outside, members_of, number
+from octex.conversion.lookups import CubeLookups, Heads, Leaves, members_of, numbered
 from octex.conversion.prune import Channels
 from octex.conversion.samples import SHARE_STEPS, UNIT, Samples, sample_points
 from octex.conversion.solve import (
@@ -41,23 +41,22 @@ from octex.conversion.solve import (
     weigh,
 )
 from octex.editing.split import split_in_vain, with_split, without_split
-from octex.field.blend import listed
+from octex.field.blend import joined, listed
 from octex.field.field import Field
 from octex.field.splines import QUADRATIC
+from octex.field.taps import TapList
 from octex.field.windows import BEGIN, INSIDE, Way, cell_at, follow, new_walk
 from octex.jit import kernel, trailing_zeros
 from octex.parallel import Progress, ordered_map, sharing
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 from octex.tree.morton import decode as decode_cell
-from octex.tree.octree import Octree
+from octex.tree.octree import Octree, distinct
 
 #: Samples in a brick; each takes about 400 bytes. With half as many a fit takes up to 8 % longer.
 BRICK_SAMPLES = 100_000
 #: Little work is cut into this many bricks, of at least this many samples.
 _BRICKS, _LEAST_SAMPLES = 4, 20_000
-#: Rings of leaves around a brick that are solved with it. Two bring nothing (0.00 dB).
-RINGS = 1
 #: Most samples in a leaf that it is fitted to. 64 bring nothing.
 LEAF_SAMPLES = 8
 #: Sweeps over the leaves, back and forth; for 8 bits those after the first two round. One more wins 0.04 dB.
@@ -283,42 +282,28 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
 
 
 def _look_up(job: Job, first: int, end: int) -> Lookups:
-    """Look the field up at the samples of leaves ``first`` … ``end`` − 1 and around them."""
-    leaves = job.leaves
-    outside = Outside.of(0)
+    """Look the field up at the samples of leaves ``first`` … ``end`` − 1, and of one ring around them."""
+    leaves, others = job.leaves, np.empty(0, np.int64)
     ring = leaves.with_samples(np.arange(first, end))
-    samples, strides, starts = [], [], [np.zeros(1, np.int64)]
-    numbers, weights = [], []
-    n_taps = unknowns = 0
-    for _ in range(RINGS + 1):
-        known = int(outside.total[0])
-        unknowns = end - first + known
-        members, stride = members_of(leaves.firsts, ring, LEAF_SAMPLES)
-        samples.append(members)
-        strides.append(stride)
+    parts: list[tuple[Int64s, Float32s, TapList]] = []
+    for _ in range(2):
+        unknowns = end - first + others.size
+        members, strides = members_of(leaves.firsts, ring, LEAF_SAMPLES)
         normals = job.samples.normals[members].astype(np.float32) if job.is_facing else None
         points = sample_points(job.samples, members, UNIT)
-        for taps in job.field.blocks(points, UNIT, normals):
-            room = int((taps.ends - taps.starts).sum())
-            outside = outside.with_room(room)
-            ends = np.empty(taps.starts.size, np.int64)
-            rows, shares = np.empty(room, np.int32), np.empty(room, np.float32)
-            count = number(taps, leaves, first, end, outside, ends, rows, shares)
-            starts.append(ends + n_taps)
-            numbers.append(rows[:count])
-            weights.append(shares[:count])
-            n_taps += count
-        ranks = leaves.ranks_of(outside.numbered()[known:])
+        taps = joined([listed(each) for each in job.field.blocks(points, UNIT, normals)])
+        parts.append((members, strides, taps))
+        ranks = leaves.ranks_of(taps.rows)
+        outside = distinct(taps.rows[(ranks < first) | (ranks >= end)])
+        outside = np.setdiff1d(outside, others, assume_unique=True)
+        others = np.append(others, outside)
+        ranks = leaves.ranks_of(outside)
         ring = leaves.with_samples(ranks[ranks >= 0])
-    return Lookups(
-        np.concatenate(samples),
-        np.concatenate(strides),
-        np.concatenate(starts),
-        np.concatenate(numbers),
-        np.concatenate(weights),
-        np.concatenate([leaves.numbers(first, end), outside.numbered()]),
-        unknowns,
-    )
+    members, strides = (np.concatenate(each) for each in list(zip(*parts, strict=True))[:2])
+    starts, rows, weights = joined([taps for *_, taps in parts])
+    numbers = numbered(rows, leaves.ranks_of(rows), first, end, others)
+    cells = np.append(leaves.numbers(first, end), others)
+    return Lookups(members, strides, starts, numbers, weights, cells, unknowns)
 
 
 def _is_even(rows: Float32s) -> bool:
