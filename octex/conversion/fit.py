@@ -153,24 +153,17 @@ class Fitter(NamedTuple):
         The leaves' values in ``channels``, those of the samples, are means. With ``chosen`` (leaves,), in
         Morton order, only these leaves are fitted, to the samples in them.
         """
-        samples, leaves = self.samples, Leaves.of(tree, self.samples)
+        leaves = Leaves.of(tree, self.samples)
         if chosen is not None:
-            finest = np.searchsorted(samples.firsts, leaves.firsts)  # the first finest cell of each leaf
-            samples = samples.of(np.flatnonzero(np.repeat(chosen, np.diff(finest))))
             leaves = leaves.chosen(chosen, tree.n_cells)
-        return self._fitted(tree, channels, samples, leaves, is_facing=False)
+        return self._fitted(tree, channels, leaves, is_facing=False)
 
-    def fit_rows(self, tree: Octree, channels: Channels, samples: Samples, rows: Leaves) -> Channels:
-        """Return channels whose ``rows`` of split leaves fit lookups with normals to ``samples``.
+    def fit_rows(self, tree: Octree, channels: Channels, rows: Leaves) -> Channels:
+        """Return channels whose ``rows`` of split leaves fit lookups with normals to the samples in them."""
+        return self._fitted(tree, channels, rows, is_facing=True)
 
-        These are all samples in these leaves. See `fit`.
-        """
-        return self._fitted(tree, channels, samples, rows, is_facing=True)
-
-    def _fitted(
-        self, tree: Octree, channels: Channels, samples: Samples, leaves: Leaves, *, is_facing: bool
-    ) -> Channels:
-        field, heads = Field(tree), None
+    def _fitted(self, tree: Octree, channels: Channels, leaves: Leaves, *, is_facing: bool) -> Channels:
+        samples, field, heads = self.samples, Field(tree), None
         if is_facing:
             field.facings  # noqa: B018 (built before threads share it)
         elif field.tiles is not None and not leaves.cells.size:
@@ -179,8 +172,9 @@ class Fitter(NamedTuple):
         groups = _groups(samples.channels)
         ranges = [group.range(samples) for group in groups]
         job = Job(field, known, samples, leaves, heads, self.unfitted, is_facing, groups, ranges)
-        size = min(max(len(samples.positions) // _BRICKS, _LEAST_SAMPLES), BRICK_SAMPLES)
-        bricks = list(pairwise(_cuts(leaves.firsts, size, LEAF_SAMPLES).tolist()))
+        counts = leaves.ends - leaves.firsts
+        size = min(max(int(counts.sum()) // _BRICKS, _LEAST_SAMPLES), BRICK_SAMPLES)
+        bricks = list(pairwise(_cuts(counts, size, LEAF_SAMPLES).tolist()))
         fitted = ordered_map(
             self.executor, partial(_fit_brick, job), bricks, stage="fit", progress=self.progress
         )
@@ -199,14 +193,14 @@ class Fitter(NamedTuple):
 
 
 @kernel
-def _cuts(firsts: Int64s, brick: int, most: int) -> Int64s:
-    """Cut leaves into runs of about ``brick`` samples, counting ``most`` at most of each leaf."""
-    cuts = np.zeros(firsts[firsts.size - 1] // brick + 3, np.int64)
+def _cuts(counts: Int64s, brick: int, most: int) -> Int64s:
+    """Cut leaves with counts (n,) of samples into runs of about ``brick``, ``most`` at most of each leaf."""
+    cuts = np.zeros(counts.sum() // brick + 3, np.int64)
     n_cuts = 1
     size = 0
-    for leaf in range(firsts.size - 1):
-        size += min(firsts[leaf + 1] - firsts[leaf], most)
-        if size >= brick or leaf == firsts.size - 2:
+    for leaf in range(counts.size):
+        size += min(counts[leaf], most)
+        if size >= brick or leaf == counts.size - 1:
             cuts[n_cuts] = leaf + 1
             n_cuts += 1
             size = 0
@@ -288,7 +282,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
     parts: list[tuple[Int64s, Float32s, TapList]] = []
     for _ in range(2):
         unknowns = end - first + others.size
-        members, strides = members_of(leaves.firsts, ring, LEAF_SAMPLES)
+        members, strides = members_of(leaves.firsts, leaves.ends, ring, LEAF_SAMPLES)
         normals = job.samples.normals[members].astype(np.float32) if job.is_facing else None
         points = sample_points(job.samples, members, UNIT)
         taps = joined([listed(each) for each in job.field.blocks(points, UNIT, normals)])
@@ -348,12 +342,7 @@ def with_sides(fitter: Fitter, tree: Octree, means: Channels, values: Channels) 
     tried = OctreeTexture(tree, means, UNIT, np.zeros((2, 3)))
     tried = with_split(tried, whole, tree.arrays.flags[whole] & np.uint8(FACING_FLAGS), {})
     start = {name: channel._replace(values=values[name].values) for name, channel in tried.channels.items()}
-    finest = chosen
-    if leaves.cells.size:
-        in_chosen = np.repeat(chosen, np.diff(leaves.firsts))
-        finest = np.logical_or.reduceat(in_chosen, samples.firsts[:-1])
-    rows = leaves.rows_of(tried.tree, chosen)
-    fitted = fitter.fit_rows(tried.tree, start, samples.of(np.flatnonzero(finest)), rows)
+    fitted = fitter.fit_rows(tried.tree, start, leaves.rows_of(tried.tree, chosen))
     made = tried.with_cells(tried.tree, fitted)
     made = without_split(made, split_in_vain(made, whole))
     return made.tree, made.channels
@@ -361,7 +350,7 @@ def with_sides(fitter: Fitter, tree: Octree, means: Channels, values: Channels) 
 
 def _facing_apart(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor) -> Bools:
     """Say which leaves, in order, weigh in lookups that a normal changes."""
-    field, depth, count = Field(tree), samples.depth, len(leaves.firsts) - 1
+    field, depth, count = Field(tree), samples.depth, len(leaves.firsts)
     owners = np.repeat(tree.split.cells, bit_counts(tree.split.facings)).astype(np.int64)
     reached = np.zeros(tree.n_cells, np.bool_)  # threads write nothing but True
     level = max(depth - _COARSER, 0)

@@ -38,7 +38,8 @@ class Leaves(NamedTuple):
     cells: Int64s  # (leaves,)   cell numbers; empty if they are consecutive, from `offset` on
     ranks: Int64s  # (cells,)   each leaf's rank in this order, −1 for nodes; empty likewise
     offset: int
-    firsts: Int64s  # (leaves + 1,)   the first sample of each
+    firsts: Int64s  # (leaves,)   the samples of each are from its first
+    ends: Int64s  # (leaves,)   to its end
     heads: Int64s  # (rows,)   of rows of leaves: the rank of their leaf's first row, which has the samples
 
     @classmethod
@@ -46,7 +47,8 @@ class Leaves(NamedTuple):
         """Put the leaves of a tree in order: the samples' finest cells, or cells above them."""
         none = np.empty(0, np.int64)
         if tree.max_depth == samples.depth and tree.n_leaves == len(samples.codes):
-            return cls(none, none, tree.n_cells - tree.n_leaves, samples.firsts, none)
+            offset = tree.n_cells - tree.n_leaves
+            return cls(none, none, offset, samples.firsts[:-1], samples.firsts[1:], none)
         codes, cells = [], []
         first = 0
         for level, (level_codes, is_node) in enumerate(tree.walk()):
@@ -58,22 +60,18 @@ class Leaves(NamedTuple):
         in_order = np.concatenate(cells)[order]
         ranks = np.full(tree.n_cells, -1, np.int64)
         ranks[in_order] = np.arange(len(in_order))
-        starts = np.searchsorted(samples.codes, finest[order])
-        return cls(in_order, ranks, 0, samples.firsts[np.append(starts, len(samples.codes))], none)
+        firsts = samples.firsts[np.searchsorted(samples.codes, finest[order])]
+        return cls(in_order, ranks, 0, firsts, np.append(firsts[1:], samples.firsts[-1]), none)
 
     def chosen(self, chosen: Bools, n_cells: int) -> Leaves:
-        """Put chosen leaves (leaves,) in order; `firsts` then counts only their samples."""
+        """Put only chosen leaves (leaves,) in order."""
         cells = self.numbers_of(chosen)
         ranks = np.full(n_cells, -1, np.int64)
         ranks[cells] = np.arange(cells.size)
-        firsts = np.append(0, np.cumsum(np.diff(self.firsts)[chosen]))
-        return self._replace(cells=cells, ranks=ranks, offset=0, firsts=firsts)
+        return Leaves(cells, ranks, 0, self.firsts[chosen], self.ends[chosen], self.heads)
 
     def rows_of(self, tree: Octree, chosen: Bools) -> Leaves:
-        """Put the rows of chosen split leaves (leaves,) in order; `firsts` then counts only their samples.
-
-        Rows are numbered after all cells, by table.
-        """
+        """Put the rows of chosen split leaves (leaves,) in order, numbered after all cells, by table."""
         cells = self.numbers_of(chosen)
         counts = bit_counts(tree.split.facings).astype(np.int64)
         at = np.searchsorted(tree.split.cells, cells)
@@ -83,10 +81,10 @@ class Leaves(NamedTuple):
         ranks = large.empty(tree.n_cells + tree.split.areas.size, np.int64)
         ranks[:] = -1
         ranks[rows] = np.arange(rows.size)
-        ends = np.cumsum(np.diff(self.firsts)[chosen])
-        firsts = np.repeat(ends, counts)
-        firsts[heads] = np.append(0, ends[:-1])
-        return Leaves(rows, ranks, 0, np.append(firsts, ends[-1:]), np.repeat(heads, counts))
+        firsts = np.repeat(self.firsts[chosen], counts)
+        ends = firsts.copy()
+        ends[heads] = self.ends[chosen]
+        return Leaves(rows, ranks, 0, firsts, ends, np.repeat(heads, counts))
 
     def numbers(self, first: int, end: int) -> Int64s:
         """Return the cell numbers of the leaves of ranks ``first`` to ``end`` − 1."""
@@ -105,23 +103,22 @@ class Leaves(NamedTuple):
         if self.ranks.size:
             return self.ranks.take(rows)
         ranks = rows.astype(np.int64) - self.offset
-        return np.where((ranks >= 0) & (ranks < len(self.firsts) - 1), ranks, -1)
+        return np.where((ranks >= 0) & (ranks < len(self.firsts)), ranks, -1)
 
 
 @kernel
-def members_of(firsts: Int64s, leaves: Int64s, most: int) -> tuple[Int64s, Float32s]:
+def members_of(firsts: Int64s, ends: Int64s, leaves: Int64s, most: int) -> tuple[Int64s, Float32s]:
     """List about ``most`` evenly chosen samples of each leaf, and how many samples each stands for."""
     total = 0
     for leaf in leaves:
-        count = firsts[leaf + 1] - firsts[leaf]
-        total += count if count <= most else most + 1
+        total += min(ends[leaf] - firsts[leaf], most + 1)
     members = np.empty(total, np.int64)
     strides = np.empty(total, np.float32)
     n = 0
     for leaf in leaves:
-        count = firsts[leaf + 1] - firsts[leaf]
+        count = ends[leaf] - firsts[leaf]
         stride = 1 if count <= most else (count + most - 1) // most  # division takes longer than all the rest
-        for sample in range(firsts[leaf], firsts[leaf + 1], stride):
+        for sample in range(firsts[leaf], ends[leaf], stride):
             members[n] = sample
             strides[n] = stride
             n += 1

@@ -62,18 +62,6 @@ class Samples(NamedTuple):
         """Return the numbers of the samples of cells (k,), cell by cell."""
         return in_runs(self.firsts[cells], self.firsts[cells + 1] - self.firsts[cells])
 
-    def of(self, cells: Int64s) -> Samples:
-        """Return only the samples of cells (k,), in order."""
-        rows = self.rows(cells)
-        return self._replace(
-            codes=self.codes[cells],
-            firsts=np.concatenate([[0], np.cumsum(np.diff(self.firsts)[cells])]),
-            positions=large.taken(self.positions, rows),
-            normals=large.taken(self.normals, rows),
-            shares=large.taken(self.shares, rows),
-            values=large.taken(self.values, rows),
-        )
-
 
 class SamplesOfRun(NamedTuple):
     """The samples of a run of blocks, cell by cell."""
