@@ -138,13 +138,14 @@ class _Merger:
         return pruned.tree, pruned.carried(self._known)
 
     def _fit(self, fitter: Fitter, depths: Uint8s) -> None:
-        """Give merged leaves, which have means so far, fitted values."""
+        """Fit merged leaves, which have means so far, to the full tree's field at the samples."""
         pruned = prune(self._finest, depths)
         cells, is_merged = pruned.leaf_cells(depths), (depths < self._limits)[pruned.starts]
         merged = cells[is_merged]
-        if not merged.size:
+        if not merged.size or not self._forms:
             return
-        values = fitter.fit(pruned.tree, pruned.carried(self._known), is_merged)
+        samples = fitter.samples._replace(channels=tuple(self._forms), values=self._wanted)
+        values = fitter._replace(samples=samples).fit(pruned.tree, pruned.carried(self._known), is_merged)
         whole, cells, end = self._whole, pruned.cells[merged], 0
         rows = whole.rows.reshape(-1, (whole.components + 4) // 4 * 4)
         for name, channel in values.items():
