@@ -20,13 +20,14 @@ from octex.arrays import Bools, Float32s, Float64s, Int8s, Int64s, Uint16s
 from octex.channels import ChannelFormat, decode, linear_to_srgb
 from octex.conversion import large
 from octex.conversion.evaluator import (
+    LEVELS,
+    PLACES,
     Coefficients,
     Windows,
     add_up,
     enter,
     find_coefficients,
     is_refined,
-    new_windows,
 )
 from octex.conversion.samples import MOST_POINTS, POSITION_STEPS, Samples, lay_out
 from octex.editing.split import SLOPE
@@ -258,7 +259,11 @@ def _new_scratch(components: int) -> Scratch:
     vectors = (components + 4) // 4
     return Scratch(
         (new_walk(), new_walk()),
-        new_windows(4, vectors),
+        Windows(
+            np.zeros((4 * vectors * LEVELS * PLACES, 4), np.float32),
+            np.zeros((4, LEVELS), np.bool_),
+            np.zeros((4, LEVELS), np.uint64),
+        ),
         np.zeros((4 * vectors, MOST_POINTS), np.float32),
         np.zeros((2, components, MOST_POINTS), np.float32),
         np.zeros((2, MOST_POINTS), np.float64),

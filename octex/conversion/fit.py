@@ -21,13 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float32s, Floats, Int8s, Int32s, Int64s, Uint64s, bit_counts
+from octex.arrays import Array, Bools, Float32s, Floats, Int32s, Int64s, Uint64s, bit_counts
 from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion import large
 from octex.conversion.evaluator import NO_KEPT, SPLIT_KIND, is_refined, kind_of
 from octex.conversion.lookups import CubeLookups, Heads, Leaves, members_of, numbered
 from octex.conversion.prune import Channels
-from octex.conversion.samples import SHARE_STEPS, UNIT, Samples, sample_points
+from octex.conversion.samples import SHARE_STEPS, UNIT, Samples, nearest_facings, sample_points
 from octex.conversion.solve import (
     NO_ROUNDING,
     Codes,
@@ -284,7 +284,7 @@ def _look_up(job: Job, first: int, end: int) -> Lookups:
         unknowns = end - first + others.size
         members, strides = members_of(leaves.firsts, leaves.ends, ring, LEAF_SAMPLES)
         normals = job.samples.normals[members].astype(np.float32) if job.is_facing else None
-        points = sample_points(job.samples, members, UNIT)
+        points = sample_points(job.samples, members)
         taps = joined([listed(each) for each in job.field.blocks(points, UNIT, normals)])
         parts.append((members, strides, taps))
         ranks = leaves.ranks_of(taps.rows)
@@ -367,12 +367,12 @@ def _facing_apart(tree: Octree, leaves: Leaves, samples: Samples, executor: Exec
         is_mixed = _face_opposite(around)
         cells, around = cells[is_mixed], around[is_mixed]
         mixed, counts = samples.rows(cells), samples.firsts[cells + 1] - samples.firsts[cells]
-        facings = _facings_of(samples.normals[mixed])
+        facings = nearest_facings(samples.normals[mixed].astype(np.int16))
         mixed = mixed[np.repeat(around, counts) & _OPPOSITE[facings] != 0]
         for begin in range(0, mixed.size, _BLOCK):
             block = mixed[begin : begin + _BLOCK]
             normals = samples.normals[block].astype(np.float32)
-            for each in field.blocks(sample_points(samples, block, UNIT), UNIT, normals):
+            for each in field.blocks(sample_points(samples, block), UNIT, normals):
                 taps = listed(each)
                 used = slice(0, taps.starts[-1])
                 rows = taps.rows[used][taps.weights[used] >= _LEAST_WEIGHT].astype(np.int64)
@@ -428,11 +428,3 @@ _OPPOSITE = np.array(
     [1 | sum(1 << kind for kind in range(64) if kind >> (f ^ 1) & ~(kind >> f) & 1) for f in range(6)],
     np.uint64,
 )
-
-
-def _facings_of(normals: Int8s) -> Int64s:
-    """Return the numbers of the facings nearest to normals (n, 3)."""
-    normals = normals.astype(np.int16)
-    axes = np.abs(normals).argmax(axis=1)
-    facings: Int64s = 2 * axes + (np.take_along_axis(normals, axes[:, None], 1)[:, 0] < 0)
-    return facings

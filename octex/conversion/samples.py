@@ -24,7 +24,6 @@ from octex.tree.edit import first_not_below
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
 from octex.tree.placement import Placement
-from octex.tree.search import Origin
 from octex.voxelize.fragments import Blocks, Fragments
 
 #: Stored steps: of positions in a cell, over its edge; of shares, over the cell's area; of unit normals.
@@ -137,10 +136,16 @@ def join(depth: int, channels: tuple[ChannelFormat, ...], codes: Int64s, runs: l
     return Samples(depth, channels, codes, firsts, *arrays)
 
 
-def sample_points(samples: Samples, chosen: Int64s, placement: Placement) -> Float64s:
-    """Return the rest positions (n, 3) of ``chosen`` samples; fastest if they ascend."""
-    edge = placement.size / 2**samples.depth
-    return _points(samples.codes, samples.firsts, samples.positions, placement.origin, edge, chosen)
+def sample_points(samples: Samples, chosen: Int64s) -> Float64s:
+    """Return where ``chosen`` samples lie in texture space (n, 3); fastest if they ascend."""
+    return _points(samples.codes, samples.firsts, samples.positions, 0.5**samples.depth, chosen)
+
+
+def nearest_facings(normals: npt.NDArray[np.integer | np.floating]) -> Int64s:
+    """Return the numbers of the facings nearest to normals (n, 3)."""
+    axes = np.abs(normals).argmax(axis=1)
+    facings: Int64s = 2 * axes + (np.take_along_axis(normals, axes[:, None], axis=1)[:, 0] < 0)
+    return facings
 
 
 @inlined
@@ -198,9 +203,7 @@ def _cut(x: float, y: float, z: float, points: Float32s) -> int:
 
 
 @kernel
-def _points(
-    codes: Int64s, firsts: Int64s, positions: Uint16s, origin: Origin, edge: float, chosen: Int64s
-) -> Float64s:
+def _points(codes: Int64s, firsts: Int64s, positions: Uint16s, edge: float, chosen: Int64s) -> Float64s:
     points = np.empty((chosen.size, 3), np.float64)
     step = 1.0 / POSITION_STEPS
     cell = np.int64(0)
@@ -211,9 +214,9 @@ def _points(
             if cell >= codes.size or not (firsts[cell] <= sample < firsts[cell + 1]):
                 cell = np.int64(first_not_below(firsts, int(sample) + 1, int(cell)) - 1)
         i, j, k = decode(codes[cell])
-        points[n, 0] = origin[0] + (i + (positions[sample, 0] + 0.5) * step) * edge
-        points[n, 1] = origin[1] + (j + (positions[sample, 1] + 0.5) * step) * edge
-        points[n, 2] = origin[2] + (k + (positions[sample, 2] + 0.5) * step) * edge
+        points[n, 0] = (i + (positions[sample, 0] + 0.5) * step) * edge
+        points[n, 1] = (j + (positions[sample, 1] + 0.5) * step) * edge
+        points[n, 2] = (k + (positions[sample, 2] + 0.5) * step) * edge
     return points
 
 

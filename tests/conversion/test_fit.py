@@ -98,7 +98,7 @@ def test_the_fit_is_the_least_squares_between_the_bounds(dtype):
     with ThreadPoolExecutor(1) as pool:
         found = fit.Fitter(samples, pool, silent).fit(tree, channels)
     chosen = np.arange(len(samples.shares))
-    taps = taps_of(Field(tree), sample_points(samples, chosen, placement), placement)
+    taps = taps_of(Field(tree), placement.to_rest(sample_points(samples, chosen)), placement)
     first = tree.n_cells - tree.n_leaves
     lookups = np.zeros((len(chosen), tree.n_leaves))
     np.add.at(lookups, (np.repeat(chosen, np.diff(taps.starts)), taps.rows - first), taps.weights)
