@@ -115,7 +115,8 @@ class _Merger:
         self._whole = coefficients(finest.tree, known, self._forms)
         full = self._field(prune(finest, limits))
         self._reference = Reference.of(full, samples, self._forms)
-        self._wanted = large.joined(self._by_runs(partial(values_at_samples, self._reference)))
+        self._cells = np.arange(limits.size)
+        self._wanted = large.joined(self._mapped(partial(values_at_samples, self._reference), self._cells))
 
     def merged(self, fitter: Fitter | None) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree with merged leaves, and its channels."""
@@ -137,13 +138,14 @@ class _Merger:
         return pruned.tree, pruned.carried(self._known)
 
     def _fit(self, fitter: Fitter, depths: Uint8s) -> None:
-        """Give merged leaves, which have means so far, fitted values."""
+        """Fit merged leaves, which have means so far, to the full tree's field at the samples."""
         pruned = prune(self._finest, depths)
         cells, is_merged = pruned.leaf_cells(depths), (depths < self._limits)[pruned.starts]
         merged = cells[is_merged]
-        if not merged.size:
+        if not merged.size or not self._forms:
             return
-        values = fitter.fit(pruned.tree, pruned.carried(self._known), is_merged)
+        samples = fitter.samples._replace(channels=tuple(self._forms), values=self._wanted)
+        values = fitter._replace(samples=samples).fit(pruned.tree, pruned.carried(self._known), is_merged)
         whole, cells, end = self._whole, pruned.cells[merged], 0
         rows = whole.rows.reshape(-1, (whole.components + 4) // 4 * 4)
         for name, channel in values.items():
@@ -176,7 +178,7 @@ class _Merger:
     def _settle(self, depths: Uint8s) -> None:
         """Split merged leaves until the field is near everywhere, with and without normals."""
         self._split(depths)
-        cells = np.arange(depths.size)
+        cells = self._cells
         for attempt in count():
             pruned = prune(self._finest, depths)
             work = partial(far_all_over, self._field(pruned), self._reference, self._most)
@@ -190,20 +192,13 @@ class _Merger:
         """Split merged leaves by a level where the field is far off at samples."""
         pruned = prune(self._finest, depths)
         work = partial(far_at_samples, self._field(pruned), self._reference, self._wanted, self._most)
-        self._refined(np.concatenate(self._by_runs(work)), pruned, depths, 1)
+        self._refined(np.concatenate(self._mapped(work, self._cells)), pruned, depths, 1)
 
-    def _mapped(self, work: Callable[[Int64s], Bools], items: Int64s) -> list[Bools]:
+    def _mapped(self, work: Callable[[Int64s], Array], items: Int64s) -> list[Array]:
         """Call ``work`` with blocks of items."""
         blocks = [items[begin : begin + _BLOCK] for begin in range(0, items.size, _BLOCK)]
         with sharing(self._executor) as pool:  # tasks read all samples, too many to send to processes
             return list(ordered_map(pool, work, blocks))
-
-    def _by_runs(self, work: Callable[[int, int], Array]) -> list[Array]:
-        """Call ``work`` with the bounds of runs of all finest cells."""
-        size = self._limits.size
-        runs = [(begin, min(begin + _BLOCK, size)) for begin in range(0, size, _BLOCK)]
-        with sharing(self._executor) as pool:
-            return list(ordered_map(pool, lambda run: work(*run), runs))
 
     def _refined(self, failing: Bools, pruned: Pruned, depths: Uint8s, steps: int) -> Bools:
         """Split merged leaves by ``steps`` levels, in ``depths``, and return the cells that this can change.

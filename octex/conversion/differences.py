@@ -20,13 +20,14 @@ from octex.arrays import Bools, Float32s, Float64s, Int8s, Int64s, Uint16s
 from octex.channels import ChannelFormat, decode, linear_to_srgb
 from octex.conversion import large
 from octex.conversion.evaluator import (
+    LEVELS,
+    PLACES,
     Coefficients,
     Windows,
     add_up,
     enter,
     find_coefficients,
     is_refined,
-    new_windows,
 )
 from octex.conversion.samples import MOST_POINTS, POSITION_STEPS, Samples, lay_out
 from octex.editing.split import SLOPE
@@ -258,7 +259,11 @@ def _new_scratch(components: int) -> Scratch:
     vectors = (components + 4) // 4
     return Scratch(
         (new_walk(), new_walk()),
-        new_windows(4, vectors),
+        Windows(
+            np.zeros((4 * vectors * LEVELS * PLACES, 4), np.float32),
+            np.zeros((4, LEVELS), np.bool_),
+            np.zeros((4, LEVELS), np.uint64),
+        ),
         np.zeros((4 * vectors, MOST_POINTS), np.float32),
         np.zeros((2, components, MOST_POINTS), np.float32),
         np.zeros((2, MOST_POINTS), np.float64),
@@ -268,12 +273,12 @@ def _new_scratch(components: int) -> Scratch:
 
 
 @kernel
-def values_at_samples(reference: Reference, first: int, end: int) -> Float32s:
-    """Return the full tree's values (samples, components) at the samples of a run of finest cells."""
+def values_at_samples(reference: Reference, cells: Int64s) -> Float32s:
+    """Return the full tree's values (samples, components) at the samples of finest cells (n,), a run."""
     field, scratch = reference.field, _new_scratch(reference.field.components)
-    start = reference.firsts[first]
-    values = np.empty((reference.firsts[end] - start, field.components), np.float32)
-    for cell in range(first, end):
+    start = reference.firsts[cells[0]]
+    values = np.empty((reference.firsts[cells[-1] + 1] - start, field.components), np.float32)
+    for cell in cells:
         count, row = _look_up_samples(field, reference, scratch, 1, cell), reference.firsts[cell] - start
         for point in range(count):
             for component in range(field.components):
@@ -328,14 +333,14 @@ def near_nodes(
 
 @kernel
 def far_at_samples(
-    field: Coefficients, reference: Reference, wanted: Float32s, most: float, first: int, end: int
+    field: Coefficients, reference: Reference, wanted: Float32s, most: float, cells: Int64s
 ) -> Bools:
-    """Say in which finest cells of a run a field is more than ``most`` codes off at a sample."""
+    """Say in which finest cells (n,) a field is more than ``most`` codes off at a sample."""
     scratch = _new_scratch(field.components)
-    far = np.empty(end - first, np.bool_)
-    for cell in range(first, end):
-        count = _look_up_samples(field, reference, scratch, 0, cell)
-        far[cell - first] = not _are_near_at(scratch, reference, wanted, cell, count, most)
+    far = np.empty(cells.size, np.bool_)
+    for n in range(cells.size):
+        count = _look_up_samples(field, reference, scratch, 0, cells[n])
+        far[n] = not _are_near_at(scratch, reference, wanted, cells[n], count, most)
     return far
 
 

@@ -15,12 +15,12 @@ from octex.arrays import Bools, Float32s, Uint32s, Uint64s
 from octex.field.splines import QUADRATIC
 from octex.field.weights import View, face_cell, row_of
 from octex.field.windows import BEGIN, CONTENT, INSIDE, UPPER, Walk, Way, cell_at, follow, place_of
-from octex.jit import fused_inlined, inlined, kernel, put, spline_at_eight, trailing_zeros
+from octex.jit import fused_inlined, inlined, put, spline_at_eight, trailing_zeros
 from octex.jit.vectors import eight, four, four_at, lanes, vector_of
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 
-_PLACES = 27
-_LEVELS = MAX_DEPTH + 1
+PLACES = 27
+LEVELS = MAX_DEPTH + 1
 NO_KEPT = np.empty(0, np.uint32)
 _ZERO = np.float32(0)
 #: A cell's *kind* is one of 64 bits, for its set of facings; split cells have the bit of the empty set.
@@ -44,16 +44,6 @@ class Windows(NamedTuple):
     rows: Float32s  # (fields · vectors · levels · places, 4)   coefficients; zeros where there is no cell
     known: Bools  # (fields, levels)   whether the level's coefficients are written
     kinds: Uint64s  # (fields, levels)   the kinds of their cells
-
-
-@kernel
-def new_windows(fields: int, vectors: int) -> Windows:
-    """Return empty windows."""
-    return Windows(
-        np.zeros((fields * vectors * _LEVELS * _PLACES, 4), np.float32),
-        np.zeros((fields, _LEVELS), np.bool_),
-        np.zeros((fields, _LEVELS), np.uint64),
-    )
 
 
 @inlined
@@ -116,7 +106,7 @@ def add_up(
     """
     of_x, of_y, of_z = _weights(points[0]), _weights(points[1]), _weights(points[2])
     for vector in range(vectors):
-        row = ((which * vectors + vector) * _LEVELS + level) * _PLACES
+        row = ((which * vectors + vector) * LEVELS + level) * PLACES
         sums = spline_at_eight(windows.rows, row, of_x, of_y, of_z)
         at = 4 * vector * totals.shape[1] + first
         put(totals, at, sums[0])
@@ -142,7 +132,7 @@ def _gather(
     begin = walk.levels[level, BEGIN]
     inside = INSIDE[0, begin, 0]
     leaves = (walk.cells[level, 0] ^ walk.nodes[level, 0]) & inside
-    start, stride = (which * vectors * _LEVELS + level) * _PLACES, _LEVELS * _PLACES
+    start, stride = (which * vectors * LEVELS + level) * PLACES, LEVELS * PLACES
     empty, kinds = inside, np.uint64(0)
     is_below = is_refined(walk, level)
     if is_below:
@@ -209,7 +199,7 @@ def _weighted(field: Coefficients, row: int, vectors: int, vector: int) -> Any:
 def _refine(rows: Float32s, first: int, upper: int) -> None:
     """Subdivide the window above into that from row ``first`` on, the ``upper`` half of its parent."""
     step, near, far = 4, four(0.75), four(0.25)
-    first, places = 4 * first, 4 * _PLACES
+    first, places = 4 * first, 4 * PLACES
     for axis in range(3):
         turn = 2 * step if upper >> axis & 1 else 0  # begin at the other end
         source = first - places if axis == 0 else first

@@ -21,13 +21,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float32s, Floats, Int8s, Int32s, Int64s, Uint64s, bit_counts
+from octex.arrays import Array, Bools, Float32s, Floats, Int32s, Int64s, Uint64s, bit_counts
 from octex.channels import CHANNELS, ChannelFormat, decode, encode
 from octex.conversion import large
 from octex.conversion.evaluator import NO_KEPT, SPLIT_KIND, is_refined, kind_of
-from octex.conversion.lookups import CubeLookups, Heads, Leaves, Outside, members_of, number
+from octex.conversion.lookups import CubeLookups, Heads, Leaves, members_of, numbered
 from octex.conversion.prune import Channels
-from octex.conversion.samples import SHARE_STEPS, UNIT, Samples, sample_points
+from octex.conversion.samples import SHARE_STEPS, UNIT, Samples, nearest_facings, sample_points
 from octex.conversion.solve import (
     NO_ROUNDING,
     Codes,
@@ -41,23 +41,22 @@ from octex.conversion.solve import (
     weigh,
 )
 from octex.editing.split import split_in_vain, with_split, without_split
-from octex.field.blend import listed
+from octex.field.blend import joined, listed
 from octex.field.field import Field
 from octex.field.splines import QUADRATIC
+from octex.field.taps import TapList
 from octex.field.windows import BEGIN, INSIDE, Way, cell_at, follow, new_walk
 from octex.jit import kernel, trailing_zeros
 from octex.parallel import Progress, ordered_map, sharing
 from octex.texture import Channel, OctreeTexture
 from octex.tree.layout import FACING_FLAGS, MAX_DEPTH, SPLIT, TreeArrays
 from octex.tree.morton import decode as decode_cell
-from octex.tree.octree import Octree
+from octex.tree.octree import Octree, distinct
 
 #: Samples in a brick; each takes about 400 bytes. With half as many a fit takes up to 8 % longer.
 BRICK_SAMPLES = 100_000
 #: Little work is cut into this many bricks, of at least this many samples.
 _BRICKS, _LEAST_SAMPLES = 4, 20_000
-#: Rings of leaves around a brick that are solved with it. Two bring nothing (0.00 dB).
-RINGS = 1
 #: Most samples in a leaf that it is fitted to. 64 bring nothing.
 LEAF_SAMPLES = 8
 #: Sweeps over the leaves, back and forth; for 8 bits those after the first two round. One more wins 0.04 dB.
@@ -154,24 +153,17 @@ class Fitter(NamedTuple):
         The leaves' values in ``channels``, those of the samples, are means. With ``chosen`` (leaves,), in
         Morton order, only these leaves are fitted, to the samples in them.
         """
-        samples, leaves = self.samples, Leaves.of(tree, self.samples)
+        leaves = Leaves.of(tree, self.samples)
         if chosen is not None:
-            finest = np.searchsorted(samples.firsts, leaves.firsts)  # the first finest cell of each leaf
-            samples = samples.of(np.flatnonzero(np.repeat(chosen, np.diff(finest))))
             leaves = leaves.chosen(chosen, tree.n_cells)
-        return self._fitted(tree, channels, samples, leaves, is_facing=False)
+        return self._fitted(tree, channels, leaves, is_facing=False)
 
-    def fit_rows(self, tree: Octree, channels: Channels, samples: Samples, rows: Leaves) -> Channels:
-        """Return channels whose ``rows`` of split leaves fit lookups with normals to ``samples``.
+    def fit_rows(self, tree: Octree, channels: Channels, rows: Leaves) -> Channels:
+        """Return channels whose ``rows`` of split leaves fit lookups with normals to the samples in them."""
+        return self._fitted(tree, channels, rows, is_facing=True)
 
-        These are all samples in these leaves. See `fit`.
-        """
-        return self._fitted(tree, channels, samples, rows, is_facing=True)
-
-    def _fitted(
-        self, tree: Octree, channels: Channels, samples: Samples, leaves: Leaves, *, is_facing: bool
-    ) -> Channels:
-        field, heads = Field(tree), None
+    def _fitted(self, tree: Octree, channels: Channels, leaves: Leaves, *, is_facing: bool) -> Channels:
+        samples, field, heads = self.samples, Field(tree), None
         if is_facing:
             field.facings  # noqa: B018 (built before threads share it)
         elif field.tiles is not None and not leaves.cells.size:
@@ -180,8 +172,9 @@ class Fitter(NamedTuple):
         groups = _groups(samples.channels)
         ranges = [group.range(samples) for group in groups]
         job = Job(field, known, samples, leaves, heads, self.unfitted, is_facing, groups, ranges)
-        size = min(max(len(samples.positions) // _BRICKS, _LEAST_SAMPLES), BRICK_SAMPLES)
-        bricks = list(pairwise(_cuts(leaves.firsts, size, LEAF_SAMPLES).tolist()))
+        counts = leaves.ends - leaves.firsts
+        size = min(max(int(counts.sum()) // _BRICKS, _LEAST_SAMPLES), BRICK_SAMPLES)
+        bricks = list(pairwise(_cuts(counts, size, LEAF_SAMPLES).tolist()))
         fitted = ordered_map(
             self.executor, partial(_fit_brick, job), bricks, stage="fit", progress=self.progress
         )
@@ -200,14 +193,14 @@ class Fitter(NamedTuple):
 
 
 @kernel
-def _cuts(firsts: Int64s, brick: int, most: int) -> Int64s:
-    """Cut leaves into runs of about ``brick`` samples, counting ``most`` at most of each leaf."""
-    cuts = np.zeros(firsts[firsts.size - 1] // brick + 3, np.int64)
+def _cuts(counts: Int64s, brick: int, most: int) -> Int64s:
+    """Cut leaves with counts (n,) of samples into runs of about ``brick``, ``most`` at most of each leaf."""
+    cuts = np.zeros(counts.sum() // brick + 3, np.int64)
     n_cuts = 1
     size = 0
-    for leaf in range(firsts.size - 1):
-        size += min(firsts[leaf + 1] - firsts[leaf], most)
-        if size >= brick or leaf == firsts.size - 2:
+    for leaf in range(counts.size):
+        size += min(counts[leaf], most)
+        if size >= brick or leaf == counts.size - 1:
             cuts[n_cuts] = leaf + 1
             n_cuts += 1
             size = 0
@@ -283,42 +276,28 @@ def _fit_brick(job: Job, brick: tuple[int, int]) -> list[Array]:
 
 
 def _look_up(job: Job, first: int, end: int) -> Lookups:
-    """Look the field up at the samples of leaves ``first`` … ``end`` − 1 and around them."""
-    leaves = job.leaves
-    outside = Outside.of(0)
+    """Look the field up at the samples of leaves ``first`` … ``end`` − 1, and of one ring around them."""
+    leaves, others = job.leaves, np.empty(0, np.int64)
     ring = leaves.with_samples(np.arange(first, end))
-    samples, strides, starts = [], [], [np.zeros(1, np.int64)]
-    numbers, weights = [], []
-    n_taps = unknowns = 0
-    for _ in range(RINGS + 1):
-        known = int(outside.total[0])
-        unknowns = end - first + known
-        members, stride = members_of(leaves.firsts, ring, LEAF_SAMPLES)
-        samples.append(members)
-        strides.append(stride)
+    parts: list[tuple[Int64s, Float32s, TapList]] = []
+    for _ in range(2):
+        unknowns = end - first + others.size
+        members, strides = members_of(leaves.firsts, leaves.ends, ring, LEAF_SAMPLES)
         normals = job.samples.normals[members].astype(np.float32) if job.is_facing else None
-        points = sample_points(job.samples, members, UNIT)
-        for taps in job.field.blocks(points, UNIT, normals):
-            room = int((taps.ends - taps.starts).sum())
-            outside = outside.with_room(room)
-            ends = np.empty(taps.starts.size, np.int64)
-            rows, shares = np.empty(room, np.int32), np.empty(room, np.float32)
-            count = number(taps, leaves, first, end, outside, ends, rows, shares)
-            starts.append(ends + n_taps)
-            numbers.append(rows[:count])
-            weights.append(shares[:count])
-            n_taps += count
-        ranks = leaves.ranks_of(outside.numbered()[known:])
+        points = sample_points(job.samples, members)
+        taps = joined([listed(each) for each in job.field.blocks(points, UNIT, normals)])
+        parts.append((members, strides, taps))
+        ranks = leaves.ranks_of(taps.rows)
+        outside = distinct(taps.rows[(ranks < first) | (ranks >= end)])
+        outside = np.setdiff1d(outside, others, assume_unique=True)
+        others = np.append(others, outside)
+        ranks = leaves.ranks_of(outside)
         ring = leaves.with_samples(ranks[ranks >= 0])
-    return Lookups(
-        np.concatenate(samples),
-        np.concatenate(strides),
-        np.concatenate(starts),
-        np.concatenate(numbers),
-        np.concatenate(weights),
-        np.concatenate([leaves.numbers(first, end), outside.numbered()]),
-        unknowns,
-    )
+    members, strides = (np.concatenate(each) for each in list(zip(*parts, strict=True))[:2])
+    starts, rows, weights = joined([taps for *_, taps in parts])
+    numbers = numbered(rows, leaves.ranks_of(rows), first, end, others)
+    cells = np.append(leaves.numbers(first, end), others)
+    return Lookups(members, strides, starts, numbers, weights, cells, unknowns)
 
 
 def _is_even(rows: Float32s) -> bool:
@@ -363,12 +342,7 @@ def with_sides(fitter: Fitter, tree: Octree, means: Channels, values: Channels) 
     tried = OctreeTexture(tree, means, UNIT, np.zeros((2, 3)))
     tried = with_split(tried, whole, tree.arrays.flags[whole] & np.uint8(FACING_FLAGS), {})
     start = {name: channel._replace(values=values[name].values) for name, channel in tried.channels.items()}
-    finest = chosen
-    if leaves.cells.size:
-        in_chosen = np.repeat(chosen, np.diff(leaves.firsts))
-        finest = np.logical_or.reduceat(in_chosen, samples.firsts[:-1])
-    rows = leaves.rows_of(tried.tree, chosen)
-    fitted = fitter.fit_rows(tried.tree, start, samples.of(np.flatnonzero(finest)), rows)
+    fitted = fitter.fit_rows(tried.tree, start, leaves.rows_of(tried.tree, chosen))
     made = tried.with_cells(tried.tree, fitted)
     made = without_split(made, split_in_vain(made, whole))
     return made.tree, made.channels
@@ -376,7 +350,7 @@ def with_sides(fitter: Fitter, tree: Octree, means: Channels, values: Channels) 
 
 def _facing_apart(tree: Octree, leaves: Leaves, samples: Samples, executor: Executor) -> Bools:
     """Say which leaves, in order, weigh in lookups that a normal changes."""
-    field, depth, count = Field(tree), samples.depth, len(leaves.firsts) - 1
+    field, depth, count = Field(tree), samples.depth, len(leaves.firsts)
     owners = np.repeat(tree.split.cells, bit_counts(tree.split.facings)).astype(np.int64)
     reached = np.zeros(tree.n_cells, np.bool_)  # threads write nothing but True
     level = max(depth - _COARSER, 0)
@@ -393,12 +367,12 @@ def _facing_apart(tree: Octree, leaves: Leaves, samples: Samples, executor: Exec
         is_mixed = _face_opposite(around)
         cells, around = cells[is_mixed], around[is_mixed]
         mixed, counts = samples.rows(cells), samples.firsts[cells + 1] - samples.firsts[cells]
-        facings = _facings_of(samples.normals[mixed])
+        facings = nearest_facings(samples.normals[mixed].astype(np.int16))
         mixed = mixed[np.repeat(around, counts) & _OPPOSITE[facings] != 0]
         for begin in range(0, mixed.size, _BLOCK):
             block = mixed[begin : begin + _BLOCK]
             normals = samples.normals[block].astype(np.float32)
-            for each in field.blocks(sample_points(samples, block, UNIT), UNIT, normals):
+            for each in field.blocks(sample_points(samples, block), UNIT, normals):
                 taps = listed(each)
                 used = slice(0, taps.starts[-1])
                 rows = taps.rows[used][taps.weights[used] >= _LEAST_WEIGHT].astype(np.int64)
@@ -454,11 +428,3 @@ _OPPOSITE = np.array(
     [1 | sum(1 << kind for kind in range(64) if kind >> (f ^ 1) & ~(kind >> f) & 1) for f in range(6)],
     np.uint64,
 )
-
-
-def _facings_of(normals: Int8s) -> Int64s:
-    """Return the numbers of the facings nearest to normals (n, 3)."""
-    normals = normals.astype(np.int16)
-    axes = np.abs(normals).argmax(axis=1)
-    facings: Int64s = 2 * axes + (np.take_along_axis(normals, axes[:, None], 1)[:, 0] < 0)
-    return facings

@@ -104,11 +104,11 @@ def joined(arrays: Sequence[Array]) -> Array:
 def taken(array: Array, rows: Int64s) -> Array:
     """Return rows (n,) of an array."""
     if not is_mapped():
-        return array[rows]
+        return array.take(rows, axis=0)
     result = empty((rows.size, *array.shape[1:]), array.dtype)
     for begin in range(0, rows.size, _ROWS):
         block = slice(begin, begin + _ROWS)
-        result[block] = array[rows[block]]
+        array.take(rows[block], axis=0, out=result[block], mode="clip")
     return result
 
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts, in_runs
+from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts
 from octex.channels import ALPHA, ONE, ChannelFormat, check_range, decode, encode
 from octex.conversion import large
 from octex.conversion.detail import Wanted, deepest_wanted
@@ -47,11 +47,11 @@ from octex.voxelize.sums import (
     SumColumns,
     Sums,
     by_channel,
-    chosen_sums,
     coverages,
     level_means,
     sum_children,
     sum_fragments,
+    sums_of,
 )
 
 #: Least bytes of memory for each cell, and for each byte of its values (at the peak 27 bytes were measured
@@ -191,7 +191,8 @@ def cell_levels(
     tops = _end_to_end([part.top for part in parts], np.concatenate)
     if outside is not None:
         gaps = np.concatenate([gaps, outside.codes << 3 * blocks.bits])
-        tops = _interleaved(tops, outside)
+        tops = _end_to_end([tops, outside], np.concatenate)
+        tops = sums_of(tops, np.argsort(tops.codes, kind="stable"))
     codes = [part.codes for part in parts]  # joined later: a source of pictures takes much of the memory here
     filled = np.concatenate([distinct(each >> 3 * blocks.bits) for each in codes]) if gaps.size else None
     upper, _ = climb(tops, blocks.level, channels, columns, filled)
@@ -211,15 +212,6 @@ def _outside(blocks: Blocks, chosen: Bools, columns: SumColumns) -> Sums:
     n_entries = int(bit_counts(pieces.flags).sum())
     sums = sum_fragments(pieces.entries, pieces.areas, values, columns.alpha, n_entries)
     return Sums(pieces.codes, pieces.flags, sums)
-
-
-def _interleaved(one: Sums, other: Sums) -> Sums:
-    """Return the sums of two disjoint sets of cells in Morton order."""
-    codes, flags, sums = _end_to_end([one, other], np.concatenate)
-    counts = bit_counts(flags).astype(np.int64)
-    order = np.argsort(codes, kind="stable")
-    rows = in_runs((np.cumsum(counts) - counts)[order], counts[order])
-    return Sums(codes[order], flags[order], sums[rows])
 
 
 def memory_needed(
@@ -355,11 +347,11 @@ def climb(
 
     Only the cells with ascending ``codes`` are encoded, and the cells above them; None: all.
     """
-    levels = [sums if codes is None else chosen_sums(sums, codes)]
+    levels = [sums if codes is None else sums_of(sums, np.searchsorted(sums.codes, codes))]
     for _ in range(steps):
         sums = sum_children(sums)
         codes = None if codes is None else distinct(codes >> 3)
-        levels.append(sums if codes is None else chosen_sums(sums, codes))
+        levels.append(sums if codes is None else sums_of(sums, np.searchsorted(sums.codes, codes)))
     finest, *above = levels  # the others are encoded at once: a call takes as long as some hundred cells
     return [_encoded(finest, channels, columns), *_encoded_levels(above, channels, columns)], sums
 

@@ -11,13 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint16s, bit_counts, in_runs
+from octex.arrays import Bools, Float32s, Int32s, Int64s, Integers, Uint16s, bit_counts, in_runs
 from octex.conversion import large
 from octex.conversion.samples import POSITION_STEPS, Samples
 from octex.conversion.solve import LEAST_WEIGHT, Equations, by_unknown, write_residual
-from octex.field.taps import Taps
 from octex.field.tiles import Tiles, tile_row
-from octex.jit import fused_kernel, inlined, kernel, weighted_cube
+from octex.jit import fused_kernel, kernel, weighted_cube
 from octex.tree.morton import decode, decode_cells
 from octex.tree.octree import Octree, distinct
 
@@ -39,7 +38,8 @@ class Leaves(NamedTuple):
     cells: Int64s  # (leaves,)   cell numbers; empty if they are consecutive, from `offset` on
     ranks: Int64s  # (cells,)   each leaf's rank in this order, −1 for nodes; empty likewise
     offset: int
-    firsts: Int64s  # (leaves + 1,)   the first sample of each
+    firsts: Int64s  # (leaves,)   the samples of each are from its first
+    ends: Int64s  # (leaves,)   to its end
     heads: Int64s  # (rows,)   of rows of leaves: the rank of their leaf's first row, which has the samples
 
     @classmethod
@@ -47,7 +47,8 @@ class Leaves(NamedTuple):
         """Put the leaves of a tree in order: the samples' finest cells, or cells above them."""
         none = np.empty(0, np.int64)
         if tree.max_depth == samples.depth and tree.n_leaves == len(samples.codes):
-            return cls(none, none, tree.n_cells - tree.n_leaves, samples.firsts, none)
+            offset = tree.n_cells - tree.n_leaves
+            return cls(none, none, offset, samples.firsts[:-1], samples.firsts[1:], none)
         codes, cells = [], []
         first = 0
         for level, (level_codes, is_node) in enumerate(tree.walk()):
@@ -59,22 +60,18 @@ class Leaves(NamedTuple):
         in_order = np.concatenate(cells)[order]
         ranks = np.full(tree.n_cells, -1, np.int64)
         ranks[in_order] = np.arange(len(in_order))
-        starts = np.searchsorted(samples.codes, finest[order])
-        return cls(in_order, ranks, 0, samples.firsts[np.append(starts, len(samples.codes))], none)
+        firsts = samples.firsts[np.searchsorted(samples.codes, finest[order])]
+        return cls(in_order, ranks, 0, firsts, np.append(firsts[1:], samples.firsts[-1]), none)
 
     def chosen(self, chosen: Bools, n_cells: int) -> Leaves:
-        """Put chosen leaves (leaves,) in order; `firsts` then counts only their samples."""
+        """Put only chosen leaves (leaves,) in order."""
         cells = self.numbers_of(chosen)
         ranks = np.full(n_cells, -1, np.int64)
         ranks[cells] = np.arange(cells.size)
-        firsts = np.append(0, np.cumsum(np.diff(self.firsts)[chosen]))
-        return self._replace(cells=cells, ranks=ranks, offset=0, firsts=firsts)
+        return Leaves(cells, ranks, 0, self.firsts[chosen], self.ends[chosen], self.heads)
 
     def rows_of(self, tree: Octree, chosen: Bools) -> Leaves:
-        """Put the rows of chosen split leaves (leaves,) in order; `firsts` then counts only their samples.
-
-        Rows are numbered after all cells, by table.
-        """
+        """Put the rows of chosen split leaves (leaves,) in order, numbered after all cells, by table."""
         cells = self.numbers_of(chosen)
         counts = bit_counts(tree.split.facings).astype(np.int64)
         at = np.searchsorted(tree.split.cells, cells)
@@ -84,10 +81,10 @@ class Leaves(NamedTuple):
         ranks = large.empty(tree.n_cells + tree.split.areas.size, np.int64)
         ranks[:] = -1
         ranks[rows] = np.arange(rows.size)
-        ends = np.cumsum(np.diff(self.firsts)[chosen])
-        firsts = np.repeat(ends, counts)
-        firsts[heads] = np.append(0, ends[:-1])
-        return Leaves(rows, ranks, 0, np.append(firsts, ends[-1:]), np.repeat(heads, counts))
+        firsts = np.repeat(self.firsts[chosen], counts)
+        ends = firsts.copy()
+        ends[heads] = self.ends[chosen]
+        return Leaves(rows, ranks, 0, firsts, ends, np.repeat(heads, counts))
 
     def numbers(self, first: int, end: int) -> Int64s:
         """Return the cell numbers of the leaves of ranks ``first`` to ``end`` − 1."""
@@ -101,124 +98,40 @@ class Leaves(NamedTuple):
         """Return the ranks, each once, under which ``ranks`` have their samples."""
         return distinct(self.heads[ranks]) if self.heads.size else np.sort(ranks)
 
-    def ranks_of(self, rows: Int64s) -> Int64s:
+    def ranks_of(self, rows: Integers) -> Int64s:
         """Return the ranks of rows that lookups read, −1 for rows that are not here."""
-        ranks = np.full(len(rows), -1, np.int64)
         if self.ranks.size:
-            are_cells = rows < self.ranks.size
-            ranks[are_cells] = self.ranks[rows[are_cells]]
-        else:
-            shifted = rows - self.offset
-            are_leaves = (shifted >= 0) & (shifted < len(self.firsts) - 1)
-            ranks[are_leaves] = shifted[are_leaves]
-        return ranks
+            return self.ranks.take(rows)
+        ranks = rows.astype(np.int64) - self.offset
+        return np.where((ranks >= 0) & (ranks < len(self.firsts)), ranks, -1)
 
 
 @kernel
-def members_of(firsts: Int64s, leaves: Int64s, most: int) -> tuple[Int64s, Float32s]:
+def members_of(firsts: Int64s, ends: Int64s, leaves: Int64s, most: int) -> tuple[Int64s, Float32s]:
     """List about ``most`` evenly chosen samples of each leaf, and how many samples each stands for."""
     total = 0
     for leaf in leaves:
-        count = firsts[leaf + 1] - firsts[leaf]
-        total += count if count <= most else most + 1
+        total += min(ends[leaf] - firsts[leaf], most + 1)
     members = np.empty(total, np.int64)
     strides = np.empty(total, np.float32)
     n = 0
     for leaf in leaves:
-        count = firsts[leaf + 1] - firsts[leaf]
+        count = ends[leaf] - firsts[leaf]
         stride = 1 if count <= most else (count + most - 1) // most  # division takes longer than all the rest
-        for sample in range(firsts[leaf], firsts[leaf + 1], stride):
+        for sample in range(firsts[leaf], ends[leaf], stride):
             members[n] = sample
             strides[n] = stride
             n += 1
     return members[:n].copy(), strides[:n].copy()
 
 
-class Outside(NamedTuple):
-    """A hash table that numbers the rows that lookups read outside a run of leaves, as they come."""
-
-    keys: Int64s  # (2 · room,)   a power of two; −1: free
-    numbers: Int32s  # (2 · room,)
-    rows: Int64s  # (room,)   by number
-    total: Int64s  # (1,)
-
-    @classmethod
-    def of(cls, room: int) -> Outside:
-        """Return an empty table with at least this room."""
-        size = 1 << max(2 * room - 1, 15).bit_length()
-        keys, numbers = np.full(size, -1, np.int64), np.empty(size, np.int32)
-        return cls(keys, numbers, np.empty(size // 2, np.int64), np.zeros(1, np.int64))
-
-    def with_room(self, room: int) -> Outside:
-        """Return the table if it has room for so many more rows, or else a larger one with its rows."""
-        if self.total[0] + room <= self.rows.size:
-            return self
-        larger = Outside.of(2 * (int(self.total[0]) + room))
-        extend(larger, self.numbered())
-        return larger
-
-    def numbered(self) -> Int64s:
-        """Return the rows by number."""
-        return self.rows[: self.total[0]]
-
-
-@inlined
-def number_of(outside: Outside, row: int) -> int:
-    """Return a row's number (Knuth's multiplicative hashing)."""
-    slot = row * 0x9E3779B1 & outside.keys.size - 1
-    while outside.keys[slot] != row:
-        if outside.keys[slot] < 0:
-            outside.keys[slot] = row
-            outside.numbers[slot] = outside.total[0]
-            outside.rows[outside.total[0]] = row
-            outside.total[0] += 1
-            break
-        slot = slot + 1 & outside.keys.size - 1
-    return int(outside.numbers[slot])
-
-
-@kernel
-def extend(outside: Outside, rows: Int64s) -> None:
-    """Give rows numbers, in turn."""
-    for i in range(rows.size):
-        number_of(outside, int(rows[i]))
-
-
-@kernel
-def number(
-    taps: Taps,
-    leaves: Leaves,
-    first: int,
-    end: int,
-    outside: Outside,
-    ends: Int64s,
-    numbers: Int32s,
-    weights: Float32s,
-) -> int:
-    """List the taps of points with positive weights, scaled to sum 1; return how many.
-
-    Their rows are numbered: leaves ``first`` … ``end`` − 1 from 0 on, then the rest by ``outside``, which
-    must have room for all of them. A point's taps end at ``ends`` (points,).
-    """
-    count = 0
-    for n in range(taps.starts.size):
-        total = 0.0
-        for tap in range(taps.starts[n], taps.ends[n]):
-            total += np.float64(taps.weights[tap])
-        inverse = 1.0 / total if total > 0.0 else 0.0
-        for tap in range(taps.starts[n], taps.ends[n]):
-            weight = np.float32(np.float64(taps.weights[tap]) * inverse)
-            if not weight > np.float32(0):
-                continue
-            row = int(np.int64(taps.rows[tap]))
-            rank = row - leaves.offset
-            if leaves.ranks.size > 0:
-                rank = int(leaves.ranks[row]) if row < leaves.ranks.size else -1
-            numbers[count] = rank - first if first <= rank < end else end - first + number_of(outside, row)
-            weights[count] = weight
-            count += 1
-        ends[n] = count
-    return count
+def numbered(rows: Integers, ranks: Integers, first: int, end: int, others: Int64s) -> Int32s:
+    """Return the numbers of rows in a brick: ranks ``first`` … ``end`` − 1, then ``others``, the rest."""
+    outside = np.flatnonzero((ranks < first) | (ranks >= end))
+    numbers = (ranks - first).astype(np.int32)
+    order = np.argsort(others)
+    numbers[outside] = end - first + order[np.searchsorted(others, rows[outside], sorter=order)]
+    return numbers
 
 
 class Heads(NamedTuple):
@@ -263,15 +176,16 @@ class CubeLookups(NamedTuple):
         inner = _cubes(samples, heads, brick)
         ring = distinct(inner.cells[(inner.cells < first) | (inner.cells >= end)])
         outer = _cubes(samples, heads, ring)
-        others = int(np.count_nonzero((outer.cells < first) | (outer.cells >= end)))
-        outside = Outside.of(ring.size + others)
-        extend(outside, ring)
-        for each in (inner, outer):
-            _number(each.cells, first, end, outside)
-        solved = np.concatenate([brick, ring])
+        beyond = distinct(outer.cells[(outer.cells < first) | (outer.cells >= end)])
+        others = np.append(ring, np.setdiff1d(beyond, ring, assume_unique=True))
+        inner, outer = (
+            each._replace(cells=numbered(each.cells, each.cells, first, end, others))
+            for each in (inner, outer)
+        )
+        solved = np.append(brick, ring)
         rows = samples.rows(solved)
         counts = samples.firsts[solved + 1] - samples.firsts[solved]
-        cells = np.concatenate([brick, outside.numbered()]) + leaves.offset
+        cells = np.append(brick, others) + leaves.offset
         return cls(
             rows,
             np.ones(1, np.float32),
@@ -348,15 +262,6 @@ def _list(codes: Int64s, heads: Heads, chosen: Int64s, cubes: Cubes) -> None:
                 positions[entry], cells[entry] = _POSITIONS[at] + shift, cell
                 entry += np.uint64(_SIDES[at] & sides == sides)
         cubes.starts[cube + 1] = entry
-
-
-@kernel
-def _number(cells: Int32s, first: int, end: int, outside: Outside) -> None:
-    """Replace cells by their numbers: ``first`` … ``end`` − 1 from 0 on, then the rest as they came."""
-    for n in range(cells.size):
-        cell = int(np.int64(cells[n]))
-        is_inside = first <= cell < end
-        cells[n] = cell - first if is_inside else end - first + number_of(outside, cell)
 
 
 @kernel

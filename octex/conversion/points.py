@@ -12,6 +12,7 @@ from octex.arrays import Array, Uint8s
 from octex.channels import ALPHA, BASE_COLOR, ChannelFormat, check_range, decode, encode
 from octex.checks import as_names
 from octex.conversion.levels import CellLevels, assemble, climb
+from octex.conversion.samples import nearest_facings
 from octex.editing.averages import average, with_summed_areas
 from octex.editing.nodes import all_nodes
 from octex.errors import ArgumentError, ModelError
@@ -99,8 +100,7 @@ def _leaves(cloud: PointCloud, placement: Placement, depth: int, names: Sequence
     codes = encode_cells(on_grid(cloud.points, placement) >> (GRID_BITS - depth))
     facings = np.zeros(len(cloud), np.int64)
     if cloud.normals is not None:
-        axes = np.abs(cloud.normals).argmax(axis=1)
-        facings = 2 * axes + (np.take_along_axis(cloud.normals, axes[:, None], axis=1)[:, 0] < 0)
+        facings = nearest_facings(cloud.normals)
     if depth < MAX_DEPTH:
         order = order_of(codes << 3 | facings, 3 * depth + 3)
     else:  # keys of 66 bits

@@ -24,7 +24,6 @@ from octex.tree.edit import first_not_below
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import decode
 from octex.tree.placement import Placement
-from octex.tree.search import Origin
 from octex.voxelize.fragments import Blocks, Fragments
 
 #: Stored steps: of positions in a cell, over its edge; of shares, over the cell's area; of unit normals.
@@ -62,18 +61,6 @@ class Samples(NamedTuple):
         """Return the numbers of the samples of cells (k,), cell by cell."""
         return in_runs(self.firsts[cells], self.firsts[cells + 1] - self.firsts[cells])
 
-    def of(self, cells: Int64s) -> Samples:
-        """Return only the samples of cells (k,), in order."""
-        rows = self.rows(cells)
-        return self._replace(
-            codes=self.codes[cells],
-            firsts=np.concatenate([[0], np.cumsum(np.diff(self.firsts)[cells])]),
-            positions=large.taken(self.positions, rows),
-            normals=large.taken(self.normals, rows),
-            shares=large.taken(self.shares, rows),
-            values=large.taken(self.values, rows),
-        )
-
 
 class SamplesOfRun(NamedTuple):
     """The samples of a run of blocks, cell by cell."""
@@ -86,14 +73,13 @@ class SamplesOfRun(NamedTuple):
 
 
 class Chosen(NamedTuple):
-    """The fragments that become samples, in the order in which a source is read fastest."""
+    """The fragments that become samples, cell by cell."""
 
     counts: Uint8s  # (cells,)   number of samples
-    shares: Uint8s  # (n,)   of the samples, cell by cell
-    order: Int32s  # (n,)   the sample of each fragment below
-    fragments: Int64s  # (n,)
+    shares: Uint8s  # (n,)
+    fragments: Int64s  # (n,)   a sample's largest
     is_mean: Bools  # (n,)   whether the sample is the mean of several fragments
-    means: Int64s  # (entries, 2)   the mean's row, and the fragment that it leaves out; −1: none
+    means: Int64s  # (entries, 2)   the mean's sample, and the fragment that it leaves out; −1: none
 
 
 def take_samples(
@@ -130,15 +116,12 @@ def take_samples(
         np.sqrt(wanted[differ]).astype(np.float32),
     )
     is_fine = any(channel.dtype in ("uint16", "float32") for channel in channels)
-    rows = np.empty(samples.shape, np.float32 if is_fine else np.float16)
-    most = np.finfo(rows.dtype).max
+    dtype = np.float32 if is_fine else np.float16
+    most = np.finfo(dtype).max
     if not (np.abs(samples) <= most).all():
         samples = np.clip(np.nan_to_num(samples), -most, most)
-    rows[chosen.order] = samples
-    faces = face_normals(blocks.grid, blocks.faces, triangles)
-    normals = np.empty_like(faces)
-    normals[chosen.order] = faces
-    return SamplesOfRun(chosen.counts, positions, normals, chosen.shares, rows)
+    normals = face_normals(blocks.grid, blocks.faces, triangles)
+    return SamplesOfRun(chosen.counts, positions, normals, chosen.shares, samples.astype(dtype, copy=False))
 
 
 def join(depth: int, channels: tuple[ChannelFormat, ...], codes: Int64s, runs: list[SamplesOfRun]) -> Samples:
@@ -153,10 +136,16 @@ def join(depth: int, channels: tuple[ChannelFormat, ...], codes: Int64s, runs: l
     return Samples(depth, channels, codes, firsts, *arrays)
 
 
-def sample_points(samples: Samples, chosen: Int64s, placement: Placement) -> Float64s:
-    """Return the rest positions (n, 3) of ``chosen`` samples; fastest if they ascend."""
-    edge = placement.size / 2**samples.depth
-    return _points(samples.codes, samples.firsts, samples.positions, placement.origin, edge, chosen)
+def sample_points(samples: Samples, chosen: Int64s) -> Float64s:
+    """Return where ``chosen`` samples lie in texture space (n, 3); fastest if they ascend."""
+    return _points(samples.codes, samples.firsts, samples.positions, 0.5**samples.depth, chosen)
+
+
+def nearest_facings(normals: npt.NDArray[np.integer | np.floating]) -> Int64s:
+    """Return the numbers of the facings nearest to normals (n, 3)."""
+    axes = np.abs(normals).argmax(axis=1)
+    facings: Int64s = 2 * axes + (np.take_along_axis(normals, axes[:, None], axis=1)[:, 0] < 0)
+    return facings
 
 
 @inlined
@@ -214,9 +203,7 @@ def _cut(x: float, y: float, z: float, points: Float32s) -> int:
 
 
 @kernel
-def _points(
-    codes: Int64s, firsts: Int64s, positions: Uint16s, origin: Origin, edge: float, chosen: Int64s
-) -> Float64s:
+def _points(codes: Int64s, firsts: Int64s, positions: Uint16s, edge: float, chosen: Int64s) -> Float64s:
     points = np.empty((chosen.size, 3), np.float64)
     step = 1.0 / POSITION_STEPS
     cell = np.int64(0)
@@ -227,9 +214,9 @@ def _points(
             if cell >= codes.size or not (firsts[cell] <= sample < firsts[cell + 1]):
                 cell = np.int64(first_not_below(firsts, int(sample) + 1, int(cell)) - 1)
         i, j, k = decode(codes[cell])
-        points[n, 0] = origin[0] + (i + (positions[sample, 0] + 0.5) * step) * edge
-        points[n, 1] = origin[1] + (j + (positions[sample, 1] + 0.5) * step) * edge
-        points[n, 2] = origin[2] + (k + (positions[sample, 2] + 0.5) * step) * edge
+        points[n, 0] = (i + (positions[sample, 0] + 0.5) * step) * edge
+        points[n, 1] = (j + (positions[sample, 1] + 0.5) * step) * edge
+        points[n, 2] = (k + (positions[sample, 2] + 0.5) * step) * edge
     return points
 
 
@@ -258,49 +245,38 @@ def _choose(flags: Uint8s, entries: Int32s, areas: Float64s) -> Chosen:
             largest[entry, 0] = fragment
         elif largest[entry, 1] < 0 or areas[fragment] > areas[largest[entry, 1]]:
             largest[entry, 1] = fragment
-    firsts = np.empty(n_entries, np.int32)
     shares = np.empty(2 * n_entries, np.uint8)
-    n_samples = 0
-    entry = 0
+    chosen = np.empty(2 * n_entries, np.int64)
+    is_mean = np.empty(2 * n_entries, np.bool_)
+    n = entry = 0
     for cell in range(flags.size):
         end = entry + popcount(np.uint64(flags[cell]))
-        first = n_samples
+        first = n
         whole = 0.0
         for i in range(entry, end):
             whole += totals[i]
         for i in range(entry, end):
-            firsts[i] = n_samples
             one = largest[i, 0]
             area = areas[one]
             others = totals[i] - area if sizes[i] > 1 else 0.0
-            share = totals[i] / whole * SHARE_STEPS
-            if others < LEAST_PART * area or area < LEAST_PART * others:
-                largest[i, int(others < area)] = -1
-                largest[i, int(others >= area)] = one
-                shares[n_samples] = max(int(share + 0.5), 1)
-                n_samples += 1
-            else:
-                part = area / totals[i]
-                shares[n_samples] = max(int(share * part + 0.5), 1)
-                shares[n_samples + 1] = max(int(share * (1.0 - part) + 0.5), 1)
-                n_samples += 2
-        counts[cell] = n_samples - first
+            share, part = totals[i] / whole * SHARE_STEPS, area / totals[i]
+            if others < LEAST_PART * area:
+                part = 1.0
+            elif area < LEAST_PART * others:
+                part = 0.0
+            if part > 0.0:
+                chosen[n], is_mean[n] = one, False
+                shares[n] = max(int(share * part + 0.5), 1)
+                n += 1
+            if part < 1.0:
+                chosen[n], is_mean[n] = largest[i, int(part > 0.0)], sizes[i] > 2
+                shares[n] = max(int(share * (1.0 - part) + 0.5), 1)
+                if is_mean[n]:
+                    means[i, 0], means[i, 1] = n, one if part > 0.0 else -1
+                n += 1
+        counts[cell] = n - first
         entry = end
-    order = np.empty(n_samples, np.int32)
-    chosen = np.empty(n_samples, np.int64)
-    is_mean = np.empty(n_samples, np.bool_)
-    n = 0
-    for fragment in range(entries.size):
-        entry = entries[fragment]
-        is_last = largest[entry, 1] == fragment
-        if is_last or largest[entry, 0] == fragment:
-            order[n] = firsts[entry] + (is_last and largest[entry, 0] >= 0)
-            chosen[n] = fragment
-            is_mean[n] = is_last and sizes[entry] > 2
-            if is_mean[n]:
-                means[entry, 0], means[entry, 1] = n, largest[entry, 0]
-            n += 1
-    return Chosen(counts, shares[:n_samples].copy(), order, chosen, is_mean, means)
+    return Chosen(counts, shares[:n].copy(), chosen[:n].copy(), is_mean[:n].copy(), means)
 
 
 @kernel
@@ -350,17 +326,11 @@ def _place(
     positions: Uint16s,
 ) -> None:
     """Write the samples' positions in their cells, and the means of several fragments to ``samples``."""
-    cells = np.empty(chosen.order.size, np.int32)
-    n = 0
-    for cell in range(chosen.counts.size):
-        for _ in range(chosen.counts[cell]):
-            cells[n] = cell
-            n += 1
     grid, corners = blocks.grid, blocks.faces
     scale = 1.0 / (1 << (GRID_BITS - blocks.level - blocks.bits))
-    centroids = np.empty((chosen.order.size, 3), np.float64)
-    totals = np.empty((chosen.order.size, 2), np.float64)  # the areas of means, and their coverage
-    for n in range(chosen.order.size):
+    centroids = np.empty((chosen.fragments.size, 3), np.float64)
+    totals = np.empty((chosen.fragments.size, 2), np.float64)  # the areas of means, and their coverage
+    for n in range(chosen.fragments.size):
         fragment = np.uint64(chosen.fragments[n])
         x, y, z = _centroid(grid, corners, fragments, fragment, scale)
         centroids[n, 0], centroids[n, 1], centroids[n, 2] = x, y, z
@@ -386,9 +356,11 @@ def _place(
             part = area if k == alpha else weight  # a difference of infinities would be NaN
             value, more = np.float64(samples[row, k]), np.float64(values[fragment, k])
             samples[row, k] = (1.0 - part) * value + part * more
-    for n in range(chosen.order.size):
-        row = chosen.order[n]
-        u, v, w = decode(fragments.codes[cells[row]])
-        positions[row, 0] = _step(centroids[n, 0], u)
-        positions[row, 1] = _step(centroids[n, 1], v)
-        positions[row, 2] = _step(centroids[n, 2], w)
+    n = 0
+    for cell in range(chosen.counts.size):
+        u, v, w = decode(fragments.codes[cell])
+        for _ in range(chosen.counts[cell]):
+            positions[n, 0] = _step(centroids[n, 0], u)
+            positions[n, 1] = _step(centroids[n, 1], v)
+            positions[n, 2] = _step(centroids[n, 2], w)
+            n += 1

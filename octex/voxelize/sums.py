@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s
+from octex.arrays import Float32s, Float64s, Int32s, Int64s, Uint8s, bit_counts, in_runs
 from octex.channels import LEAST_COVERAGE, ChannelFormat
 from octex.jit import inlined, kernel, popcount
 from octex.tree.areas import area_code
@@ -143,40 +143,18 @@ def sum_children(children: Sums) -> Sums:
     return Sums(parent_codes[:cells].copy(), parent_flags[:cells].copy(), parent_sums[:entries])
 
 
-@kernel
 def coverages(level: Sums, alpha: int) -> Float64s:
     """Return the mean coverage (cells,) of a level; ``alpha`` is its column."""
-    means = np.empty(level.codes.size, np.float64)
-    row = 0
-    for cell in range(means.size):
-        end = row + popcount(np.uint64(level.flags[cell]))
-        weight = area = 0.0
-        for entry in range(row, end):
-            weight += level.sums[entry, alpha]
-            area += level.sums[entry, -1]
-        means[cell] = weight / area
-        row = end
-    return means
+    counts = bit_counts(level.flags).astype(np.int64)
+    weights, areas = np.add.reduceat(level.sums[:, [alpha, -1]], np.cumsum(counts) - counts).T
+    return np.asarray(weights / areas)
 
 
-@kernel
-def chosen_sums(level: Sums, chosen: Int64s) -> Sums:
-    """Return the sums of the cells of a level with the ``chosen``, ascending codes."""
-    codes, flags, sums = level
-    flags_left = np.empty(chosen.size, np.uint8)
-    sums_left = np.empty((min(6 * chosen.size, sums.shape[0]), sums.shape[1]), np.float64)
-    n = row = end = 0
-    for cell in range(codes.size):
-        count = popcount(np.uint64(flags[cell]))
-        if n < chosen.size and codes[cell] == chosen[n]:
-            flags_left[n] = flags[cell]
-            n += 1
-            for entry in range(row, row + count):
-                for k in range(sums.shape[1]):
-                    sums_left[end, k] = sums[entry, k]
-                end += 1
-        row += count
-    return Sums(chosen, flags_left, sums_left[:end])
+def sums_of(level: Sums, cells: Int64s) -> Sums:
+    """Return the sums of cells (n,) of a level."""
+    counts = bit_counts(level.flags).astype(np.int64)
+    rows = in_runs((np.cumsum(counts) - counts)[cells], counts[cells])
+    return Sums(level.codes[cells], level.flags[cells], level.sums.take(rows, axis=0))
 
 
 @inlined

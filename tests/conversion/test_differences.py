@@ -216,7 +216,7 @@ def test_cells_and_nodes_are_near_where_their_samples_are(seed, smooth):
     points = (decode_cells(samples.codes)[owned] + (samples.positions + 0.5) / POSITION_STEPS) / (1 << DEPTH)
     found, reference = fields(made)
     count = samples.codes.size
-    values = values_at_samples(reference, 0, count)
+    values = values_at_samples(reference, np.arange(count))
     full = made.full.sample(points, names, normalize=False)
     np.testing.assert_allclose(values, np.hstack([full[name] for name in names]), atol=1e-5)
     wanted, coverage = codes(made.full, points, None)
@@ -238,7 +238,7 @@ def test_cells_and_nodes_are_near_where_their_samples_are(seed, smooth):
     for part in (0.2, 0.6, 0.95):
         most = float(np.quantile(at_cells, part))
         clear = np.abs(at_cells - most) > 0.02
-        far = far_at_samples(found, reference, values, most, 0, count)
+        far = far_at_samples(found, reference, values, most, np.arange(count))
         np.testing.assert_array_equal(far[clear], at_cells[clear] > most)
         most = float(np.quantile(at_nodes, part))
         chosen = np.arange(0, at_nodes.size, 2)

@@ -98,7 +98,7 @@ def test_the_fit_is_the_least_squares_between_the_bounds(dtype):
     with ThreadPoolExecutor(1) as pool:
         found = fit.Fitter(samples, pool, silent).fit(tree, channels)
     chosen = np.arange(len(samples.shares))
-    taps = taps_of(Field(tree), sample_points(samples, chosen, placement), placement)
+    taps = taps_of(Field(tree), placement.to_rest(sample_points(samples, chosen)), placement)
     first = tree.n_cells - tree.n_leaves
     lookups = np.zeros((len(chosen), tree.n_leaves))
     np.add.at(lookups, (np.repeat(chosen, np.diff(taps.starts)), taps.rows - first), taps.weights)
@@ -351,7 +351,8 @@ def test_trees_of_any_depths_are_fitted(monkeypatch):
     tree, channels = merged(made.tree, made.channels)
     leaves = Leaves.of(tree, samples)
     assert np.array_equal(leaves.ranks[leaves.cells], np.arange(tree.n_leaves))
-    assert leaves.firsts[-1] == len(samples.shares)
+    assert np.array_equal(leaves.firsts[1:], leaves.ends[:-1])
+    assert (leaves.firsts[0], leaves.ends[-1]) == (0, len(samples.shares))
     with ThreadPoolExecutor(2) as pool:
         found = fit.Fitter(samples, pool, silent).fit(tree, channels)
     textures = [OctreeTexture(tree, each, placement, surface.bounds, {}) for each in (channels, found)]
@@ -359,7 +360,7 @@ def test_trees_of_any_depths_are_fitted(monkeypatch):
 
 
 def test_a_leaf_is_fitted_to_some_of_its_samples_evenly_chosen():
-    members, strides = members_of(np.array([0, 5, 105]), np.array([0, 1]), 10)
+    members, strides = members_of(np.array([0, 5]), np.array([5, 105]), np.array([0, 1]), 10)
     assert members.tolist() == [0, 1, 2, 3, 4, *range(5, 105, 10)]
     assert strides.tolist() == [1] * 5 + [10] * 10
 

@@ -26,10 +26,10 @@ def test_every_cell_has_a_sample_for_each_way_its_surface_faces():
     shares = np.add.reduceat(samples.shares.astype(int), samples.firsts[:-1])
     assert (np.abs(shares - SHARE_STEPS) <= counts).all()
     chosen = np.arange(len(samples.shares))
-    points = sample_points(samples, chosen, placement)
+    points = placement.to_rest(sample_points(samples, chosen))
     cells = np.repeat(decode_cells(samples.codes), counts, axis=0)
     assert np.array_equal(np.floor(placement.to_texture_space(points) * 16), cells)
-    assert np.array_equal(sample_points(samples, chosen[::-1].copy(), placement), points[::-1])
+    assert np.array_equal(placement.to_rest(sample_points(samples, chosen[::-1].copy())), points[::-1])
     # They lie on the faces, and hold what the faces show there.
     apart = np.stack([_distances(points, TETRAHEDRON[face]) for face in FACES])
     assert apart.min(axis=0).max() < placement.size / 16 / POSITION_STEPS
@@ -72,7 +72,7 @@ def test_samples_of_a_cell_have_its_mean_and_its_middle_however_many_pieces_it_h
     means = [np.concatenate([part.values[n] for part in full.levels[3]])[:, 0] for n in (0, 1)]
     assert np.abs(mean(alpha, shares) - means[1]).max() < 0.02
     assert np.abs(mean(roughness, shares * alpha) - means[0]).max() < 0.02
-    points = sample_points(samples, np.arange(len(shares)), placement)
+    points = placement.to_rest(sample_points(samples, np.arange(len(shares))))
     middles = np.stack([mean(points[:, axis], shares) for axis in range(3)], axis=1)
     scattered = surface.scatter(200_000, seed=0).rest
     cells = np.floor(placement.to_texture_space(scattered) * 8).astype(np.int64)
