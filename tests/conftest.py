@@ -44,7 +44,7 @@ def pytest_xdist_make_scheduler(config, log):
             file = super()._split_scope(nodeid)
             return f"viewer {sum(file.encode()) % few}" if "/viewer/" in file else file
 
-    return Scheduling(config, log)
+    return Scheduling(config, log) if config.option.dist == "loadfile" else None
 
 
 def pytest_collection_modifyitems(items):

@@ -189,14 +189,14 @@ def test_pictures_are_blended_in_linear_light(blend):
     image = one_color(camera, (0.5, 0.5, 0.1), 0.5)
     found = octex.paint(texture, surface, octex.Projection(image, camera, blend=blend))
     found.validate()
-    points = on_square(100, 0.3)
+    points = on_square(60, 0.3)  # few: for many, a kernel is compiled for each pair of types
     part, base, paint = np.array([0.5], np.float32), np.array([[0.4, 0.2, 0.6]]), np.array([[0.5, 0.5, 0.1]])
     if blend == "erase":
-        np.testing.assert_allclose(found.sample(points, "alpha"), np.full((100, 1), 0.5), atol=0.003)
-        np.testing.assert_allclose(found.sample(points), np.tile(base, (100, 1)), atol=1e-3)
+        np.testing.assert_allclose(found.sample(points, "alpha"), np.full((60, 1), 0.5), atol=0.003)
+        np.testing.assert_allclose(found.sample(points), np.tile(base, (60, 1)), atol=1e-3)
         return
     expected = blended(base.astype(np.float32), paint.astype(np.float32), part, blend)
-    np.testing.assert_allclose(found.sample(points), np.tile(expected, (100, 1)), atol=1e-3)
+    np.testing.assert_allclose(found.sample(points), np.tile(expected, (60, 1)), atol=1e-3)
 
 
 def test_paint_over_what_is_translucent_makes_it_more_opaque():
@@ -221,8 +221,8 @@ def test_any_channel_is_painted_and_the_others_stay(channel, dtype):
     image = one_color(camera, (0.75, 0.75, 0.75))
     found = octex.paint(texture, surface, octex.Projection(image, camera), channel=channel)
     found.validate()
-    points = on_square(200, 0.4)
-    wanted = np.full((200, found.channels[channel].format.components), 0.75)
+    points = on_square(60, 0.4)
+    wanted = np.full((60, found.channels[channel].format.components), 0.75)
     np.testing.assert_allclose(found.sample(points, channel), wanted, atol=0.01)
     for other in set(texture.channels) - {channel}:
         np.testing.assert_allclose(found.sample(points, other), texture.sample(points, other), atol=0.005)
