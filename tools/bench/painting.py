@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from disturbed import Points, Ring, disturbed
 from inputs import painted_torus, sphere_texture, torus
 from measuring import Setup, clocked, colors_of, decibels, line, note, open3d, table, timed, title
 
@@ -27,7 +27,7 @@ _TOWARD = (0.3, 0.5, 1.0)
 
 
 def ring(setup: Setup) -> None:
-    """Twelve pictures of a model painted onto its bare mesh, as they are and with cameras a little off."""
+    """Twelve pictures of a model painted onto its bare mesh, as they are and disturbed."""
     size, count = (24, 500) if setup.quick else (1024, 200_000)
     title(f"ring: 12 pictures of {size}² pixels, unlit, painted onto the bare mesh; cells as wide as pixels")
     for constant in ("_POINTS", "_COARSE", "_TELLING", "_MOST", "_TRIES") if setup.quick else ():
@@ -41,38 +41,17 @@ def ring(setup: Setup) -> None:
         samples = surface.scatter(count, seed=3)
         seen = _seen(surface, cameras, samples)
         truth = painted.codes(octex.convert(surface, depth).sample(samples.rest, normals=samples.normals))
-        off = _moved(cameras, surface, 1.5)
-        shots = [octex.Projection(*each) for each in zip(pictures, off, strict=True)]
-        spent, refined = timed(partial(octex.refine_cameras, surface, shots, reference=0))
-        line(f"{name}: cameras are refined", spent)
-        rows = []
-        for what, taken in {"as they are": cameras, "1.5 pixels off": off, "refined": refined}.items():
-            shots = [octex.Projection(*each) for each in zip(pictures, taken, strict=True)]
-            for mode in ("average", "robust", "best"):
-                paint = partial(octex.paint, None, surface, shots, max_depth=depth, pictures=mode)
-                spent, texture = timed(paint)
-                found = painted.codes(texture.sample(samples.rest, normals=samples.normals))
-                missed = 100 * float((~texture.contains(samples.rest))[seen].mean())
-                level = f"{decibels((found - truth)[seen]):.1f}"
-                rows.append([what, mode, level, f"{missed:.2f} %", f"{texture.tree.n_leaves:,}", spent])
-        table([f"{name}, depth {depth}", "pictures", "dB", "left out", "leaves", "time"], rows)
-
-
-def _moved(cameras: list[octex.Camera], surface: octex.Surface, pixels: float) -> list[octex.Camera]:
-    """Turn and move all cameras but one, so that the surface shifts by so many pixels, and zoom by 0.5 %."""
-    random, middle, made = np.random.default_rng(12), surface.bounds.mean(axis=0), cameras[:1]
-    for camera in cameras[1:]:
-        turn, shift = (each / np.linalg.norm(each) for each in random.normal(size=(2, 3)))
-        depth = float(camera.project(middle[None])[1][0])
-        pixel = 0.7 * pixels * float(camera.pixel_width(depth))
-        x, y, z = pixel / depth * turn
-        u, _, v = np.linalg.svd([[1, -z, y], [z, 1, -x], [-y, x, 1]])  # nearly a rotation
-        view, K = camera.world_to_camera.copy(), camera.K.copy()
-        view[:3] = u @ v @ view[:3]
-        view[:3, 3] += pixel * shift
-        K[[0, 1], [0, 1]] *= 1 + 0.005 * random.choice([-1, 1])
-        made = [*made, replace(camera, world_to_camera=view, K=K)]
-    return made
+        given, rows = Ring(pictures, cameras), []
+        for mode in ("average", "robust", "best"):
+            paint = partial(octex.paint, None, surface, given.projections(), max_depth=depth, pictures=mode)
+            spent, texture = timed(paint)
+            found = painted.codes(texture.sample(samples.rest, normals=samples.normals))
+            missed = 100 * float((~texture.contains(samples.rest))[seen].mean())
+            level = f"{decibels((found - truth)[seen]):.1f}"
+            rows.append([mode, level, f"{missed:.2f} %", f"{texture.tree.n_leaves:,}", spent])
+        table([f"{name}, depth {depth}", "dB", "left out", "leaves", "time"], rows)
+        each = np.stack([_seen(surface, [camera], samples) for camera in cameras])
+        disturbed(setup, name, surface, given, depth, Points(samples, truth, each))
 
 
 def _models(setup: Setup) -> Iterator[tuple[str, octex.Surface]]:
