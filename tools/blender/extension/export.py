@@ -24,7 +24,7 @@ def main() -> None:
         wanted.objects = [job["object"]]
     (chosen,) = wanted.objects
     for name, file in job["pixels"].items():
-        bpy.data.images[name].pixels.foreach_set(np.load(folder / f"{file}.npy").reshape(-1))
+        bpy.data.images[name].pixels.foreach_set(np.fromfile(folder / file, np.float32))
     if job["form"] in ("model", "shown"):
         for _, node in objects.image_nodes(chosen, job["form"] == "shown"):
             if not node.image.size[0]:
