@@ -10,8 +10,6 @@ import numpy as np
 
 from . import objects
 
-#: Attributes of a deformed mesh: where it rests, and its normals there.
-_REST, _NORMAL = "octex rest", "octex normal"
 #: Sockets of the shader: its inputs; and its outputs, a colour, a number or a direction.
 _INPUTS = {"Position": "Vector", "Normal": "Vector", "Filter": "Int", "ZUp": "Int", "File": "String"}
 _SOCKETS = {3: "NodeSocketColor", 1: "NodeSocketFloat", 0: "NodeSocketVector"}
@@ -43,8 +41,8 @@ def show(
     """
     code = compiled(shader)
     if rest is not None:
-        objects.set_vectors(chosen, _NORMAL, "CORNER", rest[1])
-        objects.set_vectors(chosen, _REST, "POINT", rest[0])
+        objects.set_vectors(chosen, objects.NORMAL, "CORNER", rest[1])
+        objects.set_vectors(chosen, objects.REST, "POINT", rest[0])
     context.scene.cycles.shading_system = True
     material, principled = objects.emptied(f"{chosen.name} octree exact")
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -57,7 +55,7 @@ def show(
     node.inputs["Filter"].default_value, node.inputs["ZUp"].default_value = 2, 1
     node.inputs["File"].default_value = str(shader.with_name(f"{shader.name}.tif"))
     if rest is not None:
-        for name, socket in ((_REST, "Position"), (_NORMAL, "Normal")):
+        for name, socket in ((objects.REST, "Position"), (objects.NORMAL, "Normal")):
             stored = nodes.new("ShaderNodeAttribute")
             stored.attribute_name = name
             stored.location = (-600, 0 if socket == "Position" else -200)

@@ -36,7 +36,7 @@ def main() -> None:
             objects.write_model(bpy.context, chosen, folder / "model.glb", job["form"])
         except RuntimeError as error:  # it ends with what Blender's Python raised, and where
             said = [line for line in str(error).splitlines() if line and not line.startswith("Location:")]
-            sys.exit(f"Blender cannot write {chosen.name} as glTF: {said[-1]}")
+            sys.exit(f"Blender cannot write {job['name']} as glTF: {said[-1]}")
 
 
 if __name__ == "__main__":

@@ -3,14 +3,15 @@
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 import bpy
 import numpy as np
 
-from .objects import BAKED, VIEW, ObjectError, image_nodes, is_missing, lens_and_pose
+from .objects import BAKED, NAME, NORMAL, REST, VIEW, ObjectError, image_nodes, is_missing, lens_and_pose
 
 
 class Read(NamedTuple):
@@ -35,18 +36,42 @@ def hand_over(chosen: bpy.types.Object, folder: Path, form: str) -> tuple[list[s
         if image.is_dirty:
             files[image.name] = f"pixels-{len(files)}"
             pixels[files[image.name]] = _read_of(image)
+    job = {"folder": str(folder), "name": chosen.name, "form": form, "pixels": files}
     if chosen.library is None:
-        blend = str(folder / "object.blend")
-        bpy.data.libraries.write(blend, {chosen}, path_remap="ABSOLUTE")
+        job["blend"] = str(folder / "object.blend")
+        with _lent(chosen, form) as copy:
+            job["object"] = copy.name
+            bpy.data.libraries.write(job["blend"], {copy}, path_remap="ABSOLUTE")
     else:
-        blend = bpy.path.abspath(chosen.library.filepath)
-    job = {"folder": str(folder), "blend": blend, "object": chosen.name, "form": form, "pixels": files}
+        job |= {"blend": bpy.path.abspath(chosen.library.filepath), "object": chosen.name}
     (folder / "export.json").write_text(json.dumps(job), encoding="utf-8")
     script, given = str(Path(__file__).with_name("export.py")), str(folder / "export.json")
     if not bpy.app.binary_path:  # Blender is a module
         return [sys.executable, script, given], pixels
     call = [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1"]
     return [*call, "--python", script, "--", given], pixels
+
+
+@contextmanager
+def _lent(chosen: bpy.types.Object, form: str) -> Iterator[bpy.types.Object]:
+    """Lend a copy of an object, which shares its arrays, without those that the form does not need."""
+    copy = chosen.copy()
+    copy.data = mesh = chosen.data.copy()
+    try:
+        copy.animation_data_clear()
+        copy.parent = None
+        copy.constraints.clear()
+        copy.modifiers.clear()
+        names = {REST, NORMAL} if form == "model" else {REST, NORMAL, NAME}
+        if form == "arrays":
+            names |= {*mesh.uv_layers.keys(), *mesh.color_attributes.keys()}
+            mesh.materials.clear()
+        for name in names & {*mesh.attributes.keys()}:
+            mesh.attributes.remove(mesh.attributes[name])
+        yield copy
+    finally:
+        bpy.data.objects.remove(copy)
+        bpy.data.meshes.remove(mesh)
 
 
 def baked_images(chosen: bpy.types.Object) -> tuple[dict[str, str], dict[str, Read]]:

@@ -14,6 +14,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+#: Attributes of a deformed mesh: where it rests, and its normals there.
+REST, NORMAL = "octex rest", "octex normal"
 #: Names of the colour attribute and of the UV map, which differ, and the mark of the extension's materials.
 NAME, UV_MAP, MARK = "octex", "octex UV", "octex"
 #: The property of baked materials that names the image of base colour.
