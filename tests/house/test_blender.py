@@ -68,7 +68,7 @@ def test_a_photograph_lands_where_the_camera_sees_it(used):
     assert used["photograph"]["worst"] <= 2
 
 
-def test_what_the_page_saves_is_shown(used):
+def test_what_the_page_saves_is_shown_though_the_object_is_renamed(used):
     assert used["painted"]["is_open"]
     assert used["painted"]["path"] == "//ball-2.octex"
     assert used["painted"]["worst"] <= 0.51
@@ -103,6 +103,8 @@ def test_strokes_on_baked_images_are_taken_over(kinds, layout):
     assert kinds["strokes"][layout]["corners"] > 50 and kinds["strokes"][layout]["is_kept"]
     assert kinds["strokes"][layout]["red"] <= 2
     assert kinds["strokes"][layout]["moved"] <= 1
+    assert "was painted on: take that over first" in kinds["strokes"][layout]["baked over"]
+    assert kinds["strokes"][layout]["baked after"] == "it did not refuse"
 
 
 def test_what_is_painted_on_a_drawn_view_is_projected(kinds):
@@ -120,6 +122,13 @@ def test_what_is_painted_on_a_drawn_view_is_projected(kinds):
 def test_photographs_of_a_colmap_folder_land_where_its_cameras_see_them(kinds):
     assert "none of its 2 pictures is there" in kinds["colmap"]["missing"]
     assert kinds["colmap"]["worst"] <= 2
+
+
+def test_photographs_in_no_file_land_as_those_in_files_do(kinds):
+    reads = kinds["reads"]
+    assert max(reads[kind] for kind in ("unsaved", "floats", "packed")) <= 2
+    assert "resized was changed meanwhile" in reads["resized"]
+    assert not reads["is there"]  # the folder of a job that is closed
 
 
 def test_objects_without_material_and_with_shape_keys_are_coloured(kinds):

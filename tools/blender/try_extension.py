@@ -23,7 +23,7 @@ from extension import objects, operators, watching
 from mathutils import Vector  # type: ignore[import-not-found]
 
 import octex
-from octex.channels import linear_to_srgb
+from octex.channels import linear_to_srgb, srgb_to_linear
 
 SIZE = 256
 
@@ -78,13 +78,15 @@ def ball(name: str = "ball") -> bpy.types.Object:
     return made
 
 
-def gradient(name: str) -> bpy.types.Image:
-    """Return an image whose red grows to the right and whose green grows upwards, in linear light."""
-    image = bpy.data.images.new(name, SIZE, SIZE)
+def gradient(name: str, floats: bool = False) -> bpy.types.Image:
+    """Return an image whose red grows to the right and whose green grows upwards, in sRGB."""
+    image = bpy.data.images.new(name, SIZE, SIZE, float_buffer=floats)
     image.colorspace_settings.name = "sRGB"
     across = (np.arange(SIZE) + 0.5) / SIZE
     pixels = np.ones((SIZE, SIZE, 4), np.float32)
     pixels[..., 0], pixels[..., 1], pixels[..., 2] = across, across[:, None], 0.25
+    if floats:
+        pixels = srgb_to_linear(pixels).astype(np.float32)
     image.pixels.foreach_set(pixels.reshape(-1))
     return image
 
@@ -236,15 +238,18 @@ def painted() -> dict[str, Any]:
     os.environ["BROWSER"] = "true"
     bpy.context.view_layer.objects.active = chosen
     bpy.ops.octex.paint()
-    output = watching._painted[chosen.name].output
-    chosen.octex.origin = "GREY"
+    while watching._painted[chosen.session_uid].process is None:
+        watching.look()
+        time.sleep(0.05)
+    output = watching._painted[chosen.session_uid].output
+    chosen.octex.origin, chosen.name = "GREY", "renamed"
     bpy.ops.octex.make()
     objects.texture_path(chosen).rename(output)
     began = time.monotonic()
     while not objects.shows_colors(chosen) and time.monotonic() - began < 60:
         watching.look()
         time.sleep(0.05)
-    is_open = watching._painted[chosen.name].process.poll() is None
+    is_open = watching._painted[chosen.session_uid].process.poll() is None
     next_name = watching._next(output.with_name("other-8.octex")).name
     told = {"path": chosen.octex.path, "is_open": is_open, "next": next_name}
     return told | {"worst": worst(colors(chosen)[:, :3] - 0.5)}

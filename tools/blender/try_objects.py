@@ -20,7 +20,8 @@ import bpy  # type: ignore[import-not-found]
 import extension
 import numpy as np
 from bpy_extras.object_utils import world_to_camera_view  # type: ignore[import-not-found]
-from extension import objects, watching
+from extension import handover, objects, watching
+from extension.jobs import Job
 from mathutils import Matrix, Vector  # type: ignore[import-not-found]
 from PIL import Image
 from try_extension import SIZE, ball, colors, gradient, own_material, worst
@@ -32,7 +33,7 @@ def main() -> int:
     folder = Path(sys.argv[1])
     extension.register()
     told: dict[str, Any] = {}
-    for task in (images, strokes, view, colmap, plain, shape_keys, modifiers, linked, another):
+    for task in (images, reads, strokes, view, colmap, plain, shape_keys, modifiers, linked, another):
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
         own = folder / task.__name__
         own.mkdir()
@@ -106,20 +107,50 @@ def images(folder: Path) -> dict[str, Any]:
     return told
 
 
+def reads(_folder: Path) -> dict[str, Any]:
+    """Project photographs that are in no file, and change one before the window has read it."""
+    chosen = ball()
+    camera = camera_at((9, -8, 4), chosen)
+    background = camera.data.background_images.new()
+    told: dict[str, Any] = {}
+    for kind in ("unsaved", "floats", "packed"):
+        background.image = image = gradient(kind, kind == "floats")
+        if kind == "packed":
+            image.pack()
+        bpy.ops.octex.photographs()
+        bpy.ops.octex.colors()
+        places, is_seen = seen_at(chosen, camera)
+        told[kind] = worst(colors(chosen)[is_seen, :2] - places[is_seen])
+        objects.texture_path(chosen).unlink()
+    own = background.image = gradient("resized")
+    _, waiting = handover.photographs(bpy.context, True)
+    job = Job().reading(waiting)
+    own.scale(SIZE // 2, SIZE)
+    job.start()
+    try:
+        job.wait()
+    except objects.ObjectError as error:
+        told["resized"] = str(error)
+    job.close()
+    deadline = time.monotonic() + 10
+    while job.folder.exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    return told | {"is there": job.folder.exists()}
+
+
 def page_failure(chosen: bpy.types.Object) -> str:
     """Open the painting page of an object; return why it ends, or nothing if it serves."""
     os.environ["BROWSER"] = "true"
     bpy.ops.octex.paint()
-    page = watching._painted[chosen.name]
-    model = Path(page.folder.name) / "model.glb"
-    while chosen.name in watching._painted and not model.exists():
+    while (page := watching._painted.get(chosen.session_uid)) is not None and page.process is None:
         watching.look()
         time.sleep(0.05)
-    with suppress(subprocess.TimeoutExpired):
-        page.process.wait(10)
+    if page is not None:
+        with suppress(subprocess.TimeoutExpired):
+            page.process.wait(10)
     watching.look()
     watching.unregister()
-    return watching.failures.get(chosen.name, "")
+    return watching.failures.get(chosen.session_uid, "")
 
 
 def strokes(_folder: Path) -> dict[str, Any]:
@@ -152,6 +183,7 @@ def strokes(_folder: Path) -> dict[str, Any]:
         layer = chosen.data.uv_layers[objects.UV_MAP if layout == "ATLAS" else 0]
         uv = np.empty(2 * len(chosen.data.loops), np.float32)
         layer.uv.foreach_get("vector", uv)
+        refused = refusal("images")
         bpy.ops.octex.strokes()
         is_kept = texture.with_suffix(".octex1").read_bytes() == content
         bpy.ops.octex.colors()
@@ -163,6 +195,8 @@ def strokes(_folder: Path) -> dict[str, Any]:
             "is_kept": is_kept,
             "red": middle(colors(chosen)[inside, :3] - RED),  # next to charts' edges there is old paint
             "moved": middle((colors(chosen) - before)[beside]),
+            "baked over": refused,
+            "baked after": refusal("images"),
         }
     return told
 

@@ -3,9 +3,9 @@
 
 import bpy
 
-from . import operators, panel, settings, watching
+from . import jobs, operators, panel, settings, watching
 
-_PARTS = (settings, operators, panel, watching)
+_PARTS = (settings, jobs, operators, panel, watching)
 
 
 def register() -> None:

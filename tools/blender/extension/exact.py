@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 from . import objects
 
-#: Attributes of a deformed mesh: where it rests, and its normals there.
-_REST, _NORMAL = "octex rest", "octex normal"
 #: Sockets of the shader: its inputs; and its outputs, a colour, a number or a direction.
 _INPUTS = {"Position": "Vector", "Normal": "Vector", "Filter": "Int", "ZUp": "Int", "File": "String"}
 _SOCKETS = {3: "NodeSocketColor", 1: "NodeSocketFloat", 0: "NodeSocketVector"}
@@ -22,8 +21,10 @@ def check_osl(context: bpy.types.Context) -> None:
         import _cycles
     except ImportError:
         _cycles = None
-    if not getattr(_cycles, "with_osl", False) or not hasattr(context.scene, "cycles"):
-        raise objects.ObjectError("Enable the add-on Cycles Render Engine, in a Blender that has OSL, first")
+    if _cycles is None or not hasattr(context.scene, "cycles"):
+        raise objects.ObjectError("Enable the add-on Cycles Render Engine first")
+    if not _cycles.with_osl:
+        raise objects.ObjectError("This Blender was built without OSL: bake to images, or use another")
 
 
 def show(
@@ -31,15 +32,17 @@ def show(
     chosen: bpy.types.Object,
     shader: Path,
     outputs: Sequence[tuple[str, int, str]],
+    rest: tuple[np.ndarray, np.ndarray] | None = None,
 ) -> None:
     """Show an object by a shader file with outputs: names, 3, 1 or 0 for a direction, and their channels.
 
-    Raises ObjectError if it does not compile.
+    A deformed object needs its rest: positions of vertices and normals of corners (n, 3). Raises ObjectError
+    if the shader does not compile.
     """
     code = compiled(shader)
-    is_deformed = bool(chosen.modifiers or chosen.data.shape_keys)
-    if is_deformed:
-        objects.set_rest(chosen, _REST, _NORMAL)
+    if rest is not None:
+        objects.set_vectors(chosen, objects.NORMAL, "CORNER", rest[1])
+        objects.set_vectors(chosen, objects.REST, "POINT", rest[0])
     context.scene.cycles.shading_system = True
     material, principled = objects.emptied(f"{chosen.name} octree exact")
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -51,8 +54,8 @@ def show(
             node.inputs.new(f"NodeSocket{kind}", name)
     node.inputs["Filter"].default_value, node.inputs["ZUp"].default_value = 2, 1
     node.inputs["File"].default_value = str(shader.with_name(f"{shader.name}.tif"))
-    if is_deformed:
-        for name, socket in ((_REST, "Position"), (_NORMAL, "Normal")):
+    if rest is not None:
+        for name, socket in ((objects.REST, "Position"), (objects.NORMAL, "Normal")):
             stored = nodes.new("ShaderNodeAttribute")
             stored.attribute_name = name
             stored.location = (-600, 0 if socket == "Position" else -200)

@@ -24,7 +24,7 @@ def main() -> None:
         wanted.objects = [job["object"]]
     (chosen,) = wanted.objects
     for name, file in job["pixels"].items():
-        bpy.data.images[name].pixels.foreach_set(np.load(folder / f"{file}.npy").reshape(-1))
+        bpy.data.images[name].pixels.foreach_set(np.fromfile(folder / file, np.float32))
     if job["form"] in ("model", "shown"):
         for _, node in objects.image_nodes(chosen, job["form"] == "shown"):
             if not node.image.size[0]:
@@ -36,7 +36,7 @@ def main() -> None:
             objects.write_model(bpy.context, chosen, folder / "model.glb", job["form"])
         except RuntimeError as error:  # it ends with what Blender's Python raised, and where
             said = [line for line in str(error).splitlines() if line and not line.startswith("Location:")]
-            sys.exit(f"Blender cannot write {chosen.name} as glTF: {said[-1]}")
+            sys.exit(f"Blender cannot write {job['name']} as glTF: {said[-1]}")
 
 
 if __name__ == "__main__":

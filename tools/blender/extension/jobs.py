@@ -8,12 +8,23 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .handover import Read
+
 _WORK = Path(__file__).with_name("work.py")
+#: Seconds between looks at a job that a script waits for.
+_PAUSE = 0.02
+#: Seconds that Blender waits for a thread when it ends.
+_LONGEST = 5.0
+
+
+_threads: set[threading.Thread] = set()  # of jobs whose files are still there
 
 
 class JobError(Exception):
@@ -26,20 +37,20 @@ def environment() -> dict[str, str]:
 
 
 class Job:
-    """A task of work.py: its progress, its end."""
+    """A task of work.py: its progress, its end. Without a task it only does what it is ``after``."""
 
-    def __init__(self, task: str, **job: Any) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="octex-")
+    def __init__(self, task: str = "", **job: Any) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="octex-", ignore_cleanup_errors=True)
         self.folder = Path(self._folder.name)
         self.stage, self.share = "", 0.0
         self.warnings: list[str] = []
         self._task, self._job = task, job
-        self._arrays: dict[str, np.ndarray] = {}
+        self._reads: dict[str, Read] = {}
         self._calls: list[tuple[list[str], dict[str, str] | None]] = []
         self._process: subprocess.Popen | None = None
-        self._reader: threading.Thread | None = None
         self._is_closed = False
         self._lines: queue.SimpleQueue = queue.SimpleQueue()
+        self._turns: queue.SimpleQueue = queue.SimpleQueue()  # values were read, or the job is closed
         self._answer: dict[str, Any] | None = None
 
     def given(self, **job: Any) -> "Job":
@@ -47,31 +58,53 @@ class Job:
         self._job.update(job)
         return self
 
-    def after(self, call: list[str], arrays: dict[str, np.ndarray]) -> "Job":
-        """Return this job to be done after a command, for which arrays are stored in its folder."""
+    def after(self, call: list[str]) -> "Job":
+        """Return this job to be done after a command."""
         self._calls.append((call, None))
-        self._arrays |= arrays
+        return self
+
+    def reading(self, reads: Mapping[str, Read]) -> "Job":
+        """Return this job with values that `poll` reads, to be stored before in files of its folder."""
+        self._reads |= reads
         return self
 
     def start(self) -> None:
         """Begin, in a thread that waits for the processes."""
         job = {"task": self._task, "folder": str(self.folder), **self._job}
         (self.folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
-        self._calls.append(([sys.executable, str(_WORK), str(self.folder / "job.json")], environment()))
-        self._reader = threading.Thread(target=self._run, daemon=True)
-        self._reader.start()
+        if self._task:
+            self._calls.append(([sys.executable, str(_WORK), str(self.folder / "job.json")], environment()))
+        else:
+            self._answer = {}
+        thread = threading.Thread(target=self._run, daemon=True)
+        _threads.add(thread)
+        thread.start()
 
     def _run(self) -> None:
         errors: list[str] = []
         try:
-            for name, values in self._arrays.items():
-                np.save(self.folder / f"{name}.npy", values)
+            for name, read in self._reads.items():
+                if not self._is_closed:
+                    self._store(name, read)
             for call, variables in self._calls:
                 if not errors and not self._is_closed:
                     errors = self._called(call, variables)
-        except OSError as error:
-            errors = [str(error)]
+        except (OSError, MemoryError) as error:
+            errors = [str(error) or "there is not enough memory"]
         self._lines.put(errors[-1:])
+        while not self._is_closed:
+            self._turns.get()
+        self._folder.cleanup()
+        _threads.discard(threading.current_thread())
+
+    def _store(self, name: str, read: Read) -> None:
+        """Have the window's thread read values into memory, and store them."""
+        values = np.empty(read.count, read.dtype)
+        values.fill(0)  # the first touch of memory takes ten times as long as the read
+        self._lines.put((read, values))
+        self._turns.get()
+        if not self._is_closed:
+            values.tofile(self.folder / name)
 
     def _called(self, call: list[str], variables: dict[str, str] | None) -> list[str]:
         """Run a command, pass what it says on, and return its complaints if it fails."""
@@ -93,9 +126,17 @@ class Job:
         )
 
     def poll(self) -> dict[str, Any] | None:
-        """Take what has arrived; return the answer once there is one. Raises JobError."""
+        """Take what has arrived, read what the job waits for, and return the answer once there is one.
+
+        Raises JobError, or ObjectError if values cannot be read.
+        """
         while not self._lines.empty():
             line = self._lines.get()
+            if isinstance(line, tuple):
+                read, values = line
+                read.into(values)
+                self._turns.put(None)
+                return None
             if isinstance(line, list):  # the process has ended
                 if self._answer is None:
                     raise JobError(line[0] if line else "octex has ended without an answer")
@@ -113,17 +154,27 @@ class Job:
 
     def wait(self) -> dict[str, Any]:
         """Wait for the answer."""
-        while True:
-            self._reader.join()
-            answer = self.poll()
-            if answer is not None:
-                return answer
+        while (answer := self.poll()) is None:
+            time.sleep(_PAUSE)
+        return answer
+
+    def array(self, name: str) -> np.ndarray:
+        """Return an array that the task has stored, unread: that would double the time to take it over."""
+        return np.load(self.folder / f"{name}.npy", mmap_mode="r")
 
     def close(self) -> None:
-        """End the process if it works, and remove its files."""
+        """End the process if it works; the thread then removes the files."""
         self._is_closed = True
+        self._turns.put(None)
         if self._process is not None and self._process.poll() is None:
             self._process.terminate()
-        if self._reader is not None:
-            self._reader.join()
-        self._folder.cleanup()
+
+
+def register() -> None:
+    """No job runs at first."""
+
+
+def unregister() -> None:
+    """Wait for the threads of jobs, which are all closed: Blender may end, and they with it."""
+    for thread in list(_threads):
+        thread.join(_LONGEST)

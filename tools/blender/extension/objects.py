@@ -5,8 +5,6 @@ octex works on the object's own mesh at rest: without modifiers, at the first sh
 Its rest positions have glTF's axes (y up), as in the model that the painting page shows.
 """
 
-import json
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +14,8 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+#: Attributes of a deformed mesh: where it rests, and its normals there.
+REST, NORMAL = "octex rest", "octex normal"
 #: Names of the colour attribute and of the UV map, which differ, and the mark of the extension's materials.
 NAME, UV_MAP, MARK = "octex", "octex UV", "octex"
 #: The property of baked materials that names the image of base colour.
@@ -49,6 +49,12 @@ def mesh_object(context: bpy.types.Context) -> bpy.types.Object:
     return chosen
 
 
+def found(name: str, uid: int) -> bpy.types.Object | None:
+    """Return an object by its session_uid: it may be renamed; or by its name: the file may be read again."""
+    same = (each for each in bpy.data.objects if each.session_uid == uid)
+    return next(same, None) or bpy.data.objects.get(name)
+
+
 def check_editable(chosen: bpy.types.Object) -> None:
     """Raise ObjectError for an object or a mesh that another file owns: it can show no bake."""
     for each in (chosen, chosen.data):
@@ -76,35 +82,6 @@ def texture_path(chosen: bpy.types.Object, exists: bool = True) -> Path:
 
 
 # To octex
-
-
-def hand_over(chosen: bpy.types.Object, folder: Path, form: str) -> tuple[list[str], dict[str, np.ndarray]]:
-    """Write an object to a folder, for a Blender of its own, which takes its time to make of it a form.
-
-    That is its "arrays", a "model" with the mesh's materials or with those that are "shown", or such a model
-    "without images". Returns the command that makes it, and what must be stored before: the pixels of images
-    that are not saved.
-    """
-    pixels: dict[str, np.ndarray] = {}
-    files = {}
-    nodes = image_nodes(chosen, form == "shown") if form in ("model", "shown") else ()
-    for image in {node.image for _, node in nodes}:
-        if image.is_dirty:
-            files[image.name] = f"pixels-{len(files)}"
-            pixels[files[image.name]] = values = np.empty(len(image.pixels), np.float32)
-            image.pixels.foreach_get(values)
-    if chosen.library is None:
-        blend = str(folder / "object.blend")
-        bpy.data.libraries.write(blend, {chosen}, path_remap="ABSOLUTE")
-    else:
-        blend = bpy.path.abspath(chosen.library.filepath)
-    job = {"folder": str(folder), "blend": blend, "object": chosen.name, "form": form, "pixels": files}
-    (folder / "export.json").write_text(json.dumps(job), encoding="utf-8")
-    script, given = str(Path(__file__).with_name("export.py")), str(folder / "export.json")
-    if not bpy.app.binary_path:  # Blender is a module
-        return [sys.executable, script, given], pixels
-    call = [bpy.app.binary_path, "--background", "--factory-startup", "--python-exit-code", "1"]
-    return [*call, "--python", script, "--", given], pixels
 
 
 def rotated(positions: np.ndarray) -> np.ndarray:
@@ -144,7 +121,7 @@ def posed_positions(context: bpy.types.Context, chosen: bpy.types.Object) -> np.
 
 
 def write_model(context: bpy.types.Context, chosen: bpy.types.Object, path: Path, form: str) -> None:
-    """Write an object as .glb, at rest, in its own axes, in one of the forms of models: see `hand_over`."""
+    """Write an object as .glb, at rest, in its own axes, in one of the forms of models: see `handover`."""
     shown, images = form == "shown", "NONE" if form == "without images" else "AUTO"
     with _alone(chosen, shown) as scene, context.temp_override(scene=scene, view_layer=scene.view_layers[0]):
         bpy.ops.export_scene.gltf(
@@ -211,7 +188,7 @@ def check_images(chosen: bpy.types.Object, shown: bool = False) -> list[str]:
     for _, node in image_nodes(chosen, shown):
         if node.image.source == "TILED":
             raise ObjectError(f"{node.image.name} has UDIM tiles: bake it to one image first")
-        if _is_missing(node.image):
+        if is_missing(node.image):
             raise ObjectError(f"{node.image.name} is missing: find or remove it first")
     complaints = []
     for material in _materials(chosen, shown):
@@ -226,42 +203,11 @@ def check_images(chosen: bpy.types.Object, shown: bool = False) -> list[str]:
     return complaints
 
 
-def _is_missing(image: bpy.types.Image) -> bool:
+def is_missing(image: bpy.types.Image) -> bool:
     """Return whether an image has neither data nor a file; its size would have Blender read the file."""
     if image.has_data or image.packed_file is not None or image.source == "GENERATED":
         return False
     return not Path(bpy.path.abspath(image.filepath, library=image.library)).is_file()
-
-
-def photographs(context: bpy.types.Context, folder: Path, required: bool) -> list[dict]:
-    """Return the picture, size, lens and pose of each camera object with a background image.
-
-    Raises ObjectError if one cannot be used, or if one is ``required`` and there is none.
-    """
-    made = []
-    for camera in context.scene.objects:
-        if camera.type != "CAMERA":
-            continue
-        images = [each.image for each in camera.data.background_images if each.image is not None]
-        if images:
-            made.append(_photograph(camera, images[0], folder))
-    if required and not made:
-        raise ObjectError("No camera has a background image; give each camera its photograph there")
-    return made
-
-
-def _photograph(camera: bpy.types.Object, image: bpy.types.Image, folder: Path) -> dict:
-    if _is_missing(image):
-        raise ObjectError(f"{camera.name}: its background image {image.name} is missing")
-    path = Path(bpy.path.abspath(image.filepath, library=image.library))
-    own = folder / bpy.path.clean_name(camera.name)
-    if image.packed_file is not None and not image.is_dirty:
-        path = own.with_suffix(path.suffix)
-        path.write_bytes(image.packed_file.data)
-    elif image.is_dirty or not path.is_file():
-        path = own.with_suffix(".png")
-        image.save(filepath=str(path))
-    return {"image": str(path), "since": camera.get(VIEW, ""), **lens_and_pose(camera)}
 
 
 def lens_and_pose(camera: bpy.types.Object) -> dict:
@@ -325,7 +271,7 @@ def loaded(path: Path) -> bpy.types.Image:
 
 def set_colors(chosen: bpy.types.Object, colors: np.ndarray) -> None:
     """Store colours (corners, 4), linear light, as the colour attribute that is shown and drawn."""
-    _check_same(chosen, len(colors))
+    _check_same(chosen, len(chosen.data.loops), len(colors))
     attributes = chosen.data.color_attributes
     attribute = attributes.get(NAME)
     if attribute is not None and (attribute.domain, attribute.data_type) != ("CORNER", "FLOAT_COLOR"):
@@ -339,15 +285,15 @@ def set_colors(chosen: bpy.types.Object, colors: np.ndarray) -> None:
     chosen.data.update()
 
 
-def _check_same(chosen: bpy.types.Object, corners: int) -> None:
-    """Raise ObjectError if a mesh has not as many corners as when a job began."""
-    if chosen.mode == "EDIT" or len(chosen.data.loops) != corners:
+def _check_same(chosen: bpy.types.Object, count: int, before: int) -> None:
+    """Raise ObjectError if a mesh has not as many vertices or corners as when a job began."""
+    if chosen.mode == "EDIT" or count != before:
         raise ObjectError(f"{chosen.name} was edited meanwhile; bake it again in Object Mode")
 
 
 def set_uv(chosen: bpy.types.Object, values: np.ndarray) -> None:
     """Store texture coordinates of corners (corners, 2) as a UV map; raises ObjectError."""
-    _check_same(chosen, len(values))
+    _check_same(chosen, len(chosen.data.loops), len(values))
     layers = chosen.data.uv_layers
     layer = layers.get(UV_MAP) or layers.new(name=UV_MAP)
     if layer is None:
@@ -356,20 +302,16 @@ def set_uv(chosen: bpy.types.Object, values: np.ndarray) -> None:
     chosen.data.update()
 
 
-def set_rest(chosen: bpy.types.Object, place: str, normal: str) -> None:
-    """Store where the mesh rests, and its normals there, as attributes of these names, in its own axes."""
-    mesh = chosen.data
-    at_rest = mesh.shape_keys.reference_key.data if mesh.shape_keys else mesh.vertices
-    for name, domain, values in (
-        (place, "POINT", _read(at_rest, "co", 3)),
-        (normal, "CORNER", _read(mesh.corner_normals, "vector", 3)),
-    ):
-        stored = mesh.attributes.get(name)
-        if stored is not None and (stored.domain, stored.data_type) != (domain, "FLOAT_VECTOR"):
-            mesh.attributes.remove(stored)
-            stored = None
-        stored = stored or mesh.attributes.new(name, "FLOAT_VECTOR", domain)
-        stored.data.foreach_set("vector", values.reshape(-1))
+def set_vectors(chosen: bpy.types.Object, name: str, domain: str, values: np.ndarray) -> None:
+    """Store vectors (n, 3) of vertices or corners as an attribute; raises ObjectError."""
+    attributes = chosen.data.attributes
+    stored = attributes.get(name)
+    if stored is not None and (stored.domain, stored.data_type) != (domain, "FLOAT_VECTOR"):
+        attributes.remove(stored)
+        stored = None
+    stored = stored or attributes.new(name, "FLOAT_VECTOR", domain)
+    _check_same(chosen, len(stored.data), len(values))
+    stored.data.foreach_set("vector", values.reshape(-1))
 
 
 def show(chosen: bpy.types.Object, baked: Sequence[dict[str, Any]] = ()) -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from . import exact, objects, watching
+from . import exact, handover, objects, watching
 from .jobs import Job, JobError
 
 #: Seconds between looks at a job: the window never waits longer.
@@ -33,7 +33,7 @@ class Working:
 
     def chosen(self) -> bpy.types.Object:
         """Return the object that the job is of; raises ObjectError if it is gone."""
-        found = bpy.data.objects.get(self.target)
+        found = objects.found(self.target, self.uid)
         if found is None:
             raise objects.ObjectError(f"{self.target} is gone; nothing was changed")
         return found
@@ -49,7 +49,7 @@ class Working:
         """Start the job, or report why there is none."""
         try:
             chosen = objects.mesh_object(context)
-            self.target = chosen.name
+            self.target, self.uid = chosen.name, chosen.session_uid
             self.job = self.begin(context, chosen)
         except objects.ObjectError as error:
             self.report({"ERROR"}, str(error))
@@ -62,7 +62,7 @@ class Working:
             return {"CANCELLED"}
         try:
             return self._finished(context, self.job.wait())
-        except JobError as error:
+        except (JobError, objects.ObjectError) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         finally:
@@ -87,7 +87,7 @@ class Working:
         try:
             answer = self.job.poll()
             result = {"PASS_THROUGH"} if answer is None else self._finished(context, answer)
-        except JobError as error:
+        except (JobError, objects.ObjectError) as error:
             self.report({"ERROR"}, str(error))
         finally:
             if result != {"PASS_THROUGH"}:
@@ -172,17 +172,16 @@ class OCTEX_OT_images(Working, bpy.types.Operator):
         given = {"name": chosen.name, "texture": str(texture), "output": str(texture)}
         given["texture_size"] = settings.texture_size
         given["layout"] = settings.layout
-        if settings.layout == "ATLAS":
-            return job_of("images", chosen, **given)
-        if not chosen.data.uv_layers:
+        given["shown"], pixels = handover.baked_images(chosen)
+        if settings.layout == "KEEP" and not chosen.data.uv_layers:
             raise objects.ObjectError(f"{chosen.name} has no UV map; choose new UVs")
-        return job_of("images", chosen, "without images", **given)
+        form = "arrays" if settings.layout == "ATLAS" else "without images"
+        return job_of("images", chosen, form, **given).reading(pixels)
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         chosen = self.chosen()
-        uv = self.job.folder / "uv.npy"
-        if uv.exists():
-            objects.set_uv(chosen, np.load(uv))
+        if (self.job.folder / "uv.npy").exists():
+            objects.set_uv(chosen, self.job.array("uv"))
         for each in answer["materials"]:
             each["maps"] = {name: _image(path, name) for name, path in each["maps"].items()}
         objects.show(chosen, answer["materials"])
@@ -205,7 +204,10 @@ class OCTEX_OT_exact(Working, bpy.types.Operator):
         )
 
     def finish(self, context: bpy.types.Context, answer: dict[str, Any]) -> str:
-        exact.show(context, self.chosen(), Path(answer["shader"]), answer["outputs"])
+        chosen, rest = self.chosen(), None
+        if chosen.modifiers or chosen.data.shape_keys:
+            rest = self.job.array("rest"), self.job.array("normals")
+        exact.show(context, chosen, Path(answer["shader"]), answer["outputs"], rest)
         if context.scene.render.engine != "CYCLES":
             self.report({"WARNING"}, "Choose Cycles as the render engine: no other has the OSL node")
         return f"Cycles reads {Path(answer['shader']).name}.tif"
@@ -219,16 +221,14 @@ class OCTEX_OT_photographs(Working, bpy.types.Operator):
 
     def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         output = objects.texture_path(chosen, exists=False)
-        job = job_of(
+        cameras = bpy.path.abspath(chosen.octex.cameras) if chosen.octex.cameras else ""
+        pictures, reads = handover.photographs(context, not cameras)
+        return job_of(
             "photographs", chosen, name=chosen.name, depth=chosen.octex.depth, output=str(output),
             texture=str(output) if output.exists() else "", posed=objects.posed_positions(context, chosen),
-        )  # fmt: skip
-        mirrored = chosen.matrix_world.determinant() < 0  # its front then faces inwards
-        cameras = bpy.path.abspath(chosen.octex.cameras) if chosen.octex.cameras else ""
-        return job.given(
-            photographs=objects.photographs(context, job.folder, not cameras), cameras=cameras,
-            mirrored=mirrored,
-        )  # fmt: skip
+            photographs=pictures, cameras=cameras,
+            mirrored=chosen.matrix_world.determinant() < 0,  # its front then faces inwards
+        ).reading(reads)  # fmt: skip
 
     def finish(self, _context: bpy.types.Context, answer: dict[str, Any]) -> str:
         return f"{objects.texture_path(self.chosen()).name}: {answer['cells']:,} cells"
@@ -317,11 +317,11 @@ def job_of(
 ) -> Job:
     """Return a job that begins with an object in a form, and where its vertices are seen: see `hand_over`."""
     job = Job(task, **given)
-    call, arrays = objects.hand_over(chosen, job.folder, form)
+    call, reads = handover.hand_over(chosen, job.folder, form)
     if posed is not None:
-        arrays["posed"] = posed
+        np.save(job.folder / "posed.npy", posed)
         job.given(matrix=[list(row) for row in chosen.matrix_world])
-    return job.after(call, arrays)
+    return job.after(call).reading(reads)
 
 
 def colors_job(chosen: bpy.types.Object) -> Job:
@@ -333,7 +333,7 @@ def colors_job(chosen: bpy.types.Object) -> Job:
 
 def take_colors(chosen: bpy.types.Object, job: Job) -> None:
     """Store the colours of a job that has ended."""
-    objects.set_colors(chosen, np.load(job.folder / "colors.npy"))
+    objects.set_colors(chosen, job.array("colors"))
 
 
 _CLASSES = (

@@ -33,7 +33,7 @@ class OCTEX_PT_main(bpy.types.Panel):
         box.prop(settings, "depth")
         box.operator("octex.make", icon="SHADING_TEXTURE")
         layout.operator("octex.paint", icon="BRUSH_DATA")
-        for line in textwrap.wrap(failures.get(chosen.name, ""), 40):
+        for line in textwrap.wrap(failures.get(chosen.session_uid, ""), 40):
             layout.label(text=line, icon="ERROR")
         layout.operator("octex.view", icon="VIEW_CAMERA")
         layout.operator("octex.strokes", icon="TPAINT_HLT")

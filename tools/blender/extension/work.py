@@ -111,6 +111,8 @@ def images(job: dict[str, Any]) -> dict[str, Any]:
     """Bake images of the texture: of each material at the mesh's own UVs, or one set at new ones."""
     texture = octex.open(job["texture"])
     folder, output = Path(job["folder"]), Path(job["output"])
+    for path, pixels in job["shown"].items():
+        check_taken(Path(path), folder / pixels if pixels else None)
     if job["layout"] == "KEEP":
         surface, layout = octex.load_surface(model_of(job), normals=True), "keep"
     else:
@@ -139,7 +141,29 @@ def images(job: dict[str, Any]) -> dict[str, Any]:
     return {"materials": made}
 
 
-def unpainted(image: str) -> Path:
+def check_taken(image: Path, pixels: Path | None) -> None:
+    """Refuse to bake over an image, perhaps with unsaved pixels, that was painted on since it was baked."""
+    before = unpainted(image)
+    if not before.is_file() or not (pixels or image).is_file():
+        return
+    old = read_image_file(before)[0]
+    if pixels is None:
+        texels = read_image_file(image)[0]
+    else:
+        texels = _CODE * np.rint(255 * np.fromfile(pixels, np.float32)).astype(np.uint16)
+        texels = texels.reshape(old.shape)[::-1] if texels.size == old.size else texels
+    if texels.shape != old.shape or strokes_on(texels, old).any():
+        raise octex.OctexError(
+            f"{image.name} was painted on: take that over first, or delete {before.name} to lose it"
+        )
+
+
+def strokes_on(texels: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Return which texels of an image (h, w) were painted on."""
+    return np.abs(np.subtract(texels, before, dtype=np.int32))[..., :3].max(axis=2) > _CODE
+
+
+def unpainted(image: str | Path) -> Path:
     """Return the path of the copy that shows what was painted on a baked image."""
     return Path(image).with_name(f"{Path(image).stem}-before.png")
 
@@ -156,9 +180,15 @@ def at_corners(corners: np.ndarray, uv: np.ndarray) -> np.ndarray:
 
 
 def exact(job: dict[str, Any]) -> dict[str, Any]:
-    """Write a shader of the texture, and the image that it reads."""
+    """Write a shader of the texture, the image that it reads, and where the mesh rests."""
     texture = octex.open(job["texture"])
-    surface_of(job)[0].placed_on(texture)
+    surface, mesh = surface_of(job)
+    surface.placed_on(texture)
+    normals = np.empty((int(mesh["corners"].max()) + 1, 3))
+    normals[mesh["corners"]] = mesh["normals"]
+    for name, values in (("rest", mesh["rest"]), ("normals", normals)):
+        upright = values[:, [0, 2, 1]] * (1, -1, 1)
+        np.save(Path(job["folder"]) / f"{name}.npy", upright.astype(np.float32))
     octex.write_osl(texture, job["output"])
     forms = [each.format for each in texture.channels.values() if each.format.components <= 3]
     kinds = [0 if form.space == "direction" else 1 if form.components == 1 else 3 for form in forms]
@@ -183,7 +213,7 @@ def strokes(job: dict[str, Any]) -> dict[str, Any]:
         texels, old = image.texels.copy(), read_image_file(before)[0]
         if old.shape != texels.shape:
             raise octex.OctexError(f"the image of {material.name} was resized: bake to images first")
-        is_painted = np.abs(np.subtract(texels, old, dtype=np.int32))[..., :3].max(axis=2) > _CODE
+        is_painted = strokes_on(texels, old)
         texels[..., 3] = 65535 * is_painted
         n_painted += int(is_painted.sum())
         taken[before] = image_file(image.texels, slice(3))[0]
@@ -225,6 +255,19 @@ def camera_of(given: dict[str, Any], size: Sequence[int]) -> octex.Camera:
     )  # fmt: skip
 
 
+def picture_of(given: dict[str, Any], folder: Path) -> tuple[Path | np.ndarray, Sequence[int]]:
+    """Return a photograph's file, or its pixels if it is in no file, and its width and height."""
+    path = folder / given["image"]
+    if "pixels" not in given:
+        return path, image_size(path)
+    width, height, components = given["pixels"]
+    pixels = np.fromfile(path, np.float32).reshape(height, width, components)[::-1]
+    if not given["is_linear"]:
+        return np.rint(255 * pixels).astype(np.uint8), (width, height)
+    pixels[..., :3] /= np.maximum(pixels[..., 3:], 1e-6) if components == 4 else 1  # it is premultiplied
+    return pixels, (width, height)
+
+
 def of_files(path: Path) -> list[octex.Projection]:
     """Return the pictures of a camera file, or of a folder with a COLMAP model, as far as they are there."""
     folder = path if path.is_dir() else path.parent
@@ -253,10 +296,9 @@ def photographs(job: dict[str, Any]) -> dict[str, Any]:
     """Project photographs onto the mesh, into its texture or a new one."""
     surface, _ = surface_of(job)
     pictures = [
-        octex.Projection(
-            each["image"], camera_of(each, image_size(Path(each["image"]))), since=each["since"] or None
-        )
+        octex.Projection(image, camera_of(each, size), since=each["since"] or None)
         for each in job["photographs"]
+        for image, size in [picture_of(each, Path(job["folder"]))]
     ]
     if job["cameras"]:
         pictures += of_files(Path(job["cameras"]))
