@@ -212,7 +212,7 @@ def test_keys_and_the_picker_set_the_brush(studio, page):
     assert page.evaluate("viewer.painting.status.steps") == ["Fill a part"]
 
 
-@pytest.mark.parametrize("size", [(1180, 760), (800, 340), (844, 390), (390, 780)])
+@pytest.mark.parametrize("size", [(1180, 760), (800, 340), (640, 340), (844, 390), (390, 780)])
 def test_each_tool_is_within_the_window_and_each_control_within_the_panel(size, page):
     page.set_viewport_size({"width": size[0], "height": size[1]})
     page.evaluate("document.getElementById('flat').hidden = false")
