@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -59,8 +59,6 @@ _KNOWN = 0.5
 _MOST_CELLS = 1 << 21
 #: Levels from the filled cells up to the blocks in which uncovered surface is found.
 _BLOCK = 3
-#: Leaves whose coverage is found at once.
-_ROWS = 1 << 20
 #: Weight that ties unknown values to the mean of the known ones, which parts without any get.
 _HOLD = 1e-9
 
@@ -200,32 +198,22 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
     else:
         kept = np.zeros((tree.kept.cells.size, 1), form.dtype)
         clear, clear_rows = np.ones(tree.n_cells, np.float32), np.ones(rows.rows.size, np.float32)
-    for layer, level, leaves, codes in _leaf_blocks(tree, layers):
-        sources, coverage = _coverage_at(layer, codes, level)
-        clear[leaves] *= 1 - coverage
-        first, end = np.searchsorted(rows.cells, [leaves[0], leaves[-1] + 1])
-        chosen = first + np.flatnonzero(of_leaves[first:end])
-        at = np.searchsorted(leaves, rows.cells[chosen])
-        facing = rows_facing(layer, layer.channels[ALPHA.name], sources[at], rows.bits[chosen])[:, 0]
-        has_paint = (layer.tree.arrays.flags[sources[at]] & rows.bits[chosen] != 0) & (coverage[at] > 0)
-        clear_rows[chosen] *= 1 - np.where(has_paint, facing, np.float32(0))
+    for layer in layers:
+        for level, (codes, is_node) in enumerate(tree.walk()):
+            chosen = np.flatnonzero(~is_node)
+            sources, coverage = _coverage_at(layer, codes[chosen], level)
+            leaves = chosen + tree.arrays.level_cells[level]
+            clear[leaves] *= 1 - coverage
+            chosen = np.flatnonzero(of_leaves & among(rows.cells, leaves))
+            at = np.searchsorted(leaves, rows.cells[chosen])
+            facing = rows_facing(layer, layer.channels[ALPHA.name], sources[at], rows.bits[chosen])[:, 0]
+            has_paint = (layer.tree.arrays.flags[sources[at]] & rows.bits[chosen] != 0) & (coverage[at] > 0)
+            clear_rows[chosen] *= 1 - np.where(has_paint, facing, np.float32(0))
     values, split_values = (encode(1 - each[:, None], form.dtype, form.space) for each in (clear, clear_rows))
     channel = Channel(form, values, split_values, kept)
     average(texture, channel)
     channels = {**texture.channels, COVERED: channel}
     return texture.with_cells(tree, channels)
-
-
-def _leaf_blocks(
-    tree: Octree, layers: Sequence[OctreeTexture]
-) -> Iterator[tuple[OctreeTexture, int, Int64s, Int64s]]:
-    """Yield for each layer the leaves of a tree in blocks: their level, cells and codes."""
-    for layer in layers:
-        for level, (codes, is_node) in enumerate(tree.walk()):
-            leaves = np.flatnonzero(~is_node)
-            for begin in range(0, leaves.size, _ROWS):
-                part = leaves[begin : begin + _ROWS]
-                yield layer, level, part + tree.arrays.level_cells[level], codes[part]
 
 
 def _coverage_at(layer: OctreeTexture, codes: Int64s, level: int) -> tuple[Int64s, Float32s]:
