@@ -56,6 +56,7 @@ def _loudness(pixels: Float32s, is_light: bool) -> Float32s:
     rows, columns = pixels.shape[0] // _PATCH, pixels.shape[1] // _PATCH
     found = np.zeros((rows, columns, 3), np.float32)
     line = np.full((4, pixels.shape[1] + 6), np.float32(-1.0))
+    loud = np.empty(columns * _PATCH, np.float32)
     for row in range(rows * _PATCH):
         _read(pixels, row, line)
         a = line[3]
@@ -66,8 +67,9 @@ def _loudness(pixels: Float32s, is_light: bool) -> Float32s:
                 near = _beside(v, a, column)
                 change, _ = _change(here, alpha, near)
                 is_known = _DARKEST * alpha < here < _LIGHTEST * alpha
-                loud = change * change / _square(here, alpha, is_light) if is_known else np.float32(np.inf)
-                found[row // _PATCH, column // _PATCH, part] += loud / np.float32(_PATCH * _PATCH)
+                loud[column] = change * change / _square(here, alpha, is_light) if is_known else np.inf
+            for column in range(columns * _PATCH):
+                found[row // _PATCH, column // _PATCH, part] += loud[column] / np.float32(_PATCH * _PATCH)
     return found
 
 
