@@ -15,7 +15,7 @@ from octex.conversion.levels import assemble, cell_levels
 from octex.editing.averages import average, with_summed_areas
 from octex.editing.draft import Tiles
 from octex.editing.nodes import all_leaves, nodes_at
-from octex.editing.refined import Below, refined_below, refined_rows, with_rows
+from octex.editing.refined import Below, refined_below, refined_rows, refined_values, with_rows
 from octex.editing.runs import carried
 from octex.editing.split import refaced, rows_facing
 from octex.errors import ArgumentError, own_making
@@ -33,7 +33,6 @@ from octex.painting.blend import (
     writable,
 )
 from octex.painting.layer import COVERAGE, Paint, blocks_meeting, empty_texture, painted_channel
-from octex.painting.merge import paint_by_tiles
 from octex.painting.multigrid import added, graph_of, solve
 from octex.painting.options import Fill
 from octex.painting.picture import Blend
@@ -199,23 +198,34 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
     else:
         kept = np.zeros((tree.kept.cells.size, 1), form.dtype)
         clear, clear_rows = np.ones(tree.n_cells, np.float32), np.ones(rows.rows.size, np.float32)
-    for painted, paint in (each for layer in layers for each in paint_by_tiles(texture, layer)):
-        alpha = painted.channels[ALPHA.name]
-        for level, each in enumerate(paint):
-            where = locate(tree, each.codes, level)
-            is_leaf = where.is_leaf & (where.levels == level)
-            cells, sources = where.cells[is_leaf], each.cells[is_leaf]
-            clear[cells] *= 1 - each.coverage[is_leaf]
-            chosen = np.flatnonzero(of_leaves)[among(rows.cells[of_leaves], cells)]
-            at = np.searchsorted(cells, rows.cells[chosen])
-            facing = rows_facing(painted, alpha, sources[at], rows.bits[chosen])[:, 0]
-            facing[painted.tree.arrays.flags[sources[at]] & rows.bits[chosen] == 0] = 0
-            clear_rows[chosen] *= 1 - facing
+    for layer in layers:
+        for level, (codes, is_node) in enumerate(tree.walk()):
+            chosen = np.flatnonzero(~is_node)
+            sources, coverage = _coverage_at(layer, codes[chosen], level)
+            leaves = chosen + tree.arrays.level_cells[level]
+            clear[leaves] *= 1 - coverage
+            chosen = np.flatnonzero(of_leaves & among(rows.cells, leaves))
+            at = np.searchsorted(leaves, rows.cells[chosen])
+            facing = rows_facing(layer, layer.channels[ALPHA.name], sources[at], rows.bits[chosen])[:, 0]
+            has_paint = (layer.tree.arrays.flags[sources[at]] & rows.bits[chosen] != 0) & (coverage[at] > 0)
+            clear_rows[chosen] *= 1 - np.where(has_paint, facing, np.float32(0))
     values, split_values = (encode(1 - each[:, None], form.dtype, form.space) for each in (clear, clear_rows))
     channel = Channel(form, values, split_values, kept)
     average(texture, channel)
     channels = {**texture.channels, COVERED: channel}
     return texture.with_cells(tree, channels)
+
+
+def _coverage_at(layer: OctreeTexture, codes: Int64s, level: int) -> tuple[Int64s, Float32s]:
+    """Return the layer's cells at or above cells (n,) of a level, and how much of these it covers."""
+    where, alpha = locate(layer.tree, codes, level), layer.channels[ALPHA.name]
+    found = decode(alpha.values[where.cells, 0], "data")
+    finer = np.flatnonzero(where.levels < level)
+    found[finer] = 0.0
+    finer = finer[where.is_leaf[finer]]
+    if finer.size:
+        found[finer] = refined_values(layer.tree, {ALPHA.name: alpha}, codes[finer], level)[ALPHA.name][:, 0]
+    return where.cells, found
 
 
 #: Coverage that hides the fill.

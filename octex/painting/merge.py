@@ -6,7 +6,7 @@ texture, and the draft's tiles go into the result. The nodes above the tiles are
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from itertools import islice
 from typing import NamedTuple, TypeAlias
 
@@ -38,7 +38,7 @@ from octex.errors import ArgumentError, own_making
 from octex.painting.blend import Merge, Merged, averaged_above, no_parts
 from octex.painting.layer import Paint, channel_of, paint_of
 from octex.painting.picture import BLENDS, Blend
-from octex.painting.steps import delete_paint, merge_draft, refine_paint
+from octex.painting.steps import delete_paint, merge_draft
 from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, ordered_map, sharing, silent, workers
 from octex.source.surface import Surface, as_surface
@@ -239,19 +239,6 @@ def _merge_pieces(task: Merge, pieces: Sequence[Tiles]) -> Change | None:
         top = averaged_above(task, before, _top(before, task.layer, merged_pieces))
         made = put_together(delete_paint(top), texture, [(each.tiles, each.whole) for each in merged_pieces])
     return change_in(Tiles(level, np.concatenate([each.codes for each in pieces])), texture, made)
-
-
-def paint_by_tiles(
-    texture: OctreeTexture, layer: OctreeTexture
-) -> Iterator[tuple[OctreeTexture, list[Paint]]]:
-    """Yield for each piece the layer around it, and its paint on the texture's leaves."""
-    pieces = pieces_of(texture, layer, coarsest_near_layer(texture, layer))
-    if pieces is None:
-        yield layer, refine_paint(paint_of(layer, 1.0), layer, texture.tree, 1.0)
-        return
-    for level, codes in pieces:
-        part = cut_out(layer, Tiles(level, with_boundary(codes, level)))
-        yield part, refine_paint(_inside(paint_of(part, 1.0), codes, level), part, texture.tree, 1.0)
 
 
 def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:

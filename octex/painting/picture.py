@@ -26,7 +26,7 @@ from octex.errors import ArgumentError, ImageError
 from octex.files import open_file
 from octex.jit import inlined, kernel
 from octex.painting.resume import NOT_STORED, Stages, digest_of
-from octex.painting.sharpened import sharpened
+from octex.painting.sharpened import sharpen
 from octex.painting.unwrap import Patch
 from octex.parallel import Run, folder_of, usual_memory
 from octex.source.images.decode import as_texels, orientation_of, read_image_file, turned
@@ -202,7 +202,7 @@ def _window_of(
     for above, level in pairwise(mips):
         level[:] = resized(above, *level.shape[:2])
     if (limits[0] != limits[1]).any():
-        pixels[:] = sharpened(pixels, form.space in ("srgb", "linear"))
+        sharpen(pixels, form.space in ("srgb", "linear"))
     return {"pixels": rows, "sizes": sizes, "range": limits, "window": np.array(window, np.int64)}
 
 

@@ -151,7 +151,8 @@ def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
 def order_key(camera: View, K: Float64s, lens: Float64s, mips: Mips) -> bytes:
     """Return a digest of a camera and a picture, by which `in_fixed_order` sorts."""
     made = hashlib.sha256(bytes([camera.is_pinhole]))
-    for array in (camera.world_to_camera, camera.K, K, lens, mips.pixels):
+    smaller = mips.pixels[mips.sizes[min(1, len(mips.sizes) - 1), 0] :]  # its first mip has all that differs
+    for array in (camera.world_to_camera, camera.K, K, lens, smaller):
         made.update(np.ascontiguousarray(array).data)
     return made.digest()
 
@@ -230,11 +231,8 @@ class Projected(PaintSource):
     def _counts(self, shot: Shot) -> Int32s:
         """Return the pixels of a shot that see triangles (m,); upper bounds where hidden ones are painted."""
         if self.terms.hidden:
-            return _pixels_under(shot.camera, _summed(shot.seen.rows >= 0), self.vertices, self.triangles)
-        counts, seen = np.zeros(len(self.triangles), np.int32), shot.seen
-        pixels = np.bincount(seen.rows.ravel() + 1, minlength=len(seen.triangles) + 1)[1:]
-        counts[seen.triangles[pixels > 0]] = pixels[pixels > 0]
-        return counts
+            return _pixels_under(shot.camera, _summed(shot.seen.rows), self.vertices, self.triangles)
+        return _pixels_of(shot.seen, len(self.triangles))
 
     def near(self, triangles: Int32s) -> Projected:
         """Return this paint, with the normals of these triangles only."""
@@ -249,7 +247,7 @@ class Projected(PaintSource):
         mesh = self.vertices, self.triangles, rest
         back_faces = self.terms.back_faces or blocks.bits > SMALL_BITS  # larger blocks count for cells above
         for shot in self.shots:
-            seen = _summed(shot.seen.rows >= 0)
+            seen = _summed(shot.seen.rows)
             _mark_seen(shot.camera, seen, *mesh, back_faces, blocks, corners, edge, found)
         return found
 
@@ -370,10 +368,27 @@ class Projected(PaintSource):
         return widths
 
 
-def _summed(marked: Bools) -> Int32s:
-    """Return the summed-area table (height + 1, width + 1) of marked pixels."""
-    counts = np.zeros(np.add(marked.shape, 1), np.int32)
-    np.cumsum(np.cumsum(marked, 0, np.int32), 1, out=counts[1:, 1:])
+@kernel
+def _pixels_of(seen: Visibility, count: int) -> Int32s:
+    """Return the pixels that see each of ``count`` triangles."""
+    found = np.zeros(count, np.int32)
+    for row in range(seen.rows.shape[0]):
+        for column in range(seen.rows.shape[1]):
+            if seen.rows[row, column] >= 0:
+                found[seen.triangles[seen.rows[row, column]]] += 1
+    return found
+
+
+@kernel
+def _summed(rows: Int32s) -> Int32s:
+    """Return the summed-area table (height + 1, width + 1) of the pixels that see a triangle."""
+    height, width = rows.shape
+    counts = np.zeros((height + 1, width + 1), np.int32)
+    for row in range(height):
+        total = 0
+        for column in range(width):
+            total += rows[row, column] >= 0
+            counts[row + 1, column + 1] = counts[row, column + 1] + total
     return counts
 
 

@@ -13,12 +13,14 @@ from octex.jit import inlined, kernel
 
 #: Weights of pixels 1, 2 and 3 away along one axis: the inverse of a pixel's average over the spline of
 #: Catmull and Rom, (−1, 7.2, 64.4, 7.2, −1) / 76.8. The omitted weights sum to 0.0003.
-_TAPS = (-0.14336, 0.03579, -0.00638)
+_NEXT, _SECOND, _THIRD = np.float32(-0.14336), np.float32(0.03579), np.float32(-0.00638)
 
 _LIMIT = np.float32(4.0)
 
 #: Deviation of the change along one axis for noise of deviation 1.
-_GAIN = float(np.sqrt(2 * sum(tap**2 for tap in _TAPS) + (2 * sum(_TAPS)) ** 2))
+_GAIN = float(
+    np.sqrt(2 * (_NEXT**2 + _SECOND**2 + _THIRD**2) + 4 * (_NEXT + _SECOND + _THIRD) ** 2, dtype=np.float64)
+)
 #: Deviations of noise up to which a change is dropped.
 _DEVIATIONS = 3.0
 #: Noise is measured in the quietest tenth of square patches, of so many pixels each way, where it is 1.2
@@ -30,20 +32,19 @@ _MOST = 5.0 / 255.0
 _DARKEST, _LIGHTEST = np.float32(0.0006), np.float32(0.955)
 
 
-def sharpened(pixels: Float32s, is_light: bool = True) -> Float32s:
-    """Return pixels (height, width, 4), colours times alpha, as values at their centres.
+def sharpen(pixels: Float32s, is_light: bool = True) -> None:
+    """Make pixels (height, width, 4), colours times alpha, values at their centres, in place.
 
     Sharpening stops at changes of alpha. A change is at most four times the smaller difference to a
     neighbour, and is dropped below the noise of the picture's quietest tenth, 5/255 at most.
     """
-    noise = np.float32(min(noise_of(pixels, is_light), _MOST))
-    return _sharpened(_sharpened(pixels, 0, 1, noise, is_light), 1, 0, noise, is_light)
+    sharpen_above(pixels, min(noise_of(pixels, is_light), _MOST), is_light)
 
 
 def noise_of(pixels: Float32s, is_light: bool = True) -> float:
     """Return the deviation of noise in pixels (height, width, 4), colours times alpha; 0 if unknown."""
     patches = _loudness(pixels, is_light)
-    known = patches[patches >= 0.0]
+    known = patches[np.isfinite(patches)]
     if known.size < _FEWEST:
         return 0.0
     return float(_LESS * np.sqrt(np.quantile(known, _QUIETEST)) / _GAIN)
@@ -51,46 +52,85 @@ def noise_of(pixels: Float32s, is_light: bool = True) -> float:
 
 @kernel
 def _loudness(pixels: Float32s, is_light: bool) -> Float32s:
-    """Return the mean square of the change of patches (rows, columns, 3); −1 for clipped ones."""
+    """Return the mean square of the change of patches (rows, columns, 3); infinity for clipped ones."""
     rows, columns = pixels.shape[0] // _PATCH, pixels.shape[1] // _PATCH
-    found = np.full((rows, columns, 3), np.float32(-1.0))
-    for i in range(rows):
-        for j in range(columns):
-            for part in range(3):
-                total, is_known = 0.0, True
-                for row in range(i * _PATCH, (i + 1) * _PATCH):
-                    for column in range(j * _PATCH, (j + 1) * _PATCH):
-                        here, alpha = pixels[row, column, part], pixels[row, column, 3]
-                        if not _DARKEST * alpha < here < _LIGHTEST * alpha:
-                            is_known = False
-                            break
-                        change, _ = _change(pixels, row, column, part, 0, 1)
-                        total += float(change * change / _square(here, alpha, is_light))
-                    if not is_known:
-                        break
-                if is_known:
-                    found[i, j, part] = total / (_PATCH * _PATCH)
+    found = np.zeros((rows, columns, 3), np.float32)
+    line = np.full((4, pixels.shape[1] + 6), np.float32(-1.0))
+    loud = np.empty(columns * _PATCH, np.float32)
+    for row in range(rows * _PATCH):
+        _read(pixels, row, line)
+        a = line[3]
+        for part in range(3):
+            v = line[part]
+            for column in range(columns * _PATCH):
+                here, alpha = v[column + 3], a[column + 3]
+                near = _beside(v, a, column)
+                change, _ = _change(here, alpha, near)
+                is_known = _DARKEST * alpha < here < _LIGHTEST * alpha
+                loud[column] = change * change / _square(here, alpha, is_light) if is_known else np.inf
+            for column in range(columns * _PATCH):
+                found[row // _PATCH, column // _PATCH, part] += loud[column] / np.float32(_PATCH * _PATCH)
     return found
 
 
 @kernel
-def _sharpened(pixels: Float32s, down: int, right: int, noise: np.float32, is_light: bool) -> Float32s:
-    """Sharpen along one axis."""
+def sharpen_above(pixels: Float32s, noise: float, is_light: bool) -> None:
+    """Sharpen along rows, and these sharpened rows along columns, in place."""
     height, width = pixels.shape[0], pixels.shape[1]
-    found = pixels.copy()
     least = np.float32((_DEVIATIONS * _GAIN * noise) ** 2)
-    for row in range(height):
-        for column in range(width):
-            alpha = pixels[row, column, 3]
-            if not alpha > 0:
-                continue
+    line = np.full((4, width + 6), np.float32(-1.0))
+    latest = np.empty((7, 4, width), np.float32)  # sharpened rows, by their numbers modulo 7
+    latest[:, 3] = np.float32(-1.0)
+    for row in range(height + 3):
+        new = latest[row % 7]
+        new[3] = np.float32(-1.0)
+        if row < height:
+            _read(pixels, row, line)
+            a = line[3]
+            new[3] = a[3 : width + 3]
             for part in range(3):
-                here = pixels[row, column, part]
-                change, most = _change(pixels, row, column, part, down, right)
-                noisy = least * _square(here, alpha, is_light)
-                change = change - noisy / change if change * change > noisy else np.float32(0.0)
-                found[row, column, part] = here + min(max(change, -most), most)
-    return found
+                v = line[part]
+                for column in range(width):
+                    near = _beside(v, a, column)
+                    new[part, column] = _sharper(v[column + 3], a[column + 3], near, least, is_light)
+        middle = row - 3
+        if middle < 0:
+            continue
+        p, q, r = latest[(middle + 6) % 7], latest[(middle + 5) % 7], latest[(middle + 4) % 7]
+        s, t, u = latest[(middle + 1) % 7], latest[(middle + 2) % 7], latest[(middle + 3) % 7]
+        here = latest[middle % 7]
+        for part in range(3):
+            for n in range(width):
+                near = (
+                    (p[part, n], p[3, n]), (q[part, n], q[3, n]), (r[part, n], r[3, n]),
+                    (s[part, n], s[3, n]), (t[part, n], t[3, n]), (u[part, n], u[3, n]),
+                )  # fmt: skip
+                line[part, n] = _sharper(here[part, n], here[3, n], near, least, is_light)
+        for n in range(width):
+            for part in range(3):
+                pixels[middle, n, part] = line[part, n]
+
+
+#: Pixels 1, 2 and 3 before another, and after: values times alpha, and alpha.
+Near = tuple[tuple[np.float32, np.float32], ...]
+
+
+@inlined
+def _read(pixels: Float32s, row: int, line: Float32s) -> None:
+    """Write a row of pixels to a line (4, width + 6); three before and after it have an alpha of −1."""
+    for column in range(pixels.shape[1]):
+        for part in range(4):
+            line[part, column + 3] = pixels[row, column, part]
+
+
+@inlined
+def _beside(v: Float32s, a: Float32s, column: int) -> Near:
+    """Return the pixels beside one in a line, whose values are v, and alphas a."""
+    n = column + 3
+    return (
+        (v[n - 1], a[n - 1]), (v[n - 2], a[n - 2]), (v[n - 3], a[n - 3]),
+        (v[n + 1], a[n + 1]), (v[n + 2], a[n + 2]), (v[n + 3], a[n + 3]),
+    )  # fmt: skip
 
 
 @inlined
@@ -100,19 +140,31 @@ def _square(here: np.float32, alpha: np.float32, is_light: bool) -> np.float32:
 
 
 @inlined
-def _change(
-    pixels: Float32s, row: int, column: int, part: int, down: int, right: int
-) -> tuple[np.float32, np.float32]:
+def _difference(here: np.float32, alpha: np.float32, there: tuple[np.float32, np.float32]) -> np.float32:
+    return there[0] - here if there[1] == alpha else np.float32(0.0)
+
+
+@inlined
+def _change(here: np.float32, alpha: np.float32, near: Near) -> tuple[np.float32, np.float32]:
     """Return the change of a pixel by sharpening along one axis, and its limit."""
-    here, alpha = pixels[row, column, part], pixels[row, column, 3]
-    change, most = np.float32(0.0), np.float32(np.inf)
-    for step in range(1, 4):
-        for side in range(2):
-            away = step if side else -step
-            j, i = row + down * away, column + right * away
-            if 0 <= j < pixels.shape[0] and 0 <= i < pixels.shape[1] and pixels[j, i, 3] == alpha:
-                difference = pixels[j, i, part] - here
-                change += np.float32(_TAPS[step - 1]) * difference
-                if step == 1:
-                    most = min(most, _LIMIT * abs(difference))
+    p, q, r, s, t, u = near
+    before, after = _difference(here, alpha, p), _difference(here, alpha, s)
+    change = _NEXT * (before + after)
+    change += _SECOND * (_difference(here, alpha, q) + _difference(here, alpha, t))
+    change += _THIRD * (_difference(here, alpha, r) + _difference(here, alpha, u))
+    most = min(
+        _LIMIT * abs(before) if p[1] == alpha else np.float32(np.inf),
+        _LIMIT * abs(after) if s[1] == alpha else np.float32(np.inf),
+    )
     return change, most
+
+
+@inlined
+def _sharper(
+    here: np.float32, alpha: np.float32, near: Near, least: np.float32, is_light: bool
+) -> np.float32:
+    """Return a pixel's value after sharpening along one axis; changes with squares of ``least`` are noise."""
+    change, most = _change(here, alpha, near)
+    noisy = least * _square(here, alpha, is_light)
+    change = change - noisy / change if change * change > noisy else np.float32(0.0)
+    return here + min(max(change, -most), most)

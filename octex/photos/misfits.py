@@ -35,12 +35,13 @@ _FINE, _BROAD = 2.0, 16.0
 #: and 23 of a tree have 0.48 to 0.9; photographs with a wrong camera or of another scene 0.0, of 330 the
 #: largest 0.38.
 _AGREES, _STRANGE = 0.4, 0.25
-#: Below this mean correlation other units and axes are tried; they are reported if the mean grows by _GAIN.
+#: Below this mean correlation other units and axes are tried. They are reported if the mean reaches it, and
+#: grows by _GAIN: a castle has 0.85 in the right ones, and up to 0.42 on a mesh that fits nowhere.
 _FITS, _GAIN = 0.6, 0.15
 #: Ratios of units that meshes come in: metres, millimetres, inches, feet.
 _FACTORS = (1.0, 0.001, 0.01, 0.1, 10.0, 100.0, 1000.0, 0.0254, 1 / 0.0254, 0.3048, 1 / 0.3048)
 #: How well a mesh fills photographs: points, and boxes along each side; below _FILLED they do not show it.
-_FILLING, _BOXES, _FILLED = 1000, 8, 0.05
+_FILLING, _BOXES, _FILLED = 1000, 8, 0.1
 #: Other placements of the mesh are compared in so many photographs; of those that fill at least _PART of what
 #: the best one fills, so many at most.
 _COMPARED, _TRIED, _PART = 20, 48, 0.5
@@ -126,7 +127,7 @@ def _small(projection: Projection) -> Projection | ImageError:
     rows, columns = max(camera.height // step, 1), max(camera.width // step, 1)
     high, wide = min(rows * step, camera.height), min(columns * step, camera.width)
     blocks = texels[:high, :wide].reshape(rows, high // rows, columns, wide // columns, 4)
-    means = blocks.mean(axis=(1, 3), dtype=np.float32).astype(texels.dtype)
+    means = blocks.mean(axis=1, dtype=np.float32).mean(axis=2).astype(texels.dtype)  # 5 × as fast as at once
     return Projection(means, camera.resized((columns, rows)), key=projection.key)
 
 
@@ -286,16 +287,14 @@ def better_placed(
             break
         moved = [replace(each, camera=placings[number].of(cast(Camera, each.camera))) for each in few]
         found = read_points(_projected(surface, moved, executor), surface).agreements()
-        agreed = float(np.nan_to_num(found).mean())
-        if number == 0:  # the mesh as it is
-            is_known = bool(np.isfinite(found).any())
-        elif agreed > most:
+        agreed, is_known = float(np.nan_to_num(found).mean()), is_known or bool(np.isfinite(found).any())
+        if number and agreed > most:  # 0 is the mesh as it is
             best, most = placings[number], agreed
     advice = "; change that, and paint again"
-    if most >= max(_AGREES, now + _GAIN):
+    if most >= max(_FITS, now + _GAIN):
         return f"pictures agree if {best.words()}{advice}"
     is_seen = filled[0] > 0 or not filled.max() > _FILLED
-    if is_seen or is_known:  # if pictures can be compared there, they do not agree
+    if is_seen or is_known:  # pictures that can be compared somewhere do not agree there
         return None
     return f"the cameras see the model if {best.words()}{advice}"
 

@@ -15,7 +15,7 @@ from octex.painting.project import Projected
 from octex.painting.reading import Shot
 
 #: Points read at once, summed over pictures.
-_POINTS = 1 << 20
+_POINTS = 1 << 18
 #: Side of a patch in pixels; it doubles until a picture has at most _MOST patches.
 _PATCH, _MOST = 4, 1 << 17
 

@@ -13,7 +13,7 @@ from octex.cameras.camera import Camera
 from octex.cameras.files import write_cameras
 from octex.channels import linear_to_srgb
 from octex.painting.picture import Projection
-from octex.photos.misfits import LightSamples, misfits
+from octex.photos.misfits import LightSamples, better_placed, misfits
 from octex.source.surface import Surface
 from tests.make.command import OUT
 from tests.make.fixtures import obj_lines
@@ -188,6 +188,13 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told():
     assert found(ring(), far) == ({}, None)
 
 
+def test_no_change_is_told_with_which_the_pictures_differ():
+    behind = np.diag([-1.0, 1.0, -1.0, 1.0])  # each camera looks the other way, and shows its own scene
+    cameras = [replace(each.camera, world_to_camera=behind @ each.camera.world_to_camera) for each in ring()]
+    scenes = [picture(each.camera, seed) for seed, each in enumerate(ring())]
+    assert found([Projection(*each) for each in zip(scenes, cameras, strict=True)]) == ({}, None)
+
+
 AXES = np.array([1.0, 0.85, 0.7])
 
 
@@ -237,6 +244,20 @@ def test_a_mesh_in_an_unknown_unit_around_the_cameras_is_told():
     assert reasons == {}
     assert better is not None
     assert better.startswith("they see little of it, and share nothing")
+
+
+def test_a_mesh_beside_what_pictures_of_separate_sides_show_is_told():
+    beside = Surface.from_arrays(AXES * ball().vertices + [0, 1.4, 0], ball().triangles)
+    reasons, better = found(egg_ring()[::3], beside)
+    assert reasons == {}
+    assert better is not None
+    assert better.startswith("they see little of it, and share nothing")
+
+
+def test_a_change_with_which_pictures_hardly_agree_is_not_told(monkeypatch):
+    monkeypatch.setattr(LightSamples, "agreements", lambda _: np.full(6, 0.5))
+    with ThreadPoolExecutor(2) as pool:
+        assert better_placed(Surface.from_arrays(*relief()), ring(), 0.0, pool) is None
 
 
 def test_the_command_paints_the_others_and_names_what_it_leaves_out(tmp_path, cli):

@@ -8,7 +8,7 @@ from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, srgb_to_linear
 from octex.errors import ArgumentError, ExitCode
 from octex.painting.picture import Projection, mips_of
-from octex.painting.sharpened import sharpened
+from octex.painting.sharpened import sharpen
 from octex.source.images.decode import PNG_SIGNATURE, orientation_of, turned
 from octex.texture import open_texture
 from tests.make.command import OUT, run
@@ -29,7 +29,9 @@ def pixels_of(projection):
 
 def held(light):
     """What the finest level of an opaque picture of so much light holds."""
-    return sharpened(np.concatenate([light, np.ones_like(light[..., :1])], axis=2).astype(np.float32))
+    found = np.concatenate([light, np.ones_like(light[..., :1])], axis=2).astype(np.float32)
+    sharpen(found)
+    return found
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

@@ -8,7 +8,7 @@ from octex.channels import BASE_COLOR, NORMAL, ROUGHNESS, srgb_to_linear
 from octex.errors import ArgumentError, ImageError
 from octex.jit import kernel
 from octex.painting.picture import Projection, check_projections, mips_of, read_paint
-from octex.painting.sharpened import sharpened
+from octex.painting.sharpened import sharpen
 from tests.make.painted import above
 
 
@@ -26,7 +26,9 @@ def projection(image, **options):
 
 def values(means):
     """Return what opaque pixels with these means have at their centres (height, width, 4)."""
-    return sharpened(np.concatenate([means, np.ones_like(means[..., :1])], axis=2).astype(np.float32))
+    found = np.concatenate([means, np.ones_like(means[..., :1])], axis=2).astype(np.float32)
+    sharpen(found)
+    return found
 
 
 def test_colours_are_decoded_as_their_channel_has_them():
