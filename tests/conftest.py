@@ -10,7 +10,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import settings
-from xdist.scheduler import LoadFileScheduling
 
 import octex
 from octex import ahead, jit
@@ -28,28 +27,16 @@ needs_jit = pytest.mark.skipif(jit.DISABLED, reason="too slow without compilatio
 
 
 def pytest_xdist_auto_num_workers(config):
-    """Share the whole suite among the processors, and one that waits for a browser; run some files here."""
+    """Share the whole suite among the processors; run some files in this process.
+
+    One process more than processors: those that wait for a browser leave theirs idle four tenths of the time.
+    """
     return cpu_count() + 1 if config.args_source is pytest.Config.ArgsSource.TESTPATHS else 0
 
 
-def pytest_xdist_make_scheduler(config, log):
-    """Give a process a file at a time, but the viewer's, which wait for a browser, to few processes.
-
-    Each of these starts a browser once. If all waited at once, processors would be idle.
-    """
-    few = max(cpu_count() // 2, 1)
-
-    class Scheduling(LoadFileScheduling):
-        def _split_scope(self, nodeid):
-            file = super()._split_scope(nodeid)
-            return f"viewer {sum(file.encode()) % few}" if "/viewer/" in file else file
-
-    return Scheduling(config, log) if config.option.dist == "loadfile" else None
-
-
 def pytest_collection_modifyitems(items):
-    """Begin with the rooms that take longest: at the end, one process would run them alone."""
-    items.sort(key=lambda item: {"viewer": 0, "house": 1}.get(item.path.parent.name, 2))
+    """Begin with the rooms whose files take longest: at the end, one process would run them alone."""
+    items.sort(key=lambda item: item.path.parent.name not in ("house", "viewer"))
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -334,11 +334,11 @@ CARRIED = [f"octree{ending}" for ending in ("-0.png", ".bin", ".glb", ".gltf", "
         ("28_light.py", ["light.png"], shows_different_panels("light.png", 1, 3)),
         ("29_gltf.py", CARRIED, shows_different_panels("octree.png", 2)),
         ("30_three.py", ["droid.octw", "index.html", "walls.octw", "wood.octw"], says("wood.octw")),
-        ("31_concepts.py", ["cells.png", "field.png", "footprints.png", "kept.png"], explains_concepts),
-        ("32_failures.py", ["failures.png"], is_better_after_the_remedies),
+        ("draw_concepts.py", ["cells.png", "field.png", "footprints.png", "kept.png"], explains_concepts),
+        ("draw_failures.py", ["failures.png"], is_better_after_the_remedies),
     ],
 )
-def test_the_numbered_scripts_run_from_anywhere(script, written, check, tmp_path, monkeypatch, capsys):
+def test_the_scripts_run_from_anywhere(script, written, check, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(SAMPLES)
     # Three pictures of less than 320² do not outvote a passer-by.

@@ -59,7 +59,7 @@ def gallery() -> str:
     """Return a page of all pictures that the samples draw, with what each script says of itself."""
     lines = ["# Gallery", "", "The scripts of `samples/` draw these pictures."]
     pictures = sorted(path.name for path in (ROOT / "samples/pictures").glob("*.png"))
-    for script in sorted((ROOT / "samples").glob("[0-9]*.py")):
+    for script in sorted([*(ROOT / "samples").glob("[0-9]*.py"), *(ROOT / "samples").glob("draw_*.py")]):
         text = script.read_text("utf-8")
         shown = [name for name in pictures if f'"{name}"' in text]
         if shown:

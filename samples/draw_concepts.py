@@ -1,6 +1,6 @@
 """The concepts in pictures: cells, the field, footprints, and paint finer than the texture.
 
-python samples/31_concepts.py [FOLDER]      writes cells, field, footprints and kept .png (default: out)
+python samples/draw_concepts.py [FOLDER]      writes cells, field, footprints and kept .png (default: out)
 """
 
 import os

@@ -3,7 +3,7 @@
 From the left: cameras that are off, refined; exposures that differ, balanced; a ball that the mesh lacks, and
 sky on a mesh that is too thick, both masked.
 
-    python samples/32_failures.py [FOLDER]      writes FOLDER/failures.png (default: out)
+    python samples/draw_failures.py [FOLDER]      writes FOLDER/failures.png (default: out)
 """
 
 import os
@@ -22,7 +22,7 @@ import octex
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "10"))
 SIZE = int(os.environ.get("OCTEX_SAMPLE_WIDTH", "300"))
 SKY = 0.35, 0.6, 0.95
-take, enlarged = import_module("12_photos").photo, import_module("31_concepts").enlarged
+take, enlarged = import_module("12_photos").photo, import_module("draw_concepts").enlarged
 
 
 def with_alpha(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:
