@@ -28,7 +28,7 @@ from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 from octex.tree.search import Positions
-from tests.conftest import few, needs_jit
+from tests.conftest import needs_jit
 from tests.make.strategies import Leaves, leaf_sets, points_around, with_random_data
 from tests.make.taps import taps_of
 from tests.oracles import naive
@@ -69,7 +69,6 @@ def blended(taps, values):
 
 
 @each_filter
-@few
 @given(trees_and_points())
 def test_weights_and_slopes_are_those_of_the_reference(filter, drawn):
     tree, points = drawn
@@ -208,7 +207,6 @@ def test_taps_do_not_depend_on_the_points_before_them(filter, fine, monkeypatch)
 
 
 @pytest.mark.parametrize("filter", FILTERS)
-@few
 @given(trees_and_points(), st.sampled_from([np.uint8, np.uint16, np.float32]))
 def test_blends_and_covers_are_those_of_the_reference(filter, drawn, dtype):
     tree, points = drawn

@@ -14,7 +14,6 @@ from octex.field.splines import FILTERS
 from octex.field.windows import MOST_TAPS, new_walk
 from octex.tree.layout import KEPT
 from octex.tree.octree import Octree
-from tests.conftest import few
 from tests.make.strategies import leaf_sets, points_around, with_random_data
 from tests.oracles import naive
 
@@ -84,7 +83,6 @@ def taps(arrays, kept_cells, points, filter, walk=None, *, room=MOST_TAPS, gradi
 
 
 @each_filter
-@few
 @given(trees_and_points())
 def test_taps_are_what_the_field_is_made_of(filter, drawn):
     found = taps(drawn.tree.arrays, drawn.tree.kept.cells, drawn.points, filter)
@@ -98,7 +96,6 @@ def test_taps_are_what_the_field_is_made_of(filter, drawn):
             np.testing.assert_allclose(own * edge, expected[1] * edge, atol=1e-5)
 
 
-@few
 @given(trees_and_points())
 def test_one_walk_serves_all_filters_and_slopes_do_not_change_weights(drawn):
     walk = new_walk()
@@ -124,7 +121,6 @@ def test_points_are_done_until_there_might_be_no_room_for_more():
 
 
 @each_filter
-@few
 @given(trees_and_points(), st.integers(0, 2**32 - 1))
 def test_damaged_structures_are_walked_without_harm(filter, drawn, seed):
     arrays = drawn.tree.arrays

@@ -84,9 +84,15 @@ def shift(camera, truth, points):
     return float(np.sqrt((apart**2).sum(axis=1).mean()))
 
 
-@pytest.mark.parametrize(("part", "pixels"), [(4, 2.0), (10, 1.0)])
-def test_every_camera_gets_better_and_a_textured_ball_brings_them_back(part, pixels, monkeypatch):
-    fewer_points(monkeypatch, part)
+@pytest.fixture(params=[False, True], ids=["all points", "few points"])
+def is_few(request):
+    if request.param:
+        request.getfixturevalue("few_points")
+    return bool(request.param)
+
+
+def test_every_camera_gets_better_and_a_textured_ball_brings_them_back(is_few):
+    pixels = 1.0 if is_few else 2.0
     surface, cameras, images = textured(6, 128)
     points = surface.scatter(1000).points
     moved = [disturbed(camera, n, pixels) if n else camera for n, camera in enumerate(cameras)]

@@ -126,7 +126,7 @@ def test_pictures_are_sharpened_by_the_formula(is_light):
     rows = sharpened_along_rows(picture, noise, is_light)
     wanted = sharpened_along_rows(rows.transpose(1, 0, 2), noise, is_light).transpose(1, 0, 2)
     sharpen_above(picture, noise, is_light)
-    np.testing.assert_allclose(picture, wanted, atol=4e-6)
+    np.testing.assert_allclose(picture, wanted, atol=2e-6)
 
 
 def sharpened_along_rows(picture, noise, is_light):
