@@ -81,12 +81,12 @@ if TYPE_CHECKING:
     from octex.formats.osl import write_osl as write_osl
     from octex.formats.ptex.export import write_ptex as write_ptex
     from octex.formats.ptex.source import Ptex as Ptex
+    from octex.painting.image import Projection as Projection
     from octex.painting.layers import Layers as Layers
     from octex.painting.merge import merge as merge
     from octex.painting.paint import paint as paint
     from octex.painting.paint import project as project
     from octex.painting.painter import Painter as Painter
-    from octex.painting.picture import Projection as Projection
     from octex.painting.region import Box as Box
     from octex.painting.region import Sphere as Sphere
     from octex.painting.region import fill as fill
@@ -145,7 +145,7 @@ _EXPORTS = {
     "painting.merge": "merge",
     "painting.paint": "paint project",
     "painting.painter": "Painter",
-    "painting.picture": "Projection",
+    "painting.image": "Projection",
     "painting.region": "Box Sphere fill",
     "painting.unwrap": "Patch unwrap",
     "parallel": "Run",

@@ -145,7 +145,7 @@ def memory_size() -> float:
 
 
 def usual_memory() -> int | None:
-    """Return the bytes that pictures may take by default: half of this machine's; None if unknown."""
+    """Return the bytes that images may take by default: half of this machine's; None if unknown."""
     size = memory_size()
     return int(size / 2) if math.isfinite(size) else None
 

@@ -39,9 +39,9 @@ def main(folder: Path) -> None:
     faces, uv = [[0, 1, 2], [0, 2, 3]], CORNERS[:, :2]
     plate = octex.Surface.from_arrays(CORNERS, faces, uv=uv, image=image, name="plate")
     texture = octex.convert(plate, depth=DEPTH, detail=wanted_depth)
-    picture = np.hstack([relief(texture, "linear"), relief(texture, "quadratic")])
+    views = np.hstack([relief(texture, "linear"), relief(texture, "quadratic")])
     folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray((picture ** (1 / 2.2) * 255).astype(np.uint8)).save(folder / "smooth.png")
+    Image.fromarray((views ** (1 / 2.2) * 255).astype(np.uint8)).save(folder / "smooth.png")
     print(f"{folder / 'smooth.png'}: linear, quadratic; {texture.tree!r}")
 
 

@@ -38,10 +38,10 @@ def main(folder: Path) -> None:
     dPdx, dPdy = (distance * (d - rays * ((d @ NORMAL) / (rays @ NORMAL))[:, None]) for d in (right, down))
 
     colors = texture.sample(points, dPdx=dPdx, dPdy=dPdy, normals=np.tile(NORMAL, (len(points), 1)))
-    pictures = np.full((2, height * WIDTH, 3), 0.75, np.float32)
-    pictures[:, -len(points) :] = texture.sample(points), colors
+    images = np.full((2, height * WIDTH, 3), 0.75, np.float32)
+    images[:, -len(points) :] = texture.sample(points), colors
     folder.mkdir(parents=True, exist_ok=True)
-    codes = np.hstack(encode(pictures, "uint8", "srgb").reshape(2, height, WIDTH, 3))
+    codes = np.hstack(encode(images, "uint8", "srgb").reshape(2, height, WIDTH, 3))
     Image.fromarray(codes).save(folder / "ray_cast.png")
     print(f"{folder / 'ray_cast.png'}: at the hits alone, and averaged over pixels; {texture.tree!r}")
 

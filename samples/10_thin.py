@@ -17,7 +17,7 @@ from PIL import Image
 import octex
 from octex.cameras.camera import Camera
 from octex.channels import encode
-from octex.drawing.pictures import film_surface
+from octex.drawing.rasters import film_surface
 from octex.drawing.shaders import Appearance, source_shader
 
 DEPTH = int(os.environ.get("OCTEX_SAMPLE_DEPTH", "8"))
@@ -36,10 +36,10 @@ def main(folder: Path) -> None:
     for pixels in (96, 48, 24, 12):
         camera = Camera.fitted(surface.vertices, (0.1, 0.25, 1.0), size=(pixels, pixels * 5 // 8))
         truth = film_surface(surface, camera, [source_shader(surface)], 64 if SIZE >= 240 else 8)
-        pictures = [film.picture() for film in film_surface(surface, camera, ways, 4) + truth]
-        errors = (np.sqrt(((each - pictures[-1]) ** 2).mean()) for each in pictures[:-1])
+        images = [film.image() for film in film_surface(surface, camera, ways, 4) + truth]
+        errors = (np.sqrt(((each - images[-1]) ** 2).mean()) for each in images[:-1])
         print(f"{pixels} pixels wide, RMS:", *map("{:.2%}".format, errors))
-        tiles = [Image.fromarray(encode(each, "uint8", "srgb")) for each in pictures]
+        tiles = [Image.fromarray(encode(each, "uint8", "srgb")) for each in images]
         rows.append(np.hstack([tile.resize((SIZE, SIZE * 5 // 8), 0) for tile in tiles]))
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.vstack(rows)).save(folder / "thin.png")

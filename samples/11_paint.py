@@ -1,6 +1,6 @@
-"""Paint over a picture, and send it back through its camera.
+"""Paint over an image, and send it back through its camera.
 
-What is drawn on a transparent picture is projected onto what the camera sees.
+What is drawn on a transparent image is projected onto what the camera sees.
 
     python samples/11_paint.py [FOLDER]      writes FOLDER/paint.png (default: out)
 """

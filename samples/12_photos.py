@@ -1,6 +1,6 @@
-"""A few pictures into one texture, without UVs.
+"""A few images into one texture, without UVs.
 
-Three pictures of the droid, each exposed a little differently, are projected onto its bare mesh and balanced.
+Three images of the droid, each exposed a little differently, are projected onto its bare mesh and balanced.
 
     python samples/12_photos.py [FOLDER]      writes FOLDER/photos.png (default: out)
 """
@@ -35,14 +35,14 @@ def main(folder: Path) -> None:
     head = surface.vertices[(surface.vertices[:, 1] > 0.43) & (surface.vertices[:, 1] < 0.64)]
     cameras = [octex.Camera.fitted(head, side, size=(2 * SIZE, 2 * SIZE)) for side in SIDES]
     photos = [photo(surface, camera, light) for camera, light in zip(cameras, LIGHTS, strict=True)]
-    pictures = [octex.Projection(image, camera) for image, camera in zip(photos, cameras, strict=True)]
-    texture = octex.paint(None, surface, pictures, max_depth=DEPTH, balance="full")
+    projections = [octex.Projection(image, camera) for image, camera in zip(photos, cameras, strict=True)]
+    texture = octex.paint(None, surface, projections, max_depth=DEPTH, balance="full")
     shown = [encode(p[::2, ::2, :3] + (1 - p[::2, ::2, 3:]), "uint8", "srgb") for p in photos]
     view = octex.Camera.fitted(head, (0.5, 0.3, 1), size=(SIZE * 3 // 2, SIZE))
     both = [octex.render(each, surface, view) for each in (texture, None)]
     folder.mkdir(parents=True, exist_ok=True)
     Image.fromarray(np.vstack([np.hstack(shown), np.hstack(both)])).save(folder / "photos.png")
-    print(f"{folder / 'photos.png'}: three pictures; painted with them, and the truth; {texture.tree!r}")
+    print(f"{folder / 'photos.png'}: three projections; painted with them, and the truth; {texture.tree!r}")
 
 
 if __name__ == "__main__":

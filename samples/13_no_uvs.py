@@ -1,6 +1,6 @@
 """Images on models without UVs: laid on from a plane, a box, a cylinder and a sphere.
 
-The fields of the picture are numbered: none is mirrored, what stands is upright, and the lid has its own.
+The fields of the image are numbered: none is mirrored, what stands is upright, and the lid has its own.
 
     python samples/13_no_uvs.py [FOLDER]      writes FOLDER/no_uvs.png (default: out)
 """

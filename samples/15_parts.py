@@ -33,14 +33,14 @@ def main(folder: Path) -> None:
     print(surface.overlapping_parts())
 
     camera = octex.Camera.fitted(surface.vertices, (0.8, 0.55, 1.0), size=(SIZE, SIZE))
-    pictures = []
+    images = []
     for cells in (None, 3):
         texture = octex.convert(surface, DEPTH, separate=cells)
-        pictures.append(octex.render(texture, surface, camera))
+        images.append(octex.render(texture, surface, camera))
     camera = octex.Camera.fitted(surface.rest_positions(texture), (0.8, 0.55, 1.0), size=(SIZE, SIZE))
-    pictures.append(octex.render(texture, None, camera, level=min(DEPTH, 6), cubes=True))
+    images.append(octex.render(texture, None, camera, level=min(DEPTH, 6), cubes=True))
     folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.hstack(pictures)).save(folder / "parts.png")
+    Image.fromarray(np.hstack(images)).save(folder / "parts.png")
     print(f"{folder / 'parts.png'}: as it is, moved apart at rest, and the cells of that; {texture.tree!r}")
 
 

@@ -37,10 +37,10 @@ def main(folder: Path) -> None:
     surface = octex.Surface.from_arrays(shape.vertices, shape.triangles, colors=glaze(shape.vertices))
     texture = octex.convert(surface, DEPTH)
     camera = octex.Camera.fitted(surface.vertices, (0.5, 0.45, 1.0), size=(SIZE, SIZE))
-    pictures = [octex.render(texture, surface, camera)]
-    pictures.append(octex.render(texture, None, camera, level=min(DEPTH, 6), cubes=True))
+    images = [octex.render(texture, surface, camera)]
+    images.append(octex.render(texture, None, camera, level=min(DEPTH, 6), cubes=True))
     folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.hstack(pictures)).save(folder / "implicit.png")
+    Image.fromarray(np.hstack(images)).save(folder / "implicit.png")
     print(f"{folder / 'implicit.png'}: {surface!r}, off by {np.abs(gyroid(shape.vertices)).max():.0e}")
 
 

@@ -37,8 +37,8 @@ def main(folder: Path) -> None:
     camera = octex.Camera.fitted(head, (1.0, 0.3, 0.5), size=(WIDTH, WIDTH))
     views = [octex.render(each, surface, camera) for each in made.values()]
     folder.mkdir(parents=True, exist_ok=True)
-    picture = np.hstack(views)
-    Image.fromarray(picture).save(folder / "processing.png")
+    image = np.hstack(views)
+    Image.fromarray(image).save(folder / "processing.png")
     print(f"{folder / 'processing.png'}: {', '.join(made)}")
 
 

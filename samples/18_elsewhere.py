@@ -35,10 +35,10 @@ def main(folder: Path) -> None:
 
     seen = coarse[model.triangles[is_head]].reshape(-1, 3)
     camera = octex.Camera.fitted(seen, (1, 0.3, 0.5), size=(SIZE, 2 * SIZE // 3))
-    pictures = [octex.render(alone, None, camera, level=DEPTH - 1, cubes=True)]
-    pictures += [octex.render(each, bare, camera) for each in (laid, transferred)]
+    images = [octex.render(alone, None, camera, level=DEPTH - 1, cubes=True)]
+    images += [octex.render(each, bare, camera) for each in (laid, transferred)]
     folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.hstack(pictures)).save(folder / "elsewhere.png")
+    Image.fromarray(np.hstack(images)).save(folder / "elsewhere.png")
     print(f"{folder / 'elsewhere.png'}: {len(cloud):,} points alone, on another mesh, and a transfer")
 
 

@@ -31,9 +31,9 @@ def main(folder: Path) -> None:
     heights = model.vertices[:, 1]
     head = model.vertices[(heights > 0.43) & (heights < 0.66)]
     camera = octex.Camera.fitted(head, (1, 0.3, 0.8), size=(SIZE, SIZE))
-    pictures = [octex.render(texture, model, camera), octex.render(None, read, camera)]
+    images = [octex.render(texture, model, camera), octex.render(None, read, camera)]
     atlas = np.array(Image.open(folder / "baked-0.png").resize((SIZE, SIZE), Image.Resampling.BOX))
-    Image.fromarray(np.hstack([*pictures, atlas])).save(folder / "baked.png")
+    Image.fromarray(np.hstack([*images, atlas])).save(folder / "baked.png")
     print(f"{folder / 'baked.glb'}: {(folder / 'baked.glb').stat().st_size / 1e6:.1f} MB, for any viewer")
 
 

@@ -33,12 +33,12 @@ def main(folder: Path) -> None:
 
     every = np.concatenate([each.vertices for each in surfaces])
     camera = octex.Camera.fitted(every, (0.2, 0.2, 1.0), size=SIZE)
-    picture = Image.new("RGBA", SIZE)
-    draw = ImageDraw.Draw(picture)
+    image = Image.new("RGBA", SIZE)
+    draw = ImageDraw.Draw(image)
     x, y = camera.project([bent.vertices[bent.vertices[:, 1] > 0.5].mean(axis=0)])[0][0]
     draw.circle((x, y), 0.16 * WIDTH, (210, 40, 40, 255))
     draw.circle((x, y), 0.09 * WIDTH, (250, 240, 220, 255))
-    painted = octex.paint(texture, bent, octex.Projection(picture, camera))
+    painted = octex.paint(texture, bent, octex.Projection(image, camera))
     views = np.hstack([octex.render(painted, each, camera) for each in surfaces])
     Image.fromarray(views).save(folder / "poses.png")
     print(f"{folder / 'poses.png'}: painted in one pose, at rest, and in another pose")

@@ -34,12 +34,12 @@ def main(folder: Path) -> None:
     model = octex.load_surface(folder / "house.obj", sources={"base_color": rings})
     texture = octex.convert(model, DEPTH)
     camera = octex.Camera.fitted(model.vertices, (0.9, 0.5, 1), size=(SIZE, SIZE))
-    pictures = [octex.render(texture, model, camera)]
+    images = [octex.render(texture, model, camera)]
     for texels in (texture.tree.n_leaves, texture.tree.n_leaves // 16):
         octex.write_ptex(texture, model, folder / "house.ptx", texels=texels)
         read = octex.load_surface(folder / "house.obj", sources=octex.Ptex(folder / "house.ptx").sources)
-        pictures.append(octex.render(None, read, camera))
-    Image.fromarray(np.hstack(pictures)).save(folder / "ptex.png")
+        images.append(octex.render(None, read, camera))
+    Image.fromarray(np.hstack(images)).save(folder / "ptex.png")
     print(f"{folder / 'house.ptx'}: 14 faces of six polygons, and the octree texture beside it")
 
 

@@ -1,4 +1,4 @@
-"""Eight pictures with passers-by, other exposures and cameras a little off, painted robustly and baked.
+"""Eight images with passers-by, other exposures and cameras a little off, painted robustly and baked.
 
 python samples/26_photographs.py [FOLDER]      writes FOLDER/photographs.png and .glb (default: out)
 """
@@ -37,7 +37,7 @@ surface = octex.load_surface(Path(__file__).with_name("droid.glb"), channels=["b
 head = surface.vertices[(surface.vertices[:, 1] > 0.43) & (surface.vertices[:, 1] < 0.64)]
 sides = [(np.sin(0.3 + 0.785 * n), 0.1 + 0.25 * (-1) ** n, np.cos(0.3 + 0.785 * n)) for n in range(8)]
 photos = [taken(surface, octex.Camera.fitted(head, sides[n], size=(2 * SIZE,) * 2), n) for n in range(8)]
-averaged = octex.paint(None, surface, photos, max_depth=DEPTH, pictures="average")
+averaged = octex.paint(None, surface, photos, max_depth=DEPTH, fusion="average")
 refined = octex.refine_cameras(surface, photos, reference=0)
 mended = [replace(photo, camera=camera) for photo, camera in zip(photos, refined, strict=True)]
 painted = octex.paint(None, surface, mended, max_depth=DEPTH, balance="full", reference=0)
@@ -46,4 +46,4 @@ camera = octex.Camera.fitted(head, sides[1], size=(SIZE, SIZE))
 below = [octex.render(each, surface, camera) for each in (averaged, painted, None)]
 above = encode(np.hstack([photos[n].image[::2, ::2, :3] for n in (0, 1, 3)]), "uint8", "srgb")
 Image.fromarray(np.vstack([above, np.hstack(below)])).save(folder / "photographs.png")
-print(f"{folder / 'photographs.png'}: three pictures; averaged, painted robustly, and the truth")
+print(f"{folder / 'photographs.png'}: three images; averaged, painted robustly, and the truth")

@@ -32,10 +32,10 @@ def main(folder: Path) -> None:
     camera = octex.Camera.fitted(model.vertices, (0.1, 0.15, 1), size=(2 * SIZE, SIZE))
     sky = np.broadcast_to(np.linspace(1.6, 0.2, 64)[:, None, None] * [0.5, 0.7, 1.0], (64, 128, 3))
     lights = [octex.Environment.studio(), octex.Environment.of(sky), octex.Environment.of(np.ones((8, 16)))]
-    pictures = [octex.render(texture, model, camera, light=light) for light in lights]
+    images = [octex.render(texture, model, camera, light=light) for light in lights]
     folder.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(np.vstack(pictures)).save(folder / "light.png")
-    print(f"{folder / 'light.png'}: {len(pictures)} lights on {texture.tree.n_leaves:,} leaves")
+    Image.fromarray(np.vstack(images)).save(folder / "light.png")
+    print(f"{folder / 'light.png'}: {len(images)} lights on {texture.tree.n_leaves:,} leaves")
 
 
 if __name__ == "__main__":

@@ -31,8 +31,8 @@ def main(folder: Path) -> None:
     heights = model.vertices[:, 1]
     head = model.vertices[(heights > 0.43) & (heights < 0.66)]
     camera = octex.Camera.fitted(head, (1, 0.3, 0.8), size=(SIZE, SIZE))
-    pictures = [octex.render(read, other, camera), octex.render(None, other, camera)]
-    Image.fromarray(np.hstack(pictures)).save(folder / "octree.png")
+    views = [octex.render(read, other, camera), octex.render(None, other, camera)]
+    Image.fromarray(np.hstack(views)).save(folder / "octree.png")
     print(f"{folder / 'octree.glb'}: {(folder / 'octree.glb').stat().st_size / 1e6:.1f} MB, for any viewer")
 
 

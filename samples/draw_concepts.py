@@ -1,4 +1,4 @@
-"""The concepts in pictures: cells, the field, footprints, and paint finer than the texture.
+"""The concepts in images: cells, the field, footprints, and paint finer than the texture.
 
 python samples/draw_concepts.py [FOLDER]      writes cells, field, footprints and kept .png (default: out)
 """
@@ -22,24 +22,24 @@ MODEL = Path(__file__).with_name("droid.glb")
 SIDE = (0.9, 0.25, 0.6)
 
 
-def save(path: Path, *pictures: np.ndarray) -> None:
-    Image.fromarray(np.hstack(pictures)).save(path, optimize=True)
+def save(path: Path, *images: np.ndarray) -> None:
+    Image.fromarray(np.hstack(images)).save(path, optimize=True)
     print(path)
 
 
 def enlarged(camera: octex.Camera, column: float, row: float, times: float) -> octex.Camera:
-    """Return a camera that sees the surroundings of a point of the picture, 0 … 1, larger."""
+    """Return a camera that sees the surroundings of a point of the image, 0 … 1, larger."""
     K = camera.K * [[times], [times], [1]]
     K[:2, 2] += SIZE * (0.5 - times * np.array([column, row]))
     return replace(camera, K=K)
 
 
 def seen(surface: octex.Surface, camera: octex.Camera, look_up: Callable[[Hits], np.ndarray]) -> np.ndarray:
-    """Return the picture of a camera with a colour for the middle of each pixel, unlit."""
-    picture = np.full((SIZE * SIZE, 3), 0.18, np.float32)
+    """Return the image of a camera with a colour for the middle of each pixel, unlit."""
+    image = np.full((SIZE * SIZE, 3), 0.18, np.float32)
     for pixels, hits in visible_hits(surface, camera, rest_normals(surface)):
-        picture[pixels] = look_up(hits)
-    return encode(picture.reshape(SIZE, SIZE, 3), "uint8", "srgb")
+        image[pixels] = look_up(hits)
+    return encode(image.reshape(SIZE, SIZE, 3), "uint8", "srgb")
 
 
 def draw_cells(folder: Path, surface: octex.Surface, camera: octex.Camera) -> None:
@@ -51,13 +51,13 @@ def draw_cells(folder: Path, surface: octex.Surface, camera: octex.Camera) -> No
 def draw_field(folder: Path, surface: octex.Surface, camera: octex.Camera) -> None:
     averages, fitted = (octex.convert(surface, depth=DEPTH, fit=fit) for fit in (False, True))
     lookups = (averages, "nearest"), (averages, "quadratic"), (fitted, "quadratic")
-    pictures = [
+    images = [
         seen(surface, camera, lambda hits, of=of, by=by: of.sample(hits, filter=by)) for of, by in lookups
     ]
     model = seen(
         surface, camera, lambda hits: surface.evaluate_all(hits.triangles, hits.barycentric, hits.width)
     )
-    save(folder / "field.png", *pictures, model)
+    save(folder / "field.png", *images, model)
 
 
 def draw_footprints(folder: Path) -> None:

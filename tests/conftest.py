@@ -99,7 +99,7 @@ def fewer_points(monkeypatch, part):
 
 @pytest.fixture
 def few_points(monkeypatch):
-    """Compare photographs at a tenth of the points: enough for small pictures."""
+    """Compare photographs at a tenth of the points: enough for small images."""
     fewer_points(monkeypatch, 10)
 
 

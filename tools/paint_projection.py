@@ -1,5 +1,5 @@
 #!/usr/bin/env python
-"""Paint pictures through cameras onto a model: octree-paint, from a checkout.
+"""Paint images through cameras onto a model: octree-paint, from a checkout.
 
 usage: tools/paint_projection.py [TEXTURE] MODEL OUTPUT.octex [IMAGE ...] --camera FILE[#NAME]
 """

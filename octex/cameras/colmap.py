@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from octex.arrays import Float64s
 from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Bytes, Record, reading, within
-from octex.cameras.frames import Frame, Optics, is_file, picture_path, rigid, rotation_of, view_of
+from octex.cameras.frames import Frame, Optics, image_path, is_file, rigid, rotation_of, view_of
 from octex.cameras.lens import DistortionModel
 from octex.errors import CameraError
 from octex.files import read_bytes
@@ -67,7 +67,7 @@ def find(path: Path) -> tuple[Path, str] | None:
 def read(folder: Path, ending: str) -> list[Frame]:
     """Read the cameras and images of a folder whose files have this ending.
 
-    COLMAP's workspaces have the pictures in ``images``, next to ``sparse`` or to a model's files.
+    COLMAP's workspaces have the images in ``images``, next to ``sparse`` or to a model's files.
     """
     cameras, images = folder / f"cameras{ending}", folder / f"images{ending}"
     of_cameras, of_images = (_cameras_binary, _images_binary) if ending == ".bin" else (_cameras, _images)
@@ -82,8 +82,8 @@ def read(folder: Path, ending: str) -> list[Frame]:
                 if camera not in optics:
                     raise BrokenError(f"camera {camera} is not in {cameras.name}")
                 view = rigid(rotation_of(pose[:4], "quaternion"), pose[4:])
-                picture = None if root is None else picture_path(root / images.name, f"images/{name}")
-                frames.append(Frame(name, images, optics[camera], view_of(view), picture))
+                image = None if root is None else image_path(root / images.name, f"images/{name}")
+                frames.append(Frame(name, images, optics[camera], view_of(view), image))
         return frames
 
 
@@ -101,7 +101,7 @@ def _optics(model: _Model, record: Record) -> Optics:
 def _model_of(name: str) -> _Model:
     if name not in _MODELS:
         raise BrokenError(
-            f"model {reprlib.repr(name)} is not known; undistort the pictures to one of {', '.join(_MODELS)}"
+            f"model {reprlib.repr(name)} is not known; undistort the images to one of {', '.join(_MODELS)}"
         )
     return _MODELS[name]
 

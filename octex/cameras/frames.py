@@ -68,9 +68,9 @@ class Frame(NamedTuple):
         width, height = self.size or size or (0, 0)
         if size is not None and not self.fits(size):
             is_lying = self.fits(size[::-1])
-            advice = "turn it by 90 degrees" if is_lying else "give the picture that the camera was made for"
+            advice = "turn it by 90 degrees" if is_lying else "give the image that the camera was made for"
             raise CameraError(
-                f"{frame} is for {width}×{height} pixels, the picture has {size[0]}×{size[1]}, another "
+                f"{frame} is for {width}×{height} pixels, the image has {size[0]}×{size[1]}, another "
                 f"shape; {advice}"
             )
         _, K, distortion, model, projection = self.optics
@@ -92,7 +92,7 @@ def file_name(name: str) -> str:
     return re.split(r"[/\\]", name)[-1]
 
 
-def picture_path(file: Path, name: str) -> Path:
+def image_path(file: Path, name: str) -> Path:
     """Return the path of an image that a file names; an absolute path becomes its name next to the file."""
     try:
         return referred(file.parent, name)

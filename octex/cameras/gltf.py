@@ -47,7 +47,7 @@ def _optics(camera: Record) -> Optics:
         across, down = width / (2 * x), height / (2 * y)
         if abs(across - down) > 0.01 * down:
             raise BrokenError(
-                f"xmag {x:g} and ymag {y:g} do not have the aspect ratio of a picture of {width}×{height} "
+                f"xmag {x:g} and ymag {y:g} do not have the aspect ratio of an image of {width}×{height} "
                 "pixels; give one that does"
             )
         return centred(down, width, height)

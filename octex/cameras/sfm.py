@@ -14,7 +14,7 @@ import numpy as np
 
 from octex.cameras.camera import FLIP_YZ, intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, centred, is_file, picture_path, rigid, rotation_of, view_of
+from octex.cameras.frames import Frame, Optics, centred, image_path, is_file, rigid, rotation_of, view_of
 from octex.cameras.lens import DistortionModel
 from octex.files import read_bytes
 
@@ -73,7 +73,7 @@ def read_meshroom(path: Path, document: dict[str, Any]) -> list[Frame]:
                 view = view @ FLIP_YZ
             with within("intrinsics"):
                 shared = _meshroom_optics(lens, version)
-            frames.append(Frame(name, path, shared, view, picture_path(path, name)))
+            frames.append(Frame(name, path, shared, view, image_path(path, name)))
     return frames
 
 
@@ -136,7 +136,7 @@ def read_openmvg(path: Path, document: dict[str, Any]) -> list[Frame]:
             rotation = pose.matrix("rotation", (3, 3))
             view = view_of(rigid(rotation, -rotation @ pose.numbers("center", 3)))
         folders = root, str(seen.find("local_path", "")).strip("/")
-        image = picture_path(path, "/".join([*filter(None, folders), name]))
+        image = image_path(path, "/".join([*filter(None, folders), name]))
         frames.append(Frame(name, path, shared, view, image))
     return frames
 
@@ -149,7 +149,7 @@ def _openmvg_data(record: Record) -> Record:
 
 def _openmvg_optics(record: Record) -> Optics:
     if "focal_length" not in record:
-        raise BrokenError("focal_length is missing; undistort pictures of panoramas")
+        raise BrokenError("focal_length is missing; undistort images of panoramas")
     size, focal = record.size(), record.positive("focal_length")
     center = record.numbers("principal_point", 2) + 0.5
     K = intrinsics(focal, focal, *center.tolist())
@@ -178,7 +178,7 @@ def read_opensfm(path: Path, reconstructions: list[dict[str, Any]]) -> list[Fram
             angle = float(np.linalg.norm(axis))
             quaternion = np.append(np.cos(angle / 2), np.sinc(angle / 2 / np.pi) / 2 * axis)
             view = rigid(rotation_of(quaternion, "rotation"), shot.numbers("translation", 3))
-            image = picture_path(path, f"images/{name}")
+            image = image_path(path, f"images/{name}")
             frames.append(Frame(name, path, optics, view_of(view), image))
     return frames
 
@@ -188,8 +188,7 @@ def _opensfm_optics(record: Record) -> Optics:
     kind = record.text("projection_type") if "projection_type" in record else "perspective"
     if kind not in _OPENSFM:
         raise BrokenError(
-            f"projection_type {kind!r} is not known; octex knows {', '.join(_OPENSFM)}: undistort the "
-            "pictures"
+            f"projection_type {kind!r} is not known; octex knows {', '.join(_OPENSFM)}: undistort the images"
         )
     width, height = size = record.size()
     side = max(size)
@@ -221,7 +220,7 @@ def read_bundler(path: Path, content: bytes) -> list[Frame]:
         # Bundler's lists have a zero and a focal length after each name.
         names = [re.sub(r"\s+0\s+\S+$", "", line.strip()) for line in lines if line.strip()]
     if names and len(names) != count:
-        raise BrokenError(f"its list names {len(names)} pictures for {count:g} cameras; export both again")
+        raise BrokenError(f"its list names {len(names)} images for {count:g} cameras; export both again")
     frames = []
     for number in range(int(count)):
         with within(f"camera {number}"):
@@ -237,6 +236,6 @@ def read_bundler(path: Path, content: bytes) -> list[Frame]:
             view = view_of(FLIP_YZ @ rigid(rotation.reshape(3, 3), shift))
         name = names[number] if names else str(number)
         optics = Optics(None, partial(centred, focal), (*bends, 0.0, 0.0))
-        image = picture_path(path, name) if names else None
+        image = image_path(path, name) if names else None
         frames.append(Frame(name, path, optics, view, image, is_named=bool(names)))
     return frames

@@ -11,7 +11,7 @@ from typing import Any
 from octex.arrays import Float64s
 from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, is_file, picture_path, view_of
+from octex.cameras.frames import Frame, Optics, image_path, is_file, view_of
 from octex.cameras.lens import DistortionModel
 
 _ENDINGS = ("", ".png", ".jpg", ".jpeg")
@@ -38,7 +38,7 @@ def read(path: Path, document: dict[str, Any]) -> list[Frame]:
             pose = record.matrix("transform_matrix", (4, 4), (3, 4))
             with within("transform_matrix"):
                 view = view_of(pose, "opengl")
-        base = picture_path(path, name)
+        base = image_path(path, name)
         tried = [Path(f"{base}{ending}") for ending in _ENDINGS]
         image = next((place for place in tried if is_file(place)), base)
         frames.append(Frame(name, path, optics, view, image))
@@ -49,17 +49,17 @@ def _optics(record: Record) -> Optics:
     kind = record.text("camera_model") if "camera_model" in record else "OPENCV"
     if kind not in _MODELS:
         raise BrokenError(
-            f"camera_model {reprlib.repr(kind)} is not known; undistort the pictures to one of "
+            f"camera_model {reprlib.repr(kind)} is not known; undistort the images to one of "
             f"{', '.join(_MODELS)}"
         )
     model: DistortionModel = "fisheye" if record.find("is_fisheye") else _MODELS[kind]
     for field in ("ftheta", "is_equirectangular", "equirectangular"):
         if record.find(field):
-            raise BrokenError(f"{field} is set: such cameras are not known; undistort the pictures")
+            raise BrokenError(f"{field} is set: such cameras are not known; undistort the images")
     size = record.size("w", "h") if "w" in record or "h" in record else None
     numbers = [record.number(field, 0.0) for field in _NUMBERS.split()]
     if model != "fisheye" and numbers[-1] != 0.0:
-        raise BrokenError("k4 must be zero: octex knows k1, k2, k3, p1, p2; undistort the pictures")
+        raise BrokenError("k4 must be zero: octex knows k1, k2, k3, p1, p2; undistort the images")
     return Optics(size, _intrinsics(record)).bent(model, _NUMBERS, numbers)
 
 

@@ -143,7 +143,7 @@ def _convert(options: Options, program: str) -> int:
         separation = json.loads(texture.metadata.get("separation", '{"moved": {}}'))
         made["separated"] = {**overlaps_as_json(overlaps), "moved": separation["moved"]}
         lines += _separated_text(separation["moved"], overlaps)
-    others = {"preview": (options.preview, "a picture of it")}
+    others = {"preview": (options.preview, "an image of it")}
     return tell_file(options, text, made, *lines, others=others)
 
 

@@ -103,7 +103,7 @@ def _draw(options: Options, kind: str, program: str) -> tuple[int, int]:
             camera = _camera(options, kind, texture, model, frame)
         if camera is not None and camera.is_distorted:
             progress.note(
-                "the camera has lens distortion; the picture is drawn without it, and fits the camera that "
+                "the camera has lens distortion; the image is drawn without it, and fits the camera that "
                 "--camera-out writes"
             )
             camera = camera.undistorted
@@ -154,14 +154,14 @@ def _write(options: Options, codes: Uint8s, camera: Camera | None) -> None:
     """Write the image and the other requested files, all at the end."""
     from octex.drawing import as_png
 
-    pictures = {options.OUTPUT: as_png(codes)}
+    images = {options.OUTPUT: as_png(codes)}
     if options.empty_layer is not None:
-        pictures[options.empty_layer] = as_png(codes * 0)
+        images[options.empty_layer] = as_png(codes * 0)
     if options.camera_out is not None:  # a layer has no unedited view: all of it is paint
         assert camera is not None
-        cameras = dict.fromkeys((path.name for path in pictures), camera)
-        octex.write_cameras(options.camera_out, cameras, {options.OUTPUT.name: pictures[options.OUTPUT]})
-    for path, png in pictures.items():
+        cameras = dict.fromkeys((path.name for path in images), camera)
+        octex.write_cameras(options.camera_out, cameras, {options.OUTPUT.name: images[options.OUTPUT]})
+    for path, png in images.items():
         with replacing(path) as file:
             file.write(png)
 

@@ -59,29 +59,29 @@ _TABLE = """
 --max-depth N         finest level of paint; cells are then 1/4 to 1/2 pixel wide (default 1/2 to 1)
 --max-angle DEGREES   skip surface tilted more (default 75; 85 for views); 75,both: paint back faces;
                       75,hidden: paint hidden surface
---edge-feather PIXELS fade paint toward the picture's border and toward edges in depth (default 0)
---pictures MODE       how pictures combine: average, best, or robust (default for three or more)
+--edge-feather PIXELS fade paint toward the image's border and toward edges in depth (default 0)
+--fusion MODE         how images combine: average, best, or robust (default for three or more)
 --balance MODE        match exposures: gain; full: each colour, and vignetting
---reference IMAGE     the picture that --balance and --refine-cameras do not change
---refine-cameras JSON turn, move and zoom cameras until the pictures agree; write them
+--reference IMAGE     the image that --balance and --refine-cameras do not change
+--refine-cameras JSON turn, move and zoom cameras until the images agree; write them
 --holes MODE          unseen part of a new texture: smooth (default), leave, or a colour #rrggbb
 --coverage            also store how much of each cell is painted, as the channel coverage
 --resume FOLDER       store finished stages here, and reuse them in a later run
 --layer-out LAYER     also write the paint alone, .octex; give it as an IMAGE later
 --preview PNG         also draw the original and the texture side by side
 
---as KIND             panels (default): side by side with captions; view: one picture, lit; paint: unlit,
+--as KIND             panels (default): side by side with captions; view: one image, lit; paint: unlit,
                       to paint on; cells: leaves as cubes; difference: how both differ
 --size W,H            width and height in pixels
 --direction X,Y,Z     direction from the model to the camera (default: the side with most detail)
---up X,Y,Z            direction that points up in the picture (default 0,1,0)
+--up X,Y,Z            direction that points up in the image (default 0,1,0)
 --zoom TIMES          enlarge by this factor (default 1: the whole model)
 --level N             draw this level of the texture (default: the finest, or what a pixel shows)
 --light LIGHT         soft: on base colours only; or on all materials: studio, or a panorama .hdr, .exr
 --exposure STOPS      double the --light this many times (default 0)
 --bump CHANNEL=H      bend the normals as if the surface rose by H where the channel is 1
---camera-out JSON     write the camera of the picture, to paint it back
---empty-layer PNG     also write a transparent picture of the same size, to draw on
+--camera-out JSON     write the camera of the image, to paint it back
+--empty-layer PNG     also write a transparent image of the same size, to draw on
 
 --uv MODE             auto (default): keep UVs unless they overlap; keep; atlas: new ones; or xatlas:
                       new ones, cut by xatlas (slow for scans)
@@ -149,7 +149,7 @@ _READERS: dict[Callable[[str], Any], str] = {
     v.angle_and_sides: "--max-angle",
     v.pixels: "--edge-feather",
     v.holes: "--holes",
-    v.picture_size: "--size",
+    v.image_size: "--size",
     v.direction: "--direction --up",
     v.light: "--light",
     v.bump: "--bump",
@@ -158,7 +158,7 @@ _READERS: dict[Callable[[str], Any], str] = {
     v.port_number: "--port",
     v.one_of(*v.FILTERS): "--filter",
     v.one_of(*v.BLENDS): "--blend",
-    v.one_of(*v.PICTURES): "--pictures",
+    v.one_of(*v.FUSIONS): "--fusion",
     v.one_of(*v.BALANCES): "--balance",
     v.one_of("panels", "view", "paint", "cells", "difference"): "--as",
     v.one_of("shown", "layers"): "--keep",
@@ -228,15 +228,15 @@ draw  Draw a texture, a model or both: side by side, one view, or how they diffe
   --as --channel --level --size --direction --up --zoom --camera --unwrap --light --exposure --bump
   --camera-out --empty-layer SHAPE RUNNING
 
-paint  Project pictures through their cameras onto a model, into its texture or a new one.
+paint  Project images through their cameras onto a model, into its texture or a new one.
   > droid.octex droid.glb painted.octex view.png --camera camera.json
   > scan.ply scan.octex photo1.png photo2.png --camera transforms.json --preview scan.png
   [TEXTURE]  its texture; without it, a new one is made
   MODEL    the model, in the pose that the cameras see
   OUTPUT   the painted texture, NAME.octex; with --force it may be TEXTURE
-  [IMAGE ...]  pictures named as their cameras (or IMAGE=CAMERA), or layers; default: of --camera
+  [IMAGE ...]  images named as their cameras (or IMAGE=CAMERA), or layers; default: of --camera
   --camera --unwrap --mask --since --blend --opacity --channel --max-depth --max-angle --edge-feather
-  --pictures --balance --reference --refine-cameras --holes --coverage --no-fit --memory --resume SHAPE
+  --fusion --balance --reference --refine-cameras --holes --coverage --no-fit --memory --resume SHAPE
   --layer-out --preview RUNNING
 
 bake  Write a model with images, or vertex colours, of a texture, for other programs.

@@ -45,7 +45,7 @@ def _check(options: Options, program: str) -> bool:
     if layers:
         if len(layers) < len(options.IMAGE):
             raise ArgumentError(
-                f"{layers[0]}: is a layer; merge layers and paint pictures one after the other. A "
+                f"{layers[0]}: is a layer; merge layers and paint images one after the other. A "
                 "texture to paint on stands before its model"
             )
         refuse(options, set(options.words) - _OF_LAYERS, "cannot be used with layers")
@@ -107,7 +107,7 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
             patch, shots = flat_shots(options, whole, texture, progress)
             surface = patch.surface
         for shot in shots:
-            if shot.picture.since is not None and shot.path.suffix.lower() in (".jpg", ".jpeg"):
+            if shot.image.since is not None and shot.path.suffix.lower() in (".jpg", ".jpeg"):
                 progress.note(
                     f"{shot.path} is a JPEG: what compression changed is painted, too; save views as PNG"
                 )
@@ -127,7 +127,7 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
             else:
                 made, layers = _painted(options, surface, texture, shots, stored, progress)
         if made is None or options.opacity == 0:
-            compares = any(shot.picture.since is not None for shot in shots)
+            compares = any(shot.image.since is not None for shot in shots)
             return _nothing_painted(options, program, compares)
         channel = next((name for name in layers[0].channels if name != "alpha"), "alpha")
         entries = _entries(options, [shot.path for shot in shots] or options.IMAGE, channel)
@@ -140,7 +140,7 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
                 elif shots:
                     from octex.drawing import viewpoint_among
 
-                    cameras: Any = [shot.picture.camera for shot in shots]
+                    cameras: Any = [shot.image.camera for shot in shots]
                     seen = viewpoint_among(cameras)
                     view = {"direction": seen.direction, "up": seen.up}
                 _draw(options, made, whole, channel, view)
@@ -149,12 +149,12 @@ def _paint(options: Options, program: str, has_layers: bool) -> int:
                 _with_entries(layers[0], surface, entries).save(options.layer_out)
             made.save(options.OUTPUT)
     names = [str(entry["image"]) for entry in entries]
-    kind = f"{'layer' if has_layers else 'picture'}{'s' if len(names) > 1 else ''}"
+    kind = f"{'layer' if has_layers else 'image'}{'s' if len(names) > 1 else ''}"
     text, facts = facts_of(made)
     facts |= {"painted": names, "skipped": skipped}
     others = {
         "layer": (options.layer_out, "the paint alone"),
-        "preview": (options.preview, "a picture of it"),
+        "preview": (options.preview, "an image of it"),
     }
     return tell_file(options, f"{len(names):,} {kind} painted, {text}", facts, others=others)
 
@@ -163,13 +163,13 @@ def _fitting(
     surface: Surface, shots: list[Shot], run: Run, progress: Reporter
 ) -> tuple[list[Shot], list[str]]:
     """Return the images that fit the model, and the names of the others; note why."""
-    pictures = [shot.picture for shot in shots]
-    if len(shots) < 2 or any(picture.since is not None for picture in pictures):
+    images = [shot.image for shot in shots]
+    if len(shots) < 2 or any(image.since is not None for image in images):
         return shots, []
     from octex.photos.misfits import misfits
 
     assert run.executor is not None
-    reasons, better = misfits(surface, pictures, run.executor)
+    reasons, better = misfits(surface, images, run.executor)
     for number, reason in sorted(reasons.items()):
         progress.note(f"{shots[number].path} is left out: {reason}")
     if better:
@@ -180,18 +180,18 @@ def _fitting(
 
 def _refined(options: Options, surface: Surface, shots: Sequence[Shot], run: Run) -> list[Shot]:
     """Return the images with refined cameras, and write these cameras."""
-    # By the frames' names, or the pictures' where a frame has several pictures.
+    # By the frames' names, or the images' where a frame has several images.
     names = [shot.name for shot in shots]
     if len(set(names)) < len(names):
         names = [shot.path.name for shot in shots]
     if len(set(names)) < len(names):
-        raise ArgumentError("--refine-cameras finds cameras by file name: rename pictures that have one name")
-    pictures, reference = [shot.picture for shot in shots], _reference(options, shots)
-    cameras = octex.refine_cameras(surface, pictures, reference=reference, run=run)
+        raise ArgumentError("--refine-cameras finds cameras by file name: rename images that have one name")
+    images, reference = [shot.image for shot in shots], _reference(options, shots)
+    cameras = octex.refine_cameras(surface, images, reference=reference, run=run)
     # The next steps may take hours, so the cameras are written now.
     octex.write_cameras(options.refine_cameras, dict(zip(names, cameras, strict=True)))
     pairs = zip(shots, cameras, strict=True)
-    return [shot._replace(picture=replace(shot.picture, camera=camera)) for shot, camera in pairs]
+    return [shot._replace(image=replace(shot.image, camera=camera)) for shot, camera in pairs]
 
 
 def _painted(
@@ -207,16 +207,16 @@ def _painted(
     from octex.painting.paint import painted_by
 
     settings = PaintOptions(
-        **arguments(options, "max_depth", "edge_feather", "pictures", "balance"),
+        **arguments(options, "max_depth", "edge_feather", "fusion", "balance"),
         **options.max_angle,
         channel=options.channel or DEFAULT_CHANNEL,
         reference=_reference(options, shots),
         fit=not options.no_fit,
     )
-    pictures = [replace(shot.picture, opacity=options.opacity) for shot in shots]
+    images = [replace(shot.image, opacity=options.opacity) for shot in shots]
     layers: list[OctreeTexture] = []
     made = painted_by(
-        texture, surface, pictures, settings, run, _holes(options), coverage=options.coverage, layers=layers
+        texture, surface, images, settings, run, _holes(options), coverage=options.coverage, layers=layers
     )
     count = sum(layer.tree.n_leaves for layer in layers)
     if texture is not None and count > texture.tree.n_leaves:
@@ -263,7 +263,7 @@ def _reference(options: Options, shots: Sequence[Shot]) -> int | None:
     for names, name in ((paths, path), ([path.name for path in paths], path.name)):
         if names.count(name) == 1:
             return names.index(name)
-    raise ArgumentError(f"--reference {path} must name exactly one of the pictures")
+    raise ArgumentError(f"--reference {path} must name exactly one of the images")
 
 
 def _holes(options: Options) -> Any:
@@ -308,7 +308,7 @@ def _nothing_painted(options: Options, program: str, compares: bool) -> int:
     reasons = [
         *([f"nothing was drawn on the view (--since {NOTHING} paints all of it)"] if compares else []),
         "no camera sees the model (do they look away from it or stand inside it, or have other coordinates?)",
-        "the pictures' alpha, the mask or --opacity are zero all over",
+        "the images' alpha, the mask or --opacity are zero all over",
     ]
     reason = ", or ".join(reasons)
     message = f"nothing was painted, and {options.OUTPUT} is not written: {reason}"

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from octex.arrays import Array
     from octex.cameras.camera import Camera
     from octex.cameras.files import Frame
-    from octex.painting.picture import Projection
+    from octex.painting.image import Projection
     from octex.painting.unwrap import Patch
     from octex.source.surface import Surface
     from octex.texture import OctreeTexture
@@ -31,7 +31,7 @@ class Shot(NamedTuple):
     """An image to paint."""
 
     path: Path
-    picture: Projection
+    image: Projection
     name: str  # of its camera
 
 
@@ -41,7 +41,7 @@ def shots_of(options: Options, progress: Reporter) -> tuple[list[Shot], list[str
 
     pairs, missing = _pairs(options)
     if missing:
-        which = f"skipped {len(missing)} of {len(pairs) + len(missing)} pictures"
+        which = f"skipped {len(missing)} of {len(pairs) + len(missing)} images"
         reason = f", which have no camera in {options.camera[0]}" if options.IMAGE else ""
         progress.note(f"{which}{reason}: {listing(missing)}")
     masks = _masks(options, [path for path, _ in pairs])
@@ -93,14 +93,14 @@ def _shot(
     """Return an image to paint; only pixels that differ from the unedited view ``since`` are painted."""
     key = next((each for each in options.mask if isinstance(each, tuple)), None)
     before = None if options.since == NOTHING else since
-    picture = octex.Projection(path, camera, mask, blend=options.blend, since=before, key=key)
-    return Shot(path, picture, name)
+    image = octex.Projection(path, camera, mask, blend=options.blend, since=before, key=key)
+    return Shot(path, image, name)
 
 
 def patch_of(options: Options, surface: Surface, size: tuple[int, int], progress: Reporter) -> Patch:
     """Unwrap the disc of --unwrap; note where it is not a disc."""
     if size[0] != size[1]:
-        raise ArgumentError(f"pictures of a disc are square, not {size[0]} × {size[1]}")
+        raise ArgumentError(f"images of a disc are square, not {size[0]} × {size[1]}")
     patch = octex.unwrap(surface, **options.unwrap, size=size[0])
     for fault in patch.faults:
         progress.note(f"--unwrap: {fault}; paint reaches what is seen")
@@ -112,16 +112,16 @@ def images_of(options: Options) -> list[Path]:
     return [_image_and_frame(path)[0] for path in options.IMAGE]
 
 
-def _masks(options: Options, pictures: Sequence[Path]) -> list[Path | None]:
+def _masks(options: Options, images: Sequence[Path]) -> list[Path | None]:
     files = [each for each in options.mask if isinstance(each, Path)]
     pattern = next((each for each in options.mask if isinstance(each, str)), None)
     if pattern is None:
         if len(files) > 1:
-            kept = set(pictures)
+            kept = set(images)
             named = zip(images_of(options), files, strict=True)
             return [mask for image, mask in named if image in kept]
-        return [files[0] if files else None] * len(pictures)
-    masks = [Path(pattern.replace("{name}", path.name).replace("{stem}", path.stem)) for path in pictures]
+        return [files[0] if files else None] * len(images)
+    masks = [Path(pattern.replace("{name}", path.name).replace("{stem}", path.stem)) for path in images]
     missing = [mask.as_posix() for mask in masks if not mask.is_file()]
     if missing:
         raise ImageError(f"--mask: {len(missing)} of {len(masks)} masks are missing: {listing(missing)}")
@@ -140,11 +140,11 @@ def _size(path: Path, frame: Frame) -> tuple[int, int]:
 
 
 def _check_unscaled(size: tuple[int, int], frame: Frame) -> None:
-    """Refuse a picture of another size than the view of its frame."""
+    """Refuse an image of another size than the view of its frame."""
     if size != frame.size:
         raise CameraError(
             f"has {size[0]}×{size[1]} pixels, another number than the view in frame {frame.name!r} of "
-            f"{frame.file}, so octex cannot tell which pixels you changed; scale the picture, or give "
+            f"{frame.file}, so octex cannot tell which pixels you changed; scale the image, or give "
             f"--since {NOTHING}"
         )
 
@@ -177,11 +177,11 @@ def _pairs(options: Options) -> tuple[list[tuple[Path, Frame]], list[str]]:
             raise CameraError(f"{error}; IMAGE=NAME says which camera an IMAGE has") from None
     named = [(frame.image, frame) for frame in frames if frame.image is not None]
     if not named:
-        raise CameraError(f"{file}: does not name the pictures of its cameras; give IMAGEs")
+        raise CameraError(f"{file}: does not name the images of its cameras; give IMAGEs")
     missing = [frame.name for image, frame in named if not image.is_file()]
     if len(missing) == len(named):
         raise CameraError(
-            f"{file}: none of the {len(named)} pictures that it names exists: {listing(missing)}; give IMAGEs"
+            f"{file}: none of the {len(named)} images that it names exists: {listing(missing)}; give IMAGEs"
         )
     return [(image, frame) for image, frame in named if image.is_file()], missing
 

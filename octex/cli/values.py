@@ -27,7 +27,7 @@ FILTERS = "nearest", "bilinear", "bicubic", "trilinear", "ewa"
 PROJECTIONS = "planar", "box", "cylindrical", "spherical"
 AXES = "x", "-x", "y", "-y", "z", "-z"
 BLENDS = "over", "multiply", "screen", "add", "erase", "replace"
-PICTURES = "average", "best", "robust"
+FUSIONS = "average", "best", "robust"
 BALANCES = "gain", "full"
 HOLES = "leave", "smooth"
 #: Largest width and height of a drawn image: the largest that octex reads.
@@ -377,7 +377,7 @@ def camera(text: str) -> tuple[Path, str | None]:
     return Path(text[:sign]), name
 
 
-def picture_size(text: str) -> tuple[int, int]:
+def image_size(text: str) -> tuple[int, int]:
     """Parse an image's width and height, separated by a comma or an x."""
     try:
         width, height = (int(number) for number in re.split("[,x×]", text))

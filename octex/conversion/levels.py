@@ -193,7 +193,7 @@ def cell_levels(
         gaps = np.concatenate([gaps, outside.codes << 3 * blocks.bits])
         tops = _end_to_end([tops, outside], np.concatenate)
         tops = sums_of(tops, np.argsort(tops.codes, kind="stable"))
-    codes = [part.codes for part in parts]  # joined later: a source of pictures takes much of the memory here
+    codes = [part.codes for part in parts]  # joined later: a source of images takes much of the memory here
     filled = np.concatenate([distinct(each >> 3 * blocks.bits) for each in codes]) if gaps.size else None
     upper, _ = climb(tops, blocks.level, channels, columns, filled)
     levels = [[stored] for stored in reversed(upper)]

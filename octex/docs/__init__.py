@@ -28,7 +28,7 @@ TOPICS = tuple(name for names in GROUPS.values() for name in names.split())
 
 
 def topic(name: str) -> str:
-    """Return a page as text for a terminal: code is indented, pictures are left out.
+    """Return a page as text for a terminal: code is indented, images are left out.
 
     Raises ArgumentError for an unknown name.
     """

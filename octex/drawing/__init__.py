@@ -9,8 +9,8 @@ from octex.drawing.environment import Environment as Environment
 from octex.drawing.panels import draw_preview as draw_preview
 from octex.drawing.panels import write_png as write_png
 from octex.drawing.panels import write_preview as write_preview
-from octex.drawing.pictures import render_leaves as render_leaves
-from octex.drawing.pictures import render_surface as render_surface
+from octex.drawing.rasters import render_leaves as render_leaves
+from octex.drawing.rasters import render_surface as render_surface
 from octex.drawing.shaders import source_shader as source_shader
 from octex.drawing.shaders import texture_shader as texture_shader
 from octex.drawing.views import as_png as as_png

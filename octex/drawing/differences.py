@@ -24,7 +24,7 @@ from octex.drawing.compare import (
 from octex.drawing.directions import USUAL, Viewpoint, leaf_camera, surface_camera
 from octex.drawing.hits import rest_normals, visible_hits
 from octex.drawing.panels import caption_height, captioned, named, source_caption, texture_facts
-from octex.drawing.pictures import Film, Leaves, film_leaves, film_surface, visible_level
+from octex.drawing.rasters import Film, Leaves, film_leaves, film_surface, visible_level
 from octex.drawing.shaders import Appearance, Shader, source_shader, texture_shader
 from octex.drawing.soft_light import background
 from octex.source.surface import Surface
@@ -42,7 +42,7 @@ _ALONE = np.array([0, 190, 255])
 
 #: The size of a panel, the height of its caption, and where the camera views from.
 _Panel = tuple[tuple[int, int], int, Viewpoint]
-#: The pictures of both sides; the difference in red, and surface of one side only in green; and the pixel
+#: The images of both sides; the difference in red, and surface of one side only in green; and the pixel
 #: coordinates of the maximum, if it is visible.
 _Row = tuple[list[Float32s], Film, tuple[float, float] | None]
 
@@ -85,10 +85,10 @@ def draw_difference(
     panel = (size[0] // 3, size[1]), room, view
     drawn = draw(in_common(*whole), differences, panel, supersample)
     rows = []
-    for (channel, result), (pictures, film, ring) in zip(differences.items(), drawn, strict=True):
+    for (channel, result), (images, film, ring) in zip(differences.items(), drawn, strict=True):
         panels = [
-            captioned(picture, name, caption(side, channel), room)
-            for picture, name, side in zip(pictures, names, whole, strict=True)
+            captioned(image, name, caption(side, channel), room)
+            for image, name, side in zip(images, names, whole, strict=True)
         ]
         if isinstance(whole[1], Surface):
             panels.reverse()
@@ -117,7 +117,7 @@ def _drawn_on_model(
             if distances[n] < min(nearest, 3 * hits.width[n]):
                 nearest, pixel = distances[n], int(pixels[n])
                 ring = pixel % camera.width + 0.5, pixel // camera.width + 0.5
-        yield [each.picture() for each in films], film, ring
+        yield [each.image() for each in films], film, ring
 
 
 def _look(side: Side, channel: str) -> Shader:
@@ -163,7 +163,7 @@ def _drawn_leaves(
         cubes = seen[2].cube
         at = (np.argwhere((cubes >= 0) & holding[cubes]) + 0.5) / supersample
         ring = (float(at[:, 1].mean()), float(at[:, 0].mean())) if len(at) else None
-        yield [each.picture() for each in films], film, ring
+        yield [each.image() for each in films], film, ring
 
 
 def _difference_of(
@@ -195,13 +195,13 @@ def _difference_panel(
         srgb_to_linear(_scale_codes(apart / within[..., 0]) / 255) * within
         + srgb_to_linear(_ALONE / 255) * alone
     )
-    picture = (colors + (1.0 - coverage) * background(*apart.shape)).astype(np.float32)
+    image = (colors + (1.0 - coverage) * background(*apart.shape)).astype(np.float32)
     title = f"{channel}: {_text(PEAKS[shown.measure] / top)} times the difference"
     subtitle = "they do not differ"
     if shown.maximum > 0:
         rms, maximum = (_amount(number, shown.measure) for number in (shown.rms, shown.maximum))
         subtitle = f"RMS {rms}, maximum {maximum}, {'in the ring' if ring else 'out of sight'}"
-    panel = captioned(picture, title, subtitle, room)
+    panel = captioned(image, title, subtitle, room)
     if ring and shown.maximum > 0:
         draw = ImageDraw.Draw(panel)
         radius = max(panel.height / 40, 4.0)

@@ -15,7 +15,7 @@ from octex.cameras.files import Frame
 from octex.channels import linear_to_srgb
 from octex.checks import as_positive
 from octex.drawing.hits import rest_normals, visible_hits
-from octex.drawing.pictures import Leaves
+from octex.drawing.rasters import Leaves
 from octex.drawing.shaders import Shader, source_shader, texture_shader
 from octex.errors import ArgumentError
 from octex.tree.octree import distinct
@@ -119,8 +119,8 @@ def best_direction(directions: Floats, points: Floats, unlit: Callable[[Camera],
     """Return the direction (3,) whose small ``unlit`` rendering of points (n, 3) has most detail."""
     details = [0.0] * len(directions)
     for number, direction in enumerate(directions if len(directions) > 1 else ()):
-        picture = unlit(Camera.fitted(points, direction, size=(96, 96)))
-        steps = [np.abs(np.diff(picture, axis=axis)) for axis in (0, 1)]
+        image = unlit(Camera.fitted(points, direction, size=(96, 96)))
+        steps = [np.abs(np.diff(image, axis=axis)) for axis in (0, 1)]
         details[number] = sum(float(step[step > _SEEN].sum()) for step in steps)
     best: Float64s = directions[int(np.argmax(np.array(details) * _CLEARLY >= max(details)))]
     return best
@@ -149,10 +149,10 @@ def surface_camera(
     normals = rest_normals(surface)
 
     def unlit(camera: Camera) -> Floats:
-        picture = np.full((camera.height * camera.width, 3), np.nan)
+        image = np.full((camera.height * camera.width, 3), np.nan)
         for pixels, hits in visible_hits(surface, camera, normals):
-            picture[pixels] = linear_to_srgb(look(hits).unlit())
-        return picture.reshape(camera.height, camera.width, 3)
+            image[pixels] = linear_to_srgb(look(hits).unlit())
+        return image.reshape(camera.height, camera.width, 3)
 
     points = surface.vertices[distinct(surface.triangles.ravel())]
     return view.camera(points, lambda: face_normals(surface.vertices, surface.triangles), unlit, size, room)
@@ -173,9 +173,9 @@ def leaf_camera(
 
     def unlit(camera: Camera) -> Floats:
         seen = first.seen(camera).cube
-        picture = np.full((*seen.shape, 3), np.nan)
-        picture[seen >= 0] = linear_to_srgb(colors[seen[seen >= 0]])
-        return picture
+        image = np.full((*seen.shape, 3), np.nan)
+        image[seen >= 0] = linear_to_srgb(colors[seen[seen >= 0]])
+        return image
 
     corners = np.array(list(np.ndindex(2, 2, 2)))
     points = np.concatenate(

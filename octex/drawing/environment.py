@@ -63,7 +63,7 @@ class Environment:
     @classmethod
     def of(
         cls,
-        picture: str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike,
+        image: str | os.PathLike[str] | PIL.Image.Image | npt.ArrayLike,
         exposure: float = 0.0,
         up: npt.ArrayLike = (0.0, 1.0, 0.0),
     ) -> Environment:
@@ -75,8 +75,8 @@ class Environment:
         below 0, from lossy files, become black. Raises ImageError for an unusable image, ArgumentError for an
         exposure beyond ±64 stops and an ``up`` of length 0.
         """
-        texels, origin = read_image(picture)
-        name = "the picture" if "array" in origin else next(iter(origin))
+        texels, origin = read_image(image)
+        name = "the image" if "array" in origin else next(iter(origin))
         exposure = as_number(exposure, "exposure", -64.0, 64.0)
         height, width = texels.shape[:2]
         if height > width:  # the faces of a cube, one below another
@@ -152,7 +152,7 @@ def _axes_of(up: npt.ArrayLike) -> Float64s:
 
 
 def _resampled(light: Float32s) -> Float64s:
-    """Return a picture of powers of two, no less than 4 × 8, by the means over texels' areas."""
+    """Return an image of powers of two, no less than 4 × 8, by the means over texels' areas."""
     height, width = light.shape[:2]
     wide = 2 ** int(np.clip(np.floor(np.log2(width)), np.log2(2 * _ROWS), np.log2(_WIDEST)))
     high = 2 ** int(np.clip(np.floor(np.log2(height)), np.log2(_ROWS), np.log2(wide)))

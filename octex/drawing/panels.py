@@ -14,7 +14,7 @@ from octex.channels import encode
 from octex.checks import as_path, as_text
 from octex.drawing.directions import USUAL, Viewpoint, as_viewpoint, leaf_camera, surface_camera
 from octex.drawing.environment import Environment, as_light
-from octex.drawing.pictures import as_picture_size, as_supersample, film_surface, render_leaves, visible_level
+from octex.drawing.rasters import as_image_size, as_supersample, film_surface, render_leaves, visible_level
 from octex.drawing.shaders import Bump, Shown, as_bump, source_shader, texture_shader
 from octex.drawing.soft_light import background
 from octex.errors import ArgumentError
@@ -58,7 +58,7 @@ def write_preview(
     codes = draw_preview(
         None if texture is None else as_texture(texture),
         None if surface is None else as_surface(surface),
-        as_picture_size(size),
+        as_image_size(size),
         as_supersample(supersample),
         view=as_viewpoint(direction, up, zoom),
         channel=None if channel is None else as_text(channel, "channel"),
@@ -96,20 +96,20 @@ def draw_preview(
         panel_size = size[0] // len(looks), size[1]
         camera = surface_camera(placed, source_shader(placed, channel), panel_size, room, view)
         films = film_surface(placed, camera, looks, supersample, light)
-        pictures = [film.picture() for film in films]
+        images = [film.image() for film in films]
     elif texture is not None:
         channel = Shown.of((each.format for each in texture.channels.values()), channel).channel.name
         camera = leaf_camera([texture], channel, (size[0] // 2, size[1]), room, view)
         level = visible_level(texture, camera, pixels=10.0)
         draw = partial(render_leaves, texture, camera, supersample=supersample, channel=channel, light=light)
-        pictures = [draw(bump=bump), draw(level=level, cubes=True)]
+        images = [draw(bump=bump), draw(level=level, cubes=True)]
         cells = count_text(texture.level(level).tree.n_leaves, "cell")
         captions = [texture_caption(texture, channel), (f"level {level}", cells)]
     else:
         raise ArgumentError("a preview needs a surface, a texture or both")
-    for picture in pictures:  # a zoomed model reaches below the caption
-        picture[-room:] = background(*picture.shape[:2])[-room:]
-    panels = [captioned(picture, *caption) for picture, caption in zip(pictures, captions, strict=True)]
+    for image in images:  # a zoomed model reaches below the caption
+        image[-room:] = background(*image.shape[:2])[-room:]
+    panels = [captioned(image, *caption) for image, caption in zip(images, captions, strict=True)]
     return np.hstack([np.asarray(panel) for panel in panels])
 
 
@@ -144,9 +144,9 @@ def caption_height(height: int) -> int:
     return max(height // 11, 24)
 
 
-def captioned(picture: Float32s, title: str, subtitle: str, room: int | None = None) -> Image.Image:
+def captioned(image: Float32s, title: str, subtitle: str, room: int | None = None) -> Image.Image:
     """Return linear light (height, width, 3) as an image, with a caption in ``room`` pixels at its bottom."""
-    panel = Image.fromarray(encode(picture, "uint8", "srgb"))
+    panel = Image.fromarray(encode(image, "uint8", "srgb"))
     strip = caption_height(panel.height)
     draw = ImageDraw.Draw(panel)
     middle, top = panel.width // 2, panel.height - (room or strip)

@@ -17,8 +17,8 @@ from octex.drawing.directions import as_viewpoint, camera_of
 from octex.drawing.environment import Environment, as_light
 from octex.drawing.hits import Hits, rest_normals, visible_hits
 from octex.drawing.panels import write_png
-from octex.drawing.pictures import (
-    as_picture_size,
+from octex.drawing.rasters import (
+    as_image_size,
     as_supersample,
     film_surface,
     render_leaves,
@@ -66,10 +66,10 @@ def render(
     if the file cannot be written.
     """
     if texture is None and surface is None:
-        raise ArgumentError("a picture needs a texture, a surface or both")
+        raise ArgumentError("an image needs a texture, a surface or both")
     texture = None if texture is None else as_texture(texture)
     surface = None if surface is None else as_surface(surface)
-    size, view = as_picture_size(size), as_viewpoint(direction, up, zoom)
+    size, view = as_image_size(size), as_viewpoint(direction, up, zoom)
     channel = None if channel is None else as_text(channel, "channel")
     light, bump, supersample = as_light(light), as_bump(bump), as_supersample(supersample)
     if camera is not None and not isinstance(camera, Camera):
@@ -94,14 +94,14 @@ def render(
             surface = surface.placed_on(texture)
             shown = texture if level is None else texture.level(level)
             look = texture_shader(shown, channel, materials=materials, bump=bump)
-        picture = render_surface(surface, camera, look, supersample, light)
+        image = render_surface(surface, camera, look, supersample, light)
     else:
         assert texture is not None
-        picture = render_leaves(
+        image = render_leaves(
             texture, camera, level=level, cubes=cubes, supersample=supersample, channel=channel, light=light,
             bump=bump,
         )  # fmt: skip
-    codes = encode(picture, "uint8", "srgb")
+    codes = encode(image, "uint8", "srgb")
     if path is not None:
         write_png(path, codes)
     return codes

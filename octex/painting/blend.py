@@ -16,8 +16,8 @@ from octex.channels import ALPHA, ChannelFormat, alpha_of, plain_name
 from octex.editing.averages import Residuals, average, average_rows, residuals_at
 from octex.editing.nodes import Nodes, nodes_at
 from octex.editing.split import rows_facing, split_in_vain, with_split, without_split
+from octex.painting.image import Blend
 from octex.painting.layer import Paint, leave_bare, painted_channel
-from octex.painting.picture import Blend
 from octex.painting.surface import Job
 from octex.texture import OctreeTexture
 from octex.texture.channel import Channel

@@ -1,4 +1,4 @@
-"""A new texture: the surface that no picture sees is filled, and the first layer is laid over the fill."""
+"""A new texture: the surface that no image sees is filled, and the first layer is laid over the fill."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from octex.painting.blend import (
     with_split_cells,
     writable,
 )
+from octex.painting.image import Blend
 from octex.painting.layer import COVERAGE, Paint, blocks_meeting, empty_texture, painted_channel
 from octex.painting.multigrid import added, graph_of, solve
 from octex.painting.options import Fill
-from octex.painting.picture import Blend
 from octex.painting.sheets import Sheets, sheets_of
 from octex.painting.steps import cull_cells
 from octex.painting.surface import Job
@@ -51,7 +51,7 @@ from octex.tree.placement import on_grid
 from octex.tree.split import rows_of
 from octex.voxelize.fragments import divided, whole
 
-#: The channel with the part of the surface that pictures cover.
+#: The channel with the part of the surface that images cover.
 COVERED = "coverage"
 #: Least coverage of a known value.
 _KNOWN = 0.5

@@ -32,8 +32,8 @@ from octex.voxelize.fragments import Blocks
 CELLS, FINEST_CELLS = 1.0, 2.0
 #: Share of the surface with the finest pixels that is ignored.
 _FINEST_PART = 0.01
-#: Share of the surface with finer pixels than the level of most of it allows, for several pictures. One
-#: picture gets next to none, so that its edges stay sharp.
+#: Share of the surface with finer pixels than the level of most of it allows, for several images. One
+#: image gets next to none, so that its edges stay sharp.
 _FINER_PART = 0.5
 #: Levels by which paint may be coarser than its detail.
 _SLACK = 0.1
@@ -119,7 +119,7 @@ def wanted_depths(
 ) -> Depths:
     """Return the levels of paint with details of these widths (n,) on these areas (n,) of the surface.
 
-    Most of the surface gets ``cells`` or more per width, in a root cell of ``size``; a single picture all but
+    Most of the surface gets ``cells`` or more per width, in a root cell of ``size``; a single image all but
     its finest hundredth. No level is deeper than ``depth``.
     """
     is_known = np.isfinite(widths) & (widths > 0.0) & (areas > 0.0)

@@ -12,11 +12,11 @@ from octex.checks import as_flag, as_whole
 from octex.editing.draft import Change, as_change, change_of_values, with_alpha
 from octex.errors import ArgumentError
 from octex.painting.composites import ERASED, Stacked, restored, without_erased
+from octex.painting.image import Blend
 from octex.painting.layer import painted_channel
 from octex.painting.merge import merged
 from octex.painting.paint import check_inside
 from octex.painting.painter import History, Painter, Stroke
-from octex.painting.picture import Blend
 from octex.painting.stack import (
     Keep,
     Layer,

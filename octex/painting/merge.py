@@ -36,8 +36,8 @@ from octex.editing.runs import carried
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, own_making
 from octex.painting.blend import Merge, Merged, averaged_above, no_parts
+from octex.painting.image import BLENDS, Blend
 from octex.painting.layer import Paint, channel_of, paint_of
-from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import delete_paint, merge_draft
 from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, ordered_map, sharing, silent, workers
@@ -127,7 +127,7 @@ def merged(
     if layer.placement != texture.placement:
         raise ArgumentError(
             f"the layer's root cell, {layer.placement}, is not the texture's, {texture.placement}; "
-            "project the pictures onto this texture anew"
+            "project the images onto this texture anew"
         )
     if opacity == 0.0 or not layer.tree.n_leaves:
         return None

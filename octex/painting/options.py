@@ -13,17 +13,17 @@ from octex.arrays import Bools, Float32s
 from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat, color_in_light
 from octex.checks import as_array, as_choice, as_depth, as_flag, as_number, as_reals, as_whole
 from octex.errors import ArgumentError
-from octex.painting.picture import Projection
+from octex.painting.image import Projection
 from octex.texture import OctreeTexture, as_texture
 
-#: Ways to combine pictures that see the same point.
-Pictures = Literal["average", "best", "robust"]
-PICTURES: tuple[Pictures, ...] = get_args(Pictures)
-#: Ways to match exposures: by one gain per picture; or per component, with vignetting removed.
+#: Ways to combine images that see the same point.
+Fusion = Literal["average", "best", "robust"]
+FUSIONS: tuple[Fusion, ...] = get_args(Fusion)
+#: Ways to match exposures: by one gain per image; or per component, with vignetting removed.
 Balance = Literal["gain", "full"]
 BALANCES: tuple[Balance, ...] = get_args(Balance)
 
-#: Contents of a new texture where no picture sees the surface: cells or none, or a value of the channel.
+#: Contents of a new texture where no image sees the surface: cells or none, or a value of the channel.
 Fill = Literal["leave", "smooth"]
 FILLS: tuple[Fill, ...] = get_args(Fill)
 Holes: TypeAlias = Fill | npt.ArrayLike
@@ -40,7 +40,7 @@ class PaintOptions:
     max_depth: int | None = None
     max_angle: float | None = None
     edge_feather: float = 0.0
-    pictures: Pictures | None = None
+    fusion: Fusion | None = None
     balance: Balance | None = None
     reference: int | None = None
     back_faces: bool = False
@@ -55,7 +55,7 @@ class PaintOptions:
             "max_depth": None if depth is None else as_depth(depth, "max_depth"),
             "max_angle": None if angle is None else as_number(angle, "max_angle", 0.0, 180.0),
             "edge_feather": as_number(self.edge_feather, "edge_feather", 0.0, 1e6),
-            "pictures": None if self.pictures is None else as_choice(self.pictures, PICTURES, "pictures"),
+            "fusion": None if self.fusion is None else as_choice(self.fusion, FUSIONS, "fusion"),
             "balance": None if self.balance is None else as_choice(self.balance, BALANCES, "balance"),
             "back_faces": as_flag(self.back_faces, "back_faces"),
             "fit": as_flag(self.fit, "fit"),
@@ -63,19 +63,19 @@ class PaintOptions:
         }
         for name, value in checked.items():
             object.__setattr__(self, name, value)
-        if self.hidden and (self.balance is not None or self.pictures in ("robust", "best")):
+        if self.hidden and (self.balance is not None or self.fusion in ("robust", "best")):
             raise ArgumentError(
-                "hidden cannot be used with balance, or with pictures that are robust or best: these compare "
+                "hidden cannot be used with balance, or with images that are robust or best: these compare "
                 "what cameras see"
             )
 
-    def of(self, pictures: Sequence[Projection]) -> PaintOptions:
-        """Return the options for these pictures; raise ArgumentError for a reference that is none of them."""
-        usual = DRAWN_ANGLE if all(each.since is not None for each in pictures) else TAKEN_ANGLE
+    def of(self, images: Sequence[Projection]) -> PaintOptions:
+        """Return the options for these images; raise ArgumentError for a reference that is none of them."""
+        usual = DRAWN_ANGLE if all(each.since is not None for each in images) else TAKEN_ANGLE
         if self.reference is not None:
-            as_whole(self.reference, "reference", 0, len(pictures) - 1)
+            as_whole(self.reference, "reference", 0, len(images) - 1)
         angle = usual if self.max_angle is None else self.max_angle
-        return replace(self, max_angle=angle, pictures="average" if self.hidden else self.pictures)
+        return replace(self, max_angle=angle, fusion="average" if self.hidden else self.fusion)
 
 
 def triangles_of(region: npt.ArrayLike, count: int) -> Bools | None:
@@ -99,9 +99,9 @@ def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
     else:
         form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
     if channel == ALPHA.name:
-        raise ArgumentError('alpha is painted with blend="erase", or as the alpha of pictures')
+        raise ArgumentError('alpha is painted with blend="erase", or as the alpha of images')
     if form.components > 3:
-        raise ArgumentError(f"channel {channel!r} has {form.components} components; pictures have three")
+        raise ArgumentError(f"channel {channel!r} has {form.components} components; images have three")
     return form
 
 

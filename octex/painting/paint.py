@@ -1,4 +1,4 @@
-"""Painting: pictures, cameras and a surface in; the texture with their paint out (paper 4)."""
+"""Painting: images, cameras and a surface in; the texture with their paint out (paper 4)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from octex.checks import as_flag
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.first import started, with_coverage
+from octex.painting.image import Projection, check_projections, content_of, room_for
 from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
 from octex.painting.merge import Merging, merged
-from octex.painting.options import Balance, Fill, Holes, PaintOptions, Pictures, fill_of, format_of
-from octex.painting.picture import Projection, check_projections, content_of, room_for
+from octex.painting.options import Balance, Fill, Fusion, Holes, PaintOptions, fill_of, format_of
 from octex.painting.project import AROUND, in_fixed_order, take_shots
 from octex.painting.reading import Shot, terms_of
 from octex.painting.resume import Stages, stages_in
@@ -46,7 +46,7 @@ def paint(
     max_depth: int | None = None,
     max_angle: float | None = None,
     edge_feather: float = 0.0,
-    pictures: Pictures | None = None,
+    fusion: Fusion | None = None,
     balance: Balance | None = None,
     reference: int | None = None,
     back_faces: bool = False,
@@ -59,45 +59,45 @@ def paint(
     progress: Progress | None = None,
     run: Run | None = None,
 ) -> OctreeTexture:
-    """Paint pictures through their cameras onto a surface, and return the painted texture.
+    """Paint images through their cameras onto a surface, and return the painted texture.
 
     texture       the texture to paint on; it does not change. None begins a new one
     surface       the model: cameras see its posed positions, paint lands at its rest positions
-    projections   pictures with cameras. Consecutive ones with the same blend mode form one layer: each cell
+    projections   images with cameras. Consecutive ones with the same blend mode form one layer: each cell
                   averages them (square roots of light), and is blended once; pixels more than twice as wide
                   as cells, and as the finest pixel there, count for less
     channel       the channel to paint
     max_depth     cells are a quarter to half a pixel wide, but no finer than this level: paint can be finer
                   than by default. Default: half a pixel to one pixel, no finer than level 14
     max_angle     degrees between the surface's normal and the direction to the camera beyond which nothing is
-                  painted; paint fades over the last 10. Default: 75; 85 if every picture was drawn on a view
-    edge_feather  pixels over which paint fades toward the picture's border and toward edges in depth
-    pictures      how pictures combine: "average"; "robust" leaves out what only one of at least three shows;
-                  "best" takes one picture per patch (Lempitsky & Ivanov 2007). Default: "robust" for three or
+                  painted; paint fades over the last 10. Default: 75; 85 if every image was drawn on a view
+    edge_feather  pixels over which paint fades toward the image's border and toward edges in depth
+    fusion        how images combine: "average"; "robust" leaves out what only one of at least three shows;
+                  "best" takes one image per patch (Lempitsky & Ivanov 2007). Default: "robust" for three or
                   more
-    balance       "gain" multiplies pictures so that they agree; "full" does so for each component, and
+    balance       "gain" multiplies images so that they agree; "full" does so for each component, and
                   removes vignetting. Overexposed pixels are ignored where a darker exposure exists
-    reference     number of the picture that ``balance`` does not change. Default: the median gain is 1
+    reference     number of the image that ``balance`` does not change. Default: the median gain is 1
     back_faces    also paint surface that faces away
     hidden        also paint surface that other surface hides from the camera
     region        triangles to paint, as numbers or one bool each; others still hide. Default: all
     holes         how to fill unseen surface of a new texture: "smooth" (default) continues the colours
                   harmonically; "leave" stores no cells; a colour as in ``octex.fill`` is stored there
-    coverage      also store the part of each cell that pictures cover, 0 … 1, as channel "coverage"
-    fit           choose leaf values so that lookups match the pictures; False stores plain averages
+    coverage      also store the part of each cell that images cover, 0 … 1, as channel "coverage"
+    fit           choose leaf values so that lookups match the images; False stores plain averages
     run           how to work (octex.Run)
 
     By default only surface that the camera sees is painted: not hidden, and not facing away. Where nothing
     is painted the texture itself is returned.
 
     Raises ArgumentError for a channel that the texture does not have, a surface outside of its root cell,
-    numbers out of range, a region that is no triangles, hidden with pictures that must be compared, and
-    pictures that do not fit their cameras; ImageError for files that are no pictures. (Benson & Davis 2002,
+    numbers out of range, a region that is no triangles, hidden with images that must be compared, and
+    images that do not fit their cameras; ImageError for files that are no images. (Benson & Davis 2002,
     4.1 and 4.2.)
     """
     run = as_run(run, threads, progress, "memory", "folder", "resume")
     options = PaintOptions(
-        channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit, hidden,
+        channel, max_depth, max_angle, edge_feather, fusion, balance, reference, back_faces, fit, hidden,
         region,
     )  # fmt: skip
     return painted_by(texture, surface, projections, options, run, holes, coverage=coverage)
@@ -142,9 +142,9 @@ def painted(
     """Paint; yield the texture with each layer, and the change. Layers are appended to ``layers``."""
     job, projections = laid_flat(job, projections, texture)
     for blend, group in groupby(projections, key=lambda projection: projection.blend):
-        pictures = list(group)
-        layer = layer_of(job, pictures, texture, options)
-        opacity = max(picture.opacity for picture in pictures)
+        images = list(group)
+        layer = layer_of(job, images, texture, options)
+        opacity = max(image.opacity for image in images)
         if layers is not None:
             layers.append(layer)
         if texture is None:
@@ -166,7 +166,7 @@ def project(
     max_depth: int | None = None,
     max_angle: float | None = None,
     edge_feather: float = 0.0,
-    pictures: Pictures | None = None,
+    fusion: Fusion | None = None,
     balance: Balance | None = None,
     reference: int | None = None,
     back_faces: bool = False,
@@ -177,7 +177,7 @@ def project(
     progress: Progress | None = None,
     run: Run | None = None,
 ) -> OctreeTexture:
-    """Project pictures onto a surface, and return the paint as a layer for ``octex.merge``.
+    """Project images onto a surface, and return the paint as a layer for ``octex.merge``.
 
     A layer is a texture with the painted channel and ``alpha``, the coverage of each cell. Its opacities are
     relative to the largest one; ``merge`` applies opacity and blend mode. ``like`` is the
@@ -187,7 +187,7 @@ def project(
     run = as_run(run, threads, progress, "memory", "folder", "resume")
     as_surface(surface)
     options = PaintOptions(
-        channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit, hidden,
+        channel, max_depth, max_angle, edge_feather, fusion, balance, reference, back_faces, fit, hidden,
         region,
     )  # fmt: skip
     given = check_projections(projections)
@@ -198,42 +198,42 @@ def project(
 
 
 def layer_of(
-    job: Job, pictures: Sequence[Projection], like: OctreeTexture | None, options: PaintOptions
+    job: Job, images: Sequence[Projection], like: OctreeTexture | None, options: PaintOptions
 ) -> OctreeTexture:
-    """Project pictures of one layer as `project` does, or return the stored layer."""
-    options = options.of(pictures)
+    """Project images of one layer as `project` does, or return the stored layer."""
+    options = options.of(images)
     form = format_of(like, options.channel)
-    largest = max(each.opacity for each in pictures) or 1.0
-    scales = [each.opacity / largest for each in pictures]
+    largest = max(each.opacity for each in images) or 1.0
+    scales = [each.opacity / largest for each in images]
 
     def parts() -> list[Any]:
-        cameras = [key_of(cast(Camera, each.camera)) for each in pictures]
-        shown = [*zip(map(content_of, pictures), cameras, scales, strict=True)]
+        cameras = [key_of(cast(Camera, each.camera)) for each in images]
+        shown = [*zip(map(content_of, images), cameras, scales, strict=True)]
         return [job.surface.content, like and like.placement, form, shown, *astuple(options)]
 
     stages = job.stages.of(parts)
     return stages.texture(
-        "layer", lambda: layer_from(job, _raster_of(job, pictures, scales, like, form, options, stages))
+        "layer", lambda: layer_from(job, _raster_of(job, images, scales, like, form, options, stages))
     )
 
 
 def _raster_of(
     job: Job,
-    pictures: Sequence[Projection],
+    images: Sequence[Projection],
     scales: Sequence[float],
     like: OctreeTexture | None,
     form: ChannelFormat,
     options: PaintOptions,
     stages: Stages,
 ) -> Raster:
-    """Project pictures, which are released on return; ``stages`` are those of all these pictures.
+    """Project images, which are released on return; ``stages`` are those of all these images.
 
     ``scales`` multiply their alpha.
     """
     surface = job.surface.surface
-    is_single = len(pictures) == 1
+    is_single = len(images) == 1
     around = AROUND if is_single and options.edge_feather < AROUND else None
-    shots = _look(job, form, pictures, scales, options, around)
+    shots = _look(job, form, images, scales, options, around)
     reference = None if options.reference is None else shots[options.reference]
     shots = in_fixed_order(shots)
     angle = cast(float, options.max_angle)
@@ -254,7 +254,7 @@ def _raster_of(
     # Footprints of larger cells reach farther.
     reach = _REACH << max(finest - depth, 0)
     if around is not None and reach > around:
-        source = source.with_shots(_look(job, form, pictures, scales, options, None))
+        source = source.with_shots(_look(job, form, images, scales, options, None))
     source = near if finest <= depth else source.near_paint(reach)
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
     if like is not None:
@@ -263,7 +263,7 @@ def _raster_of(
     number = None if reference is None else [shot is reference for shot in shots].index(True)
     del shots, near, reference  # they hold copies of the visible surface
     if not is_single:
-        from octex.photos.weigh import weighed  # a single picture does not load it
+        from octex.photos.weigh import weighed  # a single image does not load it
 
         paint = weighed(source, surface, options, number, placement, depth, job.executor, stages)
     return rasterize_surface(job, paint, placement, depths, fit=options.fit, cells=cells)
@@ -272,22 +272,22 @@ def _raster_of(
 def _look(
     job: Job,
     form: ChannelFormat,
-    pictures: Sequence[Projection],
+    images: Sequence[Projection],
     scales: Sequence[float],
     options: PaintOptions,
     around: int | None,
 ) -> list[Shot]:
-    """Return the shots of pictures, or their parts within ``around`` pixels of paint."""
-    cameras = [cast(Camera, each.camera) for each in pictures]
+    """Return the shots of images, or their parts within ``around`` pixels of paint."""
+    cameras = [cast(Camera, each.camera) for each in images]
     sights = job.surface.sights(
         cameras, options.edge_feather, job.executor, job.stages, hidden=options.hidden
     )
     shots = []
-    taken = take_shots(pictures, form, scales, sights, job.executor, around=around, stages=job.stages)
-    job.progress("look", 0, len(pictures))
+    taken = take_shots(images, form, scales, sights, job.executor, around=around, stages=job.stages)
+    job.progress("look", 0, len(images))
     for shot in taken:
         shots.append(shot)
-        job.progress("look", len(shots), len(pictures))
+        job.progress("look", len(shots), len(images))
     return shots
 
 

@@ -18,10 +18,10 @@ from octex.channels import BASE_COLOR
 from octex.checks import as_path
 from octex.editing.draft import Change, as_change
 from octex.errors import OutputError
+from octex.painting.image import Blend, Projection, check_projections
 from octex.painting.merge import Merging, merged
-from octex.painting.options import Balance, PaintOptions, Pictures
+from octex.painting.options import Balance, Fusion, PaintOptions
 from octex.painting.paint import painted
-from octex.painting.picture import Blend, Projection, check_projections
 from octex.painting.region import Region, filled
 from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers
@@ -175,7 +175,7 @@ class Painter:
         max_depth: int | None = None,
         max_angle: float | None = None,
         edge_feather: float = 0.0,
-        pictures: Pictures | None = None,
+        fusion: Fusion | None = None,
         balance: Balance | None = None,
         reference: int | None = None,
         back_faces: bool = False,
@@ -186,14 +186,14 @@ class Painter:
         progress: Progress | None = None,
         run: Run | None = None,
     ) -> Stroke:
-        """Paint pictures as ``octex.paint`` does, with its options; return the changes.
+        """Paint images as ``octex.paint`` does, with its options; return the changes.
 
         ``pose`` is the surface in another pose (``Surface.with_pose``), which the cameras see instead. The
         changes are empty if nothing is painted; else undone strokes can no longer be redone. Raises the
         errors of ``octex.paint``; the texture then stays as it was.
         """
         options = PaintOptions(
-            channel, max_depth, max_angle, edge_feather, pictures, balance, reference, back_faces, fit,
+            channel, max_depth, max_angle, edge_feather, fusion, balance, reference, back_faces, fit,
             hidden, region,
         )  # fmt: skip
         changes: list[Change | None] = []

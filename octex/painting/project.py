@@ -1,4 +1,4 @@
-"""Pictures projected onto a surface, which a source of paint reads, and the surface that cameras see."""
+"""Images projected onto a surface, which a source of paint reads, and the surface that cameras see."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from octex.channels import ChannelFormat
 from octex.conversion import large
 from octex.conversion.levels import SMALL_BITS
 from octex.jit import inlined, kernel
+from octex.painting.image import Mips, Projection, Window, window_of
 from octex.painting.layer import PaintSource
-from octex.painting.picture import Mips, Projection, Window, window_of
 from octex.painting.reading import (
     TRUSTED,
     Shot,
@@ -51,7 +51,7 @@ from octex.view.visibility import (
 )
 from octex.voxelize.fragments import Blocks
 
-#: Pixels around its paint within which a single picture is decoded, a power of two.
+#: Pixels around its paint within which a single image is decoded, a power of two.
 AROUND = 64
 
 
@@ -65,7 +65,7 @@ class Sight(NamedTuple):
     margins: Float32s
 
     def shot(self, mips: Mips, window: Window | None = None) -> Shot:
-        """Return the shot of a picture, or of its part in a window, with pixels counted from its corner."""
+        """Return the shot of an image, or of its part in a window, with pixels counted from its corner."""
         camera, K, lens, seen, margins = self
         if window is not None and (window.bottom - window.top, window.right - window.left) != margins.shape:
             shift = np.array([[1.0, 0.0, -window.left], [0.0, 1.0, -window.top], [0.0, 0.0, 1.0]])
@@ -115,7 +115,7 @@ def sight_of(
 
 
 def most_ahead() -> int:
-    """Return how many pictures are decoded ahead: few where memory is scarce."""
+    """Return how many images are decoded ahead: few where memory is scarce."""
     return 2 if large.is_mapped() else 64
 
 
@@ -129,7 +129,7 @@ def take_shots(
     around: int | None = None,
     stages: Stages = NOT_STORED,
 ) -> Iterator[Shot]:
-    """Decode pictures, several ahead, with alpha times ``scales``; see `window_of` for ``around``."""
+    """Decode images, several ahead, with alpha times ``scales``; see `window_of` for ``around``."""
     decoded = (
         start(executor, window_of, each, form, scale, around, stages)
         for each, scale in zip(projections, scales, strict=True)
@@ -149,7 +149,7 @@ def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
 
 
 def order_key(camera: View, K: Float64s, lens: Float64s, mips: Mips) -> bytes:
-    """Return a digest of a camera and a picture, by which `in_fixed_order` sorts."""
+    """Return a digest of a camera and an image, by which `in_fixed_order` sorts."""
     made = hashlib.sha256(bytes([camera.is_pinhole]))
     smaller = mips.pixels[mips.sizes[min(1, len(mips.sizes) - 1), 0] :]  # its first mip has all that differs
     for array in (camera.world_to_camera, camera.K, K, lens, smaller):
@@ -171,7 +171,7 @@ def _spread(marked: Bools, reach: int) -> Bools:
     return wide
 
 
-#: Pixels that are tried for triangles whose corners and centroid no picture shows.
+#: Pixels that are tried for triangles whose corners and centroid no image shows.
 _PIXELS = 256
 #: Gives normals (k, 3, 3), of any length, at the corners of triangles (k,).
 Shading = Callable[[Int32s], Float32s]
@@ -205,7 +205,7 @@ class Projected(PaintSource):
         return replace(self, shots=list(shots))
 
     def near_paint(self, reach: int) -> Projected:
-        """Return this paint, from pixels within ``reach`` of paint only; all of pictures with distortion."""
+        """Return this paint, from pixels within ``reach`` of paint only; all of images with distortion."""
         shots = []
         for shot in self.shots:
             width, height = shot.mips.sizes[0, 1:]
@@ -302,8 +302,8 @@ class Projected(PaintSource):
     def footprints(self) -> tuple[Float32s, Float64s]:
         """Return the widths of the finest pixels, ascending, and the visible areas that they stand for.
 
-        They are taken at corners and centroids of triangles; of a large triangle with none of these in a
-        picture, at its pixels.
+        They are taken at corners and centroids of triangles; of a large triangle with none of these in an
+        image, at its pixels.
         """
         touched = self.touched()
         if self.chosen is not None:

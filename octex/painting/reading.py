@@ -1,4 +1,4 @@
-"""Reads one picture at points of a surface that its camera sees: kernels."""
+"""Reads one image at points of a surface that its camera sees: kernels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.cameras.lens import distorted
 from octex.jit import inlined, kernel
-from octex.painting.picture import Mips, clipped, falloff_at, read_paint
+from octex.painting.image import Mips, clipped, falloff_at, read_paint
 from octex.source.images.taps import catmull_rom
 from octex.source.vectors import Vector
 from octex.view.visibility import (
@@ -23,7 +23,7 @@ from octex.view.visibility import (
     visible_part,
 )
 
-#: Pixels from an edge within which a picture counts for less: edges blur with the background.
+#: Pixels from an edge within which an image counts for less: edges blur with the background.
 TRUSTED = 4.0
 #: Degrees before the largest angle from which paint fades.
 FADE = 10.0
@@ -39,17 +39,17 @@ _LEAST_COSINE = 1e-3
 
 
 class Shot(NamedTuple):
-    """A picture and the surface visible to its camera, as kernels read them."""
+    """An image and the surface visible to its camera, as kernels read them."""
 
     camera: View  # without distortion
-    K: Float64s  # (3, 3)   of the picture
+    K: Float64s  # (3, 3)   of the image
     lens: Float64s  # (14,)   see octex.cameras.lens.lens_numbers
     mips: Mips
     seen: Visibility
     margins: Float32s  # (height, width)   pixels to the nearest edge of the surface, limited
     gains: Float32s  # (3,)   factors of its components
     falloff: Float64s  # (2,)   factors toward its corners, see `falloff_at`
-    weight: float  # among several pictures
+    weight: float  # among several images
 
 
 class Terms(NamedTuple):
@@ -90,7 +90,7 @@ def _slopes(view: View, x: float, y: float, z: float) -> tuple[float, float]:
 
 
 @inlined
-def _in_picture(shot: Shot, x: float, y: float) -> tuple[float, float]:
+def _in_image(shot: Shot, x: float, y: float) -> tuple[float, float]:
     """Return pixel coordinates of `_slopes`, with distortion."""
     K = shot.K
     if shot.camera.is_pinhole:
@@ -216,7 +216,7 @@ def _read_near_edge(
 
 @inlined
 def _is_cut_out(shot: Shot, row: int, column: int, i: int, j: int) -> bool:
-    """Return whether the picture is transparent in the background next to a pixel, of view pixel (i, j)."""
+    """Return whether the image is transparent in the background next to a pixel, of view pixel (i, j)."""
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     height, width = shot.seen.rows.shape
     for side in range(4):
@@ -316,7 +316,7 @@ def add_paint(
         if not shaded > terms.vanishing:
             continue
         slope_x, slope_y = _slopes(view, x, y, z)
-        u, v = _in_picture(shot, slope_x, slope_y)
+        u, v = _in_image(shot, slope_x, slope_y)
         if not (0.0 <= u < columns and 0.0 <= v < rows):
             continue
         px = view.K[0, 0] * slope_x + view.K[0, 1] * slope_y + view.K[0, 2]
@@ -414,6 +414,6 @@ def narrow(
         wide = np.float32(stretches[triangle] / (_pixels(view, z) * np.sqrt(cosine)))
         if not wide < widths[n]:
             continue
-        u, v = _in_picture(shot, *_slopes(view, x, y, z))
+        u, v = _in_image(shot, *_slopes(view, x, y, z))
         if 0.0 <= u < columns and 0.0 <= v < rows:
             widths[n] = wide

@@ -1,4 +1,4 @@
-"""Paint without a picture: one value over a region of the surface, or over the leaves of one colour."""
+"""Paint without an image: one value over a region of the surface, or over the leaves of one colour."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from octex.channels import BASE_COLOR, ChannelFormat, linear_to_srgb
 from octex.checks import answer, as_choice, as_depth, as_number, as_points, as_positive, as_reals
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
+from octex.painting.image import BLENDS, Blend
 from octex.painting.layer import Depths, PaintSource, empty_texture
 from octex.painting.merge import Merging, merged
 from octex.painting.options import format_of, triangles_of, value_of
 from octex.painting.paint import check_inside
-from octex.painting.picture import BLENDS, Blend
 from octex.painting.steps import layer_from, rasterize_surface
 from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers

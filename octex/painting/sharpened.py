@@ -1,4 +1,4 @@
-"""Sharpens pictures, so that interpolated values average to the pixels.
+"""Sharpens images, so that interpolated values average to the pixels.
 
 A pixel is the average over the area that it covers. Interpolation between such averages loses up to 0.6 of
 the finest detail. Sharpening removes this blur, but would amplify noise by more than half, so noise stays.
@@ -26,7 +26,7 @@ _DEVIATIONS = 3.0
 #: Noise is measured in the quietest tenth of square patches, of so many pixels each way, where it is 1.2
 #: times less than its mean; and the least number of patches.
 _PATCH, _QUIETEST, _LESS, _FEWEST = 8, 0.1, 1.2, 16
-#: Largest noise: stronger variation all over a picture may be gravel or grass.
+#: Largest noise: stronger variation all over an image may be gravel or grass.
 _MOST = 5.0 / 255.0
 #: Range of light, 2/255 to 250/255 in sRGB, outside of which it may be clipped.
 _DARKEST, _LIGHTEST = np.float32(0.0006), np.float32(0.955)
@@ -36,7 +36,7 @@ def sharpen(pixels: Float32s, is_light: bool = True) -> None:
     """Make pixels (height, width, 4), colours times alpha, values at their centres, in place.
 
     Sharpening stops at changes of alpha. A change is at most four times the smaller difference to a
-    neighbour, and is dropped below the noise of the picture's quietest tenth, 5/255 at most.
+    neighbour, and is dropped below the noise of the image's quietest tenth, 5/255 at most.
     """
     sharpen_above(pixels, min(noise_of(pixels, is_light), _MOST), is_light)
 

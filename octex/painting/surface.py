@@ -16,8 +16,8 @@ from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, ChannelFormat
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
+from octex.painting.image import Mips, Projection
 from octex.painting.options import triangles_of
-from octex.painting.picture import Mips, Projection
 from octex.painting.project import Projected, Shading, Sight, sight_of
 from octex.painting.reading import Shot, Terms, terms_of
 from octex.painting.resume import NOT_STORED, Stages, digest_of
@@ -117,11 +117,11 @@ class PaintedSurface:
         return Projected(list(shots), form, terms, *mesh, self.stretches, self.shading, chosen)
 
     def comparable(
-        self, cameras: Sequence[Camera], pictures: Iterable[Mips], rim: float, executor: Executor
+        self, cameras: Sequence[Camera], images: Iterable[Mips], rim: float, executor: Executor
     ) -> Projected:
-        """Return the base colour of pictures on surface that cameras see well, to compare pictures."""
+        """Return the base colour of images on surface that cameras see well, to compare images."""
         sights = self.sights(cameras, rim, executor)
-        shots = [sight.shot(mips) for sight, mips in zip(sights, pictures, strict=True)]
+        shots = [sight.shot(mips) for sight, mips in zip(sights, images, strict=True)]
         return self.projected(shots, BASE_COLOR, terms_of(_COMPARED_ANGLE, 0.0, back_faces=False))
 
     def sights(
@@ -159,12 +159,12 @@ class Job(NamedTuple):
 def laid_flat(
     job: Job, projections: list[Projection], texture: OctreeTexture | None
 ) -> tuple[Job, list[Projection]]:
-    """Return a job with its surface laid flat, if pictures have a patch for a camera; and with cameras."""
+    """Return a job with its surface laid flat, if images have a patch for a camera; and with cameras."""
     patch = next((each.camera for each in projections if isinstance(each.camera, Patch)), None)
     if patch is None:
         return job, projections
     if any(each.camera is not patch for each in projections):
-        raise ArgumentError("paint the pictures of each patch in a call of their own")
+        raise ArgumentError("paint the images of each patch in a call of their own")
     if len(patch.surface.triangles) != len(job.surface.surface.triangles):
         raise ArgumentError(f"the patch is not of {job.surface.surface.name}; unwrap that")
     job = job._replace(surface=job.surface.flat(patch, texture))

@@ -41,7 +41,7 @@ _SLIVER = 1e-10
 class Patch:
     """A disc of a surface, laid flat by ``octex.unwrap``; a Projection accepts it as its camera.
 
-    camera        sees the flat disc from the front, within the picture
+    camera        sees the flat disc from the front, within the image
     surface       the surface with the disc laid flat and everything else shrunk to nothing; at rest as it was
     center        (3,) the disc's centre on the posed surface
     radius        of the disc, along the surface, in the model's units
@@ -62,12 +62,12 @@ class Patch:
 
     @property
     def width(self) -> int:
-        """Size of the picture in pixels."""
+        """Size of the image in pixels."""
         return self.camera.width
 
     @property
     def height(self) -> int:
-        """Size of the picture in pixels."""
+        """Size of the image in pixels."""
         return self.camera.height
 
     @property
@@ -94,12 +94,12 @@ def unwrap(
     size: int = 1024,
     method: str = "exponential",
 ) -> Patch:
-    """Lay a disc of a posed surface flat, to paint on it in a picture (Benson & Davis 2002, 6.1).
+    """Lay a disc of a posed surface flat, to paint on it in an image (Benson & Davis 2002, 6.1).
 
     center   (3,) the disc's centre: the nearest point of the surface
     radius   of the disc, along the surface, in the model's units
-    up       what points up in the picture; default: y, or z where the surface faces y
-    size     width and height of the picture in pixels
+    up       what points up in the image; default: y, or z where the surface faces y
+    size     width and height of the image in pixels
     method   "exponential": each point lies at its distance from the centre, in its direction (the exponential
              map). "conformal": angles change least (Lévy et al. 2002); ears, horns and limbs, which otherwise
              fold, lie open, and their tips shrink

@@ -1,11 +1,11 @@
-"""Masks of what only one picture saw, where several pictures see the surface.
+"""Masks of what only one image saw, where several images see the surface.
 
-Each picture is cut into patches. The pictures that see a patch's point vote on its mode, the colour that most
+Each image is cut into patches. The images that see a patch's point vote on its mode, the colour that most
 of them are near to; all are read as wide as the patch. A patch saw something else, a passer-by or a
 reflection, if its colour is far from all lines between its mode and its neighbours' modes: detail that is a
-little displaced lies on these lines. A picture is masked where enough patches saw something else, and in all
-patches connected to them. Where at most two pictures see the surface, a patch counts as the known patch does
-from which the picture's colours change least on the way: other objects end at edges of the picture.
+little displaced lies on these lines. An image is masked where enough patches saw something else, and in all
+patches connected to them. Where at most two images see the surface, a patch counts as the known patch does
+from which the image's colours change least on the way: other objects end at edges of the image.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from octex.photos.patches import (
 )
 from octex.source.surface import Surface
 
-#: A picture is compared with at most _MOST, itself included: those that share most of the surface with it, by
+#: An image is compared with at most _MOST, itself included: those that share most of the surface with it, by
 #: _POINTS points. Comparing all of a hundred would take six times as long.
 _MOST, _POINTS = 17, 4000
-#: Least number of pictures for a mode: two alone cannot decide.
+#: Least number of images for a mode: two alone cannot decide.
 _LEAST = 3
-#: A picture votes with this power of its weight, so that three oblique views outvote a frontal one.
+#: An image votes with this power of its weight, so that three oblique views outvote a frontal one.
 _VOTE = 0.5
 #: Noise and displacement limit the differences: this multiple of their quantile, within these bounds in
 #: 1/255, separates them from other objects.
 _TIMES, _QUANTILE, _LEAST_FAR, _MOST_FAR = 3.0, 0.9, 16.0, 40.0
 #: Distance in 1/255 at which colours support each other by a fourth.
 _APART = 10.0
-#: A mode needs support from others: this part of the picture's own vote.
+#: A mode needs support from others: this part of the image's own vote.
 _SUPPORT = 0.5
 #: A patch differs if more than this part of its surroundings is far off.
 _MAJORITY = 0.5
@@ -57,7 +57,7 @@ _CERTAIN = 8
 def agreeing(
     source: Projected, surface: Surface, executor: Executor, stages: Stages = NOT_STORED
 ) -> Projected:
-    """Mask the pictures of ``source``, in place, where they disagree with the others; return it."""
+    """Mask the images of ``source``, in place, where they disagree with the others; return it."""
     numbers, compared = range(len(source.shots)), _compared(source, surface)
 
     def differences(number: int) -> Float32s:
@@ -79,7 +79,7 @@ def agreeing(
 
 
 def _compared(source: Projected, surface: Surface) -> list[list[int]]:
-    """Return the pictures to compare each one with, itself included: those that share most with it."""
+    """Return the images to compare each one with, itself included: those that share most with it."""
     count = len(source.shots)
     if count <= _MOST:
         return [list(range(count))] * count
@@ -94,7 +94,7 @@ def _compared(source: Projected, surface: Surface) -> list[list[int]]:
 
 
 def _differences(source: Projected, compared: Sequence[int], number: int) -> Float32s:
-    """Return the difference of a picture from the modes, per patch in 1/255; NaN where unknown."""
+    """Return the difference of an image from the modes, per patch in 1/255; NaN where unknown."""
     shot, row = source.shots[number], compared.index(number)
     rows, columns = patches_of(shot)
     codes, modes = np.full((2, rows * columns, 3), np.nan, np.float32)
@@ -156,13 +156,13 @@ def nearness_of(codes: float) -> float:
 
 
 @kernel
-def find_modes(colors: Float32s, weights: Float32s, picture: int, found: Float32s) -> None:
+def find_modes(colors: Float32s, weights: Float32s, image: int, found: Float32s) -> None:
     """Write the codes (n, 3) of each point's mode, the colour with the most support; NaN if unknown."""
     count = len(weights)
     codes, votes, supports = np.empty((count, 3), np.float32), np.empty(count), np.empty(count)
     for n in range(len(found)):
         found[n] = np.nan
-        if not weights[picture, n] > 0.0:
+        if not weights[image, n] > 0.0:
             continue
         several = 0
         largest = np.float32(0.0)

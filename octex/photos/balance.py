@@ -1,4 +1,4 @@
-"""Makes overlapping pictures agree: gains, white balance, vignetting; masks where a picture is clipped."""
+"""Makes overlapping images agree: gains, white balance, vignetting; masks where an image is clipped."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.cameras.lens import distort
+from octex.painting.image import Mips
 from octex.painting.options import Balance
-from octex.painting.picture import Mips
 from octex.painting.project import Projected
 from octex.painting.reading import Shot
 from octex.parallel import ordered_map, sharing
@@ -19,28 +19,28 @@ from octex.photos.consensus import agreed_step, few_at, medians, robust_weights
 from octex.photos.patches import batches, colors_of, grown, patches_of, put_mask, seen_at, widths_of
 from octex.source.surface import Surface
 
-#: Points of the surface at which pictures are compared.
+#: Points of the surface at which images are compared.
 _POINTS = 10_000
 #: Width of the samples in pixels: a displacement of a pixel then matters less.
 _WIDTH = 6.0
 #: Values below and above say nothing about gains: too dark, or clipped.
 _DARKEST, _LIGHTEST = 0.004, 0.97
-#: Rounds of least squares; difference of logarithms from which a picture counts for less.
+#: Rounds of least squares; difference of logarithms from which an image counts for less.
 _ROUNDS, _FAR = 10, 0.02
 #: No lens changes the corners by more than three stops: more belongs to the scene.
 _MOST = np.log(8.0)
 #: Weights, per point, that hold vignetting at zero and gains at one.
 _HOLD, _HOLD_GAIN = 1e-4, 1e-9
-#: Light from which a picture may be clipped: 250/255.
+#: Light from which an image may be clipped: 250/255.
 _CUT = 0.955
 #: Others must be lighter by this much, in 1/255.
 _LIGHTER = 2.0
 
 
 def balanced(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Projected:
-    """Return the same paint with gains for which pictures agree: robust least squares of log light.
+    """Return the same paint with gains for which images agree: robust least squares of log light.
 
-    The shot ``reference``, and pictures that overlap no other, do not change; else the median gain is 1.
+    The shot ``reference``, and images that overlap no other, do not change; else the median gain is 1.
     """
     found = exposures(source, surface, balance, reference)
     gains = np.exp(found[:, :3]).astype(np.float32)
@@ -53,7 +53,7 @@ def balanced(source: Projected, surface: Surface, balance: Balance, reference: i
 
 
 def exposures(source: Projected, surface: Surface, balance: Balance, reference: int | None) -> Float64s:
-    """Return the changes of log light (pictures, 5): components; times r², r⁴ with r = 1 in the corners."""
+    """Return the changes of log light (images, 5): components; times r², r⁴ with r = 1 in the corners."""
     samples = surface.scatter(_POINTS)
     where = samples.triangles, samples.barycentric
     widths = source.widths(*where)
@@ -62,7 +62,7 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     seen = np.flatnonzero((weights > 0).sum(axis=0) > 1)
     paint, compared = paint[:, seen], few_at(weights[:, seen].astype(np.float64)) > 0
     points = source.positions(samples.triangles[seen], samples.barycentric[seen])
-    radii = []  # from the pictures' centres, 1 in the corners
+    radii = []  # from the images' centres, 1 in the corners
     for shot in source.shots:
         half = shot.mips.sizes[0, 1:] / 2
         radii.append(
@@ -93,7 +93,7 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
 
 
 def _agreed(logs: Float64s, counted: Float64s, slopes: Float64s, hold: Float64s) -> Float64s:
-    """Return the numbers for which the pictures' logarithms agree best; those held infinitely are 0."""
+    """Return the numbers for which the images' logarithms agree best; those held infinitely are 0."""
     found = np.zeros_like(hold)
     for _ in range(_ROUNDS):
         values = logs + (slopes @ found[:, :, None])[..., 0]
@@ -103,7 +103,7 @@ def _agreed(logs: Float64s, counted: Float64s, slopes: Float64s, hold: Float64s)
 
 
 def _slopes(squares: Float64s, balance: Balance) -> Float64s:
-    """Return the derivatives of logarithms (pictures, points · 3) by each number."""
+    """Return the derivatives of logarithms (images, points · 3) by each number."""
     if balance == "gain":
         return np.ones((*squares.shape, 1))
     component = np.arange(squares.shape[1]) % 3
@@ -114,7 +114,7 @@ def _slopes(squares: Float64s, balance: Balance) -> Float64s:
 
 
 def _pixels_of(shot: Shot, points: Float64s) -> Float64s:
-    """Return the pixel coordinates (n, 2) of posed points in a shot's picture; NaN where it has none."""
+    """Return the pixel coordinates (n, 2) of posed points in a shot's image; NaN where it has none."""
     x, y, z = shot.camera.world_to_camera[:3, :3] @ points.T + shot.camera.world_to_camera[:3, 3:]
     if shot.camera.is_pinhole:
         with np.errstate(all="ignore"):
@@ -127,7 +127,7 @@ def _pixels_of(shot: Shot, points: Float64s) -> Float64s:
 
 
 def without_overexposed(before: Projected, evened: Projected, executor: Executor) -> Projected:
-    """Mask ``evened`` pictures where clipped in ``before`` and lighter in others; return their paint."""
+    """Mask ``evened`` images where clipped in ``before`` and lighter in others; return their paint."""
     with sharing(executor) as pool:
         masks = list(ordered_map(pool, partial(_mask, before, evened), range(len(before.shots))))
     for shot, mask in zip(evened.shots, masks, strict=True):
@@ -136,7 +136,7 @@ def without_overexposed(before: Projected, evened: Projected, executor: Executor
 
 
 def _mask(before: Projected, evened: Projected, number: int) -> Float32s:
-    """Return 0 where a picture is clipped, and next to that, if others see the surface; else 1."""
+    """Return 0 where an image is clipped, and next to that, if others see the surface; else 1."""
     shot = before.shots[number]
     if not _is_limited(shot.mips):
         return np.ones((1, 1), np.float32)
@@ -162,7 +162,7 @@ def _compared(
     barycentric: Float64s,
     widths: Float32s,
 ) -> tuple[Bools, Bools]:
-    """Say where (n,) a picture is clipped and others are lighter, and where the others are not clipped."""
+    """Say where (n,) an image is clipped and others are lighter, and where the others are not clipped."""
     where = triangles, barycentric, widths
     dark, (after, weights) = before.each(*where)[0], evened.each(*where)
     limited = np.array([_is_limited(shot.mips) for shot in before.shots])
@@ -179,5 +179,5 @@ def _compared(
 
 
 def _is_limited(mips: Mips) -> bool:
-    """Return whether a picture may be clipped; one with light above 1 is not."""
+    """Return whether an image may be clipped; one with light above 1 is not."""
     return bool((mips.range[1] <= 1.0).all() and (mips.range[1] > _CUT).any())

@@ -1,4 +1,4 @@
-"""Robust statistics of values that several pictures have at the same points."""
+"""Robust statistics of values that several images have at the same points."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from octex.jit import kernel
 
 #: Residuals beyond this multiple of their scale weigh less; the scale is the median residual.
 _SCALES = 2.0
-#: Pictures of a point that are compared: the time grows with their square.
+#: Images of a point that are compared: the time grows with their square.
 _MOST = 16
 
 
 def few_at(weights: Float64s) -> Float64s:
-    """Return weights (pictures, n) with zeros for all but a few pictures of each point, chosen at random."""
+    """Return weights (images, n) with zeros for all but a few images of each point, chosen at random."""
     if len(weights) <= _MOST:
         return weights
     ranks = np.where(weights > 0, np.random.default_rng(0).random(weights.shape), 0.0)
@@ -23,14 +23,14 @@ def few_at(weights: Float64s) -> Float64s:
 
 
 def consensus(values: Float64s, weights: Float64s) -> Float64s:
-    """Return the weighted mean of each point (n,) over pictures (pictures, n); 0 without any weight."""
+    """Return the weighted mean of each point (n,) over images (images, n); 0 without any weight."""
     totals = weights.sum(axis=0)
     mean: Float64s = (weights * values).sum(axis=0) / np.maximum(totals, 1e-300)
     return mean
 
 
 def robust_weights(values: Float64s, weights: Float64s, least: float) -> tuple[Float64s, float]:
-    """Return weights (pictures, n) that fall with the distance from the median, and their scale.
+    """Return weights (images, n) that fall with the distance from the median, and their scale.
 
     (Geman & McClure 1985.)
     """
@@ -46,12 +46,12 @@ def robust_weights(values: Float64s, weights: Float64s, least: float) -> tuple[F
 @kernel
 def medians(values: Float64s, weights: Float64s) -> Float64s:
     """Return the weighted median of each point (n,), two values' mean if between; 0 if none."""
-    pictures, count = values.shape
+    images, count = values.shape
     found = np.zeros(count)
-    ranked, weight_of = np.empty(pictures), np.empty(pictures)
+    ranked, weight_of = np.empty(images), np.empty(images)
     for n in range(count):
         seen, total = 0, 0.0
-        for i in range(pictures):
+        for i in range(images):
             weight, value = weights[i, n], values[i, n]
             if not weight > 0.0:
                 continue
@@ -76,13 +76,13 @@ def medians(values: Float64s, weights: Float64s) -> Float64s:
 def agreed_step(
     slopes: Float64s, values: Float64s, weights: Float64s, ridge: Float64s, pull: Float64s | None = None
 ) -> Float64s:
-    """Return the changes (pictures, numbers) by which values agree best with each point's consensus.
+    """Return the changes (images, numbers) by which values agree best with each point's consensus.
 
-    Least squares of weights · (values + slopes · changes − consensus)²; slopes (pictures, n, numbers).
+    Least squares of weights · (values + slopes · changes − consensus)²; slopes (images, n, numbers).
     ``ridge`` holds changes at 0; an infinite one keeps them there. ``pull`` is half the slope of other costs.
     """
-    pictures, _, numbers = slopes.shape
-    size = pictures * numbers
+    images, _, numbers = slopes.shape
+    size = images * numbers
     matrix, right = np.zeros((size, size)), np.zeros(size) if pull is None else -pull.ravel()
     _add_points(slopes, values, weights, matrix, right)
     matrix += np.tril(matrix, -1).T
@@ -91,7 +91,7 @@ def agreed_step(
     free = np.flatnonzero(~stays)
     found = np.zeros(size)
     found[free] = np.linalg.pinv(matrix[np.ix_(free, free)], rcond=1e-12, hermitian=True) @ right[free]
-    return found.reshape(pictures, numbers)
+    return found.reshape(images, numbers)
 
 
 @kernel
@@ -99,11 +99,11 @@ def _add_points(
     slopes: Float64s, values: Float64s, weights: Float64s, matrix: Float64s, right: Float64s
 ) -> None:
     """Add the points to the normal equations: the lower half of the matrix, and the right side."""
-    pictures, count, numbers = slopes.shape
-    which = np.empty(pictures, np.int64)
+    images, count, numbers = slopes.shape
+    which = np.empty(images, np.int64)
     for n in range(count):
         seen, total, middle = 0, 0.0, 0.0
-        for i in range(pictures):
+        for i in range(images):
             if weights[i, n] > 0.0:
                 which[seen] = i
                 total += weights[i, n]

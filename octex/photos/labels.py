@@ -36,12 +36,12 @@ _HOLD = 1e-3
 class LabelCosts(NamedTuple):
     """Costs of the labels."""
 
-    colors: Float32s  # (n, pictures, 3)   roots of light; the mean of the others where a picture sees nothing
-    costs: Float32s  # (n, pictures)   infinite where a picture sees nothing
+    colors: Float32s  # (n, images, 3)   roots of light; the mean of the others where an image sees nothing
+    costs: Float32s  # (n, images)   infinite where an image sees nothing
 
 
 def costs_of(paint: Float32s, weights: Float32s, areas: Float64s) -> LabelCosts:
-    """Return the costs of labels from paint (pictures, n, 3) and weights that rise with quality."""
+    """Return the costs of labels from paint (images, n, 3) and weights that rise with quality."""
     seen = weights > 0
     most = np.maximum(weights.max(axis=0), np.float32(1e-30))
     costs = areas * _QUALITY * (1 - weights / most)
@@ -50,7 +50,7 @@ def costs_of(paint: Float32s, weights: Float32s, areas: Float64s) -> LabelCosts:
 
 
 def _completed(colors: Float32s, costs: Float64s) -> LabelCosts:
-    """Fill in the mean colour where pictures see nothing."""
+    """Fill in the mean colour where images see nothing."""
     seen = np.isfinite(costs)
     sums = (colors * seen[..., None]).sum(axis=1)
     mean = sums / np.maximum(seen.sum(axis=1), 1)[:, None]
@@ -70,7 +70,7 @@ def _coarser_costs(views: LabelCosts, areas: Float64s, above: Int64s, count: int
 
 
 def labelled(graph: Graph, codes: Int64s, areas: Float64s, views: LabelCosts) -> Int32s:
-    """Return the picture (n,) of each sheet, −1 where none sees it.
+    """Return the image (n,) of each sheet, −1 where none sees it.
 
     First sequential tree-reweighted message passing (Kolmogorov 2006) on a coarser level, then local moves.
     """
@@ -93,7 +93,7 @@ def labelled(graph: Graph, codes: Int64s, areas: Float64s, views: LabelCosts) ->
 
 
 def passed(graph: Graph, views: LabelCosts) -> Int32s:
-    """Return the best labels of all message passes; −1 where no picture sees the sheet."""
+    """Return the best labels of all message passes; −1 where no image sees the sheet."""
     order = np.argsort(views.costs, axis=1, kind="stable")[:, :_CANDIDATES].astype(np.int32)
     order[~np.isfinite(np.take_along_axis(views.costs, order, axis=1))] = -1
     count = graph.starts.size - 1
@@ -111,7 +111,7 @@ def passed(graph: Graph, views: LabelCosts) -> Int32s:
 
 @inlined
 def _between(views: LabelCosts, i: int, j: int, p: int, q: int) -> float:
-    """Return the cost of a border one cell long between sheet i of picture p and sheet j of picture q."""
+    """Return the cost of a border one cell long between sheet i of image p and sheet j of image q."""
     if p == q:
         return 0.0
     total = 0.0
@@ -210,8 +210,8 @@ def _pass(
 def _move(graph: Graph, views: LabelCosts, labels: Int32s) -> int:
     """Give sheets the cheapest label of neighbours, or of all if unseen (Besag 1986); count changes."""
     changed = 0
-    pictures = views.costs.shape[1]
-    tried = np.empty(pictures, np.int64)
+    images = views.costs.shape[1]
+    tried = np.empty(images, np.int64)
     tried[:] = -1
     for n in range(labels.size):
         if labels[n] < 0:
@@ -219,7 +219,7 @@ def _move(graph: Graph, views: LabelCosts, labels: Int32s) -> int:
         is_seen = np.isfinite(views.costs[n, labels[n]])
         best, least = labels[n], np.inf
         first, end = graph.starts[n], graph.starts[n + 1]
-        for number in range(-1, end - first if is_seen else pictures):
+        for number in range(-1, end - first if is_seen else images):
             if number < 0:
                 p = labels[n]
             else:
@@ -243,7 +243,7 @@ def levelling(sheets: Sheets, labels: Int32s, paint: Float32s, weights: Float32s
     """Return the exposures (n, 3) of sheets, for `exposed`, that level the steps at borders.
 
     Least squares of the steps across borders and of the changes from sheet to sheet. A border weighs less the
-    more its two pictures differ on a sheet that both see.
+    more its two images differ on a sheet that both see.
     """
     pairs, (one, other), codes = sheets.pairs, sheets.pairs.T, sheets.codes
     p, q = labels[one], labels[other]
@@ -269,13 +269,13 @@ def levelling(sheets: Sheets, labels: Int32s, paint: Float32s, weights: Float32s
 def feathered(
     graph: Graph, labels: Int32s, exposures: Float64s, weights: Float32s
 ) -> tuple[Float32s, Float32s]:
-    """Return sheets' shares of pictures (n, pictures), and exposures (n, pictures, 3), both feathered."""
-    count, pictures = labels.size, len(weights)
+    """Return sheets' shares of images (n, images), and exposures (n, images, 3), both feathered."""
+    count, images = labels.size, len(weights)
     rows = np.repeat(np.arange(count), np.diff(graph.starts))
     totals = np.maximum(added(rows, graph.weights, count), 1e-12)
-    shares = np.zeros((count, pictures), np.float32)
-    found = np.zeros((count, pictures, 3), np.float32)
-    for number in range(pictures):
+    shares = np.zeros((count, images), np.float32)
+    found = np.zeros((count, images, 3), np.float32)
+    for number in range(images):
         is_here = labels == number
         values = np.column_stack([is_here, is_here[:, None] * exposures])
         for _ in range(_FEATHER):

@@ -18,7 +18,7 @@ from octex.arrays import Array, Bools, Float32s, Float64s, Int32s
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.errors import ImageError
-from octex.painting.picture import Projection, content_of, mips_of, texels_of
+from octex.painting.image import Projection, content_of, mips_of, texels_of
 from octex.painting.project import Projected
 from octex.painting.surface import PaintedSurface, key_of
 from octex.parallel import ordered_map, sharing
@@ -46,22 +46,22 @@ _FILLING, _BOXES, _FILLED = 1000, 8, 0.1
 #: the best one fills, so many at most.
 _COMPARED, _TRIED, _PART = 20, 48, 0.5
 
-#: The fault of a mesh at whose points pictures show different things, and that no placing mends.
+#: The fault of a mesh at whose points images show different things, and that no placing mends.
 _UNLIKE = (
-    "pictures show different things at the same points of it; give the mesh that was made with these "
+    "images show different things at the same points of it; give the mesh that was made with these "
     "cameras, in the same coordinates"
 )
-#: The fault of a mesh of which the pictures see little, and nothing in common.
+#: The fault of a mesh of which the images see little, and nothing in common.
 _UNSEEN = "they see little of it, and share nothing; compare the units and axes of both"
 
 
 def misfits(
     surface: Surface, projections: Sequence[Projection], executor: Executor
 ) -> tuple[dict[int, str], str | None]:
-    """Return the numbers of pictures that should not be painted, with reasons; and a better fit of the mesh.
+    """Return the numbers of images that should not be painted, with reasons; and a better fit of the mesh.
 
     Reasons: a damaged file, a duplicate (also with another camera), a camera that sees nothing of the
-    surface, a turned picture, another scene.
+    surface, a turned image, another scene.
     """
     found: dict[int, str] = {}
     first: dict[bytes, int] = {}
@@ -69,7 +69,7 @@ def misfits(
     for number, each in enumerate(projections):
         before = first.setdefault(contents[number] + key_of(cast(Camera, each.camera)), number)
         if before != number:
-            found[number] = f"the same picture and camera as {projections[before].name}"
+            found[number] = f"the same image and camera as {projections[before].name}"
     rest = [number for number in range(len(projections)) if number not in found]
     with sharing(executor) as pool:
         read = list(ordered_map(pool, _small, [projections[number] for number in rest]))
@@ -87,7 +87,7 @@ def misfits(
     samples = read_points(source, surface)
     agreed = samples.agreements()
     now = float(np.nan_to_num(agreed).mean())
-    # Pictures of a misplaced mesh may share no point: then their agreement is unknown.
+    # Images of a misplaced mesh may share no point: then their agreement is unknown.
     if now < _FITS and (len(small) > _OTHERS or _filling_of(surface, small) < _FILLED):
         better = better_placed(surface, small, now, executor)
         if better is not None:
@@ -105,19 +105,19 @@ def misfits(
         found[rest[index]] = (
             f"it fits its camera only when turned by {turn} degrees clockwise; turn the file, paint again"
             if turn
-            else "it differs from all others there: another scene, or the camera of another picture"
+            else "it differs from all others there: another scene, or the camera of another image"
         )
-    best: dict[bytes, int] = {}  # of equal pictures the one that agrees best
+    best: dict[bytes, int] = {}  # of equal images the one that agrees best
     for index in np.argsort(-agreed, kind="stable").tolist():  # unknown agreements come last
         number = rest[index]
         before = best.setdefault(contents[number], number)
         if before != number and np.isfinite(agreed[index]):
-            found[number] = f"the same picture as {projections[before].name}, whose camera it fits better"
+            found[number] = f"the same image as {projections[before].name}, whose camera it fits better"
     return found, None
 
 
 def _small(projection: Projection) -> Projection | ImageError:
-    """Return a small copy of a picture with its camera, or the error of reading it."""
+    """Return a small copy of an image with its camera, or the error of reading it."""
     camera = cast(Camera, projection.camera)
     try:
         texels = texels_of(projection.image, "the image", (camera.width, camera.height))
@@ -132,23 +132,23 @@ def _small(projection: Projection) -> Projection | ImageError:
 
 
 def _projected(surface: Surface, small: Sequence[Projection], executor: Executor) -> Projected:
-    """Project pictures onto a surface."""
+    """Project images onto a surface."""
     cameras = [cast(Camera, each.camera) for each in small]
-    pictures = (mips_of(each, BASE_COLOR) for each in small)
-    return PaintedSurface(surface).comparable(cameras, pictures, 0.0, executor)
+    images = (mips_of(each, BASE_COLOR) for each in small)
+    return PaintedSurface(surface).comparable(cameras, images, 0.0, executor)
 
 
 class LightSamples(NamedTuple):
-    """Points of a surface, and the pictures' light there."""
+    """Points of a surface, and the images' light there."""
 
     triangles: Int32s  # (n,)
     barycentric: Float64s  # (n, 3)
     widths: Float32s  # (n,)   of the finest pixel
-    light: Float32s  # (pictures, n)   detail of square roots
-    seen: Bools  # (pictures, n)
+    light: Float32s  # (images, n)   detail of square roots
+    seen: Bools  # (images, n)
 
     def of(self, source: Projected) -> Float32s:
-        """Return the detail of another source's first picture at the points (n,)."""
+        """Return the detail of another source's first image at the points (n,)."""
         found: Float32s = _detail(source, self.triangles, self.barycentric, self.widths)[0][0]
         return found
 
@@ -157,7 +157,7 @@ class LightSamples(NamedTuple):
         return self._correlation(number, light, next(self._medians([number])))
 
     def agreements(self) -> Float64s:
-        """Return the agreement of each picture with the others (pictures,)."""
+        """Return the agreement of each image with the others (images,)."""
         medians = enumerate(self._medians(range(len(self.light))))
         return np.array([self._correlation(number, self.light[number], middle) for number, middle in medians])
 
@@ -171,7 +171,7 @@ class LightSamples(NamedTuple):
         return float(np.corrcoef(here, there)[0, 1])
 
     def _medians(self, numbers: Iterable[int]) -> Iterator[Float32s]:
-        """Yield for each picture the median (n,) of the others that see a point; NaN for too few of them."""
+        """Yield for each image the median (n,) of the others that see a point; NaN for too few of them."""
         order = np.argsort(np.where(self.seen, self.light, np.inf), axis=0, kind="stable")
         ranks = np.argsort(order, axis=0, kind="stable")
         ordered = np.take_along_axis(self.light, order, axis=0)
@@ -186,13 +186,13 @@ class LightSamples(NamedTuple):
 
 
 def _agree(agreements: Float64s) -> bool:
-    """Return whether pictures agree, by the median; False if that is unknown."""
+    """Return whether images agree, by the median; False if that is unknown."""
     known = agreements[np.isfinite(agreements)]
     return known.size >= _OTHERS and bool(np.median(known) >= _AGREES)
 
 
 def read_points(source: Projected, surface: Surface, *, has_shades: bool = False) -> LightSamples:
-    """Read the detail of all pictures at points of the surface; with ``has_shades`` all of their light."""
+    """Read the detail of all images at points of the surface; with ``has_shades`` all of their light."""
     points = surface.scatter(_POINTS)
     where = points.triangles, points.barycentric
     widths = source.widths(*where)
@@ -208,7 +208,7 @@ def _detail(
     *,
     has_shades: bool = False,
 ) -> tuple[Float32s, Bools]:
-    """Return the detail of pictures at points (pictures, n), and which they see."""
+    """Return the detail of images at points (images, n), and which they see."""
     fine, broad = (
         source.each(triangles, barycentric, np.float32(width) * widths) for width in (_FINE, _BROAD)
     )
@@ -218,7 +218,7 @@ def _detail(
 
 
 def _strange(source: Projected, samples: LightSamples, small: Sequence[Projection]) -> dict[int, int]:
-    """Return pictures that disagree with the others, and the degrees of a turn that mends it; 0 for none."""
+    """Return images that disagree with the others, and the degrees of a turn that mends it; 0 for none."""
     found: dict[int, int] = {}
     while True:
         agreed = samples.agreements()
@@ -267,10 +267,10 @@ class Placing(NamedTuple):
 def better_placed(
     surface: Surface, small: Sequence[Projection], now: float, executor: Executor
 ) -> str | None:
-    """Return the change of the mesh or the cameras by which pictures agree, in words; None if there is none.
+    """Return the change of the mesh or the cameras by which images agree, in words; None if there is none.
 
     It tries units of length and reversed cameras, then turns of the axes too. Of these it compares those that
-    fill the pictures.
+    fill the images.
     """
     few = small[:: -(-len(small) // _COMPARED)]
     cameras = [cast(Camera, each.camera) for each in few]
@@ -292,9 +292,9 @@ def better_placed(
             best, most = placings[number], agreed
     advice = "; change that, and paint again"
     if most >= max(_FITS, now + _GAIN):
-        return f"pictures agree if {best.words()}{advice}"
+        return f"images agree if {best.words()}{advice}"
     is_seen = filled[0] > 0 or not filled.max() > _FILLED
-    if is_seen or is_known:  # pictures that can be compared somewhere do not agree there
+    if is_seen or is_known:  # images that can be compared somewhere do not agree there
         return None
     return f"the cameras see the model if {best.words()}{advice}"
 
@@ -311,7 +311,7 @@ def _turns() -> Iterator[Float64s]:
 
 
 def _filling(cameras: Sequence[Camera], points: Float64s) -> float:
-    """Return, averaged over pictures, the part of the points inside times the part of the picture filled."""
+    """Return, averaged over images, the part of the points inside times the part of the image filled."""
     total = 0.0
     for camera in cameras:
         pixels, depths = camera.project(points)

@@ -1,4 +1,4 @@
-"""Patches: squares of a picture's pixels, each represented by the point of the surface at its centre."""
+"""Patches: squares of an image's pixels, each represented by the point of the surface at its centre."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.cameras.lens import is_bent, undistort
 from octex.jit import kernel
-from octex.painting.picture import Mips
+from octex.painting.image import Mips
 from octex.painting.project import Projected
 from octex.painting.reading import Shot
 
-#: Points read at once, summed over pictures.
+#: Points read at once, summed over images.
 _POINTS = 1 << 18
-#: Side of a patch in pixels; it doubles until a picture has at most _MOST patches.
+#: Side of a patch in pixels; it doubles until an image has at most _MOST patches.
 _PATCH, _MOST = 4, 1 << 17
 
 
 def patch_of(shot: Shot) -> int:
-    """Return the side of a picture's patches in pixels, a power of two."""
+    """Return the side of an image's patches in pixels, a power of two."""
     width, height = shot.mips.sizes[0, 1:].tolist()
     patch = _PATCH
     while width * height > _MOST * patch**2:
@@ -30,14 +30,14 @@ def patch_of(shot: Shot) -> int:
 
 
 def patches_of(shot: Shot) -> tuple[int, int]:
-    """Return the rows and columns of a picture's patches."""
+    """Return the rows and columns of an image's patches."""
     width, height = shot.mips.sizes[0, 1:].tolist()
     patch = patch_of(shot)
     return -(-height // patch), -(-width // patch)
 
 
 def colors_of(shot: Shot) -> Float32s:
-    """Return the mean colour, times alpha, and alpha of a picture's patches (rows, columns, 4)."""
+    """Return the mean colour, times alpha, and alpha of an image's patches (rows, columns, 4)."""
     rows, columns = patches_of(shot)
     level = min(patch_of(shot).bit_length(), len(shot.mips.sizes)) - 1
     first, width, height = shot.mips.sizes[level].tolist()
@@ -48,7 +48,7 @@ def colors_of(shot: Shot) -> Float32s:
 
 
 def widths_of(source: Projected, triangles: Int32s, barycentric: Float64s) -> Float32s:
-    """Return the width, at rest, of the patches of a source's only picture at points of the surface."""
+    """Return the width, at rest, of the patches of a source's only image at points of the surface."""
     widths = source.widths(triangles, barycentric)
     patch = patch_of(source.shots[0])
     return np.where(np.isfinite(widths), patch * widths, np.float32(0)).astype(np.float32)
@@ -92,9 +92,9 @@ def _barycentric_at(source: Projected, shot: Shot, triangles: Int32s, pixels: Fl
     return found
 
 
-def batches(count: int, pictures: int) -> Iterator[slice]:
-    """Yield slices of points, small enough to read all pictures there at once."""
-    step = max(_POINTS // pictures, 1)
+def batches(count: int, images: int) -> Iterator[slice]:
+    """Yield slices of points, small enough to read all images there at once."""
+    step = max(_POINTS // images, 1)
     for first in range(0, count, step):
         yield slice(first, first + step)
 
@@ -115,9 +115,9 @@ def sums_around(values: Float32s, reach: int = 1) -> Float32s:
 
 
 def put_mask(mips: Mips, mask: Float32s) -> None:
-    """Multiply a picture's alpha, in place, by a mask of any size, 0 … 1, bilinear in between.
+    """Multiply an image's alpha, in place, by a mask of any size, 0 … 1, bilinear in between.
 
-    Only masked pixels are written: the others of a mapped picture stay in its file.
+    Only masked pixels are written: the others of a mapped image stay in its file.
     """
     if not (mask == 1.0).all():
         _mask_mips(mips.pixels, mips.sizes, mask)

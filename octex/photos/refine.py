@@ -1,9 +1,9 @@
-"""Refines cameras that are slightly off, until their pictures agree on the surface.
+"""Refines cameras that are slightly off, until their images agree on the surface.
 
-All pictures are read at points of the surface, from coarse to fine. Each camera turns, moves and zooms
-a little (Gauss-Newton steps), so that pictures differ least from the consensus at each point. Outliers weigh
-less; what only one picture saw is masked once the coarsest level agrees (Zhou & Koltun, "Color Map
-Optimization", 2014, for all cameras at once, undoing steps that make it worse). A camera stays if its picture
+All images are read at points of the surface, from coarse to fine. Each camera turns, moves and zooms
+a little (Gauss-Newton steps), so that images differ least from the consensus at each point. Outliers weigh
+less; what only one image saw is masked once the coarsest level agrees (Zhou & Koltun, "Color Map
+Optimization", 2014, for all cameras at once, undoing steps that make it worse). A camera stays if its image
 has too little detail.
 """
 
@@ -23,8 +23,7 @@ from octex.channels import BASE_COLOR
 from octex.checks import as_choice, as_whole
 from octex.errors import ArgumentError
 from octex.jit import kernel
-from octex.painting.options import BALANCES, Balance
-from octex.painting.picture import (
+from octex.painting.image import (
     Mips,
     Projection,
     check_projections,
@@ -33,6 +32,7 @@ from octex.painting.picture import (
     mips_of,
     room_for,
 )
+from octex.painting.options import BALANCES, Balance
 from octex.painting.project import Projected, most_ahead, order_key
 from octex.painting.reading import Shot
 from octex.painting.resume import Stages, stages_in
@@ -49,24 +49,24 @@ NUMBERS = 7
 #: Step in pixels of the numerical derivatives.
 _TRIAL = 1e-3
 #: Points of the surface. The coarsest level compares _COARSE of them. Finer levels, and the final check, use
-#: those where a picture has the most detail: _TELLING per picture, _MOST in all.
+#: those where an image has the most detail: _TELLING per image, _MOST in all.
 _POINTS, _COARSE, _TELLING, _MOST = 240_000, 10_000, 3_200, 80_000
-#: More pictures than this use fewer points, in inverse proportion, but at least this part.
+#: More images than this use fewer points, in inverse proportion, but at least this part.
 _FEW, _LEAST = 12, 0.25
 #: Mip levels, coarse to fine, and tries on each.
 _LEVELS, _TRIES = (2, 1, 0), 24
 #: A level ends with a step in which no number changes by this many pixels.
 _STILL = 0.005
-#: Difference of square roots of light from which a picture weighs less: at the finest level, and more at
-#: each coarser one, where misplaced pictures differ most at the edges that show it.
+#: Difference of square roots of light from which an image weighs less: at the finest level, and more at
+#: each coarser one, where misplaced images differ most at the edges that show it.
 _FAR = 0.1
-#: Within this many pixels of the surface's end pictures mix with the background.
+#: Within this many pixels of the surface's end images mix with the background.
 _RIM = 2.0
 #: Expected error of cameras in pixels, of square roots of light, and the part of points that are informative.
 _OFF, _NOISE, _OWN = 4.0, 0.02, 0.01
 #: Relative damping of a step, and its factors after a good and a bad step.
 _DAMPING, _RIGHT, _WRONG = 1e-4, 0.2, 10.0
-#: A camera changes if its picture's difference from the others, 0 to 1, falls to this part and by this much.
+#: A camera changes if its image's difference from the others, 0 to 1, falls to this part and by this much.
 _BETTER, _BY = 0.7, 0.002
 
 
@@ -80,16 +80,16 @@ def refine_cameras(
     progress: Progress | None = None,
     run: Run | None = None,
 ) -> list[Camera]:
-    """Turn, move and zoom cameras by a few pixels until their pictures agree, and return the new cameras.
+    """Turn, move and zoom cameras by a few pixels until their images agree, and return the new cameras.
 
     surface      the model; cameras see its posed positions
-    projections  pictures with cameras, in any order and exposure
-    balance      how exposures are matched before pictures are compared, as for ``paint``
-    reference    number of the picture whose camera does not change. Default: the one that overlaps most with
+    projections  images with cameras, in any order and exposure
+    balance      how exposures are matched before images are compared, as for ``paint``
+    reference    number of the image whose camera does not change. Default: the one that overlaps most with
                  others
     run          how to work (octex.Run)
 
-    A camera stays unchanged unless its picture then agrees clearly better with the others.
+    A camera stays unchanged unless its image then agrees clearly better with the others.
 
     Raises ArgumentError and ImageError as ``paint`` does.
     """
@@ -100,7 +100,7 @@ def refine_cameras(
         reference = as_whole(reference, "reference", 0, len(shown) - 1)
     cameras = [each.camera for each in shown if isinstance(each.camera, Camera)]
     if len(cameras) < len(shown):
-        raise ArgumentError("a patch cannot be refined; give pictures with cameras")
+        raise ArgumentError("a patch cannot be refined; give images with cameras")
     painted = PaintedSurface(as_surface(surface))
     run = as_run(run, threads, progress, "memory", "folder", "resume")
     if len(shown) == 1:
@@ -158,9 +158,9 @@ def _refined(
     def observed(cameras: list[Camera], level: int, balance: Balance | None) -> Observations:
         source = lit(cameras, balance)
         weights = _weights_at(source, samples.triangles, samples.barycentric, _RIM * 2**level)
-        pictures = [shot.mips for shot in source.shots]
+        images = [shot.mips for shot in source.shots]
         lights = [(shot.gains, shot.falloff) for shot in source.shots]
-        return Observations(began, scales, samples.points, pictures, level, lights, weights)
+        return Observations(began, scales, samples.points, images, level, lights, weights)
 
     for done, level in enumerate(_LEVELS):
         report("refine", done, len(_LEVELS))
@@ -172,7 +172,7 @@ def _refined(
         chosen = _telling(seen, numbers, far) if done else every
         numbers = _agreeing(seen.at(chosen), numbers, stays, far)
         cameras = [adjusted(*each) for each in zip(began, scales, numbers, strict=True)]
-        if done == 0:  # only now pictures lie well enough on each other to mask what one of them saw
+        if done == 0:  # only now images lie well enough on each other to mask what one of them saw
             mips = [shot.mips for shot in agreeing(lit(cameras, balance), surface, pool).shots]
     light: Balance | None = balance and "full"
     before, after = observed(began, 0, light), observed(cameras, 0, light)
@@ -184,13 +184,13 @@ def _refined(
     return [found[number] for number in range(len(shown))]
 
 
-def _share(pictures: int) -> float:
-    """Return the part of the points that this many pictures are compared at."""
-    return max(min(_FEW / pictures, 1.0), _LEAST)
+def _share(images: int) -> float:
+    """Return the part of the points that this many images are compared at."""
+    return max(min(_FEW / images, 1.0), _LEAST)
 
 
 def _telling(observed: Observations, numbers: Float64s, far: float) -> Int64s:
-    """Return the points that tell most about the cameras, equally many for each picture that agrees."""
+    """Return the points that tell most about the cameras, equally many for each image that agrees."""
     values, steep = np.full((2, *observed.weights.shape, 3), np.nan)
     for n, sees in enumerate(observed.weights > 0):
         values[n, sees], slopes = observed.seen_by(n, numbers[n])
@@ -206,7 +206,7 @@ def _telling(observed: Observations, numbers: Float64s, far: float) -> Int64s:
 
 
 def _agreeing(observed: Observations, numbers: Float64s, stays: Bools, far: float) -> Float64s:
-    """Return the cameras' numbers for which pictures agree best (Levenberg-Marquardt)."""
+    """Return the cameras' numbers for which images agree best (Levenberg-Marquardt)."""
     values, slopes = observed.seen(numbers)
     weights = np.repeat(observed.weights, 3, axis=1) * np.isfinite(values)
     _, far = robust_weights(np.nan_to_num(values), weights, far)
@@ -246,7 +246,7 @@ def _middle(values: Float64s, weights: Float64s, far: float) -> Float64s:
 
 
 def _apart(values: Float64s, weights: Float64s, far: float) -> Float64s:
-    """Return the distances from the consensus, 0 to 1 (pictures, n); 1 outside the picture."""
+    """Return the distances from the consensus, 0 to 1 (images, n); 1 outside the image."""
     known = np.isfinite(values)
     values = np.where(known, values, 0.0)
     apart = ((values - _middle(values, weights * known, far)) / far) ** 2
@@ -254,7 +254,7 @@ def _apart(values: Float64s, weights: Float64s, far: float) -> Float64s:
 
 
 def _better(before: Observations, after: Observations, numbers: Float64s) -> Bools:
-    """Return which pictures agree clearly better with the others after refinement than before.
+    """Return which images agree clearly better with the others after refinement than before.
 
     A point weighs by the derivative of its colour. First come cameras that improve among refined others and
     on the state before; then those that improve among these.
@@ -283,9 +283,9 @@ def _better(before: Observations, after: Observations, numbers: Float64s) -> Boo
 
 
 def _weights_at(source: Projected, triangles: Int32s, barycentric: Float64s, rim: float) -> Float64s:
-    """Return how well pictures see points (pictures, n), 0 to 1; 0 within ``rim`` of the surface's end.
+    """Return how well images see points (images, n), 0 to 1; 0 within ``rim`` of the surface's end.
 
-    Only few pictures see a point: see `few_at`.
+    Only few images see a point: see `few_at`.
     """
     _, seen = source.each(triangles, barycentric, source.widths(triangles, barycentric))
     points = source.positions(triangles, barycentric)
@@ -310,29 +310,29 @@ def _margins(shot: Shot, points: Float64s) -> Float64s:
 
 
 class Observations(NamedTuple):
-    """Pictures at a mip level, and which points each sees."""
+    """Images at a mip level, and which points each sees."""
 
     cameras: Sequence[Camera]  # unrefined
     scales: Sequence[float]  # see `pixel_at`
     points: Float64s  # (n, 3)
-    pictures: Sequence[Mips]
+    images: Sequence[Mips]
     level: int
     lights: Sequence[tuple[Float32s, Float64s]]  # gains and falloff, as in Shot
-    weights: Float64s  # (pictures, n)   how well a picture sees a point
+    weights: Float64s  # (images, n)   how well an image sees a point
 
     def at(self, chosen: Int64s) -> Observations:
         """Keep only the chosen points."""
         return self._replace(points=self.points[chosen], weights=self.weights[:, chosen])
 
     def seen_by(self, n: int, numbers: Float64s) -> tuple[Float64s, Float64s]:
-        """Return a picture's values at the points that it sees (k, 3), and their derivatives by numbers."""
-        picture, camera, (gains, falloff) = self.pictures[n], self.cameras[n], self.lights[n]
+        """Return an image's values at the points that it sees (k, 3), and their derivatives by numbers."""
+        image, camera, (gains, falloff) = self.images[n], self.cameras[n], self.lights[n]
         points = self.points[self.weights[n] > 0]
-        level = min(self.level, len(picture.sizes) - 1)
-        size = picture.sizes[level, 1:] / [camera.width, camera.height]
+        level = min(self.level, len(image.sizes) - 1)
+        size = image.sizes[level, 1:] / [camera.width, camera.height]
         pixels, _ = adjusted(camera, self.scales[n], numbers).project(points)
         read = np.empty((len(points), 9))
-        _read(picture.pixels, picture.sizes[level], falloff, pixels * size, read)
+        _read(image.pixels, image.sizes[level], falloff, pixels * size, read)
         read *= np.tile(np.sqrt(gains), 3)
         slopes = np.empty((len(points), 3, NUMBERS))
         for number in range(NUMBERS):
@@ -344,7 +344,7 @@ class Observations(NamedTuple):
         return read[:, :3], slopes
 
     def seen(self, numbers: Float64s) -> tuple[Float64s, Float64s]:
-        """Return the pictures' values (pictures, n · 3), and their derivatives by the cameras' numbers."""
+        """Return the images' values (images, n · 3), and their derivatives by the cameras' numbers."""
         values = np.full((*self.weights.shape, 3), np.nan)
         slopes = np.zeros((*values.shape, NUMBERS))
         for n, sees in enumerate(self.weights > 0):

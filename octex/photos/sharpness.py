@@ -1,7 +1,7 @@
-"""Measures how sharp pictures are: a blurred picture counts as if its pixels were as wide as the blur.
+"""Measures how sharp images are: a blurred image counts as if its pixels were as wide as the blur.
 
-A picture read at two widths shows the detail between them. Detail that other pictures show too belongs to the
-surface: noise, and things that only one picture saw, cancel on average. A picture that shows less detail than
+An image read at two widths shows the detail between them. Detail that other images show too belongs to the
+surface: noise, and things that only one image saw, cancel on average. An image that shows less detail than
 others at the same points is blurred or misplaced.
 """
 
@@ -20,36 +20,36 @@ from octex.source.surface import Surface
 
 #: Points of the surface that are read.
 _POINTS = 40_000
-#: Detail lies between this many pixels and twice that, of the coarsest picture that counts.
+#: Detail lies between this many pixels and twice that, of the coarsest image that counts.
 _WIDTH = 2.0
-#: Least number of other pictures to compare with: two alone cannot decide.
+#: Least number of other images to compare with: two alone cannot decide.
 _OTHERS = 2
-#: A picture counts at a point if it has this part of the largest weight: pixels up to 1.8 times as wide.
+#: An image counts at a point if it has this part of the largest weight: pixels up to 1.8 times as wide.
 _LEAST_WEIGHT = 0.3
-#: A picture that shows this part of the detail is sharp: directions of view differ.
+#: An image that shows this part of the detail is sharp: directions of view differ.
 _SHARP = 0.7
 #: Detail above this multiple of the others' mean is another object, and is limited to it.
 _MOST = 2.0
 #: Detail below 1/255 does not count: shading of smooth surfaces changes with direction.
 _LITTLE = 1.0 / 255.0
-#: A blurred picture shows less detail than others by this many standard errors.
+#: A blurred image shows less detail than others by this many standard errors.
 _ERRORS = 2.0
 #: A Gaussian blur of s pixels leaves exp(−s² / 3) of the detail, measured at s = 1 and 2.
 _FALL = 3.0
-#: Rounds in which blurred pictures are removed from the comparison.
+#: Rounds in which blurred images are removed from the comparison.
 _ROUNDS = 4
 
 
 class Details(NamedTuple):
-    """The pictures' detail at points that several of them see."""
+    """The images' detail at points that several of them see."""
 
-    shots: Int64s  # (n,)   the picture
+    shots: Int64s  # (n,)   the image
     points: Int64s  # (n,)   the point
     values: Float32s  # (n, 3)   its detail there, of square roots of light
 
 
 def weighed_by_sharpness(source: Projected, surface: Surface, executor: Executor) -> Projected:
-    """Return the same paint with blurred pictures weighted by their variance; a sharp pixel's is 1/12."""
+    """Return the same paint with blurred images weighted by their variance; a sharp pixel's is 1/12."""
     if len(source.shots) <= _OTHERS:
         return source
     shown = shown_of(details_of(source, surface, executor), len(source.shots))
@@ -61,7 +61,7 @@ def weighed_by_sharpness(source: Projected, surface: Surface, executor: Executor
 
 
 def shown_of(details: Details, count: int) -> Float64s:
-    """Return which part of the sharp pictures' detail each of ``count`` shows; 1 if unknown."""
+    """Return which part of the sharp images' detail each of ``count`` shows; 1 if unknown."""
     details = _within_others(details)
     is_sharp = np.ones(count, np.bool_)
     for _ in range(_ROUNDS):
@@ -73,7 +73,7 @@ def shown_of(details: Details, count: int) -> Float64s:
 
 
 def _within_others(details: Details) -> Details:
-    """Limit each detail to `_MOST` times the mean of the other pictures' at the point."""
+    """Limit each detail to `_MOST` times the mean of the other images' at the point."""
     _, points, values = details
     lengths = np.linalg.norm(values.astype(np.float64), axis=1)
     others = np.bincount(points)[points] - 1
@@ -83,7 +83,7 @@ def _within_others(details: Details) -> Details:
 
 
 def _compared(details: Details, is_sharp: Bools) -> Float64s:
-    """Return which part of the sharp others' detail each picture shows (shots,)."""
+    """Return which part of the sharp others' detail each image shows (shots,)."""
     shots, points, values = details
     weights = is_sharp[shots].astype(np.float64)
     others = np.bincount(points, weights)[points] - weights
@@ -105,7 +105,7 @@ def _compared(details: Details, is_sharp: Bools) -> Float64s:
 
 
 def details_of(source: Projected, surface: Surface, executor: Executor) -> Details:
-    """Read pictures at points of the surface."""
+    """Read images at points of the surface."""
     samples = surface.scatter(_POINTS)
 
     def read(batch: slice) -> Details:

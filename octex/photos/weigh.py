@@ -22,7 +22,7 @@ from octex.tree.layout import MAX_DEPTH
 from octex.tree.placement import Placement
 from octex.view.shading import face_normals
 
-#: Pictures are chosen this many levels above the finest, for at most this many pairs of cell and picture.
+#: Images are chosen this many levels above the finest, for at most this many pairs of cell and image.
 _ABOVE, _MOST_VIEWS = 1, 1 << 22
 #: Pixels up to this many cells wide weigh alike in a mean, and those up to twice as wide as the finest.
 _ENOUGH = 2.0
@@ -30,7 +30,7 @@ _ENOUGH = 2.0
 
 @dataclass(eq=False)
 class BestPaint(Projected):
-    """Paint from the pictures chosen for each sheet, levelled; from all pictures where these see nothing."""
+    """Paint from the images chosen for each sheet, levelled; from all images where these see nothing."""
 
     sheets: Sheets = field(kw_only=True)
     shares: Float32s = field(kw_only=True)  # (sheets, shots)   sum 1
@@ -45,7 +45,7 @@ class BestPaint(Projected):
         sheets = self.sheets.at(triangles, barycentric)
         found = super().evaluate(triangles, barycentric, widths)
         components = found.shape[1] - 1
-        is_seen = (found[:, -1] > 0) & (sheets >= 0)  # points on no sheet take all pictures
+        is_seen = (found[:, -1] > 0) & (sheets >= 0)  # points on no sheet take all images
         shares = np.where(is_seen[:, None], self.shares[sheets], np.float32(0))
         sums, totals = np.zeros((len(found), components), np.float32), np.zeros(len(found), np.float32)
         for number, shot in enumerate(self.shots):
@@ -65,7 +65,7 @@ class BestPaint(Projected):
 def best(
     source: Projected, surface: Surface, placement: Placement, depth: int, executor: Executor
 ) -> BestPaint:
-    """Return the same paint, from one picture for each patch of the surface."""
+    """Return the same paint, from one image for each patch of the surface."""
     most = _MOST_VIEWS // len(source.shots)
     area = face_normals(surface.rest, surface.triangles)[1].sum() / placement.size**2
     expected = np.log(most / max(area, 1e-30)) / np.log(4.0)  # the level with that many cells
@@ -93,16 +93,16 @@ def weighed(
     stages: Stages,
 ) -> Projected:
     """Combine the paint of several shots as the options say."""
-    balance, pictures = options.balance, options.pictures
+    balance, images = options.balance, options.fusion
     if balance is not None:
         evened = balanced(source, surface, balance, reference)
         source = without_overexposed(source, evened, executor)
-    if pictures in ("robust", "best") or (pictures is None and len(source.shots) > 2):
+    if images in ("robust", "best") or (images is None and len(source.shots) > 2):
         source = agreeing(source, surface, executor, stages)
-        if balance is not None:  # again, without what only one picture saw
+        if balance is not None:  # again, without what only one image saw
             source = balanced(source, surface, balance, reference)
     source = weighed_by_sharpness(source, surface, executor)
-    if pictures == "best":
+    if images == "best":
         return best(source, surface, placement, depth, executor)
     enough = _ENOUGH * placement.size / 2**depth
     is_light = source.form.space in ("srgb", "linear")

@@ -16,8 +16,8 @@ from octex.arrays import Array, Uint8s
 from octex.cameras.camera import Camera
 from octex.checks import as_choice, as_flag, as_number, as_reals, as_whole
 from octex.errors import ArgumentError
+from octex.painting.image import Blend, Projection
 from octex.painting.options import DRAWN_ANGLE, PaintOptions
-from octex.painting.picture import Blend, Projection
 from octex.painting.stack import Layer, check_layer
 
 #: Largest size of a command in bytes, and largest side of a stroke's view in pixels.
@@ -110,9 +110,9 @@ def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], Where]:
     moment_of(fields)
     spot_of(fields)
     camera = camera_of(command)
-    image = picture_of(command, camera)
-    picture = Projection(image, camera, opacity=opacity_of(command), blend=blend_of(command))
-    return picture, options, where_of(command)
+    image = image_of(command, camera)
+    projection = Projection(image, camera, opacity=opacity_of(command), blend=blend_of(command))
+    return projection, options, where_of(command)
 
 
 def moment_of(fields: dict[str, Any]) -> Moment | None:
@@ -235,7 +235,7 @@ def camera_of(command: Command) -> Camera:
     return Camera.pinhole((width, height), pose=pose, convention="opencv", K=K)
 
 
-def picture_of(command: Command, camera: Camera) -> Uint8s:
+def image_of(command: Command, camera: Camera) -> Uint8s:
     """Return the image (height, width, 4) of a stroke, in sRGB.
 
     The content covers only its ``box`` and is deflated: coverage alone if the command has ``color`` or

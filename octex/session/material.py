@@ -23,8 +23,8 @@ from octex.channels import (
 )
 from octex.checks import as_choice
 from octex.errors import ArgumentError
+from octex.painting.image import Projection
 from octex.painting.options import format_of
-from octex.painting.picture import Projection
 from octex.session.commands import Command, channel_of, codes_of, values_of
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
@@ -49,7 +49,7 @@ class Value(NamedTuple):
         """The value (components,) as `octex.fill` takes it."""
         return decode(self.codes, "srgb" if _is_color(self.form) else self.form.space)
 
-    def pictured(self, projection: Projection) -> Projection:
+    def imaged(self, projection: Projection) -> Projection:
         """Return an image with the same coverage and this value."""
         coverage = cast(Array, projection.image)[..., 3]
         dtype = self.codes.dtype if self.codes.dtype.kind == "u" else np.dtype(np.float32)
@@ -59,13 +59,13 @@ class Value(NamedTuple):
         return replace(projection, image=image)
 
 
-def pictures_of(
+def images_of(
     command: Command, projection: Projection, texture: OctreeTexture
 ) -> list[tuple[str, Projection]]:
     """Return the channels that a stroke paints, each with an image; raises ArgumentError as `paint_of`."""
     if not values_of(command):
         return [(BASE_COLOR.name, projection)]
-    return [(value.form.name, value.pictured(projection)) for value in paint_of(command, texture)]
+    return [(value.form.name, value.imaged(projection)) for value in paint_of(command, texture)]
 
 
 def paint_of(command: Command, texture: OctreeTexture) -> list[Value]:

@@ -21,10 +21,10 @@ from octex.editing.draft import Change
 from octex.errors import ArgumentError, ModelError, OctexError, OutputError
 from octex.nearest.triangles import Triangles
 from octex.painting.composites import Stacked
+from octex.painting.image import Blend, Projection
 from octex.painting.layers import Layers
 from octex.painting.options import format_of
 from octex.painting.painter import Painter
-from octex.painting.picture import Blend, Projection
 from octex.painting.region import alike
 from octex.painting.unwrap import Patch
 from octex.session.commands import (
@@ -42,7 +42,7 @@ from octex.session.commands import (
     target_of,
 )
 from octex.session.journal import Journal, layers_file
-from octex.session.material import paint_of, pictures_of, with_channel
+from octex.session.material import images_of, paint_of, with_channel
 from octex.session.outside import Watch, put_aside, stamp_of, texture_of
 from octex.session.poses import Poses, mirrored_spot
 from octex.source.corners import at_corners
@@ -286,11 +286,9 @@ class Session:
         texture, strokes = self._painter.texture(), []
         covered = self._painter.covered(erases=projection.blend == "erase")
         for each, region in zip(both, regions, strict=False):
-            pictures = [(name, each) for name in covered or ()] or pictures_of(command, each, texture)
-            for name, picture in pictures:
-                strokes.append(
-                    self._painter.paint(picture, pose=pose, channel=name, region=region, **options)
-                )
+            images = [(name, each) for name in covered or ()] or images_of(command, each, texture)
+            for name, image in images:
+                strokes.append(self._painter.paint(image, pose=pose, channel=name, region=region, **options))
         self._did(command, strokes)
 
     def _do_fill(self, command: Command) -> None:

@@ -7,7 +7,7 @@ from typing import cast
 
 from octex.cameras.camera import Camera
 from octex.errors import ArgumentError
-from octex.painting.picture import Projection
+from octex.painting.image import Projection
 from octex.painting.unwrap import Patch, unwrap
 from octex.session.commands import Moment, Spot, moment_of, object_of, spot_of
 from octex.source.motion import Motion

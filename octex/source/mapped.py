@@ -24,7 +24,7 @@ from octex.jit import inlined, kernel
 from octex.source.base import Placeable, Source, SpatialSource, placed
 from octex.source.images.decode import read_image
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint, kernel_code, reads_mips
-from octex.source.images.pyramid import MIRROR, REPEAT, WRAPS, Images, Picture, as_wraps, store
+from octex.source.images.pyramid import MIRROR, REPEAT, WRAPS, Images, ImageTexels, as_wraps, store
 from octex.source.images.taps import MOST_TAPS, Footprint, gather
 from octex.source.materials import light_format, unit_directions
 from octex.source.mesh import Mesh
@@ -114,8 +114,8 @@ class MappedImage(Placeable):
         elif form.space == "srgb" and texels.dtype == np.float32:
             form = light_format(form, float(texels[..., : form.components].max()))
         # How codes are decoded depends on the channel's colour space, not on its stored type.
-        picture = Picture(texels, form.space in ("srgb", "linear"))
-        source = MappedSource(form, mapping, picture, self._is_flat, filter, mesh)
+        image = ImageTexels(texels, form.space in ("srgb", "linear"))
+        source = MappedSource(form, mapping, image, self._is_flat, filter, mesh)
         record = {
             **origin,
             "mapping": KINDS[self._kind],
@@ -132,15 +132,15 @@ class MappedSource(SpatialSource):
     """One channel of a mapped image; normal maps refer to the mesh's frames."""
 
     def __init__(
-        self, form: ChannelFormat, mapping: Mapping, picture: Picture, flat: bool, filter: str, mesh: Mesh
+        self, form: ChannelFormat, mapping: Mapping, image: ImageTexels, flat: bool, filter: str, mesh: Mesh
     ) -> None:
         super().__init__([form], mesh.rest, mesh.triangles)
         self._mapping = mapping
-        self._picture = picture
+        self._image = image
         self._flat = flat
         self._frames = mesh.frames if form.space == "direction" else None
         self._filter = kernel_code(filter)
-        self._images, _ = store([picture], reads_mips(self._filter))
+        self._images, _ = store([image], reads_mips(self._filter))
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
@@ -168,7 +168,7 @@ class MappedSource(SpatialSource):
         """Return the shorter edge of a texel in the middle of triangles (n,), in rest units."""
         middles = np.full((len(triangles), 3), 1 / 3)
         points, normals = placed(self._rest, self._triangles, triangles, middles)
-        height, width = self._picture.texels.shape[:2]
+        height, width = self._image.texels.shape[:2]
         edges = np.empty(len(triangles), np.float32)
         mapped_edges(self._mapping, width, height, points, normals, edges)
         return edges
@@ -182,7 +182,7 @@ class MappedSource(SpatialSource):
         """Return the same source with its image read by another filter."""
         code, images = kernel_code(name), self._images
         if reads_mips(code) != reads_mips(self._filter):
-            images, _ = store([self._picture], reads_mips(code))
+            images, _ = store([self._image], reads_mips(code))
         return self._changed(_filter=code, _images=images)
 
 

@@ -18,7 +18,7 @@ from octex.source.corners import Corners, Frames, stacked
 from octex.source.evaluate import Tables, evaluate, measure, texel_edges
 from octex.source.images.decode import is_translucent
 from octex.source.images.filters import kernel_code, reads_mips
-from octex.source.images.pyramid import REPEAT, Images, Picture, Texels, store
+from octex.source.images.pyramid import REPEAT, Images, ImageTexels, Texels, store
 from octex.source.tangents import carried
 
 #: Alpha modes of glTF: alpha is ignored, compared with a cutoff, or used as coverage.
@@ -245,7 +245,7 @@ class MaterialSource(Source):
                     offsets[number, columns] = entry.offset or 0.0
                 if entry is not None and entry.texture is not None:
                     lanes[number, columns] = lane_of[form.name] + np.array(entry.lanes[: form.components])
-        images, layout_of = store(shelf.pictures, reads_mips(self._filter))
+        images, layout_of = store(shelf.texels, reads_mips(self._filter))
         stacks = [(layout_of[image], *rest) for image, *rest in shelf.stacks]
         stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
         nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
@@ -287,7 +287,7 @@ class _Shelf:
 
     def __init__(self) -> None:
         self._numbers: dict[tuple[object, ...], int] = {}
-        self.pictures: list[Picture] = []
+        self.texels: list[ImageTexels] = []
         self.first_stacks = [0]
         # The first image, whose size all have; slot, wraps of u and v, flat texels; first row of `images`.
         self.stacks: list[tuple[int, int, int, int, int, int]] = []
@@ -307,9 +307,9 @@ class _Shelf:
             cut = threshold if is_covered else -1.0
             key = id(texels), is_light, is_covered, cut, entry.factor if is_direction else None
             if key not in self._numbers:
-                self._numbers[key] = len(self.pictures)
+                self._numbers[key] = len(self.texels)
                 stored = unit_directions(texels, entry.factor) if is_direction else texels
-                self.pictures.append(Picture(stored, is_light, is_covered, cut))
+                self.texels.append(ImageTexels(stored, is_light, is_covered, cut))
             stack = texels.shape[:2], wrap_u, wrap_v, nearest, slot
             stacks.setdefault(stack, {}).setdefault(self._numbers[key], []).append(name)
         lane_of: dict[str, int] = {}

@@ -198,7 +198,7 @@ class OctreeTexture:
                          "quartic": over 5×5×5; "linear": the paper's rule, which jumps where the depth
                          changes; "nearest": the leaf at the point, else the nearest of 27 cells
         width            side of the square to average over, in the model's units: one number, or (n,)
-        dPdx, dPdy       instead of a width, (n, 3): derivatives of rest positions by a picture's x and y
+        dPdx, dPdy       instead of a width, (n, 3): derivatives of rest positions by an image's x and y
         anisotropy       largest ratio of a footprint's length to its width, up to 256; narrower ones are
                          widened
         blur             widens both sides of a footprint by this

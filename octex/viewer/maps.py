@@ -88,21 +88,21 @@ def _files(
 ) -> tuple[list[bytes], int]:
     """Return image files, and the factor by which they were reduced to fit."""
     divisor = 1
-    pictures = [PIL.Image.fromarray(_codes(each, lanes)) for (_, lanes), each in texels.items()]
+    encoded = [PIL.Image.fromarray(_codes(each, lanes)) for (_, lanes), each in texels.items()]
     while True:
-        files = [_file(picture, small) for picture in pictures]
-        if room is None or sum(map(len, files)) <= room or max(max(each.size) for each in pictures) == 1:
+        files = [_file(image, small) for image in encoded]
+        if room is None or sum(map(len, files)) <= room or max(max(each.size) for each in encoded) == 1:
             return files, divisor
         divisor *= 2
-        pictures = [each.reduce(2) for each in pictures]
+        encoded = [each.reduce(2) for each in encoded]
 
 
-def _file(picture: PIL.Image.Image, small: bool) -> bytes:
+def _file(image: PIL.Image.Image, small: bool) -> bytes:
     file = io.BytesIO()
     if small:
-        picture.save(file, "WEBP", quality=_QUALITY, method=6)
+        image.save(file, "WEBP", quality=_QUALITY, method=6)
     else:
-        picture.save(file, "PNG", compress_level=1)
+        image.save(file, "PNG", compress_level=1)
     return file.getvalue()
 
 

@@ -129,7 +129,7 @@ def write(path: Path, model: Model, unwrapped: Unwrap, images: dict[str, Image.I
     normals = np.round(smooth_normals(model), 5)
     uv = np.clip(unwrapped.uv.reshape(-1, 2), 0, 1)
     material = np.array([skin.map or skin.finish for skin in model.skins])[model.skin]
-    primitives, materials, pictures = [], [], []
+    primitives, materials, stored = [], [], []
     for number, name in enumerate([*images, *PLAIN]):
         corners = np.flatnonzero(np.repeat(material == name, 3))
         mapped = uv if name in images else None
@@ -143,7 +143,7 @@ def write(path: Path, model: Model, unwrapped: Unwrap, images: dict[str, Image.I
     for name, image in images.items():
         png = io.BytesIO()
         image.save(png, "PNG", optimize=True)
-        pictures.append({"bufferView": w.view(png.getvalue()), "mimeType": "image/png", "name": name})
+        stored.append({"bufferView": w.view(png.getvalue()), "mimeType": "image/png", "name": name})
     document = {
         "asset": {"version": "2.0", "generator": "samples/make_droid.py"},
         "scene": 0,
@@ -152,7 +152,7 @@ def write(path: Path, model: Model, unwrapped: Unwrap, images: dict[str, Image.I
         "meshes": [{"name": "OX-8", "primitives": primitives}],
         "materials": materials,
         "textures": [{"sampler": 0, "source": i} for i in range(len(images))],
-        "images": pictures,
+        "images": stored,
         "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
     }
     w.save(path, document)

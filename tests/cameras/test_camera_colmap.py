@@ -36,7 +36,7 @@ def test_a_colmap_model_is_found_below_its_folder_and_by_each_of_its_files(tmp_p
 
 
 @pytest.mark.parametrize("model", ["sparse/0", "sparse", "."])
-def test_the_pictures_of_a_colmap_workspace_are_in_images(model, tmp_path):
+def test_the_images_of_a_colmap_workspace_are_in_images(model, tmp_path):
     colmap_binary(tmp_path / model)
     assert {frame.image for frame in read_cameras(tmp_path / model)} == {None}
     (tmp_path / "images").mkdir()

@@ -53,7 +53,7 @@ def test_transforms_share_intrinsics_and_frames_may_have_their_own(tmp_path):
     sees(second.camera((640, 480)), expected(view(2), 700.0, 510.0, (310.0, 250.0), LENS))
 
 
-def test_transforms_find_their_pictures_with_and_without_an_ending(tmp_path):
+def test_transforms_find_their_images_with_and_without_an_ending(tmp_path):
     (tmp_path / "images").mkdir()
     (tmp_path / "images/b.jpg").touch()
     frames = read_cameras(write_json(tmp_path / "transforms.json", transforms()))
@@ -61,7 +61,7 @@ def test_transforms_find_their_pictures_with_and_without_an_ending(tmp_path):
     assert frames[1].image == tmp_path / "images/b.jpg"
 
 
-def test_a_picture_may_have_a_name_that_no_file_can_have(tmp_path):
+def test_an_image_may_have_a_name_that_no_file_can_have(tmp_path):
     document = transforms()
     document["frames"][0]["file_path"] = "long" * 2000
     document["frames"][1]["file_path"] = "a\0\ud800"
@@ -69,7 +69,7 @@ def test_a_picture_may_have_a_name_that_no_file_can_have(tmp_path):
     assert [frame.image.name for frame in frames] == ["long" * 2000, "a\0\ud800"]
 
 
-def test_transforms_may_give_angles_and_leave_the_size_to_the_picture(tmp_path):
+def test_transforms_may_give_angles_and_leave_the_size_to_the_image(tmp_path):
     gone = dict.fromkeys(("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2"))
     document = transforms(**gone, camera_angle_x=0.8)
     del document["frames"][1]["fl_x"]
@@ -84,7 +84,7 @@ def test_transforms_may_give_angles_and_leave_the_size_to_the_picture(tmp_path):
 
 
 @pytest.mark.parametrize("size", [(320, 240), (1280, 960), (213, 160), (214, 160), (91, 69)])
-def test_a_picture_may_be_made_smaller_or_larger(tmp_path, size):
+def test_an_image_may_be_made_smaller_or_larger(tmp_path, size):
     frame = read_cameras(write_json(tmp_path / "t.json", transforms()))[0]
     camera = frame.camera(size)
     assert (camera.width, camera.height) == size
@@ -93,9 +93,9 @@ def test_a_picture_may_be_made_smaller_or_larger(tmp_path, size):
 
 
 @pytest.mark.parametrize("size", [(320, 320), (240, 320), (642, 480), (640, 479 - 2), (320, 238)])
-def test_a_picture_of_another_shape_is_refused(tmp_path, size):
+def test_an_image_of_another_shape_is_refused(tmp_path, size):
     frame = read_cameras(write_json(tmp_path / "t.json", transforms()))[0]
-    with pytest.raises(CameraError, match=r"is for 640×480 pixels, the picture has \d+×\d+, another shape; "):
+    with pytest.raises(CameraError, match=r"is for 640×480 pixels, the image has \d+×\d+, another shape; "):
         frame.camera(size)
     with pytest.raises(CameraError, match=r"has 240×320, another shape; turn it by 90 degrees"):
         frame.camera((240, 320))
@@ -181,7 +181,7 @@ def test_gltf_cameras_of_one_name_are_numbered(tmp_path):
     assert names == ["lens", "lens_2", "lens_3", "lens_4"]
 
 
-def test_an_orthographic_camera_is_for_pictures_of_its_shape(tmp_path):
+def test_an_orthographic_camera_is_for_images_of_its_shape(tmp_path):
     frame = read_cameras(write_json(tmp_path / "a.gltf", gltf()))[1]
     frame.camera((403, 300))
     with pytest.raises(CameraError, match=r"'camera_1' of .*xmag 2 and ymag 1\.5 do not have the aspect"):
@@ -320,18 +320,18 @@ def test_bundler_cameras_see_what_its_manual_says(tmp_path):
         sees(frame.camera((640, 480)), pixels)
 
 
-def test_a_list_of_more_pictures_than_bundler_has_cameras_is_refused(tmp_path):
+def test_a_list_of_more_images_than_bundler_has_cameras_is_refused(tmp_path):
     (tmp_path / "bundle.out").write_text(bundler())
     (tmp_path / "bundle.list.txt").write_text("a.jpg\nb.jpg\n")
-    assert "its list names 2 pictures for 3 cameras" in refusal(tmp_path / "bundle.out")
+    assert "its list names 2 images for 3 cameras" in refusal(tmp_path / "bundle.out")
 
 
 # Any file
 
 
-def test_an_absolute_path_of_a_picture_is_a_name_beside_the_file(tmp_path):
+def test_an_absolute_path_of_an_image_is_a_name_beside_the_file(tmp_path):
     matrix = to_opengl(view(1)).tolist()
-    names = [str(tmp_path / "far" / "a.png"), "C:\\pictures\\b.png"]
+    names = [str(tmp_path / "far" / "a.png"), "C:\\images\\b.png"]
     frames = [{"file_path": name, "transform_matrix": matrix} for name in names]
     path = tmp_path / "transforms.json"
     path.write_text(json.dumps({"fl_x": 700.0, "frames": frames}))

@@ -141,4 +141,4 @@ def test_openmvg_files_that_cannot_be_used_are_refused(tmp_path, numbers, compla
 def test_panoramas_of_openmvg_are_refused(tmp_path):
     document = openmvg("spherical")
     del document["intrinsics"][0]["value"]["ptr_wrapper"]["data"]["focal_length"]
-    assert "focal_length is missing; undistort pictures" in refusal(write_json(tmp_path / "a.json", document))
+    assert "focal_length is missing; undistort images" in refusal(write_json(tmp_path / "a.json", document))

@@ -16,7 +16,7 @@ import octex
 from octex import ahead
 from octex.cli.options import COMMANDS, OPTIONS
 from octex.cli.parser import Parser
-from octex.cli.values import DTYPES, FILTERS, depth, picture_size
+from octex.cli.values import DTYPES, FILTERS, depth, image_size
 from octex.errors import ArgumentError, ExitCode
 from tests.conftest import fewer_points, needs_jit
 from tests.make.command import python
@@ -180,7 +180,7 @@ def test_help_tells_the_default_that_holds():
 
 
 def test_sizes_have_a_comma_or_an_x():
-    assert {picture_size(text) for text in ("640,480", "640x480", "640×480")} == {(640, 480)}
+    assert {image_size(text) for text in ("640,480", "640x480", "640×480")} == {(640, 480)}
 
 
 def test_options_given_twice_may_stand_anywhere_and_files_may_begin_with_a_minus():

@@ -167,7 +167,7 @@ def test_a_preview_is_drawn_of_models_and_of_textures(square, made, tmp_path, cl
     monkeypatch.setattr("octex.write_preview", write_preview)
     words = ["--channels", "roughness,alpha", "--source", "alpha=0.5", "--rest", square, "--depth", 2]
     out = cli.result(square, tmp_path / "a.octex", *words, "--preview", path)
-    assert out.splitlines()[1] == f"{path}: a picture of it"
+    assert out.splitlines()[1] == f"{path}: an image of it"
     assert cli.facts(made, tmp_path / "b.ply", "--preview", path)["preview"] == str(path)
     assert drawn == [("a.png", 2, ["alpha", "roughness"]), ("a.png", 4, None)]
 

@@ -123,13 +123,13 @@ def one_sample(monkeypatch):
 
 
 @pytest.mark.usefixtures("one_sample")
-def test_a_picture_is_drawn_and_named(folder, tmp_path, cli):
+def test_an_image_is_drawn_and_named(folder, tmp_path, cli):
     path = tmp_path / "diff.png"
     again = ["draw", folder / "4.octex", folder / "3.octex", path, "--as", "difference", "--size", "90,40"]
     assert cli.result(*again).startswith(f"{path}: 90×40 pixels, ")
     drawn = path.read_bytes()
-    with Image.open(path) as picture:
-        assert picture.size == (90, 40)
+    with Image.open(path) as image:
+        assert image.size == (90, 40)
     for words, same in (([], True), (["--direction", "-1,0.2,-1", "--zoom", "2"], False)):
         assert cli.result(*again, "--force", "--quiet", *words) == ""
         assert (path.read_bytes() == drawn) == same

@@ -22,22 +22,22 @@ ROOT = Path(octex.__file__).parent.parent
 
 
 @needs_jit
-def test_a_picture_that_was_drawn_is_edited_and_painted_back(scene, tmp_path, cli):
+def test_an_image_that_was_drawn_is_edited_and_painted_back(scene, tmp_path, cli):
     view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
     options = ["--camera", f"{scene.cameras}#square.png", "--threads", 1]
     text = cli.result(scene.texture, scene.model, VIEW, view, "--camera-out", file, *options)
     assert text.splitlines()[0].startswith(f"{view}: {SIZE}×{SIZE} pixels, ")
     assert text.splitlines()[1] == f"{file}: its camera"
-    picture = np.array(Image.open(view))
-    assert picture.shape == (SIZE, SIZE, 4)
-    assert set(np.unique(picture[:, :, 3])) == {0, 255}
+    image = np.array(Image.open(view))
+    assert image.shape == (SIZE, SIZE, 4)
+    assert set(np.unique(image[:, :, 3])) == {0, 255}
     back = [scene.texture, scene.model, view, "--camera", file]
     cli.result(*back, OUT, out, "--since", "nothing")
     before, points = octex.open(scene.texture), scene.places(0.0)[0]
     np.testing.assert_allclose(octex.open(out).sample(points), before.sample(points), atol=0.15)
     assert np.abs(octex.open(out).sample(points) - before.sample(points)).mean() < 0.01
-    picture[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1, :3] = [255, 0, 0]
-    Image.fromarray(picture).save(view)
+    image[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1, :3] = [255, 0, 0]
+    Image.fromarray(image).save(view)
     cli.result(*back, OUT, out, "--force", "--since", "nothing")
     points, inside = scene.places(1.5)
     red = octex.open(out).sample(points)
@@ -55,17 +55,17 @@ def test_what_is_erased_is_transparent_in_the_view_and_stays_erased_when_it_is_p
     before = octex.open(erased)
     look = [erased, scene.model, VIEW, view, "--camera", scene.cameras]
     cli.result(*look)
-    picture = np.array(Image.open(view)).astype(int)
+    image = np.array(Image.open(view)).astype(int)
     left, top, right, bottom = SQUARE
-    assert not picture[top + 2 : bottom - 1, left + 2 : right - 1].any()
+    assert not image[top + 2 : bottom - 1, left + 2 : right - 1].any()
     cli.result(scene.texture, scene.model, *look[2:], "--force")
     whole = np.array(Image.open(view)).astype(int)
     beside = np.ones((SIZE, SIZE), bool)
     beside[top - 2 : bottom + 3, left - 2 : right + 3] = False
-    assert np.abs(picture - whole)[beside].max() <= 1
-    part = (picture[..., 3] > 100) & (picture[..., 3] < 255)
+    assert np.abs(image - whole)[beside].max() <= 1
+    part = (image[..., 3] > 100) & (image[..., 3] < 255)
     assert part.any()
-    assert np.abs(picture - whole)[part, :3].mean() < 6  # black, were they multiplied by alpha
+    assert np.abs(image - whole)[part, :3].mean() < 6  # black, were they multiplied by alpha
     cli.result(*look, "--force")
     points, inside = scene.places(1.5)
     assert (before.sample(points, "alpha")[inside] == 0).all()
@@ -89,20 +89,20 @@ def test_the_view_is_of_the_channel_alone(scene, tmp_path, cli):
     assert made.pop("seconds") > 0
     size = view.stat().st_size
     assert made == {"output": str(view), "size": [30, 20], "bytes": size, "camera": str(file)}
-    picture = np.array(Image.open(view))
-    assert picture.shape == (20, 30, 4)
-    seen = picture[picture[:, :, 3] == 128]  # of the texture; colours are not multiplied by it
+    image = np.array(Image.open(view))
+    assert image.shape == (20, 30, 4)
+    seen = image[image[:, :, 3] == 128]  # of the texture; colours are not multiplied by it
     assert 40 < len(seen) < 600
     assert np.abs(seen[:, :3].astype(int) - [124, 170, 203]).max() <= 1
-    assert set(np.unique(picture[:, :, 3])) == {0, 128}
-    assert not picture[picture[:, :, 3] == 0].any()
+    assert set(np.unique(image[:, :, 3])) == {0, 128}
+    assert not image[image[:, :, 3] == 0].any()
     frame = octex.read_cameras(file)[0]
     assert (frame.name, frame.size) == ("view.png", (30, 20))
     expected = octex.Camera.fitted(scene.surface.vertices, (0.4, 0.3, 1), size=(30, 20))
     np.testing.assert_array_equal(frame.camera().matrix, expected.matrix)
     cli.result(*arguments, "--force", "--channel", "roughness")
-    picture = np.array(Image.open(view))
-    assert set(picture[picture[:, :, 3] == 128][:, :3].ravel().tolist()) == {51}
+    image = np.array(Image.open(view))
+    assert set(image[image[:, :, 3] == 128][:, :3].ravel().tolist()) == {51}
     assert "'normal'" in cli.refusal(*arguments, "--force", "--channel", "normal")
 
 
@@ -110,8 +110,8 @@ def test_without_a_texture_the_view_shows_the_form_in_grey(scene, tmp_path, cli)
     view = tmp_path / "view.png"
     given = [scene.model, VIEW, view, "--camera", f"{scene.cameras}#blue.png"]
     assert "without a texture the model is drawn grey" in cli.errors(*given)
-    picture = np.array(Image.open(view)).reshape(-1, 4)
-    seen = picture[picture[:, 3] == 255]
+    image = np.array(Image.open(view)).reshape(-1, 4)
+    seen = image[image[:, 3] == 255]
     assert (seen[:, :1] == seen[:, :3]).all()
     assert len(np.unique(seen[:, 0])) >= 3
     assert seen[:, 0].min() > 100
@@ -122,7 +122,7 @@ def test_a_view_has_no_lens_distortion(scene, tmp_path, cli):
     octex.write_cameras(tmp_path / "bent.json", {"bent": bent})
     given = [scene.texture, scene.model, "--camera", tmp_path / "bent.json", VIEW, tmp_path / "a.png"]
     said = cli.errors(*given, "--camera-out", tmp_path / "straight.json")
-    assert "octex draw: the camera has lens distortion; the picture is drawn without it" in said
+    assert "octex draw: the camera has lens distortion; the image is drawn without it" in said
     frame = octex.read_cameras(tmp_path / "straight.json")[0]
     assert (frame.name, frame.camera().distortion) == ("a.png", (0.0, 0.0, 0.0, 0.0))
     cli.result(scene.texture, scene.model, "--camera", scene.cameras, VIEW, tmp_path / "square.png")
@@ -148,16 +148,16 @@ def test_an_empty_layer_beside_a_view_is_painted_back_as_it_is(scene, tmp_path, 
     look = [scene.texture, scene.model, VIEW, view, "--camera", f"{scene.cameras}#square.png"]
     said = cli.result(*look, "--empty-layer", layer, "--camera-out", file)
     assert said.splitlines()[1:] == [f"{layer}: an empty layer of its size", f"{file}: its camera"]
-    picture = np.array(Image.open(layer))
-    assert picture.shape == (SIZE, SIZE, 4)
-    assert not picture.any()
+    image = np.array(Image.open(layer))
+    assert image.shape == (SIZE, SIZE, 4)
+    assert not image.any()
     back = [scene.texture, scene.model, layer, "--camera", file, "--quiet", OUT]
     assert cli.run(*back, tmp_path / "none.octex") == ExitCode.NOTHING_PAINTED
     cli.said()
     # In the view's own colours: as a layer that is paint, and it is multiplied with what is there.
     place = np.s_[SQUARE[1] : SQUARE[3] + 1, SQUARE[0] : SQUARE[2] + 1]
-    picture[place] = np.array(Image.open(view))[place]
-    Image.fromarray(picture).save(layer)
+    image[place] = np.array(Image.open(view))[place]
+    Image.fromarray(image).save(layer)
     same = tmp_path / "same.png"
     same.write_bytes(layer.read_bytes())
     outs = [tmp_path / "as_layer.octex", tmp_path / "by_hand.octex"]
@@ -198,12 +198,12 @@ def test_a_view_is_from_the_side_and_as_near_as_wanted(scene, tmp_path, cli):
 def test_a_frame_that_is_not_there_is_refused_before_anything_is_read(tmp_path, cli, monkeypatch):
     document = {"asset": {"version": "2.0"}, "nodes": [{"camera": 0, "name": "front"}]}
     document["cameras"] = [{"type": "perspective", "perspective": {"yfov": 0.7}}]
-    model, picture = tmp_path / "scene.gltf", tmp_path / "a.png"
+    model, image = tmp_path / "scene.gltf", tmp_path / "a.png"
     model.write_text(json.dumps(document))
     for name in ("load_surface", "open", "convert"):
         monkeypatch.setattr(octex, name, lambda *_, **__: pytest.fail("it was begun"))
     for more in (["--as", "paint", "--camera-out", str(tmp_path / "c.json")], []):
-        assert main(["draw", str(model), str(picture), "--camera", f"{model}#back", *more]) == 2
+        assert main(["draw", str(model), str(image), "--camera", f"{model}#back", *more]) == 2
         assert cli.said()[1].endswith(f": error: {model}: there is no frame 'back'; there are: 'front'\n")
 
 
@@ -217,9 +217,9 @@ def test_of_a_view_only_what_was_drawn_on_it_is_painted(scene, tmp_path, cli):
     assert " is not written: nothing was drawn on the view (--since nothing paints all of it), or " in said
     before = tmp_path / "before.png"
     before.write_bytes(view.read_bytes())
-    picture = np.array(Image.open(view))
-    picture[28:36, 28:36, :3] = [255, 0, 0]
-    Image.fromarray(picture).save(view)
+    image = np.array(Image.open(view))
+    image[28:36, 28:36, :3] = [255, 0, 0]
+    Image.fromarray(image).save(view)
     texture = octex.open(scene.texture)
     outs = {name: tmp_path / f"{name}.octex" for name in ("drawn", "by_hand", "whole")}
     cli.result(*shot, outs["drawn"])
@@ -250,15 +250,15 @@ def test_all_of_a_view_is_painted_on_request_on_a_new_texture_and_if_compression
     out, given = tmp_path / "out.octex", [view, "--camera", file, "--force", OUT]
     cli.result(scene.texture, scene.model, *given, out, "--since", "nothing")
     assert octex.open(out).tree.n_leaves > octex.open(scene.texture).tree.n_leaves
-    assert cli.result(scene.model, *given, out).startswith(f"{out}: 1 picture painted, ")
-    with Image.open(view) as picture:
-        picture.convert("RGB").save(lossy, quality=70)
+    assert cli.result(scene.model, *given, out).startswith(f"{out}: 1 image painted, ")
+    with Image.open(view) as image:
+        image.convert("RGB").save(lossy, quality=70)
     said = cli.errors(scene.texture, scene.model, f"{lossy}={view.name}", *given[1:], out)
     assert f"{lossy} is a JPEG: what compression changed is painted, too" in said
 
 
 @needs_jit
-def test_pictures_and_views_may_be_smaller_or_larger_than_their_cameras(scene, tmp_path, cli):
+def test_images_and_views_may_be_smaller_or_larger_than_their_cameras(scene, tmp_path, cli):
     view, file, out = tmp_path / "square.png", tmp_path / "camera.json", tmp_path / "out.octex"
     drawn = [scene.texture, scene.model, "--camera", scene.cameras, "--size", f"{3 * SIZE},{3 * SIZE}"]
     cli.result(*drawn, VIEW, view, "--camera-out", file)
@@ -270,18 +270,18 @@ def test_pictures_and_views_may_be_smaller_or_larger_than_their_cameras(scene, t
     points = scene.places(0.0)[0]
     a, b = (octex.open(out).sample(points) for out in outs)
     np.testing.assert_allclose(a, b, atol=1e-6)
-    with Image.open(view) as picture:
-        picture.resize((2 * SIZE, 2 * SIZE)).save(view)
+    with Image.open(view) as image:
+        image.resize((2 * SIZE, 2 * SIZE)).save(view)
     back = [scene.texture, scene.model, view, "--camera", file, OUT, out]
     assert cli.refusal(*back).endswith(
-        "so octex cannot tell which pixels you changed; scale the picture, or give --since nothing"
+        "so octex cannot tell which pixels you changed; scale the image, or give --since nothing"
     )
     cli.result(*back, "--since", "nothing")
 
 
-def test_a_view_in_a_camera_file_that_is_no_picture_is_refused(scene, tmp_path, cli):
+def test_a_view_in_a_camera_file_that_is_no_image_is_refused(scene, tmp_path, cli):
     file = tmp_path / "camera.json"
-    octex.write_cameras(file, {"blue.png": scene.camera}, {"blue.png": b"no picture"})
+    octex.write_cameras(file, {"blue.png": scene.camera}, {"blue.png": b"no image"})
     shot = [scene.texture, scene.model, scene.blue, "--camera", file, OUT, tmp_path / "out.octex"]
     assert cli.refusal(*shot).startswith(f"the view in {file}")
     text = file.read_text()
@@ -297,19 +297,19 @@ def test_a_model_is_drawn_edited_and_painted_from_a_checkout(tmp_path, cli):
     view, file, out = tmp_path / "view.png", tmp_path / "camera.json", tmp_path / "out.octex"
     octex.convert(droid, 7, channels=["base_color"]).save(texture)
     cli.result(texture, droid, VIEW, view, "--camera-out", file, "--size", "256,256")
-    picture = np.array(Image.open(view))
+    image = np.array(Image.open(view))
     row, column = 118, 128  # on the head
-    picture[row - 9 : row + 10, column - 9 : column + 10, :3] = [255, 0, 0]
-    Image.fromarray(picture).save(view)
+    image[row - 9 : row + 10, column - 9 : column + 10, :3] = [255, 0, 0]
+    Image.fromarray(image).save(view)
     _, *words = painting(texture, droid, view, "--camera", file, OUT, out)
     call = [sys.executable, "tools/paint_projection.py", *words]
     said = subprocess.run(call, stdout=subprocess.PIPE, text=True, timeout=600, cwd=ROOT, check=True).stdout
-    assert said.startswith(f"{out}: 1 picture painted, ")
+    assert said.startswith(f"{out}: 1 image painted, ")
     cli.result(out, droid, VIEW, tmp_path / "after.png", "--camera", f"{file}#view.png")
     after = np.array(Image.open(tmp_path / "after.png"))
-    assert np.array_equal(after[:, :, 3], picture[:, :, 3])
-    moved = np.abs(after[:, :, :3].astype(int) - picture[:, :, :3]).max(axis=2)
-    assert np.median(moved[picture[:, :, 3] > 0]) <= 6
+    assert np.array_equal(after[:, :, 3], image[:, :, 3])
+    moved = np.abs(after[:, :, :3].astype(int) - image[:, :, :3]).max(axis=2)
+    assert np.median(moved[image[:, :, 3] > 0]) <= 6
     patch = after[row - 5 : row + 6, column - 5 : column + 6]
     red, green, blue, _ = np.median(patch.reshape(-1, 4), axis=0)
     assert red > 240

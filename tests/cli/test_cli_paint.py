@@ -14,9 +14,9 @@ from octex import parallel
 from octex.channels import decode
 from octex.cli.options import COMMANDS, DEFAULT_CHANNEL
 from octex.cli.parser import Parser
-from octex.cli.values import BALANCES, BLENDS, HOLES, PICTURES
+from octex.cli.values import BALANCES, BLENDS, HOLES, IMAGES
 from octex.errors import ExitCode
-from octex.painting import options, paint, picture
+from octex.painting import image, options, paint
 from tests.conftest import needs_jit
 from tests.make.command import OUT
 from tests.make.same import assert_equal
@@ -46,7 +46,7 @@ def test_textures_and_layers_whose_content_is_broken_are_refused(scene, tmp_path
 def test_paint_is_where_the_camera_sees_it_and_nowhere_else(scene, tmp_path, cli):
     out = tmp_path / "out.octex"
     text = cli.result(*scene.shot, OUT, out)
-    assert text.startswith(f"{out}: 1 picture painted, {octex.open(out).tree.n_leaves:,} leaves, depth ")
+    assert text.startswith(f"{out}: 1 image painted, {octex.open(out).tree.n_leaves:,} leaves, depth ")
     before, after = octex.open(scene.texture), octex.open(out)
     after.validate()
     points, inside = scene.places(1.5)
@@ -66,8 +66,8 @@ def test_a_layer_kept_and_merged_later_is_the_same_paint(scene, tmp_path, cli):
     cli.result(*merge, layer, "--blend", "multiply", OUT, outs[2])
     found = [octex.open(out) for out in outs]
     texture = octex.open(scene.texture)
-    picture = octex.Projection(scene.square, scene.camera, opacity=0.5)
-    painted = octex.paint(texture, scene.surface, picture)
+    image = octex.Projection(scene.square, scene.camera, opacity=0.5)
+    painted = octex.paint(texture, scene.surface, image)
     for _ in range(2):
         texture = octex.merge(texture, octex.open(layer), scene.surface, opacity=0.5, blend="multiply")
     for one, other in zip(found, (painted, painted, texture), strict=True):
@@ -173,8 +173,8 @@ def test_a_texture_that_is_not_there_is_begun(scene, tmp_path, cli):
     assert "there is no texture yet: painting begins a new one" in cli.errors(*scene.shot[1:], OUT, out)
     made = octex.open(out)
     made.validate()
-    picture = octex.Projection(scene.square, scene.camera)
-    assert_painted(made, octex.paint(None, scene.surface, picture))
+    image = octex.Projection(scene.square, scene.camera)
+    assert_painted(made, octex.paint(None, scene.surface, image))
     points, inside = scene.places(1.5)
     np.testing.assert_allclose(made.sample(points[inside]), [[1.0, 0.0, 0.0]] * inside.sum(), atol=0.02)
     assert made.metadata["source"] == "box.glb"
@@ -210,7 +210,7 @@ def test_the_options_of_painting_reach_the_library(scene, tmp_path, monkeypatch,
         return painted_by(*arguments, **options)
 
     monkeypatch.setattr(paint, "painted_by", painted)
-    more = "--max-depth 3 --max-angle 60,both --edge-feather 1.5 --balance gain --pictures average"
+    more = "--max-depth 3 --max-angle 60,both --edge-feather 1.5 --balance gain --fusion average"
     more += f" --no-fit --threads 2 --memory 1kB --resume {tmp_path / 'kept'}"
     cli.result(*scene.shot, OUT, tmp_path / "out.octex", *more.split(), "--channel", "base_color")
     run = seen.pop("run")
@@ -218,7 +218,7 @@ def test_the_options_of_painting_reach_the_library(scene, tmp_path, monkeypatch,
     assert None not in (run.executor, run.progress, run.folder)
     assert seen == {
         "channel": "base_color", "max_depth": 3, "max_angle": 60.0, "edge_feather": 1.5,
-        "pictures": "average", "balance": "gain", "reference": None, "back_faces": True, "hidden": False,
+        "fusion": "average", "balance": "gain", "reference": None, "back_faces": True, "hidden": False,
         "fit": False, "region": None,
     }  # fmt: skip
     monkeypatch.setattr(parallel, "memory_size", lambda: 2000)  # by default, half of that
@@ -238,7 +238,7 @@ def test_a_preview_is_drawn_of_what_was_painted(scene, tmp_path, monkeypatch, cl
 
     monkeypatch.setattr("octex.write_preview", write_preview)
     text = cli.result(*scene.shot, OUT, tmp_path / "a.octex", "--preview", preview)
-    assert text.splitlines()[1] == f"{preview}: a picture of it"
+    assert text.splitlines()[1] == f"{preview}: an image of it"
     new = *scene.shot[1:], "--preview", preview, "--channel", "occlusion"
     cli.result(*new, OUT, tmp_path / "b.octex")
     assert drawn == [(["base_color"], ["base_color"]), (None, ["occlusion"])]
@@ -257,8 +257,8 @@ def test_the_preview_of_a_disc_looks_at_the_disc(scene, tmp_path, cli):
     disc = ",".join(f"{each:g}" for each in [*at, 0.3 * (high - low).min()])
     settings = ["--unwrap", disc, "--since", "nothing", "--preview", preview]
     cli.result(scene.texture, scene.model, green, *settings, OUT, tmp_path / "out.octex")
-    with Image.open(preview) as picture:
-        codes = np.asarray(picture.convert("RGB")).astype(int)
+    with Image.open(preview) as image:
+        codes = np.asarray(image.convert("RGB")).astype(int)
     assert (codes[..., 1] - codes[..., ::2].max(axis=2) > 100).mean() > 0.005
 
 
@@ -286,8 +286,8 @@ def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(scene
 
 
 def test_the_help_names_the_librarys_defaults():
-    own = options.PICTURES, options.BALANCES, options.FILLS, picture.BLENDS
-    assert own == (PICTURES, BALANCES, HOLES, BLENDS)
+    own = options.IMAGES, options.BALANCES, options.FILLS, image.BLENDS
+    assert own == (IMAGES, BALANCES, HOLES, BLENDS)
     text = " ".join(Parser("octex paint", COMMANDS["paint"], COMMANDS).help().split())
     defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
     assert defaults["channel"] == DEFAULT_CHANNEL

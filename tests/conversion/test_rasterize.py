@@ -12,7 +12,7 @@ from tests.oracles import naive_view
 
 
 def _screen_camera(width, height):
-    """An orthographic camera whose world is the picture: x and y in pixels, z the depth."""
+    """An orthographic camera whose world is the image: x and y in pixels, z the depth."""
     return Camera.orthographic(
         (width, height), pose=np.eye(4), convention="opencv", pixels_per_unit=1.0, center=(0.0, 0.0)
     )
@@ -59,7 +59,7 @@ SIZE = (9, 7) if jit.DISABLED else (17, 13)
 @pytest.mark.parametrize(("middle", "spread", "focal"), [(3, 1.0, 12.0), (0, 2.0, 6.0)])
 @few
 @given(seed=st.integers(0, 2**32 - 1))
-def test_a_pinhole_picture_is_what_rays_find_also_of_triangles_through_its_plane(seed, middle, spread, focal):
+def test_a_pinhole_image_is_what_rays_find_also_of_triangles_through_its_plane(seed, middle, spread, focal):
     random = np.random.default_rng(seed)
     positions = random.normal(size=(15, 3)) * spread + [0, 0, middle]
     _assert_like_rays(positions, FIVE_TRIANGLES, _pinhole(*SIZE, focal))
@@ -67,7 +67,7 @@ def test_a_pinhole_picture_is_what_rays_find_also_of_triangles_through_its_plane
 
 @few
 @given(seed=st.integers(0, 2**32 - 1))
-def test_an_orthographic_picture_is_what_rays_find(seed):
+def test_an_orthographic_image_is_what_rays_find(seed):
     random = np.random.default_rng(seed)
     pose = np.eye(4)
     pose[:3, :3] = np.linalg.qr(random.normal(size=(3, 3)))[0]
@@ -137,7 +137,7 @@ def test_the_first_of_triangles_at_one_depth_is_seen():
         [[1.0, 1.0, 1.0], [1.0, 1.0, 1.0], [1.0, 1.0, 1.0]],  # a point
         [[0.0, 0.0, 1.0], [4.0, 4.0, 1.0], [8.0, 8.0, 1.0]],  # a line
         [[0.5, 0.5, 1.0], [0.5, 0.5, 2.0], [6.5, 6.5, 3.0]],  # seen along its plane
-        [[9.0, 0.0, 1.0], [20.0, 0.0, 1.0], [9.0, 8.0, 1.0]],  # beside the picture
+        [[9.0, 0.0, 1.0], [20.0, 0.0, 1.0], [9.0, 8.0, 1.0]],  # beside the image
         [[0.0, 1e300, 1.0], [8.0, 1e300, 1.0], [0.0, 2e300, 1.0]],  # far away
         [[0.6, 0.6, 1.0], [0.7, 0.6, 1.0], [0.6, 0.7, 1.0]],  # between centres
     ],
@@ -146,7 +146,7 @@ def test_triangles_that_cover_no_centre_are_harmless(positions):
     assert (z_buffer(np.array(positions), [[0, 1, 2]], _screen_camera(8, 8)).triangle == -1).all()
 
 
-def test_a_huge_triangle_covers_the_picture():
+def test_a_huge_triangle_covers_the_image():
     positions = np.array([[-1e7, -1e7, 5.0], [1e7, -1e7, 5.0], [0.0, 2e7, 5.0]])
     for camera in (_screen_camera(8, 8), _pinhole(8, 8, 4.0)):
         buffers = z_buffer(positions, [[0, 1, 2]], camera)
@@ -154,7 +154,7 @@ def test_a_huge_triangle_covers_the_picture():
         assert np.allclose(buffers.depth, 5.0)
 
 
-def test_a_mesh_without_triangles_gives_an_empty_picture():
+def test_a_mesh_without_triangles_gives_an_empty_image():
     for positions in (np.zeros((0, 3)), np.ones((3, 3))):
         buffers = z_buffer(positions, np.zeros((0, 3), np.int32), _screen_camera(4, 3))
         assert buffers.triangle.shape == (3, 4)

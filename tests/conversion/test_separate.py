@@ -303,7 +303,7 @@ def test_metadata_that_cannot_be_read_are_refused(text):
 
 
 @needs_jit
-def test_pictures_are_drawn_where_the_texture_is():
+def test_images_are_drawn_where_the_texture_is():
     surface = colored(sphere([0, 0, 0], 1.0), sphere([1.5, 0.1, 0], 0.8))
     texture = octex.convert(surface, 6, separate=3)
     drawn = draw_preview(texture, surface, (200, 100), 1).astype(int)
@@ -330,17 +330,17 @@ def test_paint_lands_where_the_texture_is():
     texture = octex.convert(surface, 5, separate=3)
     placed = surface.placed_in(texture)
     camera = octex.Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(64, 64))
-    picture = octex.Projection(np.full((64, 64, 3), 255, np.uint8), camera)
+    image = octex.Projection(np.full((64, 64, 3), 255, np.uint8), camera)
     facing = np.array([[0.0, 0.3, 0.95], [1.6, 0.3, 0.77]])
     near = [int(np.argmin(np.linalg.norm(surface.vertices - point, axis=1))) for point in facing]
-    painted = octex.paint(texture, surface, picture)
+    painted = octex.paint(texture, surface, image)
     assert painted.sample(placed.rest[near]).min() > 0.9
     assert texture.sample(placed.rest[near]).min() < 0.9
     assert painted.metadata["separation"] == texture.metadata["separation"]
-    layer = octex.project(surface, picture, like=texture)
+    layer = octex.project(surface, image, like=texture)
     merged = octex.merge(texture, layer, surface)
     assert np.array_equal(merged.sample(placed.rest), painted.sample(placed.rest))
-    begun = octex.paint(None, placed, picture)
+    begun = octex.paint(None, placed, image)
     assert np.array_equal(surface.rest_positions(begun), placed.rest)
     filled = octex.fill(texture, surface, octex.Sphere((1.6, 0.3, 0.77), 0.2), (1.0, 1.0, 1.0))
     assert filled.sample(placed.rest[near[1:]]).min() > 0.9

@@ -6,7 +6,7 @@ from octex.cameras.camera import Camera
 from octex.channels import encode
 from octex.drawing import draw_preview, render_leaves, render_surface, source_shader, texture_shader
 from octex.drawing.environment import Environment
-from octex.drawing.pictures import lit
+from octex.drawing.rasters import lit
 from octex.drawing.reflection import reflectances, reflected, tone_mapped
 from octex.drawing.shaders import Appearance
 from octex.errors import ArgumentError, ImageError
@@ -23,7 +23,7 @@ def _smooth(directions):
     return np.stack([1.2 + x + 0.1 * y * z, 0.8 + 0.6 * y + 0.2 * x * x, 1.0 - 0.7 * z * y], axis=1)
 
 
-def _picture(height=64, radiance=_smooth):
+def _image(height=64, radiance=_smooth):
     return radiance(naive_light.texel_directions(height, 2 * height)[0]).reshape(height, 2 * height, 3)
 
 
@@ -77,18 +77,18 @@ def test_what_a_lobe_reflects_in_all_is_its_integral():
 
 
 def test_averages_for_each_roughness_are_those_of_the_lobe():
-    picture = np.random.default_rng(0).random((32, 64, 3)) ** 4 * 5
-    environment = Environment.of(picture)
+    image = np.random.default_rng(0).random((32, 64, 3)) ** 4 * 5
+    environment = Environment.of(image)
     texels, solid = naive_light.texel_directions(32, 64)
     looks = naive_light.directions(40)
     cosines = np.clip(looks @ texels.T, -1, 1)
     for roughness in (0.25, 0.5, 0.75, 1.0):
         weights = naive_light.lobe(np.sqrt((1 + cosines) / 2), roughness) * np.maximum(cosines, 0) * solid
-        truth = weights @ picture.reshape(-1, 3) / weights.sum(axis=1, keepdims=True)
+        truth = weights @ image.reshape(-1, 3) / weights.sum(axis=1, keepdims=True)
         apart = np.abs(environment.radiance(looks, roughness) - truth)
         assert apart.max() < (0.4 if roughness == 0.25 else 0.06)  # the finest lobes are as narrow as texels
         assert apart.mean() < (0.05 if roughness == 0.25 else 0.015)
-    matte = np.maximum(cosines, 0) * solid @ picture.reshape(-1, 3) / np.pi
+    matte = np.maximum(cosines, 0) * solid @ image.reshape(-1, 3) / np.pi
     assert np.abs(environment.irradiance(looks) - matte).max() < 0.05
 
 
@@ -97,7 +97,7 @@ def test_averages_for_each_roughness_are_those_of_the_lobe():
     [(0.0, 1.0, 0.04), (1.0, 0.4, 0.04), (1.0, 0.7, 0.04), (0.0, 0.5, (0.02, 0.2, 0.6))],
 )
 def test_reflected_light_is_the_integral_over_the_hemisphere(metallic, roughness, specular):
-    environment = Environment.of(_picture())
+    environment = Environment.of(_image())
     base, v = np.array([0.9, 0.5, 0.2]), np.array([0.0, 0.0, 1.0])
     for cosine, apart in ((1.0, 0.03), (0.9, 0.1), (0.7, 0.2)):
         normal = _tilted(cosine)
@@ -109,8 +109,8 @@ def test_reflected_light_is_the_integral_over_the_hemisphere(metallic, roughness
 
 
 def test_a_mirror_shows_the_environment():
-    picture = _picture(128)
-    environment = Environment.of(picture)
+    image = _image(128)
+    environment = Environment.of(image)
     normals = np.array([_tilted(c) for c in (1.0, 0.95, 0.8, 0.6)])
     normals[1] = normals[1][[1, 0, 2]]  # upward
     mirrored = 2 * normals[:, 2:] * normals - np.array([0.0, 0.0, 1.0])
@@ -118,17 +118,17 @@ def test_a_mirror_shows_the_environment():
     assert np.allclose(lit, _smooth(mirrored), atol=0.02)
 
 
-def test_a_picture_has_its_middle_in_front_and_its_right_side_at_minus_x():
-    picture = np.zeros((8, 16, 3))
-    picture[:, 7:9] = [1, 0, 0]  # the middle
-    picture[:, 11:13] = [0, 1, 0]  # halfway to the right
-    picture[0] = [0, 0, 1]
-    environment = Environment.of(picture)
+def test_an_image_has_its_middle_in_front_and_its_right_side_at_minus_x():
+    image = np.zeros((8, 16, 3))
+    image[:, 7:9] = [1, 0, 0]  # the middle
+    image[:, 11:13] = [0, 1, 0]  # halfway to the right
+    image[0] = [0, 0, 1]
+    environment = Environment.of(image)
     looks = environment.radiance([[0, 0, 1], [-1, 0, 0], [0, 1, 0], [1, 0, 0]], 0.0)
     assert np.allclose(looks, [[1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 0]])
-    turned = Environment.of(picture, up=(0, 0, 1))
+    turned = Environment.of(image, up=(0, 0, 1))
     assert np.allclose(turned.radiance([[0, 0, 1], [0, -1, 0]], 0.0), [[0, 0, 1], [1, 0, 0]])
-    upside_down = Environment.of(picture, up=(0, -2, 0))
+    upside_down = Environment.of(image, up=(0, -2, 0))
     assert np.allclose(upside_down.radiance([[0, -1, 0]], 0.0), [[0, 0, 1]])
 
 
@@ -138,7 +138,7 @@ def test_a_stop_doubles_the_light_and_what_is_below_zero_is_black():
     assert np.allclose(Environment.of(np.full((8, 16), -0.5)).irradiance([[0, 1, 0]]), 0.0)
 
 
-def test_bytes_are_decoded_and_pictures_of_any_size_resampled():
+def test_bytes_are_decoded_and_images_of_any_size_resampled():
     codes = np.full((5, 11, 3), 188, np.uint8)
     assert np.allclose(Environment.of(codes).radiance([[1, 2, 3]], 0.3), 0.503, atol=1e-3)
     stripes = np.zeros((30, 60, 3))
@@ -216,7 +216,7 @@ def test_tone_mapping_keeps_colours_below_white_and_compresses_light_beyond():
 
 def test_both_sides_reflect_alike_and_normals_that_lean_away_stay_finite():
     normals = np.random.default_rng(0).normal(size=(50, 3))
-    environment, zeros = Environment.of(_picture(16)), np.zeros((50, 3))
+    environment, zeros = Environment.of(_image(16)), np.zeros((50, 3))
     material = Appearance(np.full((50, 3), 0.5))
     assert np.array_equal(
         reflected(environment, AHEAD, zeros, normals, normals, material),
@@ -227,7 +227,7 @@ def test_both_sides_reflect_alike_and_normals_that_lean_away_stay_finite():
     assert away.min() >= 0.0
 
 
-def test_what_is_no_picture_of_all_directions_is_refused(tmp_path):
+def test_what_is_no_image_of_all_directions_is_refused(tmp_path):
     for wrong in ({"exposure": np.nan}, {"exposure": 65.0}, {"up": (0, 0, 0)}, {"up": (0, 1)}):
         with pytest.raises(ArgumentError, match=next(iter(wrong))):
             Environment.of(np.ones((8, 16)), **wrong)
@@ -239,7 +239,7 @@ def test_what_is_no_picture_of_all_directions_is_refused(tmp_path):
             Environment.of(path)
 
 
-# --- in pictures
+# --- in images
 
 SQUARE = np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]])
 TWO = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -250,7 +250,7 @@ def _plain(**sources):
 
 
 def test_metal_roughness_and_normal_maps_are_reflected_by_source_and_texture_alike():
-    environment = Environment.of(_picture())
+    environment = Environment.of(_image())
     slanted = np.array([0.3, 0.2, 0.9])
     slanted /= np.linalg.norm(slanted)
     surface = _plain(
@@ -280,7 +280,7 @@ def test_metal_roughness_and_normal_maps_are_reflected_by_source_and_texture_ali
 
 def test_a_bump_bends_normals_as_a_surface_that_is_displaced():
     slope = np.array([0.4, -0.2])
-    environment = Environment.of(_picture())
+    environment = Environment.of(_image())
 
     def height(rest):
         return 0.5 + 0.3 * (rest[:, :2] @ slope)
@@ -327,11 +327,11 @@ def test_previews_and_views_are_lit_from_the_shell(tmp_path, cli):
     model.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
     octex.convert(model, 3).save(texture)
     paint = f"--as paint --camera-out {tmp_path / 'c.json'} --size 32,32"
-    studio, pictures = "--size 96,48 --light studio", set()
+    studio, images = "--size 96,48 --light studio", set()
     for words in (
         *("--size 96,48", studio, f"{studio} --exposure -2"),
         *(paint, f"{paint} --light soft", f"{paint} --light studio"),
     ):
         cli.result("draw", texture, model, tmp_path / "a.png", "--force", "--quiet", *words.split())
-        pictures.add((tmp_path / "a.png").read_bytes())
-    assert len(pictures) == 6
+        images.add((tmp_path / "a.png").read_bytes())
+    assert len(images) == 6

@@ -10,8 +10,8 @@ from octex.channels import BASE_COLOR, CHANNELS, linear_to_srgb, srgb_to_linear
 from octex.drawing import (
     Viewpoint,
     draw_preview,
+    images,
     panels,
-    pictures,
     render_leaves,
     render_surface,
     source_shader,
@@ -58,11 +58,11 @@ def quarters():
     return surface, octex.convert(surface, depth=5)
 
 
-def test_a_picture_shows_colours_where_they_are():
+def test_an_image_shows_colours_where_they_are():
     colors = np.array([[1.0, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]])
     surface = _square(colors=colors)
-    picture = render_surface(surface, _camera(), source_shader(surface)) / FRONT
-    corners = picture[[-1, -1, 0, 0], [0, -1, -1, 0]]
+    image = render_surface(surface, _camera(), source_shader(surface)) / FRONT
+    corners = image[[-1, -1, 0, 0], [0, -1, -1, 0]]
     assert np.allclose(corners, colors, atol=0.14)  # within a pixel of the corner
 
 
@@ -123,10 +123,10 @@ def test_a_posed_model_is_coloured_at_its_rest_positions_with_widths_in_rest_uni
     assert np.allclose(np.einsum("nk,nkc->nc", hits.barycentric, posed.rest[TWO[hits.triangles]]), hits.rest)
 
 
-def test_pictures_do_not_depend_on_the_size_of_the_blocks(monkeypatch):
+def test_images_do_not_depend_on_the_size_of_the_blocks(monkeypatch):
     surface = _square(colors=np.eye(4)[:, :3])
     whole = render_surface(surface, _camera(), source_shader(surface))
-    monkeypatch.setattr(pictures, "_BLOCK", 7)
+    monkeypatch.setattr(images, "_BLOCK", 7)
     assert np.allclose(render_surface(surface, _camera(), source_shader(surface)), whole, atol=1e-7)
 
 
@@ -145,7 +145,7 @@ def test_a_texture_is_read_with_the_footprints_and_normals_of_the_samples():
     points, footprint = asked[0]
     assert len(asked) == 1
     assert points.shape == (100, 3)
-    # A step to the right in the picture is one down at rest, and a step down one to the left.
+    # A step to the right in the image is one down at rest, and a step down one to the left.
     assert np.allclose(footprint["dPdx"], [0.0, -0.5 * 0.1, 0.0], atol=1e-9)
     assert np.allclose(footprint["dPdy"], [-2.0 * 0.1, 0.0, 0.0], atol=1e-9)
     assert np.allclose(footprint["normals"], [0.0, 0.0, 1.0])
@@ -181,20 +181,20 @@ FITTED = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)
 
 @pytest.mark.parametrize("cubes", [False, True])
 def test_leaves_show_the_colours_of_the_model(quarters, cubes):
-    picture = render_leaves(quarters[1], FITTED, cubes=cubes, supersample=2)
+    image = render_leaves(quarters[1], FITTED, cubes=cubes, supersample=2)
     at = np.ix_([20, 44], [20, 44])
     expected = np.array([[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 1, 1]]])
-    assert np.allclose(picture[at] / FRONT, expected, atol=0.03)
-    assert np.allclose(picture[4, 4], background(64, 64)[4, 4])
+    assert np.allclose(image[at] / FRONT, expected, atol=0.03)
+    assert np.allclose(image[4, 4], background(64, 64)[4, 4])
 
 
-def test_cubes_have_the_values_of_their_leaves_and_lie_in_the_picture():
+def test_cubes_have_the_values_of_their_leaves_and_lie_in_the_image():
     coords = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [3, 1, 2]])
     colors = np.array([[255, 0, 0], [0, 255, 0], [0, 0, 255], [255, 255, 0]], np.uint8)
     texture = octex.convert(octex.Voxels(coords, {"base_color": colors}))
-    picture = octex.render(texture, cubes=True, size=(96, 96), supersample=1)
-    saturated = picture.max(axis=2) > picture.min(axis=2) + 64
-    hues = {tuple(pixel) for pixel in (picture[saturated] > 64).tolist()}
+    image = octex.render(texture, cubes=True, size=(96, 96), supersample=1)
+    saturated = image.max(axis=2) > image.min(axis=2) + 64
+    hues = {tuple(pixel) for pixel in (image[saturated] > 64).tolist()}
     assert hues == {tuple((color > 64).tolist()) for color in colors}
     border = np.ones((96, 96), bool)
     border[1:-1, 1:-1] = False
@@ -220,12 +220,12 @@ def test_a_preview_shows_source_and_octree_side_by_side(quarters, tmp_path):
     surface, texture = quarters
     path = tmp_path / "preview.png"
     write_preview(path, texture, surface, size=(160, 110), supersample=1)
-    picture = np.asarray(Image.open(path)).astype(int)
-    assert picture.shape == (110, 160, 3)
+    image = np.asarray(Image.open(path)).astype(int)
+    assert image.shape == (110, 160, 3)
     # Only in the cells along the edges of colours may the halves differ.
-    difference = np.abs(picture[:80, :80] - picture[:80, 80:]).max(axis=2)
+    difference = np.abs(image[:80, :80] - image[:80, 80:]).max(axis=2)
     assert np.mean(difference > 2) < 0.2
-    colors = {tuple(color > 100) for color in picture[:80, 80:].reshape(-1, 3)[::7]}
+    colors = {tuple(color > 100) for color in image[:80, 80:].reshape(-1, 3)[::7]}
     assert {(True, False, False), (False, True, False), (False, False, True)} <= colors
 
 
@@ -251,9 +251,9 @@ def test_a_preview_of_one_thing_shows_it_alone(quarters, tmp_path):
     surface, texture = quarters
     for name, things in (("surface", (None, surface)), ("texture", (texture,))):
         write_preview(tmp_path / f"{name}.png", *things, size=(100, 64), supersample=1)
-        picture = np.asarray(Image.open(tmp_path / f"{name}.png"))
-        assert picture.shape == (64, 100, 3)
-        red = (picture[..., 0] > 150) & (picture[..., 1] < 80)
+        image = np.asarray(Image.open(tmp_path / f"{name}.png"))
+        assert image.shape == (64, 100, 3)
+        red = (image[..., 0] > 150) & (image[..., 1] < 80)
         assert red.any()
 
 
@@ -277,12 +277,12 @@ def test_captions_name_the_model_and_count_the_leaves(quarters, captions):
 
 def test_captions_are_dark_on_the_background(quarters):
     surface, _ = quarters
-    picture = draw_preview(None, surface, (200, 120), 1).astype(int)
-    strip = picture[-24:]
+    image = draw_preview(None, surface, (200, 120), 1).astype(int)
+    strip = image[-24:]
     ink, paper = srgb_to_linear(np.array([strip.min(), np.median(strip)]) / 255)
     assert (paper + 0.05) / (ink + 0.05) > 4.5  # as WCAG asks of text
     codes = np.rint(255 * linear_to_srgb(background(120, 200)))
-    assert np.array_equal(picture[-1, 0], codes[-1, 0])
+    assert np.array_equal(image[-1, 0], codes[-1, 0])
 
 
 def test_a_preview_that_cannot_be_written_leaves_what_stood_there(quarters, tmp_path):
@@ -322,7 +322,7 @@ NORMAL = np.array([100, 150, 200]) / 255 * 2 - 1
 
 
 @pytest.mark.parametrize(
-    ("stored", "shown", "picture"),
+    ("stored", "shown", "image"),
     [
         (["roughness"], "roughness", srgb_to_linear([100 / 255] * 3)),
         (["normal"], "normal", srgb_to_linear((NORMAL / np.linalg.norm(NORMAL) + 1) / 2)),
@@ -332,11 +332,11 @@ NORMAL = np.array([100, 150, 200]) / 255 * 2 - 1
         (["alpha"], "alpha", srgb_to_linear([100 / 255] * 3)),
     ],
 )
-def test_without_base_colour_another_channel_is_shown_as_it_is(stored, shown, picture, captions):
+def test_without_base_colour_another_channel_is_shown_as_it_is(stored, shown, image, captions):
     codes = {name: [100, 150, 200][: CHANNELS[name].components] for name in stored}
     texture = _textured(codes, **dict.fromkeys(stored))
-    assert np.allclose(render_surface(_square(), _camera(4), texture_shader(texture)), picture, atol=0.01)
-    assert np.allclose(render_leaves(texture, _camera(4)), picture, atol=0.01)
+    assert np.allclose(render_surface(_square(), _camera(4), texture_shader(texture)), image, atol=0.01)
+    assert np.allclose(render_leaves(texture, _camera(4)), image, atol=0.01)
     draw_preview(texture, None, (40, 40), 1)
     assert captions[0][1].startswith(f"{shown}: ")
 
@@ -375,9 +375,9 @@ def test_a_preview_is_drawn_from_where_it_is_asked_for(quarters):
     surface = quarters[0]
 
     def drawn(**view):
-        picture = draw_preview(None, surface, (90, 60), 1, view=Viewpoint(**view)).astype(int)
-        seen = np.ptp(picture, axis=2) > 60  # what has colours
-        return picture, seen
+        image = draw_preview(None, surface, (90, 60), 1, view=Viewpoint(**view)).astype(int)
+        seen = np.ptp(image, axis=2) > 60  # what has colours
+        return image, seen
 
     usual, large = drawn(direction=(0, 0, 1)), drawn(direction=(0, 0, 1), zoom=0.5)
     assert 3 < usual[1].sum() / large[1].sum() < 5
@@ -387,7 +387,7 @@ def test_a_preview_is_drawn_from_where_it_is_asked_for(quarters):
     assert np.abs(turned[10, 37] - usual[0][10, 37]).max() > 100
 
 
-def test_pictures_are_seen_from_where_their_cameras_stand():
+def test_images_are_seen_from_where_their_cameras_stand():
     points, up = np.random.default_rng(0).random((20, 3)), (0.0, 0.0, 1.0)
     ways = np.array([[1.0, -0.4, 0.2], [1.0, 0.0, 0.2], [1.0, 0.4, 0.2]])
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)

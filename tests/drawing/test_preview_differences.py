@@ -1,4 +1,4 @@
-"""Pictures of differences."""
+"""Images of differences."""
 
 import math
 
@@ -47,14 +47,14 @@ def spotted(texture, x=0.75, y=0.75):
 
 def drawn(a, b, **options):
     found = difference(a, b, points=1000, **options)
-    picture = draw_difference(a, b, found, size=SIZE, supersample=1).astype(np.int64)
-    assert picture.shape == (SIZE[1] * len(found), SIZE[0], 3)
-    return np.split(picture[: SIZE[1]], 3, axis=1), found
+    image = draw_difference(a, b, found, size=SIZE, supersample=1).astype(np.int64)
+    assert image.shape == (SIZE[1] * len(found), SIZE[0], 3)
+    return np.split(image[: SIZE[1]], 3, axis=1), found
 
 
-def is_bright(picture):
+def is_bright(image):
     """Where the model, above the caption, is of the scale's upper half."""
-    return (picture[:75, :, 0] > 180) & (picture[:75, :, 2] < 120)
+    return (image[:75, :, 0] > 180) & (image[:75, :, 2] < 120)
 
 
 @pytest.mark.parametrize("kind", ["textures", "model"])
@@ -63,7 +63,7 @@ def test_the_difference_is_bright_where_something_differs_and_dark_elsewhere(kin
     (first, second, apart), _ = drawn(a, spotted(texture), channels=["base_color"])
     rows, columns = np.nonzero(is_bright(apart))
     assert len(rows) > 20
-    # The spot is where the second picture is bright and the first is not; the backdrop is the same in both.
+    # The spot is where the second image is bright and the first is not; the backdrop is the same in both.
     spot = np.abs(second - first).max(axis=2)[:75] > 40
     assert np.abs(np.argwhere(spot).mean(axis=0) - [rows.mean(), columns.mean()]).max() < 3
     dark = (apart[:75] < 30).all(axis=2)

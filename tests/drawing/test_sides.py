@@ -36,10 +36,10 @@ def test_other_models_are_seen_from_above_and_first_from_the_front_right():
 )
 def test_a_model_is_seen_from_behind_only_if_that_shows_clearly_more_detail(front, back, seen):
     def unlit(camera):
-        picture = np.zeros((camera.height, camera.width, 3))
-        picture[:10] = np.nan
-        picture[20, 2 : 2 + 2 * (front if camera.position[2] > 0.0 else back) : 2] = 1.0
-        return picture
+        image = np.zeros((camera.height, camera.width, 3))
+        image[:10] = np.nan
+        image[20, 2 : 2 + 2 * (front if camera.position[2] > 0.0 else back) : 2] = 1.0
+        return image
 
     directions = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     assert best_direction(directions, SQUARE, unlit)[2] == seen
@@ -57,8 +57,8 @@ def test_a_preview_shows_the_side_with_most_detail(kind, side):
     uv = np.vstack([SQUARE[:, :2], SQUARE[:, :2] + [1.0, 0.0]]) * [0.5, 1.0]
     surface = Surface.from_arrays(vertices, triangles, uv=uv, image=image, mag_filter="nearest", wrap="clamp")
     things = (None, surface) if kind == "surface" else (octex.convert(surface, depth=3),)
-    picture = draw_preview(*things, size=(80, 64), supersample=1)
-    assert (picture[:40].max(axis=2) < 20).any()  # black
+    preview = draw_preview(*things, size=(80, 64), supersample=1)
+    assert (preview[:40].max(axis=2) < 20).any()  # black
 
 
 @pytest.mark.parametrize(
@@ -68,9 +68,9 @@ def test_the_first_of_the_sides_that_show_about_most_is_seen_and_rounding_is_no_
     directions = np.eye(3)
 
     def unlit(camera):
-        picture = np.zeros((camera.height, camera.width))
+        image = np.zeros((camera.height, camera.width))
         shown = details[int(np.argmax(camera.position - SQUARE.mean(axis=0)))]
-        picture[20, 2:46:2] = shown / 25
-        return picture
+        image[20, 2:46:2] = shown / 25
+        return image
 
     assert np.array_equal(best_direction(directions, SQUARE, unlit), directions[seen])

@@ -6,7 +6,7 @@ import pytest
 import octex
 from octex.cameras.camera import Camera
 from octex.drawing import (
-    pictures,
+    images,
     render_leaves,
     render_surface,
     source_shader,
@@ -52,11 +52,11 @@ def test_what_is_opaque_ends_the_layers_and_each_look_has_its_own():
         seen.append(len(hits.width))
         return Appearance(np.tile([1.0, 0.0, 0.0], (len(hits.width), 1)))
 
-    both = pictures.film_surface(surface, _camera(4), [source_shader(surface), red], 1)
+    both = images.film_surface(surface, _camera(4), [source_shader(surface), red], 1)
     assert seen == [16, 16]  # behind the first layer, nothing behind the second
     truth = _over(np.array([0.5, 1.0]), np.eye(3)[:2], 0.0)
-    assert np.allclose(both[0].picture(), truth, atol=1e-6)
-    assert np.allclose(both[1].picture(), FRONT * np.array([1.0, 0, 0]), atol=1e-6)
+    assert np.allclose(both[0].image(), truth, atol=1e-6)
+    assert np.allclose(both[1].image(), FRONT * np.array([1.0, 0, 0]), atol=1e-6)
 
 
 @pytest.mark.parametrize("cutoff", [0.25, 0.5, 0.75])
@@ -70,17 +70,17 @@ def test_masks_are_cut_out_at_their_cutoff_and_show_what_is_behind(cutoff):
     both = Surface.joined([masked, wall])
     texture = octex.convert(both, 6)
     for look in (source_shader(both), texture_shader(texture)):
-        picture = render_surface(both, _camera(32), look, 2) / FRONT
+        image = render_surface(both, _camera(32), look, 2) / FRONT
         rows = np.arange(32)
         is_card = (rows + 0.5) / 32 > cutoff
         clear = np.abs((rows + 0.5) / 32 - cutoff) > 0.06
         clear[:2] = clear[-2:] = False
-        assert np.allclose(picture[is_card & clear][:, 4:-4], [1, 0, 0], atol=0.02)
-        assert np.allclose(picture[~is_card & clear][:, 4:-4], [0, 0, 1], atol=0.02)
+        assert np.allclose(image[is_card & clear][:, 4:-4], [1, 0, 0], atol=0.02)
+        assert np.allclose(image[~is_card & clear][:, 4:-4], [0, 0, 1], atol=0.02)
 
 
 def test_leaves_that_cover_nothing_hide_nothing():
     both = _sheets(np.array([0.0, 1.0]), np.array([[1, 1, 1], [0.2, 0.4, 0.6]]), [0, 1])
     camera = Camera.fitted(SQUARE, [0.0, 0.0, 1.0], size=(64, 64), margin=0.25)
-    picture = render_leaves(octex.convert(both, 6), camera, supersample=1)
-    assert np.allclose(picture[24:40, 24:40] / FRONT, [0.2, 0.4, 0.6], atol=0.03)
+    image = render_leaves(octex.convert(both, 6), camera, supersample=1)
+    assert np.allclose(image[24:40, 24:40] / FRONT, [0.2, 0.4, 0.6], atol=0.03)

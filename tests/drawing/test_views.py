@@ -1,4 +1,4 @@
-"""octex.render: pictures of a texture, a model or both, from a camera or a direction."""
+"""octex.render: images of a texture, a model or both, from a camera or a direction."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def codes(light):
     return encode(light, "uint8", "srgb")
 
 
-def test_a_picture_is_what_its_shader_shows_as_srgb_codes(surface, texture, camera):
+def test_an_image_is_what_its_shader_shows_as_srgb_codes(surface, texture, camera):
     found = octex.render(texture, surface, camera)
     assert (found.dtype, found.shape) == (np.uint8, (36, 48, 3))
     np.testing.assert_array_equal(found, codes(render_surface(surface, camera, texture_shader(texture))))
@@ -131,7 +131,7 @@ def test_the_command_draws_every_kind(texture, camera, tmp_path, cli):
         drawn(stored, "--as", "cells", "--level", 3, *front),
         octex.render(texture, None, camera, level=3, cubes=True),
     )
-    # Panels of a camera whose pictures have a size are as large as they fit.
+    # Panels of a camera whose images have a size are as large as they fit.
     assert drawn(stored, model, "--size", "96,60", *front).shape == (60, 96, 3)
     assert drawn(model, "--size", "48,60", *front).shape == (60, 48, 3)
     both = drawn(stored, model, "--as", "difference", "--size", "150,60", "--channel", "base_color")
@@ -151,8 +151,8 @@ def test_a_surface_is_lit_by_its_own_normals():
     inside = np.linalg.norm(np.mgrid[:64, :64] - 31.5, axis=0) < 24
 
     def off(surface):
-        picture = octex.render(None, surface, camera, light=light)
-        return np.abs(picture[inside].astype(int) - wanted[inside]).mean()
+        image = octex.render(None, surface, camera, light=light)
+        return np.abs(image[inside].astype(int) - wanted[inside]).mean()
 
     flat = octex.Surface.from_arrays(coarse.vertices, coarse.triangles)
     assert max(off(both), off(both.with_pose(posed))) < 0.4 * off(flat)

@@ -12,7 +12,7 @@ import octex
 from octex.editing.draft import Change, Tiles, cut_out, put_back, tiles_around
 from octex.painting import merge as tilewise
 from octex.painting.first import with_coverage
-from octex.painting.picture import BLENDS
+from octex.painting.image import BLENDS
 from octex.tree.octree import distinct
 from tests.make.same import assert_same
 from tests.make.strategies import textures
@@ -74,7 +74,7 @@ def stroke(random, surface, depth):
             texture, surface, sphere, color, opacity=opacity, blend=blend, max_depth=depth
         )
     camera = edit_models.camera(surface, int(random.integers(1000)), 24, 18)
-    image = edit_models.picture(int(random.integers(1000)), 24, 18, bool(random.integers(2)))
+    image = edit_models.random_image(int(random.integers(1000)), 24, 18, bool(random.integers(2)))
     row, column = random.integers(0, 14), random.integers(0, 18)
     around = np.ones((18, 24), np.bool_)
     around[row : row + 4, column : column + 5] = False
@@ -128,14 +128,14 @@ def test_strokes_on_drafts_are_strokes_on_the_whole(seed):
 
 @cache
 def layered(seed):
-    """A texture, a layer of three pictures for it, their surface and an opacity."""
+    """A texture, a layer of three images for it, their surface and an opacity."""
     random, surface, texture, depth = case(seed)
     if seed % 2:  # in part without cells
-        shot = octex.Projection(edit_models.picture(seed, 60, 60), edit_models.camera(surface, seed, 60, 60))
+        shot = octex.Projection(edit_models.random_image(seed, 60, 60), edit_models.camera(surface, seed, 60, 60))
         texture = octex.paint(None, surface, shot, max_depth=depth)
     shots = [
         octex.Projection(
-            edit_models.picture(int(random.integers(1000)), 60, 60, bool(random.integers(2))),
+            edit_models.random_image(int(random.integers(1000)), 60, 60, bool(random.integers(2))),
             edit_models.camera(surface, int(random.integers(1000)), 60, 60),
         )
         for _ in range(3)
@@ -167,7 +167,7 @@ def test_cells_split_in_one_tile_change_rows_of_all_channels_above_as_at_once():
     texture = octex.convert(surface, 5, dtype="uint16", fit=False)
     shots = [
         octex.Projection(edit_models.stroke(876, 25, 39), edit_models.camera(surface, 527, 25, 39)),
-        octex.Projection(edit_models.picture(324, 29, 35), edit_models.camera(surface, 202, 29, 35)),
+        octex.Projection(edit_models.random_image(324, 29, 35), edit_models.camera(surface, 202, 29, 35)),
     ]
     layer = octex.project(
         surface, shots, like=texture, max_depth=4, fit=False, back_faces=True, max_angle=180.0

@@ -120,7 +120,7 @@ def test_what_is_painted_on_a_drawn_view_is_projected(kinds):
 
 
 def test_photographs_of_a_colmap_folder_land_where_its_cameras_see_them(kinds):
-    assert "none of its 2 pictures is there" in kinds["colmap"]["missing"]
+    assert "none of its 2 images is there" in kinds["colmap"]["missing"]
     assert kinds["colmap"]["worst"] <= 2
 
 

@@ -42,7 +42,7 @@ def runs(page):
 
 
 def disc(path):
-    """Draw on a picture that octex made, or make one."""
+    """Draw on an image that octex made, or make one."""
     image = PIL.Image.open(path).convert("RGBA") if path.exists() else PIL.Image.new("RGBA", (128, 128))
     middle = image.width // 2
     PIL.ImageDraw.Draw(image).circle((middle, middle), image.width // 6, (230, 60, 30, 255))
@@ -80,8 +80,8 @@ def files(tmp_path_factory):
     ]
     names = [f"photos/{n}.png" for n in range(4)]
     for name, camera in zip(names, cameras, strict=True):
-        picture = encode(render_surface(surface, camera, source_shader(surface)), "uint8", "srgb")
-        PIL.Image.fromarray(picture).save(folder / name)
+        image = encode(render_surface(surface, camera, source_shader(surface)), "uint8", "srgb")
+        PIL.Image.fromarray(image).save(folder / name)
     frames = [
         {"file_path": name, "transform_matrix": (np.linalg.inv(whole(camera)) @ AXES).tolist()}
         for name, camera in zip(names, cameras, strict=True)
@@ -92,7 +92,7 @@ def files(tmp_path_factory):
     return folder
 
 
-#: From axes of glTF's cameras to those of pictures.
+#: From axes of glTF's cameras to those of images.
 AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -111,7 +111,7 @@ SMALL = {
 
 
 def coarse(code):
-    """Return code whose textures and pictures take a moment; arrays stay as large as their cameras."""
+    """Return code whose textures and images take a moment; arrays stay as large as their cameras."""
     for words, small in [*SMALL.items()][: -1 if "np.zeros((" in code else None]:
         code = re.sub(rf"({words})(?:\(\d+, \d+\)|[\d_]+(?:,\d+)?)", rf"\g<1>{small}", code)
     return re.sub(r"octex\.bake\((\w+), (\w+)\)", r"octex.bake(\1, \2, texture_size=256)", code)

@@ -22,7 +22,7 @@ from octex.texture import Channel, OctreeTexture, TextureSet, lookup
 from octex.tree.octree import Octree
 from octex.voxelize import fragments
 from tests.conftest import needs_jit
-from tests.make.painted import ball, picture_of
+from tests.make.painted import ball, image_of
 from tests.make.same import assert_equal
 from tests.make.small_surfaces import bent
 from tests.make.small_textures import UNIT, UNIT_BOUNDS, shell
@@ -102,12 +102,12 @@ def painter(run, fills, kind=octex.Painter):
 
 
 def shots(count=1):
-    """Pictures of a ball, all around; in every other one stands something."""
+    """Images of a ball, all around; in every other one stands something."""
     found = []
     for number in range(count):
         turn = 2 * np.pi * number / max(count, 5)
         camera = octex.Camera.fitted(SURFACE.vertices, (np.sin(turn), 0.2, np.cos(turn)), size=(48, 48))
-        image = picture_of(SURFACE, camera)
+        image = image_of(SURFACE, camera)
         image[20:30, 20:30, :3] += 0 if number % 2 else 40
         found.append(octex.Projection(image, camera))
     return found
@@ -160,7 +160,7 @@ FUNCTIONS = {
     ),
     "paint": lambda run, _: octex.paint(None, SURFACE, shots(1), run=run),
     "paint, best": lambda run, _: octex.paint(
-        None, SURFACE, shots(5), pictures="best", balance="full", run=run
+        None, SURFACE, shots(5), fusion="best", balance="full", run=run
     ),
     "paint, robust": lambda run, folder: octex.paint(
         painted(), SURFACE, shots(5), balance="gain", run=replace(run, memory=1, resume=folder / "a")

@@ -125,10 +125,10 @@ def test_nothing_of_octex_is_compiled_for_read_only_arrays(tmp_path):
         texture.sample(points, **options)
     octex.mix(texture, octex.blur(texture, 0.1), 0.4)
     surface = tetrahedron()
-    picture = octex.Projection(
+    image = octex.Projection(
         np.full((4, 4, 3), 200, np.uint8), octex.Camera.fitted(surface.rest, (0, 0, 1), size=(4, 4))
     )
-    octex.paint(None, surface, picture, max_depth=3)
+    octex.paint(None, surface, image, max_depth=3)
     after = compiled()
     assert len(after) > 50
     changed = [name for name, signatures in after.items() if before.get(name) != signatures]
@@ -199,9 +199,9 @@ def test_kernels_write_to_nothing_that_users_have_mapped_to_be_read(tmp_path):
     coords, values = mapped(tmp_path, np.arange(12).reshape(4, 3) % 8, np.full((4, 3), 99, np.uint8))
     octex.convert(octex.Voxels(coords, {"base_color": values}, depth=3))
     image, mask = mapped(tmp_path, np.full((8, 8, 3), 200, np.uint8), np.full((8, 8), 255, np.uint8))
-    picture = octex.Projection(image, octex.Camera.fitted(surface.rest, (0, 0, 1), size=(8, 8)), mask)
-    octex.paint(octex.open(tmp_path / "a.octex"), surface, picture, max_angle=90)
-    octex.project(surface, picture, max_depth=3)
+    projection = octex.Projection(image, octex.Camera.fitted(surface.rest, (0, 0, 1), size=(8, 8)), mask)
+    octex.paint(octex.open(tmp_path / "a.octex"), surface, projection, max_angle=90)
+    octex.project(surface, projection, max_depth=3)
     octex.mix(texture, octex.blur(texture, 0.1), 0.4).save(tmp_path / "b.octex")
     octex.crop(texture, (0.0,) * 3, (0.5,) * 3)
     octex.resize(texture, 2)

@@ -28,7 +28,7 @@ class Glb(Document):
             for p in primitives
         ]
 
-    def pictures(self):
+    def images(self):
         return {entry["name"]: self.image(n)[..., :3] for n, entry in enumerate(self.json["images"])}
 
     def triangles(self):
@@ -44,7 +44,7 @@ def droid():
 
 def test_the_droid_is_small_and_has_the_maps_of_the_papers_table(droid):
     assert DROID.stat().st_size < 1_000_000
-    assert {name: image.shape[1::-1] for name, image in droid.pictures().items()} == MAP_SIZES
+    assert {name: image.shape[1::-1] for name, image in droid.images().items()} == MAP_SIZES
     assert 3_000 < len(droid.triangles()) < 15_000
 
 
@@ -100,17 +100,17 @@ def test_make_droid_writes_the_droid(droid, tmp_path, monkeypatch, capsys):
     volumes = [np.linalg.det(each.triangles().astype(np.float64)).sum() for each in (made, droid)]
     assert volumes[0] == pytest.approx(volumes[1], rel=1e-3)
     if len(made.triangles()) == len(droid.triangles()):
-        for name, image in made.pictures().items():
-            difference = np.subtract(image, droid.pictures()[name], dtype=np.int16)
+        for name, image in made.images().items():
+            difference = np.subtract(image, droid.images()[name], dtype=np.int16)
             assert np.abs(difference).mean() < 4
 
 
 def panels(path, columns, rows=1):
-    """Return the parts of a picture, row by row, 0 … 1."""
-    picture = np.asarray(PIL.Image.open(path).convert("RGB")) / 255
-    height, width = picture.shape[0] // rows, picture.shape[1] // columns
+    """Return the parts of an image, row by row, 0 … 1."""
+    image = np.asarray(PIL.Image.open(path).convert("RGB")) / 255
+    height, width = image.shape[0] // rows, image.shape[1] // columns
     return [
-        picture[row * height : (row + 1) * height, column * width : (column + 1) * width]
+        image[row * height : (row + 1) * height, column * width : (column + 1) * width]
         for row in range(rows)
         for column in range(columns)
     ]
@@ -120,13 +120,13 @@ def rms(one, two):
     return float(np.sqrt(((one - two) ** 2).mean()))
 
 
-def reddish(picture):
-    """Return the part of a picture that is red."""
-    return float((picture[..., 0] > picture[..., 1:].max(axis=2) + 0.25).mean())
+def reddish(image):
+    """Return the part of an image that is red."""
+    return float((image[..., 0] > image[..., 1:].max(axis=2) + 0.25).mean())
 
 
-def all_differ(pictures):
-    return all(rms(one, two) > 0.004 for one, two in combinations(pictures, 2))
+def all_differ(images):
+    return all(rms(one, two) > 0.004 for one, two in combinations(images, 2))
 
 
 def numbers(pattern, text):
@@ -178,8 +178,8 @@ def is_nearest_by_facings(folder, said):
     errors = np.array(re.findall(r"RMS: ([\d.]+)% ([\d.]+)% ([\d.]+)%", said), float)
     assert len(errors) == 4
     assert (errors[:, 2] < errors[:, :2].min(axis=1) / 2).all()
-    pictures = panels(folder / "thin.png", 4, 4)
-    assert all(rms(pictures[4 * n + 2], pictures[4 * n + 3]) < 0.02 for n in range(4))
+    images = panels(folder / "thin.png", 4, 4)
+    assert all(rms(images[4 * n + 2], images[4 * n + 3]) < 0.02 for n in range(4))
 
 
 def is_painted(folder, _said):
@@ -189,19 +189,19 @@ def is_painted(folder, _said):
 
 
 def is_painted_by_photographs(folder, _said):
-    picture = np.asarray(PIL.Image.open(folder / "photos.png").convert("RGB")) / 255
-    painted, truth = np.hsplit(picture[picture.shape[0] // 2 :], 2)
+    image = np.asarray(PIL.Image.open(folder / "photos.png").convert("RGB")) / 255
+    painted, truth = np.hsplit(image[image.shape[0] // 2 :], 2)
     assert 0.0 < rms(painted, truth) < 0.15
     assert truth.std() > 0.05
 
 
 def shows_both_sides_of_walls(folder, _said):
     """Blue and orange walls in the middle below the sky's light, which is grey and brighter above."""
-    picture = panels(folder / "path_trace.png", 1)[0]
-    red, blue = picture[..., 0], picture[..., 2]
+    image = panels(folder / "path_trace.png", 1)[0]
+    red, blue = image[..., 0], image[..., 2]
     assert (blue > red + 0.1).mean() > 0.03
     assert (red > blue + 0.1).mean() > 0.03
-    sky = picture[:, :4]
+    sky = image[:, :4]
     np.testing.assert_allclose(sky[..., 0], sky[..., 2], atol=0.01)
     assert sky[0].mean() > sky[-1].mean() + 0.1
 
@@ -273,13 +273,13 @@ def is_painted_flat(folder, _said):
 
 
 def is_painted_in_all_poses(folder, _said):
-    pictures = panels(folder / "poses.png", 3)
-    assert all_differ(pictures)
-    assert min(map(reddish, pictures)) > 0.005
+    images = panels(folder / "poses.png", 3)
+    assert all_differ(images)
+    assert min(map(reddish, images)) > 0.005
 
 
 def shows_different_panels(name, columns, rows=1):
-    """Return a check that a picture's parts differ from each other."""
+    """Return a check that an image's parts differ from each other."""
 
     def check(folder, _):
         assert all_differ(panels(folder / name, columns, rows))
@@ -309,7 +309,7 @@ CARRIED = [f"octree{ending}" for ending in ("-0.png", ".bin", ".glb", ".gltf", "
         ("03_inspect.py", ["droid.octex"], says("[ True  True False]")),
         ("04_points.py", ["droid.ply"], has_a_point_a_leaf),
         ("05_own_mesh.py", ["knot.png"], shows_different_panels("knot.png", 2)),
-        ("06_picture.py", ["head.png"], is_coarser_at_each_depth),
+        ("06_image.py", ["head.png"], is_coarser_at_each_depth),
         ("07_channels.py", ["torus.octex"], has_shorter_means),
         ("08_smooth.py", ["smooth.png"], shows_different_panels("smooth.png", 2)),
         ("09_ray_cast.py", ["ray_cast.png"], is_smoother_far_away),
@@ -341,7 +341,7 @@ CARRIED = [f"octree{ending}" for ending in ("-0.png", ".bin", ".glb", ".gltf", "
 def test_the_scripts_run_from_anywhere(script, written, check, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(SAMPLES)
-    # Three pictures of less than 320² do not outvote a passer-by.
+    # Three images of less than 320² do not outvote a passer-by.
     slow = {
         is_painted_robustly: ("7", "160"),
         shows_both_sides_of_walls: ("5", "48"),

@@ -57,7 +57,7 @@ _NORMALS = """([look, [width, height]]) => {
 }"""
 
 
-#: Draws a picture and returns its codes, the lowest row first, as base64.
+#: Draws an image and returns its codes, the lowest row first, as base64.
 _DRAWN = """([look, [width, height]]) => {
   const { gpu, camera } = viewer, { gl } = gpu, codes = new Uint8Array(4 * width * height);
   gpu.draw({ ...viewer.display, ...look }, camera, width, height);
@@ -155,8 +155,8 @@ def opened(
 ) -> Any:
     """Open a page and wait until all has come; what it complains of fails the test at `complaints`.
 
-    ``finest`` is how many pixels it draws a pixel along both axes: without a GPU, a picture costs seconds, as
-    does compiling for it. A page that is not drawn has no picture.
+    ``finest`` is how many pixels it draws a pixel along both axes: without a GPU, an image costs seconds, as
+    does compiling for it. A page that is not drawn has no image.
     ``options`` are playwright's for new pages.
     """
     page = browser.new_page(viewport={"width": size[0], "height": size[1]}, bypass_csp=bypass_csp, **options)
@@ -168,7 +168,7 @@ def opened(
         url = _without_policy(page, url)
     page.goto(url)
     if bypass_csp:
-        done = "viewer.isLoaded && viewer.pictureCount > 0" if is_drawn else "viewer.isLoaded"
+        done = "viewer.isLoaded && viewer.imageCount > 0" if is_drawn else "viewer.isLoaded"
         done += " || !document.getElementById('message').hidden"
         page.wait_for_function(f"globalThis.viewer && ({done})", timeout=60_000)
     return page
@@ -222,7 +222,7 @@ class Probe:
 
 
 def drawn(page: Any, size: tuple[int, int], **look: Any) -> npt.NDArray[np.uint8]:
-    """Return a picture that a page draws, sRGB codes (height, width, 3); ``look`` changes what is shown."""
+    """Return an image that a page draws, sRGB codes (height, width, 3); ``look`` changes what is shown."""
     text = page.evaluate(_DRAWN, [look, size])
     return np.frombuffer(base64.b64decode(text), np.uint8).reshape(size[1], size[0], 4)[::-1, :, :3]
 
@@ -248,13 +248,13 @@ def lose_gpu(page: Any) -> None:
 
 
 def restore_gpu(page: Any) -> None:
-    """Give it back, and wait for a picture."""
+    """Give it back, and wait for an image."""
     page.evaluate("lose.restoreContext()")
     page.wait_for_function("!viewer.isContextLost && viewer.isSharp", timeout=60_000)
 
 
 def camera_of(page: Any, size: tuple[int, int]) -> octex.Camera:
-    """Return the page's camera for pictures of a size, as its file says."""
+    """Return the page's camera for images of a size, as its file says."""
     file = page.evaluate("(size) => JSON.stringify(viewer.camera.file('page.png', ...size))", size)
     with TemporaryDirectory() as folder:
         (Path(folder) / "camera.json").write_text(file)

@@ -242,7 +242,7 @@ def metashape(
 def openmvs(
     version: int, size: tuple[int, int] = (640, 480), pose: tuple[int, int, int] = (0, 0, 0)
 ) -> bytes:
-    """Write a scene of two pictures, of which the second has no pose: the camera is mounted on a platform."""
+    """Write a scene of two images, of which the second has no pose: the camera is mounted on a platform."""
 
     def text(words: str) -> bytes:
         return struct.pack("<Q", len(words)) + words.encode()

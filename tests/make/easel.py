@@ -1,4 +1,4 @@
-"""A model that a page paints with pictures."""
+"""A model that a page paints with images."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Easel(Studio):
         self.shown.wait_for_function("viewer.isSharp", timeout=60_000)
 
     def lay(self, image: npt.NDArray[np.uint8], name: str = "photo.png") -> None:
-        """Choose a picture as stencil."""
+        """Choose an image as stencil."""
         self.give(name, saved(image))
         self.shown.wait_for_function("viewer.painting.stencil.bitmap")
 
@@ -76,7 +76,7 @@ class Easel(Studio):
         )
 
     def sent(self) -> tuple[dict[str, Any], npt.NDArray[np.uint8], octex.Camera]:
-        """Return the last stroke that was sent, as a picture of the view."""
+        """Return the last stroke that was sent, as an image of the view."""
         line, _, content = self.bodies[-1].partition(b"\n")
         given = json.loads(line)
         left, top, right, bottom = given["box"]
@@ -90,5 +90,5 @@ class Easel(Studio):
 
     def painted(self, image: Any, camera: octex.Camera, since: Any = None, **options: Any) -> OctreeTexture:
         """Return the model painted by the library."""
-        picture = octex.Projection(image, camera, since=since)
-        return octex.paint(self.texture, self.surface, picture, **{"max_angle": 85, **options})
+        projection = octex.Projection(image, camera, since=since)
+        return octex.paint(self.texture, self.surface, projection, **{"max_angle": 85, **options})

@@ -1,4 +1,4 @@
-"""Small surfaces, cameras and pictures to paint with."""
+"""Small surfaces, cameras and images to paint with."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def above(distance: float = 3.0, size: int = 64, focal: float | None = None) -> 
     return Camera.pinhole((size, size), pose=pose, convention="opengl", focal=float(focal or 2 * size))
 
 
-def picture_of(surface: Surface, camera: Camera, look: Shader | None = None) -> Array:
+def image_of(surface: Surface, camera: Camera, look: Shader | None = None) -> Array:
     """What a camera sees, unlit: linear light and alpha (height, width, 4)."""
     image = np.zeros((camera.height * camera.width, 4), np.float32)
     for pixels, hits in visible_hits(surface, camera, rest_normals(surface)):

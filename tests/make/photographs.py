@@ -16,7 +16,7 @@ from octex.painting.reading import terms_of
 from octex.painting.surface import PaintedSurface
 from octex.parallel import pool_of
 from octex.source.surface import Surface
-from tests.make.painted import ball, codes, picture_of
+from tests.make.painted import ball, codes, image_of
 
 Image = npt.NDArray[Any]
 
@@ -30,11 +30,11 @@ def _ring(count: int, size: int) -> tuple[Surface, list[octex.Camera], list[Imag
         )
         for n, turn in enumerate(2 * np.pi * np.arange(count) / count)
     ]
-    return surface, cameras, [picture_of(surface, camera) for camera in cameras]
+    return surface, cameras, [image_of(surface, camera) for camera in cameras]
 
 
 def ring(count: int = 8, size: int = 96) -> tuple[Surface, list[octex.Camera], list[Image]]:
-    """A ball of smooth colours, cameras all around it, and their pictures."""
+    """A ball of smooth colours, cameras all around it, and their images."""
     surface, cameras, images = _ring(count, size)
     return surface, list(cameras), [image.copy() for image in images]
 
@@ -44,7 +44,7 @@ def projections(images: Sequence[Image], cameras: Sequence[octex.Camera]) -> lis
 
 
 def source_of(surface: Surface, shown: Sequence[octex.Projection]) -> Projected:
-    """What pictures show of a surface's colours."""
+    """What images show of a surface's colours."""
     with pool_of(1) as pool:
         painted = PaintedSurface(surface)
         sights = painted.sights([each.camera for each in shown], 0.0, pool)

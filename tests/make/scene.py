@@ -14,11 +14,11 @@ from tests.make.command import colored_box
 from tests.make.same import assert_same
 
 SIZE = 40
-SQUARE = (16, 16, 23, 23)  # in the picture's middle, on the box: left, top, right, bottom, all inside
+SQUARE = (16, 16, 23, 23)  # in the image's middle, on the box: left, top, right, bottom, all inside
 
 
 class Scene:
-    """A box with its texture, a camera before it and pictures for that."""
+    """A box with its texture, a camera before it and images for that."""
 
     def __init__(self, folder: Path) -> None:
         self.model = colored_box(folder)

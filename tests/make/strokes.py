@@ -70,8 +70,8 @@ def disc(number: int) -> npt.NDArray[np.uint8]:
     return np.clip(255 * (6.5 - away), 0, 255).astype(np.uint8)
 
 
-def picture_sent(number: int, color: Any = None) -> npt.NDArray[np.uint8]:
-    """Return the picture of a stroke, by default in its own colour."""
+def image_sent(number: int, color: Any = None) -> npt.NDArray[np.uint8]:
+    """Return the image of a stroke, by default in its own colour."""
     image = np.zeros((SIZE[1], SIZE[0], 4), np.uint8)
     image[..., :3] = (200, 10 * (number % 20), 30) if color is None else color
     image[4:28, 10:40, 3] = disc(number)
@@ -80,8 +80,8 @@ def picture_sent(number: int, color: Any = None) -> npt.NDArray[np.uint8]:
 
 def painted(painter: octex.Painter, number: int, blend: str = "over") -> None:
     """Paint a stroke as a user of the library does."""
-    picture = octex.Projection(picture_sent(number), camera(), opacity=0.8, blend=blend)
-    painter.paint(picture, max_angle=85)
+    image = octex.Projection(image_sent(number), camera(), opacity=0.8, blend=blend)
+    painter.paint(image, max_angle=85)
 
 
 def take(session: Session, *bodies: bytes) -> None:

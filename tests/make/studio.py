@@ -117,8 +117,8 @@ class Studio:
         self.is_done(page, number)
 
     def drag(self, page: Any, *places: tuple[float, float], steps: int = 5, **options: Any) -> None:
-        """Press a button at the first place, from the middle of the picture, and drag it on."""
-        box = page.locator("#picture").bounding_box()
+        """Press a button at the first place, from the middle of the image, and drag it on."""
+        box = page.locator("#image").bounding_box()
         left, top = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
         places = [(left + x, top + y) for x, y in places]
         page.mouse.move(*places[0])
@@ -128,6 +128,6 @@ class Studio:
         page.mouse.up(**options)
 
 
-def pictured(page: Any, **more: Any) -> npt.NDArray[np.int64]:
+def imaged(page: Any, **more: Any) -> npt.NDArray[np.int64]:
     look = more | {"mode": "channel", "channel": "base_color", "highlight": None, "facing": False}
     return drawn(page, (240, 200), **look).astype(np.int64)

@@ -134,9 +134,9 @@ const read = async (name) => {
   return loaded;
 };
 """
-#: A function that returns the middle pixels of pictures of a mesh parallel to z = 0 and of one instance of
+#: A function that returns the middle pixels of images of a mesh parallel to z = 0 and of one instance of
 #: it: as it is, mirrored, turned around, and both.
-TURNED = """async (THREE, mesh, pictured) => {
+TURNED = """async (THREE, mesh, imaged) => {
   const seen = [], middle = 4 * (32 * 64 + 32);
   for (const [mirror, turn] of [[1, 0], [-1, 0], [1, Math.PI], [-1, Math.PI]]) {
     mesh.scale.x = mirror;
@@ -146,7 +146,7 @@ TURNED = """async (THREE, mesh, pictured) => {
     const one = new THREE.InstancedMesh(mesh.geometry, mesh.material, 1);
     one.setMatrixAt(0, mesh.matrix);
     for (const each of [mesh, one]) {
-      seen.push((await pictured(new THREE.Scene().add(each))).slice(middle, middle + 4));
+      seen.push((await imaged(new THREE.Scene().add(each))).slice(middle, middle + 4));
     }
   }
   return seen;

@@ -1,4 +1,4 @@
-"""The mode of pictures and what is masked for it, a point and a patch at a time."""
+"""The mode of images and what is masked for it, a point and a patch at a time."""
 
 from __future__ import annotations
 

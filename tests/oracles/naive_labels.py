@@ -28,7 +28,7 @@ def least(pairs: Array, weights: Array, colors: Array, costs: Array) -> float:
 
 
 def levelling(pairs: Array, ties: Array, labels: Array, paint: Array, weights: Array, hold: float) -> Array:
-    """Return the logarithms of exposures of nodes by which steps between pictures are least."""
+    """Return the logarithms of exposures of nodes by which steps between images are least."""
     paint = np.log(paint.astype(float) + 0.02)
     count = len(labels)
     rows, right = [np.sqrt(hold) * np.eye(count)], [np.zeros((count, 3))]
@@ -50,10 +50,10 @@ def levelling(pairs: Array, ties: Array, labels: Array, paint: Array, weights: A
 def feathered(
     pairs: Array, ties: Array, labels: Array, exposures: Array, seen: Array, times: int
 ) -> tuple[Array, Array]:
-    """Shares (n, pictures) of labels that fade into their neighbours', and their mean exposures."""
-    count, pictures = len(labels), len(seen)
-    shares = [[float(labels[n] == p) for p in range(pictures)] for n in range(count)]
-    sums = [[shares[n][p] * exposures[n] for p in range(pictures)] for n in range(count)]
+    """Shares (n, images) of labels that fade into their neighbours', and their mean exposures."""
+    count, images = len(labels), len(seen)
+    shares = [[float(labels[n] == p) for p in range(images)] for n in range(count)]
+    sums = [[shares[n][p] * exposures[n] for p in range(images)] for n in range(count)]
     beside: list[list[tuple[int, float]]] = [[] for _ in range(count)]
     for (a, b), tie in zip(pairs.tolist(), ties.tolist(), strict=True):
         beside[a].append((b, tie))
@@ -62,11 +62,11 @@ def feathered(
         old, before = [list(each) for each in shares], [list(each) for each in sums]
         for n in range(count):
             total = sum(tie for _, tie in beside[n])
-            for p in range(pictures):
+            for p in range(images):
                 shares[n][p] = 0.5 * old[n][p] + 0.5 * sum(tie * old[m][p] for m, tie in beside[n]) / total
                 mean = sum(tie * before[m][p] for m, tie in beside[n]) / total
                 sums[n][p] = 0.5 * before[n][p] + 0.5 * mean
-    found = np.array([[shares[n][p] * bool(seen[p][n]) for p in range(pictures)] for n in range(count)])
+    found = np.array([[shares[n][p] * bool(seen[p][n]) for p in range(images)] for n in range(count)])
     totals = found.sum(axis=1, keepdims=True)
     means = np.array(sums) / np.maximum(np.array(shares), 1e-12)[..., None]
     return found / np.where(totals > 0, totals, 1), means

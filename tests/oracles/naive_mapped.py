@@ -1,4 +1,4 @@
-"""Where a picture lies on points of space, point by point, from what the mappings' documentation says."""
+"""Where an image lies on points of space, point by point, from what the mappings' documentation says."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ X, Y, Z = np.eye(3)
 AXES = {"x": X, "-x": -X, "y": Y, "-y": -Y, "z": Z, "-z": -Z}
 #: Where the front of a box, a cylinder and a sphere is.
 FRONTS = {"x": -Y, "-x": -Y, "y": Z, "-y": -Z, "z": -Y, "-z": -Y}
-#: Where the top of a plane's picture is.
+#: Where the top of a plane's image is.
 TOPS = {"x": Y, "-x": Y, "y": -Z, "-y": Z, "z": Y, "-z": Y}
 
 
 def sides_of(axis: str) -> list[tuple[Vector, Vector]]:
-    """Each side of a box: which way it looks, and where its picture's top is."""
+    """Each side of a box: which way it looks, and where its image's top is."""
     up, front = AXES[axis], FRONTS[axis]
     right = np.cross(up, front)
     return [(up, -front), (-up, front), (front, up), (-front, up), (right, up), (-right, up)]
 
 
 def on_plane(at: Vector, outward: Vector, top: Vector, size: Vector) -> tuple[float, float]:
-    """Coordinates of a picture that is not mirrored as seen from outside."""
+    """Coordinates of an image that is not mirrored as seen from outside."""
     right = np.cross(top, outward)
     u = 0.5 + float(at @ right) / float(size @ abs(right))
     v = 0.5 - float(at @ top) / float(size @ abs(top))

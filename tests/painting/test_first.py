@@ -23,7 +23,7 @@ def mesh_of(random):
     return made[random.integers(len(made))]()
 
 
-def picture_of(surface, random, size):
+def image_of(surface, random, size):
     shape = size, size + int(random.integers(9))
     camera = octex.Camera.fitted(surface.vertices, direction=random.normal(size=3), size=shape)
     camera = camera.zoomed(random.uniform(1.0, 4.0)) if random.random() < 0.4 else camera
@@ -45,13 +45,13 @@ def test_one_colour_is_seen_at_all_widths_by_all_filters(seed):
     mesh = mesh_of(random)
     surface = octex.Surface.from_arrays(mesh.vertices, mesh.faces)
     size = int(random.choice([16, 40, 90]))
-    pictures = [picture_of(surface, random, size) for _ in range(random.integers(1, 5))]
+    images = [image_of(surface, random, size) for _ in range(random.integers(1, 5))]
     options = {name: bool(random.integers(2)) for name in ("coverage", "fit", "back_faces")}
     if random.random() < 0.4:
         options["max_depth"] = int(random.integers(3, 8))
-    if len(pictures) > 2:
-        options["pictures"] = str(random.choice(["average", "robust", "best"]))
-    texture = octex.paint(None, surface, pictures, **options)
+    if len(images) > 2:
+        options["fusion"] = str(random.choice(["average", "robust", "best"]))
+    texture = octex.paint(None, surface, images, **options)
     assert texture.tree.n_leaves
     hits, wanted = surface.scatter(2000, seed=seed), srgb_to_linear(CODES / 255)
     for normals in (None, hits.rest_normals):

@@ -1,4 +1,4 @@
-"""What no picture saw is filled over the surface, and never through thin parts or from part to part."""
+"""What no image saw is filled over the surface, and never through thin parts or from part to part."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -119,10 +119,10 @@ def test_nothing_passes_through_thin_parts_or_between_parts():
 def test_a_new_texture_is_whole_and_what_was_there_stays():
     surface = ball(rings=24)
     camera = octex.Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(48, 48))
-    picture = octex.Projection(one_color(camera, (0.6, 0.3, 0.1)), camera)
+    image = octex.Projection(one_color(camera, (0.6, 0.3, 0.1)), camera)
     points = surface.scatter(2000)
-    whole = octex.paint(None, surface, picture, coverage=True)
-    left = octex.paint(None, surface, picture, holes="leave", coverage=True)
+    whole = octex.paint(None, surface, image, coverage=True)
+    left = octex.paint(None, surface, image, holes="leave", coverage=True)
     whole.validate()
     assert whole.contains(points.rest).all()
     seen = left.contains(points.rest)
@@ -136,11 +136,11 @@ def test_a_new_texture_is_whole_and_what_was_there_stays():
     assert covered[~front & ~back].max() > 0.3
     np.testing.assert_array_equal(left.sample(points.rest[front], "coverage", "nearest"), 1.0)
     colored = octex.convert(ball(rings=24), 5)
-    painted = octex.paint(colored, surface, picture, coverage=True)
+    painted = octex.paint(colored, surface, image, coverage=True)
     np.testing.assert_allclose(
         painted.sample(points.rest[back]), colored.sample(points.rest[back]), atol=1e-6
     )
-    twice = octex.paint(painted, surface, picture, coverage=True)
+    twice = octex.paint(painted, surface, image, coverage=True)
     again = twice.sample(points.rest, "coverage", "nearest")[:, 0]
     once = painted.sample(points.rest, "coverage", "nearest")[:, 0]
     np.testing.assert_allclose(again, 1 - (1 - once) ** 2, atol=0.01)
@@ -152,8 +152,8 @@ def test_a_new_texture_is_its_first_layer_where_that_covers_it(holes):
     surface = ball(rings=24)
     camera = octex.Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(96, 96))
     image = np.random.default_rng(0).random((96, 96, 3)).astype(np.float32)
-    picture = octex.Projection(image, camera)
-    layer, made = octex.project(surface, picture), octex.paint(None, surface, picture, holes=holes)
+    projection = octex.Projection(image, camera)
+    layer, made = octex.project(surface, projection), octex.paint(None, surface, projection, holes=holes)
     made.validate()
     assert not made.tree.kept.cells.size
     assert list(made.channels) == ["base_color"]
@@ -172,7 +172,7 @@ def test_a_new_texture_is_its_first_layer_where_that_covers_it(holes):
 
 @needs_jit
 def test_thin_walls_seen_from_one_side_are_filled_on_the_other():
-    """The far side of a wall thinner than a cell, part of it its own colour by a second picture."""
+    """The far side of a wall thinner than a cell, part of it its own colour by a second image."""
     vertices, faces = square(-1e-4, steps=4)
     surface = plain(together(square(0.0, steps=4), (vertices, faces[:, ::-1])))
     front, back = (octex.Camera.fitted(vertices, (0.0, 0.0, z), size=(64, 64)) for z in (1.0, -1.0))
@@ -224,9 +224,9 @@ def test_holes_may_have_a_colour_and_paint_blends_with_it(blend):
     surface = ball(rings=24)
     camera = octex.Camera.fitted(surface.vertices, (0.0, 0.0, 1.0), size=(48, 48))
     image = one_color(camera, (1.0, 0.5, 0.25))
-    picture = octex.Projection(image, camera, opacity=0.75, blend=blend)
+    projection = octex.Projection(image, camera, opacity=0.75, blend=blend)
     color = np.array([0.2, 0.4, 0.8])
-    texture = octex.paint(None, surface, picture, holes=color)
+    texture = octex.paint(None, surface, projection, holes=color)
     texture.validate()
     points = surface.scatter(2000)
     found = texture.sample(points.rest)
@@ -240,10 +240,10 @@ def test_holes_may_have_a_colour_and_paint_blends_with_it(blend):
 
 def test_what_is_not_known_of_holes_is_refused():
     surface = plain(square())
-    picture = octex.Projection(one_color(above(), (1.0, 0.0, 0.0)), above())
+    image = octex.Projection(one_color(above(), (1.0, 0.0, 0.0)), above())
     with pytest.raises(ArgumentError, match="unknown holes 'fill'; there are: leave, smooth"):
-        octex.paint(None, surface, picture, holes="fill")
+        octex.paint(None, surface, image, holes="fill")
     with pytest.raises(ArgumentError, match="color of 'base_color' must be from 0 to 1"):
-        octex.paint(None, surface, picture, holes=(0, 0, 255))
+        octex.paint(None, surface, image, holes=(0, 0, 255))
     with pytest.raises(ArgumentError, match="coverage must be"):
-        octex.paint(None, surface, picture, coverage="yes")
+        octex.paint(None, surface, image, coverage="yes")

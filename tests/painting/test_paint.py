@@ -1,4 +1,4 @@
-"""Painting: pictures in, the texture with their paint out."""
+"""Painting: images in, the texture with their paint out."""
 
 from itertools import permutations
 
@@ -9,12 +9,12 @@ import octex
 from octex.channels import decode
 from octex.errors import ArgumentError
 from octex.painting.blend import blended
-from octex.painting.picture import BLENDS
+from octex.painting.image import BLENDS
 from octex.photos.balance import exposures
 from octex.texture import OctreeTexture
 from octex.tree.layout import KEPT
 from tests.conftest import needs_jit
-from tests.make.painted import above, ball, codes, one_color, picture_of, plain, square, together
+from tests.make.painted import above, ball, codes, image_of, one_color, plain, square, together
 from tests.make.photographs import error, projections, ring, source_of
 from tests.properties.edit_claims import cells_of
 
@@ -22,7 +22,7 @@ pytestmark = needs_jit
 
 
 def spot(camera, color, radius, alpha=1.0):
-    """A disc of one colour in the middle of a picture that is else transparent."""
+    """A disc of one colour in the middle of an image that is else transparent."""
     image = one_color(camera, color)
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
     away = np.hypot(x - camera.width / 2, y - camera.height / 2)
@@ -56,20 +56,20 @@ def test_what_was_drawn_on_a_view_reaches_farther_around_the_model(is_drawn, fad
     assert 0.1 < np.median(covered[halfway]) < 0.9
 
 
-def test_pictures_that_paint_nothing_leave_the_texture_itself():
+def test_images_that_paint_nothing_leave_the_texture_itself():
     surface, camera = ball(), above(4.0)
     texture = octex.convert(surface, 5)
     red, clear = one_color(camera, (1, 0, 0)), one_color(camera, (1, 0, 0), 0.0)
-    pictures = [octex.Projection(clear, camera), octex.Projection(red, camera, opacity=0.0)]
-    pictures.append(octex.Projection(red, camera, mask=np.zeros((64, 64), np.uint8)))
+    images = [octex.Projection(clear, camera), octex.Projection(red, camera, opacity=0.0)]
+    images.append(octex.Projection(red, camera, mask=np.zeros((64, 64), np.uint8)))
     away = np.diag([1.0, -1, -1, 1])
     away[2, 3] = 4
     for pose in (away, np.eye(4)):  # it looks away, or is inside
         other = octex.Camera.pinhole((64, 64), pose=pose, convention="opengl", focal=60.0)
-        pictures.append(octex.Projection(red, other))
-    for picture in pictures:
-        assert octex.paint(texture, surface, picture) is texture
-    assert octex.paint(None, surface, pictures[0]).tree.n_leaves == 0
+        images.append(octex.Projection(red, other))
+    for image in images:
+        assert octex.paint(texture, surface, image) is texture
+    assert octex.paint(None, surface, images[0]).tree.n_leaves == 0
 
 
 @pytest.mark.parametrize("dtype", ["uint8", "float32"])
@@ -121,7 +121,7 @@ def test_fine_paint_over_a_coarse_texture_moves_nothing_beyond_its_boundary(dtyp
 
 def test_painting_twice_with_full_opacity_is_painting_once():
     surface, camera = ball(), above(4.0, 100)
-    projection = octex.Projection(picture_of(surface, camera), camera)
+    projection = octex.Projection(image_of(surface, camera), camera)
     for base in (None, octex.convert(surface, 5)):
         once = octex.paint(base, surface, projection, max_angle=90)
         twice = octex.paint(once, surface, projection, max_angle=90)
@@ -183,7 +183,7 @@ def test_opaque_paint_leaves_nothing_of_what_was_there_however_bright_it_was():
 
 
 @pytest.mark.parametrize("blend", BLENDS)
-def test_pictures_are_blended_in_linear_light(blend):
+def test_images_are_blended_in_linear_light(blend):
     surface, camera = plain(square(), (0.4, 0.2, 0.6)), above(3.0, 64, 192.0)
     texture = octex.convert(surface, 5, dtype="float32")
     image = one_color(camera, (0.5, 0.5, 0.1), 0.5)
@@ -262,35 +262,35 @@ def test_layers_that_do_not_fit_are_refused():
         octex.merge(texture, layer, surface, blend="burn")
 
 
-# --- several pictures
+# --- several images
 
 
-def test_the_finer_of_two_pictures_outweighs_the_other():
+def test_the_finer_of_two_images_outweighs_the_other():
     surface = plain(square())
     near, far = above(1.5, 128, 192.0), above(6.0, 128, 192.0)
-    pictures = [
+    images = [
         octex.Projection(one_color(near, (1, 0, 0)), near),
         octex.Projection(one_color(far, (0, 0, 1)), far),
     ]
-    found = octex.paint(None, surface, pictures)
+    found = octex.paint(None, surface, images)
     sampled = found.sample(on_square(200, 0.2))
     assert sampled[:, 0].min() > 0.9  # four times as wide, most of the other's pixels are too coarse
-    other = octex.paint(None, surface, pictures[::-1]).sample(on_square(200, 0.2))
+    other = octex.paint(None, surface, images[::-1]).sample(on_square(200, 0.2))
     np.testing.assert_allclose(other, sampled, atol=1e-6)
 
 
 @pytest.mark.usefixtures("few_points")
 @pytest.mark.parametrize("balance", [None, "gain", "full"])
-def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance):
+def test_the_order_of_images_in_one_blend_mode_does_not_matter(balance):
     surface, random = ball(12), np.random.default_rng(4)
-    pictures = []
+    images = []
     for number, direction in enumerate([(0.1, 0.2, 1), (0.5, 0.1, 1), (-0.4, 0.3, 1)]):
         camera = octex.Camera.fitted(surface.vertices, direction, size=(48, 48))
         noise = random.integers(0, 256, (48, 48, 3)).astype(np.uint8)
-        pictures.append(octex.Projection(noise, camera, opacity=1.0 - 0.2 * number))
-    first = octex.paint(None, surface, pictures, max_depth=7, balance=balance)
+        images.append(octex.Projection(noise, camera, opacity=1.0 - 0.2 * number))
+    first = octex.paint(None, surface, images, max_depth=7, balance=balance)
     assert first.tree.n_leaves > 10_000
-    orders = [*permutations(pictures)]
+    orders = [*permutations(images)]
     for order in (orders[3], orders[5]):  # turned round, and backwards
         other = octex.paint(None, surface, order, max_depth=7, balance=balance)
         assert np.array_equal(other.tree.arrays.flags, first.tree.arrays.flags)
@@ -299,13 +299,11 @@ def test_the_order_of_pictures_in_one_blend_mode_does_not_matter(balance):
             assert np.array_equal(other.channels[name].split_values, channel.split_values)
 
 
-def test_pictures_of_other_blend_modes_are_merged_one_after_another():
+def test_images_of_other_blend_modes_are_merged_one_after_another():
     surface, camera = plain(square(), (0.5, 0.5, 0.5)), above(3.0, 32, 96.0)
     texture = octex.convert(surface, 4, dtype="float32")
     steps = [("over", (0.8, 0.4, 0.2)), ("multiply", (0.5, 0.5, 0.5)), ("over", (0.0, 1.0, 0.0))]
-    pictures = [
-        octex.Projection(one_color(camera, color, 0.5), camera, blend=blend) for blend, color in steps
-    ]
+    images = [octex.Projection(one_color(camera, color, 0.5), camera, blend=blend) for blend, color in steps]
     expected = np.array([[0.5, 0.5, 0.5]], np.float32)
     for blend, color in steps:
         expected = blended(
@@ -314,12 +312,12 @@ def test_pictures_of_other_blend_modes_are_merged_one_after_another():
             np.array([0.5], np.float32),
             blend,
         )
-    found = octex.paint(texture, surface, pictures, max_depth=4).sample(on_square(50, 0.3))
+    found = octex.paint(texture, surface, images, max_depth=4).sample(on_square(50, 0.3))
     np.testing.assert_allclose(found, np.tile(expected, (50, 1)), atol=2e-3)
 
 
 @pytest.mark.usefixtures("few_points")
-def test_balance_makes_pictures_agree():
+def test_balance_makes_images_agree():
     surface, cameras, images = ring(6, 100)
     gains = np.random.default_rng(5).uniform(0.8, 1.2, (6, 3)).astype(np.float32)
     gains /= np.exp(np.log(gains).mean(axis=0))
@@ -332,7 +330,7 @@ def test_balance_makes_pictures_agree():
     assert mended < plain_error + 0.3 * (off - plain_error)
 
 
-def test_pictures_that_do_not_overlap_keep_their_gains():
+def test_images_that_do_not_overlap_keep_their_gains():
     surface = plain(together(square(), (square()[0] + [5, 0, 0], square()[1])))
     shown = []
     for x in (0.0, 5.0):

@@ -56,7 +56,7 @@ def test_what_opaque_paint_covers_keeps_nothing_and_has_no_skirts(opacity, blend
     np.testing.assert_allclose(after, before, atol=1e-6)
 
 
-def test_pictures_get_cells_of_half_a_pixel_to_one_unless_they_may_be_finer():
+def test_images_get_cells_of_half_a_pixel_to_one_unless_they_may_be_finer():
     surface = plain(square(0.0, 1.0))
     image = spot(above(size=64), (1, 0, 0), 20.0)
     for pixels_per_unit in (20.0, 30.0, 40.0, 55.0):
@@ -108,7 +108,7 @@ def test_one_level_serves_where_pixels_vary_little():
 @pytest.mark.parametrize(("size", "place"), [((512, 384), (0.02, 0.9)), ((391, 450), (0.5, 0.5))])
 @pytest.mark.parametrize(("max_depth", "feather"), [(7, 0.0), (3, 0.0), (6, 20.0), (6, 100.0)])
 def test_transparent_parts_far_from_paint_are_not_looked_at(size, place, max_depth, feather, monkeypatch):
-    """Nor do they change the paint, but for how pixels fit into those of smaller pictures."""
+    """Nor do they change the paint, but for how pixels fit into those of smaller images."""
     surface = ball(12)
     texture = octex.convert(surface, 4)
     camera = octex.Camera.fitted(surface.vertices, (0.3, 0.5, 1.0), size=size)

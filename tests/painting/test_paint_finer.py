@@ -131,22 +131,22 @@ def test_paint_over_one_side_of_a_thin_sheet_is_seen_on_it_where_there_was_finer
 
 
 @pytest.mark.parametrize("max_depth", [None, 5, 3])
-def test_a_transparent_picture_paints_what_its_opaque_part_alone_paints(max_depth):
+def test_a_transparent_image_paints_what_its_opaque_part_alone_paints(max_depth):
     surface = ball()
     texture = octex.convert(surface, 5)
     camera = octex.Camera.fitted(surface.vertices, (0.2, 0.1, 1), size=(96, 96))
-    picture = np.zeros((96, 96, 4), np.uint8)
+    drawn = np.zeros((96, 96, 4), np.uint8)
     rows, columns = np.mgrid[:96, :96]
-    picture[np.hypot(rows - 40, columns - 52) < 6] = [200, 30, 10, 255]
+    drawn[np.hypot(rows - 40, columns - 52) < 6] = [200, 30, 10, 255]
     left, top, side = 28, 16, 48  # all that a cell of depth 3 sees of the disc
     K = camera.K.copy()
     K[:2, 2] -= left, top
     size = side, side
     part = octex.Camera.pinhole(size, pose=camera.world_to_camera, convention="opencv", K=K)
-    cropped = np.ascontiguousarray(picture[top : top + side, left : left + side])
+    cropped = np.ascontiguousarray(drawn[top : top + side, left : left + side])
     whole, alone = (
         octex.paint(texture, surface, octex.Projection(image, seen), max_depth=max_depth)
-        for image, seen in ((picture, camera), (cropped, part))
+        for image, seen in ((drawn, camera), (cropped, part))
     )
     assert np.array_equal(whole.tree.arrays.flags, alone.tree.arrays.flags)
     leaves = whole.tree.leaf_cells()

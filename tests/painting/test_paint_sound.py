@@ -17,7 +17,7 @@ from tests.conftest import needs_jit
 from tests.make.painted import above, ball, one_color, plain, square, together
 from tests.make.small_surfaces import sheet
 from tests.oracles.naive_edits import assert_averages
-from tests.properties.edit_models import beyond, picture, waved
+from tests.properties.edit_models import beyond, random_image, waved
 
 pytestmark = needs_jit
 
@@ -199,11 +199,11 @@ def test_rows_carried_below_leaves_stay_in_their_range():
 
 
 @pytest.mark.parametrize("seed", [0, 1])  # noise, and patches
-def test_pictures_on_floats_stay_in_the_range_of_their_pixels(seed):
+def test_images_on_floats_stay_in_the_range_of_their_pixels(seed):
     surface = plain(square())
     texture = octex.convert(surface, 4, dtype="float32", fit=False)
-    image = picture(seed, 32, 32, translucent=True)
-    found = octex.paint(texture, surface, octex.Projection(image, above(size=32)), max_depth=6)
+    painted = random_image(seed, 32, 32, translucent=True)
+    found = octex.paint(texture, surface, octex.Projection(painted, above(size=32)), max_depth=6)
     assert found.tree.n_leaves > texture.tree.n_leaves
     for values in found.channels["base_color"][1:]:
         assert 0 <= values.min(initial=0) <= values.max(initial=0) <= 1

@@ -12,8 +12,8 @@ import octex
 from octex.conversion.levels import cell_levels
 from octex.errors import ArgumentError, OutputError
 from octex.painting import painter as painters
+from octex.painting.image import BLENDS
 from octex.painting.merge import merged
-from octex.painting.picture import BLENDS
 from octex.painting.project import sight_of
 from octex.painting.surface import TriangleGrid
 from tests.editing.test_draft import case
@@ -25,11 +25,11 @@ DIRECTIONS = (0.3, 0.5, 1.0), (-1.0, 0.2, 0.1)
 
 
 def shots(surface, random):
-    """Pictures with a hole or two, of a few cameras."""
+    """Images with a hole or two, of a few cameras."""
     found = []
     for _ in range(random.integers(1, 3)):
         camera = octex.Camera.fitted(surface.vertices, DIRECTIONS[random.integers(2)], size=(24, 18))
-        image = edit_models.picture(int(random.integers(1000)), 24, 18, translucent=True)
+        image = edit_models.random_image(int(random.integers(1000)), 24, 18, translucent=True)
         image[: random.integers(12), :, 3] = 0
         blend = BLENDS[(0, 1, 4)[random.integers(3)]]
         found.append(octex.Projection(image, camera, opacity=float(random.choice([0.5, 1])), blend=blend))
@@ -199,7 +199,7 @@ def test_a_camera_that_stays_looks_once():
 
 
 @pytest.mark.parametrize("kind", ["pinhole", "lens", "orthographic"])
-def test_what_no_picture_sees_is_left_out_without_a_difference(kind):
+def test_what_no_image_sees_is_left_out_without_a_difference(kind):
     sphere = ball(12)
     x, y, z = sphere.vertices.T
     rest = np.column_stack([1.7 * x + 0.3 * y**2, y - 0.5 * z, 0.6 * z + 0.2 * x * y])
@@ -232,7 +232,7 @@ def test_what_no_picture_sees_is_left_out_without_a_difference(kind):
             made.append(octex.paint(texture, surface, octex.Projection(image, camera), max_depth=8))
     assert_same(*made)
     assert not np.array_equal(made[0].channels["base_color"].values, texture.channels["base_color"].values)
-    assert kind == "lens" or cells[0] < 0.75 * cells[1]  # what a lens bends is looked for in all the picture
+    assert kind == "lens" or cells[0] < 0.75 * cells[1]  # what a lens bends is looked for in all the image
 
 
 def test_a_stroke_beside_the_surface_is_none():

@@ -14,7 +14,7 @@ import pytest
 import octex
 from octex import container
 from octex.errors import OutputError
-from octex.painting import paint, picture, project
+from octex.painting import image, paint, project
 from octex.painting.resume import digest_of
 from octex.photos import agreement, refine
 from tests.conftest import needs_jit
@@ -22,7 +22,7 @@ from tests.make.photographs import projections, ring
 from tests.properties.edit_claims import digest
 
 WORK = {
-    "decoded": (picture, "_window_of"),
+    "decoded": (image, "_window_of"),
     "seen": (project, "visibility_of"),
     "compared": (agreement, "_differences"),
     "projected": (paint, "rasterize_surface"),
@@ -112,7 +112,7 @@ def test_only_what_has_changed_is_done_anew(tmp_path):
     changes = [
         {"max_depth": 3},
         {"max_angle": 50.0},
-        {"pictures": "best"},
+        {"fusion": "best"},
         {"balance": None},
         {"fit": False},
         {"back_faces": True},
@@ -135,7 +135,7 @@ def test_only_what_has_changed_is_done_anew(tmp_path):
 def test_damaged_files_are_made_anew(tmp_path):
     given = scene()
     expected, _ = painted(*given, tmp_path)
-    for kind, work in (("picture", "decoded"), ("sight", "seen"), ("differences", "compared")):
+    for kind, work in (("image", "decoded"), ("sight", "seen"), ("differences", "compared")):
         for damage in (cut_off, emptied, other_kind):
             for layer in tmp_path.glob("layer-*"):
                 layer.unlink()
@@ -155,7 +155,7 @@ def emptied(path, _folder):
 
 
 def other_kind(path, folder):
-    kind = "sight" if path.name.startswith("picture") else "picture"
+    kind = "sight" if path.name.startswith("image") else "image"
     path.write_bytes(next(folder.glob(f"{kind}-*")).read_bytes())
 
 
@@ -227,12 +227,12 @@ def test_a_painting_that_was_killed_goes_on(tmp_path):
     )
     folder, out = tmp_path / "kept", tmp_path / "out.octex"
     process = subprocess.Popen([sys.executable, "-c", task, str(folder), str(out)])
-    while process.poll() is None and len(list(folder.glob("picture-*"))) < 3:
+    while process.poll() is None and len(list(folder.glob("image-*"))) < 3:
         time.sleep(0.002)
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     assert not out.exists()
-    kept = len(list(folder.glob("picture-*")))
+    kept = len(list(folder.glob("image-*")))
     assert kept >= 3
     found, counts = painted(surface, shown, options, folder)
     assert counts["decoded"] <= 5 - kept

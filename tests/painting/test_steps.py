@@ -1,4 +1,4 @@
-"""Painting reads as the paper tells it: seven steps, and nothing of photographs for a single picture."""
+"""Painting reads as the paper tells it: seven steps, and nothing of photographs for a single image."""
 
 import subprocess
 import sys
@@ -8,7 +8,7 @@ from tests.house.test_house import MODULES, imports
 
 #: What photographs are looked at with; the rest of painting comes after them.
 BEFORE_PHOTOS = {
-    "layer", "multigrid", "options", "picture", "project", "reading", "resume", "sheets", "sight", "surface",
+    "layer", "multigrid", "options", "image", "project", "reading", "resume", "sheets", "sight", "surface",
 }  # fmt: skip
 
 
@@ -31,14 +31,14 @@ def test_photographs_know_nothing_of_what_is_done_with_their_paint():
             assert not any(name.startswith("octex.photos") for name in names), module
 
 
-def test_a_single_picture_never_enters_what_photographs_need():
+def test_a_single_image_never_enters_what_photographs_need():
     task = (
         "import sys, octex\n"
-        "from tests.make.painted import ball, picture_of\n"
+        "from tests.make.painted import ball, image_of\n"
         "surface = ball(rings=8)\n"
         "camera = octex.Camera.fitted(surface.vertices, (0, 0, 1), size=(16, 16))\n"
-        "picture = octex.Projection(picture_of(surface, camera), camera)\n"
-        "octex.paint(None, surface, picture, max_depth=3)\n"
+        "image = octex.Projection(image_of(surface, camera), camera)\n"
+        "octex.paint(None, surface, image, max_depth=3)\n"
         "print(*[name for name in sys.modules if name.startswith('octex.photos')])\n"
     )
     done = subprocess.run([sys.executable, "-c", task], capture_output=True, text=True, check=True)

@@ -33,7 +33,7 @@ def tube(around=96, along=49):
 
 
 def on_ball(points, center):
-    """Return the sphere's exact map around a point, with y up in the picture."""
+    """Return the sphere's exact map around a point, with y up in the image."""
     right = np.cross((0, 1, 0), center)
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(center, right)])
@@ -207,16 +207,16 @@ def test_what_cannot_be_unwrapped_is_refused():
     with pytest.raises(ArgumentError, match="center"):
         octex.unwrap(ball(12), (1, np.nan, 0), 1.0)
     patch = octex.unwrap(ball(12), (1, 0, 0), 0.5, size=4)
-    picture = octex.Projection(np.zeros((4, 4, 3), np.uint8), patch)
+    image = octex.Projection(np.zeros((4, 4, 3), np.uint8), patch)
     with pytest.raises(ArgumentError, match="is not of"):
-        octex.project(ball(24), picture)
+        octex.project(ball(24), image)
     other = octex.Projection(np.zeros((4, 4, 3), np.uint8), octex.unwrap(ball(12), (1, 0, 0), 0.5, size=4))
     with pytest.raises(ArgumentError, match="in a call of their own"):
-        octex.project(ball(12), [picture, other])
+        octex.project(ball(12), [image, other])
 
 
 def waves(x, y):
-    """Return sRGB colours of a flat picture."""
+    """Return sRGB colours of a flat image."""
     return np.stack([np.sin(6 * x), np.cos(5 * y + 2 * x), np.sin(7 * (x + y))], axis=-1) * 0.35 + 0.5
 
 
@@ -228,9 +228,9 @@ def test_what_is_painted_on_a_disc_lies_there(make, exact, center, depth):
     surface, radius, size = make(), 0.7, 256
     patch = octex.unwrap(surface, center, radius, size=size)
     at = ((np.arange(size) + 0.5) / size * 2 - 1) * radius
-    picture = np.rint(waves(at[None, :] + 0 * at[:, None], -at[:, None] + 0 * at) * 255).astype(np.uint8)
+    image = np.rint(waves(at[None, :] + 0 * at[:, None], -at[:, None] + 0 * at) * 255).astype(np.uint8)
     texture = octex.convert(surface, depth, sources={"base_color": 0.25})
-    painted = octex.paint(texture, surface, octex.Projection(picture, patch))
+    painted = octex.paint(texture, surface, octex.Projection(image, patch))
     points = surface.scatter(100_000)
     middle = patch.center / np.linalg.norm(patch.center) if make is ball else patch.center
     flat = exact(points.rest, middle)
@@ -269,11 +269,11 @@ def test_the_command_draws_a_disc_flat_and_paints_it_back(tmp_path, cli):
     octex.convert(octex.load_surface(model), 5, sources={"base_color": 0.25}).save(before)
     view, disc = tmp_path / "view.png", "--unwrap=0,0,1,0.5"
     cli.result(before, model, disc, VIEW, view, "--size", "64,64")
-    picture = np.array(Image.open(view))
-    assert picture.shape == (64, 64, 4)
-    assert (picture[32, 32] == [137, 137, 137, 255]).all()
-    picture[24:40, 32:] = [255, 0, 0, 255]
-    Image.fromarray(picture).save(view)
+    image = np.array(Image.open(view))
+    assert image.shape == (64, 64, 4)
+    assert (image[32, 32] == [137, 137, 137, 255]).all()
+    image[24:40, 32:] = [255, 0, 0, 255]
+    Image.fromarray(image).save(view)
     cli.result(before, model, view, disc, OUT, after)
     painted = octex.open(after)
     angle = 0.25
@@ -282,7 +282,7 @@ def test_the_command_draws_a_disc_flat_and_paints_it_back(tmp_path, cli):
     )
     assert np.allclose(seen[0], [1, 0, 0], atol=0.03)
     assert np.allclose(seen[1:], 0.25, atol=0.03)
-    # Of what can be laid flat a conformal disc is the same; its picture is as wide as its triangles.
+    # Of what can be laid flat a conformal disc is the same; its image is as wide as its triangles.
     flat = tmp_path / "flat.png"
     conformal = f"{disc}:conformal"
     cli.result(before, model, conformal, VIEW, flat, "--size", "64,64")

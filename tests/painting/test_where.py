@@ -1,4 +1,4 @@
-"""Where pictures are painted: on what is hidden, and on some triangles only."""
+"""Where images are painted: on what is hidden, and on some triangles only."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ import octex
 from octex.errors import ArgumentError
 from octex.tree.layout import SPLIT
 from tests.conftest import needs_jit
-from tests.make.painted import above, ball, centres, codes, one_color, picture_of, plain, square, together
+from tests.make.painted import above, ball, centres, codes, image_of, one_color, plain, square, together
 from tests.make.same import assert_same
 from tests.make.small_surfaces import sheet
 
@@ -87,21 +87,21 @@ def test_a_region_of_other_things_than_triangles_is_refused(region):
         octex.paint(texture, surface, octex.Projection(disc(), above(2.0)), region=region)
 
 
-@pytest.mark.parametrize("more", [{"balance": "gain"}, {"pictures": "best"}, {"pictures": "robust"}])
-def test_hidden_surface_is_not_painted_with_pictures_that_are_compared(more):
+@pytest.mark.parametrize("more", [{"balance": "gain"}, {"fusion": "best"}, {"fusion": "robust"}])
+def test_hidden_surface_is_not_painted_with_images_that_are_compared(more):
     texture, surface = sheets()
     shown = [octex.Projection(disc(), above(2.0))] * 3
-    with pytest.raises(ArgumentError, match="hidden cannot be used with balance, or with pictures that"):
+    with pytest.raises(ArgumentError, match="hidden cannot be used with balance, or with images that"):
         octex.paint(texture, surface, shown, hidden=True, **more)
     with pytest.raises(ArgumentError, match="hidden"):
         octex.paint(texture, surface, shown, hidden=2)
 
 
 @needs_jit
-def test_several_pictures_of_hidden_surface_are_averaged():
+def test_several_images_of_hidden_surface_are_averaged():
     texture, surface = sheets()
     shown = [octex.Projection(disc(), above(2.0))] * 3
-    one = octex.paint(texture, surface, shown, hidden=True, pictures="average")
+    one = octex.paint(texture, surface, shown, hidden=True, fusion="average")
     assert_same(octex.paint(texture, surface, shown, hidden=True), one)
 
 
@@ -115,7 +115,7 @@ def test_several_pictures_of_hidden_surface_are_averaged():
         ((0.8, -0.1, -0.5), True),
     ],
 )
-def test_a_picture_of_the_inside_of_one_large_triangle_is_painted_in_its_detail(toward, hidden):
+def test_an_image_of_the_inside_of_one_large_triangle_is_painted_in_its_detail(toward, hidden):
     wall = plain(square(0.0, 10.0))
     texture = octex.convert(wall, depth=4)
     position, size = np.array([3.0, -2.0, 0.5]), 96
@@ -161,9 +161,9 @@ def test_each_side_of_something_thin_is_painted_for_itself():
 
 
 def assert_painted_back(surface, direction, most):
-    """A picture that is painted from its own camera is what that sees, up to a root mean square in codes."""
+    """An image that is painted from its own camera is what that sees, up to a root mean square in codes."""
     camera = octex.Camera.fitted(surface.vertices, direction, size=(128, 128))
-    image = picture_of(surface, camera)
+    image = image_of(surface, camera)
     texture = octex.paint(None, surface, octex.Projection(image, camera), max_angle=90)
     texture.validate()
     pixels, rest, normals = centres(surface, camera)
@@ -172,7 +172,7 @@ def assert_painted_back(surface, direction, most):
     return texture
 
 
-def test_a_picture_painted_back_from_its_own_camera_is_what_is_seen():
+def test_an_image_painted_back_from_its_own_camera_is_what_is_seen():
     assert set(assert_painted_back(ball(), (0.3, 0.4, 1), 1.0).channels) == {"base_color"}
 
 

@@ -1,4 +1,4 @@
-"""What only one picture saw is left out; and pictures of other exposures come to agree."""
+"""What only one image saw is left out; and images of other exposures come to agree."""
 
 import math
 import tempfile
@@ -12,7 +12,7 @@ from octex import parallel
 from octex.channels import BASE_COLOR, decode
 from octex.conversion import large
 from octex.errors import ArgumentError
-from octex.painting.picture import falloff_at, mips_of
+from octex.painting.image import falloff_at, mips_of
 from octex.photos import agreement, weigh
 from octex.photos.consensus import agreed_step, few_at, medians, robust_weights
 from octex.photos.patches import patch_of, patches_of, put_mask
@@ -21,7 +21,7 @@ from tests.make.painted import codes
 from tests.make.photographs import error, projections, ring, source_of
 from tests.oracles import naive_agreement
 from tests.properties.edit_claims import LARGEST_GAIN, digest
-from tests.properties.edit_models import camera, picture, waved
+from tests.properties.edit_models import camera, random_image, waved
 
 
 def test_the_mode_is_the_colour_that_most_are_near_to():
@@ -40,7 +40,7 @@ def test_the_mode_is_the_colour_that_most_are_near_to():
             assert np.isfinite(found).any() == (count > 2)
 
 
-def test_a_picture_differs_by_what_it_is_off_all_between_modes():
+def test_an_image_differs_by_what_it_is_off_all_between_modes():
     random = np.random.default_rng(6)
     codes, modes = random.uniform(0, 255, (2, 9, 13, 3)).astype(np.float32)
     modes[random.random((9, 13)) < 0.6] = np.nan
@@ -84,7 +84,7 @@ def test_what_is_not_known_is_masked_as_it_is_around():
     assert found[:, 9:].all()
     assert agreement._mask(np.full((4, 4), np.nan, np.float32), looks[:4, :4].copy(), 20.0).all()
     differences[:, 4:12] = np.nan
-    for edge in (5, 7, 10):  # the picture says where the other object ends
+    for edge in (5, 7, 10):  # the image says where the other object ends
         looks[:] = 0
         looks[:, :edge] = 60
         found = agreement._mask(differences, looks, 20.0)
@@ -120,22 +120,22 @@ def test_a_mask_fades_between_the_middles_of_its_patches():
 
 
 @needs_jit
-def test_a_passer_by_is_left_out_in_any_order_of_pictures():
+def test_a_passer_by_is_left_out_in_any_order_of_images():
     surface, cameras, images = ring()
     seen = [image.copy() for image in images]
     seen[2][30:60, 40:70, :3] = 0.9, 0.02, 0.02
     shots = projections(seen, cameras)
     clean = error(octex.paint(None, surface, projections(images, cameras), max_depth=5), surface)
-    averaged = error(octex.paint(None, surface, shots, max_depth=5, pictures="average"), surface)
+    averaged = error(octex.paint(None, surface, shots, max_depth=5, fusion="average"), surface)
     robust = octex.paint(None, surface, shots, max_depth=5)
     assert averaged > 3.5 * clean
     assert error(robust, surface) < clean + 0.1 * (averaged - clean)
-    other = octex.paint(None, surface, shots[::-1], max_depth=5, pictures="robust")
+    other = octex.paint(None, surface, shots[::-1], max_depth=5, fusion="robust")
     assert np.array_equal(other.channels["base_color"].values, robust.channels["base_color"].values)
 
 
 @needs_jit
-def test_a_passer_by_is_left_out_also_where_only_one_picture_sees_the_surface():
+def test_a_passer_by_is_left_out_also_where_only_one_image_sees_the_surface():
     surface, cameras, images = ring(8, 128)
     for image in [*images[:2], *images[3:]]:
         image[:48, :, 3] = 0
@@ -146,22 +146,22 @@ def test_a_passer_by_is_left_out_also_where_only_one_picture_sees_the_surface():
     seen[there] = 0.9, 0.02, 0.02, 1
     samples = surface.scatter(5000)
     errors = []
-    for picture_2 in (hidden, seen):
-        shots = projections([*images[:2], picture_2, *images[3:]], cameras)
+    for image_2 in (hidden, seen):
+        shots = projections([*images[:2], image_2, *images[3:]], cameras)
         found = octex.paint(None, surface, shots, max_depth=5)
         apart = codes(found.sample(samples.rest)) - codes(surface.evaluate(samples))
         errors.append(float(np.sqrt((apart**2).mean())))
     assert errors[1] < errors[0] + 0.2
 
 
-def test_of_many_pictures_those_are_compared_that_see_most_of_the_same(monkeypatch):
+def test_of_many_images_those_are_compared_that_see_most_of_the_same(monkeypatch):
     surface, cameras, images = ring()
     monkeypatch.setattr(agreement, "_MOST", 5)
     found = agreement._compared(source_of(surface, projections(images, cameras)), surface)
     assert found == [sorted((number + step) % 8 for step in range(-2, 3)) for number in range(8)]
     images[2][30:60, 40:70, :3] = 0.9, 0.02, 0.02
     clean = octex.paint(None, surface, projections(ring()[2], cameras), max_depth=5)
-    averaged = octex.paint(None, surface, projections(images, cameras), max_depth=5, pictures="average")
+    averaged = octex.paint(None, surface, projections(images, cameras), max_depth=5, fusion="average")
     robust = octex.paint(None, surface, projections(images, cameras), max_depth=5)
     least, most = error(clean, surface), error(averaged, surface)
     assert most > least + 2
@@ -194,7 +194,7 @@ def test_pixels_up_to_twice_as_wide_as_cells_or_the_finest_count_alike_and_coars
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
-def test_masks_and_exposures_copy_no_picture(monkeypatch):
+def test_masks_and_exposures_copy_no_image(monkeypatch):
     surface, cameras, images = ring()
     images = [
         image * np.float32(gain) for image, gain in zip(images, (1, 1.3, 1, 0.8, 1.1, 1, 1, 0.9), strict=True)
@@ -229,7 +229,7 @@ def test_changes_to_what_lies_in_a_file_lie_there_too(tmp_path, monkeypatch):
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
-def test_pictures_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path, monkeypatch):
+def test_images_that_memory_has_no_room_for_lie_in_files_meanwhile(tmp_path, monkeypatch):
     surface, cameras, images = ring(5, 48)
     images[2][15:30, 20:35, :3] = 0.9, 0.02, 0.02
     shots = [*projections(images[:4], cameras[:4]), octex.Projection(images[4][..., :3], cameras[4])]
@@ -287,8 +287,8 @@ def test_gains_white_balance_and_vignetting_are_undone_beside_a_reference():
         octex.paint(None, surface, shots, balance="full", reference=8)
     with pytest.raises(ArgumentError, match="unknown balance 'auto'; there are: gain, full"):
         octex.paint(None, surface, shots, balance="auto")
-    with pytest.raises(ArgumentError, match="unknown pictures 'most'; there are: average, best, robust"):
-        octex.paint(None, surface, shots, pictures="most")
+    with pytest.raises(ArgumentError, match="unknown fusion 'most'; there are: average, best, robust"):
+        octex.paint(None, surface, shots, fusion="most")
 
 
 def test_a_step_is_that_of_least_squares_with_free_means():
@@ -326,7 +326,7 @@ def test_a_weighted_median_halves_the_weight():
     assert np.allclose(medians(values, weights / 7), found)
 
 
-def test_of_many_pictures_that_see_a_point_sixteen_are_compared_all_as_often():
+def test_of_many_images_that_see_a_point_sixteen_are_compared_all_as_often():
     random = np.random.default_rng(2)
     weights = random.uniform(0.1, 1, (40, 2000)) * (random.random((40, 2000)) < 0.6)
     found = few_at(weights)
@@ -358,11 +358,11 @@ def test_vignetting_multiplies_light_by_the_distance_from_the_middle():
 
 
 @pytest.mark.parametrize(("kind", "first"), [("cube", 27), ("open", 12)])
-def test_pictures_that_no_lens_took_are_not_evened_towards_their_corners(kind, first):
+def test_images_that_no_lens_took_are_not_evened_towards_their_corners(kind, first):
     surface = waved(kind, 1, ["base_color"], 0)
     texture = octex.convert(surface, 2, dtype="float32")
     shots = [
-        octex.Projection(picture(3 * n + 1, 30, 20), camera(surface, n, 30, 20))
+        octex.Projection(random_image(3 * n + 1, 30, 20), camera(surface, n, 30, 20))
         for n in range(first, first + 3)
     ]
     layer = octex.project(surface, shots, like=texture, max_depth=4, balance="full", fit=False)
@@ -370,7 +370,7 @@ def test_pictures_that_no_lens_took_are_not_evened_towards_their_corners(kind, f
     assert colors.max() < LARGEST_GAIN
 
 
-def test_large_pictures_have_larger_patches():
+def test_large_images_have_larger_patches():
     for size, patch in (((1024, 1024), 4), ((1920, 1080), 4), ((2832, 2128), 8), ((6000, 4000), 16)):
         sizes = np.array([[0, *size]], np.int64)
         shot = SimpleNamespace(mips=SimpleNamespace(sizes=sizes))

@@ -1,4 +1,4 @@
-"""One picture for each patch: labels of least energy, borders that are levelled, and what that looks like."""
+"""One image for each patch: labels of least energy, borders that are levelled, and what that looks like."""
 
 import numpy as np
 
@@ -22,10 +22,10 @@ def grid(rows, columns):
     return np.concatenate(pairs)
 
 
-def said(count, pictures, random):
-    paint = random.uniform(0, 0.3, (pictures, count, 3)).astype(np.float32)
-    weights = (random.uniform(0, 1, (pictures, count)) ** 2).astype(np.float32)
-    weights[random.random((pictures, count)) < 0.3] = 0
+def said(count, images, random):
+    paint = random.uniform(0, 0.3, (images, count, 3)).astype(np.float32)
+    weights = (random.uniform(0, 1, (images, count)) ** 2).astype(np.float32)
+    weights[random.random((images, count)) < 0.3] = 0
     weights[:, random.integers(count)] = 0
     return labelling.costs_of(paint, weights, random.uniform(2, 6, count))
 
@@ -117,15 +117,15 @@ def test_borders_of_other_exposures_are_levelled():
 
 
 @needs_jit
-def test_each_patch_comes_from_one_picture_and_no_border_shows():
-    """A smooth ball seen by six pictures of other colour casts: what is out of place shows in an average."""
+def test_each_patch_comes_from_one_image_and_no_border_shows():
+    """A smooth ball seen by six images of other colour casts: what is out of place shows in an average."""
     surface, cameras, images = ring(6)
     shots = projections(images, cameras)
     samples = surface.scatter(5000)
     truth = codes(surface.evaluate(samples))
 
-    def painted(pictures, mode):
-        texture = octex.paint(None, surface, pictures, max_depth=6, holes="leave", pictures=mode)
+    def painted(projections_, mode):
+        texture = octex.paint(None, surface, projections_, max_depth=6, holes="leave", fusion=mode)
         texture.validate()
         return codes(texture.sample(samples.rest)), texture.contains(samples.rest)
 
@@ -141,7 +141,7 @@ def test_each_patch_comes_from_one_picture_and_no_border_shows():
     assert np.sqrt(((found - truth)[seen] ** 2).mean()) < 10
 
 
-class _TwoPictures(BestPaint):
+class _TwoImages(BestPaint):
     """Paint from shots that stand for their light: each of them covers all points alike."""
 
     def _sums(self, shots, triangles, *_):
@@ -156,7 +156,7 @@ class _Sheets:
         return np.where(triangles == 2, -1, triangles)
 
 
-def test_points_on_no_sheet_are_painted_from_all_pictures():
+def test_points_on_no_sheet_are_painted_from_all_images():
     shares = np.array([[1, 0], [0, 1]], np.float32)
     sheets = _Sheets()
     none = None
@@ -164,7 +164,7 @@ def test_points_on_no_sheet_are_painted_from_all_pictures():
     own = np.arange(3, dtype=np.int32)
     shots = [0.2, 0.8]
     exposures = np.zeros((2, 2, 3), np.float32)
-    paint = _TwoPictures(
+    paint = _TwoImages(
         shots, BASE_COLOR, terms, *4 * [none], sheets=sheets, shares=shares, exposures=exposures
     )
     found = paint.evaluate(own, np.zeros((3, 3)), np.zeros(3, np.float32))

@@ -12,7 +12,7 @@ import pytest
 from octex.cameras.camera import Camera
 from octex.cameras.files import write_cameras
 from octex.channels import linear_to_srgb
-from octex.painting.picture import Projection
+from octex.painting.image import Projection
 from octex.photos.misfits import LightSamples, better_placed, misfits
 from octex.source.surface import Surface
 from tests.make.command import OUT
@@ -24,7 +24,7 @@ SIZE = 96
 
 @pytest.fixture(autouse=True)
 def few_points(monkeypatch):
-    """Compare small pictures at a third of the points."""
+    """Compare small images at a third of the points."""
     monkeypatch.setattr("octex.photos.misfits._POINTS", 2500)
 
 
@@ -52,12 +52,12 @@ def waves(points, seed, pitch, count):
 
 
 def coded(light, camera):
-    """A grey picture of 8-bit codes."""
+    """A grey image of 8-bit codes."""
     codes = linear_to_srgb(np.clip(light, 0, 1)) * 255
     return np.repeat(codes.reshape(camera.height, camera.width, 1), 3, axis=2).astype(np.uint8)
 
 
-def picture(camera, seed=0, gain=1.0, slope=0.0):
+def image(camera, seed=0, gain=1.0, slope=0.0):
     """What a camera sees of waves over the plane z = 0, near enough to the relief's."""
     origins, directions = rays(camera)
     points = (origins - directions * (origins[:, 2:] / directions[:, 2:]))[:, :2]
@@ -67,7 +67,7 @@ def picture(camera, seed=0, gain=1.0, slope=0.0):
 
 def ring(count=6):
     cameras = [look(number) for number in range(count)]
-    return [Projection(picture(each, gain=0.6 + 0.1 * n), each) for n, each in enumerate(cameras)]
+    return [Projection(image(each, gain=0.6 + 0.1 * n), each) for n, each in enumerate(cameras)]
 
 
 def found(projections, surface=None):
@@ -75,7 +75,7 @@ def found(projections, surface=None):
         return misfits(Surface.from_arrays(*relief()) if surface is None else surface, projections, pool)
 
 
-def test_a_picture_agrees_as_it_correlates_with_the_median_of_the_others():
+def test_an_image_agrees_as_it_correlates_with_the_median_of_the_others():
     random = np.random.default_rng(0)
     for count, share in ((1, 0.8), (2, 0.8), (3, 0.5), (8, 0.3), (41, 0.8)):
         light = random.normal(size=1000) + random.normal(0, 0.5, (count, 1000))
@@ -90,80 +90,80 @@ def test_a_picture_agrees_as_it_correlates_with_the_median_of_the_others():
             middle = [np.nanmedian(others[:, point]) for point in at]
             expected.append(np.corrcoef(light[number, at], middle)[0, 1] if at.size >= 200 else np.nan)
         np.testing.assert_allclose(samples.agreements(), expected, rtol=1e-12)
-        other = random.normal(size=1000).astype(np.float32)  # the same picture turned
+        other = random.normal(size=1000).astype(np.float32)  # the same image turned
         again = samples._replace(light=np.vstack([other, light[1:]]))
         np.testing.assert_array_equal(samples.agreement(0, other), again.agreements()[0])
 
 
-def test_pictures_of_different_exposures_that_agree_are_all_painted():
+def test_images_of_different_exposures_that_agree_are_all_painted():
     assert found(ring()) == ({}, None)
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.4])  # as light above as the others
-def test_a_picture_of_another_scene_is_found(slope):
-    given = [replace(each, image=picture(look(n), slope=slope)) for n, each in enumerate(ring())]
-    given[2] = replace(given[2], image=picture(look(2), seed=7, slope=slope))
+def test_an_image_of_another_scene_is_found(slope):
+    given = [replace(each, image=image(look(n), slope=slope)) for n, each in enumerate(ring())]
+    given[2] = replace(given[2], image=image(look(2), seed=7, slope=slope))
     reasons, better = found(given)
     assert (list(reasons), better) == ([2], None)
     assert "it differs from all others there" in reasons[2]
 
 
-def test_two_pictures_of_other_scenes_are_found():
+def test_two_images_of_other_scenes_are_found():
     given = ring()
     for number, seed in ((2, 7), (5, 8)):
-        given[number] = replace(given[number], image=picture(look(number), seed))
+        given[number] = replace(given[number], image=image(look(number), seed))
     assert sorted(found(given)[0]) == [2, 5]
 
 
 @pytest.mark.parametrize("turn", [90, 180, 270])
-def test_a_turned_picture_is_found_and_the_turn_back_is_told(turn):
+def test_a_turned_image_is_found_and_the_turn_back_is_told(turn):
     given = ring()
-    # Clockwise turns bring it back, as viewers of pictures count them.
-    given[1] = replace(given[1], image=np.ascontiguousarray(np.rot90(picture(look(1)), turn // 90)))
+    # Clockwise turns bring it back, as viewers of images count them.
+    given[1] = replace(given[1], image=np.ascontiguousarray(np.rot90(image(look(1)), turn // 90)))
     reasons, _ = found(given)
     assert list(reasons) == [1]
     assert f"only when turned by {turn} degrees clockwise" in reasons[1]
 
 
-def test_a_picture_that_is_given_twice_and_one_beside_the_model_are_found():
+def test_an_image_that_is_given_twice_and_one_beside_the_model_are_found():
     given = ring()
     away = Camera.fitted(np.add(relief()[0], [0, 0, 99]), (0, 0, -1), size=(SIZE, SIZE))
     reasons, _ = found([*given, given[3], replace(given[0], camera=away)])
     assert reasons == {
-        6: "the same picture and camera as the image",
+        6: "the same image and camera as the image",
         7: "its camera sees nothing of the model",
     }
 
 
 @pytest.mark.parametrize("wrong", [1, 4])
-def test_of_a_picture_with_two_cameras_the_one_that_agrees_less_is_found(wrong):
+def test_of_an_image_with_two_cameras_the_one_that_agrees_less_is_found(wrong):
     given = ring()
     beside = look(3)
     view = beside.world_to_camera.copy()
     view[0, 3] += 0.05  # near enough to agree in part
     given[wrong] = replace(given[3], camera=replace(beside, world_to_camera=view))
     reasons, better = found(given)
-    assert reasons == {wrong: "the same picture as the image, whose camera it fits better"}
+    assert reasons == {wrong: "the same image as the image, whose camera it fits better"}
     assert better is None
 
 
-def test_a_picture_in_anothers_place_is_told_to_be_that_one_again():
+def test_an_image_in_anothers_place_is_told_to_be_that_one_again():
     given = ring()
     view = look(1).world_to_camera.copy()
     view[:2, 3] += 0.6  # shows other waves
     given[1] = replace(given[4], camera=replace(look(1), world_to_camera=view))
-    assert found(given)[0] == {1: "the same picture as the image, whose camera it fits better"}
+    assert found(given)[0] == {1: "the same image as the image, whose camera it fits better"}
 
 
-def test_a_mesh_on_which_no_pictures_agree_is_told():
+def test_a_mesh_on_which_no_images_agree_is_told():
     vertices, triangles = relief()
     reasons, better = found(ring(), Surface.from_arrays(np.add(vertices, [0, 0, 1.5]), triangles))
     assert reasons == {}
     assert better is not None
-    assert better.startswith("pictures show different things at the same points of it; give the mesh")
+    assert better.startswith("images show different things at the same points of it; give the mesh")
 
 
-def test_pictures_of_one_colour_tell_nothing():
+def test_images_of_one_colour_tell_nothing():
     given = [replace(each, image=np.full((SIZE, SIZE, 3), 40 * n, np.uint8)) for n, each in enumerate(ring())]
     assert found(given) == ({}, None)
 
@@ -173,25 +173,25 @@ def test_the_factor_and_the_turn_of_a_mesh_are_told():
     lying = 0.001 * vertices[:, [0, 2, 1]] * [1, 1, -1]  # y is up, and it is in metres
     reasons, better = found(ring(), Surface.from_arrays(lying, triangles))
     assert reasons == {}
-    turned = "pictures agree if the mesh is scaled by 1000 and turned so that (x, y, z) becomes (x, -z, y)"
+    turned = "images agree if the mesh is scaled by 1000 and turned so that (x, y, z) becomes (x, -z, y)"
     assert better == f"{turned}; change that, and paint again"
     steep = [
         Camera.fitted(vertices, (0.1 * np.cos(n), 0.1 * np.sin(n), 1.0), size=(SIZE, SIZE)) for n in range(6)
     ]
-    lying = vertices[:, [0, 2, 1]] * [1, 0.1, -1]  # nearly flat, and so steep that pictures share nothing
-    given = [Projection(picture(each), each) for each in steep]
+    lying = vertices[:, [0, 2, 1]] * [1, 0.1, -1]  # nearly flat, and so steep that images share nothing
+    given = [Projection(image(each), each) for each in steep]
     reasons, better = found(given, Surface.from_arrays(lying, triangles))
     assert reasons == {}
     assert better is not None  # what is flat may also be turned about its normal
-    assert re.match(r"pictures agree if the mesh is turned so that \(x, y, z\) becomes \([^)]*, y\);", better)
+    assert re.match(r"images agree if the mesh is turned so that \(x, y, z\) becomes \([^)]*, y\);", better)
     far = Surface.from_arrays(np.add(vertices, [0, 0, 1e6]), triangles)
     assert found(ring(), far) == ({}, None)
 
 
-def test_no_change_is_told_with_which_the_pictures_differ():
+def test_no_change_is_told_with_which_the_images_differ():
     behind = np.diag([-1.0, 1.0, -1.0, 1.0])  # each camera looks the other way, and shows its own scene
     cameras = [replace(each.camera, world_to_camera=behind @ each.camera.world_to_camera) for each in ring()]
-    scenes = [picture(each.camera, seed) for seed, each in enumerate(ring())]
+    scenes = [image(each.camera, seed) for seed, each in enumerate(ring())]
     assert found([Projection(*each) for each in zip(scenes, cameras, strict=True)]) == ({}, None)
 
 
@@ -209,7 +209,7 @@ def egg_seen(camera):
 
 
 def egg_ring():
-    """Ten pictures all around an ellipsoid, of which none shows more than the half."""
+    """Ten images all around an ellipsoid, of which none shows more than the half."""
     angles = np.arange(10) * 2 * np.pi / 10
     heights = 0.4 * (-1.0) ** np.arange(10)
     toward = np.column_stack([np.cos(angles), heights, np.sin(angles)])
@@ -218,7 +218,7 @@ def egg_ring():
 
 
 @pytest.mark.parametrize("change", ["factor", "turn", "reversed"])
-def test_what_is_wrong_is_told_although_every_turn_of_an_egg_fills_the_pictures_alike(change):
+def test_what_is_wrong_is_told_although_every_turn_of_an_egg_fills_the_images_alike(change):
     vertices, triangles = AXES * ball().vertices, ball().triangles
     given = egg_ring()
     if change == "factor":
@@ -235,7 +235,7 @@ def test_what_is_wrong_is_told_although_every_turn_of_an_egg_fills_the_pictures_
         told = "the cameras' y and z axes are reversed (OpenCV or OpenGL)"
     reasons, better = found(given, Surface.from_arrays(vertices, triangles))
     assert reasons == {}
-    assert better == f"pictures agree if {told}; change that, and paint again"
+    assert better == f"images agree if {told}; change that, and paint again"
 
 
 def test_a_mesh_in_an_unknown_unit_around_the_cameras_is_told():
@@ -246,7 +246,7 @@ def test_a_mesh_in_an_unknown_unit_around_the_cameras_is_told():
     assert better.startswith("they see little of it, and share nothing")
 
 
-def test_a_mesh_beside_what_pictures_of_separate_sides_show_is_told():
+def test_a_mesh_beside_what_images_of_separate_sides_show_is_told():
     beside = Surface.from_arrays(AXES * ball().vertices + [0, 1.4, 0], ball().triangles)
     reasons, better = found(egg_ring()[::3], beside)
     assert reasons == {}
@@ -254,7 +254,7 @@ def test_a_mesh_beside_what_pictures_of_separate_sides_show_is_told():
     assert better.startswith("they see little of it, and share nothing")
 
 
-def test_a_change_with_which_pictures_hardly_agree_is_not_told(monkeypatch):
+def test_a_change_with_which_images_hardly_agree_is_not_told(monkeypatch):
     monkeypatch.setattr(LightSamples, "agreements", lambda _: np.full(6, 0.5))
     with ThreadPoolExecutor(2) as pool:
         assert better_placed(Surface.from_arrays(*relief()), ring(), 0.0, pool) is None
@@ -266,7 +266,7 @@ def test_the_command_paints_the_others_and_names_what_it_leaves_out(tmp_path, cl
     names = [f"{number}.png" for number in range(7)]
     for number, name in enumerate(names):
         seed = 9 if number == 3 else 0
-        PIL.Image.fromarray(picture(look(number), seed)).save(tmp_path / name)
+        PIL.Image.fromarray(image(look(number), seed)).save(tmp_path / name)
     write_cameras(tmp_path / "cameras.json", {name: look(number) for number, name in enumerate(names)})
     whole = (tmp_path / "4.png").read_bytes()
     (tmp_path / "4.png").write_bytes(whole[: len(whole) // 2])

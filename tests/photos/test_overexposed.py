@@ -1,4 +1,4 @@
-"""What pictures have cut off counts for nothing where others show that it is lighter."""
+"""What images have cut off counts for nothing where others show that it is lighter."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ GAINS = (1.0, 1.0, 2.4, 1.8, 1.1, 0.8, 3.0, 2.0, 1.0, 0.9, 1.5, 2.0)
 
 
 def exposed(images, gains, dtype=np.uint8):
-    """Pictures of other exposures, cut off; as floats they are not."""
+    """Images of other exposures, cut off; as floats they are not."""
     made = []
     for image, gain in zip(images, gains, strict=True):
         light = np.concatenate([image[..., :3] * np.float32(gain), image[..., 3:]], axis=2)
@@ -27,7 +27,7 @@ def exposed(images, gains, dtype=np.uint8):
 
 
 def error(found, surface):
-    """Root of the mean square, in codes, in the middle: what is above and below some pictures alone see."""
+    """Root of the mean square, in codes, in the middle: what is above and below some images alone see."""
     samples = surface.scatter(5000)
     middle = np.abs(samples.points[:, 1]) < 0.4
     apart = codes(found.sample(samples.rest)) - codes(surface.evaluate(samples))
@@ -36,11 +36,11 @@ def error(found, surface):
 
 @needs_jit
 @pytest.mark.usefixtures("few_points")
-@pytest.mark.parametrize("pictures", ["average", "best", "robust"])
-def test_what_is_cut_off_is_painted_by_others_that_show_it(pictures, monkeypatch):
+@pytest.mark.parametrize("fusion", ["average", "best", "robust"])
+def test_what_is_cut_off_is_painted_by_others_that_show_it(images, monkeypatch):
     surface, cameras, images = ring(12, 96)
     given = projections(exposed(images, GAINS), cameras)
-    options = {"max_depth": 6, "balance": "gain", "reference": 0, "pictures": pictures}
+    options = {"max_depth": 6, "balance": "gain", "reference": 0, "fusion": images}
     as_they_are = error(octex.paint(None, surface, projections(images, cameras), **options), surface)
     found = error(octex.paint(None, surface, given, **options), surface)
     monkeypatch.setattr(weigh, "without_overexposed", lambda _, evened, __: evened)
@@ -50,7 +50,7 @@ def test_what_is_cut_off_is_painted_by_others_that_show_it(pictures, monkeypatch
 
 
 def test_patches_are_wrong_where_most_of_what_is_not_cut_off_is_lighter():
-    """Beside a loop over points, pictures and components."""
+    """Beside a loop over points, images and components."""
     surface, cameras, images = ring(5, 32)
     source = source_of(surface, projections(exposed(images, (1.0, 2.0, 3.0, 1.6, 1.0)), cameras))
     evened = balanced(source, surface, "full", 0)
@@ -79,7 +79,7 @@ def test_patches_are_wrong_where_most_of_what_is_not_cut_off_is_lighter():
     assert counts.min() > 20
 
 
-def test_pictures_that_are_not_cut_off_stay_as_they_are():
+def test_images_that_are_not_cut_off_stay_as_they_are():
     surface, cameras, images = ring(4, 32)
     for shown in (exposed(images, (1.0, 2.0, 3.0, 1.6), np.float32), exposed(images, (0.5,) * 4)):
         source = source_of(surface, projections(shown, cameras))

@@ -7,7 +7,7 @@ import pytest
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, srgb_to_linear
 from octex.errors import ArgumentError, ExitCode
-from octex.painting.picture import Projection, mips_of
+from octex.painting.image import Projection, mips_of
 from octex.painting.sharpened import sharpen
 from octex.source.images.decode import PNG_SIGNATURE, orientation_of, turned
 from octex.texture import open_texture
@@ -28,14 +28,14 @@ def pixels_of(projection):
 
 
 def held(light):
-    """What the finest level of an opaque picture of so much light holds."""
+    """What the finest level of an opaque image of so much light holds."""
     found = np.concatenate([light, np.ones_like(light[..., :1])], axis=2).astype(np.float32)
     sharpen(found)
     return found
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_pictures_are_turned_as_pillow_turns_them(tmp_path, orientation):
+def test_images_are_turned_as_pillow_turns_them(tmp_path, orientation):
     image = PIL.Image.fromarray(np.random.default_rng(0).integers(0, 256, (4, 6, 3), np.uint8))
     exif = image.getexif()
     exif[0x0112] = orientation
@@ -51,7 +51,7 @@ def test_pictures_are_turned_as_pillow_turns_them(tmp_path, orientation):
     np.testing.assert_allclose(found, held(srgb_to_linear(upright / 255)), atol=1e-5)
 
 
-def test_a_picture_that_fits_its_camera_only_as_it_is_stored_is_not_turned(tmp_path):
+def test_an_image_that_fits_its_camera_only_as_it_is_stored_is_not_turned(tmp_path):
     image = PIL.Image.fromarray(np.random.default_rng(0).integers(0, 256, (4, 6, 3), np.uint8))
     exif = image.getexif()
     exif[0x0112] = 6
@@ -88,7 +88,7 @@ def test_a_backdrop_is_keyed_out_as_codes_are_near():
         Projection(image, wide(), key=(1, 2))
 
 
-def test_pictures_of_16_bits_keep_them_and_floats_are_linear_light(tmp_path):
+def test_images_of_16_bits_keep_them_and_floats_are_linear_light(tmp_path):
     pytest.importorskip("OpenImageIO")
     codes = np.random.default_rng(2).integers(0, 65536, (4, 6, 3), np.uint16)
     (tmp_path / "a.png").write_bytes(png(codes))
@@ -115,7 +115,7 @@ def scene(folder, **arrays):
     return [str(folder / "square.obj"), str(folder / "red.png"), str(folder / "blue.png")]
 
 
-def test_masks_are_found_by_the_pictures_names(tmp_path):
+def test_masks_are_found_by_the_images_names(tmp_path):
     files = scene(tmp_path)
     (tmp_path / "masks").mkdir()
     PIL.Image.new("L", (32, 32), 255).save(tmp_path / "masks" / "red.png")

@@ -1,4 +1,4 @@
-"""Cameras that are a little off find back to where their pictures agree."""
+"""Cameras that are a little off find back to where their images agree."""
 
 from dataclasses import replace
 from functools import cache
@@ -9,7 +9,7 @@ import pytest
 
 import octex
 from octex.channels import BASE_COLOR, encode
-from octex.painting.picture import mips_of
+from octex.painting.image import mips_of
 from octex.painting.surface import PaintedSurface
 from octex.parallel import Run, workers
 from octex.photos import refine
@@ -17,7 +17,7 @@ from octex.photos.refine import _better, _read, adjusted, pixel_at
 from tests.conftest import fewer_points, needs_jit
 from tests.make.command import OUT, run
 from tests.make.fixtures import obj_lines
-from tests.make.painted import above, ball, picture_of
+from tests.make.painted import above, ball, image_of
 from tests.make.photographs import ring
 
 pytestmark = needs_jit
@@ -29,7 +29,7 @@ def off(camera, number, points):
 
 @cache
 def textured(count, size):
-    """A ball with waves of many lengths, and pictures all around."""
+    """A ball with waves of many lengths, and images all around."""
     plain, random = ball(rings=64), np.random.default_rng(5)
     colors = np.full(plain.vertices.shape, 0.5)
     for _ in range(24):
@@ -38,7 +38,7 @@ def textured(count, size):
         colors += 0.12 * np.sin(waves + random.uniform(0, 6))[:, None] * random.normal(size=3)
     surface = octex.Surface.from_arrays(plain.vertices, plain.triangles, colors=np.clip(colors, 0.05, 0.95))
     cameras = ring(count, size)[1]
-    return surface, cameras, [picture_of(surface, camera) for camera in cameras]
+    return surface, cameras, [image_of(surface, camera) for camera in cameras]
 
 
 def test_points_are_compared_at_the_coarsest_level_too():
@@ -75,7 +75,7 @@ def disturbed(camera, number, pixels):
 def shift(camera, truth, points):
     """By how many pixels points land elsewhere, of those that a camera sees of the ball (not behind it).
 
-    What is painted is where cameras see; how a camera would see the far side, no picture can tell.
+    What is painted is where cameras see; how a camera would see the far side, no image can tell.
     """
     toward = truth.position - points
     cosines = (toward * points).sum(axis=1) / np.linalg.norm(toward, axis=1) / np.linalg.norm(points, axis=1)
@@ -112,7 +112,7 @@ def test_every_camera_gets_better_and_a_textured_ball_brings_them_back(is_few):
 
 
 class _Told:
-    """What three pictures show of 1000 points, and how much that tells of where the cameras are."""
+    """What three images show of 1000 points, and how much that tells of where the cameras are."""
 
     weights = np.ones((3, 1000))
 
@@ -124,7 +124,7 @@ class _Told:
         return np.repeat(self._values, 3, axis=1), np.repeat(slopes, 7, axis=2)
 
 
-def test_where_a_camera_is_the_edges_in_its_picture_tell_not_the_plain_rest():
+def test_where_a_camera_is_the_edges_in_its_image_tell_not_the_plain_rest():
     tells, is_edge = np.full(1000, 0.001), np.arange(1000) < 50
     tells[is_edge] = 1.0
     before, after = np.zeros((2, 3, 1000))
@@ -137,7 +137,7 @@ def test_where_a_camera_is_the_edges_in_its_picture_tell_not_the_plain_rest():
 
 
 @pytest.mark.usefixtures("few_points")
-def test_the_order_of_pictures_does_not_matter():
+def test_the_order_of_images_does_not_matter():
     _, cameras, images = textured(4, 48)
     surface, order = ball(), [3, 1, 0, 2]
     moved = [disturbed(camera, n, 1.0) for n, camera in enumerate(cameras)]
@@ -170,7 +170,7 @@ def test_smooth_colours_make_no_camera_worse(part, monkeypatch):
         assert shift(found, truth, points) <= shift(given, truth, points)
 
 
-def test_one_picture_has_nothing_to_agree_with():
+def test_one_image_has_nothing_to_agree_with():
     surface, cameras, images = ring(1, 16)
     assert octex.refine_cameras(surface, octex.Projection(images[0], cameras[0])) == cameras
 
@@ -188,7 +188,7 @@ def test_a_number_of_a_camera_is_about_a_pixel(is_parallel):
     assert np.array_equal(adjusted(camera, pixel_at(camera, points), np.zeros(7)).K, camera.K)
 
 
-def test_pictures_are_read_with_their_slopes():
+def test_images_are_read_with_their_slopes():
     random = np.random.default_rng(4)
     image = random.uniform(0.1, 1, (6, 9, 4)).astype(np.float32)
     image[..., 3] = 1

@@ -1,4 +1,4 @@
-"""Pictures as values at their pixels' centres: the means that they then have, and noise of known strength."""
+"""Images as values at their pixels' centres: the means that they then have, and noise of known strength."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def sharpened(pixels):
     return found
 
 
-def test_what_is_read_of_a_picture_has_its_pixels_as_means():
+def test_what_is_read_of_an_image_has_its_pixels_as_means():
     image = np.random.default_rng(4).uniform(0.3, 0.7, (20, 16, 4)).astype(np.float32)
     image[..., 3] = 1.0
     pixels = sharpened(image)
@@ -39,18 +39,18 @@ def catmull_rom(places, pixel):
 
 
 def smooth(size=200):
-    """An opaque picture of light without detail."""
+    """An opaque image of light without detail."""
     y, x = np.mgrid[:size, :size] / size
     light = 0.3 + 0.1 * np.stack([x, y, x * y], axis=2)
     return np.concatenate([light, np.ones((size, size, 1))], axis=2).astype(np.float32)
 
 
-def noisy(picture, codes, is_light=True):
+def noisy(image, codes, is_light=True):
     """Add noise of so many of 255 codes to opaque pixels."""
-    noise = np.random.default_rng(1).normal(0, codes / 255, picture[..., :3].shape)
-    made = picture.copy()
+    noise = np.random.default_rng(1).normal(0, codes / 255, image[..., :3].shape)
+    made = image.copy()
     if is_light:
-        made[..., :3] = srgb_to_linear(np.clip(linear_to_srgb(picture[..., :3]) + noise, 0, 1))
+        made[..., :3] = srgb_to_linear(np.clip(linear_to_srgb(image[..., :3]) + noise, 0, 1))
     else:
         made[..., :3] += noise
     return made
@@ -63,16 +63,16 @@ def test_noise_is_as_strong_as_it_is(codes, is_light):
     assert found == pytest.approx(codes, rel=0.12)  # square roots of light are codes but for a tenth
 
 
-def test_detail_in_most_of_a_picture_is_no_noise():
-    picture = smooth()
-    picture[:, 64:, :3] = np.random.default_rng(2).uniform(0.1, 0.7, (200, 136, 3))
-    assert noise_of(picture) < 0.5 / 255
-    assert 255 * noise_of(noisy(picture, 4.0)) == pytest.approx(4.0, rel=0.25)
+def test_detail_in_most_of_an_image_is_no_noise():
+    image = smooth()
+    image[:, 64:, :3] = np.random.default_rng(2).uniform(0.1, 0.7, (200, 136, 3))
+    assert noise_of(image) < 0.5 / 255
+    assert 255 * noise_of(noisy(image, 4.0)) == pytest.approx(4.0, rel=0.25)
 
 
 def test_noise_of_little_is_not_known():
-    picture = np.random.default_rng(3).random((16, 16, 4)).astype(np.float32)
-    assert noise_of(picture) == 0.0  # four patches
+    image = np.random.default_rng(3).random((16, 16, 4)).astype(np.float32)
+    assert noise_of(image) == 0.0  # four patches
     cut_off, hidden = noisy(smooth(), 4.0), noisy(smooth(), 4.0)
     cut_off[::8, ::8, :3] = 1.0
     hidden[::8, ::8] = 0.0
@@ -81,58 +81,58 @@ def test_noise_of_little_is_not_known():
 
 def test_noise_is_not_sharpened():
     for codes in (2.0, 4.0):
-        picture = noisy(smooth(), codes)
-        before, after = picture - smooth(), sharpened(picture) - smooth()
+        image = noisy(smooth(), codes)
+        before, after = image - smooth(), sharpened(image) - smooth()
         assert np.abs(after[8:-8, 8:-8]).std() < 1.05 * np.abs(before[8:-8, 8:-8]).std()
 
 
 def test_light_below_zero_stays_what_it_is_beside_noise():
-    picture = noisy(smooth(), 2.0)
-    picture[100:, :, :3] = -0.01
-    found = sharpened(picture)
+    image = noisy(smooth(), 2.0)
+    image[100:, :, :3] = -0.01
+    found = sharpened(image)
     assert np.isfinite(found).all()
-    assert np.array_equal(found[104:], picture[104:])
+    assert np.array_equal(found[104:], image[104:])
 
 
-def test_detail_all_over_a_picture_is_sharpened():
+def test_detail_all_over_an_image_is_sharpened():
     ripples = np.sin(2.4 * np.arange(200))[:, None]
-    picture = smooth()
-    picture[:, :, :3] += 0.1 * ripples
-    assert noise_of(picture) > 20 / 255
-    amplitude = (sharpened(picture)[8:-8, 8:-8, :3] * ripples[8:-8]).mean() / (ripples**2).mean()
+    image = smooth()
+    image[:, :, :3] += 0.1 * ripples
+    assert noise_of(image) > 20 / 255
+    amplitude = (sharpened(image)[8:-8, 8:-8, :3] * ripples[8:-8]).mean() / (ripples**2).mean()
     assert amplitude > 0.12
 
 
 def test_detail_is_sharpened_in_noise_as_without():
     ripples = np.sin(2.4 * np.arange(136))[:, None]
-    picture = smooth()
-    picture[:, 64:, :3] += 0.1 * ripples
+    image = smooth()
+    image[:, 64:, :3] += 0.1 * ripples
     inside = slice(64 + 8, 200 - 8)
 
     def strength(of):
         return float((of[:, inside, :3] * ripples[8:-8]).mean() / (ripples**2).mean())
 
-    assert strength(sharpened(picture)) > 1.3 * strength(picture)
-    assert strength(sharpened(noisy(picture, 2.0))) == pytest.approx(strength(sharpened(picture)), rel=0.05)
+    assert strength(sharpened(image)) > 1.3 * strength(image)
+    assert strength(sharpened(noisy(image, 2.0))) == pytest.approx(strength(sharpened(image)), rel=0.05)
 
 
 @pytest.mark.parametrize("is_light", [True, False])
-def test_pictures_are_sharpened_by_the_formula(is_light):
+def test_images_are_sharpened_by_the_formula(is_light):
     random = np.random.default_rng(5)
-    picture = random.uniform(0.1, 0.9, (40, 48, 4)).astype(np.float32)
-    picture[..., 3] = random.integers(0, 3, (5, 6)).repeat(8, 0).repeat(8, 1) / 2.0
-    picture[:, :, :3] *= picture[:, :, 3:]
+    image = random.uniform(0.1, 0.9, (40, 48, 4)).astype(np.float32)
+    image[..., 3] = random.integers(0, 3, (5, 6)).repeat(8, 0).repeat(8, 1) / 2.0
+    image[:, :, :3] *= image[:, :, 3:]
     noise = 0.02
-    rows = sharpened_along_rows(picture, noise, is_light)
+    rows = sharpened_along_rows(image, noise, is_light)
     wanted = sharpened_along_rows(rows.transpose(1, 0, 2), noise, is_light).transpose(1, 0, 2)
-    sharpen_above(picture, noise, is_light)
-    np.testing.assert_allclose(picture, wanted, atol=2e-6)
+    sharpen_above(image, noise, is_light)
+    np.testing.assert_allclose(image, wanted, atol=2e-6)
 
 
-def sharpened_along_rows(picture, noise, is_light):
+def sharpened_along_rows(image, noise, is_light):
     """Sharpen as `sharpened` says, pixel by pixel."""
-    found = picture.astype(np.float64)
-    for row, pixels in enumerate(picture.astype(np.float64)):
+    found = image.astype(np.float64)
+    for row, pixels in enumerate(image.astype(np.float64)):
         for column, (*values, alpha) in enumerate(pixels):
             for part, here in enumerate(values):
                 beside = [

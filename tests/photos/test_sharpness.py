@@ -1,4 +1,4 @@
-"""Blurred pictures count for less: by the detail that they share with the others."""
+"""Blurred images count for less: by the detail that they share with the others."""
 
 from functools import cache
 
@@ -10,7 +10,7 @@ from octex.parallel import Run, workers
 from octex.photos import sharpness, weigh
 from octex.photos.sharpness import Details, details_of, shown_of, weighed_by_sharpness
 from tests.conftest import needs_jit
-from tests.make.painted import picture_of
+from tests.make.painted import image_of
 from tests.make.photographs import error, projections, source_of
 from tests.make.photographs import ring as smooth_ring
 from tests.properties.edit_claims import digest
@@ -18,7 +18,7 @@ from tests.properties.edit_claims import digest
 
 @cache
 def ring(count=8):
-    """A sphere with waves four to eight pixels long, and pictures of it."""
+    """A sphere with waves four to eight pixels long, and images of it."""
 
     def waves(points):
         values = 0.4 + 0.1 * (np.sin(31 * points) + np.sin(23 * points[:, [1, 2, 0]] + 1))
@@ -26,11 +26,11 @@ def ring(count=8):
 
     surface, cameras, _ = smooth_ring(count)
     surface = surface.with_sources({"base_color": waves})
-    return surface, cameras, [picture_of(surface, camera) for camera in cameras]
+    return surface, cameras, [image_of(surface, camera) for camera in cameras]
 
 
 def blurred(image, pixels):
-    """The same picture blurred by a Gaussian, of what it shows alone."""
+    """The same image blurred by a Gaussian, of what it shows alone."""
     reach = np.arange(-12, 13)
     weights = np.exp(-0.5 * (reach / pixels) ** 2)
     made = np.concatenate([image[..., :3] * image[..., 3:], image[..., 3:]], axis=2)
@@ -51,7 +51,7 @@ def weighed(source, surface):
         return weighed_by_sharpness(source, surface, pool)
 
 
-def test_what_a_picture_shows_is_what_a_loop_over_pairs_says():
+def test_what_an_image_shows_is_what_a_loop_over_pairs_says():
     random = np.random.default_rng(0)
     for count, points, is_sharp in ((3, 40, [1, 1, 1]), (5, 60, [1, 0, 1, 1, 1]), (4, 30, [0, 0, 1, 1])):
         sees = random.random((count, points)) < 0.8
@@ -103,7 +103,7 @@ def test_smooth_things_and_passers_by_do_not_look_blurred():
 
 
 @needs_jit
-def test_blurred_pictures_are_told_from_noisy_and_darker_ones():
+def test_blurred_images_are_told_from_noisy_and_darker_ones():
     surface, cameras, images = ring()
     assert (shown_by(surface, images, cameras) > 0.9).all()
     random = np.random.default_rng(0)
@@ -120,11 +120,11 @@ def test_blurred_pictures_are_told_from_noisy_and_darker_ones():
 
 
 @needs_jit
-@pytest.mark.parametrize("pictures", ["average", "robust", "best"])
-def test_a_blurred_picture_is_painted_where_no_other_sees(pictures):
+@pytest.mark.parametrize("fusion", ["average", "robust", "best"])
+def test_a_blurred_image_is_painted_where_no_other_sees(images):
     surface, cameras, images = ring()
     given = [blurred(each, 2.0) if n == 2 else each for n, each in enumerate(images)]
-    options = {"max_depth": 6, "pictures": pictures}
+    options = {"max_depth": 6, "fusion": images}
     clean = error(octex.paint(None, surface, projections(images, cameras), **options), surface)
     made = octex.paint(None, surface, projections(given, cameras), **options)
     with pytest.MonkeyPatch.context() as patch:

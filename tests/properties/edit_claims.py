@@ -26,7 +26,7 @@ AREA_PART = 0.046
 MOST_PAIRS = 10_000_000
 #: Codes of areas of which many together are less than a millionth of a cell's face.
 HARDLY = 40
-#: Pictures are made to agree twice: by the lightest and darkest that are compared, and by three stops.
+#: Images are made to agree twice: by the lightest and darkest that are compared, and by three stops.
 LARGEST_GAIN = (8 * 0.97 / 0.004) ** 2
 #: What is transparent weighs so much at least.
 FAINT = 2.0**-40

@@ -1,4 +1,4 @@
-"""What scripts of random edits are made of: surfaces, pictures, cameras."""
+"""What scripts of random edits are made of: surfaces, images, cameras."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,7 +22,7 @@ DTYPES = ("uint8", "uint16", "float16", "float32")
 MESHES = ("triangle", "sheet", "open", "planes", "overlapping", "sphere", "cube", "flat")
 
 
-#: The pictures of every third seed are ramps: the spline that reads pictures overshoots at edges of others,
+#: The images of every third seed are ramps: the spline that reads images overshoots at edges of others,
 #: and the averages of what it clamps are no longer the means of the leaves.
 RAMP = 2
 
@@ -98,7 +98,7 @@ def cloud(surface, seed, normals=True):
     return octex.PointCloud(points, colors, facing)
 
 
-def picture(seed, width, height, translucent=False):
+def random_image(seed, width, height, translucent=False):
     """Noise, patches of few colours, or a ramp; if translucent with a disc of alpha that falls off."""
     random = np.random.default_rng(seed)
     image = random.integers(0, 256, (height, width, 4), dtype=np.uint8)
@@ -131,7 +131,7 @@ def stroke(seed, width, height):
 
 
 def drawn_on(image, seed):
-    """A picture with such a mark on it."""
+    """An image with such a mark on it."""
     mark = stroke(seed, image.shape[1], image.shape[0])
     part = mark[..., 3:] / 255
     found = image.copy()
@@ -175,5 +175,5 @@ def reopened(texture):
 
 def vars_of_scripts():
     names = globals()
-    made = "mesh waved cloud picture stroke drawn_on camera beyond reopened np octex"
+    made = "mesh waved cloud image stroke drawn_on camera beyond reopened np octex"
     return {name: names[name] for name in made.split()}

@@ -1,10 +1,10 @@
-"""Random steps that paint: pictures, layers, fills, sessions."""
+"""Random steps that paint: images, layers, fills, sessions."""
 
 import re
 
 import numpy as np
 
-from octex.painting.picture import BLENDS
+from octex.painting.image import BLENDS
 from tests.properties import edit_claims as claims
 from tests.properties.edit_models import MESHES, RAMP
 from tests.properties.edit_run import Step, call, color_of, extent_of, one_of, place_on, some
@@ -13,7 +13,7 @@ from tests.properties.edit_run import Step, call, color_of, extent_of, one_of, p
 def projection(random, blend=None):
     width, height = (int(each) for each in random.integers(8, 40, 2))
     seed = int(random.integers(1000))
-    image = call("picture", seed, width, height, random.random() < 0.5)
+    image = call("image", seed, width, height, random.random() < 0.5)
     options = {}
     how = random.random()
     if how < 0.2:
@@ -30,10 +30,10 @@ def projection(random, blend=None):
     return call("octex.Projection", image, seen, **options)
 
 
-def overshoots(pictures):
-    """Whether any picture is no ramp."""
-    seeds = re.findall(r"picture\((\d+)", pictures)
-    return "stroke(" in pictures or "drawn_on(" in pictures or any(int(seed) % 3 != RAMP for seed in seeds)
+def overshoots(images):
+    """Whether any image is no ramp."""
+    seeds = re.findall(r"image\((\d+)", images)
+    return "stroke(" in images or "drawn_on(" in images or any(int(seed) % 3 != RAMP for seed in seeds)
 
 
 def paint_options(random, run):
@@ -51,7 +51,7 @@ def paint_options(random, run):
         options["region"] = f"np.arange({len(run.surface.triangles)}) % 3 > 0"
     if random.random() < 0.3:
         options["max_angle"] = one_of(random, (90.0, 30.0, 180.0))
-        options["run"] = "octex.Run(memory=1)"  # byte: pictures lie in files meanwhile
+        options["run"] = "octex.Run(memory=1)"  # byte: images lie in files meanwhile
     paintable = [name for name, each in run.texture.channels.items() if name not in ("alpha", "normal")]
     name = one_of(random, paintable)
     if name != "base_color":
@@ -76,27 +76,27 @@ def draw_paint(random, run):
     shots = [projection(random, blend) for _ in range(int(random.integers(1, 4)))]
     if len(shots) > 1 and "hidden" not in options and random.random() < 0.3:
         options["balance"] = one_of(random, ("'gain'", "'full'"))
-    pictures = shots[0] if len(shots) == 1 else f"[{', '.join(shots)}]"
-    line = call("texture = octex.paint", "texture", "surface", "pictures", **options)
-    code = call("octex.project", "surface", "pictures", like="texture", **options)
+    images = shots[0] if len(shots) == 1 else f"[{', '.join(shots)}]"
+    line = call("texture = octex.paint", "texture", "surface", "images", **options)
+    code = call("octex.project", "surface", "images", like="texture", **options)
 
     def painted(run, before):
         layer = eval(code, {**run.names, "texture": before})
         if "balance" in options:
             most = max(claims.largest(layer, name) for name in layer.channels)
-            assert most < claims.LARGEST_GAIN, f"pictures that were made to agree are as bright as {most}"
+            assert most < claims.LARGEST_GAIN, f"images that were made to agree are as bright as {most}"
         return claims.painted_boxes(layer)
 
     fits = "fit" not in options
-    lines = f"pictures = {pictures}", line
+    lines = f"images = {images}", line
     return Step(lines, near(painted), fits=fits, leaves_range=True, is_exact=True, layers=(code,))
 
 
 def draw_layer(random, run):
     options = paint_options(random, run)
     shots = [projection(random, "over") for _ in range(int(random.integers(1, 3)))]
-    pictures = shots[0] if len(shots) == 1 else f"[{', '.join(shots)}]"
-    line = call("layer = octex.project", "surface", pictures, like="texture", **options)
+    images = shots[0] if len(shots) == 1 else f"[{', '.join(shots)}]"
+    line = call("layer = octex.project", "surface", images, like="texture", **options)
     return merged(random, (line,), fits="fit" not in options)
 
 
@@ -245,7 +245,7 @@ def draw_fill_all(random, run):
 def draw_session(random, run):
     """Paint in a session, forth and back: textures that it gives stay; it ends as a single call does.
 
-    Pictures may be of another pose.
+    Images may be of another pose.
     """
     step, other = one_of(random, (draw_paint, draw_fill))(random, run), draw_fill(random, run).lines[-1]
     *first, single = (line.replace(", run=octex.Run(memory=1)", "") for line in step.lines)

@@ -62,7 +62,7 @@ class World(NamedTuple):
     parts: octex.TextureSet
     cloud: octex.PointCloud
     camera: octex.Camera
-    picture: octex.Projection
+    image: octex.Projection
     light: octex.Environment
 
     def content(self):
@@ -107,11 +107,11 @@ def world():
     surface = octex.Surface.from_arrays(TETRAHEDRON, FACES, colors=colors, uv=TETRAHEDRON[:, :2])
     texture = octex.convert(surface, **DEPTH, fit=False)
     camera = octex.Camera.fitted(TETRAHEDRON, (0.4, 0.3, 1.0), size=(4, 4))
-    picture = octex.Projection(np.full((4, 4, 3), 200, np.uint8), camera)
-    layer = octex.project(surface, picture, like=texture, max_depth=2, fit=False)
+    image = octex.Projection(np.full((4, 4, 3), 200, np.uint8), camera)
+    layer = octex.project(surface, image, like=texture, max_depth=2, fit=False)
     parts = octex.TextureSet({"a": texture, "b": texture})
     cloud = octex.PointCloud(TETRAHEDRON, colors, TETRAHEDRON + 1.0)
-    return World(surface, texture, layer, parts, cloud, camera, picture, octex.Environment.studio())
+    return World(surface, texture, layer, parts, cloud, camera, image, octex.Environment.studio())
 
 
 def ball(points):
@@ -129,7 +129,7 @@ def calls():
     camera = {"width": 4, "height": 4, "K": np.eye(3), "world_to_camera": np.eye(4), "projection": "pinhole"}
     tree = {"tree": w.texture.tree, "channels": w.texture.channels, "placement": w.texture.placement}
     painted = {"texture": w.texture, "surface": w.surface}
-    pictures = {"surface": w.surface, "projections": w.picture, "max_depth": 2, "fit": False}
+    images = {"surface": w.surface, "projections": w.image, "max_depth": 2, "fit": False}
     painter, layers = octex.Painter(w.texture, w.surface), octex.Layers(w.texture, w.surface)
     number = layers.add_layer("paint").number
     same = Change(None, w.texture, w.texture)
@@ -151,13 +151,13 @@ def calls():
         (w.camera.scaled, {"factor": 2}),
         (w.camera.resized, {"size": (5, 3)}),
         (w.camera.zoomed, {"times": 2.0}),
-        (octex.Environment.of, {"picture": at / "light.png"}),
-        (octex.Environment.of, {"picture": rows[None] / 10}),
+        (octex.Environment.of, {"image": at / "light.png"}),
+        (octex.Environment.of, {"image": rows[None] / 10}),
         (octex.Environment.studio, {}),
         (w.light.seen_by, {"camera": w.camera}),
         (w.light.radiance, {"directions": rows, "roughness": 0.5}),
         (w.light.irradiance, {"normals": rows}),
-        (octex.MappedImage, {"image": w.picture.image, "kind": "box"}),
+        (octex.MappedImage, {"image": w.image.image, "kind": "box"}),
         (octex.OctreeTexture, {**tree, "bounds": w.texture.bounds}),
         (w.texture.with_cells, {"tree": w.texture.tree, "channels": w.texture.channels}),
         (w.texture.sample, points),
@@ -176,7 +176,7 @@ def calls():
         (octex.PointCloud.load, {"path": at / "cloud.xyz"}),
         (octex.Patch, {**vars(octex.unwrap(w.surface, rows[0], 0.3, size=4))}),
         (octex.Ptex, {"path": at / "written.ptx"}),
-        (octex.Projection, {"image": w.picture.image, "camera": w.camera}),
+        (octex.Projection, {"image": w.image.image, "camera": w.camera}),
         (octex.Sphere, {"center": (0.1, 0.1, 0.1), "radius": 0.5}),
         (sphere.covers, points),
         (sphere.bounds, {}),
@@ -215,7 +215,7 @@ def calls():
         (octex.simplify, {"surface": painted["surface"], "triangles": 20}),
         (octex.bake_vertices, {**painted, "most_triangles": 99}),
         (octex.Painter, painted),
-        (painter.paint, {"projections": w.picture, "max_depth": 2, "fit": False}),
+        (painter.paint, {"projections": w.image, "max_depth": 2, "fit": False}),
         (painter.fill, {"region": sphere, "color": (1, 0, 0)}),
         (painter.undo, {}),
         (painter.redo, {}),
@@ -258,9 +258,9 @@ def calls():
         (octex.merge, {**painted, "layer": w.layer}),
         (octex.mix, two),
         (octex.open, {"path": at / "texture.octex"}),
-        (octex.paint, {"texture": w.texture, **pictures}),
-        (octex.project, pictures),
-        (octex.refine_cameras, {"surface": w.surface, "projections": [w.picture, w.picture], "reference": 0}),
+        (octex.paint, {"texture": w.texture, **images}),
+        (octex.project, images),
+        (octex.refine_cameras, {"surface": w.surface, "projections": [w.image, w.image], "reference": 0}),
         (octex.read_cameras, {"path": at / "cameras.json"}),
         (octex.render, {**painted, "size": (4, 4), "supersample": 1}),
         (octex.render, {**one, "camera": w.camera, "supersample": 1}),

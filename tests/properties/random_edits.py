@@ -54,7 +54,7 @@ def small_sizes():
 def check(seed, dtypes=DTYPES, *, small=False, shrinks=True):
     """Do a random sequence of edits; raise AssertionError, with a script that repeats it, for what fails.
 
-    ``small`` ones are of few cells and without pictures.
+    ``small`` ones are of few cells and without images.
     """
     with TemporaryDirectory(prefix="octex-edits-") as folder, small_sizes():
         run = Run(dtypes, Path(folder), 16 if small else 120)

@@ -8,7 +8,7 @@ import pytest
 import octex
 from octex.cameras.camera import Camera
 from tests.conftest import needs_jit
-from tests.make.painted import ball, picture_of
+from tests.make.painted import ball, image_of
 from tests.make.same import arrays_of
 
 pytestmark = needs_jit
@@ -18,14 +18,14 @@ UNITS = 2.0**-13, 2.0**22
 
 
 def shots(surface, count, aside=0.0):
-    """Pictures from around a surface, whose cameras are said to be ``aside``, in the model's units."""
+    """Images from around a surface, whose cameras are said to be ``aside``, in the model's units."""
     found = []
     for angle in np.arange(count) * 2 * np.pi / max(count, 5):
         camera = Camera.fitted(surface.vertices, (np.cos(angle), 0.3, np.sin(angle)), size=(40, 40))
         moved = camera.world_to_camera.copy()
         moved[0, 3] += aside * np.cos(3 * angle)
-        picture = picture_of(surface, camera)
-        found.append(octex.Projection(picture, replace(camera, world_to_camera=moved)))
+        image = image_of(surface, camera)
+        found.append(octex.Projection(image, replace(camera, world_to_camera=moved)))
     return found
 
 
@@ -40,9 +40,9 @@ WORKS = {
     "transfer": lambda surface, unit: octex.convert(
         ball(9, 1.01 * unit).with_sources({"base_color": octex.Transfer(surface, distance=0.05 * unit)}), 4
     ),
-    "average": lambda surface, _: painted(surface, pictures="average"),
-    "robust": lambda surface, _: painted(surface, pictures="robust"),
-    "best": lambda surface, _: painted(surface, pictures="best"),
+    "average": lambda surface, _: painted(surface, fusion="average"),
+    "robust": lambda surface, _: painted(surface, fusion="robust"),
+    "best": lambda surface, _: painted(surface, fusion="best"),
     "balance": lambda surface, _: painted(surface, balance="full"),
     "holes": lambda surface, _: painted(surface, 2),
     "fill": lambda surface, unit: octex.fill(

@@ -13,7 +13,7 @@ from octex.source.load import load_surface
 from tests.make.fixtures import SQUARE, Gltf, png, put, random_image
 from tests.make.refusal import refused
 
-# Pictures of 12 × 8 texels in blocks of 4 × 4, by basis_universal's encoder.
+# Images of 12 × 8 texels in blocks of 4 × 4, by basis_universal's encoder.
 BLOCKS = np.array(
     [
         [[200, 40, 60, 255], [30, 180, 90, 128], [20, 60, 220, 255]],

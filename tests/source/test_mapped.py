@@ -35,7 +35,7 @@ def light(height, width, seed=0):
 
 
 def waves(height, width):
-    """A smooth picture that repeats."""
+    """A smooth image that repeats."""
     v, u = np.mgrid[:height, :width] / [[[height]], [[width]]] * 2 * np.pi
     lanes = [np.sin(u + 1), np.cos(v) * np.sin(2 * u), np.sin(u + v)]
     return (0.5 + 0.5 * np.stack(lanes, axis=-1)).astype(np.float32)
@@ -153,7 +153,7 @@ def test_a_pole_shows_nothing_of_the_other_and_all_longitudes(filter):
         np.testing.assert_allclose(source.at(-points, -points, widths), [[0, 1, 0]] * 13, atol=1e-6)
 
 
-def test_a_footprint_covers_the_picture_once_at_most():
+def test_a_footprint_covers_the_image_once_at_most():
     # Also in the middle of a sphere, where all of it is as near.
     image = waves(16, 32)
     for kind in AROUND:
@@ -169,7 +169,7 @@ QUARTERS = np.array([[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 1, 1]]], np.float32
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("axis", FRAMES)
-def test_from_outside_the_picture_is_upright_and_not_mirrored(axis, kind):
+def test_from_outside_the_image_is_upright_and_not_mirrored(axis, kind):
     size = {} if kind == "spherical" else {"size": 2}
     source = laid(QUARTERS, kind, "nearest", axis=axis, center=(0, 0, 0), **size)
     up, front = naive_mapped.AXES[axis], naive_mapped.FRONTS[axis]
@@ -202,7 +202,7 @@ def test_where_normals_are_as_near_to_two_sides_rounding_does_not_decide():
         np.testing.assert_allclose(found, found[:, :1].repeat(50, axis=1), atol=1e-5)
 
 
-def test_a_cap_shows_the_circle_inscribed_in_the_picture():
+def test_a_cap_shows_the_circle_inscribed_in_the_image():
     image = waves(64, 64)
     angle = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     rim = np.stack([np.cos(angle), np.sin(angle), np.zeros(24)], axis=1)
@@ -232,7 +232,7 @@ def test_a_cap_begins_where_a_face_is_nearer_to_the_axis_than_to_the_side(slope)
 
 
 @given(st.sampled_from(KINDS), st.sampled_from(FILTERS), st.sampled_from(WRAPS), st.integers(0, 2**31))
-def test_however_far_or_wide_values_are_of_the_picture(kind, filter, wrap, seed):
+def test_however_far_or_wide_values_are_of_the_image(kind, filter, wrap, seed):
     image = np.full((3, 5, 3), 0.25, np.float32)
     random = np.random.default_rng(seed)
     points = random.normal(size=(6, 3)) * 10.0 ** random.uniform(-30, 29, (6, 1))
@@ -243,7 +243,7 @@ def test_however_far_or_wide_values_are_of_the_picture(kind, filter, wrap, seed)
     np.testing.assert_allclose(source.at(points, normals, widths), 0.25, rtol=1e-3)
 
 
-def test_a_picture_spans_the_bounds_at_rest_unless_told_otherwise():
+def test_an_image_spans_the_bounds_at_rest_unless_told_otherwise():
     image = waves(16, 16)
     rest = np.array([[1.0, 1, 2], [5, 1, 2], [5, 3, 3], [1, 3, 3]])
     surface = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES, rest=rest)
@@ -266,7 +266,7 @@ def test_a_picture_spans_the_bounds_at_rest_unless_told_otherwise():
     )
 
 
-def test_a_flat_surface_has_a_picture_from_its_side_too():
+def test_a_flat_surface_has_an_image_from_its_side_too():
     surface = Surface.from_arrays(SQUARE, SQUARE_TRIANGLES)
     for axis in FRAMES:
         made = surface.with_sources({"base_color": MappedImage(waves(8, 8), "planar", axis=axis)})
@@ -294,8 +294,8 @@ def test_a_plane_is_what_texture_coordinates_of_the_positions_are(filter):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_directions_of_normal_maps_follow_the_picture(kind):
-    # What leans to the picture's right or top points where u grows or v falls along the surface.
+def test_directions_of_normal_maps_follow_the_image(kind):
+    # What leans to the image's right or top points where u grows or v falls along the surface.
     random = np.random.default_rng(5)
     points, normals = random.normal(size=(40, 3)), unit(random.normal(size=(40, 3)))
     straight, right, top = (
@@ -370,7 +370,7 @@ def test_floats_above_1_are_stored_as_light_and_data_is_not_decoded():
     np.testing.assert_allclose(made.evaluate(samples, "roughness"), 128 / 255, atol=1e-6)
 
 
-def test_files_pictures_and_arrays_are_one(tmp_path):
+def test_files_images_and_arrays_are_one(tmp_path):
     codes = random_image(4, 4)
     (tmp_path / "wood.png").write_bytes(png(codes))
     samples = cube().scatter(20)

@@ -126,16 +126,16 @@ def test_channels_of_materials_that_no_triangle_uses_are_not_there():
 
 
 def test_alpha_counts_as_its_mode_says():
-    picture = texture(image(5, 5), nearest=True)
-    alpha = reads(picture, "data")[:, 3]
-    inputs = {"base_color": Input(WHITE, picture), "alpha": Input((0.5,), picture, (3,))}
+    texels = texture(image(5, 5), nearest=True)
+    alpha = reads(texels, "data")[:, 3]
+    inputs = {"base_color": Input(WHITE, texels), "alpha": Input((0.5,), texels, (3,))}
     assert "alpha" not in names(source(Material(inputs, "opaque")))
     np.testing.assert_allclose(values(source(Material(inputs, "blend")), "alpha")[:, 0], alpha / 2, atol=1e-5)
     masked = values(source(Material(inputs, "mask", 0.2)), "alpha")[:, 0]
     np.testing.assert_array_equal(masked, alpha / 2 >= 0.2)
     masked = values(source(Material(inputs, "mask", 0.2)), "alpha", 100.0)
-    np.testing.assert_allclose(masked, (picture.texels[..., 3] >= 0.4 * 65535).mean(), atol=1e-3)
-    nothing = {**inputs, "alpha": Input((0.0,), picture, (3,))}
+    np.testing.assert_allclose(masked, (texels.texels[..., 3] >= 0.4 * 65535).mean(), atol=1e-3)
+    nothing = {**inputs, "alpha": Input((0.0,), texels, (3,))}
     assert not values(source(Material(nothing, "mask", 0.2)), "alpha").any()
     both = values(source(Material(inputs, "opaque"), Material(inputs, "blend")), "alpha")[:, 0]
     np.testing.assert_allclose(both, np.where(points()[0] == 0, 1, alpha / 2), atol=1e-5)
@@ -185,10 +185,10 @@ def test_light_above_1_is_kept_as_light():
 
 
 def everything(**options):
-    picture, maps = texture(image(8, 8)), texture(image(4, 6, 1), CLAMP)
+    texels, maps = texture(image(8, 8)), texture(image(4, 6, 1), CLAMP)
     inputs = {
-        "base_color": Input(WHITE, picture),
-        "alpha": Input((1.0,), picture, (3,)),
+        "base_color": Input(WHITE, texels),
+        "alpha": Input((1.0,), texels, (3,)),
         "roughness": Input((1.0,), maps, (1,)),
         "emissive": Input((3.0, 3.0, 3.0), maps),
         "normal": Input((0.5, 0.5, 1.0), maps),
@@ -330,9 +330,9 @@ def test_a_texel_that_points_nowhere_points_straight_up():
 def test_normals_come_back_through_their_frame_and_their_means_are_shorter(filter):
     random = np.random.default_rng(8)
     directions = unit(random.normal((0, 0, 1), 0.5, (6, 6, 3)))
-    placed, picture = frames(), normal_map(directions)
+    placed, texels = frames(), normal_map(directions)
     for width in (0.0, 0.25):
-        found = values(normals(picture, placed, filter=filter), width=width)
+        found = values(normals(texels, placed, filter=filter), width=width)
         tangent = np.einsum("nkx,nx->nk", axes(placed), found)
         both = [naive_filters.Axis(6, "repeat")] * 2
         jacobian = np.diag([6 * width, -6 * width])

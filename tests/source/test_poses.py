@@ -217,8 +217,8 @@ def test_paint_put_on_the_running_fox_lies_there_when_it_looks_around(models):
     size = (256, 256)
     camera = octex.Camera.fitted(running.vertices, (1, 0.3, 0.2), size=size)
     down, across = np.mgrid[:256, :256] / 255.0
-    picture = np.stack([across, down, 0.5 + 0 * down, 1 + 0 * down], axis=-1)
-    codes = np.rint(255 * picture).astype(np.uint8)
+    image = np.stack([across, down, 0.5 + 0 * down, 1 + 0 * down], axis=-1)
+    codes = np.rint(255 * image).astype(np.uint8)
     texture = octex.convert(octex.load_surface(path, channels=["base_color"]), 8)
     painted = octex.paint(texture, running, octex.Projection(codes, camera))
     seen = z_buffer(running.vertices, running.triangles, camera).triangle

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.channels import srgb_to_linear
-from octex.source.images.pyramid import DATA, FLOAT, SRGB, Picture, store
+from octex.source.images.pyramid import DATA, FLOAT, SRGB, Image, store
 from octex.source.surface import Surface
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 from tests.oracles.naive_filters import halved, reduction
@@ -72,7 +72,7 @@ def reduced(values, height, width, covered):
 
 
 @st.composite
-def pictures(draw):
+def images(draw):
     """Images of any size, of every kind; half of them hold how much they cover."""
     height, width = draw(st.integers(1, 9)), draw(st.integers(1, 9))
     texels = random_image(height, width, 4, "uint16", draw(st.integers(0, 99)))
@@ -80,26 +80,26 @@ def pictures(draw):
     kind = draw(st.sampled_from([SRGB, DATA, FLOAT]))
     if kind == FLOAT:
         texels = (texels / 65535 * [9, 5, 1, 1]).astype(np.float32)
-    return Picture(texels, kind == SRGB, draw(st.booleans()))
+    return Image(texels, kind == SRGB, draw(st.booleans()))
 
 
-def decoded(picture):
-    values = np.asarray(picture.texels, float) / (1 if picture.texels.dtype == np.float32 else 65535)
-    if picture.is_light and picture.texels.dtype != np.float32:
+def decoded(image):
+    values = np.asarray(image.texels, float) / (1 if image.texels.dtype == np.float32 else 65535)
+    if image.is_light and image.texels.dtype != np.float32:
         values[..., :3] = srgb_to_linear(values[..., :3])
     return values
 
 
-@given(pictures())
-def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(picture):
-    height, width = picture.texels.shape[:2]
-    levels = levels_of(store([picture], True)[0])
-    expected = around(decoded(picture))
+@given(images())
+def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(image):
+    height, width = image.texels.shape[:2]
+    levels = levels_of(store([image], True)[0])
+    expected = around(decoded(image))
     assert len(levels) == len(halved(max(height, width)))
     for number, level in enumerate(levels):
         if number > 0:
             height, width = max(height // 2, 1), max(width // 2, 1)
-            expected = reduced(expected, height, width, picture.covered)
+            expected = reduced(expected, height, width, image.covered)
         np.testing.assert_allclose(level, expected, atol=4e-5)
     assert (height, width) == (1, 1)
 
@@ -107,8 +107,8 @@ def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(picture):
 def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_is():
     texels = random_image(7, 6, 4, "uint16")
     threshold = 0.6
-    levels = levels_of(store([Picture(texels, True, True, threshold)], True)[0])
-    values = decoded(Picture(texels, True))
+    levels = levels_of(store([Image(texels, True, True, threshold)], True)[0])
+    values = decoded(Image(texels, True))
     np.testing.assert_allclose(levels[0], around(values), atol=1e-6)
     values[..., 3] = values[..., 3] >= threshold
     height, width = levels[1].shape[0] - 2, levels[1].shape[1] - 2
@@ -121,15 +121,15 @@ def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_i
 def test_images_of_one_size_share_a_layout_and_each_comes_back():
     small, large = random_image(2, 3, 4, "uint16"), random_image(4, 4, 4, "uint16")
     light = random_image(2, 3, 4).astype(np.float32)
-    given = [Picture(small, True), Picture(large, False, True), Picture(light, True)]
-    given += [Picture(small[::-1], False), Picture(light * 2, True)]
+    given = [Image(small, True), Image(large, False, True), Image(light, True)]
+    given += [Image(small[::-1], False), Image(light * 2, True)]
     images, layouts = store(given, False)
     assert layouts == [0, 1, 0, 0, 0]
     assert images.kinds.tolist() == [SRGB, DATA, FLOAT, DATA, FLOAT]
     assert images.covered.tolist() == [False, True, False, False, False]
-    for number, picture in enumerate(given):
+    for number, image in enumerate(given):
         [level] = levels_of(images, number, layouts[number])
-        np.testing.assert_allclose(level, around(decoded(picture)), atol=1e-6)
+        np.testing.assert_allclose(level, around(decoded(image)), atol=1e-6)
 
 
 def test_turning_the_model_changes_no_footprint():

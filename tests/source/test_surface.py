@@ -120,8 +120,8 @@ def test_coordinates_have_v_up_and_may_be_given_by_corner():
     image = np.array([[[255] * 3, [255] * 3], [[0] * 3, [0] * 3]], np.uint8)
     by_vertex = SQUARE[:, :2]
     for uv in (by_vertex, by_vertex[SQUARE_TRIANGLES]):
-        for picture in (image, PIL.Image.fromarray(image)):
-            surface = square(uv=uv, image=picture, mag_filter="nearest", wrap=("repeat", "clamp"))
+        for either in (image, PIL.Image.fromarray(image)):
+            surface = square(uv=uv, image=either, mag_filter="nearest", wrap=("repeat", "clamp"))
             samples = surface.scatter(100)
             np.testing.assert_array_equal(surface.evaluate(samples)[:, 0] == 1, samples.points[:, 1] > 0.5)
 

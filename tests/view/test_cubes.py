@@ -1,4 +1,4 @@
-"""Pictures of cubes, against rays."""
+"""Images of cubes, against rays."""
 
 import numpy as np
 import pytest

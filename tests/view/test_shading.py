@@ -124,7 +124,7 @@ def test_a_normal_without_length_gets_light_of_its_own():
 
 
 def test_the_background_is_grey_and_the_same_across():
-    picture = background(20, 30)
-    assert picture.shape == (20, 30, 3)
-    assert (picture == picture[:, :1, :1]).all()
-    assert 0.2 < picture.min() < picture.max() < 0.5
+    image = background(20, 30)
+    assert image.shape == (20, 30, 3)
+    assert (image == image[:, :1, :1]).all()
+    assert 0.2 < image.min() < image.max() < 0.5

@@ -5,7 +5,7 @@ import pytest
 
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
-from octex.painting.picture import Projection
+from octex.painting.image import Projection
 from octex.painting.project import _spread, sight_of, take_shots
 from octex.painting.reading import terms_of
 from octex.painting.surface import PaintedSurface
@@ -14,13 +14,13 @@ from octex.source.corners import Corners
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from octex.view.visibility import distances_to_edges, straight, view_of, visibility_of
-from tests.make.painted import above, ball, one_color, picture_of, plain, square, together
+from tests.make.painted import above, ball, image_of, one_color, plain, square, together
 from tests.make.small_surfaces import OCTAHEDRON, OCTAHEDRON_FACES
 from tests.make.solids import cube
 
 
 def seen(surface, camera, triangles, barycentric, **terms):
-    """Coverage of points under a white picture."""
+    """Coverage of points under a white image."""
     white = Projection(one_color(camera, (1, 1, 1)), camera)
     hidden = terms.get("hidden", False)
     with pool_of(1) as pool:
@@ -257,7 +257,7 @@ def test_beside_an_edge_paint_is_that_of_the_surface_itself():
     own, other = (0.3, 0.6, 0.4), (0.7, 0.2, 0.5)
     colors = np.repeat([own, other], [len(low[0]), len(high[0])], axis=0)
     surface = Surface.from_arrays(*together(low, high), colors=colors)
-    image = picture_of(surface, camera.scaled(4)).reshape(64, 4, 64, 4, 4).mean((1, 3))
+    image = image_of(surface, camera.scaled(4)).reshape(64, 4, 64, 4, 4).mean((1, 3))
     image[..., :3] /= np.maximum(image[..., 3:], 1e-9)
     image[..., 3] = image[..., 3] > 0
     image[0, :2] = [(0, 0, 0, 1), (1, 1, 1, 1)]  # what splines may reach

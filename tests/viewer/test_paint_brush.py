@@ -7,25 +7,25 @@ import pytest
 
 import octex
 from tests.make.painted import balls
-from tests.make.studio import Studio, pictured
+from tests.make.studio import Studio, imaged
 from tests.viewer.test_paint_commands import BLENDS
 
 
 def drawn_and_baked(studio, page, drags):
-    """Draw strokes; return the picture before, with what the page draws of them, and with them baked."""
-    before = pictured(page)
+    """Draw strokes; return the image before, with what the page draws of them, and with them baked."""
+    before = imaged(page)
     with studio.held(page, len(drags)):
         for brush, places in drags:
             page.evaluate("(brush) => viewer.painting.set(brush)", brush)
             studio.drag(page, *places)
-    shown = pictured(page)
+    shown = imaged(page)
     studio.bake(page)
-    return before, shown, pictured(page)
+    return before, shown, imaged(page)
 
 
-def assert_same_inside(pictures, *, ends_sharply=False):
-    """Check that a picture shows strokes as they are baked but at their rims; return where they are."""
-    before, shown, baked = pictures
+def assert_same_inside(images, *, ends_sharply=False):
+    """Check that an image shows strokes as they are baked but at their rims; return where they are."""
+    before, shown, baked = images
     changes = np.abs(shown - before).max(axis=2)
     inside = changes > 0.4 * changes.max()
     assert changes.max() > 25
@@ -138,7 +138,7 @@ def test_a_size_in_the_model_s_units_stays_the_same_on_the_surface(studio, page)
 
 
 def test_the_unit_changes_and_the_size_stays(page):
-    box = page.locator("#picture").bounding_box()
+    box = page.locator("#image").bounding_box()
     page.mouse.move(box["width"] / 2, box["height"] / 2)
     page.evaluate("document.getElementById('brush-section').open = true")
     page.select_option("#unit", "model")
@@ -150,7 +150,7 @@ def test_the_unit_changes_and_the_size_stays(page):
 
 
 def test_a_pen_s_pressure_changes_what_it_is_set_to(studio, page):
-    box = page.locator("#picture").bounding_box()
+    box = page.locator("#image").bounding_box()
     middle = box["width"] / 2, box["height"] / 2
     pen = page.context.new_cdp_session(page)
 
@@ -206,7 +206,7 @@ def test_the_way_of_a_pen_is_a_curve_through_its_places(page):
 
 
 def test_the_outline_shows_how_the_surface_is_turned(page):
-    box = page.locator("#picture").bounding_box()
+    box = page.locator("#image").bounding_box()
     needle = "document.querySelector('#ring i').getBoundingClientRect()"
     turned = {
         (0, 0): "width < 4 && height < 4",
@@ -216,7 +216,7 @@ def test_the_outline_shows_how_the_surface_is_turned(page):
     for (x, y), expected in turned.items():
         page.mouse.move(box["x"] + box["width"] / 2 + x, box["y"] + box["height"] / 2 + y)
         page.wait_for_function(f"(({{ width, height }}) => {expected})({needle})", timeout=60_000)
-    page.evaluate(  # moved to a place before the picture is drawn
+    page.evaluate(  # moved to a place before the image is drawn
         """([x, y]) => {
           viewer.invalidate();
           const place = { clientX: x, clientY: y, bubbles: true };
@@ -290,8 +290,8 @@ def turned(page, turn):
 def test_the_other_half_of_a_stroke_is_seen_at_once_where_it_is_baked(offset, studio, page):
     turned(page, 0.0)
     brush = {"mirror": "x", "mirrorPosition": offset, "hardness": 0.6}
-    pictures = drawn_and_baked(studio, page, [(brush, [(40, 10), (80, -40)])])
-    inside = assert_same_inside(pictures)
+    images = drawn_and_baked(studio, page, [(brush, [(40, 10), (80, -40)])])
+    inside = assert_same_inside(images)
     half = inside.shape[1] // 2
     assert inside[:, :half].sum() > 200
     assert inside[:, half:].sum() > 200
@@ -304,9 +304,9 @@ def test_a_stroke_that_goes_through_is_seen_when_the_view_turns_before_it_is_bak
     with studio.held(page):
         studio.drag(page, (-30, 0), (40, 30))
     page.evaluate("viewer.camera.turn = Math.PI")
-    before, shown = pictured(page, strokes=None), pictured(page)
+    before, shown = imaged(page, strokes=None), imaged(page)
     studio.bake(page)
-    assert_same_inside((before, shown, pictured(page)))
+    assert_same_inside((before, shown, imaged(page)))
 
 
 class Pair(Studio):
@@ -330,9 +330,9 @@ def test_a_stroke_stays_on_its_part_and_is_seen_to(mirror, pair):
     drag = [(-40, -10), (60, -10)]
     with pair.restored() as page:
         turned(page, 0.0)
-        pictures = drawn_and_baked(pair, page, [(brush, drag)])
+        images = drawn_and_baked(pair, page, [(brush, drag)])
         texture = pair.session.shown.texture
-    inside = assert_same_inside(pictures, ends_sharply=True)
+    inside = assert_same_inside(images, ends_sharply=True)
     half = inside.shape[1] // 2
     assert inside[:, :half].sum() > 200
     assert (inside[:, half + 6 :].sum() > 200) == bool(mirror)
@@ -342,7 +342,7 @@ def test_a_stroke_stays_on_its_part_and_is_seen_to(mirror, pair):
     assert (painted[parts == 1].mean() > 0.04) == bool(mirror)  # cells at the border hold both
 
 
-def test_a_pen_that_comes_down_before_the_picture_is_drawn_stays_on_its_part(pair):
+def test_a_pen_that_comes_down_before_the_image_is_drawn_stays_on_its_part(pair):
     with pair.restored() as page:
         turned(page, 0.0)
         page.evaluate("(brush) => viewer.painting.set(brush)", {"onePart": True, "size": 20})

@@ -14,7 +14,7 @@ from octex.texture.channel import row_counts
 from octex.viewer.changes import change_between, change_of
 from tests.make.painted import ball
 from tests.make.same import assert_same
-from tests.make.strokes import SIZE, camera, disc, ones, picture_sent, plain, stroke, take, without_color
+from tests.make.strokes import SIZE, camera, disc, image_sent, ones, plain, stroke, take, without_color
 
 #: What the values of a command are, beside its colour.
 GIVEN = {"roughness": [0.25], "metallic": [1], "emissive": [10, 200, 30], "height": [1.75]}
@@ -33,12 +33,12 @@ def with_values(texture, form, code):
     return texture.with_cells(texture.tree, {**texture.channels, form.name: Channel(form, *parts)})
 
 
-def picture(number, form, value, blend="over"):
-    """The picture of a stroke by its value, as a user of the library makes it."""
+def image(number, form, value, blend="over"):
+    """The image of a stroke by its value, as a user of the library makes it."""
     if form.components == 3:
-        image = picture_sent(number, value)
+        image = image_sent(number, value)
     elif form.dtype == "uint8":
-        image = picture_sent(number, (*encode(np.array(value, np.float64), "uint8", "data"), 0, 0))
+        image = image_sent(number, (*encode(np.array(value, np.float64), "uint8", "data"), 0, 0))
     else:
         image = np.zeros((SIZE[1], SIZE[0], 4), np.float32)
         image[..., 0] = np.float16(value[0])
@@ -50,7 +50,7 @@ def painted(painter, number, values, blend="over"):
     """Paint channels in the texture's order."""
     for name, channel in painter.texture().channels.items():
         if name in values:
-            painter.paint(picture(number, channel.format, values[name], blend), channel=name, max_angle=85)
+            painter.paint(image(number, channel.format, values[name], blend), channel=name, max_angle=85)
 
 
 def light_of(form, value):

@@ -52,7 +52,7 @@ def page(shop):
         yield found
 
 
-def pictured(page, shown, channel="base_color"):
+def imaged(page, shown, channel="base_color"):
     return drawn(page, VIEW, mode=shown, channel=channel, highlight=None, facing=False).astype(np.int64)
 
 
@@ -75,18 +75,18 @@ def ticked(page, **values):
 def test_channels_are_seen_at_once_as_they_will_be_painted(values, shop, page):
     ticked(page, **values)
     looks = [*(("channel", name) for name in values), ("lit", "base_color")]
-    plain = {look: pictured(page, *look) for look in looks}
+    plain = {look: imaged(page, *look) for look in looks}
     page.evaluate(
         "viewer.display.mode = 'channel'; viewer.display.channel = viewer.painting.brush.channels[0]"
     )
     with shop.held(page, 2):
         for places in (((-60, 0), (0, -40)), ((0, -40), (60, 20))):
             shop.drag(page, *places)
-    before = {look: pictured(page, *look) for look in looks}
+    before = {look: imaged(page, *look) for look in looks}
     shop.bake(page)
     is_painted = np.zeros(VIEW[::-1], np.bool_)
     for look in looks:
-        after = pictured(page, *look)
+        after = imaged(page, *look)
         is_changed = np.abs(after - plain[look]).max(axis=2)
         if look[0] == "channel":
             is_painted |= is_changed > 12
@@ -106,7 +106,7 @@ def test_relief_near_a_change_is_drawn_anew_as_if_all_were(shop, page):
     page.wait_for_function("viewer.isSharp", timeout=60_000)
     near = 0
     for number in range(1, 5):
-        looked_up, pictures = page.evaluate("[viewer.lookupKey, viewer.pictureCount]")
+        looked_up, images = page.evaluate("[viewer.lookupKey, viewer.imageCount]")
         shop.drag(page, (10 * number, 0), (10 * number, 20))
         shop.is_done(page)
         page.wait_for_function("!viewer.changedRegion && viewer.isSharp", timeout=60_000)
@@ -114,7 +114,7 @@ def test_relief_near_a_change_is_drawn_anew_as_if_all_were(shop, page):
         assert unlike == 0
         assert shown > 100
         if looked_up == page.evaluate("viewer.lookupKey"):
-            near += page.evaluate("viewer.pictureCount") == pictures
+            near += page.evaluate("viewer.imageCount") == images
     assert near > 0
 
 
@@ -185,7 +185,7 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser, t
         assert (rough.min(), rough.max()) == (76, 255)
         again = studio.page()
         for name in ("base_color", "roughness"):
-            assert (pictured(page, "channel", name) == pictured(again, "channel", name)).all()
+            assert (imaged(page, "channel", name) == imaged(again, "channel", name)).all()
         again.close()
         for done in (1, 0):
             page.keyboard.press("Control+z")
@@ -197,7 +197,7 @@ def test_a_channel_is_added_in_the_page_and_the_brush_stays_as_it_was(browser, t
 
 
 @pytest.mark.parametrize("is_posed", [False, True])
-def test_relief_in_the_page_is_as_in_the_librarys_pictures(is_posed, opens, tmp_path):
+def test_relief_in_the_page_is_as_in_the_librarys_images(is_posed, opens, tmp_path):
     size, relief = (240, 180), 0.05
     waves = {
         "base_color": lambda p: np.full_like(p, 0.5),
@@ -221,23 +221,23 @@ def test_relief_in_the_page_is_as_in_the_librarys_pictures(is_posed, opens, tmp_
     seen = Probe(page, texture, size).seen.reshape(size[1], size[0])[::-1]
     found, flat = (drawn(page, size, relief=own).astype(int) for own in (relief, 0.0))
     bump = ("height", relief * texture.placement.size)
-    pictures = []
+    images = []
     for own in (bump, None):
         look = texture_shader(texture, materials=True, bump=own)
         light = render_surface(surface, camera_of(page, size), look, 1, Environment.studio())
-        pictures.append(encode(light, "uint8", "srgb").astype(int))
-    rises, expected = (found - flat)[seen], (pictures[0] - pictures[1])[seen]
+        images.append(encode(light, "uint8", "srgb").astype(int))
+    rises, expected = (found - flat)[seen], (images[0] - images[1])[seen]
     assert np.sqrt((expected**2).mean()) > 6
     assert np.corrcoef(rises.ravel(), expected.ravel())[0, 1] > 0.95
     assert np.sqrt(((rises - expected) ** 2).mean()) < 2
 
 
-def test_a_posed_page_is_lit_by_the_surfaces_own_normals_as_the_librarys_pictures_are(opens, tmp_path):
+def test_a_posed_page_is_lit_by_the_surfaces_own_normals_as_the_librarys_images_are(opens, tmp_path):
     size, base = (240, 180), ball(48)
     normals = base.vertices + 0.3 * np.sin(4 * base.vertices[:, [1, 2, 0]])
     turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
     turned = base.vertices @ (turn * np.linalg.det(turn)).T
-    pictures, lit = [], []
+    images, lit = [], []
     for number, own in enumerate((normals, None)):
         still = octex.Surface.from_arrays(base.vertices, base.triangles, normals=own)
         still = still.with_sources({"base_color": lambda p: np.full_like(p, 0.5), "roughness": 0.5})
@@ -251,9 +251,9 @@ def test_a_posed_page_is_lit_by_the_surfaces_own_normals_as_the_librarys_picture
         light = render_surface(
             posed, camera_of(page, size), texture_shader(texture, materials=True), 1, Environment.studio()
         )
-        pictures.append(encode(light, "uint8", "srgb").astype(int)[seen])
-    assert np.sqrt(((pictures[0] - pictures[1]) ** 2).mean()) > 6
-    for found, expected in zip(lit, pictures, strict=True):
+        images.append(encode(light, "uint8", "srgb").astype(int)[seen])
+    assert np.sqrt(((images[0] - images[1]) ** 2).mean()) > 6
+    for found, expected in zip(lit, images, strict=True):
         assert np.sqrt(((found - expected) ** 2).mean()) < 2
 
 

@@ -14,7 +14,7 @@ from octex.session.painting import Session, mirrored
 from octex.source.corners import at_corners
 from tests.make.painted import ball, plain, together
 from tests.make.same import assert_same
-from tests.make.strokes import PAGE, camera, ones, picture_sent, stroke, take
+from tests.make.strokes import PAGE, camera, image_sent, ones, stroke, take
 from tests.make.strokes import plain as plain_command
 
 BLENDS = ["over", "multiply", "screen", "add"]
@@ -54,7 +54,7 @@ def library_calls(painter, surface, body):
         elif len(parts) > 1 and parts[1][0]:
             regions = parts[::-1]
         return [painter.fill(each, color, opacity=opacity, blend=blend) for each in regions]
-    image = picture_sent(line["number"], line["color"])
+    image = image_sent(line["number"], line["color"])
     shown = [octex.Projection(image, camera(), opacity=opacity, blend=blend)]
     if axis:
         shown.append(mirrored(shown[0], "xyz".index(axis), plane["xyz".index(axis)]))

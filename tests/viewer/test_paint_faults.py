@@ -21,7 +21,7 @@ from tests.make.browser import served as serving
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.strokes import canvas, deflated, painted, plain, stroke, take
-from tests.make.studio import pictured
+from tests.make.studio import imaged
 
 
 def touched(path):
@@ -273,8 +273,8 @@ def test_the_page_asks_which_version_to_keep_and_keeps_it(browser, tmp_path):
 def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(studio, page):
     studio.drag(page, (-30, -20), (0, -20))
     studio.is_done(page)
-    before = pictured(page)
-    box = page.locator("#picture").bounding_box()
+    before = imaged(page)
+    box = page.locator("#image").bounding_box()
     middle = box["width"] / 2, box["height"] / 2
     page.mouse.move(*middle)
     page.mouse.down()
@@ -283,11 +283,11 @@ def test_a_gpu_that_is_lost_in_a_stroke_costs_that_stroke_alone(studio, page):
     page.mouse.move(middle[0] + 40, middle[1], steps=3)
     page.mouse.up()
     restore_gpu(page)
-    assert (pictured(page) == before).all()
+    assert (imaged(page) == before).all()
     studio.drag(page, (0, 20), (30, 20))
     studio.is_done(page)
     assert studio.session.shown.status["done"] == 2
-    assert np.abs(pictured(page) - before).max() > 60
+    assert np.abs(imaged(page) - before).max() > 60
 
 
 def test_strokes_are_painted_while_many_lines_wait_and_many_are_refused(served, monkeypatch):

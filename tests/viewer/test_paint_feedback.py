@@ -37,7 +37,7 @@ def test_messages_and_undo_are_seen_however_the_panel_is_scrolled(page):
     page.evaluate(_CLOSE, opened)
 
 
-def test_a_lost_connection_is_told_over_the_picture_alone(page):
+def test_a_lost_connection_is_told_over_the_image_alone(page):
     found = page.evaluate(
         """() => {
           const status = document.getElementById("status");
@@ -75,7 +75,7 @@ def test_undo_and_redo_count_what_waits(studio, page):
 
 def test_keys_go_to_the_tools_after_a_choice_or_a_text(page):
     page.locator("#blend").focus()
-    page.locator("#picture").hover()
+    page.locator("#image").hover()
     page.keyboard.press("e")
     assert page.evaluate("viewer.painting.tool.name") == "eraser"
     page.locator("#color-text").fill("#0f8")
@@ -94,7 +94,7 @@ def test_with_forced_colours_the_chosen_tool_and_colours_are_seen(page):
     page.emulate_media(forced_colors="none")
 
 
-def test_the_picture_is_as_high_as_a_low_window(page):
+def test_the_image_is_as_high_as_a_low_window(page):
     for width, height in ((640, 340), (568, 320)):
         page.set_viewport_size({"width": width, "height": height})
         assert page.evaluate("viewer.canvas.clientHeight") == height
@@ -102,7 +102,7 @@ def test_the_picture_is_as_high_as_a_low_window(page):
 
 
 def test_enter_presses_the_tool_in_the_middle(studio, page):
-    page.locator("#picture").focus()
+    page.locator("#image").focus()
     for key in ("b", "Enter", "f", "Enter", "i", "Enter"):
         page.keyboard.press(key)
     assert page.evaluate("document.activeElement === viewer.canvas")

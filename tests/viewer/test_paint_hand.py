@@ -23,7 +23,7 @@ def last(page, count):
 
 
 def middle(page):
-    box = page.locator("#picture").bounding_box()
+    box = page.locator("#image").bounding_box()
     return box["width"] / 2, box["height"] / 2
 
 

@@ -15,7 +15,7 @@ from octex.viewer import Viewer
 from tests.make.fixtures import obj_lines
 from tests.make.same import assert_same
 from tests.make.strokes import canvas, ones, painted, plain, stroke, take
-from tests.make.studio import pictured
+from tests.make.studio import imaged
 from tests.viewer.test_paint_brush import LINE, assert_same_inside, drawn_and_baked
 
 
@@ -107,13 +107,13 @@ def test_a_stroke_in_the_top_layer_is_seen_at_once_as_it_is_baked_and_can_be_era
     page.click("#layer-add")
     studio.is_done(page)
     assert page.evaluate("viewer.painting.layers.active") == 1
-    pictures = drawn_and_baked(studio, page, [({}, LINE)])
-    assert_same_inside(pictures)
+    images = drawn_and_baked(studio, page, [({}, LINE)])
+    assert_same_inside(images)
     page.keyboard.press("e")
     page.evaluate("viewer.painting.set({ size: 160, hardness: 1 })")
     studio.drag(page, *LINE)
     studio.is_done(page)
-    assert np.abs(pictured(page) - pictures[0]).max() <= 1
+    assert np.abs(imaged(page) - images[0]).max() <= 1
     page.click("#layer-delete")
     studio.is_done(page)
     last = page.evaluate("[viewer.painting.layers.active, viewer.painting.status.steps.at(-1)]")

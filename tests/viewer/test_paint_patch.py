@@ -16,7 +16,7 @@ from tests.make.browser import lose_gpu, restore_gpu
 from tests.make.painted import balls
 from tests.make.same import assert_same
 from tests.make.strokes import SIZE, assert_mirrored, camera_sent, canvas, plain, stroke, take
-from tests.make.studio import pictured
+from tests.make.studio import imaged
 from tests.viewer.test_paint_poses import Bending, bending
 from tests.viewer.test_session_refusals import SPOT
 
@@ -27,10 +27,10 @@ def flat_camera(radius=0.6):
     return camera_sent(octex.Camera.fitted(np.array([low, -low]), (0, 0, 1), size=SIZE))
 
 
-def unwrapped(picture, surface, spot):
-    """A picture that is painted through a patch of a surface."""
+def unwrapped(image, surface, spot):
+    """An image that is painted through a patch of a surface."""
     patch = octex.unwrap(surface, spot["center"], spot["radius"], up=spot["up"])
-    return replace(picture, camera=replace(patch, camera=picture.camera))
+    return replace(image, camera=replace(patch, camera=image.camera))
 
 
 def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(tmp_path):
@@ -44,13 +44,13 @@ def test_strokes_on_a_patch_are_bit_for_bit_what_the_library_paints_through_it(t
         seen_by = {"camera": flat_camera()} if "patch" in fields else {}
         body = stroke(number, **fields, **seen_by)
         take(session, body)
-        picture, options, _ = stroke_of(command_of(body))
+        image, options, _ = stroke_of(command_of(body))
         posed = surface if "moved" not in fields else surface.with_pose(motion.positions_at(0, 1.0))
-        shown = [unwrapped(picture, posed, fields["patch"]) if "patch" in fields else picture]
+        shown = [unwrapped(image, posed, fields["patch"]) if "patch" in fields else image]
         if "mirror" in fields:
             middle = (surface.vertices[:, 0].min() + surface.vertices[:, 0].max()) / 2
             center = [2 * middle - SPOT["center"][0], *SPOT["center"][1:]]
-            shown.append(unwrapped(mirrored(picture, 0, 0.0), surface, {**SPOT, "center": center}))
+            shown.append(unwrapped(mirrored(image, 0, 0.0), surface, {**SPOT, "center": center}))
         before = expected
         for each in shown:
             expected = octex.paint(expected, posed, each, **options)
@@ -101,7 +101,7 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
     studio = Bending(browser, tmp_path)
     with studio.opened() as page:
         page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")
-        model, camera = pictured(page), page.evaluate("JSON.stringify(viewer.camera.state)")
+        model, camera = imaged(page), page.evaluate("JSON.stringify(viewer.camera.state)")
         page.keyboard.press("v")
         studio.drag(page, (300, 150))  # beside the model
         studio.drag(page, (20, 20))
@@ -118,13 +118,13 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         page.evaluate("viewer.camera.orbit(0.2, 0.1)")
         assert page.evaluate("[viewer.camera.turn, viewer.camera.tilt]") == [0, 0]  # it is moved
         page.evaluate("viewer.camera.reset(1, 1)")
-        before = pictured(page)
+        before = imaged(page)
         with studio.held(page):
             studio.drag(page, (-60, 0), (0, -50), (60, 20))
         sent = page.evaluate("viewer.painting.commands.waiting[0]")
         assert sent["moved"] == {"animation": 0, "time": 0.9}
         assert 0.1 < sent["patch"]["radius"] < 1
-        drawn_flat = pictured(page)
+        drawn_flat = imaged(page)
         is_painted = np.abs(drawn_flat - before).max(axis=2) > 60
         assert 0.02 < is_painted.mean() < 0.3
         box = page.locator("#other-view").bounding_box()
@@ -133,20 +133,20 @@ def test_what_is_painted_flat_is_seen_at_once_as_it_is_painted_and_then_on_the_m
         page.keyboard.press("Escape")
         assert page.evaluate("JSON.stringify(viewer.camera.state)") == camera
         page.wait_for_function("viewer.isDrawn")
-        assert (pictured(page) == model).all()  # of another view nothing is shown until it is painted
+        assert (imaged(page) == model).all()  # of another view nothing is shown until it is painted
         studio.bake(page, 1)
         assert studio.session.shown.status["error"] == ""
-        assert (np.abs(pictured(page) - model).max(axis=2) > 60).mean() > 0.005
+        assert (np.abs(imaged(page) - model).max(axis=2) > 60).mean() > 0.005
         spot = [sent["patch"], sent["moved"]]
         page.evaluate("([spot, moved]) => viewer.painting.flat.show(spot, moved)", spot)
         page.evaluate("viewer.camera.reset()")
-        inside = (drawn_flat - pictured(page))[is_painted]
+        inside = (drawn_flat - imaged(page))[is_painted]
         assert np.sqrt((inside**2).mean()) <= 2
         lose_gpu(page)
         restore_gpu(page)
         page.keyboard.press("v")  # back to the model, which moves again
         assert page.locator("#flat").is_hidden()
-        assert (np.abs(pictured(page) - model).max(axis=2) > 60).mean() > 0.005
+        assert (np.abs(imaged(page) - model).max(axis=2) > 60).mean() > 0.005
         assert page.evaluate("viewer.display.moment") == sent["moved"]
 
 
@@ -161,10 +161,10 @@ def test_parts_that_were_moved_apart_are_painted_posed_and_flat(tmp_path):
     for number, fields in enumerate([{"moved": {"animation": 1, "time": 0.5}}, flat, {}], 1):
         body = stroke(number, **fields)
         take(session, body)
-        picture, options, _ = stroke_of(command_of(body))
+        image, options, _ = stroke_of(command_of(body))
         if "patch" in fields:
-            picture = unwrapped(picture, whole, SPOT)
-        expected = octex.paint(expected, posed if "moved" in fields else whole, picture, **options)
+            image = unwrapped(image, whole, SPOT)
+        expected = octex.paint(expected, posed if "moved" in fields else whole, image, **options)
         assert session.shown.status["error"] == ""
         assert session.shown.status["done"] == number
         assert_same(session.shown.texture, expected)

@@ -11,7 +11,7 @@ from octex.viewer import Viewer
 from tests.make.painted import ball
 from tests.make.same import assert_same
 from tests.make.strokes import canvas, plain, stroke, take
-from tests.make.studio import Studio, pictured
+from tests.make.studio import Studio, imaged
 
 FRAMES = 9
 
@@ -45,12 +45,12 @@ def test_strokes_on_frames_are_bit_for_bit_what_the_library_paints_on_the_posed_
         body = stroke(number, moved=moment and Moment(*moment)._asdict(), mirror=mirror)
         take(session, body)
         posed = surface.with_pose(motion.positions_at(*moment)) if moment else surface
-        picture, options, _ = stroke_of(command_of(body))
-        expected = octex.paint(expected, posed, picture, **options)
+        image, options, _ = stroke_of(command_of(body))
+        expected = octex.paint(expected, posed, image, **options)
         if mirror:
             used = posed.vertices[np.unique(posed.triangles)]
             middle = float((used[:, 0].min() + used[:, 0].max()) / 2)
-            expected = octex.paint(expected, posed, mirrored(picture, 0, middle), **options)
+            expected = octex.paint(expected, posed, mirrored(image, 0, middle), **options)
         assert session.shown.status["error"] == ""
         assert_same(session.shown.texture, expected)
     take(session, plain("undo", 6), plain("redo", 7))
@@ -90,7 +90,7 @@ def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the
     studio = Bending(browser, tmp_path)
     with studio.opened() as page:
         page.evaluate("viewer.player.choose(0), viewer.player.seek(0.9)")
-        plain_picture = pictured(page)
+        plain_image = imaged(page)
         with studio.held(page):
             page.evaluate("viewer.player.play(true)")
             studio.drag(page, (-60, 0), (0, -40), (40, -60))
@@ -98,13 +98,13 @@ def test_a_stroke_on_a_frame_is_seen_at_once_as_it_is_painted_and_bends_with_the
         assert moved["animation"] == 0
         assert page.evaluate("viewer.player.steppedAt") is None  # the pen stops it
         page.evaluate("(time) => viewer.player.seek(time)", 0.9)
-        assert (pictured(page) == plain_picture).all()  # of another pose nothing is shown until it is painted
+        assert (imaged(page) == plain_image).all()  # of another pose nothing is shown until it is painted
         page.evaluate("(time) => viewer.player.seek(time)", moved["time"])
-        before, plain_picture = pictured(page), pictured(page, strokes=None)
-        is_painted = np.abs(before - plain_picture).max(axis=2) > 60
+        before, plain_image = imaged(page), imaged(page, strokes=None)
+        is_painted = np.abs(before - plain_image).max(axis=2) > 60
         assert 0.01 < is_painted.mean() < 0.3
         studio.bake(page, 1)
-        inside = (before - pictured(page))[is_painted]
+        inside = (before - imaged(page))[is_painted]
         assert np.sqrt((inside**2).mean()) <= 2
         assert studio.session.shown.status["error"] == ""
         page.evaluate("viewer.player.choose(-1)")

@@ -12,7 +12,7 @@ from octex.viewer.answers import packed_composite
 from tests.conftest import needs_jit
 from tests.make.browser import served
 from tests.make.painted import ball
-from tests.make.studio import _HOLD, Studio, pictured
+from tests.make.studio import _HOLD, Studio, imaged
 from tests.painting.test_layers import everywhere
 
 pytestmark = needs_jit
@@ -91,14 +91,14 @@ def test_paint_below_layers_and_erasers_are_shown_as_they_are_baked(studio):
             "([tool, brush]) => (viewer.painting.selectTool(tool), viewer.painting.set(brush))", [tool, brush]
         )
         told(_KEY)
-        plain = pictured(page)
+        plain = imaged(page)
         page.evaluate(_HOLD)
         studio.drag(page, (-35, 3), (35, -3))
         told("viewer.painting.strokes.sent.length === 1")
-        before = pictured(page)
+        before = imaged(page)
         page.evaluate("release()")
         told("!viewer.painting.strokes.sent.length")
-        after = pictured(page)
+        after = imaged(page)
         inside = np.abs(after - plain).max(axis=2) > 20
         assert inside.mean() > 0.01
         return float(np.sqrt(((before - after)[inside] ** 2).mean()))

@@ -22,7 +22,7 @@ _COUNTED = """() => {
 
 
 def middle(page):
-    box = page.locator("#picture").bounding_box()
+    box = page.locator("#image").bounding_box()
     return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
 
 
@@ -73,10 +73,10 @@ def test_a_composite_that_arrives_during_a_stroke_leaves_the_stroke_its_own(stud
     is_loaded = "viewer.painting.preview.composite.key === viewer.painting.preview.key"
     page.wait_for_function(is_loaded, timeout=60_000)
     press(page)
-    assert page.evaluate("viewer.painting.strokes.current.preview.picture instanceof Object")
+    assert page.evaluate("viewer.painting.strokes.current.preview.image instanceof Object")
     page.evaluate("viewer.painting.preview.changes++; viewer.painting.preview.load()")
     page.wait_for_function(is_loaded, timeout=60_000)
-    composite = "viewer.painting.strokes.current.preview.picture.colors.display.composite"
+    composite = "viewer.painting.strokes.current.preview.image.colors.display.composite"
     for name in page.evaluate(f"{composite}.stores.map(({{ name }}) => name)"):
         store = f"{composite}.stores.find(({{ name }}) => name === '{name}')"
         assert page.evaluate(f"viewer.gpu.gl.isTexture({store}.texture)")

@@ -1,15 +1,15 @@
-"""After a change the page draws anew only what is near it, and its picture is as if it had drawn all."""
+"""After a change the page draws anew only what is near it, and its image is as if it had drawn all."""
 
 import numpy as np
 
 from tests.make.studio import Studio
 
-#: How many pixels of the picture differ from one that is drawn anew, and how many of that one show the model.
+#: How many pixels of the image differ from one that is drawn anew, and how many of that one show the model.
 _UNLIKE = """() => {
   const { gpu, canvas: { width, height }, display, camera } = viewer, { gl } = gpu;
   const read = () => {
     const codes = new Uint8Array(4 * width * height);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, gpu.targets.picture.buffer);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, gpu.targets.image.buffer);
     gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, codes);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     return new Uint32Array(codes.buffer);
@@ -35,7 +35,7 @@ def test_only_what_is_near_a_change_is_drawn_anew(browser, tmp_path):
             for step in range(3):
                 size = int(random.integers(3, 20))
                 page.evaluate("(size) => viewer.painting.set({ size })", size)
-                looked_up, pictures = page.evaluate("[viewer.lookupKey, viewer.pictureCount]")
+                looked_up, images = page.evaluate("[viewer.lookupKey, viewer.imageCount]")
                 x, y = random.integers(-15, 15, 2).tolist()
                 if step < 2:
                     studio.drag(page, (x, y), (x + 6, y + 4))
@@ -48,6 +48,6 @@ def test_only_what_is_near_a_change_is_drawn_anew(browser, tmp_path):
                 assert shown > 100
                 is_small = all(change.tiles is not None for change in studio.session.shown.changes)
                 if is_small and looked_up == page.evaluate("viewer.lookupKey"):
-                    assert page.evaluate("viewer.pictureCount") == pictures
+                    assert page.evaluate("viewer.imageCount") == images
                     near += 1
         assert near >= 6

@@ -5,7 +5,7 @@ import pytest
 
 import octex
 from tests.make.same import assert_same
-from tests.make.studio import SIZE, pictured
+from tests.make.studio import SIZE, imaged
 
 #: Opens all sections of the panel; returns the names of those that were open.
 _OPEN = """() => {
@@ -25,33 +25,33 @@ _LINES = """(all) => all.map((each) => {
 
 
 def test_a_stroke_is_seen_at_once_as_it_will_be_painted(studio, page):
-    plain = pictured(page)
+    plain = imaged(page)
     with studio.held(page):
         studio.drag(page, (-60, 0), (0, -40), (60, 20))
-    before = pictured(page)
+    before = imaged(page)
     is_painted = np.abs(before - plain).max(axis=2) > 60
     assert 0.02 < is_painted.mean() < 0.3
     assert_same(studio.session.shown.texture, studio.texture)
     page.evaluate("viewer.camera.orbit(0.5, 0.15)")
-    turned, plain_turned = pictured(page), pictured(page, strokes=None)
+    turned, plain_turned = imaged(page), imaged(page, strokes=None)
     studio.bake(page)
-    turned_after = pictured(page)
+    turned_after = imaged(page)
     is_seen = np.abs(turned_after - plain_turned).max(axis=2) > 60
     assert is_seen.mean() > 0.01
     assert np.sqrt(((turned - turned_after)[is_seen] ** 2).mean()) <= 8
     assert (np.abs(turned - turned_after).max(axis=2) > 40).mean() < 0.002
     page.evaluate("viewer.camera.orbit(-0.5, -0.15)")
-    after = pictured(page)
+    after = imaged(page)
     inside = before[is_painted] - after[is_painted]
     assert np.sqrt((inside**2).mean()) <= 2
     again = studio.page()
-    assert np.abs(pictured(again) - after).max() <= 1
+    assert np.abs(imaged(again) - after).max() <= 1
     assert again.complaints == []
     again.close()
 
 
 def test_undo_gives_the_texture_back_and_redo_the_stroke(studio, page):
-    plain = pictured(page)
+    plain = imaged(page)
     for offset in (0, 20):
         studio.drag(page, (-30, offset), (30, offset))
     studio.is_done(page)
@@ -61,7 +61,7 @@ def test_undo_gives_the_texture_back_and_redo_the_stroke(studio, page):
         page.wait_for_function("(n) => viewer.painting.status.done === n", arg=done, timeout=60_000)
         if done == 0:
             assert_same(studio.session.shown.texture, studio.texture)
-            assert (pictured(page) == plain).all()
+            assert (imaged(page) == plain).all()
     assert_same(studio.session.shown.texture, twice)
     page.locator("#steps button", has_text="Opened").click()
     page.wait_for_function("viewer.painting.status.done === 0", timeout=60_000)
@@ -86,7 +86,7 @@ def test_two_pages_see_the_same_and_one_saves(studio, page):
     other.wait_for_function("viewer.painting.status.done === 1", timeout=60_000)
     studio.drag(other, (-20, 0), (-40, 10))
     page.wait_for_function("viewer.painting.status.done === 2", timeout=60_000)
-    assert (pictured(page) == pictured(other)).all()
+    assert (imaged(page) == imaged(other)).all()
     assert not studio.output.exists()
     page.keyboard.press("Control+s")
     other.wait_for_function("viewer.painting.status.isSaved", timeout=60_000)
@@ -160,7 +160,7 @@ def test_the_fill_stays_chosen_and_the_pick_returns_to_the_tool_before(studio, p
 
 
 def test_the_view_stays_while_a_stroke_is_drawn_and_it_can_be_undone_at_once(studio, page):
-    box = page.locator("#picture").bounding_box()
+    box = page.locator("#image").bounding_box()
     before = page.evaluate("String(viewer.camera.view)")
     page.mouse.move(box["width"] / 2, box["height"] / 2)
     page.mouse.down()
@@ -224,7 +224,7 @@ def test_each_tool_is_within_the_window_and_each_control_within_the_panel(size, 
         "(all) => all.map((each) => each.offsetWidth)"
     )
     height, stage = page.evaluate("[viewer.canvas.clientHeight, viewer.canvas.clientWidth]")
-    top = page.locator("#picture").bounding_box()["y"]
+    top = page.locator("#image").bounding_box()["y"]
     panel = page.locator("aside")
     inner, outer = panel.evaluate("(panel) => [panel.scrollWidth, panel.clientWidth]")
     lines = page.locator(".buttons button:visible").evaluate_all(_LINES)
@@ -315,7 +315,7 @@ def test_keys_undo_text_where_it_is_typed_and_work_with_alt_gr(studio, page):
         """() => {
           const altGr = { ctrlKey: true, altKey: true, modifierAltGraph: true, bubbles: true };
           const event = new KeyboardEvent("keydown", { key: "[", ...altGr });
-          document.getElementById("picture").dispatchEvent(event);
+          document.getElementById("image").dispatchEvent(event);
         }"""
     )
     assert page.evaluate("viewer.painting.brush.size") < size

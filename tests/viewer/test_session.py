@@ -34,7 +34,7 @@ from tests.make.strokes import (
 )
 
 
-def test_a_stroke_may_be_a_picture_of_many_colours(session):
+def test_a_stroke_may_be_an_image_of_many_colours(session):
     colors = np.random.default_rng(1).integers(0, 256, (24, 30, 3), np.uint8)
     image = np.zeros((*SIZE[::-1], 4), np.uint8)
     image[4:28, 10:40] = np.dstack([colors, disc(1)])

@@ -20,7 +20,7 @@ import { GLTFOctreeTexture, OctreeTextureLoader } from "octex-three";
 const renderer = new THREE.WebGLRenderer({ antialias: false, preserveDrawingBuffer: true });
 renderer.setPixelRatio(1);
 renderer.setSize(64, 64);
-const pictured = (scene, view = camera) => {
+const imaged = (scene, view = camera) => {
   renderer.render(scene, view);
   const gl = renderer.getContext(), codes = new Uint8Array(4 * 64 * 64);
   gl.readPixels(0, 0, 64, 64, gl.RGBA, gl.UNSIGNED_BYTE, codes);
@@ -31,7 +31,7 @@ const unlit = ({ textures: [texture], group }) => {
   return new THREE.Scene().add(group);
 };
 const own = { OctreeTextureLoader, GLTFOctreeTexture, renderer };
-globalThis.told = { THREE, GLTFLoader, ...own, pictured, read, unlit, camera };
+globalThis.told = { THREE, GLTFLoader, ...own, imaged, read, unlit, camera };
 """
 
 
@@ -57,13 +57,13 @@ def test_pixels_are_samples(page, tmp_path, max_error):
     for filter in ("nearest", "linear", "quadratic"):
         asked = """filter => {
           Object.assign(told.own.textures[0], { filter, footprints: false });
-          return told.pictured(told.scene);
+          return told.imaged(told.scene);
         }"""
         found = codes(page.evaluate(asked, filter))
         wanted = 255 * linear_to_srgb(texture.sample(points, filter=filter).reshape(SIZE, SIZE, 3))
         assert np.abs(found - wanted).max() <= 1.0, filter
     page.evaluate("() => { told.own.textures[0].footprints = true; }")
-    found = codes(page.evaluate("() => told.pictured(told.scene)"))
+    found = codes(page.evaluate("() => told.imaged(told.scene)"))
     wanted = 255 * linear_to_srgb(texture.sample(points, width=1 / SIZE).reshape(SIZE, SIZE, 3))
     assert np.abs(found - wanted).max() <= 2.0
 
@@ -90,7 +90,7 @@ def test_models_of_gltf_and_instances_show_the_same(page, tmp_path):
         }"""
     )
     own, other, many = (
-        codes(page.evaluate(f"() => told.pictured(told.scenes[{n}], told.view)")) for n in range(3)
+        codes(page.evaluate(f"() => told.imaged(told.scenes[{n}], told.view)")) for n in range(3)
     )
     assert (own > 0).any(axis=2).mean() > 0.4
     assert np.percentile(np.abs(own - other), 99) <= 2
@@ -109,7 +109,7 @@ def test_models_that_carry_their_octree_show_it(page, tmp_path, ending):
     octex.write_model(octex.bake_vertices(texture, posed), tmp_path / "posed.glb", octree=texture)
     page.evaluate(
         """() => {
-          const { THREE, GLTFLoader, GLTFOctreeTexture, pictured } = told;
+          const { THREE, GLTFLoader, GLTFOctreeTexture, imaged } = told;
           told.seen = async (name, knows) => {
             const loader = new GLTFLoader();
             if (knows) loader.register((parser) => new GLTFOctreeTexture(parser));
@@ -122,7 +122,7 @@ def test_models_that_carry_their_octree_show_it(page, tmp_path, ending):
               if (mesh.isMesh) mesh.material.side = THREE.DoubleSide;
             });
             const light = new THREE.AmbientLight(0xffffff, Math.PI);
-            return pictured(new THREE.Scene().add(gltf.scene, light));
+            return imaged(new THREE.Scene().add(gltf.scene, light));
           };
         }"""
     )
@@ -147,7 +147,7 @@ def test_mirrored_sheets_show_the_side_that_is_seen(page, tmp_path):
           const loaded = await told.read("/sheet.octw");
           told.unlit(loaded);
           loaded.group.children[0].material.side = told.THREE.FrontSide;
-          return ({three.TURNED})(told.THREE, loaded.group.children[0], told.pictured);
+          return ({three.TURNED})(told.THREE, loaded.group.children[0], told.imaged);
         }}"""
     )
     np.testing.assert_allclose(np.array(seen)[:, :3], [three.RED] * 4 + [three.BLUE] * 4, atol=4)
@@ -160,13 +160,13 @@ def test_one_material_may_serve_several_meshes_and_own_colours_do_not_count(page
     wanted = 255 * linear_to_srgb(texture.sample([[32.5 / SIZE, 32.5 / SIZE, 0.3]], width=1 / SIZE))[0]
     seen = page.evaluate(
         """async () => {
-          const { THREE, read, pictured } = told, { textures: [texture], group } = await read("/square.octw");
+          const { THREE, read, imaged } = told, { textures: [texture], group } = await read("/square.octw");
           const [mesh] = group.children;
           const shared = new THREE.MeshBasicMaterial({ color: 0x333333, vertexColors: true });
           mesh.geometry.setAttribute("color", new THREE.BufferAttribute(new Float32Array(12).fill(0.2), 3));
           group.add(new THREE.Mesh(mesh.geometry, shared));
           texture.applyToObject(group, () => shared);
-          return pictured(new THREE.Scene().add(group)).slice(4 * (32 * 64 + 32), 4 * (32 * 64 + 32) + 3);
+          return imaged(new THREE.Scene().add(group)).slice(4 * (32 * 64 + 32), 4 * (32 * 64 + 32) + 3);
         }"""
     )
     np.testing.assert_allclose(seen, wanted, atol=4)
@@ -176,14 +176,14 @@ def test_a_texture_of_one_value_draws_as_the_material_does(page, tmp_path):
     """With lights, shadows, fog, instances and a skin: three's own material of that value is the measure."""
     three.write_plain_ball(tmp_path / "ball.octw")
     asked = """async () => {
-      const { THREE, read, renderer, pictured } = told, scene = %s;
+      const { THREE, read, renderer, imaged } = told, scene = %s;
       const { group, textures: [texture] } = await read("/ball.octw");
       renderer.shadowMap.enabled = true;
       const material = texture.applyTo(new THREE.MeshStandardMaterial());
-      return scene(THREE, group.children[0].geometry, material).map((each) => pictured(...each));
+      return scene(THREE, group.children[0].geometry, material).map((each) => imaged(...each));
     }"""
     found, wanted, still = map(codes, page.evaluate(asked % three.SCENES))
-    assert len(np.unique(wanted.reshape(-1, 3), axis=0)) > 500  # it is a picture with light in it
+    assert len(np.unique(wanted.reshape(-1, 3), axis=0)) > 500  # it is an image with light in it
     assert np.abs(found - wanted).max() <= 2.0
     assert (np.abs(found - still).max(axis=2) > 20).mean() > 0.02
 
@@ -193,7 +193,7 @@ def noise(points):
     return np.random.default_rng(1).random((len(points), 3))
 
 
-def test_the_first_bytes_show_a_picture(page, tmp_path):
+def test_the_first_bytes_show_an_image(page, tmp_path):
     """Coarse levels, while all that lies behind the first 100,000 bytes has not come; then the others."""
     surface = square().with_sources({"base_color": lambda p: 0.7 * waves(p) + 0.3 * noise(p)})
     texture = octex.convert(surface, depth=8)
@@ -218,7 +218,7 @@ def test_the_first_bytes_show_a_picture(page, tmp_path):
         if level == 8:
             page.server.gate.set()
             page.evaluate("told.own.complete")
-        found = codes(page.evaluate("told.pictured(told.scene)"))
+        found = codes(page.evaluate("told.imaged(told.scene)"))
         wanted = texture.level(level).sample(points).reshape(SIZE, SIZE, 3)
         assert np.abs(found - 255 * linear_to_srgb(wanted)).max() <= 1.0
     assert len(page.server.asked) <= 4  # the start, and a request for each stream beyond it
@@ -237,7 +237,7 @@ def test_pages_without_workers_read_files_themselves(page, tmp_path):
           }
           for (const kind of [own, undefined, Broken]) {
             globalThis.Worker = kind;
-            seen.push(told.pictured(told.unlit(await told.read("/square.octw"))));
+            seen.push(told.imaged(told.unlit(await told.read("/square.octw"))));
           }
           globalThis.Worker = own;
           return seen;
@@ -247,12 +247,12 @@ def test_pages_without_workers_read_files_themselves(page, tmp_path):
     assert np.ptp(codes(seen[0])) > 100
 
 
-def test_a_lost_context_comes_back_with_its_picture(page, tmp_path):
+def test_a_lost_context_comes_back_with_its_image(page, tmp_path):
     surface = square()
     write_page(octex.convert(surface, depth=5, max_error=20.0), tmp_path / "square.octw", surface)
     before, lost, after = page.evaluate(
         """async () => {
-          const scene = told.unlit(await told.read("/square.octw")), pictures = [told.pictured(scene)];
+          const scene = told.unlit(await told.read("/square.octw")), images = [told.imaged(scene)];
           const canvas = told.renderer.domElement, gl = told.renderer.getContext();
           const lose = gl.getExtension("WEBGL_lose_context");
           const turns = (name) => new Promise((resolve) => {
@@ -262,9 +262,9 @@ def test_a_lost_context_comes_back_with_its_picture(page, tmp_path):
             const turned = turns(`webglcontext${name}`);
             lose[act]();
             await turned;
-            pictures.push(told.pictured(scene));
+            images.push(told.imaged(scene));
           }
-          return pictures;
+          return images;
         }"""
     )
     assert before == after
@@ -280,7 +280,7 @@ def test_a_gpu_whose_textures_are_too_small_is_told(page, tmp_path):
           const scene = told.unlit(await told.read("/square.octw")), { capabilities } = told.renderer;
           capabilities.maxTextureSize = 2048;
           try {
-            told.pictured(scene);
+            told.imaged(scene);
           } catch ({ message }) {
             return message;
           }

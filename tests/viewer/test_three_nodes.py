@@ -26,7 +26,7 @@ const begin = async (forceWebGL) => {
   await renderer.init();
   renderer.setRenderTarget(target);
   told.renderer = renderer;
-  told.pictured = async (scene, view = camera) => {
+  told.imaged = async (scene, view = camera) => {
     renderer.render(scene, view);
     return Array.from(await renderer.readRenderTargetPixelsAsync(target, 0, 0, 64, 64));
   };
@@ -52,7 +52,7 @@ def page(browser, tmp_path, request):
 
 
 def light(page, found):
-    """Return a picture's linear values (height, width, 3), the lowest row first."""
+    """Return an image's linear values (height, width, 3), the lowest row first."""
     rows = np.array(found).reshape(SIZE, SIZE, 4)[..., :3]
     return rows[::-1] if page.backend == "webgpu" else rows
 
@@ -66,11 +66,11 @@ def test_pixels_are_samples(page, tmp_path, max_error):
     for filter in ("nearest", "linear", "quadratic"):
         for footprints in (False, True):
             asked = """([filter, footprints]) => {
-              const { THREE, own: { textures: [texture], group }, applyNodes, pictured } = told;
+              const { THREE, own: { textures: [texture], group }, applyNodes, imaged } = told;
               Object.assign(texture, { filter, footprints });
               const material = new THREE.MeshBasicMaterial({ side: THREE.DoubleSide });
               texture.mesh.material = applyNodes(texture, material);
-              return pictured(new THREE.Scene().add(group));
+              return imaged(new THREE.Scene().add(group));
             }"""
             found = light(page, page.evaluate(asked, [filter, footprints]))
             width = {"width": 1 / SIZE} if footprints else {}
@@ -86,10 +86,10 @@ def test_sheets_show_the_side_that_is_seen_with_alpha(page, tmp_path):
     write_page(texture, tmp_path / "sheet.octw", sheet)
     seen = page.evaluate(
         f"""async () => {{
-          const {{ THREE, read, applyNodes, pictured }} = told;
+          const {{ THREE, read, applyNodes, imaged }} = told;
           const {{ textures: [texture] }} = await read("/sheet.octw");
           texture.mesh.material = applyNodes(texture, new THREE.MeshBasicNodeMaterial());
-          return ({three.TURNED})(THREE, texture.mesh, pictured);
+          return ({three.TURNED})(THREE, texture.mesh, imaged);
         }}"""
     )
     alpha = 128 / 255
@@ -111,7 +111,7 @@ def test_lit_models_look_as_by_webglrenderer(page, tmp_path):
     write_page(octex.convert(flat, depth=4), tmp_path / "flat.octw", flat)
     own, plain, lit, tilted = page.evaluate(
         """async () => {
-          const { THREE, read, applyNodes, pictured } = told, pictures = [];
+          const { THREE, read, applyNodes, imaged } = told, images = [];
           const sun = () => {
             const light = new THREE.DirectionalLight(0xffffff, 2);
             light.position.set(1.5, 2, 3);
@@ -127,7 +127,7 @@ def test_lit_models_look_as_by_webglrenderer(page, tmp_path):
           const sky = () => new THREE.HemisphereLight(0xaabbff, 0x443322, 1);
           for (const material of [ownOne, other]) {
             mesh.material = material;
-            pictures.push(await pictured(new THREE.Scene().add(mesh, sun(), sky()), view));
+            images.push(await imaged(new THREE.Scene().add(mesh, sun(), sky()), view));
           }
           const flat = await read("/flat.octw"), toward = new THREE.DirectionalLight(0xffffff, 3);
           toward.position.set(0, 0, 1);
@@ -135,9 +135,9 @@ def test_lit_models_look_as_by_webglrenderer(page, tmp_path):
             applyNodes(flat.textures[0], flat.textures[0].mesh.material);
             if (!has) flat.textures[0].mesh.material.normalNode = null;
             flat.textures[0].mesh.material.roughness = 1;
-            pictures.push(await pictured(new THREE.Scene().add(flat.group, toward)));
+            images.push(await imaged(new THREE.Scene().add(flat.group, toward)));
           }
-          return pictures;
+          return images;
         }"""
     )
     found, wanted = light(page, own), light(page, plain)
@@ -152,15 +152,15 @@ def test_a_texture_of_one_value_draws_as_the_material_does(page, tmp_path):
     """With lights, shadows, fog, instances and a skin: three's own material of that value is the measure."""
     three.write_plain_ball(tmp_path / "ball.octw")
     asked = """async () => {
-      const { THREE, read, applyNodes, renderer, pictured } = told, scenes = %s;
-      const { group, textures: [texture] } = await read("/ball.octw"), pictures = [];
+      const { THREE, read, applyNodes, renderer, imaged } = told, scenes = %s;
+      const { group, textures: [texture] } = await read("/ball.octw"), images = [];
       renderer.shadowMap.enabled = true;
       const material = applyNodes(texture, new THREE.MeshStandardNodeMaterial());
       const { geometry } = group.children[0];
-      for (const each of scenes(THREE, geometry, material)) pictures.push(await pictured(...each));
-      return pictures;
+      for (const each of scenes(THREE, geometry, material)) images.push(await imaged(...each));
+      return images;
     }"""
     found, wanted, still = (light(page, each) for each in page.evaluate(asked % three.SCENES))
-    assert len(np.unique(wanted.reshape(-1, 3), axis=0)) > 500  # it is a picture with light in it
+    assert len(np.unique(wanted.reshape(-1, 3), axis=0)) > 500  # it is an image with light in it
     assert 255 * np.abs(linear_to_srgb(found) - linear_to_srgb(wanted)).max() <= 2.0
     assert (np.abs(found - still).max(axis=2) > 0.05).mean() > 0.02

@@ -166,13 +166,13 @@ def page(shared):
 
 
 def sharp(page):
-    """The picture, once it stands still."""
+    """The image, once it stands still."""
     page.evaluate("viewer.invalidate()")
     page.wait_for_function("viewer.isSharp && !viewer.frameRequest", timeout=60_000)
     return page.locator("canvas").screenshot()
 
 
-def test_each_control_changes_the_picture_and_the_first_view_comes_back(page):
+def test_each_control_changes_the_image_and_the_first_view_comes_back(page):
     canvas = page.locator("canvas")
     canvas.focus()
     page.keyboard.press("0")
@@ -193,25 +193,25 @@ def test_each_control_changes_the_picture_and_the_first_view_comes_back(page):
         page.mouse.move(box["x"] + 100, box["y"] + 100)
         page.mouse.down(button=button)
         page.mouse.move(box["x"] + 140, box["y"] + 120)
-        assert page.evaluate("held") is True  # sharp pictures wait longer
+        assert page.evaluate("held") is True  # sharp images wait longer
         page.mouse.up(button=button)
         assert sharp(page) != before
         page.evaluate("viewer.camera.reset(0.55, 0.3)")
     page.mouse.wheel(0, -300)
     assert sharp(page) != before
     page.evaluate("viewer.camera.reset(0.55, 0.3); viewer.invalidate()")
-    pictures = {sharp(page)}
+    images = {sharp(page)}
     for value in ("unlit", "channel base_color", "channel roughness", "depth", "facing"):
         page.select_option("#mode", value)
-        pictures.add(sharp(page))
+        images.add(sharp(page))
     page.select_option("#mode", "unlit")
     page.select_option("#filter", "nearest")
-    pictures.add(sharp(page))
+    images.add(sharp(page))
     page.locator("#level").fill("2")
-    pictures.add(sharp(page))
+    images.add(sharp(page))
     page.check("#cubes")
-    pictures.add(sharp(page))
-    assert len(pictures) == 8  # without emitted light, colours as they are are the channel
+    images.add(sharp(page))
+    assert len(images) == 8  # without emitted light, colours as they are are the channel
 
 
 def test_under_the_cursor_is_the_cell_that_a_lookup_finds(page):
@@ -245,13 +245,13 @@ def test_under_the_cursor_is_the_cell_that_a_lookup_finds(page):
     page.wait_for_function("document.getElementById('cell').textContent.includes('level 3')")
 
 
-def test_pictures_are_drawn_up_to_their_rims(page):
-    """What is seen is drawn in tiles, and the last ones reach beyond the picture."""
-    page.evaluate("viewer.camera.distance *= 0.33")  # the ball fills the picture
+def test_images_are_drawn_up_to_their_rims(page):
+    """What is seen is drawn in tiles, and the last ones reach beyond the image."""
+    page.evaluate("viewer.camera.distance *= 0.33")  # the ball fills the image
     background = np.rint(255 * np.array(page.evaluate("viewer.gpu.background"))[:3])
     for size in ((37, 21), (16, 33), (5, 3), (1, 1)):
-        picture = drawn(page, size, mode="unlit")
-        assert (np.abs(picture - background).max(axis=2) > 2).all(), size
+        image = drawn(page, size, mode="unlit")
+        assert (np.abs(image - background).max(axis=2) > 2).all(), size
 
 
 def test_the_file_loads_nothing_and_obeys_its_own_policy(browser, small):

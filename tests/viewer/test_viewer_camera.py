@@ -7,9 +7,9 @@ import octex
 from octex.viewer import Viewer, write_page
 from tests.make.painted import ball
 
-#: What a place of the picture sees, as a position at rest; null beside the model.
+#: What a place of the image sees, as a position at rest; null beside the model.
 _SEEN = "(at) => viewer.surfaceAt(...at)"
-#: Presses a key many times, without a picture in between.
+#: Presses a key many times, without an image in between.
 _PRESSED = """([key, times]) => {
   for (let n = 0; n < times; n++) viewer.canvas.dispatchEvent(new KeyboardEvent("keydown", { key }));
 }"""

@@ -90,8 +90,8 @@ def test_the_legend_names_the_colours_that_are_drawn(painted):
         colors = [[int(n) for n in text[4:-1].split(",")] for text in page.evaluate(swatches)]
         ways = np.array(colors, float)
         ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-        picture = drawn(page, (160, 120)).reshape(-1, 3).astype(float)
-        seen = picture[np.abs(picture - picture[0]).max(axis=1) > 2]
+        image = drawn(page, (160, 120)).reshape(-1, 3).astype(float)
+        seen = image[np.abs(image - image[0]).max(axis=1) > 2]
         seen /= np.linalg.norm(seen, axis=1, keepdims=True)  # faces are shaded
         apart = np.linalg.norm(seen[:, None] - ways, axis=2).min(axis=1)
         assert np.median(apart) < 0.02

@@ -31,7 +31,7 @@ def panes(alphas):
 
 
 def middle(opens, surface, path):
-    """Return the colour in the middle of the picture, without light, and what a pick finds there."""
+    """Return the colour in the middle of the image, without light, and what a pick finds there."""
     write_page(octex.convert(surface, depth=5), path, surface)
     page = opens(path, (912, 480))
     page.evaluate("viewer.camera.reset(0, 0)")

@@ -1,4 +1,4 @@
-"""Studio light in the page: it looks as in the library's own pictures."""
+"""Studio light in the page: it looks as in the library's own images."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def test_studio_light_is_the_same_in_the_page_and_in_previews(names, opens, tmp_
     surface = made(names)
     texture = octex.convert(surface, depth=6)
     write_page(texture, tmp_path / "page.html", surface)
-    page = opens(tmp_path / "page.html", (912, 480))  # the picture is 4:3
+    page = opens(tmp_path / "page.html", (912, 480))  # the image is 4:3
     seen = Probe(page, texture, SIZE).seen.reshape(SIZE[1], SIZE[0])[::-1]
     found = drawn(page, SIZE).astype(int)
     look = texture_shader(texture, materials=True)

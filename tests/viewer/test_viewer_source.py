@@ -58,14 +58,14 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     surface = two_images(tmp_path / "two.glb")
     write_page(octex.convert(surface, depth=2), tmp_path / "two.html", surface)
     page = opens(tmp_path / "two.html", (900, 480))
-    picture = lambda: page.locator("canvas").screenshot()  # noqa: E731
+    image = lambda: page.locator("canvas").screenshot()  # noqa: E731
     page.evaluate("viewer.camera.reset(0, 0); viewer.invalidate()")
-    pictures = []
+    images = []
 
     def sharp():
         page.evaluate("viewer.invalidate()")
         page.wait_for_function("viewer.isSharp && !viewer.frameRequest", timeout=60_000)
-        pictures.append(picture())
+        images.append(image())
 
     sharp()
     page.check("#compare")
@@ -88,13 +88,13 @@ def test_the_divider_is_moved_by_mouse_and_keys_and_shows_the_source_on_its_left
     lose_gpu(page)
     restore_gpu(page)
     sharp()
-    assert pictures.pop() == pictures[-1]  # images are there again
+    assert images.pop() == images[-1]  # images are there again
     divider.press("Home")
     page.uncheck("#compare")
     assert not divider.is_visible()
     sharp()
-    assert pictures[0] == pictures[4]
-    assert len(set(pictures)) == 4
+    assert images[0] == images[4]
+    assert len(set(images)) == 4
 
 
 @pytest.fixture(scope="module")

@@ -188,7 +188,7 @@ def filters(setup: Setup) -> None:
 
 
 def _images(rng: np.random.Generator, side: int) -> dict[str, npt.NDArray[np.uint8]]:
-    """Return what fades with frequency, as pictures do, with hard edges and without."""
+    """Return what fades with frequency, as images do, with hard edges and without."""
     frequencies = np.hypot(*np.meshgrid(np.fft.fftfreq(side), np.fft.fftfreq(side)))
     frequencies[0, 0] = 1.0
     pink = np.fft.ifft2(np.fft.fft2(rng.normal(size=(side, side))) / frequencies).real

@@ -1,8 +1,8 @@
-"""What a ring of pictures gives back when it is disturbed: exposures, strangers, cameras a little off, noise.
+"""What a ring of images gives back when it is disturbed: exposures, strangers, cameras a little off, noise.
 
 Each time it is painted as an average, and then as well as octex can: robust, balanced, with refined cameras.
 
-Picture 0 is never exposed otherwise and its camera is never moved: it says how light the whole is, and where.
+Image 0 is never exposed otherwise and its camera is never moved: it says how light the whole is, and where.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tests.make.painted import codes
 
 Array = npt.NDArray[Any]
 
-#: Which pictures a stranger stands in, and how much of each it hides.
+#: Which images a stranger stands in, and how much of each it hides.
 STRANGERS, HIDDEN = (1, 5, 8), 0.1
 #: What of light is lost in the corners, at most.
 _VIGNETTING = 0.4
@@ -31,28 +31,28 @@ _NOISE = 4.0
 
 
 class Ring(NamedTuple):
-    """Pictures, linear light and alpha (height, width, 4), and what their cameras are taken to be."""
+    """Images, linear light and alpha (height, width, 4), and what their cameras are taken to be."""
 
-    pictures: Sequence[Array]
+    images: Sequence[Array]
     cameras: Sequence[octex.Camera]
 
     def projections(self) -> list[octex.Projection]:
         """Return what is painted."""
-        return [octex.Projection(*pair) for pair in zip(self.pictures, self.cameras, strict=True)]
+        return [octex.Projection(*pair) for pair in zip(self.images, self.cameras, strict=True)]
 
 
 def exposed(ring: Ring) -> Ring:
-    """Gains of ± 30 %, white balance of ± 10 %, and vignetting, other for each picture."""
+    """Gains of ± 30 %, white balance of ± 10 %, and vignetting, other for each image."""
     random = np.random.default_rng(10)
     made = []
-    for number, (picture, camera) in enumerate(zip(ring.pictures, ring.cameras, strict=True)):
+    for number, (image, camera) in enumerate(zip(ring.images, ring.cameras, strict=True)):
         gain = random.uniform(0.7, 1.3) * random.uniform(0.9, 1.1, 3)
         lost = random.uniform(0.0, _VIGNETTING)
         if number == 0:
             gain, lost = np.ones(3), 0.0
-        made.append(picture * np.append(gain, 1).astype(np.float32))
+        made.append(image * np.append(gain, 1).astype(np.float32))
         made[-1][..., :3] *= 1 - np.float32(lost) * _radii(camera)[..., None] ** 2
-    return ring._replace(pictures=made)
+    return ring._replace(images=made)
 
 
 def _radii(camera: octex.Camera) -> Array:
@@ -63,26 +63,26 @@ def _radii(camera: octex.Camera) -> Array:
 
 
 def visited(ring: Ring) -> tuple[Ring, list[Array]]:
-    """Put an opaque striped disc into some pictures; return also where it is in each (height, width)."""
+    """Put an opaque striped disc into some images; return also where it is in each (height, width)."""
     random = np.random.default_rng(11)
     made, hidden = [], []
-    for number, picture in enumerate(ring.pictures):
-        there = np.zeros(picture.shape[:2], np.bool_)
-        picture = picture.copy()
+    for number, image in enumerate(ring.images):
+        there = np.zeros(image.shape[:2], np.bool_)
+        image = image.copy()
         if number in STRANGERS:
             height, width = there.shape
-            rows, columns = np.nonzero(picture[..., 3])
+            rows, columns = np.nonzero(image[..., 3])
             at = random.integers(rows.size)
             y, x = np.mgrid[:height, :width]
             across, along = x - columns[at], y - rows[at]
             there = np.hypot(across, along) < np.sqrt(HIDDEN * width * height / np.pi)
             colors = random.uniform(0.02, 0.8, (2, 3)).astype(np.float32)
             stripes = (np.sin((across + 2 * along) * 40 / width) > 0).astype(int)
-            picture[there, :3] = colors[stripes[there]]
-            picture[there, 3] = 1
-        made.append(picture)
+            image[there, :3] = colors[stripes[there]]
+            image[there, 3] = 1
+        made.append(image)
         hidden.append(there)
-    return ring._replace(pictures=made), hidden
+    return ring._replace(images=made), hidden
 
 
 def moved(ring: Ring, surface: octex.Surface, pixels: float) -> Ring:
@@ -115,15 +115,15 @@ def _rotation(angles: Array) -> Array:
 
 
 def noisy(ring: Ring) -> Ring:
-    """Add noise to the codes of pictures."""
+    """Add noise to the codes of images."""
     random = np.random.default_rng(13)
     made = []
-    for picture in ring.pictures:
-        encoded = linear_to_srgb(np.clip(picture[..., :3], 0, 1))
+    for image in ring.images:
+        encoded = linear_to_srgb(np.clip(image[..., :3], 0, 1))
         encoded = encoded + random.normal(0, _NOISE / 255, encoded.shape)
-        made.append(picture.copy())
+        made.append(image.copy())
         made[-1][..., :3] = srgb_to_linear(np.clip(encoded, 0, 1))
-    return ring._replace(pictures=made)
+    return ring._replace(images=made)
 
 
 def shifts(cameras: Sequence[octex.Camera], truth: Sequence[octex.Camera], points: Points) -> Array:
@@ -145,7 +145,7 @@ _OPTIONS: Mapping[str, tuple[Mapping[str, Any], bool]] = {
 }
 #: Ghosts differ by more than this, in 1/255, from the clean ring.
 _GHOST = 8.0
-#: Ghosts are sought at points that so many pictures see, and at most so many of them disturbed.
+#: Ghosts are sought at points that so many images see, and at most so many of them disturbed.
 _SEEN, _DISTURBED = 4, 1
 
 
@@ -154,7 +154,7 @@ class Points(NamedTuple):
 
     samples: Any
     truth: Array  # (n, components), in 1/255
-    seen: Array  # (pictures, n), whether a picture sees a point
+    seen: Array  # (images, n), whether an image sees a point
 
 
 def disturbed(
@@ -162,7 +162,7 @@ def disturbed(
 ) -> None:
     """Paint a ring disturbed, as an average and as well as octex can; print a table.
 
-    "shown" are decibels at points that a picture shows: strangers do not hide them in all.
+    "shown" are decibels at points that an image shows: strangers do not hide them in all.
     """
 
     def painted(given: Ring, **options: Any) -> tuple[Array, float]:
@@ -172,11 +172,11 @@ def disturbed(
 
     clean, _ = painted(ring)
     rows = []
-    for what, (given, hidden) in disturbances(ring.pictures, ring.cameras, surface).items():
+    for what, (given, hidden) in disturbances(ring.images, ring.cameras, surface).items():
         options, refines = _OPTIONS[what]
         if setup.quick and what not in ("strangers", "all together"):
             continue  # all together goes the same ways
-        averaged = painted(given, pictures="average")[1]
+        averaged = painted(given, fusion="average")[1]
         off = ["", ""]
         began = process_time()
         if refines:
@@ -199,7 +199,7 @@ def disturbed(
 
 
 def _hiding(ring: Ring, hidden: Sequence[Array], points: Points) -> Array:
-    """Return in how many of the pictures that see a point a stranger hides it (n,)."""
+    """Return in how many of the images that see a point a stranger hides it (n,)."""
     count = np.zeros(points.seen.shape[1], np.int64)
     for camera, there, seen in zip(ring.cameras, hidden, points.seen, strict=True):
         pixels, _ = camera.project(points.samples.points)
@@ -209,10 +209,10 @@ def _hiding(ring: Ring, hidden: Sequence[Array], points: Points) -> Array:
 
 
 def disturbances(
-    pictures: Sequence[Array], cameras: Sequence[octex.Camera], surface: octex.Surface
+    images: Sequence[Array], cameras: Sequence[octex.Camera], surface: octex.Surface
 ) -> Mapping[str, tuple[Ring, Sequence[Array] | None]]:
     """Return the ring as it is disturbed, by what, and where strangers are."""
-    clean = Ring(pictures, cameras)
+    clean = Ring(images, cameras)
     strangers, hidden = visited(clean)
     all_of_it, _ = visited(exposed(moved(clean, surface, 1.5)))
     return {

@@ -112,7 +112,7 @@ def _png_bytes(leaves: int, path: Path) -> int:
 
 
 def mapped(setup: Setup) -> None:
-    """Memory that lookups in a file take, and what pictures read of a file that is not in the cache."""
+    """Memory that lookups in a file take, and what images read of a file that is not in the cache."""
     depth, count, sizes = (6, 2000, (20, 64)) if setup.quick else (10, 2_000_000, (20, 256, 1024))
     path = setup.folder / "sphere.octex"
     texture = sphere_texture(depth)
@@ -124,8 +124,8 @@ def mapped(setup: Setup) -> None:
         line(f"after {count:,} random quadratic lookups", f"{work()['grown'] / leaves:.2f}")
     sphere_texture(depth + 1).save(path)
     for n in sizes:
-        with task(setup, "picture", pin=False, path=str(path), pixels=n) as work:
+        with task(setup, "image", pin=False, path=str(path), pixels=n) as work:
             found = work()
         read_ = f"{found['touched'] / 1e6:.2f} MB of {path.stat().st_size / 1e6:.1f} in {found['wall']:.3f} s"
-        line(f"read by a picture of {n}²", read_)
+        line(f"read by an image of {n}²", read_)
     path.unlink()

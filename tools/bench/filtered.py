@@ -16,7 +16,7 @@ WIDTHS = {f"{4**n}": 4.0**n for n in range(7)} | {"5.66": 32**0.5, "22.6": 512**
 
 
 def far(setup: Setup) -> None:
-    """Pictures of few pixels of a painted sphere, beside the true averages of the field."""
+    """Images of few pixels of a painted sphere, beside the true averages of the field."""
     depth, fine = (6, 160) if setup.quick else (10, 2560)
     texture = painted_sphere(depth)
     title(f"far: painted sphere, {1 << depth} cells along an edge, RMS errors in 1/255")

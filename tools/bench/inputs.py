@@ -91,7 +91,7 @@ def scattered_on_sphere(count: int) -> npt.NDArray[np.float32]:
 
 
 class View(NamedTuple):
-    """What the pixels of a picture see, row by row."""
+    """What the pixels of an image see, row by row."""
 
     hit: Array  # (pixels,)   which see the sphere
     points: Array  # (hits, 3)
@@ -100,7 +100,7 @@ class View(NamedTuple):
 
 
 def view(height: int, width: int | None = None) -> View:
-    """Look at the sphere, which just fits into the picture."""
+    """Look at the sphere, which just fits into the image."""
     width = height if width is None else width
     distance = np.linalg.norm(0.5 - EYE)
     forward = (0.5 - EYE) / distance

@@ -38,16 +38,16 @@ class _Case(NamedTuple):
     side: int  # of the dual grid with about as many triangles
     triangles: int  # of the light model; 0: only an atlas is made
     size: int  # of its images
-    picture: int = 512  # pixels along the sides of pictures
+    image: int = 512  # pixels along the sides of images
 
 
-_QUICK = (_Case(3, 24, 300, 128, picture=64),)
+_QUICK = (_Case(3, 24, 300, 128, image=64),)
 #: The first is one with which xatlas ends.
 _CASES = _Case(6, 131, 0, 1024), _Case(7, 263, 50_000, 2048), _Case(8, 526, 100_000, 4096)
 
 
 def light(setup: Setup) -> None:
-    """Lay out and bake meshes like those of scanners and generators, and compare pictures of both."""
+    """Lay out and bake meshes like those of scanners and generators, and compare images of both."""
     title("light: atlases, and models of few triangles, of a noisy ball and of a generated mesh")
     path, depth = setup.folder / "generated.npz", 5 if setup.quick else 10
     for case in _QUICK if setup.quick else _CASES:
@@ -118,7 +118,7 @@ def _model(
     wanted = codes(texture.sample(surface.rest_at(nearest.triangles, nearest.barycentric)))
     found = codes(made.evaluate(points))
     wrong = 100.0 * float((np.abs(found - wanted) > _WRONG).any(axis=1).mean())
-    lit, off = _pictures(texture, surface, made, case.picture)
+    lit, off = _images(texture, surface, made, case.image)
     octex.write_model(octex.bake_vertices(texture, surface), path.with_suffix(".ply"))  # for suns.py
     line(f"{name}, {len(surface.triangles):,} → {len(made.triangles):,} triangles, {case.size}²", spent)
     line("  file", f"{path.stat().st_size / 1e6:.1f} MB")
@@ -130,10 +130,10 @@ def _model(
         line("  beside the exact surface (99.9 %) and colours", f"{far:.2f} voxels, {back:.1f} dB")
 
 
-def _pictures(
+def _images(
     texture: octex.OctreeTexture, surface: octex.Surface, made: octex.Surface, pixels: int
 ) -> tuple[float, int]:
-    """Return how alike lit pictures are inside, in dB, and how many pixels apart the silhouettes.
+    """Return how alike lit images are inside, in dB, and how many pixels apart the silhouettes.
 
     A pixel is in a silhouette if half of it is covered.
     """

@@ -1,4 +1,4 @@
-"""Benchmarks of painting: what a ring of pictures gives back, what a picture costs, and processing."""
+"""Benchmarks of painting: what a ring of images gives back, what an image costs, and processing."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ _TOWARD = (0.3, 0.5, 1.0)
 
 
 def ring(setup: Setup) -> None:
-    """Twelve pictures of a model painted onto its bare mesh, as they are and disturbed."""
+    """Twelve images of a model painted onto its bare mesh, as they are and disturbed."""
     size, count = (24, 500) if setup.quick else (1024, 200_000)
-    title(f"ring: 12 pictures of {size}² pixels, unlit, painted onto the bare mesh; cells as wide as pixels")
+    title(f"ring: 12 images of {size}² pixels, unlit, painted onto the bare mesh; cells as wide as pixels")
     for constant in ("_POINTS", "_COARSE", "_TELLING", "_MOST", "_TRIES") if setup.quick else ():
         setattr(refine, constant, getattr(refine, constant) // 20)
     for name, surface in _models(setup):
         cameras = _around(setup, surface, size)
-        pictures = [_picture(surface, camera) for camera in cameras]
+        images = [_image(surface, camera) for camera in cameras]
         hits = [each for c in cameras for _, each in visible_hits(surface, c, rest_normals(surface))]
         width = float(np.concatenate([each.width for each in hits]).mean())
         depth = int(np.round(np.log2(np.ptp(surface.bounds, axis=0).max() / width)))
         samples = surface.scatter(count, seed=3)
         seen = _seen(surface, cameras, samples)
         truth = painted.codes(octex.convert(surface, depth).sample(samples.rest, normals=samples.normals))
-        given, rows = Ring(pictures, cameras), []
+        given, rows = Ring(images, cameras), []
         for mode in ("average", "robust", "best"):
-            paint = partial(octex.paint, None, surface, given.projections(), max_depth=depth, pictures=mode)
+            paint = partial(octex.paint, None, surface, given.projections(), max_depth=depth, fusion=mode)
             spent, texture = timed(paint)
             found = painted.codes(texture.sample(samples.rest, normals=samples.normals))
             missed = 100 * float((~texture.contains(samples.rest))[seen].mean())
@@ -64,16 +64,16 @@ def _models(setup: Setup) -> Iterator[tuple[str, octex.Surface]]:
 
 
 def whole(setup: Setup) -> None:
-    """Twelve pictures of a model, painted onto its bare mesh, baked to a .glb, read back beside the model."""
+    """Twelve images of a model, painted onto its bare mesh, baked to a .glb, read back beside the model."""
     size, side, count = (24, 256, 500) if setup.quick else (1024, 2048, 200_000)
-    title(f"whole: 12 pictures of {size}² pixels painted onto the bare mesh, baked {side}², as a .glb")
+    title(f"whole: 12 images of {size}² pixels painted onto the bare mesh, baked {side}², as a .glb")
     name, path, _ = next(
         (each for each in setup.models() if each[0].startswith("BoomBox")), next(setup.models())
     )
     model = colors_of(path)
     bare = octex.Surface.from_arrays(model.vertices, model.triangles)
     cameras = _around(setup, model, size)
-    shots = [octex.Projection(_picture(model, camera), camera) for camera in cameras]
+    shots = [octex.Projection(_image(model, camera), camera) for camera in cameras]
     written = setup.folder / "whole.glb"
     for _ in range(1 if setup.quick else 2):  # the second is warm
         paint, texture = timed(lambda: octex.paint(None, bare, shots))
@@ -93,13 +93,13 @@ def whole(setup: Setup) -> None:
 
 
 def painting(setup: Setup) -> None:
-    """One picture onto a large model, and a small one onto a large texture; wall time."""
+    """One image onto a large model, and a small one onto a large texture; wall time."""
     around, across, depth, size = (60, 30, 6, (192, 108)) if setup.quick else (1024, 512, 10, (1920, 1080))
     surface = painted_torus(around, across, 256)
     texture = octex.convert(surface, depth)
     title(f"painting: {len(surface.triangles):,} triangles, {texture.tree.n_leaves:,} leaves, all cores")
     camera = octex.Camera.fitted(surface.vertices, _TOWARD, size=size)
-    shot = octex.Projection(_picture(surface, camera), camera)
+    shot = octex.Projection(_image(surface, camera), camera)
     middle = surface.vertices[np.argmax(surface.vertices @ _TOWARD)]
     corners = middle + 0.08 * (np.random.default_rng(0).random((50, 3)) - 0.5)
     patch = octex.Camera.fitted(corners, _TOWARD, size=(256, 256))
@@ -117,7 +117,7 @@ def painting(setup: Setup) -> None:
 
 
 def _beside_open3d(setup: Setup, depth: int) -> None:
-    """Paint a picture onto 100 k triangles; Open3D projects it into an image of 2048² texels."""
+    """Paint an image onto 100 k triangles; Open3D projects it into an image of 2048² texels."""
     vertices, triangles, uv = torus(316, 158)
     surface = octex.Surface.from_arrays(vertices, triangles)
     camera = octex.Camera.fitted(surface.vertices, _TOWARD, size=(1920, 1080))
@@ -154,9 +154,9 @@ def _around(setup: Setup, surface: octex.Surface, size: int) -> list[octex.Camer
     return [octex.Camera.fitted(surface.vertices, each, size=(size, size)) for each in chosen]
 
 
-def _picture(surface: octex.Surface, camera: octex.Camera) -> Array:
+def _image(surface: octex.Surface, camera: octex.Camera) -> Array:
     """Draw a surface unlit, 2 × 2 samples a pixel: linear light, and alpha where it is seen."""
-    fine = painted.picture_of(surface, camera.scaled(2))
+    fine = painted.image_of(surface, camera.scaled(2))
     image = fine.reshape(camera.height, 2, camera.width, 2, 4).sum((1, 3))
     image[..., :3] /= np.maximum(image[..., 3:], 1)
     image[..., 3] = image[..., 3] > 0
@@ -164,7 +164,7 @@ def _picture(surface: octex.Surface, camera: octex.Camera) -> Array:
 
 
 def _seen(surface: octex.Surface, cameras: list[octex.Camera], samples: Any) -> npt.NDArray[np.bool_]:
-    """Say which samples a camera sees, by the triangles in a picture of three times its size."""
+    """Say which samples a camera sees, by the triangles in an image of three times its size."""
     found = np.zeros(len(samples.points), np.bool_)
     for fine in (camera.scaled(3) for camera in cameras):
         triangles = z_buffer(surface.vertices, surface.triangles, fine).triangle

@@ -77,7 +77,7 @@ def look(path: str, level: int) -> Answer:
     return {"cold": cold, "warm": warm, "opened": opened, "look": looked.wall, "touched": touched}
 
 
-def picture(path: str, pixels: int) -> Answer:
+def image(path: str, pixels: int) -> Answer:
     """Open a file that is not in the system's cache, and look at all of the sphere in pixels²."""
     seen = view(pixels)
     drop_from_cache(path)
@@ -119,7 +119,7 @@ def cached_bytes(path: str) -> int:
 
 
 TASKS: dict[str, Callable[..., Answer]] = {
-    each.__name__: each for each in (tree, large, look, picture, resident)
+    each.__name__: each for each in (tree, large, look, image, resident)
 }
 
 

@@ -1,13 +1,13 @@
 #!/usr/bin/env python
 """Bake a model, have Blender draw it unlit, and by the octree itself, and time both programs' bakes.
 
-usage: tools/blender/bake.py PYTHON [MODEL] [--depth 10] [--texture-size 2048] [--picture 512] [--samples 4]
+usage: tools/blender/bake.py PYTHON [MODEL] [--depth 10] [--texture-size 2048] [--image 512] [--samples 4]
 
 PYTHON is that of an environment with PyPI's bpy (5.0.1 is for Python 3.11); it runs worker.py.
 Blender imports the baked .glb and draws its base colour with Cycles: emission, the Standard view transform.
 Blender reads maps without averaging, so that where texels are smaller than pixels one ray a pixel differs by
 aliasing: the whole model is drawn with several, and a part of it from so near that texels are larger than
-pixels, with one. Then an OSL node draws both from the octree. The exit code is 1 if a picture of what was
+pixels, with one. Then an OSL node draws both from the octree. The exit code is 1 if an image of what was
 baked is not within 35 dB of octex's own inside the silhouette, if one of the octree is not within 40, or if
 octex does not bake 4 times as many texels a second as Blender (processor time; the same mesh and maps).
 """
@@ -45,10 +45,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("model", type=Path, nargs="?", default=DROID)
     parser.add_argument("--depth", type=int, default=10)
     parser.add_argument("--texture-size", type=int, default=2048)
-    parser.add_argument("--picture", type=int, default=512)
+    parser.add_argument("--image", type=int, default=512)
     parser.add_argument("--samples", type=int, default=4, help="rays along each side of a pixel")
     parser.add_argument("--direction", type=float, nargs=3, default=(0.5, 0.3, 1.0), metavar=("X", "Y", "Z"))
-    parser.add_argument("--keep", type=Path, help="a folder for both pictures")
+    parser.add_argument("--keep", type=Path, help="a folder for both images")
     options = parser.parse_args(arguments)
     surface = octex.load_surface(options.model, channels=["base_color"], normals=True)
     texture = octex.convert(surface, options.depth)
@@ -57,9 +57,9 @@ def main(arguments: list[str] | None = None) -> int:
     began = time.process_time(), time.perf_counter()
     octex.bake(texture, baked, uv="keep", texture_size=size)
     spent = {"cpu": time.process_time() - began[0], "wall": time.perf_counter() - began[1]}
-    frame = {"direction": options.direction, "size": (options.picture,) * 2}
+    frame = {"direction": options.direction, "size": (options.image,) * 2}
     far = octex.Camera.fitted(surface.vertices, **frame)
-    near = octex.Camera.fitted(beside(baked, far, size, options.picture), **frame)
+    near = octex.Camera.fitted(beside(baked, far, size, options.image), **frame)
     views = {"the whole model": (far, options.samples), "texels larger than pixels": (near, 1)}
     with TemporaryDirectory() as folder:
         model = Path(folder) / "baked.glb"
@@ -74,23 +74,23 @@ def main(arguments: list[str] | None = None) -> int:
             options.python, "bake", model=str(model), texture_size=size, shader=str(shader), **jobs
         )
         drawn = {
-            kind: [np.array(Image.open(each["picture"])).astype(np.float64) for each in own]
+            kind: [np.array(Image.open(each["image"])).astype(np.float64) for each in own]
             for kind, own in jobs.items()
         }
     is_near, share = True, 1.0
     for number, (name, (camera, samples)) in enumerate(views.items()):
         own = view(texture, surface, camera, samples)
-        print(f"{options.model.name}, {name}: {options.picture}² pixels of {samples}² rays")
+        print(f"{options.model.name}, {name}: {options.image}² pixels of {samples}² rays")
         if options.keep is not None:
             Image.fromarray(own.round().astype(np.uint8)).save(options.keep / f"octex-{number}.png")
         for kind, least in DECIBELS.items():
-            picture = drawn[kind][number]
-            inside = (picture[..., 3] == 255) & (own[..., 3] == 255)
-            decibels = 10 * np.log10(255**2 / np.mean((picture[..., :3] - own[..., :3])[inside] ** 2))
+            image = drawn[kind][number]
+            inside = (image[..., 3] == 255) & (own[..., 3] == 255)
+            decibels = 10 * np.log10(255**2 / np.mean((image[..., :3] - own[..., :3])[inside] ** 2))
             covered = inside.sum() / max((own[..., 3] == 255).sum(), 1)
             is_near, share = is_near and decibels >= least, min(share, covered)
             if options.keep is not None:
-                codes = picture.round().astype(np.uint8)
+                codes = image.round().astype(np.uint8)
                 Image.fromarray(codes).save(options.keep / f"{kind}-{number}.png")
             print(
                 f"{kind}: {decibels:.1f} dB inside the silhouette, {100 * covered:.1f} % of it (at least "
@@ -126,11 +126,11 @@ def beside(baked: octex.Surface, far: octex.Camera, size: int, pixels: int) -> n
     return middle + half * np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
 
 
-def job_of(camera: octex.Camera, samples: int, picture: Path) -> dict[str, Any]:
-    """Return a picture to draw, as worker.py reads it."""
+def job_of(camera: octex.Camera, samples: int, image: Path) -> dict[str, Any]:
+    """Return an image to draw, as worker.py reads it."""
     pose = np.linalg.inv(np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.world_to_camera)
     return {
-        "picture": str(picture),
+        "image": str(image),
         "pose": (Z_UP @ pose).tolist(),
         "focal": camera.K[0, 0] / camera.width,
         "pixels": [camera.width, camera.height],

@@ -1,12 +1,12 @@
 #!/usr/bin/env python
-"""Have Blender draw a light model and the full one under six suns, and compare the pictures.
+"""Have Blender draw a light model and the full one under six suns, and compare the images.
 
-usage: tools/blender/suns.py PYTHON LIGHT.glb FULL.ply [--picture 512] [--samples 8] [--keep FOLDER]
+usage: tools/blender/suns.py PYTHON LIGHT.glb FULL.ply [--image 512] [--samples 8] [--keep FOLDER]
 
 PYTHON is that of an environment with PyPI's bpy; it runs worker.py. FULL is a .ply with colours at its
 vertices, or a .glb; `tools/bench light --keep FOLDER` makes both. The suns stand around the camera, 60
 degrees from its view, so that each lights another side. Cycles draws with shadows and bounces. The exit
-code is 1 if a picture is not within 32 dB inside the silhouette, or if silhouettes are over a pixel apart.
+code is 1 if an image is not within 32 dB inside the silhouette, or if silhouettes are over a pixel apart.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ def main() -> int:
     parser.add_argument("python", type=Path)
     parser.add_argument("light", type=Path)
     parser.add_argument("full", type=Path)
-    parser.add_argument("--picture", type=int, default=512)
+    parser.add_argument("--image", type=int, default=512)
     parser.add_argument("--samples", type=int, default=8, help="rays along each side of a pixel")
     parser.add_argument("--sky", type=float, default=0.2, help="light from all around; a sun has 3")
     parser.add_argument("--direction", type=float, nargs=3, default=(1.0, 0.4, 0.7), metavar=("X", "Y", "Z"))
-    parser.add_argument("--keep", type=Path, help="a folder for the pictures")
+    parser.add_argument("--keep", type=Path, help="a folder for the images")
     options = parser.parse_args()
     points = octex.load_surface(options.full).vertices
-    camera = octex.Camera.fitted(points, options.direction, size=(options.picture,) * 2)
+    camera = octex.Camera.fitted(points, options.direction, size=(options.image,) * 2)
     angles = 2 * np.pi * np.arange(SUNS) / SUNS
     around = [np.cos(angles), np.sin(angles), np.full(SUNS, -1.0 / np.tan(FROM_VIEW))]
     suns = np.stack(around, axis=1) @ camera.world_to_camera[:3, :3] @ Z_UP[:3, :3].T
@@ -63,7 +63,7 @@ def main() -> int:
 
 
 def pixels_apart(one: Image.Image, other: Image.Image) -> int:
-    """Return by how many pixels one picture's silhouette must be widened to hold the other's."""
+    """Return by how many pixels one image's silhouette must be widened to hold the other's."""
     held = np.array(other.getchannel("A")) >= 128
     mask = one.getchannel("A").point(lambda alpha: 255 * (alpha >= 128))
     for pixels in range(max(one.size)):

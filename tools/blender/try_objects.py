@@ -215,7 +215,7 @@ def camera_at(place: tuple[float, float, float], chosen: bpy.types.Object) -> bp
 
 
 def seen_at(chosen: bpy.types.Object, camera: bpy.types.Object) -> tuple[np.ndarray, np.ndarray]:
-    """Return where a camera's picture has the corners (n, 2), and which of them it sees well."""
+    """Return where a camera's image has the corners (n, 2), and which of them it sees well."""
     places, seen = [], []
     for loop in chosen.data.loops:
         place = chosen.matrix_world @ chosen.data.vertices[loop.vertex_index].co
@@ -238,12 +238,12 @@ def view(_folder: Path) -> dict[str, Any]:
     bpy.ops.octex.view()
     path = Path(bpy.path.abspath(camera.data.background_images[0].image.filepath))
     told["name"] = path.name
-    picture = np.array(Image.open(path))
-    told["drawn"] = float(np.abs(picture[..., :3][picture[..., 3] == 255].astype(float) - 127.5).max())
+    image = np.array(Image.open(path))
+    told["drawn"] = float(np.abs(image[..., :3][image[..., 3] == 255].astype(float) - 127.5).max())
     told["not painted"] = refusal("photographs")
     rows, columns = slice(SIZE // 2 - 20, SIZE // 2 + 20), slice(SIZE // 2, SIZE // 2 + 40)
-    picture[rows, columns] = (255, 0, 0, 255)
-    Image.fromarray(picture).save(path)
+    image[rows, columns] = (255, 0, 0, 255)
+    Image.fromarray(image).save(path)
     bpy.ops.octex.photographs()
     bpy.ops.octex.colors()
     found = colors(chosen)[:, :3]

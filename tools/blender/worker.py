@@ -70,7 +70,7 @@ def suns(job: dict) -> dict:
         spent[name] = []
         for number, direction in enumerate(job["suns"]):
             sun.rotation_quaternion = mathutils.Vector(direction).to_track_quat("Z", "Y")
-            spent[name] += drawn(scene, [job["view"] | {"picture": f"{job['folder']}/{name}-{number}.png"}])
+            spent[name] += drawn(scene, [job["view"] | {"image": f"{job['folder']}/{name}-{number}.png"}])
     return spent
 
 
@@ -124,7 +124,7 @@ def draw(scene: bpy.types.Scene, job: dict) -> None:
     settings.resolution_x, settings.resolution_y = job["pixels"]
     settings.film_transparent = True
     settings.dither_intensity = 0.0
-    settings.filepath = job["picture"]
+    settings.filepath = job["image"]
     settings.image_settings.file_format = "PNG"
     settings.image_settings.color_mode, settings.image_settings.color_depth = "RGBA", "8"
     scene.cycles.samples = job["samples"] ** 2

@@ -126,7 +126,7 @@ def closes(count: int, seed: int = 0) -> None:
                     answered[name] += 1
 
             page.on("response", heard)
-            box, end = page.locator("#picture").bounding_box(), math.inf
+            box, end = page.locator("#image").bounding_box(), math.inf
             while time.monotonic() < end:
                 x, y = (box["width"] / 2 + random.uniform(-9, 9), box["height"] / 2 + random.uniform(-60, 60))
                 page.mouse.move(x, y)

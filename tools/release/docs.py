@@ -33,7 +33,7 @@ API = {
     "Painting": "paint project merge fill Painter Layers Projection Box Sphere unwrap Patch refine_cameras",
     "Cameras": "Camera read_cameras write_cameras",
     "Processing": "levels curves map mix combine blur crop resize cast",
-    "Pictures": "render write_preview difference Environment",
+    "Images": "render write_preview difference Environment",
     "Baking": "bake bake_vertices finish simplify displace write_model write_ptex write_osl",
     "How to work": "Run",
     "Errors": "OctexError",
@@ -50,22 +50,22 @@ def said(*words: str) -> str:
 def index() -> str:
     """Return README with links that lead into the site."""
     text = (ROOT / "README.md").read_text("utf-8")
-    text = re.sub(r"\(octex/docs/([a-z-]+\.md)\)", r"(\1)", text).replace("(samples/pictures/", "(pictures/")
-    text = text.replace("(octex/formats/FORMAT.md)", "(format.md)").replace("(pictures/)", "(gallery.md)")
-    return re.sub(r"\[([^\]]+)\]\((?:octex/__init__\.py|tools|samples|samples/pictures)\)", r"\1", text)
+    text = re.sub(r"\(octex/docs/([a-z-]+\.md)\)", r"(\1)", text).replace("(samples/images/", "(images/")
+    text = text.replace("(octex/formats/FORMAT.md)", "(format.md)").replace("(images/)", "(gallery.md)")
+    return re.sub(r"\[([^\]]+)\]\((?:octex/__init__\.py|tools|samples|samples/images)\)", r"\1", text)
 
 
 def gallery() -> str:
-    """Return a page of all pictures that the samples draw, with what each script says of itself."""
-    lines = ["# Gallery", "", "The scripts of `samples/` draw these pictures."]
-    pictures = sorted(path.name for path in (ROOT / "samples/pictures").glob("*.png"))
+    """Return a page of all images that the samples draw, with what each script says of itself."""
+    lines = ["# Gallery", "", "The scripts of `samples/` draw these images."]
+    images = sorted(path.name for path in (ROOT / "samples/images").glob("*.png"))
     for script in sorted([*(ROOT / "samples").glob("[0-9]*.py"), *(ROOT / "samples").glob("draw_*.py")]):
         text = script.read_text("utf-8")
-        shown = [name for name in pictures if f'"{name}"' in text]
+        shown = [name for name in images if f'"{name}"' in text]
         if shown:
             title = text.split('"""')[1].split("\n")[0]
             lines += ["", f"## {title}", "", f"`samples/{script.name}`"]
-            lines += [f"\n![{title}](pictures/{name})" for name in shown]
+            lines += [f"\n![{title}](images/{name})" for name in shown]
     return "\n".join(lines)
 
 
@@ -76,7 +76,7 @@ def build(site: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
         pages = Path(name) / "docs"
         shutil.copytree(ROOT / "octex/docs", pages, ignore=shutil.ignore_patterns("__*"))
-        shutil.copytree(ROOT / "samples/pictures", pages / "pictures")
+        shutil.copytree(ROOT / "samples/images", pages / "images")
         shutil.copy(ROOT / "octex/formats/FORMAT.md", pages / "format.md")
         commands = [f"## octex {each}\n\n```text\n{said(each, '--help')}```\n" for each in COMMANDS]
         api = [
@@ -93,7 +93,7 @@ def build(site: Path) -> None:
         for path, text in written.items():
             (pages / path).write_text(text, "utf-8")
         for page in pages.glob("*.md"):
-            page.write_text(page.read_text("utf-8").replace("../../samples/pictures/", "pictures/"), "utf-8")
+            page.write_text(page.read_text("utf-8").replace("../../samples/images/", "images/"), "utf-8")
         groups = [
             {title: [f"{page}.md" for page in GROUPS[group].split()]} for group, title in TITLES.items()
         ]

@@ -186,8 +186,8 @@ def _separate(surface: octex.Surface) -> None:
 
 
 def _paint(surface: octex.Surface, folder: Path) -> None:
-    """Paint onto nothing, and onto a texture that is coarser than the pictures."""
-    from octex.painting.picture import mips_of
+    """Paint onto nothing, and onto a texture that is coarser than the images."""
+    from octex.painting.image import mips_of
     from octex.photos.agreement import fill_unknown, find_modes, off_modes
     from octex.photos.patches import put_mask
 
@@ -195,22 +195,22 @@ def _paint(surface: octex.Surface, folder: Path) -> None:
     camera.differentials(surface.vertices, surface.vertices)
     image = np.full((4, 16, 4), 128, np.uint8)
     image[0, 0] = 0
-    image[1, ::2, :3] = 20  # pictures of one colour are not sharpened
-    picture = octex.Projection(image, camera)
+    image[1, ::2, :3] = 20  # images of one colour are not sharpened
+    projection = octex.Projection(image, camera)
     octex.convert(surface, 2).save(folder / "coarse.octex")
     for texture in (None, octex.open(folder / "coarse.octex")):
-        octex.paint(texture, surface, picture)
-    octex.paint(texture, surface, picture, hidden=True)
-    octex.refine_cameras(surface, [picture] * 2)
-    octex.paint(None, surface, [picture] * 3, balance="full")
-    octex.paint(None, surface, [picture] * 3, pictures="best")
+        octex.paint(texture, surface, projection)
+    octex.paint(texture, surface, projection, hidden=True)
+    octex.refine_cameras(surface, [projection] * 2)
+    octex.paint(None, surface, [projection] * 3, balance="full")
+    octex.paint(None, surface, [projection] * 3, fusion="best")
     find_modes(np.zeros((3, 1, 3), np.float32), np.zeros((3, 1), np.float32), 0, np.zeros((1, 3), np.float32))
     off_modes(*np.zeros((2, 1, 1, 3), np.float32))
     fill_unknown(np.full((1, 1), np.nan, np.float32), np.zeros((1, 1, 4), np.float32))
-    mips = mips_of(picture, BASE_COLOR)
+    mips = mips_of(projection, BASE_COLOR)
     put_mask(mips, np.zeros((1, 4), np.float32))
     lens = replace(camera, distortion=(0.01, 0.0, 0.0, 0.0))
-    octex.paint(None, surface, [replace(picture, camera=lens)] * 3)
+    octex.paint(None, surface, [replace(projection, camera=lens)] * 3)
     _process(octex.open(folder / "coarse.octex"), surface)
     octex.fill(texture, surface, octex.Sphere((0.0, 0.0, 0.0), 0.1), (1.0, 0.0, 0.0))
 

@@ -1,6 +1,6 @@
-"""Pictures of the page: opens a sample in Chromium, shows it, and paints on it with the pointer.
+"""Images of the page: opens a sample in Chromium, shows it, and paints on it with the pointer.
 
-    .venv/bin/python tools/release/painted_page.py      writes viewer.png and browser*.png to samples/pictures
+    .venv/bin/python tools/release/painted_page.py      writes viewer.png and browser*.png to samples/images
 
 Needs octex[test] and Chromium. Without a graphics card it takes some minutes.
 """
@@ -28,25 +28,25 @@ from tests.make.browser import driven, opened, served, started  # noqa: E402
 
 Places = list[tuple[float, float]]
 
-PICTURES = ROOT / "samples" / "pictures"
+IMAGES = ROOT / "samples" / "images"
 SIZE = 1280, 720
 _PANEL = 272  # pixels, on the right of the page
-_STEP = 480  # the width of each picture in the strip
+_STEP = 480  # the width of each image in the strip
 _PATIENCE = 300_000  # milliseconds
 
 
 class Hand:
-    """Paints on a page with the pointer, and keeps pictures of it."""
+    """Paints on a page with the pointer, and keeps images of it."""
 
     def __init__(self, page: Any) -> None:
         self.page, self.count = page, 0
-        self.pictures: list[PIL.Image.Image] = []
+        self.images: list[PIL.Image.Image] = []
 
     def look(self, *, sharp: bool = True) -> None:
-        """Keep a picture of the page; a sharp one is waited for."""
+        """Keep an image of the page; a sharp one is waited for."""
         if sharp:
             self.page.wait_for_function("viewer.isSharp", timeout=_PATIENCE)
-        self.pictures.append(PIL.Image.open(BytesIO(self.page.screenshot())).convert("RGB"))
+        self.images.append(PIL.Image.open(BytesIO(self.page.screenshot())).convert("RGB"))
 
     def face(self, target: list[float], **camera: float) -> None:
         """Look at a point of the model."""
@@ -109,21 +109,21 @@ def show(hand: Hand) -> PIL.Image.Image:
     hand.page.get_by_label("cells as cubes").check()
     hand.page.locator("#level").fill("8")
     hand.look()
-    smooth, cells = hand.pictures
+    smooth, cells = hand.images
     left = (SIZE[0] - _PANEL) // 2
     smooth.paste(cells.crop((0, 0, left, SIZE[1])))
     return smooth
 
 
 def main() -> None:
-    """Show and paint, and write the pictures."""
+    """Show and paint, and write the images."""
     model = ROOT / "samples" / "droid.glb"
     surface = octex.load_surface(model)
     texture = octex.convert(surface, depth=10)
     with tempfile.TemporaryDirectory() as folder, driven() as driver, started(driver) as browser:
         with served(viewer := Viewer(lambda: texture, Path(folder, "droid.octex"), surface)):
             page = opened(browser, viewer.url, SIZE, finest=2)
-            show(Hand(page)).save(PICTURES / "viewer.png", optimize=True)
+            show(Hand(page)).save(IMAGES / "viewer.png", optimize=True)
             page.close()
         session = Session(texture, surface, Path(folder, "painted.octex"))
         viewer = Viewer(lambda: texture, Path(folder, "droid.octex"), surface, session=session)
@@ -134,14 +134,14 @@ def main() -> None:
             paint(hand)
             page.close()
         session.close()
-    plain, under_pen, painted, turned = hand.pictures
-    painted.save(PICTURES / "browser.png", optimize=True)
+    plain, under_pen, painted, turned = hand.images
+    painted.save(IMAGES / "browser.png", optimize=True)
     width, height = SIZE[0] - _PANEL, SIZE[1]
     strip = PIL.Image.new("RGB", (4 * _STEP, _STEP * height // width))
-    for number, picture in enumerate((plain, under_pen, painted, turned)):
-        step = picture.crop((0, 0, width, height)).resize((_STEP, strip.height), PIL.Image.Resampling.LANCZOS)
+    for number, image in enumerate((plain, under_pen, painted, turned)):
+        step = image.crop((0, 0, width, height)).resize((_STEP, strip.height), PIL.Image.Resampling.LANCZOS)
         strip.paste(step, (number * _STEP, 0))
-    strip.save(PICTURES / "browser_strip.png", optimize=True)
+    strip.save(IMAGES / "browser_strip.png", optimize=True)
 
 
 if __name__ == "__main__":

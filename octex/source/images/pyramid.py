@@ -44,7 +44,7 @@ FAINT = 2.0**-40
 _BAND = 128  # rows of the second level that are made at once
 
 
-class Picture(NamedTuple):
+class ImageTexels(NamedTuple):
     """An image as one material reads it."""
 
     texels: Texels  # (height, width, 4)
@@ -69,9 +69,9 @@ class Images(NamedTuple):
     linear: Float32s  # (65536,)   linear light of an sRGB code
 
 
-def store(pictures: Sequence[Picture], has_mips: bool) -> tuple[Images, list[int]]:
+def store(stored: Sequence[ImageTexels], has_mips: bool) -> tuple[Images, list[int]]:
     """Store images, with all levels if ``has_mips``; return the layout of each too."""
-    sizes = list(dict.fromkeys(picture.texels.shape[:2] for picture in pictures))
+    sizes = list(dict.fromkeys(image.texels.shape[:2] for image in stored))
     layouts: list[tuple[int, int]] = []
     levels: list[tuple[int, int, int]] = []
     rows_of: list[int] = []  # of an image, by layout
@@ -83,16 +83,16 @@ def store(pictures: Sequence[Picture], has_mips: bool) -> tuple[Images, list[int
             levels.append((first + wide + 3, wide, high))
             first += (wide + 2) * (high + 2)
         rows_of.append(first)
-    layout_of = [sizes.index(picture.texels.shape[:2]) for picture in pictures]
+    layout_of = [sizes.index(image.texels.shape[:2]) for image in stored]
     bases, storage, ends = [], [], {SRGB: 0, FLOAT: 0}
-    for each, layout in zip(pictures, layout_of, strict=True):
+    for each, layout in zip(stored, layout_of, strict=True):
         array = FLOAT if each.texels.dtype == np.float32 else SRGB
         storage.append(DATA if array == SRGB and not each.is_light else array)
         bases.append(ends[array])
         ends[array] += rows_of[layout]
     images = Images(
         np.array(storage, np.uint8),
-        np.array([picture.covered for picture in pictures], np.bool_),
+        np.array([image.covered for image in stored], np.bool_),
         np.array(bases, np.int64),
         np.array(layouts, np.int64).reshape(-1, 2),
         np.array(levels, np.int64).reshape(-1, 3),
@@ -105,10 +105,10 @@ def store(pictures: Sequence[Picture], has_mips: bool) -> tuple[Images, list[int
         rows = slice(bases[number], bases[number] + rows_of[layout_of[number]])
         is_float = storage[number] == FLOAT
         texels = images.floats[rows] if is_float else images.codes[rows].view(np.uint16).reshape(-1, 4)
-        _fill(pictures[number], has_mips, texels)
+        _fill(stored[number], has_mips, texels)
 
     with pool_of(cpu_count()) as pool:
-        list(pool.map(fill, range(len(pictures))))
+        list(pool.map(fill, range(len(stored))))
     return images, layout_of
 
 
@@ -118,22 +118,22 @@ def _shapes(width: int, height: int, has_mips: bool) -> list[tuple[int, int]]:
     return [(max(width >> level, 1), max(height >> level, 1)) for level in range(count)]
 
 
-def _fill(picture: Picture, has_mips: bool, rows: Texels) -> None:
-    height, width = picture.texels.shape[:2]
+def _fill(image: ImageTexels, has_mips: bool, rows: Texels) -> None:
+    height, width = image.texels.shape[:2]
     shapes = _shapes(width, height, has_mips)
     finest = _take(rows, 0, width, height)
-    finest[1:-1, 1:-1] = picture.texels
-    finest[0, 1:-1], finest[-1, 1:-1] = picture.texels[0], picture.texels[-1]
+    finest[1:-1, 1:-1] = image.texels
+    finest[0, 1:-1], finest[-1, 1:-1] = image.texels[0], image.texels[-1]
     finest[:, 0], finest[:, -1] = finest[:, 1], finest[:, -2]
     if len(shapes) == 1:
         return
     made = None
-    texels = picture.texels
+    texels = image.texels
     borders = (texels[:, :1], texels[:, -1:], texels[:1], texels[-1:], texels[[0, -1]][:, [0, -1]])
-    rims = [_decoded(picture._replace(texels=border)) for border in borders]
+    rims = [_decoded(image._replace(texels=border)) for border in borders]
     first = finest.shape[0] * finest.shape[1]
     for wide, high in shapes[1:]:
-        made = _shrunk(picture, high, wide) if made is None else resized(made, high, wide)
+        made = _shrunk(image, high, wide) if made is None else resized(made, high, wide)
         sizes = (high, 1), (high, 1), (1, wide), (1, wide), (2, 2)
         rims = [resized(part, *size) for part, size in zip(rims, sizes, strict=True)]
         target = _take(rows, first, wide, high)
@@ -141,17 +141,17 @@ def _fill(picture: Picture, has_mips: bool, rows: Texels) -> None:
         corners = target[:: high + 1, :: wide + 1]
         sides = target[1:-1, :1], target[1:-1, -1:], target[:1, 1:-1], target[-1:, 1:-1], corners
         for part, values in zip((target[1:-1, 1:-1], *sides), (made, *rims), strict=True):
-            part[...] = _encoded(values, picture, target.dtype == np.float32)
+            part[...] = _encoded(values, image, target.dtype == np.float32)
 
 
-def _shrunk(picture: Picture, height: int, width: int) -> Float32s:
+def _shrunk(image: ImageTexels, height: int, width: int) -> Float32s:
     """Return an image's values at a smaller size; if rows align, bands of them are decoded in turn."""
     values = np.empty((height, width, 4), np.float32)
-    rows, left_over = divmod(picture.texels.shape[0], height)
+    rows, left_over = divmod(image.texels.shape[0], height)
     band = height if left_over else _BAND
     for first in range(0, height, band):
         end = None if left_over else (first + band) * rows
-        part = picture._replace(texels=picture.texels[first * rows : end])
+        part = image._replace(texels=image.texels[first * rows : end])
         _reduce(_decoded(part), values[first : first + band])
     return values
 
@@ -162,16 +162,16 @@ def _take(rows: Texels, first: int, width: int, height: int) -> Texels:
     return rows[first : first + count].reshape(height + 2, width + 2, 4)
 
 
-def _decoded(picture: Picture) -> Float32s:
+def _decoded(image: ImageTexels) -> Float32s:
     """Return an image's values (height, width, 4) for averages, premultiplied by alpha if it is covered."""
-    values = np.empty(picture.texels.shape, np.float32)
-    if picture.texels.dtype == np.float32:
-        values[:] = picture.texels
+    values = np.empty(image.texels.shape, np.float32)
+    if image.texels.dtype == np.float32:
+        values[:] = image.texels
     else:
-        _decode(picture.texels, decode_table("uint16", "srgb" if picture.is_light else "data"), values)
-    if picture.covered:
-        if picture.threshold >= 0.0:
-            values[..., 3] = values[..., 3] >= picture.threshold
+        _decode(image.texels, decode_table("uint16", "srgb" if image.is_light else "data"), values)
+    if image.covered:
+        if image.threshold >= 0.0:
+            values[..., 3] = values[..., 3] >= image.threshold
         values[..., :3] *= values[..., 3:] + np.float32(FAINT)
     return values
 
@@ -185,13 +185,13 @@ def _decode(texels: Texels, table: Float32s, values: Float32s) -> None:
             values[y, x, 3] = np.float32(texels[y, x, 3]) / np.float32(65535.0)
 
 
-def _encoded(values: Float32s, picture: Picture, as_floats: bool) -> Array:
-    if picture.covered:
+def _encoded(values: Float32s, image: ImageTexels, as_floats: bool) -> Array:
+    if image.covered:
         values = values.copy()
         values[..., :3] /= values[..., 3:] + np.float32(FAINT)
     if as_floats:
         return values
-    if not picture.is_light:
+    if not image.is_light:
         return encode(values, "uint16", "data")
     codes = np.empty(values.shape, np.uint16)
     codes[..., :3] = encode(values[..., :3], "uint16", "srgb")

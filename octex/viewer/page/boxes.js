@@ -6,13 +6,13 @@ export function boxOfDiscs(discs) {
   return [0, 1].map((k) => Math.floor(Math.min(...ends(k, -1))) - 1).concat([0, 1].map((k) => Math.ceil(Math.max(...ends(k, 1))) + 1));
 }
 
-// The part of a box in a picture of a size; null if there is none.
+// The part of a box in an image of a size; null if there is none.
 export function clippedBox([left, bottom, right, top], [width, height]) {
   const box = [Math.max(left, 0), Math.max(bottom, 0), Math.min(right, width), Math.min(top, height)];
   return box[0] < box[2] && box[1] < box[3] ? box : null;
 }
 
-// The box around the pixels of a picture for whose number `isInside` holds; null if there are none.
+// The box around the pixels of an image for whose number `isInside` holds; null if there are none.
 export function boxOfPixels(width, height, isInside) {
   let [left, low, right, high] = [width, height, 0, 0];
   for (let row = 0, n = 0; row < height; row++) {

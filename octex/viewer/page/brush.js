@@ -17,7 +17,7 @@ export function sendStroke({ strokes, commands, palette }, stroke, isShown = tru
 }
 
 export class BrushDrag {
-  // `overrides` replace settings of the brush: its name, and a picture instead of the colour.
+  // `overrides` replace settings of the brush: its name, and an image instead of the colour.
   constructor(painting, event, overrides = {}) {
     this.painting = painting;
     const { strokes, hit, mirrorOffset: offset } = painting, first = painting.place(event);
@@ -25,7 +25,7 @@ export class BrushDrag {
     this.path = new Path(from);
     this.string = painting.brush.smoothing; // pixels
     this.tip = first; // the brush's place, which the pen pulls by the string
-    this.dirty = null; // the box of the picture that has changed since the last frame
+    this.dirty = null; // the box of the image that has changed since the last frame
     const brush = { name: "Brush", ...painting.brush, ...painting.material.paint, ...overrides };
     const at = brush.onePart ? hit?.rest : undefined;
     strokes.begin({ ...brush, ...strokes.viewFields, offset, at, begin: first, preview: painting.preview.styleOf(brush) });

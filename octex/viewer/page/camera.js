@@ -52,7 +52,7 @@ export class Camera {
     return new Float32Array([...columns.flat(), -dot(x, at), -dot(y, at), -dot(z, at), 1]);
   }
 
-  // The projection of the whole picture, or of one pixel (column, row, from the upper left) of a picture of a size.
+  // The projection of the whole image, or of one pixel (column, row, from the upper left) of an image of a size.
   projection(pixel = null, size = null) {
     const depth = dot(this.backward, this.position.map((x, n) => x - (this.low[n] + this.high[n]) / 2)); // of the model's middle
     const near = Math.max(depth - 1.1 * this.radius, 0.002 * Math.min(this.distance, this.radius));
@@ -71,7 +71,7 @@ export class Camera {
     ]);
   }
 
-  // The content of an octex camera file, for a picture of a size in pixels.
+  // The content of an octex camera file, for an image of a size in pixels.
   file(name, width, height) {
     const high = Math.tan(this.fov / 2), at = this.position, [x, y, z] = this.axes;
     const rows = [x, y.map((a) => -a), z.map((a) => -a)].map((axis) => [...axis, -dot(axis, at)]);
@@ -87,7 +87,7 @@ export class Camera {
     this.tilt = Math.min(Math.max(this.tilt + tilt, -MAX_TILT), MAX_TILT);
   }
 
-  // Move the model in the picture, by shares of its height.
+  // Move the model in the image, by shares of its height.
   pan(right, up) {
     const step = 2 * this.distance * Math.tan(this.fov / 2), [x, y] = this.axes;
     this.target = this.target.map((at, n) => at - step * (right * x[n] + up * y[n]));
@@ -107,7 +107,7 @@ export class Camera {
     return depth > 0 ? [(1 + dot(from, along) / (high * this.aspect)) * (width / 2), (1 - dot(from, above) / high) * (height / 2)] : null;
   }
 
-  // Move closer to a point by a factor; the point stays in place in the picture.
+  // Move closer to a point by a factor; the point stays in place in the image.
   zoom(factor, point = this.target) {
     const before = this.distance;
     this.distance = Math.min(Math.max(before / factor, MIN_DISTANCE * this.radius), MAX_DISTANCE * this.radius);

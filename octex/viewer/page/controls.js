@@ -1,4 +1,4 @@
-// Pointer, wheel and keys of the picture: orbit, pan and zoom.
+// Pointer, wheel and keys of the image: orbit, pan and zoom.
 
 const ORBIT_STEP = 0.09; // radians that an arrow key turns
 
@@ -13,7 +13,7 @@ export function wheelFactor({ deltaY, deltaMode }) {
 export function addControls(canvas, camera, { surfaceAt, changed, released }) {
   const pointers = new Map();
   let spread = 0; // distance of two pointers
-  let anchor = null; // the last point that was zoomed to, its position in the picture, and the view after that
+  let anchor = null; // the last point that was zoomed to, its position in the image, and the view after that
 
   const center = () => [canvas.clientWidth / 2, canvas.clientHeight / 2];
 

@@ -5,7 +5,7 @@ import { element } from "./elements.js";
 const DIVIDER_STEP = 0.02;
 
 export class Divider {
-  // `changed` is called with the position in the picture's width, 0 … 1; with null when the divider is off.
+  // `changed` is called with the position in the image's width, 0 … 1; with null when the divider is off.
   constructor(changed) {
     this.changed = changed;
     this.position = 0.5;

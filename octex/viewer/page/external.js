@@ -41,7 +41,7 @@ export class External {
     }
   }
 
-  // Paint the pixels that differ in a saved view; any other picture becomes the stencil.
+  // Paint the pixels that differ in a saved view; any other image becomes the stencil.
   async take(file) {
     const { painting } = this, [, id] = FILE_NAME.exec(file.name) ?? [];
     try {

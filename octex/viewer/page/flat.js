@@ -1,5 +1,5 @@
 // A patch of the model that is laid flat, next to the model: the user paints on both. The GPU draws the view under the
-// pointer; of the other view the page has a picture in a canvas, drawn again after changes. See octex/session/poses.py.
+// pointer; of the other view the page has an image in a canvas, drawn again after changes. See octex/session/poses.py.
 
 import { query } from "./data.js";
 import { element, make } from "./elements.js";
@@ -9,21 +9,21 @@ import { iconButton } from "./panel.js";
 
 const RADIUS = 0.25; // of the first patch, as a share of the view's height
 const RADIUS_STEP = 1.4;
-const REFRESH_TIME = 160; // milliseconds that a picture of the other view may take
+const REFRESH_TIME = 160; // milliseconds that an image of the other view may take
 
 export class Flat {
   constructor(painting) {
     this.painting = painting;
     this.views = null; // while it is open: the model's view, and the patch's
     this.requested = null; // the last patch that was asked for: { spot, moment }
-    this.isStale = false; // the other view's picture
+    this.isStale = false; // the other view's image
   }
 
   get isOpen() {
     return this.views !== null;
   }
 
-  // The bar above the picture.
+  // The bar above the image.
   get bar() {
     return make("div", { id: "flat", hidden: true },
       make("span", { id: "flat-note", role: "status" }),
@@ -39,7 +39,7 @@ export class Flat {
       onpointerdown: ({ pointerType }) => pointerType === "touch" && this.swapViews() }));
   }
 
-  // Lay the surface around a point of the picture flat.
+  // Lay the surface around a point of the image flat.
   async open(event) {
     const { viewer } = this.painting, [x, y] = this.painting.place(event), center = viewer.surfaceAt(x, y);
     if (!center || this.isOpen) return;
@@ -123,12 +123,12 @@ export class Flat {
     camera.reset();
   }
 
-  // Let the GPU draw the other view, and put the picture of the current one into the canvas.
+  // Let the GPU draw the other view, and put the image of the current one into the canvas.
   swapViews() {
-    const { viewer } = this.painting, { views: { model, flat }, isFlat, other } = this, { gpu, canvas } = viewer, { picture } = gpu.targets;
+    const { viewer } = this.painting, { views: { model, flat }, isFlat, other } = this, { gpu, canvas } = viewer, { image } = gpu.targets;
     const [last, next] = isFlat ? [flat, model] : [model, flat];
     this.storeView(last);
-    if (picture) this.copyPicture(picture);
+    if (image) this.copyImage(image);
     this.restoreView(next);
     this.showLayout();
     this.painting.showOutline(null);
@@ -136,10 +136,10 @@ export class Flat {
     viewer.invalidate();
   }
 
-  // Copy a picture of the GPU into the other view's canvas.
-  copyPicture(picture) {
+  // Copy an image of the GPU into the other view's canvas.
+  copyImage(image) {
     const { gpu, canvas } = this.painting.viewer;
-    gpu.present(picture);
+    gpu.present(image);
     [this.other.width, this.other.height] = [canvas.width, canvas.height];
     this.other.getContext("2d").drawImage(canvas, 0, 0);
   }
@@ -156,11 +156,11 @@ export class Flat {
     camera.aspect = clientWidth / clientHeight;
     gpu.targets = this.targets ??= {};
     gpu.draw(viewer.display, camera, ...[clientWidth, clientHeight].map((pixels) => Math.max(Math.round(pixels * scale), 1)));
-    this.copyPicture(gpu.targets.picture);
+    this.copyImage(gpu.targets.image);
     gpu.targets = targets;
     this.restoreView(current);
     [canvas.width, canvas.height] = size;
-    gpu.present(targets.picture);
+    gpu.present(targets.image);
   }
 
   // Show the model alone again; returns whether a patch was open.
@@ -177,7 +177,7 @@ export class Flat {
     return true;
   }
 
-  // The context was lost: the meshes and the picture of the other view are gone.
+  // The context was lost: the meshes and the image of the other view are gone.
   restoreContext() {
     this.targets = null;
     for (const view of Object.values(this.views ?? {})) view.surface = null;

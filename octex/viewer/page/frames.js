@@ -1,23 +1,23 @@
-// Draws frames when something has changed: a coarse picture at once, and a sharp one when nothing changes any more. The sharp
-// picture is drawn tile by tile, so that the next change waits for one tile at most.
+// Draws frames when something has changed: a coarse image at once, and a sharp one when nothing changes any more. The sharp
+// image is drawn tile by tile, so that the next change waits for one tile at most.
 
-const SHARP_DELAY = 120; // milliseconds without a change before the sharp picture begins
+const SHARP_DELAY = 120; // milliseconds without a change before the sharp image begins
 const HELD_DELAY = 500; // the same while a pointer is down: a tile would delay its next move
-const FRAME_TIME = 80; // milliseconds that a coarse picture or a few tiles may take
+const FRAME_TIME = 80; // milliseconds that a coarse image or a few tiles may take
 const MIN_TILE = 48, FIRST_TILE = 256; // pixels along the sides of tiles: at least, and before any time is measured
-const MIN_SCALE = 0.08, FIRST_SCALE = 0.4; // of coarse pictures
+const MIN_SCALE = 0.08, FIRST_SCALE = 0.4; // of coarse images
 const MAX_PIXEL_RATIO = 2;
-const EMPTY_REGION = [1e9, -1e9].map((n) => Array(5).fill(n)); // lowest and highest corner: rest position, place in the picture
+const EMPTY_REGION = [1e9, -1e9].map((n) => Array(5).fill(n)); // lowest and highest corner: rest position, place in the image
 
 export class Frames {
   constructor() {
     this.pixelTime = 0; // measured milliseconds a pixel
-    this.pictureCount = 0;
-    this.maxScale = 2; // of sharp pictures: drawn pixels for each pixel of the screen, along each axis
-    this.isDrawn = false; // the picture shows the last change
+    this.imageCount = 0;
+    this.maxScale = 2; // of sharp images: drawn pixels for each pixel of the screen, along each axis
+    this.isDrawn = false; // the image shows the last change
     this.isSharpBegun = false;
-    this.waitingTiles = []; // of the sharp picture, or of a region that is drawn again
-    this.changedRegion = null; // where the texture has changed since the picture was drawn
+    this.waitingTiles = []; // of the sharp image, or of a region that is drawn again
+    this.changedRegion = null; // where the texture has changed since the image was drawn
   }
 
   // Draw soon, and sharply once nothing changes. `isHeld`: a pointer is down.
@@ -73,15 +73,15 @@ export class Frames {
     }
     if (!this.isDrawn) {
       this.isDrawn = true;
-      this.painting?.pictureDrawn();
+      this.painting?.imageDrawn();
     }
     if (this.gpu.hasMoreCubes) this.invalidate();
     else if (!this.isSharp || this.isTurning) this.requestFrame();
   }
 
-  // Begin the sharp picture: it is the last one, scaled, until its tiles are drawn.
+  // Begin the sharp image: it is the last one, scaled, until its tiles are drawn.
   beginSharp(scale) {
-    const { gpu, display, camera, parts } = this, [width, height] = this.beginPicture(scale);
+    const { gpu, display, camera, parts } = this, [width, height] = this.beginImage(scale);
     this.isSharpBegun = true;
     if (gpu.showsCubes(display) || parts.some((part) => part.hasAlpha)) return gpu.draw(display, camera, width, height);
     gpu.resize(display, camera, width, height);
@@ -89,7 +89,7 @@ export class Frames {
     this.tileTime = this.tileArea = 0;
   }
 
-  // Cut the picture, or what a region reaches, into boxes (left, bottom, width, height) that take less than a frame each; the
+  // Cut the image, or what a region reaches, into boxes (left, bottom, width, height) that take less than a frame each; the
   // middle ones come first.
   tiles(region) {
     const { width, height } = this.canvas, tiles = [];
@@ -119,7 +119,7 @@ export class Frames {
     }
   }
 
-  // Draw a box of the picture again (CSS pixels from the upper left), where nothing else has changed.
+  // Draw a box of the image again (CSS pixels from the upper left), where nothing else has changed.
   drawBox([left, top, right, bottom]) {
     if (!this.isDrawn || this.isContextLost) return this.invalidate(true);
     const { canvas, gpu } = this, across = canvas.width / canvas.clientWidth, down = canvas.height / canvas.clientHeight;
@@ -147,19 +147,19 @@ export class Frames {
     this.requestFrame();
   }
 
-  // Begin a picture with a scale in pixels for each CSS pixel; returns its size.
-  beginPicture(scale) {
+  // Begin an image with a scale in pixels for each CSS pixel; returns its size.
+  beginImage(scale) {
     const { canvas, camera } = this;
     this.changedRegion = null;
     this.waitingTiles = [];
     this.drawnViewKey = this.viewKey;
     camera.aspect = canvas.clientWidth / canvas.clientHeight;
-    this.pictureCount++;
+    this.imageCount++;
     return [canvas.clientWidth, canvas.clientHeight].map((pixels) => Math.max(Math.round(pixels * scale), 1));
   }
 
   draw(scale) {
-    const [width, height] = this.beginPicture(scale), began = performance.now(), programs = this.gpu.programs.size;
+    const [width, height] = this.beginImage(scale), began = performance.now(), programs = this.gpu.programs.size;
     this.gpu.draw(this.display, this.camera, width, height);
     this.gpu.finish();
     const hasCompiled = this.gpu.programs.size > programs;

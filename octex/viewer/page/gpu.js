@@ -1,6 +1,6 @@
 // Draws the parts of a page with WebGL2, and reads back what pixels show.
 //
-// A picture is drawn in two passes: the G-buffer has the rest position of the surface at each pixel, then the octree is
+// An image is drawn in two passes: the G-buffer has the rest position of the surface at each pixel, then the octree is
 // sampled there. Translucent surface takes a second pair of passes. `display` says what is drawn; see viewer.js.
 
 import { walkUniforms } from "./walk.js";
@@ -15,7 +15,7 @@ const CLEAR = 0.5 / 255, OPAQUE = 1 - CLEAR; // alphas that 8 bits round to 0 an
 const OPAQUE_ONLY = [OPAQUE, 2], TRANSLUCENT_ONLY = [CLEAR, OPAQUE], VISIBLE = [CLEAR, 2], ANY_ALPHA = null;
 const MAX_CUBES = 1 << 20;
 const CUBE_COLORS = { depth: 1, facing: 2 }; // as u_by has them
-const LIGHT_UNIT = 28, MOTION_UNIT = 30; // texture units; lower ones are the octree's and the picture's
+const LIGHT_UNIT = 28, MOTION_UNIT = 30; // texture units; lower ones are the octree's and the image's
 const BACKGROUND = [0.925, 0.93, 0.94, 1];
 
 const areaOf = ([left, bottom, right, top]) => (right - left) * (top - bottom);
@@ -107,8 +107,8 @@ export class Gpu {
     this.gl.uniformMatrix4fv(program.at("u_view"), false, camera.view);
   }
 
-  // Draw the picture in a size, or only a part of it: `scissor` is a box (left, bottom, width, height), `region` a box of the
-  // root cell and of the picture, see isInRegion of surface.frag. The rest of the picture stays. While no mesh is loaded this
+  // Draw the image in a size, or only a part of it: `scissor` is a box (left, bottom, width, height), `region` a box of the
+  // root cell and of the image, see isInRegion of surface.frag. The rest of the image stays. While no mesh is loaded this
   // compiles the programs.
   draw(display, camera, width, height, scissor = null, region = null) {
     const { gl, canvas } = this;
@@ -122,7 +122,7 @@ export class Gpu {
     else this.drawSurface({ ...display, region, scissor }, camera, width, height);
   }
 
-  // Draw the G-buffer of a picture in a size, or of one pixel of it: the nearest surface whose alpha is in a range. The
+  // Draw the G-buffer of an image in a size, or of one pixel of it: the nearest surface whose alpha is in a range. The
   // translucent one is drawn over the depth of the opaque one, and must be drawn after it.
   drawGBuffer(display, camera, target, width, height, { pixel = null, alphas = ANY_ALPHA } = {}) {
     const { gl } = this, isTranslucent = alphas === TRANSLUCENT_ONLY;
@@ -186,43 +186,43 @@ export class Gpu {
   drawSurface(display, camera, width, height) {
     const { gl } = this, { scissor, region } = display, isLayered = this.parts.some((part) => part.mesh && part.hasAlpha);
     const gbuffer = this.uintTarget("gbuffer", width, height);
-    const picture = this.target("picture", width, height, [gl.RGBA8], gbuffer);
+    const image = this.target("image", width, height, [gl.RGBA8], gbuffer);
     if (scissor) {
       gl.enable(gl.SCISSOR_TEST);
       gl.scissor(...scissor);
     }
-    gl.bindFramebuffer(gl.FRAMEBUFFER, picture.buffer);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, image.buffer);
     gl.clearColor(...this.background);
     if (!region) gl.clear(gl.COLOR_BUFFER_BIT);
-    this.drawLayer(display, camera, gbuffer, picture, OPAQUE_ONLY, { hasGBuffer: (scissor || region) && !isLayered });
-    let last = picture;
+    this.drawLayer(display, camera, gbuffer, image, OPAQUE_ONLY, { hasGBuffer: (scissor || region) && !isLayered });
+    let last = image;
     if (isLayered) {
       last = this.target("blended", width, height, [gl.RGBA8], gbuffer);
-      this.copy(picture, last);
-      const textures = { u_background: picture.textures[0] };
+      this.copy(image, last);
+      const textures = { u_background: image.textures[0] };
       this.drawLayer({ ...display, isTranslucent: true }, camera, gbuffer, last, TRANSLUCENT_ONLY, { textures });
     }
     gl.disable(gl.SCISSOR_TEST);
     this.present(last);
   }
 
-  // Begin a picture in another size: show the last one scaled to it.
+  // Begin an image in another size: show the last one scaled to it.
   resize(display, camera, width, height) {
-    const { gl, canvas, targets: { picture: last } } = this, small = last && this.target("small", last.width, last.height, [gl.RGBA8]);
+    const { gl, canvas, targets: { image: last } } = this, small = last && this.target("small", last.width, last.height, [gl.RGBA8]);
     if (last) this.copy(last, small);
     [canvas.width, canvas.height] = [width, height];
-    const gbuffer = this.uintTarget("gbuffer", width, height), picture = this.target("picture", width, height, [gl.RGBA8], gbuffer);
-    if (last) this.copy(small, picture);
+    const gbuffer = this.uintTarget("gbuffer", width, height), image = this.target("image", width, height, [gl.RGBA8], gbuffer);
+    if (last) this.copy(small, image);
     this.drawGBuffer(display, camera, gbuffer, width, height, { alphas: OPAQUE_ONLY });
-    this.present(picture);
+    this.present(image);
   }
 
-  // Copy a picture to the canvas. A browser shows the canvas only if it was cleared or drawn to; a blit alone is not enough.
-  present(picture) {
+  // Copy an image to the canvas. A browser shows the canvas only if it was cleared or drawn to; a blit alone is not enough.
+  present(image) {
     const { gl } = this;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    this.copy(picture, { ...picture, buffer: null });
+    this.copy(image, { ...image, buffer: null });
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
   }
 
@@ -309,7 +309,7 @@ export class Gpu {
     return level;
   }
 
-  // Draw the cells of a level as cubes; for one pixel of a picture in a size, draw the cells' numbers.
+  // Draw the cells of a level as cubes; for one pixel of an image in a size, draw the cells' numbers.
   drawCubes(display, camera, pixel = null, size = null) {
     const { gl } = this, level = this.cubesLevel(display);
     gl.enable(gl.DEPTH_TEST);
@@ -362,7 +362,7 @@ export class Gpu {
     return isHit ? { cell, level, index: [x, y, z], edge: 2 ** -level, part, depth } : null;
   }
 
-  // Look up pixels: one of a picture in a size, or the whole picture. Returns four numbers a pixel: rest position and
+  // Look up pixels: one of an image in a size, or the whole image. Returns four numbers a pixel: rest position and
   // footprint; the values of a plane (of −1: alpha, the number of fetches, and fourth 1 for a hit); the facing side and the
   // part's number.
   probe(display, camera, { width, height, pixel = null, plane = 0, footprint = -1 }) {

@@ -1,4 +1,4 @@
-// Reads the surface under the pointer from the G-buffer of the last picture.
+// Reads the surface under the pointer from the G-buffer of the last image.
 
 import { clippedBox } from "./boxes.js";
 import { octahedronDirection } from "./mesh.js";
@@ -6,12 +6,12 @@ import { octahedronDirection } from "./mesh.js";
 // Unpack a unit vector, as packDirection of directions.glsl packs it.
 const unpackDirection = (bits) => octahedronDirection(...[bits << 16, bits].map((half) => Math.max((half >> 16) / 32767, -1)));
 
-// The G-buffer of the last picture; null if it does not show the surface as it is.
+// The G-buffer of the last image; null if it does not show the surface as it is.
 function gbufferOf({ gpu, display, isDrawn, isContextLost }) {
   return isDrawn && !isContextLost && !gpu.showsCubes(display) ? gpu.targets.gbuffer : null;
 }
 
-// Whether a disc of the picture, in CSS pixels, meets the surface.
+// Whether a disc of the image, in CSS pixels, meets the surface.
 export function isHitIn(viewer, [x, y, radius]) {
   const gbuffer = gbufferOf(viewer), { gpu, canvas: { clientWidth, clientHeight } } = viewer;
   if (!gbuffer) return false;
@@ -27,7 +27,7 @@ export function isHitIn(viewer, [x, y, radius]) {
   return false;
 }
 
-// At a position of the picture, in CSS pixels: the rest position, the normal and the direction to the camera in view space,
+// At a position of the image, in CSS pixels: the rest position, the normal and the direction to the camera in view space,
 // and the depth along the view. Null for the background.
 export function hitAt(viewer, x, y) {
   const { gpu, canvas, parts, camera, display } = viewer, gbuffer = gbufferOf(viewer);

@@ -37,7 +37,7 @@ export async function readImage(file, options = {}) {
     throw new Error(format ? `${file.name} is damaged: save it again.` : `${file.name} cannot be read.`);
   }
   if (!format) throw new Error(`${file.name} is no PNG, JPEG or WebP image.`);
-  if (format.isAnimated) throw new Error(`${file.name} is animated: save one picture of it.`);
+  if (format.isAnimated) throw new Error(`${file.name} is animated: save one image of it.`);
   const [width, height] = size;
   if (width * height > MAX_PIXELS) throw new Error(`${file.name} has ${width} × ${height} pixels: make it smaller than ${MAX_PIXELS / 1e6} million.`);
   try {
@@ -54,8 +54,8 @@ export function onDrop(take, showMessage) {
     event.preventDefault();
     const { items, files } = event.dataTransfer;
     const folder = [...items].map((item) => item.webkitGetAsEntry?.()).find((entry) => entry?.isDirectory);
-    if (folder) showMessage(`${folder.name} is a folder: drop one picture.`);
+    if (folder) showMessage(`${folder.name} is a folder: drop one image.`);
     else if (files.length === 1) take(files[0]);
-    else showMessage(files.length ? "Drop one picture at a time." : "Drop a picture that is a file.");
+    else showMessage(files.length ? "Drop one image at a time." : "Drop an image that is a file.");
   });
 }

@@ -34,7 +34,7 @@ const KEYS = TOOLS.map(({ key, text }) => `${key.toUpperCase()} ${text.toLowerCa
 const HELP = [
   "Drag where the brush touches the model to paint, elsewhere or with the middle button to turn, with the right button to move; wheel or pinch zooms.",
   "Shift draws straight lines, Ctrl changes the brush’s size and hardness, Alt picks a colour.",
-  `Keys: ${KEYS}, X swaps the two colours, [ and ] size, Enter presses in the middle of the picture, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns automatically.`,
+  `Keys: ${KEYS}, X swaps the two colours, [ and ] size, Enter presses in the middle of the image, Ctrl+Z undo, Ctrl+S save; 0 shows all, 1 to 6 look along the axes, C cubes, T turns automatically.`,
 ].join(" ");
 
 export async function startPainting(viewer, status) {
@@ -84,7 +84,7 @@ class Painting {
     this.listen();
   }
 
-  // Build the tools beside the picture, and the panel.
+  // Build the tools beside the image, and the panel.
   build() {
     const toolButton = ({ name, text, key, shownKey = key.toUpperCase() }) => {
       const attributes = { type: "button", id: `tool-${name}`, title: `${text} (${shownKey})`, "aria-pressed": "false", onclick: () => this.selectTool(name) };
@@ -302,7 +302,7 @@ class Painting {
       return;
     }
     if (event.isForView || !this.viewer.isLoaded) return;
-    this.viewer.drawNow(); // hits are read from the picture
+    this.viewer.drawNow(); // hits are read from the image
     const isResize = (event.ctrlKey || event.metaKey) && event.button !== 1 && this.tool.hasRing;
     if (!isResize && !this.isForTool(event)) return;
     event.stopPropagation();
@@ -404,8 +404,8 @@ class Painting {
     run();
   }
 
-  // A new picture may show other surface under a pointer that rests.
-  pictureDrawn() {
+  // A new image may show other surface under a pointer that rests.
+  imageDrawn() {
     if (!this.pointer || this.pen) return;
     this.hit = hitAt(this.viewer, ...this.pointer);
     this.showOutline(this.pointer);

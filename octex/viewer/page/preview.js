@@ -5,14 +5,14 @@
 import { query } from "./data.js";
 import { inflate } from "./octree.js";
 import { Part } from "./part.js";
-import { Picture, ViewColors, compilePrograms } from "./retouch.js";
+import { BrushImage, ViewColors, compilePrograms } from "./retouch.js";
 
 const PAINT = 3; // as u_action of retouch.frag has it
 const VEIL = { color: [128, 128, 128], opacity: 0.6 }; // an eraser's preview while the composite is unknown
 const NOTHING = { key: "", part: null };
 
 // The preview of an eraser, or of a mask's brush.
-class ErasedPicture {
+class ErasedImage {
   constructor(painting, composite) {
     this.colors = new ViewColors(painting, { composite });
     [this.texture] = this.colors.target.textures;
@@ -24,13 +24,13 @@ class ErasedPicture {
   }
 }
 
-// The preview of a colour or a picture through the layers above, from the composites of black and of white paint.
-class PaintedPicture extends Picture {
-  constructor(painting, composite, { color = [0, 0, 0], picture }, strength) {
+// The preview of a colour or an image through the layers above, from the composites of black and of white paint.
+class PaintedImage extends BrushImage {
+  constructor(painting, composite, { color = [0, 0, 0], image }, strength) {
     super(painting, composite);
     this.white = new ViewColors(painting, { composite, channel: "white" });
-    this.paint = picture?.texture ?? null;
-    this.options = picture ? { share: strength } : { share: -1, disc: [...color.map((code) => code / 255), 1] };
+    this.paint = image?.texture ?? null;
+    this.options = image ? { share: strength } : { share: -1, disc: [...color.map((code) => code / 255), 1] };
   }
 
   prepare(box) {
@@ -125,9 +125,9 @@ export class Preview {
     const isKnown = key === this.key && !brush.mirror, blend = layer && layer.blend !== "over" ? layer.blend : brush.blend;
     if (brush.erases || mask) {
       if (!isKnown) return { ...VEIL, opacity: VEIL.opacity * brush.opacity, values: {}, blend: "over" };
-      return { color: undefined, values: {}, picture: part && new ErasedPicture(painting, part), blend: "over" };
+      return { color: undefined, values: {}, image: part && new ErasedImage(painting, part), blend: "over" };
     }
-    const picture = kind && isKnown && part ? new PaintedPicture(painting, part, brush, strength) : null;
-    return picture ? { picture, strength, blend: "over", plainBlend: blend } : { strength, blend };
+    const image = kind && isKnown && part ? new PaintedImage(painting, part, brush, strength) : null;
+    return image ? { image, strength, blend: "over", plainBlend: blend } : { strength, blend };
   }
 }

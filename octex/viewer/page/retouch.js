@@ -1,4 +1,4 @@
-// Tools that paint with the colours of the view: clone, smudge, blur and sharpen. Each makes a picture of the view, one texel
+// Tools that paint with the colours of the view: clone, smudge, blur and sharpen. Each makes an image of the view, one texel
 // a pixel, which retouch.frag draws where the brush comes.
 
 import { clippedBox, grownBox, movedBox } from "./boxes.js";
@@ -70,8 +70,8 @@ export class ViewColors {
   }
 }
 
-// A picture that a stroke paints, made from colours of the view. `prepare` draws a box of it, before the brush covers that.
-export class Picture {
+// An image that a stroke paints, made from colours of the view. `prepare` draws a box of it, before the brush covers that.
+export class BrushImage {
   constructor(painting, composite = null) {
     this.gpu = painting.viewer.gpu;
     this.colors = new ViewColors(painting, { drawn: (box) => this.colorsDrawn(box), composite });
@@ -102,7 +102,7 @@ export class Picture {
 }
 
 // The view, moved by whole pixels.
-class ClonedPicture extends Picture {
+class ClonedImage extends BrushImage {
   constructor(painting, offset) {
     super(painting);
     this.offset = offset;
@@ -115,7 +115,7 @@ class ClonedPicture extends Picture {
 }
 
 // The view, blurred by a share; or sharpened, if that is below 0.
-class BlurredPicture extends Picture {
+class BlurredImage extends BrushImage {
   constructor(painting, sigma, share) {
     super(painting);
     this.sigma = sigma;
@@ -132,7 +132,7 @@ class BlurredPicture extends Picture {
 }
 
 // The view, whose colours the brush drags along.
-class SmudgedPicture extends Picture {
+class SmudgedImage extends BrushImage {
   constructor(painting, share, hardness) {
     super(painting);
     this.share = share;
@@ -201,12 +201,12 @@ export class Retouch {
 
   blur(event) {
     const isBlur = this.effect === "blur", sigma = (this.radius / BLUR_REACH) * this.painting.viewer.pixelRatio;
-    return this.drag(event, { name: isBlur ? "Blur" : "Sharpen", picture: new BlurredPicture(this.painting, sigma, isBlur ? 1 : SHARPEN) });
+    return this.drag(event, { name: isBlur ? "Blur" : "Sharpen", image: new BlurredImage(this.painting, sigma, isBlur ? 1 : SHARPEN) });
   }
 
   smudge(event) {
-    const { opacity, hardness } = this.painting.brush, picture = new SmudgedPicture(this.painting, SMUDGE_SHARE * opacity, hardness);
-    return this.drag(event, { name: "Smudge", picture, opacity: 1 });
+    const { opacity, hardness } = this.painting.brush, image = new SmudgedImage(this.painting, SMUDGE_SHARE * opacity, hardness);
+    return this.drag(event, { name: "Smudge", image, opacity: 1 });
   }
 
   forgetSource() {
@@ -230,7 +230,7 @@ export class Retouch {
     return `${viewKey} ${width} ${height}`;
   }
 
-  // The position of the source in the picture, in CSS pixels; null if it is hidden.
+  // The position of the source in the image, in CSS pixels; null if it is hidden.
   get sourcePosition() {
     const { viewer } = this.painting, { camera, canvas } = viewer;
     const position = camera.project(this.point, [canvas.clientWidth, canvas.clientHeight]), visible = position && viewer.surfaceAt(...position);
@@ -246,7 +246,7 @@ export class Retouch {
       this.set({ offset: [Math.round((x - from[0]) * pixelRatio), Math.round((from[1] - y) * pixelRatio)], offsetView: this.view });
     }
     painting.showMessage("");
-    return this.drag(event, { name: "Clone", picture: new ClonedPicture(painting, this.offset) });
+    return this.drag(event, { name: "Clone", image: new ClonedImage(painting, this.offset) });
   }
 
   // Mark the source of the colours for a pointer at a place, in CSS pixels; null if the pointer has left.

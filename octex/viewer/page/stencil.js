@@ -1,4 +1,4 @@
-// A stencil: a picture over the view. The brush paints through it, or the whole picture is painted at once.
+// A stencil: an image over the view. The brush paints through it, or the whole image is painted at once.
 
 import { boxOfPixels } from "./boxes.js";
 import { sendStroke } from "./brush.js";
@@ -7,7 +7,7 @@ import { element, make } from "./elements.js";
 import { IMAGE_TYPES, readImage } from "./images.js";
 import { Settings, button, section } from "./panel.js";
 
-const FIT = 0.6; // share of the view that a new picture takes
+const FIT = 0.6; // share of the view that a new image takes
 const MAX_OVERLAY = 1024; // pixels along a side of the overlay
 const KEY_STEP = 1, SHIFT_STEP = 10; // pixels that an arrow key moves, without and with Shift
 const KEY_TURN = Math.PI / 180, KEY_SCALE = 1.02;
@@ -23,7 +23,7 @@ export class Stencil {
     this.isThrough = true;
     this.isMirrored = false;
     this.opacity = 0.6; // of the overlay
-    this.colors = "own"; // or "dark", "light": the brush's colour where the picture is so
+    this.colors = "own"; // or "dark", "light": the brush's colour where the image is so
     this.changes = 0; // of its placement and settings
     this.pointers = new Map();
     this.build();
@@ -34,7 +34,7 @@ export class Stencil {
     this.overlay = make("canvas", { "aria-hidden": "true" });
     this.frame = make("div", { id: "stencil", hidden: true }, this.overlay, ...corners);
     stage.append(this.frame);
-    this.file = make("input", { type: "file", accept: IMAGE_TYPES, hidden: true, "aria-label": "Picture", onchange: ({ target }) => target.files[0] && this.painting.external.take(target.files[0]) });
+    this.file = make("input", { type: "file", accept: IMAGE_TYPES, hidden: true, "aria-label": "Image", onchange: ({ target }) => target.files[0] && this.painting.external.take(target.files[0]) });
     const settings = (this.settings = new Settings("stencil-", () => this, (change) => this.set(change)));
     this.controls = make("div", { hidden: true },
       ...settings.slider("opacity", "Opacity on the screen", { min: 0.05, max: 1, step: 0.01 }),
@@ -43,8 +43,8 @@ export class Stencil {
       settings.check("isMirrored", "mirror it with the strokes"),
       make("div", { class: "buttons" }, button("stencil-stamp", "Stamp it", () => this.stamp()), button("stencil-remove", "Remove", () => this.remove())));
     element("history").before(section("stencil-section", "Stencil",
-      make("p", { class: "hint" }, "A picture over the model. Choose the tool Stencil to move it; drag a corner to turn and scale it."),
-      make("div", { class: "buttons" }, button("stencil-choose", "Choose a picture …", () => this.file.click())), this.file, this.controls));
+      make("p", { class: "hint" }, "An image over the model. Choose the tool Stencil to move it; drag a corner to turn and scale it."),
+      make("div", { class: "buttons" }, button("stencil-choose", "Choose an image …", () => this.file.click())), this.file, this.controls));
     const on = (name, run) => this.frame.addEventListener(name, (event) => {
       event.preventDefault();
       event.stopPropagation();
@@ -57,9 +57,9 @@ export class Stencil {
     new ResizeObserver(() => this.show()).observe(this.painting.viewer.canvas);
   }
 
-  // Tell the user what to do when the tool is selected without a picture.
+  // Tell the user what to do when the tool is selected without an image.
   begin() {
-    if (!this.bitmap) this.painting.showMessage("Choose a picture, or drop one on the page.");
+    if (!this.bitmap) this.painting.showMessage("Choose an image, or drop one on the page.");
   }
 
   // Lay a file over the view, or show what is wrong with it.
@@ -74,7 +74,7 @@ export class Stencil {
     }
   }
 
-  // Place a picture in the middle of the view.
+  // Place an image in the middle of the view.
   place(bitmap) {
     const { viewer: { canvas } } = this.painting, reduction = Math.min(1, MAX_OVERLAY / Math.max(bitmap.width, bitmap.height));
     this.bitmap?.close();
@@ -128,7 +128,7 @@ export class Stencil {
     this.pointers.set(event.pointerId, { position: this.positionOf(event), isCorner: event.target.tagName === "SPAN" });
   }
 
-  // One pointer moves the picture; at a corner it turns and scales it. Two pointers each hold a point of it.
+  // One pointer moves the image; at a corner it turns and scales it. Two pointers each hold a point of it.
   move(event) {
     const pointer = this.pointers.get(event.pointerId);
     if (!pointer) return;
@@ -167,11 +167,11 @@ export class Stencil {
   // The settings that replace the brush's.
   overrides(name) {
     const { brush } = this.painting;
-    return { name, picture: this.picture(), mirror: this.isMirrored ? brush.mirror : "" };
+    return { name, image: this.image(), mirror: this.isMirrored ? brush.mirror : "" };
   }
 
   // The stencil drawn in the size of the view, as a target with its texture and the box of its pixels.
-  picture() {
+  image() {
     const { viewer, brush } = this.painting, { gpu, screenSize: { width, height, pixelRatio } } = viewer, { gl } = gpu;
     const target = gpu.target("stencil", width, height, [gl.RGBA8]), color = this.colors === "own" ? "" : String(brush.color);
     const state = `${this.changes} ${color} ${pixelRatio}`;
@@ -193,23 +193,23 @@ export class Stencil {
     return target;
   }
 
-  // Paint the whole picture.
+  // Paint the whole image.
   stamp() {
     const { painting } = this, { strokes, brush, viewer } = painting, why = painting.blockReason;
     if (!this.bitmap || painting.pen) return;
     painting.showMessage(why);
     if (why) return;
-    const overrides = this.overrides("Picture");
-    if (!overrides.picture.box) return painting.showMessage("The picture lies beside the view: move it over the model.");
+    const overrides = this.overrides("Image");
+    if (!overrides.image.box) return painting.showMessage("The image lies beside the view: move it over the model.");
     const stroke = { ...brush, ...overrides };
     strokes.begin({ ...stroke, offset: painting.mirrorOffset, ...strokes.viewFields, preview: painting.preview.styleOf(stroke) });
-    strokes.coverBox(overrides.picture.box);
+    strokes.coverBox(overrides.image.box);
     sendStroke(painting, strokes.end());
     viewer.invalidate();
   }
 }
 
-// Fill pixels with a colour; they are opaque where the picture is dark, or light.
+// Fill pixels with a colour; they are opaque where the image is dark, or light.
 function fillWithColor(data, color, whereDark) {
   for (let at = 0; at < data.length; at += 4) {
     const luma = (0.2126 * data[at] + 0.7152 * data[at + 1] + 0.0722 * data[at + 2]) / 255;

@@ -15,7 +15,7 @@ const SENT_UNIT = 27; // texture unit of the sent strokes
 const NO_PAINT = new Float32Array(4);
 
 // Blend modes. With coverage a, paint p turns the value b into b·(1 − a·cover) + a·added. These are cover and added of p,
-// and tables of both by p's code. See BLENDS in octex/painting/picture.py.
+// and tables of both by p's code. See BLENDS in octex/painting/image.py.
 const BLENDS = { over: (p) => [1, p], multiply: (p) => [1 - p, 0], screen: (p) => [p, p], add: (p) => [0, p] };
 const TABLES = Object.fromEntries(Object.entries(BLENDS).map(([name, blend]) => [name, [0, 1].map((n) => LIGHTS.map((p) => blend(p)[n]))]));
 
@@ -26,7 +26,7 @@ export class Strokes {
   constructor(viewer) {
     this.viewer = viewer;
     this.current = null; // settings of the brush, `box` (what is drawn of it), and `dabs` if it has any
-    this.sent = []; // strokes with their command, box and coverage, and colours of pixels if they paint a picture
+    this.sent = []; // strokes with their command, box and coverage, and colours of pixels if they paint an image
     this.planes = []; // that sent strokes paint: `composed` has two layers for each, what covers old values and what is added
     this.composedBox = null; // the part of these layers that is not 0
     this.size = [0, 0];
@@ -62,7 +62,7 @@ export class Strokes {
     return { camera: { width, height, K, pose }, moved: patch ? patch.moment : moment, patch: patch?.spot };
   }
 
-  // Create textures in the picture's size.
+  // Create textures in the image's size.
   allocate(width, height) {
     const { gpu } = this.viewer, { gl } = gpu;
     this.size = [width, height];
@@ -90,7 +90,7 @@ export class Strokes {
     Object.assign(this, { planes, composedBox: null });
   }
 
-  // The plane of the base colour, which pictures paint.
+  // The plane of the base colour, which images paint.
   get colorPlane() {
     return this.viewer.parts[0].channel("base_color").at[0];
   }
@@ -127,7 +127,7 @@ export class Strokes {
   extend(from, to) {
     const { viewer, current } = this, [, height] = this.size, { pixelRatio } = viewer;
     const ends = [from, to].map(([x, y, radius, strength = 1]) => [x * pixelRatio, height - y * pixelRatio, radius * pixelRatio, strength]);
-    for (const picture of [current.picture, current.preview?.picture]) picture?.prepare?.(boxOfDiscs(ends), ...ends);
+    for (const image of [current.image, current.preview?.image]) image?.prepare?.(boxOfDiscs(ends), ...ends);
     const box = current.dabs ? current.dabs.draw(...ends, current) : this.drawLine(...ends);
     if (!box) return null;
     current.box = unionOf(current.box, box);
@@ -158,32 +158,32 @@ export class Strokes {
     this.current.box = box;
   }
 
-  // End the stroke. Returns it with its box (rows from above), its coverage, and the colours of its picture, if it has one;
-  // the preview gets those of the previewed picture. Returns null for a stroke that covers nothing.
+  // End the stroke. Returns it with its box (rows from above), its coverage, and the colours of its image, if it has one;
+  // the preview gets those of the previewed image. Returns null for a stroke that covers nothing.
   end() {
     const { gpu } = this.viewer, { current, size } = this;
     this.current = null;
     if (!current?.box) return null;
     const [left, bottom, right, top] = current.box, width = right - left, height = top - bottom, pixels = width * height;
     const read = (target) => target && gpu.readBytes(target, current.box), colorsFor = (bytes) => bytes && new Uint8Array(3 * pixels);
-    const drawn = read(this.target), picture = read(current.picture), preview = read(current.preview?.picture);
-    const coverage = new Uint8Array(pixels), colors = colorsFor(picture), previewColors = colorsFor(preview), isPreviewed = preview && new Uint8Array(pixels);
+    const drawn = read(this.target), image = read(current.image), preview = read(current.preview?.image);
+    const coverage = new Uint8Array(pixels), colors = colorsFor(image), previewColors = colorsFor(preview), isPreviewed = preview && new Uint8Array(pixels);
     for (let row = 0, n = 0; row < height; row++) {
       for (let at = 4 * width * (height - 1 - row), column = 0; column < width; column++, at += 4, n++) {
-        coverage[n] = picture ? Math.round((drawn[at] * picture[at + 3]) / 255) : drawn[at];
+        coverage[n] = image ? Math.round((drawn[at] * image[at + 3]) / 255) : drawn[at];
         if (!coverage[n]) continue;
-        for (let k = 0; picture && k < 3; k++) colors[k * pixels + n] = picture[at + k];
+        for (let k = 0; image && k < 3; k++) colors[k * pixels + n] = image[at + k];
         for (let k = 0; preview && k < 3; k++) previewColors[k * pixels + n] = preview[at + k];
         if (preview) isPreviewed[n] = preview[at + 3];
       }
     }
     if (!coverage.some((code) => code > 0)) return null;
-    const withPicture = picture && { color: undefined, values: undefined, colors, picture: null };
-    const withPreview = preview && { preview: { ...current.preview, picture: null, colors: previewColors, isPreviewed } };
+    const withImage = image && { color: undefined, values: undefined, colors, image: null };
+    const withPreview = preview && { preview: { ...current.preview, image: null, colors: previewColors, isPreviewed } };
     const staysOnPart = current.part >= 0 && !this.mirror.isOf(current, this.viewKey);
     const parts = staysOnPart && this.readParts(this.gbuffer, current.box), row = (n) => height - 1 - Math.floor(n / width);
     const shown = parts ? coverage.map((code, n) => (parts[row(n) * width + (n % width)] === current.part ? code : 0)) : coverage;
-    return { ...current, ...withPicture, ...withPreview, shown, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
+    return { ...current, ...withImage, ...withPreview, shown, dabs: null, box: [left, size[1] - top, right, size[1] - bottom], coverage };
   }
 
   // The connected part that a stroke with `at` stays on, and that of its mirror image; −1: any part.
@@ -227,25 +227,25 @@ export class Strokes {
     this.planes.forEach((plane, number) => {
       const sums = [0, 1].map(() => new Float32Array(4 * width * rows));
       sent.forEach((stroke, n) => {
-        const isPicture = stroke.colors && plane === this.colorPlane;
-        if (blends[n].has(plane)) this.blendStroke(stroke, blends[n].get(plane), isPicture, box, ...sums);
+        const isImage = stroke.colors && plane === this.colorPlane;
+        if (blends[n].has(plane)) this.blendStroke(stroke, blends[n].get(plane), isImage, box, ...sums);
       });
       sums.forEach((sum, which) => gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, left, bottom, 2 * number + which, width, rows, 1, gl.RGBA, gl.FLOAT, sum));
     });
   }
 
-  // Blend a stroke over the `cover` and `added` of a plane, in a box. A picture paints the first three components in its own
+  // Blend a stroke over the `cover` and `added` of a plane, in a box. An image paints the first three components in its own
   // colours, where these are known.
-  blendStroke(stroke, [covers, adds], isPicture, [first, low, end], cover, added) {
+  blendStroke(stroke, [covers, adds], isImage, [first, low, end], cover, added) {
     const { box: [left, top, right, bottom], coverage, shown = coverage, colors, isPreviewed, opacity, blend = "over" } = stroke;
     const [, height] = this.size, width = end - first, [coverOf, addedOf] = TABLES[blend], area = coverage.length;
-    const components = [0, 1, 2, 3].filter((k) => covers[k] || adds[k] || (isPicture && k < 3));
+    const components = [0, 1, 2, 3].filter((k) => covers[k] || adds[k] || (isImage && k < 3));
     for (let row = top, n = 0; row < bottom; row++) {
       for (let at = 4 * (width * (height - 1 - row - low) + left - first), column = left; column < right; column++, at += 4, n++) {
         const share = (opacity * shown[n]) / 255;
         if (!share) continue;
         for (const k of components) {
-          const code = isPicture && k < 3 && (!isPreviewed || isPreviewed[n]) ? colors[k * area + n] : -1;
+          const code = isImage && k < 3 && (!isPreviewed || isPreviewed[n]) ? colors[k * area + n] : -1;
           const a = share * (code < 0 ? covers[k] : coverOf[code]), b = share * (code < 0 ? adds[k] : addedOf[code]);
           cover[at + k] += a * (1 - cover[at + k]);
           added[at + k] += b - a * added[at + k];
@@ -257,25 +257,25 @@ export class Strokes {
   // The textures that surface.frag reads.
   get textures() {
     const [u_strokesPositions, u_strokesDirections] = this.gbuffer.textures, [u_mirrorPositions] = (this.mirror.gbuffer ?? this.gbuffer).textures;
-    const [u_stroke] = this.target.textures, u_colors = previewed(this.current).picture?.texture ?? u_stroke;
+    const [u_stroke] = this.target.textures, u_colors = previewed(this.current).image?.texture ?? u_stroke;
     return { u_stroke, u_colors, u_strokesPositions, u_strokesDirections, u_mirrorPositions };
   }
 
   setUniforms(program, width, height, planes) {
     const { current, viewer, mirror, sent } = this, { gl } = viewer.gpu, isSameView = this.viewKey === viewer.viewKey;
-    const stroke = previewed(current ?? sent.at(-1)), { opacity = 0, angle = DEFAULT_ANGLE, backFaces = false, hidden = false, blend = "over", picture } = stroke;
-    const blends = current && !current.picture ? this.blendOf(previewed(current)) : new Map(), anyAngle = angle >= 90;
+    const stroke = previewed(current ?? sent.at(-1)), { opacity = 0, angle = DEFAULT_ANGLE, backFaces = false, hidden = false, blend = "over", image } = stroke;
+    const blends = current && !current.image ? this.blendOf(previewed(current)) : new Map(), anyAngle = angle >= 90;
     viewer.gpu.bind(program, { u_strokes: this.composed }, SENT_UNIT, gl.TEXTURE_2D_ARRAY);
     gl.uniform1iv(program.at("u_strokesAt[0]"), Array.from({ length: planes }, (_, n) => 2 * this.planes.indexOf(n)));
     ["u_cover", "u_added"].forEach((name, which) => {
       const all = Array.from({ length: planes }, (_, n) => [...(blends.get(n)?.[which] ?? NO_PAINT)]);
       gl.uniform4fv(program.at(`${name}[0]`), all.flat());
     });
-    gl.uniform1i(program.at("u_picturePlane"), current && picture ? this.colorPlane : -1);
+    gl.uniform1i(program.at("u_imagePlane"), current && image ? this.colorPlane : -1);
     const [[covers, adds], [light, more]] = [0, 1].map(BLENDS[blend]);
     gl.uniform3f(program.at("u_blend"), covers, light - covers, more - adds);
     gl.uniform1f(program.at("u_opacity"), isSameView && current ? opacity : 0);
-    gl.uniform2f(program.at("u_picture"), width, height);
+    gl.uniform2f(program.at("u_image"), width, height);
     gl.uniform3f(program.at("u_angles"), anyAngle ? -1 : cosine(Math.max(angle - FADE, 0)), anyAngle ? -2 : cosine(angle), backFaces ? 1 : 0);
     const canReproject = !viewer.display.moment && !this.isPosed && !viewer.parts[0].header.mesh?.posed;
     gl.uniform1i(program.at("u_strokesView"), !sent.length ? 0 : isSameView ? 1 : canReproject ? 2 : 0);

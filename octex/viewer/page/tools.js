@@ -52,7 +52,7 @@ function fill(painting, event) {
   painting.palette.addRecent(painting.material.paint.color);
 }
 
-// Press the tool in the middle of the picture, without a pointer.
+// Press the tool in the middle of the image, without a pointer.
 export function pressMiddle(painting) {
   const { canvas } = painting.viewer, { left, top, width, height } = canvas.getBoundingClientRect();
   const press = new PointerEvent("pointerdown", { pointerId: -1, clientX: left + width / 2, clientY: top + height / 2 });

@@ -18,15 +18,15 @@ import { readViewerShaders } from "./programs.js";
 import { Source } from "./source.js";
 import { watch } from "./connection.js";
 
-const HIGHLIGHT_TIME = 80; // milliseconds: cells are highlighted only if a picture takes less
+const HIGHLIGHT_TIME = 80; // milliseconds: cells are highlighted only if an image takes less
 const PICK_DELAY = 60; // milliseconds for which the pointer must rest
 const TURNTABLE_SPEED = 0.35; // radians a second
 
 class Viewer extends Frames {
   constructor() {
     super();
-    this.canvas = element("picture");
-    // How the model is displayed; passed to the GPU for each picture.
+    this.canvas = element("image");
+    // How the model is displayed; passed to the GPU for each image.
     this.display = {
       mode: "lit", // or "unlit", "channel", "spread" of directions, "depth" of cells, "facing"
       channel: "base_color",
@@ -38,7 +38,7 @@ class Viewer extends Frames {
       highlight: null, // the picked cell
       moment: null, // { animation, time }; null: the model as loaded
       patch: null, // the patch that is laid flat, see flat.js
-      divider: 0, // share of the picture that shows the model's images
+      divider: 0, // share of the image that shows the model's images
       relief: 0.02, // displacement of height 1, in root cells
       strokes: null, // that the texture does not have yet
     };
@@ -263,7 +263,7 @@ class Viewer extends Frames {
       this.camera.reset();
       this.invalidate();
     });
-    element("save").addEventListener("click", () => this.savePicture());
+    element("save").addEventListener("click", () => this.saveImage());
     element("save-camera").addEventListener("click", () => this.saveCamera());
     document.addEventListener("keydown", (event) => {
       const isTyping = event.target.matches("select, input") || event.ctrlKey || event.metaKey || event.altKey;
@@ -324,7 +324,7 @@ class Viewer extends Frames {
     if (this.player?.step(now)) this.invalidate();
   }
 
-  // The size of saved pictures and of strokes, in pixels of the screen.
+  // The size of saved images and of strokes, in pixels of the screen.
   get screenSize() {
     const { pixelRatio, canvas } = this, pixels = (length) => Math.max(Math.round(length * pixelRatio), 1);
     return { pixelRatio, width: pixels(canvas.clientWidth), height: pixels(canvas.clientHeight) };
@@ -335,7 +335,7 @@ class Viewer extends Frames {
     return this.header.title.replace(/\.[^.]*$/, "");
   }
 
-  savePicture() {
+  saveImage() {
     this.draw(this.pixelRatio);
     this.canvas.toBlob((blob) => download(`${this.fileName}.png`, blob));
   }
@@ -353,14 +353,14 @@ class Viewer extends Frames {
     this.pickTimer = setTimeout(() => this.showPicked(this.pick(offsetX, offsetY)), PICK_DELAY);
   }
 
-  // The point of the model at a position of the picture, in CSS pixels; null for the background.
+  // The point of the model at a position of the image, in CSS pixels; null for the background.
   surfaceAt(x, y) {
     if (!this.isLoaded || this.isContextLost) return null;
     const size = [this.canvas.clientWidth, this.canvas.clientHeight], depth = this.gpu.depthAt(this.display, this.camera, [x, y], size);
     return depth && this.camera.pointAt([x + 0.5, y + 0.5], size, depth);
   }
 
-  // Pick at a position of the picture, in CSS pixels; see pick.js.
+  // Pick at a position of the image, in CSS pixels; see pick.js.
   pick(x, y) {
     return this.isContextLost ? null : pickAt(this, [x, y]);
   }

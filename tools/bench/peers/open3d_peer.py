@@ -3,7 +3,7 @@
 usage: open3d_peer.py cells ARRAYS.npz RESOLUTION VoxelGrid of a mesh, its cells read out
        open3d_peer.py bake ARRAYS.npz SIZE        bake_vertex_attr_textures of a mesh
        open3d_peer.py look_up ARRAYS.npz          closest point of a mesh, its UV, a bilinear read of an image
-       open3d_peer.py paint ARRAYS.npz            a picture projected into a mesh's image
+       open3d_peer.py paint ARRAYS.npz            an image projected into a mesh's image
 """
 
 from __future__ import annotations

@@ -111,9 +111,9 @@ def _read_of(image: bpy.types.Image, is_packed: bool = False) -> Read:
 
 
 def photographs(context: bpy.types.Context, required: bool) -> tuple[list[dict], dict[str, Read]]:
-    """Return the picture, lens and pose of each camera object with a background image.
+    """Return the image, lens and pose of each camera object with a background image.
 
-    Pictures that are no files are to be stored before: they are returned by the names of their files. Raises
+    Images that are no files are to be stored before: they are returned by the names of their files. Raises
     ObjectError if one cannot be used, or if one is ``required`` and there is none.
     """
     made: list[dict] = []

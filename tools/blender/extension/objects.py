@@ -211,7 +211,7 @@ def is_missing(image: bpy.types.Image) -> bool:
 
 
 def lens_and_pose(camera: bpy.types.Object) -> dict:
-    """Return how a camera sees a picture of any size; raises ObjectError."""
+    """Return how a camera sees an image of any size; raises ObjectError."""
     data = camera.data
     if data.type != "PERSP":
         raise ObjectError(f"{camera.name} is no perspective camera")
@@ -247,7 +247,7 @@ def new_camera(pose: Matrix, lens: float) -> bpy.types.Object:
 
 
 def set_view(camera: bpy.types.Object, path: Path) -> None:
-    """Give a camera the picture that was drawn from it, to paint on, and keep the unedited one next to it."""
+    """Give a camera the image that was drawn from it, to paint on, and keep the unedited one next to it."""
     before = path.with_name(f"{path.stem}-before.png")
     before.write_bytes(path.read_bytes())
     image = loaded(path)

@@ -222,11 +222,11 @@ class OCTEX_OT_photographs(Working, bpy.types.Operator):
     def begin(self, context: bpy.types.Context, chosen: bpy.types.Object) -> Job:
         output = objects.texture_path(chosen, exists=False)
         cameras = bpy.path.abspath(chosen.octex.cameras) if chosen.octex.cameras else ""
-        pictures, reads = handover.photographs(context, not cameras)
+        images, reads = handover.photographs(context, not cameras)
         return job_of(
             "photographs", chosen, name=chosen.name, depth=chosen.octex.depth, output=str(output),
             texture=str(output) if output.exists() else "", posed=objects.posed_positions(context, chosen),
-            photographs=pictures, cameras=cameras,
+            photographs=images, cameras=cameras,
             mirrored=chosen.matrix_world.determinant() < 0,  # its front then faces inwards
         ).reading(reads)  # fmt: skip
 

@@ -22,7 +22,7 @@ class Settings(bpy.types.PropertyGroup):
         name="Cameras",
         subtype="FILE_PATH",
         options={"PATH_SUPPORTS_BLEND_RELATIVE"},
-        description="A COLMAP folder, or a file of cameras, in the scene's axes; its pictures lie next to it",
+        description="A COLMAP folder, or a file of cameras, in the scene's axes; its images lie next to it",
     )
     origin: EnumProperty(
         name="Colours",

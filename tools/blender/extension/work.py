@@ -245,7 +245,7 @@ def view(job: dict[str, Any]) -> dict[str, Any]:
 
 
 def camera_of(given: dict[str, Any], size: Sequence[int]) -> octex.Camera:
-    """Return a camera of Blender's, whose pictures are so many pixels wide and high."""
+    """Return a camera of Blender's, whose images are so many pixels wide and high."""
     width, height = size
     is_wide = given["fit"] == "HORIZONTAL" or (given["fit"] == "AUTO" and width >= height)
     side, (right, up) = width if is_wide else height, given["shift"]
@@ -255,7 +255,7 @@ def camera_of(given: dict[str, Any], size: Sequence[int]) -> octex.Camera:
     )  # fmt: skip
 
 
-def picture_of(given: dict[str, Any], folder: Path) -> tuple[Path | np.ndarray, Sequence[int]]:
+def image_of(given: dict[str, Any], folder: Path) -> tuple[Path | np.ndarray, Sequence[int]]:
     """Return a photograph's file, or its pixels if it is in no file, and its width and height."""
     path = folder / given["image"]
     if "pixels" not in given:
@@ -269,9 +269,9 @@ def picture_of(given: dict[str, Any], folder: Path) -> tuple[Path | np.ndarray, 
 
 
 def of_files(path: Path) -> list[octex.Projection]:
-    """Return the pictures of a camera file, or of a folder with a COLMAP model, as far as they are there."""
+    """Return the images of a camera file, or of a folder with a COLMAP model, as far as they are there."""
     folder = path if path.is_dir() else path.parent
-    pictures, missing = [], []
+    projections, missing = [], []
     for frame in octex.read_cameras(path):
         name = Path(frame.name)
         places = [
@@ -282,29 +282,27 @@ def of_files(path: Path) -> list[octex.Projection]:
         if image is None:
             missing.append(frame.name)
         else:
-            pictures.append(octex.Projection(image, frame.camera(image_size(image))))
-    if not pictures:
-        raise octex.OctexError(
-            f"{path}: none of its {len(missing)} pictures is there or in images next to it"
-        )
+            projections.append(octex.Projection(image, frame.camera(image_size(image))))
+    if not projections:
+        raise octex.OctexError(f"{path}: none of its {len(missing)} images is there or in images next to it")
     if missing:
-        say(warning=f"{len(missing)} pictures of {path.name} are missing, {missing[0]} is one")
-    return pictures
+        say(warning=f"{len(missing)} images of {path.name} are missing, {missing[0]} is one")
+    return projections
 
 
 def photographs(job: dict[str, Any]) -> dict[str, Any]:
     """Project photographs onto the mesh, into its texture or a new one."""
     surface, _ = surface_of(job)
-    pictures = [
+    projections = [
         octex.Projection(image, camera_of(each, size), since=each["since"] or None)
         for each in job["photographs"]
-        for image, size in [picture_of(each, Path(job["folder"]))]
+        for image, size in [image_of(each, Path(job["folder"]))]
     ]
     if job["cameras"]:
-        pictures += of_files(Path(job["cameras"]))
+        projections += of_files(Path(job["cameras"]))
     before = octex.open(job["texture"]) if job["texture"] else None
     texture = octex.paint(
-        before, surface, pictures, max_depth=job["depth"], back_faces=job["mirrored"], progress=progress
+        before, surface, projections, max_depth=job["depth"], back_faces=job["mirrored"], progress=progress
     )
     if texture is before:
         raise octex.OctexError("No camera sees the object, or no view was painted on; nothing is changed")

@@ -3,7 +3,7 @@
 layout(location = 0) out vec4 o_color;
 
 uniform sampler2D u_from;  // sRGB; alpha 0: no surface is seen
-uniform sampler2D u_before;  // the original of a blurred picture, to mix or sharpen
+uniform sampler2D u_before;  // the original of a blurred image, to mix or sharpen
 uniform highp usampler2D u_positions;  // by gbuffer.frag
 uniform sampler2D u_paint;  // paint of a layer below others
 uniform int u_action;  // 0: copy, 1: blur, 2: smudge, 3: paint below other layers

@@ -41,10 +41,10 @@ uniform int u_kind;  // of the shown channel: 0 light, 1 data, 2 directions
 uniform mat4 u_view;
 uniform vec3 u_marked;  // the lowest corner of the marked cell
 uniform float u_markedEdge;  // its edge; 0: none
-uniform bool u_hasRegion;  // draw only pixels whose samples reach a box of rest space, or that lie in a part of the picture
+uniform bool u_hasRegion;  // draw only pixels whose samples reach a box of rest space, or that lie in a part of the image
 uniform vec3 u_regionLow;
 uniform vec3 u_regionHigh;
-uniform vec4 u_regionPart;  // lowest and highest corner, as shares of the picture
+uniform vec4 u_regionPart;  // lowest and highest corner, as shares of the image
 uniform vec2 u_size;  // pixels
 
 // Averages reach so many footprints: they mix two levels, refined from the levels above.
@@ -71,7 +71,7 @@ vec3 compared(vec3 looked, ivec2 at) {
 #define compared(looked, at) looked
 #endif
 #ifdef BLENDS
-uniform sampler2D u_background;  // the opaque picture behind translucent surface
+uniform sampler2D u_background;  // the opaque image behind translucent surface
 #endif
 #ifndef CHANNEL
 #define CHANNEL vec3(0.5)
@@ -102,10 +102,10 @@ uniform sampler2D u_stroke;  // coverage of the current stroke
 uniform vec4 u_cover[PLANES];  // its blend: new = old · (1 − coverage · u_cover) + coverage · u_added
 uniform vec4 u_added[PLANES];
 uniform float u_opacity;
-uniform int u_picturePlane;  // the plane that the brush's picture paints; −1 for none
-uniform sampler2D u_colors;  // that picture: sRGB colours and alpha, a texel a pixel of the stroke
+uniform int u_imagePlane;  // the plane that the brush's image paints; −1 for none
+uniform sampler2D u_colors;  // that image: sRGB colours and alpha, a texel a pixel of the stroke
 uniform vec3 u_blend;  // its blend mode: factors of alpha and of light in u_cover, and of light in u_added
-uniform vec2 u_picture;  // pixels
+uniform vec2 u_image;  // pixels
 uniform vec3 u_angles;  // cosines at which paint begins to fade and has vanished; 1: paint back faces too
 uniform int u_strokesView;  // the view of the sent strokes: 0 no strokes, 1 this view, 2 another view, with these:
 uniform mat4 u_strokesCamera;  // from rest positions in the root cell to clip space
@@ -118,7 +118,7 @@ uniform mat4 u_mirrorCamera;  // the strokes' camera, mirrored
 uniform vec3 u_mirrorEye;
 uniform highp usampler2D u_mirrorPositions;
 uniform ivec2 u_parts;  // the parts that the current stroke and its mirror image stay on; −1: any
-vec3 p_sent = vec3(0.0), p_other = vec3(0.0);  // place in the strokes' picture, and share that is painted; of the sent strokes and of their mirror images
+vec3 p_sent = vec3(0.0), p_other = vec3(0.0);  // place in the strokes' image, and share that is painted; of the sent strokes and of their mirror images
 vec2 p_part;  // share that the current stroke paints, and its mirror image
 
 // Return how much paint an angle to the camera leaves, as octex.painting.reading does.
@@ -127,8 +127,8 @@ float paintable(bool isBackFace, float cosine) {
   return isBackFace && u_angles.z < 0.5 ? 0.0 : share * share * (3.0 - 2.0 * share);
 }
 
-// Sample the brush's picture bilinearly: light times alpha, and alpha.
-vec4 pictured(vec2 at) {
+// Sample the brush's image bilinearly: light times alpha, and alpha.
+vec4 imaged(vec2 at) {
   ivec2 size = textureSize(u_colors, 0);
   vec2 place = at * vec2(size) - 0.5, shares = fract(place);
   vec4 sum = vec4(0.0);
@@ -141,7 +141,7 @@ vec4 pictured(vec2 at) {
   return sum;
 }
 
-// Project a position into a camera's picture; return the place there, and the share of its paint that lands. `normal` points
+// Project a position into a camera's image; return the place there, and the share of its paint that lands. `normal` points
 // out of the model.
 vec3 takenBy(mat4 camera, vec3 eye, highp usampler2D places, vec4 place, vec3 normal) {
   vec4 seen = camera * vec4(place.xyz, 1.0);
@@ -155,7 +155,7 @@ vec3 takenBy(mat4 camera, vec3 eye, highp usampler2D places, vec4 place, vec3 no
 
 // Find the strokes that paint a pixel.
 void findStrokes(vec4 place, vec3 normal, vec3 toward) {
-  vec2 at = gl_FragCoord.xy / u_picture;
+  vec2 at = gl_FragCoord.xy / u_image;
   bool isBackFace = (floatBitsToUint(place.w) & 1u) == 1u;
   vec3 here = vec3(at, paintable(isBackFace, dot(normal, toward))), outward = isBackFace ? -normal : normal;
   if (u_mirrored != vec2(0.0)) p_other = takenBy(u_mirrorCamera, u_mirrorEye, u_mirrorPositions, place, outward);
@@ -176,11 +176,11 @@ vec4 withSent(vec4 values, int layer, vec3 taken) {
   return values * (1.0 - taken.z * texture(u_strokes, vec3(taken.xy, layer))) + taken.z * texture(u_strokes, vec3(taken.xy, layer + 1));
 }
 
-// Blend a share of the current stroke over values; `from` is the pixel's place in its picture.
+// Blend a share of the current stroke over values; `from` is the pixel's place in its image.
 vec4 withDrawn(vec4 values, int plane, float part, vec2 from) {
   vec4 cover = u_cover[plane], added = u_added[plane];
-  if (plane == u_picturePlane && part > 0.0) {
-    vec4 paint = pictured(from);
+  if (plane == u_imagePlane && part > 0.0) {
+    vec4 paint = imaged(from);
     cover.rgb = (1.0 - paint.a) * cover.rgb + u_blend.x * paint.a + u_blend.y * paint.rgb;
     added.rgb = (1.0 - paint.a) * added.rgb + u_blend.z * paint.rgb;
   }
@@ -192,7 +192,7 @@ vec4 painted(vec4 values, int plane) {
   int layer = u_strokesAt[plane];
   if (layer >= 0 && p_sent.z > 0.0) values = withSent(values, layer, p_sent);
   if (layer >= 0 && u_mirrored.x * p_other.z > 0.0) values = withSent(values, layer, p_other);
-  values = withDrawn(values, plane, p_part.x, gl_FragCoord.xy / u_picture);
+  values = withDrawn(values, plane, p_part.x, gl_FragCoord.xy / u_image);
   return min(withDrawn(values, plane, p_part.y, p_other.xy), 1.0);
 }
 #endif

@@ -6,7 +6,7 @@ layout(location = 0) in vec3 a_rest;
 layout(location = 1) in vec3 a_position;
 layout(location = 2) in vec3 a_normal;
 
-uniform mat4 u_projection;  // of the whole picture, or of the pixel that is picked
+uniform mat4 u_projection;  // of the whole image, or of the pixel that is picked
 uniform mat4 u_view;
 
 #ifdef PARTS

@@ -1,4 +1,4 @@
-// One point for each tile of the picture that shows any surface. Points at the border move inward, since GPUs discard
+// One point for each tile of the image that shows any surface. Points at the border move inward, since GPUs discard
 // points whose centres are outside. Software renderers also shade pixels that the stencil rejects, so tiles replace it.
 
 uniform highp usampler2D u_positions;  // by gbuffer.frag

@@ -1,4 +1,4 @@
-"""Pictures to paint with, decoded to mips."""
+"""Images to paint with, decoded to mips."""
 
 from __future__ import annotations
 
@@ -53,17 +53,17 @@ _LARGEST = 65535.0
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """A picture and the camera through which it is projected onto a surface.
+    """An image and the camera through which it is projected onto a surface.
 
     image     a file, a Pillow image, or an array as for ``Surface.from_arrays``: sRGB integers or linear
               floats. Its alpha is the opacity of the paint. Files follow their EXIF orientation, unless only
-              the unrotated picture fits the camera
-    camera    the camera that took the picture or drew the view; or a Patch. It has the picture's size
+              the unrotated image fits the camera
+    camera    the camera that took the image or drew the view; or a Patch. It has the image's size
     mask      an image of the same size: white where paint goes, black where not. If it has transparency, its
               alpha is used
     opacity   0 … 1, multiplies the alpha
     blend     how paint combines with the texture: one of BLENDS
-    since     the unedited picture, of the same size: only pixels that differ from it are painted
+    since     the unedited image, of the same size: only pixels that differ from it are painted
     key       the colour of a backdrop, "#rrggbb" or 8-bit (red, green, blue): pixels within 24/255 of it are
               not painted
     """
@@ -92,12 +92,12 @@ class Projection:
 
     @property
     def name(self) -> str:
-        """The picture's name in messages."""
+        """The image's name in messages."""
         return _name_of(self.image, "the image")
 
 
 def room_for(projections: Sequence[Projection], run: Run) -> AbstractContextManager[object]:
-    """Store pictures in files until the end of the block, if they exceed the memory of a run."""
+    """Store images in files until the end of the block, if they exceed the memory of a run."""
     pixels = sum(each.camera.width * each.camera.height for each in projections)
     memory = usual_memory() if run.memory is None else as_memory(run.memory)
     if memory is None or memory >= _PIXEL_MEMORY * pixels:
@@ -106,7 +106,7 @@ def room_for(projections: Sequence[Projection], run: Run) -> AbstractContextMana
 
 
 class Mips(NamedTuple):
-    """A picture and smaller ones, each half as wide and high; colours are multiplied by alpha."""
+    """An image and smaller ones, each half as wide and high; colours are multiplied by alpha."""
 
     pixels: Float32s  # (pixels of all mips, 4)
     sizes: Int64s  # (mips, 3)   first row, width, height
@@ -114,7 +114,7 @@ class Mips(NamedTuple):
 
 
 class Window(NamedTuple):
-    """A part of a picture, in pixels."""
+    """A part of an image, in pixels."""
 
     left: int
     top: int
@@ -142,14 +142,14 @@ def window_of(
 ) -> tuple[Mips, Window]:
     """Decode a projection's image and mask for a channel; alpha is multiplied by ``scale``.
 
-    ``around`` limits it to so many pixels around paint, and the window is that part of the picture.
+    ``around`` limits it to so many pixels around paint, and the window is that part of the image.
     """
     camera = projection.camera
     if isinstance(camera, Patch) or is_bent(camera.lens):
         around = None  # its window in the undistorted view is no rectangle
     size = camera.width, camera.height
     stage = stages.of(lambda: [size, form, scale, around, content_of(projection)])
-    found = stage.arrays("picture", lambda: _window_of(projection, form, scale, around))
+    found = stage.arrays("image", lambda: _window_of(projection, form, scale, around))
     return Mips(found["pixels"], found["sizes"], found["range"]), Window(*found["window"].tolist())
 
 
@@ -164,7 +164,7 @@ def _window_of(
     else:
         texels = texels_of(image, "the image", size)
         if projection.since is not None:
-            before = texels_of(projection.since, "the picture as it was", size)
+            before = texels_of(projection.since, "the image as it was", size)
         if around is not None:
             has_paint = texels[:, :, 3] > 0
             if before is not None and before.dtype == texels.dtype:
@@ -226,7 +226,7 @@ def _window_around(has_paint: Bools, around: int) -> Window:
 
 
 def _sizes(width: int, height: int) -> Int64s:
-    """Return the first row, width and height of a picture's mips; see Mips."""
+    """Return the first row, width and height of an image's mips; see Mips."""
     sizes = [(0, width, height)]
     while min(sizes[-1][1:]) > 1:
         first, across, down = sizes[-1]
@@ -271,7 +271,7 @@ def texels_of(image: Image, otherwise: str, size: tuple[int, int]) -> npt.NDArra
     if (columns, rows) != size:
         raise ArgumentError(
             f"{_name_of(image, otherwise)} has {columns}×{rows} pixels, its camera {size[0]}×{size[1]}; "
-            "scale the picture, or give the camera that it was taken with"
+            "scale the image, or give the camera that it was taken with"
         )
     return texels
 
@@ -308,7 +308,7 @@ def _decode(texels: Uint16s, table: Float32s, pixels: Float32s) -> None:
 
 
 def content_of(projection: Projection) -> bytes:
-    """Return a digest of a projection's pictures and key."""
+    """Return a digest of a projection's images and key."""
     given = projection.image, projection.mask, projection.since
     return digest_of([_content(each) for each in given], projection.key)
 
@@ -330,7 +330,7 @@ def check_projections(projections: Projection | Sequence[Projection]) -> list[Pr
 
 @inlined
 def falloff_at(falloff: Float64s, width: int, height: int, x: float, y: float) -> float:
-    """Return exp(a·r² + b·r⁴) at a place in a picture, with r = 1 in its corners."""
+    """Return exp(a·r² + b·r⁴) at a place in an image, with r = 1 in its corners."""
     if falloff[0] == 0.0 and falloff[1] == 0.0:
         return 1.0
     x, y = x - 0.5 * width, y - 0.5 * height
@@ -398,7 +398,7 @@ def _bicubic(
 def clipped(
     mips: Mips, a: np.float32, b: np.float32, c: np.float32, d: np.float32
 ) -> tuple[np.float32, np.float32, np.float32, np.float32]:
-    """Clip paint, times alpha, and alpha to the picture's range, which splines leave."""
+    """Clip paint, times alpha, and alpha to the image's range, which splines leave."""
     none = np.float32(0.0)
     if not d > none:
         return none, none, none, none

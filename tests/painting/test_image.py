@@ -1,4 +1,4 @@
-"""Pictures to paint with: decoded, masked, and read at any width."""
+"""Images to paint with: decoded, masked, and read at any width."""
 
 import numpy as np
 import PIL.Image
@@ -7,7 +7,7 @@ import pytest
 from octex.channels import BASE_COLOR, NORMAL, ROUGHNESS, srgb_to_linear
 from octex.errors import ArgumentError, ImageError
 from octex.jit import kernel
-from octex.painting.picture import Projection, check_projections, mips_of, read_paint
+from octex.painting.image import Projection, check_projections, mips_of, read_paint
 from octex.painting.sharpened import sharpen
 from tests.make.painted import above
 
@@ -89,7 +89,7 @@ def test_files_are_read_and_named_if_they_cannot_be(tmp_path):
     assert projection_of(tmp_path / "fine.png").name == str(tmp_path / "fine.png")
     mips = mips_of(projection_of(tmp_path / "fine.png"), ROUGHNESS)
     np.testing.assert_allclose(mips.pixels[:25, 0], 128 / 255, atol=1e-4)
-    (tmp_path / "bad.png").write_bytes(b"no picture")
+    (tmp_path / "bad.png").write_bytes(b"no image")
     for name in ("bad.png", "none.png"):
         with pytest.raises(ImageError, match=name):
             mips_of(projection_of(tmp_path / name), BASE_COLOR)

@@ -1,4 +1,4 @@
-"""Tools that put pictures down, in a real browser: they show what the library paints with these pictures."""
+"""Tools that put images down, in a real browser: they show what the library paints with these images."""
 
 import base64
 import zlib
@@ -37,7 +37,7 @@ def clean(easel):
 
 
 def smooth(width=200, height=160):
-    """A picture of smooth colours, transparent towards its right."""
+    """An image of smooth colours, transparent towards its right."""
     y, x = np.mgrid[:height, :width]
     alpha = np.clip(255 * (width - x) / 20, 0, 255)
     return np.dstack([255 * x / width, 255 * y / height, 128 + 60 * np.sin(x / 30), alpha]).astype(np.uint8)
@@ -49,7 +49,7 @@ def middle(easel):
 
 
 def assert_shown_as_baked(easel, plain):
-    """Wait until what is held back is painted, and compare; return where the picture has changed."""
+    """Wait until what is held back is painted, and compare; return where the image has changed."""
     easel.shown.wait_for_function("viewer.painting.commands.waiting.length > 0")
     before = seen(easel).astype(int)
     easel.shown.evaluate("release()")
@@ -61,7 +61,7 @@ def assert_shown_as_baked(easel, plain):
     return inside
 
 
-def test_a_stencil_that_is_put_down_is_the_picture_that_the_library_paints(clean):
+def test_a_stencil_that_is_put_down_is_the_image_that_the_library_paints(clean):
     image = np.random.default_rng(1).integers(0, 256, (80, 120, 3), np.uint8)
     clean.lay(image)
     clean.shown.evaluate("viewer.painting.stencil.set({ scale: 1, x: 10, y: -5 })")
@@ -72,7 +72,7 @@ def test_a_stencil_that_is_put_down_is_the_picture_that_the_library_paints(clean
     expected = np.zeros_like(sent)
     expected[y - 45 : y + 35, x - 50 : x + 70] = np.dstack([image, np.full(image.shape[:2], 255, np.uint8)])
     assert (sent == expected).all()
-    assert given["name"] == "Picture"
+    assert given["name"] == "Image"
     assert_same(clean.session.shown.texture, clean.painted(expected, camera))
 
 
@@ -103,7 +103,7 @@ def test_a_stencil_is_mirrored_only_if_that_is_asked(clean):
         clean.done()
         assert clean.sent()[0]["mirror"] == ("x" if is_asked else "")
     steps = clean.shown.evaluate("viewer.painting.status.steps")
-    assert steps == ["Picture", "Picture, mirrored"]
+    assert steps == ["Image", "Image, mirrored"]
 
 
 def test_a_stencil_is_paint_of_one_colour_where_it_is_dark(clean):
@@ -173,7 +173,7 @@ def animated(kind):
     return saved(first, kind, save_all=True, append_images=[second])
 
 
-def test_what_is_no_picture_is_refused_in_a_line(clean):
+def test_what_is_no_image_is_refused_in_a_line(clean):
     huge = b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", (10_000).to_bytes(4, "big") * 2 + bytes([8, 0, 0, 0, 0]))
     huge += chunk(b"IDAT", zlib.compress(bytes(10_001 * 100))) + chunk(b"IEND", b"")
     for name, content, text in (
@@ -191,8 +191,8 @@ def test_what_is_no_picture_is_refused_in_a_line(clean):
     folder = "[{ webkitGetAsEntry: () => ({ isDirectory: true, name: 'photos' }) }]"
     for items, files, text in (
         (folder, "[1]", "photos is a folder"),
-        ("[]", "[1, 2]", "Drop one picture at a time"),
-        ("[]", "[]", "Drop a picture that is a file"),
+        ("[]", "[1, 2]", "Drop one image at a time"),
+        ("[]", "[]", "Drop an image that is a file"),
     ):
         event = f"Object.assign(new Event('drop'), {{ dataTransfer: {{ items: {items}, files: {files} }} }})"
         clean.shown.evaluate(f"document.dispatchEvent({event})")
@@ -352,7 +352,7 @@ def drop(easel, name, content):
 
 
 def saved_view(easel):
-    """Save the view for another program; return the name and the picture of the file."""
+    """Save the view for another program; return the name and the image of the file."""
     easel.shown.locator("#external").evaluate("(section) => section.open = true")
     with easel.shown.expect_download() as found:
         easel.shown.click("#save-view")

@@ -43,11 +43,11 @@ _MOST_SAMPLES = 64
 _MOST_PIXELS = 1 << 28
 
 
-def as_picture_size(size: tuple[int, int]) -> tuple[int, int]:
+def as_image_size(size: tuple[int, int]) -> tuple[int, int]:
     """Return a checked width and height in pixels, or raise ArgumentError."""
     width, height = as_size(size)
     if width * height > _MOST_PIXELS:
-        raise ArgumentError(f"a picture has at most {_MOST_PIXELS:,} pixels, not {width} × {height}")
+        raise ArgumentError(f"an image has at most {_MOST_PIXELS:,} pixels, not {width} × {height}")
     return width, height
 
 
@@ -66,7 +66,7 @@ def render_surface(
 
     Transparent samples show up to 64 layers behind them, then the background.
     """
-    return film_surface(surface, camera, [look], supersample, light)[0].picture()
+    return film_surface(surface, camera, [look], supersample, light)[0].image()
 
 
 def film_surface(
@@ -166,7 +166,7 @@ class Film:
         sums = (self._sums / self._supersample**2).reshape(*self._shape, 4)
         return sums[..., :3], sums[..., 3:]
 
-    def picture(self) -> Float32s:
+    def image(self) -> Float32s:
         """Return linear light (height, width, 3) over the backdrop."""
         color, coverage = self.exposure()
         return (color + (1.0 - coverage) * background(*self._shape)).astype(np.float32)
@@ -274,7 +274,7 @@ def render_leaves(
     if cubes:
         appearance = appearance._replace(normals=None)
     buffers = leaves.seen(camera.scaled(supersample))
-    return film_leaves(leaves, appearance, buffers, camera, supersample, light, cubes=cubes).picture()
+    return film_leaves(leaves, appearance, buffers, camera, supersample, light, cubes=cubes).image()
 
 
 def film_leaves(
