@@ -14,7 +14,7 @@ from octex import parallel
 from octex.channels import decode
 from octex.cli.options import COMMANDS, DEFAULT_CHANNEL
 from octex.cli.parser import Parser
-from octex.cli.values import BALANCES, BLENDS, HOLES, IMAGES
+from octex.cli.values import BALANCES, BLENDS, FUSIONS, HOLES
 from octex.errors import ExitCode
 from octex.painting import image, options, paint
 from tests.conftest import needs_jit
@@ -286,8 +286,8 @@ def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(scene
 
 
 def test_the_help_names_the_librarys_defaults():
-    own = options.IMAGES, options.BALANCES, options.FILLS, image.BLENDS
-    assert own == (IMAGES, BALANCES, HOLES, BLENDS)
+    own = options.FUSIONS, options.BALANCES, options.FILLS, image.BLENDS
+    assert own == (FUSIONS, BALANCES, HOLES, BLENDS)
     text = " ".join(Parser("octex paint", COMMANDS["paint"], COMMANDS).help().split())
     defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
     assert defaults["channel"] == DEFAULT_CHANNEL

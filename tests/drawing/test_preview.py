@@ -10,8 +10,8 @@ from octex.channels import BASE_COLOR, CHANNELS, linear_to_srgb, srgb_to_linear
 from octex.drawing import (
     Viewpoint,
     draw_preview,
-    images,
     panels,
+    rasters,
     render_leaves,
     render_surface,
     source_shader,
@@ -126,7 +126,7 @@ def test_a_posed_model_is_coloured_at_its_rest_positions_with_widths_in_rest_uni
 def test_images_do_not_depend_on_the_size_of_the_blocks(monkeypatch):
     surface = _square(colors=np.eye(4)[:, :3])
     whole = render_surface(surface, _camera(), source_shader(surface))
-    monkeypatch.setattr(images, "_BLOCK", 7)
+    monkeypatch.setattr(rasters, "_BLOCK", 7)
     assert np.allclose(render_surface(surface, _camera(), source_shader(surface)), whole, atol=1e-7)
 
 

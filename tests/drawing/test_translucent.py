@@ -6,7 +6,7 @@ import pytest
 import octex
 from octex.cameras.camera import Camera
 from octex.drawing import (
-    images,
+    rasters,
     render_leaves,
     render_surface,
     source_shader,
@@ -52,7 +52,7 @@ def test_what_is_opaque_ends_the_layers_and_each_look_has_its_own():
         seen.append(len(hits.width))
         return Appearance(np.tile([1.0, 0.0, 0.0], (len(hits.width), 1)))
 
-    both = images.film_surface(surface, _camera(4), [source_shader(surface), red], 1)
+    both = rasters.film_surface(surface, _camera(4), [source_shader(surface), red], 1)
     assert seen == [16, 16]  # behind the first layer, nothing behind the second
     truth = _over(np.array([0.5, 1.0]), np.eye(3)[:2], 0.0)
     assert np.allclose(both[0].image(), truth, atol=1e-6)

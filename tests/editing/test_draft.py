@@ -131,7 +131,8 @@ def layered(seed):
     """A texture, a layer of three images for it, their surface and an opacity."""
     random, surface, texture, depth = case(seed)
     if seed % 2:  # in part without cells
-        shot = octex.Projection(edit_models.random_image(seed, 60, 60), edit_models.camera(surface, seed, 60, 60))
+        image, camera = edit_models.random_image(seed, 60, 60), edit_models.camera(surface, seed, 60, 60)
+        shot = octex.Projection(image, camera)
         texture = octex.paint(None, surface, shot, max_depth=depth)
     shots = [
         octex.Projection(

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.channels import srgb_to_linear
-from octex.source.images.pyramid import DATA, FLOAT, SRGB, Image, store
+from octex.source.images.pyramid import DATA, FLOAT, SRGB, ImageTexels, store
 from octex.source.surface import Surface
 from tests.make.fixtures import SQUARE, SQUARE_TRIANGLES, SQUARE_UV, random_image
 from tests.oracles.naive_filters import halved, reduction
@@ -80,7 +80,7 @@ def images(draw):
     kind = draw(st.sampled_from([SRGB, DATA, FLOAT]))
     if kind == FLOAT:
         texels = (texels / 65535 * [9, 5, 1, 1]).astype(np.float32)
-    return Image(texels, kind == SRGB, draw(st.booleans()))
+    return ImageTexels(texels, kind == SRGB, draw(st.booleans()))
 
 
 def decoded(image):
@@ -107,8 +107,8 @@ def test_each_level_is_the_area_mean_of_the_one_below_for_any_size(image):
 def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_is():
     texels = random_image(7, 6, 4, "uint16")
     threshold = 0.6
-    levels = levels_of(store([Image(texels, True, True, threshold)], True)[0])
-    values = decoded(Image(texels, True))
+    levels = levels_of(store([ImageTexels(texels, True, True, threshold)], True)[0])
+    values = decoded(ImageTexels(texels, True))
     np.testing.assert_allclose(levels[0], around(values), atol=1e-6)
     values[..., 3] = values[..., 3] >= threshold
     height, width = levels[1].shape[0] - 2, levels[1].shape[1] - 2
@@ -121,8 +121,8 @@ def test_averages_of_masked_alpha_are_of_0_and_1_but_the_finest_level_is_as_it_i
 def test_images_of_one_size_share_a_layout_and_each_comes_back():
     small, large = random_image(2, 3, 4, "uint16"), random_image(4, 4, 4, "uint16")
     light = random_image(2, 3, 4).astype(np.float32)
-    given = [Image(small, True), Image(large, False, True), Image(light, True)]
-    given += [Image(small[::-1], False), Image(light * 2, True)]
+    given = [ImageTexels(small, True), ImageTexels(large, False, True), ImageTexels(light, True)]
+    given += [ImageTexels(small[::-1], False), ImageTexels(light * 2, True)]
     images, layouts = store(given, False)
     assert layouts == [0, 1, 0, 0, 0]
     assert images.kinds.tolist() == [SRGB, DATA, FLOAT, DATA, FLOAT]
