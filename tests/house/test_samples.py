@@ -28,7 +28,7 @@ class Glb(Document):
             for p in primitives
         ]
 
-    def images(self):
+    def maps(self):
         return {entry["name"]: self.image(n)[..., :3] for n, entry in enumerate(self.json["images"])}
 
     def triangles(self):
@@ -44,7 +44,7 @@ def droid():
 
 def test_the_droid_is_small_and_has_the_maps_of_the_papers_table(droid):
     assert DROID.stat().st_size < 1_000_000
-    assert {name: image.shape[1::-1] for name, image in droid.images().items()} == MAP_SIZES
+    assert {name: image.shape[1::-1] for name, image in droid.maps().items()} == MAP_SIZES
     assert 3_000 < len(droid.triangles()) < 15_000
 
 
@@ -100,8 +100,8 @@ def test_make_droid_writes_the_droid(droid, tmp_path, monkeypatch, capsys):
     volumes = [np.linalg.det(each.triangles().astype(np.float64)).sum() for each in (made, droid)]
     assert volumes[0] == pytest.approx(volumes[1], rel=1e-3)
     if len(made.triangles()) == len(droid.triangles()):
-        for name, image in made.images().items():
-            difference = np.subtract(image, droid.images()[name], dtype=np.int16)
+        for name, image in made.maps().items():
+            difference = np.subtract(image, droid.maps()[name], dtype=np.int16)
             assert np.abs(difference).mean() < 4
 
 

@@ -175,5 +175,5 @@ def reopened(texture):
 
 def vars_of_scripts():
     names = globals()
-    made = "mesh waved cloud image stroke drawn_on camera beyond reopened np octex"
+    made = "mesh waved cloud random_image stroke drawn_on camera beyond reopened np octex"
     return {name: names[name] for name in made.split()}

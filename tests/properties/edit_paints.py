@@ -13,7 +13,7 @@ from tests.properties.edit_run import Step, call, color_of, extent_of, one_of, p
 def projection(random, blend=None):
     width, height = (int(each) for each in random.integers(8, 40, 2))
     seed = int(random.integers(1000))
-    image = call("image", seed, width, height, random.random() < 0.5)
+    image = call("random_image", seed, width, height, random.random() < 0.5)
     options = {}
     how = random.random()
     if how < 0.2:
