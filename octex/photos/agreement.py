@@ -62,16 +62,18 @@ def agreeing(
 
     def differences(number: int) -> Float32s:
         stored = stages.of(lambda: [number])
-        made = stored.arrays("differences", lambda: {"codes": _differences(source, compared[number], number)})
-        return made["codes"]
+        arrays = stored.arrays(
+            "differences", lambda: {"codes": _differences(source, compared[number], number)}
+        )
+        return arrays["codes"]
 
     def mask(number: int) -> None:
         shot = source.shots[number]
-        put_mask(shot.mips, _mask(found[number], as_codes(colors_of(shot)), far))
+        put_mask(shot.mips, _mask(off_by[number], as_codes(colors_of(shot)), far))
 
     with sharing(executor) as pool:
-        found = list(ordered_map(pool, differences, numbers))
-        known = np.concatenate([each[np.isfinite(each)] for each in found])
+        off_by = list(ordered_map(pool, differences, numbers))
+        known = np.concatenate([each[np.isfinite(each)] for each in off_by])
         if known.size:
             far = float(np.clip(_TIMES * np.quantile(known, _QUANTILE), _LEAST_FAR, _MOST_FAR))
             list(ordered_map(pool, mask, numbers))
@@ -99,28 +101,28 @@ def _differences(source: Projected, compared: Sequence[int], number: int) -> Flo
     rows, columns = patches_of(shot)
     codes, modes = np.full((2, rows * columns, 3), np.nan, np.float32)
     patches, triangles, barycentric = seen_at(source, shot, np.ones((rows, columns), np.bool_))
-    alone = source.with_shots([shot])
+    own_paint = source.with_shots([shot])
     source = source.with_shots([source.shots[each] for each in compared])
     for batch in batches(len(patches), len(compared)):
         where = triangles[batch], barycentric[batch]
-        colors, weights = source.each(*where, widths_of(alone, *where))
-        found = np.empty_like(colors[row])
-        find_modes(colors, weights, row, found)
-        codes[patches[batch]], modes[patches[batch]] = as_codes(colors[row]), found
+        colors, weights = source.each(*where, widths_of(own_paint, *where))
+        batch_modes = np.empty_like(colors[row])
+        find_modes(colors, weights, row, batch_modes)
+        codes[patches[batch]], modes[patches[batch]] = as_codes(colors[row]), batch_modes
     return off_modes(codes.reshape(rows, columns, 3), modes.reshape(rows, columns, 3))
 
 
 def as_codes(colors: Float32s) -> Float32s:
     """Return 255 times the square root of light."""
-    found: Float32s = np.float32(255.0) * np.sqrt(np.maximum(colors, np.float32(0.0)))
-    return found
+    codes: Float32s = np.float32(255.0) * np.sqrt(np.maximum(colors, np.float32(0.0)))
+    return codes
 
 
 @kernel
 def off_modes(codes: Float32s, modes: Float32s) -> Float32s:
     """Return the distances of codes from the lines between a patch's mode and its neighbours' modes."""
     rows, columns = modes.shape[:2]
-    found = np.full((rows, columns), np.float32(np.nan))
+    distances = np.full((rows, columns), np.float32(np.nan))
     for row in range(rows):
         for column in range(columns):
             a, b, c = modes[row, column, 0], modes[row, column, 1], modes[row, column, 2]
@@ -135,8 +137,8 @@ def off_modes(codes: Float32s, modes: Float32s) -> Float32s:
                         part = (x * u + y * v + z * w) / max(u * u + v * v + w * w, np.float32(1e-6))
                         part = min(max(part, np.float32(0.0)), np.float32(1.0))
                         least = min(least, max(abs(x - part * u), abs(y - part * v), abs(z - part * w)))
-            found[row, column] = least
-    return found
+            distances[row, column] = least
+    return distances
 
 
 @inlined
@@ -156,12 +158,12 @@ def nearness_of(codes: float) -> float:
 
 
 @kernel
-def find_modes(colors: Float32s, weights: Float32s, image: int, found: Float32s) -> None:
+def find_modes(colors: Float32s, weights: Float32s, image: int, modes: Float32s) -> None:
     """Write the codes (n, 3) of each point's mode, the colour with the most support; NaN if unknown."""
     count = len(weights)
     codes, votes, supports = np.empty((count, 3), np.float32), np.empty(count), np.empty(count)
-    for n in range(len(found)):
-        found[n] = np.nan
+    for n in range(len(modes)):
+        modes[n] = np.nan
         if not weights[image, n] > 0.0:
             continue
         several = 0
@@ -189,7 +191,7 @@ def find_modes(colors: Float32s, weights: Float32s, image: int, found: Float32s)
                 best = i
         if supports[best] - votes[best] >= _SUPPORT * votes[best]:
             for component in range(3):
-                found[n, component] = codes[best, component]
+                modes[n, component] = codes[best, component]
 
 
 def _mask(differences: Float32s, colors: Float32s, far: float) -> Float32s:
@@ -201,14 +203,14 @@ def _mask(differences: Float32s, colors: Float32s, far: float) -> Float32s:
     share = np.where(known, sums_around(is_far) / np.maximum(around, np.float32(1e-9)), np.float32(np.nan))
     fill_unknown(share, colors)
     unlike = share > _MAJORITY
-    say = sums_around(is_far, 2)
-    group = unlike & (say >= _CERTAIN) & (say > _MAJORITY * sums_around(sees, 2))
+    far_around = sums_around(is_far, 2)
+    group = unlike & (far_around >= _CERTAIN) & (far_around > _MAJORITY * sums_around(sees, 2))
     count = -1
     while count < group.sum():  # all that hangs together
         count = group.sum()
         group = grown(group) & unlike
-    found: Float32s = (~grown(group)).astype(np.float32)
-    return found
+    mask: Float32s = (~grown(group)).astype(np.float32)
+    return mask
 
 
 @kernel

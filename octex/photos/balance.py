@@ -42,12 +42,12 @@ def balanced(source: Projected, surface: Surface, balance: Balance, reference: i
 
     The shot ``reference``, and images that overlap no other, do not change; else the median gain is 1.
     """
-    found = exposures(source, surface, balance, reference)
-    gains = np.exp(found[:, :3]).astype(np.float32)
+    changes = exposures(source, surface, balance, reference)
+    gains = np.exp(changes[:, :3]).astype(np.float32)
     return source.with_shots(
         [
             shot._replace(gains=shot.gains * gain, falloff=shot.falloff + numbers[3:])
-            for shot, gain, numbers in zip(source.shots, gains, found, strict=True)
+            for shot, gain, numbers in zip(source.shots, gains, changes, strict=True)
         ]
     )
 
@@ -75,31 +75,31 @@ def exposures(source: Projected, surface: Surface, balance: Balance, reference: 
     slopes = _slopes(np.repeat(squares, 3, axis=1), balance)
     hold = np.full((len(paint), slopes.shape[2]), _HOLD_GAIN)
     hold[:, 3:] = _HOLD
-    found = _agreed(logs, counted, slopes, hold)
+    changes = _agreed(logs, counted, slopes, hold)
     places = np.linspace(0, 1, 33)
     powers = np.stack([places, places**2])
-    while balance == "full" and (no_lens := np.abs(found[:, 3:] @ powers).max(axis=1) > _MOST).any():
+    while balance == "full" and (no_lens := np.abs(changes[:, 3:] @ powers).max(axis=1) > _MOST).any():
         hold[no_lens, 3:] = np.inf
-        found = _agreed(logs, counted, slopes, hold)
+        changes = _agreed(logs, counted, slopes, hold)
     if balance == "gain":
-        found = np.concatenate([np.repeat(found, 3, axis=1), np.zeros((len(found), 2))], axis=1)
+        changes = np.concatenate([np.repeat(changes, 3, axis=1), np.zeros((len(changes), 2))], axis=1)
     lone = counted.sum(axis=1) == 0
     if reference is not None:
-        found[:, :3] -= found[reference, :3]
+        changes[:, :3] -= changes[reference, :3]
     elif not lone.all():
-        found[:, :3] -= np.median(found[~lone, :3], axis=0)
-    found[lone] = 0.0
-    return found
+        changes[:, :3] -= np.median(changes[~lone, :3], axis=0)
+    changes[lone] = 0.0
+    return changes
 
 
 def _agreed(logs: Float64s, counted: Float64s, slopes: Float64s, hold: Float64s) -> Float64s:
     """Return the numbers for which the images' logarithms agree best; those held infinitely are 0."""
-    found = np.zeros_like(hold)
+    changes = np.zeros_like(hold)
     for _ in range(_ROUNDS):
-        values = logs + (slopes @ found[:, :, None])[..., 0]
+        values = logs + (slopes @ changes[:, :, None])[..., 0]
         counts, _ = robust_weights(values, counted, _FAR)
-        found += agreed_step(slopes, values, counts, hold * max(counts.sum() / len(counts), 1.0))
-    return found
+        changes += agreed_step(slopes, values, counts, hold * max(counts.sum() / len(counts), 1.0))
+    return changes
 
 
 def _slopes(squares: Float64s, balance: Balance) -> Float64s:
@@ -107,10 +107,10 @@ def _slopes(squares: Float64s, balance: Balance) -> Float64s:
     if balance == "gain":
         return np.ones((*squares.shape, 1))
     component = np.arange(squares.shape[1]) % 3
-    found = np.zeros((*squares.shape, 5))
-    found[:, np.arange(squares.shape[1]), component] = 1.0
-    found[..., 3], found[..., 4] = squares, squares**2
-    return found
+    slopes = np.zeros((*squares.shape, 5))
+    slopes[:, np.arange(squares.shape[1]), component] = 1.0
+    slopes[..., 3], slopes[..., 4] = squares, squares**2
+    return slopes
 
 
 def _pixels_of(shot: Shot, points: Float64s) -> Float64s:

@@ -18,8 +18,8 @@ def few_at(weights: Float64s) -> Float64s:
     if len(weights) <= _MOST:
         return weights
     ranks = np.where(weights > 0, np.random.default_rng(0).random(weights.shape), 0.0)
-    found: Float64s = np.where(ranks < np.partition(ranks, -_MOST, axis=0)[-_MOST], 0.0, weights)
-    return found
+    few: Float64s = np.where(ranks < np.partition(ranks, -_MOST, axis=0)[-_MOST], 0.0, weights)
+    return few
 
 
 def consensus(values: Float64s, weights: Float64s) -> Float64s:
@@ -39,15 +39,15 @@ def robust_weights(values: Float64s, weights: Float64s, least: float) -> tuple[F
     far = np.abs(values - middle)
     counted = (weights > 0) & several
     scale = max(least, _SCALES * float(np.median(far[counted])) if counted.any() else least)
-    found = np.where(counted, weights / (1.0 + (far / scale) ** 2) ** 2, 0.0)
-    return found, scale
+    robust = np.where(counted, weights / (1.0 + (far / scale) ** 2) ** 2, 0.0)
+    return robust, scale
 
 
 @kernel
 def medians(values: Float64s, weights: Float64s) -> Float64s:
     """Return the weighted median of each point (n,), two values' mean if between; 0 if none."""
     images, count = values.shape
-    found = np.zeros(count)
+    middles = np.zeros(count)
     ranked, weight_of = np.empty(images), np.empty(images)
     for n in range(count):
         seen, total = 0, 0.0
@@ -68,9 +68,9 @@ def medians(values: Float64s, weights: Float64s) -> Float64s:
             if low < 0 and part >= half * (1.0 - 1e-9):
                 low = at
             if part > half * (1.0 + 1e-9) or at == seen - 1:
-                found[n] = 0.5 * (ranked[low] + ranked[at])
+                middles[n] = 0.5 * (ranked[low] + ranked[at])
                 break
-    return found
+    return middles
 
 
 def agreed_step(
@@ -89,9 +89,9 @@ def agreed_step(
     stays = np.isinf(ridge.ravel())
     matrix[np.diag_indices(size)] += np.where(stays, 0.0, ridge.ravel())
     free = np.flatnonzero(~stays)
-    found = np.zeros(size)
-    found[free] = np.linalg.pinv(matrix[np.ix_(free, free)], rcond=1e-12, hermitian=True) @ right[free]
-    return found.reshape(images, numbers)
+    changes = np.zeros(size)
+    changes[free] = np.linalg.pinv(matrix[np.ix_(free, free)], rcond=1e-12, hermitian=True) @ right[free]
+    return changes.reshape(images, numbers)
 
 
 @kernel

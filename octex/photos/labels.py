@@ -54,8 +54,8 @@ def _completed(colors: Float32s, costs: Float64s) -> LabelCosts:
     seen = np.isfinite(costs)
     sums = (colors * seen[..., None]).sum(axis=1)
     mean = sums / np.maximum(seen.sum(axis=1), 1)[:, None]
-    made = np.ascontiguousarray(np.where(seen[..., None], colors, mean[:, None]), np.float32)
-    return LabelCosts(made, np.ascontiguousarray(costs, np.float32))
+    complete = np.ascontiguousarray(np.where(seen[..., None], colors, mean[:, None]), np.float32)
+    return LabelCosts(complete, np.ascontiguousarray(costs, np.float32))
 
 
 def _coarser_costs(views: LabelCosts, areas: Float64s, above: Int64s, count: int) -> LabelCosts:
@@ -104,8 +104,8 @@ def passed(graph: Graph, views: LabelCosts) -> Int32s:
     least = energy(graph, views, best)
     for number in range(2 * _PASSES):
         _pass(graph, views, order, back, messages, number % 2, labels)
-        if number % 2 == 0 and (found := energy(graph, views, labels)) < least:
-            least, best = found, labels.copy()
+        if number % 2 == 0 and (cost := energy(graph, views, labels)) < least:
+            least, best = cost, labels.copy()
     return best
 
 
@@ -274,7 +274,7 @@ def feathered(
     rows = np.repeat(np.arange(count), np.diff(graph.starts))
     totals = np.maximum(added(rows, graph.weights, count), 1e-12)
     shares = np.zeros((count, images), np.float32)
-    found = np.zeros((count, images, 3), np.float32)
+    feathered_exposures = np.zeros((count, images, 3), np.float32)
     for number in range(images):
         is_here = labels == number
         values = np.column_stack([is_here, is_here[:, None] * exposures])
@@ -282,12 +282,12 @@ def feathered(
             around = [added(rows, graph.weights * column[graph.others], count) for column in values.T]
             values = (values + np.stack(around, axis=1) / totals[:, None]) / 2
         shares[:, number] = values[:, 0] * (weights[number] > 0)
-        found[:, number] = values[:, 1:] / np.maximum(values[:, :1], 1e-12)
+        feathered_exposures[:, number] = values[:, 1:] / np.maximum(values[:, :1], 1e-12)
     shares /= np.maximum(shares.sum(axis=1, keepdims=True), np.float32(1e-12))
-    return shares, found
+    return shares, feathered_exposures
 
 
 def exposed(light: Float32s, exposures: Floats) -> Float32s:
     """Return light (n, 3) times exp(exposures); nearly dark light changes less."""
-    found = (np.maximum(light, 0) + DARK) * np.exp(exposures) - DARK
-    return np.maximum(found, 0).astype(np.float32)
+    levelled_light = (np.maximum(light, 0) + DARK) * np.exp(exposures) - DARK
+    return np.maximum(levelled_light, 0).astype(np.float32)

@@ -63,27 +63,27 @@ def misfits(
     Reasons: a damaged file, a duplicate (also with another camera), a camera that sees nothing of the
     surface, a turned image, another scene.
     """
-    found: dict[int, str] = {}
+    reasons: dict[int, str] = {}
     first: dict[bytes, int] = {}
     contents = [content_of(each) for each in projections]
     for number, each in enumerate(projections):
         before = first.setdefault(contents[number] + key_of(cast(Camera, each.camera)), number)
         if before != number:
-            found[number] = f"the same image and camera as {projections[before].name}"
-    rest = [number for number in range(len(projections)) if number not in found]
+            reasons[number] = f"the same image and camera as {projections[before].name}"
+    rest = [number for number in range(len(projections)) if number not in reasons]
     with sharing(executor) as pool:
         read = list(ordered_map(pool, _small, [projections[number] for number in rest]))
     for number, copy in zip(rest, read, strict=True):
         if isinstance(copy, ImageError):
-            found[number] = str(copy)
-    rest = [number for number in rest if number not in found]
+            reasons[number] = str(copy)
+    rest = [number for number in rest if number not in reasons]
     small = [copy for copy in read if isinstance(copy, Projection)]
     if not small:
         return {}, None  # painting reports the error
     source = _projected(surface, small, executor)
     is_blind = [bool((shot.seen.rows < 0).all()) for shot in source.shots]
     if all(is_blind):
-        return found, better_placed(surface, small, 0.0, executor)
+        return reasons, better_placed(surface, small, 0.0, executor)
     samples = read_points(source, surface)
     agreed = samples.agreements()
     now = float(np.nan_to_num(agreed).mean())
@@ -91,18 +91,18 @@ def misfits(
     if now < _FITS and (len(small) > _OTHERS or _filling_of(surface, small) < _FILLED):
         better = better_placed(surface, small, now, executor)
         if better is not None:
-            return found, better
-    found |= {
+            return reasons, better
+    reasons |= {
         n: "its camera sees nothing of the model" for n, blind in zip(rest, is_blind, strict=True) if blind
     }
     if not _agree(agreed):
         if not np.isfinite(agreed).any():
-            return found, _UNSEEN if _filling_of(surface, small) < _FILLED else None
+            return reasons, _UNSEEN if _filling_of(surface, small) < _FILLED else None
         light = read_points(source, surface, has_shades=True).agreements()
         is_unlike = np.isfinite(agreed).sum() >= _OTHERS and not _agree(light)
-        return found, _UNLIKE if is_unlike else None
+        return reasons, _UNLIKE if is_unlike else None
     for index, turn in _strange(source, samples, small).items():
-        found[rest[index]] = (
+        reasons[rest[index]] = (
             f"it fits its camera only when turned by {turn} degrees clockwise; turn the file, paint again"
             if turn
             else "it differs from all others there: another scene, or the camera of another image"
@@ -112,8 +112,8 @@ def misfits(
         number = rest[index]
         before = best.setdefault(contents[number], number)
         if before != number and np.isfinite(agreed[index]):
-            found[number] = f"the same image as {projections[before].name}, whose camera it fits better"
-    return found, None
+            reasons[number] = f"the same image as {projections[before].name}, whose camera it fits better"
+    return reasons, None
 
 
 def _small(projection: Projection) -> Projection | ImageError:
@@ -149,8 +149,8 @@ class LightSamples(NamedTuple):
 
     def of(self, source: Projected) -> Float32s:
         """Return the detail of another source's first image at the points (n,)."""
-        found: Float32s = _detail(source, self.triangles, self.barycentric, self.widths)[0][0]
-        return found
+        detail: Float32s = _detail(source, self.triangles, self.barycentric, self.widths)[0][0]
+        return detail
 
     def agreement(self, number: int, light: Float32s) -> float:
         """Return the correlation of light (n,) with the others' median; NaN if few points are shared."""
@@ -219,19 +219,19 @@ def _detail(
 
 def _strange(source: Projected, samples: LightSamples, small: Sequence[Projection]) -> dict[int, int]:
     """Return images that disagree with the others, and the degrees of a turn that mends it; 0 for none."""
-    found: dict[int, int] = {}
+    turns: dict[int, int] = {}
     while True:
         agreed = samples.agreements()
         if not np.isfinite(agreed).any() or np.nanmin(agreed) >= _STRANGE:
-            return found
+            return turns
         worst = int(np.nanargmin(agreed))
         camera, image = cast(Camera, small[worst].camera), cast(Array, small[worst].image)
-        found[worst] = 0
+        turns[worst] = 0
         for turn in (180, 90, 270) if camera.width == camera.height else (180,):
             turned = replace(small[worst], image=np.ascontiguousarray(np.rot90(image, -turn // 90)))
             shot = source.shots[worst]._replace(mips=mips_of(turned, BASE_COLOR))
             if samples.agreement(worst, samples.of(source.with_shots([shot]))) >= _AGREES:
-                found[worst] = turn
+                turns[worst] = turn
                 break
         samples.seen[worst] = False
 
@@ -286,8 +286,11 @@ def better_placed(
         if is_turned[number] and not is_turned[ranked[0]] and most >= max(_FITS, now + _GAIN):
             break
         moved = [replace(each, camera=placings[number].of(cast(Camera, each.camera))) for each in few]
-        found = read_points(_projected(surface, moved, executor), surface).agreements()
-        agreed, is_known = float(np.nan_to_num(found).mean()), is_known or bool(np.isfinite(found).any())
+        agreements = read_points(_projected(surface, moved, executor), surface).agreements()
+        agreed, is_known = (
+            float(np.nan_to_num(agreements).mean()),
+            is_known or bool(np.isfinite(agreements).any()),
+        )
         if number and agreed > most:  # 0 is the mesh as it is
             best, most = placings[number], agreed
     advice = "; change that, and paint again"

@@ -69,11 +69,11 @@ def seen_at(source: Projected, shot: Shot, chosen: Bools) -> tuple[Int64s, Int32
     inside = np.asarray(np.logical_and(places >= 0, places < [wide, high]).all(axis=1))
     i, j = np.where(inside[:, None], places, 0.0).astype(np.int64).T
     triangles = shot.seen.triangle(shot.seen.rows[j, i])
-    found = np.flatnonzero(np.where(inside, triangles, -1) >= 0)
-    found = found[np.argsort(triangles[found], kind="stable")]
-    seen = triangles[found]
-    middles = np.column_stack([i[found], j[found]]) + 0.5
-    return patches[found], seen, _barycentric_at(source, shot, seen, middles)
+    visible = np.flatnonzero(np.where(inside, triangles, -1) >= 0)
+    visible = visible[np.argsort(triangles[visible], kind="stable")]
+    seen = triangles[visible]
+    middles = np.column_stack([i[visible], j[visible]]) + 0.5
+    return patches[visible], seen, _barycentric_at(source, shot, seen, middles)
 
 
 def _barycentric_at(source: Projected, shot: Shot, triangles: Int32s, pixels: Float64s) -> Float64s:
@@ -88,8 +88,8 @@ def _barycentric_at(source: Projected, shot: Shot, triangles: Int32s, pixels: Fl
     parts = np.einsum("nck,nk->nc", sides, rays) * np.sign(np.linalg.det(corners))[:, None]
     parts = np.maximum(parts, 0.0)
     totals = parts.sum(axis=1, keepdims=True)
-    found: Float64s = np.where(totals > 0.0, parts / np.maximum(totals, 1e-300), 1.0 / 3.0)
-    return found
+    barycentric: Float64s = np.where(totals > 0.0, parts / np.maximum(totals, 1e-300), 1.0 / 3.0)
+    return barycentric
 
 
 def batches(count: int, images: int) -> Iterator[slice]:
@@ -110,8 +110,8 @@ def sums_around(values: Float32s, reach: int = 1) -> Float32s:
     wide = np.pad(values, reach)
     steps = range(2 * reach + 1)
     sums = reduce(np.add, [wide[i : i + rows] for i in steps])
-    found: Float32s = reduce(np.add, [sums[:, j : j + columns] for j in steps])
-    return found
+    totals: Float32s = reduce(np.add, [sums[:, j : j + columns] for j in steps])
+    return totals
 
 
 def put_mask(mips: Mips, mask: Float32s) -> None:

@@ -112,16 +112,16 @@ def refine_cameras(
     with workers(run) as pool, room_for(shown, run):
 
         def refined() -> dict[str, Array]:
-            found = _refined(painted, shown, cameras, balance, reference, pool, run.report, stages)
+            refined_cameras = _refined(painted, shown, cameras, balance, reference, pool, run.report, stages)
             return {
-                "world_to_camera": np.stack([each.world_to_camera for each in found]),
-                "K": np.stack([each.K for each in found]),
+                "world_to_camera": np.stack([each.world_to_camera for each in refined_cameras]),
+                "K": np.stack([each.K for each in refined_cameras]),
             }
 
-        found = stored.arrays("cameras", refined)
+        arrays = stored.arrays("cameras", refined)
         return [
             replace(camera, world_to_camera=matrix, K=K)
-            for camera, matrix, K in zip(cameras, found["world_to_camera"], found["K"], strict=True)
+            for camera, matrix, K in zip(cameras, arrays["world_to_camera"], arrays["K"], strict=True)
         ]
 
 
@@ -180,8 +180,8 @@ def _refined(
     is_better = _better(before.at(chosen), after.at(chosen), numbers) & ~stays
     cameras = [each[1 if moves else 0] for *each, moves in zip(began, cameras, is_better, strict=True)]
     report("refine", len(_LEVELS), len(_LEVELS))
-    found = dict(zip(order, cameras, strict=True))
-    return [found[number] for number in range(len(shown))]
+    by_number = dict(zip(order, cameras, strict=True))
+    return [by_number[number] for number in range(len(shown))]
 
 
 def _share(images: int) -> float:
@@ -200,9 +200,9 @@ def _telling(observed: Observations, numbers: Float64s, far: float) -> Int64s:
     tells = (robust.reshape(values.shape) * np.nan_to_num(steep)).sum(axis=2)
     each = max(int(_share(len(tells)) * min(_TELLING, _MOST / len(tells))), 1)
     order = np.argsort(-tells, axis=1, kind="stable")[:, :each]
-    found = np.zeros(tells.shape, np.bool_)
-    np.put_along_axis(found, order, np.take_along_axis(tells, order, axis=1) > 0, axis=1)
-    return np.flatnonzero(found.any(axis=0))
+    is_chosen = np.zeros(tells.shape, np.bool_)
+    np.put_along_axis(is_chosen, order, np.take_along_axis(tells, order, axis=1) > 0, axis=1)
+    return np.flatnonzero(is_chosen.any(axis=0))
 
 
 def _agreeing(observed: Observations, numbers: Float64s, stays: Bools, far: float) -> Float64s:
@@ -267,19 +267,19 @@ def _better(before: Observations, after: Observations, numbers: Float64s) -> Boo
     def apart(values: Float64s, number: int) -> float:
         return float((tells[number] * _apart(values, weights, _FAR)[number]).sum())
 
-    found = np.zeros(len(numbers), np.bool_)
-    others = np.ones_like(found)  # cameras taken as refined
+    is_better = np.zeros(len(numbers), np.bool_)
+    others = np.ones_like(is_better)  # cameras taken as refined
     while True:
-        better = found.copy()
-        for n in np.flatnonzero(~found).tolist():
-            values = np.where((others | found)[:, None], new, old)
+        better = is_better.copy()
+        for n in np.flatnonzero(~is_better).tolist():
+            values = np.where((others | is_better)[:, None], new, old)
             refined = values.copy()
             values[n], refined[n] = old[n], new[n]
-            least = apart(values, n) if found.any() else min(apart(values, n), apart(old, n))
+            least = apart(values, n) if is_better.any() else min(apart(values, n), apart(old, n))
             better[n] = apart(refined, n) < min(_BETTER * least, least - _BY * float(tells[n].sum()))
-        if (better == found).all():
-            return found
-        found, others = better, np.zeros_like(found)
+        if (better == is_better).all():
+            return is_better
+        is_better, others = better, np.zeros_like(is_better)
 
 
 def _weights_at(source: Projected, triangles: Int32s, barycentric: Float64s, rim: float) -> Float64s:
@@ -305,8 +305,8 @@ def _margins(shot: Shot, points: Float64s) -> Float64s:
         places = (np.linalg.inv(shot.camera.inverse_k) @ np.stack([x / z, y / z, np.ones_like(z)]))[:2]
     ends = np.array([[width - 1], [height - 1]])
     j, i = np.clip(np.nan_to_num(places), 0, ends).astype(np.int64)
-    found: Float64s = shot.margins[i, j].astype(np.float64)
-    return found
+    margins: Float64s = shot.margins[i, j].astype(np.float64)
+    return margins
 
 
 class Observations(NamedTuple):
@@ -353,12 +353,12 @@ class Observations(NamedTuple):
 
 
 @kernel
-def _read(pixels: Float32s, size: Int64s, falloff: Float64s, places: Float64s, found: Float64s) -> None:
+def _read(pixels: Float32s, size: Int64s, falloff: Float64s, places: Float64s, values: Float64s) -> None:
     """Write square roots of light at places (n, 2), bilinear, and slopes (n, 9); NaN outside or unpainted."""
     first, width, height = size[0], size[1], size[2]
     light = np.empty((4, 4, 3))
     for n in range(len(places)):
-        found[n] = np.nan
+        values[n] = np.nan
         x, y = places[n, 0] - 0.5, places[n, 1] - 0.5
         if not (0.0 <= x <= width - 1 and 0.0 <= y <= height - 1):
             continue
@@ -374,14 +374,14 @@ def _read(pixels: Float32s, size: Int64s, falloff: Float64s, places: Float64s, f
         u, v = x - left, y - top
         factor = np.sqrt(falloff_at(falloff, width, height, x + 0.5, y + 0.5))
         for k in range(9):
-            found[n, k] = 0.0
+            values[n, k] = 0.0
         for i in range(1, 3):
             for j in range(1, 3):
                 weight = (u if j == 2 else 1.0 - u) * (v if i == 2 else 1.0 - v) * factor
                 for k in range(3):
-                    found[n, k] += weight * light[i, j, k]
-                    found[n, k + 3] += weight * 0.5 * (light[i, j + 1, k] - light[i, j - 1, k])
-                    found[n, k + 6] += weight * 0.5 * (light[i + 1, j, k] - light[i - 1, j, k])
+                    values[n, k] += weight * light[i, j, k]
+                    values[n, k + 3] += weight * 0.5 * (light[i, j + 1, k] - light[i, j - 1, k])
+                    values[n, k + 6] += weight * 0.5 * (light[i + 1, j, k] - light[i - 1, j, k])
 
 
 def pixel_at(camera: Camera, points: Float64s) -> float:
@@ -408,5 +408,5 @@ def _rotation(angles: Float64s) -> Float64s:
     angle = float(np.linalg.norm(angles))
     x, y, z = angles / max(angle, 1e-300)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    found: Float64s = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
-    return found
+    rotation: Float64s = np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross
+    return rotation

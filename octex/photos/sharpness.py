@@ -100,8 +100,8 @@ def _compared(details: Details, is_sharp: Bools) -> Float64s:
     little = np.bincount(shots[known], minlength=len(is_sharp)) * _LITTLE**2
     most = np.maximum(sums + _ERRORS * np.sqrt(squares) + little, 0.0)
     least = of_others - _ERRORS * np.sqrt(their_squares) + little
-    found: Float64s = np.divide(most, least, out=np.ones(len(is_sharp)), where=least > 0.0)
-    return found
+    parts: Float64s = np.divide(most, least, out=np.ones(len(is_sharp)), where=least > 0.0)
+    return parts
 
 
 def details_of(source: Projected, surface: Surface, executor: Executor) -> Details:

@@ -43,11 +43,11 @@ class BestPaint(Projected):
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return paint, linear for colours, and coverage (n, components + 1); zeros where there is none."""
         sheets = self.sheets.at(triangles, barycentric)
-        found = super().evaluate(triangles, barycentric, widths)
-        components = found.shape[1] - 1
-        is_seen = (found[:, -1] > 0) & (sheets >= 0)  # points on no sheet take all images
+        values = super().evaluate(triangles, barycentric, widths)
+        components = values.shape[1] - 1
+        is_seen = (values[:, -1] > 0) & (sheets >= 0)  # points on no sheet take all images
         shares = np.where(is_seen[:, None], self.shares[sheets], np.float32(0))
-        sums, totals = np.zeros((len(found), components), np.float32), np.zeros(len(found), np.float32)
+        sums, totals = np.zeros((len(values), components), np.float32), np.zeros(len(values), np.float32)
         for number, shot in enumerate(self.shots):
             rows = np.flatnonzero(shares[:, number] > 0)
             if not rows.size:
@@ -58,8 +58,8 @@ class BestPaint(Projected):
             sums[rows] += share[:, None] * light[:, :components]
             totals[rows] += share
         is_chosen = totals > 0
-        found[is_chosen, :components] = sums[is_chosen] / totals[is_chosen, None]
-        return found
+        values[is_chosen, :components] = sums[is_chosen] / totals[is_chosen, None]
+        return values
 
 
 def best(
