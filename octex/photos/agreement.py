@@ -62,11 +62,8 @@ def agreeing(
     numbers, compared = range(len(source.shots)), _compared(source, surface)
 
     def differences(number: int) -> Float32s:
-        stored = stages.of(lambda: [number])
-        arrays = stored.arrays(
-            "differences", lambda: {"codes": _differences(source, compared[number], number)}
-        )
-        return arrays["codes"]
+        stage, measure = stages.of(lambda: [number]), partial(_differences, source, compared[number], number)
+        return stage.arrays("differences", lambda: {"codes": measure()})["codes"]
 
     def mask(number: int) -> None:
         shot = source.shots[number]

@@ -287,10 +287,8 @@ def better_placed(
             break
         moved = [replace(each, camera=placings[number].of(cast(Camera, each.camera))) for each in few]
         agreements = read_points(_projected(surface, moved, executor), surface).agreements()
-        agreed, is_known = (
-            float(np.nan_to_num(agreements).mean()),
-            is_known or bool(np.isfinite(agreements).any()),
-        )
+        agreed = float(np.nan_to_num(agreements).mean())
+        is_known |= bool(np.isfinite(agreements).any())
         if number and agreed > most:  # 0 is the mesh as it is
             best, most = placings[number], agreed
     advice = "; change that, and paint again"
