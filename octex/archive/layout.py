@@ -131,8 +131,8 @@ def channel_names(name: str) -> tuple[str, str, str]:
 
 def known_names(tensors: Mapping[str, object], channels: Sequence[str]) -> set[str]:
     """Return the names of the tensors that streams of blocks hold."""
-    found = {*TREE_NAMES, *SPLIT_NAMES, KEPT_NAME}.union(*map(channel_names, channels))
-    return found & tensors.keys()
+    names = {*TREE_NAMES, *SPLIT_NAMES, KEPT_NAME}.union(*map(channel_names, channels))
+    return names & tensors.keys()
 
 
 def channels_in(metadata: Mapping[str, str]) -> list[str]:
@@ -143,9 +143,9 @@ def channels_in(metadata: Mapping[str, str]) -> list[str]:
 
 def pieces_of(sizes: Mapping[str, int], channels: Sequence[str]) -> Iterator[tuple[str, int, int]]:
     """Yield the pieces of other tensors, from their sizes in bytes: name, begin and end."""
-    known = known_names(sizes, channels)
+    block_tensors = known_names(sizes, channels)
     for name, size in sizes.items():
-        for begin in range(0, size if name not in known else 0, PIECE):
+        for begin in range(0, size if name not in block_tensors else 0, PIECE):
             yield name, begin, min(begin + PIECE, size)
 
 
@@ -167,10 +167,10 @@ def after_root(flags: int, n_nodes: int) -> Place:
 def root_arrays(content: Content, place: Place) -> list[Array]:
     """Return the root's data: flags, area, areas of its rows, and its rows of values by channel."""
     arrays, rows = content.arrays, (1, place.row, place.kept)
-    found = [arrays.flags[:1], arrays.areas[:1], content.split.areas[: place.row]]
+    listed = [arrays.flags[:1], arrays.areas[:1], content.split.areas[: place.row]]
     for channel in content.original.values():
-        found += [array[:count] for array, count in zip(channel, rows, strict=True)]
-    return found
+        listed += [array[:count] for array, count in zip(channel, rows, strict=True)]
+    return listed
 
 
 def owners_of(split: SplitTable, block: Block) -> Uint32s:

@@ -74,9 +74,9 @@ class _Stream:
 
     def take(self, count: int) -> Uint8s:
         """Return the next bytes."""
-        found = self._bytes[self._at : self._at + count]
+        taken = self._bytes[self._at : self._at + count]
         self._at += count
-        return found
+        return taken
 
     def damaged(self) -> DamagedError:
         """Return the error for wrong bytes."""
@@ -128,7 +128,7 @@ class _Tree:
         level_nodes = self.level_nodes
         first, end = self.level_cells[level : level + 2].tolist()
         parents, is_node = np.zeros(1, np.int64), np.array([level_nodes[-1] > 0])
-        known = np.uint8(level > 0)
+        has_parents = np.uint8(level > 0)
         if level:
             rows = slice(*level_nodes[level - 1 : level + 1].tolist())
             count = rows.stop - rows.start
@@ -140,13 +140,13 @@ class _Tree:
             raise stream.damaged()
         above = parents[is_node]
         self.above = first + np.flatnonzero(is_node)
-        self.areas[self.above] = stream.take(above.size) + known * self.areas[above]
+        self.areas[self.above] = stream.take(above.size) + has_parents * self.areas[above]
         if level:
             self._share_areas(first, parents, is_node)
-        self.flags[first:end] = stream.take(end - first) ^ known * self.flags[parents]
+        self.flags[first:end] = stream.take(end - first) ^ has_parents * self.flags[parents]
         for values in self.values.values():
-            there = stream.take(values.shape[1] * (end - first)).reshape(-1, end - first).T
-            values[first:end] = there + known * apart(values[parents])
+            coded = stream.take(values.shape[1] * (end - first)).reshape(-1, end - first).T
+            values[first:end] = coded + has_parents * apart(values[parents])
             if values.shape[1] == 3:  # the inverse of `apart`
                 values[first:end, ::2] += values[first:end, 1:2]
 

@@ -79,8 +79,8 @@ def write(
         codings[name] = Coding(form, _learned(channel.values, form, sample))
         if form.error:  # all values but the root's will differ
             decoded[name] = ChannelBytes(*(zeros(array.size).reshape(array.shape) for array in channel))
-            for made, original, count in zip(decoded[name], channel, (1, place.row, place.kept), strict=True):
-                made[:count] = original[:count]
+            for rows, original, count in zip(decoded[name], channel, (1, place.row, place.kept), strict=True):
+                rows[:count] = original[:count]
     content, kinds = content._replace(decoded=decoded), (STRUCTURE, AREAS, *codings)
     models: dict[str, Model] = {}
 
@@ -156,7 +156,7 @@ def _form(channel: ChannelBytes, dtype: np.dtype[Any], error: int) -> Form:
 
 def _sampled(arrays: TreeArrays) -> _Sampled:
     """Sample nodes all over the two deepest levels of nodes."""
-    found = []
+    sampled = []
     for level in range(max(arrays.level_cells.size - 4, 0), arrays.level_cells.size - 2):
         begin, end = int(arrays.level_nodes[level]), int(arrays.level_nodes[level + 1])
         count = min(_SAMPLE // _RUN, -(-(end - begin) // _RUN))
@@ -165,8 +165,8 @@ def _sampled(arrays: TreeArrays) -> _Sampled:
             begins = children_before(arrays.groups, np.array([first, last]))[0].tolist()
             block = Block(level, first, last, *(Place(0, cell, 0, 0, 0) for cell in begins))
             around = around_nodes(arrays, block)
-            found.append((begins[0], around_children(arrays, block, around), around))
-    return found
+            sampled.append((begins[0], around_children(arrays, block, around), around))
+    return sampled
 
 
 def _learned(raw: Uint8s, form: Form, sample: _Sampled) -> Int64s:

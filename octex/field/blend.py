@@ -216,7 +216,7 @@ def add_up(
 @fused_part
 def add_weighed(
     taps: Taps,
-    by: Weighing,
+    weighing: Weighing,
     normals: Float32s,
     codes: Codes,
     owners: Int32s,
@@ -231,25 +231,25 @@ def add_weighed(
     visible, flat, components = new_visible(), flat_of(codes), codes.values.shape[1]
     for begin in range(0, taps.starts.size, AT_ONCE):
         last = min(begin + AT_ONCE, taps.starts.size)
-        find_split(taps, begin, last, by, codes.split_values, visible)
+        find_split(taps, begin, last, weighing, codes.split_values, visible)
         for n in range(begin, last):
             is_split = visible.is_split[np.uint64(n - begin)] != 0
-            view = view_of(normals, n) if by.faces else NO_VIEW
+            view = view_of(normals, n) if weighing.faces else NO_VIEW
             if components != 3:
-                _, five, total, gone = weigh(
-                    taps, n, 0, by, view, visible, by.faces, is_split, flat, components
+                _, five, total, of_mixed = weigh(
+                    taps, n, 0, weighing, view, visible, weighing.faces, is_split, flat, components
                 )
-            elif not by.faces:
-                _, five, total, gone = weigh(taps, n, 0, by, view, visible, False, False, flat, 3)
+            elif not weighing.faces:
+                _, five, total, of_mixed = weigh(taps, n, 0, weighing, view, visible, False, False, flat, 3)
             elif is_split:
-                _, five, total, gone = weigh(taps, n, 0, by, view, visible, True, True, flat, 3)
+                _, five, total, of_mixed = weigh(taps, n, 0, weighing, view, visible, True, True, flat, 3)
             else:
-                _, five, total, gone = weigh(taps, n, 0, by, view, visible, True, False, flat, 3)
+                _, five, total, of_mixed = weigh(taps, n, 0, weighing, view, visible, True, False, flat, 3)
             at = np.uint64(n)
             share = np.float64(shares[at])
-            if by.mixed.size > 0:
-                passed[at] = gone / total if gone > 0.0 else 0.0
-            if by.areas.size > 0 and taps.covers[at] == np.float32(0.0) and total > 0.0:
+            if weighing.mixed.size > 0:
+                passed[at] = of_mixed / total if of_mixed > 0.0 else 0.0
+            if weighing.areas.size > 0 and taps.covers[at] == np.float32(0.0) and total > 0.0:
                 share *= np.float64(OFF) / total
             _add_to(sums, np.uint64(owners[at]), share, five, components)
 

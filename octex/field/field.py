@@ -11,8 +11,6 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, bit_counts
 from octex.errors import TextureFileError
-from octex.field.neighborhood import walked_taps
-from octex.field.sources import FINDERS
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.taps import (
     BLOCK,
@@ -25,7 +23,9 @@ from octex.field.taps import (
     new_taps,
     to_coordinates,
 )
+from octex.field.tile_taps import FINDERS
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_levels
+from octex.field.walk_taps import walked_taps
 from octex.field.weights import MOST_ROWS, Facings, Weighing, facings_of, weigh_taps
 from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.jit import unlocked
@@ -112,13 +112,13 @@ class Field:
     def painted(self) -> tuple[Tiles, ...] | None:
         """Return marked tiles of a tree of one depth with finer paint; None for other trees."""
         levels = [] if self.tiles is not None else painted_levels(self.tree)
-        found: list[Tiles] = []
+        painted: list[Tiles] = []
         for level in levels:
             tiles = marked(build_tiles(self.level(level).tree), self.tree)
             n_marked, n_cells = int(bit_counts(tiles.marks).sum()), sum(self.tree.cells_by_depth()[level])
-            if not found or 2 * n_marked < n_cells:  # most points are unmarked
-                found.append(tiles)
-        return tuple(found) or None
+            if not painted or 2 * n_marked < n_cells:  # most points are unmarked
+                painted.append(tiles)
+        return tuple(painted) or None
 
     def tiles_for(self, filter_code: int) -> Tiles | None:
         """Return the tiles that find all or most points for a filter."""
@@ -202,7 +202,7 @@ class Finder:
     def blocks(
         self,
         points: Floats,
-        by: Weighing,
+        weighing: Weighing,
         normals: Float32s | None = None,
         passed: Passed = NO_PASSED,
         rows: Uint8s = _NO_ROWS,
@@ -215,18 +215,18 @@ class Finder:
         memory = np.empty((min(len(points), BLOCK), 3))
         for begin in range(0, len(points), BLOCK):
             block = slice(begin, begin + BLOCK)
-            some = points[block]
-            self.coords = memory[: len(some)]
-            fault = to_coordinates(positions(some), *self._placement, self.coords)
+            block_points = points[block]
+            self.coords = memory[: len(block_points)]
+            fault = to_coordinates(positions(block_points), *self._placement, self.coords)
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
             taps = self.find(self.coords, rows)
-            if by.faces or by.areas.size:
+            if weighing.faces or weighing.areas.size:
                 end = int(taps.ends.max(initial=0))
-                if by.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
+                if weighing.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
                     taps = _with_room(taps, end, (1 + MOST_ROWS) * end)
                 facing = NO_VECTORS if normals is None else normals[block]
-                weigh_taps(taps, by, facing, _NO_ROWS, passed[0][block], passed[1][block])
+                weigh_taps(taps, weighing, facing, _NO_ROWS, passed[0][block], passed[1][block])
             yield block, taps
 
     def find(self, coords: Float64s, rows: Uint8s = _NO_ROWS) -> Taps:
@@ -261,14 +261,14 @@ class Finder:
         ahead = Ahead(rows, _NO_ROWS[:0], NO_BYTES, NO_BYTES)
         end = n_rim = 0
         last = self.field.n_cells - 1
-        for number, above in enumerate(self.field.searched(self.filter)):
+        for number, tiles in enumerate(self.field.searched(self.filter)):
             room = end + MOST_TILED[self.filter] * which.size + 8
             if room > taps.rows.size:
                 taps = _with_room(taps, end, room)
-            here = coords if number == 0 else coords[which]
-            batch = Batch(here, which, last, self._empty, self._rim[n_rim:], ahead)
-            end, n_empty, more = FINDERS[self.filter](above, number > 0, batch, taps, end)
-            n_rim += more
+            level_coords = coords if number == 0 else coords[which]
+            batch = Batch(level_coords, which, last, self._empty, self._rim[n_rim:], ahead)
+            end, n_empty, more_rim = FINDERS[self.filter](tiles, number > 0, batch, taps, end)
+            n_rim += more_rim
             which = self._empty[:n_empty].copy()
             if not n_empty:
                 break

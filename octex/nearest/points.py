@@ -39,11 +39,14 @@ class Points(NamedTuple):
     def of(cls, positions: Float64s, values: Float32s, normals: Float32s | None = None) -> Points:
         """Build from positions (n, 3), n > 0, values (n, components) and unit normals (n, 3)."""
         order = morton_order(positions)
-        placed = positions.take(order, axis=0)
-        starts = np.arange(0, len(placed), WIDTH)
-        low, high = np.minimum.reduceat(placed, starts), np.maximum.reduceat(placed, starts)
+        ordered = positions.take(order, axis=0)
+        starts = np.arange(0, len(ordered), WIDTH)
+        low, high = (
+            np.minimum.reduceat(ordered, starts),
+            np.maximum.reduceat(ordered, starts),
+        )
         facing = np.empty((0, 3), np.float32) if normals is None else normals.take(order, axis=0)
-        return cls(boxes_of(low, high), placed, values.take(order, axis=0), facing, order)
+        return cls(boxes_of(low, high), ordered, values.take(order, axis=0), facing, order)
 
     def around(
         self,
@@ -119,10 +122,10 @@ def _around(
             sums[:] = 0.0
             waiting = begin(boxes, search)
             while waiting > 0:
-                node, near, waiting = next_node(boxes, search, waiting, at, bound)
-                while near != np.uint64(0):
-                    group = node * 8 + trailing_zeros(near)
-                    near &= near - np.uint64(1)
+                node, children, waiting = next_node(boxes, search, waiting, at, bound)
+                while children != np.uint64(0):
+                    group = node * 8 + trailing_zeros(children)
+                    children &= children - np.uint64(1)
                     total += _add_group(cloud, group, sought, square, sums)
         if total > 0.0:
             has_value[n] = True
@@ -151,10 +154,10 @@ def _nearest(cloud: Points, search: Search, sought: Sought, farthest: float, gue
     bound = reach(best, slack)
     waiting = begin(boxes, search)
     while waiting > 0:
-        node, near, waiting = next_node(boxes, search, waiting, sought.local, bound)
-        while near != np.uint64(0):
-            child = trailing_zeros(near)
-            near &= near - np.uint64(1)
+        node, children, waiting = next_node(boxes, search, waiting, sought.local, bound)
+        while children != np.uint64(0):
+            child = trailing_zeros(children)
+            children &= children - np.uint64(1)
             if search.children[child] > bound:
                 continue
             first = (node * 8 + child) * 8

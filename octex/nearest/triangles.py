@@ -147,10 +147,10 @@ def _best(mesh: Triangles, search: Search, sought: Sought, distance: float, gues
     bound = reach(best[0], slack)
     waiting = begin(mesh.boxes, search)
     while waiting > 0:
-        node, near, waiting = next_node(mesh.boxes, search, waiting, sought.local, bound)
-        while near != np.uint64(0):
-            child = trailing_zeros(near)
-            near &= near - np.uint64(1)
+        node, children, waiting = next_node(mesh.boxes, search, waiting, sought.local, bound)
+        while children != np.uint64(0):
+            child = trailing_zeros(children)
+            children &= children - np.uint64(1)
             if search.children[child] <= bound:
                 best = _nearer(mesh, node * 8 + child, sought, best)
                 bound = reach(best[0], slack)
@@ -221,10 +221,10 @@ def _gap(few: Float64s, many: MeshBoxes, most: float, stride: int) -> float:
         bound = reach(best, at[3] + radius)
         waiting = begin(many.boxes, search)
         while waiting > 0:
-            node, near, waiting = next_node(many.boxes, search, waiting, at, bound)
-            while near != np.uint64(0):
-                j = node * 8 + trailing_zeros(near)
-                near &= near - np.uint64(1)
+            node, children, waiting = next_node(many.boxes, search, waiting, at, bound)
+            while children != np.uint64(0):
+                j = node * 8 + trailing_zeros(children)
+                children &= children - np.uint64(1)
                 if _box_distance(few, i, many.corners, j) > best:
                     continue
                 distance = _triangle_distance(few, i, many.corners, j)

@@ -64,14 +64,14 @@ class Channel(NamedTuple):
 
     def rows(self, numbers: Integers) -> Array:
         """Return the stored values of rows (n,): cells, then kept nodes, then split facings."""
-        found = self.values.take(numbers, axis=0, mode="clip")
+        values = self.values.take(numbers, axis=0, mode="clip")
         begin = len(self.values)
         for part in (self.kept_values, self.split_values):
             beyond = np.flatnonzero(numbers >= begin)
             if beyond.size and len(part):
-                found[beyond] = part.take(numbers[beyond] - begin, axis=0, mode="clip")
+                values[beyond] = part.take(numbers[beyond] - begin, axis=0, mode="clip")
             begin += len(part)
-        return found
+        return values
 
     def locked(self) -> Channel:
         """Return the same values as read-only views; itself, if they are."""
@@ -130,12 +130,12 @@ def formats_as(forms: Sequence[ChannelFormat], dtype: Dtypes) -> tuple[ChannelFo
     types. Whether an integer type can hold the values is checked when they are read.
     """
     names = [form.name for form in forms]
-    wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
-    for name, chosen in wanted.items():
+    dtypes = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
+    for name, wanted in dtypes.items():
         as_choice(name, names, "channel of dtype")
-        if chosen is not None:
-            as_choice(chosen, ONE, "dtype")
-    return tuple(_format_as(form, wanted.get(form.name)) for form in forms)
+        if wanted is not None:
+            as_choice(wanted, ONE, "dtype")
+    return tuple(_format_as(form, dtypes.get(form.name)) for form in forms)
 
 
 def _format_as(form: ChannelFormat, dtype: str | None) -> ChannelFormat:

@@ -59,7 +59,7 @@ ARCHIVE_ENDING = ".octz"
 
 
 @dataclass(eq=False)
-class Source:
+class Storage:
     """The origin of a texture's arrays: memory, or the file that it was opened from."""
 
     path: str = ""  # "" for textures in memory
@@ -68,19 +68,19 @@ class Source:
     metadata: dict[str, str] = field(default_factory=dict)
     sizes: dict[str, int] | None = None  # of an archive: bytes of its streams
     #: Whether lookups need no fetching.
-    is_here: ClassVar = True
+    is_local: ClassVar = True
 
-    def here(self, texture: OctreeTexture) -> OctreeTexture:
+    def loaded(self, texture: OctreeTexture) -> OctreeTexture:
         """Return a texture of the loaded part: all of it."""
         return texture
 
-    def whole(self, texture: OctreeTexture) -> OctreeTexture:
+    def load_all(self, texture: OctreeTexture) -> OctreeTexture:
         """Prepare to read all of a texture, and return it."""
         if self.mapping:
             container.read_ahead(self.mapping)
         return texture
 
-    def levels(self, texture: OctreeTexture, _level: int) -> OctreeTexture:
+    def load_levels(self, texture: OctreeTexture, _level: int) -> OctreeTexture:
         """Return a texture with levels 0 … ``level`` loaded."""
         return texture
 
@@ -94,7 +94,7 @@ class Source:
         return texture
 
 
-def written(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
+def file_contents(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
     """Return a texture's tensors and metadata, including unknown ones of its file."""
     tree, placement = texture.tree, texture.placement
     tensors: dict[str, Array] = dict(zip(TREE_NAMES, tree.arrays, strict=True))
@@ -114,13 +114,13 @@ def written(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
         "channels": json.dumps({name: channel.format.space for name, channel in texture.channels.items()}),
         "provenance": json.dumps(dict(texture.metadata)),
     }
-    return tensors | texture.source.tensors, metadata | texture.source.metadata
+    return tensors | texture.storage.tensors, metadata | texture.storage.metadata
 
 
-def described(texture: OctreeTexture) -> dict[str, Any]:
+def texture_info(texture: OctreeTexture) -> dict[str, Any]:
     """Describe a texture for `OctreeTexture.info`."""
-    tree, placement, source = texture.tree, texture.placement, texture.source
-    tensors, metadata = written(texture)
+    tree, placement, storage = texture.tree, texture.placement, texture.storage
+    tensors, metadata = file_contents(texture)
     sizes = {
         "header": len(container.header(tensors, metadata)),
         "structure": sum(array.nbytes for array in tree.arrays[:3]),
@@ -129,7 +129,7 @@ def described(texture: OctreeTexture) -> dict[str, Any]:
         "split": sum(array.nbytes for array in tree.split),
         "kept": tree.kept.cells.nbytes,
         **{f"channel {name}": channel.nbytes for name, channel in texture.channels.items()},
-        "other": sum(array.nbytes for array in source.tensors.values()),
+        "other": sum(array.nbytes for array in storage.tensors.values()),
     }
     return {
         "format": FORMAT,
@@ -148,13 +148,13 @@ def described(texture: OctreeTexture) -> dict[str, Any]:
             for level, (leaves, nodes) in enumerate(tree.cells_by_depth())
         ],
         "bytes": {**sizes, "total": sum(sizes.values())},
-        **({"archive": source.sizes} if source.sizes else {}),
+        **({"archive": storage.sizes} if storage.sizes else {}),
         "channels": [channel.format._asdict() for channel in texture.channels.values()],
         "provenance": dict(texture.metadata),
     }
 
 
-def taken(
+def take_parts(
     tensors: dict[str, Array], metadata: dict[str, str]
 ) -> tuple[Octree, dict[str, Channel], Placement, Float64s, dict[str, str]]:
     """Take a texture's parts out of tensors and metadata; unknown entries stay there.

@@ -34,8 +34,8 @@ _STACK = 8 * 22  # a node is replaced by at most eight children, on each of 22 l
 def estimate_normals(tree: TreeArrays, cells: Int64s, codes: Int64s, depths: Uint8s) -> Float32s:
     """Estimate unit normals (n, 3) of cells by number, Morton code and depth; fastest in Morton order.
 
-    They point outward as the cells' flags tell. Without flags the sign is arbitrary; with flags on both sides
-    the first facing decides.
+    The cells' flags decide which side is outward. Without flags the sign is arbitrary; with flags on both
+    sides the first facing decides.
     """
     normals = np.empty((cells.size, 3), np.float32)
     nodes = np.empty(_STACK, np.int64)
@@ -88,7 +88,7 @@ def _gather(
     nodes[0] = 0
     places[0] = 0
     top = 1 if tree.level_nodes[-1] > 0 and depth > 0 else 0
-    found = 0
+    count = 0
     while top > 0:
         top -= 1
         node, level = nodes[top], places[top, 0] + 1
@@ -110,13 +110,13 @@ def _gather(
                 top += 1
             elif cell >= 0:
                 edge = float(np.int64(1) << shift)
-                around[0, found] = (i + 0.5) * edge
-                around[1, found] = (j + 0.5) * edge
-                around[2, found] = (k + 0.5) * edge
-                around[3, found] = AREAS[tree.areas[cell]] * edge * edge
-                around_flags[found] = np.int64(tree.flags[cell]) & FACING_FLAGS
-                found += 1
-    return found
+                around[0, count] = (i + 0.5) * edge
+                around[1, count] = (j + 0.5) * edge
+                around[2, count] = (k + 0.5) * edge
+                around[3, count] = AREAS[tree.areas[cell]] * edge * edge
+                around_flags[count] = np.int64(tree.flags[cell]) & FACING_FLAGS
+                count += 1
+    return count
 
 
 @summing_kernel
