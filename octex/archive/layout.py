@@ -15,8 +15,7 @@ import numpy as np
 
 from octex.arrays import Array, Int64s, Uint8s, Uint32s, bit_counts
 from octex.container import without_duplicates
-from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable, TreeArrays
-from octex.tree.octree import no_kept, no_split
+from octex.tree.layout import FACING_FLAGS, KEPT, NO_KEPT, NO_SPLIT, SPLIT, KeptTable, SplitTable, TreeArrays
 
 MAGIC = b"\x89OCTZ\r\n\x1a"
 FORMAT_VERSION = 1
@@ -108,8 +107,8 @@ class Content(NamedTuple):
 def content_of(tensors: Mapping[str, Array], channels: Sequence[str]) -> Content:
     """Return a render file's tensors as arrays by kind; raises KeyError for missing ones."""
     has_split, has_kept = SPLIT_NAMES[0] in tensors, KEPT_NAME in tensors
-    split = SplitTable(*(tensors[name] for name in SPLIT_NAMES)) if has_split else no_split()
-    kept = KeptTable(tensors[KEPT_NAME]) if has_kept else no_kept()
+    split = SplitTable(*(tensors[name] for name in SPLIT_NAMES)) if has_split else NO_SPLIT
+    kept = KeptTable(tensors[KEPT_NAME]) if has_kept else NO_KEPT
     named = {}
     for name in channels:
         keys = channel_names(name)

@@ -42,9 +42,9 @@ def signed_children(groups: Uint64s, node: int) -> tuple[int, int, int, int]:
 
 
 @inlined
-def before(mask: int, place: int) -> int:
+def before(mask: int, bit: int) -> int:
     """Count a mask's bits before a place."""
-    return popcount(mask & (1 << place) - 1)
+    return popcount(mask & (1 << bit) - 1)
 
 
 @part
@@ -235,8 +235,8 @@ def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Cod
                 facing = trailing_zeros(remaining)
                 remaining &= remaining - 1
                 position = 0 if coded_flags else 1 + wide(remaining == 0)
-                known = (flags_beside >> facing & 1) << 1 | union >> facing & 1
-                context = _FACINGS + (known * 3 + position) * 4 + min(popcount(shown), 4) - 1
+                known_bits = (flags_beside >> facing & 1) << 1 | union >> facing & 1
+                context = _FACINGS + (known_bits * 3 + position) * 4 + min(popcount(shown), 4) - 1
                 coded_flags |= code_bit(flag >> facing & 1, context, coder) << facing
             context = _SPLIT + (min(popcount(coded_flags), 2) * 2 + (parent >> 7)) * 3 + beside_split
             coded_flags |= code_bit(flag >> 7, context, coder) << 7

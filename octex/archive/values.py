@@ -65,8 +65,8 @@ def write_numbers(numbers: Uint32s, raw: Uint8s, form: Form) -> None:
     sign = 1 << (8 * form.size - 1)
     if form.is_float:
         numbers = np.where(numbers & sign, numbers ^ sign, 2 * sign - 1 - numbers)
-    for place, j in enumerate(_order(form)):
-        raw.view(f"<u{form.size}")[:, j, 0] = numbers[:, place]
+    for column, j in enumerate(_order(form)):
+        raw.view(f"<u{form.size}")[:, j, 0] = numbers[:, column]
 
 
 def _order(form: Form) -> list[int]:
@@ -147,17 +147,7 @@ def code_values(
     """
     part = np.zeros((9, 4), np.int64)
     places, terms, sides = np.zeros(6, np.int64), np.zeros(TERMS, np.int64), np.zeros(24, np.int64)
-    vectors = (
-        part[0],
-        part[1],
-        part[2],
-        part[3],
-        part[4],
-        part[5],
-        part[6],
-        part[7],
-        part[8],
-    )
+    vectors = part[0], part[1], part[2], part[3], part[4], part[5], part[6], part[7], part[8]
     room = _Room(numbers.reshape(-1), sides, *vectors, terms, places, weights)
     # Code for bytes has these as constants.
     is_plain = form.size == 1 and form.error == 0 and form.unit == 0

@@ -111,7 +111,8 @@ def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s], coarsest: int)
     tree, level = texture.tree, coarsest - STEPS
     if not 0 < level < tree.max_depth:
         return None
-    edited = _at(codes, level)
+    edited = np.concatenate([cells >> 3 * (at - level) for at, cells in enumerate(codes) if cells.size])
+    edited = distinct(edited)
     around = np.concatenate([with_boundary(edited, level), brightest_tiles(texture, level)])
     tiles = Tiles(level, distinct(around))
     return tiles if _is_small(tree, tiles) else None
@@ -211,13 +212,6 @@ def coarsest_near(tree: Octree, codes: Sequence[Int64s]) -> int:
         if ((located.levels == level) & (located.is_leaf | is_kept)).any():
             return level
     return largest
-
-
-def _at(codes: Sequence[Int64s], level: int) -> Int64s:
-    """Return the cells of a level that contain cells listed by level, none larger."""
-    return distinct(
-        np.concatenate([cells >> 3 * (at - level) for at, cells in enumerate(codes) if cells.size])
-    )
 
 
 def _is_small(tree: Octree, tiles: Tiles) -> bool:

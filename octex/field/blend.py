@@ -272,26 +272,26 @@ def weigh_by_alpha(taps: Taps, alpha: Codes, is_prefetched: bool, always: bool) 
     """Multiply the weights by alpha; unless ``always``, only where the weighted alpha is not zero."""
     flat = flat_of(alpha)
     end = end_of(taps)
-    parts = np.empty(end, np.float32)
+    alphas = np.empty(end, np.float32)
     least = np.float32(1.0)
     if not is_prefetched:
         _prefetch_rows(taps, 0, taps.starts.size, alpha)
     for tap in range(end):
-        part = np.float32(value_of(flat, int(taps.rows[np.uint64(tap)]), 1)[0])
-        parts[np.uint64(tap)] = part
-        least = min(least, part)
+        value = np.float32(value_of(flat, int(taps.rows[np.uint64(tap)]), 1)[0])
+        alphas[np.uint64(tap)] = value
+        least = min(least, value)
     for n in range(taps.starts.size if not always and least <= np.float32(0.0) else 0):
         total = 0.0
         for tap in range(taps.starts[n], taps.ends[n]):
-            total += np.float64(taps.weights[tap]) * np.float64(parts[tap])
+            total += np.float64(taps.weights[tap]) * np.float64(alphas[tap])
         if not total > 0.0:
             for tap in range(taps.starts[n], taps.ends[n]):
-                parts[tap] = np.float32(1.0)
+                alphas[tap] = np.float32(1.0)
     for tap in range(end):
         at = np.uint64(tap)
-        taps.weights[at] *= parts[at]
+        taps.weights[at] *= alphas[at]
         for axis in range(3 if taps.slopes.shape[0] > 0 else 0):
-            taps.slopes[at, axis] *= parts[at]
+            taps.slopes[at, axis] *= alphas[at]
 
 
 def joined(lists: Sequence[TapList]) -> TapList:

@@ -38,7 +38,6 @@ from octex.tree.search import Positions, nearest_cells
 _WALKED = 24
 NO_BYTES = np.empty(0, np.uint8)
 NO_VECTORS = np.empty((0, 3), np.float32)
-_NO_DOUBLES = np.empty((0, 3))
 _NO_ROWS: Uint8s = np.empty((1, 1), np.uint8)
 #: The part of probes that mixes opposite facings, and its derivatives; empty if not wanted.
 Passed = tuple[Float32s, Float32s]
@@ -52,12 +51,6 @@ class NotFiniteError(ValueError):
     def __init__(self, row: int) -> None:
         super().__init__(f"points[{row}] is not finite")
         self.row = row
-
-
-def positions(points: Floats) -> Positions:
-    """Return rest positions (n, 3) as kernels take them: `Positions.of` on read-only arrays too."""
-    points = unlocked(points)
-    return Positions(points, _NO_DOUBLES) if points.itemsize == 4 else Positions(NO_VECTORS, points)
 
 
 class Field:
@@ -100,8 +93,8 @@ class Field:
     @built_once
     def facings(self) -> Facings:
         """Return the tree's facings, indexed on first use."""
-        found: Facings = unlocked(facings_of(self.tree))
-        return found
+        facings: Facings = unlocked(facings_of(self.tree))
+        return facings
 
     @built_once
     def tiles(self) -> Tiles | None:
@@ -217,7 +210,7 @@ class Finder:
             block = slice(begin, begin + BLOCK)
             block_points = points[block]
             self.coords = memory[: len(block_points)]
-            fault = to_coordinates(positions(block_points), *self._placement, self.coords)
+            fault = to_coordinates(Positions.of(block_points), *self._placement, self.coords)
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
             taps = self.find(self.coords, rows)
@@ -244,23 +237,22 @@ class Finder:
         taps = self._taps
         if taps.starts.size > n:
             taps = taps._replace(starts=taps.starts[:n], ends=taps.ends[:n], covers=taps.covers[:n])
-        which, end, n_rim = self._all[:n], 0, n
         if tiles is not None:
-            taps, end, n_rim = self._tiled(coords, taps, which, rows)
-            which = self._rim[:n_rim]
-        if tiles is None and self.filter == NEAREST:
+            taps, end, rim = self._tiled(coords, taps, rows)
+            taps = self._walked(coords, taps, end, rim)
+        elif self.filter == NEAREST:
             taps = self._nearest(coords, taps)
-        elif n_rim:
-            taps = self._walked(coords, taps, end, which)
+        else:
+            taps = self._walked(coords, taps, 0, self._all[:n])
         if self._gradient:
             clear_outside_slopes(taps, coords)
         return taps
 
-    def _tiled(self, coords: Float64s, taps: Taps, which: Int64s, rows: Uint8s) -> tuple[Taps, int, int]:
-        """Find taps by tiles, and list the points for the walk in the rim; return how many these are."""
+    def _tiled(self, coords: Float64s, taps: Taps, rows: Uint8s) -> tuple[Taps, int, Int64s]:
+        """Find taps by tiles; return them, their end, and the points for the walk."""
         ahead = Ahead(rows, _NO_ROWS[:0], NO_BYTES, NO_BYTES)
         end = n_rim = 0
-        last = self.field.n_cells - 1
+        last, which = self.field.n_cells - 1, self._all[: len(coords)]
         for number, tiles in enumerate(self.field.searched(self.filter)):
             room = end + MOST_TILED[self.filter] * which.size + 8
             if room > taps.rows.size:
@@ -272,15 +264,13 @@ class Finder:
             which = self._empty[:n_empty].copy()
             if not n_empty:
                 break
-        return taps, end, n_rim
+        return taps, end, self._rim[:n_rim]
 
     def _walked(self, coords: Float64s, taps: Taps, end: int, which: Int64s) -> Taps:
         """Find the taps of points ``which`` by the walk."""
-        if self._walk is None:
-            self._walk = new_walk()
-        tree = self.field.tree
-        done = 0
+        tree, done = self.field.tree, 0
         while done < which.size:
+            self._walk = self._walk or new_walk()
             if end + MOST_TAPS > taps.rows.size:
                 taps = _with_room(taps, end, end + MOST_TAPS)
             done, end = walked_taps(
@@ -292,7 +282,7 @@ class Finder:
     def _nearest(self, coords: Float64s, taps: Taps) -> Taps:
         tree, n = self.field.tree, len(coords)
         cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
-        nearest_cells(tree.arrays, positions(coords), (0.0, 0.0, 0.0), 1.0, cells, held)
+        nearest_cells(tree.arrays, Positions.of(coords), (0.0, 0.0, 0.0), 1.0, cells, held)
         taps.rows[:n], taps.weights[:n] = cells, np.where(held, np.float32(1), OFF)
         taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], held
         return taps

@@ -348,17 +348,17 @@ def weigh_taps(
     mixed cells is written to ``passed`` (points,), as a part of all, and its derivatives to ``passed_slopes``
     (points, 3) or (0, 3).
     """
-    end, visible = end_of(taps), new_visible()
+    end, visible, faces = end_of(taps), new_visible(), weighing.faces
     slopes, flat = visible.slopes, flat_of(Codes(split, split, split, visible.parts))  # ``flat`` is not read
     for begin in range(0, taps.starts.size, AT_ONCE):
         last = min(begin + AT_ONCE, taps.starts.size)
         find_split(taps, begin, last, weighing, split, visible)
         for n in range(begin, last):
             is_split = visible.is_split[np.uint64(n - begin)] != 0
-            view = view_of(normals, n) if weighing.faces else NO_VIEW
+            view = view_of(normals, n) if faces else NO_VIEW
             start = end if is_split else int(taps.starts[n])
             stop, _, total, of_mixed = weigh(
-                taps, n, start, weighing, view, visible, weighing.faces, is_split, flat, 0
+                taps, n, start, weighing, view, visible, faces, is_split, flat, 0
             )
             if is_split:
                 taps.starts[n], taps.ends[n], end = start, stop, stop

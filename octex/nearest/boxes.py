@@ -135,8 +135,8 @@ def local(boxes: Boxes, x: float, y: float, z: float) -> Local:
 @inlined
 def reach(square: float, slack: float) -> np.float32:
     """Return the largest squared distance to a box that can hold a nearer item, rounding included."""
-    far = np.sqrt(square) * (1.0 + 1e-6) + slack
-    return np.float32(min(far * far * (1.0 + 1e-6), _FARTHEST))  # empty children have boxes at infinity
+    radius = np.sqrt(square) * (1.0 + 1e-6) + slack
+    return np.float32(min(radius * radius * (1.0 + 1e-6), _FARTHEST))  # empty children have boxes at infinity
 
 
 @inlined

@@ -129,11 +129,11 @@ Best = tuple[float, int, float, float]
 @inlined
 def _nearer(mesh: Triangles, row: int, sought: Sought, best: Best) -> Best:
     """Return the nearer of ``best`` (square, row, weights) and a triangle."""
-    square, chosen, _, _ = best
-    if row != chosen and agrees(mesh.normals, row, sought):
-        far, p, q = _on_triangle(mesh.corners, row, *sought.point)
-        if far < square or (far == square and (chosen < 0 or mesh.order[row] < mesh.order[chosen])):
-            return far, row, p, q
+    square, nearest, _, _ = best
+    if row != nearest and agrees(mesh.normals, row, sought):
+        squared, p, q = _on_triangle(mesh.corners, row, *sought.point)
+        if squared < square or (squared == square and (nearest < 0 or mesh.order[row] < mesh.order[nearest])):
+            return squared, row, p, q
     return best
 
 
@@ -250,8 +250,8 @@ def _box_distance(a: Float64s, i: int, b: Float64s, j: int) -> float:
     for axis in range(3):
         low, high = _extent(a, i, axis)
         first, last = _extent(b, j, axis)
-        apart = max(first - high, low - last, 0.0)
-        total += apart * apart
+        distance = max(first - high, low - last, 0.0)
+        total += distance * distance
     return total
 
 
@@ -299,8 +299,8 @@ def _segment_distance(p: Float64s, q: Float64s, r: Float64s, s: Float64s) -> flo
         along = min(max((other * b - c) / a, 0.0), 1.0) if a > 0.0 else 0.0
     total = 0.0
     for axis in range(3):
-        apart = p[axis] + along * (q[axis] - p[axis]) - r[axis] - other * (s[axis] - r[axis])
-        total += apart * apart
+        difference = p[axis] + along * (q[axis] - p[axis]) - r[axis] - other * (s[axis] - r[axis])
+        total += difference * difference
     return total
 
 
@@ -315,8 +315,8 @@ def _point_distance(p: Float64s, a: Float64s, b: Float64s, c: Float64s) -> float
         return np.inf
     total = 0.0
     for axis in range(3):
-        apart = p[axis] - a[axis] - (v * (b[axis] - a[axis]) + w * (c[axis] - a[axis])) / area
-        total += apart * apart
+        difference = p[axis] - a[axis] - (v * (b[axis] - a[axis]) + w * (c[axis] - a[axis])) / area
+        total += difference * difference
     return total
 
 

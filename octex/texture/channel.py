@@ -152,18 +152,17 @@ def _format_as(form: ChannelFormat, dtype: str | None) -> ChannelFormat:
 def stored(channel: Channel) -> ChannelRows:
     """Return a channel as lookups read it: float32 numbers on sRGB's curve are copied as linear light."""
     dtype, space = channel.values.dtype, channel.format.space
-    arrays: tuple[Array, Array, Array] = unlocked((channel.values, channel.kept_values, channel.split_values))
+    arrays = [unlocked(array) for array in (channel.values, channel.kept_values, channel.split_values)]
     table: Floats = NO_TABLE
-    if dtype == np.float32:
-        arrays = tuple(decode(array, space) for array in arrays) if space == "srgb" else arrays  # type: ignore[assignment]
+    if dtype == np.float32 and space == "srgb":
+        arrays = [decode(array, space) for array in arrays]
     elif dtype == np.float16:
-        arrays, table = tuple(array.view(np.uint16) for array in arrays), _half_table(space)  # type: ignore[assignment]
-    else:
+        arrays, table = [array.view(np.uint16) for array in arrays], _half_table(space)
+    elif dtype != np.float32:
         table = decode_table(dtype.name, space)
         table = table.astype(np.float64) if table.size == 256 else table
-    return ChannelRows(
-        Codes(*arrays, table), channel.format.name == "alpha" and channel.format.components == 1
-    )
+    codes = Codes(arrays[0], arrays[1], arrays[2], table)
+    return ChannelRows(codes, channel.format.name == "alpha" and channel.format.components == 1)
 
 
 def mixed_cells(channel: Channel, tree: Octree, threshold: float) -> Uint8s:

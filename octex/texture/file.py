@@ -42,8 +42,8 @@ from octex.arrays import Array, Float64s
 from octex.channels import ChannelFormat
 from octex.errors import TextureFileError
 from octex.texture.channel import Channel
-from octex.tree.layout import KeptTable, SplitTable, TreeArrays
-from octex.tree.octree import Octree, no_kept, no_split
+from octex.tree.layout import NO_KEPT, NO_SPLIT, KeptTable, SplitTable, TreeArrays
+from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class Storage:
         return texture
 
 
-def file_contents(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
+def contents_of(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
     """Return a texture's tensors and metadata, including unknown ones of its file."""
     tree, placement = texture.tree, texture.placement
     tensors: dict[str, Array] = dict(zip(TREE_NAMES, tree.arrays, strict=True))
@@ -117,10 +117,10 @@ def file_contents(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, s
     return tensors | texture.storage.tensors, metadata | texture.storage.metadata
 
 
-def texture_info(texture: OctreeTexture) -> dict[str, Any]:
+def info_of(texture: OctreeTexture) -> dict[str, Any]:
     """Describe a texture for `OctreeTexture.info`."""
     tree, placement, storage = texture.tree, texture.placement, texture.storage
-    tensors, metadata = file_contents(texture)
+    tensors, metadata = contents_of(texture)
     sizes = {
         "header": len(container.header(tensors, metadata)),
         "structure": sum(array.nbytes for array in tree.arrays[:3]),
@@ -171,7 +171,7 @@ def take_parts(
     spaces = _json(metadata, "channels", _texts)
     provenance = _json(metadata, "provenance", _texts)
     arrays = TreeArrays(*(_tensor(tensors, name) for name in TREE_NAMES))
-    split, kept = no_split(), no_kept()
+    split, kept = NO_SPLIT, NO_KEPT
     if SPLIT_NAMES[0] in tensors:
         split = SplitTable(*(_tensor(tensors, name) for name in SPLIT_NAMES))
     if KEPT_NAME in tensors:

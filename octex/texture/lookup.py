@@ -100,10 +100,6 @@ class Settings(NamedTuple):
     sharpness: float = 0.0
     bleed_threshold: float = BLEED_THRESHOLD
 
-    def has_footprints(self, inputs: Inputs) -> bool:
-        """Return whether points are looked up with footprints."""
-        return "width" in inputs or "dPdx" in inputs or self.blur > 0
-
     def query(self, inputs: Inputs) -> Query:
         """Return the query of a block of points, with arrays as kernels take them."""
         footprints: Footprints | None = None
@@ -128,6 +124,11 @@ class Request(NamedTuple):
     inputs: Inputs
     channel: Names | None = None  # None: whether leaves hold them
     settings: Settings = Settings("nearest")
+
+    @property
+    def has_footprints(self) -> bool:
+        """Whether points are looked up with footprints."""
+        return "width" in self.inputs or "dPdx" in self.inputs or self.settings.blur > 0
 
 
 def checked_request(
@@ -171,18 +172,17 @@ def checked_request(
         raise ArgumentError("dPdx and dPdy are given together or not at all")
     if "width" in inputs and "dPdx" in inputs:
         raise ArgumentError("a footprint has a width, or dPdx and dPdy, not both")
-    if settings.sharpness > 0 and not settings.has_footprints(inputs):
+    request = Request(inputs, channel, settings)
+    if settings.sharpness > 0 and not request.has_footprints:
         raise ArgumentError("sharpness is for footprints: give a width, or dPdx and dPdy, or blur")
     if settings.anisotropy != ANISOTROPY and "dPdx" not in inputs:
         raise ArgumentError("anisotropy is for footprints longer than wide: give dPdx and dPdy")
-    if settings.bleed_threshold != BLEED_THRESHOLD and (
-        "normals" in inputs or not settings.has_footprints(inputs)
-    ):
+    if settings.bleed_threshold != BLEED_THRESHOLD and ("normals" in inputs or not request.has_footprints):
         raise ArgumentError(
             "bleed_threshold is for footprints without normals: leave it out, or give a width, or dPdx "
             "and dPdy, or blur, and no normals"
         )
-    return Request(inputs, channel, settings)
+    return request
 
 
 #: An input's name, and its first unusable row.
@@ -266,9 +266,8 @@ def in_space(
             sorted_answers = [np.empty(answer.shape, answer.dtype) for answer in part_answers]
             in_blocks(sorted_inputs, sorted_answers, look_up, run)
             for answer, sorted_answer in zip(part_answers, sorted_answers, strict=True):
-                put_rows(
-                    sorted_answer.reshape(len(sorted_answer), -1), numbers, answer.reshape(len(answer), -1)
-                )
+                values, target = (array.reshape(len(array), -1) for array in (sorted_answer, answer))
+                put_rows(values, numbers, target)
     except ArgumentError:
         in_blocks(inputs, answers, look_up, run)  # which names the first row
         raise
@@ -363,11 +362,9 @@ def _answers_for(
     for channel, shape in shapes.items():
         array = out[channel]
         if not isinstance(array, np.ndarray) or array.dtype != np.float32 or array.shape != shape:
-            shape_found = (
-                f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else repr(type(array))
-            )
+            kind = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else repr(type(array))
             raise ArgumentError(
-                f"{name} for {channel!r} must be a float32 array of shape {shape}, not {shape_found}"
+                f"{name} for {channel!r} must be a float32 array of shape {shape}, not {kind}"
             )
         if not array.flags.carray:
             raise ArgumentError(f"{name} for {channel!r} must be C-ordered, aligned and writable")
@@ -382,7 +379,7 @@ class Lookups:
         self.components = {name: channel.format.components for name, channel in channels.items()}
         self._tree, self._channels, self._placement = tree, channels, placement
         self._mixed: dict[tuple[str, int], tuple[float, Uint8s]] = {}
-        self._plain: dict[tuple[str, str], Callable[[Floats], Float32s | None] | None] = {}
+        self._few: dict[tuple[str, str], Callable[[Floats], Float32s | None] | None] = {}
         self._stored: dict[str, ChannelRows] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -405,17 +402,15 @@ class Lookups:
             if type(name) is not str:
                 return None
             key = name, filter
-            if key not in self._plain:
+            if key not in self._few:
                 if name not in self._channels or filter not in FILTERS:
                     return None
-                look_up_plain = None
+                few = None
                 if self._channels[name].format.space != "direction":  # those are made unit vectors
                     (read,), alpha = self.rows_of(name)
-                    look_up_plain = Lookup(
-                        self.field, self._placement, Query(filter), [read], alpha
-                    ).prepare_few()
-                self._plain[key] = look_up_plain
-            look_up = self._plain[key]
+                    few = Lookup(self.field, self._placement, Query(filter), [read], alpha).prepare_few()
+                self._few[key] = few
+            look_up = self._few[key]
             value = None if look_up is None else look_up(points)
             if value is None:
                 return None
@@ -430,12 +425,12 @@ class Lookups:
             return
         values, gradients = answers[: len(names)], answers[len(names) :]
         read, alpha = self.rows_of(*names)
-        parts = [(names[0], slice(None))]
+        groups = [(names[0], slice(None))]
         if self.query(settings, inputs, names[0]).mixed is not None:  # mixed cells differ by channel
             numbers = range(len(names) + 1)
-            parts = list(zip(names, map(slice, numbers, numbers[1:]), strict=False))
-        for name, some in parts:
-            task = self.query(settings, inputs, name), read[some], alpha, values[some], gradients[some]
+            groups = list(zip(names, map(slice, numbers, numbers[1:]), strict=False))
+        for name, group in groups:
+            task = self.query(settings, inputs, name), read[group], alpha, values[group], gradients[group]
             Lookup(self.field, self._placement, *task).look_up(inputs["points"])
         for number, name in enumerate(names if normalize else ()):
             if self._channels[name].format.space == "direction":

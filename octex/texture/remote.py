@@ -117,8 +117,8 @@ class RemoteStorage(Storage):
     ) -> OctreeTexture:
         """Fetch what lookups read, and return the texture that answers them."""
         with self._fetching, self.file.checked_once():
-            asked = request()
-            return self._fetched_around(asked) if asked.channel is None else self._fetched(asked)
+            lookup = request()
+            return self._fetched_around(lookup) if lookup.channel is None else self._fetched(lookup)
 
     def _fetched(self, request: Request) -> OctreeTexture:
         """Fetch what lookups of channels read, and return the texture that answers them.
@@ -127,16 +127,14 @@ class RemoteStorage(Storage):
         are known without the groups; but coarse cells with mixed facings pass probes on to finer ones, so
         this repeats until all is fetched.
         """
-        inputs, _, settings = request
-        has_tables = (
-            settings.has_footprints(inputs) or "normals" in inputs or not can_be_tiled(self._loaded.tree)
-        )
+        has_tables = request.has_footprints or "normals" in request.inputs
+        has_tables |= not can_be_tiled(self._loaded.tree)
         is_more = True
         while is_more and not self.file.is_whole:
             reads = lookup_reads(self._loaded, request)
             cells = cells_of(reads.values())
             is_more = has_tables and self.file.fetch_tables(self._loaded.tree, max(cells, default=0))
-            is_more |= self._fetch_nodes(cells, settings.filter)
+            is_more |= self._fetch_nodes(cells, request.settings.filter)
             if not is_more:
                 is_more = self.file.fetch_rows(partial(add_reads, self._loaded, reads, request))
             self._renew(is_more)
@@ -170,9 +168,8 @@ class RemoteStorage(Storage):
     def _renew(self, has_more: bool) -> None:
         """Drop the texture's indices if more of it has come."""
         if has_more:
-            self._loaded = self._loaded._with_parts(
-                self._loaded.tree, self._loaded.channels, self._loaded.storage
-            )
+            loaded = self._loaded
+            self._loaded = loaded._with_parts(loaded.tree, loaded.channels, loaded.storage)
 
 
 class _Tree(Octree):

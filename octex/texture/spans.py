@@ -149,7 +149,7 @@ def add_reads(
     arrays, split, kept = tree.arrays, tree.split, tree.kept
     alpha = [] if texture._lookups.rows_of()[1] is None else [texture.channels["alpha"]]
     by_facing = "normals" in request.inputs
-    is_ruled = not by_facing and request.settings.has_footprints(request.inputs)  # by the bleed threshold
+    is_ruled = not by_facing and request.has_footprints  # by the bleed threshold
     first_facing = tree.n_cells + kept.cells.size
     has_leaves = [leaves > 0 for leaves, _ in tree.cells_by_depth()]
     for name, levels in reads.items():

@@ -21,15 +21,7 @@ from octex.field.field import Field
 from octex.field.taps import TapList
 from octex.parallel import DEFAULT, Run, as_run
 from octex.texture.channel import Channel, as_channels
-from octex.texture.file import (
-    ARCHIVE_ENDING,
-    ENDING,
-    Storage,
-    are_texts,
-    file_contents,
-    take_parts,
-    texture_info,
-)
+from octex.texture.file import ARCHIVE_ENDING, ENDING, Storage, are_texts, contents_of, info_of, take_parts
 from octex.texture.lookup import (
     ANISOTROPY,
     BLEED_THRESHOLD,
@@ -384,7 +376,7 @@ class OctreeTexture:
             raise ArgumentError(f"{path}: a texture is saved as NAME{ENDING} or NAME{ARCHIVE_ENDING}")
         if max_error and ending == ENDING:
             raise ArgumentError(f"{path}: max_error is for archives, NAME{ARCHIVE_ENDING}")
-        tensors, metadata = file_contents(self.storage.load_all(self))
+        tensors, metadata = contents_of(self.storage.load_all(self))
         if ending == ENDING:
             container.write(path, tensors, metadata)
         else:
@@ -411,7 +403,7 @@ class OctreeTexture:
 
         ``bytes`` lists the sizes of the file's parts; ``archive`` those of the ``.octz`` that it came from.
         """
-        return texture_info(self.storage.loaded(self))
+        return info_of(self.storage.loaded(self))
 
 
 def as_metadata(metadata: Mapping[str, str] | None) -> dict[str, str]:

@@ -87,3 +87,7 @@ class KeptTable(NamedTuple):
     """The nodes flagged KEPT; the channels have their coefficients, row for row."""
 
     cells: Uint32s  # (kept nodes,)   ascending
+
+
+NO_SPLIT = SplitTable(np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.uint8))
+NO_KEPT = KeptTable(np.empty(0, np.uint32))

@@ -14,19 +14,18 @@ from octex.checks import as_array, as_depth
 from octex.errors import ArgumentError
 from octex.jit import kernel, trailing_zeros
 from octex.tree.children import children, groups_of
-from octex.tree.layout import KEPT, MAX_CELLS, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
+from octex.tree.layout import (
+    KEPT,
+    MAX_CELLS,
+    MAX_DEPTH,
+    NO_KEPT,
+    NO_SPLIT,
+    KeptTable,
+    SplitTable,
+    TreeArrays,
+)
 from octex.tree.search import child
 from octex.tree.validate import check_layout, check_meaning
-
-
-def no_split() -> SplitTable:
-    """Return a split table without rows."""
-    return SplitTable(np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.uint8))
-
-
-def no_kept() -> KeptTable:
-    """Return a table of no kept nodes."""
-    return KeptTable(np.empty(0, np.uint32))
 
 
 class Octree:
@@ -41,13 +40,9 @@ class Octree:
 
     __slots__ = ("arrays", "kept", "level_cells", "level_nodes", "split")
 
-    def __init__(
-        self, arrays: TreeArrays, split: SplitTable | None = None, kept: KeptTable | None = None
-    ) -> None:
-        self.arrays = arrays
-        self.split = no_split() if split is None else split
-        self.kept = no_kept() if kept is None else kept
-        check_layout(self.arrays, self.split, self.kept)
+    def __init__(self, arrays: TreeArrays, split: SplitTable = NO_SPLIT, kept: KeptTable = NO_KEPT) -> None:
+        self.arrays, self.split, self.kept = arrays, split, kept
+        check_layout(arrays, split, kept)
         self.level_cells, self.level_nodes = arrays.level_cells, arrays.level_nodes
 
     def __repr__(self) -> str:
@@ -97,7 +92,7 @@ class Octree:
         return cls(_build({level: leaves[level] for level in range(deepest + 1)}, deepest))
 
     def with_cell_data(
-        self, flags: Uint8s, areas: Uint8s, split: SplitTable | None = None, kept: KeptTable | None = None
+        self, flags: Uint8s, areas: Uint8s, split: SplitTable = NO_SPLIT, kept: KeptTable = NO_KEPT
     ) -> Octree:
         """Return a tree of the same structure with other flags, areas, split table and kept nodes."""
         return Octree(self.arrays._replace(flags=flags, areas=areas), split, kept)

@@ -37,16 +37,16 @@ def counts_of(facings: Uint8s) -> Int64s:
 
 def rows_of(split: SplitTable, cells: Int64s | None = None) -> Rows:
     """Return all rows, or those of the split ones among ``cells``, ascending."""
-    chosen = np.arange(split.cells.size)
+    entries = np.arange(split.cells.size)
     if cells is not None:
         split_cells = split.cells.astype(np.int64)
         few, many = (split_cells, cells) if split_cells.size < cells.size else (cells, split_cells)
         shared = few[many[np.minimum(np.searchsorted(many, few), many.size - 1)] == few] if few.size else few
-        chosen = np.searchsorted(split_cells, shared)
+        entries = np.searchsorted(split_cells, shared)
     counts = counts_of(split.facings)
-    firsts, counts = (np.cumsum(counts) - counts)[chosen], counts[chosen]
-    owners = np.repeat(split.cells[chosen].astype(np.int64), counts)
-    return Rows(in_runs(firsts, counts), owners, bits_of(split.facings[chosen]))
+    firsts, counts = (np.cumsum(counts) - counts)[entries], counts[entries]
+    owners = np.repeat(split.cells[entries].astype(np.int64), counts)
+    return Rows(in_runs(firsts, counts), owners, bits_of(split.facings[entries]))
 
 
 def find_rows(split: SplitTable, cells: Int64s, bits: Uint8s) -> tuple[Bools, Int64s]:
