@@ -8,13 +8,13 @@ import numpy as np
 
 from octex.archive import structure, values
 from octex.archive.entropy import DECODES, Coder, Model, decoder, encoded, is_whole, new_model, noter
-from octex.archive.layout import AREAS, STRUCTURE, Block, Coding, Content, DamagedError, owners_of
+from octex.archive.layout import AREAS, STRUCTURE, Block, CodedArrays, Coding, DamagedError, owners_of
 from octex.arrays import Array
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 
 
 def code_block(
-    content: Content,
+    content: CodedArrays,
     codings: Mapping[str, Coding],
     block: Block,
     kinds: Sequence[str],
@@ -74,7 +74,7 @@ def _extent(kind: str, codings: Mapping[str, Coding], block: Block) -> tuple[tup
     return values.extent(codings[kind].form, cell + row + kept)
 
 
-def _list_flagged(content: Content, block: Block) -> None:
+def _list_flagged(content: CodedArrays, block: Block) -> None:
     """List the split cells and kept nodes of a block in the tables, from its decoded flags."""
     begin, end, flags = block.begin, block.end, content.arrays.flags
     for flag, cells in (
@@ -92,10 +92,10 @@ def _list_flagged(content: Content, block: Block) -> None:
 
 
 def _code_channel(
-    content: Content, name: str, coding: Coding, block: Block, neighbours: tuple[Array, ...], coder: Coder
+    content: CodedArrays, name: str, coding: Coding, block: Block, related: tuple[Array, ...], coder: Coder
 ) -> None:
     """Code the values of a channel: of cells, of rows of split cells, and of kept nodes."""
-    form, (owners, rows, around), begin, end = coding.form, neighbours, block.begin, block.end
+    form, (owners, rows, around), begin, end = coding.form, related, block.begin, block.end
     decodes, raw = coder.work == DECODES, content.decoded[name].values
     tables = zip(
         (values.CELLS, values.SPLIT_ROWS, values.KEPT_NODES),

@@ -31,14 +31,14 @@ from octex.archive.layout import (
     WEIGHT_BITS,
     Block,
     ChannelBytes,
+    CodedArrays,
     Coding,
-    Content,
     DamagedError,
     Form,
     Place,
     after_root,
     channels_in,
-    content_of,
+    coded_arrays,
     known_names,
     pieces_of,
     root_arrays,
@@ -169,7 +169,7 @@ class Decoding:
         self._tensors = {name: container.view(room, entry) for name, entry in entries.items()}
         for name, level in zip(TREE_NAMES[1:3], levels, strict=True):
             self._tensors[name][:] = level
-        self._records, self._coded = iter(numbers), content_of(self._tensors, channels)
+        self._records, self._coded = iter(numbers), coded_arrays(self._tensors, channels)
         arrays, split, kept, original, _ = self._coded
         check_layout(arrays, split, kept)
         self._codings: dict[str, Coding] = {}
@@ -356,7 +356,7 @@ def _check_records(
         raise ValueError
 
 
-def _form(channel: ChannelBytes, dtype: np.dtype[Any], error: int, unit: int, content: Content) -> Form:
+def _form(channel: ChannelBytes, dtype: np.dtype[Any], error: int, unit: int, content: CodedArrays) -> Form:
     """Return the form of a channel's values."""
     _, components, size = channel.values.shape
     rows = content.arrays.flags.size, content.split.areas.size, content.kept.cells.size

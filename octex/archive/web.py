@@ -15,7 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from octex.archive.layout import KEPT_NAME, SPLIT_NAMES, TREE_NAMES, WEB_MAGIC, DamagedError, channel_names
+from octex.archive.layout import (
+    KEPT_NAME,
+    SPLIT_NAMES,
+    TREE_NAMES,
+    WEB_MAGIC,
+    DamagedError,
+    channel_names,
+    render_metadata,
+)
 from octex.archive.read import Decoded, naming
 from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts
 from octex.channels import decode
@@ -225,8 +233,12 @@ def _contents(header: dict[str, Any], content: bytes, first: int) -> Decoded:
         else:
             for level in range(*levels):
                 tree.take_level(level, stream)
-    placement = {"origin": corner, "size": size}
-    return Decoded(_tensors(tree, forms), _metadata(forms, placement, bounds), {})
+    spaces = {
+        name: space if (low, high) == (0.0, 1.0) or space != "srgb" else "linear"
+        for name, (space, low, high) in forms.items()
+    }
+    metadata = render_metadata({"origin": corner, "size": size}, bounds, spaces, {})
+    return Decoded(_tensors(tree, forms), metadata, {})
 
 
 def _tensors(tree: _Tree, forms: dict[str, tuple[str, float, float]]) -> dict[str, Array]:
@@ -255,20 +267,3 @@ def _decoded(codes: Uint8s, space: str, low: float, high: float) -> Array:
         return codes
     light = decode(codes, space)  # type: ignore[arg-type]
     return (low + (high - low) * light).astype(np.float32)
-
-
-def _metadata(
-    forms: dict[str, tuple[str, float, float]], placement: dict[str, Any], bounds: Any
-) -> dict[str, str]:
-    spaces = {
-        name: space if (low, high) == (0.0, 1.0) or space != "srgb" else "linear"
-        for name, (space, low, high) in forms.items()
-    }
-    return {
-        "format": "octex",
-        "format_version": "1",
-        "placement": json.dumps(placement),
-        "bounds": json.dumps(bounds),
-        "channels": json.dumps(spaces),
-        "provenance": "{}",
-    }

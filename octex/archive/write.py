@@ -26,13 +26,13 @@ from octex.archive.layout import (
     WEIGHT_BITS,
     Block,
     ChannelBytes,
+    CodedArrays,
     Coding,
-    Content,
     Form,
     Place,
     after_root,
     channels_in,
-    content_of,
+    coded_arrays,
     pieces_of,
     root_arrays,
     runs,
@@ -70,7 +70,7 @@ def write(
     cannot be written: the old file at ``path`` is then unchanged.
     """
     first, channels = container.header(tensors, metadata), channels_in(metadata)
-    content = content_of(tensors, channels)
+    content = coded_arrays(tensors, channels)
     Octree(*content[:3]).validate()
     place = after_root(int(content.arrays.flags[0]), int(content.arrays.level_nodes[1]))
     sample, codings, decoded = _sampled(content.arrays), {}, dict(content.original)
@@ -126,7 +126,7 @@ def _pieces(tensors: Mapping[str, Array], channels: Sequence[str]) -> Iterator[t
         yield [], [packed(flat[begin:end].tobytes())]
 
 
-def _planned(content: Content) -> Iterator[list[Block]]:
+def _planned(content: CodedArrays) -> Iterator[list[Block]]:
     """Yield the blocks of each level."""
     arrays, split, kept = content.arrays, content.split, content.kept
     rows = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts_of(split.facings))])

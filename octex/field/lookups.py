@@ -15,7 +15,7 @@ from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, No
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
 from octex.field.taps import Codes, Taps, to_coordinates
-from octex.field.tiled import Additions, Search, Weighed, look_up_tiled
+from octex.field.tiled import Additions, TileSearch, Weighed, look_up_tiled
 from octex.field.weights import Weighing
 from octex.jit import direct, unlocked
 from octex.tree.placement import Placement
@@ -136,7 +136,7 @@ class Lookup:
             return None
         code, components = FILTERS.index(self._query.filter), self._channel.codes.values.shape[1]
         tiles = next(self._field.searched(code))
-        search = Search(code, tiles, self._field.n_cells - 1, False, self.weighing(self._field))
+        search = TileSearch(code, tiles, self._field.n_cells - 1, False, self.weighing(self._field))
         fixed = self._placement.origin, self._placement.size, NO_VECTORS, self._channel
 
         def look_up(points: Floats) -> Float32s | None:
@@ -183,20 +183,20 @@ class Lookup:
         empty: Int64s | None = None
         rims: list[Int64s] = []
         for number, tiles in enumerate(field.searched(code)):
-            search = Search(code, tiles, field.n_cells - 1, number > 0, weighing)
+            search = TileSearch(code, tiles, field.n_cells - 1, number > 0, weighing)
             empty, rim = self._search(search, empty, *task)
             rims.append(rim)
             if not empty.size:
                 break
         rim = np.concatenate(rims)
         for tiles in field.finer if rim.size else ():
-            search = Search(code, tiles, field.n_cells - 1, False, weighing)
+            search = TileSearch(code, tiles, field.n_cells - 1, False, weighing)
             rim = np.concatenate(self._search(search, rim, *task))
         return rim
 
     def _search(
         self,
-        search: Search,
+        search: TileSearch,
         which: Int64s | None,
         points: Floats,
         additions: Additions,

@@ -33,7 +33,7 @@ from octex.tree.search import Origin, Positions, count_of
 _STEP = 256
 
 
-class Search(NamedTuple):
+class TileSearch(NamedTuple):
     """How to find and weight taps; unused arrays are empty."""
 
     filter_code: int  # NEAREST, LINEAR or QUADRATIC
@@ -61,7 +61,9 @@ class Additions(NamedTuple):
 
 
 @part
-def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
+def _new_room(
+    search: TileSearch, points: int, is_split: bool, gradient: bool
+) -> tuple[Taps, Float64s, Int64s]:
     """Return room for the taps of points at once, of split cells too, for their coordinates and numbers."""
     # Half a page more, so that rows and weights do not begin at like places of their pages: reading the one
     # would wait for writing the other, and `linear` take 8 % longer.
@@ -76,7 +78,7 @@ def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tu
 
 @kernel
 def look_up_tiled(
-    search: Search,
+    search: TileSearch,
     singles: Floats,
     doubles: Floats,
     origin: Origin,

@@ -37,7 +37,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeGuard, TypeVar
 import numpy as np
 
 from octex import container
-from octex.archive.layout import KEPT_NAME, SPLIT_NAMES, TREE_NAMES, channel_names
+from octex.archive.layout import (
+    KEPT_NAME,
+    RENDER_FORMAT,
+    RENDER_VERSION,
+    SPLIT_NAMES,
+    TREE_NAMES,
+    channel_names,
+    render_metadata,
+)
 from octex.arrays import Array, Float64s
 from octex.channels import ChannelFormat
 from octex.errors import TextureFileError
@@ -52,8 +60,6 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 
-FORMAT = "octex"
-FORMAT_VERSION = 1
 ENDING = ".octex"
 ARCHIVE_ENDING = ".octz"
 
@@ -106,14 +112,8 @@ def contents_of(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str
     for name, channel in texture.channels.items():
         named = zip(channel_names(name), channel[1:], strict=True)
         tensors |= compress(named, has_rows)
-    metadata = {
-        "format": FORMAT,
-        "format_version": str(FORMAT_VERSION),
-        "placement": json.dumps({"origin": placement.origin, "size": placement.size}),
-        "bounds": json.dumps(texture.bounds.tolist()),
-        "channels": json.dumps({name: channel.format.space for name, channel in texture.channels.items()}),
-        "provenance": json.dumps(dict(texture.metadata)),
-    }
+    spaces = {name: channel.format.space for name, channel in texture.channels.items()}
+    metadata = render_metadata(placement._asdict(), texture.bounds.tolist(), spaces, dict(texture.metadata))
     return tensors | texture.storage.tensors, metadata | texture.storage.metadata
 
 
@@ -132,8 +132,8 @@ def info_of(texture: OctreeTexture) -> dict[str, Any]:
         "other": sum(array.nbytes for array in storage.tensors.values()),
     }
     return {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
+        "format": RENDER_FORMAT,
+        "format_version": RENDER_VERSION,
         "placement": {"origin": list(placement.origin), "size": placement.size},
         "bounds": texture.bounds.tolist(),
         "depth": tree.max_depth,
@@ -161,10 +161,10 @@ def take_parts(
 
     Raises TextureFileError for missing or damaged parts, ArgumentError for a tree that does not fit.
     """
-    if metadata.pop("format", None) != FORMAT:
+    if metadata.pop("format", None) != RENDER_FORMAT:
         raise TextureFileError("is not an octree texture; make one with octex convert")
     version = metadata.pop("format_version", "")
-    if version != str(FORMAT_VERSION):
+    if version != str(RENDER_VERSION):
         raise TextureFileError(f"has format version {version!r}, {wrong_version(version)}")
     placement = _json(metadata, "placement", _placement)
     bounds = _json(metadata, "bounds", _floats)
