@@ -11,7 +11,16 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
-from octex.field.blend import Sums, add_weighed, blend, blend_slopes, divide, new_sums, take, weigh_by_alpha
+from octex.field.blend import (
+    Sums,
+    add_weighed,
+    blend,
+    blend_slopes,
+    divide,
+    new_sums,
+    weigh_by_alpha,
+    write_values,
+)
 from octex.field.splines import LINEAR, NEAREST
 from octex.field.taps import (
     MOST_TILED,
@@ -127,7 +136,7 @@ def look_up_tiled(
         batch = Batch(placed, numbers[:count], search.last, empty, rim, ahead)
         if only_cells:
             more_empty, more_rim = nearest_rows(search.tiles, batch, room.rows), 0
-            take(room.rows[:count], channel.codes, results[begin:end])
+            write_values(room.rows[:count], channel.codes, results[begin:end])
         else:
             starts, ends, covers = room.starts[:count], room.ends[:count], room.covers[:count]
             taps = Taps(room.rows, room.weights, room.slopes, starts, ends, covers)

@@ -68,9 +68,9 @@ def facings_of(tree: Octree) -> Facings:
 
 
 def _directions() -> Uint8s:
-    """Tabulate which of the three facings that can see a normal a cell has: [signs · 64 + flags].
+    """Tabulate which facings of a cell can see a normal: [signs of the normal · 64 + the cell's flags].
 
-    A bit for each axis; 8 for a cell without facings.
+    An entry has a bit for each axis; it is 8 for a cell without facings.
     """
     table = np.zeros((8, 64), np.uint8)
     for signs in range(8):

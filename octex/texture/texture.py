@@ -421,7 +421,7 @@ def as_texture(texture: OctreeTexture, name: str = "texture") -> OctreeTexture:
 
 
 def texture_of(storage: Storage) -> OctreeTexture:
-    """Make a texture of a storage, which retains unknown entries."""
+    """Return the texture of a storage, which retains unknown entries."""
     try:
         texture = OctreeTexture(*take_parts(storage.tensors, storage.metadata))
     except InputError as error:
