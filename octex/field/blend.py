@@ -68,7 +68,7 @@ def _sum_any(taps: Taps, n: int, flat: Flat, components: int) -> Five:
 
 
 @part
-def write_values(rows: Uint32s, codes: Codes, results: Float32s) -> None:
+def gather(rows: Uint32s, codes: Codes, results: Float32s) -> None:
     """Write the values of cells ``rows`` (points,)."""
     flat, components = flat_of(codes), codes.values.shape[1]
     flat_results = results.reshape(-1)

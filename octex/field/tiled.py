@@ -11,16 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
-from octex.field.blend import (
-    Sums,
-    add_weighed,
-    blend,
-    blend_slopes,
-    divide,
-    new_sums,
-    weigh_by_alpha,
-    write_values,
-)
+from octex.field.blend import Sums, add_weighed, blend, blend_slopes, divide, gather, new_sums, weigh_by_alpha
 from octex.field.splines import LINEAR, NEAREST
 from octex.field.taps import (
     MOST_TILED,
@@ -70,13 +61,11 @@ class Additions(NamedTuple):
 
 
 @part
-def _new_room(
-    search: TileSearch, points: int, is_split: bool, gradient: bool
-) -> tuple[Taps, Float64s, Int64s]:
+def _new_room(filter_code: int, points: int, is_split: bool, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
     """Return room for the taps of points at once, of split cells too, for their coordinates and numbers."""
     # Half a page more, so that rows and weights do not begin at like places of their pages: reading the one
     # would wait for writing the other, and `linear` take 8 % longer.
-    room = points * MOST_TILED[search.filter_code] + 520
+    room = points * MOST_TILED[filter_code] + 520
     if is_split:
         room *= 1 + MOST_ROWS
     numbers = np.empty(points, np.int64)
@@ -114,7 +103,7 @@ def look_up_tiled(
     all_points = count_of(points)
     step = max(min(_STEP, all_points), 1)
     is_split = weighing.facings.rows.size > 0 and faces and not (adds or is_faced)
-    room, coords, numbers = _new_room(search, step, is_split, gradient)
+    room, coords, numbers = _new_room(search.filter_code, step, is_split, gradient)
     step_normals = np.empty((step if faces else 0, 3), np.float32)
     if is_faced:  # points own one probe each
         shares, none = np.ones(step, np.float32), np.empty(0, np.float32)
@@ -136,7 +125,7 @@ def look_up_tiled(
         batch = Batch(placed, numbers[:count], search.last, empty, rim, ahead)
         if only_cells:
             more_empty, more_rim = nearest_rows(search.tiles, batch, room.rows), 0
-            write_values(room.rows[:count], channel.codes, results[begin:end])
+            gather(room.rows[:count], channel.codes, results[begin:end])
         else:
             starts, ends, covers = room.starts[:count], room.ends[:count], room.covers[:count]
             taps = Taps(room.rows, room.weights, room.slopes, starts, ends, covers)
