@@ -47,8 +47,8 @@ def use_shipped_code() -> None:
         return
     from llvmlite import binding
 
-    found = binding.get_host_cpu_features()
-    if all(found.get(name.lstrip("+")) for name in PORTABLE["NUMBA_CPU_FEATURES"].split(",")):
+    features = binding.get_host_cpu_features()
+    if all(features.get(name.lstrip("+")) for name in PORTABLE["NUMBA_CPU_FEATURES"].split(",")):
         os.environ.update(PORTABLE)
 
 
@@ -137,14 +137,14 @@ def _watch(writing: AbstractContextManager[Any]) -> None:
 
 def lines(*sections: str) -> list[str]:
     """Return the lines of sections, each once."""
-    found: dict[str, None] = {}
+    listed: dict[str, None] = {}
     section = ""
     for line in LIST.read_text(encoding="utf-8").splitlines():
         if line.startswith("["):
             section = line.strip("[]")
         elif section in sections and line and not line.startswith("#"):
-            found[line] = None
-    return list(found)
+            listed[line] = None
+    return list(listed)
 
 
 def read(line: str) -> tuple[Any, tuple[Any, ...]]:
@@ -172,13 +172,13 @@ def _type_text(kind: Any) -> str:
 
 def read_types(text: str) -> tuple[Any, ...]:
     """Return the types in a text of ``types_text``; raises an error for unknown ones."""
-    found, start, depth = [], 0, 0
+    types, start, depth = [], 0, 0
     for end, letter in enumerate(f"{text}," if text else ""):
         depth += (letter == "(") - (letter == ")")
         if letter == "," and depth == 0:
-            found.append(_read_type(text[start:end].strip()))
+            types.append(_read_type(text[start:end].strip()))
             start = end + 1
-    return tuple(found)
+    return tuple(types)
 
 
 def _read_type(text: str) -> Any:

@@ -83,9 +83,9 @@ def as_reals(value: npt.ArrayLike, name: str, *shapes: tuple[int, ...], most: fl
     """
 
     def refusal() -> ArgumentError:
-        wanted = " or ".join(str(shape).replace("-1", "n") for shape in shapes)
+        shape_text = " or ".join(str(shape).replace("-1", "n") for shape in shapes)
         kind = "finite numbers" if most < np.inf else "numbers"
-        return ArgumentError(f"{name} must be {kind} of shape {wanted}, not {reprlib.repr(value)}")
+        return ArgumentError(f"{name} must be {kind} of shape {shape_text}, not {reprlib.repr(value)}")
 
     array = as_array(value)
     is_shape = any(
@@ -272,18 +272,18 @@ def answer(
         return f"({', '.join(f'{coordinate:.6g}' for coordinate in where(row))})"
 
     try:
-        found = function(*arguments)
+        returned = function(*arguments)
     except Exception as error:
         reason = " ".join(f"{type(error).__name__}: {error}".split()).removesuffix(":")
         points = f"{count} points from {place(0)} on" if count else "no points"
         raise ArgumentError(f"{what} raised {reason} for {points}") from error
-    wanted = " or ".join(map(str, shapes))
-    values = as_array(found)
+    shape_text = " or ".join(map(str, shapes))
+    values = as_array(returned)
     if values.dtype == np.void:  # rows of unequal lengths
-        raise ArgumentError(f"{what} must return an array of shape {wanted}")
+        raise ArgumentError(f"{what} must return an array of shape {shape_text}")
     if values.shape not in shapes:
         raise ArgumentError(
-            f"{what} must return an array of shape {wanted}, not {values.shape}, for {count} points"
+            f"{what} must return an array of shape {shape_text}, not {values.shape}, for {count} points"
         )
     if values.dtype.kind not in "fiub":
         raise ArgumentError(f"{what} must return real numbers, not {values.dtype}")

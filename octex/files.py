@@ -79,10 +79,10 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
 def size_of(text: str) -> int:
     """Return the bytes of a text like 20MB, 800 kB, 2GiB or 5000; raises ValueError for other text."""
     units = {"": 1, "b": 1, "kb": 1e3, "mb": 1e6, "gb": 1e9, "kib": 2**10, "mib": 2**20, "gib": 2**30}
-    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]*)\s*", text.lower())
-    if found is None or found[2] not in units or not 1 <= float(found[1]) * units[found[2]] < 2**53:
+    match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*([a-z]*)\s*", text.lower())
+    if match is None or match[2] not in units or not 1 <= float(match[1]) * units[match[2]] < 2**53:
         raise ValueError(f"{text!r} is not a size like 20MB")
-    return int(float(found[1]) * units[found[2]])
+    return int(float(match[1]) * units[match[2]])
 
 
 def read_bytes(path: str | os.PathLike[str]) -> bytes:

@@ -243,11 +243,11 @@ class Document:
         if "sparse" in entry and decoded is None:
             sparse, indices = entry["sparse"], entry["sparse"]["indices"]
             kind = np.dtype(COMPONENT_TYPES[indices["componentType"]])
-            places = self._rows(indices, sparse["count"], 1, kind, what)[:, 0]
-            if len(places) and int(places.max()) >= count:
+            positions = self._rows(indices, sparse["count"], 1, kind, what)[:, 0]
+            if len(positions) and int(positions.max()) >= count:
                 raise ModelError(f"{what} has sparse indices outside its {count} elements")
             rows = rows.copy()
-            rows[places] = self._rows(sparse["values"], sparse["count"], width, dtype, what)
+            rows[positions] = self._rows(sparse["values"], sparse["count"], width, dtype, what)
         if entry.get("normalized") and dtype.kind in "iu":
             rows = np.maximum(rows / np.iinfo(dtype).max, -1.0)
         return rows

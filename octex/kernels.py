@@ -28,10 +28,10 @@ import numpy as np
 from octex.arrays import Array, Float32s, Float64s, Int32s, Int64s, Uint8s, Uint32s, Uint64s
 from octex.checks import as_choice, as_number, locked
 from octex.field.footprints import ROUND_FINER, WIDEST, level_of
-from octex.field.neighborhood import taps_around
 from octex.field.splines import LINEAR, QUADRATIC, single_quadratic_weights
 from octex.field.taps import LEAST, OFF, Flat, Taps, new_taps, value_of
 from octex.field.tiles import Tiles, code_in_tile, look_in, tile_row
+from octex.field.walk_taps import taps_around
 from octex.field.weights import MOST_ROWS, Facings, Visible, Weighing, new_visible, view_along, weigh
 from octex.field.windows import MOST_TAPS, Walk, Way, new_walk
 from octex.jit import inlined, kernel, step
@@ -55,7 +55,7 @@ class LookupArrays(NamedTuple):
     All are arrays or numbers, as numba's parallel loops require.
     """
 
-    place: Float64s  # (4,)   the root cell's lowest corner, and its edge
+    root: Float64s  # (4,)   the root cell's lowest corner, and its edge
     groups: Uint64s  # the tree, see `TreeArrays`; areas are those of nodes only
     level_cells: Int64s
     level_nodes: Int64s
@@ -118,9 +118,9 @@ def new_scratch(arrays: LookupArrays) -> Scratch:
 @inlined
 def _placed(arrays: LookupArrays, point: Vector) -> tuple[float, float, float]:
     """Return a rest position in texture space, clamped to 0 … 1."""
-    place = arrays.place
+    root = arrays.root
     x, y, z = np.float64(point[0]), np.float64(point[1]), np.float64(point[2])
-    x, y, z = placed(x, y, z, (place[0], place[1], place[2]), 1.0 / place[3])
+    x, y, z = placed(x, y, z, (root[0], root[1], root[2]), 1.0 / root[3])
     return _clamped(x, 1.0), _clamped(y, 1.0), _clamped(z, 1.0)
 
 
@@ -134,12 +134,12 @@ def _clamped(x: float, most: float) -> float:
 @inlined
 def _tiles_of(arrays: LookupArrays, level: int) -> Tiles:
     """Return the tiles of a level that has some."""
-    known = arrays.tile_levels
-    rows = slice(known[level, 3], known[level, 4])
+    tile_levels = arrays.tile_levels
+    rows = slice(tile_levels[level, 3], tile_levels[level, 4])
     return Tiles(
         level,
-        known[level, 0],
-        arrays.tops[known[level, 1] : known[level, 2]],
+        tile_levels[level, 0],
+        arrays.tops[tile_levels[level, 1] : tile_levels[level, 2]],
         arrays.masks[rows],
         arrays.firsts[rows],
         arrays.masks[:0],  # no finer paint
@@ -225,16 +225,16 @@ def _find(
     arrays: LookupArrays, level: int, x: float, y: float, z: float, filter_code: int, scratch: Scratch
 ) -> tuple[int, bool]:
     """Write the taps of a sample at a level; return their number, and whether it is off the surface."""
-    here = level
-    while here >= 0 and arrays.tile_levels[here, 0] >= 0:
-        n, total = _tiled(arrays, here, x, y, z, filter_code, scratch)
+    tiled_level = level
+    while tiled_level >= 0 and arrays.tile_levels[tiled_level, 0] >= 0:
+        n, total = _tiled(arrays, tiled_level, x, y, z, filter_code, scratch)
         if total >= LEAST:
-            for tap in range(n if here < level else 0):
+            for tap in range(n if tiled_level < level else 0):
                 scratch.taps.weights[tap] *= np.float32(OFF / total)
-            return n, here < level
+            return n, tiled_level < level
         if n > 0:
             break  # at the border of the spline's support
-        here -= 1
+        tiled_level -= 1
     n, cover = _walked(arrays, level, x, y, z, filter_code, scratch)
     return n, cover == 0.0
 
@@ -332,13 +332,13 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
     is_facing = bool(max(view[0], max(view[1], view[2])) > np.float32(0.0))
     flat, facings = _flat(arrays), Facings(arrays.flags, arrays.facings, arrays.kept)
     depth = arrays.level_cells.size - 2
-    size = arrays.place[3]
+    size = arrays.root[3]
     between = level_of(_clamped(np.float64(width), size * WIDEST), size, depth, ROUND_FINER[QUADRATIC])
     level = min(int(between), depth)  # the coarser of two levels, and the weight of the finer
     upper: float = np.float64(between) - level
     share, passed = 1.0 - upper, 0.0
     while level <= depth and (share > 0.0 or upper > 0.0):
-        left = 0.0
+        mixed_share = 0.0
         if share > 0.0:
             n, is_off = _find(arrays, level, x, y, z, QUADRATIC, scratch)
             scratch.taps.ends[0] = n
@@ -348,14 +348,14 @@ def footprint(arrays: LookupArrays, point: Vector, width: float, normal: Vector,
             mixed = arrays.mixed[
                 first : first if is_leaf or is_facing else int(arrays.level_cells[level + 1])
             ]
-            by = Weighing(areas, mixed, int(first), facings, is_facing, flat.first_kept, flat.first_row)
-            end, _, total, gone = weigh(
-                scratch.taps, 0, n, by, view, scratch.visible, is_facing, is_split, flat, 0
+            weighing = Weighing(areas, mixed, int(first), facings, is_facing, flat.first_kept, flat.first_row)
+            end, _, total, of_mixed = weigh(
+                scratch.taps, 0, n, weighing, view, scratch.visible, is_facing, is_split, flat, 0
             )
-            left = gone / total if gone > 0.0 else 0.0
+            mixed_share = of_mixed / total if of_mixed > 0.0 else 0.0
             part = share * np.float64(OFF) / total if is_off and total > 0.0 and not is_leaf else share
             _add(arrays, n, end, part, scratch)
-        passed = share * left if left > _ROUNDED else 0.0
+        passed = share * mixed_share if mixed_share > _ROUNDED else 0.0
         share, upper = upper + passed, 0.0
         level += 1
     return _mean(scratch)
@@ -371,7 +371,7 @@ def arrays_of(
     `OctreeTexture.sample`. Raises ArgumentError for an unknown channel.
     """
     texture = as_texture(texture)
-    known = texture.channels[as_choice(channel, texture.channels, "channel")]
+    chosen = texture.channels[as_choice(channel, texture.channels, "channel")]
     threshold = as_number(bleed_threshold, "bleed_threshold", 0.0, np.inf)
     tree, field = texture.tree, texture._field
     areas = tree.arrays.areas.copy()
@@ -381,9 +381,9 @@ def arrays_of(
         above = field.level(level).tree
         if above.split.cells.size:
             first = int(tree.arrays.level_cells[level])
-            mixed[first : above.n_cells] = mixed_cells(known, above, threshold)[first:]
+            mixed[first : above.n_cells] = mixed_cells(chosen, above, threshold)[first:]
     alpha = texture.channels.get("alpha")
-    if alpha is known or (alpha is not None and alpha.format.components != 1):
+    if alpha is chosen or (alpha is not None and alpha.format.components != 1):
         alpha = None
     tiles = _joined_tiles([field.level(level).tiles for level in range(tree.max_depth + 1)])
     return LookupArrays(
@@ -392,9 +392,9 @@ def arrays_of(
         tree.kept.cells,
         field.facings.rows,
         *tiles,
-        *_values(known),
+        *_values(chosen),
         *(_NO_VALUES if alpha is None else _values(alpha)),
-        known.format.components,
+        chosen.format.components,
         mixed,
     )
 

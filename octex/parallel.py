@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -152,7 +152,7 @@ def usual_memory() -> int | None:
 
 _most: int | None = None  # the limit of ``at_most``
 _pools = 0  # number of pools
-_here = threading.local()  # ``is_worker`` in threads of pools
+_thread = threading.local()  # ``is_worker`` in threads of pools
 
 
 @contextmanager
@@ -182,9 +182,10 @@ def pool_of(count: int) -> Iterator[Executor]:
     """Yield a pool of ``count`` threads that ends with the block; an error drops pending tasks."""
     global _pools
     if _most is not None and _pools:  # a pool has all allowed threads
-        yield _Here()
+        yield _CallingThread()
         return
-    with ThreadPoolExecutor(count, thread_name_prefix="octex", initializer=_note_worker) as pool:
+    note_worker = partial(setattr, _thread, "is_worker", True)
+    with ThreadPoolExecutor(count, thread_name_prefix="octex", initializer=note_worker) as pool:
         _pools += 1
         try:
             yield pool
@@ -193,10 +194,6 @@ def pool_of(count: int) -> Iterator[Executor]:
             raise
         finally:
             _pools -= 1
-
-
-def _note_worker() -> None:
-    _here.is_worker = True
 
 
 class built_once(cached_property[Result]):  # noqa: N801  (like its base)
@@ -209,7 +206,7 @@ class built_once(cached_property[Result]):  # noqa: N801  (like its base)
         if instance is None:
             return self
         name, values = self.attrname, instance.__dict__
-        with _BEGINNING:
+        with _turns_lock:
             turn = _turns.setdefault((id(instance), name), threading.RLock())
         with turn:
             try:
@@ -217,15 +214,15 @@ class built_once(cached_property[Result]):  # noqa: N801  (like its base)
                     values[name] = self.func(instance)
                 return values[name]
             finally:
-                with _BEGINNING:
+                with _turns_lock:
                     _turns.pop((id(instance), name), None)
 
 
-_BEGINNING = threading.Lock()
+_turns_lock = threading.Lock()
 _turns: dict[tuple[int, str | None], threading.RLock] = {}  # until an object has the value
 
 
-class _Here(Executor):
+class _CallingThread(Executor):
     """Works at once, in the calling thread."""
 
     def submit(self, function: Callable[..., Result], /, *arguments: Any, **named: Any) -> Future[Result]:
@@ -241,16 +238,16 @@ class _Here(Executor):
 def workers(run: Run = DEFAULT, tasks: int | None = None) -> Iterator[Executor]:
     """Yield an executor for a number of ``tasks``, None for many; its threads end with the block.
 
-    They are as many as the run says, for None a thread for each processor; the calling thread for one task,
-    and for None in a worker thread of octex.
+    The run gives their number; None is a thread for each processor. The calling thread does a single task,
+    and for None all tasks in a worker thread of octex.
     """
     if run.executor is not None:
         yield run.executor
         return
     counts = cpu_count() if run.threads is None else int(run.threads), _most, tasks
     count = min(each for each in counts if each is not None)
-    if count <= 1 or (run.threads is None and getattr(_here, "is_worker", False)):
-        yield _Here()
+    if count <= 1 or (run.threads is None and getattr(_thread, "is_worker", False)):
+        yield _CallingThread()
         return
     with pool_of(count) as pool:
         yield pool
@@ -258,7 +255,7 @@ def workers(run: Run = DEFAULT, tasks: int | None = None) -> Iterator[Executor]:
 
 def shares_memory(executor: Executor) -> bool:
     """Return whether an executor surely works in this process."""
-    return isinstance(executor, (_Here, ThreadPoolExecutor))
+    return isinstance(executor, (_CallingThread, ThreadPoolExecutor))
 
 
 def start(executor: Executor, function: Callable[..., Result], /, *arguments: Any) -> Future[Result]:
@@ -294,10 +291,10 @@ def _do(text: bytes, copies: list[bytes]) -> Any:
     """Do a task in another process; raises RuntimeError for one that writes to its arguments."""
     sums = [zlib.adler32(copy) for copy in copies]
     function, arguments = pickle.loads(text, buffers=copies)  # arrays of bytes are read-only
-    found = function(*arguments)
+    result = function(*arguments)
     if sums != [zlib.adler32(copy) for copy in copies]:  # kernels write to read-only arrays, too
         raise RuntimeError(f"{function} writes to arrays that are not shared; `sharing` has workers for that")
-    return found
+    return result
 
 
 @contextmanager
@@ -307,9 +304,9 @@ def sharing(executor: Executor) -> Iterator[Executor]:
     That is ``executor``, or its attribute ``here``, if that works in this process; else threads that end with
     the block.
     """
-    here = getattr(executor, "here", executor)
-    if here is not None and shares_memory(here):
-        yield here
+    local = getattr(executor, "here", executor)
+    if local is not None and shares_memory(local):
+        yield local
         return
     with workers() as threads:
         yield threads
@@ -327,11 +324,11 @@ def ordered_map(
     """Yield ``function(item)`` for each item, in the order of the items.
 
     At most ``window`` items are in flight, so that results do not pile up. The first error ends the map and
-    cancels what has not begun.
+    cancels waiting tasks.
     """
     if len(items) == 1 and shares_memory(executor):  # as fast, without waking a thread
-        executor = _Here()
-    window = 1 if isinstance(executor, _Here) else window
+        executor = _CallingThread()
+    window = 1 if isinstance(executor, _CallingThread) else window
     pending: deque[Future[Result]] = deque()
     total = len(items)
     done = 0

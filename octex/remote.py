@@ -26,7 +26,7 @@ from octex.errors import MissingExtraError, OutputError, TextureFileError
 BLOCK = 1 << 10
 #: Most bytes of a request: the response is held in memory.
 _MOST = 1 << 26
-#: Entries of file systems that tell a changed file.
+#: Entries of file systems that change with the file.
 _STAMPS = "ETag", "etag", "Last-Modified", "LastModified", "last_modified", "mtime", "modified", "created"
 
 
@@ -58,32 +58,31 @@ class RemoteFile:
             cache = None
         self._folder = cache or tempfile.gettempdir()
         try:
-            file, known = _made(cache, address, self._stamp, self.size)
+            self._file, self._is_fetched = _local_file(cache, address, self._stamp, self.size)
         except OSError as error:
             raise self._full(error) from error
-        self._file, self._is_here = file, known
         self._checks_later, self._is_checked = False, True
-        weakref.finalize(self, file.close)
-        self.mapping = mmap.mmap(file.fileno(), self.size)
+        weakref.finalize(self, self._file.close)
+        self.mapping = mmap.mmap(self._file.fileno(), self.size)
         self._first = np.frombuffer(self.mapping, np.uint8).ctypes.data
 
     @property
     def is_whole(self) -> bool:
         """Whether all blocks are fetched."""
-        return bool(self._is_here.all())
+        return bool(self._is_fetched.all())
 
     def fetch(self, ranges: Iterable[tuple[int, int]]) -> bool:
         """Fetch the missing blocks of ranges of bytes; return whether there were any."""
         with self._lock:
-            wanted = np.zeros(self._is_here.size, np.bool_)
+            is_wanted = np.zeros(self._is_fetched.size, np.bool_)
             for begin, end in ranges:
-                wanted[begin // BLOCK : -(-end // BLOCK)] = True
-            blocks = np.flatnonzero(wanted & (self._is_here == 0))
+                is_wanted[begin // BLOCK : -(-end // BLOCK)] = True
+            blocks = np.flatnonzero(is_wanted & (self._is_fetched == 0))
             if not blocks.size:
                 return False
             for first in range(0, blocks.size, _MOST // BLOCK):
-                some = blocks[first : first + _MOST // BLOCK]
-                parts = np.split(some, np.flatnonzero(np.diff(some) > 1) + 1)
+                batch = blocks[first : first + _MOST // BLOCK]
+                parts = np.split(batch, np.flatnonzero(np.diff(batch) > 1) + 1)
                 runs = np.array([(part[0], part[-1] + 1) for part in parts]) * BLOCK
                 self._fetch(np.minimum(runs, self.size))
             self._is_checked = False
@@ -114,11 +113,11 @@ class RemoteFile:
     def _fetch(self, runs: Int64s) -> None:
         begins, ends = runs.T.tolist()
         try:
-            found = self._files.cat_ranges([self._path] * len(runs), begins, ends, on_error="raise")
+            contents = self._files.cat_ranges([self._path] * len(runs), begins, ends, on_error="raise")
         except Exception as error:
             self._check_unchanged()
             raise self._failed(error) from error
-        for begin, end, part in zip(begins, ends, found, strict=True):
+        for begin, end, part in zip(begins, ends, contents, strict=True):
             if len(part) > end - begin:
                 raise TextureFileError(
                     f"{self.address}: its server does not answer requests for a part of a file (HTTP "
@@ -130,17 +129,17 @@ class RemoteFile:
                     f"{self.address}: was cut off: bytes {begin} to {end} came as {len(part)}; open it again"
                 )
         try:
-            for begin, part in zip(begins, found, strict=True):
+            for begin, part in zip(begins, contents, strict=True):
                 self._file.seek(begin)
                 self._file.write(part)
             self._file.flush()
         except OSError as error:
             raise self._full(error) from error
         for begin, end in runs.tolist():
-            self._is_here[begin // BLOCK : -(-end // BLOCK)] = 1
+            self._is_fetched[begin // BLOCK : -(-end // BLOCK)] = 1
 
     def _described(self) -> tuple[int, tuple[str, ...]]:
-        """Return the file's length, and its length and stamps, which tell a changed file."""
+        """Return the file's length, and its length and stamps, which change with the file."""
         try:
             self._files.invalidate_cache(self._path)
             info: dict[str, Any] = self._files.info(self._path)
@@ -156,7 +155,7 @@ class RemoteFile:
     def _check_unchanged(self) -> None:
         """Raise TextureFileError if the file has changed: then all blocks are missing."""
         if self._described()[1] != self._stamp:
-            self._is_here[:] = 0
+            self._is_fetched[:] = 0
             raise TextureFileError(f"{self.address}: changed after it was opened; open it again")
         self._is_checked = True
 
@@ -184,7 +183,9 @@ def _why_not_found(error: FileNotFoundError, address: str) -> str:
     return f"there is no such file ({error})"
 
 
-def _made(cache: Path | None, address: str, stamp: tuple[str, ...], size: int) -> tuple[BinaryIO, Uint8s]:
+def _local_file(
+    cache: Path | None, address: str, stamp: tuple[str, ...], size: int
+) -> tuple[BinaryIO, Uint8s]:
     """Make the local file, or find it in the ``cache``; return it, and the marks of fetched blocks."""
     blocks = -(-size // BLOCK)
     if cache is None:
@@ -198,7 +199,7 @@ def _made(cache: Path | None, address: str, stamp: tuple[str, ...], size: int) -
         if not old.name.startswith(f"{name}-{version}."):
             old.unlink(missing_ok=True)
     opened: list[BinaryIO] = []
-    is_new = False  # then no block is here, whatever is said
+    is_new = False  # then no block is fetched, whatever its file marks
     for ending, length in (("part", size), ("blocks", blocks)):
         path = cache / f"{name}-{version}.{ending}"
         file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666), "r+b", 0)

@@ -8,13 +8,13 @@ import numpy as np
 
 from octex.archive import structure, values
 from octex.archive.entropy import DECODES, Coder, Model, decoder, encoded, is_whole, new_model, noter
-from octex.archive.layout import AREAS, STRUCTURE, Block, Coding, Content, DamagedError, owners_of
+from octex.archive.layout import AREAS, STRUCTURE, Block, CodedArrays, Coding, DamagedError, owners_of
 from octex.arrays import Array
 from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT
 
 
 def code_block(
-    content: Content,
+    content: CodedArrays,
     codings: Mapping[str, Coding],
     block: Block,
     kinds: Sequence[str],
@@ -27,7 +27,7 @@ def code_block(
     DamagedError for an invalid one. ``models`` hold the state of streams after the last level of one block.
     They are copied, or continue if the block is the only one of its level.
     """
-    arrays, found = content.arrays, []
+    arrays, encoded_streams = content.arrays, []
     around = structure.around_nodes(arrays, block)
     rows, owners = np.empty((0, 4), np.int32), np.empty(0, np.uint32)
     is_only = arrays.level_nodes[block.level : block.level + 2].tolist() == [block.first, block.last]
@@ -43,7 +43,7 @@ def code_block(
         if streams is None:
             coder = noter(model, most_notes)
         else:
-            place, stream = next(streams)
+            first_byte, stream = next(streams)
             coder = decoder(model, stream)
         if kind == STRUCTURE:
             structure.code_structure(arrays, block, around, coder)
@@ -53,14 +53,15 @@ def code_block(
         else:
             _code_channel(content, kind, codings[kind], block, (owners, rows, around), coder)
         if streams is None:
-            found.append(encoded(coder))
+            encoded_streams.append(encoded(coder))
         elif len(stream) % 4 or not is_whole(coder):
             raise DamagedError(
-                f"its bytes from {place} on cannot be decoded: the file is damaged, or octex did not write it"
+                f"its bytes from {first_byte} on cannot be decoded: the file is damaged, or octex did not "
+                "write it"
             )
         elif kind == STRUCTURE:
             _list_flagged(content, block)
-    return found
+    return encoded_streams
 
 
 def _extent(kind: str, codings: Mapping[str, Coding], block: Block) -> tuple[tuple[int, int], int]:
@@ -73,17 +74,17 @@ def _extent(kind: str, codings: Mapping[str, Coding], block: Block) -> tuple[tup
     return values.extent(codings[kind].form, cell + row + kept)
 
 
-def _list_flagged(content: Content, block: Block) -> None:
+def _list_flagged(content: CodedArrays, block: Block) -> None:
     """List the split cells and kept nodes of a block in the tables, from its decoded flags."""
     begin, end, flags = block.begin, block.end, content.arrays.flags
     for flag, cells in (
         (SPLIT, content.split.cells[begin.split : end.split]),
         (KEPT, content.kept.cells[begin.kept : end.kept]),
     ):
-        found = np.flatnonzero(flags[begin.cell : end.cell] & np.uint8(flag)) + begin.cell
-        if found.size != cells.size:
+        flagged = np.flatnonzero(flags[begin.cell : end.cell] & np.uint8(flag)) + begin.cell
+        if flagged.size != cells.size:
             raise DamagedError("its blocks and its flags disagree; copy it again")
-        cells[:] = found
+        cells[:] = flagged
     split_cells = content.split.cells[begin.split : end.split]
     content.split.facings[begin.split : end.split] = flags[split_cells] & np.uint8(FACING_FLAGS)
     if owners_of(content.split, block).size != end.row - begin.row:
@@ -91,10 +92,10 @@ def _list_flagged(content: Content, block: Block) -> None:
 
 
 def _code_channel(
-    content: Content, name: str, coding: Coding, block: Block, found: tuple[Array, ...], coder: Coder
+    content: CodedArrays, name: str, coding: Coding, block: Block, related: tuple[Array, ...], coder: Coder
 ) -> None:
     """Code the values of a channel: of cells, of rows of split cells, and of kept nodes."""
-    form, (owners, rows, around), begin, end = coding.form, found, block.begin, block.end
+    form, (owners, rows, around), begin, end = coding.form, related, block.begin, block.end
     decodes, raw = coder.work == DECODES, content.decoded[name].values
     tables = zip(
         (values.CELLS, values.SPLIT_ROWS, values.KEPT_NODES),

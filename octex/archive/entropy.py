@@ -189,12 +189,12 @@ def code_number(number: int, unit: int, is_byte: bool, context: int, coder: Code
 @inlined
 def _code_long(value: int, count: int, coder: Coder) -> int:
     """Code ``count`` plain bits, the lowest first; return them."""
-    found = done = wide(0)
+    bits = done = wide(0)
     while done < count:
-        some = min(count - done, PRECISION)
-        found |= _code(0, ONE, value >> done & (1 << some) - 1, some, coder) << done
-        done += some
-    return found
+        n_bits = min(count - done, PRECISION)
+        bits |= _code(0, ONE, value >> done & (1 << n_bits) - 1, n_bits, coder) << done
+        done += n_bits
+    return bits
 
 
 @kernel

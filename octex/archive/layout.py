@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from octex.arrays import Array, Int64s, Uint8s, Uint32s, bit_counts
 from octex.container import without_duplicates
-from octex.tree.layout import FACING_FLAGS, KEPT, SPLIT, KeptTable, SplitTable, TreeArrays
-from octex.tree.octree import no_kept, no_split
+from octex.tree.layout import FACING_FLAGS, KEPT, NO_KEPT, NO_SPLIT, SPLIT, KeptTable, SplitTable, TreeArrays
 
 MAGIC = b"\x89OCTZ\r\n\x1a"
 FORMAT_VERSION = 1
+#: The format of render files, which octex/texture/file.py draws.
+RENDER_FORMAT, RENDER_VERSION = "octex", 1
 #: How web files begin, and glTF models of one file.
 WEB_MAGIC, GLB_MAGIC = b"octexweb", b"glTF"
 #: Nodes of a block, a multiple of eight: blocks share no group.
@@ -95,7 +96,7 @@ class Coding(NamedTuple):
     weights: Int64s  # (groups · terms,)   of guesses
 
 
-class Content(NamedTuple):
+class CodedArrays(NamedTuple):
     """The arrays to archive, or decoded so far."""
 
     arrays: TreeArrays
@@ -105,18 +106,18 @@ class Content(NamedTuple):
     decoded: dict[str, ChannelBytes]  # as they will be read: the same arrays where nothing may move
 
 
-def content_of(tensors: Mapping[str, Array], channels: Sequence[str]) -> Content:
+def coded_arrays(tensors: Mapping[str, Array], channels: Sequence[str]) -> CodedArrays:
     """Return a render file's tensors as arrays by kind; raises KeyError for missing ones."""
     has_split, has_kept = SPLIT_NAMES[0] in tensors, KEPT_NAME in tensors
-    split = SplitTable(*(tensors[name] for name in SPLIT_NAMES)) if has_split else no_split()
-    kept = KeptTable(tensors[KEPT_NAME]) if has_kept else no_kept()
+    split = SplitTable(*(tensors[name] for name in SPLIT_NAMES)) if has_split else NO_SPLIT
+    kept = KeptTable(tensors[KEPT_NAME]) if has_kept else NO_KEPT
     named = {}
     for name in channels:
         keys = channel_names(name)
         values = _as_bytes(tensors[keys[0]])
         of_split = _as_bytes(tensors[keys[1]]) if has_split else values[:0]
         named[name] = ChannelBytes(values, of_split, _as_bytes(tensors[keys[2]]) if has_kept else values[:0])
-    return Content(TreeArrays(*(tensors[name] for name in TREE_NAMES)), split, kept, named, named)
+    return CodedArrays(TreeArrays(*(tensors[name] for name in TREE_NAMES)), split, kept, named, named)
 
 
 def _as_bytes(array: Array) -> Uint8s:
@@ -131,8 +132,17 @@ def channel_names(name: str) -> tuple[str, str, str]:
 
 def known_names(tensors: Mapping[str, object], channels: Sequence[str]) -> set[str]:
     """Return the names of the tensors that streams of blocks hold."""
-    found = {*TREE_NAMES, *SPLIT_NAMES, KEPT_NAME}.union(*map(channel_names, channels))
-    return found & tensors.keys()
+    names = {*TREE_NAMES, *SPLIT_NAMES, KEPT_NAME}.union(*map(channel_names, channels))
+    return names & tensors.keys()
+
+
+def render_metadata(
+    placement: Any, bounds: Any, spaces: Mapping[str, str], provenance: Mapping[str, str]
+) -> dict[str, str]:
+    """Return the metadata of a render file."""
+    parts = {"placement": placement, "bounds": bounds, "channels": spaces, "provenance": provenance}
+    texts = {name: json.dumps(part) for name, part in parts.items()}
+    return {"format": RENDER_FORMAT, "format_version": str(RENDER_VERSION), **texts}
 
 
 def channels_in(metadata: Mapping[str, str]) -> list[str]:
@@ -143,9 +153,9 @@ def channels_in(metadata: Mapping[str, str]) -> list[str]:
 
 def pieces_of(sizes: Mapping[str, int], channels: Sequence[str]) -> Iterator[tuple[str, int, int]]:
     """Yield the pieces of other tensors, from their sizes in bytes: name, begin and end."""
-    known = known_names(sizes, channels)
+    block_tensors = known_names(sizes, channels)
     for name, size in sizes.items():
-        for begin in range(0, size if name not in known else 0, PIECE):
+        for begin in range(0, size if name not in block_tensors else 0, PIECE):
             yield name, begin, min(begin + PIECE, size)
 
 
@@ -164,13 +174,13 @@ def after_root(flags: int, n_nodes: int) -> Place:
     return Place(min(n_nodes, 1), 1, is_split, rows, int(flags & KEPT > 0))
 
 
-def root_arrays(content: Content, place: Place) -> list[Array]:
+def root_arrays(content: CodedArrays, place: Place) -> list[Array]:
     """Return the root's data: flags, area, areas of its rows, and its rows of values by channel."""
     arrays, rows = content.arrays, (1, place.row, place.kept)
-    found = [arrays.flags[:1], arrays.areas[:1], content.split.areas[: place.row]]
+    listed = [arrays.flags[:1], arrays.areas[:1], content.split.areas[: place.row]]
     for channel in content.original.values():
-        found += [array[:count] for array, count in zip(channel, rows, strict=True)]
-    return found
+        listed += [array[:count] for array, count in zip(channel, rows, strict=True)]
+    return listed
 
 
 def owners_of(split: SplitTable, block: Block) -> Uint32s:

@@ -31,14 +31,14 @@ from octex.archive.layout import (
     WEIGHT_BITS,
     Block,
     ChannelBytes,
+    CodedArrays,
     Coding,
-    Content,
     DamagedError,
     Form,
     Place,
     after_root,
     channels_in,
-    content_of,
+    coded_arrays,
     known_names,
     pieces_of,
     root_arrays,
@@ -79,10 +79,10 @@ class _Stream(NamedTuple):
 
     def read(self, content: mmap.mmap) -> bytes:
         """Return its bytes."""
-        found = content[self.begin : self.begin + self.length]
-        if zlib.crc32(found) != self.checksum:
+        stream = content[self.begin : self.begin + self.length]
+        if zlib.crc32(stream) != self.checksum:
             raise self.damaged()
-        return found
+        return stream
 
     def damaged(self) -> DamagedError:
         """Return the error for wrong bytes."""
@@ -159,9 +159,9 @@ class Decoding:
 
         def take(count: int, dtype: str) -> Array:
             nonlocal at
-            found = np.frombuffer(root, dtype, count, at)
-            at += found.nbytes
-            return found
+            numbers = np.frombuffer(root, dtype, count, at)
+            at += numbers.nbytes
+            return numbers
 
         levels = [take(math.prod(entries[name].shape), "<i8") for name in TREE_NAMES[1:3]]
         _check_records(entries, channels, levels, len(numbers))
@@ -169,7 +169,7 @@ class Decoding:
         self._tensors = {name: container.view(room, entry) for name, entry in entries.items()}
         for name, level in zip(TREE_NAMES[1:3], levels, strict=True):
             self._tensors[name][:] = level
-        self._records, self._coded = iter(numbers), content_of(self._tensors, channels)
+        self._records, self._coded = iter(numbers), coded_arrays(self._tensors, channels)
         arrays, split, kept, original, _ = self._coded
         check_layout(arrays, split, kept)
         self._codings: dict[str, Coding] = {}
@@ -216,11 +216,11 @@ class Decoding:
         self._fetch([(START, self._end)])
         self._decode({kind: np.ones(len(self._parts), np.bool_) for kind in self._kinds})
         for name, begin, end, stream in self._others:
-            found = _unpacked(stream.read(self._content), end - begin)
-            if found is None:
+            unpacked = _unpacked(stream.read(self._content), end - begin)
+            if unpacked is None:
                 raise stream.damaged()
             flat = self._tensors[name].reshape(-1).view(np.uint8)
-            flat[begin:end] = np.frombuffer(found, np.uint8)
+            flat[begin:end] = np.frombuffer(unpacked, np.uint8)
         self.is_whole = True
 
     def decode(self, wanted: Mapping[str, Sequence[tuple[str, Int64s]]], level: int = 0) -> bool:
@@ -230,7 +230,7 @@ class Decoding:
         there was anything to do.
         """
         marked = {kind: self._marked(rows) for kind, rows in wanted.items()}
-        level = max([level, *(self.level_of(*rows) for each in wanted.values() for rows in each)])
+        level = max([level, *(self.level_of(*rows) for tables in wanted.values() for rows in tables)])
         above = np.array([block.level < level for block, _ in self._parts], np.bool_)
         was_more = self._decode({STRUCTURE: above})
         for kind, blocks in marked.items():
@@ -251,24 +251,24 @@ class Decoding:
         """Mark the blocks with rows of tables; the root's are in none."""
         marked = np.zeros(len(self._parts), np.bool_)
         for table, rows in wanted:
-            found = np.searchsorted(self._firsts[table], rows, "right") - 1
-            marked[found[found >= 0]] = True
+            blocks = np.searchsorted(self._firsts[table], rows, "right") - 1
+            marked[blocks[blocks >= 0]] = True
         return marked
 
     def _decode(self, wanted: Mapping[str, Bools]) -> bool:
         """Decode kinds of streams of blocks, level by level; the levels above are decoded, or wanted too."""
-        left = {kind: marked & ~self._done[kind] for kind, marked in wanted.items()}
+        missing = {kind: marked & ~self._done[kind] for kind, marked in wanted.items()}
         todo: list[_Part] = []
-        for number in np.flatnonzero(np.any(list(left.values()), axis=0)) if left else ():
+        for number in np.flatnonzero(np.any(list(missing.values()), axis=0)) if missing else ():
             block, streams = self._parts[number]
-            todo.append((block, {k: streams[k] for k in self._kinds if k in left and left[k][number]}))
-        every = [stream for _, streams in todo for stream in streams.values()]
-        self._fetch([(stream.begin, stream.begin + stream.length) for stream in every])
+            todo.append((block, {k: streams[k] for k in self._kinds if k in missing and missing[k][number]}))
+        all_streams = [stream for _, streams in todo for stream in streams.values()]
+        self._fetch([(stream.begin, stream.begin + stream.length) for stream in all_streams])
         with workers() as executor:
             for _, level in groupby(todo, key=lambda part: part[0].level):
                 for _ in ordered_map(executor, self._decode_block, list(level)):
                     pass
-        for kind, marked in left.items():
+        for kind, marked in missing.items():
             self._done[kind] |= marked
         return bool(todo)
 
@@ -335,28 +335,28 @@ def _unpacked(content: bytes, length: int) -> bytes | None:
     """Unpack xz; None unless it has exactly ``length`` bytes."""
     try:
         inflate = lzma.LZMADecompressor(lzma.FORMAT_XZ, memlimit=_MOST_FOR_XZ)
-        found = inflate.decompress(content, length + 1)
+        unpacked = inflate.decompress(content, length + 1)
     except lzma.LZMAError:
         return None
-    return found if len(found) == length and inflate.eof and not inflate.unused_data else None
+    return unpacked if len(unpacked) == length and inflate.eof and not inflate.unused_data else None
 
 
 def _check_records(
     entries: Mapping[str, container.Entry], channels: list[str], levels: list[Array], count: int
 ) -> None:
     """Raise ValueError for a wrong number of records: this bounds the size of the decoded arrays."""
-    (cells, nodes), known = levels, known_names(entries, channels)
+    (cells, nodes), block_tensors = levels, known_names(entries, channels)
     pairs = pairwise(nodes[:-1].tolist())
     blocks = sum((end - 1) // BLOCK - first // BLOCK + 1 for first, end in pairs if end > first)
     expected = blocks * (len(Place._fields) + 4 + 2 * len(channels))
-    for name in entries.keys() - known:
+    for name in entries.keys() - block_tensors:
         expected += 2 * -(-math.prod(entries[name].shape) * entries[name].dtype.itemsize // PIECE)
-    rows = [entries[name].shape[0] for name in known - {*TREE_NAMES[1:3]}]
+    rows = [entries[name].shape[0] for name in block_tensors - {*TREE_NAMES[1:3]}]
     if count != expected or max(rows) > 6 * int(cells[-1]) or cells[-1] > 8 * BLOCK * blocks + 1:
         raise ValueError
 
 
-def _form(channel: ChannelBytes, dtype: np.dtype[Any], error: int, unit: int, content: Content) -> Form:
+def _form(channel: ChannelBytes, dtype: np.dtype[Any], error: int, unit: int, content: CodedArrays) -> Form:
     """Return the form of a channel's values."""
     _, components, size = channel.values.shape
     rows = content.arrays.flags.size, content.split.areas.size, content.kept.cells.size

@@ -42,9 +42,9 @@ def signed_children(groups: Uint64s, node: int) -> tuple[int, int, int, int]:
 
 
 @inlined
-def before(mask: int, place: int) -> int:
+def before(mask: int, bit: int) -> int:
     """Count a mask's bits before a place."""
-    return popcount(mask & (1 << place) - 1)
+    return popcount(mask & (1 << bit) - 1)
 
 
 @part
@@ -127,12 +127,12 @@ def around_children(arrays: TreeArrays, block: Block, around: Uint32s) -> Int32s
             masks[k], begins[k] = 0xFF if around[index, k] != around[index, OWN] else 0, -1
             if 0 <= beyond < count:
                 masks[k], begins[k] = stored[beyond], firsts[beyond]
-        left = popcount(masks[OWN])
+        remaining = popcount(masks[OWN])
         bits = masks[OWN]
         while bits:
             octant = trailing_zeros(bits)
             bits &= bits - 1
-            about, row = left | np.int64(has_nodes[index]) << 4 | octant << 5, np.uint64(t)
+            about, row = remaining | np.int64(has_nodes[index]) << 4 | octant << 5, np.uint64(t)
             for axis in range(3):
                 across = octant ^ 1 << axis
                 upper = octant >> axis & 1
@@ -143,7 +143,7 @@ def around_children(arrays: TreeArrays, block: Block, around: Uint32s) -> Int32s
                 is_beside = (masks[at] >> across & 1) & np.int64(begins[at] >= 0)
                 rows[row, axis] = other if is_beside else -1
             rows[row, ABOUT] = about
-            left -= 1
+            remaining -= 1
             t += 1
     return rows
 
@@ -195,59 +195,59 @@ def code_structure(arrays: TreeArrays, block: Block, around: Uint32s, coder: Cod
         present = wide(is_node | is_leaf)
         context = (x >> 1 & 1 | x >> 2 & 2) << 6 | (y >> 2 & 3) << 4 | z >> 4
         context |= (faces >> 1 & 1 | faces >> 2 & 2) << 8
-        there = code_symbol(present & 15, context, coder)
-        context = (x >> 5 & 1 | x >> 6 & 2) << 6 | (y >> 6 & 3) << 4 | there
+        mask = code_symbol(present & 15, context, coder)
+        context = (x >> 5 & 1 | x >> 6 & 2) << 6 | (y >> 6 & 3) << 4 | mask
         context |= (faces >> 1 & 1 | faces >> 2 & 2 | faces >> 3 & 4) << 8
-        there |= code_symbol(present >> 4, 1024 + context, coder) << 4
-        if there == 0 or next_cell + popcount(there) > end_cell:
+        mask |= code_symbol(present >> 4, 1024 + context, coder) << 4
+        if mask == 0 or next_cell + popcount(mask) > end_cell:
             coder.state[FAULT] = 1
             return
-        masks[index], begins[index] = there, next_cell
+        masks[index], begins[index] = mask, next_cell
         parent = wide(flags[around[index, OWN]])
-        count, leaves, alike = popcount(there), wide(0), wide(1)
-        bits = there if may_be_nodes else 0
+        count, leaves, alike = popcount(mask), wide(0), wide(1)
+        bits = mask if may_be_nodes else 0
         while bits:
             octant = trailing_zeros(bits)
             bits &= bits - 1
             was_leaf = code_bit(is_leaf >> octant & 1, _LEAVES + was_leaf * 4 + min(leaves_beside, 3), coder)
             leaves |= was_leaf << octant
         if not may_be_nodes:
-            leaves = there
+            leaves = mask
         shown = parent & FACING_FLAGS
         for n in range(0 if decodes else count):
             alike &= wide(flags[np.uint64(next_cell + n)] == shown)
         alike = code_bit(alike, _ALIKE + 2 * min(popcount(shown), 3) + (parent >> 7), coder)
-        beside_split, union, bits = wide(0), wide(0), there & alike - 1
+        beside_split, union, bits = wide(0), wide(0), mask & alike - 1
         for n in range(count if decodes and alike else 0):
             flags[np.uint64(next_cell + n)] = shown
         next_cell += count & -alike
         while bits:
             octant = trailing_zeros(bits)
             bits &= bits - 1
-            some = wide(0)
+            flags_beside = wide(0)
             for axis in range(3):
                 across = octant ^ 1 << axis
                 other = index if octant >> axis & 1 else wide(around[index, NODES + 2 * axis]) - first
                 if _mask(masks, other) >> across & 1:
-                    some |= wide(flags[begins[other] + before(masks[other], across)])
-            flag, found, left = (0 if decodes else wide(flags[next_cell])), wide(0), shown
-            while left:
-                facing = trailing_zeros(left)
-                left &= left - 1
-                place = 0 if found else 1 + wide(left == 0)
-                known = (some >> facing & 1) << 1 | union >> facing & 1
-                context = _FACINGS + (known * 3 + place) * 4 + min(popcount(shown), 4) - 1
-                found |= code_bit(flag >> facing & 1, context, coder) << facing
-            context = _SPLIT + (min(popcount(found), 2) * 2 + (parent >> 7)) * 3 + beside_split
-            found |= code_bit(flag >> 7, context, coder) << 7
+                    flags_beside |= wide(flags[begins[other] + before(masks[other], across)])
+            flag, coded_flags, remaining = (0 if decodes else wide(flags[next_cell])), wide(0), shown
+            while remaining:
+                facing = trailing_zeros(remaining)
+                remaining &= remaining - 1
+                position = 0 if coded_flags else 1 + wide(remaining == 0)
+                known_bits = (flags_beside >> facing & 1) << 1 | union >> facing & 1
+                context = _FACINGS + (known_bits * 3 + position) * 4 + min(popcount(shown), 4) - 1
+                coded_flags |= code_bit(flag >> facing & 1, context, coder) << facing
+            context = _SPLIT + (min(popcount(coded_flags), 2) * 2 + (parent >> 7)) * 3 + beside_split
+            coded_flags |= code_bit(flag >> 7, context, coder) << 7
             if leaves >> octant & 1 == 0:
-                found |= code_bit(flag >> 6 & 1, _KEPT + (parent >> 6 & 1), coder) << 6
-            beside_split = 1 + (found >> 7)
-            union |= found
+                coded_flags |= code_bit(flag >> 6 & 1, _KEPT + (parent >> 6 & 1), coder) << 6
+            beside_split = 1 + (coded_flags >> 7)
+            union |= coded_flags
             if decodes:
-                flags[next_cell] = found
+                flags[next_cell] = coded_flags
             next_cell += 1
-        inner = there & ~leaves
+        inner = mask & ~leaves
         next_node += popcount(inner)
         if next_node > end_node:
             coder.state[FAULT] = 1

@@ -65,8 +65,8 @@ def write_numbers(numbers: Uint32s, raw: Uint8s, form: Form) -> None:
     sign = 1 << (8 * form.size - 1)
     if form.is_float:
         numbers = np.where(numbers & sign, numbers ^ sign, 2 * sign - 1 - numbers)
-    for place, j in enumerate(_order(form)):
-        raw.view(f"<u{form.size}")[:, j, 0] = numbers[:, place]
+    for column, j in enumerate(_order(form)):
+        raw.view(f"<u{form.size}")[:, j, 0] = numbers[:, column]
 
 
 def _order(form: Form) -> list[int]:
@@ -145,10 +145,10 @@ def code_values(
     ``raw`` are the bytes of the levels above. ``numbers`` (cells + 1, components) are coded, and written as
     they will be read; the last row is scratch. ``weights`` follow the errors.
     """
-    each = np.zeros((9, 4), np.int64)
+    part = np.zeros((9, 4), np.int64)
     places, terms, sides = np.zeros(6, np.int64), np.zeros(TERMS, np.int64), np.zeros(24, np.int64)
-    known = each[0], each[1], each[2], each[3], each[4], each[5], each[6], each[7], each[8]
-    room = _Room(numbers.reshape(-1), sides, *known, terms, places, weights)
+    vectors = part[0], part[1], part[2], part[3], part[4], part[5], part[6], part[7], part[8]
+    room = _Room(numbers.reshape(-1), sides, *vectors, terms, places, weights)
     # Code for bytes has these as constants.
     is_plain = form.size == 1 and form.error == 0 and form.unit == 0
     if is_plain and form.components == 3:
@@ -161,20 +161,20 @@ def code_values(
 
 @inlined
 def _code_values(rows: Int32s, around: Uint32s, raw: Uint8s, form: Form, room: _Room, coder: Coder) -> None:
-    node, left, flat, was_flat = wide(-1), wide(1), wide(0), wide(0)
+    node, remaining, flat, was_flat = wide(-1), wide(1), wide(0), wide(0)
     for t in range(np.uint64(rows.shape[0])):
         about = wide(rows[t, ABOUT])
-        if left == 1:
+        if remaining == 1:
             node += 1
             node_row = around[np.uint64(node)]
             flat = _begin_node(wide(t), about, node_row, was_flat, raw, form, room, coder)
             was_flat = was_flat if flat < 0 else flat
-        left = about & 15
+        remaining = about & 15
         if flat > 0:
             for j in range(form.components):
                 room.numbers[np.uint64(wide(t) * form.components + j)] = np.uint32(room.values[j])
             continue
-        part = _PART_OF[np.uint64(left)]
+        part = _PART_OF[np.uint64(remaining)]
         spare = wide(rows.shape[0])  # the row of the node's values, for missing cells
         for axis in range(3):
             other = wide(rows[t, np.uint64(axis)])
@@ -236,22 +236,22 @@ def _code_component(t: int, j: int, part: int, noise: int, form: Form, room: _Ro
     """Code component ``j`` of a child; return how much the components so far were off."""
     components, index = form.components, np.uint64(j)
     terms, weights, numbers, value = room.terms, room.weights, room.numbers, room.values[index]
-    near, beside = wide(0), -3 * value
+    same_side, next_to = wide(0), -3 * value
     for axis in range(3):
-        near += room.sides[np.uint64(6 * j) + np.uint64(room.places[axis])]
-        beside += wide(numbers[np.uint64(j) + np.uint64(room.places[3 + axis])])
+        same_side += room.sides[np.uint64(6 * j) + np.uint64(room.places[axis])]
+        next_to += wide(numbers[np.uint64(j) + np.uint64(room.places[3 + axis])])
     mean = _term(room.sums[index], form) * part >> 16
-    place = np.uint64(room.at[index])
-    terms[0], terms[1], terms[2], terms[3] = near, room.total[index], _term(beside, form), mean
+    first_weight = np.uint64(room.at[index])
+    terms[0], terms[1], terms[2], terms[3] = same_side, room.total[index], _term(next_to, form), mean
     for k in range(min(j, 3)):
         terms[4 + 2 * k], terms[5 + 2 * k] = _term(room.off[k], form), _term(room.more[k], form)
     count, total = np.uint64(4 + 2 * min(j, 3)), wide(1 << WEIGHT_BITS - 1)
     for k in range(count):
-        total += weights[place + k] * terms[k]
+        total += weights[first_weight + k] * terms[k]
     context = room.contexts[index] + wide(_CONTEXT_OF[np.uint64(min(room.most[index] + noise, 255))])
     at = np.uint64(t * components + j)
     guess = value + (total >> WEIGHT_BITS << form.unit)
-    number, off, more = _coded(wide(numbers[at]), guess, context, form, coder)
+    number, off, noise_here = _coded(wide(numbers[at]), guess, context, form, coder)
     numbers[at] = np.uint32(number)
     if j + 1 < components:
         room.off[index], room.more[index] = off, number - value
@@ -259,8 +259,8 @@ def _code_component(t: int, j: int, part: int, noise: int, form: Form, room: _Ro
     if t & 3 == 0:  # for a quarter of the cells, to save time
         move = (wide(off > 0) - wide(off < 0)) << room.shifts[index]
         for k in range(count):
-            weights[place + k] += move * terms[k]
-    return noise + more
+            weights[first_weight + k] += move * terms[k]
+    return noise + noise_here
 
 
 @kernel
@@ -277,10 +277,10 @@ def code_rows(
             guess = cell_numbers[n, j] + (shift if form.components >= 3 else 0)
             varies = min((abs(before[j]) >> form.unit) + noise, 255)
             context = (kind * form.components + j) * _CONTEXTS + wide(_CONTEXT_OF[varies])
-            number, _, more = _coded(wide(numbers[n, j]), guess, context, form, coder)
+            number, _, noise_here = _coded(wide(numbers[n, j]), guess, context, form, coder)
             numbers[n, j] = np.uint32(number)
             before[j] = shift = number - cell_numbers[n, j]
-            noise += more
+            noise += noise_here
 
 
 _PARTS = 6
@@ -325,14 +325,14 @@ def _code_area(area: int, guess: int, whole: int, rest: int, shape: int, coder: 
         part += wide(rest >= _AREAS[np.uint64(max(whole + 1 - step, 0))])
     if guess < 0:
         guess = _code(rest)
-    far = (area - guess + 128 & 255) - 128
-    size = abs(far)
+    difference = (area - guess + 128 & 255) - 128
+    size = abs(difference)
     token = wide(_TOKEN_OF[np.uint64(size)])
-    token = 8 - token if far < 0 else min(8 + token, 15)
+    token = 8 - token if difference < 0 else min(8 + token, 15)
     plain = size - _LEAST_OF[np.uint64(token)]
     token, plain = code_token(token, plain, _BITS_OF, shape * _PARTS + part, coder)
-    far = wide(_LEAST_OF[np.uint64(token)] + plain)
-    return guess + (-far if token < 8 else far) & 255
+    difference = wide(_LEAST_OF[np.uint64(token)] + plain)
+    return guess + (-difference if token < 8 else difference) & 255
 
 
 @inlined
@@ -346,23 +346,23 @@ def code_areas(arrays: TreeArrays, begin: int, rows: Int32s, around: Uint32s, co
     """Code the areas of cells from ``begin`` on, with their neighbours ``rows`` and ``around``."""
     flags, areas = arrays.flags, arrays.areas
     rest = whole = wide(0)
-    left, node = 1, -1
-    beside = np.zeros(3, np.int64)
+    remaining, node = 1, -1
+    side_areas = np.zeros(3, np.int64)
     for t in range(rows.shape[0]):
-        if left == 1:
+        if remaining == 1:
             node += 1
             # A child's face is a quarter of its parent's: two octaves.
             whole = min(wide(areas[around[node, OWN]]) + 2 * AREA_STEPS, 255)
             rest = _AREAS[whole]
         about = wide(rows[np.uint64(t), ABOUT])
-        left = about & 15
+        remaining = about & 15
         for k in range(3):
             other = wide(rows[np.uint64(t), k])
             # Random: no branch.
             is_there = -wide(other >= 0)
-            beside[k] = wide(areas[np.uint64(begin + other & is_there)]) & is_there
+            side_areas[k] = wide(areas[np.uint64(begin + other & is_there)]) & is_there
         axis = wide(_AXIS_OF[flags[begin + t] & FACING_FLAGS])
-        x, y, z = beside[0], beside[1], beside[2]
+        x, y, z = side_areas[0], side_areas[1], side_areas[2]
         along = y if axis == 1 else z if axis == 2 else x
         across = max(x if axis == 1 or axis == 2 else 0, max(0 if axis == 1 else y, 0 if axis == 2 else z))
         shape, guess = wide(_NO_AXIS), whole
@@ -378,8 +378,8 @@ def code_areas(arrays: TreeArrays, begin: int, rows: Int32s, around: Uint32s, co
                     if around[node, k] != around[node, OWN]:
                         column += _AREAS[areas[around[node, k]]]
                 guess = _code(max(column - _AREAS[along], column >> 6))
-        context = ((shape * 3 + min(left, 3) - 1) * 4 + _size(across, whole)) * 4 + _size(along, whole)
-        guess = -1 if left == 1 else guess
+        context = ((shape * 3 + min(remaining, 3) - 1) * 4 + _size(across, whole)) * 4 + _size(along, whole)
+        guess = -1 if remaining == 1 else guess
         area = _code_area(wide(areas[begin + t]), guess, whole, rest, context, coder)
         rest = max(rest, _AREAS[whole] >> 8) - _AREAS[area]
         if coder.work == DECODES:
@@ -389,16 +389,16 @@ def code_areas(arrays: TreeArrays, begin: int, rows: Int32s, around: Uint32s, co
 @kernel
 def code_row_areas(owners: Uint32s, areas: Uint8s, begin: int, cell_areas: Uint8s, coder: Coder) -> None:
     """Code the areas of rows from ``begin`` on, one for each cell of ``owners``."""
-    rest = whole = left = wide(0)
+    rest = whole = remaining = wide(0)
     for n in range(owners.size):
-        if left == 0:
-            while n + left < owners.size and owners[n + left] == owners[n]:
-                left += 1
+        if remaining == 0:
+            while n + remaining < owners.size and owners[n + remaining] == owners[n]:
+                remaining += 1
             whole = wide(cell_areas[owners[n]])
             rest = _AREAS[whole]
-        context, guess = _SHAPES - 4 + min(left, 3), -1 if left == 1 else whole
+        context, guess = _SHAPES - 4 + min(remaining, 3), -1 if remaining == 1 else whole
         area = _code_area(wide(areas[begin + n]), guess, whole, rest, context, coder)
         rest = max(rest, _AREAS[whole] >> 8) - _AREAS[area]
         if coder.work == DECODES:
             areas[begin + n] = area
-        left -= 1
+        remaining -= 1

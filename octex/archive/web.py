@@ -15,7 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from octex.archive.layout import KEPT_NAME, SPLIT_NAMES, TREE_NAMES, WEB_MAGIC, DamagedError, channel_names
+from octex.archive.layout import (
+    KEPT_NAME,
+    SPLIT_NAMES,
+    TREE_NAMES,
+    WEB_MAGIC,
+    DamagedError,
+    channel_names,
+    render_metadata,
+)
 from octex.archive.read import Decoded, naming
 from octex.arrays import Array, Bools, Int64s, Uint8s, bit_counts
 from octex.channels import decode
@@ -74,9 +82,9 @@ class _Stream:
 
     def take(self, count: int) -> Uint8s:
         """Return the next bytes."""
-        found = self._bytes[self._at : self._at + count]
+        taken = self._bytes[self._at : self._at + count]
         self._at += count
-        return found
+        return taken
 
     def damaged(self) -> DamagedError:
         """Return the error for wrong bytes."""
@@ -128,7 +136,7 @@ class _Tree:
         level_nodes = self.level_nodes
         first, end = self.level_cells[level : level + 2].tolist()
         parents, is_node = np.zeros(1, np.int64), np.array([level_nodes[-1] > 0])
-        known = np.uint8(level > 0)
+        has_parents = np.uint8(level > 0)
         if level:
             rows = slice(*level_nodes[level - 1 : level + 1].tolist())
             count = rows.stop - rows.start
@@ -140,13 +148,13 @@ class _Tree:
             raise stream.damaged()
         above = parents[is_node]
         self.above = first + np.flatnonzero(is_node)
-        self.areas[self.above] = stream.take(above.size) + known * self.areas[above]
+        self.areas[self.above] = stream.take(above.size) + has_parents * self.areas[above]
         if level:
             self._share_areas(first, parents, is_node)
-        self.flags[first:end] = stream.take(end - first) ^ known * self.flags[parents]
+        self.flags[first:end] = stream.take(end - first) ^ has_parents * self.flags[parents]
         for values in self.values.values():
-            there = stream.take(values.shape[1] * (end - first)).reshape(-1, end - first).T
-            values[first:end] = there + known * apart(values[parents])
+            coded = stream.take(values.shape[1] * (end - first)).reshape(-1, end - first).T
+            values[first:end] = coded + has_parents * apart(values[parents])
             if values.shape[1] == 3:  # the inverse of `apart`
                 values[first:end, ::2] += values[first:end, 1:2]
 
@@ -225,8 +233,12 @@ def _contents(header: dict[str, Any], content: bytes, first: int) -> Decoded:
         else:
             for level in range(*levels):
                 tree.take_level(level, stream)
-    placement = {"origin": corner, "size": size}
-    return Decoded(_tensors(tree, forms), _metadata(forms, placement, bounds), {})
+    spaces = {
+        name: space if (low, high) == (0.0, 1.0) or space != "srgb" else "linear"
+        for name, (space, low, high) in forms.items()
+    }
+    metadata = render_metadata({"origin": corner, "size": size}, bounds, spaces, {})
+    return Decoded(_tensors(tree, forms), metadata, {})
 
 
 def _tensors(tree: _Tree, forms: dict[str, tuple[str, float, float]]) -> dict[str, Array]:
@@ -255,20 +267,3 @@ def _decoded(codes: Uint8s, space: str, low: float, high: float) -> Array:
         return codes
     light = decode(codes, space)  # type: ignore[arg-type]
     return (low + (high - low) * light).astype(np.float32)
-
-
-def _metadata(
-    forms: dict[str, tuple[str, float, float]], placement: dict[str, Any], bounds: Any
-) -> dict[str, str]:
-    spaces = {
-        name: space if (low, high) == (0.0, 1.0) or space != "srgb" else "linear"
-        for name, (space, low, high) in forms.items()
-    }
-    return {
-        "format": "octex",
-        "format_version": "1",
-        "placement": json.dumps(placement),
-        "bounds": json.dumps(bounds),
-        "channels": json.dumps(spaces),
-        "provenance": "{}",
-    }

@@ -26,13 +26,13 @@ from octex.archive.layout import (
     WEIGHT_BITS,
     Block,
     ChannelBytes,
+    CodedArrays,
     Coding,
-    Content,
     Form,
     Place,
     after_root,
     channels_in,
-    content_of,
+    coded_arrays,
     pieces_of,
     root_arrays,
     runs,
@@ -70,7 +70,7 @@ def write(
     cannot be written: the old file at ``path`` is then unchanged.
     """
     first, channels = container.header(tensors, metadata), channels_in(metadata)
-    content = content_of(tensors, channels)
+    content = coded_arrays(tensors, channels)
     Octree(*content[:3]).validate()
     place = after_root(int(content.arrays.flags[0]), int(content.arrays.level_nodes[1]))
     sample, codings, decoded = _sampled(content.arrays), {}, dict(content.original)
@@ -79,8 +79,8 @@ def write(
         codings[name] = Coding(form, _learned(channel.values, form, sample))
         if form.error:  # all values but the root's will differ
             decoded[name] = ChannelBytes(*(zeros(array.size).reshape(array.shape) for array in channel))
-            for made, original, count in zip(decoded[name], channel, (1, place.row, place.kept), strict=True):
-                made[:count] = original[:count]
+            for rows, original, count in zip(decoded[name], channel, (1, place.row, place.kept), strict=True):
+                rows[:count] = original[:count]
     content, kinds = content._replace(decoded=decoded), (STRUCTURE, AREAS, *codings)
     models: dict[str, Model] = {}
 
@@ -126,7 +126,7 @@ def _pieces(tensors: Mapping[str, Array], channels: Sequence[str]) -> Iterator[t
         yield [], [packed(flat[begin:end].tobytes())]
 
 
-def _planned(content: Content) -> Iterator[list[Block]]:
+def _planned(content: CodedArrays) -> Iterator[list[Block]]:
     """Yield the blocks of each level."""
     arrays, split, kept = content.arrays, content.split, content.kept
     rows = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts_of(split.facings))])
@@ -156,7 +156,7 @@ def _form(channel: ChannelBytes, dtype: np.dtype[Any], error: int) -> Form:
 
 def _sampled(arrays: TreeArrays) -> _Sampled:
     """Sample nodes all over the two deepest levels of nodes."""
-    found = []
+    sampled = []
     for level in range(max(arrays.level_cells.size - 4, 0), arrays.level_cells.size - 2):
         begin, end = int(arrays.level_nodes[level]), int(arrays.level_nodes[level + 1])
         count = min(_SAMPLE // _RUN, -(-(end - begin) // _RUN))
@@ -165,8 +165,8 @@ def _sampled(arrays: TreeArrays) -> _Sampled:
             begins = children_before(arrays.groups, np.array([first, last]))[0].tolist()
             block = Block(level, first, last, *(Place(0, cell, 0, 0, 0) for cell in begins))
             around = around_nodes(arrays, block)
-            found.append((begins[0], around_children(arrays, block, around), around))
-    return found
+            sampled.append((begins[0], around_children(arrays, block, around), around))
+    return sampled
 
 
 def _learned(raw: Uint8s, form: Form, sample: _Sampled) -> Int64s:

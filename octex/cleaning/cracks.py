@@ -31,42 +31,41 @@ def closed_cracks(
     A crack closes where two vertices of open edges are mutually nearest and no triangle joins them: both move
     to their middle. Vertices at one rest position move as one.
     """
-    places = np.concatenate([rest, vertices], axis=1)
+    positions = np.concatenate([rest, vertices], axis=1)
     width = max(width, float(np.ptp(rest, axis=0).max()) / _MOST_CELLS)
     has_moved = np.zeros(len(rest), np.bool_)
     for _ in range(_ROUNDS):
-        names = welded(np.ascontiguousarray(places[:, :3])).astype(np.int64)
+        names = welded(np.ascontiguousarray(positions[:, :3])).astype(np.int64)
         _, first = np.unique(names, return_index=True)
         edges, counts = np.unique(edges_of(triangles, names)[0], return_counts=True)
         border = edges[counts == 1]
         a, b = border // len(names), border % len(names)
         if not border.size:
             break
-        known, ends = np.unique(np.concatenate([a, b]), return_inverse=True)
+        open_vertices, ends = np.unique(np.concatenate([a, b]), return_inverse=True)
         order = np.argsort(ends, kind="stable")
-        starts = np.searchsorted(ends[order], np.arange(len(known) + 1))
+        starts = np.searchsorted(ends[order], np.arange(len(open_vertices) + 1))
         others = np.roll(ends, len(a))[order]
-        points = places[first[known], :3]
+        points = positions[first[open_vertices], :3]
         cells = np.floor((points - points.min(axis=0)) / width).astype(np.int64) + 1
         codes = encode_cells(cells)
         by_code = np.argsort(codes, kind="stable")
         nearest = _nearest(points, starts, others, cells, codes[by_code], by_code, width)
-        partner = np.where(nearest >= 0, nearest[nearest], -1)
-        one = np.flatnonzero((partner == np.arange(len(known))) & (nearest > np.arange(len(known))))
-        other = nearest[one]
-        keys = np.minimum(known[one], known[other]) * len(names) + np.maximum(known[one], known[other])
-        at = np.searchsorted(edges, keys)
-        is_joined = edges[np.minimum(at, len(edges) - 1)] == keys
-        one, other = known[one[~is_joined]], known[other[~is_joined]]
+        numbers = np.arange(len(open_vertices))
+        is_mutual = np.where(nearest >= 0, nearest[nearest], -1) == numbers
+        pairs = np.flatnonzero(is_mutual & (nearest > numbers))
+        one, other = open_vertices[pairs], open_vertices[nearest[pairs]]
+        is_joined = np.isin(np.minimum(one, other) * len(names) + np.maximum(one, other), edges)
+        one, other = one[~is_joined], other[~is_joined]
         if not one.size:
             break
-        middles = (places[first[one]] + places[first[other]]) / 2
+        middles = (positions[first[one]] + positions[first[other]]) / 2
         moved = np.full(len(first), -1, np.int64)
         moved[one] = moved[other] = np.arange(len(one))
-        to = moved[names]
-        places[to >= 0] = middles[to[to >= 0]]
-        has_moved |= to >= 0
-    return places[:, :3], places[:, 3:], int(has_moved.sum())
+        pair_numbers = moved[names]
+        positions[pair_numbers >= 0] = middles[pair_numbers[pair_numbers >= 0]]
+        has_moved |= pair_numbers >= 0
+    return positions[:, :3], positions[:, 3:], int(has_moved.sum())
 
 
 @kernel
@@ -84,10 +83,10 @@ def _nearest(
     ``others`` from ``starts`` on lists the vertices that share an open edge; ``codes`` are sorted.
     """
     nearest = np.full(len(points), -1, np.int64)
-    near = np.empty(_NEAR, np.int64)
-    ways = np.empty(_NEAR, np.float64)
+    border = np.empty(_NEAR, np.int64)
+    lengths = np.empty(_NEAR, np.float64)
     for n in range(len(points)):
-        count = _own_border(points, starts, others, n, _DETOUR * width, near, ways)
+        count = _own_border(points, starts, others, n, _DETOUR * width, border, lengths)
         least = width
         for number in range(27):
             i = cells[n, 0] + number // 9 - 1
@@ -103,7 +102,7 @@ def _nearest(
                     continue
                 is_own = False
                 for at in range(count):
-                    is_own = is_own or (near[at] == other and ways[at] <= _DETOUR * distance)
+                    is_own = is_own or (border[at] == other and lengths[at] <= _DETOUR * distance)
                 if not is_own:
                     least = distance
                     nearest[n] = other
@@ -112,21 +111,27 @@ def _nearest(
 
 @part
 def _own_border(
-    points: Float64s, starts: Int64s, others: Int64s, n: int, reach: float, near: Int64s, ways: Float64s
+    points: Float64s,
+    starts: Int64s,
+    others: Int64s,
+    n: int,
+    reach: float,
+    border: Int64s,
+    lengths: Float64s,
 ) -> int:
     """List vertices along the border from vertex ``n``, with their distance along it; return their number."""
-    near[0], ways[0] = n, 0.0
+    border[0], lengths[0] = n, 0.0
     count, done = 1, 0
     while done < count:
-        here, way = near[done], ways[done]
+        vertex, length = border[done], lengths[done]
         done += 1
-        for row in range(starts[here], starts[here + 1]):
+        for row in range(starts[vertex], starts[vertex + 1]):
             other = others[row]
-            far = way + length_of(minus(row_of(points, other), row_of(points, here)))
-            is_new = far <= reach
+            other_length = length + length_of(minus(row_of(points, other), row_of(points, vertex)))
+            is_new = other_length <= reach
             for at in range(count):
-                is_new = is_new and near[at] != other
-            if is_new and count < near.size:
-                near[count], ways[count] = other, far
+                is_new = is_new and border[at] != other
+            if is_new and count < border.size:
+                border[count], lengths[count] = other, other_length
                 count += 1
     return count

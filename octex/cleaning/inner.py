@@ -55,13 +55,13 @@ def seen_triangles(rest: Float64s, triangles: Int32s) -> Bools:
     placement = Placement.around(np.array([used.min(axis=0), used.max(axis=0)]), _DEPTH)
     grid = on_grid(rest, placement)
     blocks = divided(whole(grid, triangles, _DEPTH), 0)
-    places = decode_cells(blocks.codes)
+    cell_coordinates = decode_cells(blocks.codes)
     rows = np.full((_EDGE, _EDGE, _EDGE), _EMPTY, np.int32)
-    rows[tuple(places.T)] = np.arange(len(places), dtype=np.int32)
-    rows[tuple(places[np.diff(blocks.starts) > _CROWDED].T)] = _OUTSIDE
+    rows[tuple(cell_coordinates.T)] = np.arange(len(cell_coordinates), dtype=np.int32)
+    rows[tuple(cell_coordinates[np.diff(blocks.starts) > _CROWDED].T)] = _OUTSIDE
     _flood(rows.reshape(-1))
-    depths = np.full(len(places), _DEEPEST, np.uint8)
-    _find_depths(rows, places, depths)
+    depths = np.full(len(cell_coordinates), _DEEPEST, np.uint8)
+    _find_depths(rows, cell_coordinates, depths)
     points = np.ldexp(grid.astype(np.float64), _DEPTH - GRID_BITS)
     cells = _Cells(rows, depths, blocks.starts, blocks.members, points, triangles)
     turns = np.arange(_DIRECTIONS) + 0.5  # a spiral of even density (Vogel 1979)
@@ -85,27 +85,27 @@ def _flood(rows: Int32s) -> None:
         cell = np.int64(stack[waiting])
         for axis in range(3):
             step = 1 << (_DEPTH * axis)
-            place = (cell >> (_DEPTH * axis)) & (_EDGE - 1)
-            if place > 0 and rows[cell - step] == _EMPTY:
+            coordinate = (cell >> (_DEPTH * axis)) & (_EDGE - 1)
+            if coordinate > 0 and rows[cell - step] == _EMPTY:
                 rows[cell - step] = _OUTSIDE
                 stack[waiting] = cell - step
                 waiting += 1
-            if place < _EDGE - 1 and rows[cell + step] == _EMPTY:
+            if coordinate < _EDGE - 1 and rows[cell + step] == _EMPTY:
                 rows[cell + step] = _OUTSIDE
                 stack[waiting] = cell + step
                 waiting += 1
 
 
 @kernel
-def _find_depths(rows: Int32s, places: Int64s, depths: Uint8s) -> None:
+def _find_depths(rows: Int32s, coordinates: Int64s, depths: Uint8s) -> None:
     for depth in range(_DEEPEST):
         for row in range(depths.size):
             if depths[row] != _DEEPEST:
                 continue
             for number in range(27):
-                i = places[row, 0] + number // 9 - 1
-                j = places[row, 1] + number // 3 % 3 - 1
-                k = places[row, 2] + number % 3 - 1
+                i = coordinates[row, 0] + number // 9 - 1
+                j = coordinates[row, 1] + number // 3 % 3 - 1
+                k = coordinates[row, 2] + number % 3 - 1
                 if min(i, min(j, k)) < 0 or max(i, max(j, k)) >= _EDGE:
                     continue
                 other = rows[i, j, k]
@@ -145,8 +145,8 @@ def _is_seen(
 ) -> bool:
     """Return whether a sample point is visible: from adjacent outside cells, or along some direction."""
     i, j, k = int(point[0]), int(point[1]), int(point[2])
-    here = cells.rows[i, j, k]
-    if here >= 0 and cells.depths[here] == _DEEPEST:
+    cell = cells.rows[i, j, k]
+    if cell >= 0 and cells.depths[cell] == _DEEPEST:
         return False
     for number in range(27):
         x, y, z = i + number // 9 - 1, j + number // 3 % 3 - 1, k + number % 3 - 1

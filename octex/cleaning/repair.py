@@ -68,27 +68,27 @@ def repair(surface: Surface, *, cell: float | None = None, inner: bool = True) -
     if degenerate.all():
         raise ModelError(f"{surface.name}: no triangle has an area")
     counts = [int(degenerate.sum()), int(duplicate.sum()), 0]
-    kept = surface.part(np.flatnonzero(~(degenerate | duplicate)))
-    seen = np.ones(len(kept.triangles), np.bool_)
-    rest, vertices, moved = closed_cracks(kept.rest, kept.vertices, kept.triangles, width)
+    repaired = surface.part(np.flatnonzero(~(degenerate | duplicate)))
+    is_kept = np.ones(len(repaired.triangles), np.bool_)
+    rest, vertices, moved = closed_cracks(repaired.rest, repaired.vertices, repaired.triangles, width)
     if moved:
-        is_posed = kept.rest is not kept.vertices
-        kept = kept.with_rest(rest)
-        kept = kept.with_pose(vertices if is_posed else kept.rest)
-        degenerate, duplicate = _useless(kept.rest, kept.triangles)
+        is_posed = repaired.rest is not repaired.vertices
+        repaired = repaired.with_rest(rest)
+        repaired = repaired.with_pose(vertices if is_posed else repaired.rest)
+        degenerate, duplicate = _useless(repaired.rest, repaired.triangles)
         counts[0] += int(degenerate.sum())
         counts[1] += int(duplicate.sum())
-        seen = ~(degenerate | duplicate)
+        is_kept = ~(degenerate | duplicate)
     if inner:
-        chosen = np.flatnonzero(seen)
-        seen[chosen] = seen_triangles(kept.rest, kept.triangles[chosen])
-        counts[2] = int(chosen.size - seen.sum())
-    kept = kept.part(np.flatnonzero(seen))
+        candidates = np.flatnonzero(is_kept)
+        is_kept[candidates] = seen_triangles(repaired.rest, repaired.triangles[candidates])
+        counts[2] = int(candidates.size - is_kept.sum())
+    repaired = repaired.part(np.flatnonzero(is_kept))
     degenerates, duplicates, hidden = counts
     not_finite = int(surface.provenance.get(NOT_FINITE, 0))
     repairs = Repairs(not_finite, degenerates, duplicates, hidden, moved)
-    kept.provenance[REPAIR] = json.dumps(repairs._asdict())
-    return kept, repairs
+    repaired.provenance[REPAIR] = json.dumps(repairs._asdict())
+    return repaired, repairs
 
 
 def _useless(rest: Float64s, triangles: Int32s) -> tuple[Bools, Bools]:

@@ -79,17 +79,17 @@ def residuals(
     form, alpha = channel.format, _alpha_for(texture, name)
     precise = np.float64 if form.dtype == "float32" else np.float32
     of_nodes = np.zeros((nodes.cells.size, form.components), precise)
-    for here in [slice(None)] if 0 < nodes.cells.size <= _FEW else by_level(tree, nodes):
-        cells = nodes.cells[here]
-        means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
-        _write_residuals(form, channel.values.take(cells, axis=0), means, cells, change, of_nodes[here])
+    for of_level in [slice(None)] if 0 < nodes.cells.size <= _FEW else by_level(tree, nodes):
+        cells = nodes.cells[of_level]
+        means = child_means(tree, nodes.numbers[of_level], channel.values, form.space, alpha)
+        _write_residuals(form, channel.values.take(cells, axis=0), means, cells, change, of_nodes[of_level])
     of_rows = np.zeros((rows_of(tree.split, nodes.cells).rows.size, form.components))
-    for here, rows, owners in rows_by_level(tree, nodes):
-        means, has = _row_means(texture, channel, rows, owners)
-        stored = channel.split_values[rows.rows[has]]
-        changed = np.zeros((stored.shape[0], form.components))
-        _write_residuals(form, stored, means[has], rows.cells[has], change, changed)
-        of_rows[here][has] = changed
+    for of_level, rows, owners in rows_by_level(tree, nodes):
+        means, has_mean = _row_means(texture, channel, rows, owners)
+        stored = channel.split_values[rows.rows[has_mean]]
+        row_residuals = np.zeros((stored.shape[0], form.components))
+        _write_residuals(form, stored, means[has_mean], rows.cells[has_mean], change, row_residuals)
+        of_rows[of_level][has_mean] = row_residuals
     return Residuals(of_nodes, of_rows)
 
 
@@ -99,75 +99,78 @@ def _write_residuals(
     """Write the mapped residuals of stored values (n, components) where these differ from the means."""
     differs = encode(means, form.dtype, form.space) != stored
     if differs.any():
-        apart = np.logical_or.reduce(list(differs.T))  # twice as fast as along an axis of three
-        values = decode(stored[apart], form.space).astype(np.float64)
-        out[apart] = change(cells[apart], values, means[apart])
+        differing = np.logical_or.reduce(list(differs.T))  # twice as fast as along an axis of three
+        values = decode(stored[differing], form.space).astype(np.float64)
+        out[differing] = change(cells[differing], values, means[differing])
 
 
-def residuals_at(texture: OctreeTexture, name: str, places: Nodes, owners: Int64s, bits: Uint8s) -> Residuals:
+def residuals_at(texture: OctreeTexture, name: str, nodes: Nodes, owners: Int64s, bits: Uint8s) -> Residuals:
     """Return a texture's residuals at nodes (n,) of another tree, and at its rows (m,).
 
-    ``places`` are the nodes here; a number of −1, for no node, gets zeros. ``owners`` (m,) index the rows'
-    nodes in ``places``, ``bits`` (m,) are their facings; a missing row gets its node's residual.
+    ``nodes`` have the numbers that these nodes have in the texture; −1, for no node, gets zeros. ``owners``
+    (m,) index the rows' nodes, ``bits`` (m,) are their facings; a missing row gets its node's residual.
     """
-    has = places.numbers >= 0
-    of_nodes = np.zeros((has.size, texture.channels[name].format.components))
-    if not has.any():
+    has_node = nodes.numbers >= 0
+    of_nodes = np.zeros((has_node.size, texture.channels[name].format.components))
+    if not has_node.any():
         return Residuals(of_nodes, of_nodes[owners])
-    nodes = places.of(has)
-    known = residuals(texture, name, nodes)
-    of_nodes[slice(None) if has.all() else has] = known.nodes
+    shared = nodes.of(has_node)
+    known = residuals(texture, name, shared)
+    of_nodes[slice(None) if has_node.all() else has_node] = known.nodes
     of_rows = of_nodes[owners]
-    there, rows = find_rows(texture.tree.split, np.where(has, places.cells, -1)[owners], bits)
+    split = texture.tree.split
+    has_row, rows = find_rows(split, np.where(has_node, nodes.cells, -1)[owners], bits)
     if rows.size:
-        of_rows[there] = known.rows[np.searchsorted(rows_of(texture.tree.split, nodes.cells).rows, rows)]
+        of_rows[has_row] = known.rows[np.searchsorted(rows_of(split, shared.cells).rows, rows)]
     return Residuals(of_nodes, of_rows)
 
 
 def average(
     texture: OctreeTexture,
     channel: Channel,
-    left: Residuals | None = None,
+    added: Residuals | None = None,
     nodes: Nodes | None = None,
     limits: tuple[float, float] | None = None,
 ) -> None:
     """Recompute the values of nodes, by default all, and of their rows, in place.
 
-    A value becomes the mean of its children plus the residual in ``left``; None means zeros. Keep a facing's
+    A value becomes the mean of its children plus the residual in ``added``; None means zeros. Keep a facing's
     row when no child has that facing. ``texture`` has the tree, and the alpha that weights. ``limits``
     default to `limits_of`.
     """
     tree, form, limits = texture.tree, channel.format, limits or limits_of(channel)
     nodes = all_nodes(tree) if nodes is None else nodes
     alpha = _alpha_for(texture, form.name)
-    for here in reversed(by_level(tree, nodes)):
-        means = child_means(tree, nodes.numbers[here], channel.values, form.space, alpha)
-        made = means if left is None else with_residuals(limits, means, left.nodes[here])
-        channel.values[nodes.cells[here]] = encode(made, form.dtype, form.space)
-    average_rows(texture, channel, None if left is None else left.rows, nodes, limits)
+    for of_level in reversed(by_level(tree, nodes)):
+        means = child_means(tree, nodes.numbers[of_level], channel.values, form.space, alpha)
+        values = means if added is None else with_residuals(limits, means, added.nodes[of_level])
+        channel.values[nodes.cells[of_level]] = encode(values, form.dtype, form.space)
+    average_rows(texture, channel, None if added is None else added.rows, nodes, limits)
 
 
 def average_rows(
     texture: OctreeTexture,
     channel: Channel,
-    left: Floats | None,
+    added: Floats | None,
     nodes: Nodes,
     limits: tuple[float, float] | None = None,
 ) -> None:
-    """Recompute the rows of nodes, in place, with residuals ``left`` (rows, components). See `average`."""
+    """Recompute the rows of nodes, in place, with residuals ``added`` (rows, components). See `average`."""
     form, limits = channel.format, limits or limits_of(channel)
-    for here, rows, owners in reversed(list(rows_by_level(texture.tree, nodes))):
-        means, has = _row_means(texture, channel, rows, owners)
-        made = means[has] if left is None else with_residuals(limits, means[has], left[here][has])
-        channel.split_values[rows.rows[has]] = encode(made, form.dtype, form.space)
+    for of_level, rows, owners in reversed(list(rows_by_level(texture.tree, nodes))):
+        means, has_mean = _row_means(texture, channel, rows, owners)
+        values = means[has_mean]
+        if added is not None:
+            values = with_residuals(limits, values, added[of_level][has_mean])
+        channel.split_values[rows.rows[has_mean]] = encode(values, form.dtype, form.space)
 
 
 def average_plain(tree: Octree, numbers: Float32s, nodes: Nodes | None = None) -> None:
     """Set the numbers (cells,) of nodes, in place, to the means of their children's."""
     nodes = all_nodes(tree) if nodes is None else nodes
-    for here in reversed(by_level(tree, nodes)):
-        means = child_means(tree, nodes.numbers[here], numbers[:, None], "data", None)
-        numbers[nodes.cells[here]] = means[:, 0]
+    for of_level in reversed(by_level(tree, nodes)):
+        means = child_means(tree, nodes.numbers[of_level], numbers[:, None], "data", None)
+        numbers[nodes.cells[of_level]] = means[:, 0]
 
 
 def limits_of(channel: Channel) -> tuple[float, float]:
@@ -183,12 +186,12 @@ def limits_of(channel: Channel) -> tuple[float, float]:
     return low, high
 
 
-def with_residuals(limits: tuple[float, float], means: Float64s, left: Floats) -> Float64s:
+def with_residuals(limits: tuple[float, float], means: Float64s, added: Floats) -> Float64s:
     """Add residuals to decoded means (n, components); a mean within the limits stays within."""
-    if not left.any():
+    if not added.any():
         return means
     low, high = limits
-    limited = np.clip(means + left, np.minimum(means, low), np.maximum(means, high))
+    limited = np.clip(means + added, np.minimum(means, low), np.maximum(means, high))
     return np.asarray(limited, np.float64)
 
 
@@ -292,8 +295,8 @@ def _row_shares(
     bits = np.repeat(rows.bits, np.diff(starts, append=children.size))
     flags = tree.arrays.flags[children]
     shares = AREAS[tree.arrays.areas[children]] / np.maximum(counts_of(flags), 1)
-    there, numbers = find_rows(tree.split, children, bits)
-    shares[there] = AREAS[areas[numbers]]
+    has_row, split_rows = find_rows(tree.split, children, bits)
+    shares[has_row] = AREAS[areas[split_rows]]
     shares[flags & bits == 0] = 0.0
     return children, bits, starts, shares
 
@@ -304,11 +307,11 @@ def with_summed_areas(tree: Octree, nodes: Nodes) -> Octree:
     Keep a row's area when no child has its facing. A node whose leaves are all skirt is skirt, too.
     """
     areas, row_areas = tree.arrays.areas.copy(), tree.split.areas.copy()
-    for here in reversed(by_level(tree, nodes)):
-        children, starts = all_children(tree, nodes.numbers[here])
+    for of_level in reversed(by_level(tree, nodes)):
+        children, starts = all_children(tree, nodes.numbers[of_level])
         sums = np.add.reduceat(AREAS[areas[children]], starts)
         has_surface = np.maximum.reduceat(areas[children], starts) != SKIRT
-        areas[nodes.cells[here]] = np.where(has_surface, area_codes(sums / 4), SKIRT)
+        areas[nodes.cells[of_level]] = np.where(has_surface, area_codes(sums / 4), SKIRT)
     tree = tree.with_cell_data(tree.arrays.flags, areas, tree.split, tree.kept)
     for _, rows, owners in reversed(list(rows_by_level(tree, nodes))):
         _, _, starts, shares = _row_shares(tree, row_areas, rows, owners)

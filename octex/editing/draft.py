@@ -75,12 +75,12 @@ class Change(NamedTuple):
 
         Raises ArgumentError for a texture that differs from the one that the change started from.
         """
-        here, before = texture, self.before
-        is_like = before.channels.keys() == here.channels.keys() and before.placement == here.placement
+        draft, before = texture, self.before
+        is_like = before.channels.keys() == draft.channels.keys() and before.placement == draft.placement
         if self.tiles is not None:
             is_like &= self.tiles.level <= texture.tree.max_depth
-            here = cut_out(texture, self.tiles) if is_like else here
-        if not (is_like and all(map(np.array_equal, _arrays(here), _arrays(before)))):
+            draft = cut_out(texture, self.tiles) if is_like else draft
+        if not (is_like and all(map(np.array_equal, _arrays(draft), _arrays(before)))):
             raise ArgumentError("the change belongs to another texture, or to an earlier version of this one")
         return self.put_into(texture)
 
@@ -111,7 +111,8 @@ def tiles_around(texture: OctreeTexture, codes: Sequence[Int64s], coarsest: int)
     tree, level = texture.tree, coarsest - STEPS
     if not 0 < level < tree.max_depth:
         return None
-    edited = _at(codes, level)
+    edited = np.concatenate([cells >> 3 * (at - level) for at, cells in enumerate(codes) if cells.size])
+    edited = distinct(edited)
     around = np.concatenate([with_boundary(edited, level), brightest_tiles(texture, level)])
     tiles = Tiles(level, distinct(around))
     return tiles if _is_small(tree, tiles) else None
@@ -145,24 +146,29 @@ def change_of_values(before: OctreeTexture, after: OctreeTexture) -> Change | No
     owners, kept = rows_of(tree.split).cells, tree.kept.cells
     for name, channel in after.channels.items():
         for now, was, cells in zip(channel[1:], before.channels[name][1:], (None, owners, kept), strict=True):
-            apart = np.zeros(len(now), np.bool_) if now is was else np.logical_or.reduce(list((now != was).T))
-            differs[slice(None) if cells is None else cells[apart]] |= apart if cells is None else np.True_
+            if now is was:
+                continue
+            differing = np.logical_or.reduce(list((now != was).T))
+            if cells is None:
+                differs |= differing
+            else:
+                differs[cells[differing]] = True
     if not differs.any():
         return None
     if level < 1:
         return Change(None, before, after)
-    inside = [
+    parents = [
         tree.level_codes(at)[differs[first:end]] >> 3 * (at - level + 1)
         for at, (first, end) in enumerate(pairwise(tree.arrays.level_cells.tolist()))
         if at > level
     ]
-    siblings = distinct(np.concatenate(inside))[:, None] << 3 | np.arange(8)  # see `joined_change`
+    siblings = distinct(np.concatenate(parents))[:, None] << 3 | np.arange(8)  # see `joined_change`
     return change_in(Tiles(level, siblings.ravel()), before, after)
 
 
 def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
     """Return the tiles with the brightest light of channels above 1, since it limits averages."""
-    tree, bright = texture.tree, []
+    tree, bright_cells = texture.tree, []
     for channel in texture.channels.values():
         if channel.format.space not in ("srgb", "linear") or not channel.format.dtype.startswith("float"):
             continue
@@ -170,17 +176,17 @@ def brightest_tiles(texture: OctreeTexture, level: int) -> Int64s:
         for stored, cells in zip(channel[1:3], owners, strict=True):
             row = int(stored.argmax()) // stored.shape[1] if stored.size else 0
             if stored[row : row + 1].max(initial=0) > 1:
-                bright.append(int(cells[row]))
+                bright_cells.append(int(cells[row]))
     tiles = [np.empty(0, np.int64)]
-    if not bright:
+    if not bright_cells:
         return tiles[0]
     codes, is_node = tree.walked_to(level)
     begins = np.arange(*tree.arrays.level_nodes[level : level + 2])
     for deeper in range(level + 1, tree.max_depth + 1):
         firsts, begins = children_before(tree.arrays.groups, begins)
         first, end = tree.arrays.level_cells[deeper : deeper + 2]
-        cells_here = [cell for cell in bright if first <= cell < end]
-        tiles.append(codes[is_node][np.searchsorted(firsts, cells_here, "right") - 1])
+        level_cells = [cell for cell in bright_cells if first <= cell < end]
+        tiles.append(codes[is_node][np.searchsorted(firsts, level_cells, "right") - 1])
     return np.concatenate(tiles)
 
 
@@ -201,18 +207,11 @@ def coarsest_near(tree: Octree, codes: Sequence[Int64s]) -> int:
     first = coarsest_of(tree)
     above = with_all_above(codes)[first:largest] if first < largest else []
     for level, cells in enumerate(above, first):
-        where = locate(tree, with_boundary(cells, level), level)
-        is_kept = tree.arrays.flags[where.cells] & KEPT != 0
-        if ((where.levels == level) & (where.is_leaf | is_kept)).any():
+        located = locate(tree, with_boundary(cells, level), level)
+        is_kept = tree.arrays.flags[located.cells] & KEPT != 0
+        if ((located.levels == level) & (located.is_leaf | is_kept)).any():
             return level
     return largest
-
-
-def _at(codes: Sequence[Int64s], level: int) -> Int64s:
-    """Return the cells of a level that contain cells listed by level, none larger."""
-    return distinct(
-        np.concatenate([cells >> 3 * (at - level) for at, cells in enumerate(codes) if cells.size])
-    )
 
 
 def _is_small(tree: Octree, tiles: Tiles) -> bool:
@@ -223,14 +222,14 @@ def _is_small(tree: Octree, tiles: Tiles) -> bool:
 
 def cells_in(tree: Octree, tiles: Tiles) -> Int64s:
     """Count the cells below tiles (n,)."""
-    where = locate(tree, tiles.codes, tiles.level)
-    there = (where.levels == tiles.level) & ~where.is_leaf
-    counts = np.zeros(there.size, np.int64)
-    groups, begins = tree.arrays.groups, where.nodes[there]
+    located = locate(tree, tiles.codes, tiles.level)
+    is_inner = (located.levels == tiles.level) & ~located.is_leaf
+    counts = np.zeros(is_inner.size, np.int64)
+    groups, begins = tree.arrays.groups, located.nodes[is_inner]
     ends = begins + 1
     for _ in range(tiles.level, tree.max_depth):
         (first, begins), (last, ends) = children_before(groups, begins), children_before(groups, ends)
-        counts[there] += last - first
+        counts[is_inner] += last - first
     return counts
 
 
@@ -251,19 +250,19 @@ def cut_out(texture: OctreeTexture, tiles: Tiles) -> OctreeTexture:
         nodes.append(Runs.of_numbers(numbers))
     add_below([tree], cells, nodes)
     turned = np.concatenate(closed)
-    made = joined_runs([texture], texture, cells, nodes, turned)
-    stays = ~among(made.tree.kept.cells.astype(np.int64), np.flatnonzero(turned))  # leaves keep nothing
-    if stays.all():
-        return made
-    tree = made.tree
+    draft = joined_runs([texture], texture, cells, nodes, turned)
+    stays_kept = ~among(draft.tree.kept.cells.astype(np.int64), np.flatnonzero(turned))  # leaves keep nothing
+    if stays_kept.all():
+        return draft
+    tree = draft.tree
     flags = tree.arrays.flags.copy()
     flags[: turned.size][turned] &= np.uint8(0xFF ^ KEPT)
-    tree = tree.with_cell_data(flags, tree.arrays.areas, tree.split, KeptTable(tree.kept.cells[stays]))
+    tree = tree.with_cell_data(flags, tree.arrays.areas, tree.split, KeptTable(tree.kept.cells[stays_kept]))
     channels = {
-        name: channel._replace(kept_values=channel.kept_values[stays])
-        for name, channel in made.channels.items()
+        name: channel._replace(kept_values=channel.kept_values[stays_kept])
+        for name, channel in draft.channels.items()
     }
-    return made.with_cells(tree, channels)
+    return draft.with_cells(tree, channels)
 
 
 def _opened(tiles: Tiles) -> list[Int64s]:
@@ -291,18 +290,18 @@ def put_back(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Octr
 def numbers_in(texture: OctreeTexture, tiles: Tiles, draft: OctreeTexture) -> Int64s:
     """Return each draft cell's number in the texture; −1 for closed ones."""
     tree = texture.tree
-    place = np.full(draft.tree.n_cells, -1, np.int64)
-    numbers = place[:0]
+    numbers = np.full(draft.tree.n_cells, -1, np.int64)
+    nodes = numbers[:0]
     for level, (codes, is_node) in enumerate(islice(draft.tree.walk(), tiles.level + 1)):
-        where = locate(tree, codes, level)
-        here = slice(*draft.tree.arrays.level_cells[level : level + 2].tolist())
-        place[here] = np.where(is_node | where.is_leaf, where.cells, -1)
-        numbers = where.nodes[is_node]
+        located = locate(tree, codes, level)
+        of_level = slice(*draft.tree.arrays.level_cells[level : level + 2].tolist())
+        numbers[of_level] = np.where(is_node | located.is_leaf, located.cells, -1)
+        nodes = located.nodes[is_node]
     cells: list[Runs] = []
-    add_below([tree], cells, [Runs.of_numbers(numbers)])
-    below = np.concatenate([numbers[:0], *(runs.numbers() for runs in cells)])
-    place[place.size - below.size :] = below
-    return place
+    add_below([tree], cells, [Runs.of_numbers(nodes)])
+    cells_below = np.concatenate([nodes[:0], *(runs.numbers() for runs in cells)])
+    numbers[numbers.size - cells_below.size :] = cells_below
+    return numbers
 
 
 def _overwritten(
@@ -312,57 +311,57 @@ def _overwritten(
     after: OctreeTexture,
     shared: OctreeTexture | None,
 ) -> OctreeTexture:
-    """Do what `put_back` does for a draft of the same cells, but copy only arrays that differ.
+    """Return the result of `put_back` for a draft of the same cells; copy only arrays that differ.
 
     It writes to arrays that ``shared`` lacks.
     """
     tree, draft = texture.tree, after.tree
-    place = numbers_in(texture, tiles, after)
+    numbers = numbers_in(texture, tiles, after)
     if tiles.level <= draft.max_depth:  # leaves next to the tiles stay
-        here = slice(*draft.arrays.level_cells[tiles.level : tiles.level + 2].tolist())
-        place[here][~among(draft.level_codes(tiles.level), tiles.codes)] = -1
-    sources = np.flatnonzero(place >= 0)
+        of_level = slice(*draft.arrays.level_cells[tiles.level : tiles.level + 2].tolist())
+        numbers[of_level][~among(draft.level_codes(tiles.level), tiles.codes)] = -1
+    draft_cells = np.flatnonzero(numbers >= 0)
     sizes = draft.split.areas.size, draft.kept.cells.size
-    places = [place, *(np.full(size, -1, np.int64) for size in sizes)]
-    targets = place[sources]
-    places[1][rows_of(draft.split, sources).rows] = rows_of(tree.split, targets).rows
+    numbers_by_table = [numbers, *(np.full(size, -1, np.int64) for size in sizes)]
+    cells = numbers[draft_cells]
+    numbers_by_table[1][rows_of(draft.split, draft_cells).rows] = rows_of(tree.split, cells).rows
     kept, draft_kept = (each.kept.cells.astype(np.int64) for each in (tree, draft))
-    places[2][among(draft_kept, sources)] = np.flatnonzero(among(kept, targets))
-    taken = set() if shared is None else {each.ctypes.data for each in _arrays(shared)}
-    written: list[tuple[Array, Array, Int64s]] = []  # once all copies exist: an error changes nothing
+    numbers_by_table[2][among(draft_kept, draft_cells)] = np.flatnonzero(among(kept, cells))
+    shared_addresses = set() if shared is None else {each.ctypes.data for each in _arrays(shared)}
+    writes: list[tuple[Array, Array, Int64s]] = []  # once all copies exist: an error changes nothing
 
-    def changed(whole: Array, was: Array, now: Array, place: Int64s) -> Array:
+    def changed(whole: Array, was: Array, now: Array, numbers: Int64s) -> Array:
         if np.array_equal(was, now):
             return whole
-        made = whole if whole.flags.writeable else whole.base
-        is_free = shared is not None and whole.ctypes.data not in taken
-        if not (is_free and isinstance(made, np.ndarray) and made.flags.carray):
-            made = whole.copy()
-        written.append((made, now, place))
-        return made
+        target = whole if whole.flags.writeable else whole.base
+        is_free = shared is not None and whole.ctypes.data not in shared_addresses
+        if not (is_free and isinstance(target, np.ndarray) and target.flags.carray):
+            target = whole.copy()
+        writes.append((target, now, numbers))
+        return target
 
     flags, areas = (
-        changed(*arrays, places[0])
+        changed(*arrays, numbers_by_table[0])
         for arrays in zip(tree.arrays[3:], before.tree.arrays[3:], draft.arrays[3:], strict=True)
     )
     channels = {}
     for name, (form, *stored) in texture.channels.items():
-        parts = stored, before.channels[name][1:], after.channels[name][1:], places
+        parts = stored, before.channels[name][1:], after.channels[name][1:], numbers_by_table
         channels[name] = Channel(form, *(changed(*part) for part in zip(*parts, strict=True)))
-    made = texture.with_cells(tree.with_cell_data(flags, areas, tree.split, tree.kept), channels)
-    for array, rows, place in written:
+    edited = texture.with_cells(tree.with_cell_data(flags, areas, tree.split, tree.kept), channels)
+    for array, rows, numbers in writes:
         new = np.ascontiguousarray(rows).view(np.uint8).reshape(len(rows), -1)
-        _write(array.view(np.uint8).reshape(len(array), -1), new, place)
-    return made
+        _write(array.view(np.uint8).reshape(len(array), -1), new, numbers)
+    return edited
 
 
 @kernel
-def _write(whole: Uint8s, rows: Uint8s, place: Int64s) -> None:
-    """Write rows of bytes to their places in a whole; a place of −1 is none."""
-    for n in range(place.size):
-        if 0 <= place[n] < whole.shape[0]:
+def _write(whole: Uint8s, rows: Uint8s, numbers: Int64s) -> None:
+    """Write rows of bytes to the rows of a whole with these numbers; −1 is none."""
+    for n in range(numbers.size):
+        if 0 <= numbers[n] < whole.shape[0]:
             for k in range(whole.shape[1]):
-                whole[place[n], k] = rows[n, k]
+                whole[numbers[n], k] = rows[n, k]
 
 
 def put_together(
@@ -379,30 +378,30 @@ def put_together(
     for at, (codes, is_node) in enumerate(islice(top.tree.walk(), 1, level + 1), 1):
         owners = np.zeros(codes.size, np.int64)  # the texture that each cell comes from
         numbers = int(top.tree.arrays.level_cells[at]) + np.arange(codes.size)
-        own_nodes = np.where(is_node, int(top.tree.arrays.level_nodes[at]) + np.cumsum(is_node) - 1, -1)
+        cell_nodes = np.where(is_node, int(top.tree.arrays.level_nodes[at]) + np.cumsum(is_node) - 1, -1)
         if at == level:
             owners[:] = 1
             for number, (tiles, _) in enumerate(drafts, 2):
                 owners[among(codes, tiles.codes)] = number
         else:
-            where = locate(texture.tree, codes, at)
-            owners[~is_node & (where.levels == at) & ~where.is_leaf] = 1
+            located = locate(texture.tree, codes, at)
+            owners[~is_node & (located.levels == at) & ~located.is_leaf] = 1
         for number in distinct(owners[owners > 0]).tolist():
-            is_here = owners == number
-            where = locate(trees[number], codes[is_here], at)
-            numbers[is_here], own_nodes[is_here] = where.cells, where.nodes
-        is_below = own_nodes >= 0
+            is_owned = owners == number
+            located = locate(trees[number], codes[is_owned], at)
+            numbers[is_owned], cell_nodes[is_owned] = located.cells, located.nodes
+        has_children = cell_nodes >= 0
         children, below = children_in(trees, nodes[-1])
         # Cells of the top are copied one by one, from any texture; others in runs.
         counts = np.where(children.owners == 0, children.ends - children.begins, 1)
         rows = np.stack([*children, below.begins, below.ends]).repeat(counts, axis=1)
         is_top = rows[0] == 0
-        rows[:, is_top] = owners, numbers, numbers + 1, own_nodes, own_nodes + is_below
+        rows[:, is_top] = owners, numbers, numbers + 1, cell_nodes, cell_nodes + has_children
         cells.append(Runs.joined(rows[:3]))
         nodes.append(Runs.joined(rows[[0, 3, 4]]))
         ends = np.cumsum(rows[2] - rows[1])
         turned.append(np.zeros(int(ends[-1]), np.bool_))
-        turned[-1][ends[is_top] - 1] = is_below != is_node
+        turned[-1][ends[is_top] - 1] = has_children != is_node
     add_below(trees, cells, nodes)
     return joined_runs(textures, top, cells, nodes, np.concatenate(turned))
 

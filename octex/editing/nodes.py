@@ -43,12 +43,12 @@ def nodes_at(tree: Octree, codes: Sequence[Int64s]) -> Nodes:
 
     Without a node there, the number is −1, and the cell is the one that contains the place.
     """
-    found = [Nodes(np.empty(0, np.int64), np.empty(0, np.int64))]
-    for level, here in enumerate(codes):
-        if here.size:
-            where = locate(tree, here, level)
-            found.append(Nodes(np.where(where.levels == level, where.nodes, -1), where.cells))
-    return Nodes(*(np.concatenate(column) for column in zip(*found, strict=True)))
+    found_nodes = [Nodes(np.empty(0, np.int64), np.empty(0, np.int64))]
+    for level, level_codes in enumerate(codes):
+        if level_codes.size:
+            located = locate(tree, level_codes, level)
+            found_nodes.append(Nodes(np.where(located.levels == level, located.nodes, -1), located.cells))
+    return Nodes(*(np.concatenate(column) for column in zip(*found_nodes, strict=True)))
 
 
 def by_level(tree: Octree, nodes: Nodes) -> list[slice]:
@@ -72,7 +72,7 @@ def rows_by_level(tree: Octree, nodes: Nodes) -> Iterator[tuple[slice, Rows, Int
         return
     rows = rows_of(tree.split, nodes.cells)
     owners = np.searchsorted(nodes.cells, rows.cells)
-    for here in by_level(tree, nodes):
-        span = slice(*np.searchsorted(owners, [here.start, here.stop]).tolist())
+    for of_level in by_level(tree, nodes):
+        span = slice(*np.searchsorted(owners, [of_level.start, of_level.stop]).tolist())
         if span.start < span.stop:
             yield span, rows.of(span), nodes.numbers[owners[span]]

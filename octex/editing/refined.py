@@ -13,8 +13,8 @@ from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s, Uint32s, in_run
 from octex.channels import alpha_of, decode, encode
 from octex.editing.averages import weighted_means
 from octex.editing.split import differ, with_split
-from octex.field.neighborhood import refined_taps
 from octex.field.taps import TapList
+from octex.field.walk_taps import refined_taps
 from octex.jit import kernel
 from octex.parallel import ordered_map
 from octex.texture import Channel, OctreeTexture
@@ -44,7 +44,7 @@ def refined_below(
 ) -> Below:
     """Refine a texture to cells (n,) of a level below its leaves, from their codes and facings."""
     blocks = [slice(begin, begin + _BLOCK) for begin in range(0, codes.size, _BLOCK)] or [slice(0)]
-    tasks = [(codes[here], facings[here]) for here in blocks]
+    tasks = [(codes[block], facings[block]) for block in blocks]
     refine = partial(_refined_below, texture, level)
     values, is_split, rows = zip(*ordered_map(executor, refine, tasks), strict=True)
     return Below(_joined(values), np.concatenate(is_split), _joined(rows))
@@ -58,18 +58,19 @@ def _refined_below(texture: OctreeTexture, level: int, task: tuple[Int64s, Uint8
     codes, facings = task
     tree, channels = texture.tree, texture.channels
     taps = refined_taps(tree, codes, level)
-    values = _blended(channels, taps)
-    sees_apart = np.zeros(codes.size, np.bool_)
-    _see_apart(taps, tree.arrays.flags, tree.kept.cells, facings, sees_apart)
-    chosen = np.flatnonzero(sees_apart)
-    owners, bits = np.repeat(chosen, counts_of(facings[chosen])), bits_of(facings[chosen])
+    cell_values = _blended(channels, taps)
+    may_differ = np.zeros(codes.size, np.bool_)
+    _see_apart(taps, tree.arrays.flags, tree.kept.cells, facings, may_differ)
+    split_candidates = np.flatnonzero(may_differ)
+    facings = facings[split_candidates]
+    owners, bits = np.repeat(split_candidates, counts_of(facings)), bits_of(facings)
     rows = _blended(channels, *_facing(tree, taps, owners, bits))
     is_split = np.zeros(codes.size, np.bool_)
-    for name, each in rows.items():
+    for name, values in rows.items():
         form = channels[name].format
-        stored = (encode(part, form.dtype, form.space) for part in (each, values[name][owners]))
+        stored = (encode(part, form.dtype, form.space) for part in (values, cell_values[name][owners]))
         is_split[owners[differ(form, *stored)]] = True
-    return Below(values, is_split, {name: each[is_split[owners]] for name, each in rows.items()})
+    return Below(cell_values, is_split, {name: values[is_split[owners]] for name, values in rows.items()})
 
 
 def with_rows(texture: OctreeTexture, parts: Sequence[tuple[Int64s, Below]]) -> OctreeTexture:
@@ -99,10 +100,10 @@ def refined_rows(texture: OctreeTexture, codes: Int64s, level: int, bits: Uint8s
     """
     blocks = [_blended(texture.channels, _NO_TAPS)]
     for begin in range(0, codes.size, _BLOCK):
-        here = slice(begin, begin + _BLOCK)
-        distinct_codes, owners = np.unique(codes[here], return_inverse=True)
+        block = slice(begin, begin + _BLOCK)
+        distinct_codes, owners = np.unique(codes[block], return_inverse=True)
         taps = refined_taps(texture.tree, distinct_codes, level)
-        blocks.append(_blended(texture.channels, *_facing(texture.tree, taps, owners, bits[here])))
+        blocks.append(_blended(texture.channels, *_facing(texture.tree, taps, owners, bits[block])))
     return _joined(blocks)
 
 
@@ -110,8 +111,8 @@ def _facing(tree: Octree, taps: TapList, owners: Int64s, bits: Uint8s) -> tuple[
     """Return the taps of cells' facings, which of them have rows in the split table, and these rows."""
     counts = np.diff(taps.starts)[owners]
     starts = np.cumsum(np.concatenate([[0], counts]))
-    picked = in_runs(taps.starts[owners], counts)
-    rows, weights, bits = taps.rows[picked], taps.weights[picked], np.repeat(bits, counts)
+    tap_numbers = in_runs(taps.starts[owners], counts)
+    rows, weights, bits = taps.rows[tap_numbers], taps.weights[tap_numbers], np.repeat(bits, counts)
     cells = rows.astype(np.int64)
     is_kept = cells >= tree.n_cells
     cells[is_kept] = tree.kept.cells[cells[is_kept] - tree.n_cells]
@@ -121,14 +122,17 @@ def _facing(tree: Octree, taps: TapList, owners: Int64s, bits: Uint8s) -> tuple[
 
 
 def _blended(
-    channels: Mapping[str, Channel], taps: TapList, there: Bools | None = None, own_rows: Int64s | None = None
+    channels: Mapping[str, Channel],
+    taps: TapList,
+    has_row: Bools | None = None,
+    rows: Int64s | None = None,
 ) -> dict[str, Float32s]:
-    """Blend channels, decoded; taps in ``there`` use ``own_rows`` of the split table."""
+    """Blend channels, decoded; taps in ``has_row`` use ``rows`` of the split table."""
 
-    def shown(channel: Channel) -> Array:
+    def values_of(channel: Channel) -> Array:
         stored = channel.rows(taps.rows)
-        if there is not None:
-            stored[there] = channel.split_values[own_rows]
+        if has_row is not None:
+            stored[has_row] = channel.split_values[rows]
         return stored
 
     blended = {}
@@ -140,14 +144,14 @@ def _blended(
         if alpha not in weights:
             weights[alpha] = taps.weights
             if alpha is not None:
-                part = decode(shown(channels[alpha]), channels[alpha].format.space)[:, 0]
-                weights[alpha] = taps.weights * np.maximum(part, _FAINT)
-        blended[name] = weighted_means(taps.starts, weights[alpha], shown(channel), channel.format.space)
+                coverage = decode(values_of(channels[alpha]), channels[alpha].format.space)[:, 0]
+                weights[alpha] = taps.weights * np.maximum(coverage, _FAINT)
+        blended[name] = weighted_means(taps.starts, weights[alpha], values_of(channel), channel.format.space)
     return blended
 
 
 @kernel
-def _see_apart(taps: TapList, flags: Uint8s, kept_cells: Uint32s, facings: Uint8s, sees_apart: Bools) -> None:
+def _see_apart(taps: TapList, flags: Uint8s, kept_cells: Uint32s, facings: Uint8s, may_differ: Bools) -> None:
     """Mark cells (n,) whose facings may differ in value: a tap is split, or hidden from a facing."""
     for n in range(facings.size):
         if facings[n] == 0:
@@ -158,5 +162,5 @@ def _see_apart(taps: TapList, flags: Uint8s, kept_cells: Uint32s, facings: Uint8
                 row = np.int64(kept_cells[min(row - flags.size, np.int64(kept_cells.size) - 1)])
             flag = flags[min(row, np.int64(flags.size) - 1)]
             if flag & SPLIT or facings[n] & ~flag & OPPOSITE[flag & FACING_FLAGS]:
-                sees_apart[n] = True
+                may_differ[n] = True
                 break

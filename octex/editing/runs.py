@@ -55,9 +55,9 @@ def children_in(trees: Sequence[Octree], nodes: Runs) -> tuple[Runs, Runs]:
     """Return the runs of the children of runs of nodes: all cells, and those that are nodes."""
     first, last = np.zeros((2, 2, nodes.owners.size), np.int64)
     for number, tree in enumerate(trees):
-        is_here = nodes.owners == number
-        first[:, is_here] = children_before(tree.arrays.groups, nodes.begins[is_here])
-        last[:, is_here] = children_before(tree.arrays.groups, nodes.ends[is_here])
+        of_tree = nodes.owners == number
+        first[:, of_tree] = children_before(tree.arrays.groups, nodes.begins[of_tree])
+        last[:, of_tree] = children_before(tree.arrays.groups, nodes.ends[of_tree])
     return Runs(nodes.owners, first[0], last[0]), Runs(nodes.owners, first[1], last[1])
 
 
@@ -85,21 +85,21 @@ def joined_runs(
     counts = np.array([[(run.ends - run.begins).sum() for run in runs] for runs in (cells, nodes)], np.int64)
     counts = counts[:, : np.count_nonzero(counts[0])]
     level_cells, level_nodes = np.pad(np.cumsum(counts, axis=1), ((0, 0), (1, 0)))
-    every, above = (Runs.joined(*runs) for runs in (cells, nodes))
+    all_cells, all_nodes = (Runs.joined(*runs) for runs in (cells, nodes))
     n_nodes = int(level_nodes[-1])
     masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
     for word, mask in enumerate(masks):
-        mask[:n_nodes] = above.of([masks_of(each.tree.arrays.groups, word) for each in textures])
+        mask[:n_nodes] = all_nodes.of([masks_of(each.tree.arrays.groups, word) for each in textures])
     # The children of the first nodes are the first cells, from cell 1 on.
     last = int(level_nodes[max(np.searchsorted(level_cells, turned.size) - 1, 0)])
     bits = np.unpackbits(masks[0, :last] | masks[1, :last], bitorder="little").view(np.bool_)
     bits[bits] = turned[1:]
     masks[:, :last] ^= np.packbits(bits, bitorder="little")
     trees = [each.tree for each in textures]
-    flags = every.of([tree.arrays.flags for tree in trees])
-    areas = every.of([tree.arrays.areas for tree in trees])
-    split_cells, split_runs, row_runs = _split_runs(trees, every)
-    kept_cells, kept_runs = _listed([tree.kept.cells for tree in trees], every)
+    flags = all_cells.of([tree.arrays.flags for tree in trees])
+    areas = all_cells.of([tree.arrays.areas for tree in trees])
+    split_cells, split_runs, row_runs = _split_runs(trees, all_cells)
+    kept_cells, kept_runs = _listed([tree.kept.cells for tree in trees], all_cells)
     split = SplitTable(
         split_cells,
         split_runs.of([tree.split.facings for tree in trees]),
@@ -110,12 +110,12 @@ def joined_runs(
     )
     channels = {}
     for name, channel in like.channels.items():
-        stored = [each.channels[name] for each in textures]
+        parts = [each.channels[name] for each in textures]
         channels[name] = Channel(
             channel.format,
-            every.of([each.values for each in stored]),
-            row_runs.of([each.split_values for each in stored]),
-            kept_runs.of([each.kept_values for each in stored]),
+            all_cells.of([each.values for each in parts]),
+            row_runs.of([each.split_values for each in parts]),
+            kept_runs.of([each.kept_values for each in parts]),
         )
     return like.with_cells(tree, channels)
 
@@ -127,8 +127,8 @@ def _split_runs(trees: Sequence[Octree], cells: Runs) -> tuple[Uint32s, Runs, Ru
         np.concatenate([[0], np.cumsum(bit_counts(tree.split.facings), dtype=np.int64)]) for tree in trees
     ]
     firsts = np.cumsum([0, *map(len, ends)])[runs.owners]
-    every = np.concatenate(ends)
-    rows = Runs(runs.owners, every[firsts + runs.begins], every[firsts + runs.ends])
+    all_ends = np.concatenate(ends)
+    rows = Runs(runs.owners, all_ends[firsts + runs.begins], all_ends[firsts + runs.ends])
     return split, runs, rows
 
 
@@ -139,12 +139,12 @@ def _listed(tables: Sequence[Uint32s], cells: Runs) -> tuple[Uint32s, Runs]:
     shifts = np.cumsum(counts) - counts - begins
     first, last = np.zeros((2, owners.size), np.int64)
     for number, table in enumerate(tables):
-        is_here = owners == number
-        first[is_here] = np.searchsorted(table, begins[is_here].astype(np.uint32))
-        last[is_here] = np.searchsorted(table, ends[is_here].astype(np.uint32))
-    has = last > first
-    runs = Runs(owners[has], first[has], last[has])
-    listed = runs.of(tables).astype(np.int64) + np.repeat(shifts[has], (last - first)[has])
+        of_table = owners == number
+        first[of_table] = np.searchsorted(table, begins[of_table].astype(np.uint32))
+        last[of_table] = np.searchsorted(table, ends[of_table].astype(np.uint32))
+    is_listed = last > first
+    runs = Runs(owners[is_listed], first[is_listed], last[is_listed])
+    listed = runs.of(tables).astype(np.int64) + np.repeat(shifts[is_listed], (last - first)[is_listed])
     return listed.astype(np.uint32), runs
 
 

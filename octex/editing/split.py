@@ -33,20 +33,20 @@ def in_codes(stored: Array, form: ChannelFormat) -> Floats:
 
 def differ(form: ChannelFormat, rows: Array, cells: Array) -> Bools:
     """Return which stored facing values (n, components) differ enough from those of their cells (n,)."""
-    apart = np.abs(in_codes(rows, form) - in_codes(cells, form)) > MOST
-    return np.asarray(apart.any(axis=1))
+    differences = np.abs(in_codes(rows, form) - in_codes(cells, form)) > MOST
+    return np.asarray(differences.any(axis=1))
 
 
 def rows_facing(texture: OctreeTexture, channel: Channel, cells: Int64s, bits: Uint8s) -> Float32s:
     """Return the decoded value of each cell (n,) for its facing (n,): the row, or the cell's value."""
-    there, rows = find_rows(texture.tree.split, cells, bits)
-    return decode(_stored_facing(channel, cells, there, rows), channel.format.space)
+    has_row, rows = find_rows(texture.tree.split, cells, bits)
+    return decode(_stored_facing(channel, cells, has_row, rows), channel.format.space)
 
 
-def _stored_facing(channel: Channel, cells: Int64s, there: Bools, rows: Int64s) -> Array:
-    """Return the stored values of cells (n,), and those of ``rows`` for the cells in ``there`` (n,)."""
+def _stored_facing(channel: Channel, cells: Int64s, has_row: Bools, rows: Int64s) -> Array:
+    """Return the stored values of cells (n,), and those of ``rows`` for the cells in ``has_row`` (n,)."""
     values = channel.values[cells]
-    values[there] = channel.split_values[rows]
+    values[has_row] = channel.split_values[rows]
     return values
 
 
@@ -58,16 +58,19 @@ def with_split(
     Other channels keep existing rows, or take the cells' values. A new row that only skirts face is skirt.
     """
     tree = texture.tree
-    table, order, new = inserted(tree.split, cells, facings, tree.arrays.areas[cells])
-    there = new.rows >= 0
-    stays = ~among(rows_of(tree.split).cells, cells)
+    table, order, cell_rows = inserted(tree.split, cells, facings, tree.arrays.areas[cells])
+    is_old = cell_rows.rows >= 0
+    is_other = ~among(rows_of(tree.split).cells, cells)
     channels = {}
     for name, channel in texture.channels.items():
-        made = rows[name] if name in rows else _stored_facing(channel, new.cells, there, new.rows[there])
-        values = np.concatenate([channel.split_values[stays], made])[order]
+        if name in rows:
+            values = rows[name]
+        else:
+            values = _stored_facing(channel, cell_rows.cells, is_old, cell_rows.rows[is_old])
+        values = np.concatenate([channel.split_values[is_other], values])[order]
         channels[name] = channel._replace(split_values=np.ascontiguousarray(values))
-    if not there.all() and (tree.arrays.areas == SKIRT).any():
-        is_skirt = ~there & (facings_of_skirts(tree)[new.cells] & new.bits != 0)
+    if not is_old.all() and (tree.arrays.areas == SKIRT).any():
+        is_skirt = ~is_old & (facings_of_skirts(tree)[cell_rows.cells] & cell_rows.bits != 0)
         table.areas[np.flatnonzero(among(rows_of(table).cells, cells))[is_skirt]] = SKIRT
     flags = tree.arrays.flags.copy()
     flags[cells] |= np.uint8(SPLIT)
@@ -95,10 +98,10 @@ def without_split(texture: OctreeTexture, cells: Int64s) -> OctreeTexture:
 def split_in_vain(texture: OctreeTexture, cells: Int64s) -> Int64s:
     """Return the split cells, ascending, whose facings all equal the cell's value."""
     rows = rows_of(texture.tree.split, cells)
-    is_apart = np.zeros(rows.rows.size, np.bool_)
+    differs = np.zeros(rows.rows.size, np.bool_)
     for channel in texture.channels.values():
-        is_apart |= differ(channel.format, channel.split_values[rows.rows], channel.values[rows.cells])
-    return cells[~among(cells, rows.cells[is_apart])]
+        differs |= differ(channel.format, channel.split_values[rows.rows], channel.values[rows.cells])
+    return cells[~among(cells, rows.cells[differs])]
 
 
 def refaced(texture: OctreeTexture) -> OctreeTexture:

@@ -2,13 +2,13 @@
 
 A block of points goes through this room from left to right:
 
-    lookups         sources                   weights                   blend
+    lookups         tile_taps, walk_taps      weights                   blend
     checks nothing: cells and their           area, visible facings,    blends values,
     picks a path    spline weights (taps)     mixed facings             adds probes up, lists taps
 
     footprints      field: picks the taps' finder by tree; off the surface it uses coarser levels
-    probes at       ├── tiles · sources          all leaves have one depth
-    several         ├── windows · neighborhood   the walk: any tree, kept nodes
+    probes at       ├── tiles · tile_taps        all leaves have one depth
+    several         ├── windows · walk_taps      the walk: any tree, kept nodes
     levels          └── bricks                   many points at once where the walk would answer
                     `tiled` does all of this in one call for one channel of a tree with tiles: leaves, but
                     not `quartic`; probes of `quadratic`, but not with alpha or gradients
@@ -19,10 +19,10 @@ taps           the rows that a lookup blends, their weights, and their decoded v
 weights        weights by area and by facing
 blend          blends values, adds probes up, lists taps
 tiles          finds cells by a bit test, for many points at once
-sources        taps from tiles, for each filter
+tile_taps      taps from tiles, for each filter
 tiled          from points to values with tiles
 windows        the cells around a point, level by level
-neighborhood   taps from the walk; what cells below leaves refine from, for edits
+walk_taps      taps from the walk; the taps that cells below leaves refine from, for edits
 bricks         decodes coefficients for points that lie close together
 field          the field over one tree: picks the finder of taps
 lookups        lookups of points at all levels

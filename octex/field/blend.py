@@ -68,7 +68,7 @@ def _sum_any(taps: Taps, n: int, flat: Flat, components: int) -> Five:
 
 
 @part
-def take(rows: Uint32s, codes: Codes, results: Float32s) -> None:
+def gather(rows: Uint32s, codes: Codes, results: Float32s) -> None:
     """Write the values of cells ``rows`` (points,)."""
     flat, components = flat_of(codes), codes.values.shape[1]
     flat_results = results.reshape(-1)
@@ -216,7 +216,7 @@ def add_up(
 @fused_part
 def add_weighed(
     taps: Taps,
-    by: Weighing,
+    weighing: Weighing,
     normals: Float32s,
     codes: Codes,
     owners: Int32s,
@@ -231,25 +231,25 @@ def add_weighed(
     visible, flat, components = new_visible(), flat_of(codes), codes.values.shape[1]
     for begin in range(0, taps.starts.size, AT_ONCE):
         last = min(begin + AT_ONCE, taps.starts.size)
-        find_split(taps, begin, last, by, codes.split_values, visible)
+        find_split(taps, begin, last, weighing, codes.split_values, visible)
         for n in range(begin, last):
             is_split = visible.is_split[np.uint64(n - begin)] != 0
-            view = view_of(normals, n) if by.faces else NO_VIEW
+            view = view_of(normals, n) if weighing.faces else NO_VIEW
             if components != 3:
-                _, five, total, gone = weigh(
-                    taps, n, 0, by, view, visible, by.faces, is_split, flat, components
+                _, five, total, of_mixed = weigh(
+                    taps, n, 0, weighing, view, visible, weighing.faces, is_split, flat, components
                 )
-            elif not by.faces:
-                _, five, total, gone = weigh(taps, n, 0, by, view, visible, False, False, flat, 3)
+            elif not weighing.faces:
+                _, five, total, of_mixed = weigh(taps, n, 0, weighing, view, visible, False, False, flat, 3)
             elif is_split:
-                _, five, total, gone = weigh(taps, n, 0, by, view, visible, True, True, flat, 3)
+                _, five, total, of_mixed = weigh(taps, n, 0, weighing, view, visible, True, True, flat, 3)
             else:
-                _, five, total, gone = weigh(taps, n, 0, by, view, visible, True, False, flat, 3)
+                _, five, total, of_mixed = weigh(taps, n, 0, weighing, view, visible, True, False, flat, 3)
             at = np.uint64(n)
             share = np.float64(shares[at])
-            if by.mixed.size > 0:
-                passed[at] = gone / total if gone > 0.0 else 0.0
-            if by.areas.size > 0 and taps.covers[at] == np.float32(0.0) and total > 0.0:
+            if weighing.mixed.size > 0:
+                passed[at] = of_mixed / total if of_mixed > 0.0 else 0.0
+            if weighing.areas.size > 0 and taps.covers[at] == np.float32(0.0) and total > 0.0:
                 share *= np.float64(OFF) / total
             _add_to(sums, np.uint64(owners[at]), share, five, components)
 
@@ -272,26 +272,26 @@ def weigh_by_alpha(taps: Taps, alpha: Codes, is_prefetched: bool, always: bool) 
     """Multiply the weights by alpha; unless ``always``, only where the weighted alpha is not zero."""
     flat = flat_of(alpha)
     end = end_of(taps)
-    parts = np.empty(end, np.float32)
+    alphas = np.empty(end, np.float32)
     least = np.float32(1.0)
     if not is_prefetched:
         _prefetch_rows(taps, 0, taps.starts.size, alpha)
     for tap in range(end):
-        part = np.float32(value_of(flat, int(taps.rows[np.uint64(tap)]), 1)[0])
-        parts[np.uint64(tap)] = part
-        least = min(least, part)
+        value = np.float32(value_of(flat, int(taps.rows[np.uint64(tap)]), 1)[0])
+        alphas[np.uint64(tap)] = value
+        least = min(least, value)
     for n in range(taps.starts.size if not always and least <= np.float32(0.0) else 0):
         total = 0.0
         for tap in range(taps.starts[n], taps.ends[n]):
-            total += np.float64(taps.weights[tap]) * np.float64(parts[tap])
+            total += np.float64(taps.weights[tap]) * np.float64(alphas[tap])
         if not total > 0.0:
             for tap in range(taps.starts[n], taps.ends[n]):
-                parts[tap] = np.float32(1.0)
+                alphas[tap] = np.float32(1.0)
     for tap in range(end):
         at = np.uint64(tap)
-        taps.weights[at] *= parts[at]
+        taps.weights[at] *= alphas[at]
         for axis in range(3 if taps.slopes.shape[0] > 0 else 0):
-            taps.slopes[at, axis] *= parts[at]
+            taps.slopes[at, axis] *= alphas[at]
 
 
 def joined(lists: Sequence[TapList]) -> TapList:

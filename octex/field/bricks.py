@@ -21,10 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, ChannelValues, Float32s, Float64s, Int32s, Int64s, Uint32s
-from octex.field.neighborhood import taps_around
 from octex.field.splines import QUADRATIC
 from octex.field.taps import LEAST, Codes, Flat, Taps, flat_of, new_taps, put_value, value_of
 from octex.field.tiles import Integer
+from octex.field.walk_taps import taps_around
 from octex.field.windows import MOST_TAPS, Way, kept_row, new_walk
 from octex.jit import fused_kernel, inlined, prefetch, refine_rows, trailing_zeros, weighted_cube
 from octex.tree.children import children, rank_in
@@ -58,14 +58,14 @@ class Bricks(NamedTuple):
     rows: Float32s  # (2 · _CELLS · 4,)
     nodes: Int64s  # ((MAX_DEPTH + 2) · 64,)   of the 4³ of each level, node numbers, or −1
     keeps: Bools  # (same,)   whether such a node has a kept coefficient
-    has: Bools  # (MAX_DEPTH + 5,)   whether the block of a level has any coefficients
+    filled: Bools  # (MAX_DEPTH + 5,)   whether the block of a level has any coefficients
     #: (4 · 1000,)   of each block, the values below nodes: whether the node keeps one itself | place << 1 |
     #: row + 1 << 16; row −1 is zero
-    over: Int64s
+    values_below: Int64s
     #: (4 · 216,)   of each block, its nodes: whether they keep one | x << 1 | y << 5 | z << 9 | number << 16
-    inner: Int64s
-    n_over: Int64s  # (4,)
-    n_inner: Int64s  # (4,)
+    nodes_below: Int64s
+    n_values: Int64s  # (4,)
+    n_nodes: Int64s  # (4,)
     ends: Int64s  # (MAX_DEPTH + 2,)   where the points of the cell of each level end
     split: Bools  # (MAX_DEPTH + 2,)   whether that cell is split
 
@@ -143,13 +143,14 @@ def _child_place(x: int, y: int, z: int, octant: int, side: int) -> int:
 @inlined
 def _list_children(way: Way, values: ChannelValues, bricks: Bricks, step: int) -> bool:
     """List a block's coefficients below nodes, and child nodes; False for nodes after the last step."""
-    arrays, over, inner, side = way.arrays, bricks.over, bricks.inner, _SIDES[step]
-    n_nodes, above = bricks.n_inner[step - 1], np.uint64(216 * (step - 1))
-    to_over, to_inner = np.uint64(1000 * step), np.uint64(216 * step)
+    arrays, side = way.arrays, _SIDES[step]
+    values_below, nodes_below = bricks.values_below, bricks.nodes_below
+    n_nodes, above = bricks.n_nodes[step - 1], np.uint64(216 * (step - 1))
+    to_value, to_node = np.uint64(1000 * step), np.uint64(216 * step)
     below, n_cells = 2 * side - 2, arrays.flags.size
     one = np.uint64(1)
     for _ in range(n_nodes):
-        listed = inner[above]
+        listed = nodes_below[above]
         above += one
         keeps, node = listed & 1, listed >> 16
         x, y, z = listed >> 1 & 15, listed >> 5 & 15, listed >> 9 & 15
@@ -159,34 +160,33 @@ def _list_children(way: Way, values: ChannelValues, bricks: Bricks, step: int) -
         if step == 3 and nodes_inside != 0:
             return False
         prefetch(values, first_cell)
-        left = stored & ~nodes & inside
-        while left != 0:
-            octant = trailing_zeros(left)
-            left &= left - one
+        leaves = stored & ~nodes & inside
+        while leaves != 0:
+            octant = trailing_zeros(leaves)
+            leaves &= leaves - one
             row = min(first_cell + rank_in(stored, octant), n_cells - 1)
-            at = _child_place(x, y, z, octant, below)
-            over[to_over] = keeps | at << 1 | row + 1 << 16
-            to_over += one
-        left = nodes_inside
-        while left != 0:
-            octant = trailing_zeros(left)
-            left &= left - one
+            place = _child_place(x, y, z, octant, below)
+            values_below[to_value] = keeps | place << 1 | row + 1 << 16
+            to_value += one
+        while nodes_inside != 0:
+            octant = trailing_zeros(nodes_inside)
+            nodes_inside &= nodes_inside - one
             number, is_kept = first_node + rank_in(nodes, octant), 0
             a, b, c = 2 * x - 1 + (octant & 1), 2 * y - 1 + (octant >> 1 & 1), 2 * z - 1 + (octant >> 2)
             if way.kept_cells.size > 0:
                 row = min(first_cell + rank_in(stored, octant), n_cells - 1)
-                at = a + below * (b + below * c)
+                place = a + below * (b + below * c)
                 if arrays.flags[np.uint64(row)] & np.uint8(KEPT) != 0:
                     is_kept = 1
-                    over[to_over] = keeps | at << 1 | kept_row(way, row) + 1 << 16
-                    to_over += one
+                    values_below[to_value] = keeps | place << 1 | kept_row(way, row) + 1 << 16
+                    to_value += one
                 elif keeps:  # else zeros are there
-                    over[to_over] = at << 1
-                    to_over += one
-            inner[to_inner] = is_kept | a << 1 | b << 5 | c << 9 | number << 16
-            to_inner += one
-    bricks.n_over[step] = np.int64(to_over) - 1000 * step
-    bricks.n_inner[step] = np.int64(to_inner) - 216 * step
+                    values_below[to_value] = place << 1
+                    to_value += one
+            nodes_below[to_node] = is_kept | a << 1 | b << 5 | c << 9 | number << 16
+            to_node += one
+    bricks.n_values[step] = np.int64(to_value) - 1000 * step
+    bricks.n_nodes[step] = np.int64(to_node) - 216 * step
     return True
 
 
@@ -202,11 +202,11 @@ def _list_blocks(way: Way, values: ChannelValues, bricks: Bricks, corner: int) -
         at = np.uint64(corner + x + 4 * (y + 4 * z))
         node = bricks.nodes[at]
         if node >= 0:
-            bricks.inner[count] = bricks.keeps[at] | x << 1 | y << 5 | z << 9 | node << 16
+            bricks.nodes_below[count] = bricks.keeps[at] | x << 1 | y << 5 | z << 9 | node << 16
             count += 1
-    bricks.n_inner[0] = count
+    bricks.n_nodes[0] = count
     for step in range(1, 4):
-        if bricks.n_inner[step - 1] == 0:
+        if bricks.n_nodes[step - 1] == 0:
             return step - 1
         if not _list_children(way, values, bricks, step):
             return -1
@@ -218,8 +218,8 @@ def _note_nodes(bricks: Bricks, level: int) -> None:
     """Note the nodes of the 4³ of a level, which are listed."""
     nodes, first = bricks.nodes, 64 * level
     nodes[first : first + 64] = -1
-    for n in range(bricks.n_inner[1]):
-        listed = bricks.inner[216 + n]
+    for n in range(bricks.n_nodes[1]):
+        listed = bricks.nodes_below[216 + n]
         x, y, z = listed >> 1 & 15, listed >> 5 & 15, listed >> 9 & 15
         at = first + x + 4 * (y + 4 * z)
         nodes[at], bricks.keeps[at] = listed >> 16, listed & 1 != 0
@@ -246,19 +246,19 @@ def _refine_block(rows: Float32s, source: int, stride: int, side: int, target: i
 @inlined
 def _clear(bricks: Bricks, planes: int, step: int, side: int, target: int) -> None:
     """Write zeros to the children of nodes without kept coefficients."""
-    rows, inner = bricks.rows, bricks.inner
+    rows, nodes_below = bricks.rows, bricks.nodes_below
     zero, one = np.float32(0.0), np.uint64(1)
-    for n in range(bricks.n_inner[step - 1]):
-        listed = inner[np.uint64(216 * (step - 1) + n)]
+    for n in range(bricks.n_nodes[step - 1]):
+        listed = nodes_below[np.uint64(216 * (step - 1) + n)]
         if listed & 1 != 0:
             continue
         x, y, z = listed >> 1 & 15, listed >> 5 & 15, listed >> 9 & 15
-        left = _inside(x, y, z, side - 1)
-        while left != 0:
-            at = target + _child_place(x, y, z, trailing_zeros(left), 2 * side - 2)
-            left &= left - one
+        children = _inside(x, y, z, side - 1)
+        while children != 0:
+            place = target + _child_place(x, y, z, trailing_zeros(children), 2 * side - 2)
+            children &= children - one
             for plane in range(planes):
-                first = np.uint64(4 * (at + plane * _CELLS))
+                first = np.uint64(4 * (place + plane * _CELLS))
                 rows[first] = rows[first + one] = zero
                 rows[first + np.uint64(2)] = rows[first + np.uint64(3)] = zero
 
@@ -273,27 +273,30 @@ def _decode(
     stride: int,
     side: int,
     target: int,
-    has: bool,
+    filled: bool,
 ) -> bool:
-    """Write the coefficients of the block below another; ``has`` and the result tell whether it has any."""
-    rows, over = bricks.rows, bricks.over
+    """Write the coefficients of the block below another.
+
+    ``filled`` is whether the other block has any coefficients; returns whether this one has.
+    """
+    rows, values_below = bricks.rows, bricks.values_below
     below = 2 * side - 2
     for plane in range(planes):
         shift = plane * _CELLS
-        if has:
+        if filled:
             _refine_block(rows, source + shift, stride, side, target + shift)
         else:
             rows[4 * (target + shift) : 4 * (target + shift + below * below * below)] = np.float32(0.0)
-    if has:
+    if filled:
         _clear(bricks, planes, step, side, target)
     one = np.float32(1.0)
     weight_at = 4 * _CELLS + 1 if planes > 1 else 3
-    for n in range(bricks.n_over[step]):
-        listed = over[np.uint64(1000 * step + n)]
-        at = target + (listed >> 1 & 1023)
-        weight = one if listed & 1 == 0 else rows[np.uint64(4 * at + weight_at)]
-        _write_value(values, bricks, at, (listed >> 16) - 1, planes, weight)
-    return has or bricks.n_over[step] > 0
+    for n in range(bricks.n_values[step]):
+        listed = values_below[np.uint64(1000 * step + n)]
+        place = target + (listed >> 1 & 1023)
+        weight = one if listed & 1 == 0 else rows[np.uint64(4 * place + weight_at)]
+        _write_value(values, bricks, place, (listed >> 16) - 1, planes, weight)
+    return filled or bricks.n_values[step] > 0
 
 
 @inlined
@@ -304,7 +307,7 @@ def _enter(way: Way, values: Values, bricks: Bricks, planes: int) -> None:
         bricks.nodes[middle] = 0
         bricks.keeps[middle] = way.kept_cells.size > 0 and way.arrays.flags[0] & KEPT != 0
         row = kept_row(way, 0) if bricks.keeps[middle] else -1
-    bricks.has[0] = row >= 0
+    bricks.filled[0] = row >= 0
     if row >= 0:
         _write_value(values, bricks, middle, row, planes, np.float32(1.0))
 
@@ -341,14 +344,14 @@ def _write_mean(
 
 
 @inlined
-def _look_up_by_walk(values: Values, way: Way, found: Taps, targets: Targets, n: int, n_missed: int) -> int:
-    """Look a point up by the walk (`neighborhood`); return the number missed."""
+def _look_up_by_walk(values: Values, way: Way, taps: Taps, targets: Targets, n: int, n_missed: int) -> int:
+    """Look a point up by the walk (`walk_taps`); return the number missed."""
     x, y, z = targets.coords[n, 0], targets.coords[n, 1], targets.coords[n, 2]
-    end, _ = taps_around(way, x, y, z, True, found, 0)
+    end, _ = taps_around(way, x, y, z, True, taps, 0)
     sum_a = sum_b = sum_c = sum_d = total = 0.0
     for tap in range(end):
-        share = np.float64(found.weights[np.uint64(tap)])
-        a, b, c, d, covered = _covered_value(values, int(found.rows[np.uint64(tap)]))
+        share = np.float64(taps.weights[np.uint64(tap)])
+        a, b, c, d, covered = _covered_value(values, int(taps.rows[np.uint64(tap)]))
         sum_a, sum_b, sum_c = sum_a + share * a, sum_b + share * b, sum_c + share * c
         sum_d, total = sum_d + share * d, total + share * covered
     return _write_mean(targets, n, n_missed, sum_a, sum_b, sum_c, sum_d, total)
@@ -413,7 +416,7 @@ def look_up_crowded(
     planes, few = 1, _FEW_KEPT if kept_cells.size > 0 else _FEW
     if values.components > 3 or (values.alpha.values.size > 0 and kept_cells.size > 0):
         planes = 2
-    way, found = Way(arrays, kept_cells, new_walk(), QUADRATIC, 2, 1, False), new_taps(1, MOST_TAPS, False)
+    way, taps = Way(arrays, kept_cells, new_walk(), QUADRATIC, 2, 1, False), new_taps(1, MOST_TAPS, False)
     _enter(way, values, bricks, planes)
     level, begin, n_missed = 0, 0, 0
     ends[0], split[0] = keys.size, False
@@ -428,14 +431,14 @@ def look_up_crowded(
             if not is_done:
                 corner = 64 * level + (octant & 1) + 4 * (octant >> 1 & 1) + 16 * (octant >> 2)
                 last = _list_blocks(way, codes.values, bricks, corner)
-                has, source, stride = bricks.has[level], corner, 4
+                filled, source, stride = bricks.filled[level], corner, 4
                 first = 64 * (level + 1)
                 for step in range(1, (last if last >= 0 else 1) + 1):
                     target = _AT_TEN if step == 3 else _AT_SIX if step == 2 else first
                     side = _SIDES[step]
-                    has = _decode(values, bricks, planes, step, source, stride, side, target, has)
+                    filled = _decode(values, bricks, planes, step, source, stride, side, target, filled)
                     if step == 1:
-                        bricks.has[level + 1] = has
+                        bricks.filled[level + 1] = filled
                     source, stride = target, 2 * side - 2
                 if last >= 0:
                     low = (i << last) - 1, (j << last) - 1, (k << last) - 1
@@ -446,7 +449,7 @@ def look_up_crowded(
                 is_done = level >= SORTED
             if is_done:
                 for m in range(begin, end):
-                    n_missed = _look_up_by_walk(values, way, found, targets, int(keys[m] & _NUMBER), n_missed)
+                    n_missed = _look_up_by_walk(values, way, taps, targets, int(keys[m] & _NUMBER), n_missed)
                 begin = end
                 continue
             _note_nodes(bricks, level + 1)

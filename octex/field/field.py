@@ -11,8 +11,6 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int64s, Uint8s, bit_counts
 from octex.errors import TextureFileError
-from octex.field.neighborhood import walked_taps
-from octex.field.sources import FINDERS
 from octex.field.splines import FILTERS, LINEAR, NEAREST, QUADRATIC
 from octex.field.taps import (
     BLOCK,
@@ -25,7 +23,9 @@ from octex.field.taps import (
     new_taps,
     to_coordinates,
 )
+from octex.field.tile_taps import FINDERS
 from octex.field.tiles import Tiles, build_tiles, can_be_tiled, marked, painted_levels
+from octex.field.walk_taps import walked_taps
 from octex.field.weights import MOST_ROWS, Facings, Weighing, facings_of, weigh_taps
 from octex.field.windows import MOST_TAPS, Walk, new_walk
 from octex.jit import unlocked
@@ -38,7 +38,6 @@ from octex.tree.search import Positions, nearest_cells
 _WALKED = 24
 NO_BYTES = np.empty(0, np.uint8)
 NO_VECTORS = np.empty((0, 3), np.float32)
-_NO_DOUBLES = np.empty((0, 3))
 _NO_ROWS: Uint8s = np.empty((1, 1), np.uint8)
 #: The part of probes that mixes opposite facings, and its derivatives; empty if not wanted.
 Passed = tuple[Float32s, Float32s]
@@ -52,12 +51,6 @@ class NotFiniteError(ValueError):
     def __init__(self, row: int) -> None:
         super().__init__(f"points[{row}] is not finite")
         self.row = row
-
-
-def positions(points: Floats) -> Positions:
-    """Return rest positions (n, 3) as kernels take them: `Positions.of` on read-only arrays too."""
-    points = unlocked(points)
-    return Positions(points, _NO_DOUBLES) if points.itemsize == 4 else Positions(NO_VECTORS, points)
 
 
 class Field:
@@ -100,8 +93,8 @@ class Field:
     @built_once
     def facings(self) -> Facings:
         """Return the tree's facings, indexed on first use."""
-        found: Facings = unlocked(facings_of(self.tree))
-        return found
+        facings: Facings = unlocked(facings_of(self.tree))
+        return facings
 
     @built_once
     def tiles(self) -> Tiles | None:
@@ -112,13 +105,13 @@ class Field:
     def painted(self) -> tuple[Tiles, ...] | None:
         """Return marked tiles of a tree of one depth with finer paint; None for other trees."""
         levels = [] if self.tiles is not None else painted_levels(self.tree)
-        found: list[Tiles] = []
+        painted: list[Tiles] = []
         for level in levels:
             tiles = marked(build_tiles(self.level(level).tree), self.tree)
             n_marked, n_cells = int(bit_counts(tiles.marks).sum()), sum(self.tree.cells_by_depth()[level])
-            if not found or 2 * n_marked < n_cells:  # most points are unmarked
-                found.append(tiles)
-        return tuple(found) or None
+            if not painted or 2 * n_marked < n_cells:  # most points are unmarked
+                painted.append(tiles)
+        return tuple(painted) or None
 
     def tiles_for(self, filter_code: int) -> Tiles | None:
         """Return the tiles that find all or most points for a filter."""
@@ -202,7 +195,7 @@ class Finder:
     def blocks(
         self,
         points: Floats,
-        by: Weighing,
+        weighing: Weighing,
         normals: Float32s | None = None,
         passed: Passed = NO_PASSED,
         rows: Uint8s = _NO_ROWS,
@@ -215,18 +208,18 @@ class Finder:
         memory = np.empty((min(len(points), BLOCK), 3))
         for begin in range(0, len(points), BLOCK):
             block = slice(begin, begin + BLOCK)
-            some = points[block]
-            self.coords = memory[: len(some)]
-            fault = to_coordinates(positions(some), *self._placement, self.coords)
+            block_points = points[block]
+            self.coords = memory[: len(block_points)]
+            fault = to_coordinates(Positions.of(block_points), *self._placement, self.coords)
             if fault >= 0:
                 raise NotFiniteError(begin + fault)
             taps = self.find(self.coords, rows)
-            if by.faces or by.areas.size:
+            if weighing.faces or weighing.areas.size:
                 end = int(taps.ends.max(initial=0))
-                if by.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
+                if weighing.facings.rows.size and (1 + MOST_ROWS) * end > taps.rows.size:
                     taps = _with_room(taps, end, (1 + MOST_ROWS) * end)
                 facing = NO_VECTORS if normals is None else normals[block]
-                weigh_taps(taps, by, facing, _NO_ROWS, passed[0][block], passed[1][block])
+                weigh_taps(taps, weighing, facing, _NO_ROWS, passed[0][block], passed[1][block])
             yield block, taps
 
     def find(self, coords: Float64s, rows: Uint8s = _NO_ROWS) -> Taps:
@@ -244,43 +237,40 @@ class Finder:
         taps = self._taps
         if taps.starts.size > n:
             taps = taps._replace(starts=taps.starts[:n], ends=taps.ends[:n], covers=taps.covers[:n])
-        which, end, n_rim = self._all[:n], 0, n
         if tiles is not None:
-            taps, end, n_rim = self._tiled(coords, taps, which, rows)
-            which = self._rim[:n_rim]
-        if tiles is None and self.filter == NEAREST:
+            taps, end, rim = self._tiled(coords, taps, rows)
+            taps = self._walked(coords, taps, end, rim)
+        elif self.filter == NEAREST:
             taps = self._nearest(coords, taps)
-        elif n_rim:
-            taps = self._walked(coords, taps, end, which)
+        else:
+            taps = self._walked(coords, taps, 0, self._all[:n])
         if self._gradient:
             clear_outside_slopes(taps, coords)
         return taps
 
-    def _tiled(self, coords: Float64s, taps: Taps, which: Int64s, rows: Uint8s) -> tuple[Taps, int, int]:
-        """Find taps by tiles, and list the points for the walk in the rim; return how many these are."""
+    def _tiled(self, coords: Float64s, taps: Taps, rows: Uint8s) -> tuple[Taps, int, Int64s]:
+        """Find taps by tiles; return them, their end, and the points for the walk."""
         ahead = Ahead(rows, _NO_ROWS[:0], NO_BYTES, NO_BYTES)
         end = n_rim = 0
-        last = self.field.n_cells - 1
-        for number, above in enumerate(self.field.searched(self.filter)):
+        last, which = self.field.n_cells - 1, self._all[: len(coords)]
+        for number, tiles in enumerate(self.field.searched(self.filter)):
             room = end + MOST_TILED[self.filter] * which.size + 8
             if room > taps.rows.size:
                 taps = _with_room(taps, end, room)
-            here = coords if number == 0 else coords[which]
-            batch = Batch(here, which, last, self._empty, self._rim[n_rim:], ahead)
-            end, n_empty, more = FINDERS[self.filter](above, number > 0, batch, taps, end)
-            n_rim += more
+            level_coords = coords if number == 0 else coords[which]
+            batch = Batch(level_coords, which, last, self._empty, self._rim[n_rim:], ahead)
+            end, n_empty, more_rim = FINDERS[self.filter](tiles, number > 0, batch, taps, end)
+            n_rim += more_rim
             which = self._empty[:n_empty].copy()
             if not n_empty:
                 break
-        return taps, end, n_rim
+        return taps, end, self._rim[:n_rim]
 
     def _walked(self, coords: Float64s, taps: Taps, end: int, which: Int64s) -> Taps:
         """Find the taps of points ``which`` by the walk."""
-        if self._walk is None:
-            self._walk = new_walk()
-        tree = self.field.tree
-        done = 0
+        tree, done = self.field.tree, 0
         while done < which.size:
+            self._walk = self._walk or new_walk()
             if end + MOST_TAPS > taps.rows.size:
                 taps = _with_room(taps, end, end + MOST_TAPS)
             done, end = walked_taps(
@@ -292,7 +282,7 @@ class Finder:
     def _nearest(self, coords: Float64s, taps: Taps) -> Taps:
         tree, n = self.field.tree, len(coords)
         cells, held = np.empty(n, np.int64), np.empty(n, np.bool_)
-        nearest_cells(tree.arrays, positions(coords), (0.0, 0.0, 0.0), 1.0, cells, held)
+        nearest_cells(tree.arrays, Positions.of(coords), (0.0, 0.0, 0.0), 1.0, cells, held)
         taps.rows[:n], taps.weights[:n] = cells, np.where(held, np.float32(1), OFF)
         taps.starts[:], taps.ends[:], taps.covers[:] = self._all[:n], self._next[:n], held
         return taps

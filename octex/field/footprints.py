@@ -96,9 +96,9 @@ def long_footprints(
             x, y = np.float64(dPdx[n, axis]) / scale, np.float64(dPdy[n, axis]) / scale
             a, b, c = a + x * x, b + x * y, c + y * y
         # Eigenvalues and the eigenvector of the larger one, of [[a, b], [b, c]].
-        apart = np.sqrt((a - c) * (a - c) + 4.0 * b * b)
-        larger, smaller = 0.5 * (a + c + apart), max(0.5 * (a + c - apart), 0.0)
-        p, q = (0.5 * (a - c + apart), b) if a >= c else (b, 0.5 * (c - a + apart))
+        root = np.sqrt((a - c) * (a - c) + 4.0 * b * b)
+        larger, smaller = 0.5 * (a + c + root), max(0.5 * (a + c - root), 0.0)
+        p, q = (0.5 * (a - c + root), b) if a >= c else (b, 0.5 * (c - a + root))
         norm = np.sqrt(p * p + q * q)
         p, q = (p / norm, q / norm) if norm > 0.0 else (1.0, 0.0)
         length, width = np.sqrt(larger), np.sqrt(smaller)
@@ -215,13 +215,13 @@ def _lay(width: float, length: float, rows: int, least: float) -> tuple[float, f
     They reach to both sides, along in steps of one distance; two rows lie across. The variances are then the
     footprint's, less the probes' width. Distances are at least ``least``, a leaf's edge.
     """
-    apart = max(width * (0.5 if rows > 1 else _ROW_STEP), least)
-    if not apart > 0.0:
+    distance = max(width * (0.5 if rows > 1 else _ROW_STEP), least)
+    if not distance > 0.0:
         return 0.0, 0.0, 0.0
-    steps = length / apart
+    steps = length / distance
     along = 0.5 * np.sqrt(max(steps * steps - 2.0, 0.0))
-    across = np.sqrt(max(width * width - apart * apart, 0.0) / 12.0) if rows > 1 else 0.0
-    return apart, float(along), float(across)
+    across = np.sqrt(max(width * width - distance * distance, 0.0) / 12.0) if rows > 1 else 0.0
+    return distance, float(along), float(across)
 
 
 @inlined
@@ -303,7 +303,7 @@ def _write_probes(
             _put_probe(ends, lower, at_lower, x, y, z, *target)
             _put_probe(ends, lower + 1, after, x, y, z, *target)
             continue
-        apart, along, across = _lay(shape.widths[n], shape.lengths[n], rows, least)
+        distance, along, across = _lay(shape.widths[n], shape.lengths[n], rows, least)
         steps = _steps(along)
         n_rows = 2 if across > 0.0 else 1
         for step in range(-steps, steps + 1):
@@ -311,7 +311,7 @@ def _write_probes(
             if along > 0.5:
                 part *= (min(step + 0.5, along) - max(step - 0.5, -along)) / (2.0 * along)
             for row in range(n_rows):
-                a, b = step * apart, (2 * row - 1) * across
+                a, b = step * distance, (2 * row - 1) * across
                 u = x + a * shape.along[n, 0] + b * shape.across[n, 0]
                 v = y + a * shape.along[n, 1] + b * shape.across[n, 1]
                 w = z + a * shape.along[n, 2] + b * shape.across[n, 2]

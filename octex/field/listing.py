@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from octex.arrays import Float64s, Floats, Int64s, Uint32s
+from octex.arrays import Floats, Int64s, Uint32s, in_runs
 from octex.field.blend import joined, listed
 from octex.field.lookups import Lookup
 from octex.field.taps import TapList, Taps
@@ -42,30 +42,31 @@ class Listing(Lookup):
         """List the taps of footprints: probes at all levels, added up."""
         for run, by_level in self.each_run(points):
             n_points = run.stop - run.start
-            keys, parts = [np.empty(0, np.int64)], [np.empty(0)]
+            all_keys, all_weights = [np.empty(0, np.int64)], [np.empty(0)]
             for _, probes, taps in self.each_probe(run, by_level):
                 self._weigh_all(taps, always=True)
                 probe, at = _each_tap(taps)
-                keys.append(probes.owners[probe].astype(np.int64) << 32 | taps.rows[at])
-                parts.append(taps.weights[at].astype(np.float64) * probes.shares[probe])
-            key, which = np.unique(np.concatenate(keys), return_inverse=True)
-            part = np.bincount(which, np.concatenate(parts), key.size)
-            owner, row = key >> 32, key & 0xFFFFFFFF
-            totals = np.bincount(owner, part, n_points)
-            (bare,) = np.nonzero(totals == 0)
-            is_any = (totals[owner] != 0) & (part != 0)
-            owner, row, part = owner[is_any], row[is_any], part[is_any] / totals[owner[is_any]]
-            if bare.size:  # alpha is zero throughout
-                numbers = run.start + bare
+                all_keys.append(probes.owners[probe].astype(np.int64) << 32 | taps.rows[at])
+                all_weights.append(taps.weights[at].astype(np.float64) * probes.shares[probe])
+            keys, which = np.unique(np.concatenate(all_keys), return_inverse=True)
+            weights = np.bincount(which, np.concatenate(all_weights), keys.size)
+            owners, rows = keys >> 32, keys & 0xFFFFFFFF
+            totals = np.bincount(owners, weights, n_points)
+            (transparent,) = np.nonzero(totals == 0)
+            has_weight = (totals[owners] != 0) & (weights != 0)
+            owners, rows, weights = owners[has_weight], rows[has_weight], weights[has_weight]
+            weights = weights / totals[owners]
+            if transparent.size:  # alpha is zero throughout
+                numbers = run.start + transparent
                 query = self._query.of(numbers)
-                again = Listing(self._field, self._placement, query, self._channels, None)
-                more = again.blends(points[numbers])
-                owner = np.concatenate([owner, np.repeat(bare, np.diff(more.starts))])
-                order = np.argsort(owner, kind="stable")
-                row = np.concatenate([row, more.rows])[order]
-                part = np.concatenate([part, more.weights])[order]
-            starts = np.cumsum(np.append(0, np.bincount(owner, minlength=n_points)))
-            yield TapList(starts, row, part.astype(np.float32))
+                listing = Listing(self._field, self._placement, query, self._channels, None)
+                unweighted = listing.blends(points[numbers])
+                owners = np.concatenate([owners, np.repeat(transparent, np.diff(unweighted.starts))])
+                order = np.argsort(owners, kind="stable")
+                rows = np.concatenate([rows, unweighted.rows])[order]
+                weights = np.concatenate([weights, unweighted.weights])[order]
+            starts = np.cumsum(np.append(0, np.bincount(owners, minlength=n_points)))
+            yield TapList(starts, rows, weights.astype(np.float32))
 
     def reads(self, points: Floats) -> dict[int, Reads]:
         """List the rows and cells read, by level."""
@@ -77,8 +78,9 @@ class Listing(Lookup):
 
     def _read(self, taps: Taps, level: int) -> Reads:
         """Return the rows that the latest block reads, and the cells that hold its points."""
-        coords = self.finder(self._field.level(level)).coords
-        return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), _cells_at(coords, level))
+        coords, side = self.finder(self._field.level(level)).coords, 1 << level
+        cells = encode_cells(np.minimum((coords * side).astype(np.int64), side - 1))
+        return Reads(distinct(taps.rows[_each_tap(taps)[1]]).astype(np.uint32), distinct(cells))
 
     def _weigh_all(self, taps: Taps, *, always: bool) -> None:
         """Weigh taps as lookups of the channel do."""
@@ -86,16 +88,10 @@ class Listing(Lookup):
             pass
 
 
-def _cells_at(coords: Float64s, level: int) -> Int64s:
-    """Return the Morton codes of the cells of a level that hold points of texture space, ascending."""
-    side = 1 << level
-    return distinct(encode_cells(np.minimum((coords * side).astype(np.int64), side - 1)))
-
-
-def joined_reads(found: Iterable[Mapping[int, Reads]]) -> dict[int, Reads]:
+def joined_reads(reads_of_blocks: Iterable[Mapping[int, Reads]]) -> dict[int, Reads]:
     """Join the reads of several blocks of points, or channels, by level."""
     by_level: dict[int, list[Reads]] = {}
-    for levels in found:
+    for levels in reads_of_blocks:
         for level, read in levels.items():
             by_level.setdefault(level, []).append(read)
     return {
@@ -110,6 +106,4 @@ def joined_reads(found: Iterable[Mapping[int, Reads]]) -> dict[int, Reads]:
 def _each_tap(taps: Taps) -> tuple[Int64s, Int64s]:
     """Return for each tap, point after point, the point's number and the tap's index."""
     counts = taps.ends - taps.starts
-    points = np.repeat(np.arange(counts.size), counts)
-    before = np.cumsum(counts) - counts
-    return points, np.arange(points.size) + (taps.starts - before)[points]
+    return np.repeat(np.arange(counts.size), counts), in_runs(taps.starts, counts)

@@ -11,15 +11,15 @@ import numpy as np
 from octex.arrays import Float32s, Floats, Int64s, Uint8s
 from octex.field.blend import Sums, add_up, blend, blend_slopes, divide, new_sums, weigh_by_alpha
 from octex.field.bricks import NUMBER_BITS, SORTED, Targets, look_up_crowded, new_bricks
-from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, NotFiniteError, positions
+from octex.field.field import NO_BYTES, NO_PASSED, NO_VECTORS, Field, Finder, NotFiniteError
 from octex.field.footprints import Footprints, Probes, passed_on, spread
 from octex.field.splines import FILTERS, QUADRATIC, QUARTIC
 from octex.field.taps import Codes, Taps, to_coordinates
-from octex.field.tiled import Additions, Search, Weighed, look_up_tiled
+from octex.field.tiled import Additions, TileSearch, Weighed, look_up_tiled
 from octex.field.weights import Weighing
 from octex.jit import direct, unlocked
 from octex.tree.placement import Placement
-from octex.tree.search import keys_of, put_rows
+from octex.tree.search import Positions, keys_of, put_rows
 
 #: Fewer points are not sorted.
 _LEAST_SORTED = 64
@@ -111,57 +111,58 @@ class Lookup:
         is_bare = query.normals is None and not self._gradients and query.filter == "quadratic"
         return is_bare and self._field.tiles is None and _LEAST_SORTED <= count < 1 << NUMBER_BITS
 
-    def at(self, points: Floats) -> None:
+    def look_up(self, points: Floats) -> None:
         """Look up rest positions (n, 3) by the fastest path. All lookups raise NotFiniteError."""
         if self._query.footprints is not None:
-            self.footprints(points)
+            self.look_up_footprints(points)
         elif len(self._channels) > 1 and self.is_sortable(len(points)):
             for channel, answer in zip(self._channels, self._answers, strict=True):
-                Lookup(self._field, self._placement, self._query, [channel], self._alpha, [answer]).at(points)
+                one = Lookup(self._field, self._placement, self._query, [channel], self._alpha, [answer])
+                one.look_up(points)
         elif not self.is_tiled:
-            self.untiled(points)
+            self.look_up_untiled(points)
         else:
             rim = self._by_tiles(self._field, points, NO_ADDITIONS, self._query.normals)
             if rim.size:
-                self._look_again(points, rim, [0], self._alpha, Lookup.untiled)
+                self._look_again(points, rim, [0], self._alpha, Lookup.look_up_untiled)
 
-    def plain(self) -> Callable[[Floats], Float32s | None] | None:
+    def prepare_few(self) -> Callable[[Floats], Float32s | None] | None:
         """Prepare lookups of a few points of leaves by tiles; None where there are no tiles.
 
         The result takes rest positions as kernels do. It returns None where tiles alone do not answer: call
-        `at`.
+        `look_up`.
         """
         if not self.is_tiled or self._channel is None:
             return None
         code, components = FILTERS.index(self._query.filter), self._channel.codes.values.shape[1]
         tiles = next(self._field.searched(code))
-        search = Search(code, tiles, self._field.n_cells - 1, False, self.weighing(self._field))
-        before = self._placement.origin, self._placement.size, NO_VECTORS, self._channel
+        search = TileSearch(code, tiles, self._field.n_cells - 1, False, self.weighing(self._field))
+        fixed = self._placement.origin, self._placement.size, NO_VECTORS, self._channel
 
-        def found(points: Floats) -> Float32s | None:
+        def look_up(points: Floats) -> Float32s | None:
             answer = np.empty((len(points), components), np.float32)
             lost = np.empty((2, len(points)), np.int64)
-            task = *positions(points), *before, answer, _NO_GRADIENTS
+            task = *Positions.of(unlocked(points)), *fixed, answer, _NO_GRADIENTS
             is_all = _look_up_tiled(search, *task, NO_ADDITIONS, lost) == _ALL_FOUND
             return answer if is_all else None
 
-        return found
+        return look_up
 
-    def untiled(self, points: Floats) -> None:
+    def look_up_untiled(self, points: Floats) -> None:
         """Look up the leaves without tiles."""
         if len(self._channels) == 1 and self.is_sortable(len(points)):
-            self.sorted(points)
+            self.look_up_sorted(points)
         else:
-            self.leaves(points)
+            self.look_up_leaves(points)
 
-    def sorted(self, points: Floats) -> None:
+    def look_up_sorted(self, points: Floats) -> None:
         """Look up one channel's leaves by bricks, in Morton order."""
         (channel,), (results,) = self._channels, self._answers
         alpha = channel.codes._replace(values=channel.codes.values[:0])
         if self._alpha is not None and not channel.is_alpha:
             alpha = self._alpha.codes
         coords, missed = np.empty((len(points), 3)), np.empty(len(points), np.int32)
-        fault = to_coordinates(positions(points), *self._placement, coords)
+        fault = to_coordinates(Positions.of(points), *self._placement, coords)
         if fault >= 0:
             raise NotFiniteError(fault)
         keys = keys_of(coords, SORTED, NUMBER_BITS)
@@ -171,30 +172,31 @@ class Lookup:
         n_missed = look_up_crowded(tree.arrays, tree.kept.cells, channel.codes, alpha, targets, new_bricks())
         if n_missed:
             rows = missed[:n_missed].astype(np.int64)
-            self._look_again(points, rows, [0], self._alpha, Lookup.leaves)
+            self._look_again(points, rows, [0], self._alpha, Lookup.look_up_leaves)
 
     def _by_tiles(
-        self, here: Field, points: Floats, additions: Additions, normals: Float32s | None
+        self, field: Field, points: Floats, additions: Additions, normals: Float32s | None
     ) -> Int64s:
         """Look up by a level's tiles, else by coarser ones; return the points for the walk."""
-        code, by, task = FILTERS.index(self._query.filter), self.weighing(here), (points, additions, normals)
+        code, weighing = FILTERS.index(self._query.filter), self.weighing(field)
+        task = points, additions, normals
         empty: Int64s | None = None
         rims: list[Int64s] = []
-        for number, tiles in enumerate(here.searched(code)):
-            search = Search(code, tiles, here.n_cells - 1, number > 0, by)
+        for number, tiles in enumerate(field.searched(code)):
+            search = TileSearch(code, tiles, field.n_cells - 1, number > 0, weighing)
             empty, rim = self._search(search, empty, *task)
             rims.append(rim)
             if not empty.size:
                 break
         rim = np.concatenate(rims)
-        for tiles in here.finer if rim.size else ():
-            search = Search(code, tiles, here.n_cells - 1, False, by)
+        for tiles in field.finer if rim.size else ():
+            search = TileSearch(code, tiles, field.n_cells - 1, False, weighing)
             rim = np.concatenate(self._search(search, rim, *task))
         return rim
 
     def _search(
         self,
-        search: Search,
+        search: TileSearch,
         which: Int64s | None,
         points: Floats,
         additions: Additions,
@@ -203,42 +205,43 @@ class Lookup:
         """Look up points, by default all, and return those without cells and those for the walk."""
         assert self._channel is not None
         adds, answers = additions is not NO_ADDITIONS, self._answers[0]
-        some, results, facing = additions, answers, NO_VECTORS if normals is None else normals
+        selected, results = additions, answers
         slopes = self._gradients[0] if self._gradients else _NO_GRADIENTS
+        normals = NO_VECTORS if normals is None else normals
         if which is not None:
             points = np.take(points, which, axis=0)
             if adds:
                 passed = np.zeros(which.size if additions.passed.size else 0, np.float32)
-                some = Additions(additions.owners[which], additions.shares[which], passed, additions.sums)
+                selected = Additions(additions.owners[which], additions.shares[which], passed, additions.sums)
             else:
                 results = np.empty((which.size, answers.shape[1]), np.float32)
                 slopes = np.empty((which.size if self._gradients else 0, answers.shape[1], 3), np.float32)
-                facing = facing if normals is None else np.take(normals, which, axis=0)
+                normals = np.take(normals, which, axis=0) if len(normals) else normals
         lost = np.empty((2, len(points)), np.int64)
-        where = *positions(points), *self._placement, unlocked(facing)
-        n_empty, n_rim, fault = _look_up_tiled(search, *where, self._channel, results, slopes, some, lost)
+        where = *Positions.of(unlocked(points)), *self._placement, unlocked(normals)
+        n_empty, n_rim, fault = _look_up_tiled(search, *where, self._channel, results, slopes, selected, lost)
         if fault >= 0:
             raise NotFiniteError(fault)
         empty, rim = lost[0, :n_empty], lost[1, :n_rim]
         if which is None:
             return empty, rim
         if additions.passed.size:
-            additions.passed[which] = some.passed
+            additions.passed[which] = selected.passed
         if not adds:
             put_rows(results, which, answers)
             if self._gradients:
                 self._gradients[0][which] = slopes
         return which[empty], which[rim]
 
-    def weighing(self, here: Field) -> Weighing:
+    def weighing(self, field: Field) -> Weighing:
         """Return the weighing of a level's taps."""
         query, mixed = self._query, NO_BYTES
         faces = query.normals is not None
-        if not (here is self._field or query.mixed is None or faces) and here.tree.split.cells.size:
-            mixed = query.mixed(here.depth)
-        return here.weighing(self._field, faces, mixed)
+        if not (field is self._field or query.mixed is None or faces) and field.tree.split.cells.size:
+            mixed = query.mixed(field.depth)
+        return field.weighing(self._field, faces, mixed)
 
-    def leaves(self, points: Floats) -> None:
+    def look_up_leaves(self, points: Floats) -> None:
         """Look up the leaves of any tree."""
         scale = 1.0 / self._placement.size
         # Tiles prefetch the values of cells; walks and split rows do not.
@@ -251,18 +254,18 @@ class Lookup:
                 if self._gradients:
                     blend_slopes(taps, codes, scale, results, self._gradients[number][rows])
 
-    def finder(self, here: Field) -> Finder:
+    def finder(self, field: Field) -> Finder:
         """Return the finder of a level's taps."""
-        if here.depth not in self._finders:
+        if field.depth not in self._finders:
             options = {"gradient": bool(self._gradients), "adds": self._query.footprints is not None}
-            finder = Finder(here, self._placement, self._query.filter, whole=self._field, **options)
-            self._finders[here.depth] = finder
-        return self._finders[here.depth]
+            finder = Finder(field, self._placement, self._query.filter, whole=self._field, **options)
+            self._finders[field.depth] = finder
+        return self._finders[field.depth]
 
     def each_block(self, points: Floats) -> Iterator[tuple[slice, Taps]]:
         """Yield the weighted taps of the leaves, block after block."""
-        here = self._field
-        return self.finder(here).blocks(points, self.weighing(here), self._query.normals, rows=self._rows)
+        field = self._field
+        return self.finder(field).blocks(points, self.weighing(field), self._query.normals, rows=self._rows)
 
     def each_run(self, points: Floats) -> Iterator[tuple[slice, dict[int, Probes]]]:
         """Yield the probes of footprints: see `footprints.spread`."""
@@ -273,7 +276,7 @@ class Lookup:
         depth, code = self._field.depth, FILTERS.index(self._query.filter)
         return spread(points, self._query.footprints, self._placement.size, depth, code)
 
-    def footprints(self, points: Floats) -> None:
+    def look_up_footprints(self, points: Floats) -> None:
         """Look footprints up: add the probes at all levels up."""
         gradient = bool(self._gradients)
         # By tiles, from points to sums at once.
@@ -297,7 +300,7 @@ class Lookup:
             if bare.any():
                 numbers = [n for n, channel in enumerate(self._channels) if not channel.is_alpha]
                 rows = run.start + np.flatnonzero(bare)
-                self._look_again(points, rows, numbers, None, Lookup.footprints)
+                self._look_again(points, rows, numbers, None, Lookup.look_up_footprints)
 
     def each_probe(
         self, run: slice, by_level: dict[int, Probes], sums: Sums | None = None
@@ -310,23 +313,24 @@ class Lookup:
         for level in range(self._field.depth + 1):
             if level not in by_level:
                 continue
-            here, probes = self._field.level(level), by_level[level]
-            by = self.weighing(here)
+            field, probes = self._field.level(level), by_level[level]
+            weighing = self.weighing(field)
             rows: slice | Int64s = slice(None)  # those that tiles do not answer
-            count = len(probes.points) if by.mixed.size else 0
+            count = len(probes.points) if weighing.mixed.size else 0
             passed = np.zeros(count, np.float32), np.zeros((count if self._gradients else 0, 3), np.float32)
-            if sums is not None and here.tiles_for(QUADRATIC) is not None:
+            if sums is not None and field.tiles_for(QUADRATIC) is not None:
                 additions = Additions(probes.owners, probes.shares, passed[0], sums)
-                rows = self._by_tiles(here, probes.points, additions, normals)
-            some, parts = probes.of(rows), (passed[0][rows] if count else passed[0], passed[1])
-            facing = None if normals is None else normals[some.owners]
-            for block, taps in self.finder(here).blocks(some.points, by, facing, parts, self._rows):
-                yield level, some.of(block), taps
+                rows = self._by_tiles(field, probes.points, additions, normals)
+            untiled, parts = probes.of(rows), (passed[0][rows] if count else passed[0], passed[1])
+            untiled_normals = None if normals is None else normals[untiled.owners]
+            task = untiled.points, weighing, untiled_normals, parts, self._rows
+            for block, taps in self.finder(field).blocks(*task):
+                yield level, untiled.of(block), taps
             if count:  # the next level answers for mixed cells
                 passed[0][rows] = parts[0]
-                more = passed_on(probes, *passed, _ROUNDED, by_level.get(level + 1, probes.of(slice(0))))
-                if more.shares.size:
-                    by_level[level + 1] = more
+                finer = passed_on(probes, *passed, _ROUNDED, by_level.get(level + 1, probes.of(slice(0))))
+                if finer.shares.size:
+                    by_level[level + 1] = finer
 
     def _look_again(
         self,

@@ -1,6 +1,6 @@
 """Taps: the stored rows that a lookup blends, their weights, and their decoded values.
 
-Tiles (`sources`) find them where all leaves have one depth, else the walk (`neighborhood`). Then they are
+Tiles (`tile_taps`) find them where all leaves have one depth, else the walk (`walk_taps`). Then they are
 weighted (`weights`), and blended or listed (`blend`).
 
 Weights are those of the spline. The weights of a point sum to its *cover*, 0 … 1: the part of the spline's

@@ -11,8 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float32s, Float64s, Floats, Int32s, Int64s
-from octex.field.blend import Sums, add_weighed, blend, blend_slopes, divide, new_sums, take, weigh_by_alpha
-from octex.field.sources import linear_taps, nearest_taps, quadratic_taps
+from octex.field.blend import Sums, add_weighed, blend, blend_slopes, divide, gather, new_sums, weigh_by_alpha
 from octex.field.splines import LINEAR, NEAREST
 from octex.field.taps import (
     MOST_TILED,
@@ -24,6 +23,7 @@ from octex.field.taps import (
     new_taps,
     to_coordinates,
 )
+from octex.field.tile_taps import linear_taps, nearest_taps, quadratic_taps
 from octex.field.tiles import Tiles, nearest_rows
 from octex.field.weights import MOST_ROWS, Weighing, weigh_taps
 from octex.jit import kernel, part
@@ -33,14 +33,14 @@ from octex.tree.search import Origin, Positions, count_of
 _STEP = 256
 
 
-class Search(NamedTuple):
+class TileSearch(NamedTuple):
     """How to find and weight taps; unused arrays are empty."""
 
     filter_code: int  # NEAREST, LINEAR or QUADRATIC
     tiles: Tiles
     last: int  # the largest number of a cell
     is_off: bool  # points are off the surface: deeper tiles lack their cells
-    by: Weighing
+    weighing: Weighing
 
 
 class Weighed(NamedTuple):
@@ -61,11 +61,11 @@ class Additions(NamedTuple):
 
 
 @part
-def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
+def _new_room(filter_code: int, points: int, is_split: bool, gradient: bool) -> tuple[Taps, Float64s, Int64s]:
     """Return room for the taps of points at once, of split cells too, for their coordinates and numbers."""
     # Half a page more, so that rows and weights do not begin at like places of their pages: reading the one
     # would wait for writing the other, and `linear` take 8 % longer.
-    room = points * MOST_TILED[search.filter_code] + 520
+    room = points * MOST_TILED[filter_code] + 520
     if is_split:
         room *= 1 + MOST_ROWS
     numbers = np.empty(points, np.int64)
@@ -76,7 +76,7 @@ def _new_room(search: Search, points: int, is_split: bool, gradient: bool) -> tu
 
 @kernel
 def look_up_tiled(
-    search: Search,
+    search: TileSearch,
     singles: Floats,
     doubles: Floats,
     origin: Origin,
@@ -95,75 +95,75 @@ def look_up_tiled(
     lists the points without cells around them, and those for the walk. Returns both counts, and the first
     point that is not finite, where it stopped, or −1.
     """
-    points = Positions(singles, doubles)
-    adds, faces = additions.owners.size > 0, search.by.faces
+    points, weighing = Positions(singles, doubles), search.weighing
+    adds, faces = additions.owners.size > 0, weighing.faces
     gradient = gradients.shape[0] > 0 and not adds
     # Leaves with normals are weighted as they are summed, too, in three quarters of the time.
     is_faced = faces and not (adds or gradient or channel.has_alpha)
     all_points = count_of(points)
     step = max(min(_STEP, all_points), 1)
-    is_split = search.by.facings.rows.size > 0 and faces and not (adds or is_faced)
-    room, coords, each = _new_room(search, step, is_split, gradient)
-    facing = np.empty((step if faces else 0, 3), np.float32)
+    is_split = weighing.facings.rows.size > 0 and faces and not (adds or is_faced)
+    room, coords, numbers = _new_room(search.filter_code, step, is_split, gradient)
+    step_normals = np.empty((step if faces else 0, 3), np.float32)
     if is_faced:  # points own one probe each
         shares, none = np.ones(step, np.float32), np.empty(0, np.float32)
         additions = Additions(np.arange(step, dtype=np.int32), shares, none, new_sums(step, results, False))
     alpha = channel.alpha.values if channel.has_alpha else channel.alpha.values[:0]
-    flags = search.by.facings.flags if faces else search.by.facings.flags[:0]
-    ahead = Ahead(channel.codes.values.view(np.uint8), alpha.view(np.uint8), flags, search.by.areas)
+    flags = weighing.facings.flags if faces else weighing.facings.flags[:0]
+    ahead = Ahead(channel.codes.values.view(np.uint8), alpha.view(np.uint8), flags, weighing.areas)
     only_cells = search.filter_code == NEAREST and not (channel.has_alpha or faces or search.is_off or adds)
     n_empty = n_rim = 0
     for begin in range(0, all_points, step):
         end = min(begin + step, all_points)
         count = end - begin
-        here, empty, rim = coords[:count], lost[0, n_empty:], lost[1, n_rim:]
+        placed, empty, rim = coords[:count], lost[0, n_empty:], lost[1, n_rim:]
         fault = to_coordinates(
-            Positions(points.singles[begin:end], points.doubles[begin:end]), origin, size, here
+            Positions(points.singles[begin:end], points.doubles[begin:end]), origin, size, placed
         )
         if fault >= 0:
             return n_empty, n_rim, begin + fault
-        batch = Batch(here, each[:count], search.last, empty, rim, ahead)
+        batch = Batch(placed, numbers[:count], search.last, empty, rim, ahead)
         if only_cells:
-            more, rest = nearest_rows(search.tiles, batch, room.rows), 0
-            take(room.rows[:count], channel.codes, results[begin:end])
+            more_empty, more_rim = nearest_rows(search.tiles, batch, room.rows), 0
+            gather(room.rows[:count], channel.codes, results[begin:end])
         else:
             starts, ends, covers = room.starts[:count], room.ends[:count], room.covers[:count]
             taps = Taps(room.rows, room.weights, room.slopes, starts, ends, covers)
             if search.filter_code == NEAREST:
-                _, more, rest = nearest_taps(search.tiles, search.is_off, batch, taps, 0)
+                _, more_empty, more_rim = nearest_taps(search.tiles, search.is_off, batch, taps, 0)
             elif search.filter_code == LINEAR:
-                _, more, rest = linear_taps(search.tiles, search.is_off, batch, taps, 0)
+                _, more_empty, more_rim = linear_taps(search.tiles, search.is_off, batch, taps, 0)
             else:
-                _, more, rest = quadratic_taps(search.tiles, search.is_off, batch, taps, 0)
+                _, more_empty, more_rim = quadratic_taps(search.tiles, search.is_off, batch, taps, 0)
             if gradient:
-                clear_outside_slopes(taps, here)
+                clear_outside_slopes(taps, placed)
             if adds or is_faced:
                 at, sums = 0 if is_faced else begin, additions.sums
                 owners, shares = additions.owners[at : at + count], additions.shares[at : at + count]
                 for n in range(count if faces else 0):
                     owner = np.uint64(begin + n if is_faced else int(owners[n]))
                     for axis in range(3):
-                        facing[n, axis] = normals[owner, axis]
+                        step_normals[n, axis] = normals[owner, axis]
                 if is_faced:
                     sums.values[:], sums.totals[:] = 0.0, 0.0
-                task = facing[:count], channel.codes, owners, shares, additions.passed[at : at + count], sums
-                add_weighed(taps, search.by, *task)
+                passed = additions.passed[at : at + count]
+                add_weighed(taps, weighing, step_normals[:count], channel.codes, owners, shares, passed, sums)
                 if is_faced:
                     mean = Sums(sums.values[:count], sums.totals[:count], sums.slopes, sums.total_slopes)
                     divide(mean, 1.0, results[begin:end], gradients[:0])
             else:
                 if faces:
                     split = channel.codes.split_values.view(np.uint8)
-                    weigh_taps(taps, search.by, normals[begin:end], split, additions.passed, normals[:0])
+                    weigh_taps(taps, weighing, normals[begin:end], split, additions.passed, normals[:0])
                 if channel.has_alpha:
                     weigh_by_alpha(taps, channel.alpha, True, False)
                 blend(taps, channel.codes, True, results[begin:end])
                 if gradient:
                     slopes = gradients[begin:end]
                     blend_slopes(taps, channel.codes, 1.0 / size, results[begin:end], slopes)
-        for n in range(more):
+        for n in range(more_empty):
             empty[n] += begin
-        for n in range(rest):
+        for n in range(more_rim):
             rim[n] += begin
-        n_empty, n_rim = n_empty + more, n_rim + rest
+        n_empty, n_rim = n_empty + more_empty, n_rim + more_rim
     return n_empty, n_rim, -1

@@ -83,10 +83,10 @@ def build_tiles(tree: Octree) -> Tiles:
     masks, firsts = _new_rows(rows, np.uint64), _new_rows(rows, np.uint32)
     row = 0
     for level, (first, end) in nodes.items():
-        some, row = slice(8 * row, 8 * (row + end - first)), row + end - first
+        octants, row = slice(8 * row, 8 * (row + end - first)), row + end - first
         of_cells = level == depth - 3
         offset = 0 if of_cells else row - level_nodes[level + 3]
-        _fill_tiles(groups, first, of_cells, offset, masks[some], firsts[some])
+        _fill_tiles(groups, first, of_cells, offset, masks[octants], firsts[octants])
     top = np.full((1 << top_level,) * 3, rows, np.int32)
     codes, is_node = tree.walked_to(top_level)
     cells = decode_cells(codes[is_node])
@@ -126,10 +126,10 @@ def marked(tiles: Tiles, tree: Octree) -> Tiles:
         up = max(depth - 2 - level, 0)
         reach = (1 << up) + (level <= depth - 2)
         blocks = distinct(codes[counts] >> 3 * max(level - depth + 2, 0))
-        near = distinct(octants >> 3 * up)
+        around = distinct(octants >> 3 * up)
         for _ in range(2):
-            near = with_boundary(near, depth - 2 - up)
-        _mark(tiles, np.intersect1d(blocks, near, assume_unique=True), up, reach, marks)
+            around = with_boundary(around, depth - 2 - up)
+        _mark(tiles, np.intersect1d(blocks, around, assume_unique=True), up, reach, marks)
     return tiles._replace(marks=marks)
 
 
@@ -247,7 +247,7 @@ GROUP = 64
 _AXIS_BITS = 20  # of a tile's coordinate plus one, in a key
 
 
-class Near(NamedTuple):
+class TilesAround(NamedTuple):
     """The tiles around each point of a group. Octants are counted over all tiles."""
 
     keys: Int64s  # (GROUP,)   the tile of the lowest cell read, see `tile_key`
@@ -258,11 +258,11 @@ class Near(NamedTuple):
 
 
 @part
-def new_near() -> Near:
+def new_tiles_around() -> TilesAround:
     """Return an empty group for one tree."""
     latest = np.zeros(3, np.int64)
     latest[0] = -1
-    return Near(
+    return TilesAround(
         np.zeros(GROUP, np.int64),
         np.zeros(GROUP, np.uint8),
         np.zeros(GROUP, np.int64),
@@ -280,12 +280,12 @@ def tile_key(i: Integer, j: Integer, k: Integer) -> Any:
 
 @by_constants
 @inlined
-def _find_octant(tiles: Tiles, key: int, other: int) -> int:
+def _find_octant(tiles: Tiles, key: int, neighbour: int) -> int:
     """Find and prefetch the first octant of one of the 2×2×2 tiles from that of a key on."""
     low = (1 << _AXIS_BITS) - 1
-    i = (key & low) - 1 + (other & 1)
-    j = (key >> _AXIS_BITS & low) - 1 + (other >> 1 & 1)
-    k = (key >> 2 * _AXIS_BITS) - 1 + (other >> 2)
+    i = (key & low) - 1 + (neighbour & 1)
+    j = (key >> _AXIS_BITS & low) - 1 + (neighbour >> 1 & 1)
+    k = (key >> 2 * _AXIS_BITS) - 1 + (neighbour >> 2)
     octant = 8 * tile_row(tiles, i, j, k)
     prefetch(tiles.masks, octant)
     prefetch(tiles.firsts, octant)
@@ -293,33 +293,33 @@ def _find_octant(tiles: Tiles, key: int, other: int) -> int:
 
 
 @inlined
-def find_tiles(tiles: Tiles, near: Near, count: int) -> None:
+def find_tiles(tiles: Tiles, around: TilesAround, count: int) -> None:
     """Find and prefetch the tiles of a group of points with known keys and reach."""
-    octants = near.octants
-    key, slot, known = near.latest[0], near.latest[1], near.latest[2]
-    for other in range(8):
-        octants[other] = octants[slot + other]
+    octants = around.octants
+    key, slot, known = around.latest[0], around.latest[1], around.latest[2]
+    for neighbour in range(8):
+        octants[neighbour] = octants[slot + neighbour]
     slot = 0
     for n in range(count):
         at = np.uint64(n)
-        if near.keys[at] != key:
-            key = near.keys[at]
+        if around.keys[at] != key:
+            key = around.keys[at]
             slot += 8
             octants[np.uint64(slot)] = _find_octant(tiles, key, 0)
             known = np.int64(1)
-        near.slots[at] = slot
-        reached = np.int64(near.reached[at])
+        around.slots[at] = slot
+        reached = np.int64(around.reached[at])
         if reached != 0:
-            wanted = 1 | (reached & 1) << 1
-            wanted |= wanted << 2 & -(reached >> 1 & 1)
-            wanted |= wanted << 4 & -(reached >> 2)
-            missing = wanted & ~known
+            needed = 1 | (reached & 1) << 1
+            needed |= needed << 2 & -(reached >> 1 & 1)
+            needed |= needed << 4 & -(reached >> 2)
+            missing = needed & ~known
             known |= missing
             while missing != 0:
-                other = trailing_zeros(np.uint64(missing))
+                neighbour = trailing_zeros(np.uint64(missing))
                 missing &= missing - 1
-                octants[np.uint64(slot + other)] = _find_octant(tiles, key, other)
-    near.latest[0], near.latest[1], near.latest[2] = key, slot, known
+                octants[np.uint64(slot + neighbour)] = _find_octant(tiles, key, neighbour)
+    around.latest[0], around.latest[1], around.latest[2] = key, slot, known
 
 
 @inlined
@@ -330,10 +330,10 @@ def rounded_cell(x: float, depth: int) -> np.int32:
 
 
 @fused_part
-def nearest_rows(tiles: Tiles, batch: Batch, found: Uint32s) -> int:
-    """Write the cells that hold points to ``found`` (n,); list the points without, return their number."""
+def nearest_rows(tiles: Tiles, batch: Batch, rows: Uint32s) -> int:
+    """Write the cells that hold points to ``rows`` (n,); list the points without, return their number."""
     coords, last, empty, ahead = batch.coords, batch.last, batch.empty, batch.ahead
-    near, codes = new_near(), np.zeros(GROUP, np.int32)
+    around, codes = new_tiles_around(), np.zeros(GROUP, np.int32)
     flat = coords.reshape(-1)
     three, seven, n_empty = np.int32(3), np.int32(7), 0
     for begin in range(0, coords.shape[0], GROUP):
@@ -344,15 +344,15 @@ def nearest_rows(tiles: Tiles, batch: Batch, found: Uint32s) -> int:
             j = rounded_cell(flat[at + np.uint64(1)], tiles.depth)
             k = rounded_cell(flat[at + np.uint64(2)], tiles.depth)
             key = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
-            near.keys[np.uint64(n)] = key
+            around.keys[np.uint64(n)] = key
             codes[np.uint64(n)] = code_in_tile(i & seven, j & seven, k & seven)
-        find_tiles(tiles, near, count)
+        find_tiles(tiles, around, count)
         for n in range(count):
             code = np.int64(codes[np.uint64(n)])
-            octant = near.octants[np.uint64(near.slots[np.uint64(n)])] + (code >> 8)
+            octant = around.octants[np.uint64(around.slots[np.uint64(n)])] + (code >> 8)
             cell, is_stored = look_in(tiles, int(octant), int(code))
             prefetch_cell(ahead, int(cell))
-            found[np.uint64(begin + n)] = min(cell, last)
+            rows[np.uint64(begin + n)] = min(cell, last)
             empty[np.uint64(n_empty)] = begin + n
             n_empty += not is_stored
     return n_empty

@@ -47,7 +47,7 @@ AWAY = np.float32(1e-6)
 MOST_ROWS = 3
 
 #: So many rows fit the processor's second cache and need no prefetch.
-NEAR_ROWS = 1 << 16
+CACHED_ROWS = 1 << 16
 
 
 class Facings(NamedTuple):
@@ -62,15 +62,15 @@ def facings_of(tree: Octree) -> Facings:
     """Index a tree's split cells; the index's untouched pages take no memory."""
     cells, facings, areas = tree.split
     rows, counts = np.zeros(tree.n_cells if areas.size else 0, np.uint32), counts_of(facings)
-    there = cells < rows.size
-    rows[cells[there]] = (np.cumsum(counts) - counts)[there]
+    is_inside = cells < rows.size
+    rows[cells[is_inside]] = (np.cumsum(counts) - counts)[is_inside]
     return Facings(tree.arrays.flags, rows, tree.kept.cells)
 
 
 def _directions() -> Uint8s:
-    """Tabulate which of the three facings that can see a normal a cell has: [signs · 64 + flags].
+    """Tabulate which facings of a cell can see a normal: [signs of the normal · 64 + the cell's flags].
 
-    A bit for each axis; 8 for a cell without facings.
+    An entry has a bit for each axis; it is 8 for a cell without facings.
     """
     table = np.zeros((8, 64), np.uint8)
     for signs in range(8):
@@ -218,18 +218,18 @@ def row_of(first: int, flags: np.uint8, axis: int, signs: int) -> int:
 
 @inlined
 def find_split(
-    taps: Taps, begin: int, end: int, by: Weighing, split: ChannelValues, visible: Visible
+    taps: Taps, begin: int, end: int, weighing: Weighing, split: ChannelValues, visible: Visible
 ) -> None:
     """Find which points of a group have split cells, and prefetch their rows."""
-    facings = by.facings
-    if not by.faces or facings.rows.size == 0:
+    facings = weighing.facings
+    if not weighing.faces or facings.rows.size == 0:
         return
     for n in range(begin, end):
-        seen = np.uint8(0)
+        all_flags = np.uint8(0)
         for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
-            seen |= _flags_of(facings, by.first_kept, taps.rows[np.uint64(tap)])
-        visible.is_split[np.uint64(n - begin)] = seen & np.uint8(SPLIT)
-    for n in range(begin, end if facings.rows.size > NEAR_ROWS else begin):
+            all_flags |= _flags_of(facings, weighing.first_kept, taps.rows[np.uint64(tap)])
+        visible.is_split[np.uint64(n - begin)] = all_flags & np.uint8(SPLIT)
+    for n in range(begin, end if facings.rows.size > CACHED_ROWS else begin):
         if visible.is_split[np.uint64(n - begin)] != 0:
             for tap in range(taps.starts[np.uint64(n)], taps.ends[np.uint64(n)]):
                 prefetch(facings.rows, int(taps.rows[np.uint64(tap)]))
@@ -246,7 +246,7 @@ def weigh(
     taps: Taps,
     n: int,
     end: int,
-    by: Weighing,
+    weighing: Weighing,
     view: View,
     visible: Visible,
     faces: bool,
@@ -259,23 +259,23 @@ def weigh(
     Returns the sum of the values; or, without ``components``, writes the taps from ``end`` on and returns
     their end. The last two results are the weights by area, of all cells and of mixed ones.
     """
-    five, total, gone, none = NO_FIVE, 0.0, 0.0, np.float32(0.0)
-    gradient = components == 0 and taps.slopes.shape[0] > 0
+    five, total, of_mixed, none = NO_FIVE, 0.0, 0.0, np.float32(0.0)
+    facings, gradient = weighing.facings, components == 0 and taps.slopes.shape[0] > 0
     x = y = z = np.float32(0.0)  # of all slopes
     if gradient:
         visible.slopes[:] = np.float32(0.0)
     if faces:
         parts_of(visible.parts, view)
-    known, shares = np.uint8(0), (none, none, none)  # of the latest split cell's rows of x, y and z
+    latest_bits, shares = np.uint8(0), (none, none, none)  # of the latest split cell's rows of x, y and z
     for tap in range(taps.starts[n], taps.ends[n]):
         row = taps.rows[np.uint64(tap)]
         weight, factor = taps.weights[np.uint64(tap)], np.float32(1.0)
-        if by.areas.size > 0 and row < by.areas.size:
-            factor = AREA_WEIGHTS[np.uint64(by.areas[np.uint64(row)])]
+        if weighing.areas.size > 0 and row < weighing.areas.size:
+            factor = AREA_WEIGHTS[np.uint64(weighing.areas[np.uint64(row)])]
             weight *= factor
         total += np.float64(weight)
-        cell = np.int64(row) - by.first_mixed
-        is_mixed = bool(0 <= cell < by.mixed.size and by.mixed[np.uint64(cell)] != 0)
+        cell = np.int64(row) - weighing.first_mixed
+        is_mixed = bool(0 <= cell < weighing.mixed.size and weighing.mixed[np.uint64(cell)] != 0)
         if gradient:
             at = np.uint64(tap)
             p, q, r = taps.slopes[at, 0], taps.slopes[at, 1], taps.slopes[at, 2]
@@ -285,18 +285,18 @@ def weigh(
                 visible.slopes[1, 1] += factor * q
                 visible.slopes[1, 2] += factor * r
         if is_mixed:
-            gone += np.float64(weight)
+            of_mixed += np.float64(weight)
             weight = factor = np.float32(0.0)
         flags, is_whole = np.uint8(0), True
         if faces:
-            flags = _flags_of(by.facings, by.first_kept, row)
+            flags = _flags_of(facings, weighing.first_kept, row)
             bits = direction_of(view[3], flags)
             weight *= visible.parts[np.uint64(bits)]
             factor *= visible.parts[np.uint64(bits)]
             if is_split and flags >= np.uint8(SPLIT):
-                if bits != known:
+                if bits != latest_bits:
                     p, q = view[0] if bits & 1 else none, view[1] if bits & 2 else none
-                    known, shares = bits, shares_of(p, q, view[2] if bits & 4 else none)
+                    latest_bits, shares = bits, shares_of(p, q, view[2] if bits & 4 else none)
                 is_whole = max(shares[0], max(shares[1], shares[2])) == none
         if is_whole:
             if components > 0:
@@ -305,9 +305,9 @@ def weigh(
                 end = _write(taps, end, tap, row, weight, factor, gradient)
             continue
         cell = np.int64(row)
-        if cell >= by.facings.rows.size:
-            cell = np.int64(by.facings.kept[min(int(cell) - by.first_kept, by.facings.kept.size - 1)])
-        first = by.first_row + int(np.int64(by.facings.rows[np.uint64(cell)]))
+        if cell >= facings.rows.size:
+            cell = np.int64(facings.kept[min(int(cell) - weighing.first_kept, facings.kept.size - 1)])
+        first = weighing.first_row + int(np.int64(facings.rows[np.uint64(cell)]))
         for axis in range(3):
             visible_row, share = row_of(first, flags, axis, view[3]), shares[axis]
             if share == none:
@@ -318,7 +318,7 @@ def weigh(
                 end = _write(taps, end, tap, np.uint32(visible_row), share * weight, share * factor, gradient)
     if gradient:
         visible.slopes[0, 0], visible.slopes[0, 1], visible.slopes[0, 2] = x, y, z
-    return end, five, total, gone
+    return end, five, total, of_mixed
 
 
 @inlined
@@ -334,7 +334,12 @@ def _write(
 
 @kernel
 def weigh_taps(
-    taps: Taps, by: Weighing, normals: Float32s, split: Uint8s, passed: Float32s, passed_slopes: Float32s
+    taps: Taps,
+    weighing: Weighing,
+    normals: Float32s,
+    split: Uint8s,
+    passed: Float32s,
+    passed_slopes: Float32s,
 ) -> None:
     """Weigh the taps of points in place; normals (points, 3), or none.
 
@@ -343,24 +348,26 @@ def weigh_taps(
     mixed cells is written to ``passed`` (points,), as a part of all, and its derivatives to ``passed_slopes``
     (points, 3) or (0, 3).
     """
-    end, visible = end_of(taps), new_visible()
+    end, visible, faces = end_of(taps), new_visible(), weighing.faces
     slopes, flat = visible.slopes, flat_of(Codes(split, split, split, visible.parts))  # ``flat`` is not read
     for begin in range(0, taps.starts.size, AT_ONCE):
         last = min(begin + AT_ONCE, taps.starts.size)
-        find_split(taps, begin, last, by, split, visible)
+        find_split(taps, begin, last, weighing, split, visible)
         for n in range(begin, last):
             is_split = visible.is_split[np.uint64(n - begin)] != 0
-            view = view_of(normals, n) if by.faces else NO_VIEW
+            view = view_of(normals, n) if faces else NO_VIEW
             start = end if is_split else int(taps.starts[n])
-            stop, _, total, gone = weigh(taps, n, start, by, view, visible, by.faces, is_split, flat, 0)
+            stop, _, total, of_mixed = weigh(
+                taps, n, start, weighing, view, visible, faces, is_split, flat, 0
+            )
             if is_split:
                 taps.starts[n], taps.ends[n], end = start, stop, stop
             inverse = np.float32(1.0 / total) if total > 0.0 else np.float32(0.0)
-            if by.mixed.size > 0:
-                share = passed[n] = np.float32(gone * inverse)
+            if weighing.mixed.size > 0:
+                share = passed[n] = np.float32(of_mixed * inverse)
                 for axis in range(3 if passed_slopes.shape[0] > 0 else 0):
                     passed_slopes[n, axis] = (slopes[1, axis] - share * slopes[0, axis]) * inverse
-            if by.areas.size > 0 and taps.covers[n] == np.float32(0.0) and total > 0.0:
+            if weighing.areas.size > 0 and taps.covers[n] == np.float32(0.0) and total > 0.0:
                 drift = slopes[0, 0], slopes[0, 1], slopes[0, 2]
                 scale_to_off(taps, start, stop, np.float32(total), *drift)
 
@@ -391,8 +398,8 @@ def mark_mixed(
             at = row + rank_in(flags, 2 * axis)
             at = max(min(at, values.shape[0] - 2), 0)
             for component in range(values.shape[1] if cells[n] >= first and values.shape[0] > 1 else 0):
-                apart = decoded(table, values[at, component]) - decoded(table, values[at + 1, component])
-                largest = max(largest, np.float32(abs(apart)))
+                difference = decoded(table, values[at, component]) - decoded(table, values[at + 1, component])
+                largest = max(largest, np.float32(abs(difference)))
         if is_double and np.int64(cells[n]) < mixed.size:
             mixed[cells[n]] = largest >= threshold
         row += popcount(flags)

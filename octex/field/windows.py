@@ -173,7 +173,7 @@ def _write_root(way: Way) -> None:
     keeps = is_node and way.kept_cells.size > 0 and way.arrays.flags[0] & KEPT != 0
     middle = 1 + parents + parents * parents
     for word in range(4):
-        root = bit_at(8 * (middle & 7)) if word == middle >> 3 else np.uint64(0)
+        root = flag_at(8 * (middle & 7)) if word == middle >> 3 else np.uint64(0)
         walk.real[0, word] = ~np.uint64(0)
         walk.cells[0, word] = root
         walk.nodes[0, word] = root if is_node else np.uint64(0)
@@ -205,16 +205,16 @@ def _go_down(way: Way, i: int, j: int, k: int, level: int) -> None:
         above_nodes = nodes[level - 1, word]
         bits = above_nodes & PARENTS[parents - 2, above, word]
         while bits != 0:
-            place = trailing_zeros(bits)
+            bit = trailing_zeros(bits)
             bits &= bits - np.uint64(1)
-            slot = _slot(parents, above, 64 * word + place)
-            node = walk.first_nodes[level - 1, 8 * word + (place >> 3)] + _rank(above_nodes, place)
+            slot = _slot(parents, above, 64 * word + bit)
+            node = walk.first_nodes[level - 1, 8 * word + (bit >> 3)] + _rank(above_nodes, bit)
             child_nodes, child_cells, first_node, first_cell = children(way.arrays.groups, int(node))
             walk.first_nodes[level, slot], walk.first_cells[level, slot] = first_node, first_cell
-            to, at = slot >> 3, np.uint64(8 * (slot & 7))
-            real[level, to] |= BYTE << at
-            nodes[level, to] |= child_nodes << at
-            cells[level, to] |= child_cells << at
+            target_word, offset = slot >> 3, np.uint64(8 * (slot & 7))
+            real[level, target_word] |= BYTE << offset
+            nodes[level, target_word] |= child_nodes << offset
+            cells[level, target_word] |= child_cells << offset
     has_nodes = has_leaves = np.uint64(0)
     for word in range(words_of(way)):
         has_nodes |= nodes[level, word] & INSIDE[parents - 2, begin, word]
@@ -261,10 +261,10 @@ def _find_kept(way: Way, level: int) -> None:
         ):
             bits = walk.nodes[level, word] & INSIDE[parents - 2, begin, word]
         while bits != 0:
-            place = trailing_zeros(bits)
+            bit = trailing_zeros(bits)
             bits &= bits - np.uint64(1)
-            if arrays.flags[cell_at(arrays, walk, level, word, place)] & KEPT:
-                kept |= bit_at(place)
+            if arrays.flags[cell_at(arrays, walk, level, word, bit)] & KEPT:
+                kept |= flag_at(bit)
         walk.kept[level, word] = kept
         if kept != 0:
             levels[level, CONTENT] = 1
@@ -285,16 +285,16 @@ def kept_row(way: Way, cell: int) -> int:
 
 
 @inlined
-def cell_at(arrays: TreeArrays, walk: Walk, level: int, word: int, place: int) -> int:
+def cell_at(arrays: TreeArrays, walk: Walk, level: int, word: int, bit: int) -> int:
     """Return the cell number of a block's child."""
-    cell = walk.first_cells[level, 8 * word + (place >> 3)] + _rank(walk.cells[level, word], place)
+    cell = walk.first_cells[level, 8 * word + (bit >> 3)] + _rank(walk.cells[level, word], bit)
     return min(int(cell), arrays.flags.size - 1)
 
 
 @inlined
-def _rank(word: np.uint64, place: int) -> int:
+def _rank(word: np.uint64, bit: int) -> int:
     """Count the children of a parent before a place, of those in a word."""
-    return rank_in(word >> np.uint64(place & 56), place & 7)
+    return rank_in(word >> np.uint64(bit & 56), bit & 7)
 
 
 @inlined
@@ -310,9 +310,9 @@ def _slot(parents: int, above: int, child: int) -> int:
 
 
 @inlined
-def bit_at(place: int) -> np.uint64:
+def flag_at(bit: int) -> np.uint64:
     """Return the bit at a place of a word."""
-    return np.uint64(1) << np.uint64(place)
+    return np.uint64(1) << np.uint64(bit)
 
 
 @inlined
@@ -323,7 +323,7 @@ def retain_refined(way: Way, level: int) -> bool:
     begin = levels[level, BEGIN]
     if is_linear:
         _find_colors(walk, level)
-    found = False
+    any_refined = False
     for word in range(words_of(way)):
         refined = ~walk.real[level, word]
         if is_linear:
@@ -342,10 +342,10 @@ def retain_refined(way: Way, level: int) -> bool:
             at = place_of(way.parents, begin, 64 * word + trailing_zeros(bits))
             bits &= bits - np.uint64(1)
             for column in range(way.columns):
-                found |= windows[SHARES + column, at] != 0.0
+                any_refined |= windows[SHARES + column, at] != 0.0
                 if is_linear:
                     windows[SHARES + column, at] /= windows[COLOR, at]
-    return found
+    return any_refined
 
 
 @inlined
@@ -417,10 +417,10 @@ def weigh_windows(way: Way, level: int) -> None:
             ones = (cells ^ nodes | kept) & ~below_kept
             bits = INSIDE[parents - 2, begin, word]
             while bits != 0:
-                place = trailing_zeros(bits)
+                bit = trailing_zeros(bits)
                 bits &= bits - np.uint64(1)
-                at = place_of(parents, begin, 64 * word + place)
-                weight = 1.0 if ones & bit_at(place) != 0 else 0.0
-                if refined & bit_at(place) != 0:
+                at = place_of(parents, begin, 64 * word + bit)
+                weight = 1.0 if ones & flag_at(bit) != 0 else 0.0
+                if refined & flag_at(bit) != 0:
                     weight = windows[REFINED + below, at]
                 windows[COVER + below, at] = weight

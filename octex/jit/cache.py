@@ -197,12 +197,12 @@ def digest_behind(module: str) -> str:
 
 def modules_behind(module: str) -> set[str]:
     """Return a module and all octex modules that it imports, directly or not."""
-    found, waiting = {module}, [module]
+    modules, waiting = {module}, [module]
     while waiting:
-        new = _imports_of(waiting.pop()) - found
-        found |= new
+        new = _imports_of(waiting.pop()) - modules
+        modules |= new
         waiting += new
-    return found
+    return modules
 
 
 @cache

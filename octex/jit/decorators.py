@@ -77,10 +77,10 @@ def unlocked(argument: Any) -> Any:
         return argument if DISABLED or argument.flags.writeable else np.asarray(_Memory(argument))
     if not isinstance(argument, tuple):
         return argument
-    found = tuple(map(unlocked, argument))
-    if all(map(is_, found, argument)):
+    items = tuple(map(unlocked, argument))
+    if all(map(is_, items, argument)):
         return argument
-    return argument._make(found) if hasattr(argument, "_make") else found
+    return argument._make(items) if hasattr(argument, "_make") else items
 
 
 def direct(kernel: Function) -> Function:

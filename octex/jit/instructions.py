@@ -22,7 +22,7 @@ def instruction(kind: Callable[..., Any], write: Callable[..., Any]) -> Callable
     the signature and the arguments; it returns the result.
     """
 
-    def made(function: Function) -> Function:
+    def replaced(function: Function) -> Function:
         if DISABLED:
             return function
 
@@ -35,7 +35,7 @@ def instruction(kind: Callable[..., Any], write: Callable[..., Any]) -> Callable
         typed.__signature__ = plain.replace(parameters=[context, *plain.parameters.values()])  # type: ignore[attr-defined]
         return intrinsic(typed)  # type: ignore[no-any-return]
 
-    return made
+    return replaced
 
 
 def pointer_to(context: Any, builder: Any, array_type: Any, array: Any, index: Any) -> Any:

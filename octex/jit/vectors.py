@@ -77,8 +77,8 @@ def _vector_place(context: Any, builder: Any, array: Any, kind: Vector, values: 
 
 def _reader(count: int) -> Any:
     def write(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        place, align = _vector_place(context, builder, signature.args[0], signature.return_type, values)
-        return builder.load(place, align=align)
+        pointer, align = _vector_place(context, builder, signature.args[0], signature.return_type, values)
+        return builder.load(pointer, align=align)
 
     @instruction(lambda array, _: Vector(array.dtype, count)(array, types.int64), write)
     def read(array: Any, at: Any) -> Any:
@@ -109,8 +109,8 @@ four, eight, sixteen = _filler(types.float32, 4), _filler(types.float32, 8), _fi
 
 def _write_store(context: Any, builder: Any, signature: Any, values: Any) -> Any:
     array, at, vector = values
-    place, align = _vector_place(context, builder, signature.args[0], signature.args[2], (array, at))
-    builder.store(vector, place, align=align)
+    pointer, align = _vector_place(context, builder, signature.args[0], signature.args[2], (array, at))
+    builder.store(vector, pointer, align=align)
     return context.get_dummy_value()
 
 
@@ -182,9 +182,9 @@ def add_to_rows(rows: Any, numbers: Any, weights: Any, first: int, end: int, ste
     change = vector_of(step)
     for i in range(first, end):
         at = np.uint64(i)
-        place = np.int64(numbers[at]) << 2
-        row = four_at(rows, place)
-        put(rows, place, row + four(weights[at] * lanes(row)[3]) * change)
+        begin = np.int64(numbers[at]) << 2
+        row = four_at(rows, begin)
+        put(rows, begin, row + four(weights[at] * lanes(row)[3]) * change)
 
 
 @inlined
@@ -251,15 +251,15 @@ def _with_row(totals: Any, rows: Any, row: int, weight: Any) -> Any:
 def _with_plane(totals: Any, rows: Any, first: int, of_x: Any, of_y: Any, of_z: Any) -> Any:
     """Add the weighted sum of nine rows to four totals."""
     none = eight(0.0)
-    found = (none, none, none, none)
+    plane = (none, none, none, none)
     for j in range(3):
         for i in range(3):
-            found = _with_row(found, rows, first + i + 3 * j, of_x[i] * of_y[j])
+            plane = _with_row(plane, rows, first + i + 3 * j, of_x[i] * of_y[j])
     return (
-        totals[0] + of_z * found[0],
-        totals[1] + of_z * found[1],
-        totals[2] + of_z * found[2],
-        totals[3] + of_z * found[3],
+        totals[0] + of_z * plane[0],
+        totals[1] + of_z * plane[1],
+        totals[2] + of_z * plane[2],
+        totals[3] + of_z * plane[3],
     )
 
 
@@ -284,27 +284,17 @@ def refine_rows(rows: Any, at: int, apart: int, to: int, to_apart: int, to_step:
     to the next result. All count the numbers in ``rows``, float32 and C-ordered. A fifth of the time of
     scalars.
     """
-    near, far = four(0.75), four(0.25)
+    three_quarters, quarter = four(0.75), four(0.25)
     for n in range(count):
         source, target = at + 4 * n, to + n * to_step
         a, b = four_at(rows, source), four_at(rows, source + apart)
-        put(rows, target, near * a + far * b)
-        put(rows, target + to_apart, far * a + near * b)
+        put(rows, target, three_quarters * a + quarter * b)
+        put(rows, target + to_apart, quarter * a + three_quarters * b)
 
 
 @inlined
 def _larger(one: Any, other: Any) -> Any:
     return chosen(one > other, one, other)
-
-
-@inlined
-def _squares(bounds: Any, node: int, x: Any, y: Any, z: Any) -> Any:
-    """Return the squared distances of a node's eight boxes to a point of vectors."""
-    at, none = 48 * node, eight(0.0)
-    i = _larger(_larger(eight_at(bounds, at) - x, x - eight_at(bounds, at + 24)), none)
-    j = _larger(_larger(eight_at(bounds, at + 8) - y, y - eight_at(bounds, at + 32)), none)
-    k = _larger(_larger(eight_at(bounds, at + 16) - z, z - eight_at(bounds, at + 40)), none)
-    return i * i + j * j + k * k
 
 
 @inlined
@@ -314,6 +304,10 @@ def squares_to_boxes(bounds: Any, node: int, x: Any, y: Any, z: Any, limit: Any,
     ``bounds`` (nodes, 6, 8) has their low x, y, z and high x, y, z. All are float32, C-ordered. A third of
     the time of scalars.
     """
-    found = _squares(bounds, node, eight(x), eight(y), eight(z))
-    put(squares, 0, found)
-    return mask_bits(found <= eight(limit))  # type: ignore[no-any-return]
+    at, none, u, v, w = 48 * node, eight(0.0), eight(x), eight(y), eight(z)
+    i = _larger(_larger(eight_at(bounds, at) - u, u - eight_at(bounds, at + 24)), none)
+    j = _larger(_larger(eight_at(bounds, at + 8) - v, v - eight_at(bounds, at + 32)), none)
+    k = _larger(_larger(eight_at(bounds, at + 16) - w, w - eight_at(bounds, at + 40)), none)
+    distances = i * i + j * j + k * k
+    put(squares, 0, distances)
+    return mask_bits(distances <= eight(limit))  # type: ignore[no-any-return]

@@ -30,7 +30,6 @@ class Boxes(NamedTuple):
     firsts: Int64s  # (levels + 1,)   the first node of each level, from the lowest to the root
     origin: Float64s  # (3,)
     extent: float  # the largest coordinate, relative to the origin
-    things: int
 
 
 class Search(NamedTuple):
@@ -95,7 +94,7 @@ def boxes_of(low: Float64s, high: Float64s) -> Boxes:
     bounds = np.empty((int(firsts[-1]), 6, WIDTH), np.float32)
     bounds[:, :3], bounds[:, 3:] = np.inf, -np.inf
     _fill(low, high, origin, firsts, bounds)
-    return Boxes(bounds, firsts, origin, float((last - first).max() / 2), len(low))
+    return Boxes(bounds, firsts, origin, float((last - first).max() / 2))
 
 
 @kernel
@@ -136,8 +135,8 @@ def local(boxes: Boxes, x: float, y: float, z: float) -> Local:
 @inlined
 def reach(square: float, slack: float) -> np.float32:
     """Return the largest squared distance to a box that can hold a nearer item, rounding included."""
-    far = np.sqrt(square) * (1.0 + 1e-6) + slack
-    return np.float32(min(far * far * (1.0 + 1e-6), _FARTHEST))  # empty children have boxes at infinity
+    radius = np.sqrt(square) * (1.0 + 1e-6) + slack
+    return np.float32(min(radius * radius * (1.0 + 1e-6), _FARTHEST))  # empty children have boxes at infinity
 
 
 @inlined
@@ -175,13 +174,13 @@ def next_node(
             continue
         level, number = search.nodes[waiting, 0], search.nodes[waiting, 1]
         node = boxes.firsts[level] + number
-        near = squares_to_boxes(boxes.bounds, node, x, y, z, bound, search.children)
+        children = squares_to_boxes(boxes.bounds, node, x, y, z, bound, search.children)
         if level == 0:
-            return int(number), near, waiting
+            return int(number), children, waiting
         bottom = waiting
-        while near != np.uint64(0) and waiting < search.squares.size:
-            child = trailing_zeros(near)
-            near &= near - np.uint64(1)
+        while children != np.uint64(0) and waiting < search.squares.size:
+            child = trailing_zeros(children)
+            children &= children - np.uint64(1)
             square = search.children[child]
             to = waiting  # the nearest comes last, and is popped first
             while to > bottom and search.squares[to - 1] < square:

@@ -39,11 +39,11 @@ class Points(NamedTuple):
     def of(cls, positions: Float64s, values: Float32s, normals: Float32s | None = None) -> Points:
         """Build from positions (n, 3), n > 0, values (n, components) and unit normals (n, 3)."""
         order = morton_order(positions)
-        placed = positions.take(order, axis=0)
-        starts = np.arange(0, len(placed), WIDTH)
-        low, high = np.minimum.reduceat(placed, starts), np.maximum.reduceat(placed, starts)
+        ordered = positions.take(order, axis=0)
+        starts = np.arange(0, len(ordered), WIDTH)
+        low, high = np.minimum.reduceat(ordered, starts), np.maximum.reduceat(ordered, starts)
         facing = np.empty((0, 3), np.float32) if normals is None else normals.take(order, axis=0)
-        return cls(boxes_of(low, high), placed, values.take(order, axis=0), facing, order)
+        return cls(boxes_of(low, high), ordered, values.take(order, axis=0), facing, order)
 
     def around(
         self,
@@ -84,8 +84,8 @@ def _add_group(cloud: Points, group: int, sought: Sought, square: float, sums: F
     """Add the values of a group's points within a squared radius; return their summed weight."""
     total = 0.0
     for row in range(group * 8, min(group * 8 + 8, cloud.positions.shape[0])):
-        far = _square(cloud.positions, row, sought.point)
-        part = 1.0 - far / square if far < square else 0.0
+        squared = _square(cloud.positions, row, sought.point)
+        part = 1.0 - squared / square if squared < square else 0.0
         if part > 0.0 and agrees(cloud.normals, row, sought):
             total += part * part
             for k in range(sums.size):
@@ -119,10 +119,10 @@ def _around(
             sums[:] = 0.0
             waiting = begin(boxes, search)
             while waiting > 0:
-                node, near, waiting = next_node(boxes, search, waiting, at, bound)
-                while near != np.uint64(0):
-                    group = node * 8 + trailing_zeros(near)
-                    near &= near - np.uint64(1)
+                node, children, waiting = next_node(boxes, search, waiting, at, bound)
+                while children != np.uint64(0):
+                    group = node * 8 + trailing_zeros(children)
+                    children &= children - np.uint64(1)
                     total += _add_group(cloud, group, sought, square, sums)
         if total > 0.0:
             has_value[n] = True
@@ -143,31 +143,31 @@ def _nearest(cloud: Points, search: Search, sought: Sought, farthest: float, gue
     Row ``without`` does not count.
     """
     boxes, point, slack = cloud.boxes, sought.point, sought.local[3]
-    best, chosen = farthest * farthest, -1
+    best, nearest = farthest * farthest, -1
     if guess >= 0 and agrees(cloud.normals, guess, sought):
         square = _square(cloud.positions, guess, point)
         if square <= best:
-            best, chosen = square, guess
+            best, nearest = square, guess
     bound = reach(best, slack)
     waiting = begin(boxes, search)
     while waiting > 0:
-        node, near, waiting = next_node(boxes, search, waiting, sought.local, bound)
-        while near != np.uint64(0):
-            child = trailing_zeros(near)
-            near &= near - np.uint64(1)
+        node, children, waiting = next_node(boxes, search, waiting, sought.local, bound)
+        while children != np.uint64(0):
+            child = trailing_zeros(children)
+            children &= children - np.uint64(1)
             if search.children[child] > bound:
                 continue
             first = (node * 8 + child) * 8
             for row in range(first, min(first + 8, cloud.positions.shape[0])):
                 square = _square(cloud.positions, row, point)
-                if square > best or row in (chosen, without):
+                if square > best or row in (nearest, without):
                     continue
                 if not agrees(cloud.normals, row, sought):
                     continue
-                if square < best or chosen < 0 or cloud.order[row] < cloud.order[chosen]:
-                    best, chosen = square, row
+                if square < best or nearest < 0 or cloud.order[row] < cloud.order[nearest]:
+                    best, nearest = square, row
                     bound = reach(best, slack)
-    return chosen
+    return nearest
 
 
 @kernel

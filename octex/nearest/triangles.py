@@ -129,11 +129,11 @@ Best = tuple[float, int, float, float]
 @inlined
 def _nearer(mesh: Triangles, row: int, sought: Sought, best: Best) -> Best:
     """Return the nearer of ``best`` (square, row, weights) and a triangle."""
-    square, chosen, _, _ = best
-    if row != chosen and agrees(mesh.normals, row, sought):
-        far, p, q = _on_triangle(mesh.corners, row, *sought.point)
-        if far < square or (far == square and (chosen < 0 or mesh.order[row] < mesh.order[chosen])):
-            return far, row, p, q
+    square, nearest, _, _ = best
+    if row != nearest and agrees(mesh.normals, row, sought):
+        squared, p, q = _on_triangle(mesh.corners, row, *sought.point)
+        if squared < square or (squared == square and (nearest < 0 or mesh.order[row] < mesh.order[nearest])):
+            return squared, row, p, q
     return best
 
 
@@ -147,10 +147,10 @@ def _best(mesh: Triangles, search: Search, sought: Sought, distance: float, gues
     bound = reach(best[0], slack)
     waiting = begin(mesh.boxes, search)
     while waiting > 0:
-        node, near, waiting = next_node(mesh.boxes, search, waiting, sought.local, bound)
-        while near != np.uint64(0):
-            child = trailing_zeros(near)
-            near &= near - np.uint64(1)
+        node, children, waiting = next_node(mesh.boxes, search, waiting, sought.local, bound)
+        while children != np.uint64(0):
+            child = trailing_zeros(children)
+            children &= children - np.uint64(1)
             if search.children[child] <= bound:
                 best = _nearer(mesh, node * 8 + child, sought, best)
                 bound = reach(best[0], slack)
@@ -221,10 +221,10 @@ def _gap(few: Float64s, many: MeshBoxes, most: float, stride: int) -> float:
         bound = reach(best, at[3] + radius)
         waiting = begin(many.boxes, search)
         while waiting > 0:
-            node, near, waiting = next_node(many.boxes, search, waiting, at, bound)
-            while near != np.uint64(0):
-                j = node * 8 + trailing_zeros(near)
-                near &= near - np.uint64(1)
+            node, children, waiting = next_node(many.boxes, search, waiting, at, bound)
+            while children != np.uint64(0):
+                j = node * 8 + trailing_zeros(children)
+                children &= children - np.uint64(1)
                 if _box_distance(few, i, many.corners, j) > best:
                     continue
                 distance = _triangle_distance(few, i, many.corners, j)
@@ -250,8 +250,8 @@ def _box_distance(a: Float64s, i: int, b: Float64s, j: int) -> float:
     for axis in range(3):
         low, high = _extent(a, i, axis)
         first, last = _extent(b, j, axis)
-        apart = max(first - high, low - last, 0.0)
-        total += apart * apart
+        distance = max(first - high, low - last, 0.0)
+        total += distance * distance
     return total
 
 
@@ -299,8 +299,8 @@ def _segment_distance(p: Float64s, q: Float64s, r: Float64s, s: Float64s) -> flo
         along = min(max((other * b - c) / a, 0.0), 1.0) if a > 0.0 else 0.0
     total = 0.0
     for axis in range(3):
-        apart = p[axis] + along * (q[axis] - p[axis]) - r[axis] - other * (s[axis] - r[axis])
-        total += apart * apart
+        difference = p[axis] + along * (q[axis] - p[axis]) - r[axis] - other * (s[axis] - r[axis])
+        total += difference * difference
     return total
 
 
@@ -315,8 +315,8 @@ def _point_distance(p: Float64s, a: Float64s, b: Float64s, c: Float64s) -> float
         return np.inf
     total = 0.0
     for axis in range(3):
-        apart = p[axis] - a[axis] - (v * (b[axis] - a[axis]) + w * (c[axis] - a[axis])) / area
-        total += apart * apart
+        difference = p[axis] - a[axis] - (v * (b[axis] - a[axis]) + w * (c[axis] - a[axis])) / area
+        total += difference * difference
     return total
 
 

@@ -64,14 +64,14 @@ class Channel(NamedTuple):
 
     def rows(self, numbers: Integers) -> Array:
         """Return the stored values of rows (n,): cells, then kept nodes, then split facings."""
-        found = self.values.take(numbers, axis=0, mode="clip")
+        values = self.values.take(numbers, axis=0, mode="clip")
         begin = len(self.values)
         for part in (self.kept_values, self.split_values):
             beyond = np.flatnonzero(numbers >= begin)
             if beyond.size and len(part):
-                found[beyond] = part.take(numbers[beyond] - begin, axis=0, mode="clip")
+                values[beyond] = part.take(numbers[beyond] - begin, axis=0, mode="clip")
             begin += len(part)
-        return found
+        return values
 
     def locked(self) -> Channel:
         """Return the same values as read-only views; itself, if they are."""
@@ -130,12 +130,12 @@ def formats_as(forms: Sequence[ChannelFormat], dtype: Dtypes) -> tuple[ChannelFo
     types. Whether an integer type can hold the values is checked when they are read.
     """
     names = [form.name for form in forms]
-    wanted = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
-    for name, chosen in wanted.items():
+    dtypes = as_entries(dtype, "dtype") if isinstance(dtype, Mapping) else dict.fromkeys(names, dtype)
+    for name, wanted in dtypes.items():
         as_choice(name, names, "channel of dtype")
-        if chosen is not None:
-            as_choice(chosen, ONE, "dtype")
-    return tuple(_format_as(form, wanted.get(form.name)) for form in forms)
+        if wanted is not None:
+            as_choice(wanted, ONE, "dtype")
+    return tuple(_format_as(form, dtypes.get(form.name)) for form in forms)
 
 
 def _format_as(form: ChannelFormat, dtype: str | None) -> ChannelFormat:
@@ -152,18 +152,17 @@ def _format_as(form: ChannelFormat, dtype: str | None) -> ChannelFormat:
 def stored(channel: Channel) -> ChannelRows:
     """Return a channel as lookups read it: float32 numbers on sRGB's curve are copied as linear light."""
     dtype, space = channel.values.dtype, channel.format.space
-    arrays: tuple[Array, Array, Array] = unlocked((channel.values, channel.kept_values, channel.split_values))
+    arrays = [unlocked(array) for array in (channel.values, channel.kept_values, channel.split_values)]
     table: Floats = NO_TABLE
-    if dtype == np.float32:
-        arrays = tuple(decode(array, space) for array in arrays) if space == "srgb" else arrays  # type: ignore[assignment]
+    if dtype == np.float32 and space == "srgb":
+        arrays = [decode(array, space) for array in arrays]
     elif dtype == np.float16:
-        arrays, table = tuple(array.view(np.uint16) for array in arrays), _half_table(space)  # type: ignore[assignment]
-    else:
+        arrays, table = [array.view(np.uint16) for array in arrays], _half_table(space)
+    elif dtype != np.float32:
         table = decode_table(dtype.name, space)
         table = table.astype(np.float64) if table.size == 256 else table
-    return ChannelRows(
-        Codes(*arrays, table), channel.format.name == "alpha" and channel.format.components == 1
-    )
+    codes = Codes(arrays[0], arrays[1], arrays[2], table)
+    return ChannelRows(codes, channel.format.name == "alpha" and channel.format.components == 1)
 
 
 def mixed_cells(channel: Channel, tree: Octree, threshold: float) -> Uint8s:

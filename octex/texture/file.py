@@ -37,13 +37,21 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeGuard, TypeVar
 import numpy as np
 
 from octex import container
-from octex.archive.layout import KEPT_NAME, SPLIT_NAMES, TREE_NAMES, channel_names
+from octex.archive.layout import (
+    KEPT_NAME,
+    RENDER_FORMAT,
+    RENDER_VERSION,
+    SPLIT_NAMES,
+    TREE_NAMES,
+    channel_names,
+    render_metadata,
+)
 from octex.arrays import Array, Float64s
 from octex.channels import ChannelFormat
 from octex.errors import TextureFileError
 from octex.texture.channel import Channel
-from octex.tree.layout import KeptTable, SplitTable, TreeArrays
-from octex.tree.octree import Octree, no_kept, no_split
+from octex.tree.layout import NO_KEPT, NO_SPLIT, KeptTable, SplitTable, TreeArrays
+from octex.tree.octree import Octree
 from octex.tree.placement import Placement
 
 if TYPE_CHECKING:
@@ -52,14 +60,12 @@ if TYPE_CHECKING:
 
 Result = TypeVar("Result")
 
-FORMAT = "octex"
-FORMAT_VERSION = 1
 ENDING = ".octex"
 ARCHIVE_ENDING = ".octz"
 
 
 @dataclass(eq=False)
-class Source:
+class Storage:
     """The origin of a texture's arrays: memory, or the file that it was opened from."""
 
     path: str = ""  # "" for textures in memory
@@ -68,19 +74,19 @@ class Source:
     metadata: dict[str, str] = field(default_factory=dict)
     sizes: dict[str, int] | None = None  # of an archive: bytes of its streams
     #: Whether lookups need no fetching.
-    is_here: ClassVar = True
+    is_local: ClassVar = True
 
-    def here(self, texture: OctreeTexture) -> OctreeTexture:
+    def loaded(self, texture: OctreeTexture) -> OctreeTexture:
         """Return a texture of the loaded part: all of it."""
         return texture
 
-    def whole(self, texture: OctreeTexture) -> OctreeTexture:
+    def load_all(self, texture: OctreeTexture) -> OctreeTexture:
         """Prepare to read all of a texture, and return it."""
         if self.mapping:
             container.read_ahead(self.mapping)
         return texture
 
-    def levels(self, texture: OctreeTexture, _level: int) -> OctreeTexture:
+    def load_levels(self, texture: OctreeTexture, _level: int) -> OctreeTexture:
         """Return a texture with levels 0 … ``level`` loaded."""
         return texture
 
@@ -94,7 +100,7 @@ class Source:
         return texture
 
 
-def written(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
+def contents_of(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
     """Return a texture's tensors and metadata, including unknown ones of its file."""
     tree, placement = texture.tree, texture.placement
     tensors: dict[str, Array] = dict(zip(TREE_NAMES, tree.arrays, strict=True))
@@ -106,21 +112,15 @@ def written(texture: OctreeTexture) -> tuple[dict[str, Array], dict[str, str]]:
     for name, channel in texture.channels.items():
         named = zip(channel_names(name), channel[1:], strict=True)
         tensors |= compress(named, has_rows)
-    metadata = {
-        "format": FORMAT,
-        "format_version": str(FORMAT_VERSION),
-        "placement": json.dumps({"origin": placement.origin, "size": placement.size}),
-        "bounds": json.dumps(texture.bounds.tolist()),
-        "channels": json.dumps({name: channel.format.space for name, channel in texture.channels.items()}),
-        "provenance": json.dumps(dict(texture.metadata)),
-    }
-    return tensors | texture.source.tensors, metadata | texture.source.metadata
+    spaces = {name: channel.format.space for name, channel in texture.channels.items()}
+    metadata = render_metadata(placement._asdict(), texture.bounds.tolist(), spaces, dict(texture.metadata))
+    return tensors | texture.storage.tensors, metadata | texture.storage.metadata
 
 
-def described(texture: OctreeTexture) -> dict[str, Any]:
+def info_of(texture: OctreeTexture) -> dict[str, Any]:
     """Describe a texture for `OctreeTexture.info`."""
-    tree, placement, source = texture.tree, texture.placement, texture.source
-    tensors, metadata = written(texture)
+    tree, placement, storage = texture.tree, texture.placement, texture.storage
+    tensors, metadata = contents_of(texture)
     sizes = {
         "header": len(container.header(tensors, metadata)),
         "structure": sum(array.nbytes for array in tree.arrays[:3]),
@@ -129,11 +129,11 @@ def described(texture: OctreeTexture) -> dict[str, Any]:
         "split": sum(array.nbytes for array in tree.split),
         "kept": tree.kept.cells.nbytes,
         **{f"channel {name}": channel.nbytes for name, channel in texture.channels.items()},
-        "other": sum(array.nbytes for array in source.tensors.values()),
+        "other": sum(array.nbytes for array in storage.tensors.values()),
     }
     return {
-        "format": FORMAT,
-        "format_version": FORMAT_VERSION,
+        "format": RENDER_FORMAT,
+        "format_version": RENDER_VERSION,
         "placement": {"origin": list(placement.origin), "size": placement.size},
         "bounds": texture.bounds.tolist(),
         "depth": tree.max_depth,
@@ -148,30 +148,30 @@ def described(texture: OctreeTexture) -> dict[str, Any]:
             for level, (leaves, nodes) in enumerate(tree.cells_by_depth())
         ],
         "bytes": {**sizes, "total": sum(sizes.values())},
-        **({"archive": source.sizes} if source.sizes else {}),
+        **({"archive": storage.sizes} if storage.sizes else {}),
         "channels": [channel.format._asdict() for channel in texture.channels.values()],
         "provenance": dict(texture.metadata),
     }
 
 
-def taken(
+def take_parts(
     tensors: dict[str, Array], metadata: dict[str, str]
 ) -> tuple[Octree, dict[str, Channel], Placement, Float64s, dict[str, str]]:
     """Take a texture's parts out of tensors and metadata; unknown entries stay there.
 
     Raises TextureFileError for missing or damaged parts, ArgumentError for a tree that does not fit.
     """
-    if metadata.pop("format", None) != FORMAT:
+    if metadata.pop("format", None) != RENDER_FORMAT:
         raise TextureFileError("is not an octree texture; make one with octex convert")
     version = metadata.pop("format_version", "")
-    if version != str(FORMAT_VERSION):
+    if version != str(RENDER_VERSION):
         raise TextureFileError(f"has format version {version!r}, {wrong_version(version)}")
     placement = _json(metadata, "placement", _placement)
     bounds = _json(metadata, "bounds", _floats)
     spaces = _json(metadata, "channels", _texts)
     provenance = _json(metadata, "provenance", _texts)
     arrays = TreeArrays(*(_tensor(tensors, name) for name in TREE_NAMES))
-    split, kept = no_split(), no_kept()
+    split, kept = NO_SPLIT, NO_KEPT
     if SPLIT_NAMES[0] in tensors:
         split = SplitTable(*(_tensor(tensors, name) for name in SPLIT_NAMES))
     if KEPT_NAME in tensors:

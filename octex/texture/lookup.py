@@ -91,7 +91,7 @@ def points_with_normals(
     return as_point_rows(points.rest, "points' rest"), normals
 
 
-class Lens(NamedTuple):
+class Settings(NamedTuple):
     """Options shared by all points of a lookup; see `OctreeTexture.sample`."""
 
     filter: str
@@ -99,10 +99,6 @@ class Lens(NamedTuple):
     blur: float = 0.0
     sharpness: float = 0.0
     bleed_threshold: float = BLEED_THRESHOLD
-
-    def has_footprints(self, inputs: Inputs) -> bool:
-        """Return whether points are looked up with footprints."""
-        return "width" in inputs or "dPdx" in inputs or self.blur > 0
 
     def query(self, inputs: Inputs) -> Query:
         """Return the query of a block of points, with arrays as kernels take them."""
@@ -123,15 +119,21 @@ class Lens(NamedTuple):
 
 
 class Request(NamedTuple):
-    """A lookup's inputs and options."""
+    """A lookup's inputs, channels and settings."""
 
     inputs: Inputs
     channel: Names | None = None  # None: whether leaves hold them
-    lens: Lens = Lens("nearest")
+    settings: Settings = Settings("nearest")
+
+    @property
+    def has_footprints(self) -> bool:
+        """Whether points are looked up with footprints."""
+        return "width" in self.inputs or "dPdx" in self.inputs or self.settings.blur > 0
 
 
 def checked_request(
     points: npt.ArrayLike | SurfacePoints,
+    channel: Names,
     filter: str,
     gradient: bool = False,
     /,
@@ -140,27 +142,27 @@ def checked_request(
     dPdx: npt.ArrayLike | None = None,
     dPdy: npt.ArrayLike | None = None,
     **options: Any,
-) -> tuple[Lens, dict[str, Array]]:
-    """Check a lookup's arguments and return its options and inputs; see `OctreeTexture.sample`."""
-    places, normals = points_with_normals(points, normals)
-    lens, inputs = Lens(filter, **options), {"points": places}
-    as_choice(lens.filter, FILTERS, "filter")
-    if gradient and lens.filter == "nearest":
+) -> Request:
+    """Return a lookup's arguments, checked but for the channel; see `OctreeTexture.sample`."""
+    positions, normals = points_with_normals(points, normals)
+    settings, inputs = Settings(filter, **options), {"points": positions}
+    as_choice(settings.filter, FILTERS, "filter")
+    if gradient and settings.filter == "nearest":
         raise ArgumentError(f"nearest has no gradient; {', '.join(FILTERS[1:])} have one")
-    as_number(lens.anisotropy, "anisotropy", 1.0, 256.0)
-    as_number(lens.blur, "blur", 0.0, float(np.finfo(np.float64).max))
-    as_number(lens.sharpness, "sharpness", 0.0, 1.0)
-    as_number(lens.bleed_threshold, "bleed_threshold", 0.0, np.inf)
-    n = len(places)
-    shape = {"normals": normals, "width": width, "dPdx": dPdx, "dPdy": dPdy}
-    for name, array in shape.items():
+    as_number(settings.anisotropy, "anisotropy", 1.0, 256.0)
+    as_number(settings.blur, "blur", 0.0, float(np.finfo(np.float64).max))
+    as_number(settings.sharpness, "sharpness", 0.0, 1.0)
+    as_number(settings.bleed_threshold, "bleed_threshold", 0.0, np.inf)
+    n = len(positions)
+    optional = {"normals": normals, "width": width, "dPdx": dPdx, "dPdy": dPdy}
+    for name, array in optional.items():
         if array is None:
             continue
         if name == "width":
             widths = as_array(array)
             if widths.dtype.kind not in "fiu" or widths.shape not in ((), (n,)):
-                found = f"{widths.dtype} {widths.shape}"
-                raise ArgumentError(f"width must be a real number or (n,) of them, not {found}")
+                shape = f"{widths.dtype} {widths.shape}"
+                raise ArgumentError(f"width must be a real number or (n,) of them, not {shape}")
             inputs[name] = np.broadcast_to(widths, (n,))
         else:
             inputs[name] = as_point_rows(array, name)
@@ -170,16 +172,17 @@ def checked_request(
         raise ArgumentError("dPdx and dPdy are given together or not at all")
     if "width" in inputs and "dPdx" in inputs:
         raise ArgumentError("a footprint has a width, or dPdx and dPdy, not both")
-    if lens.sharpness > 0 and not lens.has_footprints(inputs):
+    request = Request(inputs, channel, settings)
+    if settings.sharpness > 0 and not request.has_footprints:
         raise ArgumentError("sharpness is for footprints: give a width, or dPdx and dPdy, or blur")
-    if lens.anisotropy != ANISOTROPY and "dPdx" not in inputs:
+    if settings.anisotropy != ANISOTROPY and "dPdx" not in inputs:
         raise ArgumentError("anisotropy is for footprints longer than wide: give dPdx and dPdy")
-    if lens.bleed_threshold != BLEED_THRESHOLD and ("normals" in inputs or not lens.has_footprints(inputs)):
+    if settings.bleed_threshold != BLEED_THRESHOLD and ("normals" in inputs or not request.has_footprints):
         raise ArgumentError(
             "bleed_threshold is for footprints without normals: leave it out, or give a width, or dPdx "
             "and dPdy, or blur, and no normals"
         )
-    return lens, inputs
+    return request
 
 
 #: An input's name, and its first unusable row.
@@ -212,11 +215,11 @@ def in_blocks(inputs: Inputs, answers: list[Array], look_up: LookUp, run: Run) -
         if fault is not None:
             _refuse(fault, 0, inputs)
         return
-    for begin, found in each_block(inputs, answers, look_up, run):
-        for answer, rows in zip(answers, found, strict=True):
-            here = answer[begin : begin + BLOCK]
-            if not np.may_share_memory(here, rows):  # the executor works in other processes
-                here[:] = rows
+    for begin, block_answers in each_block(inputs, answers, look_up, run):
+        for answer, rows in zip(answers, block_answers, strict=True):
+            target = answer[begin : begin + BLOCK]
+            if not np.may_share_memory(target, rows):  # the executor works in other processes
+                target[:] = rows
 
 
 def each_block(
@@ -229,14 +232,14 @@ def each_block(
     begins, blocks = range(0, len(inputs["points"]), BLOCK), []
     for begin in begins:
         rows = slice(begin, begin + BLOCK)
-        taken = {name: array[rows] for name, array in inputs.items()}
-        blocks.append(_Block(taken, [answer[rows] for answer in answers]))
+        block_inputs = {name: array[rows] for name, array in inputs.items()}
+        blocks.append(_Block(block_inputs, [answer[rows] for answer in answers]))
     with workers(run, len(blocks)) as pool:
         results = ordered_map(pool, partial(_checked_block, look_up), blocks)
-        for begin, (fault, found) in zip(begins, results, strict=True):
+        for begin, (fault, block_answers) in zip(begins, results, strict=True):
             if fault is not None:
                 _refuse(fault, begin, inputs)
-            yield begin, found
+            yield begin, block_answers
 
 
 def in_space(
@@ -250,20 +253,21 @@ def in_space(
     try:
         for begin in range(0, len(inputs["points"]), _SORTED):
             rows = slice(begin, begin + _SORTED)
-            here = {name: array[rows] for name, array in inputs.items()}
-            there = [answer[rows] for answer in answers]
+            part_inputs = {name: array[rows] for name, array in inputs.items()}
+            part_answers = [answer[rows] for answer in answers]
             numbers = None
-            if len(here["points"]) > (least or BLOCK):
-                here["points"] = _as_kernels_take_it(here["points"])
-                numbers = order_in_space(Positions.of(here["points"]), *placement)
+            if len(part_inputs["points"]) > (least or BLOCK):
+                part_inputs["points"] = _as_kernels_take_it(part_inputs["points"])
+                numbers = order_in_space(Positions.of(part_inputs["points"]), *placement)
             if numbers is None or not numbers.size:
-                in_blocks(here, there, look_up, run)
+                in_blocks(part_inputs, part_answers, look_up, run)
                 continue
-            sorted_here = {name: np.take(array, numbers, axis=0) for name, array in here.items()}
-            found = [np.empty(answer.shape, answer.dtype) for answer in there]
-            in_blocks(sorted_here, found, look_up, run)
-            for answer, each in zip(there, found, strict=True):
-                put_rows(each.reshape(len(each), -1), numbers, answer.reshape(len(answer), -1))
+            sorted_inputs = {name: np.take(array, numbers, axis=0) for name, array in part_inputs.items()}
+            sorted_answers = [np.empty(answer.shape, answer.dtype) for answer in part_answers]
+            in_blocks(sorted_inputs, sorted_answers, look_up, run)
+            for answer, sorted_answer in zip(part_answers, sorted_answers, strict=True):
+                values, target = (array.reshape(len(array), -1) for array in (sorted_answer, answer))
+                put_rows(values, numbers, target)
     except ArgumentError:
         in_blocks(inputs, answers, look_up, run)  # which names the first row
         raise
@@ -278,18 +282,18 @@ def _refuse(fault: _Fault, begin: int, inputs: Inputs) -> None:
 
 def _checked_block(look_up: LookUp, block: _Block) -> tuple[_Fault | None, list[Array]]:
     inputs, answers = block
-    taken: dict[str, Array] = {}
+    block_inputs: dict[str, Array] = {}
     for name, array in inputs.items():
-        taken[name] = array = _as_kernels_take_it(array)
+        block_inputs[name] = array = _as_kernels_take_it(array)
         if name == "points":  # checked as they are placed
             continue
-        sound = np.isfinite(array)
+        is_valid = np.isfinite(array)
         if name == "width":
-            sound = sound & (array >= 0)
-        if not sound.all():
-            return (name, int(np.argmin(sound)) // (array.size // len(array))), answers
+            is_valid = is_valid & (array >= 0)
+        if not is_valid.all():
+            return (name, int(np.argmin(is_valid)) // (array.size // len(array))), answers
     try:
-        look_up(taken, answers)
+        look_up(block_inputs, answers)
     except NotFiniteError as error:
         return ("points", error.row), answers
     return None, answers
@@ -329,13 +333,13 @@ class Answers:
         gradients = _answers_for(slopes, out_gradients, is_single, "the gradients' out") if gradient else {}
         #: The values of each channel, then the gradients of each.
         self.arrays: list[Array] = [*values.values(), *gradients.values()]
-        known = list(inputs.values())
+        arrays = list(inputs.values())
         for answer in self.arrays if is_given else ():
-            if any(np.may_share_memory(answer, other) for other in known):
+            if any(np.may_share_memory(answer, other) for other in arrays):
                 raise ArgumentError(
                     "the arrays in out must not share memory with each other or with the points"
                 )
-            known.append(answer)
+            arrays.append(answer)
         #: What `OctreeTexture.sample` returns.
         self.returned: Any = (values, gradients) if gradient else values
         if is_single:
@@ -358,9 +362,9 @@ def _answers_for(
     for channel, shape in shapes.items():
         array = out[channel]
         if not isinstance(array, np.ndarray) or array.dtype != np.float32 or array.shape != shape:
-            found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else repr(type(array))
+            kind = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else repr(type(array))
             raise ArgumentError(
-                f"{name} for {channel!r} must be a float32 array of shape {shape}, not {found}"
+                f"{name} for {channel!r} must be a float32 array of shape {shape}, not {kind}"
             )
         if not array.flags.carray:
             raise ArgumentError(f"{name} for {channel!r} must be C-ordered, aligned and writable")
@@ -375,7 +379,7 @@ class Lookups:
         self.components = {name: channel.format.components for name, channel in channels.items()}
         self._tree, self._channels, self._placement = tree, channels, placement
         self._mixed: dict[tuple[str, int], tuple[float, Uint8s]] = {}
-        self._plain: dict[tuple[str, str], Callable[[Floats], Float32s | None] | None] = {}
+        self._few: dict[tuple[str, str], Callable[[Floats], Float32s | None] | None] = {}
         self._stored: dict[str, ChannelRows] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -398,50 +402,50 @@ class Lookups:
             if type(name) is not str:
                 return None
             key = name, filter
-            if key not in self._plain:
+            if key not in self._few:
                 if name not in self._channels or filter not in FILTERS:
                     return None
-                plain = None
+                few = None
                 if self._channels[name].format.space != "direction":  # those are made unit vectors
                     (read,), alpha = self.rows_of(name)
-                    plain = Lookup(self.field, self._placement, Query(filter), [read], alpha).plain()
-                self._plain[key] = plain
-            known = self._plain[key]
-            found = None if known is None else known(points)
-            if found is None:
+                    few = Lookup(self.field, self._placement, Query(filter), [read], alpha).prepare_few()
+                self._few[key] = few
+            look_up = self._few[key]
+            value = None if look_up is None else look_up(points)
+            if value is None:
                 return None
-            values[name] = found
+            values[name] = value
         return (values or None) if is_list else values[channel]
 
     def look_up(
-        self, names: list[str], lens: Lens, normalize: bool, inputs: Inputs, answers: list[Array]
+        self, names: list[str], settings: Settings, normalize: bool, inputs: Inputs, answers: list[Array]
     ) -> None:
         """Look up a block, as a LookUp: write its values to ``answers``, and as many gradients if wanted."""
         if not names:
             return
         values, gradients = answers[: len(names)], answers[len(names) :]
         read, alpha = self.rows_of(*names)
-        parts = [(names[0], slice(None))]
-        if self.query(lens, inputs, names[0]).mixed is not None:  # mixed cells differ by channel
+        groups = [(names[0], slice(None))]
+        if self.query(settings, inputs, names[0]).mixed is not None:  # mixed cells differ by channel
             numbers = range(len(names) + 1)
-            parts = list(zip(names, map(slice, numbers, numbers[1:]), strict=False))
-        for name, some in parts:
-            task = self.query(lens, inputs, name), read[some], alpha, values[some], gradients[some]
-            Lookup(self.field, self._placement, *task).at(inputs["points"])
+            groups = list(zip(names, map(slice, numbers, numbers[1:]), strict=False))
+        for name, group in groups:
+            task = self.query(settings, inputs, name), read[group], alpha, values[group], gradients[group]
+            Lookup(self.field, self._placement, *task).look_up(inputs["points"])
         for number, name in enumerate(names if normalize else ()):
             if self._channels[name].format.space == "direction":
                 make_unit(values[number], gradients[number] if gradients else NO_GRADIENTS)
 
-    def list_taps(self, name: str, lens: Lens, inputs: Inputs, answers: list[Array]) -> None:
+    def list_taps(self, name: str, settings: Settings, inputs: Inputs, answers: list[Array]) -> None:
         """Add the taps of a block to ``answers``, as a LookUp."""
-        query, (read, alpha) = self.query(lens, inputs, name), self.rows_of(name)
+        query, (read, alpha) = self.query(settings, inputs, name), self.rows_of(name)
         answers += Listing(self.field, self._placement, query, read, alpha).blends(inputs["points"])
 
     def list_reads(
-        self, name: str, lens: Lens, reads: list[dict[int, Reads]], inputs: Inputs, _answers: list[Array]
+        self, name: str, settings: Settings, reads: list[dict[int, Reads]], inputs: Inputs, _: list[Array]
     ) -> None:
         """Add the reads of a block, by level, to ``reads``, as a LookUp."""
-        query, (read, _) = self.query(lens, inputs, name), self.rows_of(name)
+        query, read = self.query(settings, inputs, name), self.rows_of(name)[0]
         reads.append(Listing(self.field, self._placement, query, read, None).reads(inputs["points"]))
 
     def contain(self, inputs: Inputs, answers: list[Array]) -> None:
@@ -450,26 +454,26 @@ class Lookups:
         if fault >= 0:
             raise NotFiniteError(fault)
 
-    def query(self, lens: Lens, inputs: Inputs, name: str) -> Query:
+    def query(self, settings: Settings, inputs: Inputs, name: str) -> Query:
         """Return the query of a block of points for a channel."""
-        query = lens.query(inputs)
+        query = settings.query(inputs)
         if query.footprints is not None and query.normals is None and self._tree.split.cells.size:
-            query = query._replace(mixed=partial(self._mixed_cells, name, lens.bleed_threshold))
+            query = query._replace(mixed=partial(self._mixed_cells, name, settings.bleed_threshold))
         return query
 
     def rows_of(self, *names: str) -> tuple[list[ChannelRows], ChannelRows | None]:
         """Return channels in readable form, and the alpha that weights them, if any."""
-        found: list[ChannelRows] = []
+        rows: list[ChannelRows] = []
         for name in (*names, "alpha") if "alpha" in self._channels else names:
             if name not in self._stored:
                 self._stored[name] = stored(self._channels[name])
-            found.append(self._stored[name])
-        alpha = found.pop() if len(found) > len(names) else None
-        return found, alpha if alpha and alpha.is_alpha else None
+            rows.append(self._stored[name])
+        alpha = rows.pop() if len(rows) > len(names) else None
+        return rows, alpha if alpha and alpha.is_alpha else None
 
     def _mixed_cells(self, name: str, threshold: float, level: int) -> Uint8s:
-        known = self._mixed.get((name, level))
-        if known is None or known[0] != threshold:
-            known = threshold, mixed_cells(self._channels[name], self.field.level(level).tree, threshold)
-            self._mixed[name, level] = known
-        return known[1]
+        cached = self._mixed.get((name, level))
+        if cached is None or cached[0] != threshold:
+            cached = threshold, mixed_cells(self._channels[name], self.field.level(level).tree, threshold)
+            self._mixed[name, level] = cached
+        return cached[1]

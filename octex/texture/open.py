@@ -13,8 +13,8 @@ from octex.archive.layout import GLB_MAGIC, MAGIC, WEB_MAGIC
 from octex.checks import as_path
 from octex.errors import ArgumentError, TextureFileError
 from octex.files import is_address, open_file
-from octex.texture.file import Source
-from octex.texture.texture import OctreeTexture, opened
+from octex.texture.file import Storage
+from octex.texture.texture import OctreeTexture, texture_of
 
 if TYPE_CHECKING:
     from octex.archive.read import Decoded
@@ -54,11 +54,11 @@ def open_texture(
     read = _decoder(path)
     if read is not None:
         archived = read(path)
-        source = Source(str(path), None, dict(archived.tensors), dict(archived.metadata), archived.sizes)
+        storage = Storage(str(path), None, dict(archived.tensors), dict(archived.metadata), archived.sizes)
     else:
         contents = container.read(path)
-        source = Source(str(path), contents.mapping, dict(contents.tensors), dict(contents.metadata))
-    return opened(source)
+        storage = Storage(str(path), contents.mapping, dict(contents.tensors), dict(contents.metadata))
+    return texture_of(storage)
 
 
 def _decoder(path: Path) -> Callable[[Path], Decoded] | None:

@@ -22,10 +22,10 @@ from octex.arrays import Array, Int64s
 from octex.field.tiles import can_be_tiled
 from octex.remote import BLOCK, RemoteFile
 from octex.texture.channel import Channel
-from octex.texture.file import Source
+from octex.texture.file import Storage
 from octex.texture.lookup import Request
 from octex.texture.spans import RowsRead, Spans, add_reads, cells_of, lookup_reads, nodes_read
-from octex.texture.texture import OctreeTexture, opened
+from octex.texture.texture import OctreeTexture, texture_of
 from octex.tree.layout import GRID_BITS
 from octex.tree.morton import encode_cells
 from octex.tree.octree import Octree, distinct
@@ -50,12 +50,12 @@ def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
     Raises TextureFileError, OutputError and MissingExtraError: see RemoteFile.
     """
     remote = RenderFile(address, cache)
-    file: Elsewhere = remote
+    file: RemoteContent = remote
     remote.fetch([(0, min(len(MAGIC), remote.size))])
     if remote.mapping[: len(MAGIC)] == MAGIC:
         file = archive = Archive(remote)
         tensors, metadata, sizes = archive.decoding.contents
-        source = Source(address, None, dict(tensors), dict(metadata), sizes)
+        storage = Storage(address, None, dict(tensors), dict(metadata), sizes)
     else:
         remote.fetch([(0, min(_FIRST, remote.size))])
         length = container.header_length(remote.mapping)
@@ -67,58 +67,58 @@ def open_remote(address: str, cache: Path | None = None) -> OctreeTexture:
         if not all(map(remote.holds, contents.tensors.values())):  # unaligned arrays were copied
             remote.fetch_all()
             contents = container.read_mapped(remote.mapping, address)
-        source = Source(address, remote.mapping, dict(contents.tensors), dict(contents.metadata))
-    here, fetch = opened(source), partial(fetch_arrays, file)
-    channels = {name: _Channel.over(channel, fetch) for name, channel in here.channels.items()}
-    return here._over(_Tree(here.tree, fetch), channels, RemoteSource(here, file))
+        storage = Storage(address, remote.mapping, dict(contents.tensors), dict(contents.metadata))
+    texture, fetch = texture_of(storage), partial(fetch_arrays, file)
+    channels = {name: _Channel.over(channel, fetch) for name, channel in texture.channels.items()}
+    return texture._with_parts(_Tree(texture.tree, fetch), channels, RemoteStorage(texture, file))
 
 
-class RemoteSource(Source):
+class RemoteStorage(Storage):
     """A file at an address. Lookups fetch what they read; all other users fetch whole arrays.
 
     A field never changes its indices: when more has come, there is a new field.
     """
 
-    is_here = False
+    is_local = False
 
-    def __init__(self, here: OctreeTexture, file: Elsewhere) -> None:
-        super().__init__(here.source.path)
+    def __init__(self, texture: OctreeTexture, file: RemoteContent) -> None:
+        super().__init__(texture.storage.path)
         self.file = file
-        self._here = here
+        self._loaded = texture
         self._fetching = RLock()
         self._is_whole = file.is_whole
         self._reached: tuple[str, dict[int, Int64s]] = "", {}
 
-    def here(self, _texture: OctreeTexture) -> OctreeTexture:
+    def loaded(self, _texture: OctreeTexture) -> OctreeTexture:
         """Return a texture of the fetched part, zeros for the rest."""
-        return self._here
+        return self._loaded
 
-    def whole(self, _texture: OctreeTexture) -> OctreeTexture:
+    def load_all(self, _texture: OctreeTexture) -> OctreeTexture:
         """Fetch all of the texture, and return it."""
         with self._fetching:
             self.file.fetch_all()
             if not self._is_whole:
                 self._renew(True)
                 self._is_whole = True
-            return self._here
+            return self._loaded
 
-    def levels(self, _texture: OctreeTexture, level: int) -> OctreeTexture:
+    def load_levels(self, _texture: OctreeTexture, level: int) -> OctreeTexture:
         """Fetch the levels 0 … ``level``, and return the texture that has them."""
         with self._fetching:
-            was_more = self._fetch_groups(np.arange(int(self._here.tree.level_nodes[level])))
-            self._renew(self.file.fetch_tables(self._here.tree, level) or was_more)
-            tree = self._here.tree.truncated(level)
-            values = [array for channel in self._here.channels.values() for array in channel.of(tree)[1:]]
+            was_more = self._fetch_groups(np.arange(int(self._loaded.tree.level_nodes[level])))
+            self._renew(self.file.fetch_tables(self._loaded.tree, level) or was_more)
+            tree = self._loaded.tree.truncated(level)
+            values = [array for channel in self._loaded.channels.values() for array in channel.of(tree)[1:]]
             fetch_arrays(self.file, *tree.arrays[1:], *tree.split, *tree.kept, *values)
-            return self._here
+            return self._loaded
 
     def prepare(
         self, _texture: OctreeTexture, _count: int, request: Callable[[], Request], /
     ) -> OctreeTexture:
         """Fetch what lookups read, and return the texture that answers them."""
         with self._fetching, self.file.checked_once():
-            found = request()
-            return self._fetched_around(found) if found.channel is None else self._fetched(found)
+            lookup = request()
+            return self._fetched_around(lookup) if lookup.channel is None else self._fetched(lookup)
 
     def _fetched(self, request: Request) -> OctreeTexture:
         """Fetch what lookups of channels read, and return the texture that answers them.
@@ -127,64 +127,65 @@ class RemoteSource(Source):
         are known without the groups; but coarse cells with mixed facings pass probes on to finer ones, so
         this repeats until all is fetched.
         """
-        inputs, _, lens = request
-        has_tables = lens.has_footprints(inputs) or "normals" in inputs or not can_be_tiled(self._here.tree)
+        has_tables = request.has_footprints or "normals" in request.inputs
+        has_tables |= not can_be_tiled(self._loaded.tree)
         is_more = True
         while is_more and not self.file.is_whole:
-            reads = lookup_reads(self._here, request)
+            reads = lookup_reads(self._loaded, request)
             cells = cells_of(reads.values())
-            is_more = has_tables and self.file.fetch_tables(self._here.tree, max(cells, default=0))
-            is_more |= self._fetch_nodes(cells, lens.filter)
+            is_more = has_tables and self.file.fetch_tables(self._loaded.tree, max(cells, default=0))
+            is_more |= self._fetch_nodes(cells, request.settings.filter)
             if not is_more:
-                is_more = self.file.fetch_rows(partial(add_reads, self._here, reads, request))
+                is_more = self.file.fetch_rows(partial(add_reads, self._loaded, reads, request))
             self._renew(is_more)
-        return self.whole(self._here) if self.file.is_whole else self._here
+        return self.load_all(self._loaded) if self.file.is_whole else self._loaded
 
     def _fetched_around(self, request: Request) -> OctreeTexture:
         """Fetch the groups that decide which points leaves hold, and return the texture."""
-        depth = self._here.tree.max_depth
+        depth = self._loaded.tree.max_depth
         points = np.nan_to_num(request.inputs["points"], posinf=0.0, neginf=0.0)
-        codes = encode_cells(on_grid(points, self._here.placement) >> (GRID_BITS - depth))
+        codes = encode_cells(on_grid(points, self._loaded.placement) >> (GRID_BITS - depth))
         self._renew(self._fetch_nodes({depth: distinct(codes)}, "nearest"))
-        return self._here
+        return self._loaded
 
     def _fetch_nodes(self, cells: dict[int, Int64s], filter: str) -> bool:
         """Fetch the groups around cells, by level; return whether any were missing."""
-        known_filter, known = self._reached
-        is_like = filter == known_filter and known.keys() == cells.keys()
-        if is_like and all(np.array_equal(known[level], each) for level, each in cells.items()):
+        reached_filter, reached = self._reached
+        is_same_request = filter == reached_filter and reached.keys() == cells.keys()
+        if is_same_request and all(np.array_equal(reached[level], codes) for level, codes in cells.items()):
             return False
         was_fetched = False
-        for nodes in nodes_read(self._here.tree, cells, filter):
+        for nodes in nodes_read(self._loaded.tree, cells, filter):
             was_fetched |= self._fetch_groups(nodes)
         self._reached = filter, cells
         return was_fetched
 
     def _fetch_groups(self, nodes: Int64s) -> bool:
         """Fetch the groups of nodes; return whether any were missing."""
-        groups = self._here.tree.arrays.groups
+        groups = self._loaded.tree.arrays.groups
         return self.file.fetch_rows(lambda rows: rows.nodes(groups, nodes))
 
     def _renew(self, has_more: bool) -> None:
         """Drop the texture's indices if more of it has come."""
         if has_more:
-            self._here = self._here._over(self._here.tree, self._here.channels, self._here.source)
+            loaded = self._loaded
+            self._loaded = loaded._with_parts(loaded.tree, loaded.channels, loaded.storage)
 
 
 class _Tree(Octree):
     """A tree at an address; it fetches arrays on access."""
 
-    __slots__ = ("_fetch", "_here")
+    __slots__ = ("_fetch", "_loaded")
 
-    def __init__(self, here: Octree, fetch: Fetch) -> None:
-        self._here, self._fetch = here, fetch
-        self.level_cells, self.level_nodes = here.level_cells, here.level_nodes
+    def __init__(self, tree: Octree, fetch: Fetch) -> None:
+        self._loaded, self._fetch = tree, fetch
+        self.level_cells, self.level_nodes = tree.level_cells, tree.level_nodes
 
     def __getattr__(self, name: str) -> Any:
         """Return the arrays, the split table or the kept nodes."""
-        found = getattr(self._here, name)
-        self._fetch(*found)
-        return found
+        arrays = getattr(self._loaded, name)
+        self._fetch(*arrays)
+        return arrays
 
     def __reduce__(self) -> tuple[Any, ...]:
         return Octree, (self.arrays, self.split, self.kept)
@@ -199,17 +200,17 @@ class _Channel(Channel):
     kept_values = property(lambda self: self[3])
 
     @classmethod
-    def over(cls, here: Channel, fetch: Fetch) -> _Channel:
+    def over(cls, channel: Channel, fetch: Fetch) -> _Channel:
         """Return a fetching channel."""
-        found = cls(*here)
-        found._fetch = fetch
-        return found
+        fetching = cls(*channel)
+        fetching._fetch = fetch
+        return fetching
 
     def __getitem__(self, key: Any) -> Any:
-        found = super().__getitem__(key)
-        several = found if isinstance(key, slice) else [found]
-        self._fetch(*(each for each in several if isinstance(each, np.ndarray)))
-        return found
+        item = super().__getitem__(key)
+        items = item if isinstance(key, slice) else [item]
+        self._fetch(*(each for each in items if isinstance(each, np.ndarray)))
+        return item
 
     def __iter__(self) -> Any:
         return map(self.__getitem__, range(4))
@@ -242,7 +243,7 @@ class RenderFile(RemoteFile):
         return fetch_arrays(self, split.facings[: n_split + 1]) or was_more
 
 
-class _Wanted(RowsRead):
+class _ArchiveRows(RowsRead):
     """Gathers the rows to decode of an archive."""
 
     def __init__(self, archive: Archive) -> None:
@@ -300,7 +301,7 @@ class Archive:
 
     def fetch_rows(self, gather: Callable[[RowsRead], None]) -> bool:
         """Fetch the rows that a function gathers; return whether any were missing."""
-        rows = _Wanted(self)
+        rows = _ArchiveRows(self)
         gather(rows)
         with self._decoded():
             return self.decoding.decode(rows.tables, rows.level)
@@ -335,10 +336,10 @@ class Archive:
 
 
 #: A file at an address.
-Elsewhere = RenderFile | Archive
+RemoteContent = RenderFile | Archive
 
 
-def fetch_arrays(file: Elsewhere, *arrays: Array) -> bool:
+def fetch_arrays(file: RemoteContent, *arrays: Array) -> bool:
     """Fetch whole arrays of a file, or views of them; return whether any part was missing."""
 
     def gather(rows: RowsRead) -> None:

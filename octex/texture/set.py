@@ -82,11 +82,11 @@ class TextureSet(Mapping[str, OctreeTexture]):
         """
         folder = as_path(folder, "folder")
         files, metadata = read_index(folder)
-        made = cls.__new__(cls)
-        made.metadata = MappingProxyType(metadata)
-        made._textures = {name: folder / file for name, file in files.items()}
-        made.names = tuple(made._textures)
-        return made
+        texture_set = cls.__new__(cls)
+        texture_set.metadata = MappingProxyType(metadata)
+        texture_set._textures = {name: folder / file for name, file in files.items()}
+        texture_set.names = tuple(texture_set._textures)
+        return texture_set
 
     def __reduce__(self) -> tuple[Any, ...]:
         return TextureSet, (dict(self), dict(self.metadata))
@@ -184,14 +184,15 @@ class TextureSet(Mapping[str, OctreeTexture]):
         part lacks or has with other components.
         """
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
-        lens, inputs = checked_request(points, filter, gradient, **options)
-        inputs["parts"] = self._numbers(parts, len(inputs["points"]))
-        used = np.flatnonzero(np.bincount(inputs["parts"])).tolist()
-        components = self._components(used or [0], channel)
+        request = checked_request(points, channel, filter, gradient, **options)
+        numbers = self._numbers(parts, len(request.inputs["points"]))
+        inputs = {**request.inputs, "parts": numbers}
+        components = self._components(np.flatnonzero(np.bincount(numbers)).tolist() or [0], channel)
         answers = Answers(components, channel, inputs, gradient, out)
+        request = Request(inputs, answers.channels, request.settings)
         look_ups = {
-            part: partial(texture._lookups.look_up, answers.channels, lens, normalize)
-            for part, texture in self._ready_for(Request(inputs, answers.channels, lens))
+            part: partial(texture._lookups.look_up, answers.channels, request.settings, normalize)
+            for part, texture in self._ready_for(request)
         }
         in_blocks(inputs, answers.arrays, partial(_by_part, look_ups), as_run(run, threads))
         return answers.returned
@@ -217,11 +218,11 @@ class TextureSet(Mapping[str, OctreeTexture]):
         return inside
 
     def _ready_for(self, request: Request) -> Iterator[tuple[int, OctreeTexture]]:
-        """Yield the parts in use and the textures that answer for them: see `Source.prepare`."""
+        """Yield the parts in use and the textures that answer for them: see `Storage.prepare`."""
         for part, count in enumerate(np.bincount(request.inputs["parts"]).tolist()):
             if count:
                 texture, part_request = self[self.names[part]], partial(_of_part, request, part)
-                yield part, texture.source.prepare(texture, count, part_request)
+                yield part, texture.storage.prepare(texture, count, part_request)
 
     def _numbers(self, parts: npt.ArrayLike, count: int) -> Int64s:
         """Return each point's part (n,) as a number, or raise ArgumentError."""
@@ -233,12 +234,12 @@ class TextureSet(Mapping[str, OctreeTexture]):
                 f"parts must be numbers or names, one for all or ({count},), not {array.dtype} {array.shape}"
             )
         if array.dtype.kind in "UO":
-            known = {name: number for number, name in enumerate(self.names)}
+            numbers = {name: number for number, name in enumerate(self.names)}
             names = array.ravel().tolist()
             for name in names:
-                if not isinstance(name, str) or name not in known:
-                    as_choice(name, known, "part")
-            array = np.array([known[name] for name in names], np.int64).reshape(array.shape)
+                if not isinstance(name, str) or name not in numbers:
+                    as_choice(name, numbers, "part")
+            array = np.array([numbers[name] for name in names], np.int64).reshape(array.shape)
         elif array.size and not 0 <= array.min() <= array.max() < len(self):
             worst = array.min() if array.min() < 0 else array.max()
             raise ArgumentError(f"there is no part {worst}; there are 0 to {len(self) - 1}: {self!r}")
@@ -246,20 +247,21 @@ class TextureSet(Mapping[str, OctreeTexture]):
 
     def _components(self, parts: list[int], channel: Names) -> dict[str, int]:
         """Return the components of the wanted channels, which must be the same in all parts."""
-        found: dict[str, int] = {}
-        wanted = channel if isinstance(channel, (list, tuple)) else [channel]
+        components_of: dict[str, int] = {}
+        names = channel if isinstance(channel, (list, tuple)) else [channel]
         for part in parts:
             name = self.names[part]
             channels = self[name].channels
-            for each in wanted:
-                as_choice(each, channels, f"channel of part {name!r}:")
-                components = channels[each].format.components
-                if found.setdefault(each, components) != components:
+            for channel_name in names:
+                as_choice(channel_name, channels, f"channel of part {name!r}:")
+                components = channels[channel_name].format.components
+                if components_of.setdefault(channel_name, components) != components:
                     raise ArgumentError(
-                        f"channel {each!r} has {components} components in part {name!r}, "
-                        f"and {found[each]} in {self.names[parts[0]]!r}; sample these parts one by one"
+                        f"channel {channel_name!r} has {components} components in part {name!r}, "
+                        f"and {components_of[channel_name]} in {self.names[parts[0]]!r}; sample these parts "
+                        "one by one"
                     )
-        return found
+        return components_of
 
     def save(self, folder: str | os.PathLike[str]) -> None:
         """Write a folder with an ``.octex`` file for each part and an index, ``set.json``.
@@ -336,12 +338,12 @@ class TextureSet(Mapping[str, OctreeTexture]):
 def _of_part(request: Request, part: int) -> Request:
     """Return a part's question, without rows that are not finite: the lookup itself refuses these."""
     arrays = {name: array for name, array in request.inputs.items() if name != "parts"}
-    sound = request.inputs["parts"] == part
+    is_asked = request.inputs["parts"] == part
     for array in arrays.values():
-        sound = sound & np.isfinite(array.reshape(len(array), -1)).all(axis=1)
+        is_asked = is_asked & np.isfinite(array.reshape(len(array), -1)).all(axis=1)
     if "width" in arrays:
-        sound &= arrays["width"] >= 0
-    return request._replace(inputs={name: array[sound] for name, array in arrays.items()})
+        is_asked &= arrays["width"] >= 0
+    return request._replace(inputs={name: array[is_asked] for name, array in arrays.items()})
 
 
 def _by_part(look_ups: Mapping[int, LookUp], inputs: Inputs, answers: list[Array]) -> None:
@@ -355,13 +357,13 @@ def _by_part(look_ups: Mapping[int, LookUp], inputs: Inputs, answers: list[Array
         return
     faults = []
     for rows in np.split(order, starts + 1):
-        taken = {name: array[rows] for name, array in arrays.items()}
-        found = [np.empty((len(rows), *answer.shape[1:]), answer.dtype) for answer in answers]
+        part_inputs = {name: array[rows] for name, array in arrays.items()}
+        part_answers = [np.empty((len(rows), *answer.shape[1:]), answer.dtype) for answer in answers]
         try:
-            look_ups[int(parts[rows[0]])](taken, found)
+            look_ups[int(parts[rows[0]])](part_inputs, part_answers)
         except NotFiniteError as error:
             faults.append(int(rows[error.row]))
-        for answer, values in zip(answers, found, strict=True):
+        for answer, values in zip(answers, part_answers, strict=True):
             answer[rows] = values
     if faults:
         raise NotFiniteError(min(faults))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from octex.arrays import Array, Int64s, bit_counts
+from octex.arrays import Array, Int64s, bit_counts, in_runs
 from octex.checks import as_choice
 from octex.container import header_length
 from octex.field.listing import Reads, joined_reads
@@ -17,6 +17,7 @@ from octex.field.tiles import MOST_TOP_LEVEL, can_be_tiled
 from octex.parallel import Run
 from octex.texture.lookup import Request, in_blocks
 from octex.tree.children import children_before, octants_of
+from octex.tree.edit import among
 from octex.tree.layout import SplitTable
 from octex.tree.neighbours import with_boundary
 from octex.tree.octree import Octree, count_before, distinct
@@ -60,8 +61,8 @@ class Spans(RowsRead):
             length = array.nbytes // len(array)
             begins = offset + rows.astype(np.int64) * length
             first, last = begins // self._block, (begins + length - 1) // self._block
-            for more in range(int((last - first).max()) + 1):
-                self._is_read[np.minimum(first + more, last)] = True
+            for step in range(int((last - first).max()) + 1):
+                self._is_read[np.minimum(first + step, last)] = True
 
     def until(self, array: Array, end: int) -> None:
         """Add all rows of an array before one, which may be many."""
@@ -78,16 +79,16 @@ class Spans(RowsRead):
 
 def lookup_reads(texture: OctreeTexture, request: Request) -> dict[str, dict[int, Reads]]:
     """Return the reads of lookups by channel and level."""
-    inputs, channel, lens = request
+    inputs, channel, settings = request
     names: list[Any] = list(channel) if isinstance(channel, (list, tuple)) else [channel]
     for name in names:
         as_choice(name, texture.channels, "channel")
-    found: dict[str, dict[int, Reads]] = {}
+    reads_by_channel: dict[str, dict[int, Reads]] = {}
     for name in names:
         reads: list[dict[int, Reads]] = []
-        in_blocks(inputs, [], partial(texture._lookups.list_reads, name, lens, reads), Run(threads=1))
-        found[name] = joined_reads(reads)
-    return found
+        in_blocks(inputs, [], partial(texture._lookups.list_reads, name, settings, reads), Run(threads=1))
+        reads_by_channel[name] = joined_reads(reads)
+    return reads_by_channel
 
 
 def cells_of(reads: Iterable[Mapping[int, Reads]]) -> dict[int, Int64s]:
@@ -110,23 +111,22 @@ def nodes_read(tree: Octree, cells: Mapping[int, Int64s], filter: str) -> Iterat
         return
     begin = min(MOST_TOP_LEVEL + 1, deepest)
     yield np.arange(firsts[begin])
-    around: dict[int, Int64s] = {}
-    wanted = np.empty(0, np.int64)  # cells of a level that hold points of probes there or below
+    around_by_level: dict[int, Int64s] = {}
+    holding = np.empty(0, np.int64)  # cells of a level that hold points of probes there or below
     for level in range(deepest - 1, 0, -1):
-        here = cells.get(level + 1, wanted[:0])
+        level_cells = cells.get(level + 1, holding[:0])
         if filter == "quartic":  # whose windows reach one cell farther
-            here = with_boundary(here, level + 1)
-        wanted = distinct(np.concatenate([wanted, here]) >> 3)
-        around[level] = with_boundary(wanted, level)
+            level_cells = with_boundary(level_cells, level + 1)
+        holding = distinct(np.concatenate([holding, level_cells]) >> 3)
+        around_by_level[level] = with_boundary(holding, level)
     codes = nodes = np.zeros(min(tree.n_nodes, 1), np.int64)
     for level in range(1, deepest):
         parents, codes, numbers = _child_nodes(tree, codes, nodes)
-        near = around[level]
-        is_near = near[np.minimum(np.searchsorted(near, codes), near.size - 1)] == codes
+        is_around = among(codes, around_by_level[level])
         if level >= begin:
-            with_near = np.bincount(parents[is_near], minlength=nodes.size) > 0
-            yield numbers[with_near[parents]]
-        codes, nodes = codes[is_near], numbers[is_near]
+            has_child_around = np.bincount(parents[is_around], minlength=nodes.size) > 0
+            yield numbers[has_child_around[parents]]
+        codes, nodes = codes[is_around], numbers[is_around]
 
 
 def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, Int64s, Int64s]:
@@ -134,10 +134,8 @@ def _child_nodes(tree: Octree, codes: Int64s, nodes: Int64s) -> tuple[Int64s, In
     groups = tree.arrays.groups
     masks = (groups[nodes >> 3, 0] >> (8 * (nodes & 7)).astype(np.uint64)).astype(np.uint8)
     parents, octants = octants_of(masks)
-    counts = bit_counts(masks).astype(np.int64)
-    firsts = children_before(groups, nodes)[1] - (np.cumsum(counts) - counts)
-    numbers = np.minimum(firsts[parents] + np.arange(parents.size), tree.n_nodes - 1)
-    return parents, codes[parents] << 3 | octants, numbers
+    numbers = in_runs(children_before(groups, nodes)[1], bit_counts(masks).astype(np.int64))
+    return parents, codes[parents] << 3 | octants, np.minimum(numbers, tree.n_nodes - 1)
 
 
 def add_reads(
@@ -151,7 +149,7 @@ def add_reads(
     arrays, split, kept = tree.arrays, tree.split, tree.kept
     alpha = [] if texture._lookups.rows_of()[1] is None else [texture.channels["alpha"]]
     by_facing = "normals" in request.inputs
-    is_ruled = not by_facing and request.lens.has_footprints(request.inputs)  # by the bleed threshold
+    is_ruled = not by_facing and request.has_footprints  # by the bleed threshold
     first_facing = tree.n_cells + kept.cells.size
     has_leaves = [leaves > 0 for leaves, _ in tree.cells_by_depth()]
     for name, levels in reads.items():
@@ -162,8 +160,8 @@ def add_reads(
         if kept.cells.size:
             spans.until(arrays.flags, n_cells)
         n_split = count_before(split.cells, n_cells)
-        known = SplitTable(split.cells[:n_split], split.facings[:n_split], split.areas)
-        n_rows = int(counts_of(known.facings).sum())
+        split_table = SplitTable(split.cells[:n_split], split.facings[:n_split], split.areas)
+        n_rows = int(counts_of(split_table.facings).sum())
         is_coarse = any(
             level < tree.max_depth or (read.rows < arrays.level_cells[level]).any()
             for level, read in levels.items()
@@ -176,7 +174,7 @@ def add_reads(
         for level, read in levels.items():
             rows = read.rows.astype(np.int64)
             facings = rows[rows >= first_facing] - first_facing
-            owners = rows_of(known).cells[facings[facings < n_rows]] if facings.size else facings
+            owners = rows_of(split_table).cells[facings[facings < n_rows]] if facings.size else facings
             keeping = kept.cells[rows[(rows >= tree.n_cells) & (rows < first_facing)] - tree.n_cells]
             cells = distinct(np.concatenate([rows[rows < tree.n_cells], owners, keeping]))
             if by_facing:
@@ -185,10 +183,10 @@ def add_reads(
                 spans.rows(arrays.areas, cells)
                 if any(has_leaves[: level + 1]):
                     spans.until(arrays.areas, int(arrays.level_cells[level + 1]))
-            of_split = rows_of(known, cells).rows if by_facing else facings[:0]
-            for each in [channel, *alpha]:
+            of_split = rows_of(split_table, cells).rows if by_facing else facings[:0]
+            for used_channel in [channel, *alpha]:
                 first = 0
-                for array in each.values, each.kept_values, each.split_values:
+                for array in used_channel.values, used_channel.kept_values, used_channel.split_values:
                     spans.rows(array, rows - first)
                     first += len(array)
-                spans.rows(each.split_values, of_split)
+                spans.rows(used_channel.split_values, of_split)

@@ -21,7 +21,7 @@ from octex.field.field import Field
 from octex.field.taps import TapList
 from octex.parallel import DEFAULT, Run, as_run
 from octex.texture.channel import Channel, as_channels
-from octex.texture.file import ARCHIVE_ENDING, ENDING, Source, are_texts, described, taken, written
+from octex.texture.file import ARCHIVE_ENDING, ENDING, Storage, are_texts, contents_of, info_of, take_parts
 from octex.texture.lookup import (
     ANISOTROPY,
     BLEED_THRESHOLD,
@@ -66,7 +66,7 @@ class OctreeTexture:
     together.
     """
 
-    __slots__ = ("_lookups", "bounds", "channels", "metadata", "placement", "source", "tree")
+    __slots__ = ("_lookups", "bounds", "channels", "metadata", "placement", "storage", "tree")
 
     def __init__(
         self,
@@ -80,10 +80,10 @@ class OctreeTexture:
         most = float(np.finfo(np.float64).max)
         self.bounds: Float64s = locked(as_reals(bounds, "bounds, two finite corners,", (2, 3), most=most))
         self.metadata = MappingProxyType(as_metadata(metadata))
-        self._hold(tree, as_channels(channels, tree), Source())
+        self._set_parts(tree, as_channels(channels, tree), Storage())
 
-    def _hold(self, tree: Octree, channels: Mapping[str, Channel], source: Source) -> None:
-        self.tree, self.source = tree, source
+    def _set_parts(self, tree: Octree, channels: Mapping[str, Channel], storage: Storage) -> None:
+        self.tree, self.storage = tree, storage
         self.channels = MappingProxyType(dict(channels))
         self._lookups = Lookups(tree, self.channels, self.placement)
 
@@ -95,28 +95,28 @@ class OctreeTexture:
         ``metadata`` is its provenance, by default this one's. Raises ArgumentError if tree and channels do
         not fit together.
         """
-        made = self._over(tree, as_channels(channels, tree), Source())
+        texture = self._with_parts(tree, as_channels(channels, tree), Storage())
         if metadata is not None:
-            made.metadata = MappingProxyType(as_metadata(metadata))
-        return made
+            texture.metadata = MappingProxyType(as_metadata(metadata))
+        return texture
 
-    def _over(self, tree: Octree, channels: Mapping[str, Channel], source: Source) -> OctreeTexture:
+    def _with_parts(self, tree: Octree, channels: Mapping[str, Channel], storage: Storage) -> OctreeTexture:
         """Return a texture like ``with_cells``, of parts that fit together."""
-        made = object.__new__(OctreeTexture)
-        made.placement, made.bounds, made.metadata = self.placement, self.bounds, self.metadata
-        made._hold(tree, channels, source)
-        return made
+        texture = object.__new__(OctreeTexture)
+        texture.placement, texture.bounds, texture.metadata = self.placement, self.bounds, self.metadata
+        texture._set_parts(tree, channels, storage)
+        return texture
 
     def __repr__(self) -> str:
         return f"<OctreeTexture of {', '.join(self.channels) or 'no channels'}; {self.tree!r}>"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        here = self.source.whole(self)
-        parts = here.tree, dict(here.channels), self.placement, self.bounds, dict(self.metadata)
-        return OctreeTexture, parts, (here.source.path, None, here.source.tensors, here.source.metadata)
+        whole = self.storage.load_all(self)
+        parts = whole.tree, dict(whole.channels), self.placement, self.bounds, dict(self.metadata)
+        return OctreeTexture, parts, (whole.storage.path, None, whole.storage.tensors, whole.storage.metadata)
 
-    def __setstate__(self, source: tuple[Any, ...]) -> None:
-        self.source = Source(*source)
+    def __setstate__(self, storage: tuple[Any, ...]) -> None:
+        self.storage = Storage(*storage)
 
     @property
     def _field(self) -> Field:
@@ -125,8 +125,8 @@ class OctreeTexture:
     @property
     def nbytes(self) -> int:
         """Bytes of all arrays: structure, flags, areas, values, and those of split cells and kept nodes."""
-        here = self.source.here(self)
-        return here.tree.nbytes + sum(channel.nbytes for channel in here.channels.values())
+        loaded = self.storage.loaded(self)
+        return loaded.tree.nbytes + sum(channel.nbytes for channel in loaded.channels.values())
 
     @overload
     def sample(
@@ -228,20 +228,20 @@ class OctreeTexture:
             and (gradient is False and normalize is True and blur is sharpness is _NONE)
             and (anisotropy is ANISOTROPY and bleed_threshold is BLEED_THRESHOLD)
         ):
-            answer = self._lookups.sample_few(points, channel, filter) if self.source.is_here else None
+            answer = self._lookups.sample_few(points, channel, filter) if self.storage.is_local else None
             if answer is not None:
                 return answer
         gradient, normalize = as_flag(gradient, "gradient"), as_flag(normalize, "normalize")
-        lens, inputs = checked_request(
-            points, filter, gradient, width, normals, dPdx, dPdy,
+        request = checked_request(
+            points, channel, filter, gradient, width, normals, dPdx, dPdy,
             anisotropy=anisotropy, blur=blur, sharpness=sharpness, bleed_threshold=bleed_threshold,
         )  # fmt: skip
+        inputs, prepared = request.inputs, self
         answers = Answers(self._lookups.components, channel, inputs, gradient, out)
-        here = self
-        if self.source.path:  # not memory
-            here = self.source.prepare(self, len(inputs["points"]), lambda: Request(inputs, channel, lens))
-        lookups = here._lookups
-        look_up: LookUp = partial(lookups.look_up, answers.channels, lens, normalize)
+        if self.storage.path:  # not memory
+            prepared = self.storage.prepare(self, len(inputs["points"]), lambda: request)
+        lookups = prepared._lookups
+        look_up: LookUp = partial(lookups.look_up, answers.channels, request.settings, normalize)
         how = DEFAULT if threads is None and run is None else as_run(run, threads)
         task = inputs, answers.arrays, look_up, how
         is_crowded = inputs.keys() <= {"points", "normals"} and lookups.field.tiles is None
@@ -280,11 +280,12 @@ class OctreeTexture:
 
         Raises ArgumentError as ``sample`` does.
         """
-        lens, inputs = checked_request(points, filter, **options)
+        request = checked_request(points, channel, filter, **options)
         as_choice(channel, self.channels, "channel")
-        here = self.source.prepare(self, len(inputs["points"]), lambda: Request(inputs, channel, lens))
-        blocks = each_block(inputs, [], partial(here._lookups.list_taps, channel, lens), as_run(run, threads))
-        taps = joined([TapList(*found) for _, found in blocks])
+        prepared = self.storage.prepare(self, len(request.inputs["points"]), lambda: request)
+        list_taps = partial(prepared._lookups.list_taps, channel, request.settings)
+        blocks = each_block(request.inputs, [], list_taps, as_run(run, threads))
+        taps = joined([TapList(*arrays) for _, arrays in blocks])
         return taps._replace(rows=taps.rows.astype(np.int64))
 
     def rows(self, channel: str = "base_color", numbers: npt.ArrayLike | None = None) -> Float32s:
@@ -293,11 +294,11 @@ class OctreeTexture:
         The rows are: cells, in the order of their numbers; kept nodes; facings of split cells. ``numbers``
         (n,) selects rows. Raises ArgumentError for an unknown channel and for rows out of range.
         """
-        known = self.channels[as_choice(channel, self.channels, "channel")]
-        parts = known.values, known.kept_values, known.split_values
+        chosen = self.channels[as_choice(channel, self.channels, "channel")]
+        parts = chosen.values, chosen.kept_values, chosen.split_values
         if numbers is not None:
-            return decode(known.rows(as_row_numbers(numbers, sum(map(len, parts)))), known.format.space)
-        return decode(np.concatenate(parts), known.format.space)
+            return decode(chosen.rows(as_row_numbers(numbers, sum(map(len, parts)))), chosen.format.space)
+        return decode(np.concatenate(parts), chosen.format.space)
 
     def blocks(
         self,
@@ -319,16 +320,15 @@ class OctreeTexture:
         Raises ArgumentError as ``sample`` does, and for a texture without a file.
         """
         block_size = as_whole(block_size, "block_size", 1, 1 << 40)
-        mapping = self.source.here(self).source.mapping
+        mapping = self.storage.loaded(self).storage.mapping
         if mapping is None:
             raise ArgumentError("the texture has no file: save it and open that")
-        lens, inputs = checked_request(points, filter, **options)
-        request = Request(inputs, channel, lens)
-        here = self.source.prepare(self, 0, lambda: request)
-        spans, reads = Spans(mapping, block_size), lookup_reads(here, request)
-        for nodes in nodes_read(here.tree, cells_of(reads.values()), filter):
-            spans.nodes(here.tree.arrays.groups, nodes)
-        add_reads(here, reads, request, spans)
+        request = checked_request(points, channel, filter, **options)
+        prepared = self.storage.prepare(self, 0, lambda: request)
+        spans, reads = Spans(mapping, block_size), lookup_reads(prepared, request)
+        for nodes in nodes_read(prepared.tree, cells_of(reads.values()), filter):
+            spans.nodes(prepared.tree.arrays.groups, nodes)
+        add_reads(prepared, reads, request, spans)
         return spans.ranges()
 
     def contains(
@@ -340,8 +340,8 @@ class OctreeTexture:
         """
         inputs: Inputs = {"points": points_with_normals(points)[0]}
         inside = np.empty(len(inputs["points"]), np.bool_)
-        here = self.source.prepare(self, len(inside), lambda: Request(inputs))
-        in_blocks(inputs, [inside], here._lookups.contain, as_run(run, threads))
+        prepared = self.storage.prepare(self, len(inside), lambda: Request(inputs))
+        in_blocks(inputs, [inside], prepared._lookups.contain, as_run(run, threads))
         return inside
 
     def level(self, level: int) -> OctreeTexture:
@@ -351,9 +351,9 @@ class OctreeTexture:
         """
         if as_depth(level, "level") >= self.tree.max_depth:
             return self
-        here = self.source.levels(self, level)
-        field = here._field.level(level)
-        channels = {name: channel.of(field.tree) for name, channel in here.channels.items()}
+        loaded = self.storage.load_levels(self, level)
+        field = loaded._field.level(level)
+        channels = {name: channel.of(field.tree) for name, channel in loaded.channels.items()}
         texture = OctreeTexture(field.tree, channels, self.placement, self.bounds, self.metadata)
         texture._lookups.field = field
         return texture
@@ -376,7 +376,7 @@ class OctreeTexture:
             raise ArgumentError(f"{path}: a texture is saved as NAME{ENDING} or NAME{ARCHIVE_ENDING}")
         if max_error and ending == ENDING:
             raise ArgumentError(f"{path}: max_error is for archives, NAME{ARCHIVE_ENDING}")
-        tensors, metadata = written(self.source.whole(self))
+        tensors, metadata = contents_of(self.storage.load_all(self))
         if ending == ENDING:
             container.write(path, tensors, metadata)
         else:
@@ -389,10 +389,10 @@ class OctreeTexture:
 
         Raises TextureFileError that names the fault.
         """
-        here, path = self.source.whole(self), self.source.path
+        whole, path = self.storage.load_all(self), self.storage.path
         try:
-            here.tree.validate()
-            for name, channel in here.channels.items():
+            whole.tree.validate()
+            for name, channel in whole.channels.items():
                 if not channel.is_finite():
                     raise TextureFileError(f"channel {name!r} has values that are not finite")
         except TextureFileError as error:
@@ -403,7 +403,7 @@ class OctreeTexture:
 
         ``bytes`` lists the sizes of the file's parts; ``archive`` those of the ``.octz`` that it came from.
         """
-        return described(self.source.here(self))
+        return info_of(self.storage.loaded(self))
 
 
 def as_metadata(metadata: Mapping[str, str] | None) -> dict[str, str]:
@@ -420,11 +420,11 @@ def as_texture(texture: OctreeTexture, name: str = "texture") -> OctreeTexture:
     return texture
 
 
-def opened(source: Source) -> OctreeTexture:
-    """Make a texture of a source, which retains unknown entries."""
+def texture_of(storage: Storage) -> OctreeTexture:
+    """Return the texture of a storage, which retains unknown entries."""
     try:
-        texture = OctreeTexture(*taken(source.tensors, source.metadata))
+        texture = OctreeTexture(*take_parts(storage.tensors, storage.metadata))
     except InputError as error:
-        raise TextureFileError(f"{source.path}: {error}") from error
-    texture.source = source
+        raise TextureFileError(f"{storage.path}: {error}") from error
+    texture.storage = storage
     return texture

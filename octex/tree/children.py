@@ -10,9 +10,9 @@ from octex.tree.layout import FACING_FLAGS, TreeArrays
 
 
 @inlined
-def rank_in(mask: np.uint64, place: int | np.uint64) -> int:
-    """Count a mask's bits before a place: a child's number among those stored."""
-    return popcount(mask & ((np.uint64(1) << np.uint64(place)) - np.uint64(1)))
+def rank_in(mask: np.uint64, bit: int | np.uint64) -> int:
+    """Count a mask's bits below a bit: a child's number among those stored."""
+    return popcount(mask & ((np.uint64(1) << np.uint64(bit)) - np.uint64(1)))
 
 
 @inlined
@@ -46,9 +46,9 @@ def masks_of(groups: Uint64s, word: int) -> Uint8s:
 
 
 def octants_of(masks: Uint8s) -> tuple[Int64s, Uint8s]:
-    """Return the children (m,) that masks (n,) tell of: the index of each one's mask, and its octant."""
-    places = np.flatnonzero(np.unpackbits(masks, bitorder="little").view(np.bool_))
-    return places >> 3, (places & 7).astype(np.uint8)
+    """List the children (m,) in masks (n,): the index of each child's mask, and its octant."""
+    bits = np.flatnonzero(np.unpackbits(masks, bitorder="little").view(np.bool_))
+    return bits >> 3, (bits & 7).astype(np.uint8)
 
 
 def groups_of(masks: Uint8s) -> Uint64s:
@@ -71,8 +71,8 @@ def rank(groups: Uint64s) -> None:
 
 
 @kernel
-def gather_facings(groups: Uint64s, cells: Int64s, flags: Uint8s, made: Uint8s) -> None:
-    """Write the facings of nodes, those of their children, to ``made``, which may be ``flags``."""
+def gather_facings(groups: Uint64s, cells: Int64s, flags: Uint8s, gathered: Uint8s) -> None:
+    """Write flags (cells,) whose nodes have the facings of their children to ``gathered``, or in place."""
     end = flags.size
     for node in range(cells.size - 1, -1, -1):
         _, stored, _, _ = children(groups, node)
@@ -81,7 +81,7 @@ def gather_facings(groups: Uint64s, cells: Int64s, flags: Uint8s, made: Uint8s) 
         for child in range(begin, end):
             facings |= int(np.int64(flags[child]))
         cell = cells[node]
-        made[cell] = int(np.int64(flags[cell])) & ~FACING_FLAGS | facings & FACING_FLAGS
+        gathered[cell] = int(np.int64(flags[cell])) & ~FACING_FLAGS | facings & FACING_FLAGS
         end = begin
 
 
@@ -106,13 +106,13 @@ def node_cells(arrays: TreeArrays) -> Int64s:
     """Return the cell numbers of all nodes, ascending."""
     groups, last = arrays.groups, np.int64(arrays.flags.size) - 1
     cells = np.zeros(arrays.level_nodes[-1], np.int64)
-    found, cell = 1, np.int64(1)
+    count, cell = 1, np.int64(1)
     for node in range(cells.size):
-        left, stored, _, _ = children(groups, node)
-        while left != np.uint64(0) and found < cells.size:
-            lowest = left & (~left + np.uint64(1))
-            left ^= lowest
-            cells[found] = min(cell + popcount(stored & (lowest - np.uint64(1))), last)
-            found += 1
+        nodes, stored, _, _ = children(groups, node)
+        while nodes != np.uint64(0) and count < cells.size:
+            lowest = nodes & (~nodes + np.uint64(1))
+            nodes ^= lowest
+            cells[count] = min(cell + popcount(stored & (lowest - np.uint64(1))), last)
+            count += 1
         cell += popcount(stored)
     return cells

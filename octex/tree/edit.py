@@ -25,14 +25,14 @@ class Edited(NamedTuple):
 
     tree: Octree
     old: Int64s  # (cells,)   each cell's number in the old tree; −1: it was not there
-    split_rows: Bools  # (rows of the old split table,)   those that are left
-    kept_rows: Bools  # (rows of the old kept table,)   those that are left
+    split_rows: Bools  # (rows of the old split table,)   which stay
+    kept_rows: Bools  # (rows of the old kept table,)   which stay
 
     def carried(self, values: Array) -> Array:
         """Return the old cells' values (cells, …) for the new cells; zeros for new ones."""
-        found = values.take(self.old, axis=0, mode="clip")
-        found[self.old < 0] = 0
-        return found
+        carried_values = values.take(self.old, axis=0, mode="clip")
+        carried_values[self.old < 0] = 0
+        return carried_values
 
 
 class Located(NamedTuple):
@@ -83,15 +83,15 @@ def _locate(
 
 
 def unchanged(tree: Octree) -> Edited:
-    """Return a tree as it is."""
+    """Return a tree as an edit without changes."""
     rows = np.ones(tree.split.areas.size, np.bool_)
     return Edited(tree, np.arange(tree.n_cells), rows, np.ones(tree.kept.cells.size, np.bool_))
 
 
 def cull(tree: Octree, is_kept: Bools) -> Edited:
-    """Return the tree of some of its leaves (paper 4.1, step 7); nodes without any go too.
+    """Return the tree of some of its leaves (paper 4.1, step 7), without nodes that lose all leaves.
 
-    ``is_kept`` (cells,) counts for leaves only.
+    ``is_kept`` (cells,) selects leaves; its values for nodes do not count.
     """
     first = tree.arrays.level_cells
     leaves = [
@@ -125,44 +125,48 @@ def raised(
     wanted, met, added, freed = (
         [*each, *[none] * (depth + 1 - len(each))] for each in (wanted, met, added, freed)
     )
-    needed = [none] * (depth + 2)  # as nodes
+    node_codes = [none] * (depth + 2)
     for level in range(depth, 0, -1):
-        needed[level - 1] = distinct(np.concatenate([needed[level], wanted[level]]) >> 3)
+        node_codes[level - 1] = distinct(np.concatenate([node_codes[level], wanted[level]]) >> 3)
     walk = tree.walk()
     above_added = [none] * (depth + 1)  # new nodes below kept ones
     if tree.kept.cells.size:
         above = none
         for level in range(depth, 0, -1):
             above = distinct(np.concatenate([above, added[level]]) >> 3)
-            where = locate(tree, above, level - 1)
-            is_kept = tree.arrays.flags[where.cells] & KEPT != 0
-            above_added[level - 1] = above[is_kept & (where.levels < level - 1)]
+            located = locate(tree, above, level - 1)
+            is_kept = tree.arrays.flags[located.cells] & KEPT != 0
+            above_added[level - 1] = above[is_kept & (located.levels < level - 1)]
     leaves: list[Int64s] = []
-    keeping: list[Int64s] = []  # nodes that were leaves, and below them
-    split_codes = free = none  # those of the level above
+    kept_codes: list[Int64s] = []  # nodes that were leaves, and below them
+    raised_codes = freed_above = none  # those of the level above
     for level in range(depth + 1):
         codes, is_node = next(walk, (none, np.empty(0, np.bool_)))
         old_leaves = codes[~is_node]
         below = met[level + 1] >> 3 if level < depth else none
-        may = among(old_leaves, needed[level]) & among(old_leaves, below)
-        children = (split_codes[:, None] << 3 | np.arange(8)).reshape(-1)
-        children = children[among(children, met[level])]
-        on = among(children, needed[level]) & among(children, below)
-        leaves.append(np.sort(np.concatenate([old_leaves[~may], children[~on], added[level]]), kind="stable"))
-        split_codes = np.sort(np.concatenate([old_leaves[may], children[on]]), kind="stable")
-        is_free = among(split_codes >> 3, free) | among(split_codes, freed[level])
-        keeping.append(np.sort(np.concatenate([split_codes[~is_free], above_added[level]]), kind="stable"))
-        free = split_codes[is_free]
-    edited = rebuilt(tree, leaves)
-    return _keeping(edited, keeping)
+        is_raised = among(old_leaves, node_codes[level]) & among(old_leaves, below)
+        child_codes = (raised_codes[:, None] << 3 | np.arange(8)).reshape(-1)
+        child_codes = child_codes[among(child_codes, met[level])]
+        is_inner = among(child_codes, node_codes[level]) & among(child_codes, below)
+        leaves.append(_merged(old_leaves[~is_raised], child_codes[~is_inner], added[level]))
+        raised_codes = _merged(old_leaves[is_raised], child_codes[is_inner])
+        is_freed = among(raised_codes >> 3, freed_above) | among(raised_codes, freed[level])
+        kept_codes.append(_merged(raised_codes[~is_freed], above_added[level]))
+        freed_above = raised_codes[is_freed]
+    return _with_kept(rebuilt(tree, leaves), kept_codes)
+
+
+def _merged(*codes: Int64s) -> Int64s:
+    """Return codes of several ascending runs in order."""
+    return np.sort(np.concatenate(codes), kind="stable")
 
 
 def among(codes: Int64s, known: Int64s) -> Bools:
     """Return which codes (n,) are among ascending ones."""
     if not known.size or not codes.size:
         return np.zeros(codes.size, np.bool_)
-    found: Bools = indices_in(codes, known) >= 0
-    return found
+    is_known: Bools = indices_in(codes, known) >= 0
+    return is_known
 
 
 def indices_in(codes: Int64s, known: Int64s) -> Int64s:
@@ -170,24 +174,24 @@ def indices_in(codes: Int64s, known: Int64s) -> Int64s:
 
     Fastest, a tenth of numpy's time, if the codes ascend or nearly do.
     """
-    found = np.empty(codes.size, np.int64)
-    _indices_in(np.ascontiguousarray(codes), np.ascontiguousarray(known), found)
-    return found
+    indices = np.empty(codes.size, np.int64)
+    _indices_in(np.ascontiguousarray(codes), np.ascontiguousarray(known), indices)
+    return indices
 
 
 @kernel
-def _indices_in(codes: Int64s, known: Int64s, found: Int64s) -> None:
-    at = 0
+def _indices_in(codes: Int64s, known: Int64s, indices: Int64s) -> None:
+    index = 0
     for n in range(codes.size):
-        at = first_not_below(known, codes[n], at)
-        found[n] = at if at < known.size and known[at] == codes[n] else -1
+        index = first_not_below(known, codes[n], index)
+        indices[n] = index if index < known.size and known[index] == codes[n] else -1
 
 
 @inlined
 def first_not_below(known: Int64s, code: int, start: int) -> int:
-    """Return the index of the first ascending code that is not below another; sooner if near ``start``.
+    """Return the index of the first of ascending codes that is not below ``code``.
 
-    Steps double, then the last one is bisected.
+    Steps from ``start`` double, then the last one is bisected: it is fast if the index is near ``start``.
     """
     low = high = start
     step = 1
@@ -211,47 +215,47 @@ def first_not_below(known: Int64s, code: int, start: int) -> int:
 
 def with_all_above(codes: Sequence[Int64s]) -> list[Int64s]:
     """Return cells, listed level by level, with all cells above them; ascending."""
-    found = []
+    levels = []
     above = np.empty(0, np.int64)
-    for here in reversed(codes):
-        found.append(distinct(np.concatenate([here, above])))
-        above = found[-1] >> 3
-    return found[::-1]
+    for cells in reversed(codes):
+        levels.append(distinct(np.concatenate([cells, above])))
+        above = levels[-1] >> 3
+    return levels[::-1]
 
 
 def rebuilt(tree: Octree, leaves: Sequence[Int64s]) -> Edited:
     """Build a tree of other leaves, ascending Morton codes by level, and carry over all shared cell data."""
     built = Octree.from_levels(leaves)
     n_old = tree.n_cells
-    old = np.full(built.n_cells, -1, np.int64)
+    old_cells = np.full(built.n_cells, -1, np.int64)
     starts, old_starts = built.arrays.level_cells, tree.arrays.level_cells
     is_node = np.zeros(built.n_cells, np.bool_)
     for level, ((codes, nodes), (old_codes, _)) in enumerate(zip(built.walk(), tree.walk(), strict=False)):
-        here = slice(int(starts[level]), int(starts[level + 1]))
-        is_node[here] = nodes & (built.n_leaves > 0)  # a root without children keeps nothing
-        at = indices_in(codes, old_codes)
-        old[here] = np.where(at >= 0, at + old_starts[level], -1)
-    del codes, nodes, old_codes, at  # at the deepest level as large as half of the arrays below
+        of_level = slice(int(starts[level]), int(starts[level + 1]))
+        is_node[of_level] = nodes & (built.n_leaves > 0)  # a root without children keeps nothing
+        indices = indices_in(codes, old_codes)
+        old_cells[of_level] = np.where(indices >= 0, indices + old_starts[level], -1)
+    del codes, nodes, old_codes, indices  # at the deepest level as large as half of the arrays below
     flags, areas = np.zeros((2, built.n_cells), np.uint8)
-    there = np.flatnonzero(old >= 0)
-    before = old[there]
-    flags[there], areas[there] = tree.arrays.flags[before], tree.arrays.areas[before]
-    flags[there[~is_node[there]]] &= np.uint8(0xFF ^ KEPT)
-    new = np.full(n_old, -1, np.int64)
-    new[before] = there
-    split, rows = taken(tree.split, new[tree.split.cells])
-    kept_cells = new[tree.kept.cells]
+    shared = np.flatnonzero(old_cells >= 0)
+    old_shared = old_cells[shared]
+    flags[shared], areas[shared] = tree.arrays.flags[old_shared], tree.arrays.areas[old_shared]
+    flags[shared[~is_node[shared]]] &= np.uint8(0xFF ^ KEPT)
+    new_cells = np.full(n_old, -1, np.int64)
+    new_cells[old_shared] = shared
+    split, split_rows = taken(tree.split, new_cells[tree.split.cells])
+    kept_cells = new_cells[tree.kept.cells]
     kept_rows = (kept_cells >= 0) & is_node[kept_cells]
     kept = KeptTable(kept_cells[kept_rows].astype(np.uint32))
-    return Edited(built.with_cell_data(flags, areas, split, kept), old, rows, kept_rows)
+    return Edited(built.with_cell_data(flags, areas, split, kept), old_cells, split_rows, kept_rows)
 
 
-def _keeping(edited: Edited, nodes: Sequence[Int64s]) -> Edited:
+def _with_kept(edited: Edited, nodes: Sequence[Int64s]) -> Edited:
     """Flag nodes, listed by level, as KEPT, in addition to kept ones."""
     tree = edited.tree
     cells = [tree.kept.cells.astype(np.int64)]
-    for first, (codes, _), keeping in zip(tree.arrays.level_cells, tree.walk(), nodes, strict=False):
-        cells.append(first + np.searchsorted(codes, keeping))
+    for first, (codes, _), kept_codes in zip(tree.arrays.level_cells, tree.walk(), nodes, strict=False):
+        cells.append(first + np.searchsorted(codes, kept_codes))
     kept = np.sort(np.concatenate(cells))
     flags = tree.arrays.flags.copy()
     flags[kept] |= np.uint8(KEPT)

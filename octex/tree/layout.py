@@ -42,9 +42,8 @@ GRID_BITS = 30
 #: Cells and nodes are numbered in 32 bits, and so are rows of values: cells', facings' and kept nodes'.
 MAX_CELLS = 2**32 - 1
 
-# A cell's flags. Bits 0 to 5, the normal flags, say which ways the surface in the cell faces (paper 3.5.2):
-# the facing of a triangle is the axis direction nearest to its normal.
-# They are, from bit 0: +x −x +y −y +z −z.
+# A cell's flags. Bits 0 to 5, the normal flags, are the facings of the surface in the cell (paper 3.5.2): the
+# facing of a triangle is the axis direction nearest to its normal. From bit 0: +x −x +y −y +z −z.
 FACING_FLAGS = 0b111111
 KEPT = 0b1000000  # a node that keeps the coefficient of the leaf it once was
 SPLIT = 0b10000000  # a cell with a value per facing in the split table
@@ -75,8 +74,8 @@ class SplitTable(NamedTuple):
     """Values per facing of the cells flagged SPLIT.
 
     A split cell has a row for each of its facings, cell after cell, in the order of the facings' bits. The
-    channels have these rows' values. A node's are means over the surface of that facing; a leaf's are what
-    lookups with normals blend instead of the cell's value.
+    channels have these rows' values. A node's are means over the surface of that facing. Lookups with normals
+    blend a leaf's rows instead of its value.
     """
 
     cells: Uint32s  # (split cells,)   ascending
@@ -88,3 +87,7 @@ class KeptTable(NamedTuple):
     """The nodes flagged KEPT; the channels have their coefficients, row for row."""
 
     cells: Uint32s  # (kept nodes,)   ascending
+
+
+NO_SPLIT = SplitTable(np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.uint8))
+NO_KEPT = KeptTable(np.empty(0, np.uint32))

@@ -31,9 +31,9 @@ def with_boundary(codes: Int64s, level: int) -> Int64s:
     above = max(level - 2, 0)  # of few blocks all
     blocks = np.arange(8**above) if above < 4 else with_boundary(distinct(codes >> 6), above)
     masks = _masks_around(codes, level, blocks)
-    found = np.empty(int(bit_counts(masks).sum()), np.int64)
-    _write(blocks, masks, found)
-    return found
+    cells = np.empty(int(bit_counts(masks).sum()), np.int64)
+    _write(blocks, masks, cells)
+    return cells
 
 
 def near(codes: Int64s, others: Int64s, level: int) -> Bools:
@@ -47,11 +47,11 @@ def near(codes: Int64s, others: Int64s, level: int) -> Bools:
 
 def is_within(codes: Int64s, cells: Sequence[Int64s], level: int) -> Bools:
     """Return which cells of a level are among cells listed level by level, or lie in larger ones of them."""
-    found = np.zeros(codes.size, np.bool_)
+    is_inside = np.zeros(codes.size, np.bool_)
     for above, larger in enumerate(cells[: level + 1]):
         if larger.size:
-            found |= among(codes >> 3 * (level - above), larger)
-    return found
+            is_inside |= among(codes >> 3 * (level - above), larger)
+    return is_inside
 
 
 def are_adjacent(codes: Int64s, leaves: Sequence[Int64s], level: int) -> Bools:
@@ -77,17 +77,17 @@ def among_at(codes: Int64s, level: int, others: Int64s, at: int) -> Bools:
 
 
 def touch(codes: Int64s, leaves: Sequence[Int64s], level: int, *, refined: bool = False) -> Bools:
-    """Return which cells (n,) of a level lie in or next to leaves, or are ``refined`` to such cells."""
+    """Return which cells (n,) of a level lie in or next to leaves, or refine to such cells if ``refined``."""
     if not codes.size:
         return np.zeros(0, np.bool_)
     around = with_boundary(codes, level)
-    found = near(codes, around[is_within(around, leaves[: level + 1], level)], level)
+    touches = near(codes, around[is_within(around, leaves[: level + 1], level)], level)
     for at in range(level + 1, len(leaves)):
         reached = with_boundary(leaves[at][among_at(leaves[at], at, around, level)], at)
         for deeper in range(at, level, -1):
             reached = distinct((with_boundary(reached, deeper) if refined else reached) >> 3)
-        found |= among(codes, reached)
-    return found
+        touches |= among(codes, reached)
+    return touches
 
 
 @kernel
@@ -158,12 +158,12 @@ def _widened(mask: np.uint64, axis: int) -> tuple[np.uint64, np.uint64, np.uint6
 
 
 @kernel
-def _write(blocks: Int64s, masks: Uint64s, found: Int64s) -> None:
+def _write(blocks: Int64s, masks: Uint64s, cells: Int64s) -> None:
     """Write the cells whose bits are set."""
     count = 0
     for n in range(blocks.size):
         mask = masks[n]
         while mask != np.uint64(0):
-            found[count] = blocks[n] << 6 | np.int64(trailing_zeros(mask))
+            cells[count] = blocks[n] << 6 | np.int64(trailing_zeros(mask))
             mask &= mask - np.uint64(1)
             count += 1

@@ -34,12 +34,12 @@ _STACK = 8 * 22  # a node is replaced by at most eight children, on each of 22 l
 def estimate_normals(tree: TreeArrays, cells: Int64s, codes: Int64s, depths: Uint8s) -> Float32s:
     """Estimate unit normals (n, 3) of cells by number, Morton code and depth; fastest in Morton order.
 
-    They point outward as the cells' flags tell. Without flags the sign is arbitrary; with flags on both sides
-    the first facing decides.
+    The cells' flags decide which side is outward. Without flags the sign is arbitrary; with flags on both
+    sides the first facing decides.
     """
     normals = np.empty((cells.size, 3), np.float32)
     nodes = np.empty(_STACK, np.int64)
-    places = np.empty((_STACK, 4), np.int64)
+    corners = np.empty((_STACK, 4), np.int64)
     around = np.empty((4, _MOST_CELLS), np.float64)
     around_flags = np.empty(_MOST_CELLS, np.int64)
     moments = np.empty(10, np.float64)
@@ -49,7 +49,7 @@ def estimate_normals(tree: TreeArrays, cells: Int64s, codes: Int64s, depths: Uin
         block = code >> 3 * _BLOCK_LEVELS
         if block != last_block or depth != last_depth:
             last_block, last_depth = block, depth
-            n_around = _gather(tree, block, depth, nodes, places, around, around_flags)
+            n_around = _gather(tree, block, depth, nodes, corners, around, around_flags)
         flags = int(np.int64(tree.flags[cells[n]])) & FACING_FLAGS
         _add_up(code, flags, n_around, around, around_flags, moments)
         x, y, z = _flattest(moments)
@@ -72,7 +72,7 @@ def _gather(
     block: int,
     depth: int,
     nodes: Int64s,
-    places: Int64s,
+    corners: Int64s,
     around: Float64s,
     around_flags: Int64s,
 ) -> int:
@@ -86,13 +86,13 @@ def _gather(
     low_k = (block_k << _BLOCK_LEVELS) - (_RADIUS - 1)
     width = (1 << _BLOCK_LEVELS) + 2 * (_RADIUS - 1)
     nodes[0] = 0
-    places[0] = 0
+    corners[0] = 0
     top = 1 if tree.level_nodes[-1] > 0 and depth > 0 else 0
-    found = 0
+    count = 0
     while top > 0:
         top -= 1
-        node, level = nodes[top], places[top, 0] + 1
-        corner_i, corner_j, corner_k = 2 * places[top, 1], 2 * places[top, 2], 2 * places[top, 3]
+        node, level = nodes[top], corners[top, 0] + 1
+        corner_i, corner_j, corner_k = 2 * corners[top, 1], 2 * corners[top, 2], 2 * corners[top, 3]
         shift = depth - level
         for octant in range(8):
             i, j, k = corner_i + (octant & 1), corner_j + (octant >> 1 & 1), corner_k + (octant >> 2)
@@ -105,18 +105,18 @@ def _gather(
             cell, child_node = child(tree, node, octant)
             if child_node >= 0 and shift > 0:
                 nodes[top] = child_node
-                places[top, 0] = level
-                places[top, 1], places[top, 2], places[top, 3] = i, j, k
+                corners[top, 0] = level
+                corners[top, 1], corners[top, 2], corners[top, 3] = i, j, k
                 top += 1
             elif cell >= 0:
                 edge = float(np.int64(1) << shift)
-                around[0, found] = (i + 0.5) * edge
-                around[1, found] = (j + 0.5) * edge
-                around[2, found] = (k + 0.5) * edge
-                around[3, found] = AREAS[tree.areas[cell]] * edge * edge
-                around_flags[found] = np.int64(tree.flags[cell]) & FACING_FLAGS
-                found += 1
-    return found
+                around[0, count] = (i + 0.5) * edge
+                around[1, count] = (j + 0.5) * edge
+                around[2, count] = (k + 0.5) * edge
+                around[3, count] = AREAS[tree.areas[cell]] * edge * edge
+                around_flags[count] = np.int64(tree.flags[cell]) & FACING_FLAGS
+                count += 1
+    return count
 
 
 @summing_kernel

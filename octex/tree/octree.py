@@ -14,19 +14,18 @@ from octex.checks import as_array, as_depth
 from octex.errors import ArgumentError
 from octex.jit import kernel, trailing_zeros
 from octex.tree.children import children, groups_of
-from octex.tree.layout import KEPT, MAX_CELLS, MAX_DEPTH, KeptTable, SplitTable, TreeArrays
+from octex.tree.layout import (
+    KEPT,
+    MAX_CELLS,
+    MAX_DEPTH,
+    NO_KEPT,
+    NO_SPLIT,
+    KeptTable,
+    SplitTable,
+    TreeArrays,
+)
 from octex.tree.search import child
 from octex.tree.validate import check_layout, check_meaning
-
-
-def no_split() -> SplitTable:
-    """Return a split table without rows."""
-    return SplitTable(np.empty(0, np.uint32), np.empty(0, np.uint8), np.empty(0, np.uint8))
-
-
-def no_kept() -> KeptTable:
-    """Return a table of no kept nodes."""
-    return KeptTable(np.empty(0, np.uint32))
 
 
 class Octree:
@@ -41,13 +40,9 @@ class Octree:
 
     __slots__ = ("arrays", "kept", "level_cells", "level_nodes", "split")
 
-    def __init__(
-        self, arrays: TreeArrays, split: SplitTable | None = None, kept: KeptTable | None = None
-    ) -> None:
-        self.arrays = arrays
-        self.split = no_split() if split is None else split
-        self.kept = no_kept() if kept is None else kept
-        check_layout(self.arrays, self.split, self.kept)
+    def __init__(self, arrays: TreeArrays, split: SplitTable = NO_SPLIT, kept: KeptTable = NO_KEPT) -> None:
+        self.arrays, self.split, self.kept = arrays, split, kept
+        check_layout(arrays, split, kept)
         self.level_cells, self.level_nodes = arrays.level_cells, arrays.level_nodes
 
     def __repr__(self) -> str:
@@ -97,7 +92,7 @@ class Octree:
         return cls(_build({level: leaves[level] for level in range(deepest + 1)}, deepest))
 
     def with_cell_data(
-        self, flags: Uint8s, areas: Uint8s, split: SplitTable | None = None, kept: KeptTable | None = None
+        self, flags: Uint8s, areas: Uint8s, split: SplitTable = NO_SPLIT, kept: KeptTable = NO_KEPT
     ) -> Octree:
         """Return a tree of the same structure with other flags, areas, split table and kept nodes."""
         return Octree(self.arrays._replace(flags=flags, areas=areas), split, kept)
@@ -226,11 +221,11 @@ def distinct(codes: Integers) -> Int64s:
     Codes in order, or in a few ordered runs, are the fastest: merge sort takes 1 to 6 ns each.
     """
     wide = np.ascontiguousarray(codes, np.int64)
-    found = np.empty(wide.size, np.int64)
-    count = _write_distinct(wide, found)
+    unique = np.empty(wide.size, np.int64)
+    count = _write_distinct(wide, unique)
     if count < 0:
-        count = _write_distinct(np.sort(wide, kind="stable"), found)
-    return found if count == found.size else found[:count].copy()
+        count = _write_distinct(np.sort(wide, kind="stable"), unique)
+    return unique if count == unique.size else unique[:count].copy()
 
 
 def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
@@ -264,7 +259,7 @@ def _build(leaves_of: dict[int, Int64s], deepest: int) -> TreeArrays:
 
 
 @kernel
-def _write_distinct(codes: Int64s, found: Int64s) -> int:
+def _write_distinct(codes: Int64s, unique: Int64s) -> int:
     """Write ascending codes, each once, and count them; −1 if they do not ascend."""
     count = 0
     last = np.int64(-1)
@@ -273,7 +268,7 @@ def _write_distinct(codes: Int64s, found: Int64s) -> int:
         if n > 0 and code < last:
             return -1
         if n == 0 or code != last:
-            found[count] = code
+            unique[count] = code
             count += 1
         last = code
     return count
@@ -352,10 +347,10 @@ def _children(groups: Uint64s, first: int, end: int, codes: Int64s, n_children: 
     is_node = np.zeros(n_children, np.bool_)
     n = 0
     for node in range(first, min(end, first + codes.size)):
-        nodes, left, _, _ = children(groups, node)
-        while left != np.uint64(0) and n < n_children:
-            octant = trailing_zeros(left)
-            left &= left - np.uint64(1)
+        nodes, stored, _, _ = children(groups, node)
+        while stored != np.uint64(0) and n < n_children:
+            octant = trailing_zeros(stored)
+            stored &= stored - np.uint64(1)
             child_codes[n] = codes[node - first] << 3 | octant
             is_node[n] = nodes >> np.uint64(octant) & np.uint64(1) != 0
             n += 1
@@ -375,20 +370,20 @@ def walk_leaves(arrays: TreeArrays, block: int = 1 << 16) -> Iterator[Leaves]:
 
     Damaged arrays yield at most as many leaves as their counts.
     """
-    left = int(arrays.level_cells[-1] - arrays.level_nodes[-1])
+    remaining = int(arrays.level_cells[-1] - arrays.level_nodes[-1])
     if arrays.level_nodes[-1] == 0:
         yield Leaves(np.zeros(1, np.int64), np.zeros(1, np.int64), np.zeros(1, np.uint8))
         return
     path = np.zeros((MAX_DEPTH + 2, 3), np.int64)
-    while left > 0:
-        room = min(block, left)
-        cells, codes, depths = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.uint8)
-        found = _next_leaves(arrays, path, cells, codes, depths)
-        if found:
-            yield Leaves(cells[:found], codes[:found], depths[:found])
-        if found < room:
+    while remaining > 0:
+        count = min(block, remaining)
+        cells, codes, depths = np.empty(count, np.int64), np.empty(count, np.int64), np.empty(count, np.uint8)
+        n_found = _next_leaves(arrays, path, cells, codes, depths)
+        if n_found:
+            yield Leaves(cells[:n_found], codes[:n_found], depths[:n_found])
+        if n_found < count:
             return
-        left -= found
+        remaining -= n_found
 
 
 @kernel
@@ -399,8 +394,8 @@ def _next_leaves(arrays: TreeArrays, path: Int64s, cells: Int64s, codes: Int64s,
     that level, or −1 at the end, and the number of nodes entered.
     """
     level, entered = path[-1, 0], path[-1, 1]
-    found = 0
-    while level >= 0 and found < cells.size:
+    count = 0
+    while level >= 0 and count < cells.size:
         octant = path[level, 2]
         if octant == 8:
             level -= 1
@@ -411,11 +406,11 @@ def _next_leaves(arrays: TreeArrays, path: Int64s, cells: Int64s, codes: Int64s,
             continue
         code = path[level, 1] << 3 | octant
         if node < 0:
-            cells[found], codes[found], depths[found] = cell, code, level + 1
-            found += 1
+            cells[count], codes[count], depths[count] = cell, code, level + 1
+            count += 1
         elif level + 1 < MAX_DEPTH and entered < arrays.level_nodes[-1]:
             level += 1
             entered += 1
             path[level, 0], path[level, 1], path[level, 2] = node, code, 0
     path[-1, 0], path[-1, 1] = level, entered
-    return found
+    return count

@@ -36,9 +36,9 @@ class Placement(NamedTuple):
         if not isinstance(placement, Placement):
             raise ArgumentError(f"placement must be a Placement, not {placement!r}")
         x, y, z = as_reals(placement.origin, "the corner of the root cell", (3,)).tolist()
-        found = cls((x, y, z), as_real(placement.size, "the size of the root cell"))
-        found.check()
-        return found
+        plain = cls((x, y, z), as_real(placement.size, "the size of the root cell"))
+        plain.check()
+        return plain
 
     @classmethod
     def around(cls, bounds: npt.ArrayLike, depth: int) -> Placement:

@@ -24,11 +24,9 @@ class Rows(NamedTuple):
 
 
 def bits_of(facings: Uint8s) -> Uint8s:
-    """Return the facings of cells one by one, as flags, in the order of their bits."""
-    bits = np.uint8(1) << np.arange(6, dtype=np.uint8)
-    chosen = facings[:, None] & bits
-    found: Uint8s = chosen[chosen != 0]
-    return found
+    """Return a flag for each facing of cells (n,), cell after cell, in the order of the bits."""
+    bits = facings[:, None] & np.uint8(1) << np.arange(6, dtype=np.uint8)
+    return np.asarray(bits[bits != 0], np.uint8)
 
 
 def counts_of(facings: Uint8s) -> Int64s:
@@ -39,27 +37,27 @@ def counts_of(facings: Uint8s) -> Int64s:
 
 def rows_of(split: SplitTable, cells: Int64s | None = None) -> Rows:
     """Return all rows, or those of the split ones among ``cells``, ascending."""
-    chosen = np.arange(split.cells.size)
+    entries = np.arange(split.cells.size)
     if cells is not None:
         split_cells = split.cells.astype(np.int64)
         few, many = (split_cells, cells) if split_cells.size < cells.size else (cells, split_cells)
         shared = few[many[np.minimum(np.searchsorted(many, few), many.size - 1)] == few] if few.size else few
-        chosen = np.searchsorted(split_cells, shared)
+        entries = np.searchsorted(split_cells, shared)
     counts = counts_of(split.facings)
-    firsts, counts = (np.cumsum(counts) - counts)[chosen], counts[chosen]
-    owners = np.repeat(split.cells[chosen].astype(np.int64), counts)
-    return Rows(in_runs(firsts, counts), owners, bits_of(split.facings[chosen]))
+    firsts, counts = (np.cumsum(counts) - counts)[entries], counts[entries]
+    owners = np.repeat(split.cells[entries].astype(np.int64), counts)
+    return Rows(in_runs(firsts, counts), owners, bits_of(split.facings[entries]))
 
 
 def find_rows(split: SplitTable, cells: Int64s, bits: Uint8s) -> tuple[Bools, Int64s]:
     """Return which cells (n,) have a row for a facing, and these rows."""
     if not split.cells.size:
         return np.zeros(cells.size, np.bool_), np.empty(0, np.int64)
-    at = np.minimum(np.searchsorted(split.cells, cells.astype(np.uint32)), split.cells.size - 1)
-    there = (split.cells[at] == cells) & (split.facings[at] & bits != 0)
+    entries = np.minimum(np.searchsorted(split.cells, cells.astype(np.uint32)), split.cells.size - 1)
+    has_row = (split.cells[entries] == cells) & (split.facings[entries] & bits != 0)
     counts = counts_of(split.facings)
-    rows = (np.cumsum(counts) - counts)[at] + bit_counts(split.facings[at] & (bits - np.uint8(1)))
-    return there, rows[there]
+    rows = (np.cumsum(counts) - counts)[entries] + bit_counts(split.facings[entries] & (bits - np.uint8(1)))
+    return has_row, rows[has_row]
 
 
 def taken(split: SplitTable, numbers: Int64s) -> tuple[SplitTable, Bools]:
@@ -67,9 +65,9 @@ def taken(split: SplitTable, numbers: Int64s) -> tuple[SplitTable, Bools]:
 
     ``numbers`` (split cells,) ascend.
     """
-    stays = numbers >= 0
-    rows = np.repeat(stays, counts_of(split.facings))
-    return SplitTable(numbers[stays].astype(np.uint32), split.facings[stays], split.areas[rows]), rows
+    is_taken = numbers >= 0
+    rows = np.repeat(is_taken, counts_of(split.facings))
+    return SplitTable(numbers[is_taken].astype(np.uint32), split.facings[is_taken], split.areas[rows]), rows
 
 
 def inserted(
@@ -81,22 +79,22 @@ def inserted(
     the order of all rows, first the remaining ones, then those of these cells; and the latter, by their
     numbers in ``split``, −1 for new ones.
     """
-    at = np.minimum(np.searchsorted(cells, split.cells), max(cells.size - 1, 0))
-    stays = cells[at] != split.cells if cells.size else np.ones(split.cells.size, np.bool_)
-    rest, _ = taken(split, np.where(stays, split.cells.astype(np.int64), -1))
+    entries = np.minimum(np.searchsorted(cells, split.cells), max(cells.size - 1, 0))
+    is_other = cells[entries] != split.cells if cells.size else np.ones(split.cells.size, np.bool_)
+    others, _ = taken(split, np.where(is_other, split.cells.astype(np.int64), -1))
     counts = counts_of(facings)
     owners, bits = np.repeat(cells, counts), bits_of(facings)
-    there, known = find_rows(split, owners, bits)
-    own_areas = np.repeat(shared_codes(areas, counts), counts)
-    own_areas[there] = split.areas[known]
+    has_row, old_rows = find_rows(split, owners, bits)
+    row_areas = np.repeat(shared_codes(areas, counts), counts)
+    row_areas[has_row] = split.areas[old_rows]
     rows = np.full(owners.size, -1, np.int64)
-    rows[there] = known
-    order = np.argsort(np.concatenate([rest.cells, cells]), kind="stable")
-    old_owners = np.repeat(rest.cells, counts_of(rest.facings))
+    rows[has_row] = old_rows
+    cell_order = np.argsort(np.concatenate([others.cells, cells]), kind="stable")
+    old_owners = np.repeat(others.cells, counts_of(others.facings))
     row_order = np.argsort(np.concatenate([old_owners, owners]), kind="stable")
     table = SplitTable(
-        np.concatenate([rest.cells, cells]).astype(np.uint32)[order],
-        np.concatenate([rest.facings, facings])[order],
-        np.concatenate([rest.areas, own_areas])[row_order],
+        np.concatenate([others.cells, cells]).astype(np.uint32)[cell_order],
+        np.concatenate([others.facings, facings])[cell_order],
+        np.concatenate([others.areas, row_areas])[row_order],
     )
     return table, row_order, Rows(rows, owners, bits)

@@ -67,9 +67,9 @@ def check_layout(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> None
         ("areas", arrays.areas.shape, (int(arrays.level_cells[-1]),)),
         ("split facings", split.facings.shape, split.cells.shape),
     )
-    for name, found, wanted in shapes:
-        if found != wanted:
-            raise ArgumentError(f"{name} must have shape {wanted}, not {found}")
+    for name, shape, expected_shape in shapes:
+        if shape != expected_shape:
+            raise ArgumentError(f"{name} must have shape {expected_shape}, not {shape}")
     check_rows(int(arrays.level_cells[-1]), split.areas.size, kept.cells.size)
 
 
@@ -100,9 +100,9 @@ def check_meaning(arrays: TreeArrays, split: SplitTable, kept: KeptTable) -> Non
     if leaves.size:
         raise TextureFileError(f"kept table: cell {leaves[0]} has no children")
     if arrays.level_cells.size > 2:
-        together = flags.copy()
-        gather_facings(arrays.groups, cells, flags, together)
-        differ = np.flatnonzero(together != flags)
+        gathered = flags.copy()
+        gather_facings(arrays.groups, cells, flags, gathered)
+        differ = np.flatnonzero(gathered != flags)
         if differ.size:
             raise TextureFileError(
                 f"node cell {differ[0]}: its normal flags are not those of its children together"

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.channels import ChannelFormat
-from octex.field import neighborhood
-from octex.field.neighborhood import refined_taps
+from octex.field import walk_taps
+from octex.field.walk_taps import refined_taps
 from octex.texture import Channel, OctreeTexture
 from octex.tree.edit import raised
 from octex.tree.octree import Octree
@@ -115,7 +115,7 @@ def test_cells_found_in_several_batches_are_those_found_at_once(monkeypatch):
     codes = np.random.default_rng(2).permutation(512)
     codes = codes[codes % 3 == 0][:150] * 8 + 5
     at_once = refined_taps(tree, codes, 4)
-    monkeypatch.setattr(neighborhood, "_CELLS_AT_ONCE", 1)
+    monkeypatch.setattr(walk_taps, "_CELLS_AT_ONCE", 1)
     assert at_once[1].size > 27
     for own, expected in zip(refined_taps(tree, codes, 4), at_once, strict=True):
         assert own.dtype == expected.dtype

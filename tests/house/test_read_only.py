@@ -77,7 +77,7 @@ def test_what_is_read_only_is_not_copied_once_more(tmp_path):
     assert surface.with_filter("trilinear").vertices is surface.vertices
     shell(2).save(tmp_path / "a.octex")
     texture = octex.open(tmp_path / "a.octex")
-    mapped = np.frombuffer(texture.source.mapping or b"", np.uint8)
+    mapped = np.frombuffer(texture.storage.mapping or b"", np.uint8)
     for each in (texture, texture.level(1), octex.cast(texture)):
         assert np.shares_memory(each.channels["base_color"].values, mapped)
         del each

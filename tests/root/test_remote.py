@@ -286,7 +286,7 @@ def test_only_what_lies_around_the_points_is_fetched(server, large):
     with ThreadPoolExecutor(4) as pool:
         parts = list(pool.map(lambda some: there.sample(some), np.split(far[::-1], 4)))
     np.testing.assert_array_equal(np.concatenate(parts), here.sample(far[::-1]))
-    assert not there.source.file.is_whole
+    assert not there.storage.file.is_whole
 
 
 @pytest.mark.parametrize("ending", [".octex", ".octz"])
@@ -321,7 +321,7 @@ def test_a_full_disk_names_the_folder_of_the_cache_or_of_the_archive(tmp_path, m
     for path in paths:
         shell(5).save(path)
     there = octex.open(elsewhere(paths[0]), cache=tmp_path / "cache")
-    monkeypatch.setattr(there.source.file, "_file", SimpleNamespace(seek=full))
+    monkeypatch.setattr(there.storage.file, "_file", SimpleNamespace(seek=full))
     folder = re.escape(str(tmp_path / "cache"))
     with pytest.raises(OutputError, match=rf"^{folder}: the cache for memory://octex"):
         there.rows()

@@ -43,7 +43,7 @@ def test_a_texture_in_a_store_answers_as_here(store, tmp_path):
     points = here.placement.origin + here.placement.size * np.random.default_rng(0).random((50, 3))
     views = {"width": here.placement.size / 16, "normals": points - points.mean(axis=0)}
     np.testing.assert_array_equal(there.sample(points, **views), here.sample(points, **views))
-    assert there.source.file._is_here.mean() < 0.6
+    assert there.storage.file._is_fetched.mean() < 0.6
     np.testing.assert_array_equal(there.sample(points), here.sample(points))
     assert json.dumps(there.info()) == json.dumps(here.info())
     there.save(tmp_path / "b.octex")

@@ -511,7 +511,7 @@ uvec3 leafAt(vec3 point, int last) {
 #if defined(MIXED) && !defined(NEAREST)
 // Leaves of several depths. The walk goes down to the first level without nodes around the point, where the spline's weights
 // fall on the cells. Leaves take theirs. Cells without a node above them are refined from cells of the level above: their
-// weights go up to those, and so on. See octex/field/neighborhood.py.
+// weights go up to those, and so on. See octex/field/walk_taps.py.
 const int LEVELS = 24;
 Block m_blocks[LEVELS];
 #if defined(KEPT) || defined(LINEAR)

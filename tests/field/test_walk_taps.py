@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from octex.field import taps as taps_of
-from octex.field.neighborhood import walked_taps
 from octex.field.splines import FILTERS
+from octex.field.walk_taps import walked_taps
 from octex.field.windows import MOST_TAPS, new_walk
 from octex.tree.layout import KEPT
 from octex.tree.octree import Octree

@@ -24,14 +24,14 @@ from octex.field.splines import (
 from octex.field.taps import OFF, Ahead, Batch, Taps, finish, prefetch_cell, scale_off
 from octex.field.tiles import (
     GROUP,
-    Near,
     Tiles,
+    TilesAround,
     code_in_tile,
     find_tiles,
     is_marked,
     look_in,
     nearest_rows,
-    new_near,
+    new_tiles_around,
     rounded_cell,
     tile_key,
 )
@@ -48,7 +48,7 @@ def _place_linear(
     begin: int,
     count: int,
     depth: int,
-    near: Near,
+    around: TilesAround,
     steps: Float32s,
     octants: Uint8s,
     bits: Uint8s,
@@ -67,9 +67,9 @@ def _place_linear(
         steps[at + np.uint64(GROUP)] = y - v
         steps[at + np.uint64(2 * GROUP)] = z - w
         i, j, k = np.int32(u), np.int32(v), np.int32(w)
-        near.keys[at] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
+        around.keys[at] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
         i, j, k = i & np.int32(7), j & np.int32(7), k & np.int32(7)
-        near.reached[at] = (i + one) >> three | (j + one) >> three << one | (k + one) >> three << two
+        around.reached[at] = (i + one) >> three | (j + one) >> three << one | (k + one) >> three << two
         for tap in range(8):
             code = code_in_tile(
                 i + one if tap & 1 else i, j + one if tap & 2 else j, k + one if tap & 4 else k
@@ -96,7 +96,7 @@ def _slope_linear(steps: Float32s, n: int, depth: int, stored: int, slopes: Floa
 def linear_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) -> tuple[int, int, int]:
     """Find the taps of trilinear interpolation."""
     coords, which, ahead, last = batch.coords, batch.which, batch.ahead, batch.last
-    near = new_near()
+    around = new_tiles_around()
     steps, octants, bits = (
         np.zeros(3 * GROUP, np.float32),
         np.zeros(8 * GROUP, np.uint8),
@@ -109,16 +109,16 @@ def linear_taps(tiles: Tiles, is_off: bool, batch: Batch, taps: Taps, end: int) 
     prefetches_more = ahead.alpha.shape[0] + ahead.flags.size + ahead.areas.size > 0
     for begin in range(0, coords.shape[0], GROUP):
         count = min(GROUP, coords.shape[0] - begin)
-        _place_linear(flat, begin, count, tiles.depth, near, steps, octants, bits)
-        find_tiles(tiles, near, count)
+        _place_linear(flat, begin, count, tiles.depth, around, steps, octants, bits)
+        find_tiles(tiles, around, count)
         for n in range(count):
             at = np.uint64(n)
-            slot, start, total, stored = near.slots[at], end, np.float32(0.0), 0
+            slot, start, total, stored = around.slots[at], end, np.float32(0.0), 0
             r, s, t = steps[at], steps[at + np.uint64(GROUP)], steps[at + np.uint64(2 * GROUP)]
             for tap in range(8):
                 tap_at = at + np.uint64(tap * GROUP)
                 octant = np.int64(octants[tap_at])
-                octant = np.int64(near.octants[np.uint64(slot + (octant >> 3))]) + (octant & 7)
+                octant = np.int64(around.octants[np.uint64(slot + (octant >> 3))]) + (octant & 7)
                 cell, is_stored = look_in(tiles, int(octant), int(bits[tap_at]))
                 weight = (r if tap & 1 else one - r) * (
                     (s if tap & 2 else one - s) * (t if tap & 4 else one - t)
@@ -171,7 +171,7 @@ _QUADRATIC, _QUARTIC = _tables(3), _tables(5)
 class Group(NamedTuple):
     """A group of points in their tiles, and the latest window."""
 
-    near: Near
+    around: TilesAround
     windows: Uint8s  # (GROUP,)   the lowest node of each point's window in the tile: x | y << 2 | z << 4
     parities: Uint8s  # (GROUP,)   of the lowest cell read, which lies in that node: x | y << 1 | z << 2
     along: Float32s  # (30 · GROUP,)   weights along x, then products of those along y and z
@@ -189,7 +189,7 @@ def new_group(gradient: bool) -> Group:
     latest = np.empty(2, np.int64)
     latest[0] = latest[1] = -1
     return Group(
-        new_near(),
+        new_tiles_around(),
         np.zeros(GROUP, np.uint8),
         np.zeros(GROUP, np.uint8),
         np.zeros(30 * GROUP, np.float32),
@@ -205,12 +205,12 @@ def new_group(gradient: bool) -> Group:
 def _find_place(group: Group, n: int, i: np.int32, j: np.int32, k: np.int32, side: int) -> None:
     """Find the tile and the window with lowest cell (i, j, k)."""
     one, two, three, four = np.int32(1), np.int32(2), np.int32(3), np.int32(4)
-    more = np.int32(side // 2)
+    reach = np.int32(side // 2)
     at = np.uint64(n)
-    group.near.keys[at] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
+    group.around.keys[at] = tile_key(np.int64(i >> three), np.int64(j >> three), np.int64(k >> three))
     e, f, g = i >> one & three, j >> one & three, k >> one & three
     group.windows[at] = e | f << two | g << four
-    group.near.reached[at] = (e + more) >> two | (f + more) >> two << one | (g + more) >> two << two
+    group.around.reached[at] = (e + reach) >> two | (f + reach) >> two << one | (g + reach) >> two << two
     group.parities[at] = i & one | (j & one) << one | (k & one) << two
 
 
@@ -258,7 +258,7 @@ def _place(
 def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, k: int, ahead: Ahead) -> None:
     """Add the children of a node at (i, j, k), 0 … 5 from the tile on, to the window's masks."""
     code = code_in_tile(2 * i, 2 * j, 2 * k)
-    octant = np.uint64(group.near.octants[np.uint64(slot + (code >> 11))] + (code >> 8 & 7))
+    octant = np.uint64(group.around.octants[np.uint64(slot + (code >> 11))] + (code >> 8 & 7))
     shift = np.uint64(code & 63)
     stored = tiles.masks[octant]
     first = np.int64(tiles.firsts[octant]) + rank_in(stored, shift)
@@ -272,12 +272,12 @@ def _add_node(tiles: Tiles, group: Group, slot: int, node: int, i: int, j: int, 
 @inlined
 def _find_window(tiles: Tiles, group: Group, n: int, side: int, ahead: Ahead) -> None:
     """Find the window of point n, unless it is the latest, and prefetch its cells' rows."""
-    window, key = np.int64(group.windows[np.uint64(n)]), group.near.keys[np.uint64(n)]
+    window, key = np.int64(group.windows[np.uint64(n)]), group.around.keys[np.uint64(n)]
     if (window == group.latest[0]) & (key == group.latest[1]):
         return
     group.latest[0], group.latest[1] = window, key
     i, j, k = int(window & 3), int(window >> 2 & 3), int(window >> 4)
-    slot = group.near.slots[np.uint64(n)]
+    slot = group.around.slots[np.uint64(n)]
     nodes = side // 2 + 1
     for word in range(1 if nodes == 2 else 4):
         group.masks[word] = np.uint64(0)
@@ -314,16 +314,16 @@ def _take_word(
     words, children = (1, 64) if side < 5 else (4, 216)
     parity = np.int64(group.parities[at])
     mask = group.masks[np.uint64(word)]
-    left = mask & tables.masks[np.uint64(words * parity + word)]
+    cells = mask & tables.masks[np.uint64(words * parity + word)]
     base = 2 * (children * parity + 64 * word)
     along, slopes, places = group.along, group.slopes, tables.places
     gradient = slopes.size > 0
-    while left != np.uint64(0):
-        bit = np.uint64(trailing_zeros(left))
-        left &= left - np.uint64(1)
-        place = np.uint64(base) + (bit << np.uint64(1))
-        x = np.uint64(places[place]) + at
-        yz = np.uint64(places[place + np.uint64(1)]) + at
+    while cells != np.uint64(0):
+        bit = np.uint64(trailing_zeros(cells))
+        cells &= cells - np.uint64(1)
+        entry = np.uint64(base) + (bit << np.uint64(1))
+        x = np.uint64(places[entry]) + at
+        yz = np.uint64(places[entry + np.uint64(1)]) + at
         weight = along[x] * along[yz]
         cell = group.firsts[np.uint64(8 * word) + (bit >> np.uint64(3))] + rank_in(mask, bit)
         taps.rows[np.uint64(end)] = min(cell, last)
@@ -357,7 +357,7 @@ def _spline_taps(
     for begin in range(0, batch.coords.shape[0], GROUP):
         count = min(GROUP, batch.coords.shape[0] - begin)
         _place(flat, begin, count, tiles.depth, group, weights, slopes, side)
-        find_tiles(tiles, group.near, count)
+        find_tiles(tiles, group.around, count)
         for n in range(count):
             _find_window(tiles, group, n, side, batch.ahead)
             start, total = end, np.float32(0.0)
@@ -401,18 +401,18 @@ def _nearest_around(tiles: Tiles, batch: Batch, taps: Taps, end: int) -> tuple[i
             b = rounded_cell(coords[begin + n, 1], tiles.depth) - one
             c = rounded_cell(coords[begin + n, 2], tiles.depth) - one
             _find_place(group, n, a, b, c, 3)
-        find_tiles(tiles, group.near, count)
+        find_tiles(tiles, group.around, count)
         for n in range(count):
             _find_window(tiles, group, n, 3, batch.ahead)
             x, y, z = coords[begin + n, 0], coords[begin + n, 1], coords[begin + n, 2]
             a, b, c = rounded_cell(x, tiles.depth), rounded_cell(y, tiles.depth), rounded_cell(z, tiles.depth)
             point = x * UNITS, y * UNITS, z * UNITS
             parity, mask = np.int64(group.parities[n]), group.masks[0]
-            left = mask & INSIDE[0, parity, 0]
+            cells = mask & INSIDE[0, parity, 0]
             nearest, least, least_code = np.int64(-1), np.inf, np.int64(0)
-            while left != np.uint64(0):
-                bit = trailing_zeros(left)
-                left &= left - np.uint64(1)
+            while cells != np.uint64(0):
+                bit = trailing_zeros(cells)
+                cells &= cells - np.uint64(1)
                 place = np.int64(PLACES[0, parity, bit])
                 low = a - 1 + place % 3 << shift, b - 1 + place // 3 % 3 << shift, c - 1 + place // 9 << shift
                 is_nearer, distance, code = nearer_box(point, low, 1 << shift, least, least_code)

@@ -36,9 +36,9 @@ from octex.field.windows import (
     UPPER,
     Walk,
     Way,
-    bit_at,
     cell_at,
     change_level,
+    flag_at,
     follow,
     kept_row,
     new_walk,
@@ -87,8 +87,8 @@ def taps_around(
             level -= 1
         is_cut = is_off = True
     cover = 0.0 if is_off else total
-    wanted = np.float64(OFF) if is_off else max(cover, np.float64(LEAST))
-    _write_taps(walk, n_taps, total, wanted, is_constant or wanted != total, taps, first)
+    weight_sum = np.float64(OFF) if is_off else max(cover, np.float64(LEAST))
+    _write_taps(walk, n_taps, total, weight_sum, is_constant or weight_sum != total, taps, first)
     return first + n_taps, cover
 
 
@@ -160,8 +160,8 @@ def _collect_level(
     walk, parents, has_kept = way.walk, way.parents, way.kept_cells.size > 0
     windows = walk.windows
     begin = walk.levels[level, BEGIN]
-    keeping = way.filter_code != LINEAR and walk.levels[level, KEEPING] != 0
-    if keeping:
+    has_kept_parents = way.filter_code != LINEAR and walk.levels[level, KEEPING] != 0
+    if has_kept_parents:
         weigh_windows(way, level)
     for word in range(words_of(way)):
         nodes, stored, kept = walk.nodes[level, word], walk.cells[level, word], np.uint64(0)
@@ -169,15 +169,15 @@ def _collect_level(
             kept = walk.kept[level, word]
         bits = (stored if truncated else stored ^ nodes | kept) & INSIDE[parents - 2, begin, word]
         while bits != 0:
-            place = trailing_zeros(bits)
+            bit = trailing_zeros(bits)
             bits &= bits - np.uint64(1)
-            cell = cell_at(way.arrays, walk, level, word, place)
-            at = place_of(parents, begin, 64 * word + place)
+            cell = cell_at(way.arrays, walk, level, word, bit)
+            at = place_of(parents, begin, 64 * word + bit)
             factor = 1.0
             if has_kept:
-                if keeping and walk.below_kept[level, word] & bit_at(place) != 0:
+                if has_kept_parents and walk.below_kept[level, word] & flag_at(bit) != 0:
                     factor = windows[REFINED + level, at]
-                if kept & bit_at(place) != 0:
+                if kept & flag_at(bit) != 0:
                     cell = kept_row(way, cell)
             share = windows[SHARES, at] * factor
             walk.taps[0, n_taps] = share
@@ -195,11 +195,11 @@ def _collect_level(
 
 @inlined
 def _write_taps(
-    walk: Walk, n_taps: int, total: float, wanted: float, is_constant: bool, to: Taps, first: int
+    walk: Walk, n_taps: int, total: float, weight_sum: float, is_constant: bool, to: Taps, first: int
 ) -> None:
-    """Write taps' weights, scaled to the sum ``wanted``, and slopes, of sum 0 if ``is_constant``."""
+    """Write taps' weights, scaled to the sum ``weight_sum``, and slopes, of sum 0 if ``is_constant``."""
     taps = walk.taps
-    scale = wanted / total
+    scale = weight_sum / total
     for n in range(n_taps):
         to.weights[first + n] = taps[0, n] * scale
     for axis in range(3 if to.slopes.shape[0] > 0 else 0):
@@ -240,11 +240,11 @@ def walked_taps(
         n = which[m]
         start = end
         x, y, z = coords[n, 0], coords[n, 1], coords[n, 2]
-        found = x, y, z, is_constant, taps, start
+        task = x, y, z, is_constant, taps, start
         if filter_code == QUARTIC:
-            end, cover = taps_around(Way(arrays, kept_cells, walk, QUARTIC, 3, columns, False), *found)
+            end, cover = taps_around(Way(arrays, kept_cells, walk, QUARTIC, 3, columns, False), *task)
         else:
-            end, cover = taps_around(Way(arrays, kept_cells, walk, filter_code, 2, columns, False), *found)
+            end, cover = taps_around(Way(arrays, kept_cells, walk, filter_code, 2, columns, False), *task)
         for tap in range(start, end):
             if taps.rows[tap] >= n_cells:
                 taps.rows[tap] += shift
@@ -260,12 +260,12 @@ def refined_taps(tree: Octree, codes: Int64s, level: int) -> TapList:
     walk = new_walk()
     counts = np.zeros(codes.size, np.int64)
     rows, weights = [np.empty(0, np.uint32)], [np.empty(0, np.float32)]
-    some = new_taps(0, 27 * _CELLS_AT_ONCE + MOST_TAPS, False)
+    room = new_taps(0, 27 * _CELLS_AT_ONCE + MOST_TAPS, False)
     begin = 0
     while begin < codes.size:
-        begin, end = _refine_cells(tree.arrays, tree.kept.cells, codes, begin, level, walk, counts, some)
-        rows.append(some.rows[:end].copy())
-        weights.append(some.weights[:end].copy())
+        begin, end = _refine_cells(tree.arrays, tree.kept.cells, codes, begin, level, walk, counts, room)
+        rows.append(room.rows[:end].copy())
+        weights.append(room.weights[:end].copy())
     return TapList(np.cumsum(np.append(0, counts)), np.concatenate(rows), np.concatenate(weights))
 
 
@@ -292,10 +292,10 @@ def _refine_cells(
         deepest = follow(way, i, j, k)
         walk.windows[SHARES, :27] = 0.0
         walk.windows[SHARES, _MIDDLE] = 1.0
-        for each in range(level, deepest, -1):  # windows without stored cells
-            half = MAX_DEPTH - each
-            walk.levels[each, UPPER] = i >> half & 1 | (j >> half & 1) << 1 | (k >> half & 1) << 2
-            change_level(walk, SHARES, each, 2, False)
+        for deeper in range(level, deepest, -1):  # windows without stored cells
+            half = MAX_DEPTH - deeper
+            walk.levels[deeper, UPPER] = i >> half & 1 | (j >> half & 1) << 1 | (k >> half & 1) << 2
+            change_level(walk, SHARES, deeper, 2, False)
         count, total = _collect(way, min(level, deepest), False, taps.rows, end)
         if total > 0.0:
             _write_taps(walk, count, total, 1.0, True, taps, end)
