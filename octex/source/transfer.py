@@ -59,11 +59,11 @@ class Transfer(Placeable):
         Raises ArgumentError for a channel that the other model lacks, ModelError if it has no area.
         """
         as_choice(form.name, self.sources, f"channel of {self._surface.name}:")
-        source = self._shared(mesh, lambda: _Transferred(self, mesh))
+        source = self._shared(mesh, lambda: _TransferSource(self, mesh))
         return source, {f"source_{form.name}": f"nearest surface of {self._surface.name}"}
 
 
-class _Transferred(SpatialSource):
+class _TransferSource(SpatialSource):
     def __init__(self, transfer: Transfer, mesh: Mesh) -> None:
         super().__init__((), mesh.rest, mesh.triangles)
         self._inputs = (transfer._surface.source,)
@@ -102,8 +102,8 @@ class _Transferred(SpatialSource):
         values[rows, others.shape[1] :] = 1.0
         return values
 
-    def only(self, names: Sequence[str]) -> _Transferred:
+    def only(self, names: Sequence[str]) -> _TransferSource:
         """Return the same source with only these channels, and ``alpha`` if it has gaps."""
         [other] = self._inputs
-        wanted = [form.name for form in other.channels if form.name in names]
-        return self._reading([other.only(wanted) if wanted or other.has_gaps else Combined({})])
+        common = [form.name for form in other.channels if form.name in names]
+        return self._of_inputs([other.only(common) if common or other.has_gaps else Combined({})])

@@ -83,8 +83,8 @@ class Voxels:
         deepest = int(self.depths.max())
         self.size = float(1 << deepest) if size is None else as_positive(size, f"{self.name}: size")
         self.values: dict[str, Values] = {}
-        for each, rows in as_entries(channels, "channels").items():
-            self._add(each, rows)
+        for channel, rows in as_entries(channels, "channels").items():
+            self._add(channel, rows)
         if not self.values:
             raise ArgumentError(f"{self.name} has no channel")
 
@@ -174,20 +174,20 @@ def voxels_of(arrays: Mapping[str, Array], name: str) -> Voxels:
     coords = arrays["coords"]
     size = arrays.get("size")
     channels = {
-        each: rows
-        for each, rows in arrays.items()
-        if each not in {"coords", *_DEPTHS, *_OTHERS}
+        key: rows
+        for key, rows in arrays.items()
+        if key not in {"coords", *_DEPTHS, *_OTHERS}
         and rows.ndim in (1, 2)
         and rows.shape[:1] == coords.shape[:1]
     }
-    color = next((each for each in _COLORS if each in channels and channels[each].ndim == 2), None)
+    color = next((key for key in _COLORS if key in channels and channels[key].ndim == 2), None)
     if color is not None and channels[color].shape[1] in (3, 4):
         channels["base_color"] = channels.pop(color)
     try:
         voxels = Voxels(
             coords,
             channels,
-            depth=next((arrays[each] for each in _DEPTHS if each in arrays), None),
+            depth=next((arrays[key] for key in _DEPTHS if key in arrays), None),
             origin=arrays.get("origin", np.zeros(3)),
             size=None if size is None else size.item() if size.size == 1 else size,  # type: ignore[arg-type]
             name=name,
@@ -206,7 +206,7 @@ def is_voxels(path: Path) -> bool:
         return path.suffix.lower() == ".vxz"
     try:
         with open_file(path) as file, zipfile.ZipFile(file) as archive:
-            return not {f"{each}.npy" for each in _COORDS}.isdisjoint(archive.namelist())
+            return not {f"{key}.npy" for key in _COORDS}.isdisjoint(archive.namelist())
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
         return False
 
@@ -222,7 +222,7 @@ def voxel_arrays(path: Path) -> dict[str, Array]:
             arrays["coords"] = coords
         else:
             arrays = npz_arrays(path)
-    key = next((each for each in _COORDS if each in arrays), None)
+    key = next((key for key in _COORDS if key in arrays), None)
     if key is None:
         raise ModelError(f"{path.name} has no array 'coords'; save it with np.savez(…, coords=…)")
     coords = arrays["coords"] = arrays.pop(key)

@@ -83,18 +83,18 @@ class Moves:
             path = target["path"]
             if "node" not in target or path not in _COMPONENTS:  # of an extension
                 continue
-            node, chosen = target["node"], channel["sampler"]
+            node, sampler = target["node"], channel["sampler"]
             if "matrix" in document.item("nodes", node) and path != "weights":
                 raise damaged(f"{what} moves nodes[{node}], which has a matrix")
             if (node, path) in self._channels:
                 raise damaged(f"{what} gives nodes[{node}] its {path} twice")
-            if not isinstance(chosen, int) or not 0 <= chosen < len(animation["samplers"]):
-                raise damaged(f"{what} refers to samplers[{chosen}], which it does not have")
-            if chosen not in samplers:
-                name = f"{what}.samplers[{chosen}]"
-                entry = as_object(animation["samplers"][chosen], name)
-                samplers[chosen] = _sampler(document, entry, path, name)
-            self._channels[node, path] = samplers[chosen]
+            if not isinstance(sampler, int) or not 0 <= sampler < len(animation["samplers"]):
+                raise damaged(f"{what} refers to samplers[{sampler}], which it does not have")
+            if sampler not in samplers:
+                name = f"{what}.samplers[{sampler}]"
+                entry = as_object(animation["samplers"][sampler], name)
+                samplers[sampler] = _sampler(document, entry, path, name)
+            self._channels[node, path] = samplers[sampler]
         #: In seconds.
         self.length = max((float(each.times[-1]) for each in self._channels.values()), default=0.0)
 
@@ -198,6 +198,10 @@ class Placed(NamedTuple):
     matrix: Float64s  # (4, 4)   to the world, at rest
     primitive: Primitive
 
+    def rest_positions(self) -> Float64s:
+        """Return the vertices (n, 3) as modelled, in the world."""
+        return np.asarray(self.primitive.positions @ self.matrix[:3, :3].T + self.matrix[:3, 3])
+
 
 class Pose:
     """The nodes of a scene in a pose; ``fields`` are those of animated nodes."""
@@ -221,9 +225,9 @@ class Pose:
             if self.skin(placed) is None:
                 return moved @ bones[0, :3, :3].T + bones[0, :3, 3]
             sums = np.zeros_like(moved)
-            bound = influences(placed.primitive, len(bones))
-            for joints, shares in zip(*(each.T for each in bound), strict=True):
-                matrices = bones[joints]
+            joints, weights = influences(placed.primitive, len(bones))
+            for numbers, shares in zip(joints.T, weights.T, strict=True):
+                matrices = bones[numbers]
                 turned = np.einsum("nij,nj->ni", matrices[:, :3, :3], moved) + matrices[:, :3, 3]
                 sums += shares[:, None] * turned
             return sums
@@ -280,17 +284,15 @@ def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
     Weights are scaled to sum 1, as viewers do; if all are 0, the first joint gets 1.
     """
     what = primitive.name
-    joints: list[Array] = []
-    every: list[Float64s] = []
-    while (numbers := primitive.attribute(f"JOINTS_{len(joints)}", (4,))) is not None:
-        weight = primitive.attribute(f"WEIGHTS_{len(joints)}", (4,))
-        if weight is None:
-            raise damaged(f"{what} has JOINTS_{len(joints)} without weights")
-        joints.append(numbers)
-        every.append(weight)
-    if not joints:
+    sets: list[tuple[Float64s, Float64s]] = []
+    while (joints := primitive.attribute(f"JOINTS_{len(sets)}", (4,))) is not None:
+        weights = primitive.attribute(f"WEIGHTS_{len(sets)}", (4,))
+        if weights is None:
+            raise damaged(f"{what} has JOINTS_{len(sets)} without weights")
+        sets.append((joints, weights))
+    if not sets:
         raise damaged(f"{what} has a skin but no JOINTS_0")
-    numbers, weights = np.concatenate(joints, axis=1), np.concatenate(every, axis=1)
+    joints, weights = (np.concatenate(columns, axis=1) for columns in zip(*sets, strict=True))
     sums = weights.sum(axis=1)
     bad = ~((weights >= 0).all(axis=1) & np.isfinite(sums))
     if bad.any():
@@ -305,13 +307,13 @@ def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
         warn(f"{what}: the weights of {count} vertices do not sum to 1; octex normalizes them")
         weights[sums == 0, 0] = 1.0
         sums[sums == 0] = 1.0
-    if not (numbers < n_joints).all():
-        first = int(np.argmax((numbers >= n_joints).any(axis=1)))
+    if not (joints < n_joints).all():
+        first = int(np.argmax((joints >= n_joints).any(axis=1)))
         raise damaged(
-            f"{what}: vertex {first} is moved by joint {int(numbers[first].max())}, but its skin has "
+            f"{what}: vertex {first} is moved by joint {int(joints[first].max())}, but its skin has "
             f"{n_joints}"
         )
-    return numbers.astype(np.int64), weights / sums[:, None]
+    return joints.astype(np.int64), weights / sums[:, None]
 
 
 def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Motion | None:
@@ -323,7 +325,7 @@ def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Moti
     if not names:
         return None
     bones = _Bones(document, placed)
-    made: list[Animation] = []
+    animations: list[Animation] = []
     faults: list[str] = []
     for number, name in enumerate(names):
         try:
@@ -334,11 +336,9 @@ def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Moti
         except (ModelError, KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             faults.append(f"animation {name}: {error if isinstance(error, ModelError) else 'is malformed'}")
             continue
-        made.append(Animation(name, moves.length, *map(np.stack, zip(*poses, strict=True))))
-    positions = np.concatenate(
-        [each.primitive.positions @ each.matrix[:3, :3].T + each.matrix[:3, 3] for each in placed]
-    )
-    return Motion(positions, *bones.links(), made, faults)
+        animations.append(Animation(name, moves.length, *map(np.stack, zip(*poses, strict=True))))
+    positions = np.concatenate([each.rest_positions() for each in placed])
+    return Motion(positions, *bones.links(), animations, faults)
 
 
 class _Bones:

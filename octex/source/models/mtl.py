@@ -66,32 +66,38 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
     materials: dict[str, Description] = {}
     missing = []
     for line in lines:
-        file = beside(path.parent, line)
-        for each in [file] if file is not None else [beside(path.parent, word) for word in line.split()]:
-            if each is not None:
-                data = read_bytes(each)
-                images.note(each, data)
+        whole = beside(path.parent, line)
+        for file in [beside(path.parent, word) for word in line.split()] if whole is None else [whole]:
+            if file is not None:
+                data = read_bytes(file)
+                images.note(file, data)
                 is_linear = data.startswith(_LINEAR)
-                entries: dict[str, str] = {}
-                name = None
-                for entry in [*wavefront_lines(data, each), "newmtl"]:
-                    key, _, rest = entry.partition(" ")
-                    if key == "newmtl":
-                        if name is not None and name in wanted:
-                            materials[name] = _Describer(
-                                entries, name, each, images, options, is_linear=is_linear
-                            ).describe()
-                        name, entries = rest.strip(), {}
-                    elif rest.strip():
-                        entries[key.lower()] = rest.strip()
+                for name, entries in _entries(data, file):
+                    if name in wanted:
+                        reader = _MaterialReader(entries, name, file, images, options, is_linear)
+                        materials[name] = reader.description()
             elif line not in missing:
                 missing.append(line)
     stated = set(options.channels or ())
     stated.update(*(each.material.inputs.keys() - each.assumed for each in materials.values()))
-    for name, known in materials.items():
-        inputs = {k: v for k, v in known.material.inputs.items() if k not in known.assumed - stated}
-        materials[name] = known._replace(material=known.material._replace(inputs=inputs))
+    for name, (material, slots, assumed, *_) in materials.items():
+        inputs = {key: value for key, value in material.inputs.items() if key not in assumed - stated}
+        materials[name] = Description(material._replace(inputs=inputs), slots, assumed)
     return Library(materials, images.files, missing)
+
+
+def _entries(data: bytes, path: Path) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the name of each material of an MTL file, and its lines by their first word."""
+    entries: dict[str, str] = {}
+    name = None
+    for line in [*wavefront_lines(data, path), "newmtl"]:
+        key, _, rest = line.partition(" ")
+        if key == "newmtl":
+            if name is not None:
+                yield name, entries
+            name, entries = rest.strip(), {}
+        elif rest.strip():
+            entries[key.lower()] = rest.strip()
 
 
 def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
@@ -147,27 +153,27 @@ class _Map(NamedTuple):
     gain: float = 1.0
 
 
-class _Describer:
+class _MaterialReader:
     """Turns the lines of one material into its description."""
 
     def __init__(
         self, entries: dict[str, str], name: str, path: Path, images: ImageFiles, options: Options,
-        *, is_linear: bool,
+        is_linear: bool,
     ) -> None:  # fmt: skip
         self._entries, self._name, self._path = entries, name, path
         self._where = f"{path.name}: material {name}"
         self._images, self._options, self._is_linear = images, options, is_linear
         self._slots: dict[Slot, int] = {}
 
-    def describe(self) -> Description:
+    def description(self) -> Description:
         """Return the material."""
         special = {"alpha": self._alpha, "normal": self._normal}
         inputs = {"base_color": Input((1.0, 1.0, 1.0))}
         for channel in KEYS:
             read = self._scalar if CHANNELS[channel].components == 1 else self._color
-            made = special.get(channel, read)(channel)
-            if made is not None:
-                inputs[channel] = made
+            entry = special.get(channel, read)(channel)
+            if entry is not None:
+                inputs[channel] = entry
         assumed = set()
         if "roughness" not in inputs and "ns" in self._entries:
             exponent = self._numbers("Ns", 1)[0] if self._options.wants("roughness") else 0.0
@@ -184,8 +190,8 @@ class _Describer:
         image, text = self._map(*maps), self._entries.get(key.lower())
         if image is None and text is None:
             return None
-        stated = parse_numbers(text or "1")
-        black = stated is not None and stated.max(initial=-np.inf) <= 0.0
+        numbers = parse_numbers(text or "1")
+        black = numbers is not None and numbers.max(initial=-np.inf) <= 0.0
         if black and image is None and channel == "emissive":
             return None
         if not self._options.wants(channel):
@@ -198,7 +204,7 @@ class _Describer:
         if max(color) <= 1.0 or channel != "emissive":
             values = np.clip(color, 0.0, 1.0)
             color = (values if self._is_linear else srgb_to_linear(values)).tolist()
-        factor = tuple(max(each, 0.0) for each in color)
+        factor = tuple(max(component, 0.0) for component in color)
         return Input(factor, None if image is None else self._texture(image))
 
     def _scalar(self, channel: str) -> Input | None:
@@ -260,15 +266,15 @@ class _Describer:
         return self._placed(self._texels(image, image.base, image.gain), image)
 
     def _placed(self, texels: Texels, image: _Map) -> Texture:
-        path = self._found(image)
+        path = self._file(image)
         tiles = tile_grid(tile_files(path)) if is_udim(path.name) else (1, 1)
         slot = self._slots.setdefault(image.slot._replace(tiles=tiles), len(self._slots))
         return Texture(texels, image.wrap, image.wrap, slot=slot)
 
     def _texels(self, image: _Map, base: float = 0.0, gain: float = 1.0) -> Texels:
-        return self._images.read(self._found(image), f"{self._where}: {image.file}", base, gain)
+        return self._images.read(self._file(image), f"{self._where}: {image.file}", base, gain)
 
-    def _found(self, image: _Map) -> Path:
+    def _file(self, image: _Map) -> Path:
         path = beside(self._path.parent, image.file)
         if path is None:
             raise ImageError(

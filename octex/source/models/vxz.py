@@ -65,8 +65,7 @@ def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
         raise ModelError(f"{name} is damaged ({error}); write it again") from None
     if not parts:
         raise ModelError(f"{name} has no voxels; write it again")
-    names = parts[0][1]
-    values = {each: np.concatenate([rows[each] for _, rows in parts]) for each in names}
+    values = {key: np.concatenate([columns[key] for _, columns in parts]) for key in parts[0][1]}
     return np.concatenate([coords for coords, _ in parts]), values
 
 
@@ -93,13 +92,13 @@ def _chunk(
     if leaves < 0:
         raise ValueError("its octree ends early, or has more than it says")
     coords = coords[:leaves]
-    widths = {str(each): int(width) for each, width in header["attr"]}
+    widths = {str(key): int(width) for key, width in header["attr"]}
     if any(not 1 <= width <= _MOST_COLUMNS for width in widths.values()):
         raise ValueError(f"attributes of {max(widths.values())} columns")
     parts = {
         "all": {"attr": sum(widths.values())},
         "as_is": widths,
-        "none": {f"{each}_{i}": 1 for each, width in widths.items() for i in range(width)},
+        "none": {f"{key}_{i}": 1 for key, width in widths.items() for i in range(width)},
     }[header["attr_interleave"]]
     rows = np.hstack([part(key, leaves * width).reshape(leaves, width) for key, width in parts.items()])
     if header["filter"] == "parent":
