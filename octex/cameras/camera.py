@@ -29,7 +29,7 @@ Distortion = tuple[float, ...]
 NO_DISTORTION: Distortion = (0.0, 0.0, 0.0, 0.0)
 
 #: Whether rays meet in the camera's position or are parallel.
-Projection = Literal["pinhole", "orthographic"]
+ProjectionKind = Literal["pinhole", "orthographic"]
 
 #: Bounds of a camera's numbers: their powers stay far from overflow and underflow.
 LARGEST, SMALLEST = 1e30, 1e-30
@@ -65,21 +65,21 @@ class Camera:
     height: int
     K: Float64s
     world_to_camera: Float64s
-    projection: Projection
+    projection: ProjectionKind
     distortion: Distortion = NO_DISTORTION
     distortion_model: DistortionModel = "opencv"
 
     def __post_init__(self) -> None:
-        made = {
+        checked = {
             "width": as_whole(self.width, "width", 1, LARGEST_SIZE),
             "height": as_whole(self.height, "height", 1, LARGEST_SIZE),
             "K": locked(_as_intrinsics(self.K)),
             "world_to_camera": locked(_as_rigid(self.world_to_camera, "world_to_camera")),
-            "projection": as_choice(self.projection, get_args(Projection), "projection"),
+            "projection": as_choice(self.projection, get_args(ProjectionKind), "projection"),
             "distortion_model": as_choice(self.distortion_model, DISTORTION_MODELS, "distortion_model"),
             "distortion": _as_distortion(self.distortion, self.distortion_model),
         }
-        for name, value in made.items():
+        for name, value in checked.items():
             object.__setattr__(self, name, value)
         if self.projection == "orthographic" and self.is_distorted:
             raise ArgumentError("an orthographic camera must have no distortion")

@@ -9,7 +9,7 @@ import numpy as np
 
 from octex.arrays import Float64s
 from octex.cameras.fields import BrokenError, Bytes, Record, within
-from octex.cameras.frames import Frame, Optics, image_path, rigid, view_of
+from octex.cameras.frames import Frame, Optics, image_path, rigid, view_matrix
 
 #: The first bytes of a scene.
 MARK = b"MVSI"
@@ -53,7 +53,7 @@ def read(path: Path, content: bytes) -> list[Frame]:
             optics, mounts, poses = platforms[platform]
             if camera >= len(optics) or pose >= len(poses):
                 raise BrokenError(f"camera {camera} or pose {pose} is not in the file")
-            view = view_of(mounts[camera] @ poses[pose])
+            view = view_matrix(mounts[camera] @ poses[pose])
             frames.append(Frame(name, path, optics[camera], view, image_path(path, name)))
     return frames
 

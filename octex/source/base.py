@@ -123,8 +123,8 @@ class PartSource(Forwarded):
 
 def in_order(names: Sequence[str]) -> list[str]:
     """Return names of channels in the order in which textures store them; unknown names last."""
-    known = list(CHANNELS)
-    return sorted(dict.fromkeys(names), key=lambda n: known.index(n) if n in known else len(known))
+    order = list(CHANNELS)
+    return sorted(dict.fromkeys(names), key=lambda n: order.index(n) if n in order else len(order))
 
 
 def by_channel(channels: Sequence[ChannelFormat], values: Float32s) -> dict[str, Float32s]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -141,19 +141,21 @@ class Voxels:
         return np.broadcast_to(array.reshape(-1), count).astype(np.uint8)
 
     def _add(self, name: str, values: npt.ArrayLike) -> None:
-        what, known = f"{self.name}: {name}", CHANNELS.get(name)
+        what, fixed = f"{self.name}: {name}", CHANNELS.get(name)
         rows = as_array(values)
         rows = rows[:, None] if rows.ndim == 1 else rows
-        widths = (3, 4) if known == BASE_COLOR else range(1, 5) if known is None else (known.components,)
+        widths: Sequence[int] = range(1, 5) if fixed is None else [fixed.components]
+        if fixed == BASE_COLOR:
+            widths = (3, 4)
         if rows.ndim != 2 or len(rows) != len(self) or rows.shape[1] not in widths:
             columns = " or ".join(map(str, widths))
             raise ArgumentError(f"{what} must have shape ({len(self)}, {columns}), not {rows.shape}")
         if rows.dtype not in (np.uint8, np.uint16) and rows.dtype.kind != "f":
             raise ArgumentError(f"{what} must be uint8 or uint16 codes, or floats, not {rows.dtype}")
-        if known == BASE_COLOR and rows.shape[1] == 4:
+        if fixed == BASE_COLOR and rows.shape[1] == 4:
             self._add(ALPHA.name, rows[:, 3:])
             rows = rows[:, :3]
-        form = ChannelFormat(name, rows.shape[1], "data") if known is None else known
+        form = ChannelFormat(name, rows.shape[1], "data") if fixed is None else fixed
         if rows.dtype.kind == "u":
             form = form._replace(dtype=rows.dtype.name)
         else:
@@ -164,7 +166,7 @@ class Voxels:
             low = -1.0 if form.space == "direction" else 0.0
             if rows.min() < low or rows.max() > 1.0 + _ROUNDING:  # codes cannot hold it
                 space = "linear" if form.space == "srgb" else form.space
-                is_half = known is not None and np.abs(rows).max() <= MOST_IN_FLOAT16
+                is_half = fixed is not None and np.abs(rows).max() <= MOST_IN_FLOAT16
                 form = form._replace(space=space, dtype="float16" if is_half else "float32")
         self.values[name] = Values(form, locked(np.ascontiguousarray(rows)))
 

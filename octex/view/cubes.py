@@ -12,7 +12,7 @@ from octex.jit import kernel
 
 
 class CubeBuffers(NamedTuple):
-    """What each pixel sees; row 0 is the top of the image."""
+    """The nearest cube of each pixel; row 0 is the top of the image."""
 
     cube: Int32s  # (height, width)   number of the nearest cube; −1: none
     axis: Int8s  # (height, width)   normal axis of the visible face: 0, 1 or 2

@@ -33,7 +33,7 @@ _LEFT, _RIGHT, _ABOVE, _BELOW, _BEHIND = 1, 2, 4, 8, 16
 
 
 class Buffers(NamedTuple):
-    """What each pixel sees; row 0 is the top of the image."""
+    """The nearest triangle of each pixel; row 0 is the top of the image."""
 
     triangle: Int32s  # (height, width)      the nearest triangle; −1: none
     barycentric: Float32s  # (height, width, 3)   perspective-correct; zeros without a triangle

@@ -64,16 +64,16 @@ def load_gltf(path: Path, options: Options) -> Surface:
     with textures have it.
     """
     document = Document(path)
-    shown = _shown(document, options)
-    if not shown:
+    placed = _placed_primitives(document, options)
+    if not placed:
         raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
-    materials = _materials(document, (each.primitive.material for each in shown), options)
+    materials = _materials(document, (each.primitive.material for each in placed), options)
     indices = {number: index for index, number in enumerate(materials)}
     is_mapped = any(each.material.normal_slot is not None for each in materials.values())
-    is_smooth = any("NORMAL" in each.primitive.attributes for each in shown)
+    is_smooth = any("NORMAL" in each.primitive.attributes for each in placed)
     has_frames = is_mapped or (options.normals and is_smooth)
     parts: dict[str, Part] = {}
-    for primitive in (each.primitive for each in shown):
+    for primitive in (each.primitive for each in placed):
         if primitive.name not in parts:
             of_triangles = np.full(len(primitive.triangles), indices[primitive.material], np.int32)
             rest = primitive.attribute(_REST, (3,))
@@ -85,9 +85,9 @@ def load_gltf(path: Path, options: Options) -> Surface:
     posed = None
     if options.pose is not None:
         pose = pose_of(document, options.pose)
-        posed = np.concatenate([pose.positions(each) for each in shown])
-    elif any(_REST in each.primitive.attributes for each in shown):
-        posed = np.concatenate([each.rest_positions() for each in shown])
+        posed = np.concatenate([pose.positions(each) for each in placed])
+    elif any(_REST in each.primitive.attributes for each in placed):
+        posed = np.concatenate([each.rest_positions() for each in placed])
     asset = document.json["asset"]
     origin = {key: str(asset[key]) for key in ("copyright", "generator") if key in asset}
     if isinstance(extras := asset.get("extras"), dict):
@@ -96,7 +96,7 @@ def load_gltf(path: Path, options: Options) -> Surface:
     if document.files:
         origin["files"] = json.dumps(document.files, sort_keys=True, ensure_ascii=False)
     return assembled(
-        [parts[each.primitive.name]._replace(matrix=each.matrix) for each in shown],
+        [parts[each.primitive.name]._replace(matrix=each.matrix) for each in placed],
         [each.material for each in materials.values()],
         options, document.name, provenance=origin, posed=posed,
     )  # fmt: skip
@@ -105,10 +105,10 @@ def load_gltf(path: Path, options: Options) -> Surface:
 def load_gltf_motion(path: Path, rate: float) -> Motion | None:
     """Return the motion of all vertices, at ``rate`` frames a second or more; None without animations."""
     document = Document(path)
-    return motion_of(document, _shown(document, Options(materials=False)), rate)
+    return motion_of(document, _placed_primitives(document, Options(materials=False)), rate)
 
 
-def _shown(document: Document, options: Options) -> list[Placed]:
+def _placed_primitives(document: Document, options: Options) -> list[Placed]:
     """List the primitives that have triangles, as the nodes of the scene show them, depth first."""
     for extension in document.items("extensionsRequired"):
         if extension not in _KNOWN_EXTENSIONS and not str(extension).startswith("KHR_materials_"):
@@ -117,19 +117,19 @@ def _shown(document: Document, options: Options) -> list[Placed]:
                 "it without"
             )
     meshes: dict[int, list[Primitive]] = {}
-    shown = []
+    placed = []
     for number, node, matrix in scene_nodes(document):
         if "mesh" not in node:
             continue
         if node["mesh"] not in meshes:
             meshes[node["mesh"]] = _primitives(document, node["mesh"], options)
-        shown += [
+        placed += [
             Placed(number, copy, matrix @ copy, primitive)
             for copy in _copies(document, node)
             for primitive in meshes[node["mesh"]]
             if len(primitive.triangles)
         ]
-    return shown
+    return placed
 
 
 def _copies(document: Document, node: Json) -> list[Float64s]:

@@ -396,8 +396,8 @@ class _Bones:
             if not (np.isfinite(offsets).all() and np.isfinite(turned).all()):
                 raise damaged(f"{primitive.name} has targets that are not finite")
             moves = (offsets != 0).any(axis=2) | (turned != 0).any(axis=2)
-            every = np.broadcast_to(np.arange(moves.shape[1]) + self._weights[each.node][0], moves.shape)
-            targets.append(_entries(moves, every, offsets))
+            numbers = self._weights[each.node][0] + np.arange(moves.shape[1])
+            targets.append(_entries(moves, np.broadcast_to(numbers, moves.shape), offsets))
             turns.append(turned[moves])
         return _links(joints), _links(targets), np.concatenate(turns)
 

@@ -78,10 +78,10 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
                         materials[name] = reader.description()
             elif line not in missing:
                 missing.append(line)
-    stated = set(options.channels or ())
-    stated.update(*(each.material.inputs.keys() - each.assumed for each in materials.values()))
+    needed = set(options.channels or ())
+    needed.update(*(each.material.inputs.keys() - each.assumed for each in materials.values()))
     for name, (material, slots, assumed, *_) in materials.items():
-        inputs = {key: value for key, value in material.inputs.items() if key not in assumed - stated}
+        inputs = {key: value for key, value in material.inputs.items() if key not in assumed - needed}
         materials[name] = Description(material._replace(inputs=inputs), slots, assumed)
     return Library(materials, images.files, missing)
 

@@ -188,8 +188,8 @@ class Materials:
 def bound_material(api: Any) -> Any:
     """Return the material that a prim is drawn with: its preview, or else the full one; None without any."""
     tokens = UsdShade.Tokens
-    bound = (api.ComputeBoundMaterial(purpose)[0] for purpose in (tokens.preview, tokens.full))
-    return next(filter(None, bound), None)
+    materials = (api.ComputeBoundMaterial(purpose)[0] for purpose in (tokens.preview, tokens.full))
+    return next(filter(None, materials), None)
 
 
 def _plain(fades: bool = False) -> Description:

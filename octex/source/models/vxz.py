@@ -45,12 +45,12 @@ def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
     try:
         (start,) = struct.unpack_from(">I", data, 4)
         header = json.loads(data[8:start])
-        known = {
+        choices_by_key = {
             "filter": ("neighbor", "parent", "none"),
             "compression": ("none", "deflate", "zstd", "lzma"),
             "attr_interleave": ("none", "all", "as_is"),
         }
-        for key, choices in known.items():
+        for key, choices in choices_by_key.items():
             if header[key] not in choices:
                 raise ModelError(
                     f"{name} has the {key} {header[key]!r}, which octex does not read; write it with "
@@ -137,9 +137,9 @@ def _walk(masks: Uint8s, depth: int, steps: Uint8s, coords: Int64s, values: Uint
     """
     # A stack of cells: level, x, y and z; and their values.
     stack = np.zeros((7 * depth + 1, 4), np.int64)
-    known = np.zeros((7 * depth + 1, steps.shape[1]), np.uint8)
+    stack_values = np.zeros((7 * depth + 1, steps.shape[1]), np.uint8)
     if len(steps) > 0:
-        known[0] = steps[0]
+        stack_values[0] = steps[0]
     above = min(masks.size, 1)
     at = count = 0
     row = 1
@@ -148,8 +148,8 @@ def _walk(masks: Uint8s, depth: int, steps: Uint8s, coords: Int64s, values: Uint
         level, x, y, z = stack[above, 0], stack[above, 1], stack[above, 2], stack[above, 3]
         if level == depth:
             coords[count, 0], coords[count, 1], coords[count, 2] = x, y, z
-            for k in range(known.shape[1]):
-                values[count, k] = known[above, k]
+            for k in range(stack_values.shape[1]):
+                values[count, k] = stack_values[above, k]
             count += 1
             continue
         if at == masks.size:
@@ -167,9 +167,9 @@ def _walk(masks: Uint8s, depth: int, steps: Uint8s, coords: Int64s, values: Uint
             stack[child, 0], stack[child, 1] = level + 1, 2 * x + (octant >> 2)
             stack[child, 2], stack[child, 3] = 2 * y + (octant >> 1 & 1), 2 * z + (octant & 1)
             is_first = child == end - 1
-            for k in range(known.shape[1]):
+            for k in range(stack_values.shape[1]):
                 step = np.uint8(0) if is_first else steps[row, k]
-                known[child, k] = known[above if is_first else child + 1, k] + step
+                stack_values[child, k] = stack_values[above if is_first else child + 1, k] + step
             row += 0 if is_first else 1
         above = end
     return count if at == masks.size else -1
