@@ -173,10 +173,9 @@ class Combined(Source):
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of the finest source's texel."""
-        edges = np.full(len(triangles), np.inf, np.float32)
-        for source in self._inputs:
-            np.minimum(edges, source.texel_edges(triangles), out=edges)
-        return edges
+        without_texels = np.full(len(triangles), np.inf, np.float32)
+        edges = (source.texel_edges(triangles) for source in self._inputs)
+        return np.asarray(np.minimum.reduce([without_texels, *edges]), np.float32)
 
     def only(self, names: Sequence[str]) -> Source:
         """Return only these channels, from only the sources that give them.

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from octex.source.mesh import Mesh
 
-Why = Literal["open", "not manifold", "without volume"]
+Reason = Literal["open", "not manifold", "without volume"]
 
 #: The key of the moved parts in provenance.
 SEPARATION = "separation"
@@ -52,7 +52,7 @@ class Unchecked(NamedTuple):
 
     part: int
     triangles: int
-    why: Why
+    why: Reason
 
 
 class Overlaps(NamedTuple):
@@ -184,7 +184,7 @@ def join(parents: Int64s, a: Int64s, b: Int64s) -> None:
         parents[i] = parents[parents[i]]
 
 
-def _solid(rest: Float64s, triangles: Int32s, welded: Int64s) -> Manifold | Why:
+def _solid(rest: Float64s, triangles: Int32s, welded: Int64s) -> Manifold | Reason:
     """Return the solid that triangles enclose, with outward normals, or a reason why they enclose none."""
     from manifold3d import Error, Manifold, Mesh64
 

@@ -122,7 +122,7 @@ def _fill(image: ImageTexels, has_mips: bool, rows: Texels) -> None:
     """Write all levels of an image, each with its rim."""
     height, width = image.texels.shape[:2]
     shapes = _shapes(width, height, has_mips)
-    finest = _take(rows, 0, width, height)
+    finest = _level_rows(rows, 0, width, height)
     finest[1:-1, 1:-1] = image.texels
     finest[0, 1:-1], finest[-1, 1:-1] = image.texels[0], image.texels[-1]
     finest[:, 0], finest[:, -1] = finest[:, 1], finest[:, -2]
@@ -137,7 +137,7 @@ def _fill(image: ImageTexels, has_mips: bool, rows: Texels) -> None:
         values = _shrunk(image, high, wide) if values is None else resized(values, high, wide)
         sizes = (high, 1), (high, 1), (1, wide), (1, wide), (2, 2)
         rims = [resized(part, *size) for part, size in zip(rims, sizes, strict=True)]
-        target = _take(rows, first, wide, high)
+        target = _level_rows(rows, first, wide, high)
         first += target.shape[0] * target.shape[1]
         corners = target[:: high + 1, :: wide + 1]
         sides = target[1:-1, :1], target[1:-1, -1:], target[:1, 1:-1], target[-1:, 1:-1], corners
@@ -157,7 +157,7 @@ def _shrunk(image: ImageTexels, height: int, width: int) -> Float32s:
     return values
 
 
-def _take(rows: Texels, first: int, width: int, height: int) -> Texels:
+def _level_rows(rows: Texels, first: int, width: int, height: int) -> Texels:
     """Return the rows of one level with its rim, as (height + 2, width + 2, 4)."""
     count = (height + 2) * (width + 2)
     return rows[first : first + count].reshape(height + 2, width + 2, 4)

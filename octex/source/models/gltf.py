@@ -34,8 +34,8 @@ from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.source.mesh import check_below
-from octex.source.models.gltf_motion import Placed, Primitive, motion_of, pose_of
-from octex.source.models.reading import Description, Options, Part, Slot, assembled, warn
+from octex.source.models.gltf_motion import PlacedPrimitive, Primitive, motion_of, pose_of
+from octex.source.models.reading import LoadedMaterial, Options, Part, Slot, assembled, warn
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
@@ -108,7 +108,7 @@ def load_gltf_motion(path: Path, rate: float) -> Motion | None:
     return motion_of(document, _placed_primitives(document, Options(materials=False)), rate)
 
 
-def _placed_primitives(document: Document, options: Options) -> list[Placed]:
+def _placed_primitives(document: Document, options: Options) -> list[PlacedPrimitive]:
     """List the primitives that have triangles, as the nodes of the scene show them, depth first."""
     for extension in document.items("extensionsRequired"):
         if extension not in _KNOWN_EXTENSIONS and not str(extension).startswith("KHR_materials_"):
@@ -124,7 +124,7 @@ def _placed_primitives(document: Document, options: Options) -> list[Placed]:
         if node["mesh"] not in meshes:
             meshes[node["mesh"]] = _primitives(document, node["mesh"], options)
         placed += [
-            Placed(number, copy, matrix @ copy, primitive)
+            PlacedPrimitive(number, copy, matrix @ copy, primitive)
             for copy in _copies(document, node)
             for primitive in meshes[node["mesh"]]
             if len(primitive.triangles)
@@ -187,7 +187,7 @@ def _check_indices(indices: Array, count: int, name: str) -> None:
         )
 
 
-def _with_attributes(part: Part, primitive: Primitive, material: Description, has_frames: bool) -> Part:
+def _with_attributes(part: Part, primitive: Primitive, loaded: LoadedMaterial, has_frames: bool) -> Part:
     """Read the attributes that a primitive's material needs, and those that other sources may need."""
     positions, triangles = part.positions, part.triangles
 
@@ -199,7 +199,7 @@ def _with_attributes(part: Part, primitive: Primitive, material: Description, ha
         colors = np.append(colors, np.ones((len(colors), 1)), axis=1)
     uv = primitive.attribute("TEXCOORD_0", (2,))
     coordinates = []
-    for slot in material.slots:
+    for slot in loaded.slots:
         values = uv if slot.name == "TEXCOORD_0" else primitive.attribute(slot.name, (2,))
         if values is None:
             warn(
@@ -211,7 +211,7 @@ def _with_attributes(part: Part, primitive: Primitive, material: Description, ha
             coordinates.append(Corners(slot.applied(values).astype(np.float32), triangles))
     frames = None
     if has_frames:
-        normals, slot_number = at_corners(primitive.attribute("NORMAL", (3,))), material.material.normal_slot
+        normals, slot_number = at_corners(primitive.attribute("NORMAL", (3,))), loaded.material.normal_slot
         tangents = of_map = None
         if slot_number is not None:  # only normal maps need tangents
             tangents, of_map = at_corners(primitive.attribute("TANGENT", (4,))), coordinates[slot_number]
@@ -261,7 +261,7 @@ class _Record(NamedTuple):
 
 def _materials(
     document: Document, numbers: Iterable[int | None], options: Options
-) -> dict[int | None, Description]:
+) -> dict[int | None, LoadedMaterial]:
     """Return materials by number, None for glTF's default; images are decoded in parallel, each once."""
     records = {number: _material(document, number) for number in dict.fromkeys(numbers)}
     files: dict[str | int, tuple[bytes, str]] = {}
@@ -273,7 +273,7 @@ def _materials(
     }
     with pool_of(cpu_count()) as pool:
         texels = dict(zip(files, pool.map(lambda file: decode_image(*file), files.values()), strict=True))
-    materials: dict[int | None, Description] = {}
+    materials: dict[int | None, LoadedMaterial] = {}
     for number, (material, _) in records.items():
         slots: dict[Slot, int] = {}
         inputs = dict(material.inputs)
@@ -281,7 +281,7 @@ def _materials(
             index = slots.setdefault(slot, len(slots))
             texture = Texture(texels[file], wrap_u, wrap_v, nearest, index)
             inputs[name] = inputs[name]._replace(texture=texture)
-        materials[number] = Description(material._replace(inputs=inputs), tuple(slots))
+        materials[number] = LoadedMaterial(material._replace(inputs=inputs), tuple(slots))
     return materials
 
 

@@ -30,12 +30,12 @@ class Sampler(NamedTuple):
     times: Float64s  # (keys,)   ascending
     values: Float64s  # (keys, components), or of CUBICSPLINE (keys, 3, components): tangent, value, tangent
     interpolation: str
-    turns: bool  # whether values are quaternions
+    is_rotation: bool  # whether values are quaternions
 
     def at(self, time: float) -> Float64s:
         """Return the value (components,) at a time, constant before the first key and after the last."""
         value = self._at(time)
-        return _unit(value) if self.turns else value
+        return _unit(value) if self.is_rotation else value
 
     def _at(self, time: float) -> Float64s:
         times, is_cubic = self.times, self.interpolation == "CUBICSPLINE"
@@ -53,7 +53,7 @@ class Sampler(NamedTuple):
             return np.asarray(
                 shares[0] * a[1] + shares[1] * step * a[2] + shares[2] * b[1] + shares[3] * step * b[0]
             )
-        if not self.turns:
+        if not self.is_rotation:
             return np.asarray((1 - t) * a + t * b)
         a, b = _unit(a), _unit(b)  # along the shorter arc, at constant speed (C.3)
         dot = float(a @ b)
@@ -70,7 +70,7 @@ def _unit(value: Float64s) -> Float64s:
     return value / (float(np.linalg.norm(value)) or 1.0)
 
 
-class Moves:
+class NodeAnimation:
     """The fields of nodes that an animation changes over time. Raises ModelError for a broken animation."""
 
     def __init__(self, document: Document, number: int) -> None:
@@ -142,7 +142,7 @@ def pose_of(document: Document, pose: str) -> Pose:
     elif number is None:
         fault = f" has no animation {name!r}"
     else:
-        moves = Moves(document, number)
+        moves = NodeAnimation(document, number)
         try:
             time = float(np.float32(seconds))  # the files' precision
         except ValueError:
@@ -151,7 +151,7 @@ def pose_of(document: Document, pose: str) -> Pose:
             return Pose(document, moves.fields_at(time))
         last = np.float32(moves.length)
         fault = f": animation {name!r} has no time {seconds!r}: seconds from 0 to {last}"
-    lengths = {each: np.float32(Moves(document, n).length) for n, each in enumerate(names)}
+    lengths = {each: np.float32(NodeAnimation(document, n).length) for n, each in enumerate(names)}
     listing = ", ".join(f"{each} (0 to {length} s)" for each, length in lengths.items())
     raise ArgumentError(f"{document.name}{fault}; it has {listing}")
 
@@ -190,7 +190,7 @@ class Primitive(NamedTuple):
             yield offsets
 
 
-class Placed(NamedTuple):
+class PlacedPrimitive(NamedTuple):
     """A mesh primitive of a node of the scene."""
 
     node: int
@@ -214,7 +214,7 @@ class Pose:
             self._nodes[number], self._matrices[number] = node, matrix
         self._joints: dict[int, Float64s] = {}
 
-    def positions(self, placed: Placed) -> Float64s:
+    def positions(self, placed: PlacedPrimitive) -> Float64s:
         """Return the vertices (n, 3), moved by targets, then by a skin or the node."""
         bones = self.bones(placed)
         moved = placed.primitive.positions
@@ -232,11 +232,11 @@ class Pose:
                 sums += shares[:, None] * turned
             return sums
 
-    def skin(self, placed: Placed) -> int | None:
+    def skin(self, placed: PlacedPrimitive) -> int | None:
         """Return the skin that moves a primitive; None if only its node moves it."""
         return self._nodes[placed.node].get("skin")
 
-    def bones(self, placed: Placed) -> Float64s:
+    def bones(self, placed: PlacedPrimitive) -> Float64s:
         """Return the matrices (b, 4, 4), of joints or of the node, that move vertices to the scene."""
         skin = self.skin(placed)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -245,7 +245,7 @@ class Pose:
             # A skinned mesh is placed by its joints, not by its node (3.7.3.3).
             return np.asarray(placed.copy @ self._joints_of(skin))
 
-    def weights(self, placed: Placed) -> list[float]:
+    def weights(self, placed: PlacedPrimitive) -> list[float]:
         """Return the weights of a primitive's morph targets. Raises ModelError for another count."""
         record, count = self._nodes[placed.node], len(placed.primitive.targets)
         mesh = self._document.item("meshes", record["mesh"])
@@ -316,7 +316,7 @@ def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
     return joints.astype(np.int64), weights / sums[:, None]
 
 
-def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Motion | None:
+def motion_of(document: Document, placed: Sequence[PlacedPrimitive], rate: float) -> Motion | None:
     """Return the motion of the vertices of all primitives in turn; None if the file has no animations.
 
     A second has at least ``rate`` frames. ``faults`` lists broken animations.
@@ -329,7 +329,7 @@ def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Moti
     faults: list[str] = []
     for number, name in enumerate(names):
         try:
-            moves = Moves(document, number)
+            moves = NodeAnimation(document, number)
             steps = min(moves.length * rate, _MOST_MATRICES / bones.count)
             frames = math.ceil(steps / _MULTIPLE) * _MULTIPLE + 1
             poses = [bones.at(moves, time) for time in np.linspace(0.0, moves.length, frames)]
@@ -344,12 +344,12 @@ def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Moti
 class _Bones:
     """The bones and targets that move primitives; primitives with one skin and rest matrix share bones."""
 
-    def __init__(self, document: Document, placed: Sequence[Placed]) -> None:
+    def __init__(self, document: Document, placed: Sequence[PlacedPrimitive]) -> None:
         self._document, self._placed = document, placed
         self._rest = Pose(document, {})
         self._first: list[int] = []  # the first bone of each primitive
-        self._owners: dict[tuple[object, bytes, bytes], tuple[int, Placed]] = {}
-        self._weights: dict[int, tuple[int, Placed]] = {}  # the first target of each node
+        self._owners: dict[tuple[object, bytes, bytes], tuple[int, PlacedPrimitive]] = {}
+        self._weights: dict[int, tuple[int, PlacedPrimitive]] = {}  # the first target of each node
         self._skins: list[int] = []  # each primitive's number of bones, 0 without a skin
         self.count, n_targets = 0, 0
         for each in placed:
@@ -365,7 +365,7 @@ class _Bones:
                 self._weights[each.node] = n_targets, each
                 n_targets += len(each.primitive.targets)
 
-    def at(self, moves: Moves, time: float) -> tuple[Float64s, Float64s]:
+    def at(self, moves: NodeAnimation, time: float) -> tuple[Float64s, Float64s]:
         """Return all bones (b, 3, 4) and the weights of all targets (t,) at a time."""
         pose = Pose(self._document, moves.fields_at(time))
         bones = np.concatenate(

@@ -22,7 +22,7 @@ from octex.source.images.decode import decode_image, is_translucent
 from octex.source.images.pyramid import CLAMP, REPEAT, Texels
 from octex.source.images.tiles import is_udim, join_tiles, tile_files, tile_grid
 from octex.source.materials import Input, Material, Texture
-from octex.source.models.reading import Description, Options, Slot, parse_numbers
+from octex.source.models.reading import LoadedMaterial, Options, Slot, parse_numbers
 
 # Number of words after an option of a texture map; up to three numbers follow the last three.
 _OPTION_WORDS = {
@@ -52,7 +52,7 @@ _ROWS = 256  # rows of an image that are processed at once
 class Library(NamedTuple):
     """Materials by name, the SHA-256 of each file read, by its path from the model, and missing files."""
 
-    materials: dict[str, Description]
+    materials: dict[str, LoadedMaterial]
     files: dict[str, str]
     missing: list[str]
 
@@ -63,11 +63,11 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
     Each line names one file, whose name may have blanks, or several. The result lists missing files.
     """
     images = ImageFiles(path.parent)
-    materials: dict[str, Description] = {}
+    materials: dict[str, LoadedMaterial] = {}
     missing = []
     for line in lines:
-        whole = beside(path.parent, line)
-        for file in [beside(path.parent, word) for word in line.split()] if whole is None else [whole]:
+        whole = find_beside(path.parent, line)
+        for file in [find_beside(path.parent, word) for word in line.split()] if whole is None else [whole]:
             if file is not None:
                 data = read_bytes(file)
                 images.note(file, data)
@@ -75,14 +75,14 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
                 for name, entries in _entries(data, file):
                     if name in wanted:
                         reader = _MaterialReader(entries, name, file, images, options, is_linear)
-                        materials[name] = reader.description()
+                        materials[name] = reader.read()
             elif line not in missing:
                 missing.append(line)
     needed = set(options.channels or ())
     needed.update(*(each.material.inputs.keys() - each.assumed for each in materials.values()))
     for name, (material, slots, assumed, *_) in materials.items():
         inputs = {key: value for key, value in material.inputs.items() if key not in assumed - needed}
-        materials[name] = Description(material._replace(inputs=inputs), slots, assumed)
+        materials[name] = LoadedMaterial(material._replace(inputs=inputs), slots, assumed)
     return Library(materials, images.files, missing)
 
 
@@ -124,7 +124,7 @@ def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
             yield line
 
 
-def beside(folder: Path, name: str) -> Path | None:
+def find_beside(folder: Path, name: str) -> Path | None:
     """Find a file by a path relative to a folder, else by its name there, else by its name in any case.
 
     A path with <UDIM> in its name is found if it has tiles.
@@ -143,7 +143,7 @@ def beside(folder: Path, name: str) -> Path | None:
     return None
 
 
-class _Map(NamedTuple):
+class _TextureMap(NamedTuple):
     file: str
     slot: Slot = Slot()
     wrap: int = REPEAT
@@ -154,7 +154,7 @@ class _Map(NamedTuple):
 
 
 class _MaterialReader:
-    """Turns the lines of one material into its description."""
+    """Reads one material from its lines."""
 
     def __init__(
         self, entries: dict[str, str], name: str, path: Path, images: ImageFiles, options: Options,
@@ -165,7 +165,7 @@ class _MaterialReader:
         self._images, self._options, self._is_linear = images, options, is_linear
         self._slots: dict[Slot, int] = {}
 
-    def description(self) -> Description:
+    def read(self) -> LoadedMaterial:
         """Return the material."""
         special = {"alpha": self._alpha, "normal": self._normal}
         inputs = {"base_color": Input((1.0, 1.0, 1.0))}
@@ -182,7 +182,7 @@ class _MaterialReader:
         if "specular" in inputs and self._map("map_Ks") is None:
             assumed.add("specular")
         material = Material(inputs, "blend" if "alpha" in inputs else "opaque", name=self._name)
-        return Description(material, tuple(self._slots), frozenset(assumed))
+        return LoadedMaterial(material, tuple(self._slots), frozenset(assumed))
 
     def _color(self, channel: str) -> Input | None:
         """Return a colour and its map; None if the material has neither, or no emission."""
@@ -255,27 +255,27 @@ class _MaterialReader:
                 return Input((1.0, 1.0, 1.0), self._placed(texels, image))
         return Input((image.bump, image.bump, 1.0), self._texture(image))
 
-    def _lane(self, image: _Map) -> tuple[Texture, int]:
+    def _lane(self, image: _TextureMap) -> tuple[Texture, int]:
         """Return the texture of a map of single values, and their component."""
         texture = self._texture(image)
         if image.lane == "l":
             return texture._replace(texels=self._images.luminance(texture.texels)), 0
         return texture, _LANES.get(image.lane, 0)
 
-    def _texture(self, image: _Map) -> Texture:
+    def _texture(self, image: _TextureMap) -> Texture:
         return self._placed(self._texels(image, image.base, image.gain), image)
 
-    def _placed(self, texels: Texels, image: _Map) -> Texture:
+    def _placed(self, texels: Texels, image: _TextureMap) -> Texture:
         path = self._file(image)
         tiles = tile_grid(tile_files(path)) if is_udim(path.name) else (1, 1)
         slot = self._slots.setdefault(image.slot._replace(tiles=tiles), len(self._slots))
         return Texture(texels, image.wrap, image.wrap, slot=slot)
 
-    def _texels(self, image: _Map, base: float = 0.0, gain: float = 1.0) -> Texels:
+    def _texels(self, image: _TextureMap, base: float = 0.0, gain: float = 1.0) -> Texels:
         return self._images.read(self._file(image), f"{self._where}: {image.file}", base, gain)
 
-    def _file(self, image: _Map) -> Path:
-        path = beside(self._path.parent, image.file)
+    def _file(self, image: _TextureMap) -> Path:
+        path = find_beside(self._path.parent, image.file)
         if path is None:
             raise ImageError(
                 f"{self._where}: the image {image.file} is missing; put it next to {self._path.name}, or "
@@ -286,13 +286,13 @@ class _MaterialReader:
     def _numbers(self, key: str, most: int) -> list[float]:
         return _floats(self._entries[key.lower()].replace("-halo", ""), most, f"{self._where}: {key}")
 
-    def _map(self, *keys: str) -> _Map | None:
+    def _map(self, *keys: str) -> _TextureMap | None:
         """Return the first texture map among the keys, without reading its image."""
         key = next((key for key in keys if key.lower() in self._entries), None)
         return None if key is None else _parse_map(self._entries[key.lower()], f"{self._where}: {key}")
 
 
-def _parse_map(text: str, where: str) -> _Map | None:
+def _parse_map(text: str, where: str) -> _TextureMap | None:
     """Split a texture map's line into the options and the file, whose name may have blanks."""
     options: dict[str, str] = {}
     rest = text
@@ -321,7 +321,7 @@ def _parse_map(text: str, where: str) -> _Map | None:
     bump, mm = numbers("-bm", 1.0), numbers("-mm", 0.0, 1.0)
     if file in ("", "."):  # Blender wrote a dot for an image without a file
         return None
-    return _Map(file, slot, wrap, "" if lane == "z" else lane, *bump, *mm)
+    return _TextureMap(file, slot, wrap, "" if lane == "z" else lane, *bump, *mm)
 
 
 def _floats(text: str, most: int, what: str) -> list[float]:

@@ -19,7 +19,7 @@ from octex.source.colors import guessed_colors
 from octex.source.corners import Corners, Creases
 from octex.source.models.mtl import load_materials, wavefront_lines
 from octex.source.models.reading import (
-    Description,
+    LoadedMaterial,
     Options,
     Part,
     assembled,
@@ -44,7 +44,7 @@ def load_obj(path: Path, options: Options) -> Surface:
     indices, sizes = _faces(text, name)
     colors = guessed_colors(vertices[:, 3:6]) if vertices.shape[1] >= 6 else None
     part, corners, polygons = cut_part(name, positions, np.ascontiguousarray(indices[:, 0]), sizes, colors)
-    materials = [Description()]
+    materials = [LoadedMaterial()]
     files: dict[str, str] = {}
     if options.materials and text.uses:
         materials, numbers, files = _bind(text, path, polygons, len(sizes), options)
@@ -210,13 +210,13 @@ def _parse_corners(text: Uint8s, bases: Int64s, corners: Int64s, sizes: Int64s) 
 
 def _bind(
     text: _Text, path: Path, polygons: Int64s, faces: int, options: Options
-) -> tuple[list[Description], Int32s, dict[str, str]]:
+) -> tuple[list[LoadedMaterial], Int32s, dict[str, str]]:
     """Return the materials in use, the number of each triangle's, and the digests of the files read."""
     ends = [*(first for first, _ in text.uses[1:]), faces]
     uses = [(first, end, name) for (first, name), end in zip(text.uses, ends, strict=True) if first < end]
     numbers = np.zeros(faces, np.int32)
     if not text.libraries:
-        return [Description()], numbers[polygons], {}
+        return [LoadedMaterial()], numbers[polygons], {}
     names = list(dict.fromkeys(material for _, _, material in uses))
     libraries = [line.strip() for line in text.libraries]
     library = load_materials(path, libraries, set(names), options)
@@ -231,13 +231,13 @@ def _bind(
             files = " and ".join(library.missing)
             fault = f"{files} {lie} missing, so the {what} {are} white; put {them} next to the model"
         warn(f"{path.name}: {fault}")
-    materials = [Description(), *(library.materials.get(name, Description()) for name in names)]
+    materials = [LoadedMaterial(), *(library.materials.get(name, LoadedMaterial()) for name in names)]
     for first, end, material in uses:
         numbers[first:end] = 1 + names.index(material)
     return materials, numbers[polygons], library.files
 
 
-def _white_below_images(part: Part, materials: list[Description]) -> Part:
+def _white_below_images(part: Part, materials: list[LoadedMaterial]) -> Part:
     """Drop vertex colours under images of colour: programs repeat these, or write a meaningless grey."""
     textured = np.array([each.material.inputs["base_color"].texture is not None for each in materials])
     is_white = textured[part.materials]
@@ -249,7 +249,7 @@ def _white_below_images(part: Part, materials: list[Description]) -> Part:
 
 
 def _coordinates(
-    text: _Text, materials: list[Description], numbers: Int32s, rows: Int64s, name: str
+    text: _Text, materials: list[LoadedMaterial], numbers: Int32s, rows: Int64s, name: str
 ) -> tuple[Float64s, Int32s]:
     """Return texture coordinates (k, 2), v up, and the row of each corner (m, 3)."""
     is_textured = np.array([bool(each.slots) for each in materials])[numbers]

@@ -31,7 +31,7 @@ class Options(NamedTuple):
     materials: bool = True  # False: the surface is white, and no image is read
     channels: tuple[str, ...] | None = None  # None: every channel of the materials
     filter: str = "ewa"
-    without: tuple[str, ...] = ()  # overridden channels, whose images are not read
+    overridden: tuple[str, ...] = ()  # overridden channels, whose images are not read
     normals: bool = False  # keep shading normals even without a normal map
     pose: str | None = None  # NAME@SECONDS of an animation; None: at rest
     finite: bool = False  # leave out triangles with vertices that are not finite, instead of refusing them
@@ -39,7 +39,7 @@ class Options(NamedTuple):
     def wants(self, channel: str) -> bool:
         """Say whether a channel is to be read."""
         is_named = self.channels is None or channel in self.channels
-        return self.materials and is_named and channel not in self.without
+        return self.materials and is_named and channel not in self.overridden
 
     def wants_image(self, channel: str) -> bool:
         """Say whether to read a channel's image: colour and alpha together, since alpha weighs colour."""
@@ -97,7 +97,7 @@ class Slot(NamedTuple):
         return np.asarray((scaled + np.array(self.offset)) / np.array(self.tiles))
 
 
-class Description(NamedTuple):
+class LoadedMaterial(NamedTuple):
     """A material, and the sets of coordinates of its textures' slots."""
 
     material: Material = Material({"base_color": Input((1.0, 1.0, 1.0))})
@@ -108,7 +108,7 @@ class Description(NamedTuple):
 
 
 def slot_coordinates(
-    materials: Mapping[int, Description], numbers: Int32s, read: Callable[[str], tuple[Array, Int32s]]
+    materials: Mapping[int, LoadedMaterial], numbers: Int32s, read: Callable[[str], tuple[Array, Int32s]]
 ) -> list[Corners]:
     """Return coordinates slot by slot, v down, for triangles with materials of these ``numbers`` (m,).
 
@@ -168,7 +168,7 @@ class Part(NamedTuple):
 
 
 def with_frames(
-    part: Part, materials: Mapping[int, Description], normals: Corners | None, default: Corners | None
+    part: Part, materials: Mapping[int, LoadedMaterial], normals: Corners | None, default: Corners | None
 ) -> Part:
     """Return a part with frames along the coordinates of normal maps, or of ``default`` without a map."""
     slots = np.full(max(materials) + 1, -1)

@@ -71,7 +71,7 @@ class _Package:
 
     def __init__(self, package: zipfile.ZipFile, name: str, options: Options, size: int) -> None:
         self._package, self._name, self._options = package, name, options
-        self._most, self._left = _UNPACKED * size, _PLACED + _TIMES * size
+        self._largest_part, self._bytes_left = _UNPACKED * size, _PLACED + _TIMES * size
         self._groups: dict[tuple[str, str], _Group] = {}
         self._objects: dict[tuple[str, str], Element] = {}
         self._images: list[Texture | None] = [None]
@@ -115,7 +115,7 @@ class _Package:
             entry = self._package.getinfo(part.lstrip("/"))
         except KeyError:
             raise damaged(f"{self._name} has no part {part}") from None
-        if entry.file_size > self._most:
+        if entry.file_size > self._largest_part:
             raise damaged(
                 f"{self._name}: {part} unpacks to {entry.file_size:,} bytes, more than {_UNPACKED} times "
                 "the file, as no model does"
@@ -206,8 +206,8 @@ class _Package:
             if _elements(entry, "mesh", "beamlattice"):
                 self._left_out.add("beams")
         meshes += self._meshes[part, number]
-        self._left -= _PLACEMENT + sum(array.nbytes for mesh in meshes for array in mesh)
-        if self._left < 0:
+        self._bytes_left -= _PLACEMENT + sum(array.nbytes for mesh in meshes for array in mesh)
+        if self._bytes_left < 0:
             raise ModelError(
                 f"{self._name} places the same parts too many times; export it with fewer copies"
             )

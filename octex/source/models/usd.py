@@ -23,7 +23,7 @@ from octex.files import is_absolute
 from octex.source.corners import Corners
 from octex.source.mesh import check_below
 from octex.source.models.reading import (
-    Description,
+    LoadedMaterial,
     Options,
     Part,
     assembled,
@@ -87,7 +87,7 @@ class _Scene:
         self._time = Usd.TimeCode.EarliestTime()
         self._transforms = UsdGeom.XformCache(self._time)
         self._materials = Materials(name, options)
-        self._left = _PLACEMENTS
+        self._instances_left = _PLACEMENTS
         # Meshes without a set of coordinates that is read, by the set's name.
         self._missing: dict[str, dict[str, None]] = {}
 
@@ -108,7 +108,7 @@ class _Scene:
             raise ModelError(f"{self._name} has no triangles; octex needs a surface, not points or curves")
         files = self._materials.files
         return assembled(
-            parts, [each.material for each in self._materials.descriptions], self._options, self._name,
+            parts, [each.material for each in self._materials.loaded], self._options, self._name,
             provenance={"files": json.dumps(files, sort_keys=True)} if files else {},
         )  # fmt: skip
 
@@ -183,12 +183,12 @@ class _Scene:
         for prototype, matrix, is_visible in zip(prototypes.tolist(), matrices, mask, strict=True):
             placement = outer @ np.array(matrix, np.float64).T
             for mesh, inner in meshes[prototype] if is_visible else ():
-                self._left -= 1
-                if self._left < 0:
+                self._instances_left -= 1
+                if self._instances_left < 0:
                     raise ModelError(f"{self._name}: {prim.GetPath()} has too many instances; export fewer")
                 yield mesh, placement @ inner
 
-    def _materials_of(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, Description]]:
+    def _materials_of(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, LoadedMaterial]]:
         """Return the faces of a mesh by material number, and the materials, the mesh's first."""
         api = UsdShade.MaterialBindingAPI(prim)
         both = bool(UsdGeom.Gprim(prim).GetDoubleSidedAttr().Get(self._time))
@@ -201,10 +201,10 @@ class _Scene:
             number = self._materials.number(material, both, fades)
             of_subset = np.array(subset.GetIndicesAttr().Get(self._time) or [], np.int64)
             faces[number] = np.concatenate([faces.get(number, of_subset[:0]), of_subset])
-        return faces, {number: self._materials.descriptions[number] for number in faces}
+        return faces, {number: self._materials.loaded[number] for number in faces}
 
     def _part(
-        self, prim: Any, faces: dict[int, Int64s], materials: dict[int, Description], has_frames: bool
+        self, prim: Any, faces: dict[int, Int64s], materials: dict[int, LoadedMaterial], has_frames: bool
     ) -> Part:
         what, holes = f"{self._name}: {prim.GetPath()}", np.empty(0, np.int64)
         shape = shape_polygons(prim, self._time)
@@ -257,7 +257,7 @@ class _Scene:
 
 
 def _display_colors(
-    numbers: Int32s, materials: dict[int, Description], primvars: _Primvars
+    numbers: Int32s, materials: dict[int, LoadedMaterial], primvars: _Primvars
 ) -> Corners | None:
     """Return displayColor and displayOpacity for materials that read them; white for others."""
     values = np.ones((len(numbers), 3, 4), np.float32)

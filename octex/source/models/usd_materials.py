@@ -17,7 +17,7 @@ from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.images.tiles import is_udim, join_tiles, tile_grid
 from octex.source.materials import AlphaMode, Input, Material, Texture
-from octex.source.models.reading import Description, Options, Slot, warn
+from octex.source.models.reading import LoadedMaterial, Options, Slot, warn
 
 _WRAPS = {"repeat": REPEAT, "mirror": MIRROR}
 _LANES = {"r": (0,), "g": (1,), "b": (2,), "a": (3,), "rgb": (0, 1, 2)}
@@ -39,7 +39,7 @@ class Materials:
         self._name, self._options = name, options
         self._numbers: dict[tuple[str, bool, bool], int] = {}
         self._texels: dict[tuple[tuple[str, ...], str], Texels] = {}
-        self.descriptions: list[Description] = []
+        self.loaded: list[LoadedMaterial] = []
         self.files: dict[str, str] = {}
 
     def number(self, material: Any, double_sided: bool, fades: bool) -> int:
@@ -47,14 +47,14 @@ class Materials:
         path = str(material.GetPath()) if material and self._options.materials else ""
         key = path, double_sided, fades and not path
         if key not in self._numbers:
-            description = self._description(material) if path else _plain(fades)
+            loaded = self._load(material) if path else _plain(fades)
             name = material.GetPrim().GetName() if path else ""
-            named = description.material._replace(name=name, double_sided=double_sided)
-            self._numbers[key] = len(self.descriptions)
-            self.descriptions.append(description._replace(material=named))
+            named = loaded.material._replace(name=name, double_sided=double_sided)
+            self._numbers[key] = len(self.loaded)
+            self.loaded.append(loaded._replace(material=named))
         return self._numbers[key]
 
-    def _description(self, material: Any) -> Description:
+    def _load(self, material: Any) -> LoadedMaterial:
         shader = material.ComputeSurfaceSource()[0]
         if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
             what = f"{self._name}: the material {material.GetPath()}"
@@ -92,7 +92,7 @@ class Materials:
             inputs.pop("alpha", None)
         material = Material(inputs, mode, cutoff if mode == "mask" else 0.5)
         reads_color = "base_color displayColor" in vertex
-        return Description(material, tuple(slots), reads_color=reads_color, reads_opacity=reads_opacity)
+        return LoadedMaterial(material, tuple(slots), reads_color=reads_color, reads_opacity=reads_opacity)
 
     def _textured(self, channel: str, node: Any, output: str, slots: dict[Slot, int]) -> Input | None:
         """Return the input of a channel that reads an image; None for normals without an image."""
@@ -192,11 +192,11 @@ def bound_material(api: Any) -> Any:
     return next(filter(None, materials), None)
 
 
-def _plain(fades: bool = False) -> Description:
+def _plain(fades: bool = False) -> LoadedMaterial:
     """Return the material of a mesh without one: displayColor, or white; displayOpacity if it ``fades``."""
     inputs = {"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))}
     material = Material(inputs, "blend" if fades else "opaque")
-    return Description(material, reads_color=True, reads_opacity=fades)
+    return LoadedMaterial(material, reads_color=True, reads_opacity=fades)
 
 
 def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:
