@@ -352,7 +352,7 @@ def as_vector(vector: npt.ArrayLike, name: str) -> Float64s:
     if not largest > 0.0:
         raise ArgumentError(f"{name} must be three finite numbers, not all zero")
     array = np.ldexp(array, -np.frexp(largest)[1])  # squares of the scaled values neither overflow nor vanish
-    return cast(Float64s, array / np.linalg.norm(array))
+    return np.asarray(array / np.linalg.norm(array))
 
 
 def _as_intrinsics(K: npt.ArrayLike) -> Float64s:
@@ -382,11 +382,11 @@ def _as_view(pose: npt.ArrayLike, convention: Convention) -> Float64s:
     matrix = as_reals(pose, "a camera's pose", (4, 4), (3, 4), most=LARGEST)
     if len(matrix) == 3:
         matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
-    pose = _as_rigid(matrix, "a camera's pose")
+    rigid = _as_rigid(matrix, "a camera's pose")
     left, _, right = np.linalg.svd(matrix[:3, :3])
-    pose[:3, :3] = left @ right  # the nearest rotation, since files round to a few digits
-    pose[3] = [0.0, 0.0, 0.0, 1.0]
-    return cast(Float64s, FLIP_YZ @ np.linalg.inv(pose) if convention == "opengl" else pose)
+    rigid[:3, :3] = left @ right  # the nearest rotation, since files round to a few digits
+    rigid[3] = [0.0, 0.0, 0.0, 1.0]
+    return np.asarray(FLIP_YZ @ np.linalg.inv(rigid)) if convention == "opengl" else rigid
 
 
 def _as_rigid(matrix: npt.ArrayLike, name: str) -> Float64s:

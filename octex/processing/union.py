@@ -34,16 +34,11 @@ class Origins(NamedTuple):
     nodes: Int64s  # (nodes,)   the same node; NOTHING; or BELOW − the leaf that it divides or lies in
 
 
-class Union(NamedTuple):
-    """The union of two trees."""
+def unite(first: Octree, second: Octree) -> tuple[Octree, Origins, Origins]:
+    """Return the union of two trees, with the facings of both and zero areas, and its cells' origins in each.
 
-    tree: Octree  # facings of both trees; areas are zero
-    first: Origins
-    second: Origins
-
-
-def unite(first: Octree, second: Octree) -> Union:
-    """Unite two trees: a node of either is a node. Facings come from leaves, and go up from children."""
+    A node of either is a node. Facings come from leaves, and go up from children.
+    """
     n_nodes = first.n_nodes + second.n_nodes
     n_cells = first.n_cells + second.n_cells
     masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
@@ -64,7 +59,7 @@ def unite(first: Octree, second: Octree) -> Union:
         second_origins.nodes < NOTHING
     ).any():  # leaves, whose facings other cells lack
         tree = tree.with_cell_data(facings_of_nodes(tree), areas)
-    return Union(tree, first_origins, second_origins)
+    return tree, first_origins, second_origins
 
 
 @kernel

@@ -30,6 +30,11 @@ class Source(ABC):
         """The channels, in the order of the values' columns."""
         return self._channels
 
+    @property
+    def channel_names(self) -> list[str]:
+        """The names of the channels."""
+        return [form.name for form in self.channels]
+
     @abstractmethod
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components), averaged over widths in rest units; any thread may call it."""
@@ -42,8 +47,7 @@ class Source(ABC):
     @property
     def alpha_is_coverage(self) -> bool:
         """Whether ``alpha`` only marks gaps: it is 1 everywhere else."""
-        named = [(source, [form.name for form in source.channels]) for source in self._inputs]
-        with_alpha = [source for source, names in named if ALPHA.name in names]
+        with_alpha = [source for source in self._inputs if ALPHA.name in source.channel_names]
         return bool(self._inputs) and self.has_gaps and all(source.alpha_is_coverage for source in with_alpha)
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
@@ -258,8 +262,8 @@ class Joined(Source):
         """Return the same source with only these channels."""
 
         def restricted(source: Source) -> Source:
-            wanted = [form.name for form in source.channels if form.name in names]
-            return source.only(wanted) if wanted or (source.has_gaps and not names) else Combined({})
+            common = [name for name in source.channel_names if name in names]
+            return source.only(common) if common or (source.has_gaps and not names) else Combined({})
 
         return self._of_inputs([restricted(source) for source in self._inputs])
 

@@ -224,7 +224,7 @@ def _near_boxes(low: Float64s, high: Float64s, margin: float) -> Iterator[tuple[
         first = last
 
 
-def separation_of(mesh: Mesh, margin: float, overlaps: Overlaps | None = None) -> str | None:
+def separation_of(mesh: Mesh, margin: float, overlaps: Overlaps | None) -> str | None:
     """Return the entry of provenance that moves parts nearer than ``margin`` apart; None without any."""
     margin = as_positive(margin, "margin")
     overlaps = mesh.overlapping_parts(margin) if overlaps is None else overlaps

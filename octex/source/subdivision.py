@@ -219,11 +219,11 @@ def _around(level: Level, centres: Int64s) -> Level:
     )  # fmt: skip
 
 
-def _sums(owners: Int64s, values: Float64s, count: int, rows: Int64s | None = None) -> Float64s:
-    """Return the sums (count, k) of values (n, k), or of their ``rows`` (m,), by owner."""
+def _sums(owners: Int64s, values: Float64s, count: int, rows: Int64s) -> Float64s:
+    """Return the sums (count, k) of ``rows`` (m,) of values (n, k), by owner."""
     sums = np.empty((count, values.shape[1]))
-    for column, each in enumerate(np.ascontiguousarray(values.T)):
-        sums[:, column] = np.bincount(owners, each if rows is None else each[rows], count)
+    for k, column in enumerate(np.ascontiguousarray(values.T)):
+        sums[:, k] = np.bincount(owners, column[rows], count)
     return sums
 
 

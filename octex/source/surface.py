@@ -66,9 +66,9 @@ class Surface(Mesh):
         self._single: dict[str, Source] = {}
 
     @classmethod
-    def _on(cls, mesh: Mesh, source: Source, provenance: Mapping[str, str] | None = None) -> Surface:
+    def _on(cls, mesh: Mesh, source: Source, provenance: Mapping[str, str]) -> Surface:
         surface = cls.__new__(cls)  # the mesh has checked its arrays
-        vars(surface).update(vars(mesh), source=source, provenance=dict(provenance or {}), _single={})
+        vars(surface).update(vars(mesh), source=source, provenance=dict(provenance), _single={})
         return surface
 
     @classmethod
@@ -209,7 +209,7 @@ class Surface(Mesh):
         return surface if sources is None else surface.with_sources(sources)
 
     def __repr__(self) -> str:
-        names = ", ".join(channel.name for channel in self.channels)
+        names = ", ".join(self.source.channel_names)
         return f"<Surface {self.name!r} of {len(self.triangles):,} triangles with {names}>"
 
     @property
@@ -239,7 +239,7 @@ class Surface(Mesh):
 
         Raises ArgumentError for a channel that it lacks, and for an empty list.
         """
-        channels = as_names(channels, "channels", [form.name for form in self.channels])
+        channels = as_names(channels, "channels", self.source.channel_names)
         if not channels:
             raise ArgumentError("channels must name at least one channel")
         return self._with(self.source.only(channels))
@@ -275,12 +275,12 @@ class Surface(Mesh):
             filter = self.provenance.get("filter", "ewa")
         as_choice(filter, FILTERS, "filter")
         replaced = {*sources, *(["alpha"] if self.source.alpha_is_coverage else [])}
-        remaining = [form.name for form in self.channels if form.name not in replaced]
+        remaining = [name for name in self.source.channel_names if name not in replaced]
         by_name: dict[str, Source] = dict.fromkeys(remaining, self.source.only(remaining))
         surface = self._with(self.source)
         for channel, value in sources.items():
             if isinstance(value, Source):
-                as_choice(channel, [form.name for form in value.channels], "channel of the given source")
+                as_choice(channel, value.channel_names, "channel of the given source")
                 by_name[channel] = value
                 surface.provenance[f"source_{channel}"] = type(value).__name__
             else:
@@ -382,7 +382,7 @@ class Surface(Mesh):
         Colours are not multiplied by alpha; averaged directions are shorter than 1. Raises ArgumentError for
         a channel that is not there or samples of another surface.
         """
-        as_choice(channel, [form.name for form in self.channels], "channel")
+        as_choice(channel, self.source.channel_names, "channel")
         if not isinstance(samples, SurfaceSamples):
             raise ArgumentError(f"samples must be the result of scatter, not {samples!r}")
         triangles = np.asarray(samples.triangles)

@@ -47,7 +47,7 @@ class Transfer(Placeable):
     @property
     def sources(self) -> dict[str, Transfer]:
         """The transfer for every channel of the other model, as ``Surface.with_sources`` takes it."""
-        return {form.name: self for form in self._surface.channels}
+        return dict.fromkeys(self._surface.source.channel_names, self)
 
     @cached_property
     def _nearest(self) -> Triangles:
@@ -85,7 +85,7 @@ class _TransferSource(SpatialSource):
 
     @property
     def _adds_alpha(self) -> bool:
-        return self.has_gaps and ALPHA.name not in [form.name for form in self._inputs[0].channels]
+        return self.has_gaps and ALPHA.name not in self._inputs[0].channel_names
 
     def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return the other's values (n, components) at the points nearest to these."""
@@ -105,5 +105,5 @@ class _TransferSource(SpatialSource):
     def only(self, names: Sequence[str]) -> _TransferSource:
         """Return the same source with only these channels, and ``alpha`` if it has gaps."""
         [other] = self._inputs
-        common = [form.name for form in other.channels if form.name in names]
+        common = [name for name in other.channel_names if name in names]
         return self._of_inputs([other.only(common) if common or other.has_gaps else Combined({})])

@@ -49,18 +49,13 @@ _GREY = 8 / 255
 _ROWS = 256  # rows of an image that are processed at once
 
 
-class Library(NamedTuple):
-    """Materials by name, the SHA-256 of each file read, by its path from the model, and missing files."""
-
-    materials: dict[str, LoadedMaterial]
-    files: dict[str, str]
-    missing: list[str]
-
-
-def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: Options) -> Library:
+def load_materials(
+    path: Path, lines: Sequence[str], wanted: set[str], options: Options
+) -> tuple[dict[str, LoadedMaterial], dict[str, str], list[str]]:
     """Read the ``wanted`` materials of the mtllib ``lines`` of the OBJ file ``path``.
 
-    Each line names one file, whose name may have blanks, or several. The result lists missing files.
+    Each line names one file, whose name may have blanks, or several. Returns materials by name, the SHA-256
+    of each file read, by its path from the model, and the lines whose files are missing.
     """
     images = ImageFiles(path.parent)
     materials: dict[str, LoadedMaterial] = {}
@@ -83,7 +78,7 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
     for name, (material, slots, assumed, *_) in materials.items():
         inputs = {key: value for key, value in material.inputs.items() if key not in assumed - needed}
         materials[name] = LoadedMaterial(material._replace(inputs=inputs), slots, assumed)
-    return Library(materials, images.files, missing)
+    return materials, images.files, missing
 
 
 def _entries(data: bytes, path: Path) -> Iterator[tuple[str, dict[str, str]]]:

@@ -219,22 +219,22 @@ def _bind(
         return [LoadedMaterial()], numbers[polygons], {}
     names = list(dict.fromkeys(material for _, _, material in uses))
     libraries = [line.strip() for line in text.libraries]
-    library = load_materials(path, libraries, set(names), options)
-    missing = [name for name in names if name not in library.materials]
+    by_name, files, missing_files = load_materials(path, libraries, set(names), options)
+    missing = [name for name in names if name not in by_name]
     if missing:
         more = f" and {len(missing) - _LISTED} more" if len(missing) > _LISTED else ""
-        listing = ", ".join(each or "without a name" for each in missing[:_LISTED]) + more
+        listing = ", ".join(name or "without a name" for name in missing[:_LISTED]) + more
         what, are = (f"material {listing}", "is") if len(missing) == 1 else (f"materials {listing}", "are")
-        lie, them = ("are", "them") if len(library.missing) > 1 else ("is", "it")
         fault = f"{', '.join(libraries)} does not define the {what}, which {are} white; add what is missing"
-        if library.missing:
-            files = " and ".join(library.missing)
-            fault = f"{files} {lie} missing, so the {what} {are} white; put {them} next to the model"
+        if missing_files:
+            lie, them = ("are", "them") if len(missing_files) > 1 else ("is", "it")
+            lost = " and ".join(missing_files)
+            fault = f"{lost} {lie} missing, so the {what} {are} white; put {them} next to the model"
         warn(f"{path.name}: {fault}")
-    materials = [LoadedMaterial(), *(library.materials.get(name, LoadedMaterial()) for name in names)]
+    materials = [LoadedMaterial(), *(by_name.get(name, LoadedMaterial()) for name in names)]
     for first, end, material in uses:
         numbers[first:end] = 1 + names.index(material)
-    return materials, numbers[polygons], library.files
+    return materials, numbers[polygons], files
 
 
 def _white_below_images(part: Part, materials: list[LoadedMaterial]) -> Part:
