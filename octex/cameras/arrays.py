@@ -40,12 +40,12 @@ def read(path: Path, content: bytes) -> list[Frame]:
         raise BrokenError(
             f"cannot be read as an .npz file ({error}); save it again, without objects"
         ) from None
-    placed = [names[0] for names in (_known(arrays, _VIEWS), _known(arrays, _POSES)) if names]
-    if len(placed) != 1:
+    keys = [key for key in (_first_of(_VIEWS, arrays), _first_of(_POSES, arrays)) if key]
+    if len(keys) != 1:
         raise BrokenError(
             f"must have one of {', '.join((*_VIEWS, *_POSES))}; has {', '.join(arrays) or 'nothing'}"
         )
-    (pose,) = placed
+    [pose] = keys
     shared = {"projection": "pinhole", "distortion_model": str(arrays.get("distortion_model", "opencv"))}
     if pose in _VIEWS:
         shared["convention"] = "opencv"
@@ -56,10 +56,10 @@ def read(path: Path, content: bytes) -> list[Frame]:
     if matrices.shape[1:] not in _SHAPES:
         raise BrokenError(f"{pose} must have shape (n, 4, 4), not {matrices.shape}")
     count = len(matrices)
-    known = _known(arrays, _INTRINSICS)
-    if not known:
+    K = _first_of(_INTRINSICS, arrays)
+    if not K:
         raise BrokenError(f"must have one of {', '.join(_INTRINSICS)}; has {', '.join(arrays)}")
-    columns = {known[0]: _numbers(arrays, known[0], 3)}
+    columns = {K: _numbers(arrays, K, 3)}
     for name, dimensions in (("width", 1), ("height", 1), ("distortion", 2)):
         if name in arrays:
             columns[name] = _numbers(arrays, name, dimensions)
@@ -76,13 +76,14 @@ def read(path: Path, content: bytes) -> list[Frame]:
                 row[pose] = (_inverse(matrices[number]) if is_inverse else matrices[number]).tolist()
             record = Record({**shared, **row})
             size = record.size() if "width" in record or "height" in record else None
-            frame = frame_of(path, str(row.get("names", number)), record, size, known[0], pose, _SHAPES)
+            frame = frame_of(path, str(row.get("names", number)), record, size, K, pose, _SHAPES)
             frames.append(frame._replace(is_named="names" in arrays))
     return frames
 
 
-def _known(arrays: Mapping[str, Array], names: tuple[str, ...]) -> list[str]:
-    return [name for name in names if name in arrays]
+def _first_of(names: tuple[str, ...], arrays: Mapping[str, Array]) -> str:
+    """Return the first name that an array has, or else an empty text."""
+    return next((name for name in names if name in arrays), "")
 
 
 def _inverse(pose: Float64s) -> Float64s:

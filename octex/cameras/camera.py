@@ -29,7 +29,7 @@ Distortion = tuple[float, ...]
 NO_DISTORTION: Distortion = (0.0, 0.0, 0.0, 0.0)
 
 #: Whether rays meet in the camera's position or are parallel.
-Projection = Literal["pinhole", "orthographic"]
+ProjectionKind = Literal["pinhole", "orthographic"]
 
 #: Bounds of a camera's numbers: their powers stay far from overflow and underflow.
 LARGEST, SMALLEST = 1e30, 1e-30
@@ -65,21 +65,21 @@ class Camera:
     height: int
     K: Float64s
     world_to_camera: Float64s
-    projection: Projection
+    projection: ProjectionKind
     distortion: Distortion = NO_DISTORTION
     distortion_model: DistortionModel = "opencv"
 
     def __post_init__(self) -> None:
-        made = {
+        checked = {
             "width": as_whole(self.width, "width", 1, LARGEST_SIZE),
             "height": as_whole(self.height, "height", 1, LARGEST_SIZE),
             "K": locked(_as_intrinsics(self.K)),
             "world_to_camera": locked(_as_rigid(self.world_to_camera, "world_to_camera")),
-            "projection": as_choice(self.projection, get_args(Projection), "projection"),
+            "projection": as_choice(self.projection, get_args(ProjectionKind), "projection"),
             "distortion_model": as_choice(self.distortion_model, DISTORTION_MODELS, "distortion_model"),
             "distortion": _as_distortion(self.distortion, self.distortion_model),
         }
-        for name, value in made.items():
+        for name, value in checked.items():
             object.__setattr__(self, name, value)
         if self.projection == "orthographic" and self.is_distorted:
             raise ArgumentError("an orthographic camera must have no distortion")
@@ -352,7 +352,7 @@ def as_vector(vector: npt.ArrayLike, name: str) -> Float64s:
     if not largest > 0.0:
         raise ArgumentError(f"{name} must be three finite numbers, not all zero")
     array = np.ldexp(array, -np.frexp(largest)[1])  # squares of the scaled values neither overflow nor vanish
-    return cast(Float64s, array / np.linalg.norm(array))
+    return np.asarray(array / np.linalg.norm(array))
 
 
 def _as_intrinsics(K: npt.ArrayLike) -> Float64s:
@@ -382,11 +382,11 @@ def _as_view(pose: npt.ArrayLike, convention: Convention) -> Float64s:
     matrix = as_reals(pose, "a camera's pose", (4, 4), (3, 4), most=LARGEST)
     if len(matrix) == 3:
         matrix = np.vstack([matrix, [0.0, 0.0, 0.0, 1.0]])
-    pose = _as_rigid(matrix, "a camera's pose")
+    rigid = _as_rigid(matrix, "a camera's pose")
     left, _, right = np.linalg.svd(matrix[:3, :3])
-    pose[:3, :3] = left @ right  # the nearest rotation, since files round to a few digits
-    pose[3] = [0.0, 0.0, 0.0, 1.0]
-    return cast(Float64s, FLIP_YZ @ np.linalg.inv(pose) if convention == "opengl" else pose)
+    rigid[:3, :3] = left @ right  # the nearest rotation, since files round to a few digits
+    rigid[3] = [0.0, 0.0, 0.0, 1.0]
+    return np.asarray(FLIP_YZ @ np.linalg.inv(rigid)) if convention == "opengl" else rigid
 
 
 def _as_rigid(matrix: npt.ArrayLike, name: str) -> Float64s:

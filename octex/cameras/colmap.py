@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from octex.arrays import Float64s
 from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Bytes, Record, reading, within
-from octex.cameras.frames import Frame, Optics, image_path, is_file, rigid, rotation_of, view_of
+from octex.cameras.frames import Frame, Optics, image_path, is_file, rigid, rotation_of, view_matrix
 from octex.cameras.lens import DistortionModel
 from octex.errors import CameraError
 from octex.files import read_bytes
@@ -70,20 +70,20 @@ def read(folder: Path, ending: str) -> list[Frame]:
     COLMAP's workspaces have the images in ``images``, next to ``sparse`` or to a model's files.
     """
     cameras, images = folder / f"cameras{ending}", folder / f"images{ending}"
-    of_cameras, of_images = (_cameras_binary, _images_binary) if ending == ".bin" else (_cameras, _images)
+    is_binary = ending == ".bin"
     with reading(cameras):
-        optics = dict(of_cameras(read_bytes(cameras)))
-    around = (folder, *folder.absolute().parents[:2])
-    root = next((each for each in around if (each / "images").is_dir()), None)
+        optics = dict((_cameras_binary if is_binary else _cameras)(read_bytes(cameras)))
+    roots = (folder, *folder.absolute().parents[:2])
+    root = next((root for root in roots if (root / "images").is_dir()), None)
     with reading(images):
         frames = []
-        for name, pose, camera in list(of_images(read_bytes(images))):
+        for name, pose, camera in list((_images_binary if is_binary else _images)(read_bytes(images))):
             with within(f"frame {name!r}"):
                 if camera not in optics:
                     raise BrokenError(f"camera {camera} is not in {cameras.name}")
                 view = rigid(rotation_of(pose[:4], "quaternion"), pose[4:])
                 image = None if root is None else image_path(root / images.name, f"images/{name}")
-                frames.append(Frame(name, images, optics[camera], view_of(view), image))
+                frames.append(Frame(name, images, optics[camera], view_matrix(view), image))
         return frames
 
 
@@ -110,10 +110,10 @@ def _cameras_binary(content: bytes) -> Iterator[tuple[int, Optics]]:
     data = Bytes(content)
     with within("the number of cameras"):
         (count,) = data.take("Q")
-    for each in range(1, count + 1):
-        with within(f"camera {each} of {count}"):
-            key, number, width, height = data.take("iiQQ")
-            model = _model_of(dict(enumerate(_MODELS)).get(number, f"number {number}"))
+    for number in range(1, count + 1):
+        with within(f"camera {number} of {count}"):
+            key, model_id, width, height = data.take("iiQQ")
+            model = _model_of(dict(enumerate(_MODELS)).get(model_id, f"number {model_id}"))
             parameters = list(data.take(f"{model.n_numbers}d"))
             yield key, _optics(model, Record({"width": width, "height": height, "parameters": parameters}))
 

@@ -39,12 +39,12 @@ def reading(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def within(place: str) -> Iterator[None]:
-    """Prefix errors with the name of the place that they occur in."""
+def within(where: str) -> Iterator[None]:
+    """Prefix errors with the name of the part of the file that has them."""
     try:
         yield
     except (BrokenError, ArgumentError) as error:
-        raise BrokenError(f"{place}: {error}") from None
+        raise BrokenError(f"{where}: {error}") from None
 
 
 class Record:

@@ -88,13 +88,14 @@ def _read(path: Path, content: bytes) -> list[Frame]:
     )
 
 
-def _read_own(path: Path, document: dict[str, Any]) -> list[Frame]:
+def _read_octex(path: Path, document: dict[str, Any]) -> list[Frame]:
     version = document[MARK]
     if isinstance(version, bool) or not isinstance(version, int) or version < 1:
         raise BrokenError(f"{MARK} must be the number {_VERSION}, not {reprlib.repr(version)}")
     if version > _VERSION:
-        newer = reprlib.repr(version)
-        raise BrokenError(f"{MARK} is {newer}, from a newer octex; this one reads {_VERSION}, update it")
+        raise BrokenError(
+            f"{MARK} is {reprlib.repr(version)}, from a newer octex; this one reads {_VERSION}, update it"
+        )
     frames = []
     for number, record in enumerate(Record(document).records("cameras")):
         with within(f"camera {number}"):
@@ -118,7 +119,7 @@ _BY_MARK: dict[bytes, Callable[[Path, bytes], list[Frame]]] = {
 }
 #: ... or by the fields of a JSON object.
 _BY_FIELDS: dict[tuple[str, ...], Callable[[Path, dict[str, Any]], list[Frame]]] = {
-    (MARK,): _read_own,
+    (MARK,): _read_octex,
     ("frames",): transforms.read,
     ("views", "poses"): sfm.read_meshroom,
     ("views", "extrinsics"): sfm.read_openmvg,
@@ -145,12 +146,12 @@ def find_frame(frames: Sequence[Frame], name: str, file: Path) -> Frame:
         if len(matches) == 1:
             return matches[0]
         if matches:
-            listed = listing([frame.name for frame in matches], _LISTED)
+            names = listing([frame.name for frame in matches], _LISTED)
             raise CameraError(
-                f"{file}: frame {name!r} may be {len(matches)} frames: {listed}; give the whole name"
+                f"{file}: frame {name!r} may be {len(matches)} frames: {names}; give the whole name"
             )
-    listed = listing([frame.name for frame in frames], _LISTED)
-    raise CameraError(f"{file}: there is no frame {name!r}; there are: {listed}")
+    names = listing([frame.name for frame in frames], _LISTED)
+    raise CameraError(f"{file}: there is no frame {name!r}; there are: {names}")
 
 
 def write_cameras(
@@ -166,18 +167,19 @@ def write_cameras(
     for name, camera in as_entries(cameras, "cameras").items():
         if not isinstance(camera, Camera):
             raise ArgumentError(f"camera {name!r} must be an octex.Camera, not {camera!r}")
-    seen = {} if views is None else as_entries(views, "views")
-    for name, view in seen.items():
+    views = {} if views is None else as_entries(views, "views")
+    for name, view in views.items():
         if name not in cameras or not isinstance(view, bytes):
             raise ArgumentError(f"view {name!r} must be the bytes of a PNG file, for one of the cameras")
-    every = ((name, each, seen.get(name)) for name, each in cameras.items())
-    lines = [json.dumps(_written(*each), allow_nan=False) for each in every]
+    records = (_record(name, camera, views.get(name)) for name, camera in cameras.items())
+    lines = [json.dumps(record, allow_nan=False) for record in records]
     head = f'{{"{MARK}": {_VERSION}, "cameras": ['
     with replacing(path) as file:
         file.write((head + ",".join("\n" + line for line in lines) + "\n]}\n").encode("ascii"))
 
 
-def _written(name: str, camera: Camera, view: bytes | None) -> dict[str, Any]:
+def _record(name: str, camera: Camera, view: bytes | None) -> dict[str, Any]:
+    """Return the fields of a camera in octex's format."""
     return {
         "name": name,
         "width": camera.width,

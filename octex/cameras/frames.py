@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Float64s
-from octex.cameras.camera import NO_DISTORTION, Camera, Convention, Distortion, Projection, intrinsics
+from octex.cameras.camera import NO_DISTORTION, Camera, Convention, Distortion, ProjectionKind, intrinsics
 from octex.cameras.fields import BrokenError, Record, within
 from octex.cameras.lens import COUNTS, DISTORTION_MODELS, DistortionModel
 from octex.errors import ArgumentError, CameraError
@@ -29,13 +29,13 @@ class Optics(NamedTuple):
     K: Float64s | Callable[[int, int], Float64s]  # (3, 3) intrinsics, or a function of width and height
     distortion: Distortion = NO_DISTORTION
     model: DistortionModel = "opencv"
-    projection: Projection = "pinhole"
+    projection: ProjectionKind = "pinhole"
 
     def bent(self, model: DistortionModel, names: str, numbers: Sequence[float]) -> Optics:
         """Return the optics with distortion coefficients, which are in the order of ``names``."""
-        known = dict(zip(names.split(), numbers, strict=True))
-        order = _WHOLE_FISHEYE if model == "fisheye" and "p1" in known else _ORDERS[model]
-        return self._replace(distortion=tuple(known.get(name, 0.0) for name in order.split()), model=model)
+        by_name = dict(zip(names.split(), numbers, strict=True))
+        order = _WHOLE_FISHEYE if model == "fisheye" and "p1" in by_name else _ORDERS[model]
+        return self._replace(distortion=tuple(by_name.get(name, 0.0) for name in order.split()), model=model)
 
 
 class Frame(NamedTuple):
@@ -67,8 +67,8 @@ class Frame(NamedTuple):
             raise CameraError(f"{frame} has no image size; give the size or the image")
         width, height = self.size or size or (0, 0)
         if size is not None and not self.fits(size):
-            is_lying = self.fits(size[::-1])
-            advice = "turn it by 90 degrees" if is_lying else "give the image that the camera was made for"
+            is_turned = self.fits(size[::-1])
+            advice = "turn it by 90 degrees" if is_turned else "give the image that the camera was made for"
             raise CameraError(
                 f"{frame} is for {width}×{height} pixels, the image has {size[0]}×{size[1]}, another "
                 f"shape; {advice}"
@@ -127,7 +127,7 @@ def rotation_of(quaternion: Float64s, field: str) -> Float64s:
     return rotation_matrix(*quaternion)
 
 
-def view_of(pose: Float64s, convention: Convention = "opencv") -> Float64s:
+def view_matrix(pose: Float64s, convention: Convention = "opencv") -> Float64s:
     """Return a checked pose as a world-to-camera matrix; a valid one keeps its bits."""
     view = Camera.pinhole((1, 1), pose=pose, convention=convention, focal=1.0).world_to_camera
     exact = convention == "opencv" and pose.shape == (4, 4) and np.allclose(view, pose, rtol=0.0, atol=1e-12)
@@ -146,7 +146,7 @@ def frame_of(
     """Return the frame of a record; ``K`` and ``pose`` name the fields of its matrices."""
     projection = record.choice("projection", ("pinhole", "orthographic"))
     convention = record.choice("convention", ("opencv", "opengl"))
-    matrix, placed = record.matrix(K, (3, 3)), record.matrix(pose, *shapes)
+    matrix, pose_matrix = record.matrix(K, (3, 3)), record.matrix(pose, *shapes)
     model: DistortionModel = record.choice("distortion_model", DISTORTION_MODELS, DISTORTION_MODELS[0])
     distortion = record.numbers("distortion", *COUNTS[model]) if "distortion" in record else None
     if projection == "orthographic" and (model != "opencv" or (distortion is not None and distortion.any())):
@@ -157,5 +157,5 @@ def frame_of(
             distortion=None if distortion is None else distortion.tolist(),
         )  # fmt: skip
     with within(pose):
-        view = view_of(placed, convention)
+        view = view_matrix(pose_matrix, convention)
     return Frame(name, path, Optics(size, matrix, camera.distortion, model, projection), view)

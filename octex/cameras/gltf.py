@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 
 import numpy as np
 
 from octex.arrays import Float64s
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, centred, view_of
+from octex.cameras.frames import Frame, Optics, centred, view_matrix
 from octex.cameras.transforms import focal_of_angle
 from octex.gltf import Document, scene_nodes
 
@@ -25,10 +25,10 @@ def read(path: Path, content: bytes) -> list[Frame]:
         with within(f"nodes[{number}]"):
             if "rotation" in node and not any(node["rotation"]):
                 raise BrokenError("rotation must not be zero")
-            named = next((each for each in (Record(node), camera) if each.find("name")), None)
-            wanted = named.text("name") if named else f"camera_{node['camera']}"
-            numbered = (f"{wanted}_{number}" for number in count(2))
-            name = wanted if wanted not in frames else next(each for each in numbered if each not in frames)
+            named = next((record for record in (Record(node), camera) if record.find("name")), None)
+            base = named.text("name") if named else f"camera_{node['camera']}"
+            names = chain([base], (f"{base}_{copy}" for copy in count(2)))
+            name = next(name for name in names if name not in frames)
         with within(f"frame {name!r}"):
             frames[name] = Frame(name, path, _optics(camera), _view(to_world))
     return list(frames.values())
@@ -61,4 +61,4 @@ def _view(to_world: Float64s) -> Float64s:
     if not (np.isfinite(pose).all() and (lengths > 0.0).all() and np.isfinite(lengths).all()):
         raise BrokenError("its node, with the nodes above it, must not scale to nothing or to infinity")
     pose[:3, :3] /= lengths
-    return view_of(pose, "opengl")
+    return view_matrix(pose, "opengl")

@@ -151,33 +151,33 @@ def distort(lens: Float64s, points: Float64s, out: Float64s) -> None:
 
 
 @kernel
-def undistort(lens: Float64s, seen: Float64s, out: Float64s) -> None:
-    """Write the points that a lens maps to ``seen`` (n, 2); NaN where none exists.
+def undistort(lens: Float64s, distorted_points: Float64s, out: Float64s) -> None:
+    """Write the points that a lens maps to ``distorted_points`` (n, 2); NaN for points without one.
 
     Newton's method from the image centre. It halves a step that does not come closer or that leaves the
     lens's domain.
     """
-    for n in range(len(seen)):
-        u, v = seen[n, 0], seen[n, 1]
+    for n in range(len(distorted_points)):
+        u, v = distorted_points[n, 0], distorted_points[n, 1]
         size = 1.0 + max(abs(u), abs(v))
         x = y = 0.0
-        left, down = u, v
+        error_x, error_y = u, v
         part = 1.0
         for _ in range(_MOST_STEPS):
             xx, xy, yx, yy = _slopes(lens, x, y)
             area = xx * yy - xy * yx
             if area == 0.0:
                 break
-            trial_x = x + part * (yy * left - xy * down) / area
-            trial_y = y + part * (xx * down - yx * left) / area
-            there_x, there_y = distorted(lens, trial_x, trial_y)
-            if np.hypot(u - there_x, v - there_y) < np.hypot(left, down):
-                x, y, left, down = trial_x, trial_y, u - there_x, v - there_y
+            trial_x = x + part * (yy * error_x - xy * error_y) / area
+            trial_y = y + part * (xx * error_y - yx * error_x) / area
+            trial_u, trial_v = distorted(lens, trial_x, trial_y)
+            if np.hypot(u - trial_u, v - trial_v) < np.hypot(error_x, error_y):
+                x, y, error_x, error_y = trial_x, trial_y, u - trial_u, v - trial_v
                 part = 1.0
             else:
                 part *= 0.5
-            if max(abs(left), abs(down)) <= _ROUNDING * size or part <= _LEAST_STEP:
+            if max(abs(error_x), abs(error_y)) <= _ROUNDING * size or part <= _LEAST_STEP:
                 break
-        is_converged = max(abs(left), abs(down)) <= _CONVERGED * size
+        is_converged = max(abs(error_x), abs(error_y)) <= _CONVERGED * size
         out[n, 0] = x if is_converged else np.nan
         out[n, 1] = y if is_converged else np.nan

@@ -15,7 +15,7 @@ import numpy as np
 from octex.arrays import Float64s
 from octex.cameras.camera import FLIP_YZ
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, view_of
+from octex.cameras.frames import Frame, Optics, view_matrix
 from octex.cameras.lens import DistortionModel
 
 #: WKT names of coordinate systems that are not local.
@@ -60,10 +60,10 @@ def _frames(path: Path, chunk: Element) -> list[Frame]:
                             "set its reference to local coordinates, then export both again"
                         )
                     with within("the component's transform"):
-                        pose = _placed(_numbers(transform), pose)
+                        pose = _transformed(_numbers(transform), pose)
                     break
             with within("transform"):
-                view = view_of(pose @ FLIP_YZ, "opengl")  # Metashape's cameras look along z, with y down
+                view = view_matrix(pose @ FLIP_YZ, "opengl")  # Metashape's cameras look along z, with y down
             with within(f"sensor {sensor.get('label')!r}"):
                 frames.append(Frame(name, path, _optics(sensor), view))
     return frames
@@ -74,16 +74,16 @@ def _numbers(element: Element) -> Record:
     return Record({each.tag: (each.text or "").split() for each in reversed(element)}, are_texts=True)
 
 
-def _placed(transform: Record, pose: Float64s) -> Float64s:
+def _transformed(transform: Record, pose: Float64s) -> Float64s:
     """Apply a similarity to a pose (camera to world)."""
     rotation = transform.numbers("rotation", 9).reshape(3, 3) if "rotation" in transform else np.eye(3)
     factor = float(transform.numbers("scale", 1)[0]) if "scale" in transform else 1.0
-    placed = pose.copy()
-    placed[:3, :3] = rotation @ pose[:3, :3]
-    placed[:3, 3] = factor * rotation @ pose[:3, 3]
+    transformed = pose.copy()
+    transformed[:3, :3] = rotation @ pose[:3, :3]
+    transformed[:3, 3] = factor * rotation @ pose[:3, 3]
     if "translation" in transform:
-        placed[:3, 3] += transform.numbers("translation", 3)
-    return placed
+        transformed[:3, 3] += transform.numbers("translation", 3)
+    return transformed
 
 
 def _optics(sensor: Element) -> Optics:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from octex.arrays import Float64s
 from octex.cameras.fields import BrokenError, Bytes, Record, within
-from octex.cameras.frames import Frame, Optics, image_path, rigid, view_of
+from octex.cameras.frames import Frame, Optics, image_path, rigid, view_matrix
 
 #: The first bytes of a scene.
 MARK = b"MVSI"
@@ -18,12 +17,6 @@ _NEWEST = 7
 _NONE = 2**32 - 1
 #: From pixels with centres at whole numbers to pixels with centres at ½.
 _TO_CORNERS = np.array([[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 1.0]])
-
-
-class _Platform(NamedTuple):
-    optics: list[Optics]
-    mounts: list[Float64s]  # (4, 4) of each camera: from the platform's axes
-    poses: list[Float64s]  # (4, 4)
 
 
 def read(path: Path, content: bytes) -> list[Frame]:
@@ -53,26 +46,28 @@ def read(path: Path, content: bytes) -> list[Frame]:
             optics, mounts, poses = platforms[platform]
             if camera >= len(optics) or pose >= len(poses):
                 raise BrokenError(f"camera {camera} or pose {pose} is not in the file")
-            view = view_of(mounts[camera] @ poses[pose])
+            view = view_matrix(mounts[camera] @ poses[pose])
             frames.append(Frame(name, path, optics[camera], view, image_path(path, name)))
     return frames
 
 
-def _platform(data: Bytes, version: int) -> _Platform:
+def _platform(data: Bytes, version: int) -> tuple[list[Optics], list[Float64s], list[Float64s]]:
+    """Return each camera's optics and matrix (4, 4) from the platform's axes; and the poses (4, 4)."""
     _text(data)
-    platform = _Platform([], [], [])
+    optics: list[Optics] = []
+    mounts, poses = [], []
     for number in _numbered(data, "camera"):
         with within(f"camera {number}"):
             for _ in range(2 if version > 3 else 1):  # the camera's name, and its band's
                 _text(data)
             width, height = data.take("II")
             size = Record({"width": width, "height": height}).size() if width or height else None
-            platform.optics.append(_optics(size, data.numbers("K", 3, 3)))
-            platform.mounts.append(_pose(data))
+            optics.append(_optics(size, data.numbers("K", 3, 3)))
+            mounts.append(_pose(data))
     for number in _numbered(data, "pose"):
         with within(f"pose {number}"):
-            platform.poses.append(_pose(data))
-    return platform
+            poses.append(_pose(data))
+    return optics, mounts, poses
 
 
 def _optics(size: tuple[int, int] | None, K: Float64s) -> Optics:

@@ -14,7 +14,7 @@ import numpy as np
 
 from octex.cameras.camera import FLIP_YZ, intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, centred, image_path, is_file, rigid, rotation_of, view_of
+from octex.cameras.frames import Frame, Optics, centred, image_path, is_file, rigid, rotation_of, view_matrix
 from octex.cameras.lens import DistortionModel
 from octex.files import read_bytes
 
@@ -66,9 +66,9 @@ def read_meshroom(path: Path, document: dict[str, Any]) -> list[Frame]:
             if "rigId" in record and str(record.find("isPoseIndependant", True)).lower() in ("false", "0"):
                 raise BrokenError("belongs to a rig, which octex does not read; leave the rig out")
             with within("pose"):
-                placed = pose.record("pose").record("transform")
-                rotation = placed.numbers("rotation", 9).reshape(3, 3).T
-                view = view_of(rigid(rotation, -rotation @ placed.numbers("center", 3)))
+                transform = pose.record("pose").record("transform")
+                rotation = transform.numbers("rotation", 9).reshape(3, 3).T
+                view = view_matrix(rigid(rotation, -rotation @ transform.numbers("center", 3)))
             if version >= [1, 2, 3]:
                 view = view @ FLIP_YZ
             with within("intrinsics"):
@@ -125,17 +125,17 @@ def read_openmvg(path: Path, document: dict[str, Any]) -> list[Frame]:
     frames = []
     for number, record in enumerate(scene.records("views")):
         with within(f"view {number}"):
-            seen = _openmvg_data(record)
-            name = seen.text("filename")
-        pose, lens = poses.get(str(seen.find("id_pose"))), optics.get(str(seen.find("id_intrinsic")))
+            data = _openmvg_data(record)
+            name = data.text("filename")
+        pose, lens = poses.get(str(data.find("id_pose"))), optics.get(str(data.find("id_intrinsic")))
         if pose is None or lens is None:
             continue  # no pose
         with within(f"view {name!r}"):
             with within("intrinsics"):
                 shared = _openmvg_optics(_openmvg_data(lens))
             rotation = pose.matrix("rotation", (3, 3))
-            view = view_of(rigid(rotation, -rotation @ pose.numbers("center", 3)))
-        folders = root, str(seen.find("local_path", "")).strip("/")
+            view = view_matrix(rigid(rotation, -rotation @ pose.numbers("center", 3)))
+        folders = root, str(data.find("local_path", "")).strip("/")
         image = image_path(path, "/".join([*filter(None, folders), name]))
         frames.append(Frame(name, path, shared, view, image))
     return frames
@@ -179,7 +179,7 @@ def read_opensfm(path: Path, reconstructions: list[dict[str, Any]]) -> list[Fram
             quaternion = np.append(np.cos(angle / 2), np.sinc(angle / 2 / np.pi) / 2 * axis)
             view = rigid(rotation_of(quaternion, "rotation"), shot.numbers("translation", 3))
             image = image_path(path, f"images/{name}")
-            frames.append(Frame(name, path, optics, view_of(view), image))
+            frames.append(Frame(name, path, optics, view_matrix(view), image))
     return frames
 
 
@@ -214,9 +214,9 @@ def read_bundler(path: Path, content: bytes) -> list[Frame]:
         raise BrokenError(f"the number of cameras, {count:g}, is more than the file has room for")
     names: list[str] = []
     lists = (path.with_name(name) for name in (f"{path.stem}.list.txt", f"{path.stem}_list.txt", "list.txt"))
-    listed = next(filter(is_file, lists), None)
-    if listed is not None:
-        lines = read_bytes(listed).decode("utf-8", errors="replace").splitlines()
+    list_file = next(filter(is_file, lists), None)
+    if list_file is not None:
+        lines = read_bytes(list_file).decode("utf-8", errors="replace").splitlines()
         # Bundler's lists have a zero and a focal length after each name.
         names = [re.sub(r"\s+0\s+\S+$", "", line.strip()) for line in lines if line.strip()]
     if names and len(names) != count:
@@ -233,7 +233,7 @@ def read_bundler(path: Path, content: bytes) -> list[Frame]:
                 continue  # no pose
             if focal < 0.0:
                 raise BrokenError(f"f must be above zero, not {focal:g}")
-            view = view_of(FLIP_YZ @ rigid(rotation.reshape(3, 3), shift))
+            view = view_matrix(FLIP_YZ @ rigid(rotation.reshape(3, 3), shift))
         name = names[number] if names else str(number)
         optics = Optics(None, partial(centred, focal), (*bends, 0.0, 0.0))
         image = image_path(path, name) if names else None

@@ -11,7 +11,7 @@ from typing import Any
 from octex.arrays import Float64s
 from octex.cameras.camera import intrinsics
 from octex.cameras.fields import BrokenError, Record, within
-from octex.cameras.frames import Frame, Optics, image_path, is_file, view_of
+from octex.cameras.frames import Frame, Optics, image_path, is_file, view_matrix
 from octex.cameras.lens import DistortionModel
 
 _ENDINGS = ("", ".png", ".jpg", ".jpeg")
@@ -37,10 +37,9 @@ def read(path: Path, document: dict[str, Any]) -> list[Frame]:
             optics = _optics(record)
             pose = record.matrix("transform_matrix", (4, 4), (3, 4))
             with within("transform_matrix"):
-                view = view_of(pose, "opengl")
+                view = view_matrix(pose, "opengl")
         base = image_path(path, name)
-        tried = [Path(f"{base}{ending}") for ending in _ENDINGS]
-        image = next((place for place in tried if is_file(place)), base)
+        image = next(filter(is_file, (Path(f"{base}{ending}") for ending in _ENDINGS)), base)
         frames.append(Frame(name, path, optics, view, image))
     return frames
 
@@ -68,7 +67,7 @@ def _intrinsics(record: Record) -> Callable[[int, int], Float64s]:
     if x is None:
         raise BrokenError("fl_x is missing, and so is camera_angle_x; one of them must be given")
     y = _focal(record, "fl_y", "" if "fl_x" in record else "camera_angle_y")
-    center_x, center_y = (record.number(each) if each in record else None for each in ("cx", "cy"))
+    center_x, center_y = (record.number(field) if field in record else None for field in ("cx", "cy"))
 
     def scaled(width: int, height: int) -> Float64s:
         focal_x = x[0] + x[1] * width

@@ -235,7 +235,7 @@ def edit(options: Options, program: str) -> int:
 
 
 def _edited(options: Options, progress: Reporter) -> OctreeTexture:
-    from octex.processing.edit import noted
+    from octex.processing.edit import with_operation
 
     texture = open_texture(options.TEXTURE)
     tell_layers(texture, options.TEXTURE, progress.note)
@@ -254,7 +254,7 @@ def _edited(options: Options, progress: Reporter) -> OctreeTexture:
             )
         # octex.resize would also divide the leaves above it, into cells without new detail.
         coarse = texture.level(options.depth)
-        metadata = noted(texture.metadata, "resize", depth=options.depth)
+        metadata = with_operation(texture.metadata, "resize", depth=options.depth)
         texture = texture.with_cells(coarse.tree, coarse.channels, metadata)
     if options.combine is not None:
         texture = octex.combine(texture, open_texture(options.combine), over=True)

@@ -12,7 +12,7 @@ from octex.checks import as_number
 from octex.editing.averages import average_plain, coverage, weighted_means
 from octex.editing.nodes import all_leaves
 from octex.parallel import Run, as_run
-from octex.processing.edit import Centres, names_of, noted, with_values
+from octex.processing.edit import Centres, names_of, with_operation, with_values
 from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import AREAS
 from octex.tree.layout import FACING_FLAGS
@@ -45,38 +45,38 @@ def blur(
     if width == 0:
         return texture
     tree = texture.tree
-    arrays = {name: [array.copy() for array in texture.channels[name][1:]] for name in names}
-    made = {name: Channel(texture.channels[name].format, *stored) for name, stored in arrays.items()}
+    channels = {name: texture.channels[name].copied() for name in names}
     is_leaf = all_leaves(tree)
     rows = rows_of(tree.split)
     rows = rows.of(is_leaf[rows.cells])
     is_leaf[rows.cells] = False
     plain, kept = np.flatnonzero(is_leaf), tree.kept.cells.astype(np.int64)
-    # Part of each cell's difference from the field that stays; of a node, the mean of its leaves' parts.
+    # The share that stays of each cell's difference from the field: of nodes, the mean of the leaves' shares.
     first = tree.arrays.level_cells
     edges = texture.placement.size * np.ldexp(1.0, -np.arange(first.size - 1))
-    left = np.repeat(np.maximum(edges - width, 0) / edges, np.diff(first)).astype(np.float32)
-    average_plain(tree, left)
+    shares = np.repeat(np.maximum(edges - width, 0) / edges, np.diff(first)).astype(np.float32)
+    average_plain(tree, shares)
     centres_of = Centres(tree, texture.placement)
-    faces = tree.arrays.flags & np.uint8(FACING_FLAGS)
-    for part, numbers, cells, facings in (
-        (0, plain, plain, faces[plain]),
+    flags = tree.arrays.flags & np.uint8(FACING_FLAGS)
+    for index, numbers, cells, facings in (
+        (0, plain, plain, flags[plain]),
         (1, *rows),
-        (2, np.arange(kept.size), kept, faces[kept]),
+        (2, np.arange(kept.size), kept, flags[kept]),
     ):
         centres = centres_of[cells]
         blurred = _sampled(texture, names, centres, facings, width, run)
-        changed = np.flatnonzero(left[cells] > 0)
-        field = _sampled(texture, names, centres[changed], facings[changed], None, run)
-        for name in names:
-            form, stored = made[name].format, arrays[name][part]
-            old = decode(stored[numbers[changed]], form.space)
-            blurred[name][changed] += left[cells[changed], None] * (old - field[name])
+        partly = np.flatnonzero(shares[cells] > 0)
+        field = _sampled(texture, names, centres[partly], facings[partly], None, run)
+        for name, (form, *arrays) in channels.items():
+            stored = arrays[index]
+            old = decode(stored[numbers[partly]], form.space)
+            blurred[name][partly] += shares[cells[partly], None] * (old - field[name])
             stored[numbers] = encode(blurred[name], form.dtype, form.space)
-    _average_facings(texture, made, rows, left)
-    parts = left[:, None].astype(np.float64)
-    change = dict.fromkeys(names, lambda cells, values, means: parts[cells] * (values - means))
-    return with_values(texture, made, change, noted(texture.metadata, "blur", channels=names, width=width))
+    _average_facings(texture, channels, rows, shares)
+    wide = shares[:, None].astype(np.float64)
+    changes = dict.fromkeys(names, lambda cells, values, means: wide[cells] * (values - means))
+    metadata = with_operation(texture.metadata, "blur", channels=names, width=width)
+    return with_values(texture, channels, changes, metadata)
 
 
 def _sampled(
@@ -94,15 +94,17 @@ def _sampled(
     sampled = {
         name: np.empty((len(centres), texture.channels[name].format.components), np.float32) for name in names
     }
-    for chosen, facing in ((has_normal, normals[has_normal]), (~has_normal, None)):
-        values = texture.sample(centres[chosen], names, width=width, normals=facing, normalize=False, run=run)
-        for name, stored in values.items():
-            sampled[name][chosen] = stored
+    for mask, facing in ((has_normal, normals[has_normal]), (~has_normal, None)):
+        values = texture.sample(centres[mask], names, width=width, normals=facing, normalize=False, run=run)
+        for name, of_mask in values.items():
+            sampled[name][mask] = of_mask
     return sampled
 
 
-def _average_facings(texture: OctreeTexture, made: Mapping[str, Channel], rows: Rows, left: Float32s) -> None:
-    """Set split leaves to the means of their rows, in place, plus the part ``left`` of their residuals."""
+def _average_facings(
+    texture: OctreeTexture, blurred: Mapping[str, Channel], rows: Rows, shares: Float32s
+) -> None:
+    """Set split leaves to the means of their rows, in place, plus ``shares`` of their residuals."""
     starts = np.flatnonzero(np.diff(rows.cells, prepend=-1, append=-1))
     split = rows.cells[starts[:-1]]
     areas = AREAS[texture.tree.split.areas[rows.rows]].astype(np.float32)
@@ -114,9 +116,9 @@ def _average_facings(texture: OctreeTexture, made: Mapping[str, Channel], rows: 
         channel = channels[name]
         return weighted_means(starts, weights, channel.split_values[rows.rows], channel.format.space)
 
-    after = {**texture.channels, **made}
-    for name, channel in made.items() if split.size else ():
+    channels = {**texture.channels, **blurred}
+    for name, channel in blurred.items() if split.size else ():
         form = channel.format
-        differed = decode(texture.channels[name].values[split], form.space) - means(texture.channels, name)
-        values = means(after, name) + left[split, None] * differed
+        residuals = decode(texture.channels[name].values[split], form.space) - means(texture.channels, name)
+        values = means(channels, name) + shares[split, None] * residuals
         channel.values[split] = encode(values, form.dtype, form.space)

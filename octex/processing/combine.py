@@ -12,7 +12,7 @@ from octex.editing.runs import carried
 from octex.editing.split import refaced, without_split
 from octex.errors import ArgumentError
 from octex.parallel import Run, as_run, workers
-from octex.processing.edit import noted
+from octex.processing.edit import with_operation
 from octex.processing.mapping import in_format
 from octex.processing.mixing import Amount, Mixing
 from octex.processing.resize import with_leaves
@@ -46,7 +46,7 @@ def combine(
     as_texture(second, "second")
     over = as_flag(over, "over")
     amount = None if over and ALPHA.name in second.channels else 1.0
-    metadata = noted(first.metadata, "combine", over=over, second=dict(second.metadata))
+    metadata = with_operation(first.metadata, "combine", over=over, second=dict(second.metadata))
     return _united(first, second, amount, metadata, as_run(run, threads))
 
 
@@ -79,17 +79,17 @@ def mix(
     as_texture(first, "first")
     as_texture(second, "second")
     if isinstance(amount, OctreeTexture):
-        how: object = "a texture"
-        if [each.format.components for each in amount.channels.values()] != [1]:
+        recorded: object = "a texture"
+        if [channel.format.components for channel in amount.channels.values()] != [1]:
             raise ArgumentError(
                 "an amount must be a texture of one channel of one component, not of "
                 + (", ".join(amount.channels) or "none")
             )
     elif callable(amount):
-        how = "a function"
+        recorded = "a function"
     else:
-        how = amount = as_number(amount, "amount", 0.0, 1.0)
-    metadata = noted(first.metadata, "mix", amount=how, second=dict(second.metadata))
+        recorded = amount = as_number(amount, "amount", 0.0, 1.0)
+    metadata = with_operation(first.metadata, "mix", amount=recorded, second=dict(second.metadata))
     return _united(first, second, amount, metadata, as_run(run, threads))
 
 
@@ -106,9 +106,9 @@ def _united(
     )
     if first.tree.n_leaves and second.tree.n_leaves:
         if amount == 0.0:
-            second = _without_hidden(second, first)
+            second = _without_hidden_cells(second, first)
         elif amount == 1.0:
-            first = _without_hidden(first, second)
+            first = _without_hidden_cells(first, second)
     if not (first.tree.n_leaves and second.tree.n_leaves):
         only = first if first.tree.n_leaves else second
         return only.with_cells(only.tree, only.channels, metadata)
@@ -132,37 +132,37 @@ def _same_formats(first: OctreeTexture, second: OctreeTexture) -> tuple[OctreeTe
             f"the textures' root cells differ, {cells}, and octex does not resample them; "
             "convert both from one model, at the same depth or cell"
         )
-    one, other = {}, {}
+    of_first, of_second = {}, {}
     for name, channel in first.channels.items():
         form = channel.format
         if name not in second.channels and name != ALPHA.name:
             continue
-        beside = second.channels.get(name) or Channel.full(form, second.tree, ONE[form.dtype])
-        meanings = [each.space in ("srgb", "linear") or each.space for each in (form, beside.format)]
-        if form.components != beside.format.components or meanings[0] != meanings[1]:
+        other = second.channels.get(name) or Channel.full(form, second.tree, ONE[form.dtype])
+        meaning, other_meaning = (f.space in ("srgb", "linear") or f.space for f in (form, other.format))
+        if form.components != other.format.components or meaning != other_meaning:
             raise ArgumentError(
                 f"channel {name!r} has {form.components} components of {form.space} in one texture and "
-                f"{beside.format.components} of {beside.format.space} in the other"
+                f"{other.format.components} of {other.format.space} in the other"
             )
-        one[name], other[name] = channel, in_format(beside, form)
+        of_first[name], of_second[name] = channel, in_format(other, form)
     if ALPHA.name in second.channels and ALPHA.name not in first.channels:
-        other[ALPHA.name] = second.channels[ALPHA.name]
-        form = other[ALPHA.name].format
-        one[ALPHA.name] = Channel.full(form, first.tree, ONE[form.dtype])
+        of_second[ALPHA.name] = second.channels[ALPHA.name]
+        form = of_second[ALPHA.name].format
+        of_first[ALPHA.name] = Channel.full(form, first.tree, ONE[form.dtype])
     if not first.channels.keys() & second.channels.keys():
         raise ArgumentError(
             f"the textures have no channel in common: {', '.join(first.channels) or 'none'} and "
             f"{', '.join(second.channels) or 'none'}"
         )
-    return first.with_cells(first.tree, one), second.with_cells(second.tree, other)
+    return first.with_cells(first.tree, of_first), second.with_cells(second.tree, of_second)
 
 
-def _without_hidden(texture: OctreeTexture, over: OctreeTexture) -> OctreeTexture:
+def _without_hidden_cells(texture: OctreeTexture, over: OctreeTexture) -> OctreeTexture:
     """Return a texture without the cells that ``over`` hides; leaves of both get the facings of ``over``."""
     is_idle = _idle_skirts(texture.tree, over.tree)
     if is_idle.any():
         texture = with_leaves(texture, ~is_idle)
-    edited = rebuilt(texture.tree, _not_hidden(texture.tree, over.tree))
+    edited = rebuilt(texture.tree, _visible_leaves(texture.tree, over.tree))
     texture = texture.with_cells(edited.tree, carried(texture, edited))
     tree = texture.tree
     flags = tree.arrays.flags.copy()
@@ -173,9 +173,9 @@ def _without_hidden(texture: OctreeTexture, over: OctreeTexture) -> OctreeTextur
         facings = over.tree.arrays.flags[where.cells[both]] & np.uint8(FACING_FLAGS)
         flags[cells] = flags[cells] & np.uint8(0xFF ^ FACING_FLAGS) | facings
     split = tree.split.cells.astype(np.int64)
-    turned = split[flags[split] != tree.arrays.flags[split]]
-    flags[turned] &= np.uint8(0xFF ^ SPLIT)
-    texture = without_split(texture, turned)
+    refacing = split[flags[split] != tree.arrays.flags[split]]
+    flags[refacing] &= np.uint8(0xFF ^ SPLIT)
+    texture = without_split(texture, refacing)
     tree = texture.tree
     tree = tree.with_cell_data(flags, tree.arrays.areas, tree.split, tree.kept)
     return refaced(texture.with_cells(tree, texture.channels))
@@ -187,7 +187,7 @@ def _idle_skirts(tree: Octree, over: Octree) -> Bools:
     They lie in cells that it lacks, no larger than its largest leaf or kept node, next to leaves of it: there
     nodes end what the field spreads to empty cells.
     """
-    found: list[Bools] = []
+    idle_by_level: list[Bools] = []
     lacked: list[Int64s] = []
     leaves, coarsest = [codes[~is_node] for codes, is_node in over.walk()], coarsest_of(over)
     for level, (codes, is_node) in enumerate(tree.walk()):
@@ -198,16 +198,15 @@ def _idle_skirts(tree: Octree, over: Octree) -> Bools:
         lacked.append(codes[is_lacking & ~is_idle])
         tops = np.clip(where.levels + 1, min(coarsest, level), level)
         for top in distinct(tops[is_idle]).tolist():
-            here = is_idle & (tops == top)
-            is_idle[here] = touch(codes[here] >> 3 * (level - top), leaves, top)
-        found.append(is_idle)
-    for level, (codes, _) in enumerate(tree.walk()):
-        is_idle = found[level]
+            below = is_idle & (tops == top)
+            is_idle[below] = touch(codes[below] >> 3 * (level - top), leaves, top)
+        idle_by_level.append(is_idle)
+    for level, (is_idle, (codes, _)) in enumerate(zip(idle_by_level, tree.walk(), strict=True)):
         is_idle[is_idle] = ~are_adjacent(codes[is_idle], lacked, level)
-    return np.concatenate(found)
+    return np.concatenate(idle_by_level)
 
 
-def _not_hidden(tree: Octree, over: Octree) -> list[Int64s]:
+def _visible_leaves(tree: Octree, over: Octree) -> list[Int64s]:
     """Return the codes of the leaves that another tree does not hide, by level.
 
     Nodes become leaves where the other has leaves.

@@ -24,7 +24,7 @@ _FAINT = np.float32(0.5 / 255)
 
 
 class Edit(Protocol):
-    """Maps the values of one channel."""
+    """A change of one channel's values."""
 
     def stored(self, values: Array, cells: Int64s | None) -> Array:
         """Map stored values (n, components) of ``cells``, or of all cells for None."""
@@ -33,7 +33,7 @@ class Edit(Protocol):
         """Return new residuals; see ``averages.ResidualsOf``."""
 
 
-def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[str, str]:
+def with_operation(metadata: Mapping[str, str], operation: str, **how: object) -> dict[str, str]:
     """Return metadata with one more operation."""
     return with_listed(metadata, "processed", [{"operation": operation, **how}])
 
@@ -41,11 +41,11 @@ def noted(metadata: Mapping[str, str], operation: str, **how: object) -> dict[st
 def with_listed(metadata: Mapping[str, str], name: str, entries: Sequence[object]) -> dict[str, str]:
     """Return metadata with more entries in a JSON list; a value of another kind becomes its first entry."""
     try:
-        before = json.loads(metadata.get(name, "[]"))
+        value = json.loads(metadata.get(name, "[]"))
     except ValueError:
-        before = metadata[name]
-    listed = before if isinstance(before, list) else [before]
-    return {**metadata, name: json.dumps([*listed, *entries])}
+        value = metadata[name]
+    earlier = value if isinstance(value, list) else [value]
+    return {**metadata, name: json.dumps([*earlier, *entries])}
 
 
 def names_of(texture: OctreeTexture, channel: str | Sequence[str] | None) -> list[str]:
@@ -67,10 +67,10 @@ class Centres:
         return np.concatenate([codes for codes, _ in self._tree.walk()])
 
     def __getitem__(self, cells: Int64s | range) -> Float64s:
-        chosen = np.asarray(cells, np.int64)
-        levels = np.searchsorted(self._tree.arrays.level_cells, chosen, side="right") - 1
-        places = (decode_cells(self.codes[chosen]) + 0.5) * np.ldexp(1.0, -levels)[:, None]
-        return self._placement.to_rest(places)
+        numbers = np.asarray(cells, np.int64)
+        levels = np.searchsorted(self._tree.arrays.level_cells, numbers, side="right") - 1
+        positions = (decode_cells(self.codes[numbers]) + 0.5) * np.ldexp(1.0, -levels)[:, None]
+        return self._placement.to_rest(positions)
 
 
 def edited(
@@ -82,52 +82,49 @@ def edited(
 ) -> OctreeTexture:
     """Return a texture with some channels edited: the values of cells, split rows and kept nodes."""
     tree = texture.tree
-    owners, kept = rows_of(tree.split).cells, tree.kept.cells.astype(np.int64)
-    made: dict[str, Channel] = {}
-    change: dict[str, ResidualsOf] = {}
+    cells = None, rows_of(tree.split).cells, tree.kept.cells.astype(np.int64)
+    channels: dict[str, Channel] = {}
+    changes: dict[str, ResidualsOf] = {}
     for name in names:
-        before = texture.channels[name]
-        edit = edit_of(before)
-        made[name] = before._replace(
-            values=edit.stored(before.values, None),
-            split_values=edit.stored(before.split_values, owners),
-            kept_values=edit.stored(before.kept_values, kept),
-        )
-        change[name] = edit.changed
-    return with_values(texture, made, change, noted(texture.metadata, operation, channels=list(made), **how))
+        form, *arrays = texture.channels[name]
+        edit = edit_of(texture.channels[name])
+        channels[name] = Channel(form, *map(edit.stored, arrays, cells))
+        changes[name] = edit.changed
+    metadata = with_operation(texture.metadata, operation, channels=list(channels), **how)
+    return with_values(texture, channels, changes, metadata)
 
 
 def with_values(
     texture: OctreeTexture,
-    made: Mapping[str, Channel],
-    change: Mapping[str, ResidualsOf],
+    channels: Mapping[str, Channel],
+    changes: Mapping[str, ResidualsOf],
     metadata: Mapping[str, str],
 ) -> OctreeTexture:
-    """Return a texture with other values in some of its channels, and matching averages.
+    """Return a texture with other values in some of its ``channels``, and matching averages.
 
-    It writes to ``made``: averages of nodes and of split nodes' rows, plus residuals by the ``change`` of
-    each channel. If alpha changes, all channels are averaged with the new alpha, and residuals shrink where
-    the new alpha is larger.
+    It writes to ``channels``: averages of nodes and of split nodes' rows, plus residuals by the ``changes``
+    of each channel. If alpha changes, all channels are averaged with the new alpha, and residuals shrink
+    where the new alpha is larger.
     """
-    alpha_changes = ALPHA.name in made and not all(
-        map(np.array_equal, made[ALPHA.name][1:], texture.channels[ALPHA.name][1:])
+    alpha_changes = ALPHA.name in channels and not all(
+        map(np.array_equal, channels[ALPHA.name][1:], texture.channels[ALPHA.name][1:])
     )
-    others = {
+    copies = {
         name: channel._replace(values=channel.values.copy(), split_values=channel.split_values.copy())
         for name, channel in texture.channels.items()
-        if alpha_changes and name not in made
+        if alpha_changes and name not in channels
     }
-    made = {**made, **others}
-    after = texture.with_cells(texture.tree, {**texture.channels, **made}, metadata)
-    for name in sorted(made, key=lambda name: name != ALPHA.name):
-        of_channel = change.get(name, as_they_are)
+    channels = {**channels, **copies}
+    edited = texture.with_cells(texture.tree, {**texture.channels, **channels}, metadata)
+    for name in sorted(channels, key=lambda name: name != ALPHA.name):
+        change = changes.get(name, as_they_are)
         if alpha_changes and name != ALPHA.name:
-            of_channel = _covered(of_channel, texture.channels[ALPHA.name].values, made[ALPHA.name].values)
-        average(after, made[name], residuals(texture, name, change=of_channel))
-    return after
+            change = _covered(change, texture.channels[ALPHA.name].values, channels[ALPHA.name].values)
+        average(edited, channels[name], residuals(texture, name, change=change))
+    return edited
 
 
-def _covered(change: ResidualsOf, was: Array, alpha: Array) -> ResidualsOf:
+def _covered(change: ResidualsOf, old_alpha: Array, alpha: Array) -> ResidualsOf:
     """Return a change that scales residuals by the ratio of old to new opacity, at most 1."""
-    parts = np.minimum((coverage(was) + _FAINT) / (coverage(alpha) + _FAINT), 1)
-    return lambda cells, values, means: change(cells, values, means) * parts[cells, None]
+    ratios = np.minimum((coverage(old_alpha) + _FAINT) / (coverage(alpha) + _FAINT), 1)
+    return lambda cells, values, means: change(cells, values, means) * ratios[cells, None]

@@ -22,7 +22,7 @@ from octex.channels import (
 )
 from octex.checks import answer, as_names, as_number, as_reals, name_of, takes_both
 from octex.errors import ArgumentError
-from octex.processing.edit import Centres, edited, names_of, noted
+from octex.processing.edit import Centres, edited, names_of, with_operation
 from octex.texture import Channel, OctreeTexture, as_texture
 from octex.texture.channel import Dtypes, formats_as
 
@@ -76,17 +76,17 @@ class _Mapped:
         """Return mapped stored values of ``cells``, or of all cells for None."""
         form = self._form
         mapped = np.empty_like(values)
-        for here, chosen in _blocks(len(values), cells):
-            mapped[here] = encode(self._of(decode(values[here], form.space), chosen), form.dtype, form.space)
+        for rows, of_rows in _blocks(len(values), cells):
+            mapped[rows] = encode(self._of(decode(values[rows], form.space), of_rows), form.dtype, form.space)
         return mapped
 
     def changed(self, cells: Int64s, values: Float64s, means: Float64s) -> Float64s:
         """Return f(values) − f(means)."""
-        apart = np.empty_like(values)
-        for here, chosen in _blocks(len(values), cells):
-            apart[here] = self._of(values[here].astype(np.float32), chosen)
-            apart[here] -= self._of(means[here].astype(np.float32), chosen)
-        return apart
+        differences = np.empty_like(values)
+        for rows, of_rows in _blocks(len(values), cells):
+            differences[rows] = self._of(values[rows].astype(np.float32), of_rows)
+            differences[rows] -= self._of(means[rows].astype(np.float32), of_rows)
+        return differences
 
     def _of(self, values: Float32s, cells: Int64s | range) -> Float64s:
         arguments: list[Any] = [values, self._centres[cells]] if self._wants_positions else [values]
@@ -99,9 +99,10 @@ class _Mapped:
 
 
 def _blocks(count: int, cells: Int64s | None) -> Iterator[tuple[slice, Int64s | range]]:
+    """Yield rows, and the cells in these rows, or of these numbers for None."""
     for begin in range(0, count, BLOCK):
-        here = slice(begin, min(begin + BLOCK, count))
-        yield here, range(here.start, here.stop) if cells is None else cells[here]
+        end = min(begin + BLOCK, count)
+        yield slice(begin, end), range(begin, end) if cells is None else cells[begin:end]
 
 
 def levels(
@@ -123,12 +124,12 @@ def levels(
     Raises ArgumentError for unknown channels, for directions, and for numbers out of range: ``black`` must be
     below ``white``, ``gamma`` above zero.
     """
-    every = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
+    numbers = {"black": black, "white": white, "gamma": gamma, "out_black": out_black, "out_white": out_white}
 
     def tone_of(form: ChannelFormat) -> Tone:
         low, high, power, below, above = (
             _per_component(form, name, value, _MOST_GAMMA if name == "gamma" else 1.0)
-            for name, value in every.items()
+            for name, value in numbers.items()
         )
         if (low >= high).any() or (power <= 0).any():
             raise ArgumentError(
@@ -144,8 +145,8 @@ def levels(
 
         return tone
 
-    how = {name: as_reals(each, name, (), (-1,)).tolist() for name, each in every.items()}
-    return _edited(texture, channel, tone_of, "levels", how)
+    recorded = {name: as_reals(value, name, (), (-1,)).tolist() for name, value in numbers.items()}
+    return _edited(texture, channel, tone_of, "levels", recorded)
 
 
 def curves(
@@ -163,13 +164,11 @@ def curves(
     """
 
     def tone_of(form: ChannelFormat) -> Tone:
-        of_components = _curves_of(form, points)
-        return lambda values: np.stack(
-            [_monotone(each, values[:, k]) for k, each in enumerate(of_components)], axis=1
-        )
+        by_component = _curves_of(form, points)
+        return lambda values: np.stack([*map(_monotone, by_component, values.T)], axis=1)
 
-    listed = [np.asarray(each).tolist() for each in points] if np.iterable(points) else points
-    return _edited(texture, channel, tone_of, "curves", {"points": listed})
+    recorded = [np.asarray(each).tolist() for each in points] if np.iterable(points) else points
+    return _edited(texture, channel, tone_of, "curves", {"points": recorded})
 
 
 def _edited(
@@ -177,13 +176,15 @@ def _edited(
     channel: str | Sequence[str],
     tone_of: Callable[[ChannelFormat], Tone],
     operation: str,
-    how: dict[str, Any],
+    recorded: dict[str, Any],
 ) -> OctreeTexture:
     names = names_of(texture, channel)
     for name in names:
         if texture.channels[name].format.space == "direction":
             raise ArgumentError(f"channel {name!r} holds directions, which have no {operation}")
-    return edited(texture, names, lambda each: _Toned(each.format, tone_of(each.format)), operation, **how)
+    return edited(
+        texture, names, lambda each: _Toned(each.format, tone_of(each.format)), operation, **recorded
+    )
 
 
 class _Toned:
@@ -229,7 +230,8 @@ class _Toned:
 
 def _per_component(form: ChannelFormat, name: str, value: PerComponent, most: float) -> Float64s:
     numbers = as_reals(value, f"{name} of {form.name!r}", (), (form.components,))
-    return np.array([as_number(each, name, 0.0, most) for each in np.broadcast_to(numbers, form.components)])
+    every = np.broadcast_to(numbers, form.components)
+    return np.array([as_number(number, name, 0.0, most) for number in every])
 
 
 def _curves_of(form: ChannelFormat, points: Any) -> list[Float64s]:
@@ -238,13 +240,13 @@ def _curves_of(form: ChannelFormat, points: Any) -> list[Float64s]:
         curves = [as_reals(points, "points", (-1, 2))] * form.components
     except ArgumentError:  # one curve for each component
         try:
-            curves = [as_reals(each, "points", (-1, 2)) for each in points]
+            curves = [as_reals(curve, "points", (-1, 2)) for curve in points]
         except (ArgumentError, TypeError):
             curves = []
-    good = len(curves) == form.components and all(
-        len(each) and ((each >= 0) & (each <= 1)).all() and (np.diff(each[:, 0]) > 0).all() for each in curves
-    )
-    if not good:
+    if len(curves) != form.components or not all(
+        len(curve) and ((curve >= 0) & (curve <= 1)).all() and (np.diff(curve[:, 0]) > 0).all()
+        for curve in curves
+    ):
         raise ArgumentError(
             f"points of a curve for {form.name!r} must be pairs of encoded values, 0 to 1, in "
             f"ascending order of the first, or a list of them for each of {form.components} components"
@@ -294,9 +296,9 @@ def cast(
     if len(set(names)) < len(names):
         raise ArgumentError(f"channels are named twice: {', '.join(names)}")
     forms = formats_as([texture.channels[name].format for name in names], dtype)
-    made = {form.name: in_format(texture.channels[form.name], form) for form in forms}
-    metadata = noted(texture.metadata, "cast", channels={form.name: form.dtype for form in forms})
-    return texture.with_cells(texture.tree, made, metadata)
+    converted = {form.name: in_format(texture.channels[form.name], form) for form in forms}
+    metadata = with_operation(texture.metadata, "cast", channels={form.name: form.dtype for form in forms})
+    return texture.with_cells(texture.tree, converted, metadata)
 
 
 def in_format(channel: Channel, form: ChannelFormat) -> Channel:

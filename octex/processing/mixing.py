@@ -19,7 +19,7 @@ from octex.editing.refined import refined_below, refined_rows
 from octex.editing.split import rows_facing
 from octex.parallel import ordered_map, sharing, start
 from octex.processing.edit import Centres
-from octex.processing.union import NOTHING, Origins, find_made, take, unite
+from octex.processing.union import NOTHING, Origins, find_mixed_nodes, take, unite
 from octex.texture import Channel, OctreeTexture
 from octex.tree.areas import shared_codes
 from octex.tree.children import node_cells
@@ -57,76 +57,74 @@ class Side:
     ) -> None:
         self.texture, self.origins, self._cells = texture, origins, cells
         self._below = np.flatnonzero(origins.cells < NOTHING) if refines else np.empty(0, np.int64)
-        parts = [
-            refined_below(texture, cells.codes[chosen], level, cells.facings[chosen], executor)
-            for level, chosen in enumerate(cells.by_level(self._below) if self._below.size else ())
+        refined = [
+            refined_below(texture, cells.codes[numbers], level, cells.facings[numbers], executor)
+            for level, numbers in enumerate(cells.by_level(self._below) if self._below.size else ())
         ]
-        self._is_split = np.concatenate([np.empty(0, np.bool_), *(each.is_split for each in parts)])
+        self._is_split = np.concatenate([np.empty(0, np.bool_), *(each.is_split for each in refined)])
         self._refined = {
-            name: np.concatenate([each.values[name] for each in parts])
-            for name in (texture.channels if parts else ())
+            name: np.concatenate([each.values[name] for each in refined])
+            for name in (texture.channels if refined else ())
         }
 
     def values(self, cells: Int64s) -> dict[str, Float32s]:
         """Return decoded values of cells (n,): stored, or refined below a leaf; any for missing cells."""
-        where = self.origins.cells[cells]
-        below = np.flatnonzero(where < NOTHING) if self._below.size else np.empty(0, np.int64)
+        origins = self.origins.cells[cells]
+        below = np.flatnonzero(origins < NOTHING) if self._below.size else np.empty(0, np.int64)
         rows = np.searchsorted(self._below, cells[below])
         values = {}
         for name, channel in self.texture.channels.items():
-            values[name] = decode(channel.values[np.maximum(where, 0)], channel.format.space)
+            values[name] = decode(channel.values[np.maximum(origins, 0)], channel.format.space)
             if below.size:
                 values[name][below] = self._refined[name][rows]
         return values
 
     def coefficients(self, nodes: Int64s) -> dict[str, Float32s]:
         """Return the decoded coefficients of nodes (n,): that of a kept node, otherwise the value."""
-        values, where = self.values(nodes), self.origins.cells[nodes]
+        values, origins = self.values(nodes), self.origins.cells[nodes]
         cells = self.texture.tree.kept.cells.astype(np.int64)
-        kept = np.flatnonzero(among(where, cells))
-        rows = np.searchsorted(cells, where[kept])
+        kept = np.flatnonzero(among(origins, cells))
+        rows = np.searchsorted(cells, origins[kept])
         for name, channel in self.texture.channels.items():
             values[name][kept] = decode(channel.kept_values[rows], channel.format.space)
         return values
 
     def rows(self, cells: Int64s, bits: Uint8s) -> dict[str, Float32s]:
         """Return the decoded values of ascending cells (n,) for facings (n,)."""
-        values, where = self.values(cells), self.origins.cells[cells]
-        present, below = np.flatnonzero(where > NOTHING), np.flatnonzero(where < NOTHING)
+        values, origins = self.values(cells), self.origins.cells[cells]
+        present, below = np.flatnonzero(origins > NOTHING), np.flatnonzero(origins < NOTHING)
         for name, channel in self.texture.channels.items():
-            values[name][present] = rows_facing(self.texture, channel, where[present], bits[present])
-        for level, here in enumerate(self._cells.by_level(cells[below]) if self._below.size else ()):
-            chosen = below[np.isin(cells[below], here)]
-            codes = self._cells.codes[cells[chosen]]
-            for name, each in refined_rows(self.texture, codes, level, bits[chosen]).items():
-                values[name][chosen] = each
+            values[name][present] = rows_facing(self.texture, channel, origins[present], bits[present])
+        for level, of_level in enumerate(self._cells.by_level(cells[below]) if self._below.size else ()):
+            rows = below[np.isin(cells[below], of_level)]
+            codes = self._cells.codes[cells[rows]]
+            for name, refined in refined_rows(self.texture, codes, level, bits[rows]).items():
+                values[name][rows] = refined
         return values
 
     def find_rows(self, cells: Int64s, bits: Uint8s) -> tuple[Bools, Int64s]:
-        """Return which rows of the union exist here, and their numbers here."""
+        """Return which rows of the union this texture has, and their numbers in it."""
         return find_rows(self.texture.tree.split, self.origins.cells[cells], bits)
 
     def is_split(self) -> Bools:
-        """Return which cells of the union are split here, or would be split below a leaf."""
+        """Return which cells of the union are split in this texture, or would be split below a leaf."""
         is_split = self._has_flag(self.origins.cells, SPLIT)
         is_split[self._below] = self._is_split
         return is_split
 
     def keeps(self, nodes: Int64s) -> Bools:
-        """Return which of the union's nodes are kept here, or divide a leaf of this texture."""
+        """Return which of the union's nodes are kept in this texture, or divide a leaf of it."""
         return self._has_flag(self.origins.cells[nodes], KEPT) | (self.origins.nodes < NOTHING)
 
-    def _has_flag(self, where: Int64s, flag: int) -> Bools:
-        return np.asarray(
-            (where > NOTHING) & (self.texture.tree.arrays.flags[np.maximum(where, 0)] & flag != 0)
-        )
+    def _has_flag(self, origins: Int64s, flag: int) -> Bools:
+        flags = self.texture.tree.arrays.flags[np.maximum(origins, 0)]
+        return np.asarray((origins > NOTHING) & (flags & flag != 0))
 
     def residuals(self, name: str, nodes: Nodes, owners: Int64s, bits: Uint8s) -> Residuals:
         """Return the residuals of the union's nodes and of their rows; see `residuals_at`."""
-        places = Nodes(
-            np.maximum(self.origins.nodes[nodes.numbers], NOTHING), self.origins.cells[nodes.cells]
-        )
-        return residuals_at(self.texture, name, places, owners, bits)
+        numbers = np.maximum(self.origins.nodes[nodes.numbers], NOTHING)
+        origins = Nodes(numbers, self.origins.cells[nodes.cells])
+        return residuals_at(self.texture, name, origins, owners, bits)
 
 
 class Mixing:
@@ -148,11 +146,11 @@ class Mixing:
         self._cells = Cells(self._centres.codes, arrays.flags & np.uint8(FACING_FLAGS), arrays.level_cells)
         # An amount of 0 or 1 needs no values below the unused texture's leaves.
         self._sides = [
-            Side(texture, each, self._cells, amount != unused, executor)
-            for texture, each, unused in zip((first, second), origins, (1.0, 0.0), strict=True)
+            Side(texture, of_texture, self._cells, amount != unused, executor)
+            for texture, of_texture, unused in zip((first, second), origins, (1.0, 0.0), strict=True)
         ]
-        has_first, has_second = (each.cells != NOTHING for each in origins)
-        self._both = has_first & has_second
+        has_first, has_second = (cells != NOTHING for cells, _ in origins)
+        self._in_both = has_first & has_second
         self._share = has_second.astype(np.float32)  # of the second texture in each cell's colour
 
     def __getstate__(self) -> dict[str, Any]:
@@ -162,13 +160,13 @@ class Mixing:
     def mixed(self) -> tuple[Octree, dict[str, Channel]]:
         """Return the tree and its channels."""
         first, second = self._sides
-        values, made = self._leaves()
+        values, mixed_nodes = self._leaves()
         # Areas come from the texture with the larger share; nodes' shares are averages weighted by them.
         areas = self._tree.arrays.areas[:, None]
-        own_areas = [side.texture.tree.arrays.areas[:, None] for side in self._sides]
-        self._take(own_areas, areas)
-        average_plain(self._tree, self._share, made)
-        self._take(own_areas, areas)
+        areas_of_sides = [side.texture.tree.arrays.areas[:, None] for side in self._sides]
+        self._take(areas_of_sides, areas)
+        average_plain(self._tree, self._share, mixed_nodes)
+        self._take(areas_of_sides, areas)
         # A node is kept if it is kept in the texture with the larger share. A cell is split if it is split in
         # a texture with a share above 0.
         is_second = self._share[self._nodes] >= 0.5
@@ -182,50 +180,51 @@ class Mixing:
         owners, bits = np.repeat(split, counts_of(facings)), bits_of(facings)
         kept_values, _ = self._mix(kept, [side.coefficients(kept) for side in self._sides])
         rows = self._rows(owners, bits)
-        tables = (
-            SplitTable(split.astype(np.uint32), facings, self._row_areas(owners, bits)),
-            KeptTable(kept.astype(np.uint32)),
-        )
-        tree = self._tree.with_cell_data(flags, self._tree.arrays.areas, *tables)
-        tree = with_summed_areas(tree, self._summed(made))
+        split_table = SplitTable(split.astype(np.uint32), facings, self._row_areas(owners, bits))
+        kept_table = KeptTable(kept.astype(np.uint32))
+        tree = self._tree.with_cell_data(flags, self._tree.arrays.areas, split_table, kept_table)
+        tree = with_summed_areas(tree, self._summed(mixed_nodes))
         channels: dict[str, Channel] = {}
         for name in sorted(values, key=lambda name: name != ALPHA.name):
             form = self._texture.channels[name].format
-            tables_of = (encode(each[name], form.dtype, form.space) for each in (rows, kept_values))
-            channels[name] = Channel(form, values[name], *tables_of)
-            whole = self._texture.with_cells(tree, channels)
-            average(whole, channels[name], self._residuals(tree, name, made), made)
+            stored = (encode(each[name], form.dtype, form.space) for each in (rows, kept_values))
+            channels[name] = Channel(form, values[name], *stored)
+            texture = self._texture.with_cells(tree, channels)
+            average(texture, channels[name], self._residuals(tree, name, mixed_nodes), mixed_nodes)
         return tree, {name: channels[name] for name in values}
 
-    def _residuals(self, tree: Octree, name: str, made: Nodes) -> Residuals:
+    def _residuals(self, tree: Octree, name: str, nodes: Nodes) -> Residuals:
         """Return the residuals of mixed nodes: the shares weight those of both textures."""
-        rows = rows_of(tree.split, made.cells)
-        owners = np.searchsorted(made.cells, rows.cells)
-        tasks = [start(self._executor, side.residuals, name, made, owners, rows.bits) for side in self._sides]
-        one, other = (task.result() for task in tasks)
+        rows = rows_of(tree.split, nodes.cells)
+        owners = np.searchsorted(nodes.cells, rows.cells)
+        tasks = [
+            start(self._executor, side.residuals, name, nodes, owners, rows.bits) for side in self._sides
+        ]
+        first, second = (task.result() for task in tasks)
         # A facing that only one texture has takes that texture's residual.
         has_first, has_second = (side.find_rows(rows.cells, rows.bits)[0] for side in self._sides)
-        share = self._share[made.cells, None]
+        share = self._share[nodes.cells, None]
         row_share = np.where(has_first == has_second, self._share[rows.cells], has_second)[:, None]
         return Residuals(
-            (1 - share) * one.nodes + share * other.nodes, (1 - row_share) * one.rows + row_share * other.rows
+            (1 - share) * first.nodes + share * second.nodes,
+            (1 - row_share) * first.rows + row_share * second.rows,
         )
 
     def _leaves(self) -> tuple[dict[str, Array], Nodes]:
-        """Return stored values by channel, and the nodes that have parts of both and need averaging."""
-        is_mixed = self._both.copy()
+        """Return stored values by channel, and the nodes whose content mixes both textures."""
+        is_mixed = self._in_both.copy()
         is_mixed[self._nodes] = False
         if isinstance(self._amount, float) and self._amount in (0.0, 1.0):
-            self._share[self._both] = self._amount
+            self._share[self._in_both] = self._amount
             is_mixed[:] = False
         values: dict[str, Array] = {}
         for name, channel in self._texture.channels.items():
             values[name] = np.empty((self._tree.n_cells, channel.format.components), channel.format.dtype)
             self._take([side.texture.channels[name].values for side in self._sides], values[name])
         cells = np.flatnonzero(is_mixed)
-        is_made = np.zeros(self._tree.n_nodes, np.bool_)
-        one, other = (side.origins.nodes for side in self._sides)
-        find_made(self._tree.arrays, self._nodes, one, other, self._share, is_mixed, is_made)
+        is_mixed_node = np.zeros(self._tree.n_nodes, np.bool_)
+        first, second = (side.origins.nodes for side in self._sides)
+        find_mixed_nodes(self._tree.arrays, self._nodes, first, second, self._share, is_mixed, is_mixed_node)
         blocks = [cells[begin : begin + _BLOCK] for begin in range(0, cells.size, _BLOCK)]
         for block, (mixed, share) in zip(
             blocks, ordered_map(self._executor, self._leaves_mixed, blocks), strict=True
@@ -233,7 +232,7 @@ class Mixing:
             self._share[block] = share
             for name, mixed_values in mixed.items():
                 values[name][block] = mixed_values
-        return values, Nodes(np.flatnonzero(is_made), self._nodes[is_made])
+        return values, Nodes(np.flatnonzero(is_mixed_node), self._nodes[is_mixed_node])
 
     def _leaves_mixed(self, cells: Int64s) -> tuple[dict[str, Array], Float32s]:
         values, share = self._mix(cells, [side.values(cells) for side in self._sides])
@@ -245,10 +244,10 @@ class Mixing:
     ) -> tuple[dict[str, Float32s], Float32s]:
         """Mix both sides' ``values`` of cells (n,); return them, and the second's share (n,) of colour."""
         has = [(side.origins.cells[cells] != NOTHING).astype(np.float32) for side in self._sides]
-        one, other = values
+        first, second = values
         alphas = [np.ones(cells.size, np.float32)] * 2
-        if ALPHA.name in one:
-            alphas = [each[ALPHA.name][:, 0] for each in (one, other)]
+        if ALPHA.name in first:
+            alphas = [of_side[ALPHA.name][:, 0] for of_side in values]
         if amounts is None and self._amount is None:
             weights = has[0] * alphas[0] * (1 - has[1] * alphas[1]), has[1] * alphas[1]
             amounts = has[1]
@@ -258,9 +257,11 @@ class Mixing:
             weights = (1 - amounts) * alphas[0], amounts * alphas[1]
         total = weights[0] + weights[1]
         share = np.where(total > 0, weights[1] / np.where(total > 0, total, 1), amounts).astype(np.float32)
-        part = share[:, None]
-        mixed = {name: (1 - part) * one[name] + part * other[name] for name in one if name != ALPHA.name}
-        return ({ALPHA.name: total[:, None]} if ALPHA.name in one else {}) | mixed, share
+        column = share[:, None]
+        mixed = {name: (1 - column) * first[name] + column * second[name] for name in first}
+        if ALPHA.name in first:
+            mixed[ALPHA.name] = total[:, None]
+        return mixed, share
 
     def _amounts(self, cells: Int64s) -> Float32s:
         """Return the amount of the second texture in cells (n,), 0 … 1."""
@@ -275,26 +276,25 @@ class Mixing:
 
     def _take(self, sides: Sequence[Array], taken: Array) -> None:
         """Copy each cell from the texture with the larger share, or from the only one that has it."""
-        one, other, rows = (array.view(np.uint8) for array in (*sides, taken))
-        first, second = (side.origins.cells for side in self._sides)
+        first, second, rows = (array.view(np.uint8) for array in (*sides, taken))
+        first_cells, second_cells = (side.origins.cells for side in self._sides)
         share = self._share
 
-        def copied(block: slice) -> None:
-            take(first[block], second[block], share[block], one, other, rows[block])
+        def copy(block: slice) -> None:
+            take(first_cells[block], second_cells[block], share[block], first, second, rows[block])
 
+        blocks = [slice(begin, begin + _MANY) for begin in range(0, len(rows), _MANY)]
         with sharing(self._executor) as pool:
-            for _ in ordered_map(
-                pool, copied, [slice(begin, begin + _MANY) for begin in range(0, len(rows), _MANY)]
-            ):
+            for _ in ordered_map(pool, copy, blocks):
                 pass
 
-    def _summed(self, made: Nodes) -> Nodes:
+    def _summed(self, nodes: Nodes) -> Nodes:
         """Return the nodes below which each texture has cells that the other lacks."""
-        adds = ~self._both  # cells with cells of one texture only, themselves or below
-        for here in reversed(by_level(self._tree, made)):
-            children, starts = all_children(self._tree, made.numbers[here])
-            adds[made.cells[here]] |= np.logical_or.reduceat(adds[children], starts)
-        return made.of(adds[made.cells] & self._both[made.cells])
+        adds = ~self._in_both  # cells with cells of one texture only, themselves or below
+        for rows in reversed(by_level(self._tree, nodes)):
+            children, starts = all_children(self._tree, nodes.numbers[rows])
+            adds[nodes.cells[rows]] |= np.logical_or.reduceat(adds[children], starts)
+        return nodes.of(adds[nodes.cells] & self._in_both[nodes.cells])
 
     def _rows(self, owners: Int64s, bits: Uint8s) -> dict[str, Float32s]:
         """Mix decoded values of cells (n,) for facings (n,); nodes use the average share below them."""
@@ -303,11 +303,11 @@ class Mixing:
             name: np.empty((owners.size, channel.format.components), np.float32)
             for name, channel in self._texture.channels.items()
         }
-        for chosen, amounts in ((~is_node, None), (is_node, self._share[owners[is_node]])):
-            cells, facings = owners[chosen], bits[chosen]
+        for mask, amounts in ((~is_node, None), (is_node, self._share[owners[is_node]])):
+            cells, facings = owners[mask], bits[mask]
             mixed, _ = self._mix(cells, [side.rows(cells, facings) for side in self._sides], amounts)
-            for name, each in mixed.items():
-                rows[name][chosen] = each
+            for name, values in mixed.items():
+                rows[name][mask] = values
         return rows
 
     def _row_areas(self, owners: Int64s, bits: Uint8s) -> Uint8s:
@@ -315,6 +315,6 @@ class Mixing:
         areas = shared_codes(self._tree.arrays.areas[owners], counts_of(self._tree.arrays.flags[owners]))
         is_second = self._share[owners] >= 0.5
         for side, prevails in zip(self._sides, (~is_second, is_second), strict=True):
-            there, rows = side.find_rows(owners, bits)
-            areas[there & prevails] = side.texture.tree.split.areas[rows[prevails[there]]]
+            has_row, rows = side.find_rows(owners, bits)
+            areas[has_row & prevails] = side.texture.tree.split.areas[rows[prevails[has_row]]]
         return areas

@@ -17,7 +17,7 @@ from octex.editing.runs import carried
 from octex.editing.split import refaced
 from octex.errors import ArgumentError
 from octex.parallel import Run, as_run, workers
-from octex.processing.edit import noted
+from octex.processing.edit import with_operation
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.areas import shared_codes
 from octex.tree.edit import cull, locate, raised, with_all_above
@@ -44,7 +44,7 @@ def resize(
     """
     as_texture(texture)
     depth, run = as_depth(depth), as_run(run, threads)
-    metadata = noted(texture.metadata, "resize", depth=depth)
+    metadata = with_operation(texture.metadata, "resize", depth=depth)
     if any(leaves for leaves, _ in texture.tree.cells_by_depth()[:depth]):
         with workers(run) as pool:
             texture = _divided(texture, depth, pool)
@@ -59,16 +59,16 @@ def _divided(texture: OctreeTexture, depth: int, executor: Executor) -> OctreeTe
     if tree.n_cells + n_new > MAX_CELLS:
         raise ArgumentError(f"depth {depth} takes {n_new:,} more cells, more than a tree can hold")
     leaves = [codes[~is_node] for codes, is_node in tree.walk()]
-    met: list[Int64s] = [np.empty(0, np.int64)]
+    divided_codes: list[Int64s] = [np.empty(0, np.int64)]
     for level in range(depth):
-        above = np.sort(np.concatenate([met[level], *leaves[level : level + 1]]))
-        met.append((above[:, None] << 3 | np.arange(8)).reshape(-1))
-    edited = raised(tree, [*[met[0]] * depth, met[depth]], met, [])
+        above = np.sort(np.concatenate([divided_codes[level], *leaves[level : level + 1]]))
+        divided_codes.append((above[:, None] << 3 | np.arange(8)).reshape(-1))
+    edited = raised(tree, [*[divided_codes[0]] * depth, divided_codes[depth]], divided_codes, [])
     tree = edited.tree
     flags, areas = tree.arrays.flags.copy(), tree.arrays.areas.copy()
-    values = {name: edited.carried(each.values) for name, each in texture.channels.items()}
+    values = {name: edited.carried(channel.values) for name, channel in texture.channels.items()}
     rows: list[tuple[Int64s, Below]] = []
-    for level, codes in enumerate(met):
+    for level, codes in enumerate(divided_codes):
         if not codes.size:
             continue
         first = int(tree.arrays.level_cells[level])
@@ -78,8 +78,8 @@ def _divided(texture: OctreeTexture, depth: int, executor: Executor) -> OctreeTe
         areas[cells] = shared_codes(texture.tree.arrays.areas[where.cells], 2.0 ** (level - where.levels))
         below = refined_below(texture, codes, level, flags[cells] & np.uint8(FACING_FLAGS), executor)
         rows.append((cells, below))
-        for name, each in texture.channels.items():
-            values[name][cells] = encode(below.values[name], each.format.dtype, each.format.space)
+        for name, channel in texture.channels.items():
+            values[name][cells] = encode(below.values[name], channel.format.dtype, channel.format.space)
     channels = carried(texture, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     return with_rows(texture.with_cells(tree, channels), rows)
@@ -103,16 +103,16 @@ def crop(texture: OctreeTexture, low: npt.ArrayLike, high: npt.ArrayLike) -> Oct
         cells = decode_cells(codes)
         scaled = box * 2.0**level
         meets.append(((cells <= scaled[1]) & (cells + 1 > scaled[0])).all(axis=1))
-    made = with_leaves(texture, np.concatenate(meets))
-    if not made.tree.n_leaves:
+    cropped = with_leaves(texture, np.concatenate(meets))
+    if not cropped.tree.n_leaves:
         raise ArgumentError(
             f"no leaf of the texture meets the box from {corners[0].tolist()} to {corners[1].tolist()}; its "
             f"surface is from {texture.bounds[0].tolist()} to {texture.bounds[1].tolist()}"
         )
     low, high = np.maximum(corners[0], texture.bounds[0]), np.minimum(corners[1], texture.bounds[1])
     bounds = np.array([np.minimum(low, high), np.maximum(low, high)])
-    metadata = noted(texture.metadata, "crop", box=corners.tolist())
-    return OctreeTexture(made.tree, made.channels, texture.placement, bounds, metadata)
+    metadata = with_operation(texture.metadata, "crop", box=corners.tolist())
+    return OctreeTexture(cropped.tree, cropped.channels, texture.placement, bounds, metadata)
 
 
 def with_leaves(texture: OctreeTexture, is_kept: Bools) -> OctreeTexture:
@@ -126,20 +126,19 @@ def with_leaves(texture: OctreeTexture, is_kept: Bools) -> OctreeTexture:
         for level, (codes, is_node) in enumerate(tree.walk())
     ]
     edited = cull(tree, is_kept)
-    left = carried(texture, edited)
-    made = refaced(texture.with_cells(edited.tree, left))
+    carried_channels = carried(texture, edited)
+    culled = refaced(texture.with_cells(edited.tree, carried_channels))
     above = with_all_above([codes >> 3 for codes in lost[1:]])
-    nodes = nodes_at(made.tree, above)
-    cut = nodes.numbers >= 0
-    nodes, old = nodes.of(cut), nodes_at(tree, above).of(cut)
+    nodes = nodes_at(culled.tree, above)
+    remains = nodes.numbers >= 0
+    nodes, old_nodes = nodes.of(remains), nodes_at(tree, above).of(remains)
     channels = {
-        name: each._replace(values=left[name].values, split_values=each.split_values.copy())
-        for name, each in made.channels.items()
+        name: each._replace(values=carried_channels[name].values, split_values=each.split_values.copy())
+        for name, each in culled.channels.items()
     }
-    whole = with_summed_areas(made.tree, nodes)
-    made = made.with_cells(whole, channels)
-    rows = rows_of(whole.split, nodes.cells)
+    culled = culled.with_cells(with_summed_areas(culled.tree, nodes), channels)
+    rows = rows_of(culled.tree.split, nodes.cells)
     owners = np.searchsorted(nodes.cells, rows.cells)
     for name in sorted(channels, key=lambda name: name != ALPHA.name):
-        average(made, channels[name], residuals_at(texture, name, old, owners, rows.bits), nodes)
-    return made
+        average(culled, channels[name], residuals_at(texture, name, old_nodes, owners, rows.bits), nodes)
+    return culled

@@ -34,16 +34,11 @@ class Origins(NamedTuple):
     nodes: Int64s  # (nodes,)   the same node; NOTHING; or BELOW − the leaf that it divides or lies in
 
 
-class Union(NamedTuple):
-    """The union of two trees."""
+def unite(first: Octree, second: Octree) -> tuple[Octree, Origins, Origins]:
+    """Return the union of two trees, with the facings of both and zero areas, and its cells' origins in each.
 
-    tree: Octree  # facings of both trees; areas are zero
-    first: Origins
-    second: Origins
-
-
-def unite(first: Octree, second: Octree) -> Union:
-    """Unite two trees: a node of either is a node. Facings come from leaves, and go up from children."""
+    A node of either is a node. Facings come from leaves, and go up from children.
+    """
     n_nodes = first.n_nodes + second.n_nodes
     n_cells = first.n_cells + second.n_cells
     masks = np.zeros((2, -(-n_nodes // 8) * 8), np.uint8)
@@ -59,10 +54,12 @@ def unite(first: Octree, second: Octree) -> Union:
     groups = groups_of(masks[:, : -(-n_nodes // 8) * 8])
     areas = np.zeros(n_cells, np.uint8)
     tree = Octree(TreeArrays(groups, level_cells, level_nodes, flags[:n_cells], areas))
-    one, other = (Origins(cells[each, :n_cells], nodes[each, :n_nodes]) for each in range(2))
-    if (one.nodes < NOTHING).any() or (other.nodes < NOTHING).any():  # leaves, whose facings other cells lack
+    first_origins, second_origins = map(Origins, cells[:, :n_cells], nodes[:, :n_nodes])
+    if (first_origins.nodes < NOTHING).any() or (
+        second_origins.nodes < NOTHING
+    ).any():  # leaves, whose facings other cells lack
         tree = tree.with_cell_data(facings_of_nodes(tree), areas)
-    return Union(tree, one, other)
+    return tree, first_origins, second_origins
 
 
 @kernel
@@ -127,11 +124,11 @@ def _child(
     inner, stored, node, cell = rest
     if stored & bit == 0:
         return min(parent, NOTHING), min(parent, NOTHING), 0, rest
-    here = min(cell, tree.flags.size - 1)
-    facings = int(np.int64(tree.flags[here])) if inner & bit == is_node & bit else 0
+    number = min(cell, tree.flags.size - 1)
+    facings = int(np.int64(tree.flags[number])) if inner & bit == is_node & bit else 0
     if inner & bit == 0:
-        return here, BELOW - here, facings, (inner, stored, node, cell + 1)
-    return here, node, facings, (inner, stored, node + 1, cell + 1)
+        return number, BELOW - number, facings, (inner, stored, node, cell + 1)
+    return number, node, facings, (inner, stored, node + 1, cell + 1)
 
 
 @kernel
@@ -151,14 +148,14 @@ def take(
 
 
 @kernel
-def find_made(
+def find_mixed_nodes(
     arrays: TreeArrays,
     nodes: Int64s,
     first_nodes: Int64s,
     second_nodes: Int64s,
     share: Float32s,
     is_mixed: Bools,
-    is_made: Bools,
+    is_mixed_node: Bools,
 ) -> None:
     """Find the nodes whose content mixes both textures, from the deepest level up.
 
@@ -171,10 +168,10 @@ def find_made(
         _, stored, _, _ = children(groups, node)
         begin = max(end - popcount(stored), 0)
         part = share[begin]
-        made = (second_nodes[node] if part > 0.5 else first_nodes[node]) < 0
+        mixes = (second_nodes[node] if part > 0.5 else first_nodes[node]) < 0
         for child in range(begin, end):
-            made |= is_mixed[child] or share[child] != part
-        is_made[node] = is_mixed[nodes[node]] = made
-        if not made:
+            mixes |= is_mixed[child] or share[child] != part
+        is_mixed_node[node] = is_mixed[nodes[node]] = mixes
+        if not mixes:
             share[nodes[node]] = part
         end = begin

@@ -30,6 +30,11 @@ class Source(ABC):
         """The channels, in the order of the values' columns."""
         return self._channels
 
+    @property
+    def channel_names(self) -> list[str]:
+        """The names of the channels."""
+        return [form.name for form in self.channels]
+
     @abstractmethod
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components), averaged over widths in rest units; any thread may call it."""
@@ -42,8 +47,8 @@ class Source(ABC):
     @property
     def alpha_is_coverage(self) -> bool:
         """Whether ``alpha`` only marks gaps: it is 1 everywhere else."""
-        with_alpha = [each for each in self._inputs if ALPHA.name in [form.name for form in each.channels]]
-        return bool(self._inputs) and self.has_gaps and all(each.alpha_is_coverage for each in with_alpha)
+        with_alpha = [source for source in self._inputs if ALPHA.name in source.channel_names]
+        return bool(self._inputs) and self.has_gaps and all(source.alpha_is_coverage for source in with_alpha)
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units; 0 unknown, infinity without texels."""
@@ -56,17 +61,19 @@ class Source(ABC):
 
     def with_rest(self, rest: Float64s) -> Source:
         """Return the same source with widths and directions measured on other rest positions (n, 3)."""
-        return self._reading([source.with_rest(rest) for source in self._inputs]) if self._inputs else self
+        return self._of_inputs([source.with_rest(rest) for source in self._inputs]) if self._inputs else self
 
     def with_filter(self, name: str) -> Source:
         """Return the same source with its images read by another filter."""
-        return self._reading([source.with_filter(name) for source in self._inputs]) if self._inputs else self
+        return (
+            self._of_inputs([source.with_filter(name) for source in self._inputs]) if self._inputs else self
+        )
 
     def only(self, names: Sequence[str]) -> Source:
         """Return the source with these channels, and ``alpha`` if it has gaps; no names: only ``alpha``."""
         return Combined(dict.fromkeys(names, self), [self])
 
-    def _reading(self, inputs: Sequence[Source]) -> Self:
+    def _of_inputs(self, inputs: Sequence[Source]) -> Self:
         return self._changed(_inputs=tuple(inputs))
 
     def _changed(self, *stale: str, **attributes: Any) -> Self:
@@ -78,12 +85,12 @@ class Source(ABC):
         return other
 
 
-class OfAnother(Source):
-    """Forwards to another source, of the triangles ``others`` (m,), and has its channels and gaps."""
+class Forwarded(Source):
+    """Reads triangle i at triangle ``targets[i]`` (m,) of another source; has its channels and gaps."""
 
-    def __init__(self, source: Source, others: Int32s) -> None:
+    def __init__(self, source: Source, targets: Int32s) -> None:
         self._inputs = (source,)
-        self._others = others
+        self._targets = targets
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
@@ -92,36 +99,36 @@ class OfAnother(Source):
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
-        return self._inputs[0].evaluate(self._others[triangles], barycentric, widths)
+        return self._inputs[0].evaluate(self._targets[triangles], barycentric, widths)
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of a texel on triangles (n,), in rest units."""
-        return self._inputs[0].texel_edges(self._others[triangles])
+        return self._inputs[0].texel_edges(self._targets[triangles])
 
     def only(self, names: Sequence[str]) -> Self:
         """Return the same source with only these channels."""
-        return self._reading([self._inputs[0].only(names)])
+        return self._of_inputs([self._inputs[0].only(names)])
 
 
-class Picked(OfAnother):
-    """The source of a surface with ``rest`` (n, 3), for chosen ``triangles`` and their ``vertices``."""
+class PartSource(Forwarded):
+    """The source of a part of a surface with ``rest`` (n, 3): of its ``triangles`` and ``vertices``."""
 
     def __init__(self, source: Source, triangles: Int32s, vertices: Int32s, rest: Float64s) -> None:
         super().__init__(source, triangles)
         self._vertices = vertices
         self._rest = rest
 
-    def with_rest(self, rest: Float64s) -> Picked:
+    def with_rest(self, rest: Float64s) -> PartSource:
         """Return the same source on other rest positions of the picked vertices (v, 3)."""
         whole = self._rest.copy()
         whole[self._vertices] = rest
-        return Picked(self._inputs[0].with_rest(whole), self._others, self._vertices, whole)
+        return PartSource(self._inputs[0].with_rest(whole), self._targets, self._vertices, whole)
 
 
 def in_order(names: Sequence[str]) -> list[str]:
     """Return names of channels in the order in which textures store them; unknown names last."""
-    known = list(CHANNELS)
-    return sorted(dict.fromkeys(names), key=lambda n: known.index(n) if n in known else len(known))
+    order = list(CHANNELS)
+    return sorted(dict.fromkeys(names), key=lambda n: order.index(n) if n in order else len(order))
 
 
 def by_channel(channels: Sequence[ChannelFormat], values: Float32s) -> dict[str, Float32s]:
@@ -140,12 +147,12 @@ class Combined(Source):
         self._inputs = tuple({id(source): source for source in [*sources.values(), *others]}.values())
         #: The index of each channel's source, and the indices of the sources with gaps.
         self._owners = {name: self._inputs.index(sources[name]) for name in in_order(list(sources))}
-        self._gaps = [index for index, source in enumerate(self._inputs) if source.has_gaps]
+        self._with_gaps = [index for index, source in enumerate(self._inputs) if source.has_gaps]
         forms = {
             name: next(form for form in self._inputs[index].channels if form.name == name)
             for name, index in self._owners.items()
         }
-        if self._gaps:
+        if self._with_gaps:
             forms.setdefault(ALPHA.name, ALPHA)
         self._channels = tuple(forms[name] for name in in_order(list(forms)))
 
@@ -156,7 +163,7 @@ class Combined(Source):
             for source in self._inputs
         ]
         columns = {name: values[index][name] for name, index in self._owners.items()}
-        for index in self._gaps:
+        for index in self._with_gaps:
             alpha = columns.get(ALPHA.name, np.float32(1.0))
             columns[ALPHA.name] = alpha * (values[index][ALPHA.name] > 0)
         nothing = np.empty((len(triangles), 0), np.float32)
@@ -170,25 +177,24 @@ class Combined(Source):
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the edge of the finest source's texel."""
-        edges = np.full(len(triangles), np.inf, np.float32)
-        for source in self._inputs:
-            np.minimum(edges, source.texel_edges(triangles), out=edges)
-        return edges
+        without_texels = np.full(len(triangles), np.inf, np.float32)
+        edges = (source.texel_edges(triangles) for source in self._inputs)
+        return np.asarray(np.minimum.reduce([without_texels, *edges]), np.float32)
 
     def only(self, names: Sequence[str]) -> Source:
         """Return only these channels, from only the sources that give them.
 
         Without names, and for an ``alpha`` without a source, all sources stay because all of them have gaps.
         """
-        wanted = {name: index for name, index in self._owners.items() if name in names}
+        owners = {name: index for name, index in self._owners.items() if name in names}
         asks_for_gaps = not names or (ALPHA.name in names and ALPHA.name not in self._owners)
         sources = {
-            index: self._inputs[index].only([name for name, each in wanted.items() if each == index])
-            for index in dict.fromkeys([*wanted.values(), *(self._gaps if asks_for_gaps else [])])
+            index: self._inputs[index].only([name for name, owner in owners.items() if owner == index])
+            for index in dict.fromkeys([*owners.values(), *(self._with_gaps if asks_for_gaps else [])])
         }
-        return Combined({name: sources[index] for name, index in wanted.items()}, list(sources.values()))
+        return Combined({name: sources[index] for name, index in owners.items()}, list(sources.values()))
 
-    def _reading(self, inputs: Sequence[Source]) -> Combined:
+    def _of_inputs(self, inputs: Sequence[Source]) -> Combined:
         return Combined({name: inputs[index] for name, index in self._owners.items()}, inputs)
 
 
@@ -210,8 +216,8 @@ class Joined(Source):
         self._rest, self._triangles = rest, triangles
         forms: dict[str, ChannelFormat] = {}
         for form in (form for source in sources for form in source.channels):
-            known = forms.setdefault(form.name, form)
-            if form.dtype.startswith("float") and not known.dtype.startswith("float"):
+            earlier = forms.setdefault(form.name, form)
+            if form.dtype.startswith("float") and not earlier.dtype.startswith("float"):
                 forms[form.name] = form
         self._channels = tuple(forms[name] for name in in_order(list(forms)))
 
@@ -227,7 +233,7 @@ class Joined(Source):
         return values
 
     def _by_source(self, triangles: Int32s) -> Iterator[tuple[Source, Int64s, Int32s]]:
-        """Yield each source of triangles (n,), with their rows here and their numbers in its surface."""
+        """Yield each source of triangles (n,), with its rows of them and their numbers in its surface."""
         owners = np.searchsorted(self._faces, triangles, side="right") - 1
         for number in np.flatnonzero(np.bincount(owners)).tolist():
             rows = np.flatnonzero(owners == number)
@@ -236,7 +242,7 @@ class Joined(Source):
     def _default(self, form: ChannelFormat, triangles: Int32s) -> Float32s:
         if form.name == NORMAL.name:
             middles = np.full((len(triangles), 3), 1 / 3)
-            return placed(self._rest, self._triangles, triangles, middles)[1].astype(np.float32)
+            return points_with_normals(self._rest, self._triangles, triangles, middles)[1].astype(np.float32)
         return np.full((len(triangles), form.components), DEFAULTS.get(form.name, 1.0), np.float32)
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
@@ -256,12 +262,12 @@ class Joined(Source):
         """Return the same source with only these channels."""
 
         def restricted(source: Source) -> Source:
-            wanted = [form.name for form in source.channels if form.name in names]
-            return source.only(wanted) if wanted or (source.has_gaps and not names) else Combined({})
+            common = [name for name in source.channel_names if name in names]
+            return source.only(common) if common or (source.has_gaps and not names) else Combined({})
 
-        return self._reading([restricted(source) for source in self._inputs])
+        return self._of_inputs([restricted(source) for source in self._inputs])
 
-    def _reading(self, inputs: Sequence[Source]) -> Joined:
+    def _of_inputs(self, inputs: Sequence[Source]) -> Joined:
         return Joined(inputs, self._vertices, self._faces, self._rest, self._triangles)
 
 
@@ -270,7 +276,7 @@ _COSINE_ROUNDING = 1e-6
 
 
 class Placeable(ABC):
-    """Becomes a channel's source on a surface: see ``Surface.with_sources``."""
+    """An object that becomes a channel's source on a surface: see ``Surface.with_sources``."""
 
     _latest: tuple[Float64s, Int32s, Source] | None = None
 
@@ -311,14 +317,14 @@ class SpatialSource(Source):
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
-        return self.at(*placed(self._rest, self._triangles, triangles, barycentric), widths)
+        return self.at(*points_with_normals(self._rest, self._triangles, triangles, barycentric), widths)
 
     def with_rest(self, rest: Float64s) -> SpatialSource:
         """Return the same values by position, on other rest positions (n, 3)."""
         return self._changed(_rest=rest)
 
 
-def placed(
+def points_with_normals(
     rest: Float64s, faces: Int32s, triangles: Int32s, barycentric: Float64s
 ) -> tuple[Float64s, Float64s]:
     """Return the rest positions (n, 3) of points of triangles, and the unit normals of their faces there."""

@@ -71,11 +71,11 @@ class PointCloud(Placeable):
         self.colors = locked(linear_colors(colors, len(self.points), f"{name}: colors"))
         self.normals = None
         if normals is not None:
-            facing = _rows(normals, f"{name}: normals")
-            if len(facing) != len(self.points):
-                raise ArgumentError(f"{name}: {len(facing)} normals for {len(self.points)} points")
-            lengths = np.sqrt(np.einsum("nk,nk->n", facing, facing))[:, None]
-            self.normals = locked(np.divide(facing, lengths, where=lengths > 0, out=np.zeros_like(facing)))
+            vectors = _rows(normals, f"{name}: normals")
+            if len(vectors) != len(self.points):
+                raise ArgumentError(f"{name}: {len(vectors)} normals for {len(self.points)} points")
+            lengths = np.sqrt(np.einsum("nk,nk->n", vectors, vectors))[:, None]
+            self.normals = locked(np.divide(vectors, lengths, where=lengths > 0, out=np.zeros_like(vectors)))
         if radius is not None and distance is not None:
             raise ArgumentError("give radius or distance, not both: with a radius nothing farther counts")
         self.radius = None if radius is None else as_number(radius, "radius", 0.0, np.inf)
@@ -130,16 +130,16 @@ class PointCloud(Placeable):
         return dict.fromkeys(["base_color", "alpha"] if self.is_translucent else ["base_color"], self)
 
     @cached_property
-    def _ready(self) -> Points:
+    def _search(self) -> Points:
         normals = None if self.normals is None else self.normals.astype(np.float32)
-        weighted = self.colors.copy()
-        weighted[:, :3] *= weighted[:, 3:]
-        return Points.of(self.points, weighted, normals)
+        premultiplied = self.colors.copy()
+        premultiplied[:, :3] *= premultiplied[:, 3:]
+        return Points.of(self.points, premultiplied, normals)
 
     @property
     def spacing(self) -> float:
         """The distance within which 19 of 20 points have a neighbour, in the model's units."""
-        return self._ready.spacing()
+        return self._search.spacing()
 
     def on(self, mesh: Mesh, form: ChannelFormat, filter: str) -> tuple[Source, dict[str, str]]:  # noqa: ARG002
         """Return the source of a channel. Both channels share it on the same mesh.
@@ -150,23 +150,23 @@ class PointCloud(Placeable):
         if form.name not in ("base_color", "alpha"):
             raise ArgumentError(f"{self.name}: points have colours and alpha, but not {form.name}")
         if self.radius is not None and (spacing := self.spacing) > 0.0:
-            around = min(np.pi * (self.radius / spacing) ** 2, len(self))
-            if around > _MOST_AROUND:
-                least = spacing * np.sqrt(_MOST_AROUND / np.pi)
+            count = min(np.pi * (self.radius / spacing) ** 2, len(self))
+            if count > _MOST_AROUND:
+                most = spacing * np.sqrt(_MOST_AROUND / np.pi)
                 raise ArgumentError(
-                    f"{self.name}: a radius of {self.radius:g} holds about {around:,.0f} points; give one "
-                    f"below {least:.3g}"
+                    f"{self.name}: a radius of {self.radius:g} holds about {count:,.0f} points; give one "
+                    f"below {most:.3g}"
                 )
-        source = self._shared(mesh, lambda: _FromPoints(self, mesh))
+        source = self._shared(mesh, lambda: _CloudSource(self, mesh))
         return source, {f"source_{form.name}": f"points of {self.name}"}
 
 
-class _FromPoints(SpatialSource):
+class _CloudSource(SpatialSource):
     def __init__(self, cloud: PointCloud, mesh: Mesh) -> None:
         super().__init__((BASE_COLOR, ALPHA), mesh.rest, mesh.triangles)
-        self._ready = cloud._ready
+        self._search = cloud._search
         self._radius = cloud.radius or 0.0
-        self._nearest = np.inf if cloud.radius is None and cloud.distance is None else cloud.distance
+        self._distance = np.inf if cloud.radius is None and cloud.distance is None else cloud.distance
         self._is_faced = cloud.normals is not None and cloud.max_angle < 180.0
         self._least_cosine = least_cosine(cloud.max_angle)
         self._is_translucent = cloud.is_translucent
@@ -174,7 +174,7 @@ class _FromPoints(SpatialSource):
     @property
     def has_gaps(self) -> bool:
         """Whether parts of the surface may be too far from all points of the cloud."""
-        return self._is_faced or self._nearest is None or bool(np.isfinite(self._nearest))
+        return self._is_faced or self._distance is None or bool(np.isfinite(self._distance))
 
     @property
     def alpha_is_coverage(self) -> bool:
@@ -183,11 +183,11 @@ class _FromPoints(SpatialSource):
 
     def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return mean colours and alpha (n, 4) of the points around positions (n, 3)."""
-        values, _ = self._ready.around(
+        values, _ = self._search.around(
             points,
             np.maximum(widths.astype(np.float64), self._radius),
             normals if self._is_faced else None,
-            nearest=self._nearest,
+            nearest=self._distance,
             least_cosine=self._least_cosine,
         )
         alpha = values[:, 3:]
@@ -223,11 +223,11 @@ _Arrays = tuple[Array, Array, Array | None]
 
 def _read_npz(path: Path) -> _Arrays:
     arrays = npz_arrays(path, {name for names in _NAMES.values() for name in names})
-    chosen = {kind: next(filter(arrays.__contains__, names), "") for kind, names in _NAMES.items()}
+    keys = {kind: next(filter(arrays.__contains__, names), "") for kind, names in _NAMES.items()}
     for kind in ("points", "colors"):
-        if not chosen[kind]:
+        if not keys[kind]:
             raise ModelError(f"{path.name} has no array {kind!r}; save it with np.savez(…, {kind}=…)")
-    return arrays[chosen["points"]], arrays[chosen["colors"]], arrays.get(chosen["normals"])
+    return arrays[keys["points"]], arrays[keys["colors"]], arrays.get(keys["normals"])
 
 
 def _read_xyz(path: Path) -> _Arrays:

@@ -17,17 +17,17 @@ class Corners(NamedTuple):
     rows: Int32s  # (triangles, 3)
 
     @classmethod
-    def joined(cls, parts: Sequence[Corners]) -> Corners:
-        """Return one attribute for the concatenated triangles of all parts."""
-        if len(parts) == 1:
-            return parts[0]
-        values, rows = stacked(parts)
+    def joined(cls, attributes: Sequence[Corners]) -> Corners:
+        """Return one attribute for the concatenated triangles of several."""
+        if len(attributes) == 1:
+            return attributes[0]
+        values, rows = stacked(attributes)
         return cls(values, np.concatenate(rows))
 
     @classmethod
-    def chosen(cls, sets: Sequence[Corners], numbers: Int64s) -> Corners:
-        """Return an attribute of triangles (m,), each from the set with its number in ``numbers`` (m,)."""
-        values, rows = stacked(sets)
+    def chosen(cls, attributes: Sequence[Corners], numbers: Int64s) -> Corners:
+        """Return an attribute that triangle i takes from ``attributes[numbers[i]]``."""
+        values, rows = stacked(attributes)
         return cls(values, np.stack(rows)[numbers, np.arange(len(numbers))])
 
     @classmethod
@@ -44,11 +44,11 @@ class Corners(NamedTuple):
         return at_corners(self.values, self.rows[triangles], barycentric)
 
 
-def stacked(parts: Sequence[Corners]) -> tuple[Float32s, list[Int32s]]:
-    """Return the values of all parts in one array, and each part's rows in that array."""
-    firsts = np.cumsum([0, *(len(part.values) for part in parts)])
-    rows = [part.rows + np.int32(first) for part, first in zip(parts, firsts, strict=False)]
-    return np.concatenate([part.values for part in parts]), rows
+def stacked(attributes: Sequence[Corners]) -> tuple[Float32s, list[Int32s]]:
+    """Return the values of all attributes in one array, and each attribute's rows in that array."""
+    firsts = np.cumsum([0, *(len(values) for values, _ in attributes)])
+    rows = [rows + np.int32(first) for (_, rows), first in zip(attributes, firsts, strict=False)]
+    return np.concatenate([values for values, _ in attributes]), rows
 
 
 def area_vectors(corners: Float64s) -> Float64s:
@@ -86,10 +86,10 @@ def scattered(areas: Float64s, count: int, seed: int) -> tuple[Int64s, Float64s]
     """Draw points, uniform by the areas of triangles (m,): their triangles (n,), and barycentric (n, 3)."""
     random = np.random.default_rng(seed).random((count, 3))
     cumulative = np.cumsum(areas)
-    chosen = np.searchsorted(cumulative, random[:, 0] * cumulative[-1], side="right")
+    triangles = np.searchsorted(cumulative, random[:, 0] * cumulative[-1], side="right")
     root = np.sqrt(random[:, 1])
     barycentric = np.stack([1 - root, root * (1 - random[:, 2]), root * random[:, 2]], axis=1)
-    return np.minimum(chosen, len(areas) - 1), barycentric
+    return np.minimum(triangles, len(areas) - 1), barycentric
 
 
 class Polygons(NamedTuple):
@@ -109,12 +109,13 @@ class Polygons(NamedTuple):
         """Return the polygons of concatenated parts, numbered consecutively; None if no part has any."""
         if all(polygons is None for polygons, _ in parts):
             return None
-        numbers, first = [], 0
-        every = [polygons or cls.of_triangles(count) for polygons, count in parts]
-        for polygons in every:
-            numbers.append(polygons.numbers + np.int32(first))
+        numbers, corners, first = [], [], 0
+        for polygons, count in parts:
+            part = polygons or cls.of_triangles(count)
+            numbers.append(part.numbers + np.int32(first))
+            corners.append(part.corners)
             first = int(numbers[-1].max()) + 1
-        return cls(np.concatenate(numbers), np.concatenate([each.corners for each in every]))
+        return cls(np.concatenate(numbers), np.concatenate(corners))
 
     def loops(self) -> tuple[Int32s, Int64s, Int64s, Int64s]:
         """Return the polygons and their corners, concatenated.
@@ -124,8 +125,8 @@ class Polygons(NamedTuple):
         """
         keys = self.numbers[:, None].astype(np.int64) << 32 | self.corners
         keys, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-        known, sizes = np.unique((keys >> 32).astype(np.int32), return_counts=True)
-        return known, sizes.astype(np.int64), first.astype(np.int64), inverse.reshape(-1, 3)
+        numbers, sizes = np.unique((keys >> 32).astype(np.int32), return_counts=True)
+        return numbers, sizes.astype(np.int64), first.astype(np.int64), inverse.reshape(-1, 3)
 
     def of(self, triangles: Int32s) -> Polygons:
         """Return the polygons of chosen triangles (k,); they keep their numbers."""
@@ -141,10 +142,10 @@ class Creases(NamedTuple):
     spikes     (j,) the sharpness of these vertices
     """
 
-    edges: Int32s  # (k, 2)   vertices
-    sharpness: Float32s  # (k,)
-    vertices: Int32s  # (j,)
-    spikes: Float32s  # (j,)     the sharpness of these vertices
+    edges: Int32s
+    sharpness: Float32s
+    vertices: Int32s
+    spikes: Float32s
 
 
 class Frames(NamedTuple):

@@ -100,18 +100,18 @@ def _moved_onto(inside: Callable[[Float64s], Float64s], start: Float64s, edge: f
     for _ in range(_STEPS):
         if not moving.size:
             break
-        here = points[moving]
-        gradients = np.stack([inside(here + step) - inside(here - step) for step in difference], axis=1)
+        current = points[moving]
+        gradients = np.stack([inside(current + step) - inside(current - step) for step in difference], axis=1)
         gradients /= 2.0 * _DIFFERENCE * edge
         squares = (gradients**2).sum(axis=1)
         steps = shares[moving] * values[moving] / np.where(squares > 0.0, squares, np.inf)
-        moves = here - steps[:, None] * gradients - start[moving]
+        moves = current - steps[:, None] * gradients - start[moving]
         lengths = np.linalg.norm(moves, axis=1)
-        trial = start[moving] + moves * np.minimum(1.0, edge / np.maximum(lengths, 1e-300))[:, None]
-        tried = inside(trial)
-        is_better = np.abs(tried) < np.abs(values[moving])
+        trials = start[moving] + moves * np.minimum(1.0, edge / np.maximum(lengths, 1e-300))[:, None]
+        trial_values = inside(trials)
+        is_better = np.abs(trial_values) < np.abs(values[moving])
         better = moving[is_better]
-        points[better], values[better] = trial[is_better], tried[is_better]
+        points[better], values[better] = trials[is_better], trial_values[is_better]
         shares[moving[~is_better]] *= 0.5
         shares[better] = 1.0
         is_done = is_better & (np.abs(steps) * np.sqrt(squares) < _NEAR * edge)

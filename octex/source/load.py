@@ -86,14 +86,14 @@ def load_surface(
     as_choice(filter, FILTERS, "filter")
     replaced = {} if sources is None else as_entries(sources, "sources")
     names = None if channels is None else as_names(channels, "channels")
-    wanted = None if names is None else tuple(name for name in names if name not in replaced)
+    read_names = None if names is None else tuple(name for name in names if name not in replaced)
     file = as_path(path)
     pose = None if pose is None else as_text(pose, "pose")
     if pose is not None and file.suffix.lower() not in _GLTF:
         raise ArgumentError(f"{file.name} cannot be posed as {pose!r}: only glTF models can")
     with_normals = as_flag(normals, "normals") or "normal" in replaced
     finite = as_flag(finite, "finite")
-    surface = _read(file, Options(True, wanted, filter, tuple(replaced), with_normals, pose, finite))
+    surface = _read(file, Options(True, read_names, filter, tuple(replaced), with_normals, pose, finite))
     surface.provenance["filter"] = filter
     if pose is not None:
         surface.provenance["pose"] = pose
@@ -129,10 +129,10 @@ def at_rest(surface: Surface, rest: str | os.PathLike[str] | npt.ArrayLike) -> S
             f"({len(other.vertices)} vertices and {len(other.triangles)} triangles, "
             f"{len(surface.vertices)} and {len(surface.triangles)}); both must list the same triangles"
         )
-    placed = surface.with_rest(other.vertices)
-    placed.provenance["rest"] = other.provenance["source"]
-    placed.provenance["rest_sha256"] = other.provenance["sha256"]
-    return placed
+    surface = surface.with_rest(other.vertices)
+    surface.provenance["rest"] = other.provenance["source"]
+    surface.provenance["rest_sha256"] = other.provenance["sha256"]
+    return surface
 
 
 def _read(path: Path, options: Options) -> Surface:

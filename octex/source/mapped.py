@@ -21,7 +21,7 @@ from octex.channels import ChannelFormat
 from octex.checks import as_choice, as_number, as_reals
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
-from octex.source.base import Placeable, Source, SpatialSource, placed
+from octex.source.base import Placeable, Source, SpatialSource, points_with_normals
 from octex.source.images.decode import read_image
 from octex.source.images.filters import MOST_VARIANCE, find_taps, footprint, kernel_code, reads_mips
 from octex.source.images.pyramid import MIRROR, REPEAT, WRAPS, Images, ImageTexels, as_wraps, store
@@ -144,7 +144,7 @@ class MappedSource(SpatialSource):
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
-        points, normals = placed(self._rest, self._triangles, triangles, barycentric)
+        points, normals = points_with_normals(self._rest, self._triangles, triangles, barycentric)
         shading = normals
         if self._frames is not None:
             shading = self._frames.normals.at(triangles, barycentric)
@@ -167,7 +167,7 @@ class MappedSource(SpatialSource):
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the shorter edge of a texel in the middle of triangles (n,), in rest units."""
         middles = np.full((len(triangles), 3), 1 / 3)
-        points, normals = placed(self._rest, self._triangles, triangles, middles)
+        points, normals = points_with_normals(self._rest, self._triangles, triangles, middles)
         height, width = self._image.texels.shape[:2]
         edges = np.empty(len(triangles), np.float32)
         mapped_edges(self._mapping, width, height, points, normals, edges)
@@ -219,13 +219,13 @@ def map_point(
         radius = math.sqrt(x * x + y * y)
         cosine, sine = (x / radius, y / radius) if radius > 0.0 else (0.0, -1.0)
         u = 0.5 + math.atan2(cosine, -sine) / (2.0 * math.pi)
-        turn = 1.0 / _length(2.0 * math.pi * radius, width)
+        turn = 1.0 / _norm(2.0 * math.pi * radius, width)
         u_slope = (-sine * turn, cosine * turn, 0.0)
         if mapping.kind == CYLINDRICAL:
             return u, 0.5 - z / deep, u_slope, (0.0, 0.0, -1.0 / deep), True
-        distance = _length(radius, z)
+        distance = _norm(radius, z)
         down, out = (z / distance, radius / distance) if distance > 0.0 else (1.0, 0.0)
-        turn = 1.0 / _length(math.pi * distance, width)
+        turn = 1.0 / _norm(math.pi * distance, width)
         v_slope = (down * cosine * turn, down * sine * turn, -out * turn)
         return u, math.atan2(radius, z) / math.pi, u_slope, v_slope, True
     side_x, side_y = abs(n_x), abs(n_y)
@@ -242,7 +242,7 @@ def map_point(
 
 
 @inlined
-def _length(x: float, y: float) -> float:
+def _norm(x: float, y: float) -> float:
     """Return the length of (x, y), but at least 10⁻¹⁵⁰."""
     return max(math.sqrt(x * x + y * y), 1e-150)
 
@@ -254,7 +254,7 @@ def _in_frame(mapping: Mapping, vector: Vector) -> Vector:
 
 
 @inlined
-def _placed(mapping: Mapping, points: Float64s, i: int) -> Vector:
+def _point_in_frame(mapping: Mapping, points: Float64s, i: int) -> Vector:
     x, y, z = mapping.center[0], mapping.center[1], mapping.center[2]
     return _in_frame(mapping, minus(row_of(points, i), (x, y, z)))
 
@@ -285,7 +285,7 @@ def read_mapped(
     level = images.layouts[0, 0]
     across, down = images.levels[level, 1], images.levels[level, 2]
     for i in range(len(points)):
-        point = _placed(mapping, points, i)
+        point = _point_in_frame(mapping, points, i)
         normal = _in_frame(mapping, row_of(normals, i))
         width = np.float64(widths[i])
         u, v, u_slope, v_slope, is_around = map_point(mapping, point, normal, width)
@@ -305,14 +305,14 @@ def read_mapped(
         count, cut, scale = find_taps(images, 0, filter, foot, indices, weights)
         gather(images, 0, 0, indices, weights, count, cut, scale, -1.0, lanes, 0)
         if is_direction:
-            _turn(mapping, lanes, u_slope, v_slope, row_of(shading, i), width == 0.0, values, i)
+            _write_direction(mapping, lanes, u_slope, v_slope, row_of(shading, i), width == 0.0, values, i)
         else:
             for column in range(values.shape[1]):
                 values[i, column] = lanes[column]
 
 
 @inlined
-def _turn(
+def _write_direction(
     mapping: Mapping, lanes: Float32s, u_slope: Vector, v_slope: Vector, shading: Vector, is_point: bool,
     values: Float32s, i: int,
 ) -> None:  # fmt: skip
@@ -348,7 +348,7 @@ def mapped_edges(
 ) -> None:
     """Fill in the shorter edge of a texel at points, in rest units; infinity for an image of one texel."""
     for i in range(len(points)):
-        point = _placed(mapping, points, i)
+        point = _point_in_frame(mapping, points, i)
         normal = _in_frame(mapping, row_of(normals, i))
         _, _, u_slope, v_slope, _ = map_point(mapping, point, normal, 0.0)
         uu, uv, vv = _covariance(u_slope, v_slope, normal, 12.0)

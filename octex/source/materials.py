@@ -60,7 +60,7 @@ class Material(NamedTuple):
     @property
     def textures(self) -> list[Texture]:
         """The images of all inputs."""
-        return [each.texture for each in self.inputs.values() if each.texture is not None]
+        return [entry.texture for entry in self.inputs.values() if entry.texture is not None]
 
     @property
     def alpha_factor(self) -> float:
@@ -70,13 +70,11 @@ class Material(NamedTuple):
     @property
     def is_covered(self) -> bool:
         """Whether the alpha of the base colour's image is its coverage."""
-        color, alpha = self.inputs.get("base_color"), self.inputs.get("alpha")
-        if self.alpha_mode == "opaque" or color is None or alpha is None or alpha.lanes[0] != 3:
-            return False
-        if color.texture is None or alpha.texture is None:
+        color, alpha = self.inputs.get("base_color", Input(())), self.inputs.get("alpha", Input(()))
+        if self.alpha_mode == "opaque" or alpha.lanes[0] != 3 or color.texture is None:
             return False
         texels = color.texture.texels
-        return alpha.texture.texels is texels and is_translucent(texels)
+        return alpha.texture is not None and alpha.texture.texels is texels and is_translucent(texels)
 
     @property
     def normal_slot(self) -> int | None:
@@ -131,15 +129,15 @@ class MaterialSource(Source):
         names = {"base_color"}.union(*(material.inputs for material in self._used)) - {"alpha"}
         if any(material.alpha_mode != "opaque" for material in self._used):
             names.add("alpha")
-        stated = in_order(list(names))
+        defined = in_order(list(names))
         if channels is not None:
-            lacking = [channel for channel in channels if channel not in stated]
+            lacking = [channel for channel in channels if channel not in defined]
             if lacking:
-                raise ModelError(f"{name} has no channel {', '.join(lacking)}; it has {', '.join(stated)}")
-            stated = [channel for channel in stated if channel in channels]
-        if frames is None:
-            stated = [channel for channel in stated if channel != "normal"]
-        self._channels = tuple(self._format(channel) for channel in stated)
+                raise ModelError(f"{name} has no channel {', '.join(lacking)}; it has {', '.join(defined)}")
+            defined = [channel for channel in defined if channel in channels]
+        if frames is None and "normal" in defined:
+            defined.remove("normal")
+        self._channels = tuple(map(self._format, defined))
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components): light not multiplied by alpha, fractions, mean directions."""
@@ -172,10 +170,8 @@ class MaterialSource(Source):
 
     def only(self, names: Sequence[str]) -> MaterialSource:
         """Return the same source with only these channels, and only their images."""
-        chosen = tuple(channel for channel in self._channels if channel.name in names)
-        if chosen == self._channels:
-            return self
-        return self._changed("_tables", "_footprints", _channels=chosen)
+        forms = tuple(form for form in self._channels if form.name in names)
+        return self if forms == self._channels else self._changed("_tables", "_footprints", _channels=forms)
 
     def _format(self, name: str) -> ChannelFormat:
         form = CHANNELS[name]
@@ -191,13 +187,11 @@ class MaterialSource(Source):
 
     def _check(self) -> None:
         """Refuse missing coordinates, and colours and coordinates in use that are not finite."""
-        inputs = [each for material in self.materials for each in material.inputs.values()]
-        colors = np.empty(0) if self.colors is None else self.colors.values
-        if not all(np.isfinite((*each.factor, *each.offset)).all() for each in inputs) or not (
-            np.isfinite(colors).all()
-        ):
+        inputs = [entry for material in self.materials for entry in material.inputs.values()]
+        are_finite = all(np.isfinite((*entry.factor, *entry.offset)).all() for entry in inputs)
+        if not are_finite or (self.colors is not None and not np.isfinite(self.colors.values).all()):
             raise ModelError(f"{self._name}: colours are not all finite; repair the model")
-        last = max((each.slot for material in self._used for each in material.textures), default=-1)
+        last = max((texture.slot for material in self._used for texture in material.textures), default=-1)
         if last >= len(self.coordinates):
             raise ModelError(
                 f"{self._name}: an image reads set {last} of texture coordinates, which is missing"
@@ -205,9 +199,9 @@ class MaterialSource(Source):
         for slot, corners in enumerate(self.coordinates):
             if np.isfinite(corners.values).all():
                 continue
-            reads = [any(t.slot == slot for t in material.textures) for material in self.materials]
-            textured = np.array(reads, np.bool_)[self.triangle_materials]
-            if not np.isfinite(corners.values[corners.rows[textured]]).all():
+            is_reader = [any(t.slot == slot for t in material.textures) for material in self.materials]
+            reading = np.array(is_reader, np.bool_)[self.triangle_materials]
+            if not np.isfinite(corners.values[corners.rows[reading]]).all():
                 raise ModelError(f"{self._name}: texture coordinates are not all finite; repair the model")
 
     @built_once
@@ -227,16 +221,16 @@ class MaterialSource(Source):
         lanes = np.zeros((count, ends[-1]), np.int32)
         gains = np.ones((count, ends[-1]), np.float32)
         offsets = np.zeros((count, ends[-1]), np.float32)
-        shelf = _Shelf()
+        stacks = _Stacks()
         for number, material in enumerate(self.materials):
-            lane_of = shelf.add(material, list(first_column), self._threshold(number))
+            lane_of = stacks.add(material, list(first_column), self._threshold(number))
             for form, first in zip(self._channels, ends, strict=False):
                 columns = slice(first, first + form.components)
                 entry = material.inputs.get(form.name)
                 if form.space == "direction":
-                    straight = entry is None or entry.texture is None
-                    gains[number, columns] = 0.0 if straight else 2.0
-                    offsets[number, columns] = (0.0, 0.0, 1.0) if straight else -1.0
+                    has_map = entry is not None and entry.texture is not None
+                    gains[number, columns] = 2.0 if has_map else 0.0
+                    offsets[number, columns] = -1.0 if has_map else (0.0, 0.0, 1.0)
                 elif entry is None:
                     gains[number, columns] = DEFAULTS.get(form.name, 1.0)
                 else:
@@ -245,27 +239,27 @@ class MaterialSource(Source):
                     offsets[number, columns] = entry.offset or 0.0
                 if entry is not None and entry.texture is not None:
                     lanes[number, columns] = lane_of[form.name] + np.array(entry.lanes[: form.components])
-        images, layout_of = store(shelf.texels, reads_mips(self._filter))
-        stacks = [(layout_of[image], *rest) for image, *rest in shelf.stacks]
-        stacks.append((0, 0, 0, 0, 0, len(shelf.images)))
-        nothing = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
-        nowhere = Corners(np.empty((0, 2), np.float32), np.empty((len(self._triangles), 3), np.int32))
-        coordinates, rows = stacked([nowhere, *self.coordinates])
+        images, layout_of = store(stacks.texels, reads_mips(self._filter))
+        rows_of_stacks = [(layout_of[image], *rest) for image, *rest in stacks.rows]
+        rows_of_stacks.append((0, 0, 0, 0, 0, len(stacks.images)))
+        no_colors = Corners(np.empty((0, 4), np.float32), np.empty((0, 3), np.int32))
+        no_slot = Corners(np.empty((0, 2), np.float32), np.empty((len(self._triangles), 3), np.int32))
+        coordinates, rows = stacked([no_slot, *self.coordinates])
         tables = Tables(
             materials=self.triangle_materials,
-            first_stacks=np.array(shelf.first_stacks, np.int32),
-            stacks=np.array(stacks, np.int32),
-            images=np.array([*shelf.images, 0], np.int32),
+            first_stacks=np.array(stacks.first_rows, np.int32),
+            stacks=np.array(rows_of_stacks, np.int32),
+            images=np.array([*stacks.images, 0], np.int32),
             lanes=lanes,
             gains=gains,
             offsets=offsets,
             alpha_modes=np.array([ALPHA_MODES.index(m.alpha_mode) for m in self.materials], np.uint8),
             alpha_factors=np.array([m.alpha_factor for m in self.materials], np.float32),
             cutoffs=np.array([m.cutoff for m in self.materials], np.float32),
-            colors=self.colors or nothing,
+            colors=self.colors or no_colors,
             coordinates=coordinates,
             coordinate_rows=np.stack(rows)[1:],
-            frames=self._frames or Frames(nothing, nothing),
+            frames=self._frames or Frames(no_colors, no_colors),
             **{name: first_column.get(name, -1) for name in ("base_color", "alpha", "normal")},
         )
         return tables, images
@@ -282,15 +276,15 @@ class MaterialSource(Source):
         return material.cutoff / factor if factor > 0 else np.inf
 
 
-class _Shelf:
-    """All images of the materials, without duplicates, and the stacks of each material."""
+class _Stacks:
+    """The stacks of images (see `Tables`) of all materials, and their images, without duplicates."""
 
     def __init__(self) -> None:
         self._numbers: dict[tuple[object, ...], int] = {}
         self.texels: list[ImageTexels] = []
-        self.first_stacks = [0]
+        self.first_rows = [0]
         # The first image, whose size all have; slot, wraps of u and v, flat texels; first row of `images`.
-        self.stacks: list[tuple[int, int, int, int, int, int]] = []
+        self.rows: list[tuple[int, int, int, int, int, int]] = []
         self.images: list[int] = []
 
     def add(self, material: Material, names: Sequence[str], threshold: float) -> dict[str, int]:
@@ -308,19 +302,19 @@ class _Shelf:
             key = id(texels), is_light, is_covered, cut, entry.factor if is_direction else None
             if key not in self._numbers:
                 self._numbers[key] = len(self.texels)
-                stored = unit_directions(texels, entry.factor) if is_direction else texels
-                self.texels.append(ImageTexels(stored, is_light, is_covered, cut))
+                texels = unit_directions(texels, entry.factor) if is_direction else texels
+                self.texels.append(ImageTexels(texels, is_light, is_covered, cut))
             stack = texels.shape[:2], wrap_u, wrap_v, nearest, slot
             stacks.setdefault(stack, {}).setdefault(self._numbers[key], []).append(name)
         lane_of: dict[str, int] = {}
         lane = 1
         for (_, wrap_u, wrap_v, nearest, slot), readers in stacks.items():
-            self.stacks.append((next(iter(readers)), slot, wrap_u, wrap_v, int(nearest), len(self.images)))
+            self.rows.append((next(iter(readers)), slot, wrap_u, wrap_v, int(nearest), len(self.images)))
             for image, channels in readers.items():
                 self.images.append(image)
                 lane_of |= dict.fromkeys(channels, lane)
                 lane += 4
-        self.first_stacks.append(len(self.stacks))
+        self.first_rows.append(len(self.rows))
         return lane_of
 
 

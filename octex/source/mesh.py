@@ -92,8 +92,10 @@ class Mesh:
         self.polygons = polygons and Polygons(*(_owned(array, np.int32) for array in polygons))
         self.creases = None if creases is None else as_creases(creases, len(self.vertices), name)
         self.name = name
-        used = self._used(self.triangles)
-        self.bounds: Float64s = locked(np.array([self.rest[used].min(axis=0), self.rest[used].max(axis=0)]))
+        is_used = self._used(self.triangles)
+        self.bounds: Float64s = locked(
+            np.array([self.rest[is_used].min(axis=0), self.rest[is_used].max(axis=0)])
+        )
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} {self.name!r} of {len(self.triangles):,} triangles>"
@@ -104,10 +106,10 @@ class Mesh:
         Raises ModelError for another number of them, or if they are not finite.
         """
         positions = as_positions(rest, f"{self.name}: rest positions")
-        made = self.moved(positions)
+        mesh = self.with_positions(self.vertices, positions)
         if self.frames is not None:
-            made.frames = _locked_frames(carried(self.frames, self.triangles, self.rest, positions))
-        return made
+            mesh.frames = _locked_frames(carried(self.frames, self.triangles, self.rest, positions))
+        return mesh
 
     def with_pose(self, vertices: npt.ArrayLike) -> Mesh:
         """Return the same mesh at other posed positions (n, 3); it rests where it does.
@@ -119,25 +121,22 @@ class Mesh:
             raise ModelError(
                 f"{self.name}: {len(posed)} posed positions for {len(self.vertices)} vertices; give one each"
             )
-        return self._at(posed, self.rest)
+        return self.with_positions(posed, self.rest)
 
-    def posed_frames(self, chosen: Int32s | None = None) -> Frames | None:
+    def posed_frames(self, numbers: Int32s | None = None) -> Frames | None:
         """Return the frames of the posed mesh, each moved with its triangle; None if there are none.
 
-        With ``chosen`` triangles (k,), return only their frames.
+        With the ``numbers`` (k,) of triangles, return only their frames.
         """
         frames, triangles = self.frames, self.triangles
-        if frames is not None and chosen is not None:
-            frames, triangles = frames.of(chosen), triangles[chosen]
+        if frames is not None and numbers is not None:
+            frames, triangles = frames.of(numbers), triangles[numbers]
         if frames is None or self.rest is self.vertices:
             return frames
         return carried(frames, triangles, self.rest, self.vertices)
 
-    def moved(self, rest: Float64s) -> Mesh:
-        """Return the same mesh with its parts translated at rest; frames do not change."""
-        return self._at(self.vertices, rest)
-
-    def _at(self, vertices: Float64s, rest: Float64s) -> Mesh:
+    def with_positions(self, vertices: Float64s, rest: Float64s) -> Mesh:
+        """Return the same mesh at other posed and rest positions (n, 3); frames do not change."""
         return Mesh(
             vertices, self.triangles, rest=rest, uv=self.uv, frames=self.frames, polygons=self.polygons,
             creases=self.creases, name=self.name,
@@ -148,33 +147,34 @@ class Mesh:
 
         Raises ArgumentError for unknown triangles, ModelError for an empty list.
         """
-        chosen = as_row_numbers(triangles, len(self.triangles), "triangle").astype(np.int32)
-        faces = self.triangles[chosen]
-        used = self._used(faces)
-        names = np.cumsum(used, dtype=np.int32) - np.int32(1)
+        numbers = as_row_numbers(triangles, len(self.triangles), "triangle").astype(np.int32)
+        faces = self.triangles[numbers]
+        is_used = self._used(faces)
+        renumbered = np.cumsum(is_used, dtype=np.int32) - np.int32(1)
         creases = self.creases
         if creases is not None:
-            edges, points = used[creases.edges].all(axis=1), used[creases.vertices]
+            edges, points = is_used[creases.edges].all(axis=1), is_used[creases.vertices]
             creases = Creases(
-                names[creases.edges[edges]], creases.sharpness[edges], names[creases.vertices[points]],
-                creases.spikes[points],
+                renumbered[creases.edges[edges]], creases.sharpness[edges],
+                renumbered[creases.vertices[points]], creases.spikes[points],
             )  # fmt: skip
         mesh = Mesh(
-            self.vertices[used],
-            names[faces],
-            rest=None if self.rest is self.vertices else self.rest[used],
-            uv=self.uv and self.uv.of(chosen),
-            frames=self.frames and self.frames.of(chosen),
-            polygons=self.polygons and self.polygons.of(chosen),
+            self.vertices[is_used],
+            renumbered[faces],
+            rest=None if self.rest is self.vertices else self.rest[is_used],
+            uv=self.uv and self.uv.of(numbers),
+            frames=self.frames and self.frames.of(numbers),
+            polygons=self.polygons and self.polygons.of(numbers),
             creases=creases,
             name=self.name,
         )
-        return mesh, chosen, np.flatnonzero(used).astype(np.int32)
+        return mesh, numbers, np.flatnonzero(is_used).astype(np.int32)
 
     def _used(self, triangles: Int32s) -> Bools:
-        used = np.zeros(len(self.vertices), np.bool_)
-        used[triangles] = True
-        return used
+        """Say which vertices (n,) triangles use."""
+        is_used = np.zeros(len(self.vertices), np.bool_)
+        is_used[triangles] = True
+        return is_used
 
     @cached_property
     def parts(self) -> Int32s:
@@ -190,8 +190,8 @@ class Mesh:
         The vertices of a polygon are in the file's order, from its first corner on, and wind as its triangles
         do. If triangles of a polygon were left out, only the other triangles' corners are listed.
         """
-        known, sizes, first, _ = (self.polygons or Polygons.of_triangles(len(self.triangles))).loops()
-        return known, sizes.astype(np.int32), self.triangles.ravel()[first]
+        numbers, sizes, first, _ = (self.polygons or Polygons.of_triangles(len(self.triangles))).loops()
+        return numbers, sizes.astype(np.int32), self.triangles.ravel()[first]
 
     def overlapping_parts(self, margin: float = 0.0) -> Overlaps:
         """Find the parts that intersect at rest, or come nearer than ``margin`` (in the model's units).
@@ -230,15 +230,15 @@ class Mesh:
             raise ModelError(
                 f"{self.name}: all triangles are degenerate, there is no area to scatter points on"
             )
-        chosen, barycentric = scattered(areas, n, seed)
-        normals = rest_normals = unit_normals(self.vertices[self.triangles[chosen]])
+        triangles, barycentric = scattered(areas, n, seed)
+        normals = rest_normals = unit_normals(self.vertices[self.triangles[triangles]])
         if self.rest is not self.vertices:
-            rest_normals = unit_normals(self.rest[self.triangles[chosen]])
+            rest_normals = unit_normals(self.rest[self.triangles[triangles]])
         return SurfaceSamples(
-            points=self.points_at(chosen, barycentric),
-            rest=self.rest_at(chosen, barycentric),
+            points=self.points_at(triangles, barycentric),
+            rest=self.rest_at(triangles, barycentric),
             normals=normals,
-            triangles=chosen.astype(np.int32),
+            triangles=triangles.astype(np.int32),
             barycentric=barycentric,
             rest_normals=rest_normals,
         )
@@ -283,7 +283,7 @@ def check_below(numbers: Integers, count: int, what: str) -> None:
 
 
 def _owned(array_like: npt.ArrayLike, dtype: type) -> Array:
-    """Return a private read-only array: a copy, unless it is one already."""
+    """Return a read-only copy of an array, or the array itself if it owns its memory and is read-only."""
     if isinstance(array_like, np.ndarray) and array_like.base is None and not array_like.flags.writeable:
         return np.asarray(array_like, dtype, order="C")
     array: Array = np.array(array_like, dtype, order="C")
@@ -297,17 +297,13 @@ def as_creases(creases: Creases, vertices: int, name: str) -> Creases:
         raise ArgumentError(f"{name}: creases must be Creases, or None")
     edges = as_reals(creases.edges, f"{name}: edges of creases", (-1, 2), most=vertices - 1)
     points = as_reals(creases.vertices, f"{name}: vertices of creases", (-1,), most=vertices - 1)
-    for each in (edges, points):
-        if (each < 0).any() or (each != np.floor(each)).any():
+    for numbers in (edges, points):
+        if (numbers < 0).any() or (numbers != np.floor(numbers)).any():
             raise ArgumentError(f"{name}: creases must name vertices by whole numbers from 0 on")
-    sharp = as_reals(creases.sharpness, f"{name}: sharpness of creases", (len(edges),), most=1e30)
+    sharpness = as_reals(creases.sharpness, f"{name}: sharpness of creases", (len(edges),), most=1e30)
     spikes = as_reals(creases.spikes, f"{name}: sharpness of vertices", (len(points),), most=1e30)
-    return Creases(
-        _owned(edges, np.int32),
-        _owned(sharp, np.float32),
-        _owned(points, np.int32),
-        _owned(spikes, np.float32),
-    )
+    types = (np.int32, np.float32, np.int32, np.float32)
+    return Creases(*map(_owned, (edges, sharpness, points, spikes), types))
 
 
 def _locked_frames(frames: Frames) -> Frames:

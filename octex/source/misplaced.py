@@ -41,23 +41,25 @@ def check_place(surface: Surface, texture: OctreeTexture) -> None:
 def _share_of_leaves(texture: OctreeTexture, points: Float64s) -> float:
     """Return the share of leaves that hold points; merged leaves count as often as cells in them do."""
     cells = 1 << texture.tree.max_depth
-    held = np.unique(np.floor(texture.placement.to_texture_space(points) * cells), axis=0)
-    centres = texture.placement.to_rest((held + 0.5) / cells)
+    coords = np.unique(np.floor(texture.placement.to_texture_space(points) * cells), axis=0)
+    centres = texture.placement.to_rest((coords + 0.5) / cells)
     return np.count_nonzero(texture.contains(centres)) / max(texture.tree.n_leaves, 1)
 
 
-def _difference(found: Float64s, expected: Float64s) -> str:
+def _difference(bounds: Float64s, expected: Float64s) -> str:
     """Return how the bounds (2, 3) of a surface differ from those of a texture's surface."""
-    sides, others = found[1] - found[0], expected[1] - expected[0]
-    longest, other = float(sides.max()) or 1.0, float(others.max()) or 1.0
-    shape, shape_of_other = sides / longest, others / other
-    if np.abs(shape - shape_of_other).max() < _ALIKE:
-        if abs(longest / other - 1) > _ALIKE:
-            return f"it is {longest / other:.4g} times as large as the texture's model: use the same units"
-        moved = found.mean(axis=0) - expected.mean(axis=0)
-        if np.abs(moved).max() > _ALIKE * longest:
-            offset = ", ".join(f"{each:.4g}" for each in moved.tolist())
-            return f"it lies at ({offset}) from the texture's model: move it back"
-    elif np.abs(np.sort(shape) - np.sort(shape_of_other)).max() < _ALIKE:
+    extents, expected_extents = bounds[1] - bounds[0], expected[1] - expected[0]
+    size, expected_size = float(extents.max()) or 1.0, float(expected_extents.max()) or 1.0
+    shape, expected_shape = extents / size, expected_extents / expected_size
+    if np.abs(shape - expected_shape).max() < _ALIKE:
+        if abs(size / expected_size - 1) > _ALIKE:
+            return (
+                f"it is {size / expected_size:.4g} times as large as the texture's model: use the same units"
+            )
+        offset = bounds.mean(axis=0) - expected.mean(axis=0)
+        if np.abs(offset).max() > _ALIKE * size:
+            listing = ", ".join(f"{step:.4g}" for step in offset.tolist())
+            return f"it lies at ({listing}) from the texture's model: move it back"
+    elif np.abs(np.sort(shape) - np.sort(expected_shape)).max() < _ALIKE:
         return "its axes are not those of the texture's model: turn it"
     return "is it of another model?"

@@ -59,14 +59,12 @@ class Motion(NamedTuple):
 
         Times before the first frame or after the last use that frame.
         """
-        chosen = self.animations[animation]
-        last = len(chosen.bones) - 1
-        frame = min(max(time / chosen.length, 0.0), 1.0) * last if chosen.length > 0 else 0.0
+        _, length, bones, weights = self.animations[animation]
+        last = len(bones) - 1
+        frame = min(max(time / length, 0.0), 1.0) * last if length > 0 else 0.0
         before = min(int(frame), max(last - 1, 0))
         after, share = min(before + 1, last), frame - before
-        bones, weights = (
-            (1.0 - share) * each[before] + share * each[after] for each in (chosen.bones, chosen.weights)
-        )
+        bones, weights = ((1.0 - share) * of[before] + share * of[after] for of in (bones, weights))
         shape = self.positions.copy()
         np.add.at(shape, self.targets.owners, weights[self.targets.numbers, None] * self.targets.shares)
         moves = np.zeros((len(shape), 3, 4))

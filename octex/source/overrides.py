@@ -48,10 +48,10 @@ class FunctionSource(SpatialSource):
     def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:  # noqa: ARG002
         """Return values (n, components) at rest positions (n, 3)."""
         [form] = self.channels
-        if len(points) == 0:
+        count = len(points)
+        if count == 0:
             return np.empty((0, form.components), np.float32)
         arguments = (points.copy(), normals.copy()) if self._takes_normals else (points.copy(),)
-        count = len(points)
         shapes = [(count, form.components)] + [(count,)] * (form.components == 1)
         values = answer(
             self._function, arguments, shapes, self._what, points.__getitem__,

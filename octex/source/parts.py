@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from octex.source.mesh import Mesh
 
-Why = Literal["open", "not manifold", "without volume"]
+Reason = Literal["open", "not manifold", "without volume"]
 
 #: The key of the moved parts in provenance.
 SEPARATION = "separation"
@@ -52,7 +52,7 @@ class Unchecked(NamedTuple):
 
     part: int
     triangles: int
-    why: Why
+    why: Reason
 
 
 class Overlaps(NamedTuple):
@@ -95,23 +95,23 @@ def overlapping_parts(rest: Float64s, triangles: Int32s, margin: float = 0.0) ->
     order = np.argsort(parts, kind="stable")
     members = np.split(order, np.flatnonzero(np.diff(parts[order])) + 1)
     solids = [_solid(rest, triangles[part], welded) for part in members]
-    surfaces: dict[int, MeshBoxes] = {}
+    boxes: dict[int, MeshBoxes] = {}
     pairs = []
     low, high = boxes_of(rest, triangles, parts)
     for first, second in _near_boxes(low, high, margin):
         for a, b in zip(first.tolist(), second.tolist(), strict=True):
             for part in (a, b):
-                if part not in surfaces:
-                    surfaces[part] = mesh_of(rest[triangles[members[part]]])
-            distance = gap(surfaces[a], surfaces[b], margin)
-            within = (low[a] >= low[b]).all() and (high[a] <= high[b]).all()
-            around = (low[a] <= low[b]).all() and (high[a] >= high[b]).all()
+                if part not in boxes:
+                    boxes[part] = mesh_of(rest[triangles[members[part]]])
+            distance = gap(boxes[a], boxes[b], margin)
+            is_inside = (low[a] >= low[b]).all() and (high[a] <= high[b]).all()
+            is_outside = (low[a] <= low[b]).all() and (high[a] >= high[b]).all()
             # Apart and not one in the other: the intersection is empty without a boolean.
-            is_clear = distance > 0.0 and not within and not around
-            one, other, volume = solids[a], solids[b], None
-            if not (isinstance(one, str) or isinstance(other, str)):
-                shared = 0.0 if is_clear else (one ^ other).volume()
-                volume = shared if shared > _SHARED * min(one.volume(), other.volume()) else 0.0
+            is_clear = distance > 0.0 and not is_inside and not is_outside
+            solid_a, solid_b, volume = solids[a], solids[b], None
+            if not (isinstance(solid_a, str) or isinstance(solid_b, str)):
+                shared = 0.0 if is_clear else (solid_a ^ solid_b).volume()
+                volume = shared if shared > _SHARED * min(solid_a.volume(), solid_b.volume()) else 0.0
             if volume or distance < margin or (distance == 0.0 and volume is None):
                 pairs.append(Overlap(min(a, b), max(a, b), volume, distance))
     unchecked = [
@@ -184,7 +184,7 @@ def join(parents: Int64s, a: Int64s, b: Int64s) -> None:
         parents[i] = parents[parents[i]]
 
 
-def _solid(rest: Float64s, triangles: Int32s, welded: Int64s) -> Manifold | Why:
+def _solid(rest: Float64s, triangles: Int32s, welded: Int64s) -> Manifold | Reason:
     """Return the solid that triangles enclose, with outward normals, or a reason why they enclose none."""
     from manifold3d import Error, Manifold, Mesh64
 
@@ -224,7 +224,7 @@ def _near_boxes(low: Float64s, high: Float64s, margin: float) -> Iterator[tuple[
         first = last
 
 
-def separation_of(mesh: Mesh, margin: float, overlaps: Overlaps | None = None) -> str | None:
+def separation_of(mesh: Mesh, margin: float, overlaps: Overlaps | None) -> str | None:
     """Return the entry of provenance that moves parts nearer than ``margin`` apart; None without any."""
     margin = as_positive(margin, "margin")
     overlaps = mesh.overlapping_parts(margin) if overlaps is None else overlaps
@@ -238,8 +238,8 @@ def separation_of(mesh: Mesh, margin: float, overlaps: Overlaps | None = None) -
     if not pairs:
         return None
     offsets = _offsets(*boxes_of(mesh.rest, mesh.triangles, overlaps.parts), pairs, margin)
-    moved = {int(part): offsets[part].tolist() for part in np.flatnonzero(offsets.any(axis=1))}
-    return json.dumps({"parts": overlaps.n_parts, "digest": _digest(overlaps.parts), "moved": moved})
+    moves = {int(part): offsets[part].tolist() for part in np.flatnonzero(offsets.any(axis=1))}
+    return json.dumps({"parts": overlaps.n_parts, "digest": _digest(overlaps.parts), "moved": moves})
 
 
 def separated_rest(mesh: Mesh, separation: str) -> Float64s:
@@ -248,9 +248,9 @@ def separated_rest(mesh: Mesh, separation: str) -> Float64s:
     try:
         content: dict[str, Any] = json.loads(separation)
         count, digest = int(content["parts"]), str(content["digest"])
-        moved = {int(part): [float(step) for step in offset] for part, offset in content["moved"].items()}
-        is_sound = all(0 <= part < count and len(offset) == 3 for part, offset in moved.items())
-        if not is_sound or not np.isfinite(list(moved.values())).all():
+        moves = {int(part): [float(step) for step in offset] for part, offset in content["moved"].items()}
+        is_sound = all(0 <= part < count and len(offset) == 3 for part, offset in moves.items())
+        if not is_sound or not np.isfinite(list(moves.values())).all():
             raise ValueError
     except (ValueError, TypeError, KeyError, AttributeError):
         raise ArgumentError(
@@ -262,12 +262,12 @@ def separated_rest(mesh: Mesh, separation: str) -> Float64s:
             f"{mesh.name}: the texture belongs to another model, or to other rest positions"
         )
     offsets = np.zeros((count, 3))
-    offsets[list(moved)] = list(moved.values())
+    offsets[list(moves)] = list(moves.values())
     rest = mesh.rest.copy()
-    owners = np.full(len(rest), -1, np.int64)
-    owners[mesh.triangles] = parts[:, None]
-    used = owners >= 0
-    rest[used] += offsets[owners[used]]
+    part_of = np.full(len(rest), -1, np.int64)
+    part_of[mesh.triangles] = parts[:, None]
+    is_used = part_of >= 0
+    rest[is_used] += offsets[part_of[is_used]]
     return rest
 
 
@@ -276,7 +276,7 @@ def _digest(parts: Int32s) -> str:
 
 
 def _offsets(low: Float64s, high: Float64s, pairs: Iterable[tuple[int, int]], margin: float) -> Float64s:
-    """Return an offset for each part (parts, 3), which moves parts that are too near next to the model."""
+    """Return offsets (parts, 3) that move parts of too near ``pairs`` next to the model."""
     # Classes of parts that are not near each other, the largest first. Class 0 does not move.
     sizes = np.ptp([low, high], axis=0).max(axis=1)
     neighbours: dict[int, set[int]] = {}
@@ -284,10 +284,10 @@ def _offsets(low: Float64s, high: Float64s, pairs: Iterable[tuple[int, int]], ma
         neighbours.setdefault(a, set()).add(b)
         neighbours.setdefault(b, set()).add(a)
     classes = np.zeros(len(low), np.int64)
-    done: dict[int, int] = {}
+    class_of: dict[int, int] = {}
     for part in sorted(neighbours, key=lambda part: (-sizes[part], part)):
-        taken = {done[other] for other in neighbours[part] if other in done}
-        classes[part] = done[part] = next(k for k in range(len(taken) + 1) if k not in taken)
+        taken = {class_of[other] for other in neighbours[part] if other in class_of}
+        classes[part] = class_of[part] = next(k for k in range(len(taken) + 1) if k not in taken)
     groups = [np.flatnonzero(classes == k) for k in range(classes.max() + 1)]
     base = low[groups[0]].min(axis=0), high[groups[0]].max(axis=0)
     layouts = [_packed(low, high, base, groups[1:], margin)]
@@ -319,12 +319,12 @@ def _packed(
         side = sides[number]
         lows, highs = (np.array(corners) for corners in zip(*placed, strict=True))
         whole = np.maximum(points + side, highs.max(axis=0)) - lows.min(axis=0)
-        for chosen in np.lexsort((whole.sum(axis=1), whole.max(axis=1))):
-            point = points[chosen]
-            apart = np.maximum(lows - (point + side), point - highs).max(axis=1)
-            if (apart >= margin * (1.0 - 1e-9)).all():
+        for candidate in np.lexsort((whole.sum(axis=1), whole.max(axis=1))):
+            point = points[candidate]
+            gaps = np.maximum(lows - (point + side), point - highs).max(axis=1)
+            if (gaps >= margin * (1.0 - 1e-9)).all():
                 break
         offsets[groups[number]] = point - boxes[number][0]
         placed.append((point, point + side))
-        points = np.concatenate([np.delete(points, chosen, axis=0), point + np.diag(side) + margins])
+        points = np.concatenate([np.delete(points, candidate, axis=0), point + np.diag(side) + margins])
     return offsets

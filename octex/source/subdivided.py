@@ -10,7 +10,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s
 from octex.checks import as_choice, as_whole
 from octex.errors import ArgumentError, ModelError
-from octex.source.base import OfAnother, Source
+from octex.source.base import Forwarded, Source
 from octex.source.corners import Corners, Creases, Polygons, area_vectors
 from octex.source.mesh import Mesh, as_creases
 from octex.source.subdivision import SCHEMES, Level, Scheme, base_level, divided, limits
@@ -77,7 +77,7 @@ def subdivide(
     parents, shares, positions = cage.located(level.faces[faces], level.domain[corners])
     hull = np.empty((len(values), 3))
     hull[triangles] = positions
-    resting = values[:, 3:] if is_posed and rest == "limit" else values[:, :3]
+    at_rest = values[:, 3:] if is_posed and rest == "limit" else values[:, :3]
     polygons = None
     if scheme == "catmull-clark":
         polygons = Polygons(faces.astype(np.int32), (corners % 4).astype(np.int32))
@@ -86,15 +86,15 @@ def subdivide(
         at_corners = np.einsum("mkc,mcx->mkx", shares, mesh.uv.values[mesh.uv.rows[parents]])
         rows = np.arange(triangles.size, dtype=np.int32).reshape(-1, 3)
         uv = Corners(at_corners.reshape(-1, 2).astype(np.float32), rows)
-    made = Mesh(
-        values[:, :3], triangles, rest=hull if rest == "hull" else resting if is_posed else None, uv=uv,
+    subdivided = Mesh(
+        values[:, :3], triangles, rest=hull if rest == "hull" else at_rest if is_posed else None, uv=uv,
         polygons=polygons, name=mesh.name,
     )  # fmt: skip
     if not isinstance(mesh, Surface):
-        return made
-    source = OnCage(mesh.source, parents, shares, hull, made.rest, made.triangles)
+        return subdivided
+    source = OnCage(mesh.source, parents, shares, hull, subdivided.rest, subdivided.triangles)
     record = json.dumps({"scheme": scheme, "levels": levels, "rest": rest})
-    return Surface._on(made, source, {**mesh.provenance, "subdivided": record})
+    return Surface._on(subdivided, source, {**mesh.provenance, "subdivided": record})
 
 
 def _triangles(level: Level, scheme: Scheme, cage: _Cage) -> tuple[Int64s, Int64s]:
@@ -111,7 +111,7 @@ def _triangles(level: Level, scheme: Scheme, cage: _Cage) -> tuple[Int64s, Int64
     return np.repeat(np.arange(len(corners)), 2), np.repeat(corners[:, 0], 2)[:, None] + within
 
 
-class OnCage(OfAnother):
+class OnCage(Forwarded):
     """The source of a cage, for a mesh whose triangles lie on the cage's.
 
     ``parents`` (m,) are the cage's triangles under the mesh's, ``shares`` (m, 3, 3) the corners' barycentric
@@ -129,8 +129,8 @@ class OnCage(OfAnother):
         self._stretch: Float32s = np.ones(len(triangles), np.float32)
         if rest is not hull:
             on_cage, at_rest = _sizes(hull, triangles), _sizes(rest, triangles)
-            known = (on_cage > 0) & (at_rest > 0)
-            self._stretch[known] = on_cage[known] / at_rest[known]
+            has_area = (on_cage > 0) & (at_rest > 0)
+            self._stretch[has_area] = on_cage[has_area] / at_rest[has_area]
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return values (n, components) at points of triangles, averaged over widths in rest units."""
@@ -143,11 +143,12 @@ class OnCage(OfAnother):
 
     def with_rest(self, rest: Float64s) -> OnCage:
         """Return the same source with widths measured on other rest positions (n, 3)."""
-        parents = self._others.astype(np.int64)
+        parents = self._targets.astype(np.int64)
         return OnCage(self._inputs[0], parents, self._shares, self._hull, rest, self._triangles)
 
 
 def _sizes(positions: Float64s, triangles: Int32s) -> Float64s:
+    """Return the roots of the doubled areas of triangles (m,)."""
     return np.asarray(np.sqrt(np.linalg.norm(area_vectors(positions[triangles]), axis=1)))
 
 
@@ -156,17 +157,18 @@ class _Cage:
 
     def __init__(self, mesh: Mesh) -> None:
         polygons = mesh.polygons or Polygons.of_triangles(len(mesh.triangles))
-        known, self.sizes, first, self._at = polygons.loops()  # a corner of a polygon for each of a triangle
+        # The corner of a polygon for each corner of a triangle.
+        numbers, self.sizes, first, self._at = polygons.loops()
         used = mesh.triangles.ravel()
         self._positions = welded(np.concatenate([mesh.vertices, mesh.rest], axis=1))
-        names, at_positions = np.unique(self._positions[used], return_index=True)
-        self._vertices = used[at_positions]  # one of the mesh's vertices at each position
-        self._names = np.full(int(self._positions.max()) + 1, -1, np.int64)
-        self._names[names] = np.arange(len(names))
-        self.corners: Int64s = self._names[self._positions[used[first]]]
+        positions, first_uses = np.unique(self._positions[used], return_index=True)
+        self._vertices = used[first_uses]  # one of the mesh's vertices at each position
+        self._numbers = np.full(int(self._positions.max()) + 1, -1, np.int64)
+        self._numbers[positions] = np.arange(len(positions))
+        self.corners: Int64s = self._numbers[self._positions[used[first]]]
         self._rest = mesh.rest[mesh.triangles]
         self._domain = _domain(self.sizes)
-        owners = np.searchsorted(known, polygons.numbers)
+        owners = np.searchsorted(numbers, polygons.numbers)
         self._order = np.argsort(owners, kind="stable")
         self._counts = np.bincount(owners, minlength=len(self.sizes))
         self._starts = np.cumsum(self._counts) - self._counts
@@ -181,8 +183,8 @@ class _Cage:
         edges, points = np.empty((0, 2), np.int64), np.empty(0, np.int64)
         sharpness = spikes = np.empty(0)
         if creases is not None:
-            edges = self._names[self._positions[creases.edges]]
-            points = self._names[self._positions[creases.vertices]]
+            edges = self._numbers[self._positions[creases.edges]]
+            points = self._numbers[self._positions[creases.vertices]]
             has_edge, has_point = (edges >= 0).all(axis=1), points >= 0
             edges, points = edges[has_edge], points[has_point]
             sharpness = creases.sharpness[has_edge].astype(np.float64)
@@ -195,36 +197,36 @@ class _Cage:
 
         Returns the cage's triangles (m,), barycentric coordinates in them, and rest positions (m, 3, 3).
         """
-        parents = self._holding(faces, points.mean(axis=1))
+        parents = self._holders(faces, points.mean(axis=1))
         shares = self._shares(parents[:, None], points)
         positions = np.einsum("mkc,mcx->mkx", shares, self._rest[parents])
         # In polygons of more than four corners a triangle may lie on several: locate its corners one by one.
         across = np.flatnonzero((self.sizes[faces] > 4) & (shares.min(axis=(1, 2)) < -1e-9))
         if len(across):
-            owners = np.repeat(faces[across], 3)
-            flat = points[across].reshape(-1, 2)
-            chosen = self._holding(owners, flat)
-            each = np.einsum("nc,ncx->nx", self._shares(chosen, flat), self._rest[chosen]).reshape(-1, 3, 3)
-            positions[across] = each
+            corners = points[across].reshape(-1, 2)
+            holders = self._holders(np.repeat(faces[across], 3), corners)
+            located = np.einsum("nc,ncx->nx", self._shares(holders, corners), self._rest[holders])
+            located = located.reshape(-1, 3, 3)
+            positions[across] = located
             # Barycentric coordinates in the planes of the triangles, where these have area.
             triangles = self._rest[parents[across]]
             sides = triangles[:, 1:] - triangles[:, :1]
-            along = np.einsum("nkx,nxs->nks", each - triangles[:, :1], np.linalg.pinv(sides))
+            along = np.einsum("nkx,nxs->nks", located - triangles[:, :1], np.linalg.pinv(sides))
             wide = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1) > 0
             shares[across[wide], :, 0], shares[across[wide], :, 1:] = 1 - along[wide].sum(axis=2), along[wide]
         return parents, shares, positions
 
-    def _holding(self, faces: Int64s, points: Float64s) -> Int64s:
+    def _holders(self, faces: Int64s, points: Float64s) -> Int64s:
         """Return the triangle, of the point's face, that holds each point (n, 2)."""
         parents: Int64s = self._order[self._starts[faces]]
         counts = self._counts[faces]
         best = np.full(len(faces), -np.inf)
         for k in range(int(counts.max()) if counts.max() > 1 else 0):
-            chosen = np.flatnonzero(counts > k)
-            triangles = self._order[self._starts[faces[chosen]] + k]
-            inside = self._shares(triangles, points[chosen]).min(axis=1)
-            better = inside > best[chosen]
-            best[chosen[better]], parents[chosen[better]] = inside[better], triangles[better]
+            rows = np.flatnonzero(counts > k)
+            triangles = self._order[self._starts[faces[rows]] + k]
+            inside = self._shares(triangles, points[rows]).min(axis=1)
+            better = inside > best[rows]
+            best[rows[better]], parents[rows[better]] = inside[better], triangles[better]
         return parents
 
     def _shares(self, triangles: Int64s, points: Float64s) -> Float64s:

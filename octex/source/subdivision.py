@@ -71,15 +71,15 @@ def base_level(
     sharpness = np.zeros(len(keys))
     sharp_keys = _keys(creases[0][:, 0], creases[0][:, 1], count)
     edges = np.minimum(np.searchsorted(keys, sharp_keys), len(keys) - 1)
-    known = keys[edges] == sharp_keys
-    np.maximum.at(sharpness, edges[known], creases[1][known])
+    is_edge = keys[edges] == sharp_keys
+    np.maximum.at(sharpness, edges[is_edge], creases[1][is_edge])
     sharpness[uses != 2] = INFINITE
     np.maximum.at(level.spikes, spikes[0], spikes[1])
-    made = level._replace(
+    level = level._replace(
         sides=sides.reshape(-1), edges=np.stack([keys // count, keys % count], axis=1), sharpness=sharpness
     )
-    made.spikes[_is_apart(made, uses)] = INFINITE
-    return made
+    level.spikes[_is_apart(level, uses)] = INFINITE
+    return level
 
 
 def _keys(a: Int64s, b: Int64s, count: int) -> Int64s:
@@ -103,16 +103,16 @@ def _fans(level: Level, uses: Int64s) -> Int64s:
     count = len(level.values)
     sides = np.concatenate([level.sides, level.sides[level.preceding]])
     joining = np.flatnonzero(uses[sides] == 2)
-    every = np.tile(np.arange(len(level.corners)), 2)[joining]
-    order = np.argsort(sides[joining] * count + level.corners[every], kind="stable")
-    pairs = every[order].reshape(-1, 2)
+    corners = np.tile(np.arange(len(level.corners)), 2)[joining]
+    order = np.argsort(sides[joining] * count + level.corners[corners], kind="stable")
+    pairs = corners[order].reshape(-1, 2)
     parents = np.arange(len(level.corners))
     join(parents, pairs[:, 0].copy(), pairs[:, 1].copy())
     return np.bincount(level.corners[parents == np.arange(len(parents))], minlength=count)
 
 
 def divided(level: Level, scheme: Scheme) -> Level:
-    """Return the next level: its vertices are the moved ones of this level, then one an edge, one a face."""
+    """Return the next level: its vertices are this level's, moved, then one an edge, one a face."""
     count, n_edges = len(level.values), len(level.edges)
     before, owners = level.preceding, level.owners
     values, corners, sides = level.values, level.corners, level.sides
@@ -124,16 +124,16 @@ def divided(level: Level, scheme: Scheme) -> Level:
         smooth = 0.375 * middles + 0.125 * added
         centres = np.empty((0, values.shape[1]))
         beta = _beta(valences)
-        moved = (1 - valences * beta) * values + beta * _ring_sums(level)
+        vertex_values = (1 - valences * beta) * values + beta * _ring_sums(level)
     else:
         firsts = np.cumsum(level.sizes) - level.sizes
         centres = np.add.reduceat(values[corners], firsts, axis=0) / level.sizes[:, None]
         smooth = (middles + _sums(sides, centres, n_edges, owners)) / 4
         faces = _sums(corners, centres, count, owners)
-        moved = ((valences - 2) * values + (_ring_sums(level) + faces) / valences) / valences
-    made = weights * (middles / 2) + (1 - weights) * smooth
+        vertex_values = ((valences - 2) * values + (_ring_sums(level) + faces) / valences) / valences
+    edge_values = weights * (middles / 2) + (1 - weights) * smooth
     softer = _softer(level.sharpness)
-    moved = _sharpened(level, moved)
+    vertex_values = _sharpened(level, vertex_values)
 
     # Edges: both halves of each, then one a corner, between the new points.
     halves = 2 * sides + (level.edges[sides, 1] == corners)
@@ -163,13 +163,13 @@ def divided(level: Level, scheme: Scheme) -> Level:
         first_faces = level.faces[owners]
         second = np.stack([after, centre_points], axis=1)
     return Level(
-        np.concatenate([moved, made, centres]),
+        np.concatenate([vertex_values, edge_values, centres]),
         child_corners.ravel(),
         np.full(len(child_corners), child_corners.shape[1]),
         child_sides.ravel(),
         np.concatenate([first, second]),
         np.concatenate([np.repeat(softer, 2), np.zeros(len(second))]),
-        np.concatenate([_softer(level.spikes), np.zeros(len(made) + len(centres))]),
+        np.concatenate([_softer(level.spikes), np.zeros(len(edge_values) + len(centres))]),
         child_domain.reshape(-1, 2),
         first_faces,
     )
@@ -193,22 +193,22 @@ def limits(level: Level, scheme: Scheme, first: int | None = None, rounds: int =
     passing = (level.sharpness > 0) & (level.sharpness < INFINITE)
     lone[level.edges[passing]] = True
     lone |= (level.spikes > 0) & (level.spikes < INFINITE)
-    chosen = np.flatnonzero((lone & (level.spikes < INFINITE))[:first])
-    if rounds and len(chosen):
-        following = divided(_around(level, chosen), scheme)
-        limited[chosen] = limits(following, scheme, len(chosen), rounds - 1)
+    unfinished = np.flatnonzero((lone & (level.spikes < INFINITE))[:first])
+    if rounds and len(unfinished):
+        following = divided(_around(level, unfinished), scheme)
+        limited[unfinished] = limits(following, scheme, len(unfinished), rounds - 1)
     return limited
 
 
-def _around(level: Level, chosen: Int64s) -> Level:
-    """Return the faces around chosen vertices (k,), which become the first k."""
+def _around(level: Level, centres: Int64s) -> Level:
+    """Return the faces around the vertices ``centres`` (k,), which become the first k."""
     size = int(level.sizes[0])
     is_chosen, is_near = np.zeros((2, len(level.values)), np.bool_)
-    is_chosen[chosen] = True
+    is_chosen[centres] = True
     faces = np.flatnonzero(is_chosen[level.corners].reshape(-1, size).any(axis=1))
     rows = (size * faces[:, None] + np.arange(size)).ravel()
     is_near[level.corners[rows]] = True
-    vertices = np.concatenate([chosen, np.flatnonzero(is_near & ~is_chosen)])
+    vertices = np.concatenate([centres, np.flatnonzero(is_near & ~is_chosen)])
     numbers = np.empty(len(level.values), np.int64)
     numbers[vertices] = np.arange(len(vertices))
     is_side = np.bincount(level.sides[rows], minlength=len(level.edges)) > 0
@@ -219,11 +219,11 @@ def _around(level: Level, chosen: Int64s) -> Level:
     )  # fmt: skip
 
 
-def _sums(owners: Int64s, values: Float64s, count: int, rows: Int64s | None = None) -> Float64s:
-    """Return the sums (count, k) of values (n, k), or of their ``rows`` (m,), by owner."""
+def _sums(owners: Int64s, values: Float64s, count: int, rows: Int64s) -> Float64s:
+    """Return the sums (count, k) of ``rows`` (m,) of values (n, k), by owner."""
     sums = np.empty((count, values.shape[1]))
-    for column, each in enumerate(np.ascontiguousarray(values.T)):
-        sums[:, column] = np.bincount(owners, each if rows is None else each[rows], count)
+    for k, column in enumerate(np.ascontiguousarray(values.T)):
+        sums[:, k] = np.bincount(owners, column[rows], count)
     return sums
 
 
@@ -264,17 +264,17 @@ def _sharpened(level: Level, smooth: Float64s) -> Float64s:
     if not (sharpness > 0).any() and not (spikes > 0).any():
         return smooth
     softer, blunter = _softer(sharpness), _softer(spikes)
-    (kinds, sums), (later, later_sums) = _kinds(level, sharpness, spikes), _kinds(level, softer, blunter)
-    chosen = np.flatnonzero((kinds != _SMOOTH) | (later != _SMOOTH))
-    now, then = (
-        _by_kind(kind[chosen], values[chosen], 0.75 * values[chosen] + 0.125 * ends[chosen], smooth[chosen])
-        for kind, ends in ((kinds, sums), (later, later_sums))
+    (kinds, sums), (next_kinds, next_sums) = _kinds(level, sharpness, spikes), _kinds(level, softer, blunter)
+    rows = np.flatnonzero((kinds != _SMOOTH) | (next_kinds != _SMOOTH))
+    by_rule, by_next = (
+        _by_kind(kind[rows], values[rows], 0.75 * values[rows] + 0.125 * ends[rows], smooth[rows])
+        for kind, ends in ((kinds, sums), (next_kinds, next_sums))
     )
     ending, blunt = (sharpness > 0) & (softer <= 0), (spikes > 0) & (blunter <= 0)
     at = level.edges[ending].ravel()
-    left = np.bincount(at, np.repeat(sharpness[ending], 2), len(spikes)) + np.where(blunt, spikes, 0.0)
+    remaining = np.bincount(at, np.repeat(sharpness[ending], 2), len(spikes)) + np.where(blunt, spikes, 0.0)
     counts = np.bincount(at, minlength=len(spikes)) + blunt
-    share = np.minimum(left / np.maximum(counts, 1), 1.0)[chosen, None]
-    is_other = (kinds != later)[chosen, None]
-    smooth[chosen] = np.where(is_other, share * now + (1 - share) * then, now)
+    share = np.minimum(remaining / np.maximum(counts, 1), 1.0)[rows, None]
+    is_changing = (kinds != next_kinds)[rows, None]
+    smooth[rows] = np.where(is_changing, share * by_rule + (1 - share) * by_next, by_rule)
     return smooth

@@ -14,7 +14,7 @@ from octex.arrays import Float32s, Float64s, Floats, Int32s
 from octex.channels import ALPHA, ChannelFormat
 from octex.checks import as_choice, as_entries, as_items, as_names, as_number, as_reals, as_text
 from octex.errors import ArgumentError
-from octex.source.base import Combined, Joined, Picked, Source, by_channel
+from octex.source.base import Combined, Joined, PartSource, Source, by_channel
 from octex.source.colors import linear_colors
 from octex.source.corners import Corners, Creases, Frames, Polygons, frames_of, unit
 from octex.source.images.decode import as_texels, is_translucent
@@ -66,10 +66,10 @@ class Surface(Mesh):
         self._single: dict[str, Source] = {}
 
     @classmethod
-    def _on(cls, mesh: Mesh, source: Source, provenance: Mapping[str, str] | None = None) -> Surface:
-        made = cls.__new__(cls)  # the mesh has checked its arrays
-        vars(made).update(vars(mesh), source=source, provenance=dict(provenance or {}), _single={})
-        return made
+    def _on(cls, mesh: Mesh, source: Source, provenance: Mapping[str, str]) -> Surface:
+        surface = cls.__new__(cls)  # the mesh has checked its arrays
+        vars(surface).update(vars(mesh), source=source, provenance=dict(provenance), _single={})
+        return surface
 
     @classmethod
     def from_arrays(
@@ -109,7 +109,7 @@ class Surface(Mesh):
         that cannot be used.
         """
         positions = as_positions(vertices, f"{name}: vertices")
-        placed = positions if rest is None else as_positions(rest, f"{name}: rest positions")
+        at_rest = positions if rest is None else as_positions(rest, f"{name}: rest positions")
         as_text(name, "name")
         faces = as_triangles(triangles, len(positions), name)
         if colors is not None and face_colors is not None:
@@ -131,8 +131,8 @@ class Surface(Mesh):
             nearest = as_choice(mag_filter, ("linear", "nearest"), "mag_filter") == "nearest"
             texture = Texture(as_texels(image), *wraps, nearest)
         if uv is not None:
-            bound = as_reals(uv, "uv", (len(positions), 2), (len(faces), 3, 2))
-            coordinates = Corners(flip_v(bound.reshape(-1, 2)), _rows_of(bound, faces))
+            listed = as_reals(uv, "uv", (len(positions), 2), (len(faces), 3, 2))
+            coordinates = Corners(flip_v(listed.reshape(-1, 2)), _rows_of(listed, faces))
         frames = None
         if normals is not None:
             shading = as_reals(normals, "normals", (len(positions), 3), (len(faces), 3, 3))
@@ -148,10 +148,10 @@ class Surface(Mesh):
         inputs = {"base_color": Input(full[:3], texture), "alpha": Input(full[3:], texture, (3,))}
         material = Material(inputs, alpha, cutoff)
         source = MaterialSource(
-            [material], np.zeros(len(faces), np.int32), placed, faces, colors=corners,
+            [material], np.zeros(len(faces), np.int32), at_rest, faces, colors=corners,
             coordinates=[] if coordinates is None else [coordinates], name=name, filter=filter,
         )  # fmt: skip
-        return cls(positions, faces, source, rest=placed, uv=coordinates, frames=frames, name=name)
+        return cls(positions, faces, source, rest=at_rest, uv=coordinates, frames=frames, name=name)
 
     @classmethod
     def joined(cls, surfaces: Sequence[Surface]) -> Surface:
@@ -209,7 +209,7 @@ class Surface(Mesh):
         return surface if sources is None else surface.with_sources(sources)
 
     def __repr__(self) -> str:
-        names = ", ".join(channel.name for channel in self.channels)
+        names = ", ".join(self.source.channel_names)
         return f"<Surface {self.name!r} of {len(self.triangles):,} triangles with {names}>"
 
     @property
@@ -239,7 +239,7 @@ class Surface(Mesh):
 
         Raises ArgumentError for a channel that it lacks, and for an empty list.
         """
-        channels = as_names(channels, "channels", [form.name for form in self.channels])
+        channels = as_names(channels, "channels", self.source.channel_names)
         if not channels:
             raise ArgumentError("channels must name at least one channel")
         return self._with(self.source.only(channels))
@@ -275,19 +275,19 @@ class Surface(Mesh):
             filter = self.provenance.get("filter", "ewa")
         as_choice(filter, FILTERS, "filter")
         replaced = {*sources, *(["alpha"] if self.source.alpha_is_coverage else [])}
-        remaining = [form.name for form in self.channels if form.name not in replaced]
-        parts: dict[str, Source] = dict.fromkeys(remaining, self.source.only(remaining))
-        made = self._with(self.source)
+        remaining = [name for name in self.source.channel_names if name not in replaced]
+        by_name: dict[str, Source] = dict.fromkeys(remaining, self.source.only(remaining))
+        surface = self._with(self.source)
         for channel, value in sources.items():
             if isinstance(value, Source):
-                as_choice(channel, [form.name for form in value.channels], "channel of the given source")
-                parts[channel] = value
-                made.provenance[f"source_{channel}"] = type(value).__name__
+                as_choice(channel, value.channel_names, "channel of the given source")
+                by_name[channel] = value
+                surface.provenance[f"source_{channel}"] = type(value).__name__
             else:
-                parts[channel], names = override_source(self, channel, value, filter)
-                made.provenance |= names
-        made.source = Combined(parts).only(list(parts))
-        return made
+                by_name[channel], entries = override_source(self, channel, value, filter)
+                surface.provenance |= entries
+        surface.source = Combined(by_name).only(list(by_name))
+        return surface
 
     def completed(
         self, sources: Mapping[str, object], channels: Sequence[str] | None, filter: str | None = None
@@ -298,8 +298,8 @@ class Surface(Mesh):
         """
         names = None if channels is None else as_names(channels, "channels")
         sources = as_entries(sources, "sources")
-        wanted = {name: each for name, each in sources.items() if names is None or name in names}
-        surface = self.with_sources(wanted, filter) if wanted else self
+        used = {name: value for name, value in sources.items() if names is None or name in names}
+        surface = self.with_sources(used, filter) if used else self
         return surface if names is None else surface.with_channels(names)
 
     def _with(self, source: Source, mesh: Mesh | None = None) -> Surface:
@@ -310,8 +310,8 @@ class Surface(Mesh):
 
         Raises ArgumentError for unknown triangles, ModelError for an empty list.
         """
-        mesh, chosen, vertices = self.picked(triangles)
-        return self._with(Picked(self.source, chosen, vertices, self.rest), mesh)
+        mesh, numbers, vertices = self.picked(triangles)
+        return self._with(PartSource(self.source, numbers, vertices, self.rest), mesh)
 
     def separated(self, margin: float, overlaps: Overlaps | None = None) -> Surface:
         """Return the same surface, with parts that are nearer than ``margin`` at rest moved apart.
@@ -368,9 +368,10 @@ class Surface(Mesh):
         """Return the surface with its parts moved by an entry of provenance; values do not change."""
         if separation is None:
             return self
-        made = self._with(self.source, self.moved(separated_rest(self, separation)))
-        made.provenance[SEPARATION] = separation
-        return made
+        mesh = self.with_positions(self.vertices, separated_rest(self, separation))
+        surface = self._with(self.source, mesh)
+        surface.provenance[SEPARATION] = separation
+        return surface
 
     def evaluate(
         self, samples: SurfaceSamples, channel: str = "base_color", width: float | None = None
@@ -381,7 +382,7 @@ class Surface(Mesh):
         Colours are not multiplied by alpha; averaged directions are shorter than 1. Raises ArgumentError for
         a channel that is not there or samples of another surface.
         """
-        as_choice(channel, [form.name for form in self.channels], "channel")
+        as_choice(channel, self.source.channel_names, "channel")
         if not isinstance(samples, SurfaceSamples):
             raise ArgumentError(f"samples must be the result of scatter, not {samples!r}")
         triangles = np.asarray(samples.triangles)

@@ -47,7 +47,7 @@ class Transfer(Placeable):
     @property
     def sources(self) -> dict[str, Transfer]:
         """The transfer for every channel of the other model, as ``Surface.with_sources`` takes it."""
-        return {form.name: self for form in self._surface.channels}
+        return dict.fromkeys(self._surface.source.channel_names, self)
 
     @cached_property
     def _nearest(self) -> Triangles:
@@ -59,11 +59,11 @@ class Transfer(Placeable):
         Raises ArgumentError for a channel that the other model lacks, ModelError if it has no area.
         """
         as_choice(form.name, self.sources, f"channel of {self._surface.name}:")
-        source = self._shared(mesh, lambda: _Transferred(self, mesh))
+        source = self._shared(mesh, lambda: _TransferSource(self, mesh))
         return source, {f"source_{form.name}": f"nearest surface of {self._surface.name}"}
 
 
-class _Transferred(SpatialSource):
+class _TransferSource(SpatialSource):
     def __init__(self, transfer: Transfer, mesh: Mesh) -> None:
         super().__init__((), mesh.rest, mesh.triangles)
         self._inputs = (transfer._surface.source,)
@@ -85,7 +85,7 @@ class _Transferred(SpatialSource):
 
     @property
     def _adds_alpha(self) -> bool:
-        return self.has_gaps and ALPHA.name not in [form.name for form in self._inputs[0].channels]
+        return self.has_gaps and ALPHA.name not in self._inputs[0].channel_names
 
     def at(self, points: Float64s, normals: Float64s, widths: Float32s) -> Float32s:
         """Return the other's values (n, components) at the points nearest to these."""
@@ -102,8 +102,8 @@ class _Transferred(SpatialSource):
         values[rows, others.shape[1] :] = 1.0
         return values
 
-    def only(self, names: Sequence[str]) -> _Transferred:
+    def only(self, names: Sequence[str]) -> _TransferSource:
         """Return the same source with only these channels, and ``alpha`` if it has gaps."""
         [other] = self._inputs
-        wanted = [form.name for form in other.channels if form.name in names]
-        return self._reading([other.only(wanted) if wanted or other.has_gaps else Combined({})])
+        common = [name for name in other.channel_names if name in names]
+        return self._of_inputs([other.only(common) if common or other.has_gaps else Combined({})])

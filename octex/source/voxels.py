@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -83,8 +83,8 @@ class Voxels:
         deepest = int(self.depths.max())
         self.size = float(1 << deepest) if size is None else as_positive(size, f"{self.name}: size")
         self.values: dict[str, Values] = {}
-        for each, rows in as_entries(channels, "channels").items():
-            self._add(each, rows)
+        for channel, rows in as_entries(channels, "channels").items():
+            self._add(channel, rows)
         if not self.values:
             raise ArgumentError(f"{self.name} has no channel")
 
@@ -141,19 +141,21 @@ class Voxels:
         return np.broadcast_to(array.reshape(-1), count).astype(np.uint8)
 
     def _add(self, name: str, values: npt.ArrayLike) -> None:
-        what, known = f"{self.name}: {name}", CHANNELS.get(name)
+        what, fixed = f"{self.name}: {name}", CHANNELS.get(name)
         rows = as_array(values)
         rows = rows[:, None] if rows.ndim == 1 else rows
-        widths = (3, 4) if known == BASE_COLOR else range(1, 5) if known is None else (known.components,)
+        widths: Sequence[int] = range(1, 5) if fixed is None else [fixed.components]
+        if fixed == BASE_COLOR:
+            widths = (3, 4)
         if rows.ndim != 2 or len(rows) != len(self) or rows.shape[1] not in widths:
             columns = " or ".join(map(str, widths))
             raise ArgumentError(f"{what} must have shape ({len(self)}, {columns}), not {rows.shape}")
         if rows.dtype not in (np.uint8, np.uint16) and rows.dtype.kind != "f":
             raise ArgumentError(f"{what} must be uint8 or uint16 codes, or floats, not {rows.dtype}")
-        if known == BASE_COLOR and rows.shape[1] == 4:
+        if fixed == BASE_COLOR and rows.shape[1] == 4:
             self._add(ALPHA.name, rows[:, 3:])
             rows = rows[:, :3]
-        form = ChannelFormat(name, rows.shape[1], "data") if known is None else known
+        form = ChannelFormat(name, rows.shape[1], "data") if fixed is None else fixed
         if rows.dtype.kind == "u":
             form = form._replace(dtype=rows.dtype.name)
         else:
@@ -164,7 +166,7 @@ class Voxels:
             low = -1.0 if form.space == "direction" else 0.0
             if rows.min() < low or rows.max() > 1.0 + _ROUNDING:  # codes cannot hold it
                 space = "linear" if form.space == "srgb" else form.space
-                is_half = known is not None and np.abs(rows).max() <= MOST_IN_FLOAT16
+                is_half = fixed is not None and np.abs(rows).max() <= MOST_IN_FLOAT16
                 form = form._replace(space=space, dtype="float16" if is_half else "float32")
         self.values[name] = Values(form, locked(np.ascontiguousarray(rows)))
 
@@ -174,20 +176,20 @@ def voxels_of(arrays: Mapping[str, Array], name: str) -> Voxels:
     coords = arrays["coords"]
     size = arrays.get("size")
     channels = {
-        each: rows
-        for each, rows in arrays.items()
-        if each not in {"coords", *_DEPTHS, *_OTHERS}
+        key: rows
+        for key, rows in arrays.items()
+        if key not in {"coords", *_DEPTHS, *_OTHERS}
         and rows.ndim in (1, 2)
         and rows.shape[:1] == coords.shape[:1]
     }
-    color = next((each for each in _COLORS if each in channels and channels[each].ndim == 2), None)
+    color = next((key for key in _COLORS if key in channels and channels[key].ndim == 2), None)
     if color is not None and channels[color].shape[1] in (3, 4):
         channels["base_color"] = channels.pop(color)
     try:
         voxels = Voxels(
             coords,
             channels,
-            depth=next((arrays[each] for each in _DEPTHS if each in arrays), None),
+            depth=next((arrays[key] for key in _DEPTHS if key in arrays), None),
             origin=arrays.get("origin", np.zeros(3)),
             size=None if size is None else size.item() if size.size == 1 else size,  # type: ignore[arg-type]
             name=name,
@@ -206,7 +208,7 @@ def is_voxels(path: Path) -> bool:
         return path.suffix.lower() == ".vxz"
     try:
         with open_file(path) as file, zipfile.ZipFile(file) as archive:
-            return not {f"{each}.npy" for each in _COORDS}.isdisjoint(archive.namelist())
+            return not {f"{key}.npy" for key in _COORDS}.isdisjoint(archive.namelist())
     except (OSError, ValueError, zipfile.BadZipFile, NotImplementedError):
         return False
 
@@ -222,7 +224,7 @@ def voxel_arrays(path: Path) -> dict[str, Array]:
             arrays["coords"] = coords
         else:
             arrays = npz_arrays(path)
-    key = next((each for each in _COORDS if each in arrays), None)
+    key = next((key for key in _COORDS if key in arrays), None)
     if key is None:
         raise ModelError(f"{path.name} has no array 'coords'; save it with np.savez(…, coords=…)")
     coords = arrays["coords"] = arrays.pop(key)

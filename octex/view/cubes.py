@@ -12,7 +12,7 @@ from octex.jit import kernel
 
 
 class CubeBuffers(NamedTuple):
-    """What each pixel sees; row 0 is the top of the image."""
+    """The nearest cube of each pixel; row 0 is the top of the image."""
 
     cube: Int32s  # (height, width)   number of the nearest cube; −1: none
     axis: Int8s  # (height, width)   normal axis of the visible face: 0, 1 or 2
@@ -45,11 +45,9 @@ def rasterize_cubes(
     else:
         origins = to_world @ np.diag([1.0, 1.0, 0.0]) @ unproject
         directions = to_world @ np.diag([0.0, 0.0, 1.0])
-    last, depth = np.empty((0, 0), np.int32), np.empty((0, 0))
-    if behind is not None:
-        last, depth = behind.cube, behind.depth
-    matrix, position = camera.matrix, camera.position
-    _draw(corners, edges, matrix, position, origins, directions, last, depth, *buffers)
+    if behind is None:
+        behind = CubeBuffers._make(array[:0] for array in buffers)
+    _draw(corners, edges, camera.matrix, camera.position, origins, directions, behind, buffers)
     return buffers
 
 
@@ -61,17 +59,14 @@ def _draw(
     position: Float64s,
     origins: Float64s,
     directions: Float64s,
-    before: Int32s,
-    depths_before: Float64s,
-    cubes: Int32s,
-    axes: Int8s,
-    borders: Float32s,
-    depths: Float64s,
+    behind: CubeBuffers,
+    buffers: CubeBuffers,
 ) -> None:
     """Intersect the rays of a cube's bounding rectangle with the cube (slabs: Kay & Kajiya 1986).
 
     The ray of the pixel centre p = (x, y, 1) is position + origins · p + depth · directions · p.
     """
+    cubes, axes, borders, depths = buffers
     height, width = cubes.shape
     start, toward = np.empty(3), np.empty(3)
     for n in range(len(corners)):
@@ -94,8 +89,8 @@ def _draw(
                         enter, across = min(low, high), axis
                     leave = min(leave, max(low, high))
                 if across >= 0 and enter <= leave and enter < depths[row, column]:
-                    if len(before) > 0:
-                        last, further = before[row, column], enter - depths_before[row, column]
+                    if len(behind.cube) > 0:
+                        last, further = behind.cube[row, column], enter - behind.depth[row, column]
                         if last < 0 or further < 0.0 or (further == 0.0 and n <= last):
                             continue
                     depths[row, column] = enter

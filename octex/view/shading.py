@@ -26,40 +26,41 @@ def corner_normals(positions: Float64s, triangles: Int32s, crease: float = 40.0)
     A corner's normal is the angle-weighted mean over the triangles at its position. Only normals within
     ``crease`` degrees of its own triangle's normal count (Thürmer & Wüthrich 1998).
     """
-    return _smoothed(
-        positions, triangles, welded(positions), np.arange(len(triangles), dtype=np.int32), crease
-    )
+    rows = np.arange(len(triangles), dtype=np.int32)
+    return _smoothed(positions, triangles, welded(positions), rows, crease)
 
 
 def corner_normals_of(
-    chosen: Integers, positions: Float64s, triangles: Int32s, crease: float = 40.0
+    numbers: Integers, positions: Float64s, triangles: Int32s, crease: float = 40.0
 ) -> Float32s:
-    """Return `corner_normals` of the ``chosen`` triangles (k,): (k, 3, 3), from their neighbourhood alone."""
-    if not len(chosen):
+    """Return `corner_normals` (k, 3, 3) of the triangles ``numbers`` (k,), from their neighbours alone."""
+    if not len(numbers):
         return np.empty((0, 3, 3), np.float32)
-    is_ascending = bool((chosen[1:] > chosen[:-1]).all())
-    ascending = (chosen if is_ascending else np.unique(chosen)).astype(np.int64)
+    is_ascending = bool((numbers[1:] > numbers[:-1]).all())
+    ascending = (numbers if is_ascending else np.unique(numbers)).astype(np.int64)
     inside = np.flatnonzero(_inside(positions, triangles, ascending))
-    places = np.full(len(positions), -1, np.int32)
-    places[inside] = welded(positions[inside])
-    neighbours, rows = _around(places, triangles, ascending)
-    normals = _smoothed(positions, triangles[neighbours], places, rows, crease)
-    return normals if is_ascending else normals[np.searchsorted(ascending, chosen)]
+    point_of = np.full(len(positions), -1, np.int32)
+    point_of[inside] = welded(positions[inside])
+    neighbours, rows = _around(point_of, triangles, ascending)
+    normals = _smoothed(positions, triangles[neighbours], point_of, rows, crease)
+    return normals if is_ascending else normals[np.searchsorted(ascending, numbers)]
 
 
 def _smoothed(
-    positions: Float64s, triangles: Int32s, places: Int32s, rows: Int32s, crease: float
+    positions: Float64s, triangles: Int32s, point_of: Int32s, rows: Int32s, crease: float
 ) -> Float32s:
-    """Return corner normals of triangles (m,) in the given output ``rows`` (m,); −1: no output."""
+    """Return the corner normals of triangles (m,) in output ``rows`` (m,), −1 for no output.
+
+    ``point_of`` (n,) numbers the distinct positions of vertices; −1 for vertices that do not count.
+    """
     faces, angles = np.empty((len(triangles), 3)), np.empty((len(triangles), 3))
     _measure(positions, triangles, faces, np.empty(len(triangles)), angles)
 
     # Sorted by position, since vertices at one position may differ.
-    by_place, starts = _by_place(places, triangles)
-
+    by_point, starts = _corners_by_point(point_of, triangles)
     normals = np.empty((int(rows.max(initial=-1)) + 1, 3, 3), np.float32)
     cosines = np.cos(np.radians(crease)), np.cos(np.radians(crease / 2))
-    _smooth(faces, angles.ravel(), by_place, starts, cosines, rows, normals)
+    _smooth(faces, angles.ravel(), by_point, starts, cosines, rows, normals)
     return normals
 
 
@@ -71,8 +72,8 @@ def _inside(positions: Float64s, triangles: Int32s, chosen: Int64s) -> Bools:
     for n in range(chosen.size):
         for corner in range(3):
             for axis in range(3):
-                here = positions[triangles[chosen[n], corner], axis]
-                box[0, axis], box[1, axis] = min(box[0, axis], here), max(box[1, axis], here)
+                coordinate = positions[triangles[chosen[n], corner], axis]
+                box[0, axis], box[1, axis] = min(box[0, axis], coordinate), max(box[1, axis], coordinate)
     inside = np.zeros(len(positions), np.bool_)
     for n in range(len(positions)):
         is_in = True
@@ -83,45 +84,45 @@ def _inside(positions: Float64s, triangles: Int32s, chosen: Int64s) -> Bools:
 
 
 @kernel
-def _around(places: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int32s, Int32s]:
+def _around(point_of: Int32s, triangles: Int32s, chosen: Int64s) -> tuple[Int32s, Int32s]:
     """Return all triangles that share a position with chosen ones, and their index in ``chosen`` or −1."""
-    is_used = np.zeros(places.size + 1, np.bool_)  # the last entry is for the place −1
+    is_used = np.zeros(point_of.size + 1, np.bool_)  # the last entry is for the point −1
     for n in range(chosen.size):
         for corner in range(3):
-            is_used[places[triangles[chosen[n], corner]]] = True
-    for n in range(places.size):
-        if places[n] >= 0 and not is_used[places[n]]:
-            places[n] = -1
-    near = np.empty(len(triangles), np.int32)
+            is_used[point_of[triangles[chosen[n], corner]]] = True
+    for n in range(point_of.size):
+        if point_of[n] >= 0 and not is_used[point_of[n]]:
+            point_of[n] = -1
+    neighbours = np.empty(len(triangles), np.int32)
     rows = np.empty(len(triangles), np.int32)
     count = at = 0
     for n in range(len(triangles)):
-        if max(places[triangles[n, 0]], places[triangles[n, 1]], places[triangles[n, 2]]) >= 0:
+        if max(point_of[triangles[n, 0]], point_of[triangles[n, 1]], point_of[triangles[n, 2]]) >= 0:
             is_chosen = at < chosen.size and chosen[at] == n
-            near[count], rows[count] = n, at if is_chosen else -1
+            neighbours[count], rows[count] = n, at if is_chosen else -1
             at += is_chosen
             count += 1
-    return near[:count].copy(), rows[:count].copy()
+    return neighbours[:count].copy(), rows[:count].copy()
 
 
 @kernel
-def _by_place(places: Int32s, triangles: Int32s) -> tuple[Int32s, Int64s]:
-    """Return triangle corners sorted by the place of their vertex, and the start of each place."""
-    # Entry place + 1 moves from the start of the place to its end, which is the start of the next one.
-    starts = np.zeros(places.size + 2, np.int64)
+def _corners_by_point(point_of: Int32s, triangles: Int32s) -> tuple[Int32s, Int64s]:
+    """Return triangle corners sorted by the point of their vertex, and the start of each point."""
+    # Entry point + 1 moves from the start of the point to its end, which is the start of the next one.
+    starts = np.zeros(point_of.size + 2, np.int64)
     for n in range(len(triangles)):
         for corner in range(3):
-            starts[places[triangles[n, corner]] + 2] += 1
-    starts[1] = 0  # of vertices without a place, −1
-    for place in range(places.size):
-        starts[place + 2] += starts[place + 1]
+            starts[point_of[triangles[n, corner]] + 2] += 1
+    starts[1] = 0  # of vertices without a point, −1
+    for point in range(point_of.size):
+        starts[point + 2] += starts[point + 1]
     corners = np.empty(triangles.size, np.int32)
     for n in range(len(triangles)):
         for corner in range(3):
-            place = places[triangles[n, corner]]
-            if place >= 0:
-                corners[starts[place + 1]] = 3 * n + corner
-                starts[place + 1] += 1
+            point = point_of[triangles[n, corner]]
+            if point >= 0:
+                corners[starts[point + 1]] = 3 * n + corner
+                starts[point + 1] += 1
     return corners, starts[:-1]
 
 
@@ -137,9 +138,9 @@ def _measure(
         normals[n, 0], normals[n, 1], normals[n, 2] = unit(normal)
         areas[n] = double / 2.0
         for corner in range(min(3, 3 * len(angles))):
-            here = row_of(positions, triangles[n, corner])
-            forward = minus(row_of(positions, triangles[n, (corner + 1) % 3]), here)
-            backward = minus(row_of(positions, triangles[n, (corner + 2) % 3]), here)
+            apex = row_of(positions, triangles[n, corner])
+            forward = minus(row_of(positions, triangles[n, (corner + 1) % 3]), apex)
+            backward = minus(row_of(positions, triangles[n, (corner + 2) % 3]), apex)
             angles[n, corner] = np.arctan2(double, dot_product(forward, backward))
 
 
@@ -147,18 +148,18 @@ def _measure(
 def _smooth(
     faces: Float64s,
     angles: Float64s,
-    by_place: Int32s,
+    by_point: Int32s,
     starts: Int64s,
     cosines: tuple[float, float],
     rows: Int32s,
     normals: Float32s,
 ) -> None:
     """Write the corner normals of ``rows``; ``cosines`` are those of the crease angle and of half of it."""
-    for place in range(len(starts) - 1):
-        first, end = starts[place], starts[place + 1]
+    for point in range(len(starts) - 1):
+        first, end = starts[point], starts[point + 1]
         if first == end:
             continue
-        corners = by_place[first:end]
+        corners = by_point[first:end]
         mean = (0.0, 0.0, 0.0)
         for corner in corners:
             mean = plus(mean, row_of(faces, corner // 3), angles[corner])
@@ -172,13 +173,13 @@ def _smooth(
             row = rows[corner // 3]
             if row < 0:
                 continue
-            here = row_of(faces, corner // 3)
-            total = mean if is_shared else here
+            own_face = row_of(faces, corner // 3)
+            total = mean if is_shared else own_face
             if not is_shared and corners.size <= _MANY:
                 total = (0.0, 0.0, 0.0)
                 for other in corners:
                     face = row_of(faces, other // 3)
-                    if dot_product(here, face) >= cosines[0]:
+                    if dot_product(own_face, face) >= cosines[0]:
                         total = plus(total, face, angles[other])
             normal = unit(total)
             for axis in range(3):

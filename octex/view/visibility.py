@@ -31,7 +31,7 @@ Pixel = tuple[float, float]
 
 
 class Visibility(NamedTuple):
-    """What the pixels of a camera without distortion see; row 0 is the top of the image."""
+    """The triangles that the pixels of a camera without distortion see; row 0 is the top of the image."""
 
     rows: Int32s  # (height, width)   row of the visible triangle; −1: none
     triangles: Int32s  # (k,)   the visible triangles
@@ -85,11 +85,11 @@ def straight(camera: Camera) -> Camera:
     )
     pinhole = camera.undistorted
     origins, directions = camera.rays(rim)
-    there, _ = pinhole.project(origins + directions)
-    there = there[np.isfinite(there).all(axis=1)]
+    projected, _ = pinhole.project(origins + directions)
+    projected = projected[np.isfinite(projected).all(axis=1)]
     middle, most = np.array([width, height]) / 2, np.array([width, height]) * _WIDEST / 2
-    low = np.floor(np.clip(np.minimum(there.min(axis=0, initial=0.0), 0.0), middle - most, 0.0))
-    high = np.maximum(there.max(axis=0, initial=0.0), [width, height])
+    low = np.floor(np.clip(np.minimum(projected.min(axis=0, initial=0.0), 0.0), middle - most, 0.0))
+    high = np.maximum(projected.max(axis=0, initial=0.0), [width, height])
     high = np.ceil(np.clip(high, [width, height], middle + most))
     shift = np.array([[1.0, 0.0, -low[0]], [0.0, 1.0, -low[1]], [0.0, 0.0, 1.0]])
     across, along = (high - low).astype(int).tolist()
@@ -186,11 +186,11 @@ def hides(seen: Visibility, row: int, column: int, pixel: Pixel, plane: Vector, 
     Both must agree: extended beyond a crease, the planes of its two faces pass before each other.
     """
     (x, y), (near, right, down) = pixel, plane
-    there, across, along = _plane_at(seen, row, column)
+    front, across, along = _plane_at(seen, row, column)
     dx, dy = column + 0.5 - x, row + 0.5 - y
-    if near + right * dx + down * dy >= there - slack:
+    if near + right * dx + down * dy >= front - slack:
         return False
-    return bool(there - across * dx - along * dy > near + slack)
+    return bool(front - across * dx - along * dy > near + slack)
 
 
 @inlined
@@ -198,9 +198,9 @@ def parts(seen: Visibility, row: int, column: int, pixel: Pixel, plane: Vector, 
     """Return whether a pixel's surface and a point's are apart in depth, in either order; see `hides`."""
     (x, y), (near, right, down) = pixel, plane
     dx, dy = column + 0.5 - x, row + 0.5 - y
-    there, across, along = _plane_at(seen, row, column)
-    at_pixel = near + right * dx + down * dy - there
-    at_point = near - (there - across * dx - along * dy)
+    front, across, along = _plane_at(seen, row, column)
+    at_pixel = near + right * dx + down * dy - front
+    at_point = near - (front - across * dx - along * dy)
     return bool((at_pixel < -slack and at_point < -slack) or (at_pixel > slack and at_point > slack))
 
 
@@ -240,13 +240,12 @@ def distances_to_edges(seen: Visibility, view: View, reach: float) -> Float32s:
             distances[row, column] = min(rim, reach)
             if seen.rows[row, column] < 0:
                 distances[row, column] = 0.0
-            elif (column + 1 < width and _parts(seen, view, row, column, row, column + 1)) or (
-                row + 1 < height and _parts(seen, view, row, column, row + 1, column)
+            elif (
+                (column + 1 < width and _is_border(seen, view, row, column, row, column + 1))
+                or (row + 1 < height and _is_border(seen, view, row, column, row + 1, column))
+                or (row > 0 and _is_border(seen, view, row - 1, column, row, column))
+                or (column > 0 and _is_border(seen, view, row, column - 1, row, column))
             ):
-                distances[row, column] = min(distances[row, column], 0.5)
-            if row > 0 and _parts(seen, view, row - 1, column, row, column):
-                distances[row, column] = min(distances[row, column], 0.5)
-            if column > 0 and _parts(seen, view, row, column - 1, row, column):
                 distances[row, column] = min(distances[row, column], 0.5)
     diagonal = np.float32(np.sqrt(2.0))
     for turn in range(2):
@@ -270,12 +269,14 @@ def distances_to_edges(seen: Visibility, view: View, reach: float) -> Float32s:
 
 
 @inlined
-def _parts(seen: Visibility, view: View, row: int, column: int, other_row: int, other_column: int) -> bool:
+def _is_border(
+    seen: Visibility, view: View, row: int, column: int, other_row: int, other_column: int
+) -> bool:
     """Return whether an edge separates two adjacent pixels: background, or a surface behind the other."""
-    here, there = seen.rows[row, column], seen.rows[other_row, other_column]
-    if here == there:
+    visible, other = seen.rows[row, column], seen.rows[other_row, other_column]
+    if visible == other:
         return False
-    if here < 0 or there < 0:
+    if visible < 0 or other < 0:
         return True
     return _is_hidden(seen, view, row, column, other_row, other_column) or _is_hidden(
         seen, view, other_row, other_column, row, column

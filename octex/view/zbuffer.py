@@ -33,7 +33,7 @@ _LEFT, _RIGHT, _ABOVE, _BELOW, _BEHIND = 1, 2, 4, 8, 16
 
 
 class Buffers(NamedTuple):
-    """What each pixel sees; row 0 is the top of the image."""
+    """The nearest triangle of each pixel; row 0 is the top of the image."""
 
     triangle: Int32s  # (height, width)      the nearest triangle; −1: none
     barycentric: Float32s  # (height, width, 3)   perspective-correct; zeros without a triangle
@@ -64,19 +64,19 @@ def z_buffer(
     points, corners = np.ascontiguousarray(positions, np.float64), np.ascontiguousarray(triangles, np.int32)
     screen, snapped, outside = _to_screen(points, camera.matrix, camera.width, camera.height)
     same = _SAME_DEPTH * float(np.abs(screen[:, 3]).max(initial=0.0))
-    if behind is None:
-        behind = Buffers(np.empty((0, 0), np.int32), np.empty((0, 0, 3), np.float32), np.empty((0, 0)))
     shape = camera.height, camera.width
     buffers = Buffers(
         np.empty(shape, np.int32), np.empty((*shape, 3), np.float32), np.empty(shape, np.float64)
     )
+    if behind is None:
+        behind = Buffers._make(array[:0] for array in buffers)
 
     def draw(ends: tuple[int, int]) -> None:
         rows = slice(*ends)
-        triangle, barycentric, depth = buffers.triangle[rows], buffers.barycentric[rows], buffers.depth[rows]
-        triangle[:], barycentric[:], depth[:] = -1, 0.0, np.inf
-        before = behind.triangle[rows], behind.depth[rows]
-        _draw(screen, snapped, outside, corners, same, ends[0], *before, triangle, barycentric, depth)
+        band = Buffers._make(array[rows] for array in buffers)
+        band_behind = Buffers._make(array[rows] for array in behind)
+        band.triangle[:], band.barycentric[:], band.depth[:] = -1, 0.0, np.inf
+        _draw(screen, snapped, outside, corners, same, ends[0], band_behind, band)
 
     if executor is None:
         draw((0, camera.height))
@@ -198,14 +198,13 @@ def _draw(
     triangles: Int32s,
     same_depth: float,
     top: int,
-    before: Int32s,
-    depths_before: Float64s,
-    seen: Int32s,
-    barycentric: Float32s,
-    depths: Float64s,
+    behind: Buffers,
+    buffers: Buffers,
 ) -> None:
-    height, width = seen.shape
-    is_behind = len(before) > 0
+    """Draw triangles into a band of rows from ``top`` on."""
+    visible, barycentric, depths = buffers
+    height, width = visible.shape
+    is_behind = len(behind.triangle) > 0
     edges = np.empty((3, 6), np.float64)
     row_constant = np.empty(3, np.float64)
     for number in range(len(triangles)):
@@ -261,10 +260,11 @@ def _draw(
                 depth = in_a * a_depth + in_b * b_depth + in_c * c_depth
                 if 0.0 < depth < depths[row - top, column] - same_depth:
                     if is_behind:
-                        last, further = before[row - top, column], depth - depths_before[row - top, column]
+                        last = behind.triangle[row - top, column]
+                        further = depth - behind.depth[row - top, column]
                         if last < 0 or further < -same_depth or (further <= same_depth and number <= last):
                             continue
-                    seen[row - top, column] = number
+                    visible[row - top, column] = number
                     depths[row - top, column] = depth
                     barycentric[row - top, column, 0] = in_a
                     barycentric[row - top, column, 1] = in_b

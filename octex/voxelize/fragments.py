@@ -50,14 +50,14 @@ class Blocks(NamedTuple):
         """Return the blocks with cells of another level."""
         return self._replace(bits=depth - self.level)
 
-    def chosen(self, chosen: Bools) -> Blocks:
-        """Return the chosen blocks, the first one if none is chosen."""
-        chosen[0] |= not chosen.any()
+    def chosen(self, mask: Bools) -> Blocks:
+        """Return the blocks of a mask, the first one if it is empty."""
+        mask[0] |= not mask.any()
         counts = np.diff(self.starts)
         return self._replace(
-            codes=self.codes[chosen],
-            starts=np.concatenate([[0], np.cumsum(counts[chosen])]),
-            members=self.members[np.repeat(chosen, counts)],
+            codes=self.codes[mask],
+            starts=np.concatenate([[0], np.cumsum(counts[mask])]),
+            members=self.members[np.repeat(mask, counts)],
         )
 
 
@@ -292,11 +292,11 @@ def cut(blocks: Blocks, run: BlockRange) -> Fragments:
             n_used += 1
             ranks[word] = n_entries
             n_entries += popcount(mask[word])
-            left = mask[word]
-            while left != np.uint64(0):
-                octant = trailing_zeros(left) >> 3
-                byte = (left >> np.uint64(8 * octant)) & np.uint64(255)
-                left ^= byte << np.uint64(8 * octant)
+            remaining = mask[word]
+            while remaining != np.uint64(0):
+                octant = trailing_zeros(remaining) >> 3
+                byte = (remaining >> np.uint64(8 * octant)) & np.uint64(255)
+                remaining ^= byte << np.uint64(8 * octant)
                 codes[n_cells] = (blocks.codes[block] << (3 * blocks.bits)) | (word << 3) | octant
                 flags[n_cells] = byte
                 n_cells += 1

@@ -112,12 +112,12 @@ def sum_children(children: Sums) -> Sums:
     first = 0
     while first < codes.size:
         code = codes[first] >> 3
-        seen = np.int64(0)
+        facings = np.int64(0)
         last = first
         while last < codes.size and codes[last] >> 3 == code:
-            seen |= np.int64(flags[last])
+            facings |= np.int64(flags[last])
             last += 1
-        if seen & (seen - 1) == 0:  # one facing, as almost everywhere: one row a child
+        if facings & (facings - 1) == 0:  # one facing, as almost everywhere: one row a child
             for k in range(columns):
                 parent_sums[entries, k] = 0.25 * sums[row, k]
             for child in range(row + 1, row + last - first):
@@ -125,20 +125,20 @@ def sum_children(children: Sums) -> Sums:
                     parent_sums[entries, k] += 0.25 * sums[child, k]
             row += last - first
         else:
-            parent_sums[entries : entries + popcount(np.uint64(seen))] = 0.0
+            parent_sums[entries : entries + popcount(np.uint64(facings))] = 0.0
             for i in range(first, last):
-                left = np.int64(flags[i])
-                while left != 0:
-                    facing = left & -left
-                    left ^= facing
-                    parent = entries + popcount(np.uint64(seen & (facing - 1)))
+                remaining = np.int64(flags[i])
+                while remaining != 0:
+                    facing = remaining & -remaining
+                    remaining ^= facing
+                    parent = entries + popcount(np.uint64(facings & (facing - 1)))
                     for k in range(columns):
                         parent_sums[parent, k] += 0.25 * sums[row, k]
                     row += 1
         parent_codes[cells] = code
-        parent_flags[cells] = seen
+        parent_flags[cells] = facings
         cells += 1
-        entries += popcount(np.uint64(seen))
+        entries += popcount(np.uint64(facings))
         first = last
     return Sums(parent_codes[:cells].copy(), parent_flags[:cells].copy(), parent_sums[:entries])
 
@@ -180,10 +180,10 @@ def level_means(level: Sums, columns: SumColumns) -> Means:
     n_two_sided = 0
     n_rows = 0
     for i in range(n_cells):
-        seen = np.int64(level.flags[i])
-        if seen & (seen >> 1) & POSITIVE_FACINGS:
+        facings = np.int64(level.flags[i])
+        if facings & (facings >> 1) & POSITIVE_FACINGS:
             n_two_sided += 1
-            n_rows += popcount(np.uint64(seen))
+            n_rows += popcount(np.uint64(facings))
     values = np.empty(n_cells * components, np.float64)
     areas = np.empty(n_cells, np.uint8)
     two_sided = np.empty(n_two_sided, np.int64)
@@ -195,8 +195,8 @@ def level_means(level: Sums, columns: SumColumns) -> Means:
     zero = int(np.int64(0))  # not a literal, for which `_store_mean` would compile again
     entry = row = cell = zero
     for i in range(n_cells):
-        seen = np.int64(level.flags[i])
-        n_facings = popcount(np.uint64(seen))
+        facings = np.int64(level.flags[i])
+        n_facings = popcount(np.uint64(facings))
         if n_facings == 1:
             areas[i] = area_code(sums[entry, components])
             _store_mean(sums, entry, columns, starts, values, i)
@@ -208,7 +208,7 @@ def level_means(level: Sums, columns: SumColumns) -> Means:
                 total[0, k] += sums[j, k]
         areas[i] = area_code(total[0, components])
         _store_mean(total, zero, columns, starts, values, i)
-        if seen & (seen >> 1) & POSITIVE_FACINGS:
+        if facings & (facings >> 1) & POSITIVE_FACINGS:
             two_sided[cell] = i
             cell += 1
             for j in range(entry, entry + n_facings):

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from octex import jit
 from octex.channels import CHANNELS
 from octex.errors import ArgumentError, ImageError
-from octex.source.base import placed
+from octex.source.base import points_with_normals
 from octex.source.corners import Corners, Frames
 from octex.source.images.filters import FILTERS
 from octex.source.images.pyramid import WRAPS
@@ -389,7 +389,7 @@ def test_other_rest_positions_are_read_where_they_are():
     triangles, barycentric = np.arange(12, dtype=np.int32), np.full((12, 3), 1 / 3)
     widths = np.full(12, 0.1, np.float32)
     points = ((CUBE - 0.5) * 3 + 1)[CUBE_TRIANGLES].mean(axis=1)
-    _, normals = placed(source._rest, source._triangles, triangles, barycentric)
+    _, normals = points_with_normals(source._rest, source._triangles, triangles, barycentric)
     np.testing.assert_allclose(
         moved.evaluate(triangles, barycentric, widths), source.at(points, normals, widths), atol=1e-6
     )
@@ -406,7 +406,7 @@ def test_texels_have_the_edges_they_have_on_the_surface():
         source, _ = MappedImage(light(8, 16), kind, size=(2, 2, 1)).on(surface, CHANNELS["base_color"], "ewa")
         edges = source.texel_edges(triangles)
         middles = np.full((12, 3), 1 / 3)
-        _, normals = placed(surface.rest, surface.triangles, triangles, middles)
+        _, normals = points_with_normals(surface.rest, surface.triangles, triangles, middles)
         np.testing.assert_allclose(edges[abs(normals[:, 2]) > 0.5], 1 / 8)
         sides = edges[abs(normals[:, 2]) < 0.5]
         assert set(np.round(sides, 4)) == ({0.125, 0.25} if kind == "planar" else {0.125})

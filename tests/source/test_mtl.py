@@ -29,8 +29,8 @@ def describe(folder, lines, channels=None):
     for name, data in IMAGES.items():
         (folder / name).write_bytes(data)
     (folder / "m.mtl").write_text(f"newmtl wood\n{lines}\n")
-    library = load_materials(folder / "m.obj", ["m.mtl"], {"wood"}, Options(channels=channels))
-    return library.materials["wood"]
+    materials, *_ = load_materials(folder / "m.obj", ["m.mtl"], {"wood"}, Options(channels=channels))
+    return materials["wood"]
 
 
 def stated(folder, lines, channels=None):
@@ -157,9 +157,7 @@ def test_ks_and_ns_count_beside_a_map_or_a_roughness_or_when_asked_for(tmp_path)
     (tmp_path / "a.png").write_bytes(png(COLORS))
 
     def read(*wanted, channels=None):
-        return load_materials(
-            tmp_path / "m.obj", ["m.mtl"], set(wanted), Options(channels=channels)
-        ).materials
+        return load_materials(tmp_path / "m.obj", ["m.mtl"], set(wanted), Options(channels=channels))[0]
 
     assert set(read("a")["a"].material.inputs) == {"base_color"}
     assert set(read("a", channels=("specular",))["a"].material.inputs) == {"base_color", "specular"}
@@ -289,7 +287,7 @@ def test_a_grey_bump_map_or_a_component_of_one_holds_heights(tmp_path, line, lan
 def test_materials_share_the_normals_of_one_height_map_also_of_luminance(tmp_path):
     (tmp_path / "m.mtl").write_text("newmtl a\nbump grey.png\nnewmtl b\nbump -s 2 grey.png\n")
     (tmp_path / "grey.png").write_bytes(IMAGES["grey.png"])
-    found = load_materials(tmp_path / "m.obj", ["m.mtl"], {"a", "b"}, Options()).materials
+    found, *_ = load_materials(tmp_path / "m.obj", ["m.mtl"], {"a", "b"}, Options())
     assert texels(found["a"].material.inputs["normal"]) is texels(found["b"].material.inputs["normal"])
     given = stated(tmp_path, "bump -imfchan l a.png")["normal"]
     heights = COLORS / 255.0 @ [0.2126, 0.7152, 0.0722]

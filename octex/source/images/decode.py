@@ -15,7 +15,7 @@ import threading
 import warnings
 import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -172,16 +172,13 @@ def _open(file: BinaryIO) -> PIL.Image.Image:
     settings: list[tuple[ModuleType, str, object]] = [(PIL.Image, "MAX_IMAGE_PIXELS", None)]
     with suppress(ImportError):  # from Pillow 11.3 on
         settings.append((import_module("PIL.AvifImagePlugin"), "DEFAULT_MAX_THREADS", cpu_count()))
-    before = [getattr(module, name) for module, name, _ in settings]
     PIL.Image.init()
-    known = [name for name in FORMATS if name in PIL.Image.OPEN]  # a build of Pillow may lack formats
-    try:
+    formats = [name for name in FORMATS if name in PIL.Image.OPEN]  # a build of Pillow may lack formats
+    with ExitStack() as stack:
         for module, name, value in settings:
+            stack.callback(setattr, module, name, getattr(module, name))
             setattr(module, name, value)
-        return PIL.Image.open(file, formats=known)
-    finally:
-        for (module, name, _), value in zip(settings, before, strict=True):
-            setattr(module, name, value)
+        return PIL.Image.open(file, formats=formats)
 
 
 @contextmanager
@@ -220,8 +217,8 @@ def _texels(image: PIL.Image.Image, data: bytes, name: str) -> Texels:
     raw_modes = str([tile[3] for tile in getattr(image, "tile", [])])
     if image.mode == "I" or any(deep in raw_modes for deep in (";16L", ";16B", ";16N")):
         raise ImageError(f"{name} has a bit depth that Pillow does not read; save it as a 16-bit PNG")
-    whole = image.mode in ("L", "LA", "RGB", "RGBA") and "transparency" not in image.info
-    values = np.asarray(image if whole else image.convert("RGBA"))
+    is_plain = image.mode in ("L", "LA", "RGB", "RGBA") and "transparency" not in image.info
+    values = np.asarray(image if is_plain else image.convert("RGBA"))
     return spread(values[:, :, None] if values.ndim == 2 else values)
 
 

@@ -57,21 +57,21 @@ def decode_ktx2(data: bytes, name: str) -> Texels:
     dtype, lanes = _FORMATS[vk_format]
     what = f"texels of vkFormat {vk_format}"
     size = width * height * len(lanes) * np.dtype(dtype).itemsize
-    texels = _unpacked(data[level : level + packed], scheme, size, name, what)
-    if size == 0 or len(texels) != size:
+    content = _unpacked(data[level : level + packed], scheme, size, name, what)
+    if size == 0 or len(content) != size:
         raise ImageError(
             f"{name} is damaged: {width} × {height} {what} take {size} bytes, and it has another number; "
             "save it again"
         )
     metadata = _metadata(data[entries : entries + entries_size])
     orientation = metadata.get(b"KTXorientation", b"rd")
-    values = np.frombuffer(texels, dtype).reshape(height, width, len(lanes))
+    values = np.frombuffer(content, dtype).reshape(height, width, len(lanes))
     values = values[:: -1 if orientation[1:2] == b"u" else 1, :: -1 if orientation[:1] == b"l" else 1]
     one = np.iinfo(dtype).max if values.dtype.kind == "u" else 1
-    every = np.zeros((height, width, 4), dtype)
+    texels = np.zeros((height, width, 4), dtype)
     for column, lane in enumerate(metadata.get(b"KTXswizzle", b"rgba").decode("ascii")[:4]):
-        every[..., column] = values[..., lanes.index(lane)] if lane in lanes else one * (lane in "1a")
-    return spread(every)
+        texels[..., column] = values[..., lanes.index(lane)] if lane in lanes else one * (lane in "1a")
+    return spread(texels)
 
 
 def _unpacked(data: bytes, scheme: int, size: int, name: str, what: str) -> bytes:

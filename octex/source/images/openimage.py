@@ -9,7 +9,7 @@ import io
 import re
 from collections.abc import Sequence
 from contextlib import closing
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import PIL.TiffImagePlugin
@@ -94,7 +94,7 @@ def decode_deep(data: bytes, ending: str, name: str) -> Texels:
         config.attribute("oiio:UnassociatedAlpha", 1)
         file = OpenImageIO.ImageInput.open(str(path), config)
         if file is None:
-            _refuse(name, OpenImageIO.geterror().replace(str(path), path.name))
+            raise _unreadable(name, OpenImageIO.geterror().replace(str(path), path.name))
         with closing(file):
             return _read(OpenImageIO, file, len(data), ending, name)
 
@@ -124,7 +124,7 @@ def _read(library: Any, file: Any, size: int, ending: str, name: str) -> Texels:
     kind = library.UINT16 if integers else library.FLOAT
     values = file.read_image(part, 0, first, last, kind)
     if values is None:
-        _refuse(name, file.geterror())
+        raise _unreadable(name, file.geterror())
     values = values.reshape(spec.height, spec.width, -1)[..., [index - first for index in indices]]
     if ending == "tif" and spec.getattribute("tiff:PhotometricInterpretation") == _WHITE_IS_ZERO:
         values[..., 0] = (65535 if integers else np.float32(1)) - values[..., 0]
@@ -191,7 +191,7 @@ def spread(values: Array) -> Texels:
 
 
 def _divide_by_alpha(texels: Texels) -> None:
-    """Make associated alpha unassociated, in index; colours of alpha 0 stay."""
+    """Make associated alpha unassociated, in place; colours of alpha 0 stay."""
     alpha = texels[..., 3:]
     most = 65535.0 if texels.dtype == np.uint16 else 1.0
     partial = (alpha > 0) & (alpha != most)
@@ -219,6 +219,6 @@ def _placed(texels: Array, spec: Any, name: str) -> Array:
     return window
 
 
-def _refuse(name: str, reason: str) -> NoReturn:
+def _unreadable(name: str, reason: str) -> ImageError:
     reason = " ".join(reason.split()) or "it is damaged"
-    raise ImageError(f"{name} cannot be read as an image ({reason}); save it again")
+    return ImageError(f"{name} cannot be read as an image ({reason}); save it again")

@@ -69,12 +69,12 @@ class Images(NamedTuple):
     linear: Float32s  # (65536,)   linear light of an sRGB code
 
 
-def store(stored: Sequence[ImageTexels], has_mips: bool) -> tuple[Images, list[int]]:
+def store(sources: Sequence[ImageTexels], has_mips: bool) -> tuple[Images, list[int]]:
     """Store images, with all levels if ``has_mips``; return the layout of each too."""
-    sizes = list(dict.fromkeys(image.texels.shape[:2] for image in stored))
+    sizes = list(dict.fromkeys(image.texels.shape[:2] for image in sources))
     layouts: list[tuple[int, int]] = []
     levels: list[tuple[int, int, int]] = []
-    rows_of: list[int] = []  # of an image, by layout
+    row_counts: list[int] = []  # of an image, by layout
     for height, width in sizes:
         shapes = _shapes(width, height, has_mips)
         layouts.append((len(levels), len(shapes)))
@@ -82,17 +82,17 @@ def store(stored: Sequence[ImageTexels], has_mips: bool) -> tuple[Images, list[i
         for wide, high in shapes:
             levels.append((first + wide + 3, wide, high))
             first += (wide + 2) * (high + 2)
-        rows_of.append(first)
-    layout_of = [sizes.index(image.texels.shape[:2]) for image in stored]
-    bases, storage, ends = [], [], {SRGB: 0, FLOAT: 0}
-    for each, layout in zip(stored, layout_of, strict=True):
-        array = FLOAT if each.texels.dtype == np.float32 else SRGB
-        storage.append(DATA if array == SRGB and not each.is_light else array)
+        row_counts.append(first)
+    layout_of = [sizes.index(image.texels.shape[:2]) for image in sources]
+    bases, kinds, ends = [], [], {SRGB: 0, FLOAT: 0}
+    for image, layout in zip(sources, layout_of, strict=True):
+        array = FLOAT if image.texels.dtype == np.float32 else SRGB
+        kinds.append(DATA if array == SRGB and not image.is_light else array)
         bases.append(ends[array])
-        ends[array] += rows_of[layout]
+        ends[array] += row_counts[layout]
     images = Images(
-        np.array(storage, np.uint8),
-        np.array([image.covered for image in stored], np.bool_),
+        np.array(kinds, np.uint8),
+        np.array([image.covered for image in sources], np.bool_),
         np.array(bases, np.int64),
         np.array(layouts, np.int64).reshape(-1, 2),
         np.array(levels, np.int64).reshape(-1, 3),
@@ -102,13 +102,13 @@ def store(stored: Sequence[ImageTexels], has_mips: bool) -> tuple[Images, list[i
     )
 
     def fill(number: int) -> None:
-        rows = slice(bases[number], bases[number] + rows_of[layout_of[number]])
-        is_float = storage[number] == FLOAT
+        rows = slice(bases[number], bases[number] + row_counts[layout_of[number]])
+        is_float = kinds[number] == FLOAT
         texels = images.floats[rows] if is_float else images.codes[rows].view(np.uint16).reshape(-1, 4)
-        _fill(stored[number], has_mips, texels)
+        _fill(sources[number], has_mips, texels)
 
     with pool_of(cpu_count()) as pool:
-        list(pool.map(fill, range(len(stored))))
+        list(pool.map(fill, range(len(sources))))
     return images, layout_of
 
 
@@ -119,44 +119,45 @@ def _shapes(width: int, height: int, has_mips: bool) -> list[tuple[int, int]]:
 
 
 def _fill(image: ImageTexels, has_mips: bool, rows: Texels) -> None:
+    """Write all levels of an image, each with its rim."""
     height, width = image.texels.shape[:2]
     shapes = _shapes(width, height, has_mips)
-    finest = _take(rows, 0, width, height)
+    finest = _level_rows(rows, 0, width, height)
     finest[1:-1, 1:-1] = image.texels
     finest[0, 1:-1], finest[-1, 1:-1] = image.texels[0], image.texels[-1]
     finest[:, 0], finest[:, -1] = finest[:, 1], finest[:, -2]
     if len(shapes) == 1:
         return
-    made = None
+    values = None
     texels = image.texels
     borders = (texels[:, :1], texels[:, -1:], texels[:1], texels[-1:], texels[[0, -1]][:, [0, -1]])
     rims = [_decoded(image._replace(texels=border)) for border in borders]
     first = finest.shape[0] * finest.shape[1]
     for wide, high in shapes[1:]:
-        made = _shrunk(image, high, wide) if made is None else resized(made, high, wide)
+        values = _shrunk(image, high, wide) if values is None else resized(values, high, wide)
         sizes = (high, 1), (high, 1), (1, wide), (1, wide), (2, 2)
         rims = [resized(part, *size) for part, size in zip(rims, sizes, strict=True)]
-        target = _take(rows, first, wide, high)
+        target = _level_rows(rows, first, wide, high)
         first += target.shape[0] * target.shape[1]
         corners = target[:: high + 1, :: wide + 1]
         sides = target[1:-1, :1], target[1:-1, -1:], target[:1, 1:-1], target[-1:, 1:-1], corners
-        for part, values in zip((target[1:-1, 1:-1], *sides), (made, *rims), strict=True):
-            part[...] = _encoded(values, image, target.dtype == np.float32)
+        for part, means in zip((target[1:-1, 1:-1], *sides), (values, *rims), strict=True):
+            part[...] = _encoded(means, image, target.dtype == np.float32)
 
 
 def _shrunk(image: ImageTexels, height: int, width: int) -> Float32s:
     """Return an image's values at a smaller size; if rows align, bands of them are decoded in turn."""
     values = np.empty((height, width, 4), np.float32)
-    rows, left_over = divmod(image.texels.shape[0], height)
-    band = height if left_over else _BAND
+    rows, remainder = divmod(image.texels.shape[0], height)
+    band = height if remainder else _BAND
     for first in range(0, height, band):
-        end = None if left_over else (first + band) * rows
+        end = None if remainder else (first + band) * rows
         part = image._replace(texels=image.texels[first * rows : end])
         _reduce(_decoded(part), values[first : first + band])
     return values
 
 
-def _take(rows: Texels, first: int, width: int, height: int) -> Texels:
+def _level_rows(rows: Texels, first: int, width: int, height: int) -> Texels:
     """Return the rows of one level with its rim, as (height + 2, width + 2, 4)."""
     count = (height + 2) * (width + 2)
     return rows[first : first + count].reshape(height + 2, width + 2, 4)

@@ -29,19 +29,19 @@ def is_udim(name: str) -> bool:
 def tile_files(path: Path) -> dict[int, Path]:
     """Return the files of the tiles of a path with <UDIM> in its name, by number; empty without any."""
     pattern = re.compile(re.escape(path.name).replace(re.escape(_TOKEN), r"([1-9]\d{3})", 1))
-    found = {}
+    files = {}
     with suppress(OSError):
-        for each in sorted(path.parent.iterdir()):
-            match = pattern.fullmatch(each.name)
+        for file in sorted(path.parent.iterdir()):
+            match = pattern.fullmatch(file.name)
             if match is not None and int(match[1]) >= _FIRST:
-                found[int(match[1])] = each
-    return found
+                files[int(match[1])] = file
+    return files
 
 
 def tile_grid(numbers: Iterable[int]) -> tuple[int, int]:
     """Return the columns and rows, from tile 1001 on, that hold tiles of these numbers."""
-    places = [divmod(number - _FIRST, _ACROSS) for number in numbers]
-    return max(column for _, column in places) + 1, max(row for row, _ in places) + 1
+    rows, columns = zip(*(divmod(number - _FIRST, _ACROSS) for number in numbers), strict=True)
+    return max(columns) + 1, max(rows) + 1
 
 
 def join_tiles(tiles: Mapping[int, Texels], name: str) -> Texels:
@@ -50,17 +50,17 @@ def join_tiles(tiles: Mapping[int, Texels], name: str) -> Texels:
     Raises ImageError for tiles of integers and of floats, and for an image that is too large.
     """
     columns, rows = tile_grid(tiles)
-    height, width = (max(each.shape[axis] for each in tiles.values()) for axis in (0, 1))
-    kinds = {each.dtype for each in tiles.values()}
-    if len(kinds) > 1:
+    height, width = (max(tile.shape[axis] for tile in tiles.values()) for axis in (0, 1))
+    dtypes = {tile.dtype for tile in tiles.values()}
+    if len(dtypes) > 1:
         raise ImageError(f"{name}: some tiles have integers, others floats; save all in one format")
-    kind = kinds.pop()
+    [dtype] = dtypes
     check_size(columns * width, rows * height, None, f"{name}: the image of all {len(tiles)} tiles")
-    joined = np.zeros((rows, height, columns, width, 4), kind)
-    joined[..., 3] = 65535 if kind == np.uint16 else 1
+    joined = np.zeros((rows, height, columns, width, 4), dtype)
+    joined[..., 3] = 65535 if dtype == np.uint16 else 1
     for number, texels in tiles.items():
         row, column = divmod(number - _FIRST, _ACROSS)
-        lines = np.arange(height) * len(texels) // height
-        places = np.arange(width) * texels.shape[1] // width
-        joined[rows - 1 - row, :, column] = texels[lines[:, None], places]
+        y = np.arange(height) * len(texels) // height
+        x = np.arange(width) * texels.shape[1] // width
+        joined[rows - 1 - row, :, column] = texels[y[:, None], x]
     return joined.reshape(rows * height, columns * width, 4)

@@ -34,8 +34,8 @@ from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT
 from octex.source.materials import AlphaMode, Input, Material, Texture
 from octex.source.mesh import check_below
-from octex.source.models.gltf_motion import Placed, Primitive, motion_of, pose_of
-from octex.source.models.reading import Description, Options, Part, Slot, assembled, warn
+from octex.source.models.gltf_motion import PlacedPrimitive, Primitive, motion_of, pose_of
+from octex.source.models.reading import LoadedMaterial, Options, Part, Slot, assembled, warn
 from octex.source.motion import Motion
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
@@ -64,31 +64,30 @@ def load_gltf(path: Path, options: Options) -> Surface:
     with textures have it.
     """
     document = Document(path)
-    shown = _shown(document, options)
-    if not shown:
+    placed = _placed_primitives(document, options)
+    if not placed:
         raise ModelError(f"{document.name} has no triangles; octex needs a surface, not points or lines")
-    known = _materials(document, (each.primitive.material for each in shown), options)
-    numbers = {number: index for index, number in enumerate(known)}
-    is_mapped = any(each.material.normal_slot is not None for each in known.values())
-    is_smooth = any("NORMAL" in each.primitive.attributes for each in shown)
+    materials = _materials(document, (each.primitive.material for each in placed), options)
+    indices = {number: index for index, number in enumerate(materials)}
+    is_mapped = any(each.material.normal_slot is not None for each in materials.values())
+    is_smooth = any("NORMAL" in each.primitive.attributes for each in placed)
     has_frames = is_mapped or (options.normals and is_smooth)
     parts: dict[str, Part] = {}
-    for primitive in (each.primitive for each in shown):
+    for primitive in (each.primitive for each in placed):
         if primitive.name not in parts:
-            number = np.full(len(primitive.triangles), numbers[primitive.material], np.int32)
+            of_triangles = np.full(len(primitive.triangles), indices[primitive.material], np.int32)
             rest = primitive.attribute(_REST, (3,))
-            part = Part(primitive.positions if rest is None else rest, primitive.triangles, number)
+            part = Part(primitive.positions if rest is None else rest, primitive.triangles, of_triangles)
             if options.materials:  # a posed primitive's normals are not those at rest
-                smooth = has_frames and (rest is None or is_mapped)
-                part = _bound(part, primitive, known[primitive.material], smooth)
+                needs_frames = has_frames and (rest is None or is_mapped)
+                part = _with_attributes(part, primitive, materials[primitive.material], needs_frames)
             parts[primitive.name] = part
     posed = None
     if options.pose is not None:
         pose = pose_of(document, options.pose)
-        posed = np.concatenate([pose.positions(each) for each in shown])
-    elif any(_REST in each.primitive.attributes for each in shown):
-        placed = [(each.primitive.positions, each.matrix) for each in shown]
-        posed = np.concatenate([rows @ matrix[:3, :3].T + matrix[:3, 3] for rows, matrix in placed])
+        posed = np.concatenate([pose.positions(each) for each in placed])
+    elif any(_REST in each.primitive.attributes for each in placed):
+        posed = np.concatenate([each.rest_positions() for each in placed])
     asset = document.json["asset"]
     origin = {key: str(asset[key]) for key in ("copyright", "generator") if key in asset}
     if isinstance(extras := asset.get("extras"), dict):
@@ -97,8 +96,8 @@ def load_gltf(path: Path, options: Options) -> Surface:
     if document.files:
         origin["files"] = json.dumps(document.files, sort_keys=True, ensure_ascii=False)
     return assembled(
-        [parts[each.primitive.name]._replace(matrix=each.matrix) for each in shown],
-        [each.material for each in known.values()],
+        [parts[each.primitive.name]._replace(matrix=each.matrix) for each in placed],
+        [each.material for each in materials.values()],
         options, document.name, provenance=origin, posed=posed,
     )  # fmt: skip
 
@@ -106,10 +105,10 @@ def load_gltf(path: Path, options: Options) -> Surface:
 def load_gltf_motion(path: Path, rate: float) -> Motion | None:
     """Return the motion of all vertices, at ``rate`` frames a second or more; None without animations."""
     document = Document(path)
-    return motion_of(document, _shown(document, Options(materials=False)), rate)
+    return motion_of(document, _placed_primitives(document, Options(materials=False)), rate)
 
 
-def _shown(document: Document, options: Options) -> list[Placed]:
+def _placed_primitives(document: Document, options: Options) -> list[PlacedPrimitive]:
     """List the primitives that have triangles, as the nodes of the scene show them, depth first."""
     for extension in document.items("extensionsRequired"):
         if extension not in _KNOWN_EXTENSIONS and not str(extension).startswith("KHR_materials_"):
@@ -118,19 +117,19 @@ def _shown(document: Document, options: Options) -> list[Placed]:
                 "it without"
             )
     meshes: dict[int, list[Primitive]] = {}
-    shown = []
+    placed = []
     for number, node, matrix in scene_nodes(document):
         if "mesh" not in node:
             continue
         if node["mesh"] not in meshes:
             meshes[node["mesh"]] = _primitives(document, node["mesh"], options)
-        shown += [
-            Placed(number, copy, matrix @ copy, primitive)
+        placed += [
+            PlacedPrimitive(number, copy, matrix @ copy, primitive)
             for copy in _copies(document, node)
             for primitive in meshes[node["mesh"]]
             if len(primitive.triangles)
         ]
-    return shown
+    return placed
 
 
 def _copies(document: Document, node: Json) -> list[Float64s]:
@@ -149,13 +148,10 @@ def _copies(document: Document, node: Json) -> list[Float64s]:
 
 def _primitives(document: Document, number: int, options: Options) -> list[Primitive]:
     """Read the triangles of a mesh."""
-    what = f"{document.name}: meshes[{number}].primitives"
-    entries = {
-        f"{what}[{index}]": as_object(entry, f"{what}[{index}]")
-        for index, entry in enumerate(document.item("meshes", number)["primitives"])
-    }
     primitives = []
-    for name, entry in entries.items():
+    for index, primitive in enumerate(document.item("meshes", number)["primitives"]):
+        name = f"{document.name}: meshes[{number}].primitives[{index}]"
+        entry = as_object(primitive, name)
         mode, attributes = entry.get("mode", _TRIANGLES), entry["attributes"]
         if "rest" in (octree := entry.get("extensions", {}).get(OCTREE_EXTENSION, {})):
             attributes = {**attributes, _REST: octree["rest"]}
@@ -173,11 +169,9 @@ def _primitives(document: Document, number: int, options: Options) -> list[Primi
         elif "indices" in entry:
             indices = document.accessor(entry["indices"], (1,))[:, 0]
         _check_indices(indices, len(positions), name)
-        cut = _triangles(indices.astype(np.int64), mode).astype(np.int32)
-        material = entry.get("material") if options.materials else None
-        primitives.append(
-            Primitive(document, name, positions, cut, material, attributes, decoded, entry.get("targets", []))
-        )
+        faces = _triangles(indices.astype(np.int64), mode).astype(np.int32)
+        material, targets = entry.get("material") if options.materials else None, entry.get("targets", [])
+        primitives.append(Primitive(document, name, positions, faces, material, attributes, decoded, targets))
     return primitives
 
 
@@ -193,37 +187,37 @@ def _check_indices(indices: Array, count: int, name: str) -> None:
         )
 
 
-def _bound(part: Part, primitive: Primitive, known: Description, has_frames: bool) -> Part:
+def _with_attributes(part: Part, primitive: Primitive, loaded: LoadedMaterial, has_frames: bool) -> Part:
     """Read the attributes that a primitive's material needs, and those that other sources may need."""
     positions, triangles = part.positions, part.triangles
 
-    def bound(rows: Floats | None) -> Corners | None:
-        return None if rows is None else Corners(rows.astype(np.float32), triangles)
+    def at_corners(values: Floats | None) -> Corners | None:
+        return None if values is None else Corners(values.astype(np.float32), triangles)
 
     colors = primitive.attribute("COLOR_0", (3, 4))
     if colors is not None and colors.shape[1] == 3:
         colors = np.append(colors, np.ones((len(colors), 1)), axis=1)
     uv = primitive.attribute("TEXCOORD_0", (2,))
     coordinates = []
-    for slot in known.slots:
-        read = uv if slot.name == "TEXCOORD_0" else primitive.attribute(slot.name, (2,))
-        if read is None:
+    for slot in loaded.slots:
+        values = uv if slot.name == "TEXCOORD_0" else primitive.attribute(slot.name, (2,))
+        if values is None:
             warn(
                 f"{primitive.document.name}: meshes with a textured material have no {slot.name}, so they "
                 "read one texel; give them coordinates"
             )
-            read = np.zeros((len(positions), 2))
+            values = np.zeros((len(positions), 2))
         with np.errstate(over="ignore", invalid="ignore"):  # the source refuses infinite coordinates
-            coordinates.append(Corners(slot.applied(read).astype(np.float32), triangles))
+            coordinates.append(Corners(slot.applied(values).astype(np.float32), triangles))
     frames = None
     if has_frames:
-        normals, index = bound(primitive.attribute("NORMAL", (3,))), known.material.normal_slot
-        tangents = mapped = None
-        if index is not None:  # only normal maps need tangents
-            tangents, mapped = bound(primitive.attribute("TANGENT", (4,))), coordinates[index]
-        frames = corner_frames(positions, triangles, normals, tangents, mapped)
+        normals, slot_number = at_corners(primitive.attribute("NORMAL", (3,))), loaded.material.normal_slot
+        tangents = of_map = None
+        if slot_number is not None:  # only normal maps need tangents
+            tangents, of_map = at_corners(primitive.attribute("TANGENT", (4,))), coordinates[slot_number]
+        frames = corner_frames(positions, triangles, normals, tangents, of_map)
     return part._replace(
-        colors=bound(colors), coordinates=coordinates, uv=bound(uv), frames=frames,
+        colors=at_corners(colors), coordinates=coordinates, uv=at_corners(uv), frames=frames,
         is_smooth="NORMAL" in primitive.attributes,
     )  # fmt: skip
 
@@ -267,33 +261,31 @@ class _Record(NamedTuple):
 
 def _materials(
     document: Document, numbers: Iterable[int | None], options: Options
-) -> dict[int | None, Description]:
+) -> dict[int | None, LoadedMaterial]:
     """Return materials by number, None for glTF's default; images are decoded in parallel, each once."""
-    described = {number: _described(document, number) for number in dict.fromkeys(numbers)}
+    records = {number: _material(document, number) for number in dict.fromkeys(numbers)}
     files: dict[str | int, tuple[bytes, str]] = {}
     textures = {
-        (number, name): _texture(document, use, files)
-        for number, (_, uses) in described.items()
-        for name, use in uses.items()
-        if options.wants_image(name)
+        number: {
+            name: _texture(document, use, files) for name, use in uses.items() if options.wants_image(name)
+        }
+        for number, (_, uses) in records.items()
     }
     with pool_of(cpu_count()) as pool:
         texels = dict(zip(files, pool.map(lambda file: decode_image(*file), files.values()), strict=True))
-    known: dict[int | None, Description] = {}
-    for number, (material, uses) in described.items():
+    materials: dict[int | None, LoadedMaterial] = {}
+    for number, (material, _) in records.items():
         slots: dict[Slot, int] = {}
         inputs = dict(material.inputs)
-        for name in uses:
-            if (number, name) in textures:
-                file, wrap_u, wrap_v, nearest, slot = textures[number, name]
-                index = slots.setdefault(slot, len(slots))
-                texture = Texture(texels[file], wrap_u, wrap_v, nearest, index)
-                inputs[name] = inputs[name]._replace(texture=texture)
-        known[number] = Description(material._replace(inputs=inputs), tuple(slots))
-    return known
+        for name, (file, wrap_u, wrap_v, nearest, slot) in textures[number].items():
+            index = slots.setdefault(slot, len(slots))
+            texture = Texture(texels[file], wrap_u, wrap_v, nearest, index)
+            inputs[name] = inputs[name]._replace(texture=texture)
+        materials[number] = LoadedMaterial(material._replace(inputs=inputs), tuple(slots))
+    return materials
 
 
-def _described(document: Document, number: int | None) -> tuple[Material, dict[str, _Record]]:
+def _material(document: Document, number: int | None) -> tuple[Material, dict[str, _Record]]:
     """Return a material without textures, and the file's references to these, by channel."""
     record = _Record(
         {} if number is None else document.item("materials", number), f"{document.name}: materials[{number}]"
@@ -304,8 +296,8 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
     inputs: dict[str, Input] = {}
     uses: dict[str, _Record] = {}
 
-    def state(name: str, stated: Input, holder: _Record, key: str) -> None:
-        inputs[name] = stated
+    def add(name: str, entry: Input, holder: _Record, key: str) -> None:
+        inputs[name] = entry
         if holder.states(key):
             uses[name] = holder.part(key)
 
@@ -318,9 +310,9 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
     else:
         pbr, texture = record.part("pbrMetallicRoughness"), "baseColorTexture"
         color = pbr.numbers("baseColorFactor", (1.0,) * 4)
-    state("base_color", Input(color[:3]), pbr, texture)
+    add("base_color", Input(color[:3]), pbr, texture)
     if mode != "OPAQUE":
-        state("alpha", Input(color[3:], None, (3,)), pbr, texture)
+        add("alpha", Input(color[3:], None, (3,)), pbr, texture)
     name = record.entry.get("name")
     material = Material(
         inputs,
@@ -335,31 +327,31 @@ def _described(document: Document, number: int | None) -> tuple[Material, dict[s
         texture = "specularGlossinessTexture"
         inputs["metallic"] = Input((0.0,))
         rough = Input((-pbr.number("glossinessFactor", 1.0),), None, (3,), (1.0,))
-        state("roughness", rough, pbr, texture)
+        add("roughness", rough, pbr, texture)
         if pbr.states("specularFactor", texture):
-            state("specular", Input(pbr.numbers("specularFactor", (1.0,) * 3)), pbr, texture)
+            add("specular", Input(pbr.numbers("specularFactor", (1.0,) * 3)), pbr, texture)
     else:
         texture = "metallicRoughnessTexture"
         for name, key, lane in (("metallic", "metallicFactor", 2), ("roughness", "roughnessFactor", 1)):
             if pbr.states(key, texture):
-                state(name, Input((pbr.number(key, 1.0),), None, (lane,)), pbr, texture)
+                add(name, Input((pbr.number(key, 1.0),), None, (lane,)), pbr, texture)
         if extensions.states("KHR_materials_specular", "KHR_materials_ior"):
             layer, ior = extensions.part("KHR_materials_specular"), extensions.part("KHR_materials_ior")
             index = max(ior.number("ior", 1.5), 0.0)  # 0 reflects all
             first = layer.number("specularFactor", 1.0) * ((index - 1.0) / (index + 1.0)) ** 2
             tint = np.clip(first * np.array(layer.numbers("specularColorFactor", (1.0,) * 3)), 0.0, 1.0)
-            state("specular", Input(tuple(tint.tolist())), layer, "specularColorTexture")
+            add("specular", Input(tuple(tint.tolist())), layer, "specularColorTexture")
     if record.states("occlusionTexture"):
         strength = record.part("occlusionTexture").number("strength", 1.0)
         occlusion = Input((strength,), None, (0,), (1.0 - strength,))
-        state("occlusion", occlusion, record, "occlusionTexture")
+        add("occlusion", occlusion, record, "occlusionTexture")
     if record.states("emissiveFactor", "emissiveTexture"):
         strength = extensions.part("KHR_materials_emissive_strength").number("emissiveStrength", 1.0)
-        light = tuple(strength * each for each in record.numbers("emissiveFactor", (0.0,) * 3))
-        state("emissive", Input(light), record, "emissiveTexture")
+        light = tuple(strength * factor for factor in record.numbers("emissiveFactor", (0.0,) * 3))
+        add("emissive", Input(light), record, "emissiveTexture")
     if record.states("normalTexture"):
         scale = record.part("normalTexture").number("scale", 1.0)
-        state("normal", Input((scale, scale, 1.0)), record, "normalTexture")
+        add("normal", Input((scale, scale, 1.0)), record, "normalTexture")
     return material, uses
 
 

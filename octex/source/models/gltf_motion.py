@@ -30,12 +30,12 @@ class Sampler(NamedTuple):
     times: Float64s  # (keys,)   ascending
     values: Float64s  # (keys, components), or of CUBICSPLINE (keys, 3, components): tangent, value, tangent
     interpolation: str
-    turns: bool  # whether values are quaternions
+    is_rotation: bool  # whether values are quaternions
 
     def at(self, time: float) -> Float64s:
         """Return the value (components,) at a time, constant before the first key and after the last."""
         value = self._at(time)
-        return _unit(value) if self.turns else value
+        return _unit(value) if self.is_rotation else value
 
     def _at(self, time: float) -> Float64s:
         times, is_cubic = self.times, self.interpolation == "CUBICSPLINE"
@@ -53,7 +53,7 @@ class Sampler(NamedTuple):
             return np.asarray(
                 shares[0] * a[1] + shares[1] * step * a[2] + shares[2] * b[1] + shares[3] * step * b[0]
             )
-        if not self.turns:
+        if not self.is_rotation:
             return np.asarray((1 - t) * a + t * b)
         a, b = _unit(a), _unit(b)  # along the shorter arc, at constant speed (C.3)
         dot = float(a @ b)
@@ -70,7 +70,7 @@ def _unit(value: Float64s) -> Float64s:
     return value / (float(np.linalg.norm(value)) or 1.0)
 
 
-class Moves:
+class NodeAnimation:
     """The fields of nodes that an animation changes over time. Raises ModelError for a broken animation."""
 
     def __init__(self, document: Document, number: int) -> None:
@@ -83,18 +83,18 @@ class Moves:
             path = target["path"]
             if "node" not in target or path not in _COMPONENTS:  # of an extension
                 continue
-            node, chosen = target["node"], channel["sampler"]
+            node, sampler = target["node"], channel["sampler"]
             if "matrix" in document.item("nodes", node) and path != "weights":
                 raise damaged(f"{what} moves nodes[{node}], which has a matrix")
             if (node, path) in self._channels:
                 raise damaged(f"{what} gives nodes[{node}] its {path} twice")
-            if not isinstance(chosen, int) or not 0 <= chosen < len(animation["samplers"]):
-                raise damaged(f"{what} refers to samplers[{chosen}], which it does not have")
-            if chosen not in samplers:
-                name = f"{what}.samplers[{chosen}]"
-                entry = as_object(animation["samplers"][chosen], name)
-                samplers[chosen] = _sampler(document, entry, path, name)
-            self._channels[node, path] = samplers[chosen]
+            if not isinstance(sampler, int) or not 0 <= sampler < len(animation["samplers"]):
+                raise damaged(f"{what} refers to samplers[{sampler}], which it does not have")
+            if sampler not in samplers:
+                name = f"{what}.samplers[{sampler}]"
+                entry = as_object(animation["samplers"][sampler], name)
+                samplers[sampler] = _sampler(document, entry, path, name)
+            self._channels[node, path] = samplers[sampler]
         #: In seconds.
         self.length = max((float(each.times[-1]) for each in self._channels.values()), default=0.0)
 
@@ -142,7 +142,7 @@ def pose_of(document: Document, pose: str) -> Pose:
     elif number is None:
         fault = f" has no animation {name!r}"
     else:
-        moves = Moves(document, number)
+        moves = NodeAnimation(document, number)
         try:
             time = float(np.float32(seconds))  # the files' precision
         except ValueError:
@@ -151,7 +151,7 @@ def pose_of(document: Document, pose: str) -> Pose:
             return Pose(document, moves.fields_at(time))
         last = np.float32(moves.length)
         fault = f": animation {name!r} has no time {seconds!r}: seconds from 0 to {last}"
-    lengths = {each: np.float32(Moves(document, n).length) for n, each in enumerate(names)}
+    lengths = {each: np.float32(NodeAnimation(document, n).length) for n, each in enumerate(names)}
     listing = ", ".join(f"{each} (0 to {length} s)" for each, length in lengths.items())
     raise ArgumentError(f"{document.name}{fault}; it has {listing}")
 
@@ -190,13 +190,17 @@ class Primitive(NamedTuple):
             yield offsets
 
 
-class Placed(NamedTuple):
+class PlacedPrimitive(NamedTuple):
     """A mesh primitive of a node of the scene."""
 
     node: int
     copy: Float64s  # (4, 4)   of an instance to the node (EXT_mesh_gpu_instancing)
     matrix: Float64s  # (4, 4)   to the world, at rest
     primitive: Primitive
+
+    def rest_positions(self) -> Float64s:
+        """Return the vertices (n, 3) as modelled, in the world."""
+        return np.asarray(self.primitive.positions @ self.matrix[:3, :3].T + self.matrix[:3, 3])
 
 
 class Pose:
@@ -210,7 +214,7 @@ class Pose:
             self._nodes[number], self._matrices[number] = node, matrix
         self._joints: dict[int, Float64s] = {}
 
-    def positions(self, placed: Placed) -> Float64s:
+    def positions(self, placed: PlacedPrimitive) -> Float64s:
         """Return the vertices (n, 3), moved by targets, then by a skin or the node."""
         bones = self.bones(placed)
         moved = placed.primitive.positions
@@ -221,18 +225,18 @@ class Pose:
             if self.skin(placed) is None:
                 return moved @ bones[0, :3, :3].T + bones[0, :3, 3]
             sums = np.zeros_like(moved)
-            bound = influences(placed.primitive, len(bones))
-            for joints, shares in zip(*(each.T for each in bound), strict=True):
-                matrices = bones[joints]
+            joints, weights = influences(placed.primitive, len(bones))
+            for numbers, shares in zip(joints.T, weights.T, strict=True):
+                matrices = bones[numbers]
                 turned = np.einsum("nij,nj->ni", matrices[:, :3, :3], moved) + matrices[:, :3, 3]
                 sums += shares[:, None] * turned
             return sums
 
-    def skin(self, placed: Placed) -> int | None:
+    def skin(self, placed: PlacedPrimitive) -> int | None:
         """Return the skin that moves a primitive; None if only its node moves it."""
         return self._nodes[placed.node].get("skin")
 
-    def bones(self, placed: Placed) -> Float64s:
+    def bones(self, placed: PlacedPrimitive) -> Float64s:
         """Return the matrices (b, 4, 4), of joints or of the node, that move vertices to the scene."""
         skin = self.skin(placed)
         with np.errstate(over="ignore", invalid="ignore"):
@@ -241,7 +245,7 @@ class Pose:
             # A skinned mesh is placed by its joints, not by its node (3.7.3.3).
             return np.asarray(placed.copy @ self._joints_of(skin))
 
-    def weights(self, placed: Placed) -> list[float]:
+    def weights(self, placed: PlacedPrimitive) -> list[float]:
         """Return the weights of a primitive's morph targets. Raises ModelError for another count."""
         record, count = self._nodes[placed.node], len(placed.primitive.targets)
         mesh = self._document.item("meshes", record["mesh"])
@@ -280,17 +284,15 @@ def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
     Weights are scaled to sum 1, as viewers do; if all are 0, the first joint gets 1.
     """
     what = primitive.name
-    joints: list[Array] = []
-    every: list[Float64s] = []
-    while (numbers := primitive.attribute(f"JOINTS_{len(joints)}", (4,))) is not None:
-        weight = primitive.attribute(f"WEIGHTS_{len(joints)}", (4,))
-        if weight is None:
-            raise damaged(f"{what} has JOINTS_{len(joints)} without weights")
-        joints.append(numbers)
-        every.append(weight)
-    if not joints:
+    sets: list[tuple[Float64s, Float64s]] = []
+    while (joints := primitive.attribute(f"JOINTS_{len(sets)}", (4,))) is not None:
+        weights = primitive.attribute(f"WEIGHTS_{len(sets)}", (4,))
+        if weights is None:
+            raise damaged(f"{what} has JOINTS_{len(sets)} without weights")
+        sets.append((joints, weights))
+    if not sets:
         raise damaged(f"{what} has a skin but no JOINTS_0")
-    numbers, weights = np.concatenate(joints, axis=1), np.concatenate(every, axis=1)
+    joints, weights = (np.concatenate(columns, axis=1) for columns in zip(*sets, strict=True))
     sums = weights.sum(axis=1)
     bad = ~((weights >= 0).all(axis=1) & np.isfinite(sums))
     if bad.any():
@@ -305,16 +307,16 @@ def influences(primitive: Primitive, n_joints: int) -> tuple[Int64s, Float64s]:
         warn(f"{what}: the weights of {count} vertices do not sum to 1; octex normalizes them")
         weights[sums == 0, 0] = 1.0
         sums[sums == 0] = 1.0
-    if not (numbers < n_joints).all():
-        first = int(np.argmax((numbers >= n_joints).any(axis=1)))
+    if not (joints < n_joints).all():
+        first = int(np.argmax((joints >= n_joints).any(axis=1)))
         raise damaged(
-            f"{what}: vertex {first} is moved by joint {int(numbers[first].max())}, but its skin has "
+            f"{what}: vertex {first} is moved by joint {int(joints[first].max())}, but its skin has "
             f"{n_joints}"
         )
-    return numbers.astype(np.int64), weights / sums[:, None]
+    return joints.astype(np.int64), weights / sums[:, None]
 
 
-def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Motion | None:
+def motion_of(document: Document, placed: Sequence[PlacedPrimitive], rate: float) -> Motion | None:
     """Return the motion of the vertices of all primitives in turn; None if the file has no animations.
 
     A second has at least ``rate`` frames. ``faults`` lists broken animations.
@@ -323,33 +325,31 @@ def motion_of(document: Document, placed: Sequence[Placed], rate: float) -> Moti
     if not names:
         return None
     bones = _Bones(document, placed)
-    made: list[Animation] = []
+    animations: list[Animation] = []
     faults: list[str] = []
     for number, name in enumerate(names):
         try:
-            moves = Moves(document, number)
+            moves = NodeAnimation(document, number)
             steps = min(moves.length * rate, _MOST_MATRICES / bones.count)
             frames = math.ceil(steps / _MULTIPLE) * _MULTIPLE + 1
             poses = [bones.at(moves, time) for time in np.linspace(0.0, moves.length, frames)]
         except (ModelError, KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
             faults.append(f"animation {name}: {error if isinstance(error, ModelError) else 'is malformed'}")
             continue
-        made.append(Animation(name, moves.length, *map(np.stack, zip(*poses, strict=True))))
-    positions = np.concatenate(
-        [each.primitive.positions @ each.matrix[:3, :3].T + each.matrix[:3, 3] for each in placed]
-    )
-    return Motion(positions, *bones.links(), made, faults)
+        animations.append(Animation(name, moves.length, *map(np.stack, zip(*poses, strict=True))))
+    positions = np.concatenate([each.rest_positions() for each in placed])
+    return Motion(positions, *bones.links(), animations, faults)
 
 
 class _Bones:
     """The bones and targets that move primitives; primitives with one skin and rest matrix share bones."""
 
-    def __init__(self, document: Document, placed: Sequence[Placed]) -> None:
+    def __init__(self, document: Document, placed: Sequence[PlacedPrimitive]) -> None:
         self._document, self._placed = document, placed
         self._rest = Pose(document, {})
         self._first: list[int] = []  # the first bone of each primitive
-        self._owners: dict[tuple[object, bytes, bytes], tuple[int, Placed]] = {}
-        self._weights: dict[int, tuple[int, Placed]] = {}  # the first target of each node
+        self._owners: dict[tuple[object, bytes, bytes], tuple[int, PlacedPrimitive]] = {}
+        self._weights: dict[int, tuple[int, PlacedPrimitive]] = {}  # the first target of each node
         self._skins: list[int] = []  # each primitive's number of bones, 0 without a skin
         self.count, n_targets = 0, 0
         for each in placed:
@@ -365,7 +365,7 @@ class _Bones:
                 self._weights[each.node] = n_targets, each
                 n_targets += len(each.primitive.targets)
 
-    def at(self, moves: Moves, time: float) -> tuple[Float64s, Float64s]:
+    def at(self, moves: NodeAnimation, time: float) -> tuple[Float64s, Float64s]:
         """Return all bones (b, 3, 4) and the weights of all targets (t,) at a time."""
         pose = Pose(self._document, moves.fields_at(time))
         bones = np.concatenate(
@@ -396,8 +396,8 @@ class _Bones:
             if not (np.isfinite(offsets).all() and np.isfinite(turned).all()):
                 raise damaged(f"{primitive.name} has targets that are not finite")
             moves = (offsets != 0).any(axis=2) | (turned != 0).any(axis=2)
-            every = np.broadcast_to(np.arange(moves.shape[1]) + self._weights[each.node][0], moves.shape)
-            targets.append(_entries(moves, every, offsets))
+            numbers = self._weights[each.node][0] + np.arange(moves.shape[1])
+            targets.append(_entries(moves, np.broadcast_to(numbers, moves.shape), offsets))
             turns.append(turned[moves])
         return _links(joints), _links(targets), np.concatenate(turns)
 

@@ -128,11 +128,11 @@ def _rows(lines: list[str], name: str) -> tuple[Float64s, Int64s, Int64s]:
 
 def _off_colors(values: Float64s, starts: Int64s, counts: Int64s) -> Float32s | None:
     """Return linear colours of ``counts`` numbers each, white for fewer than three; None without colours."""
-    colored = counts >= 3
-    if not colored.any():
+    is_colored = counts >= 3
+    if not is_colored.any():
         return None
     colors = np.full((len(counts), 4), np.nan)
     for column in range(4):
-        has_column = colored & (counts > column)
+        has_column = is_colored & (counts > column)
         colors[has_column, column] = values[starts[has_column] + column]
     return guessed_colors(colors)

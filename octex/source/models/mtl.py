@@ -22,7 +22,7 @@ from octex.source.images.decode import decode_image, is_translucent
 from octex.source.images.pyramid import CLAMP, REPEAT, Texels
 from octex.source.images.tiles import is_udim, join_tiles, tile_files, tile_grid
 from octex.source.materials import Input, Material, Texture
-from octex.source.models.reading import Description, Options, Slot, parse_numbers
+from octex.source.models.reading import LoadedMaterial, Options, Slot, parse_numbers
 
 # Number of words after an option of a texture map; up to three numbers follow the last three.
 _OPTION_WORDS = {
@@ -49,49 +49,50 @@ _GREY = 8 / 255
 _ROWS = 256  # rows of an image that are processed at once
 
 
-class Library(NamedTuple):
-    """Materials by name, the SHA-256 of each file read, by its path from the model, and missing files."""
-
-    materials: dict[str, Description]
-    files: dict[str, str]
-    missing: list[str]
-
-
-def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: Options) -> Library:
+def load_materials(
+    path: Path, lines: Sequence[str], wanted: set[str], options: Options
+) -> tuple[dict[str, LoadedMaterial], dict[str, str], list[str]]:
     """Read the ``wanted`` materials of the mtllib ``lines`` of the OBJ file ``path``.
 
-    Each line names one file, whose name may have blanks, or several. The result lists missing files.
+    Each line names one file, whose name may have blanks, or several. Returns materials by name, the SHA-256
+    of each file read, by its path from the model, and the lines whose files are missing.
     """
     images = ImageFiles(path.parent)
-    materials: dict[str, Description] = {}
+    materials: dict[str, LoadedMaterial] = {}
     missing = []
     for line in lines:
-        file = beside(path.parent, line)
-        for each in [file] if file is not None else [beside(path.parent, word) for word in line.split()]:
-            if each is not None:
-                data = read_bytes(each)
-                images.note(each, data)
+        whole = find_beside(path.parent, line)
+        for file in [find_beside(path.parent, word) for word in line.split()] if whole is None else [whole]:
+            if file is not None:
+                data = read_bytes(file)
+                images.note(file, data)
                 is_linear = data.startswith(_LINEAR)
-                entries: dict[str, str] = {}
-                name = None
-                for entry in [*wavefront_lines(data, each), "newmtl"]:
-                    key, _, rest = entry.partition(" ")
-                    if key == "newmtl":
-                        if name is not None and name in wanted:
-                            materials[name] = _Describer(
-                                entries, name, each, images, options, is_linear=is_linear
-                            ).describe()
-                        name, entries = rest.strip(), {}
-                    elif rest.strip():
-                        entries[key.lower()] = rest.strip()
+                for name, entries in _entries(data, file):
+                    if name in wanted:
+                        reader = _MaterialReader(entries, name, file, images, options, is_linear)
+                        materials[name] = reader.read()
             elif line not in missing:
                 missing.append(line)
-    stated = set(options.channels or ())
-    stated.update(*(each.material.inputs.keys() - each.assumed for each in materials.values()))
-    for name, known in materials.items():
-        inputs = {k: v for k, v in known.material.inputs.items() if k not in known.assumed - stated}
-        materials[name] = known._replace(material=known.material._replace(inputs=inputs))
-    return Library(materials, images.files, missing)
+    needed = set(options.channels or ())
+    needed.update(*(each.material.inputs.keys() - each.assumed for each in materials.values()))
+    for name, (material, slots, assumed, *_) in materials.items():
+        inputs = {key: value for key, value in material.inputs.items() if key not in assumed - needed}
+        materials[name] = LoadedMaterial(material._replace(inputs=inputs), slots, assumed)
+    return materials, images.files, missing
+
+
+def _entries(data: bytes, path: Path) -> Iterator[tuple[str, dict[str, str]]]:
+    """Yield the name of each material of an MTL file, and its lines by their first word."""
+    entries: dict[str, str] = {}
+    name = None
+    for line in [*wavefront_lines(data, path), "newmtl"]:
+        key, _, rest = line.partition(" ")
+        if key == "newmtl":
+            if name is not None:
+                yield name, entries
+            name, entries = rest.strip(), {}
+        elif rest.strip():
+            entries[key.lower()] = rest.strip()
 
 
 def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
@@ -118,7 +119,7 @@ def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
             yield line
 
 
-def beside(folder: Path, name: str) -> Path | None:
+def find_beside(folder: Path, name: str) -> Path | None:
     """Find a file by a path relative to a folder, else by its name there, else by its name in any case.
 
     A path with <UDIM> in its name is found if it has tiles.
@@ -137,7 +138,7 @@ def beside(folder: Path, name: str) -> Path | None:
     return None
 
 
-class _Map(NamedTuple):
+class _TextureMap(NamedTuple):
     file: str
     slot: Slot = Slot()
     wrap: int = REPEAT
@@ -147,27 +148,27 @@ class _Map(NamedTuple):
     gain: float = 1.0
 
 
-class _Describer:
-    """Turns the lines of one material into its description."""
+class _MaterialReader:
+    """Reads one material from its lines."""
 
     def __init__(
         self, entries: dict[str, str], name: str, path: Path, images: ImageFiles, options: Options,
-        *, is_linear: bool,
+        is_linear: bool,
     ) -> None:  # fmt: skip
         self._entries, self._name, self._path = entries, name, path
         self._where = f"{path.name}: material {name}"
         self._images, self._options, self._is_linear = images, options, is_linear
         self._slots: dict[Slot, int] = {}
 
-    def describe(self) -> Description:
+    def read(self) -> LoadedMaterial:
         """Return the material."""
         special = {"alpha": self._alpha, "normal": self._normal}
         inputs = {"base_color": Input((1.0, 1.0, 1.0))}
         for channel in KEYS:
             read = self._scalar if CHANNELS[channel].components == 1 else self._color
-            made = special.get(channel, read)(channel)
-            if made is not None:
-                inputs[channel] = made
+            entry = special.get(channel, read)(channel)
+            if entry is not None:
+                inputs[channel] = entry
         assumed = set()
         if "roughness" not in inputs and "ns" in self._entries:
             exponent = self._numbers("Ns", 1)[0] if self._options.wants("roughness") else 0.0
@@ -176,7 +177,7 @@ class _Describer:
         if "specular" in inputs and self._map("map_Ks") is None:
             assumed.add("specular")
         material = Material(inputs, "blend" if "alpha" in inputs else "opaque", name=self._name)
-        return Description(material, tuple(self._slots), frozenset(assumed))
+        return LoadedMaterial(material, tuple(self._slots), frozenset(assumed))
 
     def _color(self, channel: str) -> Input | None:
         """Return a colour and its map; None if the material has neither, or no emission."""
@@ -184,8 +185,8 @@ class _Describer:
         image, text = self._map(*maps), self._entries.get(key.lower())
         if image is None and text is None:
             return None
-        stated = parse_numbers(text or "1")
-        black = stated is not None and stated.max(initial=-np.inf) <= 0.0
+        numbers = parse_numbers(text or "1")
+        black = numbers is not None and numbers.max(initial=-np.inf) <= 0.0
         if black and image is None and channel == "emissive":
             return None
         if not self._options.wants(channel):
@@ -198,7 +199,7 @@ class _Describer:
         if max(color) <= 1.0 or channel != "emissive":
             values = np.clip(color, 0.0, 1.0)
             color = (values if self._is_linear else srgb_to_linear(values)).tolist()
-        factor = tuple(max(each, 0.0) for each in color)
+        factor = tuple(max(component, 0.0) for component in color)
         return Input(factor, None if image is None else self._texture(image))
 
     def _scalar(self, channel: str) -> Input | None:
@@ -249,27 +250,27 @@ class _Describer:
                 return Input((1.0, 1.0, 1.0), self._placed(texels, image))
         return Input((image.bump, image.bump, 1.0), self._texture(image))
 
-    def _lane(self, image: _Map) -> tuple[Texture, int]:
+    def _lane(self, image: _TextureMap) -> tuple[Texture, int]:
         """Return the texture of a map of single values, and their component."""
         texture = self._texture(image)
         if image.lane == "l":
             return texture._replace(texels=self._images.luminance(texture.texels)), 0
         return texture, _LANES.get(image.lane, 0)
 
-    def _texture(self, image: _Map) -> Texture:
+    def _texture(self, image: _TextureMap) -> Texture:
         return self._placed(self._texels(image, image.base, image.gain), image)
 
-    def _placed(self, texels: Texels, image: _Map) -> Texture:
-        path = self._found(image)
+    def _placed(self, texels: Texels, image: _TextureMap) -> Texture:
+        path = self._file(image)
         tiles = tile_grid(tile_files(path)) if is_udim(path.name) else (1, 1)
         slot = self._slots.setdefault(image.slot._replace(tiles=tiles), len(self._slots))
         return Texture(texels, image.wrap, image.wrap, slot=slot)
 
-    def _texels(self, image: _Map, base: float = 0.0, gain: float = 1.0) -> Texels:
-        return self._images.read(self._found(image), f"{self._where}: {image.file}", base, gain)
+    def _texels(self, image: _TextureMap, base: float = 0.0, gain: float = 1.0) -> Texels:
+        return self._images.read(self._file(image), f"{self._where}: {image.file}", base, gain)
 
-    def _found(self, image: _Map) -> Path:
-        path = beside(self._path.parent, image.file)
+    def _file(self, image: _TextureMap) -> Path:
+        path = find_beside(self._path.parent, image.file)
         if path is None:
             raise ImageError(
                 f"{self._where}: the image {image.file} is missing; put it next to {self._path.name}, or "
@@ -280,13 +281,13 @@ class _Describer:
     def _numbers(self, key: str, most: int) -> list[float]:
         return _floats(self._entries[key.lower()].replace("-halo", ""), most, f"{self._where}: {key}")
 
-    def _map(self, *keys: str) -> _Map | None:
+    def _map(self, *keys: str) -> _TextureMap | None:
         """Return the first texture map among the keys, without reading its image."""
         key = next((key for key in keys if key.lower() in self._entries), None)
         return None if key is None else _parse_map(self._entries[key.lower()], f"{self._where}: {key}")
 
 
-def _parse_map(text: str, where: str) -> _Map | None:
+def _parse_map(text: str, where: str) -> _TextureMap | None:
     """Split a texture map's line into the options and the file, whose name may have blanks."""
     options: dict[str, str] = {}
     rest = text
@@ -315,7 +316,7 @@ def _parse_map(text: str, where: str) -> _Map | None:
     bump, mm = numbers("-bm", 1.0), numbers("-mm", 0.0, 1.0)
     if file in ("", "."):  # Blender wrote a dot for an image without a file
         return None
-    return _Map(file, slot, wrap, "" if lane == "z" else lane, *bump, *mm)
+    return _TextureMap(file, slot, wrap, "" if lane == "z" else lane, *bump, *mm)
 
 
 def _floats(text: str, most: int, what: str) -> list[float]:

@@ -12,14 +12,14 @@ from pathlib import Path
 import numpy as np
 
 from octex.arrays import Float64s, Int32s, Int64s, Uint8s
-from octex.errors import ModelError, damaged
+from octex.errors import damaged
 from octex.files import read_bytes
 from octex.jit import kernel
 from octex.source.colors import guessed_colors
 from octex.source.corners import Corners, Creases
 from octex.source.models.mtl import load_materials, wavefront_lines
 from octex.source.models.reading import (
-    Description,
+    LoadedMaterial,
     Options,
     Part,
     assembled,
@@ -44,26 +44,26 @@ def load_obj(path: Path, options: Options) -> Surface:
     indices, sizes = _faces(text, name)
     colors = guessed_colors(vertices[:, 3:6]) if vertices.shape[1] >= 6 else None
     part, corners, polygons = cut_part(name, positions, np.ascontiguousarray(indices[:, 0]), sizes, colors)
-    known = [Description()]
+    materials = [LoadedMaterial()]
     files: dict[str, str] = {}
     if options.materials and text.uses:
-        known, numbers, files = _bind(text, path, polygons, len(sizes), options)
+        materials, numbers, files = _bind(text, path, polygons, len(sizes), options)
         part = part._replace(materials=numbers)
-        part = _white_below_images(part, known)
+        part = _white_below_images(part, materials)
     rows = indices[corners, 1]
-    described, uv = dict(enumerate(known)), None
-    if options.materials and (any(each.slots for each in known) or (rows >= 0).all()):
-        upright, bound = _coordinates(text, known, part.materials, rows, name)
-        uv = Corners(flip_v(upright), bound)
-        coordinates = slot_coordinates(described, part.materials, lambda _: (upright, bound))
+    by_number, uv = dict(enumerate(materials)), None
+    if options.materials and (any(each.slots for each in materials) or (rows >= 0).all()):
+        upright, of_corners = _coordinates(text, materials, part.materials, rows, name)
+        uv = Corners(flip_v(upright), of_corners)
+        coordinates = slot_coordinates(by_number, part.materials, lambda _: (upright, of_corners))
         part = part._replace(coordinates=coordinates, uv=uv if (rows >= 0).all() else None)
-    is_mapped = uv is not None and any(each.material.normal_slot is not None for each in known)
+    is_mapped = uv is not None and any(each.material.normal_slot is not None for each in materials)
     normals = _normals(text, indices[corners, 2], name) if is_mapped or options.normals else None
     if is_mapped or normals is not None:
-        part = with_frames(part, described, normals, uv)
+        part = with_frames(part, by_number, normals, uv)
     return assembled(
         [part],
-        [each.material for each in known],
+        [each.material for each in materials],
         options,
         name,
         provenance={"files": json.dumps(files, sort_keys=True)} if files else {},
@@ -72,6 +72,8 @@ def load_obj(path: Path, options: Options) -> Surface:
 
 
 class _Text:
+    """The lines of an OBJ file by their first word, without it."""
+
     def __init__(self, path: Path) -> None:
         lines: dict[str, list[str]] = {key: [] for key in ("f", "v", "vt", "vn", "mtllib", "t")}
         self.faces, self.vertices, self.coordinates, self.normals, self.libraries, self.tags = lines.values()
@@ -79,17 +81,17 @@ class _Text:
         # count from them.
         self.runs: list[list[int]] = []
         self.uses: list[tuple[int, str]] = []  # first face, material
-        moved = True
+        is_new_run = True
         for line in wavefront_lines(read_bytes(path), path):
             key, _, rest = line.partition(" ")
             if key == "f":
-                if moved:
-                    self.runs.append([len(lines[each]) for each in ("f", "v", "vt", "vn")])
-                    moved = False
+                if is_new_run:
+                    self.runs.append([len(lines[word]) for word in ("f", "v", "vt", "vn")])
+                    is_new_run = False
                 self.faces.append(rest)
             elif key in lines:
                 lines[key].append(rest)
-                moved = True
+                is_new_run = True
             elif key == "usemtl":
                 self.uses.append((len(self.faces), rest.strip()))
 
@@ -110,7 +112,7 @@ def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
             numbers = [int(word) for word in words[1 : 1 + wholes]]
             (sharp,) = [float(word) for word in words[1 + wholes : 1 + wholes + fractions]]
             is_sound = len(numbers) == (2 if kind == "crease" else 1) and 0 <= sharp < np.inf
-            if not is_sound or not all(0 <= each < vertices for each in numbers):
+            if not is_sound or not all(0 <= number < vertices for number in numbers):
                 raise ValueError
             (edges if kind == "crease" else points).append((numbers, sharp))
         except (IndexError, ValueError):
@@ -118,9 +120,9 @@ def _creases(tags: list[str], vertices: int, name: str) -> Creases | None:
     if not edges and not points:
         return None
     return Creases(
-        np.array([each for each, _ in edges], np.int32).reshape(-1, 2),
+        np.array([ends for ends, _ in edges], np.int32).reshape(-1, 2),
         np.array([sharp for _, sharp in edges], np.float32),
-        np.array([each for each, _ in points], np.int32).reshape(-1),
+        np.array([vertex for vertex, _ in points], np.int32).reshape(-1),
         np.array([sharp for _, sharp in points], np.float32),
     )
 
@@ -131,21 +133,18 @@ def _numbers(rows: list[str], least: int, name: str, key: str) -> Float64s:
         return np.empty((0, least), np.float64)
     columns = len(rows[0].split())
     values = parse_numbers(" ".join(rows))
-    if values is None or values.size != columns * len(rows) or columns < least:
-        counts = np.array([len(row.split()) for row in rows])
-        if counts.min() < least:
-            short = rows[int(counts.argmin())]
-            raise ModelError(
-                f"{name}: a line '{key} {short[:40]}' has too few numbers; export the model again"
-            )
-        if values is None or values.size != counts.sum():
-            broken = next(row for row in rows if parse_numbers(row) is None)
-            raise ModelError(f"{name}: a line '{key} {broken[:40]}' is not numbers; export the model again")
-        columns = int(counts.max())
-        ragged = np.full((len(rows), columns), np.nan)
-        ragged[np.arange(columns) < counts[:, None]] = values
-        return ragged
-    return values.reshape(-1, columns)
+    if values is not None and values.size == columns * len(rows) and columns >= least:
+        return values.reshape(-1, columns)
+    counts = np.array([len(row.split()) for row in rows])
+    if counts.min() < least:
+        short = rows[int(counts.argmin())]
+        raise damaged(f"{name}: a line '{key} {short[:40]}' has too few numbers")
+    if values is None or values.size != counts.sum():
+        broken = next(row for row in rows if parse_numbers(row) is None)
+        raise damaged(f"{name}: a line '{key} {broken[:40]}' is not numbers")
+    ragged = np.full((len(rows), int(counts.max())), np.nan)
+    ragged[np.arange(ragged.shape[1]) < counts[:, None]] = values
+    return ragged
 
 
 def _faces(text: _Text, name: str) -> tuple[Int64s, Int64s]:
@@ -158,7 +157,7 @@ def _faces(text: _Text, name: str) -> tuple[Int64s, Int64s]:
     count = _parse_corners(joined, bases, corners, sizes)
     if count < 0:
         line = text.faces[-1 - count]
-        raise ModelError(f"{name}: a line 'f {line[:40]}' is not a face; export the model again")
+        raise damaged(f"{name}: a line 'f {line[:40]}' is not a face")
     corners = corners[:count]
     for column, listed in ((1, text.coordinates), (2, text.normals)):
         if not listed:  # several exporters refer to coordinates or normals that they do not write
@@ -211,37 +210,36 @@ def _parse_corners(text: Uint8s, bases: Int64s, corners: Int64s, sizes: Int64s) 
 
 def _bind(
     text: _Text, path: Path, polygons: Int64s, faces: int, options: Options
-) -> tuple[list[Description], Int32s, dict[str, str]]:
+) -> tuple[list[LoadedMaterial], Int32s, dict[str, str]]:
     """Return the materials in use, the number of each triangle's, and the digests of the files read."""
     ends = [*(first for first, _ in text.uses[1:]), faces]
     uses = [(first, end, name) for (first, name), end in zip(text.uses, ends, strict=True) if first < end]
     numbers = np.zeros(faces, np.int32)
-    known = [Description()]
     if not text.libraries:
-        return known, numbers[polygons], {}
+        return [LoadedMaterial()], numbers[polygons], {}
     names = list(dict.fromkeys(material for _, _, material in uses))
     libraries = [line.strip() for line in text.libraries]
-    library = load_materials(path, libraries, set(names), options)
-    missing = [name for name in names if name not in library.materials]
+    by_name, files, missing_files = load_materials(path, libraries, set(names), options)
+    missing = [name for name in names if name not in by_name]
     if missing:
         more = f" and {len(missing) - _LISTED} more" if len(missing) > _LISTED else ""
-        listing = ", ".join(each or "without a name" for each in missing[:_LISTED]) + more
+        listing = ", ".join(name or "without a name" for name in missing[:_LISTED]) + more
         what, are = (f"material {listing}", "is") if len(missing) == 1 else (f"materials {listing}", "are")
-        lie, them = ("are", "them") if len(library.missing) > 1 else ("is", "it")
         fault = f"{', '.join(libraries)} does not define the {what}, which {are} white; add what is missing"
-        if library.missing:
-            files = " and ".join(library.missing)
-            fault = f"{files} {lie} missing, so the {what} {are} white; put {them} next to the model"
+        if missing_files:
+            lie, them = ("are", "them") if len(missing_files) > 1 else ("is", "it")
+            lost = " and ".join(missing_files)
+            fault = f"{lost} {lie} missing, so the {what} {are} white; put {them} next to the model"
         warn(f"{path.name}: {fault}")
-    known += [library.materials.get(name, Description()) for name in names]
+    materials = [LoadedMaterial(), *(by_name.get(name, LoadedMaterial()) for name in names)]
     for first, end, material in uses:
         numbers[first:end] = 1 + names.index(material)
-    return known, numbers[polygons], library.files
+    return materials, numbers[polygons], files
 
 
-def _white_below_images(part: Part, known: list[Description]) -> Part:
+def _white_below_images(part: Part, materials: list[LoadedMaterial]) -> Part:
     """Drop vertex colours under images of colour: programs repeat these, or write a meaningless grey."""
-    textured = np.array([each.material.inputs["base_color"].texture is not None for each in known])
+    textured = np.array([each.material.inputs["base_color"].texture is not None for each in materials])
     is_white = textured[part.materials]
     if part.colors is None or not is_white.any():
         return part
@@ -251,30 +249,31 @@ def _white_below_images(part: Part, known: list[Description]) -> Part:
 
 
 def _coordinates(
-    text: _Text, known: list[Description], numbers: Int32s, rows: Int64s, name: str
+    text: _Text, materials: list[LoadedMaterial], numbers: Int32s, rows: Int64s, name: str
 ) -> tuple[Float64s, Int32s]:
-    textured = np.array([bool(each.slots) for each in known])[numbers]
-    missing = int((rows[textured] < 0).any(axis=1).sum())
+    """Return texture coordinates (k, 2), v up, and the row of each corner (m, 3)."""
+    is_textured = np.array([bool(each.slots) for each in materials])[numbers]
+    missing = int((rows[is_textured] < 0).any(axis=1).sum())
     if missing:
         what = f"{name} has {missing} textured triangles without texture coordinates"
         warn(f"{what}: they read one texel; give them some")
-    plain = _numbers(text.coordinates, 1, name, "vt")
-    if plain.shape[1] == 1:
-        plain = np.append(plain, np.zeros_like(plain), axis=1)
-    plain = np.where(np.isnan(plain), 0.0, plain)[:, :2]
+    coordinates = _numbers(text.coordinates, 1, name, "vt")
+    if coordinates.shape[1] == 1:
+        coordinates = np.append(coordinates, np.zeros_like(coordinates), axis=1)
+    coordinates = np.where(np.isnan(coordinates), 0.0, coordinates)[:, :2]
     if missing:  # they read at (0, 0)
-        plain = np.append(plain, np.zeros((1, 2)), axis=0)
-    return plain, np.where(rows < 0, max(len(plain) - 1, 0), rows).astype(np.int32)
+        coordinates = np.append(coordinates, np.zeros((1, 2)), axis=0)
+    return coordinates, np.where(rows < 0, max(len(coordinates) - 1, 0), rows).astype(np.int32)
 
 
 def _normals(text: _Text, rows: Int64s, name: str) -> Corners | None:
     """Return the normals at corners, NaN where there are none."""
     check_among(rows, len(text.normals), f"{name}: a face uses a normal", least=-1)
-    listed = _numbers(text.normals, 3, name, "vn")[:, :3]
-    missing = (rows < 0).any(axis=1)
-    if missing.all():
+    normals = _numbers(text.normals, 3, name, "vn")[:, :3]
+    is_missing = (rows < 0).any(axis=1)
+    if is_missing.all():
         return None
-    count = int(missing.sum())
-    bound = rows.astype(np.int32)
-    bound[missing] = len(listed) + np.arange(count, dtype=np.int32)[:, None]
-    return Corners(np.concatenate([listed, np.full((count, 3), np.nan)]).astype(np.float32), bound)
+    count = int(is_missing.sum())
+    of_corners = rows.astype(np.int32)
+    of_corners[is_missing] = len(normals) + np.arange(count, dtype=np.int32)[:, None]
+    return Corners(np.concatenate([normals, np.full((count, 3), np.nan)]).astype(np.float32), of_corners)

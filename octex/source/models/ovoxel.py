@@ -75,10 +75,10 @@ def load_voxel_surface(path: Path, options: Options) -> Surface:
             "faces; use the mesh of another file"
         )
     names = in_order([name for name in voxels.values if options.wants(name)])
-    missing = [each for each in options.channels or () if each not in voxels.values]
+    missing = [name for name in options.channels or () if name not in voxels.values]
     if missing and options.materials:
-        known = ", ".join(in_order(list(voxels.values)))
-        raise ModelError(f"{path.name} has no channel {', '.join(missing)}; it has {known}")
+        listing = ", ".join(in_order(list(voxels.values)))
+        raise ModelError(f"{path.name} has no channel {', '.join(missing)}; it has {listing}")
     columns = [np.empty((len(voxels), 0), np.float32)]
     for form, rows in map(voxels.values.__getitem__, names):
         columns.append(decode(rows, form.space) if rows.dtype.kind == "u" else rows.astype(np.float32))
@@ -99,8 +99,8 @@ def load_voxel_surface(path: Path, options: Options) -> Surface:
 def _within(dual: Array, count: int, name: str) -> Float64s:
     """Return the vertices' positions within their voxels (n, 3), 0 to 1: bytes are in 1/255."""
     if dual.shape != (count, _AXES) or (dual.dtype != np.uint8 and dual.dtype.kind != "f"):
-        what = f"{dual.dtype} {dual.shape}"
-        raise ModelError(f"{name}: dual_vertices must be bytes or floats of shape ({count}, 3), not {what}")
+        kind = f"{dual.dtype} {dual.shape}"
+        raise ModelError(f"{name}: dual_vertices must be bytes or floats of shape ({count}, 3), not {kind}")
     within = dual / 255.0 if dual.dtype == np.uint8 else dual.astype(np.float64)
     if not ((within >= -1e-6) & (within <= 1.0 + 1e-6)).all():
         raise ModelError(f"{name}: dual_vertices must lie within their voxels, from 0 to 1")
@@ -128,10 +128,10 @@ def _dual_mesh(coords: Int64s, vertices: Float64s, arrays: dict[str, Array], nam
             raise ModelError(f"{name}: split_weight must be numbers of shape ({len(coords)}, 1)")
         of_corners = weights.reshape(-1).astype(np.float64)[quads]
         is_cut = of_corners[:, 0] * of_corners[:, 2] > of_corners[:, 1] * of_corners[:, 3]
-    others = np.full(quads.size, -1, np.int64)
+    opposite = np.full(quads.size, -1, np.int64)
     a, b = paired_sides(quads.reshape(-1), np.roll(quads, -1, axis=1).reshape(-1))
-    others[a], others[b] = b, a
-    _turn(others, vertices, quads)
+    opposite[a], opposite[b] = b, a
+    _turn(opposite, vertices, quads)
     cuts = np.where(is_cut[:, None], [0, 1, 2, 0, 2, 3], [0, 1, 3, 3, 1, 2])
     return np.take_along_axis(quads, cuts, axis=1).reshape(-1, 3).astype(np.int32)
 

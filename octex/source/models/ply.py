@@ -165,7 +165,7 @@ class Ply:
         """Return points (n, 3), linear colours and alpha (n, 4), and normals (n, 3)."""
         positions, vertex = self._positions(), self._numbers("vertex")
         if not len(positions):
-            raise ModelError(f"{self.name} has no points; export the model again")
+            raise damaged(f"{self.name} has no points")
         colors = _element_colors(vertex)
         if colors is None:
             raise ModelError(f"{self.name} has points without colours; export them with red, green and blue")
@@ -186,9 +186,9 @@ class Ply:
             sizes = np.full(len(indices) // 3, 3)
         colors = _element_colors(vertex), _element_colors(face)
         part, corners, numbers = cut_part(self.name, positions, indices, sizes, *colors)
-        listed = self.data.get("face", {}).get("texcoord")
-        if listed is not None and listed.sizes is not None and np.array_equal(listed.sizes, 2 * sizes):
-            uv = Corners(flip_v(listed.values.reshape(-1, 2)), corners.astype(np.int32))
+        lists = self.data.get("face", {}).get("texcoord")
+        if lists is not None and lists.sizes is not None and np.array_equal(lists.sizes, 2 * sizes):
+            uv = Corners(flip_v(lists.values.reshape(-1, 2)), corners.astype(np.int32))
             part = part._replace(uv=uv)
         elif names := [names for names in _COORDINATES if vertex.keys() >= set(names)]:
             coordinates = np.stack([vertex[name].values for name in names[0]], axis=1)
@@ -203,18 +203,18 @@ class Ply:
         part = part._replace(colors=None)
         textures = [Texture(self._image(image)) for image in self.images]
         if "texnumber" in face:
-            chosen = whole_numbers(face["texnumber"].values)
-            check_below(chosen, len(textures), f"{self.name}: a face names TextureFile")
-            part = part._replace(materials=chosen[numbers].astype(np.int32))
+            materials = whole_numbers(face["texnumber"].values)
+            check_below(materials, len(textures), f"{self.name}: a face names TextureFile")
+            part = part._replace(materials=materials[numbers].astype(np.int32))
         return colored_surface(self.name, options, part, textures)
 
     def _indices(self, element: str) -> tuple[Int64s, Int64s]:
         """Return the vertices of all faces or strips, and the number of each one's vertices."""
-        lists = self.data.get(element, {})
-        listed = lists.get("vertex_indices", lists.get("vertex_index"))
-        if listed is None or listed.sizes is None:
+        properties = self.data.get(element, {})
+        lists = properties.get("vertex_indices", properties.get("vertex_index"))
+        if lists is None or lists.sizes is None:
             return np.empty(0, np.int64), np.empty(0, np.int64)
-        return whole_numbers(listed.values), listed.sizes
+        return whole_numbers(lists.values), lists.sizes
 
     def _image(self, image: str) -> Texels:
         what = f"{self.name}: {image}"
@@ -235,11 +235,9 @@ def _element_colors(element: dict[str, _Values]) -> Float32s | None:
         if not all(name in element for name in names[:3]):
             continue
         columns = []
-        for each in (element[name] for name in names if name in element):
-            largest = _CODES.get(each.type)
-            if largest is None:
-                largest = 255.0 if each.values.max(initial=0.0) > 1.0 else 1.0
-            columns.append(each.values / largest)
+        for values, _, kind in (element[name] for name in names if name in element):
+            largest = _CODES.get(kind) or (255.0 if values.max(initial=0.0) > 1.0 else 1.0)
+            columns.append(values / largest)
         return screen_colors(np.stack(columns, axis=1))
     return None
 

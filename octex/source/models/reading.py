@@ -31,7 +31,7 @@ class Options(NamedTuple):
     materials: bool = True  # False: the surface is white, and no image is read
     channels: tuple[str, ...] | None = None  # None: every channel of the materials
     filter: str = "ewa"
-    without: tuple[str, ...] = ()  # overridden channels, whose images are not read
+    overridden: tuple[str, ...] = ()  # overridden channels, whose images are not read
     normals: bool = False  # keep shading normals even without a normal map
     pose: str | None = None  # NAME@SECONDS of an animation; None: at rest
     finite: bool = False  # leave out triangles with vertices that are not finite, instead of refusing them
@@ -39,7 +39,7 @@ class Options(NamedTuple):
     def wants(self, channel: str) -> bool:
         """Say whether a channel is to be read."""
         is_named = self.channels is None or channel in self.channels
-        return self.materials and is_named and channel not in self.without
+        return self.materials and is_named and channel not in self.overridden
 
     def wants_image(self, channel: str) -> bool:
         """Say whether to read a channel's image: colour and alpha together, since alpha weighs colour."""
@@ -97,7 +97,7 @@ class Slot(NamedTuple):
         return np.asarray((scaled + np.array(self.offset)) / np.array(self.tiles))
 
 
-class Description(NamedTuple):
+class LoadedMaterial(NamedTuple):
     """A material, and the sets of coordinates of its textures' slots."""
 
     material: Material = Material({"base_color": Input((1.0, 1.0, 1.0))})
@@ -108,25 +108,25 @@ class Description(NamedTuple):
 
 
 def slot_coordinates(
-    known: Mapping[int, Description], numbers: Int32s, read: Callable[[str], tuple[Array, Int32s]]
+    materials: Mapping[int, LoadedMaterial], numbers: Int32s, read: Callable[[str], tuple[Array, Int32s]]
 ) -> list[Corners]:
     """Return coordinates slot by slot, v down, for triangles with materials of these ``numbers`` (m,).
 
     ``read`` returns a set of coordinates (n, 2), v up, by its name, and the row of each corner (m, 3).
     """
-    bound = []
-    for index in range(max(len(each.slots) for each in known.values())):
+    by_slot = []
+    for index in range(max(len(each.slots) for each in materials.values())):
         values, rows, first = [np.zeros((1, 2), np.float32)], np.zeros((len(numbers), 3), np.int32), 1
-        reading = {number: each.slots[index] for number, each in known.items() if index < len(each.slots)}
-        for slot in dict.fromkeys(reading.values()):
-            chosen = np.isin(numbers, [number for number, read_slot in reading.items() if read_slot == slot])
-            if chosen.any():
+        slot_of = {n: each.slots[index] for n, each in materials.items() if index < len(each.slots)}
+        for slot in dict.fromkeys(slot_of.values()):
+            is_reader = np.isin(numbers, [n for n, other in slot_of.items() if other == slot])
+            if is_reader.any():
                 coordinates, of_corners = read(slot.name)
                 values.append(flip_v(slot.applied(coordinates)))
-                np.add(of_corners, np.int32(first), out=rows, where=chosen[:, None])
+                np.add(of_corners, np.int32(first), out=rows, where=is_reader[:, None])
                 first += len(coordinates)
-        bound.append(Corners(np.concatenate(values), rows))
-    return bound
+        by_slot.append(Corners(np.concatenate(values), rows))
+    return by_slot
 
 
 class Part(NamedTuple):
@@ -151,16 +151,16 @@ class Part(NamedTuple):
         with np.errstate(over="ignore", invalid="ignore"):  # the surface refuses infinite positions
             positions = self.positions @ linear.T + self.matrix[:3, 3]
             order = winding(linear)
-        turned = self.triangles[:, order]
+        triangles = self.triangles[:, order]
 
         def ordered(corners: Corners) -> Corners:
-            return corners._replace(rows=turned if corners.rows is rows else corners.rows[:, order])
+            return corners._replace(rows=triangles if corners.rows is rows else corners.rows[:, order])
 
         return self._replace(
             positions=positions,
-            triangles=turned,
+            triangles=triangles,
             colors=self.colors and ordered(self.colors),
-            coordinates=[ordered(each) for each in self.coordinates],
+            coordinates=list(map(ordered, self.coordinates)),
             uv=self.uv and ordered(self.uv),
             frames=self.frames and Frames(*map(ordered, transformed(self.frames, linear))),
             polygons=self.polygons and self.polygons._replace(corners=self.polygons.corners[:, order]),
@@ -168,16 +168,16 @@ class Part(NamedTuple):
 
 
 def with_frames(
-    part: Part, known: Mapping[int, Description], normals: Corners | None, otherwise: Corners | None
+    part: Part, materials: Mapping[int, LoadedMaterial], normals: Corners | None, default: Corners | None
 ) -> Part:
-    """Return a part with frames along the coordinates of normal maps, without one along ``otherwise``."""
-    slots = np.full(max(known) + 1, -1)
-    for number, each in known.items():
-        slots[number] = -1 if each.material.normal_slot is None else each.material.normal_slot
-    mapped = None
-    if otherwise is not None and (slots >= 0).any():
-        mapped = Corners.chosen([*part.coordinates, otherwise], slots[part.materials])
-    frames = corner_frames(part.positions, part.triangles, normals, None, mapped)
+    """Return a part with frames along the coordinates of normal maps, or of ``default`` without a map."""
+    slots = np.full(max(materials) + 1, -1)
+    for number, (material, *_) in materials.items():
+        slots[number] = -1 if material.normal_slot is None else material.normal_slot
+    coordinates = None
+    if default is not None and (slots >= 0).any():
+        coordinates = Corners.chosen([*part.coordinates, default], slots[part.materials])
+    frames = corner_frames(part.positions, part.triangles, normals, None, coordinates)
     return part._replace(frames=frames, is_smooth=normals is not None)
 
 
@@ -217,14 +217,14 @@ def assembled(
         width = next((each.values.shape[1] for each in attributes if each is not None), None)
         if width is None:
             return None
-        one = np.full((1, width), default, np.float32)
-        every = [
-            each or Corners(one, np.zeros_like(part.triangles))
-            for part, each in zip(parts, attributes, strict=True)
+        row = np.full((1, width), default, np.float32)
+        filled = [
+            attribute or Corners(row, np.zeros_like(part.triangles))
+            for part, attribute in zip(parts, attributes, strict=True)
         ]
-        if all(each.rows is part.triangles for part, each in zip(parts, every, strict=True)):
-            return Corners(np.concatenate([each.values for each in every]), triangles)
-        return Corners.joined(every)
+        if all(each.rows is part.triangles for part, each in zip(parts, filled, strict=True)):
+            return Corners(np.concatenate([values for values, _ in filled]), triangles)
+        return Corners.joined(filled)
 
     is_smooth = any(part.is_smooth for part in parts)
     is_mapped = any(each.normal_slot is not None for each in materials)
@@ -266,9 +266,9 @@ def assembled(
     return surface
 
 
-def check_among(used: Int64s, count: int, what: str, least: int = 0) -> None:
+def check_among(numbers: Int64s, count: int, what: str, least: int = 0) -> None:
     """Raise ModelError, which begins with ``what``, unless ``least`` ≤ numbers < ``count``."""
-    if used.size and not least <= used.min() <= used.max() < count:
+    if numbers.size and not least <= numbers.min() <= numbers.max() < count:
         raise damaged(f"{what} that is not among the {count}")
 
 
@@ -308,8 +308,8 @@ def colored_surface(
     is_translucent = colors is not None and (colors.values[:, 3] < 1).any()
     mode: AlphaMode = "blend" if is_translucent else "opaque"
     materials = [
-        Material({"base_color": Input((1.0, 1.0, 1.0), each), "alpha": Input((1.0,), each, (3,))}, mode)
-        for each in textures
+        Material({"base_color": Input((1.0, 1.0, 1.0), image), "alpha": Input((1.0,), image, (3,))}, mode)
+        for image in textures
     ]
     part = part._replace(colors=colors, coordinates=() if part.uv is None else (part.uv,))
     return assembled([part], materials, options, name)

@@ -29,6 +29,7 @@ from octex.source.models.reading import Options, Part, colored_surface, warn, wi
 from octex.source.surface import Surface, flip_v
 
 _WRAPS = {"wrap": REPEAT, "mirror": MIRROR}
+_BLENDS = ("multiproperties", "compositematerials")
 _MODEL = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 _NESTED = 64
 #: Largest size of a part over that of the package; text of meshes packs to a twentieth.
@@ -70,7 +71,7 @@ class _Package:
 
     def __init__(self, package: zipfile.ZipFile, name: str, options: Options, size: int) -> None:
         self._package, self._name, self._options = package, name, options
-        self._most, self._left = _UNPACKED * size, _PLACED + _TIMES * size
+        self._largest_part, self._bytes_left = _UNPACKED * size, _PLACED + _TIMES * size
         self._groups: dict[tuple[str, str], _Group] = {}
         self._objects: dict[tuple[str, str], Element] = {}
         self._images: list[Texture | None] = [None]
@@ -84,11 +85,11 @@ class _Package:
         """Return all placed meshes as one surface."""
         root = "3D/3dmodel.model"
         if "_rels/.rels" in self._package.namelist():
-            models = (each for each in self._parsed("_rels/.rels") if each.get("Type") == _MODEL)
-            root = next((each.get("Target", "").lstrip("/") for each in models), root)
+            models = (link for link in self._parsed("_rels/.rels") if link.get("Type") == _MODEL)
+            root = next((link.get("Target", "").lstrip("/") for link in models), root)
         meshes = [
             mesh
-            for item in _within(self._part(root), "build", "item")
+            for item in _elements(self._part(root), "build", "item")
             for mesh in self._placed(_path(item, root), item, 0)
         ]
         if not meshes:
@@ -114,7 +115,7 @@ class _Package:
             entry = self._package.getinfo(part.lstrip("/"))
         except KeyError:
             raise damaged(f"{self._name} has no part {part}") from None
-        if entry.file_size > self._most:
+        if entry.file_size > self._largest_part:
             raise damaged(
                 f"{self._name}: {part} unpacks to {entry.file_size:,} bytes, more than {_UNPACKED} times "
                 "the file, as no model does"
@@ -134,14 +135,16 @@ class _Package:
         """Return a model part, and list its objects and groups."""
         if part not in self._parts:
             self._parts[part] = root = self._parsed(part)
-            textures = {each.get("id", ""): each for each in _within(root, "resources", "texture2d")}
-            for resources in _within(root, "resources"):
-                for each in resources:
-                    key = part, each.get("id", "")
-                    if _tag(each) == "object":
-                        self._objects[key] = each
+            textures = {
+                texture.get("id", ""): texture for texture in _elements(root, "resources", "texture2d")
+            }
+            for resources in _elements(root, "resources"):
+                for resource in resources:
+                    key = part, resource.get("id", "")
+                    if _tag(resource) == "object":
+                        self._objects[key] = resource
                     elif self._options.materials:
-                        self._group(key, each, textures)
+                        self._group(key, resource, textures)
         return self._parts[part]
 
     def _group(self, key: tuple[str, str], group: Element, textures: dict[str, Element]) -> None:
@@ -151,7 +154,7 @@ class _Package:
         colors, coordinates = np.ones((count, 4), np.float32), np.zeros((count, 2))
         if kind in ("colorgroup", "basematerials"):
             word = "color" if kind == "colorgroup" else "displaycolor"
-            codes = [_color(each.get(word, "#FFFFFFFF")) for each in rows]
+            codes = [_color(row.get(word, "#FFFFFFFF")) for row in rows]
             colors = screen_colors(np.array(codes, np.float64).reshape(-1, 4) / 255.0)
         elif kind == "texture2dgroup" and self._options.wants("base_color"):
             number = group.get("texid", "")
@@ -164,24 +167,23 @@ class _Package:
             u, v = (_WRAPS.get(texture.get(f"tilestyle{axis}", "wrap"), CLAMP) for axis in "uv")
             image = len(self._images)
             self._images.append(Texture(texels, u, v))
-            listed = [[each.get("u"), each.get("v")] for each in rows]
-            coordinates = np.array(listed, np.float64).reshape(-1, 2)
-        elif kind in ("multiproperties", "compositematerials"):
+            texts = [[row.get("u"), row.get("v")] for row in rows]
+            coordinates = np.array(texts, np.float64).reshape(-1, 2)
+        elif kind in _BLENDS:
             try:
-                other, chosen = _chosen(group)
+                layer, properties = _dominant(group)
             except (IndexError, ValueError):
                 raise damaged(f"{self._name}: {kind} {key[1]!r} lacks what it blends") from None
-            blended = self._groups.get((key[0], other))
+            blended = self._groups.get((key[0], layer))
             if blended is None:
                 return
-            check_below(chosen, blended.size, f"{self._name}: {kind} {key[1]!r} blends property")
-            taken = blended.first + chosen
-            image, colors = blended.image, np.concatenate(self._colors)[taken]
-            coordinates = np.concatenate(self._coordinates)[taken]
+            check_below(properties, blended.size, f"{self._name}: {kind} {key[1]!r} blends property")
+            blended_rows = blended.first + properties
+            image, colors = blended.image, np.concatenate(self._colors)[blended_rows]
+            coordinates = np.concatenate(self._coordinates)[blended_rows]
         elif kind != "texture2dgroup":
             return
-        is_blended = kind in ("multiproperties", "compositematerials")
-        self._groups[key] = _Group(sum(map(len, self._colors)), count, image, is_blended)
+        self._groups[key] = _Group(sum(map(len, self._colors)), count, image, kind in _BLENDS)
         self._colors.append(colors)
         self._coordinates.append(coordinates)
 
@@ -194,18 +196,18 @@ class _Package:
         entry = self._objects[part, number]
         meshes = [
             mesh
-            for each in _within(entry, "components", "component")
-            for mesh in self._placed(_path(each, part), each, depth + 1)
+            for component in _elements(entry, "components", "component")
+            for mesh in self._placed(_path(component, part), component, depth + 1)
         ]
         if (part, number) not in self._meshes:
-            self._meshes[part, number] = [self._mesh(part, entry, mesh) for mesh in _within(entry, "mesh")]
+            self._meshes[part, number] = [self._mesh(part, entry, mesh) for mesh in _elements(entry, "mesh")]
             if any(name.endswith("}slicestackid") for name in entry.attrib):
                 self._left_out.add("slices")
-            if _within(entry, "mesh", "beamlattice"):
+            if _elements(entry, "mesh", "beamlattice"):
                 self._left_out.add("beams")
         meshes += self._meshes[part, number]
-        self._left -= _PLACEMENT + sum(array.nbytes for mesh in meshes for array in mesh)
-        if self._left < 0:
+        self._bytes_left -= _PLACEMENT + sum(array.nbytes for mesh in meshes for array in mesh)
+        if self._bytes_left < 0:
             raise ModelError(
                 f"{self._name} places the same parts too many times; export it with fewer copies"
             )
@@ -215,47 +217,45 @@ class _Package:
         matrix = np.array(transform.split(), np.float64).reshape(4, 3)
         linear, offset, order = matrix[:3], matrix[3], winding(matrix[:3])
         return [
-            _Mesh(
-                each.positions @ linear + offset, each.triangles[:, order], each.rows[:, order], each.images
-            )
-            for each in meshes
+            _Mesh(positions @ linear + offset, triangles[:, order], rows[:, order], images)
+            for positions, triangles, rows, images in meshes
         ]
 
     def _mesh(self, part: str, entry: Element, mesh: Element) -> _Mesh:
-        corners = [(v.get("x"), v.get("y"), v.get("z")) for v in _within(mesh, "vertices", "vertex")]
-        faces = _within(mesh, "triangles", "triangle")
+        corners = [(v.get("x"), v.get("y"), v.get("z")) for v in _elements(mesh, "vertices", "vertex")]
+        faces = _elements(mesh, "triangles", "triangle")
         used = [(face.get("v1"), face.get("v2"), face.get("v3")) for face in faces]
         triangles = np.array(used, np.int64).reshape(-1, 3)
         rows, images = np.zeros((len(faces), 3), np.int64), np.zeros(len(faces), np.int32)
         default, index = entry.get("pid", ""), entry.get("pindex", "0")
         groups = np.array([face.get("pid", default) for face in faces])
-        bound = [
+        texts = [
             (first := face.get("p1", index), face.get("p2", first), face.get("p3", first)) for face in faces
         ]
-        chosen = np.array(bound, np.int64).reshape(-1, 3)
+        properties = np.array(texts, np.int64).reshape(-1, 3)
         for number in np.unique(groups):
             group = self._groups.get((part, str(number)))
             if group is not None:
                 if group.is_blended:
                     warn(f"{self._name}: of materials that are blended one is read; bake them to a texture")
-                members = groups == number
-                check_below(chosen[members], group.size, f"{self._name}: a triangle uses property")
-                rows[members] = group.first + chosen[members]
-                images[members] = group.image
+                is_member = groups == number
+                check_below(properties[is_member], group.size, f"{self._name}: a triangle uses property")
+                rows[is_member] = group.first + properties[is_member]
+                images[is_member] = group.image
         check_below(triangles, len(corners), f"{self._name}: a triangle uses vertex")
         return _Mesh(np.array(corners, np.float64).reshape(-1, 3), triangles, rows, images)
 
 
-def _chosen(group: Element) -> tuple[str, Int64s]:
-    """Return the group that octex reads of those that a group blends, and the chosen rows (n,)."""
+def _dominant(group: Element) -> tuple[str, Int64s]:
+    """Return the last layer of multi-properties, or the materials of composites, and its properties (n,)."""
     if _tag(group) == "multiproperties":
-        others = group.get("pids", "").split()
-        layer = len(others) - 1
-        chosen = [int((each.get("pindices", "").split() + ["0"] * len(others))[layer]) for each in group]
-        return others[layer], np.array(chosen, np.int64)
-    listed = [int(word) for word in group.get("matindices", "").split()]
-    shares = [[float(word) for word in each.get("values", "").split()] for each in group]
-    return group.get("matid", ""), np.array([listed[int(np.argmax(each))] for each in shares], np.int64)
+        layers = group.get("pids", "").split()
+        last = len(layers) - 1
+        properties = [int((row.get("pindices", "").split() + ["0"] * len(layers))[last]) for row in group]
+        return layers[last], np.array(properties, np.int64)
+    materials = [int(word) for word in group.get("matindices", "").split()]
+    shares = [[float(word) for word in row.get("values", "").split()] for row in group]
+    return group.get("matid", ""), np.array([materials[int(np.argmax(row))] for row in shares], np.int64)
 
 
 def _tag(element: Element) -> str:
@@ -263,7 +263,7 @@ def _tag(element: Element) -> str:
     return element.tag.rpartition("}")[2]
 
 
-def _within(element: Element, *names: str) -> list[Element]:
+def _elements(element: Element, *names: str) -> list[Element]:
     """Return the elements at a path of names."""
     elements = [element]
     for name in names:

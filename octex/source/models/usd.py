@@ -23,7 +23,7 @@ from octex.files import is_absolute
 from octex.source.corners import Corners
 from octex.source.mesh import check_below
 from octex.source.models.reading import (
-    Description,
+    LoadedMaterial,
     Options,
     Part,
     assembled,
@@ -58,9 +58,9 @@ def load_usd(path: Path, options: Options) -> Surface:
         stage = Usd.Stage.Open(str(path.absolute()))
         # A file from elsewhere must not make octex read other files.
         for layer in stage.GetUsedLayers():
-            for each in filter(is_absolute, layer.GetCompositionAssetDependencies()):
+            for file in filter(is_absolute, layer.GetCompositionAssetDependencies()):
                 raise ModelError(
-                    f"{path.name} refers to {each}; absolute paths are not followed; name it from its folder"
+                    f"{path.name} refers to {file}; absolute paths are not followed; name it from its folder"
                 )
         faults = dict.fromkeys(" ".join(str(fault).split()) for fault in stage.GetCompositionErrors())
         others = [fault for fault in faults if ".mtlx@" not in fault]
@@ -72,9 +72,9 @@ def load_usd(path: Path, options: Options) -> Surface:
         return _Scene(stage, path.name, options).surface()
     except Tf.ErrorException as error:
         # The first line that tells more than that the file cannot be opened.
-        reason = re.search(r" : '(?!Failed to open)(.+?)'?$", str(error), re.MULTILINE)
-        told = f" ({reason[1].replace(str(path.absolute()), path.name)[:200]})" if reason else ""
-        raise damaged(f"{path.name} is damaged, or is not a USD stage{told}") from None
+        match = re.search(r" : '(?!Failed to open)(.+?)'?$", str(error), re.MULTILINE)
+        reason = f" ({match[1].replace(str(path.absolute()), path.name)[:200]})" if match else ""
+        raise damaged(f"{path.name} is damaged, or is not a USD stage{reason}") from None
     finally:
         del quiet
 
@@ -87,19 +87,19 @@ class _Scene:
         self._time = Usd.TimeCode.EarliestTime()
         self._transforms = UsdGeom.XformCache(self._time)
         self._materials = Materials(name, options)
-        self._left = _PLACEMENTS
+        self._instances_left = _PLACEMENTS
         # Meshes without a set of coordinates that is read, by the set's name.
         self._missing: dict[str, dict[str, None]] = {}
 
     def surface(self) -> Surface:
         """Return all visible meshes and shapes as one surface."""
-        shown = self._shown()
-        bound = {prim: self._materials_of(prim) for prim, _ in shown}
+        visible = self._visible()
+        materials = {prim: self._materials_of(prim) for prim, _ in visible}
         has_frames = self._options.normals or any(
-            each.material.normal_slot is not None for _, known in bound.values() for each in known.values()
+            each.material.normal_slot is not None for _, of in materials.values() for each in of.values()
         )
-        every = {prim: self._part(prim, *each, has_frames=has_frames) for prim, each in bound.items()}
-        parts = [every[prim]._replace(matrix=matrix) for prim, matrix in shown if len(every[prim].triangles)]
+        part_of = {prim: self._part(prim, *each, has_frames) for prim, each in materials.items()}
+        parts = [part_of[p]._replace(matrix=matrix) for p, matrix in visible if len(part_of[p].triangles)]
         for name, meshes in self._missing.items():
             more = f" and {len(meshes) - 1} more" if len(meshes) > 1 else ""
             what = f"{self._name}: {next(iter(meshes))}{more} lack the primvar {name}"
@@ -108,33 +108,36 @@ class _Scene:
             raise ModelError(f"{self._name} has no triangles; octex needs a surface, not points or curves")
         files = self._materials.files
         return assembled(
-            parts, [each.material for each in self._materials.known], self._options, self._name,
+            parts, [each.material for each in self._materials.loaded], self._options, self._name,
             provenance={"files": json.dumps(files, sort_keys=True)} if files else {},
         )  # fmt: skip
 
-    def _shown(self) -> list[tuple[Any, Float64s]]:
+    def _visible(self) -> list[tuple[Any, Float64s]]:
         """List the visible meshes and shapes, each with its matrix (4, 4) to a world in metres with y up."""
         world = np.eye(4)
         if UsdGeom.GetStageUpAxis(self._stage) == UsdGeom.Tokens.z:
             world = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1.0]])
         # UsdGeom's function refuses single precision, which several programs write.
         world[:3] *= float(self._stage.GetMetadata("metersPerUnit"))
-        others: Counter[str] = Counter()
-        shown = list(self._within(self._stage.GetPseudoRoot(), world, others))
-        if others:
-            listing = ", ".join(f"{count} {kind}" for kind, count in others.items())
+        left_out: Counter[str] = Counter()
+        visible = list(self._below(self._stage.GetPseudoRoot(), world, left_out))
+        if left_out:
+            listing = ", ".join(f"{count} {kind}" for kind, count in left_out.items())
             warn(f"{self._name}: octex reads meshes and solids, and leaves out {listing}; export meshes")
-        return shown
+        return visible
 
-    def _within(
-        self, root: Any, outer: Float64s, others: Counter[str], above: tuple[Any, ...] = ()
+    def _below(
+        self, root: Any, outer: Float64s, left_out: Counter[str], above: tuple[Any, ...] = ()
     ) -> Iterator[tuple[Any, Float64s]]:
-        """Yield the visible meshes below a prim, placed by ``outer``; ``above`` are its instancers."""
-        every = iter(Usd.PrimRange(root, _DRAWN))
-        for prim in every:
+        """Yield the visible meshes below a prim, placed by ``outer``; ``above`` are its instancers.
+
+        ``left_out`` counts the prims of other types.
+        """
+        prims = iter(Usd.PrimRange(root, _DRAWN))
+        for prim in prims:
             is_instancer = prim.IsA(UsdGeom.PointInstancer)
             if is_instancer:
-                every.PruneChildren()
+                prims.PruneChildren()
             elif not prim.IsA(UsdGeom.Gprim):
                 continue
             imageable = UsdGeom.Imageable(prim)
@@ -142,24 +145,22 @@ class _Scene:
             is_hidden = imageable.ComputeVisibility(self._time) == UsdGeom.Tokens.invisible
             if is_hidden or imageable.ComputePurpose() not in purposes:
                 continue
-            matrix = outer @ self._placed(prim, root)
+            if root.IsPseudoRoot():
+                relative = self._transforms.GetLocalToWorldTransform(prim)
+            else:
+                relative = self._transforms.ComputeRelativeTransform(prim, root)[0]
+            matrix = outer @ np.array(relative, np.float64).T
             if is_instancer:
                 if prim in above:
                     raise damaged(f"{self._name}: {prim.GetPath()} contains itself")
-                yield from self._instances(prim, matrix, others, (*above, prim))
+                yield from self._instances(prim, matrix, left_out, (*above, prim))
             elif prim.IsA(UsdGeom.Mesh) or shape_polygons(prim, self._time) is not None:
                 yield prim, matrix
             else:
-                others[prim.GetTypeName()] += 1
-
-    def _placed(self, prim: Any, root: Any) -> Float64s:
-        """Return the matrix (4, 4) of a prim relative to one above it."""
-        if root.IsPseudoRoot():
-            return np.array(self._transforms.GetLocalToWorldTransform(prim), np.float64).T
-        return np.array(self._transforms.ComputeRelativeTransform(prim, root)[0], np.float64).T
+                left_out[prim.GetTypeName()] += 1
 
     def _instances(
-        self, prim: Any, outer: Float64s, others: Counter[str], above: tuple[Any, ...]
+        self, prim: Any, outer: Float64s, left_out: Counter[str], above: tuple[Any, ...]
     ) -> Iterator[tuple[Any, Float64s]]:
         """Yield the meshes of each instance of a point instancer, placed by ``outer``."""
         api = UsdGeom.PointInstancer
@@ -170,24 +171,24 @@ class _Scene:
         # The earliest time is −∞, where velocities would move instances.
         now = Usd.TimeCode(samples[0]) if samples else self._time
         roots = [self._stage.GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetTargets()]
-        chosen = _rows(instancer.GetProtoIndicesAttr().Get(now)).astype(np.int64)
-        check_below(chosen, len(roots), f"{self._name}: {prim.GetPath()} uses a prototype")
+        prototypes = _rows(instancer.GetProtoIndicesAttr().Get(now)).astype(np.int64)
+        check_below(prototypes, len(roots), f"{self._name}: {prim.GetPath()} uses a prototype")
         matrices = instancer.ComputeInstanceTransformsAtTime(now, now, api.IncludeProtoXform, api.IgnoreMask)
-        if len(matrices) != len(chosen):
+        if len(matrices) != len(prototypes):
             raise damaged(
-                f"{self._name}: {prim.GetPath()} has {len(chosen)} instances, places {len(matrices)}"
+                f"{self._name}: {prim.GetPath()} has {len(prototypes)} instances, places {len(matrices)}"
             )
-        is_shown = instancer.ComputeMaskAtTime(now) or [True] * len(chosen)
-        within = [list(self._within(root, np.eye(4), others, above)) if root else [] for root in roots]
-        for number, each_matrix, shown in zip(chosen.tolist(), matrices, is_shown, strict=True):
-            matrix = outer @ np.array(each_matrix, np.float64).T
-            for each, inner in within[number] if shown else ():
-                self._left -= 1
-                if self._left < 0:
+        mask = instancer.ComputeMaskAtTime(now) or [True] * len(prototypes)
+        meshes = [list(self._below(root, np.eye(4), left_out, above)) if root else [] for root in roots]
+        for prototype, matrix, is_visible in zip(prototypes.tolist(), matrices, mask, strict=True):
+            placement = outer @ np.array(matrix, np.float64).T
+            for mesh, inner in meshes[prototype] if is_visible else ():
+                self._instances_left -= 1
+                if self._instances_left < 0:
                     raise ModelError(f"{self._name}: {prim.GetPath()} has too many instances; export fewer")
-                yield each, matrix @ inner
+                yield mesh, placement @ inner
 
-    def _materials_of(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, Description]]:
+    def _materials_of(self, prim: Any) -> tuple[dict[int, Int64s], dict[int, LoadedMaterial]]:
         """Return the faces of a mesh by material number, and the materials, the mesh's first."""
         api = UsdShade.MaterialBindingAPI(prim)
         both = bool(UsdGeom.Gprim(prim).GetDoubleSidedAttr().Get(self._time))
@@ -196,15 +197,14 @@ class _Scene:
         default = self._materials.number(bound_material(api), both, fades)
         faces: dict[int, Int64s] = {default: np.empty(0, np.int64)}
         for subset in api.GetMaterialBindSubsets():
-            number = self._materials.number(
-                bound_material(UsdShade.MaterialBindingAPI(subset.GetPrim())), both, fades
-            )
-            chosen = np.array(subset.GetIndicesAttr().Get(self._time) or [], np.int64)
-            faces[number] = np.concatenate([faces.get(number, chosen[:0]), chosen])
-        return faces, {number: self._materials.known[number] for number in faces}
+            material = bound_material(UsdShade.MaterialBindingAPI(subset.GetPrim()))
+            number = self._materials.number(material, both, fades)
+            of_subset = np.array(subset.GetIndicesAttr().Get(self._time) or [], np.int64)
+            faces[number] = np.concatenate([faces.get(number, of_subset[:0]), of_subset])
+        return faces, {number: self._materials.loaded[number] for number in faces}
 
     def _part(
-        self, prim: Any, faces: dict[int, Int64s], known: dict[int, Description], *, has_frames: bool
+        self, prim: Any, faces: dict[int, Int64s], materials: dict[int, LoadedMaterial], has_frames: bool
     ) -> Part:
         what, holes = f"{self._name}: {prim.GetPath()}", np.empty(0, np.int64)
         shape = shape_polygons(prim, self._time)
@@ -222,53 +222,57 @@ class _Scene:
             raise damaged(f"{what}: its faces have {sizes.sum()} corners, its list {len(corners)}")
         check_below(corners, len(positions), f"{what} uses a point")
         cut, owners = triangulate(positions, corners, sizes)
-        is_shown = ~np.isin(owners, holes)
-        cut, owners = cut[is_shown], owners[is_shown]
+        is_solid = ~np.isin(owners, holes)
+        cut, owners = cut[is_solid], owners[is_solid]
         has_polygons = len(np.unique(owners)) < len(owners)
         polygons = cut_polygons(cut, owners, sizes) if has_polygons else None
         if UsdGeom.Gprim(prim).GetOrientationAttr().Get(self._time) == UsdGeom.Tokens.leftHanded:
             cut, polygons = cut[:, ::-1], polygons and polygons._replace(corners=polygons.corners[:, ::-1])
         primvars = _Primvars(prim, self._time, what, corners, sizes, cut)
         triangles = corners[cut].astype(np.int32)
-        numbers = np.full(len(sizes), next(iter(known)), np.int32)
-        for number, chosen in faces.items():
-            check_below(chosen, len(sizes), f"{what} binds a material to a face")
-            numbers[chosen] = number
+        numbers = np.full(len(sizes), next(iter(materials)), np.int32)
+        for number, of_material in faces.items():
+            check_below(of_material, len(sizes), f"{what} binds a material to a face")
+            numbers[of_material] = number
         part = Part(positions, triangles, numbers[owners], polygons=polygons)
         if not self._options.materials:
             return part._replace(materials=np.zeros(len(triangles), np.int32))
-        nowhere = Corners(np.zeros((1, 2), np.float32), np.zeros_like(triangles))
+        at_zero = Corners(np.zeros((1, 2), np.float32), np.zeros_like(triangles))
 
         def read(name: str) -> Corners:
-            read = primvars.corners(name, 2)
-            if read is None:
+            coordinates = primvars.corners(name, 2)
+            if coordinates is None:
                 self._missing.setdefault(name, {})[str(prim.GetPath())] = None
-            return read or nowhere
+            return coordinates or at_zero
 
-        coordinates = slot_coordinates(known, part.materials, read)
-        uv = primvars.corners(next((slot.name for each in known.values() for slot in each.slots), "st"), 2)
+        coordinates = slot_coordinates(materials, part.materials, read)
+        first = next((slot.name for each in materials.values() for slot in each.slots), "st")
+        uv = primvars.corners(first, 2)
         part = part._replace(
-            colors=self._colors(part.materials, known, primvars),
+            colors=_display_colors(part.materials, materials, primvars),
             coordinates=coordinates,
             uv=uv and uv._replace(values=flip_v(uv.values)),
         )
-        return with_frames(part, known, primvars.normals(), nowhere) if has_frames else part
+        return with_frames(part, materials, primvars.normals(), at_zero) if has_frames else part
 
-    def _colors(self, numbers: Int32s, known: dict[int, Description], primvars: _Primvars) -> Corners | None:
-        """Return displayColor and displayOpacity for materials that read them; white for others."""
-        lanes = [primvars.corners("displayColor", 3), primvars.corners("displayOpacity", 1)]
-        values = np.ones((len(numbers), 3, 4), np.float32)
-        for columns, corners, reads in zip(
-            (slice(3), slice(3, 4)), lanes, ("reads_color", "reads_opacity"), strict=True
-        ):
-            reading = [number for number, each in known.items() if getattr(each, reads)]
-            chosen = np.isin(numbers, reading)
-            if corners is not None and chosen.any():
-                values[chosen, :, columns] = corners.values[corners.rows[chosen]]
-        if (values == 1.0).all():
-            return None
-        distinct, rows = np.unique(values.reshape(-1, 4), axis=0, return_inverse=True)
-        return Corners(distinct, rows.reshape(-1, 3).astype(np.int32))
+
+def _display_colors(
+    numbers: Int32s, materials: dict[int, LoadedMaterial], primvars: _Primvars
+) -> Corners | None:
+    """Return displayColor and displayOpacity for materials that read them; white for others."""
+    values = np.ones((len(numbers), 3, 4), np.float32)
+    colors, opacities = primvars.corners("displayColor", 3), primvars.corners("displayOpacity", 1)
+    for columns, corners, field in (
+        (slice(3), colors, "reads_color"),
+        (slice(3, 4), opacities, "reads_opacity"),
+    ):
+        reads = np.isin(numbers, [number for number, each in materials.items() if getattr(each, field)])
+        if corners is not None and reads.any():
+            values[reads, :, columns] = corners.values[corners.rows[reads]]
+    if (values == 1.0).all():
+        return None
+    distinct, rows = np.unique(values.reshape(-1, 4), axis=0, return_inverse=True)
+    return Corners(distinct, rows.reshape(-1, 3).astype(np.int32))
 
 
 class _Primvars:
@@ -316,9 +320,8 @@ class _Primvars:
             raise damaged(f"{self.what}: its primvar {name} is spread by {spread!r}")
         rows = self._rows[spread]
         if indices is not None and len(indices):  # some programs write an empty list
-            listed = np.asarray(indices, np.int64)
-            check_below(rows, len(listed), f"{self.what}: its primvar {name} lacks an index; it uses")
-            rows = listed[rows]
+            check_below(rows, len(indices), f"{self.what}: its primvar {name} lacks an index; it uses")
+            rows = np.asarray(indices, np.int64)[rows]
         check_below(rows, len(array), f"{self.what}: its primvar {name} uses a value")
         return Corners(array.astype(np.float32), rows.astype(np.int32))
 

@@ -17,7 +17,7 @@ from octex.source.images.decode import decode_image
 from octex.source.images.pyramid import CLAMP, MIRROR, REPEAT, Texels
 from octex.source.images.tiles import is_udim, join_tiles, tile_grid
 from octex.source.materials import AlphaMode, Input, Material, Texture
-from octex.source.models.reading import Description, Options, Slot, warn
+from octex.source.models.reading import LoadedMaterial, Options, Slot, warn
 
 _WRAPS = {"repeat": REPEAT, "mirror": MIRROR}
 _LANES = {"r": (0,), "g": (1,), "b": (2,), "a": (3,), "rgb": (0, 1, 2)}
@@ -39,7 +39,7 @@ class Materials:
         self._name, self._options = name, options
         self._numbers: dict[tuple[str, bool, bool], int] = {}
         self._texels: dict[tuple[tuple[str, ...], str], Texels] = {}
-        self.known: list[Description] = []
+        self.loaded: list[LoadedMaterial] = []
         self.files: dict[str, str] = {}
 
     def number(self, material: Any, double_sided: bool, fades: bool) -> int:
@@ -47,14 +47,14 @@ class Materials:
         path = str(material.GetPath()) if material and self._options.materials else ""
         key = path, double_sided, fades and not path
         if key not in self._numbers:
-            described = self._described(material) if path else _plain(fades)
+            loaded = self._load(material) if path else _plain(fades)
             name = material.GetPrim().GetName() if path else ""
-            made = described.material._replace(name=name, double_sided=double_sided)
-            self._numbers[key] = len(self.known)
-            self.known.append(described._replace(material=made))
+            named = loaded.material._replace(name=name, double_sided=double_sided)
+            self._numbers[key] = len(self.loaded)
+            self.loaded.append(loaded._replace(material=named))
         return self._numbers[key]
 
-    def _described(self, material: Any) -> Description:
+    def _load(self, material: Any) -> LoadedMaterial:
         shader = material.ComputeSurfaceSource()[0]
         if not shader or shader.GetIdAttr().Get() != "UsdPreviewSurface":
             what = f"{self._name}: the material {material.GetPath()}"
@@ -72,9 +72,9 @@ class Materials:
             node, output, value = producer
             kind = None if node is None else node.GetIdAttr().Get()
             if kind == "UsdUVTexture":
-                made = self._textured(channel, node, output, slots)
-                if made is not None:
-                    inputs[channel] = made
+                textured = self._textured(channel, node, output, slots)
+                if textured is not None:
+                    inputs[channel] = textured
             elif kind is not None and kind.startswith("UsdPrimvarReader"):
                 inputs[channel] = Input((1.0,) * CHANNELS[channel].components)
                 kind = f"{channel} {_value(node, 'varname', '')}"
@@ -92,7 +92,7 @@ class Materials:
             inputs.pop("alpha", None)
         material = Material(inputs, mode, cutoff if mode == "mask" else 0.5)
         reads_color = "base_color displayColor" in vertex
-        return Description(material, tuple(slots), reads_color=reads_color, reads_opacity=reads_opacity)
+        return LoadedMaterial(material, tuple(slots), reads_color=reads_color, reads_opacity=reads_opacity)
 
     def _textured(self, channel: str, node: Any, output: str, slots: dict[Slot, int]) -> Input | None:
         """Return the input of a channel that reads an image; None for normals without an image."""
@@ -112,15 +112,15 @@ class Materials:
         if channel == "normal":  # the factor scales 2t − 1 of a texel t
             plain = (scale == 1.0).all() and (bias == 0.0).all()
             factor, offset = (1.0,) * 3 if plain else tuple((scale[:3] / 2.0).tolist()), ()
-        made = Input(factor, None, lanes, offset if any(offset) else ())
+        entry = Input(factor, None, lanes, offset if any(offset) else ())
         if not self._options.wants_image(channel):
-            return made
+            return entry
         paths = self._image_paths(node, asset)
         texels = self._image(node, asset, paths, _value(node, "sourceColorSpace", "auto"), channel)
         wraps = [_WRAPS.get(_value(node, axis, "useMetadata"), CLAMP) for axis in ("wrapS", "wrapT")]
         tiles = tile_grid(paths) if is_udim(asset.path) else (1, 1)
         slot = slots.setdefault(_slot(node)._replace(tiles=tiles), len(slots))
-        return made._replace(texture=Texture(texels, wraps[0], wraps[1], False, slot))
+        return entry._replace(texture=Texture(texels, wraps[0], wraps[1], False, slot))
 
     def _image_paths(self, node: Any, asset: Any) -> dict[int, str]:
         """Return the resolved path of an image, or those of UDIM tiles by number; empty if it is missing.
@@ -136,12 +136,12 @@ class Materials:
         for name, layer in (*spellings, (windows.name, layers[1])):
             if is_udim(name):
                 tiles = UsdShade.UdimUtils.ResolveUdimTilePaths(name, layer)
-                found = {int(number): path for path, number in tiles}
+                paths = {int(number): path for path, number in tiles}
             else:
                 path = Ar.GetResolver().Resolve(layer.ComputeAbsolutePath(name))
-                found = {0: str(path)} if path else {}
-            if found:
-                return found
+                paths = {0: str(path)} if path else {}
+            if paths:
+                return paths
         if is_absolute(asset.path):
             what = f"{self._name}: {node.GetPath()}"
             raise ImageError(
@@ -188,15 +188,15 @@ class Materials:
 def bound_material(api: Any) -> Any:
     """Return the material that a prim is drawn with: its preview, or else the full one; None without any."""
     tokens = UsdShade.Tokens
-    bound = (api.ComputeBoundMaterial(purpose)[0] for purpose in (tokens.preview, tokens.full))
-    return next(filter(None, bound), None)
+    materials = (api.ComputeBoundMaterial(purpose)[0] for purpose in (tokens.preview, tokens.full))
+    return next(filter(None, materials), None)
 
 
-def _plain(fades: bool = False) -> Description:
+def _plain(fades: bool = False) -> LoadedMaterial:
     """Return the material of a mesh without one: displayColor, or white; displayOpacity if it ``fades``."""
     inputs = {"base_color": Input((1.0, 1.0, 1.0)), "alpha": Input((1.0,))}
     material = Material(inputs, "blend" if fades else "opaque")
-    return Description(material, reads_color=True, reads_opacity=fades)
+    return LoadedMaterial(material, reads_color=True, reads_opacity=fades)
 
 
 def _producer(shader: Any, name: str) -> tuple[Any, str, Any] | None:

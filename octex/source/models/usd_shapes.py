@@ -64,14 +64,14 @@ def _revolved(outline: Float64s) -> tuple[Float64s, Int64s, Int64s]:
     rings = [np.insert(circle * radius, 2, height, axis=1) for radius, height in outline[1:-1]]
     bottom, top = ([[0.0, 0.0, height]] for height in outline[[0, -1], 1])
     points = np.concatenate([bottom, *rings, top])
-    here = 1 + np.arange(_AROUND)
-    after = np.roll(here, -1)
+    around = 1 + np.arange(_AROUND)
+    after = np.roll(around, -1)
     last = _AROUND * (len(rings) - 1)
     sides: list[Array] = [
-        np.stack([here, after, after + _AROUND, here + _AROUND], axis=1) + _AROUND * ring
+        np.stack([around, after, after + _AROUND, around + _AROUND], axis=1) + _AROUND * ring
         for ring in range(len(rings) - 1)
     ]
-    below = np.stack([np.zeros_like(here), after, here], axis=1)
-    above = np.stack([here + last, after + last, np.full_like(here, len(points) - 1)], axis=1)
+    below = np.stack([np.zeros_like(around), after, around], axis=1)
+    above = np.stack([around + last, after + last, np.full_like(around, len(points) - 1)], axis=1)
     sizes = np.repeat([3, 4, 3], [_AROUND, _AROUND * len(sides), _AROUND])
     return points, sizes, np.concatenate([each.ravel() for each in (below, *sides, above)])

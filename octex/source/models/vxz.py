@@ -45,12 +45,12 @@ def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
     try:
         (start,) = struct.unpack_from(">I", data, 4)
         header = json.loads(data[8:start])
-        known = {
+        choices_by_key = {
             "filter": ("neighbor", "parent", "none"),
             "compression": ("none", "deflate", "zstd", "lzma"),
             "attr_interleave": ("none", "all", "as_is"),
         }
-        for key, choices in known.items():
+        for key, choices in choices_by_key.items():
             if header[key] not in choices:
                 raise ModelError(
                     f"{name} has the {key} {header[key]!r}, which octex does not read; write it with "
@@ -65,8 +65,7 @@ def unpack_vxz(data: bytes, name: str) -> tuple[Int64s, dict[str, Array]]:
         raise ModelError(f"{name} is damaged ({error}); write it again") from None
     if not parts:
         raise ModelError(f"{name} has no voxels; write it again")
-    names = parts[0][1]
-    values = {each: np.concatenate([rows[each] for _, rows in parts]) for each in names}
+    values = {key: np.concatenate([columns[key] for _, columns in parts]) for key in parts[0][1]}
     return np.concatenate([coords for coords, _ in parts]), values
 
 
@@ -93,13 +92,13 @@ def _chunk(
     if leaves < 0:
         raise ValueError("its octree ends early, or has more than it says")
     coords = coords[:leaves]
-    widths = {str(each): int(width) for each, width in header["attr"]}
+    widths = {str(key): int(width) for key, width in header["attr"]}
     if any(not 1 <= width <= _MOST_COLUMNS for width in widths.values()):
         raise ValueError(f"attributes of {max(widths.values())} columns")
     parts = {
         "all": {"attr": sum(widths.values())},
         "as_is": widths,
-        "none": {f"{each}_{i}": 1 for each, width in widths.items() for i in range(width)},
+        "none": {f"{key}_{i}": 1 for key, width in widths.items() for i in range(width)},
     }[header["attr_interleave"]]
     rows = np.hstack([part(key, leaves * width).reshape(leaves, width) for key, width in parts.items()])
     if header["filter"] == "parent":
@@ -138,9 +137,9 @@ def _walk(masks: Uint8s, depth: int, steps: Uint8s, coords: Int64s, values: Uint
     """
     # A stack of cells: level, x, y and z; and their values.
     stack = np.zeros((7 * depth + 1, 4), np.int64)
-    known = np.zeros((7 * depth + 1, steps.shape[1]), np.uint8)
+    stack_values = np.zeros((7 * depth + 1, steps.shape[1]), np.uint8)
     if len(steps) > 0:
-        known[0] = steps[0]
+        stack_values[0] = steps[0]
     above = min(masks.size, 1)
     at = count = 0
     row = 1
@@ -149,8 +148,8 @@ def _walk(masks: Uint8s, depth: int, steps: Uint8s, coords: Int64s, values: Uint
         level, x, y, z = stack[above, 0], stack[above, 1], stack[above, 2], stack[above, 3]
         if level == depth:
             coords[count, 0], coords[count, 1], coords[count, 2] = x, y, z
-            for k in range(known.shape[1]):
-                values[count, k] = known[above, k]
+            for k in range(stack_values.shape[1]):
+                values[count, k] = stack_values[above, k]
             count += 1
             continue
         if at == masks.size:
@@ -168,9 +167,9 @@ def _walk(masks: Uint8s, depth: int, steps: Uint8s, coords: Int64s, values: Uint
             stack[child, 0], stack[child, 1] = level + 1, 2 * x + (octant >> 2)
             stack[child, 2], stack[child, 3] = 2 * y + (octant >> 1 & 1), 2 * z + (octant & 1)
             is_first = child == end - 1
-            for k in range(known.shape[1]):
+            for k in range(stack_values.shape[1]):
                 step = np.uint8(0) if is_first else steps[row, k]
-                known[child, k] = known[above if is_first else child + 1, k] + step
+                stack_values[child, k] = stack_values[above if is_first else child + 1, k] + step
             row += 0 if is_first else 1
         above = end
     return count if at == masks.size else -1
