@@ -149,8 +149,8 @@ def window_of(
         around = None  # its window in the undistorted view is no rectangle
     size = camera.width, camera.height
     stage = stages.of(lambda: [size, form, scale, around, content_of(projection)])
-    found = stage.arrays("image", lambda: _window_of(projection, form, scale, around))
-    return Mips(found["pixels"], found["sizes"], found["range"]), Window(*found["window"].tolist())
+    arrays = stage.arrays("image", lambda: _window_of(projection, form, scale, around))
+    return Mips(arrays["pixels"], arrays["sizes"], arrays["range"]), Window(*arrays["window"].tolist())
 
 
 def _window_of(
@@ -309,8 +309,8 @@ def _decode(texels: Uint16s, table: Float32s, pixels: Float32s) -> None:
 
 def content_of(projection: Projection) -> bytes:
     """Return a digest of a projection's images and key."""
-    given = projection.image, projection.mask, projection.since
-    return digest_of([_content(each) for each in given], projection.key)
+    images = projection.image, projection.mask, projection.since
+    return digest_of([_content(each) for each in images], projection.key)
 
 
 def _content(image: Image | None) -> Any:

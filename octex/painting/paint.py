@@ -1,40 +1,101 @@
-"""Painting: images, cameras and a surface in; the texture with their paint out (paper 4)."""
+"""Painting: images, cameras and a surface in; the texture with their paint out (paper 4).
+
+All options are checked once, by `PaintOptions`.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, dataclass, replace
 from itertools import groupby
-from typing import Any, cast
+from typing import Any, Literal, TypeAlias, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float32s
 from octex.cameras.camera import Camera
-from octex.channels import ChannelFormat
-from octex.checks import as_flag
+from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat, color_in_light
+from octex.checks import as_choice, as_depth, as_flag, as_number, as_reals, as_whole
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
-from octex.painting.first import started, with_coverage
+from octex.painting.first import FILLS, Fill, started, with_coverage
 from octex.painting.image import Projection, check_projections, content_of, room_for
 from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
 from octex.painting.merge import Merging, merged
-from octex.painting.options import Balance, Fill, Fusion, Holes, PaintOptions, fill_of, format_of
 from octex.painting.project import AROUND, in_fixed_order, take_shots
-from octex.painting.reading import Shot, terms_of
+from octex.painting.reading import Shot
 from octex.painting.resume import Stages, stages_in
 from octex.painting.steps import Raster, layer_from, rasterize_surface
-from octex.painting.surface import Job, PaintedSurface, key_of, laid_flat
+from octex.painting.surface import Job, PaintedSurface, key_of, laid_flat, terms_of
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
 
+#: Ways to combine images that see the same point.
+Fusion = Literal["average", "best", "robust"]
+FUSIONS: tuple[Fusion, ...] = get_args(Fusion)
+#: Ways to match exposures: by one gain per image; or per component, with vignetting removed.
+Balance = Literal["gain", "full"]
+BALANCES: tuple[Balance, ...] = get_args(Balance)
+
+#: Contents of a new texture where no image sees the surface: cells or none, or a value of the channel.
+Holes: TypeAlias = Fill | npt.ArrayLike
+
+#: Largest angles in degrees: photographs blur surface at grazing angles, drawings do not.
+TAKEN_ANGLE, DRAWN_ANGLE = 75.0, 85.0
+
 #: Deepest level without ``max_depth``: cells of a 16,000th of the model.
 _DEEPEST = 14
 #: Pixels from the centre to the end of the footprint of cells half a pixel wide.
 _REACH = 4
+
+
+@dataclass(frozen=True)
+class PaintOptions:
+    """The options of ``octex.paint`` and ``octex.project``; raises ArgumentError for values out of range."""
+
+    channel: str = BASE_COLOR.name
+    max_depth: int | None = None
+    max_angle: float | None = None
+    edge_feather: float = 0.0
+    fusion: Fusion | None = None
+    balance: Balance | None = None
+    reference: int | None = None
+    back_faces: bool = False
+    fit: bool = True
+    hidden: bool = False
+    region: npt.ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        """Check the options; `of` checks the reference and sets the angle."""
+        angle, depth = self.max_angle, self.max_depth
+        checked = {
+            "max_depth": None if depth is None else as_depth(depth, "max_depth"),
+            "max_angle": None if angle is None else as_number(angle, "max_angle", 0.0, 180.0),
+            "edge_feather": as_number(self.edge_feather, "edge_feather", 0.0, 1e6),
+            "fusion": None if self.fusion is None else as_choice(self.fusion, FUSIONS, "fusion"),
+            "balance": None if self.balance is None else as_choice(self.balance, BALANCES, "balance"),
+            "back_faces": as_flag(self.back_faces, "back_faces"),
+            "fit": as_flag(self.fit, "fit"),
+            "hidden": as_flag(self.hidden, "hidden"),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        if self.hidden and (self.balance is not None or self.fusion in ("robust", "best")):
+            raise ArgumentError(
+                "hidden cannot be used with balance, or with images that are robust or best: these compare "
+                "what cameras see"
+            )
+
+    def of(self, images: Sequence[Projection]) -> PaintOptions:
+        """Return the options for these images; raise ArgumentError for a reference that is none of them."""
+        usual = DRAWN_ANGLE if all(each.since is not None for each in images) else TAKEN_ANGLE
+        if self.reference is not None:
+            as_whole(self.reference, "reference", 0, len(images) - 1)
+        angle = usual if self.max_angle is None else self.max_angle
+        return replace(self, max_angle=angle, fusion="average" if self.hidden else self.fusion)
 
 
 def paint(
@@ -117,13 +178,13 @@ def painted_by(
     """Paint as `paint` does; the layers of paint are appended to ``layers``."""
     as_surface(surface)
     fill = fill_of(holes, format_of(texture, options.channel))
-    is_covered, given = as_flag(coverage, "coverage"), check_projections(projections)
+    is_covered, images = as_flag(coverage, "coverage"), check_projections(projections)
     if is_covered and layers is None:
         layers = []
     model = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
-    with workers(run) as pool, room_for(given, run):
+    with workers(run) as pool, room_for(images, run):
         job = Job(model, pool, run.report, stages_in(run.resume))
-        for made, _ in painted(job, texture, given, options, fill, layers):
+        for made, _ in painted(job, texture, images, options, fill, layers):
             texture = made
     assert texture is not None
     return with_coverage(texture, layers) if is_covered and layers else texture
@@ -190,11 +251,11 @@ def project(
         channel, max_depth, max_angle, edge_feather, fusion, balance, reference, back_faces, fit, hidden,
         region,
     )  # fmt: skip
-    given = check_projections(projections)
+    images = check_projections(projections)
     model = PaintedSurface(surface if like is None else surface.placed_in(like))
-    with workers(run) as pool, room_for(given, run):
-        job, given = laid_flat(Job(model, pool, run.report, stages_in(run.resume)), given, like)
-        return layer_of(job, given, like, options)
+    with workers(run) as pool, room_for(images, run):
+        job, images = laid_flat(Job(model, pool, run.report, stages_in(run.resume)), images, like)
+        return layer_of(job, images, like, options)
 
 
 def layer_of(
@@ -300,3 +361,41 @@ def check_inside(surface: Surface, placement: Placement) -> None:
             f"{surface.bounds[1].round(6).tolist()}, out of the texture's root cell at {placement.origin} of "
             f"size {placement.size:g}: the texture belongs to another model, or to other rest positions"
         )
+
+
+def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
+    """Return the format of a channel, in a texture or in a new one."""
+    if texture is not None:
+        as_choice(channel, as_texture(texture).channels, "channel of the texture")
+        form = texture.channels[channel].format
+    else:
+        form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
+    if channel == ALPHA.name:
+        raise ArgumentError('alpha is painted with blend="erase", or as the alpha of images')
+    if form.components > 3:
+        raise ArgumentError(f"channel {channel!r} has {form.components} components; images have three")
+    return form
+
+
+def value_of(color: npt.ArrayLike | str, form: ChannelFormat) -> Float32s:
+    """Return a colour as a channel's values (components,), or raise ArgumentError."""
+    if isinstance(color, str):
+        return color_in_light(color, form)
+    shapes = [(form.components,), *([()] if form.components == 1 else [])]
+    most = float(np.finfo(np.float32).max)
+    value = np.atleast_1d(as_reals(color, f"color of {form.name!r}", *shapes, most=most))
+    least = -1.0 if form.space == "direction" else 0.0
+    if form.dtype.startswith("u") and not ((value >= least) & (value <= 1.0)).all():
+        example = ', or write "#rrggbb"' if form.space == "srgb" else ""
+        raise ArgumentError(
+            f"color of {form.name!r} must be from {least:g} to 1, not {color!r}; divide numbers up to 255 by "
+            f"255{example}"
+        )
+    return value.astype(np.float32)
+
+
+def fill_of(holes: Holes, form: ChannelFormat) -> Fill | Float32s:
+    """Return how to fill unseen surface, checked; a colour as a channel's values (components,)."""
+    if isinstance(holes, str) and not holes.startswith("#"):
+        return cast(Fill, as_choice(holes, FILLS, "holes"))
+    return value_of(holes, form)

@@ -20,8 +20,7 @@ from octex.editing.draft import Change, as_change
 from octex.errors import OutputError
 from octex.painting.image import Blend, Projection, check_projections
 from octex.painting.merge import Merging, merged
-from octex.painting.options import Balance, Fusion, PaintOptions
-from octex.painting.paint import painted
+from octex.painting.paint import Balance, Fusion, PaintOptions, painted
 from octex.painting.region import Region, filled
 from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, workers

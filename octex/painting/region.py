@@ -17,10 +17,9 @@ from octex.errors import ArgumentError
 from octex.painting.image import BLENDS, Blend
 from octex.painting.layer import Depths, PaintSource, empty_texture
 from octex.painting.merge import Merging, merged
-from octex.painting.options import format_of, triangles_of, value_of
-from octex.painting.paint import check_inside
+from octex.painting.paint import check_inside, format_of, value_of
 from octex.painting.steps import layer_from, rasterize_surface
-from octex.painting.surface import Job, PaintedSurface
+from octex.painting.surface import Job, PaintedSurface, triangles_of
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.corners import at_corners
 from octex.source.parts import join
@@ -57,9 +56,9 @@ class Sphere(NamedTuple):
 
     def covers(self, points: Float64s) -> Float64s:
         """Return the coverage (n,), 0 … 1, at rest positions (n, 3)."""
-        apart = as_points(points) - np.asarray(self.center, np.float64)
+        offsets = as_points(points) - np.asarray(self.center, np.float64)
         with np.errstate(over="ignore", invalid="ignore"):  # of points that are not finite, or nearly
-            return _falling_off(self.radius - np.linalg.norm(apart, axis=1), self.soft)
+            return _falling_off(self.radius - np.linalg.norm(offsets, axis=1), self.soft)
 
     def bounds(self) -> Float64s:
         """Return the lowest and highest corner (2, 3)."""
@@ -197,16 +196,16 @@ class RegionSource(PaintSource):
         widths: Float32s,  # noqa: ARG002
     ) -> Float32s:
         """Return the value and its coverage (n, components + 1)."""
-        found = np.zeros((len(triangles), len(self.value) + 1), np.float32)
-        found[:, :-1] = self.value
+        values = np.zeros((len(triangles), len(self.value) + 1), np.float32)
+        values[:, :-1] = self.value
         rows = np.flatnonzero(self.chosen[triangles])
         if rows.size:
             points = at_corners(self.rest, self.triangles[triangles[rows]], barycentric[rows])
             shape = (len(points),)
-            found[rows, -1] = answer(
+            values[rows, -1] = answer(
                 self.covers, [points], [shape], "region", points.__getitem__, least=0.0, most=1.0
             )
-        return found
+        return values
 
 
 def _depth_of(source: RegionSource, texture: OctreeTexture) -> int:
@@ -287,16 +286,16 @@ def _codes(texture: OctreeTexture, points: Array) -> Array:
 def _leaf_at(texture: OctreeTexture, points: Array) -> Int64s:
     """Return the leaf that each point at rest (n, 3) is in; −1 for none."""
     depth = texture.tree.max_depth
-    places = texture.placement.to_texture_space(points)
-    is_inside = np.asarray(((places >= 0) & (places <= 1)).all(axis=1))
+    positions = texture.placement.to_texture_space(points)
+    is_inside = np.asarray(((positions >= 0) & (positions <= 1)).all(axis=1))
     codes = encode_cells(on_grid(points, texture.placement) >> (GRID_BITS - depth))
     return _leaf_of(texture.tree, codes, depth, is_inside)
 
 
 def _leaf_of(tree: Octree, codes: Int64s, level: int, among: Bools) -> Int64s:
     """Return the leaf that is, or contains, each cell (n,) of a level; −1 for none and outside ``among``."""
-    found = locate(tree, codes, level)
-    return np.where(found.is_leaf & among & (tree.n_leaves > 0), found.cells, -1)
+    where = locate(tree, codes, level)
+    return np.where(where.is_leaf & among & (tree.n_leaves > 0), where.cells, -1)
 
 
 def _leaves(texture: OctreeTexture) -> list[tuple[int, Int64s, Int64s]]:
@@ -313,17 +312,17 @@ def _connected(texture: OctreeTexture, is_chosen: Bools, first: int) -> Bools:
     pairs = []
     for level, cells, codes in _leaves(texture):
         is_here = is_chosen[cells]
-        cells, places = cells[is_here], decode_cells(codes[is_here])
+        cells, positions = cells[is_here], decode_cells(codes[is_here])
         for axis in range(3):
             for step in (-1, 1):  # the smaller of two leaves finds the other
-                neighbours = places.copy()
+                neighbours = positions.copy()
                 neighbours[:, axis] += step
                 is_inside = (neighbours[:, axis] >= 0) & (neighbours[:, axis] < 2**level)
                 neighbours[~is_inside] = 0
-                others = _leaf_of(texture.tree, encode_cells(neighbours), level, is_inside)
-                both = (others >= 0) & is_chosen[others]
-                pairs.append(np.stack([cells[both], others[both]]))
+                neighbour_leaves = _leaf_of(texture.tree, encode_cells(neighbours), level, is_inside)
+                is_pair = (neighbour_leaves >= 0) & is_chosen[neighbour_leaves]
+                pairs.append(np.stack([cells[is_pair], neighbour_leaves[is_pair]]))
     parents = np.arange(len(is_chosen))
     join(parents, *np.concatenate(pairs, axis=1))
-    found: Bools = is_chosen & (parents == parents[first])
-    return found
+    connected: Bools = is_chosen & (parents == parents[first])
+    return connected

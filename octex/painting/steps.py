@@ -21,29 +21,30 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
-from octex.channels import ALPHA, ChannelFormat, alpha_of, decode, encode
+from octex.channels import ALPHA, ChannelFormat, alpha_of, encode
 from octex.conversion.adapt import adapted
 from octex.conversion.levels import CellLevels, assemble, cell_levels
-from octex.editing.averages import with_summed_areas
 from octex.editing.draft import coarsest_of
-from octex.editing.nodes import nodes_at
 from octex.editing.refined import Below, refined_below, refined_values, with_rows
 from octex.editing.runs import carried
 from octex.editing.split import refaced
 from octex.errors import ModelError, own_making
 from octex.painting.blend import (
-    Blended,
+    Kind,
     Merge,
     Merged,
+    PaintedLeaves,
     Raised,
     averaged,
     averaged_with,
+    blend_rows,
     covers,
     facings_of_paint,
     may_differ,
-    mixed,
     no_parts,
     nodes_above,
+    read,
+    with_areas_above,
     with_split_cells,
     writable,
 )
@@ -140,9 +141,8 @@ def rasterize_surface(
 def layer_from(job: Job, raster: Raster) -> OctreeTexture:
     """Return the paint octree of a raster: a texture of the painted channel and its coverage."""
     channels, placement, bounds, filled = raster
-    nothing = empty_texture(channels, placement, bounds)
     if filled is None:
-        return nothing
+        return empty_texture(channels, placement, bounds)
     covered = assemble(filled)
     del raster, filled  # as large as what follows
     tree, values = adapted(covered, fit=True, max_error=None, executor=job.executor, progress=job.progress)
@@ -349,18 +349,17 @@ def raise_texture(
                 if alpha_of(name) is None:
                     sampled[name][:] = 0.0  # other layers have no paint there
             new_values.append((cells[is_other], sampled))
-    for name, channel in draft.channels.items():
-        for chosen, found in new_values:
-            if name in found:
-                values[name][chosen] = encode(found[name], channel.format.dtype, channel.format.space)
+    for name, (form, *_) in draft.channels.items():
+        for chosen, by_channel in new_values:
+            if name in by_channel:
+                values[name][chosen] = encode(by_channel[name], form.dtype, form.space)
     channels = carried(draft, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
-    made = refaced(with_rows(draft.with_cells(tree, channels), rows))
+    texture = refaced(with_rows(draft.with_cells(tree, channels), rows))
     if any(codes.size for codes in added):
-        nodes = nodes_at(made.tree, with_all_above([codes >> 3 for codes in added[1:]]))
-        made = made.with_cells(with_summed_areas(made.tree, nodes), made.channels)
-    is_skirt = edited.carried(is_skirt) | (made.tree.arrays.areas == SKIRT)
-    return Raised(made, edited.old, is_fresh, is_skirt, added)
+        texture = with_areas_above(texture, added)
+    is_skirt = edited.carried(is_skirt) | (texture.tree.arrays.areas == SKIRT)
+    return Raised(texture, edited.old, is_fresh, is_skirt, added)
 
 
 def _showing(task: Merge, tree: Octree, edited: Edited, paint: Sequence[Paint]) -> Bools:
@@ -430,41 +429,32 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     channels = writable(base, base.channels if is_new.any() else averaged_with(base.channels, names))
 
     def blend(
-        kind: str,
+        kind: Kind,
         rows: Int64s,
         values: Float32s,
         coverage: Float32s,
         fresh: Bools,
         bare: Int64s | None = None,
     ) -> None:
-        """Blend rows of a kind; fresh ones without paint get the values of cells ``bare``."""
-        old = {
-            name: decode(getattr(channel, kind).take(rows, axis=0), channel.format.space)
-            for name, channel in targets.items()
-        }
-        for name, (new, part) in mixed(task.blend, task.target, old, values, coverage, fresh).items():
-            form = channels[name].format
-            if bare is not None and alpha_of(name) is not None:
-                is_bare = fresh & (coverage == 0)
-                new[is_bare] = decode(channels[name].values[bare[is_bare]], form.space)
-            getattr(channels[name], kind)[rows] = encode(new, form.dtype, form.space)
-            if kind != "kept_values":
-                getattr(parts[name], kind)[rows, 0] = part
+        old = {name: read(channel, kind, rows) for name, channel in targets.items()}
+        blend_rows(task, channels, parts, kind, rows, old, values, coverage, fresh, bare)
 
     def blend_block(begin: int) -> None:
-        here = slice(begin, begin + _BLOCK)
-        blend("values", cells[here], on_leaves.values[here], on_leaves.coverage[here], is_fresh[cells[here]])
+        block = slice(begin, begin + _BLOCK)
+        blend(
+            "values", cells[block], on_leaves.values[block], on_leaves.coverage[block], is_fresh[cells[block]]
+        )
 
     with sharing(task.job.executor) as pool:
         list(ordered_map(pool, blend_block, range(0, cells.size, _BLOCK)))
-    kept = on_kept(tree, paint, bare, skirts, task.job.executor)
-    if kept[0].size:
-        blend("kept_values", *kept, np.zeros(kept[0].size, np.bool_))
+    kept_rows, values, coverage = on_kept(tree, paint, bare, skirts, task.job.executor)
+    if kept_rows.size:
+        blend("kept_values", kept_rows, values, coverage, np.zeros(kept_rows.size, np.bool_))
     rows = rows_of(base.tree.split, cells)
     owners = on_leaves.of(np.searchsorted(cells, rows.cells))
     facings = facings_of_paint(task.layer, owners, rows.bits, task.opacity)
     blend("split_values", rows.rows, *facings, is_fresh[rows.cells], rows.cells)
-    return averaged(task, draft, raised, Blended(base, channels, parts, above, may_split), painted)
+    return averaged(task, draft, raised, PaintedLeaves(base, channels, parts, above, may_split), painted)
 
 
 def delete_paint(merged: Merged) -> OctreeTexture:

@@ -14,12 +14,12 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, ChannelFormat
+from octex.checks import as_array
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
 from octex.painting.image import Mips, Projection
-from octex.painting.options import triangles_of
 from octex.painting.project import Projected, Shading, Sight, sight_of
-from octex.painting.reading import Shot, Terms, terms_of
+from octex.painting.reading import Shot, Terms
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.unwrap import Patch
 from octex.parallel import Progress
@@ -31,6 +31,8 @@ from octex.tree.placement import Placement, on_grid
 from octex.view.shading import corner_normals, corner_normals_of, face_normals
 from octex.voxelize.fragments import Blocks, whole
 
+#: Degrees before the largest angle from which paint fades.
+_FADE = 10.0
 #: Surfaces tilted from the camera by this many degrees or more are not compared.
 _COMPARED_ANGLE = 75.0
 #: The level of the coarse cells: 128³, whose coordinates fit a byte.
@@ -171,6 +173,32 @@ def laid_flat(
     return job, [replace(each, camera=patch.camera) for each in projections]
 
 
+def triangles_of(region: npt.ArrayLike, count: int) -> Bools | None:
+    """Return a region, of numbers or bools, as bools (count,); None for any other kind of region."""
+    part = as_array(region)
+    if part.dtype == np.bool_ and part.shape == (count,):
+        return part
+    is_whole = part.ndim == 1 and part.dtype.kind in "iu"
+    if not is_whole or (part.size and not 0 <= part.min() <= part.max() < count):
+        return None
+    chosen = np.zeros(count, np.bool_)
+    chosen[part] = True
+    return chosen
+
+
+def terms_of(max_angle: float, feather: float, back_faces: bool, hidden: bool = False) -> Terms:
+    """Return terms; ``max_angle`` is in degrees between the surface's normal and the camera."""
+    vanishing, fading = np.radians(max_angle), np.radians(max(max_angle - _FADE, 0.0))
+    whole = max_angle >= 90.0  # no fading
+    return Terms(
+        -1.0 if whole else float(np.cos(fading)),
+        -2.0 if whole else float(np.cos(vanishing)),
+        feather,
+        back_faces,
+        hidden,
+    )
+
+
 def key_of(camera: Camera) -> bytes:
     """Return bytes that identify a camera."""
     numbers = camera.width, camera.height, camera.projection == "pinhole"
@@ -194,8 +222,8 @@ class TriangleGrid:
     def around(self, chosen: Int32s, depth: int) -> Blocks:
         """Return the triangles in or next to the coarse cells of ``chosen`` ones, of ``depth`` at most."""
         shift = max(_COARSE - depth, 0)
-        found = self._sharing(self._boxes[chosen] >> np.uint8(shift), shift, 1)
-        return whole(self._grid, self._faces, depth, found)
+        triangles = self._sharing(self._boxes[chosen] >> np.uint8(shift), shift, 1)
+        return whole(self._grid, self._faces, depth, triangles)
 
     def touching(self, cells: Sequence[tuple[int, Int64s]], depth: int) -> Blocks:
         """Return the triangles that may meet cells, listed as levels and Morton codes."""
@@ -206,8 +234,8 @@ class TriangleGrid:
                 first, last = first << (_COARSE - level), ((first + 1) << (_COARSE - level)) - 1
             boxes.append(np.concatenate([first, last], axis=1).astype(np.uint8))
         has_any = any(map(len, boxes))
-        found = self._sharing(np.concatenate(boxes), 0, 0) if has_any else np.empty(0, np.int32)
-        return whole(self._grid, self._faces, depth, found)
+        triangles = self._sharing(np.concatenate(boxes), 0, 0) if has_any else np.empty(0, np.int32)
+        return whole(self._grid, self._faces, depth, triangles)
 
     def _sharing(self, boxes: Uint8s, shift: int, reach: int) -> Int32s:
         """Return the triangles that share coarse cells with boxes (n, 6), widened by ``reach`` cells."""
@@ -217,11 +245,11 @@ class TriangleGrid:
         marked = np.zeros(last - first + 1, np.bool_)
         _mark(boxes, first, marked)
         for axis in range(3 * reach):
-            wide = marked.copy()
+            widened = marked.copy()
             before, after = (np.s_[:],) * axis + (np.s_[:-1],), (np.s_[:],) * axis + (np.s_[1:],)
-            wide[after] |= marked[before]
-            wide[before] |= marked[after]
-            marked = wide
+            widened[after] |= marked[before]
+            widened[before] |= marked[after]
+            marked = widened
         return _reaching(self._boxes, shift, first, marked)
 
 
@@ -252,12 +280,12 @@ def _mark(boxes: Uint8s, first: Int64s, marked: Bools) -> None:
 @kernel
 def _reaching(boxes: Uint8s, shift: int, first: Int64s, marked: Bools) -> Int32s:
     """Return the triangles whose boxes reach a marked coarse cell; ``marked`` begins at cell ``first``."""
-    found = np.empty(boxes.shape[0], np.int32)
+    reaching = np.empty(boxes.shape[0], np.int32)
     count = 0
     for triangle in range(boxes.shape[0]):
-        found[count] = triangle
+        reaching[count] = triangle
         count += _meets(boxes[triangle], shift, first, marked)
-    return found[:count].copy()
+    return reaching[:count].copy()
 
 
 @inlined

@@ -10,7 +10,7 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.cameras.lens import distort
 from octex.painting.image import Mips
-from octex.painting.options import Balance
+from octex.painting.paint import Balance
 from octex.painting.project import Projected
 from octex.painting.reading import Shot
 from octex.parallel import ordered_map, sharing

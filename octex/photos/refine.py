@@ -32,7 +32,7 @@ from octex.painting.image import (
     mips_of,
     room_for,
 )
-from octex.painting.options import BALANCES, Balance
+from octex.painting.paint import BALANCES, Balance
 from octex.painting.project import Projected, most_ahead, order_key
 from octex.painting.reading import Shot
 from octex.painting.resume import Stages, stages_in

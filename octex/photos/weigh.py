@@ -9,7 +9,7 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.painting.multigrid import graph_of
-from octex.painting.options import PaintOptions
+from octex.painting.paint import PaintOptions
 from octex.painting.project import Projected
 from octex.painting.resume import Stages
 from octex.painting.sheets import Sheets, sheets_of

@@ -24,7 +24,7 @@ from octex.channels import (
 from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.painting.image import Projection
-from octex.painting.options import format_of
+from octex.painting.paint import format_of
 from octex.session.commands import Command, channel_of, codes_of, values_of
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts

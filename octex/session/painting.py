@@ -23,7 +23,7 @@ from octex.nearest.triangles import Triangles
 from octex.painting.composites import Stacked
 from octex.painting.image import Blend, Projection
 from octex.painting.layers import Layers
-from octex.painting.options import format_of
+from octex.painting.paint import format_of
 from octex.painting.painter import Painter
 from octex.painting.region import alike
 from octex.painting.unwrap import Patch

@@ -7,8 +7,7 @@ from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.painting.image import Projection
 from octex.painting.project import _spread, sight_of, take_shots
-from octex.painting.reading import terms_of
-from octex.painting.surface import PaintedSurface
+from octex.painting.surface import PaintedSurface, terms_of
 from octex.parallel import pool_of
 from octex.source.corners import Corners
 from octex.source.surface import Surface
