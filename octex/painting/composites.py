@@ -70,17 +70,17 @@ def composite_after(stacked: Stacked, number: int | None, stroke: StrokeKind) ->
     """
     as_choice(stroke, _STROKES, "stroke")
     texture, stack, opened = stacked
-    place = next((at for at, each in enumerate(stack) if each.number == number), -1)
-    if ALPHA.name in texture.channels or (place < 0 and number is not None):
+    index = next((at for at, each in enumerate(stack) if each.number == number), -1)
+    if ALPHA.name in texture.channels or (index < 0 and number is not None):
         return None
-    if place < 0 and stroke != "painted":
+    if index < 0 and stroke != "painted":
         if stack:
             erased = _filled(texture, Channel(COVERAGE, *texture.channels[BASE_COLOR.name][1:]), 1)
             color = _composite(restored(texture, opened, erased), stack)
             return with_channels(texture, {BASE_COLOR.name: color.named(BASE_COLOR.name)})
         return only(opened, [BASE_COLOR.name])
-    layer = stack[place] if place >= 0 else None
-    met = [each for each in stack[place + 1 :] if each.is_visible and each.opacity > 0]
+    layer = stack[index] if index >= 0 else None
+    met = [each for each in stack[index + 1 :] if each.is_visible and each.opacity > 0]
     if layer is not None and (stroke != "painted" or layer.opacity < 1 or layer.blend != "over"):
         met.append(layer)
     names = [alpha_of(each.paints(name)) or "" for each in met for name in each.painted(texture.channels)]
@@ -96,7 +96,7 @@ def composite_after(stacked: Stacked, number: int | None, stroke: StrokeKind) ->
         colors = {name: _composite(_painted(draft, layer, value), stack) for name, value in _PAINTS.items()}
     else:
         unmasked = () if stroke == "erased" or layer is None else (layer._replace(has_mask=False),)
-        colors = {BASE_COLOR.name: _composite(draft, (*stack[:place], *unmasked, *stack[place + 1 :]))}
+        colors = {BASE_COLOR.name: _composite(draft, (*stack[:index], *unmasked, *stack[index + 1 :]))}
     owners = slice(None), rows_of(draft.tree.split).cells, draft.tree.kept.cells
     alphas = (np.where(known[cells], ONE[ALPHA.dtype], 0) for cells in owners)
     alpha = Channel(ALPHA, *(each.astype(ALPHA.dtype)[:, None] for each in alphas))

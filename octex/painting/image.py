@@ -353,13 +353,13 @@ def read_paint(
     scale_x = mips.sizes[level, 1] / mips.sizes[0, 1]
     scale_y = mips.sizes[level, 2] / mips.sizes[0, 2]
     x, y = x * scale_x, y * scale_y
-    apart = np.sqrt(max((width * scale_x) ** 2 - 1.0, 0.0) / 12.0)
-    if not apart > 0.0:
+    offset = np.sqrt(max((width * scale_x) ** 2 - 1.0, 0.0) / 12.0)
+    if not offset > 0.0:
         return _bicubic(mips, level, x, y)
     a = b = c = d = np.float32(0.0)
     for corner in range(4):
-        u = x + (apart if corner & 1 else -apart)
-        v = y + (apart if corner & 2 else -apart)
+        u = x + (offset if corner & 1 else -offset)
+        v = y + (offset if corner & 2 else -offset)
         e, f, g, h = _bicubic(mips, level, u, v)
         a, b, c, d = a + e, b + f, c + g, d + h
     quarter = np.float32(0.25)

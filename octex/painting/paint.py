@@ -184,8 +184,8 @@ def painted_by(
     model = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     with workers(run) as pool, room_for(images, run):
         job = Job(model, pool, run.report, stages_in(run.resume))
-        for made, _ in painted(job, texture, images, options, fill, layers):
-            texture = made
+        for painted_texture, _ in painted(job, texture, images, options, fill, layers):
+            texture = painted_texture
     assert texture is not None
     return with_coverage(texture, layers) if is_covered and layers else texture
 
@@ -294,19 +294,19 @@ def _raster_of(
     surface = job.surface.surface
     is_single = len(images) == 1
     around = AROUND if is_single and options.edge_feather < AROUND else None
-    shots = _look(job, form, images, scales, options, around)
+    shots = _shots_of(job, form, images, scales, options, around)
     reference = None if options.reference is None else shots[options.reference]
     shots = in_fixed_order(shots)
     angle = cast(float, options.max_angle)
     terms = terms_of(angle, options.edge_feather, options.back_faces, options.hidden)
     source = job.surface.projected(shots, form, terms, options.region)
-    near = source.near_paint(_REACH)
+    cropped = source.near_paint(_REACH)
     size = float(np.ptp(surface.bounds, axis=0).max()) if like is None else like.placement.size
     cells, most = CELLS, _DEEPEST
     if options.max_depth is not None:
         cells, most = FINEST_CELLS, options.max_depth
-    footprints = near.footprints()
-    if not np.isfinite(footprints[0]).any():  # what is seen faces away
+    footprints = cropped.footprints()
+    if not np.isfinite(footprints[0]).any():  # all visible surface faces away
         nowhere = Placement.around(surface.bounds, 0) if like is None else like.placement
         return Raster(tuple(source.channels), nowhere, surface.bounds, None)
     finest = wanted_depths(*footprints, size, FINEST_CELLS, is_single=is_single).deepest
@@ -315,14 +315,14 @@ def _raster_of(
     # Footprints of larger cells reach farther.
     reach = _REACH << max(finest - depth, 0)
     if around is not None and reach > around:
-        source = source.with_shots(_look(job, form, images, scales, options, None))
-    source = near if finest <= depth else source.near_paint(reach)
+        source = source.with_shots(_shots_of(job, form, images, scales, options, None))
+    source = cropped if finest <= depth else source.near_paint(reach)
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
     if like is not None:
         check_inside(surface, placement)
     paint: PaintSource = source
     number = None if reference is None else [shot is reference for shot in shots].index(True)
-    del shots, near, reference  # they hold copies of the visible surface
+    del shots, cropped, reference  # they hold copies of the visible surface
     if not is_single:
         from octex.photos.weigh import weighed  # a single image does not load it
 
@@ -330,7 +330,7 @@ def _raster_of(
     return rasterize_surface(job, paint, placement, depths, fit=options.fit, cells=cells)
 
 
-def _look(
+def _shots_of(
     job: Job,
     form: ChannelFormat,
     images: Sequence[Projection],
@@ -344,9 +344,8 @@ def _look(
         cameras, options.edge_feather, job.executor, job.stages, hidden=options.hidden
     )
     shots = []
-    taken = take_shots(images, form, scales, sights, job.executor, around=around, stages=job.stages)
     job.progress("look", 0, len(images))
-    for shot in taken:
+    for shot in take_shots(images, form, scales, sights, job.executor, around=around, stages=job.stages):
         shots.append(shot)
         job.progress("look", len(shots), len(images))
     return shots

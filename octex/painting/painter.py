@@ -198,10 +198,10 @@ class Painter:
         changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:
-            job, given = Job(self._posed(pose), pool, run.report), check_projections(projections)
+            job, images = Job(self._posed(pose), pool, run.report), check_projections(projections)
             try:
                 for texture, change in painted(
-                    job, self._texture, given, options, merge=self._merging, put=self._put
+                    job, self._texture, images, options, merge=self._merging, put=self._put
                 ):
                     self._texture = texture
                     changes.append(change)
@@ -229,8 +229,8 @@ class Painter:
         run = as_run(run, threads, progress)
         with workers(run) as pool:
             job = Job(self._painted, pool, run.report)
-            what = region, color, channel, opacity, blend, max_depth, self._merging
-            _, change = filled(job, self._texture, self._surface, *what)
+            paint = region, color, channel, opacity, blend, max_depth, self._merging
+            _, change = filled(job, self._texture, self._surface, *paint)
         if change is not None:
             self._texture = self._put(change, self._texture)
         return self._did([change])
@@ -267,10 +267,10 @@ class Painter:
         return self._pose[1]
 
     def _put(self, change: Change, texture: OctreeTexture) -> OctreeTexture:
-        made = change.put_into(texture, self._shared)
+        changed = change.put_into(texture, self._shared)
         if change.tiles is None:  # the change and the Painter share the texture
-            self._shared = made
-        return made
+            self._shared = changed
+        return changed
 
     def _did(self, changes: Sequence[Change | None]) -> Stroke:
         stroke = tuple(change for change in changes if change is not None)

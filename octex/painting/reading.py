@@ -154,7 +154,7 @@ def _shaded(
 def _read_near_edge(
     shot: Shot,
     triangle: int,
-    place: tuple[float, float],
+    position: tuple[float, float],
     pixel: tuple[float, float],
     plane: Vector,
     slack: float,
@@ -163,7 +163,7 @@ def _read_near_edge(
 
     Their mean, weighted by nearness, replaces others. ``pixel`` is the place before distortion.
     """
-    (u, v), (x, y) = place, pixel
+    (u, v), (x, y) = position, pixel
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     height, width = shot.seen.rows.shape
     left, top = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
@@ -179,9 +179,9 @@ def _read_near_edge(
         i, j = int(np.floor(y + dy)), int(np.floor(x + dx))
         if not (0 <= i < height and 0 <= j < width):
             continue
-        other = shot.seen.rows[i, j]
-        if other < 0 or (
-            shot.seen.triangles[other] != triangle and parts(shot.seen, i, j, pixel, plane, slack)
+        seen_row = shot.seen.rows[i, j]
+        if seen_row < 0 or (
+            shot.seen.triangles[seen_row] != triangle and parts(shot.seen, i, j, pixel, plane, slack)
         ):
             continue
         weight, far = of_y[n // 4] * of_x[n % 4], np.float32(dx * dx + dy * dy + 0.1)

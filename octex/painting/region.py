@@ -15,7 +15,7 @@ from octex.checks import answer, as_choice, as_depth, as_number, as_points, as_p
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.image import BLENDS, Blend
-from octex.painting.layer import Depths, PaintSource, empty_texture
+from octex.painting.layer import Depths, PaintSource, empty_texture, leaves_by_level
 from octex.painting.merge import Merging, merged
 from octex.painting.paint import check_inside, format_of, value_of
 from octex.painting.steps import layer_from, rasterize_surface
@@ -140,8 +140,8 @@ def fill(
     run = as_run(run, threads, progress)
     painted = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     with workers(run) as pool:
-        job, what = Job(painted, pool, run.report), (region, color, channel, opacity, blend, max_depth)
-        base, change = filled(job, texture, surface, *what)
+        job, paint = Job(painted, pool, run.report), (region, color, channel, opacity, blend, max_depth)
+        base, change = filled(job, texture, surface, *paint)
     return base if change is None else change.put_into(base)
 
 
@@ -224,7 +224,7 @@ def _depth_of(source: RegionSource, texture: OctreeTexture) -> int:
 
 def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:
     """Return the triangles that a region may cover, and its coverage of positions."""
-    count = len(surface.triangles)
+    n_triangles = len(surface.triangles)
     if isinstance(region, (Sphere, Box)):
         region = region.checked()
         low, high = region.bounds()
@@ -232,13 +232,13 @@ def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:
         meets = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(axis=1)
         return meets, region.covers
     if callable(region):
-        return np.ones(count, np.bool_), region
-    chosen = triangles_of(region, count)
+        return np.ones(n_triangles, np.bool_), region
+    chosen = triangles_of(region, n_triangles)
     if chosen is not None:
         return chosen, _everywhere
     raise ArgumentError(
         "region must be a Sphere, a Box, a function, or triangles of the surface: numbers from 0 to "
-        f"{count - 1}, or {count} bools"
+        f"{n_triangles - 1}, or {n_triangles} bools"
     )
 
 
@@ -264,7 +264,7 @@ def alike(
     is_chosen = np.zeros(tree.n_cells, np.bool_)
     if first >= 0:
         wanted = _codes(texture, where)
-        for level, cells, codes in _leaves(texture):
+        for level, cells, codes in leaves_by_level(texture.tree):
             middles = texture.placement.to_rest((decode_cells(codes) + 0.5) / 2**level)
             is_chosen[cells] = np.abs(_codes(texture, middles) - wanted).max(axis=1) <= most
         is_chosen[first] = True
@@ -298,19 +298,10 @@ def _leaf_of(tree: Octree, codes: Int64s, level: int, among: Bools) -> Int64s:
     return np.where(where.is_leaf & among & (tree.n_leaves > 0), where.cells, -1)
 
 
-def _leaves(texture: OctreeTexture) -> list[tuple[int, Int64s, Int64s]]:
-    """Return the levels of a texture, and the cells and Morton codes of their leaves."""
-    first = texture.tree.arrays.level_cells
-    return [
-        (level, first[level] + np.flatnonzero(~is_node), codes[~is_node])
-        for level, (codes, is_node) in enumerate(texture.tree.walk())
-    ]
-
-
 def _connected(texture: OctreeTexture, is_chosen: Bools, first: int) -> Bools:
     """Return the chosen leaves that connect to the first one through faces."""
     pairs = []
-    for level, cells, codes in _leaves(texture):
+    for level, cells, codes in leaves_by_level(texture.tree):
         is_here = is_chosen[cells]
         cells, positions = cells[is_here], decode_cells(codes[is_here])
         for axis in range(3):

@@ -133,9 +133,9 @@ def _joined(grid: Int32s, faces: Int32s, firsts: Int64s, codes: Int64s, level: i
     order = np.argsort(keys, kind="stable")
     same = keys[order[1:]] == keys[order[:-1]]
     owners, sides = used[order % used.size], order // used.size
-    one, other = owners[:-1][same], owners[1:][same]
+    first, second = owners[:-1][same], owners[1:][same]
     side = sides[:-1][same]
-    ends = np.column_stack([faces[one, side], faces[one, (side + 1) % 3], one, other]).astype(np.int64)
+    ends = np.column_stack([faces[first, side], faces[first, (side + 1) % 3], first, second]).astype(np.int64)
     count = _pair_up(grid, ends, firsts, codes, level, np.empty((0, 2), np.int64))
     pairs = np.empty((count, 2), np.int64)
     _pair_up(grid, ends, firsts, codes, level, pairs)
@@ -148,9 +148,9 @@ def _pair_up(grid: Int32s, ends: Int64s, firsts: Int64s, codes: Int64s, level: i
     scale = 2.0 ** (level - GRID_BITS)
     count = 0
     for edge in range(len(ends)):
-        p, q, one, other = ends[edge, 0], ends[edge, 1], ends[edge, 2], ends[edge, 3]
-        i, j = firsts[one], firsts[other]
-        while i < firsts[one + 1] and j < firsts[other + 1]:
+        p, q, left, right = ends[edge, 0], ends[edge, 1], ends[edge, 2], ends[edge, 3]
+        i, j = firsts[left], firsts[right]
+        while i < firsts[left + 1] and j < firsts[right + 1]:
             if codes[i] < codes[j]:
                 i += 1
             elif codes[j] < codes[i]:
@@ -226,12 +226,12 @@ def _find(
             at, nearest = end, 4
             for side in range(27 if end > first else 0):
                 x, y, z = side % 3 - 1, side // 3 % 3 - 1, side // 9 - 1
-                apart = x * x + y * y + z * z
+                square = x * x + y * y + z * z
                 i, j, k = cell[0] + x, cell[1] + y, cell[2] + z
-                if apart >= nearest or min(i, j, k) < 0 or max(i, j, k) > most:
+                if square >= nearest or min(i, j, k) < 0 or max(i, j, k) > most:
                     continue
                 code = morton.encode(i, j, k)
                 piece = first + first_not_below(table.codes[first:end], code, 0)
                 if piece < end and table.codes[piece] == code:
-                    nearest, at = apart, piece
+                    nearest, at = square, piece
         sheets[n] = table.sheets[at] if at < end else -1

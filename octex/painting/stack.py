@@ -65,11 +65,11 @@ class Layer(NamedTuple):
         """The name of the layer's mask: how much of it is hidden."""
         return channel_in(f"{self.number} mask", ALPHA.name)
 
-    def of_own(self, other: Layer, name: str) -> str:
+    def of_own(self, layer: Layer, name: str) -> str:
         """Return the name of another layer's channel in this one."""
-        if name == other.mask:
+        if name == layer.mask:
             return self.mask
-        theirs, ours = (channel_in(f"{each.number} ", plain_name(name)) for each in (other, self))
+        theirs, ours = (channel_in(f"{each.number} ", plain_name(name)) for each in (layer, self))
         return ours + name.removeprefix(theirs)
 
     def painted(self, names: Sequence[str] | Mapping[str, Channel]) -> list[str]:

@@ -165,10 +165,12 @@ def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged
     """Merge paint into a draft of the texture; return None for none."""
     tree = draft.tree
     if alpha_of(task.target) is None:  # coverage alone adds no cells
-        found = [locate(tree, each.codes, level) for level, each in enumerate(paint)] if tree.n_leaves else []
+        places = (
+            [locate(tree, each.codes, level) for level, each in enumerate(paint)] if tree.n_leaves else []
+        )
         paint = [
             each.of((where.levels == level) | where.is_leaf)
-            for level, (each, where) in enumerate(zip(paint, found, strict=False))
+            for level, (each, where) in enumerate(zip(paint, places, strict=False))
         ]
     if not any(each.codes.size for each in paint):
         return None
@@ -197,9 +199,9 @@ def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged
         edited = rebuilt(tree, [each.codes for each in paint])
         edited = edited._replace(old=np.full_like(edited.old, -1))  # an empty tree's root is no cell
     with own_making():
-        made = raise_texture(task, draft, edited, surface_cells, paint, is_skirt)
-        paint = refine_paint(paint, task.layer, made.texture.tree, task.opacity)
-        return merge_paint(task, draft, made, paint)
+        raised_draft = raise_texture(task, draft, edited, surface_cells, paint, is_skirt)
+        paint = refine_paint(paint, task.layer, raised_draft.texture.tree, task.opacity)
+        return merge_paint(task, draft, raised_draft, paint)
 
 
 def _deepest(paint: Sequence[Paint]) -> int:
@@ -251,7 +253,7 @@ def form_boundary(
         unraised, bare = bare_surface(tree, is_skirt, paint, above, leaves, met)
     coarsest = task.coarsest
     freed = free_leaves(tree, paint, leaves, bare, coarsest, task.hiding) if hides else []
-    made = Boundary([], [], [], [], freed)
+    formed = Boundary([], [], [], [], freed)
     skirts: list[Int64s] = []  # none lies in another one
     for level, each in enumerate(paint[: depth + 1]):
         surface_cells = distinct(np.concatenate([met.codes[level], new[level]]))
@@ -280,14 +282,14 @@ def form_boundary(
         skirts.append(skirt)
         is_free = ~is_within(skirt, painted, level)  # the larger cells around the others are painted
         is_new = where.levels < level
-        made.paint.append(joined(each, skirt_paint(skirt[is_free], level, task.job.executor, each)))
+        formed.paint.append(joined(each, skirt_paint(skirt[is_free], level, task.job.executor, each)))
         added = [finer.added[level], skirt[is_free & is_new & ~where.is_leaf]]
-        made.added.append(np.sort(np.concatenate(added), kind="stable"))
+        formed.added.append(np.sort(np.concatenate(added), kind="stable"))
         wanted = [finer.below[level], ring, skirt[is_new & where.is_leaf]]
-        made.wanted.append(distinct(np.concatenate(wanted)))
-    every = zip(met.codes, new, with_all_above(skirts), strict=True)
-    made.stored.extend(distinct(np.concatenate(each)) for each in every)
-    return made
+        formed.wanted.append(distinct(np.concatenate(wanted)))
+    stored = zip(met.codes, new, with_all_above(skirts), strict=True)
+    formed.stored.extend(distinct(np.concatenate(each)) for each in stored)
+    return formed
 
 
 def raise_texture(

@@ -173,15 +173,15 @@ def laid_flat(
     return job, [replace(each, camera=patch.camera) for each in projections]
 
 
-def triangles_of(region: npt.ArrayLike, count: int) -> Bools | None:
+def triangles_of(region: npt.ArrayLike, n_triangles: int) -> Bools | None:
     """Return a region, of numbers or bools, as bools (count,); None for any other kind of region."""
     part = as_array(region)
-    if part.dtype == np.bool_ and part.shape == (count,):
+    if part.dtype == np.bool_ and part.shape == (n_triangles,):
         return part
     is_whole = part.ndim == 1 and part.dtype.kind in "iu"
-    if not is_whole or (part.size and not 0 <= part.min() <= part.max() < count):
+    if not is_whole or (part.size and not 0 <= part.min() <= part.max() < n_triangles):
         return None
-    chosen = np.zeros(count, np.bool_)
+    chosen = np.zeros(n_triangles, np.bool_)
     chosen[part] = True
     return chosen
 

@@ -63,13 +63,13 @@ class Command(NamedTuple):
     content: bytes
 
 
-def object_of(text: str | bytes, what: str) -> dict[str, Any]:
+def object_of(text: str | bytes, name: str) -> dict[str, Any]:
     """Parse a JSON object; raise ArgumentError, which names ``what``, for anything else."""
     with suppress(ValueError, RecursionError):
         fields = json.loads(text)
         if isinstance(fields, dict):
             return fields
-    raise ArgumentError(f"{what} must be a JSON object")
+    raise ArgumentError(f"{name} must be a JSON object")
 
 
 def command_of(body: bytes) -> Command:
@@ -117,20 +117,20 @@ def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], Where]:
 
 def moment_of(fields: dict[str, Any]) -> Moment | None:
     """Return the animation time that the page shows; None for the model as loaded."""
-    moved = _object_of(fields, "moved")
-    if moved is None:
+    record = _object_of(fields, "moved")
+    if record is None:
         return None
-    number = as_whole(moved.get("animation"), "animation", 0, 1 << 20)  # type: ignore[arg-type]
-    return Moment(number, as_number(moved.get("time"), "time", 0.0, 1e9))  # type: ignore[arg-type]
+    number = as_whole(record.get("animation"), "animation", 0, 1 << 20)  # type: ignore[arg-type]
+    return Moment(number, as_number(record.get("time"), "time", 0.0, 1e9))  # type: ignore[arg-type]
 
 
 def spot_of(fields: dict[str, Any]) -> Spot | None:
     """Return the spot of the unwrapped view; None for an ordinary view."""
-    patch = _object_of(fields, "patch")
-    if patch is None:
+    record = _object_of(fields, "patch")
+    if record is None:
         return None
-    center, up = (tuple(numbers(patch, name, (3,)).tolist()) for name in ("center", "up"))
-    return Spot(center, as_number(patch.get("radius"), "radius", 1e-12, 1e12), up)  # type: ignore[arg-type]
+    center, up = (tuple(numbers(record, name, (3,)).tolist()) for name in ("center", "up"))
+    return Spot(center, as_number(record.get("radius"), "radius", 1e-12, 1e12), up)  # type: ignore[arg-type]
 
 
 def _object_of(fields: dict[str, Any], name: str) -> dict[str, Any] | None:
@@ -255,8 +255,8 @@ def image_of(command: Command, camera: Camera) -> Uint8s:
     except zlib.error:
         planes = b""
     if len(planes) != size or not unpacker.eof or unpacker.unused_data:
-        what = "coverage" if is_plain else "red, green, blue and coverage"
-        raise ArgumentError(f"the content is not deflated {what} of {math.prod(shape[1:]):,} pixels")
+        expected = "coverage" if is_plain else "red, green, blue and coverage"
+        raise ArgumentError(f"the content is not deflated {expected} of {math.prod(shape[1:]):,} pixels")
     image = np.zeros((height, width, 4), np.uint8)
     inside = image[top:bottom, left:right]
     if "color" in command.fields:
@@ -312,6 +312,6 @@ def values_of(command: Command) -> dict[str, Array]:
     return {name: numbers(values, name, (-1,)) for name in values}
 
 
-def numbers(given: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
+def numbers(fields: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
     """Return numbers of a field; raise ArgumentError for others than finite ones of a shape."""
-    return as_reals(given.get(name), name, shape, most=_FARTHEST)  # type: ignore[arg-type]
+    return as_reals(fields.get(name), name, shape, most=_FARTHEST)  # type: ignore[arg-type]

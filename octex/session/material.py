@@ -110,5 +110,5 @@ def with_channel(command: Command, texture: OctreeTexture) -> OctreeTexture:
     if name in texture.channels:
         raise ArgumentError(f"the texture has the channel {name!r} already")
     codes = encode(np.full(form.components, value), form.dtype, form.space)
-    parts = (np.tile(codes, (count, 1)) for count in row_counts(texture.tree))
+    parts = (np.tile(codes, (n_rows, 1)) for n_rows in row_counts(texture.tree))
     return texture.with_cells(texture.tree, {**texture.channels, name: Channel(form, *parts)})

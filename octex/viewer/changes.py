@@ -92,16 +92,16 @@ def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tu
     tiles, draft = change.tiles, change.after
     if tiles is None:
         return change_between(before, after)
-    here = numbers_in(after, tiles, draft)
-    is_open = here >= 0
+    numbers_now = numbers_in(after, tiles, draft)
+    is_open = numbers_now >= 0
     if change.has_same_cells:
         is_known = _as_before(change.before, draft) | ~is_open
-        return _packed(_around(here[~is_known], after.tree.n_cells), draft, is_known, ~is_open)
+        return _packed(_around(numbers_now[~is_known], after.tree.n_cells), draft, is_known, ~is_open)
     old, is_known = _known(change.before, draft)
-    there = numbers_in(before, tiles, change.before)
+    numbers_before = numbers_in(before, tiles, change.before)
     known = np.flatnonzero(is_known & is_open)
-    opened = _Runs.of_cells(here[known], there[old[known]])
-    numbers = (each[each >= 0] for each in (here, there))
+    opened = _Runs.of_cells(numbers_now[known], numbers_before[old[known]])
+    numbers = (each[each >= 0] for each in (numbers_now, numbers_before))
     closed = _closed(next(numbers), after.tree.n_cells, next(numbers), before.tree.n_cells)
     runs = _Runs(*(np.concatenate(each) for each in zip(opened, closed, strict=True)))
     in_order = np.argsort(runs.now, kind="stable")
@@ -132,15 +132,15 @@ def _around(new: Int64s, count: int) -> _Runs:
     return _Runs(ends[at] + 1, ends[at] + 1, ends[at + 1] - ends[at] - 1)
 
 
-def _closed(here: Int64s, count: int, there: Int64s, old_count: int) -> _Runs:
+def _closed(new_numbers: Int64s, count: int, old_numbers: Int64s, old_count: int) -> _Runs:
     """Return the runs of cells outside two sets, now and before; both have the same order."""
     gaps = []
-    for numbers, end in ((here, count), (there, old_count)):
-        apart = np.append(numbers - np.arange(numbers.size), end - numbers.size)
-        at = np.flatnonzero(np.diff(apart, prepend=0))
-        gaps.append((np.concatenate([[0], apart])[at], at))
+    for numbers, end in ((new_numbers, count), (old_numbers, old_count)):
+        offsets = np.append(numbers - np.arange(numbers.size), end - numbers.size)
+        at = np.flatnonzero(np.diff(offsets, prepend=0))
+        gaps.append((np.concatenate([[0], offsets])[at], at))
     first = np.union1d(gaps[0][0], gaps[1][0])
-    lengths = np.diff(first, append=count - here.size)
+    lengths = np.diff(first, append=count - new_numbers.size)
     now, before = (first + at[np.searchsorted(begins, first, "right") - 1] for begins, at in gaps)
     return _Runs(now, before, lengths)
 
@@ -177,8 +177,8 @@ def _packed(
 def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:
     """Return each cell's old number, and whether it is unchanged; the number is undefined for others."""
     old = np.full(after.tree.n_cells, -1)
-    here, there = (tree.arrays.level_cells.tolist() for tree in (after.tree, before.tree))
-    levels = zip(before.tree.walk(), after.tree.walk(), here, there, strict=False)
+    firsts, old_firsts = (tree.arrays.level_cells.tolist() for tree in (after.tree, before.tree))
+    levels = zip(before.tree.walk(), after.tree.walk(), firsts, old_firsts, strict=False)
     for (had, _), (codes, _), first, first_old in levels:
         at = np.minimum(np.searchsorted(had, codes), had.size - 1)
         old_here = old[first : first + codes.size]

@@ -105,8 +105,8 @@ class Downloads:
 
     def file(self, number: str) -> Path | None:
         """Return the file of this number, or None if it was removed."""
-        made = self._made
-        return made[1] if made is not None and made[0] == number else None
+        latest = self._made
+        return latest[1] if latest is not None and latest[0] == number else None
 
     def close(self) -> None:
         """Remove the last file; one in progress is removed when its work stops."""

@@ -39,9 +39,9 @@ def _read(path: Path) -> bytes:
 def _made(path: Path) -> bytes:
     """Write a new secret that only this user can read."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    made = secrets.token_bytes(_BYTES)
+    secret = secrets.token_bytes(_BYTES)
     descriptor, name = tempfile.mkstemp(dir=path.parent)  # readable by its owner only
     with os.fdopen(descriptor, "wb") as file:
-        file.write(made)
+        file.write(secret)
     Path(name).replace(path)
-    return made
+    return secret

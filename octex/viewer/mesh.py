@@ -72,8 +72,8 @@ def packed_mesh(
     has_parts = paints and bool(surface.parts.max() > 0)
     if has_parts:
         columns.append(np.repeat(surface.parts[order], 3)[:, None])
-    rows, which = distinct_rows(np.concatenate(columns, axis=1))
-    triangles = which.reshape(-1, 3)
+    rows, row_numbers = distinct_rows(np.concatenate(columns, axis=1))
+    triangles = row_numbers.reshape(-1, 3)
     across = sides_across(triangles.ravel(), np.roll(triangles, -1, axis=1).ravel())
     groups = np.repeat(materials[order], 3)
     across[groups[across] != groups] = -1

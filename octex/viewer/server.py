@@ -275,12 +275,12 @@ def _change(before: _State, after: _State) -> Packed | None:
     header: dict[str, Any] = {"version": after.version, "session": after.session, "parts": []}
     streams = {}
     for number, (was, now) in enumerate(zip(before.prepared, after.prepared, strict=True)):
-        moved, is_other = was.texture, not is_like(was.header, now.header)
+        old_texture, is_other = was.texture, not is_like(was.header, now.header)
         if is_other:
             like, added = with_channels_of(was.texture, now.texture)
             if like is None:
                 return None
-            moved = like
+            old_texture = like
             streams[f"added-{number}"] = deflated(added, _SMALL)
         is_whole = now.texture is after.parts[number].texture and was.texture is after.before
         touched = touched_by(after.changes) if is_whole else None
@@ -288,7 +288,7 @@ def _change(before: _State, after: _State) -> Packed | None:
             change = joined_change(after.changes, was.texture, now.texture)
             counts, stream = change_of(change, was.texture, now.texture)
         else:
-            counts, stream = change_between(moved, now.texture)
+            counts, stream = change_between(old_texture, now.texture)
         streams[f"change-{number}"] = deflated(stream, _QUICK)
         fields = {name: value for name, value in now.header.items() if name != "notes"}
         entries = {"header": fields, "counts": counts, "touched": touched, "hasNewChannels": is_other}
