@@ -43,7 +43,7 @@ class Merge(NamedTuple):
     target: str  # the painted channel
     blend: Blend
     opacity: float
-    coarsest: int  # the level of the largest leaf or kept node in or next to which the layer lies
+    coarsest: int  # the level of the largest leaf or kept node that the layer touches
 
     @property
     def is_all_painted(self) -> bool:
@@ -323,7 +323,7 @@ def alpha_first(names: Iterable[str]) -> list[str]:
 def mixed_residuals(
     before: Residuals, paint: Residuals | None, part: Float32s, row_part: Float32s
 ) -> Residuals:
-    """Weight residuals by the part without paint, and those of the paint, if any, by its part."""
+    """Weight residuals by the part without paint, and the paint's residuals, if given, by its part."""
     nodes, rows = before.nodes * (1 - part), before.rows * (1 - row_part)
     if paint is not None:
         nodes, rows = nodes + paint.nodes * part, rows + paint.rows * row_part

@@ -1,4 +1,4 @@
-"""The composites that strokes lead to, which pages show before a stroke is painted; and the bottom's eraser.
+"""The composites that strokes lead to; pages show them before a stroke is painted. And the bottom's eraser.
 
 Layers blend linearly, so a stroke mixes the composite with another one, by its coverage: that in which all of
 the layer has the stroke's paint, or for an eraser that without the layer.

@@ -71,7 +71,7 @@ COVERED = "coverage"
 _KNOWN = 0.5
 #: Largest number of filled cells, about; beyond it cells are larger.
 _MOST_CELLS = 1 << 21
-#: Levels from the filled cells up to the blocks in which uncovered surface is found.
+#: Levels from the filled cells up to the blocks that are searched for uncovered surface.
 _BLOCK = 3
 #: Weight that ties unknown values to the mean of the known ones, which parts without any get.
 _HOLD = 1e-9
@@ -101,7 +101,7 @@ class SheetValues(Source):
         return values
 
 
-def begun(job: Job, layer: OctreeTexture, fill: Fill | Float32s, *, is_hidden: bool = False) -> OctreeTexture:
+def _fill_below(job: Job, layer: OctreeTexture, fill: Fill | Float32s, *, is_hidden: bool) -> OctreeTexture:
     """Return the texture below the first layer; its cells are as large as most leaves of the layer.
 
     All have the value ``fill``, or are "smooth": values that the layer covers by half or more are known, the
@@ -159,7 +159,7 @@ def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Tiles]:
 
 
 def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Tiles:
-    """Return the cells of a level in or next to which a layer leaves surface uncovered."""
+    """Return the cells of a level with surface that a layer leaves uncovered, and their neighbours."""
     blocks = divided(whole(on_grid(surface.rest, layer.placement), surface.triangles, above), 0)
     is_open = _shows_through(layer)
     where = locate(layer.tree, blocks.codes, above)
@@ -173,7 +173,7 @@ def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Tiles:
 
 
 def _shows_through(layer: OctreeTexture) -> Bools:
-    """Return which cells (cells,) of a layer do not hide all below them."""
+    """Return which cells (cells,) of a layer show the fill below them."""
     alpha = layer.channels[ALPHA.name]
     full = ONE[alpha.format.dtype]
     shows: Bools = alpha.values[:, 0] < full
@@ -261,7 +261,7 @@ def started(
     it the texture holds only the fill.
     """
     is_in = blend != "erase" and isinstance(fill, str) and layer.tree.n_leaves > 0
-    texture = begun(job, layer, fill, is_hidden=is_in)
+    texture = _fill_below(job, layer, fill, is_hidden=is_in)
     return (_laid_over(job, texture, layer) if is_in else texture), is_in
 
 
@@ -367,7 +367,7 @@ def _leaves_at(tree: Octree, level: int, chosen: Int64s) -> Leaves:
 
 
 def _translucent(task: Merge) -> list[Paint]:
-    """Return the paint, by level, on leaves through which the fill shows."""
+    """Return the paint, by level, on leaves that show the fill."""
     layer, shows, paint = task.layer, _shows_through(task.layer), []
     for level, cells, codes in leaves_by_level(layer.tree):
         cells, codes = cells[shows[cells]], codes[shows[cells]]

@@ -68,7 +68,7 @@ class PaintSource(Source):
     def touched(self) -> Int32s:
         """Return triangles, ascending; all paint lies on them or next to them."""
 
-    def near(self, triangles: Int32s) -> PaintSource:  # noqa: ARG002
+    def prepared_for(self, triangles: Int32s) -> PaintSource:  # noqa: ARG002
         """Return this paint, prepared for the triangles next to these."""
         return self
 
@@ -175,13 +175,10 @@ class Paint(NamedTuple):
 
     def of(self, chosen: Bools | Int64s | slice) -> Paint:
         """Return the paint on chosen cells."""
-        codes, values, coverage, cells, flags = self
         if isinstance(chosen, slice):
-            values = values[chosen]
-        else:  # `take` is 4 × as fast as indexing
-            chosen = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
-            values = values.take(chosen, axis=0)
-        return Paint(codes[chosen], values, coverage[chosen], cells[chosen], flags[chosen])
+            return Paint(*(column[chosen] for column in self))
+        rows = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
+        return Paint(*(column.take(rows, axis=0) for column in self))  # 4 × as fast as indexing
 
 
 class SurfaceCells(NamedTuple):

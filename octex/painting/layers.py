@@ -81,7 +81,8 @@ class Layers(Painter):
         self._chosen: int | None = None
         self._in_mask = False
         self._merging = self._merged
-        self._shown: tuple[OctreeTexture | None, OctreeTexture] = None, texture  # of which, and the composite
+        # A texture with all layers, and its composite.
+        self._shown: tuple[OctreeTexture | None, OctreeTexture] = None, texture
         self.changes: tuple[Change, ...] = ()
 
     def texture(self) -> OctreeTexture:

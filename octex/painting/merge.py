@@ -169,7 +169,7 @@ class _Piece(NamedTuple):
 
 
 def coarsest_near_layer(texture: OctreeTexture, layer: OctreeTexture) -> int:
-    """Return the level of the texture's largest leaf or kept node in or next to which a layer lies."""
+    """Return the level of the texture's largest leaf or kept node that a layer lies in or adjoins."""
     tree = layer.tree
     largest = next((level for level, (leaves, _) in enumerate(tree.cells_by_depth()) if leaves), 0)
     codes = tree.level_codes(largest)

@@ -287,7 +287,7 @@ def _raster_of(
     options: PaintOptions,
     stages: Stages,
 ) -> Raster:
-    """Project images, which are released on return; ``stages`` are those of all these images.
+    """Project images; ``stages`` are those of all these images.
 
     ``scales`` multiply their alpha.
     """
@@ -296,7 +296,8 @@ def _raster_of(
     around = AROUND if is_single and options.edge_feather < AROUND else None
     shots = _shots_of(job, form, images, scales, options, around)
     reference = None if options.reference is None else shots[options.reference]
-    shots = in_fixed_order(shots)
+    if not is_single:
+        shots = in_fixed_order(shots)
     angle = cast(float, options.max_angle)
     terms = terms_of(angle, options.edge_feather, options.back_faces, options.hidden)
     source = job.surface.projected(shots, form, terms, options.region)

@@ -198,7 +198,8 @@ class Painter:
         changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:
-            job, images = Job(self._posed(pose), pool, run.report), check_projections(projections)
+            painted_surface = self._painted if pose is None else self._posed(pose)
+            job, images = Job(painted_surface, pool, run.report), check_projections(projections)
             try:
                 for texture, change in painted(
                     job, self._texture, images, options, merge=self._merging, put=self._put
@@ -258,9 +259,7 @@ class Painter:
         target.append(stroke)
         return True
 
-    def _posed(self, pose: Surface | None) -> PaintedSurface:
-        if pose is None:
-            return self._painted
+    def _posed(self, pose: Surface) -> PaintedSurface:
         if self._pose is None or self._pose[0] is not pose:
             surface = as_surface(pose, "pose").placed_in(self._texture)
             self._pose = pose, self._painted.posed(surface)

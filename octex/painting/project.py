@@ -51,7 +51,7 @@ from octex.view.visibility import (
 )
 from octex.voxelize.fragments import Blocks
 
-#: Pixels around its paint within which a single image is decoded, a power of two.
+#: A single image is decoded up to this many pixels around its paint; a power of two.
 AROUND = 64
 
 
@@ -144,8 +144,6 @@ def take_shots(
 
 def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
     """Sort shots by content, so that sums and fits do not depend on their order."""
-    if len(shots) < 2:
-        return list(shots)
     return sorted(shots, key=lambda shot: order_key(shot.camera, shot.K, shot.lens, shot.mips))
 
 
@@ -235,7 +233,7 @@ class Projected(PaintSource):
             return _pixels_under(shot.camera, _summed(shot.seen.rows), self.vertices, self.triangles)
         return _pixels_of(shot.seen, len(self.triangles))
 
-    def near(self, triangles: Int32s) -> Projected:
+    def prepared_for(self, triangles: Int32s) -> Projected:
         """Return this paint, with the normals of these triangles only."""
         normals = np.zeros((len(self.triangles), 3, 3), np.float32)  # untouched memory costs nothing
         normals[triangles] = self.shading(triangles)
@@ -404,7 +402,7 @@ def _count_in(counts: Int32s, left: float, top: float, right: float, bottom: flo
 
 @kernel
 def _pixels_under(view: View, counts: Int32s, vertices: Float64s, faces: Int32s) -> Int32s:
-    """Return upper bounds of the pixels that see triangles (m,) or what hides them."""
+    """Return upper bounds of the pixels that see triangles (m,) or surface that hides them."""
     bounds = np.empty(faces.shape[0], np.int32)
     for triangle in range(faces.shape[0]):
         left, top, right, bottom, behind = box_in(view, corners_in(view, vertices, faces, triangle))

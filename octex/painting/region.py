@@ -233,13 +233,7 @@ def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:
         return meets, region.covers
     if callable(region):
         return np.ones(n_triangles, np.bool_), region
-    chosen = triangles_of(region, n_triangles)
-    if chosen is not None:
-        return chosen, _everywhere
-    raise ArgumentError(
-        "region must be a Sphere, a Box, a function, or triangles of the surface: numbers from 0 to "
-        f"{n_triangles - 1}, or {n_triangles} bools"
-    )
+    return triangles_of(region, n_triangles, "a Sphere, a Box, a function, or "), _everywhere
 
 
 def _everywhere(points: Float64s) -> npt.ArrayLike:

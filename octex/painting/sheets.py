@@ -1,4 +1,4 @@
-"""The surface in cells as a graph: its nodes are sheets, what of the surface hangs together in a cell.
+"""The surface in cells as a graph: its nodes are sheets, the connected pieces of surface in a cell.
 
 Two sheets are neighbours if a triangle is in both, in cells that share a face. So nothing leads through a
 thin part, from one of two walls in a cell to the other, or from part to part.

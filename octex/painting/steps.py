@@ -128,7 +128,7 @@ def rasterize_surface(
     if not touched.size:
         return Raster(channels, placement, surface.bounds, None)
     root = job.surface.grid(placement).around(touched, depth)
-    source = source.near(root.members)
+    source = source.prepared_for(root.members)
     filled = cell_levels(
         surface, source, channels, placement, depth, job.executor, job.progress,
         has_samples=fit and not is_plain(source),

@@ -110,12 +110,7 @@ class PaintedSurface:
     ) -> Projected:
         """Return the paint of shots of it, or of the triangles of a region."""
         mesh = self.surface.vertices, self.surface.triangles
-        count = len(self.surface.triangles)
-        chosen = None if region is None else triangles_of(region, count)
-        if region is not None and chosen is None:
-            raise ArgumentError(
-                f"region must be triangles of the surface: numbers from 0 to {count - 1}, or {count} bools"
-            )
+        chosen = None if region is None else triangles_of(region, len(mesh[1]))
         return Projected(list(shots), form, terms, *mesh, self.stretches, self.shading, chosen)
 
     def comparable(
@@ -173,15 +168,20 @@ def laid_flat(
     return job, [replace(each, camera=patch.camera) for each in projections]
 
 
-def triangles_of(region: npt.ArrayLike, n_triangles: int) -> Bools | None:
-    """Return a region, of numbers or bools, as bools (count,); None for any other kind of region."""
+def triangles_of(region: npt.ArrayLike, count: int, kinds: str = "") -> Bools:
+    """Return a region, of numbers or bools, as bools (count,).
+
+    Raises ArgumentError for any other region; the message names the other allowed ``kinds``.
+    """
     part = as_array(region)
-    if part.dtype == np.bool_ and part.shape == (n_triangles,):
+    if part.dtype == np.bool_ and part.shape == (count,):
         return part
     is_whole = part.ndim == 1 and part.dtype.kind in "iu"
-    if not is_whole or (part.size and not 0 <= part.min() <= part.max() < n_triangles):
-        return None
-    chosen = np.zeros(n_triangles, np.bool_)
+    if not is_whole or (part.size and not 0 <= part.min() <= part.max() < count):
+        raise ArgumentError(
+            f"region must be {kinds}triangles of the surface: numbers from 0 to {count - 1}, or {count} bools"
+        )
+    chosen = np.zeros(count, np.bool_)
     chosen[part] = True
     return chosen
 

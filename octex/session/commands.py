@@ -64,7 +64,7 @@ class Command(NamedTuple):
 
 
 def object_of(text: str | bytes, name: str) -> dict[str, Any]:
-    """Parse a JSON object; raise ArgumentError, which names ``what``, for anything else."""
+    """Parse a JSON object; raise ArgumentError for anything else, with ``name`` in its message."""
     with suppress(ValueError, RecursionError):
         fields = json.loads(text)
         if isinstance(fields, dict):
@@ -190,7 +190,7 @@ def layer_of(command: Command) -> tuple[str, dict[str, Any]]:
 
 
 def fields_of(layer: Layer) -> dict[str, Any]:
-    """Return a layer as pages are told of it."""
+    """Return a layer as pages read it."""
     return {"number": layer.number} | {name: getattr(layer, field) for name, field in _FIELDS.items()}
 
 
@@ -201,7 +201,7 @@ def replaces_of(command: Command) -> bool:
 
 
 def file_of(command: Command) -> str:
-    """Return which file's version to take: that of the saved texture, or of the opened one."""
+    """Return which file to take: "output", the saved texture, or "opened", the opened one."""
     file: str = as_choice(command.fields.get("file", ""), ("output", "opened"), "file")
     return file
 

@@ -1,4 +1,4 @@
-"""Files of a session that other programs may change meanwhile: what changed, and where it is kept."""
+"""Files of a session that other programs may change meanwhile; the other versions are kept."""
 
 from __future__ import annotations
 

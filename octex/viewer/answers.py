@@ -169,16 +169,15 @@ class Handler(BaseHTTPRequestHandler):
             if len(body) < int(length):
                 self._refuse(HTTPStatus.BAD_REQUEST, f"{len(body):,} bytes of {int(length):,} arrived")
                 return
+            statuses: dict[type[OctexError], HTTPStatus] = {
+                BusyError: HTTPStatus.TOO_MANY_REQUESTS,
+                OrderError: HTTPStatus.CONFLICT,
+                OutputError: HTTPStatus.INSUFFICIENT_STORAGE,
+            }
             try:
                 self._json({"number": session.take(body)})
-            except BusyError as error:
-                self._refuse(HTTPStatus.TOO_MANY_REQUESTS, str(error))
-            except OrderError as error:
-                self._refuse(HTTPStatus.CONFLICT, str(error))
-            except OutputError as error:
-                self._refuse(HTTPStatus.INSUFFICIENT_STORAGE, str(error))
             except OctexError as error:
-                self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+                self._refuse(statuses.get(type(error), HTTPStatus.BAD_REQUEST), str(error))
 
     def _admitted(self, *, has_body: bool = False) -> str | None:
         """Return the path of a request below the token; refuse requests from elsewhere.

@@ -33,7 +33,7 @@ def is_like(header: dict[str, Any], other: dict[str, Any]) -> bool:
     return all(header[name] == other[name] for name in _STAYS)
 
 
-def with_channels_of(before: OctreeTexture, after: OctreeTexture) -> tuple[OctreeTexture | None, bytes]:
+def with_new_channels(before: OctreeTexture, after: OctreeTexture) -> tuple[OctreeTexture | None, bytes]:
     """Return ``before`` with the channels of ``after``, and a stream of the new channels.
 
     The stream has, for each new component, cells, kept coefficients and split rows. Returns None instead of
@@ -184,14 +184,10 @@ def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:
         old_here = old[first : first + codes.size]
         old_here[:] = np.where(had[at] == codes, first_old + at, -1)
     is_known = old >= 0
-    (masks, areas), (old_masks, old_areas) = (_nodes_data(each.tree) for each in (after, before))
-    flags, old_flags = after.tree.arrays.flags, before.tree.arrays.flags
-    for now, was in (
-        (masks, old_masks),
-        (areas[:, None], old_areas[:, None]),
-        (flags[:, None], old_flags[:, None]),
-    ):
-        is_known &= (now == was[old]).all(axis=1)
+    now, was = (
+        np.column_stack([*_nodes_data(each.tree), each.tree.arrays.flags]) for each in (after, before)
+    )
+    is_known &= (now == was[old]).all(axis=1)
     kept, sides = _owners(after.tree)
     old_kept, old_sides = _owners(before.tree)
     is_same = [_rows_of(kept, old_kept, old, is_known), _rows_of(sides, old_sides, old, is_known)]

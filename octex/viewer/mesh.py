@@ -44,9 +44,9 @@ def packed_mesh(
     maps: Maps | None = None,
     paints: bool = False,
 ) -> tuple[dict[str, Any], bytes]:
-    """Return what a mesh's stream holds, and the stream.
+    """Return a mesh's header and its stream.
 
-    Of one that ``moves`` it names vertices' owners, of one that is painted the parts that they are of.
+    With ``moves`` the stream has each vertex's owner, a vertex of the surface; with ``paints`` its part.
     """
     materials = np.zeros(len(surface.triangles), np.int64) if maps is None else maps.materials
     order = np.argsort(materials, kind="stable")

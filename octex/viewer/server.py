@@ -19,7 +19,7 @@ from octex.errors import OctexError, OutputError
 from octex.formats.streams import deflated
 from octex.formats.web import Prepared, prepared
 from octex.viewer.answers import ADDRESS, Handler, Server
-from octex.viewer.changes import change_between, change_of, is_like, touched_by, with_channels_of
+from octex.viewer.changes import change_between, change_of, is_like, touched_by, with_new_channels
 from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, Part, packed_page, parts_of
 
@@ -277,7 +277,7 @@ def _change(before: _State, after: _State) -> Packed | None:
     for number, (was, now) in enumerate(zip(before.prepared, after.prepared, strict=True)):
         old_texture, is_other = was.texture, not is_like(was.header, now.header)
         if is_other:
-            like, added = with_channels_of(was.texture, now.texture)
+            like, added = with_new_channels(was.texture, now.texture)
             if like is None:
                 return None
             old_texture = like
