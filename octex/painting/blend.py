@@ -88,17 +88,6 @@ class Above(NamedTuple):
     layer: Nodes  # in the paint octree
 
 
-class PaintedLeaves(NamedTuple):
-    """A texture whose leaves have paint; its nodes are not averaged yet."""
-
-    base: OctreeTexture  # before paint; with split cells where paint may make facings differ
-    channels: dict[str, Channel]
-    parts: dict[str, Channel]  # the painted part of channels
-    above: Above
-    may_split: Int64s  # the split cells
-    averages_rows: bool = False
-
-
 def blended(base: Float32s, paint: Float32s, coverage: Float32s, blend: Blend) -> Float32s:
     """Blend paint (n, components) of a coverage (n,) with ``base`` values; see BLENDS."""
     if blend == "replace":
@@ -265,10 +254,24 @@ def nodes_above(tree: Octree, codes: Sequence[Int64s], is_new: Bools, before: Oc
 
 
 def averaged(
-    task: Merge, draft: OctreeTexture, raised: Raised, leaves: PaintedLeaves, painted: list[Int64s]
+    task: Merge,
+    draft: OctreeTexture,
+    raised: Raised,
+    base: OctreeTexture,
+    channels: dict[str, Channel],
+    parts: dict[str, Channel],
+    above: Above,
+    may_split: Int64s,
+    painted: list[Int64s],
+    averages_rows: bool = False,
 ) -> Merged:
-    """Average the nodes above painted leaves, in place; join split cells whose facings agree."""
-    base, channels, parts, above, may_split, averages_rows = leaves
+    """Average the nodes above painted leaves, in place; join split cells whose facings agree.
+
+    base        the texture before paint, with the cells ``may_split`` split, whose facings may differ
+    channels    its channels with paint on the leaves
+    parts       the painted part of channels on the leaves
+    painted     the painted leaves, by level
+    """
     is_new, is_fresh = raised.old < 0, raised.is_fresh
     after = base.with_cells(base.tree, channels)
     names = channels if is_new.any() else averaged_with(channels, parts)
@@ -370,6 +373,5 @@ def averaged_above(task: Merge, draft: OctreeTexture, merged: Merged) -> Merged:
     above = nodes_above(texture.tree, merged.painted, merged.is_new, draft.tree, task.layer.tree)
     may_split = may_differ(texture.tree, np.empty(0, np.int64), np.empty(0, np.uint8), above)
     base, parts = (with_split_cells(each, may_split) for each in (texture, merged.parts))
-    channels, part = writable(base, base.channels), writable(parts, parts.channels)
-    leaves = PaintedLeaves(base, channels, part, above, may_split, merged.averages_rows)
-    return averaged(task, draft, raised, leaves, merged.painted)
+    leaves = base, writable(base, base.channels), writable(parts, parts.channels)
+    return averaged(task, draft, raised, *leaves, above, may_split, merged.painted, merged.averages_rows)

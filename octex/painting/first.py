@@ -22,7 +22,6 @@ from octex.errors import ArgumentError, own_making
 from octex.painting.blend import (
     Above,
     Merge,
-    PaintedLeaves,
     Raised,
     all_above,
     averaged,
@@ -333,8 +332,7 @@ def _with_paint(
         old = {name: _fill_facing(task, owners.codes, level, rows.bits)}
         blend("split_values", rows.rows, old, *facings, nowhere[rows.cells])
     raised = Raised(texture, np.where(is_painted, 0, -1), ~nowhere, nowhere, [])
-    leaves = PaintedLeaves(base, channels, parts, above, may_split)
-    return averaged(task, task.texture, raised, leaves, changed).texture
+    return averaged(task, task.texture, raised, base, channels, parts, above, may_split, changed).texture
 
 
 def _lacking(task: Merge) -> list[Leaves]:

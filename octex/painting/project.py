@@ -156,18 +156,18 @@ def order_key(camera: View, K: Float64s, lens: Float64s, mips: Mips) -> bytes:
     return digest.digest()
 
 
-def _spread(marked: Bools, reach: int) -> Bools:
-    """Mark all pixels in the squares that reach ``reach`` pixels around marked ones."""
-    spread = marked.copy()
-    for along in (spread, spread.T):
-        reached = 0
+def spread(marked: Bools, reach: int) -> Bools:
+    """Mark all places within ``reach`` of marked ones along each axis."""
+    marked = marked.copy()
+    for axis in range(marked.ndim):
+        along, reached = np.moveaxis(marked, axis, 0), 0
         while reached < reach:
             step = min(reached + 1, reach - reached)  # wider steps would leave gaps
             before = along.copy("K")
             along[step:] |= before[:-step]
             along[:-step] |= before[step:]
             reached += step
-    return spread
+    return marked
 
 
 #: Pixels that are tried for triangles whose corners and centroid no image shows.
@@ -210,7 +210,7 @@ class Projected(PaintSource):
             width, height = shot.mips.sizes[0, 1:]
             has_paint = shot.mips.pixels[: width * height, 3].reshape(height, width) > 0
             if not is_bent(shot.lens) and not has_paint.all():
-                rows = np.where(_spread(has_paint, reach), shot.seen.rows, np.int32(-1))
+                rows = np.where(spread(has_paint, reach), shot.seen.rows, np.int32(-1))
                 shot = shot._replace(seen=shot.seen._replace(rows=large.moved(rows)))
             shots.append(shot)
         return self.with_shots(shots)

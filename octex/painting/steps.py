@@ -33,7 +33,6 @@ from octex.painting.blend import (
     Kind,
     Merge,
     Merged,
-    PaintedLeaves,
     Raised,
     averaged,
     averaged_with,
@@ -456,7 +455,7 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     owners = on_leaves.of(np.searchsorted(cells, rows.cells))
     facings = facings_of_paint(task.layer, owners, rows.bits, task.opacity)
     blend("split_values", rows.rows, *facings, is_fresh[rows.cells], rows.cells)
-    return averaged(task, draft, raised, PaintedLeaves(base, channels, parts, above, may_split), painted)
+    return averaged(task, draft, raised, base, channels, parts, above, may_split, painted)
 
 
 def delete_paint(merged: Merged) -> OctreeTexture:

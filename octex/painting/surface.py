@@ -18,7 +18,7 @@ from octex.checks import as_array
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
 from octex.painting.image import Mips, Projection
-from octex.painting.project import Projected, Shading, Sight, sight_of
+from octex.painting.project import Projected, Shading, Sight, sight_of, spread
 from octex.painting.reading import Shot, Terms
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.unwrap import Patch
@@ -244,13 +244,7 @@ class TriangleGrid:
         last = np.minimum(last + reach, (1 << (_COARSE - shift)) - 1)
         marked = np.zeros(last - first + 1, np.bool_)
         _mark(boxes, first, marked)
-        for axis in range(3 * reach):
-            widened = marked.copy()
-            before, after = (np.s_[:],) * axis + (np.s_[:-1],), (np.s_[:],) * axis + (np.s_[1:],)
-            widened[after] |= marked[before]
-            widened[before] |= marked[after]
-            marked = widened
-        return _reaching(self._boxes, shift, first, marked)
+        return _reaching(self._boxes, shift, first, spread(marked, reach))
 
 
 @kernel
