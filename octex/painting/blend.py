@@ -261,13 +261,12 @@ def averaged(
     channels: dict[str, Channel],
     parts: dict[str, Channel],
     above: Above,
-    may_split: Int64s,
     painted: list[Int64s],
     averages_rows: bool = False,
 ) -> Merged:
     """Average the nodes above painted leaves, in place; join split cells whose facings agree.
 
-    base        the texture before paint, with the cells ``may_split`` split, whose facings may differ
+    base        the raised texture, with more cells split: those whose facings may differ
     channels    its channels with paint on the leaves
     parts       the painted part of channels on the leaves
     painted     the painted leaves, by level
@@ -291,7 +290,7 @@ def averaged(
                 after, channels[name].format, parts[name], above, rows, residuals[name], layer
             )
         average(after, channels[name], residuals[name], above.nodes)
-    new_split = may_split[raised.texture.tree.arrays.flags[may_split] & SPLIT == 0]
+    new_split = np.flatnonzero(base.tree.arrays.flags & ~raised.texture.tree.arrays.flags & SPLIT)
     excess = split_in_vain(after, new_split)
     has_rows = averages_rows or excess.size < new_split.size
     stays = ~among(rows.cells, excess)
@@ -374,4 +373,4 @@ def averaged_above(task: Merge, draft: OctreeTexture, merged: Merged) -> Merged:
     may_split = may_differ(texture.tree, np.empty(0, np.int64), np.empty(0, np.uint8), above)
     base, parts = (with_split_cells(each, may_split) for each in (texture, merged.parts))
     leaves = base, writable(base, base.channels), writable(parts, parts.channels)
-    return averaged(task, draft, raised, *leaves, above, may_split, merged.painted, merged.averages_rows)
+    return averaged(task, draft, raised, *leaves, above, merged.painted, merged.averages_rows)

@@ -317,8 +317,7 @@ def _with_paint(
     nodes, none = nodes_at(tree, codes), np.empty(0, np.int64)
     absent = nodes._replace(numbers=np.full_like(nodes.numbers, -1))
     above = Above(nodes, absent, nodes_at(task.layer.tree, codes))
-    may_split = may_differ(texture.tree, none, none.astype(np.uint8), above)
-    base = with_split_cells(texture, may_split)
+    base = with_split_cells(texture, may_differ(texture.tree, none, none.astype(np.uint8), above))
     channels, parts = writable(base, [name]), no_parts(base.tree, [name])
     parts[name].values[is_painted] = 1.0
     parts[name].split_values[is_painted[rows_of(base.tree.split).cells]] = 1.0
@@ -332,7 +331,7 @@ def _with_paint(
         old = {name: _fill_facing(task, owners.codes, level, rows.bits)}
         blend("split_values", rows.rows, old, *facings, nowhere[rows.cells])
     raised = Raised(texture, np.where(is_painted, 0, -1), ~nowhere, nowhere, [])
-    return averaged(task, task.texture, raised, base, channels, parts, above, may_split, changed).texture
+    return averaged(task, task.texture, raised, base, channels, parts, above, changed).texture
 
 
 def _lacking(task: Merge) -> list[Leaves]:

@@ -420,8 +420,7 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     painted = [each.codes for each in paint]
     cells, on_leaves = paint_on_leaves(tree, paint)
     above = nodes_above(tree, painted, is_new, draft.tree, task.layer.tree)
-    may_split = may_differ(tree, cells, on_leaves.flags, above)
-    base = with_split_cells(raised.texture, may_split)
+    base = with_split_cells(raised.texture, may_differ(tree, cells, on_leaves.flags, above))
     alpha = alpha_of(task.target)
     targets = {name: channel for name, channel in base.channels.items() if name in (task.target, alpha)}
     has_covered = covers(task.blend, task.target) or is_fresh[cells].any()
@@ -455,7 +454,7 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     owners = on_leaves.of(np.searchsorted(cells, rows.cells))
     facings = facings_of_paint(task.layer, owners, rows.bits, task.opacity)
     blend("split_values", rows.rows, *facings, is_fresh[rows.cells], rows.cells)
-    return averaged(task, draft, raised, base, channels, parts, above, may_split, painted)
+    return averaged(task, draft, raised, base, channels, parts, above, painted)
 
 
 def delete_paint(merged: Merged) -> OctreeTexture:
