@@ -294,20 +294,18 @@ def on_kept(
     above = with_all_above([each.codes for each in paint]) if tree.kept.cells.size else []
     leaves = _on_surface(paint, skirts) if above else []
     for level, painted in enumerate(above):
-        kept_rows = slice(
-            *np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist()
-        )
-        if kept_rows.start == kept_rows.stop:
+        ends = tree.arrays.level_cells[level : level + 2]
+        first, end = np.searchsorted(tree.kept.cells, ends).tolist()  # rows of the level's kept nodes
+        if first == end:
             continue
-        first = int(tree.arrays.level_cells[level])
-        codes = tree.level_codes(level)[tree.kept.cells[kept_rows].astype(np.int64) - first]
+        codes = tree.level_codes(level)[tree.kept.cells[first:end].astype(np.int64) - ends[0]]
         chosen = among(codes, painted) | touch(codes, leaves, level, refined=True)
         chosen[chosen] = ~are_adjacent(codes[chosen], bare, level)
         inside = paint_at(paint, codes[chosen], level)
         off = codes[chosen & ~among(codes, painted)]
         outside = skirt_paint(off, level, executor, paint_at(paint, boundary(off, level), level))
         in_or_next = joined(inside, outside)
-        on_levels.append((np.flatnonzero(chosen) + kept_rows.start, in_or_next.values, in_or_next.coverage))
+        on_levels.append((np.flatnonzero(chosen) + first, in_or_next.values, in_or_next.coverage))
     rows, values, coverage = (np.concatenate(column) for column in zip(*on_levels, strict=True))
     return rows, values, coverage
 

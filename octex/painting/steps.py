@@ -164,12 +164,12 @@ def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged
     """Merge paint into a draft of the texture; return None for none."""
     tree = draft.tree
     if alpha_of(task.target) is None:  # coverage alone adds no cells
-        places = (
-            [locate(tree, each.codes, level) for level, each in enumerate(paint)] if tree.n_leaves else []
-        )
+        if not tree.n_leaves:
+            return None
+        places = [locate(tree, each.codes, level) for level, each in enumerate(paint)]
         paint = [
             each.of((where.levels == level) | where.is_leaf)
-            for level, (each, where) in enumerate(zip(paint, places, strict=False))
+            for level, (each, where) in enumerate(zip(paint, places, strict=True))
         ]
     if not any(each.codes.size for each in paint):
         return None
@@ -441,9 +441,8 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
 
     def blend_block(begin: int) -> None:
         block = slice(begin, begin + _BLOCK)
-        blend(
-            "values", cells[block], on_leaves.values[block], on_leaves.coverage[block], is_fresh[cells[block]]
-        )
+        in_block = on_leaves.of(block)
+        blend("values", cells[block], in_block.values, in_block.coverage, is_fresh[cells[block]])
 
     with sharing(task.job.executor) as pool:
         list(ordered_map(pool, blend_block, range(0, cells.size, _BLOCK)))
