@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple, TypeAlias, get_args
 
 import numpy as np
 
-from octex.arrays import Array, Bools, Float32s, Int64s, Uint8s
+from octex.arrays import Array, Bools, Float32s, Floats, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, alpha_of, decode, encode, plain_name
 from octex.editing.averages import Residuals, average, average_rows, residuals_at, with_summed_areas
 from octex.editing.nodes import Nodes, nodes_at
@@ -322,14 +322,10 @@ def alpha_first(names: Iterable[str]) -> list[str]:
     return sorted(names, key=lambda name: alpha_of(name) is not None)
 
 
-def mixed_residuals(
-    before: Residuals, paint: Residuals | None, part: Float32s, row_part: Float32s
-) -> Residuals:
+def mixed_residuals(before: Floats, paint: Floats | None, part: Float32s) -> Floats:
     """Weight residuals by the part without paint, and the paint's residuals, if given, by its part."""
-    nodes, rows = before.nodes * (1 - part), before.rows * (1 - row_part)
-    if paint is not None:
-        nodes, rows = nodes + paint.nodes * part, rows + paint.rows * row_part
-    return Residuals(nodes, rows)
+    rest = before * (1 - part)
+    return rest if paint is None else rest + paint * part
 
 
 def _residuals_before(draft: OctreeTexture, raised: Raised, name: str, above: Above, rows: Rows) -> Residuals:
@@ -357,11 +353,12 @@ def _residuals_after(
     """Mix residuals with the layer's, if given, by its ``part``, whose nodes are averaged in place."""
     part = part._replace(format=form._replace(components=1, space="data", dtype="float32"))
     average(texture, part, nodes=above.nodes)
-    paint = None
+    parts = part.values[above.nodes.cells], part.split_values[rows.rows]
+    paint: Residuals | tuple[None, None] = (None, None)
     if layer is not None:
         owners = np.searchsorted(above.nodes.cells, rows.cells)
         paint = residuals_at(layer, painted_channel(layer), above.layer, owners, rows.bits)
-    return mixed_residuals(before, paint, part.values[above.nodes.cells], part.split_values[rows.rows])
+    return Residuals(*map(mixed_residuals, before, paint, parts))
 
 
 def averaged_above(task: Merge, draft: OctreeTexture, merged: Merged) -> Merged:

@@ -14,7 +14,7 @@ import numpy as np
 from octex.arrays import Float32s, Int64s, Uint8s
 from octex.channels import ALPHA, BASE_COLOR, ONE, alpha_of, channel_in, decode
 from octex.checks import as_choice
-from octex.editing.averages import average, residuals
+from octex.editing.averages import Residuals, average, residuals
 from octex.editing.draft import change_of_values, numbers_in
 from octex.editing.nodes import Nodes, all_children, all_leaves, nodes_at
 from octex.editing.refined import refined_rows, refined_values
@@ -160,17 +160,17 @@ def restored(texture: OctreeTexture, opened: OctreeTexture, erased: Channel) -> 
         before = _values(opened, tree, owners, bits, are_kept=kind == "kept_values")
         for name in names:
             now = read(channels[name], kind, of_kind)
-            mix = blended(now, before.get(name, np.ones_like(now)), part, "over")
-            write(channels[name], kind, of_kind, mix)
+            new = blended(now, before.get(name, np.ones_like(now)), part, "over")
+            write(channels[name], kind, of_kind, new)
     result = with_channels(texture, channels)
     erased_codes = [tree.level_codes(level)[each] for level, each in _by_level(tree, rows[0])]
     nodes = nodes_at(tree, all_above(erased_codes))
-    part = read(erased, "values", nodes.cells)
-    row_part = read(erased, "split_values", rows_of(tree.split, nodes.cells).rows)
+    node_rows = nodes.cells, rows_of(tree.split, nodes.cells).rows
+    parts = [read(erased, kind, of_kind) for kind, of_kind in zip(KINDS, node_rows, strict=False)]
     whole = _laid_on(opened, result, names, nodes)
     for name in alpha_first(names):
-        before_after = residuals(texture, name, nodes), residuals(whole, name, nodes)
-        average(result, channels[name], mixed_residuals(*before_after, part, row_part), nodes)
+        mix = map(mixed_residuals, residuals(texture, name, nodes), residuals(whole, name, nodes), parts)
+        average(result, channels[name], Residuals(*mix), nodes)
     return result
 
 

@@ -22,7 +22,7 @@ from octex.checks import as_choice, as_flag, as_number
 from octex.editing.averages import Residuals, average, residuals
 from octex.editing.nodes import Nodes, all_leaves
 from octex.errors import ArgumentError
-from octex.painting.blend import KINDS, Kind, alpha_first, mixed, read, write
+from octex.painting.blend import KINDS, Kind, alpha_first, mixed, mixed_residuals, read, write
 from octex.painting.layer import COVERAGE
 from octex.painting.resume import digest_of
 from octex.texture import Channel, OctreeTexture
@@ -268,9 +268,9 @@ def _folded(
                     new = np.clip(new, -1.0, 1.0)
                 composite[each] = new
                 if residuals is not None and layer_residuals is not None:
-                    residuals[each] = residuals[each] * (1 - share[:, None])
-                    if each == name and layer.blend == "over":
-                        residuals[each] += layer_residuals[paint] * share[:, None]
+                    takes_on = each == name and layer.blend == "over"
+                    added = layer_residuals[paint] if takes_on else None
+                    residuals[each] = mixed_residuals(residuals[each], added, share[:, None])
     return composite
 
 
