@@ -10,13 +10,13 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeGuard, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s, Uint16s
+from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint16s
 from octex.cameras.camera import Camera
 from octex.cameras.lens import is_bent
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb, screen_color
@@ -158,9 +158,15 @@ def _window_of(
 ) -> dict[str, Array]:
     size, image = (projection.camera.width, projection.camera.height), projection.image
     window, before = Window(0, 0, *size), None
-    if around is not None and projection.since is None and _is_codes(image, size):
+    if (
+        around is not None
+        and projection.since is None
+        and isinstance(image, np.ndarray)
+        and image.dtype == np.uint8
+        and image.shape == (*size[::-1], 4)
+    ):
         window = _window_around(image[:, :, 3] > 0, around)
-        texels = as_texels(window.of(image))
+        texels = as_texels(window.of(image))  # only this part is decoded
     else:
         texels = texels_of(image, "the image", size)
         if projection.since is not None:
@@ -204,11 +210,6 @@ def _window_of(
     if (limits[0] != limits[1]).any():
         sharpen(pixels, form.space in ("srgb", "linear"))
     return {"pixels": rows, "sizes": sizes, "range": limits, "window": np.array(window, np.int64)}
-
-
-def _is_codes(image: Image, size: tuple[int, int]) -> TypeGuard[Uint8s]:
-    """Return whether an image is an 8-bit array of this size with alpha, of which a part can be decoded."""
-    return isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.shape == (*size[::-1], 4)
 
 
 def _window_around(has_paint: Bools, around: int) -> Window:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, decode, encode
-from octex.errors import ArgumentError, DefectError
+from octex.errors import DefectError
 from octex.jit import kernel
 from octex.source.base import Source
 from octex.source.parts import SEPARATION
@@ -196,13 +196,6 @@ def joined(*parts: Paint) -> Paint:
     codes, *columns = (np.concatenate(column) for column in zip(*filled, strict=True))
     order = np.argsort(codes, kind="stable")
     return Paint(codes[order], *(column.take(order, axis=0) for column in columns))
-
-
-def channel_of(layer: OctreeTexture) -> ChannelFormat:
-    """Return the format of a layer's painted channel; raise ArgumentError for a texture that is no layer."""
-    if len(layer.channels) != 2 or ALPHA.name not in layer.channels:
-        raise ArgumentError("a layer must have one channel and alpha, its coverage")
-    return layer.channels[painted_channel(layer)].format
 
 
 def painted_channel(layer: OctreeTexture) -> str:

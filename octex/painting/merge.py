@@ -35,7 +35,7 @@ from octex.editing.split import refaced
 from octex.errors import ArgumentError, own_making
 from octex.painting.blend import Merge, Merged, averaged_above, no_parts, with_areas_above
 from octex.painting.image import BLENDS, Blend
-from octex.painting.layer import Paint, channel_of, leaves_by_level, paint_of
+from octex.painting.layer import Paint, leaves_by_level, paint_of, painted_channel
 from octex.painting.steps import delete_paint, merge_draft
 from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, ordered_map, sharing, silent, workers
@@ -118,7 +118,9 @@ def merged(
     """
     as_choice(blend, BLENDS, "blend")
     opacity = as_number(opacity, "opacity", 0.0, 1.0)
-    form = channel_of(layer)
+    if len(layer.channels) != 2 or ALPHA.name not in layer.channels:
+        raise ArgumentError("a layer must have one channel and alpha, its coverage")
+    form = layer.channels[painted_channel(layer)].format
     target = form.name if into is None else into
     if blend == "erase":
         target = alpha_of(target) or target
