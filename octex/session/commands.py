@@ -140,28 +140,22 @@ def _object_of(fields: dict[str, Any], name: str) -> dict[str, Any] | None:
     return record
 
 
-class Alike(NamedTuple):
-    """Limits of a fill to a similar colour."""
+def fill_of(command: Command) -> tuple[dict[str, Any], Where, dict[str, Any] | None]:
+    """Return a fill's options, its point (None: everywhere), and its limits by colour, for `alike`.
 
-    tolerance: float  # 8-bit codes
-    connected: bool
-
-
-def fill_of(command: Command) -> tuple[dict[str, Any], Where, Alike | None]:
-    """Return a fill's options, its point (None: everywhere), and the limits of a fill by colour.
-
-    Limits of None fill the whole connected part.
+    Without limits it fills the whole connected part.
     """
     _no_content(command)
     if not values_of(command) or "color" in command.fields:
         codes_of(command)
-    where, limits = where_of(command), None
+    where, color_limits = where_of(command), None
     if "tolerance" in command.fields:
         if where.point is None:
             raise ArgumentError("tolerance needs at, the point whose colour is replaced")
         tolerance = as_number(command.fields["tolerance"], "tolerance", 0.0, 255.0)
-        limits = Alike(tolerance, as_flag(command.fields.get("connected", True), "connected"))
-    return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, limits
+        connected = as_flag(command.fields.get("connected", True), "connected")
+        color_limits = {"tolerance": tolerance, "connected": connected}
+    return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, color_limits
 
 
 def channel_of(command: Command) -> str:

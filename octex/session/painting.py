@@ -292,14 +292,14 @@ class Session:
         self._did(command, strokes)
 
     def _do_fill(self, command: Command) -> None:
-        options, where, limits = fill_of(command)
+        options, where, color_limits = fill_of(command)
         regions: list[Any] = [_everywhere]
         texture = self._painter.texture()
-        if limits is not None:
+        if color_limits is not None:
             nearest = self._nearest.nearest(np.stack(self._points(where)))
             corners = self._surface.triangles[nearest.triangles]
             points = at_corners(self._surface.rest, corners, nearest.barycentric)
-            regions = [alike(texture, each, limits.tolerance, connected=limits.connected) for each in points]
+            regions = [alike(texture, each, **color_limits) for each in points]
         elif where.point is not None:
             parts = {self._part_at(point) for point in self._points(where)}
             regions = [self._surface.parts == number for number in sorted(parts)]
