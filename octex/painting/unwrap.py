@@ -13,13 +13,14 @@ from heapq import heappop, heappush
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Bools, Complex128s, Float64s, Int32s, Int64s, Integers
+from octex.arrays import Complex128s, Float64s, Int32s, Int64s, Integers
 from octex.cameras.camera import Camera
 from octex.checks import as_choice, as_positive, as_reals, as_whole
 from octex.errors import ModelError
 from octex.jit import inlined, kernel
 from octex.nearest.triangles import Triangles
 from octex.painting.multigrid import conjugate_gradients
+from octex.source.parts import edges_of
 from octex.source.surface import Surface, as_surface
 from octex.source.welding import first_equal
 
@@ -129,10 +130,11 @@ def unwrap(
             f"nearest point is {origin.round(6).tolist()}"
         )
     rest = [] if surface.rest is surface.vertices else [surface.rest]
-    faces = first_equal(np.concatenate([surface.vertices, *rest], axis=1))[surface.triangles]
-    flat, border = _spread(surface.vertices, faces, start, nearest.barycentric[0], origin, radius, wanted)
+    weld = first_equal(np.concatenate([surface.vertices, *rest], axis=1))
+    faces, edges = weld[surface.triangles], edges_of(surface.triangles, weld)[0].reshape(3, -1).T
+    flat = _spread(surface.vertices, faces, start, nearest.barycentric[0], origin, radius, wanted)
     reach = np.linalg.norm(flat, axis=1)
-    triangles = _within(faces, flat, radius, start)
+    triangles = _within(faces, edges, flat, radius, start)
     half = radius
     if method == "conformal":
         used = np.unique(faces[triangles])
@@ -143,13 +145,17 @@ def unwrap(
     a, b, c = np.moveaxis(flat[faces[triangles]], 1, 0)
     e, f = b - a, c - a
     folded = triangles[e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0] < 0]
-    posed, coordinates = _flat_surface(surface, faces, triangles, folded, flat, _BEHIND * half)
+    posed, coordinates = _flat_surface(surface, triangles, folded, flat[weld], _BEHIND * half)
     pose = np.eye(4)
     pose[2, 3] = half
     camera = Camera.orthographic(
         (size, size), pose=pose, convention="opengl", pixels_per_unit=size / (2 * half)
     )
-    ends = border & (reach < radius)
+    keys, counts = np.unique(edges, return_counts=True)
+    rim = keys[counts == 1]  # edges of one triangle
+    ends = np.zeros(len(weld), np.bool_)
+    ends[rim // len(weld)] = ends[rim % len(weld)] = True
+    ends &= reach < radius
     meets = bool(ends[faces[triangles]].any())
     return Patch(camera, posed, origin, radius, coordinates, triangles, folded.astype(np.int32), meets)
 
@@ -162,8 +168,8 @@ def _spread(
     origin: Float64s,
     radius: float,
     up: Float64s | None,
-) -> tuple[Float64s, Bools]:
-    """Return flat positions of vertices (n, 2), NaN for unreached ones, and which vertices are on borders."""
+) -> Float64s:
+    """Return flat positions of vertices (n, 2); NaN for unreached ones."""
     flat = np.full((len(vertices), 2), np.nan)
     normals = np.cross(
         vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
@@ -202,12 +208,7 @@ def _spread(
     flat[reached] = distances[reached, None] * np.stack(
         [np.cos(angles[reached]), np.sin(angles[reached])], axis=1
     )
-    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    keys, counts = np.unique(ends[:, 0] << 32 | ends[:, 1], return_counts=True)
-    edges = keys[counts == 1]  # edges of one triangle
-    border = np.zeros(len(vertices), np.bool_)
-    border[edges >> 32] = border[edges & 0xFFFFFFFF] = True
-    return flat, border
+    return flat
 
 
 @kernel
@@ -298,7 +299,7 @@ def _stepped(
     return np.sqrt((x - s) ** 2 + (y + q) ** 2), angles[a] + turn * share
 
 
-def _within(faces: Int64s, flat: Float64s, radius: float, start: int) -> Int32s:
+def _within(faces: Int64s, edges: Int64s, flat: Float64s, radius: float, start: int) -> Int32s:
     """Return the triangles, connected with ``start``, that a disc around the origin meets."""
     known = np.flatnonzero(np.isfinite(flat[:, 0])[faces].all(axis=1))
     corners = flat[faces[known]]
@@ -306,8 +307,7 @@ def _within(faces: Int64s, flat: Float64s, radius: float, start: int) -> Int32s:
     along = -(corners * sides).sum(axis=2) / np.maximum((sides * sides).sum(axis=2), 1e-300)
     nearest = corners + np.clip(along, 0.0, 1.0)[..., None] * sides
     crossed = np.linalg.norm(nearest, axis=2) < radius
-    ends = np.sort(np.stack([faces[known], np.roll(faces[known], -1, axis=1)]), axis=0)
-    edges = np.unique(ends[0] << 32 | ends[1], return_inverse=True)[1].reshape(crossed.shape)
+    edges = np.unique(edges[known], return_inverse=True)[1].reshape(crossed.shape)
     reached, count = known == start, 0
     while count < (count := int(reached.sum())):
         is_open = np.zeros(edges.max() + 1, np.bool_)
@@ -318,7 +318,7 @@ def _within(faces: Int64s, flat: Float64s, radius: float, start: int) -> Int32s:
 
 
 def _flat_surface(
-    surface: Surface, faces: Int64s, triangles: Int32s, folded: Int32s, flat: Float64s, behind: float
+    surface: Surface, triangles: Int32s, folded: Int32s, flat: Float64s, behind: float
 ) -> tuple[Surface, Float64s]:
     """Return the surface with a disc posed flat, folds ``behind``, the rest shrunk; and flat coordinates."""
     count = len(surface.vertices)
@@ -331,9 +331,7 @@ def _flat_surface(
         copies.append(used)
         depths.append(np.full(len(used), depth))
     vertices = np.concatenate(copies)
-    weld = np.arange(count)
-    weld[surface.triangles] = faces
-    coordinates = flat[weld[vertices]]
+    coordinates = flat[vertices]
     coordinates[:count] = np.nan
     positions = np.column_stack([np.nan_to_num(coordinates), np.concatenate(depths)])
     rest = surface.rest[vertices]
