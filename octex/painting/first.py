@@ -285,8 +285,8 @@ def _united(task: Merge, lacking: Sequence[Leaves]) -> tuple[OctreeTexture, Bool
     """Return the filled texture with the layer's leaves and those that it lacks, and the layer's cells."""
     layer, name = task.layer, task.target
     leaves = [
-        distinct(np.concatenate([codes, more.codes]))
-        for (_, _, codes), more in zip(leaves_by_level(layer.tree), lacking, strict=True)
+        distinct(np.concatenate([codes, bare.codes]))
+        for (_, _, codes), bare in zip(leaves_by_level(layer.tree), lacking, strict=True)
     ]
     edited = rebuilt(layer.tree, leaves)
     tree, channel = edited.tree, carried(layer, edited)[name]

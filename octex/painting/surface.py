@@ -43,11 +43,11 @@ class PaintedSurface:
     """A surface to paint on; a session caches its normals and its last views."""
 
     def __init__(
-        self, surface: Surface, *, in_session: bool = False, other: PaintedSurface | None = None
+        self, surface: Surface, *, in_session: bool = False, grid_of: PaintedSurface | None = None
     ) -> None:
         self.surface = surface
         self._in_session = in_session
-        self._other = other  # the same surface in another pose
+        self._grid_of = grid_of  # the same surface in another pose
         self._grid: tuple[Placement, TriangleGrid] | None = None
         self._sights: dict[bytes, Sight] = {}
         self._flat: tuple[Surface, PaintedSurface] | None = None  # the last patch
@@ -60,19 +60,19 @@ class PaintedSurface:
         for name in "triangles", "rest":
             if not np.array_equal(getattr(surface, name), getattr(self.surface, name)):
                 raise ArgumentError(f"{surface.name} is no pose of {self.surface.name}: it has other {name}")
-        return PaintedSurface(surface, in_session=self._in_session, other=self)
+        return PaintedSurface(surface, in_session=self._in_session, grid_of=self)
 
     def flat(self, patch: Patch, texture: OctreeTexture | None) -> PaintedSurface:
         """Return the surface laid flat, which shares the grid at rest."""
         if self._flat is None or self._flat[0] is not patch.surface or not self._in_session:
             flat = patch.surface if texture is None else patch.surface.placed_in(texture)
-            self._flat = patch.surface, PaintedSurface(flat, in_session=self._in_session, other=self)
+            self._flat = patch.surface, PaintedSurface(flat, in_session=self._in_session, grid_of=self)
         return self._flat[1]
 
     def grid(self, placement: Placement) -> TriangleGrid:
         """Return the grid of the triangles in a root cell."""
-        if self._other is not None:
-            return self._other.grid(placement)
+        if self._grid_of is not None:
+            return self._grid_of.grid(placement)
         if self._grid is None or self._grid[0] != placement:
             self._grid = placement, TriangleGrid(self.surface, placement)
         return self._grid[1]

@@ -78,10 +78,8 @@ class _Runs(NamedTuple):
 def change_between(before: OctreeTexture, after: OctreeTexture) -> tuple[dict[str, int], bytes]:
     """Return the sizes of a change's parts, and its stream; textures are as the page has them."""
     if before is after:
-        none = np.zeros(1, np.int64)
-        return _packed(
-            _Runs(none, none, none + after.tree.n_cells), after, np.ones(after.tree.n_cells, np.bool_)
-        )
+        count = after.tree.n_cells
+        return _packed(_around(np.empty(0, np.int64), count), after, np.ones(count, np.bool_))
     old, is_known = _known(before, after)
     known = np.flatnonzero(is_known)
     return _packed(_Runs.of_cells(known, old[known]), after, is_known)
