@@ -180,15 +180,15 @@ def blend_rows(
             getattr(parts[name], kind)[rows, 0] = part
 
 
-def facings_of_paint(
-    layer: OctreeTexture, paint: Paint, bits: Uint8s, opacity: float
-) -> tuple[Float32s, Float32s]:
+def facings_of_paint(task: Merge, paint: Paint, bits: Uint8s) -> tuple[Float32s, Float32s]:
     """Return the paint on facings (n,) of cells (n,), and its coverage.
 
     A facing that the layer's cell lacks gets the paint of the whole cell, unless that has SPLIT.
     """
+    layer = task.layer
     values = rows_facing(layer, layer.channels[painted_channel(layer)], paint.cells, bits)
-    coverage = rows_facing(layer, layer.channels[ALPHA.name], paint.cells, bits)[:, 0] * np.float32(opacity)
+    coverage = rows_facing(layer, layer.channels[ALPHA.name], paint.cells, bits)[:, 0]
+    coverage *= np.float32(task.opacity)
     is_absent = layer.tree.arrays.flags[paint.cells] & bits == 0
     values[is_absent] = paint.values[is_absent]
     is_bare = leave_bare(bits, paint.flags)

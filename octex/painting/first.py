@@ -327,7 +327,7 @@ def _with_paint(
         blend("values", at, fill.values, each.values, each.coverage, nowhere[at])
         rows = rows_of(base.tree.split, at)
         owners = each.of(np.searchsorted(at, rows.cells))
-        facings = facings_of_paint(task.layer, owners, rows.bits, 1.0)
+        facings = facings_of_paint(task, owners, rows.bits)
         old = {name: _fill_facing(task, owners.codes, level, rows.bits)}
         blend("split_values", rows.rows, old, *facings, nowhere[rows.cells])
     raised = Raised(texture, np.where(is_painted, 0, -1), ~nowhere, nowhere, [])

@@ -1,22 +1,19 @@
-"""Painting: images, cameras and a surface in; the texture with their paint out (paper 4).
-
-All options are checked once, by `PaintOptions`.
-"""
+"""Painting: images, cameras and a surface in; the texture with their paint out (paper 4)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import astuple
 from itertools import groupby
-from typing import Any, Literal, TypeAlias, cast, get_args
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float32s
 from octex.cameras.camera import Camera
-from octex.channels import ALPHA, BASE_COLOR, CHANNELS, ChannelFormat, color_in_light
-from octex.checks import as_choice, as_depth, as_flag, as_number, as_reals, as_whole
+from octex.channels import ALPHA, CHANNELS, ChannelFormat, color_in_light
+from octex.checks import as_choice, as_flag, as_reals
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.first import FILLS, Fill, started, with_coverage
@@ -27,75 +24,28 @@ from octex.painting.project import AROUND, in_fixed_order, take_shots
 from octex.painting.reading import Shot
 from octex.painting.resume import Stages, stages_in
 from octex.painting.steps import Raster, layer_from, rasterize_surface
-from octex.painting.surface import Job, PaintedSurface, key_of, laid_flat, terms_of
+from octex.painting.surface import (
+    Balance,
+    Fusion,
+    Job,
+    PaintedSurface,
+    PaintOptions,
+    key_of,
+    laid_flat,
+    terms_of,
+)
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
 
-#: Ways to combine images that see the same point.
-Fusion = Literal["average", "best", "robust"]
-FUSIONS: tuple[Fusion, ...] = get_args(Fusion)
-#: Ways to match exposures: by one gain per image; or per component, with vignetting removed.
-Balance = Literal["gain", "full"]
-BALANCES: tuple[Balance, ...] = get_args(Balance)
-
 #: Contents of a new texture where no image sees the surface: cells or none, or a value of the channel.
 Holes: TypeAlias = Fill | npt.ArrayLike
-
-#: Largest angles in degrees: photographs blur surface at grazing angles, drawings do not.
-TAKEN_ANGLE, DRAWN_ANGLE = 75.0, 85.0
 
 #: Deepest level without ``max_depth``: cells of a 16,000th of the model.
 _DEEPEST = 14
 #: Pixels from the centre to the end of the footprint of cells half a pixel wide.
 _REACH = 4
-
-
-@dataclass(frozen=True)
-class PaintOptions:
-    """The options of ``octex.paint`` and ``octex.project``; raises ArgumentError for values out of range."""
-
-    channel: str = BASE_COLOR.name
-    max_depth: int | None = None
-    max_angle: float | None = None
-    edge_feather: float = 0.0
-    fusion: Fusion | None = None
-    balance: Balance | None = None
-    reference: int | None = None
-    back_faces: bool = False
-    fit: bool = True
-    hidden: bool = False
-    region: npt.ArrayLike | None = None
-
-    def __post_init__(self) -> None:
-        """Check the options; `of` checks the reference and sets the angle."""
-        angle, depth = self.max_angle, self.max_depth
-        checked = {
-            "max_depth": None if depth is None else as_depth(depth, "max_depth"),
-            "max_angle": None if angle is None else as_number(angle, "max_angle", 0.0, 180.0),
-            "edge_feather": as_number(self.edge_feather, "edge_feather", 0.0, 1e6),
-            "fusion": None if self.fusion is None else as_choice(self.fusion, FUSIONS, "fusion"),
-            "balance": None if self.balance is None else as_choice(self.balance, BALANCES, "balance"),
-            "back_faces": as_flag(self.back_faces, "back_faces"),
-            "fit": as_flag(self.fit, "fit"),
-            "hidden": as_flag(self.hidden, "hidden"),
-        }
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
-        if self.hidden and (self.balance is not None or self.fusion in ("robust", "best")):
-            raise ArgumentError(
-                "hidden cannot be used with balance, or with images that are robust or best: these compare "
-                "what cameras see"
-            )
-
-    def of(self, images: Sequence[Projection]) -> PaintOptions:
-        """Return the options for these images; raise ArgumentError for a reference that is none of them."""
-        usual = DRAWN_ANGLE if all(each.since is not None for each in images) else TAKEN_ANGLE
-        if self.reference is not None:
-            as_whole(self.reference, "reference", 0, len(images) - 1)
-        angle = usual if self.max_angle is None else self.max_angle
-        return replace(self, max_angle=angle, fusion="average" if self.hidden else self.fusion)
 
 
 def paint(

@@ -20,9 +20,9 @@ from octex.editing.draft import Change, as_change
 from octex.errors import OutputError
 from octex.painting.image import Blend, Projection, check_projections
 from octex.painting.merge import Merging, merged
-from octex.painting.paint import Balance, Fusion, PaintOptions, painted
+from octex.painting.paint import painted
 from octex.painting.region import Region, filled
-from octex.painting.surface import Job, PaintedSurface
+from octex.painting.surface import Balance, Fusion, Job, PaintedSurface, PaintOptions
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture

@@ -199,7 +199,7 @@ def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged
         edited = edited._replace(old=np.full_like(edited.old, -1))  # an empty tree's root is no cell
     with own_making():
         raised_draft = raise_texture(task, draft, edited, surface_cells, paint, is_skirt)
-        paint = refine_paint(paint, task.layer, raised_draft.texture.tree, task.opacity)
+        paint = refine_paint(task, paint, raised_draft.texture.tree)
         return merge_paint(task, draft, raised_draft, paint)
 
 
@@ -384,7 +384,7 @@ def _face(flags: Uint8s, areas: Uint8s, cells: Int64s, tree: Octree, sources: In
     areas[cells] = tree.arrays.areas[sources]
 
 
-def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opacity: float) -> list[Paint]:
+def refine_paint(task: Merge, paint: Sequence[Paint], tree: Octree) -> list[Paint]:
     """2. Refine paint to the leaves of a deeper tree, by the field's refinement.
 
     The paper does so for translucent paint; here for all, since lookups are faster in trees of even depth.
@@ -393,7 +393,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
     refined = [*paint, *[none] * (tree.max_depth + 1 - len(paint))]
     if all(locate(tree, each.codes, level).is_leaf.all() for level, each in enumerate(paint)):
         return refined
-    name, divided = painted_channel(layer), list[Paint]()  # the paint on nodes, by level
+    layer, divided = task.layer, list[Paint]()  # the paint on nodes, by level
     for level, (codes, is_node) in enumerate(tree.walk()):
         is_divided = among(refined[level].codes, codes[is_node])
         divided.append(refined[level].of(is_divided))
@@ -405,8 +405,9 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
             below, owners = leaves[owners >= 0], owners[owners >= 0]
             if below.size:
                 values = refined_values(layer.tree, layer.channels, below, level)
-                coverage = values[ALPHA.name][:, 0] * np.float32(opacity)
-                parts.append(Paint(below, values[name], coverage, coarse.cells[owners], coarse.flags[owners]))
+                coverage = values[ALPHA.name][:, 0] * np.float32(task.opacity)
+                columns = values[painted_channel(layer)], coverage, coarse.cells[owners], coarse.flags[owners]
+                parts.append(Paint(below, *columns))
         refined[level] = joined(*parts)
     return refined
 
@@ -451,7 +452,7 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
         blend("kept_values", kept_rows, values, coverage, np.zeros(kept_rows.size, np.bool_))
     rows = rows_of(base.tree.split, cells)
     owners = on_leaves.of(np.searchsorted(cells, rows.cells))
-    facings = facings_of_paint(task.layer, owners, rows.bits, task.opacity)
+    facings = facings_of_paint(task, owners, rows.bits)
     blend("split_values", rows.rows, *facings, is_fresh[rows.cells], rows.cells)
     return averaged(task, draft, raised, base, channels, parts, above, painted)
 

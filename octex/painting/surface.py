@@ -1,12 +1,15 @@
-"""The painted surface, with cached views of it, and a grid that finds its triangles near paint."""
+"""The painted surface, with cached views of it, a grid that finds its triangles near paint, and the options.
+
+`PaintOptions` checks all options of a call once.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +17,7 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, ChannelFormat
-from octex.checks import as_array
+from octex.checks import as_array, as_choice, as_depth, as_flag, as_number, as_whole
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
 from octex.painting.image import Mips, Projection
@@ -31,6 +34,15 @@ from octex.tree.placement import Placement, on_grid
 from octex.view.shading import corner_normals, corner_normals_of, face_normals
 from octex.voxelize.fragments import Blocks, whole
 
+#: Ways to combine images that see the same point.
+Fusion = Literal["average", "best", "robust"]
+FUSIONS: tuple[Fusion, ...] = get_args(Fusion)
+#: Ways to match exposures: by one gain per image; or per component, with vignetting removed.
+Balance = Literal["gain", "full"]
+BALANCES: tuple[Balance, ...] = get_args(Balance)
+
+#: Largest angles in degrees: photographs blur surface at grazing angles, drawings do not.
+TAKEN_ANGLE, DRAWN_ANGLE = 75.0, 85.0
 #: Degrees before the largest angle from which paint fades.
 _FADE = 10.0
 #: Surfaces tilted from the camera by this many degrees or more are not compared.
@@ -142,6 +154,52 @@ class PaintedSurface:
             if self._in_session:
                 self._sights[key] = sight
             yield sight
+
+
+@dataclass(frozen=True)
+class PaintOptions:
+    """The options of ``octex.paint`` and ``octex.project``; raises ArgumentError for values out of range."""
+
+    channel: str = BASE_COLOR.name
+    max_depth: int | None = None
+    max_angle: float | None = None
+    edge_feather: float = 0.0
+    fusion: Fusion | None = None
+    balance: Balance | None = None
+    reference: int | None = None
+    back_faces: bool = False
+    fit: bool = True
+    hidden: bool = False
+    region: npt.ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        """Check the options; `of` checks the reference and sets the angle."""
+        angle, depth = self.max_angle, self.max_depth
+        checked = {
+            "max_depth": None if depth is None else as_depth(depth, "max_depth"),
+            "max_angle": None if angle is None else as_number(angle, "max_angle", 0.0, 180.0),
+            "edge_feather": as_number(self.edge_feather, "edge_feather", 0.0, 1e6),
+            "fusion": None if self.fusion is None else as_choice(self.fusion, FUSIONS, "fusion"),
+            "balance": None if self.balance is None else as_choice(self.balance, BALANCES, "balance"),
+            "back_faces": as_flag(self.back_faces, "back_faces"),
+            "fit": as_flag(self.fit, "fit"),
+            "hidden": as_flag(self.hidden, "hidden"),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        if self.hidden and (self.balance is not None or self.fusion in ("robust", "best")):
+            raise ArgumentError(
+                "hidden cannot be used with balance, or with images that are robust or best: these compare "
+                "what cameras see"
+            )
+
+    def of(self, images: Sequence[Projection]) -> PaintOptions:
+        """Return the options for these images; raise ArgumentError for a reference that is none of them."""
+        usual = DRAWN_ANGLE if all(each.since is not None for each in images) else TAKEN_ANGLE
+        if self.reference is not None:
+            as_whole(self.reference, "reference", 0, len(images) - 1)
+        angle = usual if self.max_angle is None else self.max_angle
+        return replace(self, max_angle=angle, fusion="average" if self.hidden else self.fusion)
 
 
 class Job(NamedTuple):

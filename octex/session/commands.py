@@ -17,8 +17,8 @@ from octex.cameras.camera import Camera
 from octex.checks import as_choice, as_flag, as_number, as_reals, as_whole
 from octex.errors import ArgumentError
 from octex.painting.image import Blend, Projection
-from octex.painting.paint import DRAWN_ANGLE, PaintOptions
 from octex.painting.stack import Layer, check_layer
+from octex.painting.surface import DRAWN_ANGLE, PaintOptions
 
 #: Largest size of a command in bytes, and largest side of a stroke's view in pixels.
 MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
