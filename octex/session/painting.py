@@ -118,7 +118,7 @@ class Session:
         self._undone: list[_Step] = []
         self._error, self._is_ending, self._count = "", False, 0
         self._question = ""  # why the last save asks before replacing OUTPUT
-        self._told = ""  # by the last command
+        self._notice = ""  # of the last command
         self._taken: tuple[int, Any] = 0, None  # the last step that took OUTPUT's version, and its stamp
         self._files = {"output": output} if opened is None else {"output": output, "opened": opened}
         self._watch = Watch([*self._files.values(), layers_file(output)])
@@ -246,14 +246,14 @@ class Session:
             "isSaved": self._is_saved,
             "layers": [fields_of(layer) for layer in self._painter.layers],
             "error": self._error,
-            "told": self._told,
+            "told": self._notice,
             "questions": {"output": self._question, "opened": self._opened_question()},
         }
         return Shown(self._painter.texture(), status, self._before, self._changes, self._painter.stacked)
 
     def _do(self, command: Command) -> None:
         """Run a command; one that fails changes nothing, and sets the error."""
-        self._error, self._told, self._before, self._changes = "", "", self._painter.texture(), ()
+        self._error, self._notice, self._before, self._changes = "", "", self._painter.texture(), ()
         try:
             layer, in_mask = target_of(command)
             self._painter.choose(layer, mask=in_mask)
@@ -392,7 +392,7 @@ class Session:
             self._watch.renew(path)
         self._saved = [step.number for step in self._steps]
         if asides:
-            self._told = f"The other version is kept as {' and '.join(path.name for path in asides)}."
+            self._notice = f"The other version is kept as {' and '.join(path.name for path in asides)}."
 
     def _do_take(self, command: Command) -> None:
         path = self._files.get(file_of(command), self.output)
