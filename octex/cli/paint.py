@@ -203,8 +203,8 @@ def _painted(
     progress: Reporter,
 ) -> tuple[OctreeTexture | None, list[OctreeTexture]]:
     """Paint images; return the texture, None for no paint, and the layers of paint."""
-    from octex.painting.options import PaintOptions
     from octex.painting.paint import painted_by
+    from octex.painting.surface import PaintOptions
 
     settings = PaintOptions(
         **arguments(options, "max_depth", "edge_feather", "fusion", "balance"),

@@ -39,13 +39,13 @@ def find_finer(
     tree: Octree, paint: Sequence[Paint], is_skirt: Bools, shallowest: int, is_all_painted: bool
 ) -> Finer:
     """Find where paint or its neighbours are finer than a tree, whose largest leaves are ``shallowest``."""
-    found = Finer([], [], [], [], [], [])
+    finer = Finer([], [], [], [], [], [])
     for level, each in enumerate(paint):
         where = locate(tree, each.codes, level)
         is_missing = where.levels < level
         in_leaf = is_missing & where.is_leaf
         below = each.codes[in_leaf]
-        found.leaves.extend(_leaves_above(below, where.of(in_leaf), level))
+        finer.leaves.extend(_leaves_above(below, where.of(in_leaf), level))
         refined = stored = absent = np.empty(0, np.int64)
         if each.codes.size and shallowest < level:
             around = boundary(each.codes, level)
@@ -61,13 +61,13 @@ def find_finer(
                 is_absent = (where_around.levels < level - 1) & ~where_around.is_leaf & (flags & KEPT == 0)
                 absent = around[is_absent & near(around, below, level)]
             in_leaf = is_refined & where_around.is_leaf
-            found.leaves.extend(_leaves_above(around[in_leaf], where_around.of(in_leaf), level))
-        found.below.append(below)
-        found.added.append(each.codes[is_missing & ~where.is_leaf])
-        found.refined.append(refined)
-        found.stored.append(stored)
-        found.absent.append(absent)
-    return found
+            finer.leaves.extend(_leaves_above(around[in_leaf], where_around.of(in_leaf), level))
+        finer.below.append(below)
+        finer.added.append(each.codes[is_missing & ~where.is_leaf])
+        finer.refined.append(refined)
+        finer.stored.append(stored)
+        finer.absent.append(absent)
+    return finer
 
 
 def _leaves_above(codes: Int64s, where: Located, level: int) -> list[tuple[int, Int64s]]:
@@ -161,13 +161,13 @@ def are_next_to_old(
 
     Such nodes are kept already, or are the raised ``tops``, by level.
     """
-    found = np.zeros(codes.size, np.bool_)
+    are_next = np.zeros(codes.size, np.bool_)
     for at, nodes in enumerate(above[:level] if codes.size else []):
         where = locate(tree, nodes, at)
         is_kept = (where.levels == at) & (tree.arrays.flags[where.cells] & KEPT != 0)
         nodes = nodes[is_kept | among(nodes, tops[at])]
-        found |= near(codes >> 3 * (level - at), nodes[are_adjacent(nodes, bare, at)], at)
-    return found
+        are_next |= near(codes >> 3 * (level - at), nodes[are_adjacent(nodes, bare, at)], at)
+    return are_next
 
 
 def bare_surface(
@@ -186,11 +186,11 @@ def bare_surface(
     for level, codes in enumerate(met.codes):
         inside = codes[is_within(codes >> 3, tops[:level], level - 1)] if level else codes[:0]
         is_bare = ~among(inside, above[level]) & ~is_within(inside, painted, level)
-        there = np.flatnonzero(among(inside, painted[level]))
+        painted_places = np.flatnonzero(among(inside, painted[level]))
         start = int(met.tree.arrays.level_cells[level]) if codes.size else 0  # nothing met: no such level
-        at = np.searchsorted(codes, inside[there]) + start
-        flags = paint[level].flags[np.searchsorted(painted[level], inside[there])]
-        is_bare[there] = leave_bare(met.tree.arrays.flags[at], flags)
+        at = np.searchsorted(codes, inside[painted_places]) + start
+        flags = paint[level].flags[np.searchsorted(painted[level], inside[painted_places])]
+        is_bare[painted_places] = leave_bare(met.tree.arrays.flags[at], flags)
         bare[level] = distinct(np.concatenate([bare[level], inside[is_bare]]))
     return unraised, bare
 
@@ -212,7 +212,7 @@ def free_leaves(
     shown = [[none, *bare[level : level + 1]] for level in range(len(tops))]
     for level, each in enumerate(paint[: len(tops)]):
         shown[level].append(each.codes[each.coverage < hiding])
-    seen = [distinct(np.concatenate(codes)) for codes in shown]
+    visible = [distinct(np.concatenate(codes)) for codes in shown]
     held, freed = none, []
     for level, codes in enumerate(with_all_above(tops)):
         is_held = among(codes >> 3, held)
@@ -221,7 +221,7 @@ def free_leaves(
             where = locate(tree, around, level)
             is_read = where.is_leaf | (tree.arrays.flags[where.cells] & KEPT != 0)
             read = around[(where.levels == level) & is_read]
-            around = around[are_adjacent(around, seen, level)]
+            around = around[are_adjacent(around, visible, level)]
             is_held |= near(codes, read, level) & near(codes, around, level)
         held = codes[is_held]
         freed.append(tops[level][~among(tops[level], held)])
@@ -230,26 +230,26 @@ def free_leaves(
 
 def bare_leaves(tree: Octree, paint: Sequence[Paint], is_skirt: Bools) -> tuple[list[Int64s], list[Int64s]]:
     """Return the leaves with unpainted surface, and the skirts, by level."""
-    found, skirts = [], []
+    bare, skirts = [], []
     for level, (codes, is_node) in enumerate(tree.walk()):
-        here = slice(*tree.arrays.level_cells[level : level + 2].tolist())
-        flags = tree.arrays.flags[here]
-        skirts.append(codes[~is_node & is_skirt[here]])
-        is_bare = ~is_node & ~is_skirt[here]
+        span = slice(*tree.arrays.level_cells[level : level + 2].tolist())
+        flags = tree.arrays.flags[span]
+        skirts.append(codes[~is_node & is_skirt[span]])
+        is_bare = ~is_node & ~is_skirt[span]
         for above, each in enumerate(paint[: level + 1]):
             if each.codes.size:
                 at = indices_in(codes >> 3 * (level - above), each.codes)
-                there = at >= 0
-                is_bare[there] &= leave_bare(flags[there], each.flags[at[there]])
-        found.append(codes[is_bare])
-    return found, skirts
+                is_painted = at >= 0
+                is_bare[is_painted] &= leave_bare(flags[is_painted], each.flags[at[is_painted]])
+        bare.append(codes[is_bare])
+    return bare, skirts
 
 
 def with_old_skirts(
     tree: Octree, paint: Sequence[Paint], bare: Sequence[Int64s], skirts: Sequence[Int64s], executor: Executor
 ) -> list[Paint]:
     """Add the tree's skirts, by level, next to paint whose neighbours in ``bare`` all adjoin paint."""
-    found = list(paint)
+    extended = list(paint)
     painted = _on_surface(paint, skirts) if skirts else []
     for level, skirt in enumerate(skirts):
         if not skirt.size:
@@ -260,8 +260,8 @@ def with_old_skirts(
             far = [codes[among_at(codes, at, around, level)] for at, codes in enumerate(bare)]
             far = [codes[~touch(codes, painted, at)] for at, codes in enumerate(far)]
             added = skirt_paint(skirt, level, executor, paint_at(paint, around, level))
-            found[level] = joined(found[level], _unseen(tree, added, far, level))
-    return found
+            extended[level] = joined(extended[level], _unseen(tree, added, far, level))
+    return extended
 
 
 def _unseen(tree: Octree, skirt: Paint, far: Sequence[Int64s], level: int) -> Paint:
@@ -290,23 +290,23 @@ def on_kept(
 
     The field reads their coefficients only off the surface, and from neighbours at most.
     """
-    found = [(np.empty(0, np.int64), paint[0].values[:0], paint[0].coverage[:0])]
+    on_levels = [(np.empty(0, np.int64), paint[0].values[:0], paint[0].coverage[:0])]
     above = with_all_above([each.codes for each in paint]) if tree.kept.cells.size else []
     leaves = _on_surface(paint, skirts) if above else []
     for level, painted in enumerate(above):
-        here = slice(*np.searchsorted(tree.kept.cells, tree.arrays.level_cells[level : level + 2]).tolist())
-        if here.start == here.stop:
+        ends = tree.arrays.level_cells[level : level + 2]
+        first, end = np.searchsorted(tree.kept.cells, ends).tolist()  # rows of the level's kept nodes
+        if first == end:
             continue
-        first = int(tree.arrays.level_cells[level])
-        codes = tree.level_codes(level)[tree.kept.cells[here].astype(np.int64) - first]
+        codes = tree.level_codes(level)[tree.kept.cells[first:end].astype(np.int64) - ends[0]]
         chosen = among(codes, painted) | touch(codes, leaves, level, refined=True)
         chosen[chosen] = ~are_adjacent(codes[chosen], bare, level)
         inside = paint_at(paint, codes[chosen], level)
         off = codes[chosen & ~among(codes, painted)]
         outside = skirt_paint(off, level, executor, paint_at(paint, boundary(off, level), level))
-        both = joined(inside, outside)
-        found.append((np.flatnonzero(chosen) + here.start, both.values, both.coverage))
-    rows, values, coverage = (np.concatenate(column) for column in zip(*found, strict=True))
+        in_or_next = joined(inside, outside)
+        on_levels.append((np.flatnonzero(chosen) + first, in_or_next.values, in_or_next.coverage))
+    rows, values, coverage = (np.concatenate(column) for column in zip(*on_levels, strict=True))
     return rows, values, coverage
 
 
@@ -319,17 +319,17 @@ def skirt_paint(skirt: Int64s, level: int, executor: Executor, around: Paint) ->
     """Return the paint of a skirt: the mean of the paint next to it."""
     if not skirt.size:
         return around.of(slice(0))
-    found = Paint(
+    paint = Paint(
         skirt,
         np.zeros((skirt.size, around.values.shape[1]), np.float32),
         np.zeros(skirt.size, np.float32),
         np.zeros(skirt.size, np.int64),
         np.zeros(skirt.size, np.uint8),
     )
-    parts = [found.of(slice(begin, begin + _BLOCK)) for begin in range(0, skirt.size, _BLOCK)]
+    parts = [paint.of(slice(begin, begin + _BLOCK)) for begin in range(0, skirt.size, _BLOCK)]
     with sharing(executor) as pool:
         list(ordered_map(pool, lambda part: _average_around(part, level, around), parts))
-    return found
+    return paint
 
 
 @kernel
@@ -361,7 +361,7 @@ def _average_around(skirt: Paint, level: int, paint: Paint) -> None:
                         around[w, v, u] = at
                     at += 1
         sums[:] = 0.0
-        coverage, count = 0.0, 0
+        coverage, n_around = 0.0, 0
         u, v, w = morton.decode(code & 511)
         for z in range(w, w + 3):
             for y in range(v, v + 3):
@@ -372,9 +372,9 @@ def _average_around(skirt: Paint, level: int, paint: Paint) -> None:
                     for component in range(components):
                         sums[component] += np.float64(paint.values[at, component] * paint.coverage[at])
                     coverage += np.float64(paint.coverage[at])
-                    count += 1
+                    n_around += 1
                     skirt.cells[n] = paint.cells[at]
                     skirt.flags[n] |= paint.flags[at]
         for component in range(components):
             skirt.values[n, component] = sums[component] / max(coverage, 1e-30)
-        skirt.coverage[n] = coverage / max(count, 1)
+        skirt.coverage[n] = coverage / max(n_around, 1)

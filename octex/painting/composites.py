@@ -1,4 +1,4 @@
-"""The composites that strokes lead to, which pages show before a stroke is painted; and the bottom's eraser.
+"""The composites that strokes lead to; pages show them before a stroke is painted. And the bottom's eraser.
 
 Layers blend linearly, so a stroke mixes the composite with another one, by its coverage: that in which all of
 the layer has the stroke's paint, or for an eraser that without the layer.
@@ -12,25 +12,35 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 
 from octex.arrays import Float32s, Int64s, Uint8s
-from octex.channels import ALPHA, BASE_COLOR, ONE, alpha_of, channel_in, decode, encode
+from octex.channels import ALPHA, BASE_COLOR, ONE, alpha_of, channel_in, decode
 from octex.checks import as_choice
 from octex.editing.averages import Residuals, average, residuals
 from octex.editing.draft import change_of_values, numbers_in
 from octex.editing.nodes import Nodes, all_children, all_leaves, nodes_at
 from octex.editing.refined import refined_rows, refined_values
 from octex.editing.split import rows_facing
-from octex.painting.blend import writable
+from octex.painting.blend import (
+    KINDS,
+    all_above,
+    alpha_first,
+    blended,
+    mixed_residuals,
+    read,
+    writable,
+    write,
+)
 from octex.painting.layer import COVERAGE
 from octex.painting.stack import (
     Layer,
     Stack,
-    composite_name,
+    only,
     shown_names,
+    with_channels,
     with_composite,
     with_layer_channels,
 )
 from octex.texture import Channel, OctreeTexture
-from octex.tree.edit import locate, with_all_above
+from octex.tree.edit import locate
 from octex.tree.layout import KEPT
 from octex.tree.morton import decode_cells
 from octex.tree.octree import Octree, distinct
@@ -60,22 +70,22 @@ def composite_after(stacked: Stacked, number: int | None, stroke: StrokeKind) ->
     """
     as_choice(stroke, _STROKES, "stroke")
     texture, stack, opened = stacked
-    place = next((at for at, each in enumerate(stack) if each.number == number), -1)
-    if ALPHA.name in texture.channels or (place < 0 and number is not None):
+    index = next((at for at, each in enumerate(stack) if each.number == number), -1)
+    if ALPHA.name in texture.channels or (index < 0 and number is not None):
         return None
-    if place < 0 and stroke != "painted":
+    if index < 0 and stroke != "painted":
         if stack:
             erased = _filled(texture, Channel(COVERAGE, *texture.channels[BASE_COLOR.name][1:]), 1)
             color = _composite(restored(texture, opened, erased), stack)
-            return texture.with_cells(texture.tree, {BASE_COLOR.name: color.named(BASE_COLOR.name)})
-        return opened.with_cells(opened.tree, {BASE_COLOR.name: opened.channels[BASE_COLOR.name]})
-    layer = stack[place] if place >= 0 else None
-    met = [each for each in stack[place + 1 :] if each.is_visible and each.opacity > 0]
+            return with_channels(texture, {BASE_COLOR.name: color.named(BASE_COLOR.name)})
+        return only(opened, [BASE_COLOR.name])
+    layer = stack[index] if index >= 0 else None
+    met = [each for each in stack[index + 1 :] if each.is_visible and each.opacity > 0]
     if layer is not None and (stroke != "painted" or layer.opacity < 1 or layer.blend != "over"):
         met.append(layer)
     names = [alpha_of(each.paints(name)) or "" for each in met for name in each.painted(texture.channels)]
     bare = {name: _filled(texture, texture.channels[name], 0) for name in names}
-    change = change_of_values(texture.with_cells(texture.tree, {**texture.channels, **bare}), texture)
+    change = change_of_values(with_channels(texture, {**texture.channels, **bare}), texture)
     if change is None:
         return None
     draft = change.after
@@ -85,13 +95,13 @@ def composite_after(stacked: Stacked, number: int | None, stroke: StrokeKind) ->
     if stroke == "painted":
         colors = {name: _composite(_painted(draft, layer, value), stack) for name, value in _PAINTS.items()}
     else:
-        left = () if stroke == "erased" or layer is None else (layer._replace(has_mask=False),)
-        colors = {BASE_COLOR.name: _composite(draft, (*stack[:place], *left, *stack[place + 1 :]))}
-    tree, rows = draft.tree, rows_of(draft.tree.split).cells
-    alphas = (np.where(known[at], ONE[ALPHA.dtype], 0) for at in (slice(None), rows, tree.kept.cells))
+        unmasked = () if stroke == "erased" or layer is None else (layer._replace(has_mask=False),)
+        colors = {BASE_COLOR.name: _composite(draft, (*stack[:index], *unmasked, *stack[index + 1 :]))}
+    owners = slice(None), rows_of(draft.tree.split).cells, draft.tree.kept.cells
+    alphas = (np.where(known[cells], ONE[ALPHA.dtype], 0) for cells in owners)
     alpha = Channel(ALPHA, *(each.astype(ALPHA.dtype)[:, None] for each in alphas))
     channels = {name: color.named(name) for name, color in colors.items()}
-    return draft.with_cells(tree, {**channels, ALPHA.name: alpha})
+    return with_channels(draft, {**channels, ALPHA.name: alpha})
 
 
 _PAINTS = {BASE_COLOR.name: 0, WHITE: 1}
@@ -99,10 +109,8 @@ _PAINTS = {BASE_COLOR.name: 0, WHITE: 1}
 
 def _composite(texture: OctreeTexture, stack: Stack) -> Channel:
     """Return the base colour of a stack's composite, made from its layers."""
-    old = composite_name(BASE_COLOR.name)
-    channels = {name: channel for name, channel in texture.channels.items() if name != old}
-    made = with_composite(texture.with_cells(texture.tree, channels), stack)
-    return made.channels[shown_names(made)[BASE_COLOR.name]]
+    stacked = with_composite(texture, stack)
+    return stacked.channels[shown_names(stacked)[BASE_COLOR.name]]
 
 
 def _painted(texture: OctreeTexture, layer: Layer | None, value: int) -> OctreeTexture:
@@ -113,7 +121,7 @@ def _painted(texture: OctreeTexture, layer: Layer | None, value: int) -> OctreeT
     painted = {color: _filled(texture, texture.channels[color], value)}
     if cover:
         painted[cover] = _filled(texture, texture.channels[cover], 1)
-    return texture.with_cells(texture.tree, {**texture.channels, **painted})
+    return with_channels(texture, {**texture.channels, **painted})
 
 
 def _filled(texture: OctreeTexture, channel: Channel, value: int) -> Channel:
@@ -126,8 +134,7 @@ ERASED = channel_in("eraser", ALPHA.name)
 
 def without_erased(texture: OctreeTexture) -> OctreeTexture:
     """Return a texture without the channel ERASED."""
-    channels = {name: channel for name, channel in texture.channels.items() if name != ERASED}
-    return texture.with_cells(texture.tree, channels)
+    return only(texture, texture.channels.keys() - {ERASED})
 
 
 def restored(texture: OctreeTexture, opened: OctreeTexture, erased: Channel) -> OctreeTexture:
@@ -137,41 +144,34 @@ def restored(texture: OctreeTexture, opened: OctreeTexture, erased: Channel) -> 
     """
     tree = texture.tree
     is_leaf = all_leaves(tree)
-    rows = rows_of(tree.split)
-    places = [
+    split = rows_of(tree.split)
+    rows = (
         np.flatnonzero(is_leaf & (erased.values[:, 0] > 0)),
-        np.flatnonzero(is_leaf[rows.cells] & (erased.split_values[:, 0] > 0)),
+        np.flatnonzero(is_leaf[split.cells] & (erased.split_values[:, 0] > 0)),
         np.flatnonzero(erased.kept_values[:, 0]),
-    ]
-    cells = places[0], rows.cells[places[1]], tree.kept.cells[places[2]].astype(np.int64)
-    names = [name for name in opened.channels if name in texture.channels]
-    names += [ALPHA.name for name in (ALPHA.name,) if name in texture.channels and name not in names]
-    channels = writable(texture, names)
-    for kind, (at, owners, covers) in enumerate(zip(places, cells, erased[1:], strict=True)):
-        part = decode(covers[at], "data")
-        before = _values(opened, tree, owners, rows.bits[at] if kind == 1 else None, kind == 2)
-        for name in names:
-            form, stored = channels[name].format, list(channels[name][1:])[kind]
-            now = decode(stored[at], form.space)
-            new = (1 - part) * now + part * before.get(name, np.ones_like(now))
-            stored[at] = encode(new, form.dtype, form.space)
-    made = texture.with_cells(tree, channels)
-    levels = [tree.level_codes(level)[each] for level, each in _by_level(tree, places[0])]
-    above = with_all_above([codes >> 3 for codes in levels[1:]])
-    nodes = nodes_at(tree, above)
-    split = rows_of(tree.split, nodes.cells)
-    part, row_part = (
-        decode(each, "data") for each in (erased.values[nodes.cells], erased.split_values[split.rows])
     )
-    whole = _laid_on(opened, made, names, nodes)
-    for name in sorted(names, key=lambda name: alpha_of(name) is not None):
-        ours, theirs = residuals(texture, name, nodes), residuals(whole, name, nodes)
-        left = Residuals(
-            ours.nodes * (1 - part) + theirs.nodes * part,
-            ours.rows * (1 - row_part) + theirs.rows * row_part,
-        )
-        average(made, channels[name], left, nodes)
-    return made
+    cells = rows[0], split.cells[rows[1]], tree.kept.cells[rows[2]].astype(np.int64)
+    names = [name for name in (*opened.channels, ALPHA.name) if name in texture.channels]
+    names = list(dict.fromkeys(names))
+    channels = writable(texture, names)
+    for kind, of_kind, owners in zip(KINDS, rows, cells, strict=True):
+        part = read(erased, kind, of_kind)[:, 0]
+        bits = split.bits[of_kind] if kind == "split_values" else None
+        before = _values(opened, tree, owners, bits, are_kept=kind == "kept_values")
+        for name in names:
+            now = read(channels[name], kind, of_kind)
+            new = blended(now, before.get(name, np.ones_like(now)), part, "over")
+            write(channels[name], kind, of_kind, new)
+    result = with_channels(texture, channels)
+    erased_codes = [tree.level_codes(level)[each] for level, each in _by_level(tree, rows[0])]
+    nodes = nodes_at(tree, all_above(erased_codes))
+    node_rows = nodes.cells, rows_of(tree.split, nodes.cells).rows
+    parts = [read(erased, kind, of_kind) for kind, of_kind in zip(KINDS, node_rows, strict=False)]
+    whole = _laid_on(opened, result, names, nodes)
+    for name in alpha_first(names):
+        mix = map(mixed_residuals, residuals(texture, name, nodes), residuals(whole, name, nodes), parts)
+        average(result, channels[name], Residuals(*mix), nodes)
+    return result
 
 
 def _laid_on(opened: OctreeTexture, texture: OctreeTexture, names: list[str], nodes: Nodes) -> OctreeTexture:
@@ -183,19 +183,23 @@ def _laid_on(opened: OctreeTexture, texture: OctreeTexture, names: list[str], no
     cells = distinct(np.concatenate([nodes.cells, all_children(tree, nodes.numbers)[0]]))
     rows = rows_of(tree.split, cells)
     channels = writable(texture, names)
-    for kind, at, owners, bits in ((0, cells, cells, None), (1, rows.rows, rows.cells, rows.bits)):
-        found = _values(opened, tree, owners, bits, are_nodes=True)
+    for kind, of_kind, owners, bits in zip(
+        KINDS, (cells, rows.rows), (cells, rows.cells), (None, rows.bits), strict=False
+    ):
+        values = _values(opened, tree, owners, bits, are_nodes=True)
         for name in names:
-            form, stored = channels[name].format, list(channels[name][1:])[kind]
-            stored[at] = encode(found[name], form.dtype, form.space) if name in found else ONE[form.dtype]
-    made = texture.with_cells(tree, {name: channels[name] for name in names})
+            if name in values:
+                write(channels[name], kind, of_kind, values[name])
+            else:
+                getattr(channels[name], kind)[of_kind] = ONE[channels[name].format.dtype]
+    laid = with_channels(texture, {name: channels[name] for name in names})
     had = [
         locate(opened.tree, tree.level_codes(level)[at], level).levels == level
         for level, at in _by_level(tree, nodes.cells)
     ]
-    for name in sorted(names, key=lambda name: alpha_of(name) is not None):
-        average(made, channels[name], None, nodes.of(~np.concatenate(had)))
-    return made
+    for name in alpha_first(names):
+        average(laid, channels[name], None, nodes.of(~np.concatenate(had)))
+    return laid
 
 
 def _by_level(tree: Octree, cells: Int64s) -> Iterator[tuple[int, Int64s]]:
@@ -218,7 +222,7 @@ def _values(
     They are those of facings, if ``bits`` (n,) are given; else of leaves, of kept nodes, or of any nodes.
     """
     names = list(opened.channels)
-    found = {
+    values = {
         name: np.zeros((cells.size, channel.format.components), np.float32)
         for name, channel in opened.channels.items()
     }
@@ -232,7 +236,7 @@ def _values(
         is_stored = where.is_leaf | (is_kept & are_kept) | are_nodes
         is_same = (where.levels == level) & is_stored
         is_below = (where.levels < level) & (where.is_leaf | is_kept)
-        same, below, other = (
+        same, below, absent = (
             begin + np.flatnonzero(each) for each in (is_same, is_below, ~is_same & ~is_below)
         )
         begin += at.size
@@ -244,13 +248,13 @@ def _values(
         sampled = opened.sample(centres, names, normalize=False)
         for name, channel in opened.channels.items():
             if bits is not None:
-                found[name][same] = rows_facing(opened, channel, where.cells[is_same], bits[same])
+                values[name][same] = rows_facing(opened, channel, where.cells[is_same], bits[same])
             else:
                 stored = channel.values[where.cells[is_same]]
-                kept = np.flatnonzero(is_kept[is_same] & (not are_nodes))
-                rows = np.searchsorted(opened.tree.kept.cells, where.cells[is_same][kept].astype(np.uint32))
-                stored[kept] = channel.kept_values[rows]
-                found[name][same] = decode(stored, channel.format.space)
-            found[name][below] = refined[name]
-            found[name][other] = sampled[name]
-    return found
+                has_kept = np.flatnonzero(is_kept[is_same] & (not are_nodes))
+                kept_cells = where.cells[is_same][has_kept].astype(np.uint32)
+                stored[has_kept] = channel.kept_values[np.searchsorted(opened.tree.kept.cells, kept_cells)]
+                values[name][same] = decode(stored, channel.format.space)
+            values[name][below] = refined[name]
+            values[name][absent] = sampled[name]
+    return values

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
 from octex.channels import ALPHA, ONE, ChannelFormat, decode, encode
 from octex.conversion.levels import assemble, cell_levels
-from octex.editing.averages import average, with_summed_areas
+from octex.editing.averages import average
 from octex.editing.draft import Tiles
 from octex.editing.nodes import all_leaves, nodes_at
 from octex.editing.refined import Below, refined_below, refined_rows, refined_values, with_rows
@@ -21,21 +21,31 @@ from octex.editing.split import refaced, rows_facing
 from octex.errors import ArgumentError, own_making
 from octex.painting.blend import (
     Above,
-    Blended,
     Merge,
     Raised,
+    all_above,
     averaged,
-    blended,
+    blend_rows,
     facings_of_paint,
     may_differ,
     no_parts,
+    read,
+    with_areas_above,
     with_split_cells,
     writable,
+    write,
 )
 from octex.painting.image import Blend
-from octex.painting.layer import COVERAGE, Paint, blocks_meeting, empty_texture, painted_channel
+from octex.painting.layer import (
+    COVERAGE,
+    Paint,
+    blocks_meeting,
+    empty_texture,
+    leaves_by_level,
+    paint_in,
+    painted_channel,
+)
 from octex.painting.multigrid import added, graph_of, solve
-from octex.painting.options import Fill
 from octex.painting.sheets import Sheets, sheets_of
 from octex.painting.steps import cull_cells
 from octex.painting.surface import Job
@@ -43,7 +53,7 @@ from octex.source.base import Source
 from octex.source.overrides import FunctionSource
 from octex.source.surface import Surface
 from octex.texture import Channel, OctreeTexture
-from octex.tree.edit import among, locate, rebuilt, with_all_above
+from octex.tree.edit import among, locate, rebuilt
 from octex.tree.layout import FACING_FLAGS, SPLIT
 from octex.tree.neighbours import with_boundary
 from octex.tree.octree import Octree, distinct
@@ -51,13 +61,16 @@ from octex.tree.placement import on_grid
 from octex.tree.split import rows_of
 from octex.voxelize.fragments import divided, whole
 
+#: Contents of a new texture where no image sees the surface: no cells, or smooth values.
+Fill = Literal["leave", "smooth"]
+FILLS: tuple[Fill, ...] = get_args(Fill)
 #: The channel with the part of the surface that images cover.
 COVERED = "coverage"
 #: Least coverage of a known value.
 _KNOWN = 0.5
 #: Largest number of filled cells, about; beyond it cells are larger.
 _MOST_CELLS = 1 << 21
-#: Levels from the filled cells up to the blocks in which uncovered surface is found.
+#: Levels from the filled cells up to the blocks that are searched for uncovered surface.
 _BLOCK = 3
 #: Weight that ties unknown values to the mean of the known ones, which parts without any get.
 _HOLD = 1e-9
@@ -83,11 +96,11 @@ class SheetValues(Source):
         widths: Float32s,  # noqa: ARG002
     ) -> Float32s:
         """Return the values of the sheets of points."""
-        found: Float32s = self.values[self.sheets.at(triangles, barycentric)]
-        return found
+        values: Float32s = self.values[self.sheets.at(triangles, barycentric)]
+        return values
 
 
-def begun(job: Job, layer: OctreeTexture, fill: Fill | Float32s, *, is_hidden: bool = False) -> OctreeTexture:
+def _fill_below(job: Job, layer: OctreeTexture, fill: Fill | Float32s, *, is_hidden: bool) -> OctreeTexture:
     """Return the texture below the first layer; its cells are as large as most leaves of the layer.
 
     All have the value ``fill``, or are "smooth": values that the layer covers by half or more are known, the
@@ -109,11 +122,11 @@ def begun(job: Job, layer: OctreeTexture, fill: Fill | Float32s, *, is_hidden: b
         source = FunctionSource(
             form, lambda points: np.tile(fill, (len(points), 1)), surface.rest, surface.triangles
         )
-    made = cell_levels(
+    levels = cell_levels(
         surface, source, (form,), layer.placement, level, job.executor, job.progress,
         has_samples=False, reached=partial(blocks_meeting, [region]) if is_hidden else None,
     )  # fmt: skip
-    tree, channels, *_ = assemble(made)
+    tree, channels, *_ = assemble(levels)
     job.progress("fill", 1, 1)
     return nothing.with_cells(tree, channels)
 
@@ -135,32 +148,36 @@ def _smooth(job: Job, layer: OctreeTexture, level: int, region: Tiles) -> SheetV
 
 def _uncovered(layer: OctreeTexture, surface: Surface) -> tuple[int, Tiles]:
     """Return the level of most of a layer's leaves, or a coarser one with few cells, and the open blocks."""
-    areas = [np.count_nonzero(~is_node) * 4.0**-level for level, (_, is_node) in enumerate(layer.tree.walk())]
-    level = int(np.argmax(areas))
-    found = _open_blocks(layer, surface, max(level - _BLOCK, 0))
-    many = found.size * 4**_BLOCK / _MOST_CELLS
-    if many > 1:
-        level = max(level - int(np.ceil(np.log(many) / np.log(4))), 0)
-        found = _open_blocks(layer, surface, max(level - _BLOCK, 0))
-    return level, Tiles(max(level - _BLOCK, 0), found)
+    level = int(np.argmax([leaves.size * 4.0**-level for level, leaves, _ in leaves_by_level(layer.tree)]))
+    blocks = _open_blocks(layer, surface, max(level - _BLOCK, 0))
+    excess = blocks.codes.size * 4**_BLOCK / _MOST_CELLS
+    if excess > 1:
+        level = max(level - int(np.ceil(np.log(excess) / np.log(4))), 0)
+        blocks = _open_blocks(layer, surface, max(level - _BLOCK, 0))
+    return level, blocks
 
 
-def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Int64s:
-    """Return the cells of a level in or next to which a layer leaves surface uncovered."""
+def _open_blocks(layer: OctreeTexture, surface: Surface, above: int) -> Tiles:
+    """Return the cells of a level with surface that a layer leaves uncovered, and their neighbours."""
     blocks = divided(whole(on_grid(surface.rest, layer.placement), surface.triangles, above), 0)
-    alpha = layer.channels[ALPHA.name]
-    full = np.iinfo(alpha.format.dtype).max
-    is_open = alpha.values[:, 0] < full
-    is_open[rows_of(layer.tree.split).cells[alpha.split_values[:, 0] < full]] = True
+    is_open = _shows_through(layer)
     where = locate(layer.tree, blocks.codes, above)
-    missing = ~where.is_leaf & (where.levels < above)
-    found = [blocks.codes[missing | is_open[where.cells]]]
+    is_missing = ~where.is_leaf & (where.levels < above)
+    codes = [blocks.codes[is_missing | is_open[where.cells]]]
     firsts = layer.tree.arrays.level_cells
-    for level, (codes, _) in enumerate(layer.tree.walk()):
+    for level, (level_codes, _) in enumerate(layer.tree.walk()):
         if level > above:
-            is_here = is_open[firsts[level] : firsts[level + 1]]
-            found.append(codes[is_here] >> 3 * (level - above))
-    return with_boundary(distinct(np.concatenate(found)), above)
+            codes.append(level_codes[is_open[firsts[level] : firsts[level + 1]]] >> 3 * (level - above))
+    return Tiles(above, with_boundary(distinct(np.concatenate(codes)), above))
+
+
+def _shows_through(layer: OctreeTexture) -> Bools:
+    """Return which cells (cells,) of a layer show the fill below them."""
+    alpha = layer.channels[ALPHA.name]
+    full = ONE[alpha.format.dtype]
+    shows: Bools = alpha.values[:, 0] < full
+    shows[rows_of(layer.tree.split).cells[alpha.split_values[:, 0] < full]] = True
+    return shows
 
 
 def filled(sheets: Sheets, values: Float64s, known: Bools, mean: Float64s) -> Float64s:
@@ -168,19 +185,19 @@ def filled(sheets: Sheets, values: Float64s, known: Bools, mean: Float64s) -> Fl
     free = np.flatnonzero(~known)
     numbers = np.full(known.size, -1, np.int64)
     numbers[free] = np.arange(free.size)
-    one, other = sheets.pairs.T
+    first, second = sheets.pairs.T
     hold, right = np.full(free.size, _HOLD), np.tile(_HOLD * mean, (free.size, 1))
-    for inner, outer in ((one, other), (other, one)):
+    for inner, outer in ((first, second), (second, first)):
         rim = ~known[inner] & known[outer]
         rows, ties = numbers[inner[rim]], sheets.ties[rim]
         hold += added(rows, ties, free.size)
         for component in range(values.shape[1]):
             right[:, component] += added(rows, ties * values[outer[rim], component], free.size)
-    inside = ~known[one] & ~known[other]
+    inside = ~known[first] & ~known[second]
     graph = graph_of(numbers[sheets.pairs[inside]], sheets.ties[inside], free.size)
-    found = values.copy()
-    found[free] = solve(graph, sheets.codes[free], sheets.level, hold, right)
-    return found
+    harmonic = values.copy()
+    harmonic[free] = solve(graph, sheets.codes[free], sheets.level, hold, right)
+    return harmonic
 
 
 def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> OctreeTexture:
@@ -190,19 +207,17 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
     rows = rows_of(tree.split)
     of_leaves = all_leaves(tree)[rows.cells]
     if COVERED in texture.channels:
-        had = texture.channels[COVERED]
-        if had.format.components != 1 or had.format.space != "data":
+        old = texture.channels[COVERED]
+        if old.format.components != 1 or old.format.space != "data":
             raise ArgumentError(f"the texture's channel {COVERED!r} is not a coverage channel")
-        form, kept = had.format, had.kept_values
-        clear, clear_rows = (1 - decode(each[:, 0], "data") for each in (had.values, had.split_values))
+        form, kept_values = old.format, old.kept_values
+        clear, clear_rows = (1 - decode(each[:, 0], "data") for each in (old.values, old.split_values))
     else:
-        kept = np.zeros((tree.kept.cells.size, 1), form.dtype)
+        kept_values = np.zeros((tree.kept.cells.size, 1), form.dtype)
         clear, clear_rows = np.ones(tree.n_cells, np.float32), np.ones(rows.rows.size, np.float32)
     for layer in layers:
-        for level, (codes, is_node) in enumerate(tree.walk()):
-            chosen = np.flatnonzero(~is_node)
-            sources, coverage = _coverage_at(layer, codes[chosen], level)
-            leaves = chosen + tree.arrays.level_cells[level]
+        for level, leaves, codes in leaves_by_level(tree):
+            sources, coverage = _coverage_at(layer, codes, level)
             clear[leaves] *= 1 - coverage
             chosen = np.flatnonzero(of_leaves & among(rows.cells, leaves))
             at = np.searchsorted(leaves, rows.cells[chosen])
@@ -210,26 +225,22 @@ def with_coverage(texture: OctreeTexture, layers: Sequence[OctreeTexture]) -> Oc
             has_paint = (layer.tree.arrays.flags[sources[at]] & rows.bits[chosen] != 0) & (coverage[at] > 0)
             clear_rows[chosen] *= 1 - np.where(has_paint, facing, np.float32(0))
     values, split_values = (encode(1 - each[:, None], form.dtype, form.space) for each in (clear, clear_rows))
-    channel = Channel(form, values, split_values, kept)
+    channel = Channel(form, values, split_values, kept_values)
     average(texture, channel)
-    channels = {**texture.channels, COVERED: channel}
-    return texture.with_cells(tree, channels)
+    return texture.with_cells(tree, {**texture.channels, COVERED: channel})
 
 
 def _coverage_at(layer: OctreeTexture, codes: Int64s, level: int) -> tuple[Int64s, Float32s]:
     """Return the layer's cells at or above cells (n,) of a level, and how much of these it covers."""
     where, alpha = locate(layer.tree, codes, level), layer.channels[ALPHA.name]
-    found = decode(alpha.values[where.cells, 0], "data")
+    coverage = decode(alpha.values[where.cells, 0], "data")
     finer = np.flatnonzero(where.levels < level)
-    found[finer] = 0.0
+    coverage[finer] = 0.0
     finer = finer[where.is_leaf[finer]]
     if finer.size:
-        found[finer] = refined_values(layer.tree, {ALPHA.name: alpha}, codes[finer], level)[ALPHA.name][:, 0]
-    return where.cells, found
-
-
-#: Coverage that hides the fill.
-_FULL = ONE[COVERAGE.dtype]
+        refined = refined_values(layer.tree, {ALPHA.name: alpha}, codes[finer], level)
+        coverage[finer] = refined[ALPHA.name][:, 0]
+    return where.cells, coverage
 
 
 class Leaves(NamedTuple):
@@ -249,8 +260,8 @@ def started(
     it the texture holds only the fill.
     """
     is_in = blend != "erase" and isinstance(fill, str) and layer.tree.n_leaves > 0
-    made = begun(job, layer, fill, is_hidden=is_in)
-    return (_laid_over(job, made, layer) if is_in else made), is_in
+    texture = _fill_below(job, layer, fill, is_hidden=is_in)
+    return (_laid_over(job, texture, layer) if is_in else texture), is_in
 
 
 def _laid_over(job: Job, fill: OctreeTexture, layer: OctreeTexture) -> OctreeTexture:
@@ -264,32 +275,30 @@ def _laid_over(job: Job, fill: OctreeTexture, layer: OctreeTexture) -> OctreeTex
     task = Merge(job, fill, layer, name, "over", 1.0, 0)
     job.progress("merge", 0, 1)
     with own_making():
-        lacking, paint = _lacking(task), _showing(task)
-        made = _with_paint(task, *_united(task, lacking), paint, lacking)
+        lacking = _lacking(task)
+        texture = _with_paint(task, *_united(task, lacking), _translucent(task), lacking)
     job.progress("merge", 1, 1)
-    return made
+    return texture
 
 
 def _united(task: Merge, lacking: Sequence[Leaves]) -> tuple[OctreeTexture, Bools]:
     """Return the filled texture with the layer's leaves and those that it lacks, and the layer's cells."""
     layer, name = task.layer, task.target
     leaves = [
-        distinct(np.concatenate([codes[~is_node], more.codes]))
-        for (codes, is_node), more in zip(layer.tree.walk(), lacking, strict=True)
+        distinct(np.concatenate([codes, bare.codes]))
+        for (_, _, codes), bare in zip(leaves_by_level(layer.tree), lacking, strict=True)
     ]
     edited = rebuilt(layer.tree, leaves)
     tree, channel = edited.tree, carried(layer, edited)[name]
     flags, areas, added = tree.arrays.flags.copy(), tree.arrays.areas.copy(), []
     for level, each in enumerate(lacking):
-        cells, below = locate(tree, each.codes, level).cells, _filled(task, each.codes, level, each.flags)
+        cells, below = locate(tree, each.codes, level).cells, _fill_in(task, each.codes, level, each.flags)
         flags[cells], areas[cells] = each.flags, each.areas
-        channel.values[cells] = encode(below.values[name], channel.format.dtype, channel.format.space)
+        write(channel, "values", cells, below.values[name])
         added.append((cells, below))
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
     texture = refaced(with_rows(task.texture.with_cells(tree, {name: channel}), added))
-    above = with_all_above([each.codes for each in lacking])[1:]
-    tree = with_summed_areas(texture.tree, nodes_at(tree, [distinct(codes >> 3) for codes in above]))
-    return texture.with_cells(tree, texture.channels), edited.old >= 0
+    return with_areas_above(texture, [each.codes for each in lacking]), edited.old >= 0
 
 
 def _with_paint(
@@ -298,40 +307,43 @@ def _with_paint(
     """Blend paint with the fill below it, and average the nodes above both."""
     name, tree = task.target, texture.tree
     cells = [locate(tree, each.codes, level).cells for level, each in enumerate(paint)]
-    below = [_filled(task, each.codes, level, each.flags) for level, each in enumerate(paint)]
+    below = [_fill_in(task, each.codes, level, each.flags) for level, each in enumerate(paint)]
     split = np.concatenate([at[each.is_split] for at, each in zip(cells, below, strict=True)])
     texture = with_split_cells(texture, split[tree.arrays.flags[split] & SPLIT == 0])
     changed = [
         distinct(np.concatenate([bare.codes, each.codes])) for bare, each in zip(lacking, paint, strict=True)
     ]
-    codes = with_all_above([each >> 3 for each in changed[1:]])
+    codes = all_above(changed)
     nodes, none = nodes_at(tree, codes), np.empty(0, np.int64)
     absent = nodes._replace(numbers=np.full_like(nodes.numbers, -1))
     above = Above(nodes, absent, nodes_at(task.layer.tree, codes))
-    may_split = may_differ(texture.tree, none, none.astype(np.uint8), above)
-    base = with_split_cells(texture, may_split)
+    base = with_split_cells(texture, may_differ(texture.tree, none, none.astype(np.uint8), above))
     channels, parts = writable(base, [name]), no_parts(base.tree, [name])
     parts[name].values[is_painted] = 1.0
     parts[name].split_values[is_painted[rows_of(base.tree.split).cells]] = 1.0
-    for level, on_level in enumerate(zip(cells, paint, below, strict=True)):
-        _put_paint(task, base.tree, level, *on_level, channels[name], parts[name])
-    is_fresh = np.ones(tree.n_cells, np.bool_)
-    raised = Raised(texture, np.where(is_painted, 0, -1), is_fresh, ~is_fresh, [])
-    return averaged(
-        task, task.texture, raised, Blended(base, channels, parts, above, may_split), changed
-    ).texture
+    nowhere = np.zeros(tree.n_cells, np.bool_)
+    for level, (at, each, fill) in enumerate(zip(cells, paint, below, strict=True)):
+        blend = partial(blend_rows, task, channels, parts)
+        blend("values", at, fill.values, each.values, each.coverage, nowhere[at])
+        rows = rows_of(base.tree.split, at)
+        owners = each.of(np.searchsorted(at, rows.cells))
+        facings = facings_of_paint(task, owners, rows.bits)
+        old = {name: _fill_facing(task, owners.codes, level, rows.bits)}
+        blend("split_values", rows.rows, old, *facings, nowhere[rows.cells])
+    raised = Raised(texture, np.where(is_painted, 0, -1), ~nowhere, nowhere, [])
+    return averaged(task, task.texture, raised, base, channels, parts, above, changed).texture
 
 
 def _lacking(task: Merge) -> list[Leaves]:
     """Return the leaves that a layer lacks, by level: the fill's, or surface in them next to finer paint."""
     fill, layer, level = task.texture.tree, task.layer.tree, task.texture.tree.max_depth
     none = Leaves(np.empty(0, np.int64), *np.empty((2, 0), np.uint8))
-    found = [none] * (layer.max_depth + 1)
+    lacking = [none] * (layer.max_depth + 1)
     codes = fill.level_codes(level)
     where = locate(layer, codes, level)
     is_open = ~where.is_leaf & (where.levels == level)
     cells = np.flatnonzero(~where.is_leaf & (where.levels < level))
-    found[level] = _leaves_at(fill, level, cells)
+    lacking[level] = _leaves_at(fill, level, cells)
     opened = codes[is_open]
     met = cull_cells(task, [(level, opened)], layer.max_depth)
     walk = list(layer.walk())
@@ -340,8 +352,8 @@ def _lacking(task: Merge) -> list[Leaves]:
         nodes = nodes[among(nodes >> 3 * (deeper - 1 - level), opened)]
         codes = met.codes[deeper]
         lacks = among(codes >> 3, nodes) & ~among(codes, walk[deeper][0])
-        found[deeper] = _leaves_at(met.tree, deeper, np.flatnonzero(lacks))
-    return found
+        lacking[deeper] = _leaves_at(met.tree, deeper, np.flatnonzero(lacks))
+    return lacking
 
 
 def _leaves_at(tree: Octree, level: int, chosen: Int64s) -> Leaves:
@@ -351,63 +363,34 @@ def _leaves_at(tree: Octree, level: int, chosen: Int64s) -> Leaves:
     return Leaves(tree.level_codes(level)[chosen], flags, tree.arrays.areas[cells])
 
 
-def _showing(task: Merge) -> list[Paint]:
-    """Return the paint, by level, on leaves through which the fill shows."""
-    layer, name = task.layer, task.target
-    alpha, rows = layer.channels[ALPHA.name], rows_of(layer.tree.split)
-    shows = alpha.values[:, 0] < _FULL
-    shows[rows.cells[alpha.split_values[:, 0] < _FULL]] = True
-    found = []
-    for level, (codes, is_node) in enumerate(layer.tree.walk()):
-        first = int(layer.tree.arrays.level_cells[level])
-        chosen = np.flatnonzero(~is_node & shows[first : first + codes.size])
-        where = locate(task.texture.tree, codes[chosen], level)
-        chosen = chosen[(where.levels == level) | where.is_leaf]
-        cells = chosen + first
-        values = decode(layer.channels[name].values[cells], layer.channels[name].format.space)
-        coverage = decode(alpha.values[cells, 0], "data")
-        found.append(Paint(codes[chosen], values, coverage, cells, layer.tree.arrays.flags[cells]))
-    return found
+def _translucent(task: Merge) -> list[Paint]:
+    """Return the paint, by level, on leaves that show the fill."""
+    layer, shows, paint = task.layer, _shows_through(task.layer), []
+    for level, cells, codes in leaves_by_level(layer.tree):
+        cells, codes = cells[shows[cells]], codes[shows[cells]]
+        where = locate(task.texture.tree, codes, level)
+        is_filled = (where.levels == level) | where.is_leaf
+        cells = cells[is_filled]
+        paint.append(paint_in(layer, cells, codes[is_filled], layer.tree.arrays.flags[cells]))
+    return paint
 
 
-def _filled(task: Merge, codes: Int64s, level: int, facings: Uint8s) -> Below:
+def _fill_in(task: Merge, codes: Int64s, level: int, facings: Uint8s) -> Below:
     """Return the fill's values in cells (n,) of a level with these facings."""
     fill, name = task.texture, task.target
     if level > fill.tree.max_depth:
         return refined_below(fill, codes, level, facings & np.uint8(FACING_FLAGS), task.job.executor)
-    cells, form = locate(fill.tree, codes, level).cells, fill.channels[name].format
-    rows = rows_of(fill.tree.split, cells).rows
-    is_split = fill.tree.arrays.flags[cells] & SPLIT != 0
-    stored = fill.channels[name]
+    cells, stored = locate(fill.tree, codes, level).cells, fill.channels[name]
     return Below(
-        {name: decode(stored.values[cells], form.space)},
-        is_split,
-        {name: decode(stored.split_values[rows], form.space)},
+        {name: read(stored, "values", cells)},
+        fill.tree.arrays.flags[cells] & SPLIT != 0,
+        {name: read(stored, "split_values", rows_of(fill.tree.split, cells).rows)},
     )
 
 
-def _put_paint(
-    task: Merge,
-    tree: Octree,
-    level: int,
-    cells: Int64s,
-    paint: Paint,
-    below: Below,
-    channel: Channel,
-    part: Channel,
-) -> None:
-    """Blend paint on cells of a level with the fill ``below`` it, and record its ``part``, in place."""
-    fill, name, form = task.texture, task.target, channel.format
-    new = blended(below.values[name], paint.values, paint.coverage, "over")
-    channel.values[cells] = encode(new, form.dtype, form.space)
-    part.values[cells, 0] = paint.coverage
-    rows = rows_of(tree.split, cells)
-    paint = paint.of(np.searchsorted(cells, rows.cells))
-    values, coverage = facings_of_paint(task.layer, paint, rows.bits, 1.0)
+def _fill_facing(task: Merge, codes: Int64s, level: int, bits: Uint8s) -> Float32s:
+    """Return the fill's values for facings (n,) of cells (n,) of a level."""
+    fill, name = task.texture, task.target
     if level > fill.tree.max_depth:
-        old = refined_rows(fill, paint.codes, level, rows.bits)[name]
-    else:
-        old = rows_facing(fill, fill.channels[name], locate(fill.tree, paint.codes, level).cells, rows.bits)
-    new = blended(old, values, coverage, "over")
-    channel.split_values[rows.rows] = encode(new, form.dtype, form.space)
-    part.split_values[rows.rows, 0] = coverage
+        return refined_rows(fill, codes, level, bits)[name]
+    return rows_facing(fill, fill.channels[name], locate(fill.tree, codes, level).cells, bits)

@@ -10,13 +10,13 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeGuard, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
 import PIL.Image
 
-from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint8s, Uint16s
+from octex.arrays import Array, Bools, Float32s, Float64s, Int64s, Uint16s
 from octex.cameras.camera import Camera
 from octex.cameras.lens import is_bent
 from octex.channels import ChannelFormat, decode_table, linear_to_srgb, screen_color
@@ -149,8 +149,8 @@ def window_of(
         around = None  # its window in the undistorted view is no rectangle
     size = camera.width, camera.height
     stage = stages.of(lambda: [size, form, scale, around, content_of(projection)])
-    found = stage.arrays("image", lambda: _window_of(projection, form, scale, around))
-    return Mips(found["pixels"], found["sizes"], found["range"]), Window(*found["window"].tolist())
+    arrays = stage.arrays("image", lambda: _window_of(projection, form, scale, around))
+    return Mips(arrays["pixels"], arrays["sizes"], arrays["range"]), Window(*arrays["window"].tolist())
 
 
 def _window_of(
@@ -158,9 +158,15 @@ def _window_of(
 ) -> dict[str, Array]:
     size, image = (projection.camera.width, projection.camera.height), projection.image
     window, before = Window(0, 0, *size), None
-    if around is not None and projection.since is None and _is_codes(image, size):
+    if (
+        around is not None
+        and projection.since is None
+        and isinstance(image, np.ndarray)
+        and image.dtype == np.uint8
+        and image.shape == (*size[::-1], 4)
+    ):
         window = _window_around(image[:, :, 3] > 0, around)
-        texels = as_texels(window.of(image))
+        texels = as_texels(window.of(image))  # only this part is decoded
     else:
         texels = texels_of(image, "the image", size)
         if projection.since is not None:
@@ -204,11 +210,6 @@ def _window_of(
     if (limits[0] != limits[1]).any():
         sharpen(pixels, form.space in ("srgb", "linear"))
     return {"pixels": rows, "sizes": sizes, "range": limits, "window": np.array(window, np.int64)}
-
-
-def _is_codes(image: Image, size: tuple[int, int]) -> TypeGuard[Uint8s]:
-    """Return whether an image is an 8-bit array of this size with alpha, of which a part can be decoded."""
-    return isinstance(image, np.ndarray) and image.dtype == np.uint8 and image.shape == (*size[::-1], 4)
 
 
 def _window_around(has_paint: Bools, around: int) -> Window:
@@ -309,8 +310,8 @@ def _decode(texels: Uint16s, table: Float32s, pixels: Float32s) -> None:
 
 def content_of(projection: Projection) -> bytes:
     """Return a digest of a projection's images and key."""
-    given = projection.image, projection.mask, projection.since
-    return digest_of([_content(each) for each in given], projection.key)
+    images = projection.image, projection.mask, projection.since
+    return digest_of([_content(each) for each in images], projection.key)
 
 
 def _content(image: Image | None) -> Any:
@@ -353,13 +354,13 @@ def read_paint(
     scale_x = mips.sizes[level, 1] / mips.sizes[0, 1]
     scale_y = mips.sizes[level, 2] / mips.sizes[0, 2]
     x, y = x * scale_x, y * scale_y
-    apart = np.sqrt(max((width * scale_x) ** 2 - 1.0, 0.0) / 12.0)
-    if not apart > 0.0:
+    offset = np.sqrt(max((width * scale_x) ** 2 - 1.0, 0.0) / 12.0)
+    if not offset > 0.0:
         return _bicubic(mips, level, x, y)
     a = b = c = d = np.float32(0.0)
     for corner in range(4):
-        u = x + (apart if corner & 1 else -apart)
-        v = y + (apart if corner & 2 else -apart)
+        u = x + (offset if corner & 1 else -offset)
+        v = y + (offset if corner & 2 else -offset)
         e, f, g, h = _bicubic(mips, level, u, v)
         a, b, c, d = a + e, b + f, c + g, d + h
     quarter = np.float32(0.25)

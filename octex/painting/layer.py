@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from octex.arrays import Bools, Float32s, Float64s, Floats, Int32s, Int64s, Uint8s
 from octex.channels import ALPHA, ChannelFormat, decode, encode
-from octex.errors import ArgumentError, DefectError
+from octex.errors import DefectError
 from octex.jit import kernel
 from octex.source.base import Source
 from octex.source.parts import SEPARATION
@@ -51,21 +51,13 @@ class PaintSource(Source):
     """Gives a channel's components, and their coverage as ``alpha``, to points of a surface."""
 
     form: ChannelFormat  # of the painted channel
+    has_gaps = True  # paint covers a part of the surface
+    alpha_is_coverage = True
 
     @property
     def channels(self) -> tuple[ChannelFormat, ...]:
         """The painted channel, and its coverage."""
         return self.form, COVERAGE
-
-    @property
-    def has_gaps(self) -> bool:
-        """True: paint covers a part of the surface."""
-        return True
-
-    @property
-    def alpha_is_coverage(self) -> bool:
-        """True: ``alpha`` is 0 where no paint is."""
-        return True
 
     @property
     def color(self) -> Float32s | None:
@@ -76,7 +68,7 @@ class PaintSource(Source):
     def touched(self) -> Int32s:
         """Return triangles, ascending; all paint lies on them or next to them."""
 
-    def near(self, triangles: Int32s) -> PaintSource:  # noqa: ARG002
+    def prepared_for(self, triangles: Int32s) -> PaintSource:  # noqa: ARG002
         """Return this paint, prepared for the triangles next to these."""
         return self
 
@@ -183,13 +175,10 @@ class Paint(NamedTuple):
 
     def of(self, chosen: Bools | Int64s | slice) -> Paint:
         """Return the paint on chosen cells."""
-        codes, values, coverage, cells, flags = self
         if isinstance(chosen, slice):
-            values = values[chosen]
-        else:  # `take` is 4 × as fast as indexing
-            chosen = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
-            values = values.take(chosen, axis=0)
-        return Paint(codes[chosen], values, coverage[chosen], cells[chosen], flags[chosen])
+            return Paint._make(column[chosen] for column in self)
+        rows = np.flatnonzero(chosen) if chosen.dtype == np.bool_ else chosen
+        return Paint._make(column.take(rows, axis=0) for column in self)  # 4 × as fast as indexing
 
 
 class SurfaceCells(NamedTuple):
@@ -209,34 +198,42 @@ def joined(*parts: Paint) -> Paint:
     return Paint(codes[order], *(column.take(order, axis=0) for column in columns))
 
 
-def channel_of(layer: OctreeTexture) -> ChannelFormat:
-    """Return the format of a layer's painted channel; raise ArgumentError for a texture that is no layer."""
-    if len(layer.channels) != 2 or ALPHA.name not in layer.channels:
-        raise ArgumentError("a layer must have one channel and alpha, its coverage")
-    return layer.channels[painted_channel(layer)].format
-
-
 def painted_channel(layer: OctreeTexture) -> str:
     """Return the name of a layer's painted channel."""
     return next(name for name in layer.channels if name != ALPHA.name)
 
 
+def leaves_by_level(tree: Octree) -> Iterator[tuple[int, Int64s, Int64s]]:
+    """Yield the levels of a tree, and the cells and Morton codes of their leaves."""
+    for level, (codes, is_node) in enumerate(tree.walk()):
+        leaves = np.flatnonzero(~is_node)
+        yield level, int(tree.arrays.level_cells[level]) + leaves, codes[leaves]
+
+
 def paint_of(layer: OctreeTexture, opacity: float) -> list[Paint]:
     """Return the paint on a layer's leaves, level by level."""
-    values, coverage = layer.channels[painted_channel(layer)], layer.channels[ALPHA.name]
     flags = layer.tree.arrays.flags & np.uint8(FACING_FLAGS)  # cells without SPLIT have paint on all facings
     rows = rows_of(layer.tree.split)
     flags[rows.cells] = SPLIT
-    np.bitwise_or.at(flags, rows.cells, rows.bits * (coverage.split_values[:, 0] > 0))
-    found = []
-    for level, (codes, is_node) in enumerate(layer.tree.walk()):
-        leaves = np.flatnonzero(~is_node)
-        cells = leaves + int(layer.tree.arrays.level_cells[level])
-        part = decode(coverage.values.take(cells), "data") * np.float32(opacity)
-        colors = decode(values.values.take(cells, axis=0), values.format.space)
-        each, has_paint = Paint(codes[leaves], colors, part, cells, flags[cells]), part > 0
-        found.append(each if has_paint.all() else each.of(has_paint))
-    return found
+    has_paint = layer.channels[ALPHA.name].split_values[:, 0] > 0
+    np.bitwise_or.at(flags, rows.cells, rows.bits * has_paint)
+    paint = []
+    for _, cells, codes in leaves_by_level(layer.tree):
+        on_level = paint_in(layer, cells, codes, flags[cells], opacity)
+        is_painted = on_level.coverage > 0
+        paint.append(on_level if is_painted.all() else on_level.of(is_painted))
+    return paint
+
+
+def paint_in(
+    layer: OctreeTexture, cells: Int64s, codes: Int64s, flags: Uint8s, opacity: float = 1.0
+) -> Paint:
+    """Return the paint in cells (n,) of a layer, from their codes and the flags of `Paint`."""
+    values, coverage = layer.channels[painted_channel(layer)], layer.channels[ALPHA.name]
+    colors = decode(values.values.take(cells, axis=0), values.format.space)
+    return Paint(
+        codes, colors, decode(coverage.values.take(cells), "data") * np.float32(opacity), cells, flags
+    )
 
 
 def with_bare_facings(layer: OctreeTexture) -> OctreeTexture:
@@ -255,20 +252,20 @@ def leave_bare(facings: Uint8s, painted: Uint8s) -> Bools:
 
 def blocks_meeting(cells: Sequence[tuple[int, Int64s]], blocks: Blocks) -> Bools:
     """Return which blocks meet cells, listed as levels and codes."""
-    found = np.zeros(blocks.codes.size, np.bool_)
+    meet = np.zeros(blocks.codes.size, np.bool_)
     for level, codes in cells:
-        found |= among_at(blocks.codes, blocks.level, codes, level)
-    return found
+        meet |= among_at(blocks.codes, blocks.level, codes, level)
+    return meet
 
 
 def facings_within(codes: Int64s, paint: Sequence[Paint], level: int) -> Uint8s:
     """Return the painted facings of cells (n,) of a level, which may lie in larger painted cells."""
-    found = np.zeros(codes.size, np.uint8)
+    facings = np.zeros(codes.size, np.uint8)
     for above, each in enumerate(paint[: level + 1]):
         if each.codes.size:
             at = indices_in(codes >> 3 * (level - above), each.codes)
-            found[at >= 0] |= each.flags[at[at >= 0]]
-    return found & np.uint8(FACING_FLAGS)
+            facings[at >= 0] |= each.flags[at[at >= 0]]
+    return facings & np.uint8(FACING_FLAGS)
 
 
 def paint_at(paint: Sequence[Paint], codes: Int64s, level: int) -> Paint:
@@ -278,11 +275,11 @@ def paint_at(paint: Sequence[Paint], codes: Int64s, level: int) -> Paint:
     for at, each in enumerate(paint):
         if each.codes.size:
             _add_within(codes, level - at, each, sums, cells, flags)
-    has = sums[:, -1] > 0
-    sums = sums[has]
+    is_painted = sums[:, -1] > 0
+    sums = sums[is_painted]
     values = (sums[:, :-2] / np.maximum(sums[:, -2:-1], 1e-30)).astype(np.float32)
     coverage = (sums[:, -2] / sums[:, -1]).astype(np.float32)
-    return Paint(codes[has], values, coverage, cells[has], flags[has])
+    return Paint(codes[is_painted], values, coverage, cells[is_painted], flags[is_painted])
 
 
 @kernel
@@ -310,14 +307,14 @@ def _add_within(
 
 def paint_on_leaves(tree: Octree, paint: Sequence[Paint]) -> tuple[Int64s, Paint]:
     """Return the painted leaves, ascending, and the paint on them."""
-    found = []
+    columns_by_level = []
     for level, each in enumerate(paint):
         if each.codes.size:
             where = locate(tree, each.codes, level)
             if not (where.is_leaf & (where.levels == level)).all():
                 raise DefectError(f"paint of level {level} does not lie on leaves")
-            found.append((where.cells, *each))
-    columns = zip(*found, strict=True)
+            columns_by_level.append((where.cells, *each))
+    columns = zip(*columns_by_level, strict=True)
     cells, *paint_on = (column[0] if len(column) == 1 else np.concatenate(column) for column in columns)
     if (np.diff(cells) <= 0).any():
         raise DefectError("paint has a cell twice, or its cells are out of order")

@@ -28,9 +28,11 @@ from octex.painting.stack import (
     composite_name,
     composited,
     from_file,
+    only,
     shown,
     shown_names,
     united,
+    with_channels,
     with_composite,
     with_layer_channels,
 )
@@ -74,13 +76,13 @@ class Layers(Painter):
         texture, stack = from_file(as_texture(texture), keep)
         super().__init__(texture, surface)
         self._stack: Stack = stack
+        self._opened = only(texture, bottom_names(texture))
         self._last = max((layer.number for layer in stack), default=0)  # number of a layer
         self._chosen: int | None = None
         self._in_mask = False
         self._merging = self._merged
-        bottom = {name: texture.channels[name] for name in bottom_names(texture)}
-        self._opened = texture.with_cells(texture.tree, bottom) if stack else texture
-        self._shown: tuple[OctreeTexture | None, OctreeTexture] = None, texture  # of which, and the composite
+        # A texture with all layers, and its composite.
+        self._shown: tuple[OctreeTexture | None, OctreeTexture] = None, texture
         self.changes: tuple[Change, ...] = ()
 
     def texture(self) -> OctreeTexture:
@@ -126,7 +128,7 @@ class Layers(Painter):
 
     def layer(self, number: int) -> Layer:
         """Return the layer of a number, or raise ArgumentError."""
-        return self._stack[self._place_of(number)]
+        return self._stack[self._index_of(number)]
 
     def add_layer(
         self, name: str | None = None, *, opacity: float = 1.0, blend: LayerBlend = "over"
@@ -134,8 +136,8 @@ class Layers(Painter):
         """Add an empty layer above the chosen one; choose and return it."""
         title = f"Layer {self._last + 1}" if name is None else name
         layer = check_layer(self._next(Layer(1, title, opacity, blend)))
-        place = 0 if self._chosen is None else self._place_of(self._chosen) + 1
-        self._restack((*self._stack[:place], layer, *self._stack[place:]))
+        above = 0 if self._chosen is None else self._index_of(self._chosen) + 1
+        self._restack(self._with_layers(above, above, layer))
         self.choose(layer.number)
         return layer
 
@@ -150,34 +152,34 @@ class Layers(Painter):
         has_mask: bool | None = None,
     ) -> Layer:
         """Change properties of a layer, and return it."""
-        given = {"name": name, "opacity": opacity, "blend": blend}
-        given |= {"is_visible": is_visible, "has_mask": has_mask}
-        wanted = {key: value for key, value in given.items() if value is not None}
-        place = self._place_of(number)
-        layer = check_layer(self._stack[place]._replace(**wanted))  # type: ignore[arg-type]
-        self._restack((*self._stack[:place], layer, *self._stack[place + 1 :]))
+        properties = {"name": name, "opacity": opacity, "blend": blend}
+        properties |= {"is_visible": is_visible, "has_mask": has_mask}
+        changed = {key: value for key, value in properties.items() if value is not None}
+        index = self._index_of(number)
+        layer = check_layer(self._stack[index]._replace(**changed))  # type: ignore[arg-type]
+        self._restack(self._with_layers(index, index + 1, layer))
         return layer
 
     def move_layer(self, number: int, place: int) -> None:
         """Move a layer to a place in the stack; 0 is the lowest."""
         as_whole(place, "place", 0, len(self._stack) - 1)
         layer = self.layer(number)
-        others = [each for each in self._stack if each is not layer]
-        self._restack((*others[:place], layer, *others[place:]))
+        rest = [each for each in self._stack if each is not layer]
+        self._restack((*rest[:place], layer, *rest[place:]))
 
     def delete_layer(self, number: int) -> None:
         """Delete a layer with its paint. If it was chosen, the one below becomes so."""
-        place = self._place_of(number)
-        self._restack(self._stack[:place] + self._stack[place + 1 :])
+        index = self._index_of(number)
+        self._restack(self._with_layers(index, index + 1))
 
     def copy_layer(self, number: int) -> Layer:
         """Add a copy of a layer above it; choose and return the copy."""
-        place = self._place_of(number)
-        layer = self._stack[place]
+        above = self._index_of(number) + 1
+        layer = self._stack[above - 1]
         copied = self._next(layer)
         channels = {name: each for name, each in self._texture.channels.items() if layer.owns(name)}
-        made = {copied.of_own(layer, name): each for name, each in channels.items()}
-        self._restack((*self._stack[: place + 1], copied, *self._stack[place + 1 :]), made)
+        copies = {copied.of_own(layer, name): each for name, each in channels.items()}
+        self._restack(self._with_layers(above, above, copied), copies)
         self.choose(copied.number)
         return copied
 
@@ -186,20 +188,21 @@ class Layers(Painter):
 
         It looks as both did. Raises ArgumentError for the lowest layer, and for layers that cannot be merged.
         """
-        place = self._place_of(number)
-        if not place:
+        index = self._index_of(number)
+        if not index:
             raise ArgumentError("there is no layer below the lowest one to merge it with")
-        both = self._stack[place - 1 : place + 1]
-        for each in both:
-            if not each.is_visible or each.blend != "over":
-                raise ArgumentError(f"layer {each.name!r} is hidden or not normal; only others can be merged")
-            if each.paints(ALPHA.name) in self._texture.channels:
-                raise ArgumentError(f"layer {each.name!r} paints alpha; it cannot be merged")
-        one = self._next(both[0]._replace(opacity=1.0, has_mask=False))
-        stack = *self._stack[: place - 1], one, *self._stack[place + 1 :]
-        self._restack(stack, united(self._texture, both, one))
-        self.choose(one.number)
-        return one
+        pair = self._stack[index - 1 : index + 1]
+        for layer in pair:
+            if not layer.is_visible or layer.blend != "over":
+                raise ArgumentError(
+                    f"layer {layer.name!r} is hidden or not normal; only others can be merged"
+                )
+            if layer.paints(ALPHA.name) in self._texture.channels:
+                raise ArgumentError(f"layer {layer.name!r} paints alpha; it cannot be merged")
+        union = self._next(pair[0]._replace(opacity=1.0, has_mask=False))
+        self._restack(self._with_layers(index - 1, index + 1, union), united(self._texture, pair, union))
+        self.choose(union.number)
+        return union
 
     def replace(self, texture: OctreeTexture) -> None:
         """Replace the texture and all layers, as a step that can be undone.
@@ -210,51 +213,54 @@ class Layers(Painter):
         if texture.metadata.get(SEPARATION) != self._texture.metadata.get(SEPARATION):
             raise ArgumentError("the model's parts are moved apart in another way")
         check_inside(self._painted.surface, texture.placement)
-        bottom = {name: texture.channels[name] for name in bottom_names(texture)}
         self._last = max((self._last, *(layer.number for layer in stack)))
-        step = Replaced(self.stacked, Stacked(texture, stack, texture.with_cells(texture.tree, bottom)))
+        step = Replaced(self.stacked, Stacked(texture, stack, only(texture, bottom_names(texture))))
         self._apply_whole(step)
         self._done.append(step)
         self._undone.clear()
 
     def _apply_whole(self, step: Replaced) -> None:
-        seen = self.texture()
+        before = self.texture()
         self._texture, self._stack, self._opened = step.after
         self._shared = self._texture
         if self._chosen not in {layer.number for layer in self._stack}:
             self._chosen, self._in_mask = None, False
-        self.changes = (Change(None, seen, self.texture()),)
+        self.changes = (Change(None, before, self.texture()),)
 
     def _next(self, layer: Layer) -> Layer:
         self._last += 1
         return layer._replace(number=self._last)
 
-    def _place_of(self, number: int) -> int:
+    def _index_of(self, number: int) -> int:
         number = as_whole(number, "layer", 1, 2**53)
-        for place, layer in enumerate(self._stack):
+        for index, layer in enumerate(self._stack):
             if layer.number == number:
-                return place
+                return index
         raise ArgumentError(f"there is no layer {number!r}")
 
-    def _restack(self, stack: Stack, made: Mapping[str, Channel] = MappingProxyType({})) -> None:
-        """Replace the stack, as a step that can be undone; ``made`` are the channels of new layers."""
+    def _with_layers(self, begin: int, end: int, *layers: Layer) -> Stack:
+        """Return the stack with other layers instead of those from ``begin`` to ``end``."""
+        return *self._stack[:begin], *layers, *self._stack[end:]
+
+    def _restack(self, stack: Stack, added: Mapping[str, Channel] = MappingProxyType({})) -> None:
+        """Replace the stack, as a step that can be undone; ``added`` are the channels of new layers."""
         if stack == self._stack:
             self.changes = ()
             return
         gone = _without(self._stack, stack)
         removed = {name: each for name, each in self._texture.channels.items() if _is_of(gone, name)}
-        step = Restacked(self._stack, stack, {**removed, **made})
+        step = Restacked(self._stack, stack, {**removed, **added})
         self._apply(step)
         self._done.append(step)
         self._undone.clear()
 
     def _apply(self, step: Restacked) -> None:
         """Apply a step to the stack and its texture."""
-        seen, gone = self.texture(), _without(step.before, step.after)
+        shown_before, gone = self.texture(), _without(step.before, step.after)
         channels = {name: each for name, each in self._texture.channels.items() if not _is_of(gone, name)}
-        come = _without(step.after, step.before)
+        new = _without(step.after, step.before)
         channels |= {  # copied, as later strokes write to them and the step stays as it is
-            name: each.copied().named(name) for name, each in step.channels.items() if _is_of(come, name)
+            name: each.copied().named(name) for name, each in step.channels.items() if _is_of(new, name)
         }
         if self._chosen in {layer.number for layer in gone}:
             below = step.before[: step.before.index(gone[0])]
@@ -263,10 +269,10 @@ class Layers(Painter):
         self._stack, self.changes = step.after, ()
         if before == after:
             return
-        self._texture = with_composite(self._texture.with_cells(self._texture.tree, channels), self._stack)
-        change = change_of_values(seen, self.texture())
+        self._texture = with_composite(with_channels(self._texture, channels), self._stack)
+        change = change_of_values(shown_before, self.texture())
         if change is None:
-            self._shown = self._texture, seen
+            self._shown = self._texture, shown_before
         else:
             self.changes = (change,)
 
@@ -285,8 +291,8 @@ class Layers(Painter):
             if self._in_mask:
                 into, blend = layer.mask, "over" if blend == "erase" else "erase"
             texture = with_layer_channels(texture, [into, alpha_of(into) or into])
-            names = composited(texture, self._stack)
-            texture = with_layer_channels(texture, map(composite_name, names))
+            composites = map(composite_name, composited(texture, self._stack))
+            texture = with_layer_channels(texture, composites)
         change = merged(job, texture, paint, opacity, blend, into)
         if change is None:
             return None
@@ -299,16 +305,12 @@ class Layers(Painter):
         change = Change(tiles, before, after)
         if not self._stack or not change.has_same_cells:
             return change
-        chosen = {*shown_names(after).values()}
+        names = {*shown_names(after).values()}
         for name, channel in after.channels.items():
             pairs = zip(before.channels[name][1:], channel[1:], strict=True)
-            chosen |= {name} if any(was is not now for was, now in pairs) else set()
-        chosen |= {alpha_of(name) or name for name in chosen if name != plain_name(name)}
-        drafts = (
-            each.with_cells(each.tree, {name: c for name, c in each.channels.items() if name in chosen})
-            for each in (before, after)
-        )
-        return Change(tiles, *drafts)
+            names |= {name} if any(was is not now for was, now in pairs) else set()
+        names |= {alpha_of(name) or name for name in names if name != plain_name(name)}
+        return Change(tiles, only(before, names), only(after, names))
 
     def _put(self, change: Change, texture: OctreeTexture) -> OctreeTexture:
         names = change.after.channels.keys()
@@ -317,28 +319,27 @@ class Layers(Painter):
         texture = with_layer_channels(texture, names)
         if not change.has_same_cells:
             return super()._put(change, texture)
-        part = texture.with_cells(texture.tree, {name: texture.channels[name] for name in names})
-        made = super()._put(change, part)
-        made = made.with_cells(made.tree, {**texture.channels, **made.channels})
+        changed = super()._put(change, only(texture, names))
+        changed = with_channels(changed, {**texture.channels, **changed.channels})
         if change.tiles is None:
-            self._shared = made
-        return made
+            self._shared = changed
+        return changed
 
     def _did(self, changes: Sequence[Change | None]) -> Stroke:
-        return self._told(super()._did(changes))
+        return self._composite_changes(super()._did(changes))
 
-    def _told(self, changes: Sequence[Change]) -> Stroke:
+    def _composite_changes(self, changes: Sequence[Change]) -> Stroke:
         """Store and return changes as those of the composite."""
         names = dict.fromkeys((*bottom_names(self._texture), ALPHA.name))  # undone, alpha may be gone
 
-        def seen(draft: OctreeTexture) -> OctreeTexture:
+        def composite(draft: OctreeTexture) -> OctreeTexture:
             stored = {
-                name: [each for each in (composite_name(name), name) if each in draft.channels]
+                name: composite_name(name) if composite_name(name) in draft.channels else name
                 for name in names
             }
-            return shown(draft, {name: found[0] for name, found in stored.items() if found})
+            return shown(draft, {name: each for name, each in stored.items() if each in draft.channels})
 
-        self.changes = tuple(Change(tiles, *map(seen, drafts)) for tiles, *drafts in changes)
+        self.changes = tuple(Change(tiles, *map(composite, drafts)) for tiles, *drafts in changes)
         return self.changes
 
     def put(self, change: Change) -> Stroke:
@@ -347,9 +348,7 @@ class Layers(Painter):
         if change.tiles is not None or not before.keys() < after.keys():
             raise ArgumentError("with layers only changes that add channels can be put in")
         channels = {**self._texture.channels, **{name: after[name] for name in after if name not in before}}
-        return super().put(
-            Change(None, self._texture, self._texture.with_cells(self._texture.tree, channels))
-        )
+        return super().put(Change(None, self._texture, with_channels(self._texture, channels)))
 
     def covered(self, *, erases: bool) -> list[str] | None:
         """Return the channels whose coverage an eraser or a mask paints; None for other paint."""
@@ -368,16 +367,16 @@ class Layers(Painter):
             return True
         if not isinstance(step, Restacked):
             was_moved = super()._moved(source, target)
-            self._told([change.inverted() for change in reversed(step)] if undoes else step)
+            self._composite_changes([change.inverted() for change in reversed(step)] if undoes else step)
             return was_moved
         self._apply(Restacked(step.after, step.before, step.channels) if undoes else step)
         target.append(source.pop())
         return True
 
 
-def _without(stack: Stack, other: Stack) -> list[Layer]:
+def _without(stack: Stack, removed: Stack) -> list[Layer]:
     """Return the layers of a stack that another one lacks."""
-    numbers = {layer.number for layer in other}
+    numbers = {layer.number for layer in removed}
     return [layer for layer in stack if layer.number not in numbers]
 
 

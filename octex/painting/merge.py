@@ -16,7 +16,6 @@ from octex.arrays import Int64s
 from octex.channels import ALPHA, alpha_of
 from octex.checks import as_choice, as_number
 from octex.conversion import large
-from octex.editing.averages import with_summed_areas
 from octex.editing.draft import (
     STEPS,
     Change,
@@ -31,20 +30,19 @@ from octex.editing.draft import (
     with_alpha,
     with_channels_of,
 )
-from octex.editing.nodes import nodes_at
 from octex.editing.runs import carried
 from octex.editing.split import refaced
 from octex.errors import ArgumentError, own_making
-from octex.painting.blend import Merge, Merged, averaged_above, no_parts
+from octex.painting.blend import Merge, Merged, averaged_above, no_parts, with_areas_above
 from octex.painting.image import BLENDS, Blend
-from octex.painting.layer import Paint, channel_of, paint_of
+from octex.painting.layer import Paint, leaves_by_level, paint_of, painted_channel
 from octex.painting.steps import delete_paint, merge_draft
 from octex.painting.surface import Job, PaintedSurface
 from octex.parallel import Progress, Run, as_run, ordered_map, sharing, silent, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.areas import SKIRT
-from octex.tree.edit import among, locate, rebuilt, with_all_above
+from octex.tree.edit import among, locate, rebuilt
 from octex.tree.neighbours import with_boundary
 from octex.tree.octree import distinct
 
@@ -120,7 +118,9 @@ def merged(
     """
     as_choice(blend, BLENDS, "blend")
     opacity = as_number(opacity, "opacity", 0.0, 1.0)
-    form = channel_of(layer)
+    if len(layer.channels) != 2 or ALPHA.name not in layer.channels:
+        raise ArgumentError("a layer must have one channel and alpha, its coverage")
+    form = layer.channels[painted_channel(layer)].format
     target = form.name if into is None else into
     if blend == "erase":
         target = alpha_of(target) or target
@@ -155,9 +155,9 @@ def _merge_at_once(task: Merge) -> Change | None:
         return None
     around = tiles_around(texture, [each.codes for each in paint], task.coarsest)
     draft = texture if around is None else cut_out(texture, around)
-    made = merge_draft(task, draft, paint)
+    merged_draft = merge_draft(task, draft, paint)
     task.job.progress("merge", 1, 1)
-    return None if made is None else Change(around, draft, delete_paint(made))
+    return None if merged_draft is None else Change(around, draft, delete_paint(merged_draft))
 
 
 class _Piece(NamedTuple):
@@ -171,7 +171,7 @@ class _Piece(NamedTuple):
 
 
 def coarsest_near_layer(texture: OctreeTexture, layer: OctreeTexture) -> int:
-    """Return the level of the texture's largest leaf or kept node in or next to which a layer lies."""
+    """Return the level of the texture's largest leaf or kept node that a layer lies in or adjoins."""
     tree = layer.tree
     largest = next((level for level, (leaves, _) in enumerate(tree.cells_by_depth()) if leaves), 0)
     codes = tree.level_codes(largest)
@@ -203,28 +203,28 @@ def _merge_pieces(task: Merge, pieces: Sequence[Tiles]) -> Change | None:
     bright = brightest_tiles(texture, level)
 
     def merge_piece(tiles: Tiles) -> _Piece | None:
-        near = with_boundary(tiles.codes, level)
-        opened = Tiles(level, distinct(np.concatenate([with_boundary(near, level), bright])))
-        layer = cut_out(task.layer, Tiles(level, near))
-        paint = _inside(paint_of(layer, task.opacity), near, level)
+        around = with_boundary(tiles.codes, level)
+        opened = Tiles(level, distinct(np.concatenate([with_boundary(around, level), bright])))
+        layer = cut_out(task.layer, Tiles(level, around))
+        paint = _inside(paint_of(layer, task.opacity), around, level)
         with workers(Run(threads=1)) as one_worker:
             job = task.job._replace(executor=one_worker, progress=silent)
-            made = merge_draft(task._replace(job=job, layer=layer), cut_out(texture, opened), paint)
-        if made is None:
+            draft = merge_draft(task._replace(job=job, layer=layer), cut_out(texture, opened), paint)
+        if draft is None:
             return None
-        tree = made.texture.tree
+        tree = draft.texture.tree
         ends, walk = tree.arrays.level_cells, list(tree.walk())
         new, fresh = (
-            [cells[chosen[ends[at] : ends[at + 1]]] for at, (cells, _) in enumerate(walk)]
-            for chosen in (made.is_new, made.is_fresh)
+            [codes[chosen[ends[at] : ends[at + 1]]] for at, (codes, _) in enumerate(walk)]
+            for chosen in (draft.is_new, draft.is_fresh)
         )
         lists = []
-        for each in (made.painted, new, fresh, made.added):
-            inside = [cells >> 3 * (at - level) for at, cells in enumerate(each) if at >= level]
+        for by_level in (draft.painted, new, fresh, draft.added):
+            inside = [codes >> 3 * (at - level) for at, codes in enumerate(by_level) if at >= level]
             inside_tiles = distinct(np.concatenate([tiles.codes[:0], *inside]))
             lists.append(inside_tiles[among(inside_tiles, tiles.codes)])
-        top, parts = (cut_out(each.level(level), tiles) for each in (made.texture, made.parts))
-        return _Piece(tiles, cut_out(made.texture, tiles), top, parts, made.averages_rows, lists)
+        top, parts = (cut_out(each.level(level), tiles) for each in (draft.texture, draft.parts))
+        return _Piece(tiles, cut_out(draft.texture, tiles), top, parts, draft.averages_rows, lists)
 
     window = _LEAST_AT_ONCE if large.is_mapped() else _AT_ONCE
     with own_making():
@@ -237,8 +237,9 @@ def _merge_pieces(task: Merge, pieces: Sequence[Tiles]) -> Change | None:
             return None
         before, task = texture.level(level), task._replace(layer=task.layer.level(level))
         top = averaged_above(task, before, _top(before, task.layer, merged_pieces))
-        made = put_together(delete_paint(top), texture, [(each.tiles, each.whole) for each in merged_pieces])
-    return change_in(Tiles(level, np.concatenate([each.codes for each in pieces])), texture, made)
+        drafts = [(each.tiles, each.whole) for each in merged_pieces]
+        after = put_together(delete_paint(top), texture, drafts)
+    return change_in(Tiles(level, np.concatenate([each.codes for each in pieces])), texture, after)
 
 
 def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:
@@ -252,7 +253,7 @@ def _inside(paint: Sequence[Paint], tiles: Int64s, level: int) -> list[Paint]:
 def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) -> Merged:
     """Return the texture down to the tiles, with the pieces' values; its nodes are not averaged yet."""
     level, none = pieces[0].tiles.level, np.empty(0, np.int64)
-    leaves = [codes[~is_node] for codes, is_node in before.tree.walk()]
+    leaves = [codes for _, _, codes in leaves_by_level(before.tree)]
     for each in pieces:
         codes, _ = next(islice(each.top.tree.walk(), level, None))
         leaves[level] = distinct(np.concatenate([leaves[level], codes[among(codes, each.tiles.codes)]]))
@@ -260,13 +261,13 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
     tree = edited.tree
     areas = np.where(edited.old < 0, SKIRT, tree.arrays.areas)
     for at, (codes, _) in enumerate(tree.walk()):
-        here = slice(*tree.arrays.level_cells[at : at + 2].tolist())
+        span = slice(*tree.arrays.level_cells[at : at + 2].tolist())
         where = locate(layer.tree, codes, at)
-        is_painted = (edited.old[here] < 0) & (where.levels == at)
-        areas[here][is_painted] = layer.tree.arrays.areas[where.cells[is_painted]]
+        is_painted = (edited.old[span] < 0) & (where.levels == at)
+        areas[span][is_painted] = layer.tree.arrays.areas[where.cells[is_painted]]
     tree = tree.with_cell_data(tree.arrays.flags, areas, tree.split, tree.kept)
     base = before.with_cells(tree, carried(before, edited))
-    made = refaced(put_together(base, base, [(each.tiles, each.top) for each in pieces]))
+    texture = refaced(put_together(base, base, [(each.tiles, each.top) for each in pieces]))
     names = sorted({name for each in pieces for name in each.parts.channels})
     trees = tree, *(each.parts.tree for each in pieces)
     base, *tops = (before.with_cells(each, no_parts(each, names)) for each in trees)
@@ -275,18 +276,17 @@ def _top(before: OctreeTexture, layer: OctreeTexture, pieces: Sequence[_Piece]) 
         for each, top in zip(pieces, tops, strict=True)
     ]
     parts = refaced(put_together(base, base, painted_parts))
-    tree = made.tree
     columns = zip(*(each.lists for each in pieces), strict=True)
     painted, new, fresh, added = (distinct(np.concatenate(column)) for column in columns)
     if added.size:
-        tree = with_summed_areas(tree, nodes_at(tree, with_all_above([none] * level + [added])[:-1]))
-    codes, first = tree.level_codes(level), int(tree.arrays.level_cells[level])
+        texture = with_areas_above(texture, [none] * level + [added])
+    codes, first = texture.tree.level_codes(level), int(texture.tree.arrays.level_cells[level])
     is_new, is_fresh = edited.old < 0, edited.old < 0
     is_new[first:] |= among(codes, new)
     is_fresh[first:] |= among(codes, fresh)
     return Merged(
-        made.with_cells(tree, made.channels),
-        parts.with_cells(tree, parts.channels),
+        texture,
+        parts.with_cells(texture.tree, parts.channels),
         is_fresh,
         is_new,
         [none] * level + [painted],

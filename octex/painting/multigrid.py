@@ -39,8 +39,8 @@ class _Level(NamedTuple):
 
 def graph_of(pairs: Int64s, weights: Float64s, count: int) -> Graph:
     """Return the graph of ``count`` nodes whose edges are pairs (k, 2); equal pairs add their weights."""
-    one, other = pairs.T
-    keys = np.concatenate([one * count + other, other * count + one])
+    first, second = pairs.T
+    keys = np.concatenate([first * count + second, second * count + first])
     keys, inverse = np.unique(keys, return_inverse=True)
     summed = added(inverse, np.concatenate([weights, weights]), keys.size)
     rows = keys // max(count, 1)
@@ -71,20 +71,20 @@ def solve(graph: Graph, codes: Int64s, level: int, hold: Float64s, right: Float6
     ``codes`` (n,) are the Morton codes of the nodes' cells; each part needs a ``hold`` (n,) above 0.
     """
     levels = []
-    here, cells = graph, codes
+    level_graph, cells = graph, codes
     for _ in range(level + 1):
-        rows = np.repeat(np.arange(hold.size), np.diff(here.starts))
-        diagonal = hold + added(rows, here.weights, hold.size)
-        above_graph, cells, above = coarser(here, cells)
-        levels.append(_Level(here, diagonal, above))
-        if not here.others.size:
+        rows = np.repeat(np.arange(hold.size), np.diff(level_graph.starts))
+        diagonal = hold + added(rows, level_graph.weights, hold.size)
+        above_graph, cells, above = coarser(level_graph, cells)
+        levels.append(_Level(level_graph, diagonal, above))
+        if not level_graph.others.size:
             break  # no edges are left: each node is solved by itself
-        here, hold = above_graph, added(above, hold, cells.size)
+        level_graph, hold = above_graph, added(above, hold, cells.size)
 
     def left_sides(x: Float64s) -> Float64s:
-        found = np.empty_like(x)
-        _apply(graph, levels[0].diagonal, x, found)
-        return found
+        sums = np.empty_like(x)
+        _apply(graph, levels[0].diagonal, x, sums)
+        return sums
 
     return conjugate_gradients(left_sides, right, lambda residual: _cycle(levels, 0, residual), _LESS, _STEPS)
 
@@ -114,28 +114,28 @@ def conjugate_gradients(
     return x
 
 
-def _products(one: Values, other: Values) -> Float64s:
+def _products(first: Values, second: Values) -> Float64s:
     """Return the real parts of the inner products of columns."""
-    found: Float64s = (np.conj(one) * other).real.sum(axis=0)
-    return found
+    products: Float64s = (np.conj(first) * second).real.sum(axis=0)
+    return products
 
 
-def _cycle(levels: list[_Level], at: int, right: Float64s) -> Float64s:
+def _cycle(levels: list[_Level], number: int, right: Float64s) -> Float64s:
     """Return an approximate solution of a level's equation."""
-    graph, diagonal, above = levels[at]
+    graph, diagonal, above = levels[number]
     x = np.zeros_like(right)
     _relax(graph, diagonal, right, x, 0)
-    if at + 1 < len(levels):
-        left = np.empty_like(right)
-        for cycle in range(_CYCLES if at and graph.others.size > _FEW else 1):
+    if number + 1 < len(levels):
+        residual = np.empty_like(right)
+        for cycle in range(_CYCLES if number and graph.others.size > _FEW else 1):
             if cycle:
                 _relax(graph, diagonal, right, x, 1)
                 _relax(graph, diagonal, right, x, 0)
-            _apply(graph, diagonal, x, left)
-            np.subtract(right, left, out=left)
-            coarse = np.zeros((levels[at + 1].diagonal.size, right.shape[1]))
-            _gather(above, left, coarse)
-            x += _cycle(levels, at + 1, coarse)[above]
+            _apply(graph, diagonal, x, residual)
+            np.subtract(right, residual, out=residual)
+            coarse = np.zeros((levels[number + 1].diagonal.size, right.shape[1]))
+            _gather(above, residual, coarse)
+            x += _cycle(levels, number + 1, coarse)[above]
     _relax(graph, diagonal, right, x, 1)
     return x
 
@@ -154,14 +154,14 @@ def _relax(graph: Graph, diagonal: Float64s, right: Float64s, x: Float64s, backw
 
 
 @kernel
-def _apply(graph: Graph, diagonal: Float64s, x: Float64s, found: Float64s) -> None:
+def _apply(graph: Graph, diagonal: Float64s, x: Float64s, left_sides: Float64s) -> None:
     """Write the left sides of all nodes' equations."""
     for n in range(diagonal.size):
         for component in range(x.shape[1]):
             total = diagonal[n] * x[n, component]
             for row in range(graph.starts[n], graph.starts[n + 1]):
                 total -= graph.weights[row] * x[graph.others[row], component]
-            found[n, component] = total
+            left_sides[n, component] = total
 
 
 @kernel

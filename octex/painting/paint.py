@@ -5,31 +5,42 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import astuple
 from itertools import groupby
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from octex.arrays import Float32s
 from octex.cameras.camera import Camera
-from octex.channels import ChannelFormat
-from octex.checks import as_flag
+from octex.channels import ALPHA, CHANNELS, ChannelFormat, color_in_light
+from octex.checks import as_choice, as_flag, as_reals
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
-from octex.painting.first import started, with_coverage
+from octex.painting.first import FILLS, Fill, started, with_coverage
 from octex.painting.image import Projection, check_projections, content_of, room_for
 from octex.painting.layer import CELLS, FINEST_CELLS, PaintSource, wanted_depths
 from octex.painting.merge import Merging, merged
-from octex.painting.options import Balance, Fill, Fusion, Holes, PaintOptions, fill_of, format_of
 from octex.painting.project import AROUND, in_fixed_order, take_shots
-from octex.painting.reading import Shot, terms_of
+from octex.painting.reading import Shot
 from octex.painting.resume import Stages, stages_in
 from octex.painting.steps import Raster, layer_from, rasterize_surface
-from octex.painting.surface import Job, PaintedSurface, key_of, laid_flat
+from octex.painting.surface import (
+    Balance,
+    Fusion,
+    Job,
+    PaintedSurface,
+    PaintOptions,
+    key_of,
+    laid_flat,
+    terms_of,
+)
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
 from octex.tree.placement import Placement
+
+#: Contents of a new texture where no image sees the surface: cells or none, or a value of the channel.
+Holes: TypeAlias = Fill | npt.ArrayLike
 
 #: Deepest level without ``max_depth``: cells of a 16,000th of the model.
 _DEEPEST = 14
@@ -117,14 +128,14 @@ def painted_by(
     """Paint as `paint` does; the layers of paint are appended to ``layers``."""
     as_surface(surface)
     fill = fill_of(holes, format_of(texture, options.channel))
-    is_covered, given = as_flag(coverage, "coverage"), check_projections(projections)
+    is_covered, images = as_flag(coverage, "coverage"), check_projections(projections)
     if is_covered and layers is None:
         layers = []
     model = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
-    with workers(run) as pool, room_for(given, run):
+    with workers(run) as pool, room_for(images, run):
         job = Job(model, pool, run.report, stages_in(run.resume))
-        for made, _ in painted(job, texture, given, options, fill, layers):
-            texture = made
+        for painted_texture, _ in painted(job, texture, images, options, fill, layers):
+            texture = painted_texture
     assert texture is not None
     return with_coverage(texture, layers) if is_covered and layers else texture
 
@@ -190,11 +201,11 @@ def project(
         channel, max_depth, max_angle, edge_feather, fusion, balance, reference, back_faces, fit, hidden,
         region,
     )  # fmt: skip
-    given = check_projections(projections)
+    images = check_projections(projections)
     model = PaintedSurface(surface if like is None else surface.placed_in(like))
-    with workers(run) as pool, room_for(given, run):
-        job, given = laid_flat(Job(model, pool, run.report, stages_in(run.resume)), given, like)
-        return layer_of(job, given, like, options)
+    with workers(run) as pool, room_for(images, run):
+        job, images = laid_flat(Job(model, pool, run.report, stages_in(run.resume)), images, like)
+        return layer_of(job, images, like, options)
 
 
 def layer_of(
@@ -226,26 +237,27 @@ def _raster_of(
     options: PaintOptions,
     stages: Stages,
 ) -> Raster:
-    """Project images, which are released on return; ``stages`` are those of all these images.
+    """Project images; ``stages`` are those of all these images.
 
     ``scales`` multiply their alpha.
     """
     surface = job.surface.surface
     is_single = len(images) == 1
     around = AROUND if is_single and options.edge_feather < AROUND else None
-    shots = _look(job, form, images, scales, options, around)
+    shots = _shots_of(job, form, images, scales, options, around)
     reference = None if options.reference is None else shots[options.reference]
-    shots = in_fixed_order(shots)
+    if not is_single:
+        shots = in_fixed_order(shots)
     angle = cast(float, options.max_angle)
     terms = terms_of(angle, options.edge_feather, options.back_faces, options.hidden)
     source = job.surface.projected(shots, form, terms, options.region)
-    near = source.near_paint(_REACH)
+    cropped = source.near_paint(_REACH)
     size = float(np.ptp(surface.bounds, axis=0).max()) if like is None else like.placement.size
     cells, most = CELLS, _DEEPEST
     if options.max_depth is not None:
         cells, most = FINEST_CELLS, options.max_depth
-    footprints = near.footprints()
-    if not np.isfinite(footprints[0]).any():  # what is seen faces away
+    footprints = cropped.footprints()
+    if not np.isfinite(footprints[0]).any():  # all visible surface faces away
         nowhere = Placement.around(surface.bounds, 0) if like is None else like.placement
         return Raster(tuple(source.channels), nowhere, surface.bounds, None)
     finest = wanted_depths(*footprints, size, FINEST_CELLS, is_single=is_single).deepest
@@ -254,14 +266,14 @@ def _raster_of(
     # Footprints of larger cells reach farther.
     reach = _REACH << max(finest - depth, 0)
     if around is not None and reach > around:
-        source = source.with_shots(_look(job, form, images, scales, options, None))
-    source = near if finest <= depth else source.near_paint(reach)
+        source = source.with_shots(_shots_of(job, form, images, scales, options, None))
+    source = cropped if finest <= depth else source.near_paint(reach)
     placement = Placement.around(surface.bounds, depth) if like is None else like.placement
     if like is not None:
         check_inside(surface, placement)
     paint: PaintSource = source
     number = None if reference is None else [shot is reference for shot in shots].index(True)
-    del shots, near, reference  # they hold copies of the visible surface
+    del shots, cropped, reference  # they hold copies of the visible surface
     if not is_single:
         from octex.photos.weigh import weighed  # a single image does not load it
 
@@ -269,7 +281,7 @@ def _raster_of(
     return rasterize_surface(job, paint, placement, depths, fit=options.fit, cells=cells)
 
 
-def _look(
+def _shots_of(
     job: Job,
     form: ChannelFormat,
     images: Sequence[Projection],
@@ -283,9 +295,8 @@ def _look(
         cameras, options.edge_feather, job.executor, job.stages, hidden=options.hidden
     )
     shots = []
-    taken = take_shots(images, form, scales, sights, job.executor, around=around, stages=job.stages)
     job.progress("look", 0, len(images))
-    for shot in taken:
+    for shot in take_shots(images, form, scales, sights, job.executor, around=around, stages=job.stages):
         shots.append(shot)
         job.progress("look", len(shots), len(images))
     return shots
@@ -300,3 +311,41 @@ def check_inside(surface: Surface, placement: Placement) -> None:
             f"{surface.bounds[1].round(6).tolist()}, out of the texture's root cell at {placement.origin} of "
             f"size {placement.size:g}: the texture belongs to another model, or to other rest positions"
         )
+
+
+def format_of(texture: OctreeTexture | None, channel: str) -> ChannelFormat:
+    """Return the format of a channel, in a texture or in a new one."""
+    if texture is not None:
+        as_choice(channel, as_texture(texture).channels, "channel of the texture")
+        form = texture.channels[channel].format
+    else:
+        form = CHANNELS[as_choice(channel, CHANNELS, "channel")]
+    if channel == ALPHA.name:
+        raise ArgumentError('alpha is painted with blend="erase", or as the alpha of images')
+    if form.components > 3:
+        raise ArgumentError(f"channel {channel!r} has {form.components} components; images have three")
+    return form
+
+
+def value_of(color: npt.ArrayLike | str, form: ChannelFormat) -> Float32s:
+    """Return a colour as a channel's values (components,), or raise ArgumentError."""
+    if isinstance(color, str):
+        return color_in_light(color, form)
+    shapes = [(form.components,), *([()] if form.components == 1 else [])]
+    most = float(np.finfo(np.float32).max)
+    value = np.atleast_1d(as_reals(color, f"color of {form.name!r}", *shapes, most=most))
+    least = -1.0 if form.space == "direction" else 0.0
+    if form.dtype.startswith("u") and not ((value >= least) & (value <= 1.0)).all():
+        example = ', or write "#rrggbb"' if form.space == "srgb" else ""
+        raise ArgumentError(
+            f"color of {form.name!r} must be from {least:g} to 1, not {color!r}; divide numbers up to 255 by "
+            f"255{example}"
+        )
+    return value.astype(np.float32)
+
+
+def fill_of(holes: Holes, form: ChannelFormat) -> Fill | Float32s:
+    """Return how to fill unseen surface, checked; a colour as a channel's values (components,)."""
+    if isinstance(holes, str) and not holes.startswith("#"):
+        return cast(Fill, as_choice(holes, FILLS, "holes"))
+    return value_of(holes, form)

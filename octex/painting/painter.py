@@ -20,10 +20,9 @@ from octex.editing.draft import Change, as_change
 from octex.errors import OutputError
 from octex.painting.image import Blend, Projection, check_projections
 from octex.painting.merge import Merging, merged
-from octex.painting.options import Balance, Fusion, PaintOptions
 from octex.painting.paint import painted
 from octex.painting.region import Region, filled
-from octex.painting.surface import Job, PaintedSurface
+from octex.painting.surface import Balance, Fusion, Job, PaintedSurface, PaintOptions
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.surface import Surface, as_surface
 from octex.texture import OctreeTexture, as_texture
@@ -199,10 +198,11 @@ class Painter:
         changes: list[Change | None] = []
         run = as_run(run, threads, progress)
         with workers(run) as pool:
-            job, given = Job(self._posed(pose), pool, run.report), check_projections(projections)
+            painted_surface = self._painted if pose is None else self._posed(pose)
+            job, images = Job(painted_surface, pool, run.report), check_projections(projections)
             try:
                 for texture, change in painted(
-                    job, self._texture, given, options, merge=self._merging, put=self._put
+                    job, self._texture, images, options, merge=self._merging, put=self._put
                 ):
                     self._texture = texture
                     changes.append(change)
@@ -230,8 +230,8 @@ class Painter:
         run = as_run(run, threads, progress)
         with workers(run) as pool:
             job = Job(self._painted, pool, run.report)
-            what = region, color, channel, opacity, blend, max_depth, self._merging
-            _, change = filled(job, self._texture, self._surface, *what)
+            paint = region, color, channel, opacity, blend, max_depth, self._merging
+            _, change = filled(job, self._texture, self._surface, *paint)
         if change is not None:
             self._texture = self._put(change, self._texture)
         return self._did([change])
@@ -259,19 +259,17 @@ class Painter:
         target.append(stroke)
         return True
 
-    def _posed(self, pose: Surface | None) -> PaintedSurface:
-        if pose is None:
-            return self._painted
+    def _posed(self, pose: Surface) -> PaintedSurface:
         if self._pose is None or self._pose[0] is not pose:
             surface = as_surface(pose, "pose").placed_in(self._texture)
             self._pose = pose, self._painted.posed(surface)
         return self._pose[1]
 
     def _put(self, change: Change, texture: OctreeTexture) -> OctreeTexture:
-        made = change.put_into(texture, self._shared)
+        changed = change.put_into(texture, self._shared)
         if change.tiles is None:  # the change and the Painter share the texture
-            self._shared = made
-        return made
+            self._shared = changed
+        return changed
 
     def _did(self, changes: Sequence[Change | None]) -> Stroke:
         stroke = tuple(change for change in changes if change is not None)

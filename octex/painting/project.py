@@ -51,7 +51,7 @@ from octex.view.visibility import (
 )
 from octex.voxelize.fragments import Blocks
 
-#: Pixels around its paint within which a single image is decoded, a power of two.
+#: A single image is decoded up to this many pixels around its paint; a power of two.
 AROUND = 64
 
 
@@ -94,24 +94,25 @@ def sight_of(
     pinhole = straight(camera)
     view = view_of(pinhole)
 
-    def seen() -> dict[str, Array]:
+    def visible() -> dict[str, Array]:
         if hidden:
             size = pinhole.height, pinhole.width
             none = np.zeros(1, np.int32), np.zeros((1, 3)), np.zeros(2, np.int64)
-            found = Visibility(np.zeros(size, np.int32), *none)
+            visibility = Visibility(np.zeros(size, np.int32), *none)
         else:
-            found = visibility_of(vertices, triangles, pinhole, executor)
-        return {**found._asdict(), "margins": distances_to_edges(found, view, max(feather, TRUSTED) + 1.0)}
+            visibility = visibility_of(vertices, triangles, pinhole, executor)
+        margins = distances_to_edges(visibility, view, max(feather, TRUSTED) + 1.0)
+        return {**visibility._asdict(), "margins": margins}
 
     def is_sound(arrays: Mapping[str, Array]) -> bool:
-        rows, seen = arrays["rows"], arrays["triangles"]
-        is_in = rows.min() >= -1 and rows.max() < len(seen) == len(arrays["planes"])
-        return bool(is_in and ((seen >= 0) & (seen < len(triangles))).all())
+        rows, numbers = arrays["rows"], arrays["triangles"]
+        is_in = rows.min() >= -1 and rows.max() < len(numbers) == len(arrays["planes"])
+        return bool(is_in and ((numbers >= 0) & (numbers < len(triangles))).all())
 
     stage = stages.of(lambda: [(pinhole.height, pinhole.width), *view, feather, hidden])
-    found = stage.arrays("sight", seen, is_sound)
-    visibility = Visibility(*(found[name] for name in Visibility._fields))
-    return stages.placed(Sight(view, camera.K, camera.lens, visibility, found["margins"]))
+    stored = stage.arrays("sight", visible, is_sound)
+    visibility = Visibility(*(stored[name] for name in Visibility._fields))
+    return stages.placed(Sight(view, camera.K, camera.lens, visibility, stored["margins"]))
 
 
 def most_ahead() -> int:
@@ -143,32 +144,30 @@ def take_shots(
 
 def in_fixed_order(shots: Sequence[Shot]) -> list[Shot]:
     """Sort shots by content, so that sums and fits do not depend on their order."""
-    if len(shots) < 2:
-        return list(shots)
     return sorted(shots, key=lambda shot: order_key(shot.camera, shot.K, shot.lens, shot.mips))
 
 
 def order_key(camera: View, K: Float64s, lens: Float64s, mips: Mips) -> bytes:
     """Return a digest of a camera and an image, by which `in_fixed_order` sorts."""
-    made = hashlib.sha256(bytes([camera.is_pinhole]))
+    digest = hashlib.sha256(bytes([camera.is_pinhole]))
     smaller = mips.pixels[mips.sizes[min(1, len(mips.sizes) - 1), 0] :]  # its first mip has all that differs
     for array in (camera.world_to_camera, camera.K, K, lens, smaller):
-        made.update(np.ascontiguousarray(array).data)
-    return made.digest()
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.digest()
 
 
-def _spread(marked: Bools, reach: int) -> Bools:
-    """Mark all pixels in the squares that reach ``reach`` pixels around marked ones."""
-    wide = marked.copy()
-    for along in (wide, wide.T):
-        reached = 0
+def spread(marked: Bools, reach: int) -> Bools:
+    """Mark all places within ``reach`` of marked ones along each axis."""
+    marked = marked.copy()
+    for axis in range(marked.ndim):
+        along, reached = np.moveaxis(marked, axis, 0), 0
         while reached < reach:
             step = min(reached + 1, reach - reached)  # wider steps would leave gaps
             before = along.copy("K")
             along[step:] |= before[:-step]
             along[:-step] |= before[step:]
             reached += step
-    return wide
+    return marked
 
 
 #: Pixels that are tried for triangles whose corners and centroid no image shows.
@@ -211,15 +210,15 @@ class Projected(PaintSource):
             width, height = shot.mips.sizes[0, 1:]
             has_paint = shot.mips.pixels[: width * height, 3].reshape(height, width) > 0
             if not is_bent(shot.lens) and not has_paint.all():
-                rows = np.where(_spread(has_paint, reach), shot.seen.rows, np.int32(-1))
+                rows = np.where(spread(has_paint, reach), shot.seen.rows, np.int32(-1))
                 shot = shot._replace(seen=shot.seen._replace(rows=large.moved(rows)))
             shots.append(shot)
         return self.with_shots(shots)
 
     @built_once
     def _normals(self) -> Float32s:
-        every = np.arange(len(self.triangles), dtype=np.int32)
-        return self.shading(every) if self.normals is None else self.normals
+        triangles = np.arange(len(self.triangles), dtype=np.int32)
+        return self.shading(triangles) if self.normals is None else self.normals
 
     def touched(self) -> Int32s:
         """Return the triangles that a shot sees, or that it may paint though they are hidden."""
@@ -234,7 +233,7 @@ class Projected(PaintSource):
             return _pixels_under(shot.camera, _summed(shot.seen.rows), self.vertices, self.triangles)
         return _pixels_of(shot.seen, len(self.triangles))
 
-    def near(self, triangles: Int32s) -> Projected:
+    def prepared_for(self, triangles: Int32s) -> Projected:
         """Return this paint, with the normals of these triangles only."""
         normals = np.zeros((len(self.triangles), 3, 3), np.float32)  # untouched memory costs nothing
         normals[triangles] = self.shading(triangles)
@@ -242,22 +241,22 @@ class Projected(PaintSource):
 
     def reaches(self, blocks: Blocks, placement: Placement, rest: Float64s) -> Bools:
         """Return which blocks a shot may see."""
-        found, edge = np.zeros(blocks.codes.size, np.bool_), placement.size / 2**blocks.level
+        is_reached, edge = np.zeros(blocks.codes.size, np.bool_), placement.size / 2**blocks.level
         corners = placement.to_rest(decode_cells(blocks.codes) / 2**blocks.level)
         mesh = self.vertices, self.triangles, rest
         back_faces = self.terms.back_faces or blocks.bits > SMALL_BITS  # larger blocks count for cells above
         for shot in self.shots:
             seen = _summed(shot.seen.rows)
-            _mark_seen(shot.camera, seen, *mesh, back_faces, blocks, corners, edge, found)
-        return found
+            _mark_seen(shot.camera, seen, *mesh, back_faces, blocks, corners, edge, is_reached)
+        return is_reached
 
     def evaluate(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> Float32s:
         """Return paint, linear for colours, and coverage (n, components + 1); zeros without paint."""
         where = triangles, barycentric
         sums, clear = self._sums(self.shots, *where, widths, self._finest(*where))
-        found = np.zeros((len(triangles), self.form.components + 1), np.float32)
-        finish(self.terms, sums, clear, found)
-        return found
+        values = np.zeros((len(triangles), self.form.components + 1), np.float32)
+        finish(self.terms, sums, clear, values)
+        return values
 
     def each(self, triangles: Int32s, barycentric: Float64s, widths: Float32s) -> tuple[Float32s, Float32s]:
         """Return each shot's paint (shots, n, 3), and its weight (shots, n), the largest of a point 1."""
@@ -291,8 +290,8 @@ class Projected(PaintSource):
         for shot in shots:
             add_paint(shot, self.terms, *mesh, triangles, barycentric, widths, finest, sums, clear)
         if self.chosen is not None:
-            others = ~self.chosen[triangles]
-            sums[others], clear[others] = 0.0, 1.0
+            unchosen = ~self.chosen[triangles]
+            sums[unchosen], clear[unchosen] = 0.0, 1.0
         return sums, clear
 
     def positions(self, triangles: Int32s, barycentric: Float64s) -> Float64s:
@@ -337,8 +336,8 @@ class Projected(PaintSource):
     def _inner_points(self, shot: Shot, triangles: Int32s) -> Float64s:
         """Return barycentric coordinates (n, 3) of the nearest points that some pixels of the shot see."""
         rows, columns = np.nonzero(shot.seen.rows >= 0)
-        some = slice(None, None, max(rows.size // _PIXELS, 1))
-        pixels = np.stack([columns[some] + 0.5, rows[some] + 0.5, np.ones_like(rows[some])])
+        step = slice(None, None, max(rows.size // _PIXELS, 1))
+        pixels = np.stack([columns[step] + 0.5, rows[step] + 0.5, np.ones_like(rows[step])])
         rays = shot.camera.inverse_k @ pixels
         axes, offset = shot.camera.world_to_camera[:3, :3], shot.camera.world_to_camera[:3, 3]
         corners = self.vertices[self.triangles[triangles]] @ axes.T + offset
@@ -351,9 +350,9 @@ class Projected(PaintSource):
         volumes = np.einsum("nc,nc->n", across[:, 0], corners[:, 0])[:, None]
         is_on = ((shares * np.sign(volumes)[..., None]).min(axis=1) >= 0.0) & (sums * volumes > 0.0)
         nearest = np.where(is_on, np.abs(sums), 0.0).argmax(axis=1)[:, None]
-        found = np.take_along_axis(shares, nearest[..., None], axis=2)[..., 0]
+        inner = np.take_along_axis(shares, nearest[..., None], axis=2)[..., 0]
         sums = np.take_along_axis(np.where(is_on, sums, np.inf), nearest, axis=1)
-        return cast(Float64s, np.where(np.isfinite(sums), found / sums, 1 / 3))
+        return cast(Float64s, np.where(np.isfinite(sums), inner / sums, 1 / 3))
 
     def texel_edges(self, triangles: Int32s) -> Float32s:
         """Return the width of the finest pixel on triangles (n,), at rest; infinity for none."""
@@ -369,14 +368,14 @@ class Projected(PaintSource):
 
 
 @kernel
-def _pixels_of(seen: Visibility, count: int) -> Int32s:
+def _pixels_of(seen: Visibility, n_triangles: int) -> Int32s:
     """Return the pixels that see each of ``count`` triangles."""
-    found = np.zeros(count, np.int32)
+    counts = np.zeros(n_triangles, np.int32)
     for row in range(seen.rows.shape[0]):
         for column in range(seen.rows.shape[1]):
             if seen.rows[row, column] >= 0:
-                found[seen.triangles[seen.rows[row, column]]] += 1
-    return found
+                counts[seen.triangles[seen.rows[row, column]]] += 1
+    return counts
 
 
 @kernel
@@ -403,15 +402,15 @@ def _count_in(counts: Int32s, left: float, top: float, right: float, bottom: flo
 
 @kernel
 def _pixels_under(view: View, counts: Int32s, vertices: Float64s, faces: Int32s) -> Int32s:
-    """Return upper bounds of the pixels that see triangles (m,) or what hides them."""
-    found = np.empty(faces.shape[0], np.int32)
+    """Return upper bounds of the pixels that see triangles (m,) or surface that hides them."""
+    bounds = np.empty(faces.shape[0], np.int32)
     for triangle in range(faces.shape[0]):
         left, top, right, bottom, behind = box_in(view, corners_in(view, vertices, faces, triangle))
         if behind:
-            found[triangle] = 0 if behind == 3 else counts[-1, -1]
+            bounds[triangle] = 0 if behind == 3 else counts[-1, -1]
         else:
-            found[triangle] = _count_in(counts, left, top, right, bottom)
-    return found
+            bounds[triangle] = _count_in(counts, left, top, right, bottom)
+    return bounds
 
 
 @kernel
@@ -425,15 +424,15 @@ def _mark_seen(
     blocks: Blocks,
     corners: Float64s,
     edge: float,
-    found: Bools,
+    marks: Bools,
 ) -> None:
     """Mark the blocks with triangles that a view may see and that face it, unless ``back_faces`` count.
 
     A triangle's part in a block lies in a rectangle. One of the four pixels around a painted point sees it.
     """
-    for block in range(found.size):
+    for block in range(marks.size):
         for row in range(blocks.starts[block], blocks.starts[block + 1]):
-            if found[block]:
+            if marks[block]:
                 break
             triangle = blocks.members[row]
             a, b, c = corners_in(view, vertices, faces, triangle)
@@ -447,7 +446,7 @@ def _mark_seen(
                 if abs(seen) > abs(area):
                     axis, area = each, seen
             if area == 0.0:
-                found[block] = True
+                marks[block] = True
                 break
             u, v = (axis + 1) % 3, (axis + 2) % 3
             low_u, high_u = _overlap(corners[block, u], edge, p[u], q[u], r[u])
@@ -461,7 +460,7 @@ def _mark_seen(
             left, top, right, bottom, behind = box_in(view, part)
             is_near = left > -1e9 and right < 1e9 and top > -1e9 and bottom < 1e9
             is_known = is_near and (behind == 0 or not view.is_pinhole)
-            found[block] = not is_known or _count_in(counts, left, top, right, bottom) > 0
+            marks[block] = not is_known or _count_in(counts, left, top, right, bottom) > 0
 
 
 @inlined

@@ -25,8 +25,6 @@ from octex.view.visibility import (
 
 #: Pixels from an edge within which an image counts for less: edges blur with the background.
 TRUSTED = 4.0
-#: Degrees before the largest angle from which paint fades.
-FADE = 10.0
 #: Least share, by weight, of the four pixels around a point that must see it, and the share for full weight:
 #: pixels at an edge mix foreground and background.
 _LEAST_SEEN, _WELL_SEEN = 0.5, 1.0
@@ -62,19 +60,6 @@ class Terms(NamedTuple):
     hidden: bool
     enough: float = 0.0  # width at rest below which finer pixels count no more; 0: none
     is_light: bool = False  # average the square roots of values
-
-
-def terms_of(max_angle: float, feather: float, back_faces: bool, hidden: bool = False) -> Terms:
-    """Return terms; ``max_angle`` is in degrees between the surface's normal and the camera."""
-    vanishing, fading = np.radians(max_angle), np.radians(max(max_angle - FADE, 0.0))
-    whole = max_angle >= 90.0  # no fading
-    return Terms(
-        -1.0 if whole else float(np.cos(fading)),
-        -2.0 if whole else float(np.cos(vanishing)),
-        feather,
-        back_faces,
-        hidden,
-    )
 
 
 @inlined
@@ -169,7 +154,7 @@ def _shaded(
 def _read_near_edge(
     shot: Shot,
     triangle: int,
-    place: tuple[float, float],
+    position: tuple[float, float],
     pixel: tuple[float, float],
     plane: Vector,
     slack: float,
@@ -178,7 +163,7 @@ def _read_near_edge(
 
     Their mean, weighted by nearness, replaces others. ``pixel`` is the place before distortion.
     """
-    (u, v), (x, y) = place, pixel
+    (u, v), (x, y) = position, pixel
     columns, rows = shot.mips.sizes[0, 1], shot.mips.sizes[0, 2]
     height, width = shot.seen.rows.shape
     left, top = int(np.floor(u - 0.5)), int(np.floor(v - 0.5))
@@ -194,9 +179,9 @@ def _read_near_edge(
         i, j = int(np.floor(y + dy)), int(np.floor(x + dx))
         if not (0 <= i < height and 0 <= j < width):
             continue
-        other = shot.seen.rows[i, j]
-        if other < 0 or (
-            shot.seen.triangles[other] != triangle and parts(shot.seen, i, j, pixel, plane, slack)
+        seen_row = shot.seen.rows[i, j]
+        if seen_row < 0 or (
+            shot.seen.triangles[seen_row] != triangle and parts(shot.seen, i, j, pixel, plane, slack)
         ):
             continue
         weight, far = of_y[n // 4] * of_x[n % 4], np.float32(dx * dx + dy * dy + 0.1)
@@ -324,11 +309,11 @@ def add_paint(
         if not (0.0 <= px < width and 0.0 <= py < height):
             continue
         fine = _pixels(view, z)
-        near = base + right * px + down * py
-        slack = tolerance(view, near, right, down, 0.5 * area * cosine * fine * fine)
+        inverse_depth = base + right * px + down * py
+        slack = tolerance(view, inverse_depth, right, down, 0.5 * area * cosine * fine * fine)
         coverage = 1.0
         if not terms.hidden:
-            part = visible_part(shot.seen, triangle, (px, py), (near, right, down), slack)
+            part = visible_part(shot.seen, triangle, (px, py), (inverse_depth, right, down), slack)
             coverage = _smooth((part - _LEAST_SEEN) / (_WELL_SEEN - _LEAST_SEEN))
         if terms.vanishing > -1.0:
             coverage *= _smooth((shaded - terms.vanishing) / (terms.fading - terms.vanishing))
@@ -338,13 +323,13 @@ def add_paint(
             coverage *= _smooth(margin / terms.feather)
         if not coverage > 0.0:
             continue
-        wide = np.float64(widths[n]) / stretch * np.sqrt(cosine) * fine
-        if margin < _NEAR_EDGE and wide < 2.0 and not terms.hidden:
+        footprint = np.float64(widths[n]) / stretch * np.sqrt(cosine) * fine
+        if margin < _NEAR_EDGE and footprint < 2.0 and not terms.hidden:
             red, green, blue, alpha = _read_near_edge(
-                shot, triangle, (u, v), (px, py), (near, right, down), slack
+                shot, triangle, (u, v), (px, py), (inverse_depth, right, down), slack
             )
         else:
-            red, green, blue, alpha = read_paint(shot.mips, u, v, wide)
+            red, green, blue, alpha = read_paint(shot.mips, u, v, footprint)
         if not alpha > 0.0:
             continue
         # Pixels up to twice as wide as the finest count alike, since cameras and meshes are off by a pixel.
@@ -364,15 +349,15 @@ def add_paint(
 
 
 @kernel
-def finish(terms: Terms, sums: Float64s, clear: Float64s, found: Float32s) -> None:
+def finish(terms: Terms, sums: Float64s, clear: Float64s, values: Float32s) -> None:
     """Write the means of weighted sums, and coverage."""
-    components = found.shape[1] - 1
+    components = values.shape[1] - 1
     for n in range(clear.size):
         if sums[n, 3] > 0.0:
             for component in range(components):
                 mean = sums[n, min(component, 2)] / sums[n, 3]
-                found[n, component] = mean * mean if terms.is_light else mean
-            found[n, components] = 1.0 - clear[n]
+                values[n, component] = mean * mean if terms.is_light else mean
+            values[n, components] = 1.0 - clear[n]
 
 
 @kernel
@@ -411,9 +396,9 @@ def narrow(
         if not cosine > 0.0:
             continue
         cosine = max(cosine, _LEAST_COSINE)
-        wide = np.float32(stretches[triangle] / (_pixels(view, z) * np.sqrt(cosine)))
-        if not wide < widths[n]:
+        width = np.float32(stretches[triangle] / (_pixels(view, z) * np.sqrt(cosine)))
+        if not width < widths[n]:
             continue
         u, v = _in_image(shot, *_slopes(view, x, y, z))
         if 0.0 <= u < columns and 0.0 <= v < rows:
-            widths[n] = wide
+            widths[n] = width

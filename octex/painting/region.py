@@ -15,12 +15,11 @@ from octex.checks import answer, as_choice, as_depth, as_number, as_points, as_p
 from octex.editing.draft import Change
 from octex.errors import ArgumentError
 from octex.painting.image import BLENDS, Blend
-from octex.painting.layer import Depths, PaintSource, empty_texture
+from octex.painting.layer import Depths, PaintSource, empty_texture, leaves_by_level
 from octex.painting.merge import Merging, merged
-from octex.painting.options import format_of, triangles_of, value_of
-from octex.painting.paint import check_inside
+from octex.painting.paint import check_inside, format_of, value_of
 from octex.painting.steps import layer_from, rasterize_surface
-from octex.painting.surface import Job, PaintedSurface
+from octex.painting.surface import Job, PaintedSurface, triangles_of
 from octex.parallel import Progress, Run, as_run, workers
 from octex.source.corners import at_corners
 from octex.source.parts import join
@@ -57,9 +56,9 @@ class Sphere(NamedTuple):
 
     def covers(self, points: Float64s) -> Float64s:
         """Return the coverage (n,), 0 … 1, at rest positions (n, 3)."""
-        apart = as_points(points) - np.asarray(self.center, np.float64)
+        offsets = as_points(points) - np.asarray(self.center, np.float64)
         with np.errstate(over="ignore", invalid="ignore"):  # of points that are not finite, or nearly
-            return _falling_off(self.radius - np.linalg.norm(apart, axis=1), self.soft)
+            return _falling_off(self.radius - np.linalg.norm(offsets, axis=1), self.soft)
 
     def bounds(self) -> Float64s:
         """Return the lowest and highest corner (2, 3)."""
@@ -141,8 +140,8 @@ def fill(
     run = as_run(run, threads, progress)
     painted = PaintedSurface(surface if texture is None else surface.placed_in(as_texture(texture)))
     with workers(run) as pool:
-        job, what = Job(painted, pool, run.report), (region, color, channel, opacity, blend, max_depth)
-        base, change = filled(job, texture, surface, *what)
+        job, paint = Job(painted, pool, run.report), (region, color, channel, opacity, blend, max_depth)
+        base, change = filled(job, texture, surface, *paint)
     return base if change is None else change.put_into(base)
 
 
@@ -197,16 +196,16 @@ class RegionSource(PaintSource):
         widths: Float32s,  # noqa: ARG002
     ) -> Float32s:
         """Return the value and its coverage (n, components + 1)."""
-        found = np.zeros((len(triangles), len(self.value) + 1), np.float32)
-        found[:, :-1] = self.value
+        values = np.zeros((len(triangles), len(self.value) + 1), np.float32)
+        values[:, :-1] = self.value
         rows = np.flatnonzero(self.chosen[triangles])
         if rows.size:
             points = at_corners(self.rest, self.triangles[triangles[rows]], barycentric[rows])
             shape = (len(points),)
-            found[rows, -1] = answer(
+            values[rows, -1] = answer(
                 self.covers, [points], [shape], "region", points.__getitem__, least=0.0, most=1.0
             )
-        return found
+        return values
 
 
 def _depth_of(source: RegionSource, texture: OctreeTexture) -> int:
@@ -225,7 +224,7 @@ def _depth_of(source: RegionSource, texture: OctreeTexture) -> int:
 
 def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:
     """Return the triangles that a region may cover, and its coverage of positions."""
-    count = len(surface.triangles)
+    n_triangles = len(surface.triangles)
     if isinstance(region, (Sphere, Box)):
         region = region.checked()
         low, high = region.bounds()
@@ -233,14 +232,8 @@ def _coverage(region: Region, surface: Surface) -> tuple[Bools, RegionFunction]:
         meets = (corners.min(axis=1) <= high).all(axis=1) & (corners.max(axis=1) >= low).all(axis=1)
         return meets, region.covers
     if callable(region):
-        return np.ones(count, np.bool_), region
-    chosen = triangles_of(region, count)
-    if chosen is not None:
-        return chosen, _everywhere
-    raise ArgumentError(
-        "region must be a Sphere, a Box, a function, or triangles of the surface: numbers from 0 to "
-        f"{count - 1}, or {count} bools"
-    )
+        return np.ones(n_triangles, np.bool_), region
+    return triangles_of(region, n_triangles, "a Sphere, a Box, a function, or "), _everywhere
 
 
 def _everywhere(points: Float64s) -> npt.ArrayLike:
@@ -265,7 +258,7 @@ def alike(
     is_chosen = np.zeros(tree.n_cells, np.bool_)
     if first >= 0:
         wanted = _codes(texture, where)
-        for level, cells, codes in _leaves(texture):
+        for level, cells, codes in leaves_by_level(texture.tree):
             middles = texture.placement.to_rest((decode_cells(codes) + 0.5) / 2**level)
             is_chosen[cells] = np.abs(_codes(texture, middles) - wanted).max(axis=1) <= most
         is_chosen[first] = True
@@ -287,43 +280,34 @@ def _codes(texture: OctreeTexture, points: Array) -> Array:
 def _leaf_at(texture: OctreeTexture, points: Array) -> Int64s:
     """Return the leaf that each point at rest (n, 3) is in; −1 for none."""
     depth = texture.tree.max_depth
-    places = texture.placement.to_texture_space(points)
-    is_inside = np.asarray(((places >= 0) & (places <= 1)).all(axis=1))
+    positions = texture.placement.to_texture_space(points)
+    is_inside = np.asarray(((positions >= 0) & (positions <= 1)).all(axis=1))
     codes = encode_cells(on_grid(points, texture.placement) >> (GRID_BITS - depth))
     return _leaf_of(texture.tree, codes, depth, is_inside)
 
 
 def _leaf_of(tree: Octree, codes: Int64s, level: int, among: Bools) -> Int64s:
     """Return the leaf that is, or contains, each cell (n,) of a level; −1 for none and outside ``among``."""
-    found = locate(tree, codes, level)
-    return np.where(found.is_leaf & among & (tree.n_leaves > 0), found.cells, -1)
-
-
-def _leaves(texture: OctreeTexture) -> list[tuple[int, Int64s, Int64s]]:
-    """Return the levels of a texture, and the cells and Morton codes of their leaves."""
-    first = texture.tree.arrays.level_cells
-    return [
-        (level, first[level] + np.flatnonzero(~is_node), codes[~is_node])
-        for level, (codes, is_node) in enumerate(texture.tree.walk())
-    ]
+    where = locate(tree, codes, level)
+    return np.where(where.is_leaf & among & (tree.n_leaves > 0), where.cells, -1)
 
 
 def _connected(texture: OctreeTexture, is_chosen: Bools, first: int) -> Bools:
     """Return the chosen leaves that connect to the first one through faces."""
     pairs = []
-    for level, cells, codes in _leaves(texture):
+    for level, cells, codes in leaves_by_level(texture.tree):
         is_here = is_chosen[cells]
-        cells, places = cells[is_here], decode_cells(codes[is_here])
+        cells, positions = cells[is_here], decode_cells(codes[is_here])
         for axis in range(3):
             for step in (-1, 1):  # the smaller of two leaves finds the other
-                neighbours = places.copy()
+                neighbours = positions.copy()
                 neighbours[:, axis] += step
                 is_inside = (neighbours[:, axis] >= 0) & (neighbours[:, axis] < 2**level)
                 neighbours[~is_inside] = 0
-                others = _leaf_of(texture.tree, encode_cells(neighbours), level, is_inside)
-                both = (others >= 0) & is_chosen[others]
-                pairs.append(np.stack([cells[both], others[both]]))
+                neighbour_leaves = _leaf_of(texture.tree, encode_cells(neighbours), level, is_inside)
+                is_pair = (neighbour_leaves >= 0) & is_chosen[neighbour_leaves]
+                pairs.append(np.stack([cells[is_pair], neighbour_leaves[is_pair]]))
     parents = np.arange(len(is_chosen))
     join(parents, *np.concatenate(pairs, axis=1))
-    found: Bools = is_chosen & (parents == parents[first])
-    return found
+    connected: Bools = is_chosen & (parents == parents[first])
+    return connected

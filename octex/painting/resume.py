@@ -96,13 +96,13 @@ def stages_in(folder: str | os.PathLike[str] | None) -> Stages:
 
 def digest_of(*parts: Any) -> bytes:
     """Return a digest of arrays, numbers, text, bytes and sequences of them."""
-    made = hashlib.sha256()
+    digest = hashlib.sha256()
     for part in parts:
         if isinstance(part, np.ndarray):
-            made.update(f"{part.dtype.str}{part.shape};".encode())
-            made.update(np.ascontiguousarray(part).reshape(-1).view(np.uint8).data)
+            digest.update(f"{part.dtype.str}{part.shape};".encode())
+            digest.update(np.ascontiguousarray(part).reshape(-1).view(np.uint8).data)
         elif isinstance(part, (tuple, list)):
-            made.update(b"(" + digest_of(*part))
+            digest.update(b"(" + digest_of(*part))
         else:
-            made.update(f"{part!r};".encode())
-    return made.digest()
+            digest.update(f"{part!r};".encode())
+    return digest.digest()

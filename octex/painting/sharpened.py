@@ -54,7 +54,7 @@ def noise_of(pixels: Float32s, is_light: bool = True) -> float:
 def _loudness(pixels: Float32s, is_light: bool) -> Float32s:
     """Return the mean square of the change of patches (rows, columns, 3); infinity for clipped ones."""
     rows, columns = pixels.shape[0] // _PATCH, pixels.shape[1] // _PATCH
-    found = np.zeros((rows, columns, 3), np.float32)
+    loudness = np.zeros((rows, columns, 3), np.float32)
     line = np.full((4, pixels.shape[1] + 6), np.float32(-1.0))
     loud = np.empty(columns * _PATCH, np.float32)
     for row in range(rows * _PATCH):
@@ -63,14 +63,14 @@ def _loudness(pixels: Float32s, is_light: bool) -> Float32s:
         for part in range(3):
             v = line[part]
             for column in range(columns * _PATCH):
-                here, alpha = v[column + 3], a[column + 3]
-                near = _beside(v, a, column)
-                change, _ = _change(here, alpha, near)
-                is_known = _DARKEST * alpha < here < _LIGHTEST * alpha
-                loud[column] = change * change / _square(here, alpha, is_light) if is_known else np.inf
+                value, alpha = v[column + 3], a[column + 3]
+                neighbours = _beside(v, a, column)
+                change, _ = _change(value, alpha, neighbours)
+                is_known = _DARKEST * alpha < value < _LIGHTEST * alpha
+                loud[column] = change * change / _square(value, alpha, is_light) if is_known else np.inf
             for column in range(columns * _PATCH):
-                found[row // _PATCH, column // _PATCH, part] += loud[column] / np.float32(_PATCH * _PATCH)
-    return found
+                loudness[row // _PATCH, column // _PATCH, part] += loud[column] / np.float32(_PATCH * _PATCH)
+    return loudness
 
 
 @kernel
@@ -91,21 +91,21 @@ def sharpen_above(pixels: Float32s, noise: float, is_light: bool) -> None:
             for part in range(3):
                 v = line[part]
                 for column in range(width):
-                    near = _beside(v, a, column)
-                    new[part, column] = _sharper(v[column + 3], a[column + 3], near, least, is_light)
+                    neighbours = _beside(v, a, column)
+                    new[part, column] = _sharper(v[column + 3], a[column + 3], neighbours, least, is_light)
         middle = row - 3
         if middle < 0:
             continue
         p, q, r = latest[(middle + 6) % 7], latest[(middle + 5) % 7], latest[(middle + 4) % 7]
         s, t, u = latest[(middle + 1) % 7], latest[(middle + 2) % 7], latest[(middle + 3) % 7]
-        here = latest[middle % 7]
+        row_values = latest[middle % 7]
         for part in range(3):
             for n in range(width):
-                near = (
+                neighbours = (
                     (p[part, n], p[3, n]), (q[part, n], q[3, n]), (r[part, n], r[3, n]),
                     (s[part, n], s[3, n]), (t[part, n], t[3, n]), (u[part, n], u[3, n]),
                 )  # fmt: skip
-                line[part, n] = _sharper(here[part, n], here[3, n], near, least, is_light)
+                line[part, n] = _sharper(row_values[part, n], row_values[3, n], neighbours, least, is_light)
         for n in range(width):
             for part in range(3):
                 pixels[middle, n, part] = line[part, n]
@@ -134,24 +134,24 @@ def _beside(v: Float32s, a: Float32s, column: int) -> Near:
 
 
 @inlined
-def _square(here: np.float32, alpha: np.float32, is_light: bool) -> np.float32:
+def _square(value: np.float32, alpha: np.float32, is_light: bool) -> np.float32:
     """Return the squared derivative of a value times alpha by the value, or by the square root of light."""
-    return np.float32(4.0) * max(here, np.float32(0.0)) * alpha if is_light else alpha * alpha
+    return np.float32(4.0) * max(value, np.float32(0.0)) * alpha if is_light else alpha * alpha
 
 
 @inlined
-def _difference(here: np.float32, alpha: np.float32, there: tuple[np.float32, np.float32]) -> np.float32:
-    return there[0] - here if there[1] == alpha else np.float32(0.0)
+def _difference(value: np.float32, alpha: np.float32, neighbour: tuple[np.float32, np.float32]) -> np.float32:
+    return neighbour[0] - value if neighbour[1] == alpha else np.float32(0.0)
 
 
 @inlined
-def _change(here: np.float32, alpha: np.float32, near: Near) -> tuple[np.float32, np.float32]:
+def _change(value: np.float32, alpha: np.float32, neighbours: Near) -> tuple[np.float32, np.float32]:
     """Return the change of a pixel by sharpening along one axis, and its limit."""
-    p, q, r, s, t, u = near
-    before, after = _difference(here, alpha, p), _difference(here, alpha, s)
+    p, q, r, s, t, u = neighbours
+    before, after = _difference(value, alpha, p), _difference(value, alpha, s)
     change = _NEXT * (before + after)
-    change += _SECOND * (_difference(here, alpha, q) + _difference(here, alpha, t))
-    change += _THIRD * (_difference(here, alpha, r) + _difference(here, alpha, u))
+    change += _SECOND * (_difference(value, alpha, q) + _difference(value, alpha, t))
+    change += _THIRD * (_difference(value, alpha, r) + _difference(value, alpha, u))
     most = min(
         _LIMIT * abs(before) if p[1] == alpha else np.float32(np.inf),
         _LIMIT * abs(after) if s[1] == alpha else np.float32(np.inf),
@@ -161,10 +161,10 @@ def _change(here: np.float32, alpha: np.float32, near: Near) -> tuple[np.float32
 
 @inlined
 def _sharper(
-    here: np.float32, alpha: np.float32, near: Near, least: np.float32, is_light: bool
+    value: np.float32, alpha: np.float32, neighbours: Near, least: np.float32, is_light: bool
 ) -> np.float32:
     """Return a pixel's value after sharpening along one axis; changes with squares of ``least`` are noise."""
-    change, most = _change(here, alpha, near)
-    noisy = least * _square(here, alpha, is_light)
+    change, most = _change(value, alpha, neighbours)
+    noisy = least * _square(value, alpha, is_light)
     change = change - noisy / change if change * change > noisy else np.float32(0.0)
-    return here + min(max(change, -most), most)
+    return value + min(max(change, -most), most)

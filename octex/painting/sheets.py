@@ -1,4 +1,4 @@
-"""The surface in cells as a graph: its nodes are sheets, what of the surface hangs together in a cell.
+"""The surface in cells as a graph: its nodes are sheets, the connected pieces of surface in a cell.
 
 Two sheets are neighbours if a triangle is in both, in cells that share a face. So nothing leads through a
 thin part, from one of two walls in a cell to the other, or from part to part.
@@ -64,9 +64,9 @@ class Sheets(NamedTuple):
 
     def at(self, triangles: Int32s, barycentric: Float64s) -> Int64s:
         """Return the sheets of points (n,), in their cell or a neighbour; −1 for none."""
-        found = np.empty(len(triangles), np.int64)
-        _find(self.table, self.level, self.grid, self.faces, triangles, barycentric, found)
-        return found
+        sheets = np.empty(len(triangles), np.int64)
+        _find(self.table, self.level, self.grid, self.faces, triangles, barycentric, sheets)
+        return sheets
 
 
 def sheets_of(
@@ -97,8 +97,8 @@ def sheets_of(
     table = Table(firsts, codes, sheets)
     keys = distinct(_neighbours(table, roots.size))
     pairs = np.column_stack([keys // roots.size, keys % roots.size])
-    places = at_corners(grid * 2.0 ** (level - GRID_BITS), faces[triangles[largest]], barycentric[chosen])
-    apart = np.linalg.norm(places[pairs[:, 0]] - places[pairs[:, 1]], axis=1)
+    centroids = at_corners(grid * 2.0 ** (level - GRID_BITS), faces[triangles[largest]], barycentric[chosen])
+    distances = np.linalg.norm(centroids[pairs[:, 0]] - centroids[pairs[:, 1]], axis=1)
     return Sheets(
         level,
         codes[roots],
@@ -108,7 +108,7 @@ def sheets_of(
         barycentric[chosen],
         table,
         pairs,
-        1.0 / np.maximum(apart, _NEAR),
+        1.0 / np.maximum(distances, _NEAR),
         grid,
         faces,
     )
@@ -133,24 +133,24 @@ def _joined(grid: Int32s, faces: Int32s, firsts: Int64s, codes: Int64s, level: i
     order = np.argsort(keys, kind="stable")
     same = keys[order[1:]] == keys[order[:-1]]
     owners, sides = used[order % used.size], order // used.size
-    one, other = owners[:-1][same], owners[1:][same]
+    first, second = owners[:-1][same], owners[1:][same]
     side = sides[:-1][same]
-    ends = np.column_stack([faces[one, side], faces[one, (side + 1) % 3], one, other]).astype(np.int64)
+    ends = np.column_stack([faces[first, side], faces[first, (side + 1) % 3], first, second]).astype(np.int64)
     count = _pair_up(grid, ends, firsts, codes, level, np.empty((0, 2), np.int64))
-    found = np.empty((count, 2), np.int64)
-    _pair_up(grid, ends, firsts, codes, level, found)
-    return found
+    pairs = np.empty((count, 2), np.int64)
+    _pair_up(grid, ends, firsts, codes, level, pairs)
+    return pairs
 
 
 @kernel
-def _pair_up(grid: Int32s, ends: Int64s, firsts: Int64s, codes: Int64s, level: int, found: Int64s) -> int:
+def _pair_up(grid: Int32s, ends: Int64s, firsts: Int64s, codes: Int64s, level: int, pairs: Int64s) -> int:
     """Write the pairs of pieces that edges join, of two vertices and two triangles; return their number."""
     scale = 2.0 ** (level - GRID_BITS)
     count = 0
     for edge in range(len(ends)):
-        p, q, one, other = ends[edge, 0], ends[edge, 1], ends[edge, 2], ends[edge, 3]
-        i, j = firsts[one], firsts[other]
-        while i < firsts[one + 1] and j < firsts[other + 1]:
+        p, q, left, right = ends[edge, 0], ends[edge, 1], ends[edge, 2], ends[edge, 3]
+        i, j = firsts[left], firsts[right]
+        while i < firsts[left + 1] and j < firsts[right + 1]:
             if codes[i] < codes[j]:
                 i += 1
             elif codes[j] < codes[i]:
@@ -168,8 +168,8 @@ def _pair_up(grid: Int32s, ends: Int64s, firsts: Int64s, codes: Int64s, level: i
                         a, b = (-_SLACK - start) / step, (1.0 + _SLACK - start) / step
                         first, last = max(first, min(a, b)), min(last, max(a, b))
                 if first <= last:
-                    if count < len(found):
-                        found[count, 0], found[count, 1] = i, j
+                    if count < len(pairs):
+                        pairs[count, 0], pairs[count, 1] = i, j
                     count += 1
                 i += 1
                 j += 1
@@ -180,7 +180,7 @@ def _pair_up(grid: Int32s, ends: Int64s, firsts: Int64s, codes: Int64s, level: i
 def _neighbours(table: Table, count: int) -> Int64s:
     """Return a · count + b for sheets a < b in cells that share a face, once for each triangle in both."""
     firsts, codes, sheets = table
-    found = np.empty(3 * codes.size, np.int64)
+    keys = np.empty(3 * codes.size, np.int64)
     size = 0
     for triangle in range(firsts.size - 1):
         first, end = firsts[triangle], firsts[triangle + 1]
@@ -193,9 +193,9 @@ def _neighbours(table: Table, count: int) -> Int64s:
                 at = first + first_not_below(codes[first:end], code, 0)
                 if at < end and codes[at] == code:
                     a, b = np.int64(sheets[piece]), np.int64(sheets[at])
-                    found[size] = min(a, b) * count + max(a, b)
+                    keys[size] = min(a, b) * count + max(a, b)
                     size += 1
-    return found[:size].copy()
+    return keys[:size].copy()
 
 
 @kernel
@@ -206,7 +206,7 @@ def _find(
     faces: Int32s,
     triangles: Int32s,
     barycentric: Float64s,
-    found: Int64s,
+    sheets: Int64s,
 ) -> None:
     """Write the sheets of points (n,); see `Sheets.at`."""
     scale = 2.0 ** (level - GRID_BITS)
@@ -216,22 +216,22 @@ def _find(
         triangle = triangles[n]
         first, end = table.firsts[triangle], table.firsts[triangle + 1]
         for axis in range(3):
-            place = 0.0
+            coordinate = 0.0
             for corner in range(3):
-                place += barycentric[n, corner] * grid[faces[triangle, corner], axis]
-            cell[axis] = min(max(int(place * scale), 0), most)
+                coordinate += barycentric[n, corner] * grid[faces[triangle, corner], axis]
+            cell[axis] = min(max(int(coordinate * scale), 0), most)
         code = morton.encode(cell[0], cell[1], cell[2])
         at = first + first_not_below(table.codes[first:end], code, 0)
         if at == end or table.codes[at] != code:  # by rounding it is the triangle's in a neighbour
             at, nearest = end, 4
             for side in range(27 if end > first else 0):
                 x, y, z = side % 3 - 1, side // 3 % 3 - 1, side // 9 - 1
-                apart = x * x + y * y + z * z
+                square = x * x + y * y + z * z
                 i, j, k = cell[0] + x, cell[1] + y, cell[2] + z
-                if apart >= nearest or min(i, j, k) < 0 or max(i, j, k) > most:
+                if square >= nearest or min(i, j, k) < 0 or max(i, j, k) > most:
                     continue
                 code = morton.encode(i, j, k)
                 piece = first + first_not_below(table.codes[first:end], code, 0)
                 if piece < end and table.codes[piece] == code:
-                    nearest, at = apart, piece
-        found[n] = table.sheets[at] if at < end else -1
+                    nearest, at = square, piece
+        sheets[n] = table.sheets[at] if at < end else -1

@@ -11,18 +11,18 @@ where it differs; the metadata list the layers, with a digest of the composite t
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from octex.arrays import Array, Bools, Float32s, Floats, Int64s
-from octex.channels import ALPHA, alpha_of, channel_in, decode, encode, plain_name
+from octex.channels import ALPHA, alpha_of, channel_in, plain_name
 from octex.checks import as_choice, as_flag, as_number
 from octex.editing.averages import Residuals, average, residuals
 from octex.editing.nodes import Nodes, all_leaves
 from octex.errors import ArgumentError
-from octex.painting.blend import mixed
+from octex.painting.blend import KINDS, Kind, alpha_first, mixed, mixed_residuals, read, write
 from octex.painting.layer import COVERAGE
 from octex.painting.resume import digest_of
 from octex.texture import Channel, OctreeTexture
@@ -39,8 +39,6 @@ _ALL = "all"
 _LONGEST_NAME = 40
 #: Cells that are blended in one pass.
 _BLOCK = 1 << 16
-#: The kinds of rows that a channel has.
-_KINDS = "values", "split_values", "kept_values"
 
 
 class Layer(NamedTuple):
@@ -67,11 +65,11 @@ class Layer(NamedTuple):
         """The name of the layer's mask: how much of it is hidden."""
         return channel_in(f"{self.number} mask", ALPHA.name)
 
-    def of_own(self, other: Layer, name: str) -> str:
+    def of_own(self, layer: Layer, name: str) -> str:
         """Return the name of another layer's channel in this one."""
-        if name == other.mask:
+        if name == layer.mask:
             return self.mask
-        theirs, ours = (channel_in(f"{each.number} ", plain_name(name)) for each in (other, self))
+        theirs, ours = (channel_in(f"{each.number} ", plain_name(name)) for each in (layer, self))
         return ours + name.removeprefix(theirs)
 
     def painted(self, names: Sequence[str] | Mapping[str, Channel]) -> list[str]:
@@ -116,16 +114,27 @@ def composited(texture: OctreeTexture, stack: Stack) -> list[str]:
     return names if painted and ALPHA.name in names else painted
 
 
+def with_channels(texture: OctreeTexture, channels: Mapping[str, Channel]) -> OctreeTexture:
+    """Return a texture with other channels of the same cells."""
+    return texture.with_cells(texture.tree, channels)
+
+
+def only(texture: OctreeTexture, names: Collection[str]) -> OctreeTexture:
+    """Return a texture with those of its channels that have these names."""
+    return with_channels(texture, {name: each for name, each in texture.channels.items() if name in names})
+
+
 def shown_names(texture: OctreeTexture) -> dict[str, str]:
     """Return for each of the bottom's channels the name of its composite: the bottom's where they agree."""
     names = {name: composite_name(name) for name in bottom_names(texture)}
-    return {name: other if other in texture.channels else name for name, other in names.items()}
+    return {name: composite if composite in texture.channels else name for name, composite in names.items()}
 
 
 def shown(texture: OctreeTexture, names: Mapping[str, str]) -> OctreeTexture:
     """Return the composite of a stack's texture as a texture, which shares the arrays."""
-    channels = {name: texture.channels[other].named(name) for name, other in names.items()}
-    return texture.with_cells(texture.tree, channels)
+    return with_channels(
+        texture, {name: texture.channels[stored].named(name) for name, stored in names.items()}
+    )
 
 
 def with_layer_channels(texture: OctreeTexture, names: Iterable[str]) -> OctreeTexture:
@@ -140,7 +149,7 @@ def with_layer_channels(texture: OctreeTexture, names: Iterable[str]) -> OctreeT
             continue
         form = COVERAGE if bottom is None or alpha_of(name) is None else bottom.format
         channels[name] = Channel.full(form, texture.tree).named(name)
-    return texture.with_cells(texture.tree, channels)
+    return with_channels(texture, channels)
 
 
 def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> OctreeTexture:
@@ -156,44 +165,43 @@ def with_composite(texture: OctreeTexture, stack: Stack, first: int = 0) -> Octr
         if name != composite_name(plain_name(name))
     }
     if not names:
-        return texture.with_cells(tree, channels)
-    visible = [each for each in stack if each.is_visible and each.opacity > 0]
-    layers = [each for each in visible if _has_paint(texture, each)]
+        return with_channels(texture, channels)
+    visible = [layer for layer in stack if layer.is_visible and layer.opacity > 0]
+    layers = [layer for layer in visible if _has_paint(texture, layer)]
     covered = list(_covered(texture, layers)) if visible else []
     is_leaf = all_leaves(tree)
     owners = rows_of(tree.split).cells
     chosen = is_leaf.copy()
     chosen[:first] = False
     stays = is_leaf & ~chosen
-    made = {}
+    composites = {}
     for name in names:
         bottom, composite = texture.channels[name], texture.channels.get(composite_name(name))
         arrays: list[Array] = [*bottom[1:]]
         if covered:
-            arrays = [each.copy() for each in arrays]
+            arrays = [array.copy() for array in arrays]
             if composite is not None:
                 arrays[0][stays] = composite.values[stays]
                 arrays[1][stays[owners]] = composite.split_values[stays[owners]]
-        made[name] = Channel(bottom.format._replace(name=composite_name(name)), *arrays)
-    channels |= {channel.format.name: channel for channel in made.values()}
-    whole = texture.with_cells(tree, channels)
+        composites[name] = Channel(bottom.format._replace(name=composite_name(name)), *arrays)
+    channels |= {channel.format.name: channel for channel in composites.values()}
+    whole = with_channels(texture, channels)
     if not covered:
         return whole
-    every = chosen, chosen[owners], np.ones(tree.kept.cells.size, np.bool_)
-    for kind, covers, is_chosen in zip(_KINDS, covered, every, strict=True):
-        rows = np.flatnonzero(covers & is_chosen)
+    masks = chosen, chosen[owners], np.ones(tree.kept.cells.size, np.bool_)
+    for kind, is_covered, mask in zip(KINDS, covered, masks, strict=True):
+        rows = np.flatnonzero(is_covered & mask)
         for begin in range(0, rows.size, _BLOCK):
-            here = rows[begin : begin + _BLOCK]
-            for name, values in _folded(texture, layers, names, kind, here).items():
-                form = made[name].format
-                getattr(made[name], kind)[here] = encode(values, form.dtype, form.space)
-    _average(whole, layers, made)
+            block = rows[begin : begin + _BLOCK]
+            for name, values in _folded(texture, layers, names, kind, block).items():
+                write(composites[name], kind, block, values)
+    _average(whole, layers, composites)
     return whole
 
 
 def united(texture: OctreeTexture, layers: Stack, into: Layer) -> dict[str, Channel]:
     """Return the channels of a layer that looks like several, each over those before it."""
-    made = {}
+    merged = {}
     for name in bottom_names(texture):
         painted = [layer.paints(name) for layer in layers if layer.paints(name) in texture.channels]
         if not painted:
@@ -202,88 +210,83 @@ def united(texture: OctreeTexture, layers: Stack, into: Layer) -> dict[str, Chan
         channels = {each: channel for each, channel in texture.channels.items() if each in used}
         for form in (texture.channels[name].format, COVERAGE._replace(name=ALPHA.name)):
             channels[form.name] = Channel.full(form, texture.tree)
-        whole = with_composite(texture.with_cells(texture.tree, channels), layers).channels
+        whole = with_composite(with_channels(texture, channels), layers).channels
         paint = into.paints(name)
-        for wanted, plain in ((paint, name), (alpha_of(paint) or "", ALPHA.name)):
-            made[wanted] = whole[composite_name(plain)].named(wanted)
-    return made
+        for stored, plain in ((paint, name), (alpha_of(paint) or "", ALPHA.name)):
+            merged[stored] = whole[composite_name(plain)].named(stored)
+    return merged
 
 
 def _has_paint(texture: OctreeTexture, layer: Layer) -> bool:
     """Return whether a layer covers anything; in a draft most do not."""
-    return any(
-        array.any()
-        for name in layer.painted(texture.channels)
-        for array in _coverage_of(texture, layer, name)[1:]
-    )
+    return any(array.any() for channel in _coverages(texture, [layer]) for array in channel[1:])
 
 
 def _covered(texture: OctreeTexture, layers: Sequence[Layer]) -> Iterator[Bools]:
     """Yield which rows of each kind any layer covers."""
-    for kind, count in zip(_KINDS, row_counts(texture.tree), strict=True):
-        found = np.zeros(count, np.bool_)
-        for layer in layers:
-            for name in layer.painted(texture.channels):
-                found |= getattr(_coverage_of(texture, layer, name), kind)[:, 0] > 0
-        yield found
+    coverages = _coverages(texture, layers)
+    for kind, count in zip(KINDS, row_counts(texture.tree), strict=True):
+        is_covered = np.zeros(count, np.bool_)
+        for channel in coverages:
+            is_covered |= getattr(channel, kind)[:, 0] > 0
+        yield is_covered
 
 
-def _coverage_of(texture: OctreeTexture, layer: Layer, name: str) -> Channel:
-    return texture.channels[alpha_of(layer.paints(name)) or ""]
+def _coverages(texture: OctreeTexture, layers: Sequence[Layer]) -> list[Channel]:
+    """Return the coverage of each channel that layers paint."""
+    paints = [layer.paints(name) for layer in layers for name in layer.painted(texture.channels)]
+    return [texture.channels[alpha_of(paint) or ""] for paint in paints]
 
 
 def _folded(
     texture: OctreeTexture,
     layers: Sequence[Layer],
     names: Sequence[str],
-    kind: str,
+    kind: Kind,
     rows: Int64s,
-    left: dict[str, Floats] | None = None,
-    layers_left: Mapping[str, Floats] | None = None,
+    residuals: dict[str, Floats] | None = None,
+    layer_residuals: Mapping[str, Floats] | None = None,
 ) -> dict[str, Float32s]:
     """Blend rows of layers over the bottom's, decoded.
 
-    ``left`` are the bottom's residuals in these rows, and become the composite's; ``layers_left`` are the
+    ``residuals`` are the bottom's in these rows, and become the composite's; ``layer_residuals`` are the
     layers'.
     """
-
-    def stored(name: str) -> Float32s:
-        channel = texture.channels[name]
-        return decode(getattr(channel, kind)[rows], channel.format.space)
-
-    found = {name: stored(name) for name in names}
+    composite = {name: read(texture.channels[name], kind, rows) for name in names}
     nowhere = np.zeros(rows.size, np.bool_)
     for layer in layers:
         for name in layer.painted(texture.channels):
             paint = layer.paints(name)
-            part = stored(alpha_of(paint) or "")[:, 0] * np.float32(layer.opacity)
+            part = read(texture.channels[alpha_of(paint) or ""], kind, rows)[:, 0]
+            part = part * np.float32(layer.opacity)
             if layer.has_mask and layer.mask in texture.channels:
-                part = part * (1 - stored(layer.mask)[:, 0])
-            old = {each: found[each] for each in (name, ALPHA.name) if each in found}
-            for each, (new, share) in mixed(layer.blend, name, old, stored(paint), part, nowhere).items():
+                part = part * (1 - read(texture.channels[layer.mask], kind, rows)[:, 0])
+            old = {each: composite[each] for each in (name, ALPHA.name) if each in composite}
+            values = read(texture.channels[paint], kind, rows)
+            for each, (new, share) in mixed(layer.blend, name, old, values, part, nowhere).items():
                 if not texture.channels[each].format.dtype.startswith("float"):
                     new = np.clip(new, -1.0, 1.0)
-                found[each] = new
-                if left is not None and layers_left is not None:
-                    left[each] = left[each] * (1 - share[:, None])
-                    if each == name and layer.blend == "over":
-                        left[each] += layers_left[paint] * share[:, None]
-    return found
+                composite[each] = new
+                if residuals is not None and layer_residuals is not None:
+                    takes_on = each == name and layer.blend == "over"
+                    added = layer_residuals[paint] if takes_on else None
+                    residuals[each] = mixed_residuals(residuals[each], added, share[:, None])
+    return composite
 
 
-def _average(texture: OctreeTexture, layers: Sequence[Layer], made: Mapping[str, Channel]) -> None:
-    """Average the composite, in place, in nodes with children that differ from the bottom."""
+def _average(texture: OctreeTexture, layers: Sequence[Layer], composites: Mapping[str, Channel]) -> None:
+    """Average composites, in place, in nodes with children that differ from the bottom."""
     tree = texture.tree
     rows = rows_of(tree.split)
     differs = np.zeros(tree.n_cells, np.bool_)
 
     def compare(cells: slice) -> None:
         split = slice(*np.searchsorted(rows.cells, [cells.start, cells.stop]).tolist())
-        for name, channel in made.items():
+        for name, composite in composites.items():
             bottom = texture.channels[name]
-            differs[cells] |= (channel.values[cells] != bottom.values[cells]).any(axis=1)
-            apart = (channel.split_values[split] != bottom.split_values[split]).any(axis=1)
-            differs[rows.cells[split][apart]] = True
+            differs[cells] |= (composite.values[cells] != bottom.values[cells]).any(axis=1)
+            rows_differ = (composite.split_values[split] != bottom.split_values[split]).any(axis=1)
+            differs[rows.cells[split][rows_differ]] = True
 
     painted = [layer.paints(name) for layer in layers for name in layer.painted(texture.channels)]
     ends = tree.arrays.level_nodes.tolist()
@@ -298,31 +301,30 @@ def _average(texture: OctreeTexture, layers: Sequence[Layer], made: Mapping[str,
             is_above = np.logical_or.reduceat(differs[:end], firsts)
             nodes = Nodes(numbers[is_above], cells[numbers[is_above]])
             if nodes.cells.size:
-                _average_at(texture, layers, made, painted, nodes)
+                _average_at(texture, layers, composites, painted, nodes)
         compare(slice(level_cells[level], level_cells[level + 1]))
 
 
 def _average_at(
     texture: OctreeTexture,
     layers: Sequence[Layer],
-    made: Mapping[str, Channel],
+    composites: Mapping[str, Channel],
     painted: Sequence[str],
     nodes: Nodes,
 ) -> None:
-    """Average the composite, in place, in nodes of one level."""
-    before = {name: residuals(texture, name, nodes) for name in (*made, *painted)}
+    """Average composites, in place, in nodes of one level."""
+    before = {name: residuals(texture, name, nodes) for name in (*composites, *painted)}
     of_rows = rows_of(texture.tree.split, nodes.cells).rows
-    both: list[dict[str, Floats]] = []
-    for number, (kind, rows) in enumerate((("values", nodes.cells), ("split_values", of_rows))):
-        left = {name: before[name][number] for name in made}
-        layers_left = {name: before[name][number] for name in painted}
-        _folded(texture, layers, list(made), kind, rows, left, layers_left)
-        both.append(left)
-    for name in sorted(made, key=lambda name: alpha_of(name) is not None):
+    after: list[dict[str, Floats]] = []  # of nodes, and of their rows
+    for number, (kind, rows) in enumerate(zip(KINDS, (nodes.cells, of_rows), strict=False)):
+        of_kind = {name: each[number] for name, each in before.items()}
+        _folded(texture, layers, list(composites), kind, rows, of_kind, dict(of_kind))
+        after.append(of_kind)
+    for name in alpha_first(composites):
         # The limit of bright light must not depend on the part of the texture in this draft.
-        is_light = made[name].format.space in ("srgb", "linear")
-        apart = Residuals(both[0][name], both[1][name])
-        average(texture, made[name], apart, nodes, (0.0, np.inf) if is_light else None)
+        is_light = composites[name].format.space in ("srgb", "linear")
+        mix = Residuals(*(of_kind[name] for of_kind in after))
+        average(texture, composites[name], mix, nodes, (0.0, np.inf) if is_light else None)
 
 
 #: What to keep of a file whose composite was edited after it was saved.
@@ -339,13 +341,12 @@ def as_file(texture: OctreeTexture, stack: Stack) -> OctreeTexture:
     for name, channel in texture.channels.items():
         plain = plain_name(name)
         if name == plain:
-            has_twin = composite_name(name) in texture.channels
-            made = name + _IN_BOTTOM if has_twin else name
+            stored = name + _IN_BOTTOM if composite_name(name) in texture.channels else name
         elif name == composite_name(plain):
-            made = plain
+            stored = plain
         else:
-            made = plain + _IN_LAYER + name.removeprefix(channel_in("", plain))
-        channels[made] = channel.named(made)
+            stored = plain + _IN_LAYER + name.removeprefix(channel_in("", plain))
+        channels[stored] = channel.named(stored)
     order = sorted(channels, key=_is_of_stack)
     listed = {
         "composite": _digest(channels, texture),
@@ -353,8 +354,7 @@ def as_file(texture: OctreeTexture, stack: Stack) -> OctreeTexture:
         "layers": [layer._asdict() for layer in stack],
     }
     metadata = {**texture.metadata, LISTED: json.dumps(listed)}
-    made_of = {name: channels[name] for name in order}
-    return texture.with_cells(texture.tree, made_of, metadata)
+    return texture.with_cells(texture.tree, {name: channels[name] for name in order}, metadata)
 
 
 def from_file(texture: OctreeTexture, keep: Keep | None = None) -> tuple[OctreeTexture, Stack]:
@@ -367,8 +367,10 @@ def from_file(texture: OctreeTexture, keep: Keep | None = None) -> tuple[OctreeT
         as_choice(keep, get_args(Keep), "keep")
     if LISTED not in texture.metadata:
         return texture, ()
+    metadata = {name: text for name, text in texture.metadata.items() if name != LISTED}
     if keep == "shown":
-        return _flat(texture), ()
+        channels = {name: each for name, each in texture.channels.items() if not _is_of_stack(name)}
+        return texture.with_cells(texture.tree, channels, metadata), ()
     try:
         listed = json.loads(texture.metadata[LISTED])
         digest, names = listed["composite"], {str(name) for name in listed["channels"]}
@@ -383,33 +385,25 @@ def from_file(texture: OctreeTexture, keep: Keep | None = None) -> tuple[OctreeT
     bottoms = {name.removesuffix(_IN_BOTTOM) for name in texture.channels if name.endswith(_IN_BOTTOM)}
     for name, channel in texture.channels.items():
         plain, mark, layer = name.partition(_IN_LAYER)
-        made = channel_in(layer, plain) if mark else name.removesuffix(_IN_BOTTOM)
+        unpacked = channel_in(layer, plain) if mark else name.removesuffix(_IN_BOTTOM)
         if name not in bottoms:
-            channels[made] = channel.named(made)
+            channels[unpacked] = channel.named(unpacked)
     _check(channels, stack)
-    metadata = {name: text for name, text in texture.metadata.items() if name != LISTED}
-    made_of = with_composite(texture.with_cells(texture.tree, channels, metadata), stack)
+    stacked = with_composite(texture.with_cells(texture.tree, channels, metadata), stack)
     is_whole = names <= texture.channels.keys()
-    is_same = digest == _digest(texture.channels, texture) or _looks_like(made_of, texture)
+    is_same = digest == _digest(texture.channels, texture) or _looks_like(stacked, texture)
     if keep is None and not (is_whole and is_same):
         raise ArgumentError(
             "the texture was edited after its layers were saved, so they no longer make what it shows; "
             "keep shown leaves the layers out, keep layers leaves the edit out"
         )
-    return made_of, stack
+    return stacked, stack
 
 
 def settled(texture: OctreeTexture, keep: Keep) -> OctreeTexture:
     """Return a texture whose layers make what it shows. Raises ArgumentError as `from_file`."""
     texture, stack = from_file(texture, keep)
     return as_file(texture, stack) if stack else texture
-
-
-def _flat(texture: OctreeTexture) -> OctreeTexture:
-    """Return the composite of a file, without its layers."""
-    channels = {name: channel for name, channel in texture.channels.items() if not _is_of_stack(name)}
-    metadata = {name: text for name, text in texture.metadata.items() if name != LISTED}
-    return texture.with_cells(texture.tree, channels, metadata)
 
 
 def _is_of_stack(name: str) -> bool:
@@ -419,20 +413,20 @@ def _is_of_stack(name: str) -> bool:
 def _digest(channels: Mapping[str, Channel], texture: OctreeTexture) -> str:
     """Return a digest of a file's composite and tree."""
     tree = texture.tree
-    seen = [(name, *channels[name]) for name in sorted(channels) if not _is_of_stack(name)]
-    return digest_of([*tree.arrays], [*tree.split], [*tree.kept], seen).hex()
+    composite = [(name, *channels[name]) for name in sorted(channels) if not _is_of_stack(name)]
+    return digest_of([*tree.arrays], [*tree.split], [*tree.kept], composite).hex()
 
 
-def _looks_like(made: OctreeTexture, texture: OctreeTexture) -> bool:
+def _looks_like(stacked: OctreeTexture, texture: OctreeTexture) -> bool:
     """Return whether a stack's composite equals a file's in leaves: `crop` changes the nodes."""
-    tree = made.tree
+    tree = stacked.tree
     is_leaf = all_leaves(tree)
-    chosen = is_leaf, is_leaf[rows_of(tree.split).cells], np.ones(tree.kept.cells.size, np.bool_)
+    masks = is_leaf, is_leaf[rows_of(tree.split).cells], np.ones(tree.kept.cells.size, np.bool_)
     return all(
-        np.array_equal(one[rows], other[rows])
-        for name, channel in shown(made, shown_names(made)).channels.items()
+        np.array_equal(ours[mask], stored[mask])
+        for name, channel in shown(stacked, shown_names(stacked)).channels.items()
         if name in texture.channels
-        for one, other, rows in zip(channel[1:], texture.channels[name][1:], chosen, strict=True)
+        for ours, stored, mask in zip(channel[1:], texture.channels[name][1:], masks, strict=True)
     )
 
 

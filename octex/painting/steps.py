@@ -21,29 +21,29 @@ from typing import NamedTuple
 import numpy as np
 
 from octex.arrays import Bools, Float32s, Float64s, Int32s, Int64s, Uint8s
-from octex.channels import ALPHA, ChannelFormat, alpha_of, decode, encode
+from octex.channels import ALPHA, ChannelFormat, alpha_of, encode
 from octex.conversion.adapt import adapted
 from octex.conversion.levels import CellLevels, assemble, cell_levels
-from octex.editing.averages import with_summed_areas
 from octex.editing.draft import coarsest_of
-from octex.editing.nodes import nodes_at
 from octex.editing.refined import Below, refined_below, refined_values, with_rows
 from octex.editing.runs import carried
 from octex.editing.split import refaced
 from octex.errors import ModelError, own_making
 from octex.painting.blend import (
-    Blended,
+    Kind,
     Merge,
     Merged,
     Raised,
     averaged,
     averaged_with,
+    blend_rows,
     covers,
     facings_of_paint,
     may_differ,
-    mixed,
     no_parts,
     nodes_above,
+    read,
+    with_areas_above,
     with_split_cells,
     writable,
 )
@@ -127,7 +127,7 @@ def rasterize_surface(
     if not touched.size:
         return Raster(channels, placement, surface.bounds, None)
     root = job.surface.grid(placement).around(touched, depth)
-    source = source.near(root.members)
+    source = source.prepared_for(root.members)
     filled = cell_levels(
         surface, source, channels, placement, depth, job.executor, job.progress,
         has_samples=fit and not is_plain(source),
@@ -140,9 +140,8 @@ def rasterize_surface(
 def layer_from(job: Job, raster: Raster) -> OctreeTexture:
     """Return the paint octree of a raster: a texture of the painted channel and its coverage."""
     channels, placement, bounds, filled = raster
-    nothing = empty_texture(channels, placement, bounds)
     if filled is None:
-        return nothing
+        return empty_texture(channels, placement, bounds)
     covered = assemble(filled)
     del raster, filled  # as large as what follows
     tree, values = adapted(covered, fit=True, max_error=None, executor=job.executor, progress=job.progress)
@@ -165,10 +164,12 @@ def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged
     """Merge paint into a draft of the texture; return None for none."""
     tree = draft.tree
     if alpha_of(task.target) is None:  # coverage alone adds no cells
-        found = [locate(tree, each.codes, level) for level, each in enumerate(paint)] if tree.n_leaves else []
+        if not tree.n_leaves:
+            return None
+        places = [locate(tree, each.codes, level) for level, each in enumerate(paint)]
         paint = [
             each.of((where.levels == level) | where.is_leaf)
-            for level, (each, where) in enumerate(zip(paint, found, strict=False))
+            for level, (each, where) in enumerate(zip(paint, places, strict=True))
         ]
     if not any(each.codes.size for each in paint):
         return None
@@ -197,9 +198,9 @@ def merge_draft(task: Merge, draft: OctreeTexture, paint: list[Paint]) -> Merged
         edited = rebuilt(tree, [each.codes for each in paint])
         edited = edited._replace(old=np.full_like(edited.old, -1))  # an empty tree's root is no cell
     with own_making():
-        made = raise_texture(task, draft, edited, surface_cells, paint, is_skirt)
-        paint = refine_paint(paint, task.layer, made.texture.tree, task.opacity)
-        return merge_paint(task, draft, made, paint)
+        raised_draft = raise_texture(task, draft, edited, surface_cells, paint, is_skirt)
+        paint = refine_paint(task, paint, raised_draft.texture.tree)
+        return merge_paint(task, draft, raised_draft, paint)
 
 
 def _deepest(paint: Sequence[Paint]) -> int:
@@ -251,7 +252,7 @@ def form_boundary(
         unraised, bare = bare_surface(tree, is_skirt, paint, above, leaves, met)
     coarsest = task.coarsest
     freed = free_leaves(tree, paint, leaves, bare, coarsest, task.hiding) if hides else []
-    made = Boundary([], [], [], [], freed)
+    formed = Boundary([], [], [], [], freed)
     skirts: list[Int64s] = []  # none lies in another one
     for level, each in enumerate(paint[: depth + 1]):
         surface_cells = distinct(np.concatenate([met.codes[level], new[level]]))
@@ -280,14 +281,14 @@ def form_boundary(
         skirts.append(skirt)
         is_free = ~is_within(skirt, painted, level)  # the larger cells around the others are painted
         is_new = where.levels < level
-        made.paint.append(joined(each, skirt_paint(skirt[is_free], level, task.job.executor, each)))
+        formed.paint.append(joined(each, skirt_paint(skirt[is_free], level, task.job.executor, each)))
         added = [finer.added[level], skirt[is_free & is_new & ~where.is_leaf]]
-        made.added.append(np.sort(np.concatenate(added), kind="stable"))
+        formed.added.append(np.sort(np.concatenate(added), kind="stable"))
         wanted = [finer.below[level], ring, skirt[is_new & where.is_leaf]]
-        made.wanted.append(distinct(np.concatenate(wanted)))
-    every = zip(met.codes, new, with_all_above(skirts), strict=True)
-    made.stored.extend(distinct(np.concatenate(each)) for each in every)
-    return made
+        formed.wanted.append(distinct(np.concatenate(wanted)))
+    stored = zip(met.codes, new, with_all_above(skirts), strict=True)
+    formed.stored.extend(distinct(np.concatenate(each)) for each in stored)
+    return formed
 
 
 def raise_texture(
@@ -349,18 +350,17 @@ def raise_texture(
                 if alpha_of(name) is None:
                     sampled[name][:] = 0.0  # other layers have no paint there
             new_values.append((cells[is_other], sampled))
-    for name, channel in draft.channels.items():
-        for chosen, found in new_values:
-            if name in found:
-                values[name][chosen] = encode(found[name], channel.format.dtype, channel.format.space)
+    for name, (form, *_) in draft.channels.items():
+        for chosen, by_channel in new_values:
+            if name in by_channel:
+                values[name][chosen] = encode(by_channel[name], form.dtype, form.space)
     channels = carried(draft, edited, values)
     tree = tree.with_cell_data(flags, areas, tree.split, tree.kept)
-    made = refaced(with_rows(draft.with_cells(tree, channels), rows))
+    texture = refaced(with_rows(draft.with_cells(tree, channels), rows))
     if any(codes.size for codes in added):
-        nodes = nodes_at(made.tree, with_all_above([codes >> 3 for codes in added[1:]]))
-        made = made.with_cells(with_summed_areas(made.tree, nodes), made.channels)
-    is_skirt = edited.carried(is_skirt) | (made.tree.arrays.areas == SKIRT)
-    return Raised(made, edited.old, is_fresh, is_skirt, added)
+        texture = with_areas_above(texture, added)
+    is_skirt = edited.carried(is_skirt) | (texture.tree.arrays.areas == SKIRT)
+    return Raised(texture, edited.old, is_fresh, is_skirt, added)
 
 
 def _showing(task: Merge, tree: Octree, edited: Edited, paint: Sequence[Paint]) -> Bools:
@@ -384,7 +384,7 @@ def _face(flags: Uint8s, areas: Uint8s, cells: Int64s, tree: Octree, sources: In
     areas[cells] = tree.arrays.areas[sources]
 
 
-def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opacity: float) -> list[Paint]:
+def refine_paint(task: Merge, paint: Sequence[Paint], tree: Octree) -> list[Paint]:
     """2. Refine paint to the leaves of a deeper tree, by the field's refinement.
 
     The paper does so for translucent paint; here for all, since lookups are faster in trees of even depth.
@@ -393,7 +393,7 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
     refined = [*paint, *[none] * (tree.max_depth + 1 - len(paint))]
     if all(locate(tree, each.codes, level).is_leaf.all() for level, each in enumerate(paint)):
         return refined
-    name, divided = painted_channel(layer), list[Paint]()  # the paint on nodes, by level
+    layer, divided = task.layer, list[Paint]()  # the paint on nodes, by level
     for level, (codes, is_node) in enumerate(tree.walk()):
         is_divided = among(refined[level].codes, codes[is_node])
         divided.append(refined[level].of(is_divided))
@@ -405,8 +405,9 @@ def refine_paint(paint: Sequence[Paint], layer: OctreeTexture, tree: Octree, opa
             below, owners = leaves[owners >= 0], owners[owners >= 0]
             if below.size:
                 values = refined_values(layer.tree, layer.channels, below, level)
-                coverage = values[ALPHA.name][:, 0] * np.float32(opacity)
-                parts.append(Paint(below, values[name], coverage, coarse.cells[owners], coarse.flags[owners]))
+                coverage = values[ALPHA.name][:, 0] * np.float32(task.opacity)
+                columns = values[painted_channel(layer)], coverage, coarse.cells[owners], coarse.flags[owners]
+                parts.append(Paint(below, *columns))
         refined[level] = joined(*parts)
     return refined
 
@@ -420,8 +421,7 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     painted = [each.codes for each in paint]
     cells, on_leaves = paint_on_leaves(tree, paint)
     above = nodes_above(tree, painted, is_new, draft.tree, task.layer.tree)
-    may_split = may_differ(tree, cells, on_leaves.flags, above)
-    base = with_split_cells(raised.texture, may_split)
+    base = with_split_cells(raised.texture, may_differ(tree, cells, on_leaves.flags, above))
     alpha = alpha_of(task.target)
     targets = {name: channel for name, channel in base.channels.items() if name in (task.target, alpha)}
     has_covered = covers(task.blend, task.target) or is_fresh[cells].any()
@@ -430,41 +430,31 @@ def merge_paint(task: Merge, draft: OctreeTexture, raised: Raised, paint: list[P
     channels = writable(base, base.channels if is_new.any() else averaged_with(base.channels, names))
 
     def blend(
-        kind: str,
+        kind: Kind,
         rows: Int64s,
         values: Float32s,
         coverage: Float32s,
         fresh: Bools,
         bare: Int64s | None = None,
     ) -> None:
-        """Blend rows of a kind; fresh ones without paint get the values of cells ``bare``."""
-        old = {
-            name: decode(getattr(channel, kind).take(rows, axis=0), channel.format.space)
-            for name, channel in targets.items()
-        }
-        for name, (new, part) in mixed(task.blend, task.target, old, values, coverage, fresh).items():
-            form = channels[name].format
-            if bare is not None and alpha_of(name) is not None:
-                is_bare = fresh & (coverage == 0)
-                new[is_bare] = decode(channels[name].values[bare[is_bare]], form.space)
-            getattr(channels[name], kind)[rows] = encode(new, form.dtype, form.space)
-            if kind != "kept_values":
-                getattr(parts[name], kind)[rows, 0] = part
+        old = {name: read(channel, kind, rows) for name, channel in targets.items()}
+        blend_rows(task, channels, parts, kind, rows, old, values, coverage, fresh, bare)
 
     def blend_block(begin: int) -> None:
-        here = slice(begin, begin + _BLOCK)
-        blend("values", cells[here], on_leaves.values[here], on_leaves.coverage[here], is_fresh[cells[here]])
+        block = slice(begin, begin + _BLOCK)
+        in_block = on_leaves.of(block)
+        blend("values", cells[block], in_block.values, in_block.coverage, is_fresh[cells[block]])
 
     with sharing(task.job.executor) as pool:
         list(ordered_map(pool, blend_block, range(0, cells.size, _BLOCK)))
-    kept = on_kept(tree, paint, bare, skirts, task.job.executor)
-    if kept[0].size:
-        blend("kept_values", *kept, np.zeros(kept[0].size, np.bool_))
+    kept_rows, values, coverage = on_kept(tree, paint, bare, skirts, task.job.executor)
+    if kept_rows.size:
+        blend("kept_values", kept_rows, values, coverage, np.zeros(kept_rows.size, np.bool_))
     rows = rows_of(base.tree.split, cells)
     owners = on_leaves.of(np.searchsorted(cells, rows.cells))
-    facings = facings_of_paint(task.layer, owners, rows.bits, task.opacity)
+    facings = facings_of_paint(task, owners, rows.bits)
     blend("split_values", rows.rows, *facings, is_fresh[rows.cells], rows.cells)
-    return averaged(task, draft, raised, Blended(base, channels, parts, above, may_split), painted)
+    return averaged(task, draft, raised, base, channels, parts, above, painted)
 
 
 def delete_paint(merged: Merged) -> OctreeTexture:

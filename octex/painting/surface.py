@@ -1,12 +1,15 @@
-"""The painted surface, with cached views of it, and a grid that finds its triangles near paint."""
+"""The painted surface, with cached views of it, a grid that finds its triangles near paint, and the options.
+
+`PaintOptions` checks all options of a call once.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -14,12 +17,12 @@ import numpy.typing as npt
 from octex.arrays import Bools, Float32s, Int32s, Int64s, Uint8s
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR, ChannelFormat
+from octex.checks import as_array, as_choice, as_depth, as_flag, as_number, as_whole
 from octex.errors import ArgumentError
 from octex.jit import inlined, kernel
 from octex.painting.image import Mips, Projection
-from octex.painting.options import triangles_of
-from octex.painting.project import Projected, Shading, Sight, sight_of
-from octex.painting.reading import Shot, Terms, terms_of
+from octex.painting.project import Projected, Shading, Sight, sight_of, spread
+from octex.painting.reading import Shot, Terms
 from octex.painting.resume import NOT_STORED, Stages, digest_of
 from octex.painting.unwrap import Patch
 from octex.parallel import Progress
@@ -31,6 +34,17 @@ from octex.tree.placement import Placement, on_grid
 from octex.view.shading import corner_normals, corner_normals_of, face_normals
 from octex.voxelize.fragments import Blocks, whole
 
+#: Ways to combine images that see the same point.
+Fusion = Literal["average", "best", "robust"]
+FUSIONS: tuple[Fusion, ...] = get_args(Fusion)
+#: Ways to match exposures: by one gain per image; or per component, with vignetting removed.
+Balance = Literal["gain", "full"]
+BALANCES: tuple[Balance, ...] = get_args(Balance)
+
+#: Largest angles in degrees: photographs blur surface at grazing angles, drawings do not.
+TAKEN_ANGLE, DRAWN_ANGLE = 75.0, 85.0
+#: Degrees before the largest angle from which paint fades.
+_FADE = 10.0
 #: Surfaces tilted from the camera by this many degrees or more are not compared.
 _COMPARED_ANGLE = 75.0
 #: The level of the coarse cells: 128³, whose coordinates fit a byte.
@@ -41,11 +55,11 @@ class PaintedSurface:
     """A surface to paint on; a session caches its normals and its last views."""
 
     def __init__(
-        self, surface: Surface, *, in_session: bool = False, other: PaintedSurface | None = None
+        self, surface: Surface, *, in_session: bool = False, grid_of: PaintedSurface | None = None
     ) -> None:
         self.surface = surface
         self._in_session = in_session
-        self._other = other  # the same surface in another pose
+        self._grid_of = grid_of  # the same surface in another pose
         self._grid: tuple[Placement, TriangleGrid] | None = None
         self._sights: dict[bytes, Sight] = {}
         self._flat: tuple[Surface, PaintedSurface] | None = None  # the last patch
@@ -58,19 +72,19 @@ class PaintedSurface:
         for name in "triangles", "rest":
             if not np.array_equal(getattr(surface, name), getattr(self.surface, name)):
                 raise ArgumentError(f"{surface.name} is no pose of {self.surface.name}: it has other {name}")
-        return PaintedSurface(surface, in_session=self._in_session, other=self)
+        return PaintedSurface(surface, in_session=self._in_session, grid_of=self)
 
     def flat(self, patch: Patch, texture: OctreeTexture | None) -> PaintedSurface:
         """Return the surface laid flat, which shares the grid at rest."""
         if self._flat is None or self._flat[0] is not patch.surface or not self._in_session:
             flat = patch.surface if texture is None else patch.surface.placed_in(texture)
-            self._flat = patch.surface, PaintedSurface(flat, in_session=self._in_session, other=self)
+            self._flat = patch.surface, PaintedSurface(flat, in_session=self._in_session, grid_of=self)
         return self._flat[1]
 
     def grid(self, placement: Placement) -> TriangleGrid:
         """Return the grid of the triangles in a root cell."""
-        if self._other is not None:
-            return self._other.grid(placement)
+        if self._grid_of is not None:
+            return self._grid_of.grid(placement)
         if self._grid is None or self._grid[0] != placement:
             self._grid = placement, TriangleGrid(self.surface, placement)
         return self._grid[1]
@@ -108,12 +122,7 @@ class PaintedSurface:
     ) -> Projected:
         """Return the paint of shots of it, or of the triangles of a region."""
         mesh = self.surface.vertices, self.surface.triangles
-        count = len(self.surface.triangles)
-        chosen = None if region is None else triangles_of(region, count)
-        if region is not None and chosen is None:
-            raise ArgumentError(
-                f"region must be triangles of the surface: numbers from 0 to {count - 1}, or {count} bools"
-            )
+        chosen = None if region is None else triangles_of(region, len(mesh[1]))
         return Projected(list(shots), form, terms, *mesh, self.stretches, self.shading, chosen)
 
     def comparable(
@@ -147,6 +156,52 @@ class PaintedSurface:
             yield sight
 
 
+@dataclass(frozen=True)
+class PaintOptions:
+    """The options of ``octex.paint`` and ``octex.project``; raises ArgumentError for values out of range."""
+
+    channel: str = BASE_COLOR.name
+    max_depth: int | None = None
+    max_angle: float | None = None
+    edge_feather: float = 0.0
+    fusion: Fusion | None = None
+    balance: Balance | None = None
+    reference: int | None = None
+    back_faces: bool = False
+    fit: bool = True
+    hidden: bool = False
+    region: npt.ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        """Check the options; `of` checks the reference and sets the angle."""
+        angle, depth = self.max_angle, self.max_depth
+        checked = {
+            "max_depth": None if depth is None else as_depth(depth, "max_depth"),
+            "max_angle": None if angle is None else as_number(angle, "max_angle", 0.0, 180.0),
+            "edge_feather": as_number(self.edge_feather, "edge_feather", 0.0, 1e6),
+            "fusion": None if self.fusion is None else as_choice(self.fusion, FUSIONS, "fusion"),
+            "balance": None if self.balance is None else as_choice(self.balance, BALANCES, "balance"),
+            "back_faces": as_flag(self.back_faces, "back_faces"),
+            "fit": as_flag(self.fit, "fit"),
+            "hidden": as_flag(self.hidden, "hidden"),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+        if self.hidden and (self.balance is not None or self.fusion in ("robust", "best")):
+            raise ArgumentError(
+                "hidden cannot be used with balance, or with images that are robust or best: these compare "
+                "what cameras see"
+            )
+
+    def of(self, images: Sequence[Projection]) -> PaintOptions:
+        """Return the options for these images; raise ArgumentError for a reference that is none of them."""
+        usual = DRAWN_ANGLE if all(each.since is not None for each in images) else TAKEN_ANGLE
+        if self.reference is not None:
+            as_whole(self.reference, "reference", 0, len(images) - 1)
+        angle = usual if self.max_angle is None else self.max_angle
+        return replace(self, max_angle=angle, fusion="average" if self.hidden else self.fusion)
+
+
 class Job(NamedTuple):
     """What a call paints on, and how it works."""
 
@@ -169,6 +224,37 @@ def laid_flat(
         raise ArgumentError(f"the patch is not of {job.surface.surface.name}; unwrap that")
     job = job._replace(surface=job.surface.flat(patch, texture))
     return job, [replace(each, camera=patch.camera) for each in projections]
+
+
+def triangles_of(region: npt.ArrayLike, count: int, kinds: str = "") -> Bools:
+    """Return a region, of numbers or bools, as bools (count,).
+
+    Raises ArgumentError for any other region; the message names the other allowed ``kinds``.
+    """
+    part = as_array(region)
+    if part.dtype == np.bool_ and part.shape == (count,):
+        return part
+    is_whole = part.ndim == 1 and part.dtype.kind in "iu"
+    if not is_whole or (part.size and not 0 <= part.min() <= part.max() < count):
+        raise ArgumentError(
+            f"region must be {kinds}triangles of the surface: numbers from 0 to {count - 1}, or {count} bools"
+        )
+    chosen = np.zeros(count, np.bool_)
+    chosen[part] = True
+    return chosen
+
+
+def terms_of(max_angle: float, feather: float, back_faces: bool, hidden: bool = False) -> Terms:
+    """Return terms; ``max_angle`` is in degrees between the surface's normal and the camera."""
+    vanishing, fading = np.radians(max_angle), np.radians(max(max_angle - _FADE, 0.0))
+    whole = max_angle >= 90.0  # no fading
+    return Terms(
+        -1.0 if whole else float(np.cos(fading)),
+        -2.0 if whole else float(np.cos(vanishing)),
+        feather,
+        back_faces,
+        hidden,
+    )
 
 
 def key_of(camera: Camera) -> bytes:
@@ -194,8 +280,8 @@ class TriangleGrid:
     def around(self, chosen: Int32s, depth: int) -> Blocks:
         """Return the triangles in or next to the coarse cells of ``chosen`` ones, of ``depth`` at most."""
         shift = max(_COARSE - depth, 0)
-        found = self._sharing(self._boxes[chosen] >> np.uint8(shift), shift, 1)
-        return whole(self._grid, self._faces, depth, found)
+        triangles = self._sharing(self._boxes[chosen] >> np.uint8(shift), shift, 1)
+        return whole(self._grid, self._faces, depth, triangles)
 
     def touching(self, cells: Sequence[tuple[int, Int64s]], depth: int) -> Blocks:
         """Return the triangles that may meet cells, listed as levels and Morton codes."""
@@ -206,8 +292,8 @@ class TriangleGrid:
                 first, last = first << (_COARSE - level), ((first + 1) << (_COARSE - level)) - 1
             boxes.append(np.concatenate([first, last], axis=1).astype(np.uint8))
         has_any = any(map(len, boxes))
-        found = self._sharing(np.concatenate(boxes), 0, 0) if has_any else np.empty(0, np.int32)
-        return whole(self._grid, self._faces, depth, found)
+        triangles = self._sharing(np.concatenate(boxes), 0, 0) if has_any else np.empty(0, np.int32)
+        return whole(self._grid, self._faces, depth, triangles)
 
     def _sharing(self, boxes: Uint8s, shift: int, reach: int) -> Int32s:
         """Return the triangles that share coarse cells with boxes (n, 6), widened by ``reach`` cells."""
@@ -216,13 +302,7 @@ class TriangleGrid:
         last = np.minimum(last + reach, (1 << (_COARSE - shift)) - 1)
         marked = np.zeros(last - first + 1, np.bool_)
         _mark(boxes, first, marked)
-        for axis in range(3 * reach):
-            wide = marked.copy()
-            before, after = (np.s_[:],) * axis + (np.s_[:-1],), (np.s_[:],) * axis + (np.s_[1:],)
-            wide[after] |= marked[before]
-            wide[before] |= marked[after]
-            marked = wide
-        return _reaching(self._boxes, shift, first, marked)
+        return _reaching(self._boxes, shift, first, spread(marked, reach))
 
 
 @kernel
@@ -252,12 +332,12 @@ def _mark(boxes: Uint8s, first: Int64s, marked: Bools) -> None:
 @kernel
 def _reaching(boxes: Uint8s, shift: int, first: Int64s, marked: Bools) -> Int32s:
     """Return the triangles whose boxes reach a marked coarse cell; ``marked`` begins at cell ``first``."""
-    found = np.empty(boxes.shape[0], np.int32)
+    reaching = np.empty(boxes.shape[0], np.int32)
     count = 0
     for triangle in range(boxes.shape[0]):
-        found[count] = triangle
+        reaching[count] = triangle
         count += _meets(boxes[triangle], shift, first, marked)
-    return found[:count].copy()
+    return reaching[:count].copy()
 
 
 @inlined

@@ -13,13 +13,14 @@ from heapq import heappop, heappush
 import numpy as np
 import numpy.typing as npt
 
-from octex.arrays import Bools, Complex128s, Float64s, Int32s, Int64s, Integers
+from octex.arrays import Complex128s, Float64s, Int32s, Int64s, Integers
 from octex.cameras.camera import Camera
 from octex.checks import as_choice, as_positive, as_reals, as_whole
 from octex.errors import ModelError
 from octex.jit import inlined, kernel
 from octex.nearest.triangles import Triangles
 from octex.painting.multigrid import conjugate_gradients
+from octex.source.parts import edges_of
 from octex.source.surface import Surface, as_surface
 from octex.source.welding import first_equal
 
@@ -118,21 +119,22 @@ def unwrap(
     size = as_whole(size, "size", 1, 100_000)
     as_choice(method, METHODS, "method")
     wanted = None if up is None else as_reals(up, "up", (3,), most=1e30)
-    found = Triangles.of(surface.vertices, surface.triangles, surface.name).nearest(middle[None])
-    start = int(found.triangles[0])
+    nearest = Triangles.of(surface.vertices, surface.triangles, surface.name).nearest(middle[None])
+    start = int(nearest.triangles[0])
     if start < 0:
         raise ModelError(f"{surface.name} has no point near {middle.tolist()}")
-    at = surface.points_at(found.triangles, found.barycentric)[0]
-    if np.linalg.norm(at - middle) > radius:
+    origin = surface.points_at(nearest.triangles, nearest.barycentric)[0]
+    if np.linalg.norm(origin - middle) > radius:
         raise ModelError(
             f"the centre {middle.tolist()} is farther than the radius {radius:g} from {surface.name}; its "
-            f"nearest point is {at.round(6).tolist()}"
+            f"nearest point is {origin.round(6).tolist()}"
         )
     rest = [] if surface.rest is surface.vertices else [surface.rest]
-    faces = first_equal(np.concatenate([surface.vertices, *rest], axis=1))[surface.triangles]
-    flat, border = _spread(surface.vertices, faces, start, found.barycentric[0], at, radius, wanted)
+    weld = first_equal(np.concatenate([surface.vertices, *rest], axis=1))
+    faces, edges = weld[surface.triangles], edges_of(surface.triangles, weld)[0].reshape(3, -1).T
+    flat = _spread(surface.vertices, faces, start, nearest.barycentric[0], origin, radius, wanted)
     reach = np.linalg.norm(flat, axis=1)
-    triangles = _within(faces, flat, radius, start)
+    triangles = _within(faces, edges, flat, radius, start)
     half = radius
     if method == "conformal":
         used = np.unique(faces[triangles])
@@ -143,15 +145,19 @@ def unwrap(
     a, b, c = np.moveaxis(flat[faces[triangles]], 1, 0)
     e, f = b - a, c - a
     folded = triangles[e[:, 0] * f[:, 1] - e[:, 1] * f[:, 0] < 0]
-    posed, coordinates = _flat_surface(surface, faces, triangles, folded, flat, _BEHIND * half)
+    posed, coordinates = _flat_surface(surface, triangles, folded, flat[weld], _BEHIND * half)
     pose = np.eye(4)
     pose[2, 3] = half
     camera = Camera.orthographic(
         (size, size), pose=pose, convention="opengl", pixels_per_unit=size / (2 * half)
     )
-    ends = border & (reach < radius)
+    keys, counts = np.unique(edges, return_counts=True)
+    rim = keys[counts == 1]  # edges of one triangle
+    ends = np.zeros(len(weld), np.bool_)
+    ends[rim // len(weld)] = ends[rim % len(weld)] = True
+    ends &= reach < radius
     meets = bool(ends[faces[triangles]].any())
-    return Patch(camera, posed, at, radius, coordinates, triangles, folded.astype(np.int32), meets)
+    return Patch(camera, posed, origin, radius, coordinates, triangles, folded.astype(np.int32), meets)
 
 
 def _spread(
@@ -159,22 +165,22 @@ def _spread(
     faces: Int64s,
     start: int,
     barycentric: Float64s,
-    at: Float64s,
+    origin: Float64s,
     radius: float,
     up: Float64s | None,
-) -> tuple[Float64s, Bools]:
-    """Return flat positions of vertices (n, 2), NaN for unreached ones, and which vertices are on borders."""
+) -> Float64s:
+    """Return flat positions of vertices (n, 2); NaN for unreached ones."""
     flat = np.full((len(vertices), 2), np.nan)
     normals = np.cross(
         vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
     )
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     units = normals / np.where(lengths > 0, lengths, 1)
-    near = np.flatnonzero(np.isin(faces, faces[start]).any(axis=1) & (lengths[:, 0] > 0))
+    ring = np.flatnonzero(np.isin(faces, faces[start]).any(axis=1) & (lengths[:, 0] > 0))
     normal = units[start]
-    is_flat = bool((units[near] @ normal > np.cos(np.radians(_FLAT))).all())
+    is_flat = bool((units[ring] @ normal > np.cos(np.radians(_FLAT))).all())
     if is_flat:  # interpolate the corners' normals
-        corners = [normals[near[(faces[near] == each).any(axis=1)]].sum(axis=0) for each in faces[start]]
+        corners = [normals[ring[(faces[ring] == each).any(axis=1)]].sum(axis=0) for each in faces[start]]
         normal = sum(w * each / np.linalg.norm(each) for w, each in zip(barycentric, corners, strict=True))
         normal /= np.linalg.norm(normal)
     if not normal.any():
@@ -184,11 +190,11 @@ def _spread(
     right = np.cross(up, normal)
     right /= np.linalg.norm(right)
     axes = np.stack([right, np.cross(normal, right)])
-    known = np.unique(faces[near]) if is_flat else np.unique(faces[start])
-    away = vertices[known] - at
-    seen = away @ axes.T
-    spans = np.linalg.norm(seen, axis=1, keepdims=True)
-    flat[known] = seen * np.linalg.norm(away, axis=1, keepdims=True) / np.where(spans > 0, spans, 1)
+    known = np.unique(faces[ring]) if is_flat else np.unique(faces[start])
+    away = vertices[known] - origin
+    on_plane = away @ axes.T
+    spans = np.linalg.norm(on_plane, axis=1, keepdims=True)
+    flat[known] = on_plane * np.linalg.norm(away, axis=1, keepdims=True) / np.where(spans > 0, spans, 1)
     order = np.argsort(faces.ravel(), kind="stable")
     first = np.searchsorted(faces.ravel()[order], np.arange(len(vertices) + 1))
     distances = np.full(len(vertices), np.inf)
@@ -198,14 +204,11 @@ def _spread(
     sides = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
     reach = _BEYOND * radius + float(np.sqrt((sides * sides).sum(axis=2).max()))
     _propagate(vertices, faces, first, order // 3, known, reach, distances, angles)
-    there = np.isfinite(distances)
-    flat[there] = distances[there, None] * np.stack([np.cos(angles[there]), np.sin(angles[there])], axis=1)
-    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    keys, counts = np.unique(ends[:, 0] << 32 | ends[:, 1], return_counts=True)
-    alone = keys[counts == 1]  # edges of one triangle
-    border = np.zeros(len(vertices), np.bool_)
-    border[alone >> 32] = border[alone & 0xFFFFFFFF] = True
-    return flat, border
+    reached = np.isfinite(distances)
+    flat[reached] = distances[reached, None] * np.stack(
+        [np.cos(angles[reached]), np.sin(angles[reached])], axis=1
+    )
+    return flat
 
 
 @kernel
@@ -220,10 +223,10 @@ def _propagate(
     angles: Float64s,
 ) -> None:
     """Propagate distances and angles from ``known`` vertices, nearest first; nearer values replace others."""
-    is_given = np.zeros(distances.size, np.bool_)
+    is_fixed = np.zeros(distances.size, np.bool_)
     waiting = [(distances[known[0]], known[0])]
     for k in range(known.size):
-        is_given[known[k]] = True
+        is_fixed[known[k]] = True
         if k:
             heappush(waiting, (distances[known[k]], known[k]))
     while waiting:
@@ -236,7 +239,7 @@ def _propagate(
             face = around[at]
             for corner in range(3):
                 other = faces[face, corner]
-                if other == vertex or is_given[other]:
+                if other == vertex or is_fixed[other]:
                     continue
                 third = faces[face, 0] + faces[face, 1] + faces[face, 2] - vertex - other
                 if third == vertex or third == other:  # noqa: SIM109  (kernels have no such tuples)
@@ -296,7 +299,7 @@ def _stepped(
     return np.sqrt((x - s) ** 2 + (y + q) ** 2), angles[a] + turn * share
 
 
-def _within(faces: Int64s, flat: Float64s, radius: float, start: int) -> Int32s:
+def _within(faces: Int64s, edges: Int64s, flat: Float64s, radius: float, start: int) -> Int32s:
     """Return the triangles, connected with ``start``, that a disc around the origin meets."""
     known = np.flatnonzero(np.isfinite(flat[:, 0])[faces].all(axis=1))
     corners = flat[faces[known]]
@@ -304,39 +307,36 @@ def _within(faces: Int64s, flat: Float64s, radius: float, start: int) -> Int32s:
     along = -(corners * sides).sum(axis=2) / np.maximum((sides * sides).sum(axis=2), 1e-300)
     nearest = corners + np.clip(along, 0.0, 1.0)[..., None] * sides
     crossed = np.linalg.norm(nearest, axis=2) < radius
-    ends = np.sort(np.stack([faces[known], np.roll(faces[known], -1, axis=1)]), axis=0)
-    edges = np.unique(ends[0] << 32 | ends[1], return_inverse=True)[1].reshape(crossed.shape)
+    edges = np.unique(edges[known], return_inverse=True)[1].reshape(crossed.shape)
     reached, count = known == start, 0
     while count < (count := int(reached.sum())):
         is_open = np.zeros(edges.max() + 1, np.bool_)
         is_open[edges[reached[:, None] & crossed]] = True
         reached |= (is_open[edges] & crossed).any(axis=1)
-    found: Int32s = known[reached].astype(np.int32)
-    return found
+    triangles: Int32s = known[reached].astype(np.int32)
+    return triangles
 
 
 def _flat_surface(
-    surface: Surface, faces: Int64s, triangles: Int32s, folded: Int32s, flat: Float64s, behind: float
+    surface: Surface, triangles: Int32s, folded: Int32s, flat: Float64s, behind: float
 ) -> tuple[Surface, Float64s]:
     """Return the surface with a disc posed flat, folds ``behind``, the rest shrunk; and flat coordinates."""
     count = len(surface.vertices)
-    made = surface.triangles.copy()
-    every: list[Integers] = [np.arange(count)]
+    flat_triangles = surface.triangles.copy()
+    copies: list[Integers] = [np.arange(count)]
     depths = [np.full(count, -1.0)]
     for chosen, depth in ((np.setdiff1d(triangles, folded), 0.0), (folded, -behind)):
         used = np.unique(surface.triangles[chosen])
-        made[chosen] = np.searchsorted(used, surface.triangles[chosen]) + sum(map(len, every))
-        every.append(used)
+        flat_triangles[chosen] = np.searchsorted(used, surface.triangles[chosen]) + sum(map(len, copies))
+        copies.append(used)
         depths.append(np.full(len(used), depth))
-    vertices = np.concatenate(every)
-    weld = np.arange(count)
-    weld[surface.triangles] = faces
-    coordinates = flat[weld[vertices]]
+    vertices = np.concatenate(copies)
+    coordinates = flat[vertices]
     coordinates[:count] = np.nan
     positions = np.column_stack([np.nan_to_num(coordinates), np.concatenate(depths)])
     rest = surface.rest[vertices]
     posed = Surface(
-        positions, made, surface.source, rest=rest, uv=surface.uv, polygons=surface.polygons,
+        positions, flat_triangles, surface.source, rest=rest, uv=surface.uv, polygons=surface.polygons,
         name=surface.name, provenance=surface.provenance,
     )  # fmt: skip
     return posed, coordinates
@@ -360,15 +360,17 @@ def _conformal(vertices: Float64s, faces: Int64s, flat: Float64s, start: int) ->
     first = int(np.argmax((flat * flat).sum(axis=1)))
     away = flat - flat[first]
     held = np.array([first, np.argmax((away * away).sum(axis=1))])
-    found = _solved(weights, faces, flat[:, 0] + 1j * flat[:, 1], held)
-    one, two, three = found[faces].T
-    spread = np.abs(np.imag(np.conj(two - one) * (three - one))).sum()
+    mapped = _solved(weights, faces, flat[:, 0] + 1j * flat[:, 1], held)
+    p, q, r = mapped[faces].T
+    spread = np.abs(np.imag(np.conj(q - p) * (r - p))).sum()
     begun = flat[faces[start], 0] + 1j * flat[faces[start], 1]
-    here = found[faces[start]]
-    turn = np.vdot(here - here.mean(), begun - begun.mean())
+    start_corners = mapped[faces[start]]
+    turn = np.vdot(start_corners - start_corners.mean(), begun - begun.mean())
     turn /= max(abs(turn), 1e-300)
-    found = (found - here.mean()) * turn * np.sqrt(doubled.sum() / max(spread, 1e-300)) + begun.mean()
-    return np.stack([found.real, found.imag], axis=1)
+    mapped = (mapped - start_corners.mean()) * turn * np.sqrt(
+        doubled.sum() / max(spread, 1e-300)
+    ) + begun.mean()
+    return np.stack([mapped.real, mapped.imag], axis=1)
 
 
 def _solved(weights: Complex128s, faces: Int64s, begun: Complex128s, held: Int64s) -> Complex128s:
@@ -378,13 +380,13 @@ def _solved(weights: Complex128s, faces: Int64s, begun: Complex128s, held: Int64
     def gradient(values: Complex128s) -> Complex128s:
         sums = (weights * values[faces]).sum(axis=1)
         parts = (np.conj(weights) * sums[:, None]).ravel()
-        made = np.bincount(rows, parts.real, count) + 1j * np.bincount(rows, parts.imag, count)
-        made[held] = 0.0
-        return made
+        gradients = np.bincount(rows, parts.real, count) + 1j * np.bincount(rows, parts.imag, count)
+        gradients[held] = 0.0
+        return gradients
 
     diagonal = np.bincount(rows, (np.abs(weights) ** 2).ravel(), count)
     inverse = 1 / np.where(diagonal > 0, diagonal, 1.0)
-    found: Complex128s = begun + conjugate_gradients(
+    solution: Complex128s = begun + conjugate_gradients(
         gradient, -gradient(begun), lambda left: inverse * left, _LEFT, _MOST_STEPS
     )
-    return found
+    return solution

@@ -10,9 +10,9 @@ import numpy as np
 from octex.arrays import Bools, Float32s, Float64s, Int32s
 from octex.cameras.lens import distort
 from octex.painting.image import Mips
-from octex.painting.options import Balance
 from octex.painting.project import Projected
 from octex.painting.reading import Shot
+from octex.painting.surface import Balance
 from octex.parallel import ordered_map, sharing
 from octex.photos.agreement import as_codes
 from octex.photos.consensus import agreed_step, few_at, medians, robust_weights

@@ -32,11 +32,10 @@ from octex.painting.image import (
     mips_of,
     room_for,
 )
-from octex.painting.options import BALANCES, Balance
 from octex.painting.project import Projected, most_ahead, order_key
 from octex.painting.reading import Shot
 from octex.painting.resume import Stages, stages_in
-from octex.painting.surface import PaintedSurface, key_of
+from octex.painting.surface import BALANCES, Balance, PaintedSurface, key_of
 from octex.parallel import Progress, Run, as_run, ordered_map, workers
 from octex.photos.agreement import agreeing
 from octex.photos.balance import balanced

@@ -9,10 +9,10 @@ import numpy as np
 
 from octex.arrays import Float32s, Float64s, Int32s
 from octex.painting.multigrid import graph_of
-from octex.painting.options import PaintOptions
 from octex.painting.project import Projected
 from octex.painting.resume import Stages
 from octex.painting.sheets import Sheets, sheets_of
+from octex.painting.surface import PaintOptions
 from octex.photos.agreement import agreeing
 from octex.photos.balance import balanced, without_overexposed
 from octex.photos.labels import costs_of, exposed, feathered, labelled, levelling

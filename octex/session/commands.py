@@ -17,8 +17,8 @@ from octex.cameras.camera import Camera
 from octex.checks import as_choice, as_flag, as_number, as_reals, as_whole
 from octex.errors import ArgumentError
 from octex.painting.image import Blend, Projection
-from octex.painting.options import DRAWN_ANGLE, PaintOptions
 from octex.painting.stack import Layer, check_layer
+from octex.painting.surface import DRAWN_ANGLE, PaintOptions
 
 #: Largest size of a command in bytes, and largest side of a stroke's view in pixels.
 MOST_BYTES, MOST_PIXELS = 32 << 20, 4096
@@ -63,13 +63,13 @@ class Command(NamedTuple):
     content: bytes
 
 
-def object_of(text: str | bytes, what: str) -> dict[str, Any]:
-    """Parse a JSON object; raise ArgumentError, which names ``what``, for anything else."""
+def object_of(text: str | bytes, name: str) -> dict[str, Any]:
+    """Parse a JSON object; raise ArgumentError for anything else, with ``name`` in its message."""
     with suppress(ValueError, RecursionError):
         fields = json.loads(text)
         if isinstance(fields, dict):
             return fields
-    raise ArgumentError(f"{what} must be a JSON object")
+    raise ArgumentError(f"{name} must be a JSON object")
 
 
 def command_of(body: bytes) -> Command:
@@ -117,20 +117,20 @@ def stroke_of(command: Command) -> tuple[Projection, dict[str, Any], Where]:
 
 def moment_of(fields: dict[str, Any]) -> Moment | None:
     """Return the animation time that the page shows; None for the model as loaded."""
-    moved = _object_of(fields, "moved")
-    if moved is None:
+    record = _object_of(fields, "moved")
+    if record is None:
         return None
-    number = as_whole(moved.get("animation"), "animation", 0, 1 << 20)  # type: ignore[arg-type]
-    return Moment(number, as_number(moved.get("time"), "time", 0.0, 1e9))  # type: ignore[arg-type]
+    number = as_whole(record.get("animation"), "animation", 0, 1 << 20)  # type: ignore[arg-type]
+    return Moment(number, as_number(record.get("time"), "time", 0.0, 1e9))  # type: ignore[arg-type]
 
 
 def spot_of(fields: dict[str, Any]) -> Spot | None:
     """Return the spot of the unwrapped view; None for an ordinary view."""
-    patch = _object_of(fields, "patch")
-    if patch is None:
+    record = _object_of(fields, "patch")
+    if record is None:
         return None
-    center, up = (tuple(numbers(patch, name, (3,)).tolist()) for name in ("center", "up"))
-    return Spot(center, as_number(patch.get("radius"), "radius", 1e-12, 1e12), up)  # type: ignore[arg-type]
+    center, up = (tuple(numbers(record, name, (3,)).tolist()) for name in ("center", "up"))
+    return Spot(center, as_number(record.get("radius"), "radius", 1e-12, 1e12), up)  # type: ignore[arg-type]
 
 
 def _object_of(fields: dict[str, Any], name: str) -> dict[str, Any] | None:
@@ -140,28 +140,22 @@ def _object_of(fields: dict[str, Any], name: str) -> dict[str, Any] | None:
     return record
 
 
-class Alike(NamedTuple):
-    """Limits of a fill to a similar colour."""
+def fill_of(command: Command) -> tuple[dict[str, Any], Where, dict[str, Any] | None]:
+    """Return a fill's options, its point (None: everywhere), and its limits by colour, for `alike`.
 
-    tolerance: float  # 8-bit codes
-    connected: bool
-
-
-def fill_of(command: Command) -> tuple[dict[str, Any], Where, Alike | None]:
-    """Return a fill's options, its point (None: everywhere), and the limits of a fill by colour.
-
-    Limits of None fill the whole connected part.
+    Without limits it fills the whole connected part.
     """
     _no_content(command)
     if not values_of(command) or "color" in command.fields:
         codes_of(command)
-    where, limits = where_of(command), None
+    where, color_limits = where_of(command), None
     if "tolerance" in command.fields:
         if where.point is None:
             raise ArgumentError("tolerance needs at, the point whose colour is replaced")
         tolerance = as_number(command.fields["tolerance"], "tolerance", 0.0, 255.0)
-        limits = Alike(tolerance, as_flag(command.fields.get("connected", True), "connected"))
-    return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, limits
+        connected = as_flag(command.fields.get("connected", True), "connected")
+        color_limits = {"tolerance": tolerance, "connected": connected}
+    return {"opacity": opacity_of(command), "blend": blend_of(command)}, where, color_limits
 
 
 def channel_of(command: Command) -> str:
@@ -190,7 +184,7 @@ def layer_of(command: Command) -> tuple[str, dict[str, Any]]:
 
 
 def fields_of(layer: Layer) -> dict[str, Any]:
-    """Return a layer as pages are told of it."""
+    """Return a layer as pages read it."""
     return {"number": layer.number} | {name: getattr(layer, field) for name, field in _FIELDS.items()}
 
 
@@ -201,7 +195,7 @@ def replaces_of(command: Command) -> bool:
 
 
 def file_of(command: Command) -> str:
-    """Return which file's version to take: that of the saved texture, or of the opened one."""
+    """Return which file to take: "output", the saved texture, or "opened", the opened one."""
     file: str = as_choice(command.fields.get("file", ""), ("output", "opened"), "file")
     return file
 
@@ -255,8 +249,8 @@ def image_of(command: Command, camera: Camera) -> Uint8s:
     except zlib.error:
         planes = b""
     if len(planes) != size or not unpacker.eof or unpacker.unused_data:
-        what = "coverage" if is_plain else "red, green, blue and coverage"
-        raise ArgumentError(f"the content is not deflated {what} of {math.prod(shape[1:]):,} pixels")
+        expected = "coverage" if is_plain else "red, green, blue and coverage"
+        raise ArgumentError(f"the content is not deflated {expected} of {math.prod(shape[1:]):,} pixels")
     image = np.zeros((height, width, 4), np.uint8)
     inside = image[top:bottom, left:right]
     if "color" in command.fields:
@@ -312,6 +306,6 @@ def values_of(command: Command) -> dict[str, Array]:
     return {name: numbers(values, name, (-1,)) for name in values}
 
 
-def numbers(given: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
+def numbers(fields: dict[str, Any], name: str, shape: tuple[int, ...]) -> Array:
     """Return numbers of a field; raise ArgumentError for others than finite ones of a shape."""
-    return as_reals(given.get(name), name, shape, most=_FARTHEST)  # type: ignore[arg-type]
+    return as_reals(fields.get(name), name, shape, most=_FARTHEST)  # type: ignore[arg-type]

@@ -68,9 +68,11 @@ class Journal:
             raise OutputError(f"{self.path}: {error.strerror or error}") from None
         head, *records = [*_records(content)] or [b""]
         if records and not recover:
-            what, again = ("command that was", "it") if len(records) == 1 else ("commands that were", "them")
+            noun, pronoun = (
+                ("command that was", "it") if len(records) == 1 else ("commands that were", "them")
+            )
             raise OutputError(
-                f"{self.path} has {len(records)} {what} not saved; --recover paints {again} again, "
+                f"{self.path} has {len(records)} {noun} not saved; --recover paints {pronoun} again, "
                 "or delete the file"
             )
         if records and head != self._head:
@@ -91,9 +93,9 @@ class Journal:
         data = _HEAD.pack(len(record), zlib.crc32(record)) + record
         try:
             os.lseek(self._file, self._end, os.SEEK_SET)
-            left = memoryview(data)
-            while left:
-                left = left[os.write(self._file, left) :]
+            remaining = memoryview(data)
+            while remaining:
+                remaining = remaining[os.write(self._file, remaining) :]
             os.fsync(self._file)
         except OSError as error:
             os.ftruncate(self._file, self._end)

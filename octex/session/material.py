@@ -24,7 +24,7 @@ from octex.channels import (
 from octex.checks import as_choice
 from octex.errors import ArgumentError
 from octex.painting.image import Projection
-from octex.painting.options import format_of
+from octex.painting.paint import format_of
 from octex.session.commands import Command, channel_of, codes_of, values_of
 from octex.texture import Channel, OctreeTexture
 from octex.texture.channel import row_counts
@@ -110,5 +110,5 @@ def with_channel(command: Command, texture: OctreeTexture) -> OctreeTexture:
     if name in texture.channels:
         raise ArgumentError(f"the texture has the channel {name!r} already")
     codes = encode(np.full(form.components, value), form.dtype, form.space)
-    parts = (np.tile(codes, (count, 1)) for count in row_counts(texture.tree))
+    parts = (np.tile(codes, (n_rows, 1)) for n_rows in row_counts(texture.tree))
     return texture.with_cells(texture.tree, {**texture.channels, name: Channel(form, *parts)})

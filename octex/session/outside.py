@@ -1,4 +1,4 @@
-"""Files of a session that other programs may change meanwhile: what changed, and where it is kept."""
+"""Files of a session that other programs may change meanwhile; the other versions are kept."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ def stamp_of(path: Path) -> tuple[int, ...] | None:
 @contextmanager
 def put_aside(paths: Sequence[Path]) -> Iterator[list[Path]]:
     """Rename files, so that the block can write others; yield their new names. Undone if the block fails."""
-    moved: list[tuple[Path, Path]] = []
+    renamed: list[tuple[Path, Path]] = []
     try:
         for path in map(Path, map(os.path.realpath, paths)):
             aside = _free_name(path)
             path.rename(aside)
-            moved.append((path, aside))
-        yield [aside for _, aside in moved]
+            renamed.append((path, aside))
+        yield [aside for _, aside in renamed]
     except BaseException as error:
-        for path, aside in moved:
+        for path, aside in renamed:
             aside.replace(path)
         if isinstance(error, OSError):
             raise OutputError(f"{error.filename}: {error.strerror or error}") from None

@@ -23,7 +23,7 @@ from octex.nearest.triangles import Triangles
 from octex.painting.composites import Stacked
 from octex.painting.image import Blend, Projection
 from octex.painting.layers import Layers
-from octex.painting.options import format_of
+from octex.painting.paint import format_of
 from octex.painting.painter import Painter
 from octex.painting.region import alike
 from octex.painting.unwrap import Patch
@@ -118,7 +118,7 @@ class Session:
         self._undone: list[_Step] = []
         self._error, self._is_ending, self._count = "", False, 0
         self._question = ""  # why the last save asks before replacing OUTPUT
-        self._told = ""  # by the last command
+        self._notice = ""  # of the last command
         self._taken: tuple[int, Any] = 0, None  # the last step that took OUTPUT's version, and its stamp
         self._files = {"output": output} if opened is None else {"output": output, "opened": opened}
         self._watch = Watch([*self._files.values(), layers_file(output)])
@@ -206,9 +206,9 @@ class Session:
         self._journal.close(remove=is_saved)
         if is_saved:
             return ""
-        what, again = ("step is", "it") if steps == 1 else ("steps are", "them")
+        noun, pronoun = ("step is", "it") if steps == 1 else ("steps are", "them")
         return (
-            f"{steps} painted {what} not saved: the same command with --recover paints {again} again, "
+            f"{steps} painted {noun} not saved: the same command with --recover paints {pronoun} again, "
             f"from {self._journal.path}"
         )
 
@@ -246,14 +246,14 @@ class Session:
             "isSaved": self._is_saved,
             "layers": [fields_of(layer) for layer in self._painter.layers],
             "error": self._error,
-            "told": self._told,
+            "told": self._notice,
             "questions": {"output": self._question, "opened": self._opened_question()},
         }
         return Shown(self._painter.texture(), status, self._before, self._changes, self._painter.stacked)
 
     def _do(self, command: Command) -> None:
         """Run a command; one that fails changes nothing, and sets the error."""
-        self._error, self._told, self._before, self._changes = "", "", self._painter.texture(), ()
+        self._error, self._notice, self._before, self._changes = "", "", self._painter.texture(), ()
         try:
             layer, in_mask = target_of(command)
             self._painter.choose(layer, mask=in_mask)
@@ -271,35 +271,35 @@ class Session:
         projection, options, where = stroke_of(command)
         moment, spot = moment_of(command.fields), spot_of(command.fields)
         pose = self._poses.at(moment)
-        both = [projection if spot is None else self._poses.flat(projection, moment, spot)]
+        images = [projection if spot is None else self._poses.flat(projection, moment, spot)]
         if where.axis is not None:
             middle = self._mirror(where, (pose or self._surface).vertices)
             if spot is None:
-                both.append(mirrored(projection, where.axis, middle))
+                images.append(mirrored(projection, where.axis, middle))
             else:
-                other = mirrored(projection, 0, 0.0)
+                flipped, spot = mirrored(projection, 0, 0.0), mirrored_spot(spot, where.axis, middle)
                 with suppress(ModelError):  # no surface at the mirrored spot
-                    both.append(self._poses.flat(other, moment, mirrored_spot(spot, where.axis, middle)))
+                    images.append(self._poses.flat(flipped, moment, spot))
         regions: list[Any] = [None, None]
         if where.point is not None:
             regions = [self._surface.parts == self._part_at(point) for point in self._points(where)]
         texture, strokes = self._painter.texture(), []
         covered = self._painter.covered(erases=projection.blend == "erase")
-        for each, region in zip(both, regions, strict=False):
-            images = [(name, each) for name in covered or ()] or images_of(command, each, texture)
-            for name, image in images:
-                strokes.append(self._painter.paint(image, pose=pose, channel=name, region=region, **options))
+        for image, region in zip(images, regions, strict=False):
+            of_channels = [(name, image) for name in covered or ()] or images_of(command, image, texture)
+            for name, each in of_channels:
+                strokes.append(self._painter.paint(each, pose=pose, channel=name, region=region, **options))
         self._did(command, strokes)
 
     def _do_fill(self, command: Command) -> None:
-        options, where, like = fill_of(command)
+        options, where, color_limits = fill_of(command)
         regions: list[Any] = [_everywhere]
         texture = self._painter.texture()
-        if like is not None:
-            near = self._nearest.nearest(np.stack(self._points(where)))
-            corners = self._surface.triangles[near.triangles]
-            points = at_corners(self._surface.rest, corners, near.barycentric)
-            regions = [alike(texture, each, like.tolerance, connected=like.connected) for each in points]
+        if color_limits is not None:
+            nearest = self._nearest.nearest(np.stack(self._points(where)))
+            corners = self._surface.triangles[nearest.triangles]
+            points = at_corners(self._surface.rest, corners, nearest.barycentric)
+            regions = [alike(texture, each, **color_limits) for each in points]
         elif where.point is not None:
             parts = {self._part_at(point) for point in self._points(where)}
             regions = [self._surface.parts == number for number in sorted(parts)]
@@ -307,11 +307,12 @@ class Session:
         values = {value.form.name: value.light for value in paint_of(command, texture)}
         if covered is not None:
             values = {name: np.zeros(texture.channels[name].format.components) for name in covered}
-        calls = [(each, name) for each in regions for name in values]
-        self._did(
-            command,
-            [self._painter.fill(each, values[name], channel=name, **options) for each, name in calls],
-        )
+        strokes = [
+            self._painter.fill(region, value, channel=name, **options)
+            for region in regions
+            for name, value in values.items()
+        ]
+        self._did(command, strokes)
 
     def _do_channel(self, command: Command) -> None:
         texture = self._painter.texture()
@@ -328,9 +329,9 @@ class Session:
         assert where.point is not None
         if where.axis is None:
             return [where.point]
-        other = where.point.copy()
-        other[where.axis] = 2 * self._mirror(where, self._surface.rest) - other[where.axis]
-        return [where.point, other]
+        mirrored_point = where.point.copy()
+        mirrored_point[where.axis] = 2 * self._mirror(where, self._surface.rest) - mirrored_point[where.axis]
+        return [where.point, mirrored_point]
 
     @cached_property
     def _nearest(self) -> Triangles:
@@ -341,10 +342,10 @@ class Session:
 
     def _did(self, command: Command, strokes: list[tuple[Change, ...]]) -> None:
         self._changes = tuple(change for stroke in strokes for change in stroke)
-        made = self._painter.count - sum(step.strokes for step in self._steps)
-        if made:
+        n_strokes = self._painter.count - sum(step.strokes for step in self._steps)
+        if n_strokes:
             self._count += 1
-            self._steps.append(_Step(command.fields.get("name", command.kind), made, self._count))
+            self._steps.append(_Step(command.fields.get("name", command.kind), n_strokes, self._count))
             self._undone.clear()
 
     def _do_layer(self, command: Command) -> None:
@@ -360,15 +361,15 @@ class Session:
     def _do_redo(self, command: Command) -> None:  # noqa: ARG002
         self._move(self._undone, self._steps, self._painter.redo)
 
-    def _move(self, steps: list[_Step], others: list[_Step], act: Callable[[], Any]) -> None:
+    def _move(self, source: list[_Step], target: list[_Step], act: Callable[[], Any]) -> None:
         """Undo or redo the last of the steps, if any."""
-        if not steps:
+        if not source:
             return
-        step = steps.pop()
+        step = source.pop()
         for _ in range(step.strokes):
             act()
             self._changes += self._painter.changes
-        others.append(step)
+        target.append(step)
 
     def _do_save(self, command: Command) -> None:
         paths = [self.output]
@@ -380,7 +381,7 @@ class Session:
             names = " and ".join(path.name for path in changed)
             self._question = f"Another program has changed {names}. Which version do you want to keep?"
             return
-        with put_aside(changed) as others:
+        with put_aside(changed) as asides:
             self._painter.texture().save(self.output)
             if self._painter.layers:
                 self._painter.save(paths[1])
@@ -390,8 +391,8 @@ class Session:
         for path in paths:
             self._watch.renew(path)
         self._saved = [step.number for step in self._steps]
-        if others:
-            self._told = f"The other version is kept as {' and '.join(path.name for path in others)}."
+        if asides:
+            self._notice = f"The other version is kept as {' and '.join(path.name for path in asides)}."
 
     def _do_take(self, command: Command) -> None:
         path = self._files.get(file_of(command), self.output)
@@ -434,9 +435,9 @@ def warm_up(texture: OctreeTexture, surface: Surface) -> None:
     painter.paint(Projection(image, Camera.fitted(surface.vertices, toward, size=(64, 64))))
     top = surface.vertices[surface.vertices[:, 2].argmax()]
     width = 40.0 * texture.placement.size / 2**texture.tree.max_depth
-    near = Camera.fitted([top, top + np.array([width, width, 0.0])], toward, size=(64, 64))
+    close_up = Camera.fitted([top, top + np.array([width, width, 0.0])], toward, size=(64, 64))
     for blend in cast(tuple[Blend, ...], ("over", "erase")):
-        painter.paint(Projection(image, near, opacity=0.5, blend=blend))
+        painter.paint(Projection(image, close_up, opacity=0.5, blend=blend))
 
 
 def mirrored(projection: Projection, axis: int, middle: float) -> Projection:

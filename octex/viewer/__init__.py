@@ -5,7 +5,7 @@ maps        packs the model's own images
 pack        packs everything for a page: levels one after another, the mesh, its motion; a set part by part
 changes     packs the cells of a changed texture that a page lacks
 page/       the page: plain modules and shaders, served as they are
-    viewer      loads a texture and its mesh, follows changes, handles controls; frames: when it draws what
+    viewer      loads a texture and its mesh, follows changes, handles controls; frames: decides when to draw
     elements    finds and makes elements; reload: reloads the page with the same camera and controls
     data        loads data from the server, or from the page itself
     connection  the server's event stream, which announces versions

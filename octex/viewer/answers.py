@@ -86,8 +86,8 @@ def packed_composite(session: Session, asked: str) -> bytes:
     return b"\n".join([json.dumps(header).encode(), b"".join(streams.values())])
 
 
-#: Makers of answers from a session.
-_MADE = {"patch": packed_patch, "composite": packed_composite}
+#: Answers of a session, by the path of a request.
+_ANSWERS = {"patch": packed_patch, "composite": packed_composite}
 
 
 class Server(ThreadingHTTPServer):
@@ -133,12 +133,12 @@ class Handler(BaseHTTPRequestHandler):
             self.viewer.follow(self._events())
         elif path.startswith("data/"):
             self._data(path.removeprefix("data/"))
-        elif path in _MADE and self.viewer.session is not None:
-            self._made(_MADE[path], self.viewer.session)
+        elif path in _ANSWERS and self.viewer.session is not None:
+            self._answer_session(_ANSWERS[path], self.viewer.session)
         elif path == "export" and self.viewer.downloads is not None:
             self._export(self.viewer.downloads)
         elif path.startswith("export/") and self.viewer.downloads is not None:
-            self._give(self.viewer.downloads.file(path.removeprefix("export/")))
+            self._download(self.viewer.downloads.file(path.removeprefix("export/")))
         else:
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such file")
 
@@ -169,16 +169,15 @@ class Handler(BaseHTTPRequestHandler):
             if len(body) < int(length):
                 self._refuse(HTTPStatus.BAD_REQUEST, f"{len(body):,} bytes of {int(length):,} arrived")
                 return
+            statuses: dict[type[OctexError], HTTPStatus] = {
+                BusyError: HTTPStatus.TOO_MANY_REQUESTS,
+                OrderError: HTTPStatus.CONFLICT,
+                OutputError: HTTPStatus.INSUFFICIENT_STORAGE,
+            }
             try:
                 self._json({"number": session.take(body)})
-            except BusyError as error:
-                self._refuse(HTTPStatus.TOO_MANY_REQUESTS, str(error))
-            except OrderError as error:
-                self._refuse(HTTPStatus.CONFLICT, str(error))
-            except OutputError as error:
-                self._refuse(HTTPStatus.INSUFFICIENT_STORAGE, str(error))
             except OctexError as error:
-                self._refuse(HTTPStatus.BAD_REQUEST, str(error))
+                self._refuse(statuses.get(type(error), HTTPStatus.BAD_REQUEST), str(error))
 
     def _admitted(self, *, has_body: bool = False) -> str | None:
         """Return the path of a request below the token; refuse requests from elsewhere.
@@ -263,7 +262,7 @@ class Handler(BaseHTTPRequestHandler):
 
         return send
 
-    def _made(self, make: Callable[[Session, str], bytes], session: Session) -> None:
+    def _answer_session(self, make: Callable[[Session, str], bytes], session: Session) -> None:
         """Answer a question of a page: with a line of JSON, and streams."""
         try:
             body = make(session, unquote(self.path.partition("?")[2]))
@@ -285,7 +284,7 @@ class Handler(BaseHTTPRequestHandler):
         with suppress(_GoneError):
             downloads.make(self.path.partition("?")[2], tell)
 
-    def _give(self, path: Path | None) -> None:
+    def _download(self, path: Path | None) -> None:
         """Answer with a file to download, in pieces."""
         try:
             if path is None:

@@ -33,7 +33,7 @@ def is_like(header: dict[str, Any], other: dict[str, Any]) -> bool:
     return all(header[name] == other[name] for name in _STAYS)
 
 
-def with_channels_of(before: OctreeTexture, after: OctreeTexture) -> tuple[OctreeTexture | None, bytes]:
+def with_new_channels(before: OctreeTexture, after: OctreeTexture) -> tuple[OctreeTexture | None, bytes]:
     """Return ``before`` with the channels of ``after``, and a stream of the new channels.
 
     The stream has, for each new component, cells, kept coefficients and split rows. Returns None instead of
@@ -78,10 +78,8 @@ class _Runs(NamedTuple):
 def change_between(before: OctreeTexture, after: OctreeTexture) -> tuple[dict[str, int], bytes]:
     """Return the sizes of a change's parts, and its stream; textures are as the page has them."""
     if before is after:
-        none = np.zeros(1, np.int64)
-        return _packed(
-            _Runs(none, none, none + after.tree.n_cells), after, np.ones(after.tree.n_cells, np.bool_)
-        )
+        count = after.tree.n_cells
+        return _packed(_around(np.empty(0, np.int64), count), after, np.ones(count, np.bool_))
     old, is_known = _known(before, after)
     known = np.flatnonzero(is_known)
     return _packed(_Runs.of_cells(known, old[known]), after, is_known)
@@ -92,16 +90,16 @@ def change_of(change: Change, before: OctreeTexture, after: OctreeTexture) -> tu
     tiles, draft = change.tiles, change.after
     if tiles is None:
         return change_between(before, after)
-    here = numbers_in(after, tiles, draft)
-    is_open = here >= 0
+    numbers_now = numbers_in(after, tiles, draft)
+    is_open = numbers_now >= 0
     if change.has_same_cells:
         is_known = _as_before(change.before, draft) | ~is_open
-        return _packed(_around(here[~is_known], after.tree.n_cells), draft, is_known, ~is_open)
+        return _packed(_around(numbers_now[~is_known], after.tree.n_cells), draft, is_known, ~is_open)
     old, is_known = _known(change.before, draft)
-    there = numbers_in(before, tiles, change.before)
+    numbers_before = numbers_in(before, tiles, change.before)
     known = np.flatnonzero(is_known & is_open)
-    opened = _Runs.of_cells(here[known], there[old[known]])
-    numbers = (each[each >= 0] for each in (here, there))
+    opened = _Runs.of_cells(numbers_now[known], numbers_before[old[known]])
+    numbers = (each[each >= 0] for each in (numbers_now, numbers_before))
     closed = _closed(next(numbers), after.tree.n_cells, next(numbers), before.tree.n_cells)
     runs = _Runs(*(np.concatenate(each) for each in zip(opened, closed, strict=True)))
     in_order = np.argsort(runs.now, kind="stable")
@@ -132,15 +130,15 @@ def _around(new: Int64s, count: int) -> _Runs:
     return _Runs(ends[at] + 1, ends[at] + 1, ends[at + 1] - ends[at] - 1)
 
 
-def _closed(here: Int64s, count: int, there: Int64s, old_count: int) -> _Runs:
+def _closed(new_numbers: Int64s, count: int, old_numbers: Int64s, old_count: int) -> _Runs:
     """Return the runs of cells outside two sets, now and before; both have the same order."""
     gaps = []
-    for numbers, end in ((here, count), (there, old_count)):
-        apart = np.append(numbers - np.arange(numbers.size), end - numbers.size)
-        at = np.flatnonzero(np.diff(apart, prepend=0))
-        gaps.append((np.concatenate([[0], apart])[at], at))
+    for numbers, end in ((new_numbers, count), (old_numbers, old_count)):
+        offsets = np.append(numbers - np.arange(numbers.size), end - numbers.size)
+        at = np.flatnonzero(np.diff(offsets, prepend=0))
+        gaps.append((np.concatenate([[0], offsets])[at], at))
     first = np.union1d(gaps[0][0], gaps[1][0])
-    lengths = np.diff(first, append=count - here.size)
+    lengths = np.diff(first, append=count - new_numbers.size)
     now, before = (first + at[np.searchsorted(begins, first, "right") - 1] for begins, at in gaps)
     return _Runs(now, before, lengths)
 
@@ -177,21 +175,17 @@ def _packed(
 def _known(before: OctreeTexture, after: OctreeTexture) -> tuple[Int64s, Bools]:
     """Return each cell's old number, and whether it is unchanged; the number is undefined for others."""
     old = np.full(after.tree.n_cells, -1)
-    here, there = (tree.arrays.level_cells.tolist() for tree in (after.tree, before.tree))
-    levels = zip(before.tree.walk(), after.tree.walk(), here, there, strict=False)
+    firsts, old_firsts = (tree.arrays.level_cells.tolist() for tree in (after.tree, before.tree))
+    levels = zip(before.tree.walk(), after.tree.walk(), firsts, old_firsts, strict=False)
     for (had, _), (codes, _), first, first_old in levels:
         at = np.minimum(np.searchsorted(had, codes), had.size - 1)
         old_here = old[first : first + codes.size]
         old_here[:] = np.where(had[at] == codes, first_old + at, -1)
     is_known = old >= 0
-    (masks, areas), (old_masks, old_areas) = (_nodes_data(each.tree) for each in (after, before))
-    flags, old_flags = after.tree.arrays.flags, before.tree.arrays.flags
-    for now, was in (
-        (masks, old_masks),
-        (areas[:, None], old_areas[:, None]),
-        (flags[:, None], old_flags[:, None]),
-    ):
-        is_known &= (now == was[old]).all(axis=1)
+    now, was = (
+        np.column_stack([*_nodes_data(each.tree), each.tree.arrays.flags]) for each in (after, before)
+    )
+    is_known &= (now == was[old]).all(axis=1)
     kept, sides = _owners(after.tree)
     old_kept, old_sides = _owners(before.tree)
     is_same = [_rows_of(kept, old_kept, old, is_known), _rows_of(sides, old_sides, old, is_known)]

@@ -74,7 +74,7 @@ class Downloads:
         self._lock = threading.Lock()  # held while a file is made
         self._held = ExitStack()  # the last file's folder
         self._number = 0
-        self._made: tuple[str, Path] | None = None
+        self._latest: tuple[str, Path] | None = None
 
     def make(self, query: str, tell: Callable[[str, dict[str, Any]], None]) -> None:
         """Make a file; ``tell`` gets progress, then the file's address or the error.
@@ -91,7 +91,7 @@ class Downloads:
             path = folder / (self._session.output.stem + _ENDINGS[wanted.kind])
             self._write(wanted, self._session.shown.texture, path, _seldom(tell))
             self._number += 1
-            self._made = str(self._number), path
+            self._latest = str(self._number), path
             tell("done", {"number": self._number, "name": path.name, "bytes": path.stat().st_size})
         except (OctexError, MemoryError) as error:
             tell("fault", {"why": " ".join(str(error).split()) or "out of memory"})
@@ -99,14 +99,14 @@ class Downloads:
             where = self._session.output.parent
             tell("fault", {"why": f"{where}: cannot be written: {error.strerror or error}"})
         finally:
-            if self._made is None:
+            if self._latest is None:
                 self._drop()
             self._lock.release()
 
     def file(self, number: str) -> Path | None:
         """Return the file of this number, or None if it was removed."""
-        made = self._made
-        return made[1] if made is not None and made[0] == number else None
+        latest = self._latest
+        return latest[1] if latest is not None and latest[0] == number else None
 
     def close(self) -> None:
         """Remove the last file; one in progress is removed when its work stops."""
@@ -115,7 +115,7 @@ class Downloads:
             self._lock.release()
 
     def _drop(self) -> None:
-        self._made = None
+        self._latest = None
         self._held.close()
 
     def _write(self, wanted: Wanted, texture: OctreeTexture, path: Path, progress: Progress) -> None:

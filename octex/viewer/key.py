@@ -14,7 +14,7 @@ def user_key() -> bytes:
     """Return this user's secret, made at the first call; empty where other users could read it."""
     try:
         path = _folder() / "viewer.key"
-        return _read(path) or _made(path)
+        return _read(path) or _write_new(path)
     except (OSError, RuntimeError):  # no folder to store it in
         return b""
 
@@ -36,12 +36,12 @@ def _read(path: Path) -> bytes:
     return secret if len(secret) == _BYTES else b""
 
 
-def _made(path: Path) -> bytes:
+def _write_new(path: Path) -> bytes:
     """Write a new secret that only this user can read."""
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    made = secrets.token_bytes(_BYTES)
+    secret = secrets.token_bytes(_BYTES)
     descriptor, name = tempfile.mkstemp(dir=path.parent)  # readable by its owner only
     with os.fdopen(descriptor, "wb") as file:
-        file.write(made)
+        file.write(secret)
     Path(name).replace(path)
-    return made
+    return secret

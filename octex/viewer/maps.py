@@ -54,7 +54,7 @@ def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -
         (id(each.texels), entry.lanes): each.texels for entry in inputs.values() if (each := entry.texture)
     }
     images, divisor = _files(texels, small, room)
-    places = list(texels)
+    keys = list(texels)
     coordinates = np.zeros((len(surface.triangles), 3, 2))
     parts, first = [], 0
     for number in used:
@@ -62,7 +62,7 @@ def maps_of(surface: Surface, *, small: bool = False, room: int | None = None) -
         count = int(chosen.sum())
         part: dict[str, Any] = {"first": first, "count": count, "factor": list(kind.factor)}
         if kind.texture is not None:
-            part["image"] = places.index((id(kind.texture.texels), kind.lanes))
+            part["image"] = keys.index((id(kind.texture.texels), kind.lanes))
             part["wraps"] = [_WRAPS[kind.texture.wrap_u], _WRAPS[kind.texture.wrap_v]]
             part["isNearest"] = kind.texture.nearest
             corners = source.coordinates[kind.texture.slot]

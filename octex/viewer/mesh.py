@@ -44,9 +44,9 @@ def packed_mesh(
     maps: Maps | None = None,
     paints: bool = False,
 ) -> tuple[dict[str, Any], bytes]:
-    """Return what a mesh's stream holds, and the stream.
+    """Return a mesh's header and its stream.
 
-    Of one that ``moves`` it names vertices' owners, of one that is painted the parts that they are of.
+    With ``moves`` the stream has each vertex's owner, a vertex of the surface; with ``paints`` its part.
     """
     materials = np.zeros(len(surface.triangles), np.int64) if maps is None else maps.materials
     order = np.argsort(materials, kind="stable")
@@ -72,8 +72,8 @@ def packed_mesh(
     has_parts = paints and bool(surface.parts.max() > 0)
     if has_parts:
         columns.append(np.repeat(surface.parts[order], 3)[:, None])
-    rows, which = distinct_rows(np.concatenate(columns, axis=1))
-    triangles = which.reshape(-1, 3)
+    rows, row_numbers = distinct_rows(np.concatenate(columns, axis=1))
+    triangles = row_numbers.reshape(-1, 3)
     across = sides_across(triangles.ravel(), np.roll(triangles, -1, axis=1).ravel())
     groups = np.repeat(materials[order], 3)
     across[groups[across] != groups] = -1

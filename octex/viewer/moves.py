@@ -48,26 +48,26 @@ def packed_motion(motion: Motion, surface: Surface, level: int, room: int | None
         return PackedMotion(
             {}, b"", [*notes, f"no animations: {why or 'its vertices are not the file’s own'}"]
         )
-    for every in _EVERY:
-        header, stream = _packed(motion, every)
+    for step in _EVERY:
+        header, stream = _packed(motion, step)
         packed = deflated(stream, level)
         if room is None or len(packed) <= room:
-            if every > 1:
+            if step > 1:
                 notes.append(
-                    f"animations: every {every}th frame" if every > 2 else "animations: every second frame"
+                    f"animations: every {step}th frame" if step > 2 else "animations: every second frame"
                 )
             return PackedMotion({**header, "start": start, "bytes": len(packed)}, packed, notes)
     return PackedMotion({}, b"", [*notes, f"no animations: they take {len(packed):,} bytes"])
 
 
-def _packed(motion: Motion, every: int) -> tuple[dict[str, Any], bytes]:
+def _packed(motion: Motion, step: int) -> tuple[dict[str, Any], bytes]:
     low, high = motion.positions.min(axis=0), motion.positions.max(axis=0)
     edge, middle = float((high - low).max()) or 1.0, (low + high) / 2
     animations = []
     for each in motion.animations:  # every step-th frame; bones act on positions minus the middle
-        bones = each.bones[::every].copy()
+        bones = each.bones[::step].copy()
         bones[..., 3] += bones[..., :3] @ middle
-        animations.append(each._replace(bones=bones, weights=each.weights[::every]))
+        animations.append(each._replace(bones=bones, weights=each.weights[::step]))
     largest = max(
         1.0,
         *(float(np.abs(each.bones[..., :3]).max()) for each in animations),
@@ -110,8 +110,8 @@ def _bounds(motion: Motion, animations: list[Animation], middle: Float64s) -> li
     """Return the bounding boxes of animations, from the boxes of the vertices that each bone moves."""
     vertices = np.repeat(np.arange(len(motion.positions)), np.diff(motion.bones.first))
     reach = np.zeros((len(motion.positions), 3))  # largest offsets by targets
-    moved = np.repeat(np.arange(len(motion.positions)), np.diff(motion.targets.first))
-    np.add.at(reach, moved, np.abs(motion.targets.shares))
+    target_vertices = np.repeat(np.arange(len(motion.positions)), np.diff(motion.targets.first))
+    np.add.at(reach, target_vertices, np.abs(motion.targets.shares))
     n_bones = animations[0].bones.shape[1]
     low, high = np.full((n_bones, 3), np.inf), np.full((n_bones, 3), -np.inf)
     np.minimum.at(low, motion.bones.numbers, (motion.positions - reach - middle)[vertices])

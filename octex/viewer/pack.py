@@ -90,8 +90,8 @@ def packed_page(
     """Pack a whole page with ``pack``; motion, maps and paint need a page of one part."""
     packed = [pack(each.texture, each.surface, level=level, room=room) for each in parts[1:]]
     first = parts[0]
-    more: dict[str, Any] = {"motion": motion, "maps": maps, "paints": paints}
-    packed.insert(0, pack(first.texture, first.surface, **more, level=level, room=room))
+    options: dict[str, Any] = {"motion": motion, "maps": maps, "paints": paints}
+    packed.insert(0, pack(first.texture, first.surface, **options, level=level, room=room))
     headers = [
         {"name": part.name, **packed_part.header} for part, packed_part in zip(parts, packed, strict=True)
     ]

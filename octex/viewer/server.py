@@ -19,7 +19,7 @@ from octex.errors import OctexError, OutputError
 from octex.formats.streams import deflated
 from octex.formats.web import Prepared, prepared
 from octex.viewer.answers import ADDRESS, Handler, Server
-from octex.viewer.changes import change_between, change_of, is_like, touched_by, with_channels_of
+from octex.viewer.changes import change_between, change_of, is_like, touched_by, with_new_channels
 from octex.viewer.maps import maps_of
 from octex.viewer.pack import Packed, Part, packed_page, parts_of
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from octex.viewer.downloads import Downloads
 
 #: Seconds between heartbeats, and seconds without any page until the server ends.
-_BEAT, _ALONE = 1.0, 30.0
+_BEAT, _IDLE = 1.0, 30.0
 #: Factor of that time for the first page: browsers may start slowly.
 _FIRST = 20
 #: Deflate's level for changes: packing takes longer than sending on one machine.
@@ -95,18 +95,18 @@ class Viewer:
             session.changed = self.changed
             self.downloads = Downloads(session, surface, motion, path.name)
         self._lock = threading.RLock()
-        self._own = secrets.token_hex(4)  # in versions: the next viewer may have another texture
+        self._run_id = secrets.token_hex(4)  # in versions: the next viewer may have another texture
         self._calls = 0  # number of calls of ``changed``
         self._refused: set[str] = set()
-        self._news = threading.Condition()
+        self._on_change = threading.Condition()
         self._state = self._read(self._stamp())
-        is_alone = surface is not None and len(self._state.parts) == 1
-        self._maps = maps_of(surface) if surface is not None and is_alone else None
+        is_single = len(self._state.parts) == 1
+        self._maps = maps_of(surface) if surface is not None and is_single else None
         self._packed = "", Packed({}, {})
         self._changes: deque[tuple[str, Packed]] = deque(maxlen=_MOST_CHANGES)
         self.packed()
         self._pages, self._had_page = 0, False
-        self._left = time.monotonic()
+        self._closed_at = time.monotonic()
         self._ended = threading.Event()
         name = os.fsencode(path.resolve())
         secret = hmac.digest(key, name, "sha256") if key else secrets.token_bytes(32)
@@ -133,15 +133,17 @@ class Viewer:
         """Return the answer to a page's challenge, which only the holder of the token can compute."""
         return hmac.digest(self.token.encode(), asked.encode(), "sha256").hex()
 
-    def run(self, alone: float = _ALONE) -> None:
-        """Serve until SIGTERM, or until no page is open for ``alone`` seconds (20 times that at first)."""
+    def run(self, idle: float = _IDLE) -> None:
+        """Serve until SIGTERM, or until no page is open for ``idle`` seconds (20 times that at first)."""
         thread = threading.Thread(
             target=self._server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True
         )
         thread.start()
-        self._left = time.monotonic()
+        self._closed_at = time.monotonic()
         try:
-            while self._pages or time.monotonic() - self._left < alone * (1 if self._had_page else _FIRST):
+            while self._pages or time.monotonic() < self._closed_at + idle * (
+                1 if self._had_page else _FIRST
+            ):
                 time.sleep(0.1)
         finally:
             self._ended.set()
@@ -161,9 +163,9 @@ class Viewer:
         with self._lock:
             self._calls += 1
             if self.session is not None:
-                self._now()  # computes the changes since the last call
-        with self._news:
-            self._news.notify_all()
+                self._current()  # computes the changes since the last call
+        with self._on_change:
+            self._on_change.notify_all()
 
     def _is_after(self, calls: int) -> bool:
         return self._calls != calls
@@ -171,7 +173,7 @@ class Viewer:
     def packed(self) -> Packed:
         """Return the packed content: read again if its file has changed and is readable."""
         with self._lock:
-            state = self._now()
+            state = self._current()
             if self._packed[0] != state.version:
                 shown: dict[str, Any] = {"motion": self._motion, "maps": self._maps}
                 paints = state.session is not None
@@ -191,14 +193,14 @@ class Viewer:
         """Return the current version, and the error of reading the file, if any."""
         try:
             with self._lock:
-                version = self._now().version
+                version = self._current().version
             if self.session is not None:
                 self.session.look()
             return version, ""
         except OctexError as error:
             return self._state.version, str(error)
 
-    def _now(self) -> _State:
+    def _current(self) -> _State:
         """Return the current state; after a change, first read the texture and pack its changes for pages."""
         stamp = self._stamp()
         if stamp != self._state.version:
@@ -229,7 +231,7 @@ class Viewer:
 
     def _stamp(self) -> str:
         file = "" if self.session is not None else self._file_stamp()
-        return f"{self._calls}-{self._own}{file}"
+        return f"{self._calls}-{self._run_id}{file}"
 
     def _file_stamp(self) -> str:
         """Return a fingerprint that changes with the file or folder."""
@@ -258,14 +260,14 @@ class Viewer:
                     sent = now
                 else:
                     send(": alive\n\n")
-                with self._news:
-                    self._news.wait_for(partial(self._is_after, calls), _BEAT)
+                with self._on_change:
+                    self._on_change.wait_for(partial(self._is_after, calls), _BEAT)
         except OSError:
             pass
         finally:
             with self._lock:
                 self._pages -= 1
-                self._left = time.monotonic()
+                self._closed_at = time.monotonic()
 
 
 def _change(before: _State, after: _State) -> Packed | None:
@@ -275,12 +277,12 @@ def _change(before: _State, after: _State) -> Packed | None:
     header: dict[str, Any] = {"version": after.version, "session": after.session, "parts": []}
     streams = {}
     for number, (was, now) in enumerate(zip(before.prepared, after.prepared, strict=True)):
-        moved, is_other = was.texture, not is_like(was.header, now.header)
+        old_texture, is_other = was.texture, not is_like(was.header, now.header)
         if is_other:
-            like, added = with_channels_of(was.texture, now.texture)
+            like, added = with_new_channels(was.texture, now.texture)
             if like is None:
                 return None
-            moved = like
+            old_texture = like
             streams[f"added-{number}"] = deflated(added, _SMALL)
         is_whole = now.texture is after.parts[number].texture and was.texture is after.before
         touched = touched_by(after.changes) if is_whole else None
@@ -288,7 +290,7 @@ def _change(before: _State, after: _State) -> Packed | None:
             change = joined_change(after.changes, was.texture, now.texture)
             counts, stream = change_of(change, was.texture, now.texture)
         else:
-            counts, stream = change_between(moved, now.texture)
+            counts, stream = change_between(old_texture, now.texture)
         streams[f"change-{number}"] = deflated(stream, _QUICK)
         fields = {name: value for name, value in now.header.items() if name != "notes"}
         entries = {"header": fields, "counts": counts, "touched": touched, "hasNewChannels": is_other}

@@ -16,7 +16,8 @@ from octex.cli.options import COMMANDS, DEFAULT_CHANNEL
 from octex.cli.parser import Parser
 from octex.cli.values import BALANCES, BLENDS, FUSIONS, HOLES
 from octex.errors import ExitCode
-from octex.painting import image, options, paint
+from octex.painting import image, paint
+from octex.painting import surface as surfaces
 from tests.conftest import needs_jit
 from tests.make.command import OUT
 from tests.make.same import assert_equal
@@ -286,12 +287,12 @@ def test_holes_are_filled_or_left_and_coverage_is_kept_as_the_library_does(scene
 
 
 def test_the_help_names_the_librarys_defaults():
-    own = options.FUSIONS, options.BALANCES, options.FILLS, image.BLENDS
+    own = surfaces.FUSIONS, surfaces.BALANCES, paint.FILLS, image.BLENDS
     assert own == (FUSIONS, BALANCES, HOLES, BLENDS)
     text = " ".join(Parser("octex paint", COMMANDS["paint"], COMMANDS).help().split())
     defaults = {name: each.default for name, each in inspect.signature(paint.project).parameters.items()}
     assert defaults["channel"] == DEFAULT_CHANNEL
-    angles = f"(default {options.TAKEN_ANGLE:g}; {options.DRAWN_ANGLE:g} for views)"
+    angles = f"(default {surfaces.TAKEN_ANGLE:g}; {surfaces.DRAWN_ANGLE:g} for views)"
     assert f"skip surface tilted more {angles}" in text
     assert f"edges in depth (default {defaults['edge_feather']:g})" in text
     assert inspect.signature(paint.paint).parameters["max_depth"].default is None

@@ -135,7 +135,7 @@ def served(viewer: Viewer) -> Iterator[Viewer]:
     until = time.monotonic() + 30.0
     while thread.is_alive() and time.monotonic() < until:
         if not viewer._pages:
-            viewer._left = -math.inf  # no other page comes
+            viewer._closed_at = -math.inf  # no other page comes
         thread.join(0.05)
     assert not thread.is_alive()
 

@@ -12,8 +12,7 @@ import numpy.typing as npt
 import octex
 from octex.channels import BASE_COLOR
 from octex.painting.project import Projected, take_shots
-from octex.painting.reading import terms_of
-from octex.painting.surface import PaintedSurface
+from octex.painting.surface import PaintedSurface, terms_of
 from octex.parallel import pool_of
 from octex.source.surface import Surface
 from tests.make.painted import ball, codes, image_of

@@ -8,7 +8,7 @@ from tests.house.test_house import MODULES, imports
 
 #: What photographs are looked at with; the rest of painting comes after them.
 BEFORE_PHOTOS = {
-    "layer", "multigrid", "options", "image", "project", "reading", "resume", "sheets", "sight", "surface",
+    "layer", "multigrid", "image", "project", "reading", "resume", "sheets", "sight", "surface",
 }  # fmt: skip
 
 

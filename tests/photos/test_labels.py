@@ -5,7 +5,7 @@ import numpy as np
 import octex
 from octex.channels import BASE_COLOR
 from octex.painting.multigrid import graph_of
-from octex.painting.reading import terms_of
+from octex.painting.surface import terms_of
 from octex.photos import labels as labelling
 from octex.photos.weigh import BestPaint
 from tests.conftest import needs_jit

@@ -6,9 +6,8 @@ import pytest
 from octex.cameras.camera import Camera
 from octex.channels import BASE_COLOR
 from octex.painting.image import Projection
-from octex.painting.project import _spread, sight_of, take_shots
-from octex.painting.reading import terms_of
-from octex.painting.surface import PaintedSurface
+from octex.painting.project import sight_of, spread, take_shots
+from octex.painting.surface import PaintedSurface, terms_of
 from octex.parallel import pool_of
 from octex.source.corners import Corners
 from octex.source.surface import Surface
@@ -300,4 +299,4 @@ def test_pixels_near_paint_are_those_whose_square_holds_some():
         some = random.random(random.integers(1, 20, 2)) < share
         reach = int(random.integers(0, 8))
         wide = np.lib.stride_tricks.sliding_window_view(np.pad(some, reach), (2 * reach + 1,) * 2)
-        assert np.array_equal(_spread(some, reach), wide.any(axis=(2, 3)))
+        assert np.array_equal(spread(some, reach), wide.any(axis=(2, 3)))
