@@ -65,6 +65,19 @@ def test_slices_and_beams_are_left_out_with_a_warning(tmp_path):
             assert len(octex.load_surface(path).triangles) == 1
 
 
+def test_an_image_that_no_triangle_uses_changes_nothing(tmp_path):
+    places = '<m:tex2coord u="0" v="0"/>'
+    text = (
+        '<resources><m:texture2d id="1" path="/3D/Textures/a.png" contenttype="image/png"/>'
+        f'<m:texture2dgroup id="2" texid="1">{places}</m:texture2dgroup>'
+        '<m:colorgroup id="4"><m:color color="#FF0000"/></m:colorgroup>'
+        f"""{square(3, '<triangle v1="0" v2="1" v3="2"/>', 'pid="4" pindex="0"')}</resources>{BUILD}"""
+    )
+    parts = {"3D/3dmodel.model": text, "3D/Textures/a.png": saved(np.zeros((2, 2, 3), np.uint8))}
+    surface = octex.load_surface(package(tmp_path / "a.3mf", parts))
+    np.testing.assert_array_equal(surface.evaluate(surface.scatter(10)), [[1.0, 0.0, 0.0]] * 10)
+
+
 def test_images_lie_where_their_coordinates_say(tmp_path):
     image = np.zeros((2, 2, 3), np.uint8)
     image[:, :, 0], image[:, :, 1] = [[10, 200], [10, 200]], [[250, 250], [60, 60]]
