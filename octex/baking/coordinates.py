@@ -58,7 +58,7 @@ def check_overlaps(
 
 
 def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: int) -> None:
-    """Raise ModelError if texels of a map are so long that they cover differing areas."""
+    """Raise ModelError if texels of a map are so long, or so crowded, that they cover differing areas."""
     is_squeezed = squeezed(texture, mesh, size)
     if not is_squeezed.any():
         return
@@ -71,13 +71,32 @@ def check_stretches(texture: OctreeTexture, mesh: Mesh, names: list[str], size: 
     reach = np.minimum(reach, 0.5 / np.maximum(stretch[rows], 1e-300))
     part = np.random.default_rng(1).random((rows.size, 1))
     moved = np.clip(weights + part * reach[:, None] * steps, 0.0, 1.0)
-    differs = _differ(texture, mesh, names, (rows, weights), (rows, moved), width=cell_of(texture))
+    others = _in_same_texels(mesh, rows, weights, size)
+    width, points = cell_of(texture), (rows, weights)
+    differs = _differ(texture, mesh, names, points, (rows, moved), width=width)
+    differs |= _differ(texture, mesh, names, points, (rows[others], weights[others]), width=width)
     spread = float(differs.sum()) / _TRIED
     if spread > _MOST:
         raise ModelError(
             f"{mesh.name}: its texture coordinates are too small: on {100 * spread:.3g} % of it one "
             "texel covers areas that differ in colour; let octex make an atlas"
         )
+
+
+def _in_same_texels(mesh: Mesh, triangles: Int64s, weights: Float64s, size: int) -> Int64s:
+    """Return for each point (n,) another one in its texel of a map, at random, or itself if it is alone."""
+    assert mesh.uv is not None
+    uv = np.einsum("nk,nkx->nx", weights, mesh.uv.values[mesh.uv.rows[triangles]].astype(np.float64))
+    _, texels = np.unique(np.floor(size * (uv % 1.0)), axis=0, return_inverse=True)
+    texels = texels.reshape(-1)  # some versions of numpy return a column
+    order = np.lexsort((np.random.default_rng(2).random(texels.size), texels))
+    counts = np.bincount(texels)
+    ends = np.cumsum(counts)
+    after = np.arange(1, texels.size + 1)
+    after[ends - 1] = ends - counts  # the last of a texel is followed by the first
+    others = np.empty(texels.size, np.int64)
+    others[order] = order[after]
+    return others
 
 
 def _differing(texture: OctreeTexture, mesh: Mesh, names: list[str], layout: Layout, drawn: Drawn) -> float:

@@ -268,6 +268,25 @@ def test_squeezed_coordinates_are_kept_only_where_what_they_show_is_alike(across
         assert columns[1300:1400, 1].max() < 0.07
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-5])
+def test_coordinates_that_put_differing_triangles_into_one_texel_are_not_kept(size):
+    """As of models whose coordinates are all 0, with colours of faces."""
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]) + np.array([[0.0, 0, 0], [2, 0, 0]])[:, None]
+    colors = np.repeat([[200, 30, 30], [30, 30, 200]], 3, axis=0).astype(np.uint8)
+    surface = Surface.from_arrays(
+        corners.reshape(-1, 3),
+        np.arange(6).reshape(-1, 3),
+        uv=0.5 + size * corners.reshape(-1, 3)[:, :2],
+        colors=colors,
+    )
+    texture = octex.convert(surface, 5)
+    baked = octex.bake(texture, surface)
+    seen = surface.scatter(2000)
+    np.testing.assert_allclose(baked.evaluate(seen), texture.sample(seen, "base_color"), atol=4e-3)
+    with pytest.warns(ModelWarning, match="its texture coordinates are too small"):
+        octex.bake(texture, surface, uv="keep")
+
+
 @pytest.mark.parametrize("supersample", [1, 2])
 def test_a_palette_is_kept_part_by_part(supersample):
     """Each triangle has one point of a palette, and lies apart from the others."""
