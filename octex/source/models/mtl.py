@@ -7,6 +7,7 @@ The specification (Alias|Wavefront, 1995) leaves open what numbers mean; octex f
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path, PureWindowsPath
@@ -60,14 +61,13 @@ class Library(NamedTuple):
 def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: Options) -> Library:
     """Read the ``wanted`` materials of the mtllib ``lines`` of the OBJ file ``path``.
 
-    Each line names one file, whose name may have blanks, or several. The result lists missing files.
+    Each line names one file or several, whose names may have blanks. The result lists missing files.
     """
     images = ImageFiles(path.parent)
     materials: dict[str, Description] = {}
     missing = []
     for line in lines:
-        file = beside(path.parent, line)
-        for each in [file] if file is not None else [beside(path.parent, word) for word in line.split()]:
+        for each in _libraries(path.parent, line):
             if each is not None:
                 data = read_bytes(each)
                 images.note(each, data)
@@ -92,6 +92,17 @@ def load_materials(path: Path, lines: Sequence[str], wanted: set[str], options: 
         inputs = {k: v for k, v in known.material.inputs.items() if k not in known.assumed - stated}
         materials[name] = known._replace(material=known.material._replace(inputs=inputs))
     return Library(materials, images.files, missing)
+
+
+def _libraries(folder: Path, line: str) -> list[Path | None]:
+    """Return the files of an mtllib line, None for each that is missing."""
+    if (file := beside(folder, line)) is not None:
+        return [file]
+    readings = [
+        [beside(folder, name) for name in names]
+        for names in (line.split(), re.findall(r"\S.*?\.mtl\b", line))
+    ]
+    return max(readings, key=lambda files: len(files) - files.count(None))
 
 
 def wavefront_lines(data: bytes, path: Path) -> Iterator[str]:
