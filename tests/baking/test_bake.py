@@ -287,6 +287,23 @@ def test_coordinates_that_put_differing_triangles_into_one_texel_are_not_kept(si
         octex.bake(texture, surface, uv="keep")
 
 
+def test_coordinates_that_overlap_in_a_small_part_of_the_map_but_on_much_of_the_surface_are_not_kept():
+    """Two squares share a thousandth of the map; a third one, a sixth of their area, has half of it."""
+    corners, sides = square(side=1.0, steps=1)
+    places = [corners, corners + np.array([2.0, 0.0, 0.0]), 0.4 * corners + np.array([4.0, 0.0, 0.0])]
+    spots = [0.03 * corners + 0.1, 0.03 * corners + 0.1, 0.7 * corners + 0.6]
+    points, uv = np.concatenate(places), np.concatenate(spots)[:, :2]
+    triangles = np.concatenate([sides + n * len(corners) for n in range(3)])
+    colors = np.repeat([[200, 30, 30], [30, 30, 200], [30, 200, 30]], len(corners), axis=0).astype(np.uint8)
+    surface = Surface.from_arrays(points, triangles, uv=uv, colors=colors)
+    texture = octex.convert(surface, 6)
+    seen = surface.scatter(2000)
+    baked = octex.bake(texture, surface)
+    np.testing.assert_allclose(baked.evaluate(seen), texture.sample(seen, "base_color"), atol=4e-3)
+    with pytest.raises(ModelError, match="texture coordinates overlap, and the overlapping areas differ"):
+        octex.bake(texture, surface, uv="keep")
+
+
 @pytest.mark.parametrize("supersample", [1, 2])
 def test_a_palette_is_kept_part_by_part(supersample):
     """Each triangle has one point of a palette, and lies apart from the others."""
