@@ -63,6 +63,18 @@ def test_slices_and_beams_are_left_out_with_a_warning(tmp_path):
         path = package(tmp_path / "a.3mf", {"3D/3dmodel.model": f"<resources>{content}</resources>{BUILD}"})
         with pytest.warns(ModelWarning, match=f"a.3mf: octex reads triangles, and leaves out {words};"):
             assert len(octex.load_surface(path).triangles) == 1
+    only = square(3, "").replace("</mesh>", beams)
+    path = package(tmp_path / "a.3mf", {"3D/3dmodel.model": f"<resources>{only}</resources>{BUILD}"})
+    with pytest.raises(ModelError, match=r"a\.3mf has no triangles; octex needs a surface, not slices"):
+        octex.load_surface(path)
+
+
+@pytest.mark.parametrize("painted", ['paint_color="4"', 'slic3rpe:mmu_segmentation="8"'])
+def test_filaments_that_a_slicer_painted_are_left_out_with_a_warning(tmp_path, painted):
+    content = square(3, f'<triangle v1="0" v2="1" v3="2" {painted}/>', 'xmlns:slic3rpe="http://x"')
+    path = package(tmp_path / "a.3mf", {"3D/3dmodel.model": f"<resources>{content}</resources>{BUILD}"})
+    with pytest.warns(ModelWarning, match=r"a\.3mf: colours painted in a slicer are not read; export"):
+        assert len(octex.load_surface(path).triangles) == 1
 
 
 def test_an_image_that_no_triangle_uses_changes_nothing(tmp_path):
