@@ -17,6 +17,7 @@ from octex.source.materials import Input, Material, MaterialSource, Texture
 from octex.source.surface import Surface
 from octex.source.tangents import corner_frames
 from tests.make import solids
+from tests.make.fixtures import random_image
 from tests.make.painted import ball, square, waves
 from tests.make.small_surfaces import whole
 
@@ -302,6 +303,21 @@ def test_coordinates_that_overlap_in_a_small_part_of_the_map_but_on_much_of_the_
     np.testing.assert_allclose(baked.evaluate(seen), texture.sample(seen, "base_color"), atol=4e-3)
     with pytest.raises(ModelError, match="texture coordinates overlap, and the overlapping areas differ"):
         octex.bake(texture, surface, uv="keep")
+
+
+def test_mirrored_coordinates_are_kept_only_where_both_halves_are_alike():
+    """The halves of a square lie on one another in the map, folded along its middle."""
+    points, triangles = square(side=1.0, steps=8)
+    uv = np.column_stack([0.1 + np.abs(points[:, 0]), points[:, 1] + 0.5])
+    plain = Surface.from_arrays(points, triangles, uv=uv, image=random_image(16, 16))
+    texture = octex.convert(plain, 6)
+    kept = octex.bake(texture, plain, texture_size=128)
+    np.testing.assert_allclose(kept.uv.values[kept.uv.rows], plain.uv.values[plain.uv.rows], atol=1e-6)
+    seen = plain.scatter(2000)
+    assert psnr(kept.evaluate(seen), texture.sample(seen, "base_color")) > 30.0
+    half = octex.fill(texture, plain, octex.Box((0.0, -1.0, -1.0), (1.0, 1.0, 1.0)), (1.0, 0.0, 0.0))
+    baked = octex.bake(half, plain, texture_size=128)
+    assert psnr(baked.evaluate(seen), half.sample(seen, "base_color")) > 30.0
 
 
 @pytest.mark.parametrize("supersample", [1, 2])
